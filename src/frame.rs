@@ -1,0 +1,248 @@
+//! A CAN frame as it was seen on, or is meant for, a bus.
+//!
+//! Knows nothing of what its bytes mean: that is [`crate::wire`].
+
+use crate::time::Instant;
+use std::fmt;
+
+/// Which of the buses given on the command line, counted from 0.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
+pub struct BusIndex(pub u8);
+
+/// A CAN identifier in one of its two formats (ISO 11898-1).
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum CanId {
+    /// 11 bits. Foreign to the platform: shown, never interpreted.
+    Standard(u16),
+    /// 29 bits.
+    Extended(u32),
+}
+
+impl fmt::Debug for CanId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{self}")
+    }
+}
+
+/// Hexadecimal as candump prints it: 3 digits standard, 8 digits extended.
+impl fmt::Display for CanId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            CanId::Standard(id) => write!(f, "{id:03X}"),
+            CanId::Extended(id) => write!(f, "{id:08X}"),
+        }
+    }
+}
+
+/// What a frame is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
+pub enum FrameKind {
+    /// Data, classic or FD.
+    #[default]
+    Data,
+    /// A remote transmission request; its length is the one asked for.
+    Remote,
+    /// An error report of the controller: the identifier holds the error class bits and the
+    /// data the details, as Linux `can/error.h` lays them out.
+    Error,
+}
+
+/// One frame with its time of arrival.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub struct Frame {
+    /// When its end was seen.
+    pub time: Instant,
+    /// The identifier.
+    pub id: CanId,
+    /// The bus it was seen on or is meant for.
+    pub bus: BusIndex,
+    /// Data, remote or error.
+    pub kind: FrameKind,
+    /// CAN FD format.
+    pub fd: bool,
+    /// FD: the data phase ran at the higher rate (BRS).
+    pub bit_rate_switch: bool,
+    /// FD: the sender was error-passive (ESI).
+    pub error_state: bool,
+    /// We sent it ourselves, and the bus took it.
+    pub ours: bool,
+    len: u8,
+    data: [u8; Frame::MAX_DATA],
+}
+
+impl Frame {
+    /// The most bytes an FD frame carries.
+    pub const MAX_DATA: usize = 64;
+    /// The most bytes a classic frame carries.
+    pub const MAX_CLASSIC_DATA: usize = 8;
+
+    /// A classic data frame with an extended identifier; bytes past the eighth are left out.
+    pub fn classic(id: u32, data: &[u8]) -> Self {
+        Self::with(CanId::Extended(id), &data[..data.len().min(Self::MAX_CLASSIC_DATA)])
+    }
+
+    /// An FD data frame with an extended identifier, padded with `padding` to a length that a
+    /// DLC has; bytes past the sixty-fourth are left out.
+    pub fn fd(id: u32, data: &[u8], padding: u8) -> Self {
+        let data = &data[..data.len().min(Self::MAX_DATA)];
+        let mut frame = Self::with(CanId::Extended(id), data);
+        let padded = fd_length(data.len());
+        frame.data[data.len()..padded].fill(padding);
+        frame.len = padded as u8;
+        frame.fd = true;
+        frame.bit_rate_switch = true;
+        frame
+    }
+
+    /// A data frame of any format; bytes past the sixty-fourth are left out.
+    pub fn with(id: CanId, data: &[u8]) -> Self {
+        let len = data.len().min(Self::MAX_DATA);
+        let mut bytes = [0; Self::MAX_DATA];
+        bytes[..len].copy_from_slice(&data[..len]);
+        Self {
+            time: Instant::ZERO,
+            id,
+            bus: BusIndex(0),
+            kind: FrameKind::Data,
+            fd: false,
+            bit_rate_switch: false,
+            error_state: false,
+            ours: false,
+            len: len as u8,
+            data: bytes,
+        }
+    }
+
+    /// A remote request for `len` bytes.
+    pub fn remote(id: CanId, len: usize) -> Self {
+        let mut frame = Self::with(id, &[]);
+        frame.kind = FrameKind::Remote;
+        frame.len = len.min(Self::MAX_CLASSIC_DATA) as u8;
+        frame
+    }
+
+    /// An error report: class bits and details as in Linux `can/error.h`.
+    pub fn error(class: u32, details: &[u8]) -> Self {
+        let mut frame = Self::classic(class & 0x1FFF_FFFF, details);
+        frame.kind = FrameKind::Error;
+        frame
+    }
+
+    /// The same frame, dated.
+    #[must_use]
+    pub fn at(mut self, time: Instant) -> Self {
+        self.time = time;
+        self
+    }
+
+    /// The same frame on another bus.
+    #[must_use]
+    pub fn on(mut self, bus: BusIndex) -> Self {
+        self.bus = bus;
+        self
+    }
+
+    /// The same frame, marked as one that we sent.
+    #[must_use]
+    pub fn ours(mut self) -> Self {
+        self.ours = true;
+        self
+    }
+
+    /// The bytes it carries; none for a remote request.
+    pub fn data(&self) -> &[u8] {
+        if self.kind == FrameKind::Remote { &[] } else { &self.data[..usize::from(self.len)] }
+    }
+
+    /// Its length in bytes (for a remote request: the length asked for).
+    pub fn len(&self) -> usize {
+        usize::from(self.len)
+    }
+
+    /// Whether it carries no bytes.
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// The 29-bit identifier, where the frame is a data frame that has one: the only frames
+    /// the platform gives a meaning.
+    pub fn platform_id(&self) -> Option<u32> {
+        match (self.kind, self.id) {
+            (FrameKind::Data, CanId::Extended(id)) => Some(id),
+            _ => None,
+        }
+    }
+
+    /// Equal in all that travels on the wire; times and who sent it do not count.
+    pub fn same_on_wire(&self, other: &Frame) -> bool {
+        self.id == other.id
+            && self.kind == other.kind
+            && self.fd == other.fd
+            && self.len == other.len
+            && self.data() == other.data()
+    }
+}
+
+/// As candump writes it, without time and bus: `02015402#0444455301`, FD as `ID##FDATA` with
+/// the flags digit, remote as `ID#R4`, error reports with bit 29 of the identifier set.
+impl fmt::Display for Frame {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match (self.kind, self.id) {
+            (FrameKind::Error, CanId::Extended(id)) => write!(f, "{:08X}#", id | 0x2000_0000)?,
+            (FrameKind::Error, CanId::Standard(id)) => {
+                write!(f, "{:08X}#", u32::from(id) | 0x2000_0000)?;
+            }
+            (FrameKind::Remote, id) => {
+                write!(f, "{id}#R")?;
+                if self.len > 0 {
+                    write!(f, "{}", self.len)?;
+                }
+            }
+            (FrameKind::Data, id) if self.fd => {
+                let flags = u8::from(self.bit_rate_switch) | u8::from(self.error_state) << 1;
+                write!(f, "{id}##{flags:X}")?;
+            }
+            (FrameKind::Data, id) => write!(f, "{id}#")?,
+        }
+        self.data().iter().try_for_each(|byte| write!(f, "{byte:02X}"))
+    }
+}
+
+impl fmt::Debug for Frame {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "({}) {} {self}", self.time, self.bus.0)?;
+        if self.ours { f.write_str(" T") } else { Ok(()) }
+    }
+}
+
+/// The shortest length with a DLC of its own that holds `len` bytes (ISO 11898-1: 0–8, 12, 16,
+/// 20, 24, 32, 48, 64).
+pub const fn fd_length(len: usize) -> usize {
+    match len {
+        0..=8 => len,
+        9..=12 => 12,
+        13..=16 => 16,
+        17..=20 => 20,
+        21..=24 => 24,
+        25..=32 => 32,
+        33..=48 => 48,
+        _ => 64,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn prints_as_candump_does() {
+        let request = Frame::classic(0x0201_5402, &[4, 0x44, 0x45, 0x53, 1]);
+        assert_eq!(request.to_string(), "02015402#0444455301");
+        assert_eq!(Frame::remote(CanId::Standard(0x12), 4).to_string(), "012#R4");
+        assert_eq!(Frame::error(4, &[0, 1]).to_string(), "20000004#0001");
+        assert_eq!(
+            Frame::fd(1, &[0; 9], 0xCC).to_string(),
+            format!("00000001##1{}CCCCCC", "00".repeat(9))
+        );
+    }
+}

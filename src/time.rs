@@ -1,0 +1,116 @@
+//! Time as the program sees it: microseconds since a start, passed in and never asked for.
+//!
+//! Knows nothing of clocks. Where a wall clock is wanted (printing, logs, JSON), an
+//! [`Epoch`] says which Unix time the start was.
+
+use std::fmt;
+use std::ops::{Add, AddAssign, Sub};
+pub use std::time::Duration;
+
+/// A moment: microseconds since the start of the session, the log or the simulation.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
+pub struct Instant(u64);
+
+impl Instant {
+    /// The start itself.
+    pub const ZERO: Instant = Instant(0);
+
+    /// The moment `micros` microseconds after the start.
+    pub const fn from_micros(micros: u64) -> Self {
+        Self(micros)
+    }
+
+    /// Microseconds since the start.
+    pub const fn as_micros(self) -> u64 {
+        self.0
+    }
+
+    /// Seconds since the start.
+    pub fn as_secs_f64(self) -> f64 {
+        self.0 as f64 / 1e6
+    }
+
+    /// How long ago `earlier` was, zero if it lies in the future.
+    pub const fn since(self, earlier: Instant) -> Duration {
+        Duration::from_micros(self.0.saturating_sub(earlier.0))
+    }
+}
+
+impl Add<Duration> for Instant {
+    type Output = Instant;
+    fn add(self, rhs: Duration) -> Instant {
+        Instant(self.0.saturating_add(u64::try_from(rhs.as_micros()).unwrap_or(u64::MAX)))
+    }
+}
+
+impl AddAssign<Duration> for Instant {
+    fn add_assign(&mut self, rhs: Duration) {
+        *self = *self + rhs;
+    }
+}
+
+impl Sub<Duration> for Instant {
+    type Output = Instant;
+    fn sub(self, rhs: Duration) -> Instant {
+        Instant(self.0.saturating_sub(u64::try_from(rhs.as_micros()).unwrap_or(u64::MAX)))
+    }
+}
+
+impl fmt::Debug for Instant {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{self}")
+    }
+}
+
+/// Seconds with microseconds: `12.000345`.
+impl fmt::Display for Instant {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}.{:06}", self.0 / 1_000_000, self.0 % 1_000_000)
+    }
+}
+
+/// Which Unix time [`Instant::ZERO`] was.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub struct Epoch {
+    unix_micros: u64,
+}
+
+impl Epoch {
+    /// The start was `micros` microseconds after 1970-01-01 00:00 UTC.
+    pub const fn from_unix_micros(micros: u64) -> Self {
+        Self { unix_micros: micros }
+    }
+
+    /// Microseconds since 1970 of `at`.
+    pub const fn unix_micros(self, at: Instant) -> u64 {
+        self.unix_micros.saturating_add(at.0)
+    }
+
+    /// Unix seconds of `at`, exact to the microsecond.
+    pub fn unix_secs(self, at: Instant) -> f64 {
+        self.unix_micros(at) as f64 / 1e6
+    }
+
+    /// The moment of a Unix time in microseconds; times before the start are the start.
+    pub const fn at_unix_micros(self, micros: u64) -> Instant {
+        Instant(micros.saturating_sub(self.unix_micros))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn prints_whole_microseconds() {
+        assert_eq!(Instant::from_micros(12_000_345).to_string(), "12.000345");
+    }
+
+    #[test]
+    fn never_goes_below_the_start() {
+        let at = Instant::from_micros(5);
+        assert_eq!(at - Duration::from_secs(1), Instant::ZERO);
+        assert_eq!(at.since(Instant::from_micros(9)), Duration::ZERO);
+        assert_eq!(Epoch::from_unix_micros(100).at_unix_micros(7), Instant::ZERO);
+    }
+}

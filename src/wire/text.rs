@@ -1,0 +1,112 @@
+//! How strings of bytes that come from devices are shown: nothing of them can steer a terminal.
+//!
+//! Does not know where the text goes or how wide it may be.
+
+use std::fmt;
+use std::sync::Arc;
+use unicode_general_category::{GeneralCategory, get_general_category};
+
+/// Whether a character may be shown as it is: all but Unicode's Cc, Cf, Zl, Zp, Co and Cn.
+pub fn is_printable(c: char) -> bool {
+    if c.is_ascii() {
+        return !c.is_ascii_control();
+    }
+    !matches!(
+        get_general_category(c),
+        GeneralCategory::Control
+            | GeneralCategory::Format
+            | GeneralCategory::LineSeparator
+            | GeneralCategory::ParagraphSeparator
+            | GeneralCategory::PrivateUse
+            | GeneralCategory::Unassigned
+            | GeneralCategory::Surrogate
+    )
+}
+
+/// Bytes shown as text: UTF-8 where it is valid and printable, `\xNN` for every other byte,
+/// `\\` for a backslash. Reversible.
+#[derive(Clone, Copy)]
+pub struct Escaped<'a>(pub &'a [u8]);
+
+impl fmt::Display for Escaped<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        use fmt::Write;
+        for chunk in self.0.utf8_chunks() {
+            for c in chunk.valid().chars() {
+                if c == '\\' {
+                    f.write_str("\\\\")?;
+                } else if is_printable(c) {
+                    f.write_char(c)?;
+                } else {
+                    let mut buffer = [0; 4];
+                    hex_escapes(f, c.encode_utf8(&mut buffer).as_bytes())?;
+                }
+            }
+            hex_escapes(f, chunk.invalid())?;
+        }
+        Ok(())
+    }
+}
+
+fn hex_escapes(f: &mut fmt::Formatter<'_>, bytes: &[u8]) -> fmt::Result {
+    bytes.iter().try_for_each(|byte| write!(f, "\\x{byte:02X}"))
+}
+
+/// The name a device gave itself: any bytes but 0. Cheap to clone; equal when the bytes are.
+#[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Name(Arc<[u8]>);
+
+impl Name {
+    /// The name with these bytes.
+    pub fn new(bytes: &[u8]) -> Self {
+        Self(bytes.into())
+    }
+
+    /// Its bytes.
+    pub fn as_bytes(&self) -> &[u8] {
+        &self.0
+    }
+
+    /// Its bytes as hexadecimal digits, exact.
+    pub fn hex(&self) -> String {
+        self.0.iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+}
+
+impl From<&str> for Name {
+    fn from(text: &str) -> Self {
+        Self::new(text.as_bytes())
+    }
+}
+
+/// Escaped as [`Escaped`] says: safe for a terminal.
+impl fmt::Display for Name {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if f.width().is_none() && f.precision().is_none() {
+            Escaped(&self.0).fmt(f)
+        } else {
+            f.pad(&Escaped(&self.0).to_string())
+        }
+    }
+}
+
+impl fmt::Debug for Name {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "\"{self}\"")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_that_steers_a_terminal_passes() {
+        let shown = |bytes: &[u8]| Escaped(bytes).to_string();
+        assert_eq!(shown("Котёл".as_bytes()), "Котёл");
+        assert_eq!(shown(b"\x1b]0;x\x07"), "\\x1B]0;x\\x07");
+        assert_eq!(shown(b"a\\b\xff"), "a\\\\b\\xFF");
+        assert_eq!(shown("\u{9b}2J".as_bytes()), "\\xC2\\x9B2J");
+        assert_eq!(shown("a\u{202e}b\u{2028}".as_bytes()), "a\\xE2\\x80\\xAEb\\xE2\\x80\\xA8");
+    }
+}
