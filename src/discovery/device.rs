@@ -1,0 +1,277 @@
+//! What is known of a device: the row that the user sees.
+//!
+//! A device is the pair (name, address) on a bus; a node whose name is not known yet is a row
+//! too. Changed only by the [`super::Engine`].
+
+use crate::frame::BusIndex;
+use crate::time::{Duration, Instant};
+use crate::wire::des::AnswerFault;
+use crate::wire::framing::Framing;
+use crate::wire::id::Address;
+use crate::wire::isotp::TransferFault;
+use crate::wire::node::{Mode, Uid};
+use crate::wire::text::Name;
+use std::collections::VecDeque;
+use std::fmt;
+
+/// A device's identity in this session: stays with the row while others come and go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct DeviceId {
+    /// The bus it is on.
+    pub bus: BusIndex,
+    /// Its number on that bus, in the order of appearance; never given twice.
+    pub number: u32,
+}
+
+/// Whether a device is there, judged by the age of what was heard of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Presence {
+    /// Its heartbeats come.
+    Online,
+    /// The last heartbeat is older than 2.5 periods.
+    Stale,
+    /// Heartbeats are missing, but other frames of it arrive.
+    Silent,
+    /// Heartbeats are missing and its last known mode was IDLE.
+    Asleep,
+    /// Nothing for 5 periods.
+    Lost,
+}
+
+impl Presence {
+    /// The word for it, as in JSON.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Presence::Online => "online",
+            Presence::Stale => "stale",
+            Presence::Silent => "silent",
+            Presence::Asleep => "asleep",
+            Presence::Lost => "lost",
+        }
+    }
+}
+
+impl fmt::Display for Presence {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+/// One service of a device.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ServiceEntry {
+    /// Its index in the answer.
+    pub index: u8,
+    /// Its name.
+    pub name: Name,
+    /// Its version.
+    pub version: Name,
+    /// The strings after the version.
+    pub extra: Vec<Name>,
+}
+
+/// How regular a device's heartbeats are.
+#[derive(Clone, Debug, Default)]
+pub struct HeartbeatStats {
+    /// How many were heard.
+    pub count: u64,
+    /// When the last one was heard.
+    pub last: Option<Instant>,
+    /// Heartbeats that should have come and did not.
+    pub missed: u64,
+    pub(super) recent: VecDeque<Beat>,
+    pub(super) intervals: u64,
+    pub(super) mean_us: f64,
+    pub(super) mean_square_us: f64,
+}
+
+/// One heartbeat, for judging regularity and telling two senders apart.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Beat {
+    pub time: Instant,
+    pub frame_id: u32,
+}
+
+impl HeartbeatStats {
+    /// The mean interval between heartbeats, without gaps; `None` before there is one.
+    pub fn period(&self) -> Option<Duration> {
+        (self.intervals > 0).then(|| Duration::from_micros(self.mean_us as u64))
+    }
+
+    /// The standard deviation of the interval; `None` before there are two.
+    pub fn jitter(&self) -> Option<Duration> {
+        (self.intervals > 1).then(|| {
+            let variance = self.mean_square_us - self.mean_us * self.mean_us;
+            Duration::from_micros(variance.max(0.0).sqrt() as u64)
+        })
+    }
+}
+
+/// How far a question to a device has come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum QueryState {
+    /// Not asked (listen-only, or not its turn yet).
+    #[default]
+    NotAsked,
+    /// Asked, waiting.
+    Asked,
+    /// Its answer is arriving in several frames.
+    Receiving,
+    /// Answered.
+    Answered,
+    /// Asked as often as is sensible, without an answer. Asked again from time to time.
+    Unanswered,
+}
+
+/// One question (for the name, or for the services) and its history.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Query {
+    /// How far it has come.
+    pub state: QueryState,
+    /// How often it was asked since the last answer.
+    pub attempts: u32,
+    /// When it was asked last.
+    pub asked_at: Option<Instant>,
+    /// When it was answered last.
+    pub answered_at: Option<Instant>,
+    /// From question to the answer's end, of the last answer.
+    pub took: Option<Duration>,
+    /// What was wrong with the last answer.
+    pub fault: Option<QueryFault>,
+}
+
+/// Why an answer could not be used, or only in part.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum QueryFault {
+    /// Its message is malformed.
+    #[error("{0}")]
+    Answer(#[from] AnswerFault),
+    /// Its transfer broke off.
+    #[error("{0}")]
+    Transfer(#[from] TransferFault),
+    /// The device answered with the error flag.
+    #[error("the device reports an error")]
+    Refused,
+}
+
+/// A deviation from the platform that is understood all the same.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Quirk {
+    /// Answers carry the request's DST instead of the asker's address.
+    RspDstEcho,
+    /// Sends identifiers that are none of the nine types.
+    NonConforming,
+    /// Answers in both framings.
+    BothFramings,
+    /// Heartbeats are shorter than the profile's layout.
+    ShortHeartbeat,
+    /// The mode in its heartbeat contradicts the U bit.
+    ModeContradictsU,
+}
+
+impl Quirk {
+    /// The word for it, as in JSON.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Quirk::RspDstEcho => "rsp-dst-echo",
+            Quirk::NonConforming => "non-conforming",
+            Quirk::BothFramings => "both-framings",
+            Quirk::ShortHeartbeat => "short-heartbeat",
+            Quirk::ModeContradictsU => "mode-contradicts-u",
+        }
+    }
+
+    /// What it means, for people.
+    pub const fn describe(self) -> &'static str {
+        match self {
+            Quirk::RspDstEcho => "answers carry the request's DST, not the asker's address",
+            Quirk::NonConforming => "sends identifiers that are none of the nine message types",
+            Quirk::BothFramings => "answers in both framings",
+            Quirk::ShortHeartbeat => "heartbeats shorter than the profile's layout",
+            Quirk::ModeContradictsU => "the mode in its heartbeat contradicts the U bit",
+        }
+    }
+}
+
+/// A mode a device was in, and since when.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ModeChange {
+    /// When it was first seen in it.
+    pub time: Instant,
+    /// The mode.
+    pub mode: Mode,
+}
+
+/// A row: what is known of a device.
+#[derive(Clone, Debug)]
+pub struct Device {
+    /// Its identity in this session.
+    pub id: DeviceId,
+    /// Its main address: where its name answer came from.
+    pub address: Address,
+    /// Its name; `None` while it is known by its frames alone.
+    pub name: Option<Name>,
+    /// Whether it is there.
+    pub presence: Presence,
+    /// Since when its presence is what it is.
+    pub presence_since: Instant,
+    /// Whether it is in a working mode, by the U bit of its last frame.
+    pub working: bool,
+    /// Its mode, where its heartbeats say it.
+    pub mode: Option<Mode>,
+    /// The error code in its heartbeats.
+    pub error: Option<u8>,
+    /// Its DEV_CFG_UID, where its heartbeats say it.
+    pub uid: Option<Uid>,
+    /// How it lays its answers into frames.
+    pub framing: Option<Framing>,
+    /// Its services; `None` while they are not known.
+    pub services: Option<Vec<ServiceEntry>>,
+    /// The services before they changed last, where they did.
+    pub previous_services: Option<Vec<ServiceEntry>>,
+    /// Its heartbeats.
+    pub heartbeat: HeartbeatStats,
+    /// The question for its name.
+    pub name_query: Query,
+    /// The question for its services.
+    pub services_query: Query,
+    /// Deviations noted against it.
+    pub quirks: Vec<Quirk>,
+    /// The last modes, oldest first, at most 16.
+    pub mode_history: VecDeque<ModeChange>,
+    /// When it was first heard.
+    pub first_seen: Instant,
+    /// When it was last heard.
+    pub last_seen: Instant,
+    /// How many frames of it were heard.
+    pub frames: u64,
+    /// How often it rebooted.
+    pub reboots: u32,
+    /// When it rebooted last.
+    pub rebooted_at: Option<Instant>,
+    /// The address it moved from last.
+    pub moved_from: Option<Address>,
+    /// Whether it is a debug device: at address 0, or one of our kind.
+    pub is_debug: bool,
+    /// How many rounds in a row it did not answer.
+    pub rounds_missed: u32,
+}
+
+impl Device {
+    /// Whether it is the same device as an entry with that name (bytes equal).
+    pub fn is_named(&self, name: &[u8]) -> bool {
+        self.name.as_ref().is_some_and(|own| own.as_bytes() == name)
+    }
+
+    /// Notes a deviation once.
+    pub(super) fn note(&mut self, quirk: Quirk) {
+        if let Err(at) = self.quirks.binary_search(&quirk) {
+            self.quirks.insert(at, quirk);
+        }
+    }
+
+    /// Whether it is on the bus as far as can be told.
+    pub fn is_here(&self) -> bool {
+        self.presence != Presence::Lost
+    }
+}
