@@ -87,12 +87,9 @@ impl Engine {
         let now = self.now;
         for device in self.roster.devices_mut() {
             let query = &mut device.name_query;
-            if device.name.is_none()
-                && query.state == QueryState::Asked
-                && query.asked_at <= Some(began)
-            {
+            let asked_all = query.state == QueryState::Asked && query.deadline.is_none();
+            if device.name.is_none() && asked_all && query.asked_at <= Some(began) {
                 query.state = QueryState::Unanswered;
-                query.deadline = None;
                 query.due = Some(now + ASK_AGAIN);
             }
         }
@@ -138,7 +135,7 @@ impl Engine {
                     Request::Name => &mut device.name_query,
                     Request::Services => &mut device.services_query,
                 };
-                if query.is_waiting() || !query.due.is_some_and(|due| due <= now) {
+                if query.is_waiting() || query.due.is_none_or(|due| due > now) {
                     continue;
                 }
                 if !usable {

@@ -597,8 +597,12 @@ impl Collisions {
         let (names, evidence) =
             (self.findings[at].names.clone(), self.findings[at].evidence.clone());
         if let Some(contested) = self.open(now, key) {
-            names.iter().for_each(|name| self.findings[contested].concern(name));
-            evidence.into_iter().for_each(|piece| self.findings[contested].add(piece));
+            for name in &names {
+                self.findings[contested].concern(name);
+            }
+            for piece in evidence {
+                self.findings[contested].add(piece);
+            }
             self.findings[contested].last = now;
             self.describe(contested);
         }

@@ -18,6 +18,7 @@ mod device;
 mod event;
 mod finding;
 mod hearing;
+mod identity;
 mod outbox;
 mod presence;
 mod roster;

@@ -164,7 +164,7 @@ impl Station {
                     None
                 }
                 // 0 is ours by right while nobody contests it.
-                Some(Address::DEBUG) if !self.contested => self.take(now, Address::DEBUG),
+                Some(Address::DEBUG) if !self.contested => Some(self.take(now, Address::DEBUG)),
                 Some(address) => {
                     let wait = Duration::from_micros(rng.u64(..self.period.as_micros() as u64));
                     self.standing = Standing::Waiting { address, since: now, until: now + wait };
@@ -177,7 +177,7 @@ impl Station {
                     self.listen(now);
                     None
                 } else {
-                    self.take(now, address)
+                    Some(self.take(now, address))
                 }
             }
             _ => None,
@@ -187,11 +187,11 @@ impl Station {
         change
     }
 
-    fn take(&mut self, now: Instant, address: Address) -> Option<AddressChange> {
+    fn take(&mut self, now: Instant, address: Address) -> AddressChange {
         self.answers.clear();
         self.standing = Standing::Held { address };
         self.next_beat = Some(now);
-        Some(AddressChange::Taken(address))
+        AddressChange::Taken(address)
     }
 
     fn announces(&self, profile: &Profile) -> bool {
@@ -210,7 +210,7 @@ impl Station {
         outbox: &mut Outbox,
     ) {
         let Some(address) = self.held() else { return };
-        if !self.next_beat.is_some_and(|at| now >= at) {
+        if self.next_beat.is_none_or(|at| now < at) {
             return;
         }
         self.next_beat = Some(now + self.period);
