@@ -83,6 +83,7 @@ impl Tally {
             self.first_answer = None;
         }
         self.targeted = targeted && (self.asked == 0 || self.targeted);
+        self.first_answer = None;
         self.asked += 1;
         self.asked_at = now;
     }
@@ -94,7 +95,12 @@ impl Tally {
         }
         self.answered += 1;
         let first = *self.first_answer.get_or_insert(*frame);
-        (self.answered > self.asked).then_some((first, self.targeted))
+        if self.answered <= self.asked {
+            return None;
+        }
+        // Said once: one answer too many is not one too many for the next question as well.
+        self.answered = self.asked;
+        Some((first, self.targeted))
     }
 }
 
@@ -220,7 +226,8 @@ impl Collisions {
     ) {
         let extra = self.watches[address.index()].tally(request, framing).answer(now, frame);
         let Some((first, targeted)) = extra else { return };
-        if self.is_doubled(now, address) {
+        // Answers that differ tell of two names or two lists, which is another finding.
+        if self.is_doubled(now, address) || !first.same_on_wire(frame) {
             return;
         }
         let weight = if targeted { Weight::Strong } else { Weight::Weak };
@@ -313,12 +320,16 @@ impl Collisions {
             self.report(now, identity, address, name, frame, again, Weight::Strong);
         } else if phases && !self.is_open(identity, address) {
             let kind = FindingKind::SameNameSameAddress;
+            let since = self.watches[address.index()].beats.front().map(|beat| beat.time);
             if let Some(previous) = previous {
                 let what = "heartbeat in one phase";
                 self.report(now, kind, address, name, &previous, what, Weight::Weak);
             }
             let what = "heartbeat in another phase, within one period";
-            self.report(now, kind, address, name, frame, what, Weight::Strong);
+            let at = self.report(now, kind, address, name, frame, what, Weight::Strong);
+            if let (Some(at), Some(since)) = (at, since) {
+                self.cases[at].began = self.cases[at].began.min(since);
+            }
         } else if twice && !self.is_open(identity, address) {
             let kind = FindingKind::SameNameSameAddress;
             self.report(
@@ -466,8 +477,23 @@ impl Collisions {
     }
 
     /// Everything at `address` is past: its node is lost.
-    pub fn forget(&mut self, address: Address) {
+    pub fn forget(&mut self, now: Instant, address: Address) {
         self.watches[address.index()] = Watch::default();
+        for at in 0..self.findings.len() {
+            let finding = &self.findings[at];
+            let concerned = finding.addresses.contains(&address);
+            if concerned
+                && finding.key.kind.is_collision()
+                && finding.confidence != Confidence::Cleared
+            {
+                self.end(now, at);
+            }
+        }
+    }
+
+    /// Whether there is a change that [`poll_changed`](Self::poll_changed) will tell.
+    pub fn has_changed(&self) -> bool {
+        !self.changed.is_empty()
     }
 
     // --- findings ------------------------------------------------------------------------
@@ -631,7 +657,11 @@ impl Collisions {
         let names = finding.names.iter().map(ToString::to_string).collect::<Vec<_>>().join(" and ");
         let (text, remedy) = match finding.key.kind {
             FindingKind::SameNameSameAddress => (
-                format!("Two devices answer as {who}: their frames come twice."),
+                if finding.names.is_empty() {
+                    format!("Two devices send from address {address}, and nothing tells them apart.")
+                } else {
+                    format!("Two devices answer as {who}.")
+                },
                 format!(
                     "Give one of them another address: switch one off, then move or pin the other away from {address}."
                 ),
@@ -641,7 +671,7 @@ impl Collisions {
                 "Switch one of them off, then give it a free address.".to_owned(),
             ),
             FindingKind::OneAddressTwoIdentities => (
-                format!("Two devices share the address of {who}: heartbeats with different identities take turns."),
+                format!("Two devices share address {address}: heartbeats of two identities take turns."),
                 "Switch one of them off, then give it a free address.".to_owned(),
             ),
             FindingKind::OneUidTwoAddresses => (

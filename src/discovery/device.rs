@@ -290,6 +290,8 @@ pub struct Device {
     pub reboots: u32,
     /// When it rebooted last.
     pub rebooted_at: Option<Instant>,
+    /// The UID its heartbeats said before the present one.
+    pub(super) uid_before: Option<Uid>,
     /// The address it moved from last.
     pub moved_from: Option<Address>,
     /// Whether it is a debug device: at address 0, or one of our kind.
@@ -324,6 +326,7 @@ impl Device {
             frames: 0,
             reboots: 0,
             rebooted_at: None,
+            uid_before: None,
             moved_from: None,
             is_debug: address == Address::DEBUG,
             rounds_missed: 0,

@@ -208,8 +208,13 @@ impl Engine {
             (Some(_), None) => true,
             _ => false,
         };
-        device.uid = heartbeat.uid.or(device.uid);
+        if uid_changed {
+            device.uid_before = device.uid;
+            device.uid = heartbeat.uid;
+        }
+        // With another UID it is rather another board.
         let restarted = !was_lost
+            && (first || !uid_changed || device.uid_before.is_none())
             && gap.is_some_and(|gap| is_out_of_phase(gap, expected.unwrap_or(period), jitter));
         if let Some(mode) = heartbeat.mode {
             let fits = mode.is_working().is_none_or(|working| working == device.working);

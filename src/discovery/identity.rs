@@ -21,7 +21,10 @@ impl Engine {
             .iter()
             .position(|device| device.address == address && device.name.as_ref() == Some(name));
         let live = self.roster.get(index).clone();
-        self.roster.get_mut(index).name_query.state = QueryState::Answered;
+        let old = self.roster.get_mut(index);
+        old.name_query.state = QueryState::Answered;
+        // Heartbeats that came since the other board is there are not this row's.
+        old.uid = old.uid_before.take().or(old.uid);
         let row = match known {
             Some(row) => row,
             None => match self.roster.appear(now, address, working) {
@@ -95,14 +98,16 @@ impl Engine {
     /// A lost device may have turned up elsewhere before it was lost here.
     pub(super) fn find_move_of_lost(&mut self, index: usize) {
         let device = self.roster.get(index);
-        let (id, last_seen, uid, name) = (
+        let (id, address, last_seen, uid, name) = (
             device.id,
+            device.address,
             device.last_seen,
             device.uid.filter(|uid| !uid.is_blank()),
             device.name.clone(),
         );
         let candidate = self.roster.devices().iter().position(|other| {
             other.id != id
+                && other.address != address
                 && other.is_here()
                 && other.first_seen >= last_seen
                 && uid.is_some()
@@ -115,7 +120,8 @@ impl Engine {
                 .devices()
                 .iter()
                 .enumerate()
-                .filter(|(_, other)| other.id != id && other.name.as_ref() == Some(name));
+                .filter(|(_, other)| other.id != id && other.name.as_ref() == Some(name))
+                .filter(|(_, other)| other.address != address);
             let (at, other) = same.next()?;
             let contradicts =
                 matches!((uid, other.uid.filter(|u| !u.is_blank())), (Some(a), Some(b)) if a != b);

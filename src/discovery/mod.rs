@@ -156,6 +156,9 @@ impl Engine {
     pub fn handle_frame(&mut self, frame: &Frame) {
         self.advance(frame.time);
         self.hear(frame);
+        if self.collisions.has_changed() {
+            self.tell_findings();
+        }
     }
 
     /// Takes note that `count` frames were lost before they could be read.
@@ -425,7 +428,7 @@ impl Engine {
         }
         if presence == Presence::Lost {
             if self.roster.is_current(index) {
-                self.collisions.forget(address);
+                self.collisions.forget(self.now, address);
             }
             self.find_move_of_lost(index);
         }
