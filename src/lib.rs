@@ -1,1 +1,3 @@
 //! descan.
+pub mod document;
+pub mod shell;
