@@ -247,7 +247,7 @@ impl Reader<'_, '_> {
 
     fn wrong_type_in(&mut self, what: &str, at: &Span, expected: &str) {
         let found = Kind(&self.body[at.clone()]);
-        self.findings.wrong_type(what, at.start, found, expected, self.entry());
+        self.findings.wrong_type(what, at.start, &found, expected, self.entry());
     }
 
     fn string(&mut self, member: Member, at: &Span) -> Option<String> {
@@ -263,7 +263,11 @@ impl Reader<'_, '_> {
     fn hex(&mut self, at: &Span) -> Option<Vec<u8>> {
         let bytes = text::from_json(&self.body[at.clone()]).and_then(|text| text::from_hex(&text));
         if bytes.is_none() {
-            self.wrong_type(Member::NameHex, at, "the name's bytes in hexadecimal, as \"46454544\"");
+            self.wrong_type(
+                Member::NameHex,
+                at,
+                "the name's bytes in hexadecimal, as \"46454544\"",
+            );
         }
         bytes
     }
@@ -312,23 +316,20 @@ impl Reader<'_, '_> {
         let mut keys = HashSet::new();
         let mut services = Vec::with_capacity(list.items.len());
         for item in list.items {
-            match read_service(self.body, &item) {
-                Some(service) => {
-                    if !item.key.is_empty() && !keys.insert(service.name.clone()) {
-                        let name = text::brief(service.name.as_bytes());
-                        self.findings.duplicate(&name, item.key.start, self.entry());
-                    }
-                    services.push(service);
-                }
-                None => {
-                    let expected = if item.key.is_empty() {
-                        "an object of `name`, `version` and `extra`, all strings"
-                    } else {
-                        "a version, as a string"
-                    };
-                    self.wrong_type_in("an item of `services`", &item.value, expected);
-                }
+            let Some(service) = read_service(self.body, &item) else {
+                let expected = if item.key.is_empty() {
+                    "an object of `name`, `version` and `extra`, all strings"
+                } else {
+                    "a version, as a string"
+                };
+                self.wrong_type_in("an item of `services`", &item.value, expected);
+                continue;
+            };
+            if !item.key.is_empty() && !keys.insert(service.name.clone()) {
+                let name = text::brief(service.name.as_bytes());
+                self.findings.duplicate(&name, item.key.start, self.entry());
             }
+            services.push(service);
         }
         Some(services)
     }
