@@ -348,24 +348,21 @@ mod tests {
     /// Some of these cannot be brought about without mounting file systems.
     #[test]
     fn errors_name_the_way_out() {
-        for (cause, message) in [
-            (
-                Errno::ENOSPC,
-                "a cannot be saved: No space left on device (os error 28): make room, then save again",
-            ),
-            (
-                Errno::EROFS,
-                "a cannot be saved: Read-only file system (os error 30): the file system is mounted read-only; remount it, or use --file",
-            ),
+        for (cause, way) in [
+            (Errno::ENOSPC, ": make room, then save again"),
+            (Errno::EDQUOT, ": make room, then save again"),
+            (Errno::EROFS, ": the file system is mounted read-only; remount it, or use --file"),
             (
                 Errno::EBUSY,
-                "a cannot be saved: Resource busy (os error 16): it is a mount point of its own (a bind mount); mount its folder instead",
+                ": it is a mount point of its own (a bind mount); mount its folder instead",
             ),
             (
                 Errno::EACCES,
-                "a cannot be saved: Permission denied (os error 13): get the permission (ls -ld shows who has it), or name another file with --file",
+                ": get the permission (ls -ld shows who has it), or name another file with --file",
             ),
+            (Errno::EIO, ""),
         ] {
+            let message = format!("a cannot be saved: {}{way}", io::Error::from(cause));
             assert_eq!(Store::new("a").write_error(cause.into()).to_string(), message);
         }
     }

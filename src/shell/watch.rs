@@ -314,7 +314,7 @@ mod tests {
 
     #[test]
     fn the_thread_ends_with_the_watch() {
-        for period in [None, Some(Duration::from_secs(3600))] {
+        for period in [None, Some(Duration::from_hours(1))] {
             let folder = tempfile::tempdir().unwrap();
             let store = Store::new(folder.path().join("des.json"));
             let watch = match period {
