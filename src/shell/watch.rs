@@ -203,15 +203,16 @@ impl Watcher {
 /// The folders in which something can happen to the file.
 struct Folders {
     watcher: Option<RecommendedWatcher>,
+    watched: HashSet<PathBuf>,
     wake: SyncSender<()>,
     of_interest: Arc<Mutex<Paths>>,
 }
 
+/// What events are compared with.
 #[derive(Default)]
 struct Paths {
     /// The file and the links that lead to it.
     files: HashSet<PathBuf>,
-    /// The folders that are watched.
     folders: HashSet<PathBuf>,
     /// A folder was moved or deleted: the system no longer watches what its path stands for.
     is_stale: bool,
@@ -219,26 +220,43 @@ struct Paths {
 
 impl Folders {
     fn new(wake: SyncSender<()>) -> Self {
-        Self { watcher: None, wake, of_interest: Arc::default() }
+        Self { watcher: None, watched: HashSet::new(), wake, of_interest: Arc::default() }
     }
 
     /// Watches the folders on which it depends now what the path stands for. False where the
     /// system will not tell of all changes.
     fn follow(&mut self, path: &Path) -> bool {
-        let Ok(places) = Places::of(path) else { return false };
-        let files = places.watched.iter().map(|(folder, name)| folder.join(name)).collect();
-        let wanted: HashSet<PathBuf> =
-            places.watched.into_iter().map(|(folder, _)| folder).collect();
-
-        let mut paths = lock(&self.of_interest);
-        if std::mem::take(&mut paths.is_stale) {
-            paths.folders.clear();
-            self.watcher = None;
+        /// How often the path may lead elsewhere while this is done.
+        const ATTEMPTS: usize = 8;
+        let mut places = Places::of(path);
+        for _ in 0..ATTEMPTS {
+            let Ok(found) = &places else { return false };
+            let is_told = self.watch(found);
+            // Between finding a folder and watching it, it may have come or gone unnoticed.
+            let again = Places::of(path);
+            if again.as_ref().is_ok_and(|again| again == found) {
+                return is_told;
+            }
+            places = again;
         }
-        paths.files = files;
-        let before = std::mem::take(&mut paths.folders);
-        // The watcher may be telling something right now, so it is not called under the lock.
-        drop(paths);
+        false
+    }
+
+    fn watch(&mut self, places: &Places) -> bool {
+        let folders = places.watched.iter().map(|(folder, _)| folder.clone());
+        let wanted: HashSet<PathBuf> = folders.collect();
+        let is_stale = {
+            let mut paths = lock(&self.of_interest);
+            paths.files = places.watched.iter().map(|(folder, name)| folder.join(name)).collect();
+            paths.folders.clone_from(&wanted);
+            std::mem::take(&mut paths.is_stale)
+        };
+        // Not under the lock, which the watcher's own thread may be waiting for.
+        let mut before = std::mem::take(&mut self.watched);
+        if is_stale {
+            self.watcher = None;
+            before.clear();
+        }
         let Some(watcher) = self.watcher() else { return false };
         for folder in before.difference(&wanted) {
             let _ = watcher.unwatch(folder);
@@ -247,9 +265,8 @@ impl Folders {
         now.retain(|folder| {
             before.contains(folder) || watcher.watch(folder, RecursiveMode::NonRecursive).is_ok()
         });
-        let is_told = now == wanted && !wanted.iter().any(|folder| is_remote(folder));
-        lock(&self.of_interest).folders = now;
-        is_told
+        self.watched = now;
+        self.watched == wanted && !wanted.iter().any(|folder| is_remote(folder))
     }
 
     fn watcher(&mut self) -> Option<&mut RecommendedWatcher> {
