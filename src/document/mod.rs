@@ -146,9 +146,8 @@ impl Document {
     /// # Panics
     /// When `index` is not one of [`Document::entries`].
     pub fn key(&self, index: usize) -> EntryKey {
-        let mut key = EntryKey::of(&self.entries()[index]);
-        key.occurrence = self.entries()[..index].iter().filter(|entry| key.fits(entry)).count();
-        key
+        let (earlier, rest) = self.entries().split_at(index);
+        EntryKey::among(&rest[0], earlier)
     }
 
     /// The place in [`Document::entries`] of the entry that has exactly this key.

@@ -105,10 +105,10 @@ impl EntryKey {
             && self.uid == entry.uid
     }
 
-    /// The key of `entry` at place `index`, given the entries before it.
-    fn among<'e>(entry: &Entry, mut earlier: impl Iterator<Item = &'e Entry>) -> Self {
+    /// The key of an entry, given those before it.
+    pub(super) fn among(entry: &Entry, earlier: &[Entry]) -> Self {
         let mut key = Self::of(entry);
-        key.occurrence = earlier.by_ref().filter(|other| key.fits(other)).count();
+        key.occurrence = earlier.iter().filter(|other| key.fits(other)).count();
         key
     }
 }
@@ -190,11 +190,11 @@ impl Operation {
         let entries = before.entries();
         let key = match self {
             Self::Add { entry } => {
-                return Ok(Self::Remove { entry: EntryKey::among(&entry.meant(), entries.iter()) });
+                return Ok(Self::Remove { entry: EntryKey::among(&entry.meant(), entries) });
             }
             Self::PutBack { removed } => {
                 let earlier = &entries[..before.entries_before(removed.entry.element)];
-                let entry = EntryKey::among(&removed.entry, earlier.iter());
+                let entry = EntryKey::among(&removed.entry, earlier);
                 return Ok(Self::Remove { entry });
             }
             Self::Remove { entry }
@@ -211,7 +211,7 @@ impl Operation {
         let former = before.former(index, &self.members());
         let mut meant = entries[index].clone();
         self.change(&mut meant);
-        Ok(Self::Restore { entry: EntryKey::among(&meant, entries[..index].iter()), former })
+        Ok(Self::Restore { entry: EntryKey::among(&meant, &entries[..index]), former })
     }
 
     /// The entry concerned, unless the operation brings it.

@@ -151,7 +151,9 @@ impl Store {
     /// needs, so not to be called where the screen waits.
     ///
     /// # Errors
-    /// [`SaveError`]; the file is then as it was, and nothing is left beside it.
+    /// [`SaveError`]; the file is then as it was, and nothing is left beside it. The one exception:
+    /// when the disk fails in confirming the rename, the new content may or may not survive a power
+    /// cut, and the next save finds either one on disk.
     pub fn save(&self, expected: Option<&[u8]>, new: &[u8]) -> Result<(), SaveError> {
         let places = Places::of(&self.path).map_err(|cause| self.write_error(cause))?;
         let (folder, target) = (&places.folder, &places.target);
