@@ -11,12 +11,12 @@
 
 use super::finding::{Confidence, Evidence, Finding, FindingKey, FindingKind};
 use crate::frame::{BusIndex, Frame};
+use crate::text::Name;
 use crate::time::{Duration, Instant};
 use crate::wire::des::Request;
 use crate::wire::framing::Framing;
 use crate::wire::id::Address;
 use crate::wire::node::Uid;
-use crate::wire::text::Name;
 use std::collections::VecDeque;
 
 /// How many findings a bus may have.

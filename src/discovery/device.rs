@@ -4,13 +4,13 @@
 //! too. Changed only by the [`super::Engine`].
 
 use crate::frame::BusIndex;
+use crate::text::Name;
 use crate::time::{Duration, Instant};
 use crate::wire::des::AnswerFault;
 use crate::wire::framing::Framing;
 use crate::wire::id::Address;
 use crate::wire::isotp::TransferFault;
 use crate::wire::node::{Mode, Uid};
-use crate::wire::text::Name;
 use std::collections::VecDeque;
 use std::fmt;
 

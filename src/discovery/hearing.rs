@@ -4,13 +4,13 @@ use super::device::{ModeChange, QueryFault, QueryState, Quirk, ServiceEntry};
 use super::transfers::{Continued, Started};
 use super::{Engine, EventKind, Presence};
 use crate::frame::{Frame, FrameKind};
+use crate::text::Name;
 use crate::time::{Duration, Instant};
 use crate::wire::des::{self, AnswerFault, Asked, Request, ServicesAnswer};
 use crate::wire::framing::{Framing, classify_answer, classify_request, strip_raw_padding};
 use crate::wire::id::{Address, Header, MessageType};
 use crate::wire::isotp::{FlowControl, FlowStatus, Pci};
 use crate::wire::node::{Heartbeat, Uid};
-use crate::wire::text::Name;
 use std::hash::{DefaultHasher, Hash, Hasher};
 
 /// How long answers to a broadcast are matched with its RND7.

@@ -2,9 +2,9 @@
 
 use super::device::QueryState;
 use super::{Device, Engine, EventKind, Presence};
+use crate::text::Name;
 use crate::time::Instant;
 use crate::wire::node::Uid;
-use crate::wire::text::Name;
 
 impl Engine {
     /// The row at this address that has that name, or may be given it. Another row than the

@@ -6,8 +6,9 @@ use super::operation::{NewEntry, Operation, RemovedEntry};
 use super::position::{Position, Positions};
 use super::scan::{self, Container, Item, Span};
 use super::syntax::{BOM, Kind};
-use super::text::{from_json, printable, to_hex, to_json};
+use super::text::{from_json, to_hex, to_json};
 use super::{Document, Root};
+use crate::text::printable;
 
 /// Why an edit was not made. The document is as it was.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

@@ -16,7 +16,7 @@ use super::text;
 pub struct Entry {
     /// The name's bytes: `name_hex` where it is given, else the UTF-8 of `name`.
     pub name: Vec<u8>,
-    /// The name as [`printable`](super::printable) text.
+    /// The name as [`printable`](crate::text::printable) text.
     pub name_text: String,
     /// 1 to 127: the static address, or the last main address. See `is_static`.
     pub address: Option<u8>,
@@ -192,7 +192,7 @@ impl Reader<'_, '_> {
         let name = bytes.or(name.map(String::into_bytes))?;
         let address = of(Member::Address);
         Some(Entry {
-            name_text: text::printable(&name),
+            name_text: crate::text::printable(&name),
             name,
             address: address.and_then(|at| self.address(at)),
             is_static: of(Member::Static).is_some_and(|at| self.flag(at)),
@@ -273,7 +273,7 @@ impl Reader<'_, '_> {
     }
 
     fn compare_names(&mut self, name: &str, bytes: &[u8], at: &Span) {
-        let printable = text::printable(bytes);
+        let printable = crate::text::printable(bytes);
         if name.as_bytes() != bytes && !name.eq_ignore_ascii_case(&printable) {
             let message = format!(
                 "`name_hex` stands for {}, but `name` is {}; `name_hex` counts",

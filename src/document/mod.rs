@@ -20,7 +20,7 @@
 //! edit       edits carried out
 //! layout     the file's own style
 //! merge      edits on newer content
-//! text       names: printable, JSON, hexadecimal
+//! text       names: JSON, hexadecimal
 //! ```
 
 mod edit;
@@ -44,7 +44,6 @@ pub use merge::{Conflict, Merge, Prefer, merge};
 pub use operation::{EntryKey, FormerMembers, NewEntry, Operation, RemovedEntry};
 pub use position::Position;
 pub use syntax::ParseError;
-pub use text::printable;
 
 use finding::Findings;
 use position::Positions;

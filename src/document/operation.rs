@@ -4,8 +4,9 @@ use std::fmt;
 
 use super::entry::{Entry, Member, ServiceEntry};
 use super::layout::Members;
-use super::text::{brief, printable};
+use super::text::brief;
 use super::{Document, EditError};
+use crate::text::printable;
 
 /// One edit, as a person would name it.
 ///
