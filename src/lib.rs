@@ -6,13 +6,17 @@
 //! * [`text`]: how bytes from outside are shown.
 //! * [`wire`]: what bytes on the bus mean.
 //! * [`discovery`]: the engine that finds devices and collisions on one bus.
+//! * [`sim`]: a simulated bus, timed to the bit, with devices on it.
 //! * [`document`]: des.json, read, edited in place and merged.
-//! * [`shell`]: files, watching, and the user's settings.
+//! * [`bus`]: where frames come from and go.
+//! * [`shell`]: files, watching, the terminal, the event loop.
 
+pub mod bus;
 pub mod discovery;
 pub mod document;
 pub mod frame;
 pub mod shell;
+pub mod sim;
 pub mod text;
 pub mod time;
 pub mod wire;
