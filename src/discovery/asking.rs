@@ -20,6 +20,8 @@ const SERVICES_ATTEMPTS: u32 = 4;
 const NAME_ATTEMPTS: u32 = 2;
 /// When a question that was given up is tried again.
 const ASK_AGAIN: Duration = Duration::from_secs(30);
+/// How long a round may take until nodes it should have asked are asked one by one.
+const ROUND_PATIENCE: Duration = Duration::from_secs(2);
 /// Broadcasts that late answers are still matched with.
 const MAX_BROADCASTS: usize = 16;
 
@@ -58,13 +60,27 @@ impl Engine {
                 self.rounds.put_off(self.outbox.budget_at(self.share()));
             }
             RoundStep::Ask => {
-                for &framing in self.config.profile.framings(None) {
-                    for to_not_working in [false, true] {
+                self.await_round();
+                let framings = self.config.profile.framings(None);
+                for to_not_working in [true, false] {
+                    for &framing in framings {
                         self.send_broadcast(own, to_not_working, framing);
                     }
                 }
+                let count = if self.config.echo { 2 * framings.len() as u32 } else { 0 };
+                self.rounds.note_questions(count);
             }
             RoundStep::Over { began } => self.round_is_over(began),
+        }
+    }
+
+    /// Nodes whose name is to be asked for are asked by the round that begins now.
+    fn await_round(&mut self) {
+        let after = self.now + ROUND_PATIENCE;
+        for device in self.roster.devices_mut() {
+            if device.name.is_none() && device.name_query.due.is_some() {
+                device.name_query.due = Some(after);
+            }
         }
     }
 
@@ -83,10 +99,13 @@ impl Engine {
             device.rounds_missed = if there { 0 } else { device.rounds_missed + 1 };
         }
         self.judge_presence();
-        // A node that was asked in vain answered this round neither: leave it for a while.
         let now = self.now;
         for device in self.roster.devices_mut() {
             let query = &mut device.name_query;
+            if device.name.is_none() && query.state == QueryState::NotAsked && query.due.is_some() {
+                query.due = Some(now);
+            }
+            // A node that was asked in vain answered this round neither: leave it for a while.
             let asked_all = query.state == QueryState::Asked && query.deadline.is_none();
             if device.name.is_none() && asked_all && query.asked_at <= Some(began) {
                 query.state = QueryState::Unanswered;
@@ -121,16 +140,19 @@ impl Engine {
 
     fn ask_devices(&mut self, own: Address) {
         let now = self.now;
+        if self.rounds.right_of_way(now).is_some() {
+            return;
+        }
         for request in [Request::Name, Request::Services] {
-            for index in 0..self.roster.devices().len() {
+            // By address: lower ones have priority on the bus, so who was asked first is done
+            // first, and nobody waits behind the answers of those that are asked later.
+            for address in Address::all() {
                 if self.waiting >= MAX_WAITING || !self.outbox.has_budget() {
                     return;
                 }
-                let current = self.roster.is_current(index);
-                let device = self.roster.get_mut(index);
-                let address = device.address;
+                let Some(device) = self.roster.current_device_mut(address) else { continue };
                 let (working, framing) = (device.working, device.framing);
-                let usable = current && device.presence != Presence::Lost && address != own;
+                let usable = device.presence != Presence::Lost && address != own;
                 let query = match request {
                     Request::Name => &mut device.name_query,
                     Request::Services => &mut device.services_query,
@@ -212,7 +234,8 @@ impl Engine {
     pub(super) fn asking_timeout(&self) -> Option<Instant> {
         let mut due = NEVER;
         let asking = self.station.held().is_some() && self.config.scan && !self.outbox.is_held();
-        for device in self.roster.devices() {
+        for (index, device) in self.roster.devices().iter().enumerate() {
+            let asking = asking && self.roster.is_current(index);
             for query in [&device.name_query, &device.services_query] {
                 if let Some(deadline) = query.deadline.filter(|_| query.is_waiting()) {
                     due = due.min(deadline);
@@ -224,6 +247,9 @@ impl Engine {
         if asking {
             let round = self.rounds.poll_timeout(&self.config, self.open_questions());
             due = due.min(round.unwrap_or(NEVER));
+            if let Some(until) = self.rounds.right_of_way(self.now) {
+                due = due.max(until).min(self.next_deadline());
+            }
             if !self.outbox.has_budget() && due != NEVER {
                 due = due.max(self.outbox.budget_at(self.share())).min(self.next_deadline());
             }

@@ -312,6 +312,10 @@ impl Engine {
             let header = Header::decode(id);
             if !header.response && header.service == self.config.profile.des_service() {
                 self.note_question(now, header, frame, true);
+                if header.broadcast {
+                    self.rounds.note_sent();
+                    self.wake_at(now);
+                }
             }
         }
     }

@@ -22,7 +22,13 @@ impl Engine {
             .position(|device| device.address == address && device.name.as_ref() == Some(name));
         let live = self.roster.get(index).clone();
         let old = self.roster.get_mut(index);
-        old.name_query.state = QueryState::Answered;
+        for query in [&mut old.name_query, &mut old.services_query] {
+            query.due = None;
+            query.deadline = None;
+            if query.is_waiting() {
+                query.state = QueryState::NotAsked;
+            }
+        }
         // Heartbeats that came since the other board is there are not this row's.
         old.uid = old.uid_before.take().or(old.uid);
         let row = match known {

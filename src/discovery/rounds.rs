@@ -10,6 +10,8 @@ use crate::time::{Duration, Instant};
 const QUIET_ROUNDS: u32 = 2;
 /// Bits of a usual frame, for windows that grow with slower buses.
 const FRAME_BITS: u64 = 150;
+/// How long a round's questions may hold up others.
+const RIGHT_OF_WAY: Duration = Duration::from_millis(500);
 /// How long a repeat round waits for services at the most.
 const WAIT_FOR_SERVICES: Duration = Duration::from_secs(2);
 
@@ -30,6 +32,8 @@ pub(super) struct Rounds {
     phase: Phase,
     quiet: u32,
     pub finished: u32,
+    /// Questions of this round that the bus has not taken yet.
+    unsent: u32,
 }
 
 /// What is to be done about rounds now.
@@ -46,7 +50,7 @@ pub(super) enum RoundStep {
 
 impl Rounds {
     pub fn new() -> Self {
-        Self { phase: Phase::NotYet, quiet: 0, finished: 0 }
+        Self { phase: Phase::NotYet, quiet: 0, finished: 0, unsent: 0 }
     }
 
     /// Whether the rounds at start are not over yet.
@@ -77,6 +81,27 @@ impl Rounds {
     pub fn stop(&mut self) {
         self.phase = Phase::NotYet;
         self.quiet = 0;
+    }
+
+    /// So many questions of this round were handed out.
+    pub fn note_questions(&mut self, count: u32) {
+        self.unsent = count;
+    }
+
+    /// The bus took one of them.
+    pub fn note_sent(&mut self) {
+        self.unsent = self.unsent.saturating_sub(1);
+    }
+
+    /// Until when other questions, which may be of higher priority, are to let this round's
+    /// pass: the one to nodes that are not working would starve behind those to working ones.
+    pub fn right_of_way(&self, now: Instant) -> Option<Instant> {
+        match self.phase {
+            Phase::Collecting { began, .. } if self.unsent > 0 => {
+                Some(began + RIGHT_OF_WAY).filter(|until| now < *until)
+            }
+            _ => None,
+        }
     }
 
     pub fn note_answer(&mut self, now: Instant) {

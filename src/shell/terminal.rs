@@ -60,6 +60,13 @@ impl Terminal {
         Write::flush(self.screen.backend_mut())
     }
 
+    /// Puts text into the user's clipboard (OSC 52), where the terminal lets us.
+    pub fn copy(&mut self, text: &str) -> io::Result<()> {
+        let command = crossterm::clipboard::CopyToClipboard::to_clipboard_from(text);
+        queue!(self.screen.backend_mut(), command)?;
+        Write::flush(self.screen.backend_mut())
+    }
+
     /// Gives the terminal back, stops this process as Ctrl-Z does, and takes the terminal over
     /// again when it goes on.
     pub fn suspend(&mut self) -> io::Result<()> {
