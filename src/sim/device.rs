@@ -2,17 +2,17 @@
 //! when it is asked.
 //!
 //! A state machine without a clock: it is told what it hears and when its time has come, and
-//! acts through a [`Port`]. Does not know of other devices except by what it hears.
+//! acts through a [`Port`]. Does not know of other devices except by what it hears; what it
+//! answers to requests is in [`serve`].
+
+mod serve;
 
 use super::bus::{Bus, StationIndex};
-use super::reply::{Form, Replies};
+use super::reply::Replies;
 use super::scenario::{Action, AddressChoice, DeviceSpec, Fault};
 use crate::frame::Frame;
 use crate::time::Duration;
-use crate::wire::des::{self, Asked, Request};
-use crate::wire::framing::{Framing, classify_request};
-use crate::wire::id::{Address, Header, MessageType};
-use crate::wire::isotp::Pci;
+use crate::wire::id::{Address, Header};
 use crate::wire::node::{Heartbeat, Mode};
 use crate::wire::profile::Profile;
 
@@ -86,6 +86,8 @@ pub(super) struct Device {
     chatter_at: Vec<u64>,
     chatter_count: u16,
     replies: Replies,
+    /// What it was told to do, once the answer with this identifier is out.
+    ordered: Option<(u32, Action)>,
 }
 
 impl Device {
@@ -104,6 +106,7 @@ impl Device {
             chatter_at,
             chatter_count: 0,
             replies: Replies::default(),
+            ordered: None,
         }
     }
 
@@ -174,7 +177,7 @@ impl Device {
         if self.is_on() {
             return;
         }
-        if self.spec.settled {
+        if std::mem::take(&mut self.spec.settled) {
             self.settle(port);
         } else {
             self.begin(port);
@@ -216,6 +219,7 @@ impl Device {
 
     fn stop(&mut self) {
         self.replies.clear();
+        self.ordered = None;
         self.beat_at = None;
         self.chatter_at.fill(u64::MAX);
     }
@@ -233,20 +237,18 @@ impl Device {
 
     fn choose(&mut self, port: &mut Port) {
         let is_free = |address: Address| self.heard >> address.index() & 1 == 0;
-        let choice = match self.spec.address {
-            AddressChoice::Fixed(address) if is_free(address) || !self.gives_way() => address,
-            AddressChoice::Fixed(_) => return self.listen(port),
-            AddressChoice::Preferred(address) if is_free(address) || !self.gives_way() => address,
-            AddressChoice::Preferred(_) | AddressChoice::Any => {
-                let free = Address::nodes().filter(|&address| is_free(address)).count();
-                if free == 0 {
-                    return self.listen(port);
-                }
-                let pick = self.rng.usize(0..free);
-                let found = Address::nodes().filter(|&address| is_free(address)).nth(pick);
-                found.unwrap_or(Address::MAX)
-            }
+        let wanted = match self.spec.address {
+            AddressChoice::Any => None,
+            AddressChoice::Preferred(address) | AddressChoice::Fixed(address) => Some(address),
         };
+        let wanted = wanted.filter(|&address| is_free(address) || !self.gives_way());
+        let choice = if wanted.is_some() || matches!(self.spec.address, AddressChoice::Fixed(_)) {
+            wanted
+        } else {
+            let free: Vec<Address> = Address::nodes().filter(|&at| is_free(at)).collect();
+            self.rng.choice(free)
+        };
+        let Some(choice) = choice else { return self.listen(port) };
         let until = port.now + self.rng.u64(0..port.heartbeat_time());
         self.stage = Stage::Wait { choice, until };
     }
@@ -397,75 +399,10 @@ impl Device {
                 }
             }
         }
-        let is_request = matches!(
-            header.message_type(),
-            MessageType::ReqCcTgt
-                | MessageType::ReqCcBcst
-                | MessageType::ReqCuTgt
-                | MessageType::ReqCuBcst
-        );
         let for_us = header.broadcast || Some(header.destination) == self.address;
-        if is_request && for_us && header.service == port.profile.des_service() {
-            self.handle_des(frame, header, port);
+        if for_us && !header.response && !header.sender_not_working {
+            self.handle_request(frame, header, port);
         }
-    }
-
-    fn handle_des(&mut self, frame: &Frame, header: Header, port: &mut Port) {
-        if let Ok(Pci::Flow(flow)) = Pci::decode(frame.data(), frame.fd) {
-            self.replies.handle_flow(port.now, header.source.number(), flow);
-            return;
-        }
-        if header.to_not_working == self.is_working() || self.mode == Mode::Idle {
-            return;
-        }
-        let Some((framing, message)) = classify_request(frame.data(), frame.fd) else { return };
-        let Some(Asked::Known(request)) = Request::decode(message) else { return };
-        let faults = self.spec.faults;
-        let mute = faults.has(Fault::NoDes)
-            || request == Request::Services && (header.broadcast || faults.has(Fault::NoServices));
-        if mute || !self.spec.framing.understands(framing) {
-            return;
-        }
-        let message = self.answer(request);
-        for _ in 0..=u8::from(faults.has(Fault::AnswersTwice)) {
-            self.reply(header, framing, message.clone(), port);
-        }
-    }
-
-    fn answer(&self, request: Request) -> Vec<u8> {
-        match request {
-            Request::Name => des::encode_name(&self.spec.name),
-            // Without its firmware a device has no services to list.
-            Request::Services if self.mode == Mode::Boot => vec![des::TYPE_SERVICES],
-            Request::Services => {
-                let mut message = des::encode_services(&self.spec.services);
-                if self.spec.faults.has(Fault::TruncatedServices) {
-                    let half = (message.len() - message.len().min(3)).max(2);
-                    message.truncate(half);
-                }
-                message
-            }
-        }
-    }
-
-    fn reply(&mut self, header: Header, framing: Framing, message: Vec<u8>, port: &Port) {
-        let Some(address) = self.address else { return };
-        let mut answer = header.answer(address, !self.is_working());
-        if self.spec.faults.has(Fault::EchoDestination) {
-            answer.destination = header.destination;
-        }
-        let refusal = Header { no_error: false, ..answer };
-        let form = Form {
-            id: answer.encode(),
-            refusal_id: refusal.encode(),
-            framing,
-            fd: self.spec.fd,
-            padding: port.profile.isotp.fd_padding,
-            peer: header.source.number(),
-        };
-        let (least, most) = self.spec.delay;
-        let delay = self.rng.u64(nanos_of(least)..=nanos_of(most).max(nanos_of(least)));
-        self.replies.push(port.now + delay, form, message, self.spec.faults);
     }
 
     /// One of its own frames is out.
@@ -474,6 +411,9 @@ impl Device {
             self.run(choice, port);
         } else if let Some(id) = frame.platform_id() {
             self.replies.handle_sent(port.now, id);
+            if let Some((_, action)) = self.ordered.take_if(|(answer, _)| *answer == id) {
+                self.apply(action, port);
+            }
         }
     }
 

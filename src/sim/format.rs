@@ -3,8 +3,8 @@
 //! Only translates; what the values mean is in [`super::scenario`].
 
 use super::scenario::{
-    Action, AddressChoice, Chatter, DeviceFraming, DeviceSpec, Event, Fault, Faults, Scenario,
-    ScenarioError, uid_of,
+    Action, AddressChoice, Chatter, Descriptor, DeviceFraming, DeviceSpec, Event, Fault, Faults,
+    Scenario, ScenarioError, uid_of,
 };
 use crate::time::{Duration, Instant};
 use crate::wire::id::Service;
@@ -12,6 +12,7 @@ use crate::wire::node::{Mode, Uid};
 use crate::wire::profile::UidProfile;
 use serde::Deserialize;
 use std::collections::BTreeSet;
+use std::fmt::Display;
 
 /// The longest time a scenario may name: a year, in seconds.
 const LONGEST: f64 = 366.0 * 86_400.0;
@@ -42,6 +43,10 @@ struct DeviceWritten {
     name_hex: Option<String>,
     address: Option<AddressChoice>,
     uid: Option<String>,
+    gid: Option<String>,
+    #[serde(default)]
+    serial: u32,
+    firmware: Option<[u16; 2]>,
     services: Option<Vec<Vec<String>>>,
     autostart: Option<bool>,
     mode: Option<String>,
@@ -137,7 +142,7 @@ pub(super) fn parse(text: &str) -> Result<Scenario, ScenarioError> {
     bus.range("bitrate", scenario.bitrate, 10_000, 1_000_000, "10000 to 1000000 bit/s")?;
     bus.range("data_bitrate", scenario.data_bitrate, 10_000, 8_000_000, "up to 8000000 bit/s")?;
     if written.device.len() > MAX_DEVICES {
-        return Err(bus.out_of_range("device", written.device.len(), "at most 512 devices"));
+        return Err(bus.out_of_range("device", &written.device.len(), "at most 512 devices"));
     }
     let mut labels = BTreeSet::new();
     for (index, device) in written.device.into_iter().enumerate() {
@@ -177,7 +182,7 @@ impl DeviceWritten {
             Some(PowerOn::At(seconds)) => Some(place.seconds("power_on", seconds)?),
             Some(PowerOn::Whether(false)) => None,
             Some(PowerOn::Whether(true)) => {
-                return Err(place.out_of_range("power_on", true, "a time in seconds, or false"));
+                return Err(place.out_of_range("power_on", &true, "a time in seconds, or false"));
             }
         };
         let delay = match self.delay_us {
@@ -187,7 +192,7 @@ impl DeviceWritten {
             }
             Some(delay) => {
                 let value = format!("{delay:?}");
-                return Err(place.out_of_range("delay_us", value, "[least, most]"));
+                return Err(place.out_of_range("delay_us", &value, "[least, most]"));
             }
         };
         let mut faults = Faults::default();
@@ -202,13 +207,23 @@ impl DeviceWritten {
             .map(|chatter| {
                 place.range("chatter.length", chatter.length, 0, longest, "what a frame holds")?;
                 let service = Service::new(chatter.service).ok_or_else(|| {
-                    place.out_of_range("chatter.service", chatter.service, "0 to 1023")
+                    place.out_of_range("chatter.service", &chatter.service, "0 to 1023")
                 })?;
                 let period = place.period("chatter.period_ms", chatter.period_ms)?;
                 Ok(Chatter { service, period, length: chatter.length })
             })
             .collect::<Result<_, ScenarioError>>()?;
+        let mut descriptor = Descriptor { serial: self.serial, ..defaults.descriptor };
+        if let Some(gid) = self.gid {
+            let bytes = bytes_of_hex(&gid).and_then(|bytes| bytes.try_into().ok());
+            descriptor.gid = bytes
+                .ok_or_else(|| place.out_of_range("gid", &gid, "twelve hexadecimal digits"))?;
+        }
+        if let Some([major, minor]) = self.firmware {
+            descriptor.firmware = (major, minor);
+        }
         Ok(DeviceSpec {
+            descriptor,
             address: self.address.unwrap_or(defaults.address),
             uid: self.uid.map_or(Ok(uid_of(&label)), |uid| place.uid(&uid))?,
             services: self
@@ -285,7 +300,7 @@ impl Place {
     fn out_of_range(
         &self,
         key: &'static str,
-        value: impl ToString,
+        value: &dyn Display,
         expected: &'static str,
     ) -> ScenarioError {
         ScenarioError::Range { place: self.0.clone(), key, value: value.to_string(), expected }
@@ -295,7 +310,7 @@ impl Place {
         ScenarioError::Incomplete { place: self.0.clone(), problem: problem.to_owned() }
     }
 
-    fn range<T: PartialOrd + ToString>(
+    fn range<T: PartialOrd + Copy + Display>(
         &self,
         key: &'static str,
         value: T,
@@ -306,7 +321,7 @@ impl Place {
         if value >= least && value <= most {
             Ok(())
         } else {
-            Err(self.out_of_range(key, value, expected))
+            Err(self.out_of_range(key, &value, expected))
         }
     }
 
@@ -326,7 +341,7 @@ impl Place {
 
     fn mode(&self, name: &str) -> Result<Mode, ScenarioError> {
         let expected = "INIT, ARSLV, CFG, BOOT, WORK, UFUNC or IDLE";
-        Mode::from_name(name).ok_or_else(|| self.out_of_range("mode", name, expected))
+        Mode::from_name(name).ok_or_else(|| self.out_of_range("mode", &name, expected))
     }
 
     fn uid(&self, text: &str) -> Result<Uid, ScenarioError> {
@@ -335,7 +350,7 @@ impl Place {
         }
         let expected = "up to 8 characters from space to underscore, no small letters";
         Uid::parse(text, &UidProfile::default())
-            .ok_or_else(|| self.out_of_range("uid", text, expected))
+            .ok_or_else(|| self.out_of_range("uid", &text, expected))
     }
 
     /// A name in either spelling, if one is given.
@@ -349,13 +364,13 @@ impl Place {
             (Some(text), None) => text.into_bytes(),
             (None, Some(hex)) => {
                 let expected = "pairs of hexadecimal digits";
-                bytes_of_hex(&hex).ok_or_else(|| self.out_of_range("name_hex", hex, expected))?
+                bytes_of_hex(&hex).ok_or_else(|| self.out_of_range("name_hex", &hex, expected))?
             }
             (Some(_), Some(_)) => return Err(self.incomplete("has both `name` and `name_hex`")),
         };
         if bytes.contains(&0) || bytes.len() > 1000 {
             let value = format!("{} bytes", bytes.len());
-            return Err(self.out_of_range("name", value, "up to 1000 bytes, none of them 0"));
+            return Err(self.out_of_range("name", &value, "up to 1000 bytes, none of them 0"));
         }
         Ok(Some(bytes))
     }
@@ -364,7 +379,7 @@ impl Place {
         let bytes: usize = written.iter().flatten().map(|text| text.len() + 2).sum();
         if written.len() > 256 || bytes > 4000 {
             let value = format!("{} of them, {bytes} bytes", written.len());
-            return Err(self.out_of_range("services", value, "at most 256 and 4000 bytes"));
+            return Err(self.out_of_range("services", &value, "at most 256 and 4000 bytes"));
         }
         if written.iter().flatten().any(|text| text.contains('\0')) {
             return Err(self.incomplete("a zero byte in a service's strings"));

@@ -25,8 +25,8 @@ mod world;
 pub use bus::{BusError, Statistics};
 pub use controller::BusState;
 pub use scenario::{
-    Action, AddressChoice, Chatter, DeviceFraming, DeviceSpec, Event, Fault, Faults, Scenario,
-    ScenarioError,
+    Action, AddressChoice, Chatter, Descriptor, DeviceFraming, DeviceSpec, Event, Fault, Faults,
+    Scenario, ScenarioError,
 };
 pub use world::{DeviceId, DeviceState, Sim, Station, StationStatus};
 

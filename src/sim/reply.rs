@@ -225,7 +225,7 @@ impl Form {
     }
 
     /// The whole message in a frame; where it does not fit, the platform's "could not".
-    fn raw(&self, message: &[u8]) -> Frame {
+    pub fn raw(&self, message: &[u8]) -> Frame {
         if message.len() <= self.capacity() {
             self.frame(self.id, message)
         } else {

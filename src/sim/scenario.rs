@@ -53,11 +53,9 @@ impl Scenario {
 
     /// The text of a built-in scenario: a template for one's own.
     pub fn builtin_text(name: &str) -> Option<&'static str> {
-        match name {
-            "boiler" => Some(include_str!("scenarios/boiler.toml")),
-            "drone" => Some(include_str!("scenarios/drone.toml")),
-            _ => None,
-        }
+        let texts = [include_str!("scenarios/boiler.toml"), include_str!("scenarios/drone.toml")];
+        let at = Self::BUILTIN.iter().position(|known| *known == name)?;
+        Some(texts[at])
     }
 
     /// A built-in scenario.
@@ -219,6 +217,17 @@ pub struct Chatter {
     pub length: u8,
 }
 
+/// Descriptor fields (3.2) that nothing else depends on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub struct Descriptor {
+    /// DEV_INFO_GID: the type of device.
+    pub gid: [u8; 6],
+    /// DEV_INFO_SN: the serial number; 0 = none.
+    pub serial: u32,
+    /// DEV_INFO_FW_MAJ and DEV_INFO_FW_MIN.
+    pub firmware: (u16, u16),
+}
+
 /// A device as it is made and configured.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DeviceSpec {
@@ -230,6 +239,8 @@ pub struct DeviceSpec {
     pub address: AddressChoice,
     /// DEV_CFG_UID; blank: the device does not work but waits to be configured.
     pub uid: Uid,
+    /// What else its descriptor says.
+    pub descriptor: Descriptor,
     /// Its services, each a list of strings: name, version, possibly more.
     pub services: Vec<Vec<Vec<u8>>>,
     /// DEV_CFG_AUTOSTART: whether it works as soon as it has an address.
@@ -238,7 +249,7 @@ pub struct DeviceSpec {
     pub mode: Option<Mode>,
     /// When it is switched on; `None`: not until the timetable says so.
     pub power_on: Option<Duration>,
-    /// Has its address already when it is switched on: no listening, no claim.
+    /// Has its address already when it is first switched on: no listening, no claim.
     pub settled: bool,
     /// How it lays DES messages into frames.
     pub framing: DeviceFraming,
@@ -266,6 +277,7 @@ impl DeviceSpec {
             name: name.as_bytes().to_vec(),
             address: AddressChoice::Any,
             uid: uid_of(name),
+            descriptor: Descriptor { firmware: (1, 0), ..Descriptor::default() },
             services: vec![vec![b"DES".to_vec(), b"1.0".to_vec()]],
             autostart: true,
             mode: None,

@@ -259,8 +259,10 @@ impl Sim {
         self.owners.push(Owner::Device(index));
         self.devices.push(Device::new(spec, self.rng.fork()));
         self.calls.push(u64::MAX);
-        if let Some(at) = power_on {
-            self.schedule(at, Some(index), None, Action::Join);
+        match power_on {
+            Some(at) if at > self.now => self.schedule(at, Some(index), None, Action::Join),
+            Some(_) => self.control(DeviceId(index), Action::Join),
+            None => {}
         }
         DeviceId(index)
     }
