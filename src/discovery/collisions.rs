@@ -77,7 +77,8 @@ struct Tally {
 
 impl Tally {
     fn ask(&mut self, now: Instant, targeted: bool) {
-        if now.since(self.asked_at) > ANSWER_WINDOW {
+        let answered = self.answered >= self.asked;
+        if answered || now.since(self.asked_at) > ANSWER_WINDOW {
             self.asked = 0;
             self.answered = 0;
             self.first_answer = None;

@@ -29,6 +29,7 @@ impl Engine {
                 query.state = QueryState::NotAsked;
             }
         }
+        old.replaced_at = Some(now);
         // Heartbeats that came since the other board is there are not this row's.
         old.uid = old.uid_before.take().or(old.uid);
         let row = match known {
