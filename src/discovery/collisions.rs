@@ -492,6 +492,14 @@ impl Collisions {
         }
     }
 
+    /// The device at `address` was found elsewhere: what answers there now is no rival of it.
+    pub fn note_left(&mut self, address: Address) {
+        let watch = &mut self.watches[address.index()];
+        watch.names = Alternation::default();
+        watch.uids = Alternation::default();
+        watch.services = Alternation::default();
+    }
+
     /// Whether there is a change that [`poll_changed`](Self::poll_changed) will tell.
     pub fn has_changed(&self) -> bool {
         !self.changed.is_empty()
