@@ -1,0 +1,472 @@
+//! Edits carried out: one value spliced, the result read again and compared with what was meant.
+
+use super::entry::{Entry, Member};
+use super::layout::{self, EntryStyle, Layout, Members, ServicesStyle, newline, spliced};
+use super::operation::{NewEntry, Operation, RemovedEntry};
+use super::position::{Position, Positions};
+use super::scan::{self, Container, Item, Span};
+use super::syntax::{BOM, Kind};
+use super::text::{from_json, printable, to_hex, to_json};
+use super::{Document, Root};
+
+/// Why an edit was not made. The document is as it was.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum EditError {
+    /// There is no such entry (any more).
+    #[error("the file has no such entry: {entry}")]
+    NotFound {
+        /// Its name.
+        entry: String,
+    },
+    /// The address is not one.
+    #[error("{address} is no address: addresses are 1 to 127")]
+    AddressRange {
+        /// What was asked for.
+        address: u8,
+    },
+    /// Two members of one key, on the way to the value: readers disagree which one counts.
+    #[error("{position}: `{key}` is there twice: remove one of them, then edit again")]
+    DuplicateMember {
+        /// The key.
+        key: String,
+        /// Where the second one is.
+        position: Position,
+    },
+    /// The file is JSON, but there is no list of devices in it, nor a place for one.
+    #[error("{position}: {found} stands where the list of devices should be")]
+    NotDevices {
+        /// Where.
+        position: Position,
+        /// What is there.
+        found: String,
+    },
+    /// The edited text would not say what was meant. This is a fault in descan; the file is safe.
+    #[error("the edit was not made, because its result would read differently: {reason}")]
+    Unfaithful {
+        /// What differs.
+        reason: String,
+    },
+}
+
+impl Document {
+    /// The document with one edit made. Only the bytes of the values concerned change.
+    ///
+    /// # Errors
+    /// [`EditError`]; nothing is edited by half.
+    pub fn apply(&self, operation: &Operation) -> Result<Self, EditError> {
+        self.check_path()?;
+        let mut meant: Vec<&Entry> = self.entries().iter().collect();
+        let changed;
+        let body = match operation {
+            Operation::Add { entry } => {
+                check_address(entry.address)?;
+                changed = entry.meant();
+                meant.push(&changed);
+                self.with_new(entry)
+            }
+            Operation::PutBack { removed } => {
+                meant.insert(self.entries_before(removed.entry.element), &removed.entry);
+                self.with_removed(removed)
+            }
+            Operation::Remove { entry } => {
+                let index = self.require(entry)?;
+                meant.remove(index);
+                self.without_element(self.entries()[index].element)
+            }
+            Operation::SetAddress { entry, .. }
+            | Operation::ClearAddress { entry, .. }
+            | Operation::Rename { entry, .. }
+            | Operation::SetServices { entry, .. }
+            | Operation::Restore { entry, .. } => {
+                if let Operation::SetAddress { to, .. } = operation {
+                    check_address(Some(*to))?;
+                }
+                let index = self.require(entry)?;
+                let mut entry = self.entries()[index].clone();
+                operation.change(&mut entry);
+                changed = entry;
+                meant[index] = &changed;
+                self.with_changed(index, operation)?
+            }
+        };
+        self.verified(body, &meant)
+    }
+
+    /// Reads the new text and makes sure that it says what was meant, about every entry.
+    fn verified(&self, body: String, meant: &[&Entry]) -> Result<Self, EditError> {
+        let unfaithful = |reason: String| EditError::Unfaithful { reason };
+        let source = if self.has_bom() { [BOM, &body].concat() } else { body };
+        let edited = Self::parse(source.as_bytes()).map_err(|error| unfaithful(error.to_string()))?;
+        if edited.entries().len() != meant.len() {
+            return Err(unfaithful(format!("{} entries", edited.entries().len())));
+        }
+        for (is, meant) in edited.entries().iter().zip(meant) {
+            if is.meaning() != meant.meaning() {
+                return Err(unfaithful(format!("{}: {}", is.position, is.name_text)));
+            }
+        }
+        Ok(edited)
+    }
+
+    // ---- members of an entry ----
+
+    fn with_changed(&self, index: usize, operation: &Operation) -> Result<String, EditError> {
+        let span = self.entry_span(index);
+        self.check_entry(index, operation)?;
+        let mut text = self.body()[span.clone()].to_owned();
+        for (member, value) in self.member_texts(index, operation) {
+            let Some(members) = Members::of(&text) else { continue };
+            text = match value {
+                Some(value) => {
+                    let before = self.members_before(member);
+                    members.with(member.key(), &value, &before)
+                }
+                None => members.without(member.key()),
+            };
+        }
+        Ok(spliced(self.body(), span, &text))
+    }
+
+    /// The members that are to be written, and what; none: the member is to go.
+    fn member_texts(&self, index: usize, operation: &Operation) -> Vec<(Member, Option<String>)> {
+        let entry = &self.entries()[index];
+        let mut texts = Vec::new();
+        match operation {
+            Operation::SetAddress { to, .. } => {
+                if entry.address != Some(*to) {
+                    texts.push((Member::Address, Some(to.to_string())));
+                }
+                if !entry.is_static {
+                    texts.push((Member::Static, Some("true".to_owned())));
+                }
+            }
+            Operation::ClearAddress { .. } if entry.is_static => {
+                texts.push((Member::Static, Some("false".to_owned())));
+            }
+            Operation::Rename { to, .. } if *to != entry.name => {
+                let (name, hex) = name_texts(to);
+                texts.push((Member::Name, Some(name)));
+                let had_hex = self.member(index, Member::NameHex).is_some();
+                if hex.is_some() || had_hex {
+                    texts.push((Member::NameHex, Some(hex.unwrap_or_else(|| quoted_hex(to)))));
+                }
+            }
+            Operation::SetServices { services, .. } => {
+                let layout = EntryStyle::of(self.entry_text(index));
+                let text = match (self.member(index, Member::Services), layout) {
+                    (Some(old), Some(style)) => style.services().edited(old, services),
+                    (_, style) => self.services_style(style).services(services),
+                };
+                texts.push((Member::Services, Some(text)));
+            }
+            Operation::Restore { former, .. } => texts.clone_from(&former.members),
+            _ => {}
+        }
+        texts
+    }
+
+    /// How other entries write their services, or else how this one would.
+    fn services_style(&self, own: Option<EntryStyle>) -> ServicesStyle {
+        let own_layout = own.map_or_else(Layout::spaced, EntryStyle::into_layout);
+        match self.sample(Some(Member::Services)) {
+            Some(sample) => match self.member(sample, Member::Services) {
+                Some(services) => ServicesStyle::of(services, &own_layout),
+                None => ServicesStyle::within(&own_layout),
+            },
+            None => ServicesStyle::within(&own_layout),
+        }
+    }
+
+    /// The members that stand before this one where the file has it, else by our own order.
+    fn members_before(&self, member: Member) -> Vec<&'static str> {
+        let sample = self.sample(Some(member)).and_then(|index| Members::of(self.entry_text(index)));
+        let order = sample.map_or(Member::ALL.to_vec(), |sample| sample.known());
+        order.into_iter().take_while(|other| *other != member).map(Member::key).collect()
+    }
+
+    /// The last entry, or the last that has a member: what is new is to look like it.
+    fn sample(&self, with: Option<Member>) -> Option<usize> {
+        let has = |index: &usize| with.is_none_or(|member| self.member(*index, member).is_some());
+        (0..self.entries().len()).rev().find(has)
+    }
+
+    fn member(&self, index: usize, member: Member) -> Option<&str> {
+        Members::of(self.entry_text(index))?.value(member.key())
+    }
+
+    // ---- elements of the list ----
+
+    fn with_new(&self, entry: &NewEntry) -> String {
+        let with_services = (!entry.services.is_empty()).then_some(Member::Services);
+        let sample = self.sample(with_services).or_else(|| self.sample(None));
+        let style = sample.and_then(|index| EntryStyle::of(self.entry_text(index)));
+        let style = style.unwrap_or_else(|| {
+            EntryStyle::begun(newline(self.body()), &self.element_indent())
+        });
+        let text = entry_text(entry, &style);
+        let end = self.elements().len();
+        let gap = match self.elements() {
+            [.., before, last] => Some(&self.body()[before.end..last.start]),
+            _ => None,
+        };
+        self.with_element(end, &text, gap, None)
+    }
+
+    fn with_removed(&self, removed: &RemovedEntry) -> String {
+        let index = removed.entry.element.min(self.elements().len());
+        self.with_element(index, &removed.text, Some(&removed.before), Some(&removed.after))
+    }
+
+    /// Puts an element in at a place of the list. `before` and `after` are what may stand there:
+    /// used where they have the comma that is needed.
+    fn with_element(
+        &self,
+        index: usize,
+        text: &str,
+        before: Option<&str>,
+        after: Option<&str>,
+    ) -> String {
+        let body = self.body();
+        let separator = |wish: Option<&str>| match wish {
+            Some(wish) if wish.contains(',') => wish.to_owned(),
+            _ => self.separator(),
+        };
+        match (self.elements(), index) {
+            ([], _) => match before.zip(after) {
+                Some((before, after)) if !before.contains(',') && !after.contains(',') => {
+                    self.with_only_element(before, text, after)
+                }
+                _ => {
+                    let newline = newline(body);
+                    let indent = self.element_indent();
+                    let outer = &indent[..self.list_indent().len()];
+                    let before = format!("{newline}{indent}");
+                    self.with_only_element(&before, text, &format!("{newline}{outer}"))
+                }
+            },
+            ([first, ..], 0) => {
+                let at = first.start;
+                spliced(body, at..at, &format!("{text}{}", separator(after)))
+            }
+            (elements, index) => {
+                let at = elements[index - 1].end;
+                spliced(body, at..at, &format!("{}{text}", separator(before)))
+            }
+        }
+    }
+
+    /// Fills the list when it is empty, or begins it where there is none.
+    fn with_only_element(&self, before: &str, text: &str, after: &str) -> String {
+        let body = self.body();
+        let list = format!("[{before}{text}{after}]");
+        match self.root() {
+            Root::List(span) | Root::Object { devices: Some(span), .. } => {
+                spliced(body, span.clone(), &list)
+            }
+            Root::Object { span, devices: None } => {
+                let root = &body[span.clone()];
+                let members = Members::of(root);
+                let last = members.as_ref().and_then(Members::last_key);
+                let object = match (&members, &last) {
+                    (Some(members), Some(last)) => members.with("devices", &list, &[last]),
+                    _ => begun_object(&list, newline(body)),
+                };
+                spliced(body, span.clone(), &object)
+            }
+            Root::Blank | Root::Other(_) => {
+                let newline = newline(body);
+                begun_object(&list, newline) + newline
+            }
+        }
+    }
+
+    fn without_element(&self, element: usize) -> String {
+        let Some((inside, items)) = self.list() else { return self.body().to_owned() };
+        layout::without_item(self.body(), &Container { inside, items }, element)
+    }
+
+    /// What is needed to put an entry back.
+    pub(super) fn removed(&self, index: usize) -> RemovedEntry {
+        let entry = &self.entries()[index];
+        let elements = self.elements();
+        let span = &elements[entry.element];
+        let inside = self.list().map_or(span.clone(), |(inside, _)| inside);
+        let start = entry.element.checked_sub(1).map_or(inside.start, |it| elements[it].end);
+        let end = elements.get(entry.element + 1).map_or(inside.end, |next| next.start);
+        RemovedEntry {
+            entry: Box::new(entry.clone()),
+            text: self.body()[span.clone()].to_owned(),
+            before: self.body()[start..span.start].to_owned(),
+            after: self.body()[span.end..end].to_owned(),
+        }
+    }
+
+    /// What stands between two elements: as at the list's end, or after its bracket.
+    fn separator(&self) -> String {
+        let body = self.body();
+        match (self.elements(), self.list()) {
+            ([.., before, last], _) => body[before.end..last.start].to_owned(),
+            ([only], Some((inside, _))) => match &body[inside.start..only.start] {
+                "" if self.is_compact(only) => ",".to_owned(),
+                open if open.contains('\n') => format!(",{open}"),
+                _ => ", ".to_owned(),
+            },
+            _ => ", ".to_owned(),
+        }
+    }
+
+    /// Is this an object without a blank between its members?
+    fn is_compact(&self, element: &Span) -> bool {
+        let text = &self.body()[element.clone()];
+        let container = scan::container(text, &(0..text.len()));
+        container.and_then(|it| Layout::of(text, &it)).is_some_and(|layout| layout.gap == ",")
+    }
+
+    fn list(&self) -> Option<(Span, Vec<Item>)> {
+        let span = self.root().list()?;
+        let item = |value: &Span| Item { key: value.start..value.start, value: value.clone() };
+        let items = self.elements().iter().map(item).collect();
+        Some((span.start + 1..span.end - 1, items))
+    }
+
+    /// The indent of the line on which the list begins, or would.
+    fn list_indent(&self) -> String {
+        let body = self.body();
+        let at = match self.root() {
+            Root::List(span) | Root::Object { devices: Some(span), .. } => span.start,
+            Root::Object { span, devices: None } => {
+                let first = scan::container(body, span).and_then(|it| Some(it.items.first()?.key.start));
+                match first {
+                    Some(first) => first,
+                    None => return "  ".to_owned(),
+                }
+            }
+            Root::Blank | Root::Other(_) => return "  ".to_owned(),
+        };
+        let line = &body[body[..at].rfind('\n').map_or(0, |newline| newline + 1)..at];
+        line[..line.len() - line.trim_start_matches([' ', '\t']).len()].to_owned()
+    }
+
+    /// The indent of elements, where there are none to look at.
+    fn element_indent(&self) -> String {
+        let outer = self.list_indent();
+        let unit = if outer.is_empty() { "  " } else { &outer };
+        format!("{outer}{unit}")
+    }
+
+    // ---- what is refused ----
+
+    /// The way to the list must be clear.
+    fn check_path(&self) -> Result<(), EditError> {
+        match self.root() {
+            Root::Other(span) => Err(self.not_devices(span)),
+            Root::Object { span, devices } => {
+                let members = Members::of(&self.body()[span.clone()]);
+                if let Some(at) = members.and_then(|members| members.duplicate("devices")) {
+                    return Err(self.duplicate("devices", span.start + at));
+                }
+                match devices {
+                    Some(devices) if !self.body()[devices.clone()].starts_with('[') => {
+                        Err(self.not_devices(devices))
+                    }
+                    _ => Ok(()),
+                }
+            }
+            Root::Blank | Root::List(_) => Ok(()),
+        }
+    }
+
+    /// So must be the way to the values in the entry.
+    fn check_entry(&self, index: usize, operation: &Operation) -> Result<(), EditError> {
+        let span = self.entry_span(index);
+        let Some(members) = Members::of(self.entry_text(index)) else { return Ok(()) };
+        for member in Member::ALL {
+            if let Some(at) = members.duplicate(member.key()) {
+                return Err(self.duplicate(member.key(), span.start + at));
+            }
+        }
+        if let Operation::SetServices { .. } = operation
+            && let Some(services) = self.services_span(index)
+        {
+            self.check_services(&services)?;
+        }
+        Ok(())
+    }
+
+    fn check_services(&self, services: &Span) -> Result<(), EditError> {
+        let mut keys = std::collections::HashSet::new();
+        let items = scan::container(self.body(), services).map(|it| it.items).unwrap_or_default();
+        for item in items {
+            let key = from_json(&self.body()[item.key.clone()]).unwrap_or_default();
+            if !item.key.is_empty() && !keys.insert(key.clone()) {
+                return Err(self.duplicate(&key, item.key.start));
+            }
+            let Some(members) = Members::of(&self.body()[item.value.clone()]) else { continue };
+            for key in ["name", "version", "extra"] {
+                if let Some(at) = members.duplicate(key) {
+                    return Err(self.duplicate(key, item.value.start + at));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn services_span(&self, index: usize) -> Option<Span> {
+        let container = scan::container(self.body(), &self.entry_span(index))?;
+        let is_services =
+            |item: &Item| Member::of(&self.body()[item.key.clone()]) == Some(Member::Services);
+        container.items.into_iter().find(is_services).map(|item| item.value)
+    }
+
+    fn duplicate(&self, key: &str, at: usize) -> EditError {
+        let position = Positions::new(self.body()).at(at);
+        EditError::DuplicateMember { key: printable(key.as_bytes()), position }
+    }
+
+    fn not_devices(&self, span: &Span) -> EditError {
+        let found = Kind(&self.body()[span.clone()]).to_string();
+        EditError::NotDevices { position: Positions::new(self.body()).at(span.start), found }
+    }
+}
+
+fn check_address(address: Option<u8>) -> Result<(), EditError> {
+    match address {
+        Some(address) if !(1..=127).contains(&address) => {
+            Err(EditError::AddressRange { address })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// An object that has nothing but the list, whose lines are indented for it.
+fn begun_object(list: &str, newline: &str) -> String {
+    format!("{{{newline}  \"devices\": {list}{newline}}}")
+}
+
+fn entry_text(entry: &NewEntry, style: &EntryStyle) -> String {
+    let (name, hex) = name_texts(&entry.name);
+    let mut members = vec![(Member::Name, name)];
+    members.extend(hex.map(|hex| (Member::NameHex, hex)));
+    members.extend(entry.address.map(|address| (Member::Address, address.to_string())));
+    if entry.is_static || style.writes(Member::Static) {
+        members.push((Member::Static, entry.is_static.to_string()));
+    }
+    if !entry.services.is_empty() {
+        members.push((Member::Services, style.services().services(&entry.services)));
+    }
+    members.extend(entry.bus.as_ref().map(|bus| (Member::Bus, to_json(bus))));
+    members.extend(entry.uid.as_ref().map(|uid| (Member::Uid, to_json(uid))));
+    style.entry(&members)
+}
+
+/// The values of `name` and, where it is needed, of `name_hex`.
+fn name_texts(name: &[u8]) -> (String, Option<String>) {
+    match str::from_utf8(name) {
+        Ok(text) => (to_json(text), None),
+        Err(_) => (to_json(&printable(name)), Some(quoted_hex(name))),
+    }
+}
+
+fn quoted_hex(name: &[u8]) -> String {
+    format!("\"{}\"", to_hex(name))
+}

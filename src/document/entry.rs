@@ -1,0 +1,335 @@
+//! Entries: what the file says about a device.
+
+use std::collections::HashSet;
+
+use super::finding::{FindingKind, Findings};
+use super::position::Position;
+use super::scan::{self, Span};
+use super::syntax::Kind;
+use super::text;
+
+/// What the file says about one device. Members of the wrong shape count as absent, and there is a
+/// finding about them.
+///
+/// Source: product, "Inline editing of des.json".
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Entry {
+    /// The name's bytes: `name_hex` where it is given, else the UTF-8 of `name`.
+    pub name: Vec<u8>,
+    /// The name as [`printable`](super::printable) text.
+    pub name_text: String,
+    /// 1 to 127: the static address, or the last main address. See `is_static`.
+    pub address: Option<u8>,
+    /// The address is pinned; discovery never changes it.
+    pub is_static: bool,
+    /// The bus the device is on; none: whichever bus.
+    pub bus: Option<String>,
+    /// `DEV_CFG_UID` as the file spells it.
+    pub uid: Option<String>,
+    /// The services in the file's order; none: the file does not say.
+    pub services: Option<Vec<ServiceEntry>>,
+    /// Where the entry begins.
+    pub position: Position,
+    /// Where the value of `address` begins, whether or not it is a good one.
+    pub address_position: Option<Position>,
+    /// The entry's place in [`Document::entries`](super::Document::entries).
+    pub index: usize,
+    /// Its place in the file's list, where elements that are no entries have places too.
+    pub(super) element: usize,
+}
+
+impl Entry {
+    /// All that the entry says, without where it says it.
+    pub(super) fn meaning(&self) -> impl PartialEq + '_ {
+        (&self.name, self.address, self.is_static, &self.bus, &self.uid, &self.services)
+    }
+}
+
+/// A service of a device, as the file lists it.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
+pub struct ServiceEntry {
+    /// For example `AUGER`.
+    pub name: String,
+    /// For example `2.1`; empty where the file does not say.
+    pub version: String,
+    /// The strings after the version.
+    pub extra: Vec<String>,
+}
+
+/// The members of an entry that mean something here. All others are the user's own, and kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(super) enum Member {
+    Name,
+    NameHex,
+    Address,
+    Static,
+    Services,
+    Bus,
+    Uid,
+}
+
+impl Member {
+    /// In the order in which a new entry has them, unless the file has its own.
+    pub const ALL: [Self; 7] = [
+        Self::Name,
+        Self::NameHex,
+        Self::Address,
+        Self::Static,
+        Self::Services,
+        Self::Bus,
+        Self::Uid,
+    ];
+
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::Name => "name",
+            Self::NameHex => "name_hex",
+            Self::Address => "address",
+            Self::Static => "static",
+            Self::Services => "services",
+            Self::Bus => "bus",
+            Self::Uid => "uid",
+        }
+    }
+
+    /// The member that a key in the source, with its quotes, stands for.
+    pub fn of(raw_key: &str) -> Option<Self> {
+        let key = text::from_json(raw_key)?;
+        Self::ALL.into_iter().find(|member| member.key() == key)
+    }
+
+    /// Do two entries say the same here?
+    pub fn agrees(self, a: &Entry, b: &Entry) -> bool {
+        match self {
+            Self::Name | Self::NameHex => a.name == b.name,
+            Self::Address => a.address == b.address,
+            Self::Static => a.is_static == b.is_static,
+            Self::Services => a.services == b.services,
+            Self::Bus => a.bus == b.bus,
+            Self::Uid => a.uid == b.uid,
+        }
+    }
+}
+
+/// Reads the elements of the list of devices. An element without a name is no entry.
+pub(super) fn read_all(body: &str, elements: &[Span], findings: &mut Findings) -> Vec<Entry> {
+    let mut entries: Vec<Entry> = Vec::with_capacity(elements.len());
+    for (element, span) in elements.iter().enumerate() {
+        let reader = Reader { body, findings, index: entries.len(), element, is_entry: false };
+        entries.extend(reader.read(span));
+    }
+    entries
+}
+
+/// A service's name and version as the file has them, from an item of `services` in either shape;
+/// none when it is not one.
+pub(super) fn read_service(body: &str, item: &scan::Item) -> Option<ServiceEntry> {
+    let value = &body[item.value.clone()];
+    if !item.key.is_empty() {
+        let name = text::from_json(&body[item.key.clone()])?.into_owned();
+        return Some(ServiceEntry { name, version: version(value)?, extra: Vec::new() });
+    }
+    if !value.starts_with('{') {
+        return None;
+    }
+    let mut name = None;
+    let mut service = ServiceEntry::default();
+    for member in scan::container(body, &item.value)?.items {
+        let value = &body[member.value.clone()];
+        match &*text::from_json(&body[member.key.clone()]).unwrap_or_default() {
+            "name" => name = Some(text::from_json(value)?.into_owned()),
+            "version" => service.version = version(value)?,
+            "extra" if value == "null" => service.extra.clear(),
+            "extra" => service.extra = strings(body, &member.value)?,
+            _ => {}
+        }
+    }
+    Some(ServiceEntry { name: name?, ..service })
+}
+
+fn version(value: &str) -> Option<String> {
+    if value == "null" { Some(String::new()) } else { Some(text::from_json(value)?.into_owned()) }
+}
+
+fn strings(body: &str, span: &Span) -> Option<Vec<String>> {
+    if !body[span.clone()].starts_with('[') {
+        return None;
+    }
+    let string = |item: &scan::Item| Some(text::from_json(&body[item.value.clone()])?.into_owned());
+    scan::container(body, span)?.items.iter().map(string).collect()
+}
+
+/// Reads one element.
+struct Reader<'r, 'f> {
+    body: &'r str,
+    findings: &'r mut Findings<'f>,
+    index: usize,
+    element: usize,
+    /// Whether the element has a name, so that findings can refer to its entry.
+    is_entry: bool,
+}
+
+impl Reader<'_, '_> {
+    fn read(mut self, span: &Span) -> Option<Entry> {
+        let value = &self.body[span.clone()];
+        if !value.starts_with('{') {
+            let message = format!("element {} is {}, not a device", self.element + 1, Kind(value));
+            self.findings.add(FindingKind::NotAnEntry, span.start, message, None);
+            return None;
+        }
+        let members = self.members(span);
+        let of = |member| members.iter().find(|(found, _)| *found == member).map(|(_, at)| at);
+
+        let name = of(Member::Name).and_then(|at| self.string(Member::Name, at));
+        let bytes = of(Member::NameHex).and_then(|at| self.hex(at));
+        if name.is_none() {
+            let message = format!("device {} has no `name`", self.element + 1);
+            self.findings.add(FindingKind::MissingName, span.start, message, self.entry());
+        }
+        if let (Some(name), Some(bytes)) = (&name, &bytes) {
+            self.compare_names(name, bytes, of(Member::NameHex)?);
+        }
+        let name = bytes.or(name.map(String::into_bytes))?;
+        let address = of(Member::Address);
+        Some(Entry {
+            name_text: text::printable(&name),
+            name,
+            address: address.and_then(|at| self.address(at)),
+            is_static: of(Member::Static).is_some_and(|at| self.flag(at)),
+            bus: of(Member::Bus).and_then(|at| self.string(Member::Bus, at)),
+            uid: of(Member::Uid).and_then(|at| self.string(Member::Uid, at)),
+            services: of(Member::Services).and_then(|at| self.services(at)),
+            position: self.findings.positions.start_of(span),
+            address_position: address.map(|at| self.findings.positions.start_of(at)),
+            index: self.index,
+            element: self.element,
+        })
+    }
+
+    /// The last value of each member that means something here; null is as good as absent.
+    fn members(&mut self, span: &Span) -> Vec<(Member, Span)> {
+        let mut found: Vec<(Member, Span)> = Vec::with_capacity(Member::ALL.len());
+        let mut duplicates = Vec::new();
+        let container = scan::container(self.body, span);
+        for item in container.into_iter().flat_map(|container| container.items) {
+            let Some(member) = Member::of(&self.body[item.key.clone()]) else { continue };
+            match found.iter_mut().find(|(earlier, _)| *earlier == member) {
+                Some(earlier) => {
+                    duplicates.push((member, item.key.start));
+                    earlier.1 = item.value;
+                }
+                None => found.push((member, item.value)),
+            }
+        }
+        found.retain(|(_, at)| &self.body[at.clone()] != "null");
+        self.is_entry = found.iter().any(|(member, at)| {
+            let value = &self.body[at.clone()];
+            let text = text::from_json(value);
+            match member {
+                Member::Name => text.is_some(),
+                Member::NameHex => text.and_then(|text| text::from_hex(&text)).is_some(),
+                _ => false,
+            }
+        });
+        for (member, at) in duplicates {
+            self.findings.duplicate(member.key(), at, self.entry());
+        }
+        found
+    }
+
+    fn entry(&self) -> Option<usize> {
+        self.is_entry.then_some(self.index)
+    }
+
+    fn wrong_type(&mut self, member: Member, at: &Span, expected: &str) {
+        self.wrong_type_in(&format!("`{}`", member.key()), at, expected);
+    }
+
+    fn wrong_type_in(&mut self, what: &str, at: &Span, expected: &str) {
+        let found = Kind(&self.body[at.clone()]);
+        self.findings.wrong_type(what, at.start, found, expected, self.entry());
+    }
+
+    fn string(&mut self, member: Member, at: &Span) -> Option<String> {
+        let value = &self.body[at.clone()];
+        let text = text::from_json(value);
+        if text.is_none() {
+            let expected = if value.starts_with('"') { "valid Unicode" } else { "a string" };
+            self.wrong_type(member, at, expected);
+        }
+        text.map(std::borrow::Cow::into_owned)
+    }
+
+    fn hex(&mut self, at: &Span) -> Option<Vec<u8>> {
+        let bytes = text::from_json(&self.body[at.clone()]).and_then(|text| text::from_hex(&text));
+        if bytes.is_none() {
+            self.wrong_type(Member::NameHex, at, "the name's bytes in hexadecimal, as \"46454544\"");
+        }
+        bytes
+    }
+
+    fn compare_names(&mut self, name: &str, bytes: &[u8], at: &Span) {
+        let printable = text::printable(bytes);
+        if name.as_bytes() != bytes && !name.eq_ignore_ascii_case(&printable) {
+            let message = format!(
+                "`name_hex` stands for {}, but `name` is {}; `name_hex` counts",
+                text::brief(bytes),
+                text::brief(name.as_bytes())
+            );
+            self.findings.add(FindingKind::NamesDiffer, at.start, message, self.entry());
+        }
+    }
+
+    fn address(&mut self, at: &Span) -> Option<u8> {
+        const EXPECTED: &str = "a whole number from 1 to 127";
+        let value = &self.body[at.clone()];
+        if !value.starts_with(|c: char| c == '-' || c.is_ascii_digit()) {
+            self.wrong_type(Member::Address, at, EXPECTED);
+            return None;
+        }
+        let address = value.parse().ok().filter(|address| (1..=127).contains(address));
+        if address.is_none() {
+            let message =
+                format!("`address` is {}; it must be {EXPECTED}", text::brief(value.as_bytes()));
+            self.findings.add(FindingKind::AddressRange, at.start, message, self.entry());
+        }
+        address
+    }
+
+    fn flag(&mut self, at: &Span) -> bool {
+        let value = &self.body[at.clone()];
+        if !matches!(value, "true" | "false") {
+            self.wrong_type(Member::Static, at, "true or false");
+        }
+        value == "true"
+    }
+
+    fn services(&mut self, at: &Span) -> Option<Vec<ServiceEntry>> {
+        let Some(list) = scan::container(self.body, at) else {
+            self.wrong_type(Member::Services, at, "a list, or an object of names and versions");
+            return None;
+        };
+        let mut keys = HashSet::new();
+        let mut services = Vec::with_capacity(list.items.len());
+        for item in list.items {
+            match read_service(self.body, &item) {
+                Some(service) => {
+                    if !item.key.is_empty() && !keys.insert(service.name.clone()) {
+                        let name = text::brief(service.name.as_bytes());
+                        self.findings.duplicate(&name, item.key.start, self.entry());
+                    }
+                    services.push(service);
+                }
+                None => {
+                    let expected = if item.key.is_empty() {
+                        "an object of `name`, `version` and `extra`, all strings"
+                    } else {
+                        "a version, as a string"
+                    };
+                    self.wrong_type_in("an item of `services`", &item.value, expected);
+                }
+            }
+        }
+        Some(services)
+    }
+}

@@ -1,0 +1,184 @@
+//! What is wrong in a file that is JSON: values of the wrong shape, and entries that collide.
+
+use std::collections::HashMap;
+use std::fmt::{self, Write as _};
+
+use super::entry::Entry;
+use super::position::{Position, Positions};
+use super::syntax::Kind;
+use super::text::brief;
+
+/// Something in the file that a person should look at. The rest of the file stays in force.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DocumentFinding {
+    /// What it is.
+    pub kind: FindingKind,
+    /// Where: the value concerned, in collisions that of the second entry.
+    pub position: Position,
+    /// What is wrong, in one sentence, safe on a terminal.
+    pub message: String,
+    /// The entries concerned, as indexes into [`Document::entries`](super::Document::entries);
+    /// empty when it is about the file as a whole or about an element that is no entry.
+    pub entries: Vec<usize>,
+}
+
+/// Kinds of findings.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum FindingKind {
+    /// Neither an object nor a list of devices, or `devices` is no list.
+    NotDevices,
+    /// An element of the list is no object.
+    NotAnEntry,
+    /// An entry without a name.
+    MissingName,
+    /// A member has a value of another type than it should.
+    WrongType,
+    /// An address that is not a whole number from 1 to 127.
+    AddressRange,
+    /// `name_hex` says another name than `name`.
+    NamesDiffer,
+    /// A member is there twice, and readers disagree which one counts. Here it is the last.
+    DuplicateMember,
+    /// Two entries have one static address on one bus.
+    DuplicateAddress,
+    /// Two entries have one name and one address on one bus.
+    DuplicateEntry,
+}
+
+impl FindingKind {
+    /// The name that scripts rely on (interfaces, `kind`).
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::DuplicateAddress => "file-duplicate-address",
+            Self::DuplicateEntry => "file-duplicate-entry",
+            _ => "file-shape",
+        }
+    }
+}
+
+impl fmt::Display for DocumentFinding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.position, self.message)
+    }
+}
+
+/// Entries that cannot both be right.
+///
+/// An entry without `bus` stands for every bus. Entries of one name and one address are reported
+/// once, as duplicate entries, whether or not the address is static.
+pub(super) fn collisions(entries: &[Entry]) -> Vec<DocumentFinding> {
+    let mut same_entry: HashMap<(u8, &[u8]), Vec<&Entry>> = HashMap::new();
+    let mut same_address: HashMap<u8, Vec<&Entry>> = HashMap::new();
+    for entry in entries {
+        let Some(address) = entry.address else { continue };
+        same_entry.entry((address, &entry.name)).or_default().push(entry);
+        if entry.is_static {
+            same_address.entry(address).or_default().push(entry);
+        }
+    }
+    let mut findings = Vec::new();
+    for ((address, name), group) in same_entry {
+        for group in on_one_bus(group) {
+            let message = format!(
+                "{} at address {address} is listed {} times: {}",
+                brief(name),
+                group.len(),
+                enumerate(&group, |entry| format!("line {}", entry.position.line)),
+            );
+            findings.push(collision(FindingKind::DuplicateEntry, message, &group));
+        }
+    }
+    for (address, group) in same_address {
+        for group in on_one_bus(group) {
+            if group.iter().all(|entry| entry.name == group[0].name) {
+                continue;
+            }
+            let message = format!(
+                "{address} is the static address of {} entries: {}",
+                group.len(),
+                enumerate(&group, |entry| {
+                    format!("{} (line {})", brief(&entry.name), entry.position.line)
+                }),
+            );
+            findings.push(collision(FindingKind::DuplicateAddress, message, &group));
+        }
+    }
+    findings
+}
+
+/// The groups of two or more that share a bus.
+fn on_one_bus(group: Vec<&Entry>) -> Vec<Vec<&Entry>> {
+    if group.len() < 2 {
+        return Vec::new();
+    }
+    if group.iter().any(|entry| entry.bus.is_none()) {
+        return vec![group];
+    }
+    let mut buses: HashMap<&Option<String>, Vec<&Entry>> = HashMap::new();
+    for entry in group {
+        buses.entry(&entry.bus).or_default().push(entry);
+    }
+    buses.into_values().filter(|group| group.len() > 1).collect()
+}
+
+fn collision(kind: FindingKind, message: String, group: &[&Entry]) -> DocumentFinding {
+    DocumentFinding {
+        kind,
+        position: group[1].address_position.unwrap_or(group[1].position),
+        message,
+        entries: group.iter().map(|entry| entry.index).collect(),
+    }
+}
+
+/// "A, B and C", with a bound.
+fn enumerate(group: &[&Entry], describe: impl Fn(&Entry) -> String) -> String {
+    const SHOWN: usize = 4;
+    let mut out = String::new();
+    for (i, entry) in group.iter().enumerate().take(SHOWN) {
+        out.push_str(match i {
+            0 => "",
+            i if i + 1 == group.len() => " and ",
+            _ => ", ",
+        });
+        out.push_str(&describe(entry));
+    }
+    if group.len() > SHOWN {
+        let _ = write!(out, " and {} more", group.len() - SHOWN);
+    }
+    out
+}
+
+/// Collects findings while the file is read.
+pub(super) struct Findings<'a> {
+    pub positions: &'a Positions<'a>,
+    pub found: Vec<DocumentFinding>,
+}
+
+impl Findings<'_> {
+    pub fn add(&mut self, kind: FindingKind, at: usize, message: String, entry: Option<usize>) {
+        self.found.push(DocumentFinding {
+            kind,
+            position: self.positions.at(at),
+            message,
+            entries: entry.into_iter().collect(),
+        });
+    }
+
+    pub fn duplicate(&mut self, key: &str, at: usize, entry: Option<usize>) {
+        let message = format!("`{key}` is there twice; the last one counts");
+        self.add(FindingKind::DuplicateMember, at, message, entry);
+    }
+
+    /// `what` is no `expected`: a member, or something in one.
+    pub fn wrong_type(
+        &mut self,
+        what: &str,
+        at: usize,
+        found: Kind,
+        expected: &str,
+        entry: Option<usize>,
+    ) {
+        let message = format!("{what} is {found}; it must be {expected}");
+        self.add(FindingKind::WrongType, at, message, entry);
+    }
+}

@@ -1,0 +1,425 @@
+//! How the file is laid out: blanks and commas as its author set them, so that what is added looks
+//! like what is there.
+//!
+//! Works on the text of one list or object at a time; every function returns the new text and
+//! keeps all that it was not asked to change.
+
+use super::entry::{Member, ServiceEntry, read_service};
+use super::scan::{self, Container};
+use super::text::{from_json, to_json};
+
+/// What stands between the parts of a list or object.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Layout {
+    /// After the opening bracket.
+    pub open: String,
+    /// Between two items: the comma and the blanks around it.
+    pub gap: String,
+    /// Before the closing bracket.
+    pub close: String,
+    /// Between a key and its value.
+    pub colon: String,
+}
+
+impl Layout {
+    /// All on one line, as in `{ "name": "DES", "version": "1.0" }`.
+    pub fn spaced() -> Self {
+        Self { open: " ".into(), gap: ", ".into(), close: " ".into(), colon: ": ".into() }
+    }
+
+    /// The layout of the container that `text` is; none when it is empty.
+    pub fn of(text: &str, container: &Container) -> Option<Self> {
+        let (first, last) = (container.items.first()?, container.items.last()?);
+        let open = text[container.inside.start..first.span().start].to_owned();
+        let colon = match &text[first.key.end..first.value.start] {
+            "" => ": ",
+            colon => colon,
+        };
+        let gap = match &container.items[..] {
+            [first, second, ..] => text[first.value.end..second.span().start].to_owned(),
+            _ if open.contains('\n') => format!(",{open}"),
+            _ if open.is_empty() && colon.ends_with(':') => ",".to_owned(),
+            _ => ", ".to_owned(),
+        };
+        let close = text[last.value.end..container.inside.end].to_owned();
+        Some(Self { open, gap, close, colon: colon.to_owned() })
+    }
+
+    /// The layout for a list inside something that is laid out like this.
+    fn inner(&self) -> Self {
+        let Some((_, indent)) = self.gap.rsplit_once('\n') else {
+            return self.clone();
+        };
+        let newline = newline(&self.gap);
+        let outer = self.close.rsplit_once('\n').map_or("", |(_, outer)| outer);
+        let unit = indent.strip_prefix(outer).filter(|unit| !unit.is_empty()).unwrap_or("  ");
+        Self {
+            open: format!("{newline}{indent}{unit}"),
+            gap: format!(",{newline}{indent}{unit}"),
+            close: format!("{newline}{indent}"),
+            colon: self.colon.clone(),
+        }
+    }
+
+    /// The same on one line.
+    fn inline(&self) -> Self {
+        if !self.gap.contains('\n') {
+            return self.clone();
+        }
+        Self { colon: self.colon.clone(), ..Self::spaced() }
+    }
+
+    pub fn object<'i>(&self, members: impl IntoIterator<Item = (&'i str, String)>) -> String {
+        let members: Vec<String> = members
+            .into_iter()
+            .map(|(key, value)| format!("{}{}{value}", to_json(key), self.colon))
+            .collect();
+        self.join("{", &members, "}")
+    }
+
+    pub fn list(&self, items: &[String]) -> String {
+        self.join("[", items, "]")
+    }
+
+    fn join(&self, opening: &str, items: &[String], closing: &str) -> String {
+        if items.is_empty() {
+            return format!("{opening}{closing}");
+        }
+        format!("{opening}{}{}{}{closing}", self.open, items.join(&self.gap), self.close)
+    }
+}
+
+/// The line ending of a text.
+pub(super) fn newline(text: &str) -> &'static str {
+    if text.contains("\r\n") { "\r\n" } else { "\n" }
+}
+
+/// Takes an item out, with the comma and blanks that it no longer needs.
+pub(super) fn without_item(text: &str, container: &Container, index: usize) -> String {
+    let items = &container.items;
+    let cut = if items.len() == 1 {
+        container.inside.clone()
+    } else if index == 0 {
+        items[0].span().start..items[1].span().start
+    } else {
+        items[index - 1].value.end..items[index].value.end
+    };
+    spliced(text, cut, "")
+}
+
+/// The text with `span` replaced.
+pub(super) fn spliced(text: &str, span: scan::Span, new: &str) -> String {
+    [&text[..span.start], new, &text[span.end..]].concat()
+}
+
+/// The members of an object, with their keys decoded.
+pub(super) struct Members<'t> {
+    text: &'t str,
+    container: Container,
+}
+
+impl<'t> Members<'t> {
+    /// `None` when the text is no object.
+    pub fn of(text: &'t str) -> Option<Self> {
+        if !text.starts_with('{') {
+            return None;
+        }
+        Some(Self { text, container: scan::container(text, &(0..text.len()))? })
+    }
+
+    fn keys(&self) -> impl Iterator<Item = String> {
+        self.container.items.iter().map(|item| {
+            from_json(&self.text[item.key.clone()]).unwrap_or_default().into_owned()
+        })
+    }
+
+    fn position(&self, key: &str) -> Option<usize> {
+        self.keys().position(|found| found == key)
+    }
+
+    /// The text of a member's value.
+    pub fn value(&self, key: &str) -> Option<&'t str> {
+        Some(&self.text[self.container.items[self.position(key)?].value.clone()])
+    }
+
+    /// The offset of the second member that has this key.
+    pub fn duplicate(&self, key: &str) -> Option<usize> {
+        let second = self.keys().enumerate().filter(|(_, found)| found == key).nth(1)?.0;
+        Some(self.container.items[second].key.start)
+    }
+
+    /// The object with a member set; one that was not there is put behind the last of `after` that is
+    /// there, or to the beginning.
+    pub fn with(&self, key: &str, value: &str, after: &[&str]) -> String {
+        let items = &self.container.items;
+        if let Some(index) = self.position(key) {
+            return spliced(self.text, items[index].value.clone(), value);
+        }
+        let Some(layout) = Layout::of(self.text, &self.container) else {
+            return Layout::spaced().object([(key, value.to_owned())]);
+        };
+        let member = format!("{}{}{value}", to_json(key), layout.colon);
+        match after.iter().rev().find_map(|key| self.position(key)) {
+            Some(0) => {
+                let at = items[0].value.end;
+                spliced(self.text, at..at, &format!("{}{member}", layout.gap))
+            }
+            Some(index) => {
+                let gap = &self.text[items[index - 1].value.end..items[index].key.start];
+                let at = items[index].value.end;
+                spliced(self.text, at..at, &format!("{gap}{member}"))
+            }
+            None => {
+                let at = items[0].key.start;
+                spliced(self.text, at..at, &format!("{member}{}", layout.gap))
+            }
+        }
+    }
+
+    /// The object without a member.
+    pub fn without(&self, key: &str) -> String {
+        match self.position(key) {
+            Some(index) => without_item(self.text, &self.container, index),
+            None => self.text.to_owned(),
+        }
+    }
+
+    /// The members that mean something in an entry, in their order.
+    pub fn known(&self) -> Vec<Member> {
+        let raw = |item: &scan::Item| Member::of(&self.text[item.key.clone()]);
+        self.container.items.iter().filter_map(raw).collect()
+    }
+
+    /// The key of the last member.
+    pub fn last_key(&self) -> Option<String> {
+        self.keys().last()
+    }
+
+    /// What stands before a member that is not the first.
+    fn gap_before(&self, key: &str) -> Option<String> {
+        let index = self.position(key)?;
+        let before = index.checked_sub(1)?;
+        let items = &self.container.items;
+        Some(self.text[items[before].value.end..items[index].key.start].to_owned())
+    }
+
+    fn layout(&self) -> Option<Layout> {
+        Layout::of(self.text, &self.container)
+    }
+}
+
+/// How entries look: as `sample`, an entry of the file, or as the product's own example.
+pub(super) struct EntryStyle<'t> {
+    sample: Option<Members<'t>>,
+    layout: Layout,
+    services: ServicesStyle,
+    /// The line ending and indent of lines inside an entry, where there is no sample.
+    line: String,
+}
+
+impl<'t> EntryStyle<'t> {
+    /// The style of a sample, which must be an object that is not empty.
+    pub fn of(sample: &'t str) -> Option<Self> {
+        let members = Members::of(sample)?;
+        let layout = members.layout()?;
+        let services = match members.value(Member::Services.key()) {
+            Some(services) => ServicesStyle::of(services, &layout),
+            None => ServicesStyle::within(&layout),
+        };
+        Some(Self { sample: Some(members), layout, services, line: String::new() })
+    }
+
+    /// The style of entries that begin on a line of their own, where there is none to learn from.
+    pub fn begun(newline: &str, indent: &str) -> Self {
+        Self {
+            sample: None,
+            layout: Layout::spaced(),
+            services: ServicesStyle::within(&Layout::spaced()),
+            line: format!("{newline}{indent}  "),
+        }
+    }
+
+    /// The blanks between an entry's members.
+    pub fn into_layout(self) -> Layout {
+        self.layout
+    }
+
+    pub fn services(&self) -> &ServicesStyle {
+        &self.services
+    }
+
+    /// Does the file write this member even where it could be left out?
+    pub fn writes(&self, member: Member) -> bool {
+        self.sample.as_ref().is_some_and(|sample| sample.position(member.key()).is_some())
+    }
+
+    /// An entry of these members, in the order of the sample.
+    pub fn entry(&self, members: &[(Member, String)]) -> String {
+        let present = |member| members.iter().find(|(found, _)| *found == member);
+        let known = self.sample.as_ref().map(Members::known).unwrap_or_default();
+        let mut order: Vec<_> = known.into_iter().filter_map(present).collect();
+        for (index, added) in members.iter().enumerate() {
+            if order.contains(&added) {
+                continue;
+            }
+            let place = |earlier| order.iter().position(|present| *present == earlier);
+            let after = members[..index].iter().rev().find_map(place);
+            order.insert(after.map_or(0, |after| after + 1), added);
+        }
+        let mut out = format!("{{{}", self.layout.open);
+        for (index, (member, value)) in order.into_iter().enumerate() {
+            if index > 0 {
+                out += &self.gap_before(*member);
+            }
+            out += &to_json(member.key());
+            out += &self.layout.colon;
+            out += value;
+        }
+        out + &self.layout.close + "}"
+    }
+
+    fn gap_before(&self, member: Member) -> String {
+        match &self.sample {
+            Some(sample) => {
+                sample.gap_before(member.key()).unwrap_or_else(|| self.layout.gap.clone())
+            }
+            None if member == Member::Services => format!(",{}", self.line),
+            None => self.layout.gap.clone(),
+        }
+    }
+}
+
+/// How `services` looks: a list of objects, or an object of names and versions.
+pub(super) struct ServicesStyle {
+    is_object: bool,
+    outer: Layout,
+    /// For the services in a list.
+    item: Layout,
+    /// For a list where an object cannot hold what is to be said.
+    fallback: Layout,
+}
+
+impl ServicesStyle {
+    /// As the value `sample` has it, and where it leaves a question, as fits into an entry that is
+    /// laid out like `entry`.
+    pub fn of(sample: &str, entry: &Layout) -> Self {
+        let default = Self::within(entry);
+        let Some(container) = scan::container(sample, &(0..sample.len())) else {
+            return default;
+        };
+        let is_object = sample.starts_with('{');
+        let Some(outer) = Layout::of(sample, &container) else {
+            return Self { is_object, ..default };
+        };
+        let item = container.items[0].value.clone();
+        let item = Members::of(&sample[item]).and_then(|members| members.layout());
+        let item = item.unwrap_or(default.item);
+        Self { is_object, outer, item, fallback: default.outer }
+    }
+
+    /// A list that fits into an entry that is laid out like `entry`.
+    pub fn within(entry: &Layout) -> Self {
+        let outer = entry.inner();
+        Self { is_object: false, outer: outer.clone(), item: entry.inline(), fallback: outer }
+    }
+
+    /// The value of `services` that says this. An object cannot hold one name twice, or strings
+    /// after the version; there it becomes a list.
+    pub fn services(&self, services: &[ServiceEntry]) -> String {
+        self.rebuilt(services, &mut Vec::new())
+    }
+
+    /// The value `old` changed so that it says this. Services that stay keep their members and
+    /// their text.
+    pub fn edited(&self, old: &str, services: &[ServiceEntry]) -> String {
+        let Some(container) = scan::container(old, &(0..old.len())) else {
+            return self.services(services);
+        };
+        let read = |item| read_service(old, item);
+        let listed: Option<Vec<ServiceEntry>> = container.items.iter().map(read).collect();
+        let same_names = listed.is_some_and(|listed| {
+            listed.iter().map(|service| &service.name).eq(services.iter().map(|new| &new.name))
+        });
+        if same_names && (!self.is_object || fits_object(services)) {
+            let mut text = old.to_owned();
+            for (item, service) in container.items.iter().zip(services).rev() {
+                let value = edited_service(&old[item.value.clone()], service);
+                text.replace_range(item.value.clone(), &value);
+            }
+            return text;
+        }
+        let mut kept: Vec<_> = container
+            .items
+            .iter()
+            .filter_map(|item| Some((read(item)?.name, &old[item.value.clone()])))
+            .collect();
+        self.rebuilt(services, &mut kept)
+    }
+
+    /// The services from new, using what is kept of the old ones, by name.
+    fn rebuilt(&self, services: &[ServiceEntry], kept: &mut Vec<(String, &str)>) -> String {
+        if self.is_object && fits_object(services) {
+            let pair = |service: &ServiceEntry| to_json(&service.version);
+            return self.outer.object(services.iter().map(|new| (&*new.name, pair(new))));
+        }
+        let outer = if self.is_object { &self.fallback } else { &self.outer };
+        let items: Vec<String> = services
+            .iter()
+            .map(|service| {
+                let old = kept.iter().position(|(name, text)| {
+                    *name == service.name && text.starts_with('{')
+                });
+                match old {
+                    Some(old) => edited_service(kept.remove(old).1, service),
+                    None => self.service(service),
+                }
+            })
+            .collect();
+        outer.list(&items)
+    }
+
+    fn service(&self, service: &ServiceEntry) -> String {
+        let mut members =
+            vec![("name", to_json(&service.name)), ("version", to_json(&service.version))];
+        if !service.extra.is_empty() {
+            members.push(("extra", strings(&service.extra)));
+        }
+        self.item.object(members)
+    }
+}
+
+fn fits_object(services: &[ServiceEntry]) -> bool {
+    services.iter().enumerate().all(|(index, service)| {
+        service.extra.is_empty() && services[..index].iter().all(|other| other.name != service.name)
+    })
+}
+
+/// An item of `services`, or a version in an object of them, that says this.
+fn edited_service(old: &str, service: &ServiceEntry) -> String {
+    let Some(members) = Members::of(old) else {
+        let same = from_json(old).is_some_and(|version| version == service.version);
+        return if same { old.to_owned() } else { to_json(&service.version) };
+    };
+    let Some(present) = read_service(old, &scan::Item { key: 0..0, value: 0..old.len() }) else {
+        return old.to_owned();
+    };
+    let mut text = old.to_owned();
+    if present.version != service.version {
+        text = members.with("version", &to_json(&service.version), &["name"]);
+    }
+    if present.extra != service.extra
+        && let Some(members) = Members::of(&text)
+    {
+        text = if service.extra.is_empty() {
+            members.without("extra")
+        } else {
+            members.with("extra", &strings(&service.extra), &["name", "version"])
+        };
+    }
+    text
+}
+
+fn strings(strings: &[String]) -> String {
+    let strings: Vec<String> = strings.iter().map(|text| to_json(text)).collect();
+    format!("[{}]", strings.join(", "))
+}

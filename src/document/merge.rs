@@ -1,0 +1,298 @@
+//! Edits made again on content that somebody else has changed meanwhile.
+//!
+//! Three documents meet: the base, which both sides started from; ours, which is the base and some
+//! operations; theirs, which is on disk. Values that only one side touched come from that side, to
+//! the byte. A value that both changed, to different things, is a [`Conflict`] for a person.
+
+use std::collections::HashMap;
+use std::hash::Hash;
+
+use super::entry::{Entry, Member, ServiceEntry};
+use super::operation::{EntryKey, Operation};
+use super::text::brief;
+use super::{Document, EditError};
+
+/// What came of a merge.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Merge {
+    /// Both sides are in it.
+    Rebased {
+        /// Theirs, with our operations made on it.
+        document: Document,
+        /// The operations as they were made on theirs, in order; those that theirs already had are
+        /// left out.
+        operations: Vec<Operation>,
+    },
+    /// A person has to choose.
+    Conflict(Conflict),
+}
+
+/// Both sides changed the same value, or one changed an entry that the other deleted.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Conflict {
+    /// Our operation.
+    pub operation: Operation,
+    /// What the value is to be, after us: "address 16, static". Safe on a terminal.
+    pub ours: String,
+    /// What it is in theirs: "address 13, static", "deleted". Safe on a terminal.
+    pub theirs: String,
+}
+
+/// Whose value stands where both sides changed it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Prefer {
+    /// Nobody's: the first conflict is returned, so that a person can choose.
+    Neither,
+    /// Ours; an entry that they deleted comes back.
+    Ours,
+    /// Theirs: our operation is left out.
+    Theirs,
+}
+
+/// Makes our operations, which were made on `base` in this order, on `theirs`.
+///
+/// It is no conflict when both sides made the same change, or changed different members of one
+/// entry, or when their entries stand in another order.
+///
+/// # Errors
+/// [`EditError`] when an operation does not apply to `base`, or theirs must not be edited.
+pub fn merge(
+    base: &Document,
+    ours: &[Operation],
+    theirs: &Document,
+    prefer: Prefer,
+) -> Result<Merge, EditError> {
+    let mut base = base.clone();
+    let mut document = theirs.clone();
+    let mut operations = Vec::new();
+    for operation in ours {
+        let next = base.apply(operation)?;
+        let steps = match step(operation, &base, &next, &document) {
+            Step::Done => Vec::new(),
+            Step::Make(operation) => vec![operation],
+            Step::Conflict { ours, theirs, insist } => match prefer {
+                Prefer::Neither => {
+                    let operation = operation.clone();
+                    return Ok(Merge::Conflict(Conflict { operation, ours, theirs }));
+                }
+                Prefer::Ours => insist,
+                Prefer::Theirs => Vec::new(),
+            },
+        };
+        for step in steps {
+            document = document.apply(&step)?;
+            operations.push(step);
+        }
+        base = next;
+    }
+    Ok(Merge::Rebased { document, operations })
+}
+
+/// What becomes of one operation.
+enum Step {
+    /// Theirs says so already.
+    Done,
+    /// This is to be made on theirs.
+    Make(Operation),
+    /// These would make it ours.
+    Conflict { ours: String, theirs: String, insist: Vec<Operation> },
+}
+
+/// `next` is `base` with the operation made.
+fn step(operation: &Operation, base: &Document, next: &Document, theirs: &Document) -> Step {
+    let Some(index) = operation.entry().and_then(|key| base.find(key)) else {
+        return step_new(operation, base, theirs);
+    };
+    let before = &base.entries()[index];
+    let counterpart = counterparts(base, theirs)[index];
+    let operation = match counterpart {
+        Some(counterpart) => operation.with_key(theirs.key(counterpart)),
+        None => operation.clone(),
+    };
+    let is_removal = matches!(operation, Operation::Remove { .. });
+    let Some(counterpart) = counterpart else {
+        if is_removal {
+            return Step::Done;
+        }
+        let changed = next.removed(index);
+        return Step::Conflict {
+            ours: describe(&operation.members(), &changed.entry),
+            theirs: "deleted".to_owned(),
+            insist: vec![Operation::PutBack { removed: changed }],
+        };
+    };
+    let found = &theirs.entries()[counterpart];
+    if is_removal {
+        if same_value(base.entry_text(index), theirs.entry_text(counterpart)) {
+            return Step::Make(operation);
+        }
+        let theirs = differences(before, found);
+        return Step::Conflict { ours: "deleted".to_owned(), theirs, insist: vec![operation] };
+    }
+    let members = operation.members();
+    let mut wanted = found.clone();
+    operation.change(&mut wanted);
+    let agree = |a: &Entry, b: &Entry| members.iter().all(|member| member.agrees(a, b));
+    if agree(found, &wanted) {
+        Step::Done
+    } else if agree(found, before) {
+        Step::Make(operation)
+    } else {
+        let (ours, theirs) = (describe(&members, &wanted), describe(&members, found));
+        Step::Conflict { ours, theirs, insist: vec![operation] }
+    }
+}
+
+/// For an operation that brings an entry: theirs may have brought it too.
+fn step_new(operation: &Operation, base: &Document, theirs: &Document) -> Step {
+    let entry = match operation {
+        Operation::Add { entry } => entry.meant(),
+        Operation::PutBack { removed } => (*removed.entry).clone(),
+        _ => return Step::Make(operation.clone()),
+    };
+    let is_same = |other: &&Entry| {
+        (&other.bus, &other.name, other.address) == (&entry.bus, &entry.name, entry.address)
+    };
+    let known = base.entries().iter().filter(is_same).count();
+    let Some(found) = theirs.entries().iter().filter(is_same).nth(known) else {
+        return Step::Make(operation.clone());
+    };
+    if found.meaning() == entry.meaning() {
+        return Step::Done;
+    }
+    let removal = Operation::Remove { entry: theirs.key(found.index) };
+    Step::Conflict {
+        ours: differences(found, &entry),
+        theirs: differences(&entry, found),
+        insist: vec![removal, operation.clone()],
+    }
+}
+
+/// For each entry of the base, the entry of theirs that it has become.
+///
+/// Entries that are equal in bus, name, address and UID belong together, in their order. Of the
+/// others, those do that are the only ones of their UID, of their name, or of everything but their
+/// name. What is left was deleted, or cannot be told: the same thing for an edit.
+fn counterparts(base: &Document, theirs: &Document) -> Vec<Option<usize>> {
+    let mut exact: HashMap<EntryKey, Vec<usize>> = HashMap::new();
+    for entry in theirs.entries().iter().rev() {
+        exact.entry(EntryKey::of(entry)).or_default().push(entry.index);
+    }
+    let mut pairs = Pairs {
+        base: base.entries(),
+        theirs: theirs.entries(),
+        of_base: vec![None; base.entries().len()],
+        taken: vec![false; theirs.entries().len()],
+    };
+    for entry in base.entries() {
+        if let Some(found) = exact.get_mut(&EntryKey::of(entry)).and_then(Vec::pop) {
+            pairs.add(entry.index, found);
+        }
+    }
+    pairs.add_unique(|entry| {
+        let uid = entry.uid.as_ref().filter(|uid| !uid.trim().is_empty())?;
+        Some((&entry.bus, uid))
+    });
+    pairs.add_unique(|entry| Some((&entry.bus, &entry.name)));
+    pairs.add_unique(|entry| {
+        let Entry { bus, address, is_static, uid, services, .. } = entry;
+        (address.is_some() || uid.is_some()).then_some((bus, address, is_static, uid, services))
+    });
+    pairs.of_base
+}
+
+/// Entries of the base and of theirs that are the same one, as far as is known.
+struct Pairs<'d> {
+    base: &'d [Entry],
+    theirs: &'d [Entry],
+    of_base: Vec<Option<usize>>,
+    taken: Vec<bool>,
+}
+
+impl<'d> Pairs<'d> {
+    fn add(&mut self, base: usize, theirs: usize) {
+        self.of_base[base] = Some(theirs);
+        self.taken[theirs] = true;
+    }
+
+    /// Pairs what is still alone and the only one of its key on its side, on both sides.
+    fn add_unique<K: Eq + Hash>(&mut self, key: impl Fn(&'d Entry) -> Option<K>) {
+        let alone = |entry: &&Entry| self.of_base[entry.index].is_none();
+        let ours = unique(self.base.iter().filter(alone), &key);
+        let alone = |entry: &&Entry| !self.taken[entry.index];
+        let theirs = unique(self.theirs.iter().filter(alone), &key);
+        for (key, base) in ours {
+            if let (Some(base), Some(Some(theirs))) = (base, theirs.get(&key)) {
+                self.add(base, *theirs);
+            }
+        }
+    }
+}
+
+/// The index of the entry of each key; none where it has several.
+fn unique<'d, K: Eq + Hash>(
+    entries: impl Iterator<Item = &'d Entry>,
+    key: impl Fn(&'d Entry) -> Option<K>,
+) -> HashMap<K, Option<usize>> {
+    let mut found = HashMap::new();
+    for entry in entries {
+        if let Some(key) = key(entry) {
+            found.entry(key).and_modify(|index| *index = None).or_insert(Some(entry.index));
+        }
+    }
+    found
+}
+
+/// Do two texts say the same, however they are laid out?
+fn same_value(a: &str, b: &str) -> bool {
+    let value = |text| serde_json::from_str::<serde_json::Value>(text).ok();
+    a == b || value(a).is_some_and(|a| value(b) == Some(a))
+}
+
+/// How `entry` differs from `other`, for a person.
+fn differences(other: &Entry, entry: &Entry) -> String {
+    let mut members: Vec<Member> =
+        Member::ALL.into_iter().filter(|member| !member.agrees(other, entry)).collect();
+    members.retain(|member| *member != Member::NameHex);
+    if members.is_empty() { "other members changed".to_owned() } else { describe(&members, entry) }
+}
+
+/// What an entry says in these members, for a person.
+fn describe(members: &[Member], entry: &Entry) -> String {
+    let text = |text: &Option<String>| {
+        text.as_ref().map_or_else(|| "none".to_owned(), |text| brief(text.as_bytes()))
+    };
+    let part = |member: &Member| match member {
+        Member::Name => Some(brief(&entry.name)),
+        Member::Address => Some(match entry.address {
+            Some(address) => format!("address {address}"),
+            None => "no address".to_owned(),
+        }),
+        Member::Static => Some(if entry.is_static { "static" } else { "not static" }.to_owned()),
+        Member::Services => Some(format!("services {}", listed(entry.services.as_deref()))),
+        Member::Bus => Some(format!("bus {}", text(&entry.bus))),
+        Member::Uid => Some(format!("UID {}", text(&entry.uid))),
+        Member::NameHex => None,
+    };
+    let parts: Vec<String> = members.iter().filter_map(part).collect();
+    parts.join(", ")
+}
+
+fn listed(services: Option<&[ServiceEntry]>) -> String {
+    const SHOWN: usize = 8;
+    let Some(services) = services.filter(|services| !services.is_empty()) else {
+        return "none".to_owned();
+    };
+    let name = |service: &ServiceEntry| {
+        let mut text = service.name.clone();
+        for part in std::iter::once(&service.version).chain(&service.extra) {
+            text = text + " " + part;
+        }
+        brief(text.as_bytes())
+    };
+    let mut parts: Vec<String> = services.iter().take(SHOWN).map(name).collect();
+    if services.len() > SHOWN {
+        parts.push(format!("{} more", services.len() - SHOWN));
+    }
+    parts.join(", ")
+}

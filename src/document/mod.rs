@@ -1,0 +1,230 @@
+//! `des.json`: read, checked, edited in place, and merged with what others wrote meanwhile.
+//!
+//! The file is the user's, so an edit is an [`Operation`] that changes the bytes of its own values
+//! and no others: [`Document::apply`] splices them into the source, reads the result again and
+//! compares it with what was meant before it hands it out. Operations find their entry by
+//! [`EntryKey`], hence can be made again on newer content ([`merge`]) and taken back
+//! ([`Operation::inverse`]).
+//!
+//! What it deliberately does not know: files, time, the bus, the devices on it, and the rest of the
+//! program. Bytes in, bytes out.
+//!
+//! ```text
+//! mod        Document: what the file says
+//! syntax     is it JSON? ParseError
+//! scan       byte spans of containers and their items
+//! position   lines and columns
+//! entry      reading entries
+//! finding    what is wrong with them
+//! operation  edits as values, their keys, names and inverses
+//! edit       edits carried out
+//! layout     the file's own style
+//! merge      edits on newer content
+//! text       names: printable, JSON, hexadecimal
+//! ```
+
+mod edit;
+mod entry;
+mod finding;
+mod layout;
+mod merge;
+mod operation;
+mod position;
+mod scan;
+mod syntax;
+mod text;
+
+use std::fmt;
+use std::sync::Arc;
+
+pub use edit::EditError;
+pub use entry::{Entry, ServiceEntry};
+pub use finding::{DocumentFinding, FindingKind};
+pub use merge::{Conflict, Merge, Prefer, merge};
+pub use operation::{EntryKey, FormerMembers, NewEntry, Operation, RemovedEntry};
+pub use position::Position;
+pub use syntax::ParseError;
+pub use text::printable;
+
+use finding::Findings;
+use position::Positions;
+use scan::Span;
+use syntax::{BOM, Kind};
+
+/// The JSON Schema (2020-12) of the file.
+pub const SCHEMA: &str = include_str!("des.schema.json");
+
+/// The content of a `des.json` and what it says. Cheap to clone.
+///
+/// Two documents are equal when their bytes are.
+///
+/// Source: product, "Inline editing of des.json".
+#[derive(Clone)]
+pub struct Document {
+    inner: Arc<Inner>,
+}
+
+struct Inner {
+    source: String,
+    root: Root,
+    /// The elements of the list of devices, whether or not they are entries.
+    elements: Vec<Span>,
+    entries: Vec<Entry>,
+    findings: Vec<DocumentFinding>,
+}
+
+/// What the file's one value is, in spans of the body: the source without a byte order mark.
+#[derive(Debug)]
+enum Root {
+    /// Nothing but blanks.
+    Blank,
+    /// A bare list of devices.
+    List(Span),
+    /// An object, and the value of `devices`, unless that is null.
+    Object { span: Span, devices: Option<Span> },
+    /// Something else.
+    Other(Span),
+}
+
+impl Root {
+    /// What stands in the place of the list of devices.
+    fn list(&self) -> Option<&Span> {
+        match self {
+            Self::List(span) | Self::Object { devices: Some(span), .. } => Some(span),
+            Self::Blank | Self::Object { devices: None, .. } | Self::Other(_) => None,
+        }
+    }
+}
+
+impl Document {
+    /// Reads the content of a file. Blank content is an empty document; JSON of another shape is
+    /// one with findings.
+    ///
+    /// # Errors
+    /// [`ParseError`] when it is not JSON in UTF-8, or nests deeper than 128 levels.
+    pub fn parse(source: &[u8]) -> Result<Self, ParseError> {
+        let source = syntax::check(source)?.to_owned();
+        let body = source.strip_prefix(BOM).unwrap_or(&source);
+        let positions = Positions::new(body);
+        let mut findings = Findings { positions: &positions, found: Vec::new() };
+        let root = read_root(body, &mut findings);
+        let list = root.list().filter(|list| body[(*list).clone()].starts_with('['));
+        let list = list.and_then(|list| scan::container(body, list));
+        let items = list.map(|list| list.items).unwrap_or_default();
+        let elements: Vec<Span> = items.into_iter().map(|item| item.value).collect();
+        let entries = entry::read_all(body, &elements, &mut findings);
+        let mut findings = findings.found;
+        findings.extend(finding::collisions(&entries));
+        findings.sort_by(|a, b| (a.position, &a.message).cmp(&(b.position, &b.message)));
+        Ok(Self { inner: Arc::new(Inner { source, root, elements, entries, findings }) })
+    }
+
+    /// The document of a file that is missing or empty.
+    pub fn empty() -> Self {
+        let (source, root) = (String::new(), Root::Blank);
+        let (elements, entries, findings) = (Vec::new(), Vec::new(), Vec::new());
+        Self { inner: Arc::new(Inner { source, root, elements, entries, findings }) }
+    }
+
+    /// The bytes of the file.
+    pub fn source(&self) -> &[u8] {
+        self.inner.source.as_bytes()
+    }
+
+    /// What the file says about devices, in its order.
+    pub fn entries(&self) -> &[Entry] {
+        &self.inner.entries
+    }
+
+    /// What is wrong in it, in the order of the file.
+    pub fn findings(&self) -> &[DocumentFinding] {
+        &self.inner.findings
+    }
+
+    /// How the entry at this place is found again in other content.
+    ///
+    /// # Panics
+    /// When `index` is not one of [`Document::entries`].
+    pub fn key(&self, index: usize) -> EntryKey {
+        let mut key = EntryKey::of(&self.entries()[index]);
+        key.occurrence = self.entries()[..index].iter().filter(|entry| key.fits(entry)).count();
+        key
+    }
+
+    /// The place in [`Document::entries`] of the entry that has exactly this key.
+    pub fn find(&self, key: &EntryKey) -> Option<usize> {
+        let mut fitting = self.entries().iter().filter(|entry| key.fits(entry));
+        fitting.nth(key.occurrence).map(|entry| entry.index)
+    }
+
+    fn body(&self) -> &str {
+        self.inner.source.strip_prefix(BOM).unwrap_or(&self.inner.source)
+    }
+
+    fn has_bom(&self) -> bool {
+        self.inner.source.starts_with(BOM)
+    }
+
+    fn root(&self) -> &Root {
+        &self.inner.root
+    }
+
+    fn elements(&self) -> &[Span] {
+        &self.inner.elements
+    }
+
+    fn entry_span(&self, index: usize) -> Span {
+        self.elements()[self.entries()[index].element].clone()
+    }
+
+    fn entry_text(&self, index: usize) -> &str {
+        &self.body()[self.entry_span(index)]
+    }
+}
+
+fn read_root(body: &str, findings: &mut Findings) -> Root {
+    let Some(span) = scan::root(body) else { return Root::Blank };
+    let text = &body[span.clone()];
+    if text.starts_with('[') {
+        return Root::List(span);
+    }
+    if !text.starts_with('{') {
+        let message = format!("the file is {}, not an object with `devices`", Kind(text));
+        findings.add(FindingKind::NotDevices, span.start, message, None);
+        return Root::Other(span);
+    }
+    let mut devices: Option<Span> = None;
+    for item in scan::container(body, &span).into_iter().flat_map(|object| object.items) {
+        if text::from_json(&body[item.key.clone()]).as_deref() != Some("devices") {
+            continue;
+        }
+        if devices.replace(item.value).is_some() {
+            findings.duplicate("devices", item.key.start, None);
+        }
+    }
+    devices = devices.filter(|devices| &body[devices.clone()] != "null");
+    if let Some(devices) = &devices
+        && !body[devices.clone()].starts_with('[')
+    {
+        let message = format!("`devices` is {}; it must be a list", Kind(&body[devices.clone()]));
+        findings.add(FindingKind::NotDevices, devices.start, message, None);
+    }
+    Root::Object { span, devices }
+}
+
+impl PartialEq for Document {
+    fn eq(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.inner, &other.inner) || self.inner.source == other.inner.source
+    }
+}
+
+impl Eq for Document {}
+
+impl fmt::Debug for Document {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Document")
+            .field("source", &self.inner.source)
+            .field("findings", &self.inner.findings)
+            .finish_non_exhaustive()
+    }
+}

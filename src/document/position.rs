@@ -1,0 +1,89 @@
+//! Lines and columns.
+
+use std::fmt;
+
+use super::scan::Span;
+
+/// A place in the file, as editors count it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Position {
+    /// From 1; a line ends with LF.
+    pub line: usize,
+    /// From 1, in characters; a byte order mark does not count.
+    pub column: usize,
+}
+
+impl fmt::Display for Position {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "line {}, column {}", self.line, self.column)
+    }
+}
+
+/// Finds positions in a text, in any order, without walking from its beginning each time: a file
+/// may be one line of megabytes.
+pub(super) struct Positions<'a> {
+    text: &'a [u8],
+    /// The position at the start of every block.
+    blocks: Vec<Position>,
+}
+
+const BLOCK_BYTES: usize = 1024;
+
+impl<'a> Positions<'a> {
+    pub fn new(text: &'a str) -> Self {
+        let text = text.as_bytes();
+        let mut position = Position { line: 1, column: 1 };
+        let mut blocks = Vec::with_capacity(text.len() / BLOCK_BYTES + 1);
+        for block in text.chunks(BLOCK_BYTES) {
+            blocks.push(position);
+            position = advance(position, block);
+        }
+        blocks.push(position);
+        Self { text, blocks }
+    }
+
+    pub fn at(&self, offset: usize) -> Position {
+        let block = offset / BLOCK_BYTES;
+        advance(self.blocks[block], &self.text[block * BLOCK_BYTES..offset])
+    }
+
+    pub fn start_of(&self, span: &Span) -> Position {
+        self.at(span.start)
+    }
+}
+
+fn advance(from: Position, text: &[u8]) -> Position {
+    match text.iter().rposition(|&byte| byte == b'\n') {
+        None => Position { column: from.column + characters(text), ..from },
+        Some(last) => Position {
+            line: from.line + text.iter().filter(|&&byte| byte == b'\n').count(),
+            column: 1 + characters(&text[last + 1..]),
+        },
+    }
+}
+
+/// How many characters begin in these bytes: all but the continuation bytes of UTF-8.
+fn characters(text: &[u8]) -> usize {
+    text.iter().filter(|&&byte| byte & 0xC0 != 0x80).count()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn positions_count_characters_across_blocks() {
+        let text = "abc\nдef\r\n".repeat(700) + &"ж".repeat(3000);
+        let positions = Positions::new(&text);
+        let mut expected = Position { line: 1, column: 1 };
+        for (offset, c) in text.char_indices() {
+            assert_eq!(positions.at(offset), expected);
+            if c == '\n' {
+                expected = Position { line: expected.line + 1, column: 1 };
+            } else {
+                expected.column += 1;
+            }
+        }
+        assert_eq!(positions.at(text.len()), expected);
+    }
+}

@@ -1,0 +1,168 @@
+//! Where things are in JSON that is known to be well formed: one container at a time, as byte
+//! spans, without recursion and without building values.
+
+use std::ops::Range;
+
+/// A range of bytes of the text.
+pub(super) type Span = Range<usize>;
+
+/// A list or an object: what lies between its brackets, and its items.
+pub(super) struct Container {
+    /// Everything between the brackets.
+    pub inside: Span,
+    pub items: Vec<Item>,
+}
+
+/// An element of a list, or a member of an object.
+pub(super) struct Item {
+    /// The key with its quotes; empty, at the value's start, in a list.
+    pub key: Span,
+    pub value: Span,
+}
+
+impl Item {
+    /// Key, colon and value.
+    pub fn span(&self) -> Span {
+        self.key.start..self.value.end
+    }
+}
+
+/// The items of the list or object at `span`; `None` when a scalar is there.
+pub(super) fn container(text: &str, span: &Span) -> Option<Container> {
+    let bytes = text.as_bytes();
+    let is_object = match bytes[span.start] {
+        b'{' => true,
+        b'[' => false,
+        _ => return None,
+    };
+    let inside = span.start + 1..span.end - 1;
+    let mut items = Vec::new();
+    let mut at = skip_blank(bytes, inside.start);
+    while at < inside.end {
+        let key_start = at;
+        let key_end = if is_object { skip_string(bytes, at) } else { at };
+        if is_object {
+            // Past the colon.
+            at = skip_blank(bytes, skip_blank(bytes, key_end) + 1);
+        }
+        let end = skip_value(bytes, at);
+        items.push(Item { key: key_start..key_end, value: at..end });
+        at = skip_blank(bytes, end);
+        if bytes[at] == b',' {
+            at = skip_blank(bytes, at + 1);
+        }
+    }
+    Some(Container { inside, items })
+}
+
+/// The only value of the text, without the blanks around it; `None` when the text is blank.
+pub(super) fn root(text: &str) -> Option<Span> {
+    let start = skip_blank(text.as_bytes(), 0);
+    (start < text.len()).then(|| start..text.trim_end_matches(BLANKS).len())
+}
+
+/// The first place where brackets nest deeper than `limit`.
+pub(super) fn deeper_than(text: &str, limit: usize) -> Option<usize> {
+    let bytes = text.as_bytes();
+    let (mut at, mut depth) = (0, 0);
+    while at < bytes.len() {
+        match bytes[at] {
+            b'"' => {
+                at = skip_string(bytes, at);
+                continue;
+            }
+            b'{' | b'[' => depth += 1,
+            b'}' | b']' => depth -= 1,
+            _ => {}
+        }
+        if depth > limit {
+            return Some(at);
+        }
+        at += 1;
+    }
+    None
+}
+
+/// What JSON counts as white space.
+pub(super) const BLANKS: [char; 4] = [' ', '\t', '\n', '\r'];
+
+fn skip_blank(bytes: &[u8], mut at: usize) -> usize {
+    while at < bytes.len() && matches!(bytes[at], b' ' | b'\t' | b'\n' | b'\r') {
+        at += 1;
+    }
+    at
+}
+
+/// From an opening quote to behind the closing one.
+fn skip_string(bytes: &[u8], mut at: usize) -> usize {
+    at += 1;
+    loop {
+        match bytes[at] {
+            b'"' => return at + 1,
+            b'\\' => at += 2,
+            _ => at += 1,
+        }
+    }
+}
+
+fn skip_value(bytes: &[u8], mut at: usize) -> usize {
+    match bytes[at] {
+        b'"' => skip_string(bytes, at),
+        b'{' | b'[' => {
+            let mut depth = 0;
+            loop {
+                match bytes[at] {
+                    b'"' => {
+                        at = skip_string(bytes, at);
+                        continue;
+                    }
+                    b'{' | b'[' => depth += 1,
+                    b'}' | b']' => depth -= 1,
+                    _ => {}
+                }
+                at += 1;
+                if depth == 0 {
+                    return at;
+                }
+            }
+        }
+        _ => {
+            while at < bytes.len()
+                && !matches!(bytes[at], b',' | b']' | b'}' | b' ' | b'\t' | b'\n' | b'\r')
+            {
+                at += 1;
+            }
+            at
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn items(text: &str) -> Vec<(&str, &str)> {
+        let found = container(text, &root(text).unwrap()).unwrap();
+        found.items.iter().map(|item| (&text[item.key.clone()], &text[item.value.clone()])).collect()
+    }
+
+    #[test]
+    fn items_have_exact_spans() {
+        assert_eq!(items(" [ ] "), []);
+        assert_eq!(items("[1 ,\"a,]\\\"\", {\"b\":[2]}\t]"), [
+            ("", "1"),
+            ("", "\"a,]\\\"\""),
+            ("", "{\"b\":[2]}")
+        ]);
+        assert_eq!(items("{ \"a\\\\\" : -1e3,\r\n\"\":null}"), [
+            ("\"a\\\\\"", "-1e3"),
+            ("\"\"", "null")
+        ]);
+    }
+
+    #[test]
+    fn depth_is_counted_outside_strings() {
+        assert_eq!(deeper_than("[[\"[[[\"]]", 2), None);
+        assert_eq!(deeper_than("[[[]]]", 2), Some(2));
+    }
+}

@@ -1,0 +1,132 @@
+//! Is it JSON at all? And if not: where, and what is wrong.
+
+use std::fmt;
+
+use serde::de::IgnoredAny;
+
+use super::position::Positions;
+use super::{scan, text};
+
+/// How deep brackets may nest, as in serde_json itself.
+const DEPTH: usize = 128;
+
+/// The byte order mark that some editors write at the beginning.
+pub(super) const BOM: &str = "\u{feff}";
+
+/// The file is not JSON.
+///
+/// `Display` says where and what: "line 7, column 12: expected `,` or `}`".
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("line {line}, column {column}: {message}")]
+pub struct ParseError {
+    /// From 1.
+    pub line: usize,
+    /// From 1, in characters.
+    pub column: usize,
+    /// What is wrong there, in a few words.
+    pub message: String,
+    /// The line, or the part of it around the error when it is long; safe on a terminal.
+    pub line_text: String,
+    /// Which character of `line_text`, from 0, the error is at; it may be just behind its end.
+    pub caret: usize,
+}
+
+/// The source as text, once it is sure to be JSON or blank.
+pub(super) fn check(source: &[u8]) -> Result<&str, ParseError> {
+    let text = str::from_utf8(source).map_err(|error| {
+        let (good, bad) = source.split_at(error.valid_up_to());
+        let good = str::from_utf8(good).unwrap_or_default();
+        let message = match bad {
+            [0xFF, 0xFE, ..] | [0xFE, 0xFF, ..] if good.is_empty() => {
+                "the file is UTF-16: save it as UTF-8".to_owned()
+            }
+            _ => format!("the byte 0x{:02X} is not UTF-8: save the file as UTF-8", bad[0]),
+        };
+        error_at(good, good.len(), message)
+    })?;
+    let body = text.strip_prefix(BOM).unwrap_or(text);
+    if scan::root(body).is_none() {
+        return Ok(text);
+    }
+    serde_json::from_str::<IgnoredAny>(body).map_err(|error| syntax_error(body, &error))?;
+    match scan::deeper_than(body, DEPTH) {
+        Some(at) => Err(error_at(body, at, format!("nested deeper than {DEPTH} levels"))),
+        None => Ok(text),
+    }
+}
+
+/// serde_json's error, which counts bytes and names the last one it read, and puts line and column
+/// into its text.
+fn syntax_error(body: &str, error: &serde_json::Error) -> ParseError {
+    let text = error.to_string();
+    let message = text.rsplit_once(" at line ").map_or(text.as_str(), |(message, _)| message);
+    if error.is_eof() {
+        let message = message.replacen("EOF while parsing", "the file ends inside", 1);
+        return error_at(body, body.trim_end_matches(scan::BLANKS).len(), message);
+    }
+    let line: usize = body.split_inclusive('\n').take(error.line() - 1).map(str::len).sum();
+    let at = body.floor_char_boundary((line + error.column()).saturating_sub(1));
+    if message.starts_with("control character") {
+        // It names the character before.
+        let control = body[at..].find(char::is_control).unwrap_or_default();
+        return error_at(body, at + control, message.to_owned());
+    }
+    let is_closing = body[at..].starts_with([']', '}']);
+    let after_comma = body[..at].trim_end_matches(scan::BLANKS).ends_with(',');
+    let message = if is_closing && after_comma { "a comma before the bracket" } else { message };
+    error_at(body, at, message.to_owned())
+}
+
+fn error_at(text: &str, at: usize, message: String) -> ParseError {
+    /// How much of the line is shown on either side.
+    const CHARACTERS: usize = 36;
+    let text_before = text.strip_prefix(BOM).map_or(&text[..at], |body| &body[..at.saturating_sub(BOM.len())]);
+    let position = Positions::new(text_before).at(text_before.len());
+
+    let line_start = text_before.rfind('\n').map_or(0, |newline| newline + 1);
+    let before = &text_before[line_start..];
+    let cut = before.char_indices().rev().nth(CHARACTERS - 1).map_or(0, |(start, _)| start);
+    let before = shown(&before[cut..]);
+    let after: String = text[at..]
+        .split(['\n', '\r'])
+        .next()
+        .unwrap_or_default()
+        .chars()
+        .take(CHARACTERS)
+        .collect();
+    ParseError {
+        line: position.line,
+        column: position.column,
+        message,
+        caret: before.chars().count(),
+        line_text: before + &shown(&after),
+    }
+}
+
+/// A tab would shift the caret, and the backslashes here are JSON's own.
+fn shown(text: &str) -> String {
+    text.chars().fold(String::new(), |mut out, c| {
+        match c {
+            '\t' => out.push(' '),
+            c if text::is_printable(c) => out.push(c),
+            c => out.push_str(&text::printable(c.encode_utf8(&mut [0; 4]).as_bytes())),
+        }
+        out
+    })
+}
+
+/// Which kind of value a piece of JSON is, with its article, for messages.
+pub(super) struct Kind<'a>(pub &'a str);
+
+impl fmt::Display for Kind<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self.0.as_bytes()[0] {
+            b'{' => "an object",
+            b'[' => "a list",
+            b'"' => "a string",
+            b't' | b'f' => "true or false",
+            b'n' => "null",
+            _ => "a number",
+        })
+    }
+}

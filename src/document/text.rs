@@ -1,0 +1,137 @@
+//! Names and strings: what may go to a terminal, and how JSON spells it.
+
+use std::borrow::Cow;
+use std::fmt::Write as _;
+
+use unicode_general_category::{GeneralCategory as Category, get_general_category};
+
+/// Text that is safe on a terminal: UTF-8, with `\xNN` for every byte that is not printable or not
+/// valid, and `\\` for a backslash, so that it can be read back without doubt.
+///
+/// Printable is what is not of Unicode's classes Cc, Cf, Zl, Zp, Co, Cn.
+///
+/// Source: interfaces, "Not known is null".
+pub fn printable(bytes: &[u8]) -> String {
+    let mut out = String::with_capacity(bytes.len());
+    let escape = |out: &mut String, bytes: &[u8]| {
+        for byte in bytes {
+            let _ = write!(out, "\\x{byte:02X}");
+        }
+    };
+    for chunk in bytes.utf8_chunks() {
+        for c in chunk.valid().chars() {
+            match c {
+                '\\' => out.push_str("\\\\"),
+                c if is_printable(c) => out.push(c),
+                c => escape(&mut out, c.encode_utf8(&mut [0; 4]).as_bytes()),
+            }
+        }
+        escape(&mut out, chunk.invalid());
+    }
+    out
+}
+
+/// [`printable`], cut to what a message can carry.
+pub(super) fn brief(bytes: &[u8]) -> String {
+    const CHARACTERS: usize = 40;
+    let text = printable(bytes);
+    match text.char_indices().nth(CHARACTERS) {
+        Some((end, _)) => format!("{}…", &text[..end]),
+        None => text,
+    }
+}
+
+pub(super) fn is_printable(c: char) -> bool {
+    c.is_ascii_graphic()
+        || c == ' '
+        || !matches!(
+            get_general_category(c),
+            Category::Control
+                | Category::Format
+                | Category::LineSeparator
+                | Category::ParagraphSeparator
+                | Category::PrivateUse
+                | Category::Unassigned
+        )
+}
+
+/// A JSON string. What is not printable is escaped: a device's name must not carry control codes
+/// into a file that somebody will `cat`.
+pub(super) fn to_json(text: &str) -> String {
+    let mut out = String::with_capacity(text.len() + 2);
+    out.push('"');
+    for c in text.chars() {
+        match c {
+            '"' | '\\' => out.extend(['\\', c]),
+            c if is_printable(c) => out.push(c),
+            c => {
+                for unit in c.encode_utf16(&mut [0; 2]) {
+                    let _ = write!(out, "\\u{unit:04x}");
+                }
+            }
+        }
+    }
+    out.push('"');
+    out
+}
+
+/// The string that a piece of JSON stands for; `None` when it is no string, or has half of a
+/// surrogate pair, which no string can hold.
+pub(super) fn from_json(raw: &str) -> Option<Cow<'_, str>> {
+    let inner = raw.strip_prefix('"')?.strip_suffix('"')?;
+    if inner.contains('\\') {
+        serde_json::from_str(raw).ok().map(Cow::Owned)
+    } else {
+        Some(Cow::Borrowed(inner))
+    }
+}
+
+pub(super) fn to_hex(bytes: &[u8]) -> String {
+    bytes.iter().fold(String::with_capacity(bytes.len() * 2), |mut out, byte| {
+        let _ = write!(out, "{byte:02X}");
+        out
+    })
+}
+
+pub(super) fn from_hex(text: &str) -> Option<Vec<u8>> {
+    let digit = |c: &u8| char::from(*c).to_digit(16);
+    let (pairs, rest) = text.as_bytes().as_chunks::<2>();
+    if !rest.is_empty() {
+        return None;
+    }
+    pairs.iter().map(|[high, low]| Some((digit(high)? << 4 | digit(low)?) as u8)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn control_codes_do_not_come_out() {
+        assert_eq!(printable(b"FEED"), "FEED");
+        assert_eq!(printable("Насос 🔥".as_bytes()), "Насос 🔥");
+        assert_eq!(printable(b"a\x1b[2J\\\xffz"), "a\\x1B[2J\\\\\\xFFz");
+        assert_eq!(printable("\u{202e}\u{9b}".as_bytes()), "\\xE2\\x80\\xAE\\xC2\\x9B");
+        assert_eq!(brief(&[b'a'; 50]), format!("{}…", "a".repeat(40)));
+    }
+
+    #[test]
+    fn json_strings_go_there_and_back() {
+        for text in ["", "FEED", "a\"b\\c", "\u{1b}\u{85}\u{202e}\u{f0000}", "Насос"] {
+            let json = to_json(text);
+            assert!(json.chars().all(is_printable), "{json}");
+            assert_eq!(from_json(&json).unwrap(), text);
+        }
+        assert_eq!(from_json("\"\\ud800\""), None);
+        assert_eq!(from_json("12"), None);
+    }
+
+    #[test]
+    fn hex_goes_there_and_back() {
+        assert_eq!(to_hex(b"\x00\xfeED"), "00FE4544");
+        assert_eq!(from_hex("00fE4544").unwrap(), b"\x00\xfeED");
+        assert_eq!(from_hex("0"), None);
+        assert_eq!(from_hex("+1"), None);
+        assert_eq!(from_hex("пп"), None);
+    }
+}

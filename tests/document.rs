@@ -1,0 +1,782 @@
+//! `des.json`: what is read, what is refused, and which bytes an edit changes.
+
+use descan::document::{
+    Document, EditError, EntryKey, FindingKind, Merge, NewEntry, Operation, Prefer, SCHEMA,
+    ServiceEntry, merge,
+};
+
+fn parsed(source: &str) -> Document {
+    Document::parse(source.as_bytes()).unwrap_or_else(|error| panic!("{error}\n{source}"))
+}
+
+fn text(document: &Document) -> &str {
+    str::from_utf8(document.source()).unwrap()
+}
+
+/// The key of the first entry of this name.
+fn key(document: &Document, name: &str) -> EntryKey {
+    let found = document.entries().iter().find(|entry| entry.name == name.as_bytes());
+    document.key(found.unwrap_or_else(|| panic!("no {name}")).index)
+}
+
+fn set(document: &Document, name: &str, to: u8) -> Operation {
+    let entry = key(document, name);
+    Operation::SetAddress { from: entry.address, entry, to }
+}
+
+fn clear(document: &Document, name: &str) -> Operation {
+    let entry = key(document, name);
+    Operation::ClearAddress { from: entry.address, entry }
+}
+
+fn remove(document: &Document, name: &str) -> Operation {
+    Operation::Remove { entry: key(document, name) }
+}
+
+fn rename(document: &Document, name: &str, to: &[u8]) -> Operation {
+    Operation::Rename { entry: key(document, name), to: to.to_vec() }
+}
+
+fn services(document: &Document, name: &str, services: &[(&str, &str)]) -> Operation {
+    Operation::SetServices { entry: key(document, name), services: listed(services) }
+}
+
+fn listed(services: &[(&str, &str)]) -> Vec<ServiceEntry> {
+    let service = |&(name, version): &(&str, &str)| ServiceEntry {
+        name: name.to_owned(),
+        version: version.to_owned(),
+        extra: Vec::new(),
+    };
+    services.iter().map(service).collect()
+}
+
+fn device(name: &str, address: u8) -> NewEntry {
+    let name = name.as_bytes().to_vec();
+    NewEntry { name, address: Some(address), is_static: true, ..NewEntry::default() }
+}
+
+fn add(name: &str, address: u8) -> Operation {
+    Operation::Add { entry: device(name, address) }
+}
+
+/// Makes the edit, expects exactly these bytes, and takes it back.
+fn edits(before: &str, operation: impl Fn(&Document) -> Operation, after: &str) -> Document {
+    let document = parsed(before);
+    let operation = operation(&document);
+    let edited = document.apply(&operation).unwrap_or_else(|error| panic!("{operation}: {error}"));
+    assert_eq!(text(&edited), after, "{operation}");
+    let inverse = operation.inverse(&document).unwrap();
+    let undone = edited.apply(&inverse).unwrap_or_else(|error| panic!("{inverse}: {error}"));
+    says_the_same(&undone, &document);
+    let redone = undone.apply(&inverse.inverse(&edited).unwrap()).unwrap();
+    says_the_same(&redone, &edited);
+    undone
+}
+
+/// As `edits`, and taking it back restores every byte.
+fn edits_and_back(before: &str, operation: impl Fn(&Document) -> Operation, after: &str) {
+    let undone = edits(before, operation, after);
+    assert_eq!(text(&undone), before);
+}
+
+fn says_the_same(a: &Document, b: &Document) {
+    assert_eq!(meaning(a), meaning(b));
+}
+
+/// All that a document says, without places.
+fn meaning(document: &Document) -> Vec<impl PartialEq + std::fmt::Debug + use<>> {
+    let entries = document.entries().iter().cloned();
+    entries
+        .map(|it| (it.name, it.address, it.is_static, it.bus, it.uid, it.services))
+        .collect()
+}
+
+fn findings(source: &str) -> Vec<(FindingKind, String, Vec<usize>)> {
+    let document = parsed(source);
+    let findings = document.findings().iter();
+    findings.map(|it| (it.kind, it.to_string(), it.entries.clone())).collect()
+}
+
+// ---- reading ----
+
+#[test]
+fn every_member_is_read() {
+    let document = parsed(
+        r#"{"devices": [ { "name": "FEED", "address": 12, "static": true, "bus": "can0",
+           "uid": "BOILER01", "services": [ { "name": "DES", "version": "1.0" },
+           { "version": "2.1", "name": "AUGER", "extra": ["a", "b"], "note": 1 }, {"name":"X"} ] },
+           {"n\u0061me": "\u041d\ud83d\udd25", "address": null, "static": null, "services": {"DES": "1.0", "B": null}} ] }"#,
+    );
+    assert_eq!(document.findings(), []);
+    let [feed, fire] = document.entries() else { panic!("{document:?}") };
+    assert_eq!(feed.name, b"FEED");
+    assert_eq!(feed.address, Some(12));
+    assert!(feed.is_static);
+    assert_eq!(feed.bus.as_deref(), Some("can0"));
+    assert_eq!(feed.uid.as_deref(), Some("BOILER01"));
+    let mut expected = listed(&[("DES", "1.0"), ("AUGER", "2.1"), ("X", "")]);
+    expected[1].extra = vec!["a".into(), "b".into()];
+    assert_eq!(feed.services.as_ref(), Some(&expected));
+    assert_eq!(feed.position.to_string(), "line 1, column 15");
+    assert_eq!(feed.address_position.unwrap().to_string(), "line 1, column 44");
+    assert_eq!((feed.index, fire.index), (0, 1));
+
+    assert_eq!(fire.name_text, "Н🔥");
+    assert_eq!((fire.address, fire.is_static), (None, false));
+    assert_eq!(fire.services.as_ref(), Some(&listed(&[("DES", "1.0"), ("B", "")])));
+    assert_eq!(fire.position.to_string(), "line 4, column 12");
+}
+
+#[test]
+fn name_hex_is_the_exact_name() {
+    let document =
+        parsed(r#"[{"name": "A\\xFFB", "name_hex": "41fF42"}, {"name": "ok", "name_hex": "6F6B"}]"#);
+    assert_eq!(document.findings(), []);
+    assert_eq!(document.entries()[0].name, b"A\xffB");
+    assert_eq!(document.entries()[0].name_text, "A\\xFFB");
+    assert_eq!(document.entries()[1].name, b"ok");
+}
+
+#[test]
+fn no_content_is_an_empty_document() {
+    for source in ["", " \r\n\t", "\u{feff}", "{}", "[]", "{\"devices\":[]}", "{\"devices\":null}"] {
+        let document = parsed(source);
+        assert_eq!(document.entries(), [], "{source:?}");
+        assert_eq!(document.findings(), [], "{source:?}");
+    }
+    assert_eq!(parsed(""), Document::empty());
+}
+
+#[test]
+fn what_is_not_json_is_refused_with_its_place() {
+    let deep = "[".repeat(200) + &"]".repeat(200);
+    for (source, message, line_text, caret) in [
+        (&b"{\n  \"devices\": [\n    { \"name\": \"A\" \"address\": 1 }\n  ]\n}"[..], "line 3, column 19: expected `,` or `}`", "    { \"name\": \"A\" \"address\": 1 }", 18),
+        (b"[1 , ]", "line 1, column 6: a comma before the bracket", "[1 , ]", 5),
+        (b"{\"a\":1,}", "line 1, column 8: a comma before the bracket", "{\"a\":1,}", 7),
+        (b"[1", "line 1, column 3: the file ends inside a list", "[1", 2),
+        (b"{\"a\n\n", "line 1, column 4: control character (\\u0000-\\u001F) found while parsing a string", "{\"a", 3),
+        (b"\xef\xbb\xbf[\n\"\xd0\x96\xd0\x96\" x]", "line 2, column 6: expected `,` or `]`", "\"ЖЖ\" x]", 5),
+        (b"[]\n[]", "line 2, column 1: trailing characters", "[]", 0),
+        (b"[\"a\xffb\"]", "line 1, column 4: the byte 0xFF is not UTF-8: save the file as UTF-8", "[\"a", 3),
+        (b"\xff\xfe[\0]\0", "line 1, column 1: the file is UTF-16: save it as UTF-8", "", 0),
+        (b"{'a': 1}", "line 1, column 2: key must be a string", "{'a': 1}", 1),
+        (b"// no\n[]", "line 1, column 1: expected value", "// no", 0),
+        (b"[\t\"\x1b[2J\"]", "line 1, column 4: control character (\\u0000-\\u001F) found while parsing a string", "[ \"\\x1B[2J\"]", 3),
+        (deep.as_bytes(), "line 1, column 129: nested deeper than 128 levels", &("[".repeat(72)), 36),
+    ] {
+        let error = Document::parse(source).unwrap_err();
+        assert_eq!(error.to_string(), message);
+        assert_eq!((error.line_text.as_str(), error.caret), (line_text, caret), "{message}");
+    }
+}
+
+#[test]
+fn deep_nesting_overflows_no_stack() {
+    let deep = "[".repeat(1_000_000);
+    assert!(Document::parse(deep.as_bytes()).is_err());
+    let allowed = "[".repeat(128) + &"]".repeat(128);
+    assert!(Document::parse(allowed.as_bytes()).is_ok());
+}
+
+#[test]
+fn wrong_shapes_are_findings() {
+    use FindingKind::{
+        AddressRange, DuplicateMember, MissingName, NamesDiffer, NotAnEntry, NotDevices, WrongType,
+    };
+    for (source, kind, message, entries) in [
+        ("12", NotDevices, "line 1, column 1: the file is a number, not an object with `devices`", vec![]),
+        (r#"{"devices": {}}"#, NotDevices, "line 1, column 13: `devices` is an object; it must be a list", vec![]),
+        (r#"{"devices": [], "devices": []}"#, DuplicateMember, "line 1, column 17: `devices` is there twice; the last one counts", vec![]),
+        ("[\n 7]", NotAnEntry, "line 2, column 2: element 1 is a number, not a device", vec![]),
+        ("[{}]", MissingName, "line 1, column 2: device 1 has no `name`", vec![]),
+        (r#"[{"name_hex": "41"}]"#, MissingName, "line 1, column 2: device 1 has no `name`", vec![0]),
+        (r#"[{"name": "A", "name_hex": "42"}]"#, NamesDiffer, "line 1, column 28: `name_hex` stands for B, but `name` is A; `name_hex` counts", vec![0]),
+        (r#"[{"name": "A", "name_hex": "4"}]"#, WrongType, "line 1, column 28: `name_hex` is a string; it must be the name's bytes in hexadecimal, as \"46454544\"", vec![0]),
+        (r#"[{"name": "A", "address": 0}]"#, AddressRange, "line 1, column 27: `address` is 0; it must be a whole number from 1 to 127", vec![0]),
+        (r#"[{"name": "A", "address": 128}]"#, AddressRange, "line 1, column 27: `address` is 128; it must be a whole number from 1 to 127", vec![0]),
+        (r#"[{"name": "A", "address": 1e2}]"#, AddressRange, "line 1, column 27: `address` is 1e2; it must be a whole number from 1 to 127", vec![0]),
+        (r#"[{"name": "A", "address": 12.0}]"#, AddressRange, "line 1, column 27: `address` is 12.0; it must be a whole number from 1 to 127", vec![0]),
+        (r#"[{"name": "A", "address": -1}]"#, AddressRange, "line 1, column 27: `address` is -1; it must be a whole number from 1 to 127", vec![0]),
+        (r#"[{"name": "A", "address": "12"}]"#, WrongType, "line 1, column 27: `address` is a string; it must be a whole number from 1 to 127", vec![0]),
+        (r#"[{"name": "A", "static": 1}]"#, WrongType, "line 1, column 26: `static` is a number; it must be true or false", vec![0]),
+        (r#"[{"name": "A", "bus": []}]"#, WrongType, "line 1, column 23: `bus` is a list; it must be a string", vec![0]),
+        (r#"[{"name": "A", "uid": "\ud800"}]"#, WrongType, "line 1, column 23: `uid` is a string; it must be valid Unicode", vec![0]),
+        (r#"[{"name": "A", "services": "DES"}]"#, WrongType, "line 1, column 28: `services` is a string; it must be a list, or an object of names and versions", vec![0]),
+        (r#"[{"name": "A", "services": ["DES"]}]"#, WrongType, "line 1, column 29: an item of `services` is a string; it must be an object of `name`, `version` and `extra`, all strings", vec![0]),
+        (r#"[{"name": "A", "services": {"DES": 1.0}}]"#, WrongType, "line 1, column 36: an item of `services` is a number; it must be a version, as a string", vec![0]),
+        (r#"[{"name": "A", "address": 1, "address": 2}]"#, DuplicateMember, "line 1, column 30: `address` is there twice; the last one counts", vec![0]),
+    ] {
+        assert_eq!(findings(source), [(kind, message.to_owned(), entries)]);
+        assert_eq!(kind.name(), "file-shape");
+    }
+    // A name that is no string makes two findings, and no entry.
+    assert_eq!(findings(r#"[{"name": 7, "address": 300}]"#).len(), 2);
+    assert_eq!(parsed(r#"[1, {"name": 7}, {"name": "A"}]"#).entries().len(), 1);
+}
+
+#[test]
+fn collisions_in_the_file_are_findings() {
+    let entry = |name: &str, rest: &str| format!("{{\"name\": \"{name}\", {rest}}}");
+    let pinned = |name: &str| entry(name, "\"address\": 12, \"static\": true");
+    let on = |name: &str, bus: &str| {
+        entry(name, &format!("\"address\": 12, \"static\": true, \"bus\": \"{bus}\""))
+    };
+    let kinds = |entries: &[String]| -> Vec<(FindingKind, Vec<usize>)> {
+        let found = findings(&format!("[\n{}\n]", entries.join(",\n")));
+        found.into_iter().map(|(kind, _, entries)| (kind, entries)).collect()
+    };
+    let address = |entries| vec![(FindingKind::DuplicateAddress, entries)];
+    assert_eq!(kinds(&[pinned("A"), pinned("B")]), address(vec![0, 1]));
+    assert_eq!(kinds(&[pinned("A"), pinned("B"), pinned("C")]), address(vec![0, 1, 2]));
+    assert_eq!(kinds(&[on("A", "can0"), on("B", "can1")]), []);
+    assert_eq!(kinds(&[on("A", "can0"), on("B", "can1"), on("C", "can1")]), address(vec![1, 2]));
+    assert_eq!(kinds(&[on("A", "can0"), pinned("B")]), address(vec![0, 1]), "no bus is every bus");
+    assert_eq!(kinds(&[pinned("A"), entry("B", "\"address\": 12")]), [], "not static");
+    assert_eq!(
+        kinds(&[entry("A", "\"address\": 12"), pinned("A")]),
+        [(FindingKind::DuplicateEntry, vec![0, 1])]
+    );
+    assert_eq!(kinds(&[pinned("A"), pinned("A")]), [(FindingKind::DuplicateEntry, vec![0, 1])]);
+    assert_eq!(kinds(&[entry("A", "\"address\": 1"), entry("A", "\"address\": 2")]), [], "twins");
+
+    let messages = findings(&format!("[\n{},\n{}, {}\n]", pinned("A"), pinned("B"), pinned("B")));
+    let messages: Vec<&str> = messages.iter().map(|(_, message, _)| message.as_str()).collect();
+    assert_eq!(messages, [
+        "line 3, column 26: 12 is the static address of 3 entries: A (line 2), B (line 3) and B (line 3)",
+        "line 3, column 72: B at address 12 is listed 2 times: line 3 and line 3",
+    ]);
+    assert_eq!(FindingKind::DuplicateAddress.name(), "file-duplicate-address");
+    assert_eq!(FindingKind::DuplicateEntry.name(), "file-duplicate-entry");
+}
+
+// ---- editing: exact bytes ----
+
+#[test]
+fn an_address_changes_and_nothing_else() {
+    for (before, after) in [
+        (
+            r#"{"devices":[{"name":"FEED","address":12,"static":true}]}"#,
+            r#"{"devices":[{"name":"FEED","address":16,"static":true}]}"#,
+        ),
+        (
+            "\u{feff}{\r\n\t\"x\" : 1e3,\r\n\t\"devices\" : [\r\n\t\t{ \"static\" : false , \"addr\\u0065ss\":12 ,\"name\":\"FEED\", \"w\": 1.50E+2 }\r\n\t]\r\n}",
+            "\u{feff}{\r\n\t\"x\" : 1e3,\r\n\t\"devices\" : [\r\n\t\t{ \"static\" : true , \"addr\\u0065ss\":16 ,\"name\":\"FEED\", \"w\": 1.50E+2 }\r\n\t]\r\n}",
+        ),
+        (
+            " [ 7, {\"name\":\"FEED\",\"deep\":{\"address\":12},\"address\":\"twelve\",\"static\":true} ] \n\n",
+            " [ 7, {\"name\":\"FEED\",\"deep\":{\"address\":12},\"address\":16,\"static\":true} ] \n\n",
+        ),
+        // Members that are not there yet go where the file has them, or where we would.
+        (r#"[{"name":"FEED"}]"#, r#"[{"name":"FEED","address":16,"static":true}]"#),
+        (r#"[{"name": "FEED"}]"#, r#"[{"name": "FEED", "address": 16, "static": true}]"#),
+        (
+            "[\n  {\n    \"name\": \"FEED\"\n  }\n]",
+            "[\n  {\n    \"name\": \"FEED\",\n    \"address\": 16,\n    \"static\": true\n  }\n]",
+        ),
+        (
+            "[\n  {\n    \"name\": \"FEED\",\n    \"services\": []\n  }\n]",
+            "[\n  {\n    \"name\": \"FEED\",\n    \"address\": 16,\n    \"static\": true,\n    \"services\": []\n  }\n]",
+        ),
+        (
+            r#"[{"name":"FEED","note":1}, {"static":true,"address":3,"name":"SENS"}]"#,
+            r#"[{"static":true,"address":16,"name":"FEED","note":1}, {"static":true,"address":3,"name":"SENS"}]"#,
+        ),
+        (
+            "[\n  { \"name\": \"FEED\"\n  , \"note\": 1\n  }\n]",
+            "[\n  { \"name\": \"FEED\"\n  , \"address\": 16\n  , \"static\": true\n  , \"note\": 1\n  }\n]",
+        ),
+    ] {
+        edits_and_back(before, |document| set(document, "FEED", 16), after);
+    }
+}
+
+#[test]
+fn clearing_leaves_the_address() {
+    edits_and_back(
+        r#"[{"name":"FEED","address":12,"static": true}]"#,
+        |document| clear(document, "FEED"),
+        r#"[{"name":"FEED","address":12,"static": false}]"#,
+    );
+    let not_static = r#"[{"name":"FEED","address":12}]"#;
+    edits_and_back(not_static, |document| clear(document, "FEED"), not_static);
+}
+
+#[test]
+fn an_empty_file_is_begun_in_the_object_shape() {
+    let begun = "{\n  \"devices\": [\n    { \"name\": \"FEED\", \"address\": 12, \"static\": true }\n  ]\n}\n";
+    edits("", |_| add("FEED", 12), begun);
+    edits("  \n", |_| add("FEED", 12), begun);
+    edits("\u{feff}", |_| add("FEED", 12), &format!("\u{feff}{begun}"));
+    edits("\r\n", |_| add("FEED", 12), &begun.replace('\n', "\r\n"));
+    edits("{}\n", |_| add("FEED", 12), begun);
+
+    let with_services = Operation::Add {
+        entry: NewEntry {
+            services: listed(&[("DES", "1.0"), ("AUGER", "2.1")]),
+            ..device("FEED", 12)
+        },
+    };
+    edits(
+        "",
+        |_| with_services.clone(),
+        r#"{
+  "devices": [
+    { "name": "FEED", "address": 12, "static": true,
+      "services": [ { "name": "DES", "version": "1.0" }, { "name": "AUGER", "version": "2.1" } ] }
+  ]
+}
+"#,
+    );
+}
+
+#[test]
+fn an_empty_list_is_begun_where_it_stands() {
+    for (before, after) in [
+        ("[]", "[\n  { \"name\": \"FEED\", \"address\": 12, \"static\": true }\n]"),
+        (
+            "{\r\n\t\"devices\": [\r\n\t],\r\n\t\"x\": 1\r\n}",
+            "{\r\n\t\"devices\": [\r\n\t\t{ \"name\": \"FEED\", \"address\": 12, \"static\": true }\r\n\t],\r\n\t\"x\": 1\r\n}",
+        ),
+        (
+            "{\n    \"x\": 1\n}",
+            "{\n    \"x\": 1,\n    \"devices\": [\n        { \"name\": \"FEED\", \"address\": 12, \"static\": true }\n    ]\n}",
+        ),
+        (
+            "{\n  \"devices\": null\n}",
+            "{\n  \"devices\": [\n    { \"name\": \"FEED\", \"address\": 12, \"static\": true }\n  ]\n}",
+        ),
+    ] {
+        edits(before, |_| add("FEED", 12), after);
+    }
+}
+
+#[test]
+fn a_new_entry_looks_like_its_neighbours() {
+    let mut sens = device("SENS", 13);
+    sens.services = listed(&[("DES", "1.0"), ("TEMP", "1.2")]);
+    for (before, after) in [
+        // Compact.
+        (
+            r#"{"devices":[{"name":"FEED","address":12,"static":true}]}"#,
+            r#"{"devices":[{"name":"FEED","address":12,"static":true},{"name":"SENS","address":13,"static":true,"services":[{"name":"DES","version":"1.0"},{"name":"TEMP","version":"1.2"}]}]}"#,
+        ),
+        // As `jq .` writes it.
+        (
+            "[\n  {\n    \"name\": \"FEED\",\n    \"address\": 12\n  }\n]\n",
+            "[\n  {\n    \"name\": \"FEED\",\n    \"address\": 12\n  },\n  {\n    \"name\": \"SENS\",\n    \"address\": 13,\n    \"static\": true,\n    \"services\": [\n      { \"name\": \"DES\", \"version\": \"1.0\" },\n      { \"name\": \"TEMP\", \"version\": \"1.2\" }\n    ]\n  }\n]\n",
+        ),
+        // Order, tabs, CRLF, services as an object, members of the user's own.
+        (
+            "[\r\n\t{\r\n\t\t\"address\":12,\r\n\t\t\"services\":{\r\n\t\t\t\"DES\":\"1.0\",\r\n\t\t\t\"AUGER\":\"2.1\"\r\n\t\t},\r\n\t\t\"note\":1,\r\n\t\t\"name\":\"FEED\"\r\n\t}\r\n]",
+            "[\r\n\t{\r\n\t\t\"address\":12,\r\n\t\t\"services\":{\r\n\t\t\t\"DES\":\"1.0\",\r\n\t\t\t\"AUGER\":\"2.1\"\r\n\t\t},\r\n\t\t\"note\":1,\r\n\t\t\"name\":\"FEED\"\r\n\t},\r\n\t{\r\n\t\t\"address\":13,\r\n\t\t\"static\":true,\r\n\t\t\"services\":{\r\n\t\t\t\"DES\":\"1.0\",\r\n\t\t\t\"TEMP\":\"1.2\"\r\n\t\t},\r\n\t\t\"name\":\"SENS\"\r\n\t}\r\n]",
+        ),
+        // The product's own example; a comma first; the last entry without services.
+        (
+            "[ { \"name\": \"FEED\", \"address\": 12,\n      \"services\": [ { \"name\": \"DES\", \"version\": \"1.0\" } ] }\n, { \"name\": \"ACT\" }\n]",
+            "[ { \"name\": \"FEED\", \"address\": 12,\n      \"services\": [ { \"name\": \"DES\", \"version\": \"1.0\" } ] }\n, { \"name\": \"ACT\" }\n, { \"name\": \"SENS\", \"address\": 13, \"static\": true,\n      \"services\": [ { \"name\": \"DES\", \"version\": \"1.0\" }, { \"name\": \"TEMP\", \"version\": \"1.2\" } ] }\n]",
+        ),
+    ] {
+        edits_and_back(before, |_| Operation::Add { entry: sens.clone() }, after);
+    }
+}
+
+#[test]
+fn a_new_entry_has_what_is_known() {
+    let entry = NewEntry {
+        name: b"P\xff\x1b".to_vec(),
+        address: Some(9),
+        is_static: false,
+        bus: Some("can0".into()),
+        uid: Some("BOILER01".into()),
+        services: vec![ServiceEntry {
+            name: "DES".into(),
+            version: "1.0".into(),
+            extra: vec!["a\"".into(), "b".into()],
+        }],
+    };
+    edits_and_back(
+        r#"[{"name":"A"}]"#,
+        |_| Operation::Add { entry: entry.clone() },
+        r#"[{"name":"A"},{"name":"P\\xFF\\x1B","name_hex":"50FF1B","address":9,"services":[{"name":"DES","version":"1.0","extra":["a\"", "b"]}],"bus":"can0","uid":"BOILER01"}]"#,
+    );
+    // Services as an object cannot hold strings after the version: then a list.
+    edits(
+        r#"[{"name":"A","services":{"DES":"1.0"}}]"#,
+        |_| Operation::Add { entry: NewEntry { name: b"B".to_vec(), ..entry.clone() } },
+        r#"[{"name":"A","services":{"DES":"1.0"}},{"name":"B","address":9,"services":[{"name":"DES","version":"1.0","extra":["a\"", "b"]}],"bus":"can0","uid":"BOILER01"}]"#,
+    );
+    // `static` false is written where the file does.
+    edits(
+        r#"[{"name":"A","static":true}]"#,
+        |_| Operation::Add { entry: NewEntry { name: b"B".to_vec(), ..NewEntry::default() } },
+        r#"[{"name":"A","static":true},{"name":"B","static":false}]"#,
+    );
+}
+
+#[test]
+fn a_removed_entry_takes_its_comma_along() {
+    let all = "[\n  {\"name\":\"A\", \"x\":1e1},\n\n  {\"name\":\"B\"} , {\"name\":\"C\"}\n]";
+    for (name, after) in [
+        ("A", "[\n  {\"name\":\"B\"} , {\"name\":\"C\"}\n]"),
+        ("B", "[\n  {\"name\":\"A\", \"x\":1e1} , {\"name\":\"C\"}\n]"),
+        ("C", "[\n  {\"name\":\"A\", \"x\":1e1},\n\n  {\"name\":\"B\"}\n]"),
+    ] {
+        edits_and_back(all, |document| remove(document, name), after);
+    }
+    edits_and_back("[ {\"name\":\"A\"}\n]", |document| remove(document, "A"), "[]");
+    edits_and_back("[1, {\"name\":\"A\"}]", |document| remove(document, "A"), "[1]");
+    edits_and_back("[{\"name\":\"A\"}, 1]", |document| remove(document, "A"), "[1]");
+}
+
+#[test]
+fn one_of_equal_entries_is_meant() {
+    let before = r#"[{"name":"A","n":1},{"name":"A","n":2},{"name":"A","n":3}]"#;
+    let second = |document: &Document| Operation::SetAddress {
+        entry: document.key(1),
+        from: None,
+        to: 5,
+    };
+    edits_and_back(
+        before,
+        second,
+        r#"[{"name":"A","n":1},{"name":"A","address":5,"static":true,"n":2},{"name":"A","n":3}]"#,
+    );
+}
+
+#[test]
+fn a_new_name_is_written_so_that_it_can_be_read() {
+    edits_and_back(
+        r#"[{"name":"A","address":1}]"#,
+        |document| rename(document, "A", "Н\"\u{85}".as_bytes()),
+        r#"[{"name":"Н\"\u0085","address":1}]"#,
+    );
+    edits_and_back(
+        r#"[{"name":"A","address":1}]"#,
+        |document| rename(document, "A", b"\\\xfe"),
+        r#"[{"name":"\\\\\\xFE","name_hex":"5CFE","address":1}]"#,
+    );
+    edits_and_back(
+        r#"[{"name_hex":"41","name":"A"}]"#,
+        |document| rename(document, "A", b"B"),
+        r#"[{"name_hex":"42","name":"B"}]"#,
+    );
+}
+
+#[test]
+fn services_are_edited_in_their_shape() {
+    // Only a version.
+    edits_and_back(
+        r#"[{"name":"A","services":[ {"name":"DES","version":"1.0","x":1} ,{"version":"1","name":"B"}]}]"#,
+        |document| services(document, "A", &[("DES", "1.1"), ("B", "1")]),
+        r#"[{"name":"A","services":[ {"name":"DES","version":"1.1","x":1} ,{"version":"1","name":"B"}]}]"#,
+    );
+    edits_and_back(
+        r#"[{"name":"A","services":{"DES" : "1.0" , "B":"1"}}]"#,
+        |document| services(document, "A", &[("DES", "1.0"), ("B", "2")]),
+        r#"[{"name":"A","services":{"DES" : "1.0" , "B":"2"}}]"#,
+    );
+    // Others; those that stay keep what is theirs.
+    edits_and_back(
+        r#"[{"name":"A","services":[ {"name":"DES","version":"1.0","x":1} ,{"name":"B"}]}]"#,
+        |document| services(document, "A", &[("C", "3"), ("DES", "1.1")]),
+        r#"[{"name":"A","services":[ {"name":"C","version":"3"} ,{"name":"DES","version":"1.1","x":1}]}]"#,
+    );
+    edits_and_back(
+        r#"[{"name":"A","services":{"DES":"1.0"}}]"#,
+        |document| services(document, "A", &[("C", "3"), ("DES", "1.1")]),
+        r#"[{"name":"A","services":{"C":"3","DES":"1.1"}}]"#,
+    );
+    // None before; none after; the wrong thing before.
+    edits_and_back(
+        r#"[{"name": "A"}]"#,
+        |document| services(document, "A", &[("C", "3")]),
+        r#"[{"name": "A", "services": [{"name": "C", "version": "3"}]}]"#,
+    );
+    edits_and_back(
+        r#"[{"name":"A"},{"name":"B","services":{"DES":"1"}}]"#,
+        |document| services(document, "A", &[("C", "3")]),
+        r#"[{"name":"A","services":{"C":"3"}},{"name":"B","services":{"DES":"1"}}]"#,
+    );
+    edits_and_back(
+        "[{\"name\":\"A\",\"services\":[\n{\"name\":\"C\"}\n]}]",
+        |document| services(document, "A", &[]),
+        "[{\"name\":\"A\",\"services\":[]}]",
+    );
+    edits_and_back(
+        r#"[{"name":"A","services":7}]"#,
+        |document| services(document, "A", &[("C", "3")]),
+        r#"[{"name":"A","services":[{"name":"C","version":"3"}]}]"#,
+    );
+    edits_and_back(
+        r#"[{"name":"A","services":{"C":"2"}}]"#,
+        |document| services(document, "A", &[("C", "3"), ("C", "4")]),
+        r#"[{"name":"A","services":[{"name":"C","version":"3"},{"name":"C","version":"4"}]}]"#,
+    );
+    // Strings after the version come, change and go.
+    let extra = |strings: &'static [&'static str]| {
+        move |document: &Document| Operation::SetServices {
+            entry: key(document, "A"),
+            services: vec![ServiceEntry {
+                name: "C".into(),
+                version: "3".into(),
+                extra: strings.iter().map(|&text| text.into()).collect(),
+            }],
+        }
+    };
+    edits_and_back(
+        r#"[{"name":"A","services":[{"name":"C","version":"3","x":0}]}]"#,
+        extra(&["a", "b"]),
+        r#"[{"name":"A","services":[{"name":"C","version":"3","extra":["a", "b"],"x":0}]}]"#,
+    );
+    edits_and_back(
+        r#"[{"name":"A","services":[{"name":"C","version":"3","extra":[ "a" ],"x":0}]}]"#,
+        extra(&[]),
+        r#"[{"name":"A","services":[{"name":"C","version":"3","x":0}]}]"#,
+    );
+}
+
+#[test]
+fn edits_are_refused_where_readers_would_disagree() {
+    for (source, expected) in [
+        (r#"{"devices":[{"name":"A"}],"devices":[{"name":"A"}]}"#, "line 1, column 27: `devices` is there twice: remove one of them, then edit again"),
+        (r#"[{"name":"A","address":1,"addr\u0065ss":2}]"#, "line 1, column 26: `address` is there twice: remove one of them, then edit again"),
+        (r#"[{"name":"A","static":true,"static":true}]"#, "line 1, column 28: `static` is there twice: remove one of them, then edit again"),
+    ] {
+        let document = parsed(source);
+        let error = document.apply(&set(&document, "A", 9)).unwrap_err();
+        assert!(matches!(error, EditError::DuplicateMember { .. }));
+        assert_eq!(error.to_string(), expected);
+    }
+    // Elsewhere they are the user's own affair.
+    edits_and_back(
+        r#"{"//":1,"//":2,"devices":[{"name":"A","//":1,"//":2,"services":{"B":"1","B":"2"}}]}"#,
+        |document| set(document, "A", 9),
+        r#"{"//":1,"//":2,"devices":[{"name":"A","address":9,"static":true,"//":1,"//":2,"services":{"B":"1","B":"2"}}]}"#,
+    );
+    let document = parsed(r#"[{"name":"A","services":{"B":"1","B":"2"}}]"#);
+    let error = document.apply(&services(&document, "A", &[("B", "3")])).unwrap_err();
+    assert_eq!(error.to_string(), "line 1, column 34: `B` is there twice: remove one of them, then edit again");
+}
+
+#[test]
+fn edits_are_refused_where_there_is_no_place() {
+    for (source, expected) in [
+        ("\n 12", "line 2, column 2: a number stands where the list of devices should be"),
+        (r#"{"devices": {}}"#, "line 1, column 13: an object stands where the list of devices should be"),
+    ] {
+        assert_eq!(parsed(source).apply(&add("A", 1)).unwrap_err().to_string(), expected);
+    }
+    let document = parsed(r#"[{"name":"A"}]"#);
+    let gone = set(&parsed(r#"[{"name":"A","address":3}]"#), "A", 9);
+    let error = document.apply(&gone).unwrap_err();
+    assert_eq!(error.to_string(), "the file has no such entry: A");
+    assert_eq!(gone.inverse(&document).unwrap_err(), error);
+    for address in [0, 128, 255] {
+        let range = EditError::AddressRange { address };
+        assert_eq!(document.apply(&set(&document, "A", address)).unwrap_err(), range);
+        assert_eq!(document.apply(&add("B", address)).unwrap_err(), range);
+    }
+}
+
+#[test]
+fn operations_have_names() {
+    let document = parsed(r#"[{"name":"FE\u001bED","address":12,"static":true,"services":[]}]"#);
+    let name = "FE\u{1b}ED";
+    let named = |operation: &Operation| operation.to_string();
+    let change = set(&document, name, 16);
+    assert_eq!(named(&change), "address of the entry FE\\x1BED: 12 → 16");
+    assert_eq!(
+        named(&change.inverse(&document).unwrap()),
+        "address of the entry FE\\x1BED back to 12"
+    );
+    assert_eq!(named(&clear(&document, name)), "static address 12 of FE\\x1BED cleared");
+    assert_eq!(named(&add("SENS", 13)), "new entry SENS at 13");
+    assert_eq!(named(&remove(&document, name)), "entry FE\\x1BED removed");
+    let back = remove(&document, name).inverse(&document).unwrap();
+    assert_eq!(named(&back), "entry FE\\x1BED put back");
+    let renamed = rename(&document, name, b"\xff");
+    assert_eq!(named(&renamed), "entry FE\\x1BED renamed to \\xFF");
+    assert_eq!(named(&renamed.inverse(&document).unwrap()), "entry \\xFF named FE\\x1BED again");
+    let listed = services(&document, name, &[("A", "1"), ("B", "1")]);
+    assert_eq!(named(&listed), "services of the entry FE\\x1BED: 2 listed");
+    let long = named(&rename(&document, name, &[b'x'; 1000]));
+    assert!(long.chars().count() < 100, "{long}");
+}
+
+// ---- merging ----
+
+const BASE: &str = r#"[
+  {"name":"FEED","address":12,"static":true},
+  {"name":"SENS","address":13,"static":true,"services":[{"name":"DES","version":"1.0"}]},
+  {"name":"ACT","address":14}
+]"#;
+
+/// Merges our operations with their content; a conflict is "ours | theirs".
+fn merged(ours: &[Operation], theirs: &str, prefer: Prefer) -> Result<String, String> {
+    match merge(&parsed(BASE), ours, &parsed(theirs), prefer).unwrap() {
+        Merge::Rebased { document, .. } => Ok(text(&document).to_owned()),
+        Merge::Conflict(it) => Err(format!("{} | {}", it.ours, it.theirs)),
+    }
+}
+
+#[test]
+fn both_sides_survive() {
+    let base = parsed(BASE);
+    for (operation, theirs, after) in [
+        // Another entry, another order, other blanks.
+        (
+            set(&base, "FEED", 16),
+            r#"[ {"name":"NEW"}, {"name":"SENS","address":99}, {"name":"FEED","address":12,"static":true} ]"#,
+            r#"[ {"name":"NEW"}, {"name":"SENS","address":99}, {"name":"FEED","address":16,"static":true} ]"#,
+        ),
+        // Another value of the entry.
+        (
+            services(&base, "FEED", &[("DES", "1")]),
+            r#"[{"name":"FEED","address":20,"static":true}]"#,
+            r#"[{"name":"FEED","address":20,"static":true,"services":[{"name":"DES","version":"1"}]}]"#,
+        ),
+        (
+            rename(&base, "FEED", b"PUMP"),
+            r#"[{"name":"FEED","address":20,"static":true}]"#,
+            r#"[{"name":"PUMP","address":20,"static":true}]"#,
+        ),
+        // They renamed it.
+        (
+            set(&base, "FEED", 16),
+            r#"[{"name":"PUMP","address":12,"static":true}]"#,
+            r#"[{"name":"PUMP","address":16,"static":true}]"#,
+        ),
+        // They did the same.
+        (
+            set(&base, "FEED", 16),
+            r#"[{"name":"FEED","static":true,"address":16}]"#,
+            r#"[{"name":"FEED","static":true,"address":16}]"#,
+        ),
+        (remove(&base, "FEED"), r#"[{"name":"ACT"}]"#, r#"[{"name":"ACT"}]"#),
+        (add("NEW", 9), r#"[{"name":"NEW","address":9,"static":true}]"#, r#"[{"name":"NEW","address":9,"static":true}]"#),
+        // A removal, with only the blanks changed.
+        (remove(&base, "FEED"), r#"[{ "static":true, "name":"FEED","address":12}]"#, "[]"),
+        // They emptied the file.
+        (add("NEW", 9), "", "{\n  \"devices\": [\n    { \"name\": \"NEW\", \"address\": 9, \"static\": true }\n  ]\n}\n"),
+    ] {
+        assert_eq!(merged(&[operation], theirs, Prefer::Neither).as_deref(), Ok(after));
+    }
+}
+
+#[test]
+fn the_same_value_is_a_conflict() {
+    let base = parsed(BASE);
+    for (operation, theirs, conflict, with_ours) in [
+        (
+            set(&base, "FEED", 16),
+            r#"[{"name":"FEED","address":20,"static":true}]"#,
+            "address 16, static | address 20, static",
+            r#"[{"name":"FEED","address":16,"static":true}]"#,
+        ),
+        (
+            set(&base, "FEED", 16),
+            r#"[{"name":"ACT","address":14}]"#,
+            "address 16, static | deleted",
+            "[{\"name\":\"FEED\",\"address\":16,\"static\":true},\n  {\"name\":\"ACT\",\"address\":14}]",
+        ),
+        (
+            remove(&base, "FEED"),
+            r#"[{"name":"FEED","address":20,"static":true}]"#,
+            "deleted | address 20",
+            "[]",
+        ),
+        (
+            remove(&base, "FEED"),
+            r#"[{"name":"FEED","address":12,"static":true,"note":"mine"}]"#,
+            "deleted | other members changed",
+            "[]",
+        ),
+        (
+            rename(&base, "ACT", b"VALVE"),
+            r#"[{"name":"MOTOR","address":14}]"#,
+            "VALVE | MOTOR",
+            r#"[{"name":"VALVE","address":14}]"#,
+        ),
+        (
+            services(&base, "SENS", &[("DES", "1.1")]),
+            r#"[{"name":"SENS","address":13,"static":true,"services":[{"name":"DES","version":"1.2"}]}]"#,
+            "services DES 1.1 | services DES 1.2",
+            r#"[{"name":"SENS","address":13,"static":true,"services":[{"name":"DES","version":"1.1"}]}]"#,
+        ),
+        (
+            add("NEW", 9),
+            r#"[{"name":"NEW","address":9,"uid":"X"}]"#,
+            "static, UID none | not static, UID X",
+            "[\n  { \"name\": \"NEW\", \"address\": 9, \"static\": true }\n]",
+        ),
+    ] {
+        let operations = [operation];
+        assert_eq!(merged(&operations, theirs, Prefer::Neither).unwrap_err(), conflict);
+        assert_eq!(merged(&operations, theirs, Prefer::Theirs).as_deref(), Ok(theirs));
+        assert_eq!(merged(&operations, theirs, Prefer::Ours).as_deref(), Ok(with_ours));
+    }
+}
+
+#[test]
+fn a_twin_is_not_taken_for_the_deleted_one() {
+    let base = parsed(r#"[{"name":"FEED","address":12},{"name":"FEED","address":13}]"#);
+    let theirs = parsed(r#"[{"name":"FEED","address":13}]"#);
+    let operation = set(&base, "FEED", 16);
+    let merge = merge(&base, &[operation], &theirs, Prefer::Neither).unwrap();
+    assert!(matches!(merge, Merge::Conflict(conflict) if conflict.theirs == "deleted"));
+}
+
+#[test]
+fn operations_on_operations_are_merged_in_order() {
+    let base = parsed(BASE);
+    let mut ours = vec![set(&base, "FEED", 16)];
+    let mut document = base.apply(&ours[0]).unwrap();
+    for next in [
+        |document: &Document| set(document, "FEED", 17),
+        |document: &Document| rename(document, "FEED", b"PUMP"),
+        |_: &Document| add("NEW", 9),
+        |document: &Document| remove(document, "NEW"),
+        |document: &Document| services(document, "PUMP", &[("DES", "1")]),
+    ] {
+        let operation = next(&document);
+        document = document.apply(&operation).unwrap();
+        ours.push(operation);
+    }
+    assert_eq!(
+        merged(&ours, r#"[{"name":"SENS"},{"name":"FEED","address":12,"static":true,"x":1}]"#, Prefer::Neither).as_deref(),
+        Ok(r#"[{"name":"SENS"},{"name":"PUMP","address":17,"static":true,"services":[{"name":"DES","version":"1"}],"x":1}]"#)
+    );
+}
+
+#[test]
+fn an_edit_is_taken_back_on_newer_content() {
+    let base = parsed(BASE);
+    let operation = set(&base, "FEED", 16);
+    let edited = base.apply(&operation).unwrap();
+    let inverse = operation.inverse(&base).unwrap();
+    let newer = parsed(r#"[{"name":"SENS"},{"name":"FEED","address":16,"static":true,"x":1}]"#);
+    let Ok(Merge::Rebased { document, operations }) =
+        merge(&edited, &[inverse], &newer, Prefer::Neither)
+    else {
+        panic!()
+    };
+    assert_eq!(text(&document), r#"[{"name":"SENS"},{"name":"FEED","address":12,"static":true,"x":1}]"#);
+    let mut again = newer;
+    for operation in &operations {
+        again = again.apply(operation).unwrap();
+    }
+    assert_eq!(again, document);
+}
+
+// ---- the rest ----
+
+#[test]
+fn the_schema_is_json_and_names_every_member() {
+    let schema: serde_json::Value = serde_json::from_str(SCHEMA).unwrap();
+    assert_eq!(schema["$schema"], "https://json-schema.org/draft/2020-12/schema");
+    let members = schema["$defs"]["device"]["properties"].as_object().unwrap();
+    for member in ["name", "name_hex", "address", "static", "services", "bus", "uid"] {
+        assert!(members.contains_key(member), "{member}");
+    }
+}
