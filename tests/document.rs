@@ -86,9 +86,7 @@ fn says_the_same(a: &Document, b: &Document) {
 /// All that a document says, without places.
 fn meaning(document: &Document) -> Vec<impl PartialEq + std::fmt::Debug + use<>> {
     let entries = document.entries().iter().cloned();
-    entries
-        .map(|it| (it.name, it.address, it.is_static, it.bus, it.uid, it.services))
-        .collect()
+    entries.map(|it| (it.name, it.address, it.is_static, it.bus, it.uid, it.services)).collect()
 }
 
 fn findings(source: &str) -> Vec<(FindingKind, String, Vec<usize>)> {
@@ -129,8 +127,9 @@ fn every_member_is_read() {
 
 #[test]
 fn name_hex_is_the_exact_name() {
-    let document =
-        parsed(r#"[{"name": "A\\xFFB", "name_hex": "41fF42"}, {"name": "ok", "name_hex": "6F6B"}]"#);
+    let document = parsed(
+        r#"[{"name": "A\\xFFB", "name_hex": "41fF42"}, {"name": "ok", "name_hex": "6F6B"}]"#,
+    );
     assert_eq!(document.findings(), []);
     assert_eq!(document.entries()[0].name, b"A\xffB");
     assert_eq!(document.entries()[0].name_text, "A\\xFFB");
@@ -139,7 +138,8 @@ fn name_hex_is_the_exact_name() {
 
 #[test]
 fn no_content_is_an_empty_document() {
-    for source in ["", " \r\n\t", "\u{feff}", "{}", "[]", "{\"devices\":[]}", "{\"devices\":null}"] {
+    for source in ["", " \r\n\t", "\u{feff}", "{}", "[]", "{\"devices\":[]}", "{\"devices\":null}"]
+    {
         let document = parsed(source);
         assert_eq!(document.entries(), [], "{source:?}");
         assert_eq!(document.findings(), [], "{source:?}");
@@ -151,19 +151,49 @@ fn no_content_is_an_empty_document() {
 fn what_is_not_json_is_refused_with_its_place() {
     let deep = "[".repeat(200) + &"]".repeat(200);
     for (source, message, line_text, caret) in [
-        (&b"{\n  \"devices\": [\n    { \"name\": \"A\" \"address\": 1 }\n  ]\n}"[..], "line 3, column 19: expected `,` or `}`", "    { \"name\": \"A\" \"address\": 1 }", 18),
+        (
+            &b"{\n  \"devices\": [\n    { \"name\": \"A\" \"address\": 1 }\n  ]\n}"[..],
+            "line 3, column 19: expected `,` or `}`",
+            "    { \"name\": \"A\" \"address\": 1 }",
+            18,
+        ),
         (b"[1 , ]", "line 1, column 6: a comma before the bracket", "[1 , ]", 5),
         (b"{\"a\":1,}", "line 1, column 8: a comma before the bracket", "{\"a\":1,}", 7),
         (b"[1", "line 1, column 3: the file ends inside a list", "[1", 2),
-        (b"{\"a\n\n", "line 1, column 4: control character (\\u0000-\\u001F) found while parsing a string", "{\"a", 3),
-        (b"\xef\xbb\xbf[\n\"\xd0\x96\xd0\x96\" x]", "line 2, column 6: expected `,` or `]`", "\"ЖЖ\" x]", 5),
+        (
+            b"{\"a\n\n",
+            "line 1, column 4: control character (\\u0000-\\u001F) found while parsing a string",
+            "{\"a",
+            3,
+        ),
+        (
+            b"\xef\xbb\xbf[\n\"\xd0\x96\xd0\x96\" x]",
+            "line 2, column 6: expected `,` or `]`",
+            "\"ЖЖ\" x]",
+            5,
+        ),
         (b"[]\n[]", "line 2, column 1: trailing characters", "[]", 0),
-        (b"[\"a\xffb\"]", "line 1, column 4: the byte 0xFF is not UTF-8: save the file as UTF-8", "[\"a", 3),
+        (
+            b"[\"a\xffb\"]",
+            "line 1, column 4: the byte 0xFF is not UTF-8: save the file as UTF-8",
+            "[\"a",
+            3,
+        ),
         (b"\xff\xfe[\0]\0", "line 1, column 1: the file is UTF-16: save it as UTF-8", "", 0),
         (b"{'a': 1}", "line 1, column 2: key must be a string", "{'a': 1}", 1),
         (b"// no\n[]", "line 1, column 1: expected value", "// no", 0),
-        (b"[\t\"\x1b[2J\"]", "line 1, column 4: control character (\\u0000-\\u001F) found while parsing a string", "[ \"\\x1B[2J\"]", 3),
-        (deep.as_bytes(), "line 1, column 129: nested deeper than 128 levels", &("[".repeat(72)), 36),
+        (
+            b"[\t\"\x1b[2J\"]",
+            "line 1, column 4: control character (\\u0000-\\u001F) found while parsing a string",
+            "[ \"\\x1B[2J\"]",
+            3,
+        ),
+        (
+            deep.as_bytes(),
+            "line 1, column 129: nested deeper than 128 levels",
+            &("[".repeat(72)),
+            36,
+        ),
     ] {
         let error = Document::parse(source).unwrap_err();
         assert_eq!(error.to_string(), message);
@@ -185,27 +215,122 @@ fn wrong_shapes_are_findings() {
         AddressRange, DuplicateMember, MissingName, NamesDiffer, NotAnEntry, NotDevices, WrongType,
     };
     for (source, kind, message, entries) in [
-        ("12", NotDevices, "line 1, column 1: the file is a number, not an object with `devices`", vec![]),
-        (r#"{"devices": {}}"#, NotDevices, "line 1, column 13: `devices` is an object; it must be a list", vec![]),
-        (r#"{"devices": [], "devices": []}"#, DuplicateMember, "line 1, column 17: `devices` is there twice; the last one counts", vec![]),
+        (
+            "12",
+            NotDevices,
+            "line 1, column 1: the file is a number, not an object with `devices`",
+            vec![],
+        ),
+        (
+            r#"{"devices": {}}"#,
+            NotDevices,
+            "line 1, column 13: `devices` is an object; it must be a list",
+            vec![],
+        ),
+        (
+            r#"{"devices": [], "devices": []}"#,
+            DuplicateMember,
+            "line 1, column 17: `devices` is there twice; the last one counts",
+            vec![],
+        ),
         ("[\n 7]", NotAnEntry, "line 2, column 2: element 1 is a number, not a device", vec![]),
         ("[{}]", MissingName, "line 1, column 2: device 1 has no `name`", vec![]),
-        (r#"[{"name_hex": "41"}]"#, MissingName, "line 1, column 2: device 1 has no `name`", vec![0]),
-        (r#"[{"name": "A", "name_hex": "42"}]"#, NamesDiffer, "line 1, column 28: `name_hex` stands for B, but `name` is A; `name_hex` counts", vec![0]),
-        (r#"[{"name": "A", "name_hex": "4"}]"#, WrongType, "line 1, column 28: `name_hex` is a string; it must be the name's bytes in hexadecimal, as \"46454544\"", vec![0]),
-        (r#"[{"name": "A", "address": 0}]"#, AddressRange, "line 1, column 27: `address` is 0; it must be a whole number from 1 to 127", vec![0]),
-        (r#"[{"name": "A", "address": 128}]"#, AddressRange, "line 1, column 27: `address` is 128; it must be a whole number from 1 to 127", vec![0]),
-        (r#"[{"name": "A", "address": 1e2}]"#, AddressRange, "line 1, column 27: `address` is 1e2; it must be a whole number from 1 to 127", vec![0]),
-        (r#"[{"name": "A", "address": 12.0}]"#, AddressRange, "line 1, column 27: `address` is 12.0; it must be a whole number from 1 to 127", vec![0]),
-        (r#"[{"name": "A", "address": -1}]"#, AddressRange, "line 1, column 27: `address` is -1; it must be a whole number from 1 to 127", vec![0]),
-        (r#"[{"name": "A", "address": "12"}]"#, WrongType, "line 1, column 27: `address` is a string; it must be a whole number from 1 to 127", vec![0]),
-        (r#"[{"name": "A", "static": 1}]"#, WrongType, "line 1, column 26: `static` is a number; it must be true or false", vec![0]),
-        (r#"[{"name": "A", "bus": []}]"#, WrongType, "line 1, column 23: `bus` is a list; it must be a string", vec![0]),
-        (r#"[{"name": "A", "uid": "\ud800"}]"#, WrongType, "line 1, column 23: `uid` is a string; it must be valid Unicode", vec![0]),
-        (r#"[{"name": "A", "services": "DES"}]"#, WrongType, "line 1, column 28: `services` is a string; it must be a list, or an object of names and versions", vec![0]),
-        (r#"[{"name": "A", "services": ["DES"]}]"#, WrongType, "line 1, column 29: an item of `services` is a string; it must be an object of `name`, `version` and `extra`, all strings", vec![0]),
-        (r#"[{"name": "A", "services": {"DES": 1.0}}]"#, WrongType, "line 1, column 36: an item of `services` is a number; it must be a version, as a string", vec![0]),
-        (r#"[{"name": "A", "address": 1, "address": 2}]"#, DuplicateMember, "line 1, column 30: `address` is there twice; the last one counts", vec![0]),
+        (
+            r#"[{"name_hex": "41"}]"#,
+            MissingName,
+            "line 1, column 2: device 1 has no `name`",
+            vec![0],
+        ),
+        (
+            r#"[{"name": "A", "name_hex": "42"}]"#,
+            NamesDiffer,
+            "line 1, column 28: `name_hex` stands for B, but `name` is A; `name_hex` counts",
+            vec![0],
+        ),
+        (
+            r#"[{"name": "A", "name_hex": "4"}]"#,
+            WrongType,
+            "line 1, column 28: `name_hex` is a string; it must be the name's bytes in hexadecimal, as \"46454544\"",
+            vec![0],
+        ),
+        (
+            r#"[{"name": "A", "address": 0}]"#,
+            AddressRange,
+            "line 1, column 27: `address` is 0; it must be a whole number from 1 to 127",
+            vec![0],
+        ),
+        (
+            r#"[{"name": "A", "address": 128}]"#,
+            AddressRange,
+            "line 1, column 27: `address` is 128; it must be a whole number from 1 to 127",
+            vec![0],
+        ),
+        (
+            r#"[{"name": "A", "address": 1e2}]"#,
+            AddressRange,
+            "line 1, column 27: `address` is 1e2; it must be a whole number from 1 to 127",
+            vec![0],
+        ),
+        (
+            r#"[{"name": "A", "address": 12.0}]"#,
+            AddressRange,
+            "line 1, column 27: `address` is 12.0; it must be a whole number from 1 to 127",
+            vec![0],
+        ),
+        (
+            r#"[{"name": "A", "address": -1}]"#,
+            AddressRange,
+            "line 1, column 27: `address` is -1; it must be a whole number from 1 to 127",
+            vec![0],
+        ),
+        (
+            r#"[{"name": "A", "address": "12"}]"#,
+            WrongType,
+            "line 1, column 27: `address` is a string; it must be a whole number from 1 to 127",
+            vec![0],
+        ),
+        (
+            r#"[{"name": "A", "static": 1}]"#,
+            WrongType,
+            "line 1, column 26: `static` is a number; it must be true or false",
+            vec![0],
+        ),
+        (
+            r#"[{"name": "A", "bus": []}]"#,
+            WrongType,
+            "line 1, column 23: `bus` is a list; it must be a string",
+            vec![0],
+        ),
+        (
+            r#"[{"name": "A", "uid": "\ud800"}]"#,
+            WrongType,
+            "line 1, column 23: `uid` is a string; it must be valid Unicode",
+            vec![0],
+        ),
+        (
+            r#"[{"name": "A", "services": "DES"}]"#,
+            WrongType,
+            "line 1, column 28: `services` is a string; it must be a list, or an object of names and versions",
+            vec![0],
+        ),
+        (
+            r#"[{"name": "A", "services": ["DES"]}]"#,
+            WrongType,
+            "line 1, column 29: an item of `services` is a string; it must be an object of `name`, `version` and `extra`, all strings",
+            vec![0],
+        ),
+        (
+            r#"[{"name": "A", "services": {"DES": 1.0}}]"#,
+            WrongType,
+            "line 1, column 36: an item of `services` is a number; it must be a version, as a string",
+            vec![0],
+        ),
+        (
+            r#"[{"name": "A", "address": 1, "address": 2}]"#,
+            DuplicateMember,
+            "line 1, column 30: `address` is there twice; the last one counts",
+            vec![0],
+        ),
     ] {
         assert_eq!(findings(source), [(kind, message.to_owned(), entries)]);
         assert_eq!(kind.name(), "file-shape");
@@ -242,10 +367,13 @@ fn collisions_in_the_file_are_findings() {
 
     let messages = findings(&format!("[\n{},\n{}, {}\n]", pinned("A"), pinned("B"), pinned("B")));
     let messages: Vec<&str> = messages.iter().map(|(_, message, _)| message.as_str()).collect();
-    assert_eq!(messages, [
-        "line 3, column 26: 12 is the static address of 3 entries: A (line 2), B (line 3) and B (line 3)",
-        "line 3, column 72: B at address 12 is listed 2 times: line 3 and line 3",
-    ]);
+    assert_eq!(
+        messages,
+        [
+            "line 3, column 26: 12 is the static address of 3 entries: A (line 2), B (line 3) and B (line 3)",
+            "line 3, column 72: B at address 12 is listed 2 times: line 3 and line 3",
+        ]
+    );
     assert_eq!(FindingKind::DuplicateAddress.name(), "file-duplicate-address");
     assert_eq!(FindingKind::DuplicateEntry.name(), "file-duplicate-entry");
 }
@@ -432,11 +560,8 @@ fn a_removed_entry_takes_its_comma_along() {
 #[test]
 fn one_of_equal_entries_is_meant() {
     let before = r#"[{"name":"A","n":1},{"name":"A","n":2},{"name":"A","n":3}]"#;
-    let second = |document: &Document| Operation::SetAddress {
-        entry: document.key(1),
-        from: None,
-        to: 5,
-    };
+    let second =
+        |document: &Document| Operation::SetAddress { entry: document.key(1), from: None, to: 5 };
     edits_and_back(
         before,
         second,
@@ -539,9 +664,18 @@ fn services_are_edited_in_their_shape() {
 #[test]
 fn edits_are_refused_where_readers_would_disagree() {
     for (source, expected) in [
-        (r#"{"devices":[{"name":"A"}],"devices":[{"name":"A"}]}"#, "line 1, column 27: `devices` is there twice: remove one of them, then edit again"),
-        (r#"[{"name":"A","address":1,"addr\u0065ss":2}]"#, "line 1, column 26: `address` is there twice: remove one of them, then edit again"),
-        (r#"[{"name":"A","static":true,"static":true}]"#, "line 1, column 28: `static` is there twice: remove one of them, then edit again"),
+        (
+            r#"{"devices":[{"name":"A"}],"devices":[{"name":"A"}]}"#,
+            "line 1, column 27: `devices` is there twice: remove one of them, then edit again",
+        ),
+        (
+            r#"[{"name":"A","address":1,"addr\u0065ss":2}]"#,
+            "line 1, column 26: `address` is there twice: remove one of them, then edit again",
+        ),
+        (
+            r#"[{"name":"A","static":true,"static":true}]"#,
+            "line 1, column 28: `static` is there twice: remove one of them, then edit again",
+        ),
     ] {
         let document = parsed(source);
         let error = document.apply(&set(&document, "A", 9)).unwrap_err();
@@ -556,14 +690,20 @@ fn edits_are_refused_where_readers_would_disagree() {
     );
     let document = parsed(r#"[{"name":"A","services":{"B":"1","B":"2"}}]"#);
     let error = document.apply(&services(&document, "A", &[("B", "3")])).unwrap_err();
-    assert_eq!(error.to_string(), "line 1, column 34: `B` is there twice: remove one of them, then edit again");
+    assert_eq!(
+        error.to_string(),
+        "line 1, column 34: `B` is there twice: remove one of them, then edit again"
+    );
 }
 
 #[test]
 fn edits_are_refused_where_there_is_no_place() {
     for (source, expected) in [
         ("\n 12", "line 2, column 2: a number stands where the list of devices should be"),
-        (r#"{"devices": {}}"#, "line 1, column 13: an object stands where the list of devices should be"),
+        (
+            r#"{"devices": {}}"#,
+            "line 1, column 13: an object stands where the list of devices should be",
+        ),
     ] {
         assert_eq!(parsed(source).apply(&add("A", 1)).unwrap_err().to_string(), expected);
     }
@@ -654,11 +794,19 @@ fn both_sides_survive() {
             r#"[{"name":"FEED","static":true,"address":16}]"#,
         ),
         (remove(&base, "FEED"), r#"[{"name":"ACT"}]"#, r#"[{"name":"ACT"}]"#),
-        (add("NEW", 9), r#"[{"name":"NEW","address":9,"static":true}]"#, r#"[{"name":"NEW","address":9,"static":true}]"#),
+        (
+            add("NEW", 9),
+            r#"[{"name":"NEW","address":9,"static":true}]"#,
+            r#"[{"name":"NEW","address":9,"static":true}]"#,
+        ),
         // A removal, with only the blanks changed.
         (remove(&base, "FEED"), r#"[{ "static":true, "name":"FEED","address":12}]"#, "[]"),
         // They emptied the file.
-        (add("NEW", 9), "", "{\n  \"devices\": [\n    { \"name\": \"NEW\", \"address\": 9, \"static\": true }\n  ]\n}\n"),
+        (
+            add("NEW", 9),
+            "",
+            "{\n  \"devices\": [\n    { \"name\": \"NEW\", \"address\": 9, \"static\": true }\n  ]\n}\n",
+        ),
     ] {
         assert_eq!(merged(&[operation], theirs, Prefer::Neither).as_deref(), Ok(after));
     }
@@ -744,8 +892,15 @@ fn operations_on_operations_are_merged_in_order() {
         ours.push(operation);
     }
     assert_eq!(
-        merged(&ours, r#"[{"name":"SENS"},{"name":"FEED","address":12,"static":true,"x":1}]"#, Prefer::Neither).as_deref(),
-        Ok(r#"[{"name":"SENS"},{"name":"PUMP","address":17,"static":true,"services":[{"name":"DES","version":"1"}],"x":1}]"#)
+        merged(
+            &ours,
+            r#"[{"name":"SENS"},{"name":"FEED","address":12,"static":true,"x":1}]"#,
+            Prefer::Neither
+        )
+        .as_deref(),
+        Ok(
+            r#"[{"name":"SENS"},{"name":"PUMP","address":17,"static":true,"services":[{"name":"DES","version":"1"}],"x":1}]"#
+        )
     );
 }
 
@@ -761,7 +916,10 @@ fn an_edit_is_taken_back_on_newer_content() {
     else {
         panic!()
     };
-    assert_eq!(text(&document), r#"[{"name":"SENS"},{"name":"FEED","address":12,"static":true,"x":1}]"#);
+    assert_eq!(
+        text(&document),
+        r#"[{"name":"SENS"},{"name":"FEED","address":12,"static":true,"x":1}]"#
+    );
     let mut again = newer;
     for operation in &operations {
         again = again.apply(operation).unwrap();

@@ -96,7 +96,8 @@ impl Document {
     fn verified(&self, body: String, meant: &[&Entry]) -> Result<Self, EditError> {
         let unfaithful = |reason: String| EditError::Unfaithful { reason };
         let source = if self.has_bom() { [BOM, &body].concat() } else { body };
-        let edited = Self::parse(source.as_bytes()).map_err(|error| unfaithful(error.to_string()))?;
+        let edited =
+            Self::parse(source.as_bytes()).map_err(|error| unfaithful(error.to_string()))?;
         if edited.entries().len() != meant.len() {
             return Err(unfaithful(format!("{} entries", edited.entries().len())));
         }
@@ -179,7 +180,8 @@ impl Document {
 
     /// The members that stand before this one where the file has it, else by our own order.
     fn members_before(&self, member: Member) -> Vec<&'static str> {
-        let sample = self.sample(Some(member)).and_then(|index| Members::of(self.entry_text(index)));
+        let sample =
+            self.sample(Some(member)).and_then(|index| Members::of(self.entry_text(index)));
         let order = sample.map_or(Member::ALL.to_vec(), |sample| sample.known());
         order.into_iter().take_while(|other| *other != member).map(Member::key).collect()
     }
@@ -200,9 +202,8 @@ impl Document {
         let with_services = (!entry.services.is_empty()).then_some(Member::Services);
         let sample = self.sample(with_services).or_else(|| self.sample(None));
         let style = sample.and_then(|index| EntryStyle::of(self.entry_text(index)));
-        let style = style.unwrap_or_else(|| {
-            EntryStyle::begun(newline(self.body()), &self.element_indent())
-        });
+        let style = style
+            .unwrap_or_else(|| EntryStyle::begun(newline(self.body()), &self.element_indent()));
         let text = entry_text(entry, &style);
         let end = self.elements().len();
         let gap = match self.elements() {
@@ -335,7 +336,8 @@ impl Document {
         let at = match self.root() {
             Root::List(span) | Root::Object { devices: Some(span), .. } => span.start,
             Root::Object { span, devices: None } => {
-                let first = scan::container(body, span).and_then(|it| Some(it.items.first()?.key.start));
+                let first =
+                    scan::container(body, span).and_then(|it| Some(it.items.first()?.key.start));
                 match first {
                     Some(first) => first,
                     None => return "  ".to_owned(),
@@ -431,9 +433,7 @@ impl Document {
 
 fn check_address(address: Option<u8>) -> Result<(), EditError> {
     match address {
-        Some(address) if !(1..=127).contains(&address) => {
-            Err(EditError::AddressRange { address })
-        }
+        Some(address) if !(1..=127).contains(&address) => Err(EditError::AddressRange { address }),
         _ => Ok(()),
     }
 }

@@ -263,7 +263,11 @@ impl Reader<'_, '_> {
     fn hex(&mut self, at: &Span) -> Option<Vec<u8>> {
         let bytes = text::from_json(&self.body[at.clone()]).and_then(|text| text::from_hex(&text));
         if bytes.is_none() {
-            self.wrong_type(Member::NameHex, at, "the name's bytes in hexadecimal, as \"46454544\"");
+            self.wrong_type(
+                Member::NameHex,
+                at,
+                "the name's bytes in hexadecimal, as \"46454544\"",
+            );
         }
         bytes
     }

@@ -128,9 +128,10 @@ impl<'t> Members<'t> {
     }
 
     fn keys(&self) -> impl Iterator<Item = String> {
-        self.container.items.iter().map(|item| {
-            from_json(&self.text[item.key.clone()]).unwrap_or_default().into_owned()
-        })
+        self.container
+            .items
+            .iter()
+            .map(|item| from_json(&self.text[item.key.clone()]).unwrap_or_default().into_owned())
     }
 
     fn position(&self, key: &str) -> Option<usize> {
@@ -366,9 +367,9 @@ impl ServicesStyle {
         let items: Vec<String> = services
             .iter()
             .map(|service| {
-                let old = kept.iter().position(|(name, text)| {
-                    *name == service.name && text.starts_with('{')
-                });
+                let old = kept
+                    .iter()
+                    .position(|(name, text)| *name == service.name && text.starts_with('{'));
                 match old {
                     Some(old) => edited_service(kept.remove(old).1, service),
                     None => self.service(service),

@@ -143,21 +143,24 @@ mod tests {
 
     fn items(text: &str) -> Vec<(&str, &str)> {
         let found = container(text, &root(text).unwrap()).unwrap();
-        found.items.iter().map(|item| (&text[item.key.clone()], &text[item.value.clone()])).collect()
+        found
+            .items
+            .iter()
+            .map(|item| (&text[item.key.clone()], &text[item.value.clone()]))
+            .collect()
     }
 
     #[test]
     fn items_have_exact_spans() {
         assert_eq!(items(" [ ] "), []);
-        assert_eq!(items("[1 ,\"a,]\\\"\", {\"b\":[2]}\t]"), [
-            ("", "1"),
-            ("", "\"a,]\\\"\""),
-            ("", "{\"b\":[2]}")
-        ]);
-        assert_eq!(items("{ \"a\\\\\" : -1e3,\r\n\"\":null}"), [
-            ("\"a\\\\\"", "-1e3"),
-            ("\"\"", "null")
-        ]);
+        assert_eq!(
+            items("[1 ,\"a,]\\\"\", {\"b\":[2]}\t]"),
+            [("", "1"), ("", "\"a,]\\\"\""), ("", "{\"b\":[2]}")]
+        );
+        assert_eq!(
+            items("{ \"a\\\\\" : -1e3,\r\n\"\":null}"),
+            [("\"a\\\\\"", "-1e3"), ("\"\"", "null")]
+        );
     }
 
     #[test]

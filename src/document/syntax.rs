@@ -80,7 +80,8 @@ fn syntax_error(body: &str, error: &serde_json::Error) -> ParseError {
 fn error_at(text: &str, at: usize, message: String) -> ParseError {
     /// How much of the line is shown on either side.
     const CHARACTERS: usize = 36;
-    let text_before = text.strip_prefix(BOM).map_or(&text[..at], |body| &body[..at.saturating_sub(BOM.len())]);
+    let text_before =
+        text.strip_prefix(BOM).map_or(&text[..at], |body| &body[..at.saturating_sub(BOM.len())]);
     let position = Positions::new(text_before).at(text_before.len());
 
     let line_start = text_before.rfind('\n').map_or(0, |newline| newline + 1);
