@@ -1,1 +1,3 @@
+//! The command `descan`.
+
 fn main() {}

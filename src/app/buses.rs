@@ -1,89 +1,13 @@
 //! One bus as the program sees it: its engine, what its adapter says of it, and how busy it is.
 //!
-//! Does not know how frames come in; the adapter's words arrive as a [`BusView`].
+//! Does not know how frames come in; the adapter's words arrive as a [`BusStatus`].
 
+use crate::bus::{BusState, BusStatus, Link};
 use crate::discovery::{Config, Engine};
 use crate::frame::{Frame, FrameKind};
+use crate::sim::bits::FrameBits;
 use crate::time::Instant;
 use std::collections::VecDeque;
-
-/// What an adapter says of its bus, in plain values.
-#[derive(Clone, Debug, PartialEq, Eq, Default)]
-pub struct BusView {
-    /// Whether frames can come in at all.
-    pub link: Link,
-    /// Bits per second.
-    pub bitrate: Option<u32>,
-    /// Bits per second of the FD data phase.
-    pub data_bitrate: Option<u32>,
-    /// The controller's state.
-    pub state: ControllerState,
-    /// The controller's transmit error counter.
-    pub tec: Option<u16>,
-    /// The controller's receive error counter.
-    pub rec: Option<u16>,
-    /// The controller itself is in listen-only mode: it does not even acknowledge.
-    pub controller_listen_only: bool,
-    /// Frames that the kernel or the adapter dropped.
-    pub kernel_drops: u64,
-    /// Frames that our own queue dropped.
-    pub queue_drops: u64,
-    /// What is wrong, and the way out, in a sentence.
-    pub message: Option<String>,
-}
-
-/// Whether a bus can be heard.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-pub enum Link {
-    /// Being opened.
-    #[default]
-    Opening,
-    /// Open.
-    Up,
-    /// The interface is down, unplugged, or the connection broke; the message says which.
-    Down,
-    /// A log that has been read to its end.
-    Ended,
-}
-
-/// A CAN controller's state.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-#[allow(missing_docs)]
-pub enum ControllerState {
-    #[default]
-    Unknown,
-    Active,
-    Warning,
-    Passive,
-    BusOff,
-    Stopped,
-}
-
-impl BusView {
-    /// The word for the bus's state, as in JSON.
-    pub const fn state_name(&self) -> &'static str {
-        match (self.link, self.state) {
-            (Link::Down, _) => "down",
-            (_, ControllerState::Unknown) => "unknown",
-            (_, ControllerState::Active) => "error-active",
-            (_, ControllerState::Warning) => "error-warning",
-            (_, ControllerState::Passive) => "error-passive",
-            (_, ControllerState::BusOff) => "bus-off",
-            (_, ControllerState::Stopped) => "stopped",
-        }
-    }
-
-    /// Whether frames can come in and go out.
-    pub const fn is_up(&self) -> bool {
-        matches!(self.link, Link::Up)
-            && !matches!(self.state, ControllerState::BusOff | ControllerState::Stopped)
-    }
-
-    /// Frames that were lost on the way to us.
-    pub const fn lost(&self) -> u64 {
-        self.kernel_drops + self.queue_drops
-    }
-}
 
 /// A bus.
 #[derive(Debug)]
@@ -93,29 +17,31 @@ pub struct Bus {
     /// Finds its devices.
     pub engine: Engine,
     /// What its adapter says.
-    pub view: BusView,
+    pub status: BusStatus,
     /// How busy it is.
     pub meter: Meter,
-    /// Nobody acknowledges what we send.
-    pub nobody_acknowledges: bool,
 }
 
 impl Bus {
     /// A bus that starts now.
     pub fn new(now: Instant, name: String, config: Config) -> Self {
-        let view = BusView { bitrate: config.bitrate, ..BusView::default() };
-        Self {
-            name,
-            engine: Engine::new(now, config),
-            view,
-            meter: Meter::new(now),
-            nobody_acknowledges: false,
-        }
+        let status = BusStatus { bitrate: config.bitrate, ..BusStatus::default() };
+        Self { name, engine: Engine::new(now, config), status, meter: Meter::new(now) }
     }
 
     /// The bit rate to reckon with.
     pub fn bits_per_second(&self) -> u32 {
-        self.view.bitrate.unwrap_or_else(|| self.engine.config().bits_per_second())
+        self.status.bitrate.unwrap_or_else(|| self.engine.config().bits_per_second())
+    }
+
+    /// Whether frames can come in and go out.
+    pub fn is_up(&self) -> bool {
+        is_up(&self.status)
+    }
+
+    /// Frames that were lost on the way to us.
+    pub fn lost(&self) -> u64 {
+        lost(&self.status)
     }
 }
 
@@ -195,21 +121,21 @@ impl Second {
     }
 }
 
-/// About how many bit times at the nominal rate a frame takes of the bus: its fields, the three
-/// bits between frames, and a tenth of what can be stuffed.
+/// Whether a bus in this state lets frames come in and go out.
+pub(super) fn is_up(status: &BusStatus) -> bool {
+    let off = matches!(status.state, BusState::BusOff | BusState::Stopped | BusState::Down);
+    status.link == Link::Up && !off
+}
+
+/// Frames that were lost on the way to us.
+pub(super) fn lost(status: &BusStatus) -> u64 {
+    status.kernel_drops + status.queue_drops + status.controller_overruns
+}
+
+/// How many bit times at the nominal rate a frame takes of the bus.
 fn bit_times(frame: &Frame, bitrate: u32, data_bitrate: Option<u32>) -> u64 {
-    use crate::frame::CanId;
-    let (arbitration, rest) = match frame.id {
-        CanId::Standard(_) => (19, 28),
-        CanId::Extended(_) => (39, 28),
-    };
-    let data = 8 * frame.data().len() as u64;
-    match frame.kind {
-        FrameKind::Error => 20,
-        FrameKind::Data if frame.fd && frame.bit_rate_switch => {
-            let faster = u64::from(data_bitrate.unwrap_or(bitrate) / bitrate.max(1)).max(1);
-            arbitration + rest + (data + 30) / faster
-        }
-        _ => arbitration + rest + data + (arbitration + data) / 10,
-    }
+    let bits = FrameBits::of(frame);
+    let (data, bitrate) = (u64::from(bits.data), u64::from(bitrate.max(1)));
+    let data_bitrate = data_bitrate.map_or(bitrate, u64::from).max(1);
+    u64::from(bits.nominal) + data * bitrate / data_bitrate
 }

@@ -10,8 +10,8 @@ use super::matching::is_for;
 use crate::discovery::{Confidence, Device, DeviceId, Finding, Presence};
 use crate::document::{Entry, EntryKey};
 use crate::frame::BusIndex;
+use crate::text::Name;
 use crate::wire::id::Address;
-use crate::wire::text::Name;
 use std::cmp::Reverse;
 
 /// Which row: the selection holds on to this while others come and go.

@@ -10,9 +10,9 @@ use super::{App, Effect, Overlay, Question, RowKey};
 use crate::discovery::{Device, DeviceId, OwnAddress};
 use crate::document::{NewEntry, Operation, ServiceEntry};
 use crate::frame::{BusIndex, Frame};
+use crate::text::Escaped;
 use crate::time::Instant;
 use crate::wire::id::{Header, Service};
-use crate::wire::text::Escaped;
 
 impl App {
     // ---- des.json --------------------------------------------------------------------------
@@ -273,7 +273,7 @@ impl App {
         if !config.profile.given {
             return Err("identify needs a profile: its service number is only assumed");
         }
-        if !bus.view.is_up() {
+        if !bus.is_up() {
             return Err("the bus is not up");
         }
         let OwnAddress::Held(own) = bus.engine.own_address() else {

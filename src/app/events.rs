@@ -2,12 +2,14 @@
 //!
 //! Does not judge anything: the engines did.
 
-use super::buses::{BusView, ControllerState, Link};
+use super::buses::{is_up, lost};
+
 use super::timeline::{Entry, Kind};
 use super::{App, Change, Effect, Overlay};
+use crate::bus::{BusState, BusStatus, Link};
 use crate::discovery::{Confidence, Event, EventKind, Presence};
 use crate::frame::BusIndex;
-use crate::wire::text::Escaped;
+use crate::text::Escaped;
 
 /// Something that happened, for those who watch without a screen.
 #[derive(Clone, Debug)]
@@ -37,16 +39,6 @@ impl App {
     }
 
     fn take_event(&mut self, bus: BusIndex, event: Event) {
-        let acknowledged = match event.kind {
-            EventKind::NobodyAcknowledges => Some(false),
-            EventKind::Acknowledged => Some(true),
-            _ => None,
-        };
-        if let (Some(acknowledged), Some(bus)) =
-            (acknowledged, self.buses.get_mut(usize::from(bus.0)))
-        {
-            bus.nobody_acknowledges = !acknowledged;
-        }
         if let Some((kind, text)) = self.describe(bus, &event) {
             let confirmed = kind == Kind::Confirmed;
             let mut entry = Entry::new(event.time, kind, text).on(bus);
@@ -118,60 +110,29 @@ impl App {
     }
 
     /// Takes an adapter's words.
-    pub(super) fn bus_changed(&mut self, index: BusIndex, view: BusView) {
+    pub(super) fn bus_changed(&mut self, index: BusIndex, status: BusStatus) {
         let now = self.now;
         let Some(bus) = self.buses.get_mut(usize::from(index.0)) else { return };
-        if bus.view == view {
+        if bus.status == status {
             return;
         }
-        let old = std::mem::replace(&mut bus.view, view);
-        let view = bus.view.clone();
-        if old.bitrate != view.bitrate {
-            bus.engine.set_bitrate(view.bitrate);
+        let old = std::mem::replace(&mut bus.status, status.clone());
+        if old.bitrate != status.bitrate {
+            bus.engine.set_bitrate(status.bitrate);
         }
-        let came_back = view.is_up()
-            && (old.link == Link::Down
-                || matches!(old.state, ControllerState::BusOff | ControllerState::Stopped));
-        if came_back {
+        if is_up(&status) && !is_up(&old) && old.link != Link::Opening {
             bus.engine.restart(now);
-            bus.nobody_acknowledges = false;
         }
-        let message = view.message.as_ref().map(|message| Escaped(message.as_bytes()).to_string());
-        let mut lines = Vec::new();
-        if old.link != view.link {
-            lines.push(match view.link {
-                Link::Opening => (Kind::Bus, "being opened".to_owned()),
-                Link::Up => (Kind::Bus, "open".to_owned()),
-                Link::Ended => (Kind::Bus, "the log is at its end".to_owned()),
-                Link::Down => (Kind::Error, message.unwrap_or_else(|| "down".to_owned())),
-            });
+        let newly_lost = lost(&status).saturating_sub(lost(&old));
+        if newly_lost > 0 {
+            bus.engine.handle_lost(now, newly_lost);
         }
-        if old.state != view.state && view.state != ControllerState::Unknown {
-            let kind = match view.state {
-                ControllerState::Active | ControllerState::Unknown => Kind::Bus,
-                ControllerState::Warning => Kind::Late,
-                _ => Kind::Error,
-            };
-            let counters = match (view.tec, view.rec) {
-                (Some(tec), Some(rec)) => format!(" (error counters: tx {tec}, rx {rec})"),
-                _ => String::new(),
-            };
-            lines.push((kind, format!("{}{counters}", view.state_name())));
-        }
-        if old.bitrate != view.bitrate
-            && let Some(bitrate) = view.bitrate
-        {
-            lines.push((Kind::Bus, format!("{bitrate} bit/s")));
-        }
-        if old.lost() < view.lost() {
-            lines.push((Kind::Error, "frames were lost on the way to us".to_owned()));
-        }
-        for (kind, text) in lines {
+        for (kind, text) in changes(&old, &status) {
             self.timeline.push(Entry::new(now, kind, text).on(index));
         }
         self.take_events();
         self.refresh();
-        self.dirty = true;
+        self.dirty_soon();
         self.report(Happening::Bus(index));
     }
 
@@ -229,6 +190,41 @@ impl App {
             self.effects.push_back(Effect::Save { expected, content });
         }
     }
+}
+
+/// What changed between two words of an adapter, in lines.
+fn changes(old: &BusStatus, status: &BusStatus) -> Vec<(Kind, String)> {
+    let message = status.message.as_ref().map(|message| Escaped(message.as_bytes()).to_string());
+    let mut lines = Vec::new();
+    if old.link != status.link {
+        lines.push(match status.link {
+            Link::Opening => (Kind::Bus, "being opened".to_owned()),
+            Link::Up => (Kind::Bus, "open".to_owned()),
+            Link::Ended => (Kind::Bus, "the log is at its end".to_owned()),
+            _ => (Kind::Error, message.unwrap_or_else(|| "down".to_owned())),
+        });
+    }
+    if old.state != status.state && status.state != BusState::Unknown {
+        let kind = match status.state {
+            BusState::ErrorActive => Kind::Bus,
+            BusState::ErrorWarning => Kind::Late,
+            _ => Kind::Error,
+        };
+        let counters = match (status.tec, status.rec) {
+            (Some(tec), Some(rec)) => format!(" (error counters: tx {tec}, rx {rec})"),
+            _ => String::new(),
+        };
+        lines.push((kind, format!("{}{counters}", status.state)));
+    }
+    if old.bitrate != status.bitrate
+        && let Some(bitrate) = status.bitrate
+    {
+        lines.push((Kind::Bus, format!("{bitrate} bit/s")));
+    }
+    if lost(old) < lost(status) {
+        lines.push((Kind::Error, "frames were lost on the way to us".to_owned()));
+    }
+    lines
 }
 
 fn separator(text: &str) -> &'static str {

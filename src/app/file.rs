@@ -151,7 +151,7 @@ impl FileState {
     /// Its name without folders, for the screen.
     pub fn name(&self) -> String {
         let name = self.path.as_deref().and_then(Path::file_name).unwrap_or_default();
-        crate::document::printable(name.as_encoded_bytes())
+        crate::text::printable(name.as_encoded_bytes())
     }
 
     /// What is in force: the last good content with our edits.

@@ -105,7 +105,7 @@ impl Filter {
         let mode = device.and_then(|device| device.mode).map_or("", |mode| mode.name());
         let services = device.and_then(|device| device.services.as_deref()).unwrap_or_default();
         let service = |word: &str| {
-            let is_it = |name: &crate::wire::text::Name| has(&name.to_string(), word);
+            let is_it = |name: &crate::text::Name| has(&name.to_string(), word);
             services.iter().any(|service| is_it(&service.name))
         };
         self.all(|what| match what {

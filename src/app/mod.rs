@@ -39,7 +39,7 @@ mod traffic;
 mod view;
 mod why;
 
-pub use buses::{Bus, BusView, ControllerState, Link, Meter, Second};
+pub use buses::{Bus, Meter, Second};
 pub use capture::{Capture, IdentifierKey, IdentifierStats, Kind as IdentifierKind};
 pub use devices::{Counts, FileWord, Row, RowKey, SortBy, State, concerns};
 pub use events::Happening;
@@ -55,6 +55,7 @@ pub use traffic::{Decoded, clock, clock_millis};
 pub use view::{Cursor, Focus, Frozen, Page, View};
 pub use why::spell;
 
+use crate::bus::BusStatus;
 use crate::discovery::{Config, DeviceId, Finding, OwnAddress};
 use crate::frame::{BusIndex, Frame};
 use crate::keymap::{Key, Keymap, Mode};
@@ -237,7 +238,7 @@ impl App {
         for frame in frames {
             let Some(bus) = self.buses.get_mut(usize::from(frame.bus.0)) else { continue };
             bus.engine.handle_frame(frame);
-            let (bitrate, data_bitrate) = (bus.bits_per_second(), bus.view.data_bitrate);
+            let (bitrate, data_bitrate) = (bus.bits_per_second(), bus.status.data_bitrate);
             bus.meter.add(frame, bitrate, data_bitrate);
             self.capture.push(frame);
         }
@@ -318,7 +319,7 @@ impl App {
         result: Result<(), String>,
     ) {
         self.now = self.now.max(now);
-        let path = crate::document::printable(path.as_os_str().as_encoded_bytes());
+        let path = crate::text::printable(path.as_os_str().as_encoded_bytes());
         match result {
             Ok(()) => self.say(format!("written: {path}")),
             Err(why) => self.complain(format!("{path}: {why}")),
@@ -335,9 +336,9 @@ impl App {
     }
 
     /// Takes what an adapter says of its bus.
-    pub fn handle_bus(&mut self, now: Instant, index: BusIndex, view: BusView) {
+    pub fn handle_bus(&mut self, now: Instant, index: BusIndex, status: BusStatus) {
         self.now = self.now.max(now);
-        self.bus_changed(index, view);
+        self.bus_changed(index, status);
     }
 
     // ---- poll_*: what is to be done outside, and when -------------------------------------

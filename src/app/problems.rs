@@ -8,9 +8,9 @@ use super::matching::{Matching, is_for};
 use crate::discovery::{Confidence, Device, Finding, FindingKey, FindingKind};
 use crate::document::{self, Document, Entry};
 use crate::frame::BusIndex;
+use crate::text::{Escaped, Name};
 use crate::time::Instant;
 use crate::wire::id::Address;
-use crate::wire::text::{Escaped, Name};
 
 /// How much is compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

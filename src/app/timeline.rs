@@ -5,9 +5,9 @@
 
 use crate::discovery::DeviceId;
 use crate::frame::BusIndex;
+use crate::text::Name;
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
-use crate::wire::text::Name;
 use std::collections::VecDeque;
 
 /// A line of the timeline.

@@ -6,6 +6,7 @@
 use super::App;
 use crate::discovery::Device;
 use crate::frame::{BusIndex, CanId, Frame, FrameKind};
+use crate::text::Escaped;
 use crate::time::Instant;
 use crate::wire::des::{Asked, Request, ServicesAnswer, TYPE_NAME, TYPE_SERVICES, decode_name};
 use crate::wire::framing::{classify_answer, classify_request, strip_raw_padding};
@@ -13,7 +14,6 @@ use crate::wire::id::{Address, Header, MessageType};
 use crate::wire::isotp::{FlowStatus, Pci};
 use crate::wire::node::Heartbeat;
 use crate::wire::profile::Profile;
-use crate::wire::text::Escaped;
 use std::fmt::Write;
 
 /// A frame in words.

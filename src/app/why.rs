@@ -4,13 +4,14 @@
 //! from it is marked as a guess.
 
 use super::App;
-use super::buses::{Bus, ControllerState, Link};
+use super::buses::Bus;
 use super::matching::is_for;
+use crate::bus::{BusState, Link};
 use crate::discovery::{Device, OwnAddress, QueryState};
 use crate::document::Entry;
 use crate::frame::BusIndex;
+use crate::text::Escaped;
 use crate::time::Duration;
-use crate::wire::text::Escaped;
 
 /// How long to listen before a listed device counts as missing, where nobody is asked.
 const LISTEN: Duration = Duration::from_secs(5);
@@ -133,18 +134,20 @@ impl App {
 
 fn why_bus(bus: &Bus, reasons: &mut Vec<String>) {
     let name = &bus.name;
-    match (bus.view.link, bus.view.state) {
-        (Link::Down | Link::Opening, _) => reasons.push(match &bus.view.message {
-            Some(message) => Escaped(message.as_bytes()).to_string(),
-            None => format!("{name} is down"),
-        }),
-        (_, ControllerState::BusOff) => {
+    match (bus.status.link, bus.status.state) {
+        (link, _) if !matches!(link, Link::Up | Link::Ended) => {
+            reasons.push(match &bus.status.message {
+                Some(message) => Escaped(message.as_bytes()).to_string(),
+                None => format!("{name} is down"),
+            })
+        }
+        (_, BusState::BusOff) => {
             reasons.push(format!("the controller of {name} is bus-off: it hears nothing"));
         }
-        (_, ControllerState::Stopped) => reasons.push(format!("{name} is stopped")),
+        (_, BusState::Stopped) => reasons.push(format!("{name} is stopped")),
         _ => {}
     }
-    if bus.nobody_acknowledges {
+    if bus.engine.is_unacknowledged() {
         reasons.push(format!(
             "nobody on {name} acknowledges: no other device, another bit rate, or a broken wire"
         ));

@@ -4,13 +4,13 @@
 //! too. Changed only by the [`super::Engine`].
 
 use crate::frame::BusIndex;
+use crate::text::Name;
 use crate::time::{Duration, Instant};
 use crate::wire::des::AnswerFault;
 use crate::wire::framing::Framing;
 use crate::wire::id::Address;
 use crate::wire::isotp::TransferFault;
 use crate::wire::node::{Mode, Uid};
-use crate::wire::text::Name;
 use std::collections::VecDeque;
 use std::fmt;
 
@@ -79,17 +79,9 @@ pub struct HeartbeatStats {
     pub last: Option<Instant>,
     /// Heartbeats that should have come and did not.
     pub missed: u64,
-    pub(super) recent: VecDeque<Beat>,
-    pub(super) intervals: u64,
-    pub(super) mean_us: f64,
-    pub(super) mean_square_us: f64,
-}
-
-/// One heartbeat, for judging regularity and telling two senders apart.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Beat {
-    pub time: Instant,
-    pub frame_id: u32,
+    intervals: u64,
+    mean_us: f64,
+    variance_us: f64,
 }
 
 impl HeartbeatStats {
@@ -100,10 +92,27 @@ impl HeartbeatStats {
 
     /// The standard deviation of the interval; `None` before there are two.
     pub fn jitter(&self) -> Option<Duration> {
-        (self.intervals > 1).then(|| {
-            let variance = self.mean_square_us - self.mean_us * self.mean_us;
-            Duration::from_micros(variance.max(0.0).sqrt() as u64)
-        })
+        (self.intervals > 1).then(|| Duration::from_micros(self.variance_us.max(0.0).sqrt() as u64))
+    }
+
+    /// Counts a heartbeat; `period` is the one expected. Returns the gap since the one before.
+    pub(super) fn beat(&mut self, now: Instant, period: Duration) -> Option<Duration> {
+        self.count += 1;
+        let gap = self.last.replace(now).map(|last| now.since(last));
+        if let Some(gap) = gap {
+            let ratio = gap.as_secs_f64() / period.as_secs_f64();
+            if ratio > 1.5 {
+                self.missed += (ratio - 0.5) as u64;
+            } else if ratio > 0.3 {
+                self.intervals += 1;
+                let weight = 1.0 / self.intervals.min(64) as f64;
+                let micros = gap.as_micros() as f64;
+                let off = micros - self.mean_us;
+                self.mean_us += weight * off;
+                self.variance_us = (1.0 - weight) * (self.variance_us + weight * off * off);
+            }
+        }
+        gap
     }
 }
 
@@ -138,6 +147,38 @@ pub struct Query {
     pub took: Option<Duration>,
     /// What was wrong with the last answer.
     pub fault: Option<QueryFault>,
+    /// When it is to be asked (again), where it is.
+    pub(super) due: Option<Instant>,
+    /// Until when an answer, or its next frame, is awaited.
+    pub(super) deadline: Option<Instant>,
+}
+
+impl Query {
+    /// Whether an answer is awaited.
+    pub fn is_waiting(&self) -> bool {
+        matches!(self.state, QueryState::Asked | QueryState::Receiving)
+    }
+
+    /// Asks anew at `at`, with all attempts before it.
+    pub(super) fn renew(&mut self, at: Instant) {
+        if !self.is_waiting() {
+            self.attempts = 0;
+            self.due = Some(self.due.map_or(at, |due| due.min(at)));
+        }
+    }
+
+    /// Notes an answer.
+    pub(super) fn answered(&mut self, now: Instant, fault: Option<QueryFault>) {
+        if let (true, Some(asked_at)) = (self.is_waiting(), self.asked_at) {
+            self.took = Some(now.since(asked_at));
+        }
+        self.state = QueryState::Answered;
+        self.answered_at = Some(now);
+        self.attempts = 0;
+        self.fault = fault;
+        self.due = None;
+        self.deadline = None;
+    }
 }
 
 /// Why an answer could not be used, or only in part.
@@ -249,6 +290,8 @@ pub struct Device {
     pub reboots: u32,
     /// When it rebooted last.
     pub rebooted_at: Option<Instant>,
+    /// The UID its heartbeats said before the present one.
+    pub(super) uid_before: Option<Uid>,
     /// The address it moved from last.
     pub moved_from: Option<Address>,
     /// Whether it is a debug device: at address 0, or one of our kind.
@@ -258,6 +301,38 @@ pub struct Device {
 }
 
 impl Device {
+    /// A node of which one frame was heard.
+    pub(super) fn appear(id: DeviceId, now: Instant, address: Address, working: bool) -> Self {
+        Self {
+            id,
+            address,
+            name: None,
+            presence: Presence::Online,
+            presence_since: now,
+            working,
+            mode: None,
+            error: None,
+            uid: None,
+            framing: None,
+            services: None,
+            previous_services: None,
+            heartbeat: HeartbeatStats::default(),
+            name_query: Query::default(),
+            services_query: Query::default(),
+            quirks: Vec::new(),
+            mode_history: VecDeque::new(),
+            first_seen: now,
+            last_seen: now,
+            frames: 0,
+            reboots: 0,
+            rebooted_at: None,
+            uid_before: None,
+            moved_from: None,
+            is_debug: address == Address::DEBUG,
+            rounds_missed: 0,
+        }
+    }
+
     /// Whether it is the same device as an entry with that name (bytes equal).
     pub fn is_named(&self, name: &[u8]) -> bool {
         self.name.as_ref().is_some_and(|own| own.as_bytes() == name)

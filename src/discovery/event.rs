@@ -2,10 +2,10 @@
 
 use super::device::{DeviceId, Presence};
 use super::finding::{Confidence, FindingKey};
+use crate::text::Name;
 use crate::time::Instant;
 use crate::wire::id::Address;
 use crate::wire::node::Mode;
-use crate::wire::text::Name;
 
 /// Something that happened to a device or on the bus.
 #[derive(Clone, Debug)]

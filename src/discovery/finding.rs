@@ -4,9 +4,9 @@
 //! des.json is compared with the bus).
 
 use crate::frame::{BusIndex, Frame};
+use crate::text::Name;
 use crate::time::Instant;
 use crate::wire::id::Address;
-use crate::wire::text::Name;
 use std::collections::VecDeque;
 use std::fmt;
 

@@ -11,10 +11,20 @@
 //! Call one that changes it, then drain the polls. It does not know des.json, the screen, or
 //! where frames come from.
 
+mod asking;
+mod collisions;
 mod config;
 mod device;
 mod event;
 mod finding;
+mod hearing;
+mod identity;
+mod outbox;
+mod presence;
+mod roster;
+mod rounds;
+mod station;
+mod transfers;
 
 pub use config::Config;
 pub use device::{
@@ -25,8 +35,19 @@ pub use event::{Event, EventKind};
 pub use finding::{Confidence, Evidence, Finding, FindingKey, FindingKind};
 
 use crate::frame::Frame;
-use crate::time::Instant;
+use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
+use collisions::Collisions;
+use outbox::{Acknowledgement, Outbox};
+use presence::Measure;
+use roster::Roster;
+use rounds::Rounds;
+use station::{AddressChange, Station};
+use std::collections::VecDeque;
+use transfers::Transfers;
+
+/// Events that wait to be polled; more are dropped, oldest first.
+const MAX_EVENTS: usize = 4096;
 
 /// What we are on the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -84,45 +105,142 @@ pub struct Counters {
 #[derive(Debug)]
 pub struct Engine {
     config: Config,
-    devices: Vec<Device>,
-    findings: Vec<Finding>,
+    rng: fastrand::Rng,
+    now: Instant,
+    roster: Roster,
+    rounds: Rounds,
+    transfers: Transfers,
+    collisions: Collisions,
+    station: Station,
+    outbox: Outbox,
+    broadcasts: VecDeque<Broadcast>,
+    events: VecDeque<Event>,
+    counters: Counters,
+    waiting: usize,
+    wake: Instant,
+}
+
+/// A who-is-there to all that answers may still come to.
+#[derive(Clone, Copy, Debug)]
+struct Broadcast {
+    time: Instant,
+    rnd7: Address,
+    ours: bool,
 }
 
 impl Engine {
-    /// An engine that starts now.
-    pub fn new(_now: Instant, config: Config) -> Self {
-        Self { config, devices: Vec::new(), findings: Vec::new() }
+    /// An engine that starts at `now`.
+    pub fn new(now: Instant, config: Config) -> Self {
+        let mut rng = fastrand::Rng::with_seed(config.seed);
+        let period = config.profile.heartbeat.period();
+        Self {
+            station: Station::new(now, &config, &mut rng),
+            outbox: Outbox::new(now, config.echo),
+            collisions: Collisions::new(config.bus, period, config.listen_only),
+            roster: Roster::new(config.bus),
+            rounds: Rounds::new(),
+            transfers: Transfers::new(),
+            broadcasts: VecDeque::new(),
+            events: VecDeque::new(),
+            counters: Counters::default(),
+            waiting: 0,
+            wake: now,
+            now,
+            rng,
+            config,
+        }
     }
 
-    /// Takes a frame, dated by its own time (which is `now` or a little before).
-    pub fn handle_frame(&mut self, _frame: &Frame) {}
+    /// Takes a frame, dated by its own time. Time never goes back: a frame dated before the
+    /// last moment known counts as of that moment.
+    pub fn handle_frame(&mut self, frame: &Frame) {
+        self.advance(frame.time);
+        self.hear(frame);
+        if self.collisions.has_changed() {
+            self.tell_findings();
+        }
+    }
+
+    /// Takes note that `count` frames were lost before they could be read.
+    pub fn handle_lost(&mut self, now: Instant, count: u64) {
+        self.advance(now);
+        self.collisions.see_loss(self.now, count);
+        self.tell_findings();
+    }
 
     /// Does what is due at `now`.
-    pub fn handle_timeout(&mut self, _now: Instant) {}
+    pub fn handle_timeout(&mut self, now: Instant) {
+        self.advance(now);
+        if self.now < self.wake {
+            return;
+        }
+        let now = self.now;
+        let change = self.outbox.handle_timeout(now);
+        self.acknowledgement(change);
+        let change =
+            self.station.handle_timeout(now, &self.config.profile, &mut self.rng, &mut self.outbox);
+        self.address_changed(change);
+        self.expire_transfers();
+        self.judge_presence();
+        self.check_suspicions();
+        self.ask();
+        self.tell_findings();
+        self.wake = self.next_wake();
+    }
 
     /// When [`handle_timeout`](Self::handle_timeout) is to be called at the latest.
     pub fn poll_timeout(&self) -> Option<Instant> {
-        None
+        (self.wake != NEVER).then_some(self.wake)
     }
 
     /// The next frame to send.
-    pub fn poll_transmit(&mut self, _now: Instant) -> Option<Frame> {
-        None
+    pub fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
+        let frame = self.outbox.pop(now)?;
+        if !self.config.echo {
+            self.counters.sent += 1;
+            self.note_own_question(now, &frame);
+        }
+        self.wake_at(now);
+        Some(frame.on(self.config.bus))
     }
 
     /// The next thing that happened.
     pub fn poll_event(&mut self) -> Option<Event> {
-        None
+        self.events.pop_front()
     }
 
-    /// Command: ask everybody again now.
-    pub fn rescan(&mut self, _now: Instant) {}
+    /// Command: ask everybody again now, services included.
+    pub fn rescan(&mut self, now: Instant) {
+        self.advance(now);
+        let now = self.now;
+        if self.station.held().is_some() && self.config.scan {
+            self.rounds.restart(now);
+        }
+        for device in self.roster.devices_mut() {
+            if device.is_here() && self.config.scan {
+                device.services_query.renew(now);
+            }
+        }
+        self.wake_at(now);
+    }
 
     /// Command: forget the devices that are lost.
-    pub fn clear_lost(&mut self) {}
+    pub fn clear_lost(&mut self) {
+        self.roster.clear_lost();
+    }
 
-    /// Command: begin anew, as after bus-off or when the interface came back.
-    pub fn restart(&mut self, _now: Instant) {}
+    /// Command: begin anew with our address and rounds, as after bus-off or when the interface
+    /// came back. What is known stays.
+    pub fn restart(&mut self, now: Instant) {
+        self.advance(now);
+        self.outbox.clear();
+        self.transfers.clear();
+        self.rounds.stop();
+        if !self.config.listen_only {
+            self.station.listen(self.now);
+        }
+        self.wake_at(self.now);
+    }
 
     /// Tells the bit rate, once it is known.
     pub fn set_bitrate(&mut self, bitrate: Option<u32>) {
@@ -131,36 +249,225 @@ impl Engine {
 
     /// All rows, in the order of appearance.
     pub fn devices(&self) -> &[Device] {
-        &self.devices
+        self.roster.devices()
     }
 
     /// One row.
     pub fn device(&self, id: DeviceId) -> Option<&Device> {
-        self.devices.iter().find(|device| device.id == id)
+        self.roster.by_id(id)
+    }
+
+    /// The row that speaks from `address` now.
+    pub fn device_at(&self, address: Address) -> Option<&Device> {
+        self.roster.current_device(address)
     }
 
     /// All findings, by the time of their first evidence, cleared ones included.
     pub fn findings(&self) -> &[Finding] {
-        &self.findings
+        self.collisions.findings()
     }
 
     /// What we are on the bus.
     pub fn own_address(&self) -> OwnAddress {
-        OwnAddress::None
+        self.station.own_address()
+    }
+
+    /// Whether we keep silent because nobody acknowledges our frames.
+    pub fn is_unacknowledged(&self) -> bool {
+        self.outbox.is_missing()
     }
 
     /// Where discovery stands.
     pub fn progress(&self) -> Progress {
-        Progress::default()
+        let here = self.devices().iter().filter(|device| device.is_here());
+        let mut progress = Progress { rounds: self.rounds.finished, ..Progress::default() };
+        for device in here {
+            progress.here += 1;
+            progress.named += usize::from(device.name.is_some());
+            progress.with_services += usize::from(device.services.is_some());
+            progress.open_questions += usize::from(is_open(&device.name_query))
+                + usize::from(is_open(&device.services_query));
+        }
+        progress.settled = self.station.held().is_some()
+            && !self.rounds.is_starting()
+            && !self.rounds.is_collecting()
+            && progress.open_questions == 0
+            && !self.collisions.is_suspicious();
+        progress
     }
 
     /// The named counters.
     pub fn counters(&self) -> Counters {
-        Counters::default()
+        Counters { refused: self.counters.refused + self.collisions.refused, ..self.counters }
     }
 
     /// The settings it runs with.
     pub fn config(&self) -> &Config {
         &self.config
     }
+
+    // --- inside --------------------------------------------------------------------------
+
+    fn advance(&mut self, now: Instant) {
+        self.now = self.now.max(now);
+    }
+
+    fn wake_at(&mut self, at: Instant) {
+        self.wake = self.wake.min(at);
+    }
+
+    fn measure(&self) -> Measure {
+        Measure {
+            period: self.config.profile.heartbeat.period(),
+            rounds: !self.config.listen_only
+                && self.config.scan
+                && !self.config.round_period.is_zero(),
+        }
+    }
+
+    fn tell(&mut self, index: usize, kind: EventKind) {
+        let device = self.roster.get(index);
+        let (id, address, name) = (device.id, device.address, device.name.clone());
+        self.push(Event { time: self.now, device: Some(id), address: Some(address), name, kind });
+    }
+
+    fn tell_bus(&mut self, kind: EventKind) {
+        self.push(Event { time: self.now, device: None, address: None, name: None, kind });
+    }
+
+    fn push(&mut self, event: Event) {
+        if self.events.len() == MAX_EVENTS {
+            self.events.pop_front();
+        }
+        self.events.push_back(event);
+    }
+
+    fn tell_findings(&mut self) {
+        while let Some((key, confidence)) = self.collisions.poll_changed() {
+            let at = key.address.and_then(|address| self.roster.current(address));
+            match at {
+                Some(index) => self.tell(index, EventKind::Finding { key, confidence }),
+                None => self.tell_bus(EventKind::Finding { key, confidence }),
+            }
+        }
+    }
+
+    fn acknowledgement(&mut self, change: Option<Acknowledgement>) {
+        match change {
+            Some(Acknowledgement::Missing) => self.tell_bus(EventKind::NobodyAcknowledges),
+            Some(Acknowledgement::Back) => {
+                self.tell_bus(EventKind::Acknowledged);
+                if self.station.held().is_some() && self.config.scan {
+                    self.rounds.restart(self.now);
+                }
+                self.wake_at(self.now);
+            }
+            None => {}
+        }
+    }
+
+    fn address_changed(&mut self, change: Option<AddressChange>) {
+        match change {
+            Some(AddressChange::Taken(address)) => {
+                self.tell_bus(EventKind::OwnAddress(address));
+                if self.config.scan {
+                    self.rounds.restart(self.now);
+                }
+            }
+            Some(AddressChange::Lost(address)) => {
+                self.tell_bus(EventKind::OwnAddressLost(address));
+                self.rounds.stop();
+                self.outbox.clear();
+            }
+            None => {}
+        }
+    }
+
+    fn check_suspicions(&mut self) {
+        let now = self.now;
+        let roster = &mut self.roster;
+        self.collisions.handle_timeout(now, |address| {
+            if let Some(device) = roster.current_device_mut(address)
+                && device.is_here()
+            {
+                device.name_query.renew(now);
+            }
+        });
+    }
+
+    /// Sets the presence of every row, and tells what changed.
+    fn judge_presence(&mut self) {
+        // A row that turns out to have moved takes another one's place: the number changes.
+        let mut index = 0;
+        while index < self.roster.devices().len() {
+            self.judge(index);
+            index += 1;
+        }
+    }
+
+    fn judge(&mut self, index: usize) {
+        let measure = self.measure();
+        let device = self.roster.get(index);
+        let presence = if self.roster.is_current(index) {
+            measure.judge(device, self.now).0
+        } else {
+            self.judge_replaced(device)
+        };
+        let was = device.presence;
+        if presence == was {
+            return;
+        }
+        let address = device.address;
+        let device = self.roster.get_mut(index);
+        device.presence = presence;
+        device.presence_since = self.now;
+        if presence == Presence::Online {
+            self.tell(index, EventKind::Returned { was });
+        } else {
+            self.tell(index, EventKind::Presence(presence));
+        }
+        if presence == Presence::Lost {
+            if self.roster.is_current(index) {
+                self.collisions.forget(self.now, address);
+            }
+            self.find_move_of_lost(index);
+        }
+    }
+
+    /// A row at whose address another one speaks: there while it still answers for itself.
+    fn judge_replaced(&self, device: &Device) -> Presence {
+        if device.presence == Presence::Lost {
+            return Presence::Lost;
+        }
+        let patience = if self.collisions.is_open_at(device.address) { 8 } else { 4 };
+        let answered = device.name_query.answered_at.unwrap_or(device.last_seen);
+        let period = self.config.profile.heartbeat.period();
+        if self.now.since(answered) < period * patience { device.presence } else { Presence::Lost }
+    }
+
+    fn next_wake(&self) -> Instant {
+        let measure = self.measure();
+        let mut wake = NEVER;
+        let mut at = |due: Option<Instant>| wake = wake.min(due.unwrap_or(NEVER));
+        for (index, device) in self.roster.devices().iter().enumerate() {
+            if self.roster.is_current(index) {
+                at(measure.judge(device, self.now).1);
+            } else if device.presence != Presence::Lost {
+                at(Some(self.now + Duration::from_secs(1)));
+            }
+        }
+        at(self.asking_timeout());
+        at(self.station.poll_timeout());
+        at(self.transfers.poll_timeout());
+        at(self.collisions.poll_timeout());
+        at(self.outbox.poll_timeout());
+        wake
+    }
+}
+
+const NEVER: Instant = Instant::from_micros(u64::MAX);
+
+/// Whether an answer is awaited or the question is still to be asked the first times.
+fn is_open(query: &Query) -> bool {
+    query.is_waiting() || (query.due.is_some() && query.state != QueryState::Unanswered)
 }

@@ -6,8 +6,9 @@ use super::operation::{NewEntry, Operation, RemovedEntry};
 use super::position::{Position, Positions};
 use super::scan::{self, Container, Item, Span};
 use super::syntax::{BOM, Kind};
-use super::text::{from_json, printable, to_hex, to_json};
+use super::text::{from_json, to_hex, to_json};
 use super::{Document, Root};
+use crate::text::printable;
 
 /// Why an edit was not made. The document is as it was.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -265,12 +266,10 @@ impl Document {
                 spliced(body, span.clone(), &list)
             }
             Root::Object { span, devices: None } => {
-                let root = &body[span.clone()];
-                let members = Members::of(root);
-                let last = members.as_ref().and_then(Members::last_key);
-                let object = match (&members, &last) {
-                    (Some(members), Some(last)) => members.with("devices", &list, &[last]),
-                    _ => begun_object(&list, newline(body)),
+                let members = Members::of(&body[span.clone()]);
+                let object = match members.as_ref().and_then(|it| it.last_key().zip(Some(it))) {
+                    Some((last_key, members)) => members.with("devices", &list, &[&last_key]),
+                    None => begun_object(&list, newline(body)),
                 };
                 spliced(body, span.clone(), &object)
             }

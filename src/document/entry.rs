@@ -16,7 +16,7 @@ use super::text;
 pub struct Entry {
     /// The name's bytes: `name_hex` where it is given, else the UTF-8 of `name`.
     pub name: Vec<u8>,
-    /// The name as [`printable`](super::printable) text.
+    /// The name as [`printable`](crate::text::printable) text.
     pub name_text: String,
     /// 1 to 127: the static address, or the last main address. See `is_static`.
     pub address: Option<u8>,
@@ -192,7 +192,7 @@ impl Reader<'_, '_> {
         let name = bytes.or(name.map(String::into_bytes))?;
         let address = of(Member::Address);
         Some(Entry {
-            name_text: text::printable(&name),
+            name_text: crate::text::printable(&name),
             name,
             address: address.and_then(|at| self.address(at)),
             is_static: of(Member::Static).is_some_and(|at| self.flag(at)),
@@ -247,7 +247,7 @@ impl Reader<'_, '_> {
 
     fn wrong_type_in(&mut self, what: &str, at: &Span, expected: &str) {
         let found = Kind(&self.body[at.clone()]);
-        self.findings.wrong_type(what, at.start, found, expected, self.entry());
+        self.findings.wrong_type(what, at.start, &found, expected, self.entry());
     }
 
     fn string(&mut self, member: Member, at: &Span) -> Option<String> {
@@ -273,7 +273,7 @@ impl Reader<'_, '_> {
     }
 
     fn compare_names(&mut self, name: &str, bytes: &[u8], at: &Span) {
-        let printable = text::printable(bytes);
+        let printable = crate::text::printable(bytes);
         if name.as_bytes() != bytes && !name.eq_ignore_ascii_case(&printable) {
             let message = format!(
                 "`name_hex` stands for {}, but `name` is {}; `name_hex` counts",
@@ -316,23 +316,20 @@ impl Reader<'_, '_> {
         let mut keys = HashSet::new();
         let mut services = Vec::with_capacity(list.items.len());
         for item in list.items {
-            match read_service(self.body, &item) {
-                Some(service) => {
-                    if !item.key.is_empty() && !keys.insert(service.name.clone()) {
-                        let name = text::brief(service.name.as_bytes());
-                        self.findings.duplicate(&name, item.key.start, self.entry());
-                    }
-                    services.push(service);
-                }
-                None => {
-                    let expected = if item.key.is_empty() {
-                        "an object of `name`, `version` and `extra`, all strings"
-                    } else {
-                        "a version, as a string"
-                    };
-                    self.wrong_type_in("an item of `services`", &item.value, expected);
-                }
+            let Some(service) = read_service(self.body, &item) else {
+                let expected = if item.key.is_empty() {
+                    "an object of `name`, `version` and `extra`, all strings"
+                } else {
+                    "a version, as a string"
+                };
+                self.wrong_type_in("an item of `services`", &item.value, expected);
+                continue;
+            };
+            if !item.key.is_empty() && !keys.insert(service.name.clone()) {
+                let name = text::brief(service.name.as_bytes());
+                self.findings.duplicate(&name, item.key.start, self.entry());
             }
+            services.push(service);
         }
         Some(services)
     }

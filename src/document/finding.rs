@@ -174,7 +174,7 @@ impl Findings<'_> {
         &mut self,
         what: &str,
         at: usize,
-        found: Kind,
+        found: &Kind,
         expected: &str,
         entry: Option<usize>,
     ) {

@@ -47,9 +47,11 @@ impl Layout {
 
     /// The layout for a list inside something that is laid out like this.
     fn inner(&self) -> Self {
-        let Some((_, indent)) = self.gap.rsplit_once('\n') else {
+        let Some((_, line)) = self.gap.rsplit_once('\n') else {
             return self.clone();
         };
+        // Some put the comma there.
+        let indent = &line[..line.len() - line.trim_start_matches([' ', '\t']).len()];
         let newline = newline(&self.gap);
         let outer = self.close.rsplit_once('\n').map_or("", |(_, outer)| outer);
         let unit = indent.strip_prefix(outer).filter(|unit| !unit.is_empty()).unwrap_or("  ");

@@ -251,9 +251,8 @@ fn same_value(a: &str, b: &str) -> bool {
 
 /// How `entry` differs from `other`, for a person.
 fn differences(other: &Entry, entry: &Entry) -> String {
-    let mut members: Vec<Member> =
+    let members: Vec<Member> =
         Member::ALL.into_iter().filter(|member| !member.agrees(other, entry)).collect();
-    members.retain(|member| *member != Member::NameHex);
     if members.is_empty() { "other members changed".to_owned() } else { describe(&members, entry) }
 }
 

@@ -20,7 +20,7 @@
 //! edit       edits carried out
 //! layout     the file's own style
 //! merge      edits on newer content
-//! text       names: printable, JSON, hexadecimal
+//! text       names: JSON, hexadecimal
 //! ```
 
 mod edit;
@@ -44,7 +44,6 @@ pub use merge::{Conflict, Merge, Prefer, merge};
 pub use operation::{EntryKey, FormerMembers, NewEntry, Operation, RemovedEntry};
 pub use position::Position;
 pub use syntax::ParseError;
-pub use text::printable;
 
 use finding::Findings;
 use position::Positions;
@@ -146,9 +145,8 @@ impl Document {
     /// # Panics
     /// When `index` is not one of [`Document::entries`].
     pub fn key(&self, index: usize) -> EntryKey {
-        let mut key = EntryKey::of(&self.entries()[index]);
-        key.occurrence = self.entries()[..index].iter().filter(|entry| key.fits(entry)).count();
-        key
+        let (earlier, rest) = self.entries().split_at(index);
+        EntryKey::among(&rest[0], earlier)
     }
 
     /// The place in [`Document::entries`] of the entry that has exactly this key.

@@ -4,8 +4,9 @@ use std::fmt;
 
 use super::entry::{Entry, Member, ServiceEntry};
 use super::layout::Members;
-use super::text::{brief, printable};
+use super::text::brief;
 use super::{Document, EditError};
+use crate::text::printable;
 
 /// One edit, as a person would name it.
 ///
@@ -105,10 +106,10 @@ impl EntryKey {
             && self.uid == entry.uid
     }
 
-    /// The key of `entry` at place `index`, given the entries before it.
-    fn among<'e>(entry: &Entry, mut earlier: impl Iterator<Item = &'e Entry>) -> Self {
+    /// The key of an entry, given those before it.
+    pub(super) fn among(entry: &Entry, earlier: &[Entry]) -> Self {
         let mut key = Self::of(entry);
-        key.occurrence = earlier.by_ref().filter(|other| key.fits(other)).count();
+        key.occurrence = earlier.iter().filter(|other| key.fits(other)).count();
         key
     }
 }
@@ -190,11 +191,11 @@ impl Operation {
         let entries = before.entries();
         let key = match self {
             Self::Add { entry } => {
-                return Ok(Self::Remove { entry: EntryKey::among(&entry.meant(), entries.iter()) });
+                return Ok(Self::Remove { entry: EntryKey::among(&entry.meant(), entries) });
             }
             Self::PutBack { removed } => {
                 let earlier = &entries[..before.entries_before(removed.entry.element)];
-                let entry = EntryKey::among(&removed.entry, earlier.iter());
+                let entry = EntryKey::among(&removed.entry, earlier);
                 return Ok(Self::Remove { entry });
             }
             Self::Remove { entry }
@@ -211,7 +212,7 @@ impl Operation {
         let former = before.former(index, &self.members());
         let mut meant = entries[index].clone();
         self.change(&mut meant);
-        Ok(Self::Restore { entry: EntryKey::among(&meant, entries[..index].iter()), former })
+        Ok(Self::Restore { entry: EntryKey::among(&meant, &entries[..index]), former })
     }
 
     /// The entry concerned, unless the operation brings it.

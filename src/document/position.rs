@@ -56,7 +56,7 @@ fn advance(from: Position, text: &[u8]) -> Position {
     match text.iter().rposition(|&byte| byte == b'\n') {
         None => Position { column: from.column + characters(text), ..from },
         Some(last) => Position {
-            line: from.line + text.iter().filter(|&&byte| byte == b'\n').count(),
+            line: from.line + text.split(|&byte| byte == b'\n').count() - 1,
             column: 1 + characters(&text[last + 1..]),
         },
     }

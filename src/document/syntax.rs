@@ -5,7 +5,7 @@ use std::fmt;
 use serde::de::IgnoredAny;
 
 use super::position::Positions;
-use super::{scan, text};
+use super::scan;
 
 /// How deep brackets may nest, as in serde_json itself.
 const DEPTH: usize = 128;
@@ -109,8 +109,8 @@ fn shown(text: &str) -> String {
     text.chars().fold(String::new(), |mut out, c| {
         match c {
             '\t' => out.push(' '),
-            c if text::is_printable(c) => out.push(c),
-            c => out.push_str(&text::printable(c.encode_utf8(&mut [0; 4]).as_bytes())),
+            c if crate::text::is_printable(c) => out.push(c),
+            c => out.push_str(&crate::text::printable(c.encode_utf8(&mut [0; 4]).as_bytes())),
         }
         out
     })

@@ -1,35 +1,9 @@
-//! Names and strings: what may go to a terminal, and how JSON spells it.
+//! Names and strings: how JSON spells them.
 
 use std::borrow::Cow;
 use std::fmt::Write as _;
 
-use unicode_general_category::{GeneralCategory as Category, get_general_category};
-
-/// Text that is safe on a terminal: UTF-8, with `\xNN` for every byte that is not printable or not
-/// valid, and `\\` for a backslash, so that it can be read back without doubt.
-///
-/// Printable is what is not of Unicode's classes Cc, Cf, Zl, Zp, Co, Cn.
-///
-/// Source: interfaces, "Not known is null".
-pub fn printable(bytes: &[u8]) -> String {
-    let mut out = String::with_capacity(bytes.len());
-    let escape = |out: &mut String, bytes: &[u8]| {
-        for byte in bytes {
-            let _ = write!(out, "\\x{byte:02X}");
-        }
-    };
-    for chunk in bytes.utf8_chunks() {
-        for c in chunk.valid().chars() {
-            match c {
-                '\\' => out.push_str("\\\\"),
-                c if is_printable(c) => out.push(c),
-                c => escape(&mut out, c.encode_utf8(&mut [0; 4]).as_bytes()),
-            }
-        }
-        escape(&mut out, chunk.invalid());
-    }
-    out
-}
+use crate::text::{is_printable, printable};
 
 /// [`printable`], cut to what a message can carry.
 pub(super) fn brief(bytes: &[u8]) -> String {
@@ -39,20 +13,6 @@ pub(super) fn brief(bytes: &[u8]) -> String {
         Some((end, _)) => format!("{}…", &text[..end]),
         None => text,
     }
-}
-
-pub(super) fn is_printable(c: char) -> bool {
-    c.is_ascii_graphic()
-        || c == ' '
-        || !matches!(
-            get_general_category(c),
-            Category::Control
-                | Category::Format
-                | Category::LineSeparator
-                | Category::ParagraphSeparator
-                | Category::PrivateUse
-                | Category::Unassigned
-        )
 }
 
 /// A JSON string. What is not printable is escaped: a device's name must not carry control codes
@@ -107,11 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn control_codes_do_not_come_out() {
-        assert_eq!(printable(b"FEED"), "FEED");
-        assert_eq!(printable("Насос 🔥".as_bytes()), "Насос 🔥");
-        assert_eq!(printable(b"a\x1b[2J\\\xffz"), "a\\x1B[2J\\\\\\xFFz");
-        assert_eq!(printable("\u{202e}\u{9b}".as_bytes()), "\\xE2\\x80\\xAE\\xC2\\x9B");
+    fn what_a_message_carries_is_bounded() {
         assert_eq!(brief(&[b'a'; 50]), format!("{}…", "a".repeat(40)));
     }
 

@@ -1,3 +1,13 @@
 //! The edges of the program: files, the terminal, the event loop.
+//!
+//! ```text
+//! session   app, buses and file, and what passes between them
+//! screen    the terminal UI's loop        terminal  taking it over, giving it back
+//! store     des.json on disk              watch     noticing that others changed it
+//! config    the user's settings
+//! ```
+//!
+//! Knows tokio, threads, clocks and the file system, so that nothing above has to.
+
 pub mod store;
 pub mod watch;

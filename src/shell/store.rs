@@ -1,1 +1,371 @@
+//! `des.json` on disk: read whole, and replaced whole or not at all.
+//!
+//! A save goes to a temporary file beside the target, with its mode and owner, is synced, and is
+//! renamed over it, so that neither a crash nor a full disk leaves half a file, and no reader sees
+//! one. Right before the rename, under a lock that other instances of descan respect, what is on
+//! disk is compared with what the new content was made from.
+//!
+//! What it deliberately does not know: what is in the file.
 
+use std::ffi::{OsStr, OsString};
+use std::fs::{self, File, Permissions};
+use std::io::{self, Read as _, Write as _};
+use std::os::unix::ffi::OsStrExt as _;
+use std::os::unix::fs::{MetadataExt as _, OpenOptionsExt as _, PermissionsExt as _};
+use std::path::{Component, Path, PathBuf};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use nix::errno::Errno;
+use nix::fcntl::{Flock, FlockArg, OFlag};
+use nix::unistd::{AccessFlags, Gid, Uid, access, fchown};
+
+use crate::text::printable;
+
+/// The largest file that is read, in bytes: 64 MiB.
+pub const MAX_BYTES: u64 = 64 << 20;
+
+/// How long a save waits for another instance that is saving. It is done in milliseconds.
+const LOCK_PATIENCE: Duration = Duration::from_secs(2);
+
+/// As many symbolic links as the kernel follows.
+const MAX_LINKS: usize = 40;
+
+/// A file by its path, which may be a symbolic link, and need not exist.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Store {
+    path: PathBuf,
+}
+
+/// The file cannot be read. `Display` names the cause and the way out.
+#[derive(Debug, thiserror::Error)]
+pub enum StoreError {
+    /// There is a folder of that name.
+    #[error("{path} is a folder: name the file in it, {path}/des.json")]
+    Folder {
+        /// Safe on a terminal, as are all of these.
+        path: String,
+    },
+    /// There is a device, a pipe or a socket of that name.
+    #[error("{path} is not a regular file: name another one with --file")]
+    NotAFile {
+        /// Which.
+        path: String,
+    },
+    /// It has more than [`MAX_BYTES`].
+    #[error("{path} is larger than 64 MiB: is it the right file?")]
+    TooLarge {
+        /// Which.
+        path: String,
+    },
+    /// The system refuses.
+    #[error("{path} cannot be read: {cause}{}", way_out(.cause))]
+    Read {
+        /// Which.
+        path: String,
+        /// Why.
+        cause: io::Error,
+    },
+}
+
+/// The file was not saved; it is as it was. `Display` names the cause and the way out.
+#[derive(Debug, thiserror::Error)]
+pub enum SaveError {
+    /// What is on disk is not what the new content was made from, but this; none: the file is gone.
+    #[error("the file was changed by another program: nothing was saved")]
+    Changed(Option<Vec<u8>>),
+    /// What is on disk cannot be read, hence not compared.
+    #[error(transparent)]
+    Unreadable(#[from] StoreError),
+    /// The file is write-protected. Replacing it would go around that.
+    #[error("{path} is write-protected: chmod u+w {path}, or save elsewhere with --file")]
+    Protected {
+        /// Which.
+        path: String,
+    },
+    /// Another instance of descan has been saving for seconds.
+    #[error("{folder} is locked by another descan: close it, then save again")]
+    Locked {
+        /// The folder of the file.
+        folder: String,
+    },
+    /// The system refuses.
+    #[error("{path} cannot be saved: {cause}{}", way_out(.cause))]
+    Write {
+        /// Which.
+        path: String,
+        /// Why.
+        cause: io::Error,
+    },
+}
+
+impl Store {
+    /// The file at `path`, as the user names it.
+    pub fn new(path: impl Into<PathBuf>) -> Self {
+        Self { path: path.into() }
+    }
+
+    /// The path as the user names it.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The whole content; none when there is no file.
+    ///
+    /// # Errors
+    /// [`StoreError`] when something is there that is no readable file of up to [`MAX_BYTES`].
+    pub fn read(&self) -> Result<Option<Vec<u8>>, StoreError> {
+        let path = || shown(&self.path);
+        // Opening a pipe for reading would wait for a writer.
+        let mut options = File::options();
+        options.read(true).custom_flags(OFlag::O_NONBLOCK.bits());
+        let file = match options.open(&self.path) {
+            Ok(file) => file,
+            Err(cause) if cause.kind() == io::ErrorKind::NotFound => return Ok(None),
+            Err(cause) => return Err(StoreError::Read { path: path(), cause }),
+        };
+        let read = |cause| StoreError::Read { path: path(), cause };
+        let metadata = file.metadata().map_err(read)?;
+        if metadata.is_dir() {
+            return Err(StoreError::Folder { path: path() });
+        }
+        if !metadata.is_file() {
+            return Err(StoreError::NotAFile { path: path() });
+        }
+        let mut content = Vec::new();
+        if metadata.len() <= MAX_BYTES {
+            // It may grow while it is read.
+            file.take(MAX_BYTES + 1).read_to_end(&mut content).map_err(read)?;
+        }
+        if metadata.len().max(content.len() as u64) > MAX_BYTES {
+            return Err(StoreError::TooLarge { path: path() });
+        }
+        Ok(Some(content))
+    }
+
+    /// Replaces the content, if what is on disk is still `expected`: the content that `new` was
+    /// made from, or none where there was no file.
+    ///
+    /// When this returns `Ok`, `new` has reached the disk. Symbolic links stay, and the target's
+    /// mode, owner and group, the latter two as far as the system allows. Takes as long as the disk
+    /// needs, so not to be called where the screen waits.
+    ///
+    /// # Errors
+    /// [`SaveError`]; the file is then as it was, and nothing is left beside it. The one exception:
+    /// when the disk fails in confirming the rename, the new content may or may not survive a power
+    /// cut, and the next save finds either one on disk.
+    pub fn save(&self, expected: Option<&[u8]>, new: &[u8]) -> Result<(), SaveError> {
+        let places = Places::of(&self.path).map_err(|cause| self.write_error(cause))?;
+        let (folder, target) = (&places.folder, &places.target);
+        let open = File::open(folder).map_err(|cause| self.write_error(cause))?;
+        let lock = lock(&open, folder)?;
+        let old = fs::metadata(target).ok();
+        if old.is_some() && access(target, AccessFlags::W_OK) == Err(Errno::EACCES) {
+            return Err(SaveError::Protected { path: shown(target) });
+        }
+        let temporary = write_beside(target, folder, old.as_ref(), new);
+        let temporary = temporary.map_err(|cause| self.write_error(cause))?;
+
+        let present = Self::new(target).read()?;
+        if present.as_deref() != expected {
+            return Err(SaveError::Changed(present));
+        }
+        let renamed = match expected {
+            Some(_) => temporary.persist(target),
+            // Whoever creates the file at this very moment is not overwritten.
+            None => temporary.persist_noclobber(target),
+        };
+        if let Err(error) = renamed {
+            if expected.is_none() && error.error.kind() == io::ErrorKind::AlreadyExists {
+                return Err(SaveError::Changed(self.read()?));
+            }
+            return Err(self.write_error(error.error));
+        }
+        drop(lock);
+        match open.sync_all() {
+            // Not all file systems can sync a folder.
+            Err(cause) if cause.raw_os_error() != Some(Errno::EINVAL as i32) => {
+                Err(self.write_error(cause))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn write_error(&self, cause: io::Error) -> SaveError {
+        SaveError::Write { path: shown(&self.path), cause }
+    }
+}
+
+/// Where a path leads, link by link.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Places {
+    /// The folders and the names in them on which it depends what the path stands for: those of
+    /// links, of the file, and of the first folder that is missing.
+    pub watched: Vec<(PathBuf, OsString)>,
+    /// The file itself, whether or not it exists.
+    pub target: PathBuf,
+    /// The folder it is in.
+    pub folder: PathBuf,
+}
+
+impl Places {
+    /// # Errors
+    /// When links go in circles, or there is no current folder.
+    pub fn of(path: &Path) -> io::Result<Self> {
+        let mut watched = Vec::new();
+        let mut here = PathBuf::from("/");
+        // The components still to be walked, last first.
+        let mut ahead = components(&std::path::absolute(path)?);
+        let mut links = 0;
+        while let Some(name) = ahead.pop() {
+            if name == ".." {
+                here.pop();
+                continue;
+            }
+            let next = here.join(&name);
+            match fs::symlink_metadata(&next) {
+                Ok(metadata) if metadata.is_symlink() => {
+                    links += 1;
+                    if links > MAX_LINKS {
+                        return Err(Errno::ELOOP.into());
+                    }
+                    let link = fs::read_link(&next)?;
+                    if link.is_absolute() {
+                        watched.push((std::mem::replace(&mut here, "/".into()), name));
+                    } else {
+                        watched.push((here.clone(), name));
+                    }
+                    ahead.extend(components(&link));
+                }
+                Ok(_) if !ahead.is_empty() => here = next,
+                Ok(_) => watched.push((here.clone(), name)),
+                Err(_) => {
+                    watched.push((here.clone(), name));
+                    let target = ahead.iter().rev().fold(next, |path, name| path.join(name));
+                    let folder = target.parent().unwrap_or(&here).to_owned();
+                    return Ok(Self { watched, target, folder });
+                }
+            }
+        }
+        let target = watched.last().map_or(here.clone(), |(folder, name)| folder.join(name));
+        Ok(Self { watched, folder: target.parent().unwrap_or(&here).to_owned(), target })
+    }
+}
+
+/// The names in a path, last first.
+fn components(path: &Path) -> Vec<OsString> {
+    let name = |component| match component {
+        Component::Normal(name) => Some(name),
+        Component::ParentDir => Some(OsStr::new("..")),
+        _ => None,
+    };
+    path.components().rev().filter_map(name).map(OsStr::to_owned).collect()
+}
+
+/// A lock on the folder, which leaves no file behind; none where the file system has no locks.
+fn lock(folder: &File, path: &Path) -> Result<Option<Flock<File>>, SaveError> {
+    let deadline = Instant::now() + LOCK_PATIENCE;
+    let Ok(mut folder) = folder.try_clone() else { return Ok(None) };
+    loop {
+        match Flock::lock(folder, FlockArg::LockExclusiveNonblock) {
+            Ok(lock) => return Ok(Some(lock)),
+            Err((again, Errno::EWOULDBLOCK)) if Instant::now() < deadline => folder = again,
+            Err((_, Errno::EWOULDBLOCK)) => {
+                return Err(SaveError::Locked { folder: shown(path) });
+            }
+            Err(_) => return Ok(None),
+        }
+        thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// The new content in a file beside the target, on the disk, and removed when dropped.
+fn write_beside(
+    target: &Path,
+    folder: &Path,
+    old: Option<&fs::Metadata>,
+    new: &[u8],
+) -> io::Result<tempfile::NamedTempFile> {
+    let mut prefix = OsString::from(".");
+    prefix.push(target.file_name().unwrap_or_default());
+    prefix.push(".");
+    // A new file's mode is the user's own choice, by umask.
+    let mode = if old.is_some() { 0o600 } else { 0o666 };
+    let mut temporary = tempfile::Builder::new()
+        .prefix(&prefix)
+        .suffix(".tmp")
+        .permissions(Permissions::from_mode(mode))
+        .tempfile_in(folder)?;
+    temporary.write_all(new)?;
+    if let Some(old) = old {
+        keep_owner(temporary.as_file(), old)?;
+    }
+    temporary.as_file().sync_all()?;
+    Ok(temporary)
+}
+
+/// Gives the file the owner, group and mode of the old one. Only root can give files away, and
+/// only to their own groups can others: where the group cannot be kept, its members get no more
+/// than everybody does.
+fn keep_owner(file: &File, old: &fs::Metadata) -> io::Result<()> {
+    let (user, group) = (Uid::from_raw(old.uid()), Gid::from_raw(old.gid()));
+    let new = file.metadata()?;
+    let mut mode = old.permissions().mode() & 0o777;
+    if new.uid() != old.uid() {
+        // Where it cannot be kept, the file is ours from now on, as with editors.
+        let _ = fchown(file, Some(user), None);
+    }
+    if new.gid() != old.gid() && fchown(file, None, Some(group)).is_err() {
+        mode = mode & 0o707 | (mode & 0o007) << 3;
+    }
+    file.set_permissions(Permissions::from_mode(mode))
+}
+
+/// What the user can do about it, as the end of a sentence.
+fn way_out(cause: &io::Error) -> &'static str {
+    match cause.raw_os_error().map(Errno::from_raw) {
+        Some(Errno::EACCES | Errno::EPERM) => {
+            ": get the permission (ls -ld shows who has it), or name another file with --file"
+        }
+        Some(Errno::EROFS) => ": the file system is mounted read-only; remount it, or use --file",
+        Some(Errno::ENOSPC | Errno::EDQUOT) => ": make room, then save again",
+        Some(Errno::EBUSY) => {
+            ": it is a mount point of its own (a bind mount); mount its folder instead"
+        }
+        Some(Errno::ENOENT | Errno::ENOTDIR) => ": make its folder (mkdir -p), then save again",
+        Some(Errno::ELOOP) => ": its symbolic links go in circles",
+        Some(Errno::EMFILE | Errno::ENFILE) => ": close other programs, or raise ulimit -n",
+        _ => "",
+    }
+}
+
+fn shown(path: &Path) -> String {
+    printable(path.as_os_str().as_bytes())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Some of these cannot be brought about without mounting file systems.
+    #[test]
+    fn errors_name_the_way_out() {
+        for (cause, way) in [
+            (Errno::ENOSPC, ": make room, then save again"),
+            (Errno::EDQUOT, ": make room, then save again"),
+            (Errno::EROFS, ": the file system is mounted read-only; remount it, or use --file"),
+            (
+                Errno::EBUSY,
+                ": it is a mount point of its own (a bind mount); mount its folder instead",
+            ),
+            (
+                Errno::EACCES,
+                ": get the permission (ls -ld shows who has it), or name another file with --file",
+            ),
+            (Errno::EIO, ""),
+        ] {
+            let message = format!("a cannot be saved: {}{way}", io::Error::from(cause));
+            assert_eq!(Store::new("a").write_error(cause.into()).to_string(), message);
+        }
+    }
+}

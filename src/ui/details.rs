@@ -179,8 +179,7 @@ impl<'a> Details<'_, 'a> {
         match device.uid {
             Some(uid) if uid.is_blank() => self.add("UID", Role::Muted, "blank"),
             Some(uid) => {
-                let text =
-                    crate::wire::text::Escaped(uid.text(&profile.uid).as_bytes()).to_string();
+                let text = crate::text::Escaped(uid.text(&profile.uid).as_bytes()).to_string();
                 self.add("UID", Role::Text, &text);
             }
             None => {}
@@ -330,7 +329,7 @@ impl<'a> Details<'_, 'a> {
 }
 
 fn printable(text: &str) -> String {
-    crate::wire::text::Escaped(text.as_bytes()).to_string()
+    crate::text::Escaped(text.as_bytes()).to_string()
 }
 
 /// The version that a service had before it changed.

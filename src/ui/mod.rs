@@ -16,7 +16,7 @@
 //! The help (`help.rs`) and a conflict (`conflict.rs`) take the place of the page.
 //!
 //! Reads, never changes; no state survives a draw. Colours only by [`Role`]. What devices say
-//! comes here as [`crate::wire::text::Name`] or as text the app made of it, never as bytes.
+//! comes here as [`crate::text::Name`] or as text the app made of it, never as bytes.
 //! Where the regions are is [`crate::app::Screen`]'s.
 
 mod brush;

@@ -3,7 +3,8 @@
 //! What matters most comes first and stays longest when the screen is narrow.
 
 use super::brush::Brush;
-use crate::app::{Bus, ControllerState, FileProblem, Link, Meter};
+use crate::app::{Bus, FileProblem, Meter};
+use crate::bus::{BusState, Link};
 use crate::discovery::OwnAddress;
 use crate::frame::BusIndex;
 use crate::theme::Role;
@@ -87,23 +88,23 @@ fn bus_parts(brush: &Brush, index: BusIndex) -> Parts {
     let text = |text: String| vec![brush.span(Role::Text, text)];
     let mut parts: Parts = Vec::new();
     let mut name = vec![brush.span(Role::Title, bus.name.clone())];
-    if let Some(bitrate) = bus.view.bitrate {
+    if let Some(bitrate) = bus.status.bitrate {
         name.push(brush.span(Role::Text, format!(" {}", rate(bitrate))));
-        if let Some(data) = bus.view.data_bitrate {
+        if let Some(data) = bus.status.data_bitrate {
             name.push(brush.span(Role::Text, format!("/{}", rate(data))));
         }
     }
     parts.push(name);
     parts.push(vec![state(brush, bus)]);
-    if let (Link::Down, Some(message)) = (bus.view.link, &bus.view.message) {
-        let message = crate::wire::text::Escaped(message.as_bytes()).to_string();
+    if let Some(message) = bus.status.message.as_ref().filter(|_| !bus.is_up()) {
+        let message = crate::text::Escaped(message.as_bytes()).to_string();
         parts.push(vec![brush.span(Role::Error, message)]);
         return parts;
     }
     let load = bus.meter.last().load(bus.bits_per_second()) * 100.0;
     let frames = bus.meter.last().frames;
     let errors = bus.engine.counters().errors;
-    let lost = bus.view.lost();
+    let lost = bus.lost();
     parts.push(vec![
         brush.span(Role::Muted, "load "),
         brush.span(if load >= 80.0 { Role::Warning } else { Role::Text }, format!("{load:>3.0}% ")),
@@ -141,16 +142,19 @@ fn rate(bits: u32) -> String {
 }
 
 fn state(brush: &Brush, bus: &Bus) -> Span<'static> {
-    let (word, role) = match (bus.view.link, bus.view.state) {
+    let (word, role) = match (bus.status.link, bus.status.state) {
         (Link::Opening, _) => ("opening", Role::Muted),
-        (Link::Down, _) => ("DOWN", Role::Error),
+        (Link::Down, _) | (Link::Up, BusState::Down) => ("DOWN", Role::Error),
+        (Link::Missing, _) => ("MISSING", Role::Error),
+        (Link::Unplugged, _) => ("UNPLUGGED", Role::Error),
+        (Link::NotCan | Link::NoKernel | Link::Failed, _) => ("FAILED", Role::Error),
         (Link::Ended, _) => ("end of log", Role::Muted),
-        (Link::Up, ControllerState::Active) => ("active", Role::Online),
-        (Link::Up, ControllerState::Unknown) => ("open", Role::Online),
-        (Link::Up, ControllerState::Warning) => ("WARNING", Role::Warning),
-        (Link::Up, ControllerState::Passive) => ("PASSIVE", Role::Error),
-        (Link::Up, ControllerState::BusOff) => ("BUS-OFF", Role::Error),
-        (Link::Up, ControllerState::Stopped) => ("STOPPED", Role::Error),
+        (Link::Up, BusState::ErrorActive) => ("active", Role::Online),
+        (Link::Up, BusState::Unknown) => ("open", Role::Online),
+        (Link::Up, BusState::ErrorWarning) => ("WARNING", Role::Warning),
+        (Link::Up, BusState::ErrorPassive) => ("PASSIVE", Role::Error),
+        (Link::Up, BusState::BusOff) => ("BUS-OFF", Role::Error),
+        (Link::Up, BusState::Stopped) => ("STOPPED", Role::Error),
     };
     brush.span(role, word)
 }
@@ -159,10 +163,10 @@ fn own_address(brush: &Brush, bus: &Bus) -> Vec<Span<'static>> {
     let label = |text: &str| brush.span(Role::Muted, text.to_owned());
     if bus.engine.config().listen_only {
         // Without the controller's own listen-only mode our adapter still acknowledges frames.
-        let more = if bus.view.controller_listen_only { "" } else { ", acknowledging" };
+        let more = if bus.status.listen_only { "" } else { ", acknowledging" };
         return vec![brush.span(Role::Warning, format!("listen-only{more}"))];
     }
-    if bus.nobody_acknowledges {
+    if bus.engine.is_unacknowledged() {
         return vec![brush.span(Role::Error, "nobody acknowledges")];
     }
     match bus.engine.own_address() {

@@ -175,6 +175,7 @@ impl Header {
     /// The answer (no error) of the node `from` to the request `self`: DST is the asker, D the
     /// asker's U (4.3 as resolved: its text says DST = the request's DST, which is the
     /// answerer itself).
+    #[must_use]
     pub const fn answer(self, from: Address, not_working: bool) -> Self {
         Self {
             sender_not_working: not_working,

@@ -295,6 +295,11 @@ impl Reassembly {
         &self.message
     }
 
+    /// The bytes so far, for keeping.
+    pub fn into_message(self) -> Vec<u8> {
+        self.message
+    }
+
     /// When it is to be given up if nothing more comes (N_Cr).
     pub fn deadline(&self) -> Instant {
         self.deadline

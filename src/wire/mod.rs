@@ -13,4 +13,4 @@ pub mod id;
 pub mod isotp;
 pub mod node;
 pub mod profile;
-pub mod text;
+pub use crate::text;

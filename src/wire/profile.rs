@@ -414,7 +414,7 @@ fn alphabet<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[char; 64], D:
     let text = String::deserialize(deserializer)?;
     let characters: Vec<char> = text.chars().collect();
     let count = characters.len();
-    if let Some(odd) = characters.iter().find(|&&c| !super::text::is_printable(c)) {
+    if let Some(odd) = characters.iter().find(|&&c| !crate::text::is_printable(c)) {
         return Err(serde::de::Error::custom(format!("{odd:?} is not printable")));
     }
     characters.try_into().map_err(|_| {

@@ -1,4 +1,5 @@
-//! How strings of bytes that come from devices are shown: nothing of them can steer a terminal.
+//! How strings of bytes that come from devices and files are shown: nothing of them can steer a
+//! terminal.
 //!
 //! Does not know where the text goes or how wide it may be.
 
@@ -48,6 +49,11 @@ impl fmt::Display for Escaped<'_> {
     }
 }
 
+/// [`Escaped`], as a string.
+pub fn printable(bytes: &[u8]) -> String {
+    Escaped(bytes).to_string()
+}
+
 fn hex_escapes(f: &mut fmt::Formatter<'_>, bytes: &[u8]) -> fmt::Result {
     bytes.iter().try_for_each(|byte| write!(f, "\\x{byte:02X}"))
 }
@@ -69,7 +75,11 @@ impl Name {
 
     /// Its bytes as hexadecimal digits, exact.
     pub fn hex(&self) -> String {
-        self.0.iter().map(|byte| format!("{byte:02x}")).collect()
+        use fmt::Write;
+        self.0.iter().fold(String::new(), |mut hex, byte| {
+            let _ = write!(hex, "{byte:02X}");
+            hex
+        })
     }
 }
 

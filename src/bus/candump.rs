@@ -1,0 +1,244 @@
+//! candump's log text: `(1436509052.249713) can0 02015402#0444455301`.
+//!
+//! Reads what can-utils and its relatives write and more leniently than they do; lines come
+//! from strangers, so whatever does not fit is a [`LineFault`] and nothing is allocated. Does
+//! not know where lines come from: that is [`super::log`].
+
+use crate::frame::{CanId, Frame};
+use crate::time::Epoch;
+use std::io::{self, Write};
+
+/// Longer lines are not read. A line with an FD frame has at most some 250 bytes.
+pub const MAX_LINE: usize = 512;
+
+const STANDARD_ID_MASK: u32 = 0x7FF;
+const EXTENDED_ID_MASK: u32 = 0x1FFF_FFFF;
+/// Set in the eight digits of an error report.
+const ERROR_FLAG: u32 = 0x2000_0000;
+const BIT_RATE_SWITCH: u8 = 0x1;
+const ERROR_STATE: u8 = 0x2;
+
+/// A frame of a log, with the interface it was seen on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LogLine<'a> {
+    /// Its time: microseconds since 1970, or since whatever the log counts from.
+    pub unix_micros: u64,
+    /// The interface's name.
+    pub interface: &'a str,
+    /// The frame, dated with the zero moment; ours if the line says that it was sent (` T`).
+    pub frame: Frame,
+}
+
+/// Why a line cannot be read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
+pub enum LineFault {
+    /// Longer than [`MAX_LINE`].
+    #[error("the line is too long")]
+    TooLong,
+    /// It does not begin with a time in parentheses.
+    #[error("it does not begin with (SECONDS.FRACTION)")]
+    Time,
+    /// No interface name after the time, or not one in UTF-8.
+    #[error("no interface name after the time")]
+    Interface,
+    /// No `ID#…`.
+    #[error("no frame (ID#DATA) after the interface")]
+    Frame,
+    /// Not 3 or 8 hexadecimal digits, or too large.
+    #[error("the identifier is not 3 or 8 hexadecimal digits in range")]
+    Id,
+    /// A digit that is none, half a byte, or something after the data.
+    #[error("the data is not whole hexadecimal bytes")]
+    Data,
+    /// More bytes than a frame of its kind carries.
+    #[error("more data than the frame can carry")]
+    TooMuchData,
+    /// A remote request's length, or a raw DLC.
+    #[error("a length or DLC that does not exist")]
+    Length,
+    /// A CAN XL frame.
+    #[error("a CAN XL frame")]
+    Xl,
+    /// Something after the frame that is neither R nor T.
+    #[error("something after the frame that is neither R nor T")]
+    Trailing,
+    /// More interface names than there are bus numbers.
+    #[error("more than 256 interface names in one log")]
+    TooManyInterfaces,
+}
+
+/// Reads one line, with or without its line end; `None` where it is blank.
+pub fn parse_line(line: &[u8]) -> Result<Option<LogLine<'_>>, LineFault> {
+    if line.len() > MAX_LINE {
+        return Err(LineFault::TooLong);
+    }
+    let mut words = line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
+    let Some(time) = words.next() else { return Ok(None) };
+    let unix_micros = parse_time(time).ok_or(LineFault::Time)?;
+    let interface = words.next().ok_or(LineFault::Interface)?;
+    let interface = std::str::from_utf8(interface).map_err(|_| LineFault::Interface)?;
+    let mut frame = parse_frame(words.next().ok_or(LineFault::Frame)?)?;
+    match words.next() {
+        None | Some(b"R") => {}
+        Some(b"T") => frame.ours = true,
+        Some(_) => return Err(LineFault::Trailing),
+    }
+    if words.next().is_some() {
+        return Err(LineFault::Trailing);
+    }
+    Ok(Some(LogLine { unix_micros, interface, frame }))
+}
+
+/// Writes one line; ` T` ends the line of a frame of ours, so that it is known again.
+pub fn write_line(
+    out: &mut impl Write,
+    epoch: Epoch,
+    interface: &str,
+    frame: &Frame,
+) -> io::Result<()> {
+    let micros = epoch.unix_micros(frame.time);
+    let (seconds, fraction) = (micros / 1_000_000, micros % 1_000_000);
+    let direction = if frame.ours { " T" } else { "" };
+    writeln!(out, "({seconds:010}.{fraction:06}) {interface} {frame}{direction}")
+}
+
+/// Reads a frame as candump writes it and cansend takes it: `02015402#0444455301`, `123#R4`,
+/// `123##1AABB`, `20000004#…`.
+pub fn parse_frame(text: &[u8]) -> Result<Frame, LineFault> {
+    let hash = text.iter().position(|&byte| byte == b'#').ok_or(LineFault::Frame)?;
+    let (id_text, body) = (&text[..hash], &text[hash + 1..]);
+    let head = parse_head(id_text)?;
+    match (head, body) {
+        (Head::Id(id), [b'#', body @ ..]) => parse_fd(id, body),
+        (Head::Id(id), [b'R' | b'r', body @ ..]) => parse_remote(id, body),
+        _ => {
+            let mut data = [0; Frame::MAX_CLASSIC_DATA];
+            let (len, rest) = parse_bytes(body, &mut data)?;
+            parse_raw_dlc(rest, len)?;
+            Ok(match head {
+                Head::Id(id) => Frame::with(id, &data[..len]),
+                Head::ErrorClass(class) => Frame::error(class, &data[..len]),
+            })
+        }
+    }
+}
+
+/// What the digits before the `#` say.
+#[derive(Clone, Copy)]
+enum Head {
+    Id(CanId),
+    /// The class bits of an error report.
+    ErrorClass(u32),
+}
+
+fn parse_head(text: &[u8]) -> Result<Head, LineFault> {
+    if !matches!(text.len(), 3 | 8) {
+        return Err(LineFault::Id);
+    }
+    let number = text.iter().try_fold(0_u32, |number, &digit| {
+        hex_value(digit).map(|value| number << 4 | u32::from(value)).ok_or(LineFault::Id)
+    })?;
+    let (id, flags) = (number & EXTENDED_ID_MASK, number & !EXTENDED_ID_MASK);
+    match (text.len(), flags) {
+        (3, 0) if id <= STANDARD_ID_MASK => Ok(Head::Id(CanId::Standard(id as u16))),
+        (8, 0) => Ok(Head::Id(CanId::Extended(id))),
+        (8, ERROR_FLAG) => Ok(Head::ErrorClass(id)),
+        _ => Err(LineFault::Id),
+    }
+}
+
+/// Lengths without a DLC are padded with zeros to the next that has one, as cansend does it.
+fn parse_fd(id: CanId, body: &[u8]) -> Result<Frame, LineFault> {
+    let (&flags, body) = body.split_first().ok_or(LineFault::Data)?;
+    let flags = hex_value(flags).ok_or(LineFault::Data)?;
+    let mut data = [0; Frame::MAX_DATA];
+    let (len, rest) = parse_bytes(body, &mut data)?;
+    if !rest.is_empty() {
+        return Err(LineFault::Data);
+    }
+    let mut frame = Frame::fd(0, &data[..len], 0);
+    frame.id = id;
+    frame.bit_rate_switch = flags & BIT_RATE_SWITCH != 0;
+    frame.error_state = flags & ERROR_STATE != 0;
+    Ok(frame)
+}
+
+fn parse_remote(id: CanId, body: &[u8]) -> Result<Frame, LineFault> {
+    let (len, rest) = match body {
+        [digit @ b'0'..=b'8', rest @ ..] => (usize::from(digit - b'0'), rest),
+        _ => (0, body),
+    };
+    parse_raw_dlc(rest, len)?;
+    Ok(Frame::remote(id, len))
+}
+
+/// `_9` to `_F` after eight bytes: what the frame's DLC really was. It means eight all the same.
+fn parse_raw_dlc(rest: &[u8], len: usize) -> Result<(), LineFault> {
+    match rest {
+        [] => Ok(()),
+        [b'_', digit] if len == Frame::MAX_CLASSIC_DATA => {
+            hex_value(*digit).filter(|dlc| *dlc > 8).map(|_| ()).ok_or(LineFault::Length)
+        }
+        [b'_', ..] => Err(LineFault::Length),
+        _ => Err(LineFault::Data),
+    }
+}
+
+/// Reads hexadecimal bytes, with or without dots between them, up to the end or a `_`; says how
+/// many there are, and what follows.
+fn parse_bytes<'a>(text: &'a [u8], data: &mut [u8]) -> Result<(usize, &'a [u8]), LineFault> {
+    let mut rest = text;
+    let mut len = 0;
+    loop {
+        if let [b'.', after @ ..] = rest
+            && len > 0
+        {
+            rest = after;
+        }
+        let [high, low, after @ ..] = rest else { break };
+        if *high == b'_' {
+            break;
+        }
+        let (Some(high), Some(low)) = (hex_value(*high), hex_value(*low)) else {
+            return Err(if text.contains(&b':') { LineFault::Xl } else { LineFault::Data });
+        };
+        *data.get_mut(len).ok_or(LineFault::TooMuchData)? = high << 4 | low;
+        len += 1;
+        rest = after;
+    }
+    Ok((len, rest))
+}
+
+/// `(SECONDS.FRACTION)`, the fraction of any length, or none; cut to microseconds.
+fn parse_time(text: &[u8]) -> Option<u64> {
+    let text = text.strip_prefix(b"(")?.strip_suffix(b")")?;
+    let dot = text.iter().position(|&byte| byte == b'.').unwrap_or(text.len());
+    let (seconds, fraction) = (&text[..dot], text.get(dot + 1..).unwrap_or_default());
+    if seconds.is_empty() {
+        return None;
+    }
+    let seconds = decimal(seconds)?;
+    let mut micros = decimal(&fraction[..fraction.len().min(6)])?;
+    decimal(fraction.get(6..).unwrap_or_default())?;
+    for _ in fraction.len()..6 {
+        micros *= 10;
+    }
+    seconds.checked_mul(1_000_000)?.checked_add(micros)
+}
+
+/// The number that decimal digits make; of no digits, 0.
+fn decimal(digits: &[u8]) -> Option<u64> {
+    digits.iter().try_fold(0_u64, |number, digit| {
+        let value = digit.wrapping_sub(b'0');
+        if value > 9 { None } else { number.checked_mul(10)?.checked_add(u64::from(value)) }
+    })
+}
+
+const fn hex_value(digit: u8) -> Option<u8> {
+    match digit {
+        b'0'..=b'9' => Some(digit - b'0'),
+        b'A'..=b'F' => Some(digit - b'A' + 10),
+        b'a'..=b'f' => Some(digit - b'a' + 10),
+        _ => None,
+    }
+}

@@ -1,0 +1,212 @@
+//! Reading a candump log as fast as possible, by the log's own clock.
+//!
+//! Lines that cannot be read are counted, never an error: a log is evidence, and half of it is
+//! better than none. Knows nothing of the session's clock: replaying is [`super::replay`].
+
+use super::candump::{LineFault, LogLine, MAX_LINE, parse_line};
+use crate::frame::{BusIndex, Frame};
+use crate::time::{Epoch, Instant};
+use std::fmt;
+use std::io::{self, BufRead};
+
+/// The frames of a log. The first is at the start; times that run backwards stand still, and
+/// are counted.
+#[derive(Debug)]
+pub struct LogReader<R> {
+    source: R,
+    /// A line that was cut by the end of the source's buffer, as far as it is here.
+    partial: Vec<u8>,
+    tally: Tally,
+}
+
+/// What was read so far.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Tally {
+    /// Lines, readable or not.
+    pub lines: u64,
+    /// Frames.
+    pub frames: u64,
+    /// Lines that could not be read.
+    pub unreadable: u64,
+    /// The first of them: its number, counted from 1, and what is wrong with it.
+    pub first_unreadable: Option<(u64, LineFault)>,
+    /// Frames dated earlier than the one before them.
+    pub backwards: u64,
+    /// The interfaces by order of appearance: the names of bus 0, 1, ….
+    pub interfaces: Vec<String>,
+    /// The time of the first frame.
+    pub epoch: Option<Epoch>,
+    /// The moment of the last frame.
+    pub last: Instant,
+}
+
+impl<R: BufRead> LogReader<R> {
+    /// Begins at the first line.
+    pub fn new(source: R) -> Self {
+        Self { source, partial: Vec::new(), tally: Tally::default() }
+    }
+
+    /// What was read so far.
+    pub fn tally(&self) -> &Tally {
+        &self.tally
+    }
+
+    /// The next frame; `None` at the end.
+    pub fn next_frame(&mut self) -> io::Result<Option<Frame>> {
+        loop {
+            let buffer = match self.source.fill_buf() {
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+                buffer => buffer?,
+            };
+            let (read, is_at_end) = (buffer.len(), buffer.is_empty());
+            let line_end = buffer.iter().position(|&byte| byte == b'\n');
+            let piece = &buffer[..line_end.unwrap_or(read)];
+            let frame = match line_end {
+                _ if is_at_end && self.partial.is_empty() => return Ok(None),
+                Some(_) if self.partial.is_empty() => self.tally.take(piece),
+                None if !is_at_end => {
+                    keep(&mut self.partial, piece);
+                    None
+                }
+                _ => {
+                    keep(&mut self.partial, piece);
+                    let frame = self.tally.take(&self.partial);
+                    self.partial.clear();
+                    frame
+                }
+            };
+            self.source.consume(line_end.map_or(read, |end| end + 1));
+            if frame.is_some() {
+                return Ok(frame);
+            }
+        }
+    }
+}
+
+/// Adds a piece to a cut line, no more than it takes to see that the line is too long.
+fn keep(partial: &mut Vec<u8>, piece: &[u8]) {
+    let room = (MAX_LINE + 1).saturating_sub(partial.len());
+    partial.extend_from_slice(&piece[..piece.len().min(room)]);
+}
+
+impl<R: BufRead> Iterator for LogReader<R> {
+    type Item = io::Result<Frame>;
+
+    fn next(&mut self) -> Option<io::Result<Frame>> {
+        self.next_frame().transpose()
+    }
+}
+
+impl Tally {
+    fn take(&mut self, line: &[u8]) -> Option<Frame> {
+        self.lines += 1;
+        let read = parse_line(line).and_then(|line| line.map(|line| self.place(line)).transpose());
+        read.unwrap_or_else(|fault| {
+            self.unreadable += 1;
+            self.first_unreadable.get_or_insert((self.lines, fault));
+            None
+        })
+    }
+
+    fn place(&mut self, line: LogLine<'_>) -> Result<Frame, LineFault> {
+        let bus = self.bus_of(line.interface).ok_or(LineFault::TooManyInterfaces)?;
+        let epoch = *self.epoch.get_or_insert(Epoch::from_unix_micros(line.unix_micros));
+        if line.unix_micros < epoch.unix_micros(self.last) {
+            self.backwards += 1;
+        }
+        self.last = self.last.max(epoch.at_unix_micros(line.unix_micros));
+        self.frames += 1;
+        Ok(line.frame.at(self.last).on(bus))
+    }
+
+    fn bus_of(&mut self, interface: &str) -> Option<BusIndex> {
+        let known = self.interfaces.iter().position(|name| name == interface);
+        let index = u8::try_from(known.unwrap_or(self.interfaces.len())).ok()?;
+        if known.is_none() {
+            self.interfaces.push(interface.to_owned());
+        }
+        Some(BusIndex(index))
+    }
+}
+
+/// `5123 frames; 2 lines cannot be read, the first is line 17: …`.
+impl fmt::Display for Tally {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let plural = |count| if count == 1 { "" } else { "s" };
+        write!(f, "{} frame{}", self.frames, plural(self.frames))?;
+        match (self.first_unreadable, self.unreadable) {
+            (None, _) => {}
+            (Some((line, fault)), 1) => write!(f, "; line {line} cannot be read: {fault}")?,
+            (Some((line, fault)), count) => {
+                write!(f, "; {count} lines cannot be read, the first is line {line}: {fault}")?;
+            }
+        }
+        match self.backwards {
+            0 => Ok(()),
+            count => write!(f, "; time runs backwards {count} time{}", plural(count)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::BufReader;
+
+    const LOG: &str = "\
+(1436509052.249713) can0 02015402#04
+(1436509052.249800) can1 123#R4
+
+not a line
+(1436509052.249000) can0 02015402#05 T\r
+(1436509053.000000) can0 00000001#";
+
+    fn read(text: &str, buffer: usize) -> (Vec<Frame>, Tally) {
+        let mut reader = LogReader::new(BufReader::with_capacity(buffer, text.as_bytes()));
+        let frames = reader.by_ref().collect::<io::Result<_>>().unwrap();
+        (frames, reader.tally().clone())
+    }
+
+    #[test]
+    fn reads_the_same_whatever_the_buffer() {
+        let (frames, tally) = read(LOG, 4096);
+        let micros: Vec<_> = frames.iter().map(|frame| frame.time.as_micros()).collect();
+        assert_eq!(micros, [0, 87, 87, 750_287]);
+        assert_eq!(frames.iter().map(|frame| frame.bus.0).collect::<Vec<_>>(), [0, 1, 0, 0]);
+        assert!(frames[2].ours);
+        assert_eq!(tally.interfaces, ["can0", "can1"]);
+        assert_eq!(tally.epoch.unwrap().unix_micros(tally.last), 1_436_509_053_000_000);
+        assert_eq!((tally.lines, tally.frames, tally.unreadable, tally.backwards), (6, 4, 1, 1));
+        assert_eq!(tally.first_unreadable, Some((4, LineFault::Time)));
+        for buffer in 1..60 {
+            assert_eq!(read(LOG, buffer), (frames.clone(), tally.clone()));
+        }
+    }
+
+    #[test]
+    fn an_endless_line_is_one_unreadable_line() {
+        let text = format!("{}\n(0.1) can0 123#", "x".repeat(1_000_000));
+        for buffer in [64, 8192, 2_000_000] {
+            let (frames, tally) = read(&text, buffer);
+            assert_eq!(frames.len(), 1);
+            assert_eq!(tally.first_unreadable, Some((1, LineFault::TooLong)));
+        }
+    }
+
+    #[test]
+    fn the_257th_interface_is_unreadable() {
+        let lines: Vec<_> = (0..300).map(|n| format!("(0.1) bus{n} 123#")).collect();
+        let (frames, tally) = read(&lines.join("\n"), 8192);
+        assert_eq!((frames.len(), tally.unreadable), (256, 44));
+        assert_eq!(tally.first_unreadable, Some((257, LineFault::TooManyInterfaces)));
+    }
+
+    #[test]
+    fn sums_up_in_words() {
+        assert_eq!(
+            read(LOG, 4096).1.to_string(),
+            "4 frames; line 4 cannot be read: it does not begin with (SECONDS.FRACTION); time \
+             runs backwards 1 time"
+        );
+    }
+}

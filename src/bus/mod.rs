@@ -1,0 +1,101 @@
+//! Where frames come from and go: every kind of bus behind one [`Port`].
+//!
+//! Each port has threads of its own, so reading the bus never waits for the screen: frames and
+//! status arrive in a bounded [`Queue`], and whatever is lost on the way is counted. Does not
+//! know what frames mean.
+//!
+//! Reading order: [`BusSpec`] (what the user typed), [`open`], [`Port`], [`Queue`],
+//! [`BusStatus`], [`Clock`]; then the kinds: `socketcan`, `replay`. A log can also be read at
+//! once: [`log::LogReader`].
+
+mod bell;
+pub mod candump;
+mod clock;
+pub mod log;
+mod port;
+mod queue;
+mod replay;
+mod socketcan;
+mod spec;
+mod status;
+
+pub use clock::{Clock, Dating};
+pub use port::{Port, TransmitError};
+pub use queue::Queue;
+pub use socketcan::{Interface, interfaces};
+pub use spec::{BusSpec, SpecError};
+pub use status::{BusState, BusStatus, Link};
+
+use crate::frame::BusIndex;
+use std::fs::File;
+use std::io;
+use std::os::fd::AsFd;
+use std::path::Path;
+
+/// Why a bus cannot be opened. An interface that is down or not there yet is no reason: that
+/// is a status.
+#[derive(Debug, thiserror::Error)]
+pub enum BusError {
+    /// The log cannot be opened.
+    #[error("cannot read {path}: {cause}")]
+    Log {
+        /// The log.
+        path: String,
+        /// Why.
+        cause: io::Error,
+    },
+    /// A kind of bus that is yet to come.
+    #[error("{0}: this kind of bus is not supported yet")]
+    NotSupported(String),
+    /// No thread or no pipe.
+    #[error("cannot open {name}: {cause}")]
+    Resources {
+        /// The bus.
+        name: String,
+        /// What the system said.
+        cause: io::Error,
+    },
+}
+
+/// How to open a bus.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Options {
+    /// Send nothing. (Whether the controller acknowledges is its own setting.)
+    pub listen_only: bool,
+}
+
+/// Opens a bus whose frames are to be of bus `index`. A log of several interfaces takes the
+/// indices after it too: see [`Queue::names`].
+pub fn open(
+    spec: &BusSpec,
+    index: BusIndex,
+    clock: Clock,
+    options: Options,
+) -> Result<Port, BusError> {
+    let name = spec.to_string();
+    let port = match spec {
+        BusSpec::SocketCan(interface) => socketcan::open(interface, index, clock, options),
+        BusSpec::File(path) => {
+            let log =
+                open_log(path).map_err(|cause| BusError::Log { path: name.clone(), cause })?;
+            replay::open(&name, log, index, clock)
+        }
+        BusSpec::Stdin => io::stdin()
+            .as_fd()
+            .try_clone_to_owned()
+            .and_then(|log| replay::open(&name, File::from(log), index, clock)),
+        BusSpec::Sim(_) | BusSpec::Slcan { .. } | BusSpec::Udp(_) | BusSpec::Socketcand(_) => {
+            return Err(BusError::NotSupported(name));
+        }
+    };
+    port.map_err(|cause| BusError::Resources { name, cause })
+}
+
+/// Opens a candump log.
+pub fn open_log(path: &Path) -> io::Result<File> {
+    let log = File::open(path)?;
+    if log.metadata()?.is_dir() {
+        return Err(io::ErrorKind::IsADirectory.into());
+    }
+    Ok(log)
+}

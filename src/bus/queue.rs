@@ -1,0 +1,212 @@
+//! The bounded queue between a bus's own thread and the loop that owns the state.
+//!
+//! The thread never waits for the loop: what does not fit is left out and counted. Knows
+//! nothing of where frames come from.
+
+use super::status::{BusStatus, Link};
+use crate::frame::Frame;
+use std::collections::VecDeque;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use tokio::sync::Notify;
+
+/// Frames that came in and were not taken yet, and the latest status.
+#[derive(Debug)]
+pub struct Queue {
+    capacity: usize,
+    contents: Mutex<Contents>,
+    news: Notify,
+}
+
+#[derive(Debug, Default)]
+struct Contents {
+    frames: VecDeque<Frame>,
+    names: Vec<String>,
+    status: BusStatus,
+    status_is_new: bool,
+}
+
+impl Queue {
+    /// Two seconds of a full 1 Mbit/s bus.
+    pub const CAPACITY: usize = 16_384;
+
+    /// Empty; holds at most `capacity` frames.
+    pub fn new(capacity: usize) -> Self {
+        Self { capacity, contents: Mutex::default(), news: Notify::new() }
+    }
+
+    /// Waits until there are frames to take or the status has changed since it was taken.
+    /// May be dropped while waiting. For one consumer.
+    pub async fn ready(&self) {
+        while !self.contents().has_news() {
+            self.news.notified().await;
+        }
+    }
+
+    /// Moves at most `max` frames to the end of `frames`; says how many.
+    pub fn drain(&self, frames: &mut Vec<Frame>, max: usize) -> usize {
+        let mut contents = self.contents();
+        let count = max.min(contents.frames.len());
+        frames.extend(contents.frames.drain(..count));
+        count
+    }
+
+    /// The status, if it has changed since it was last taken.
+    pub fn take_status(&self) -> Option<BusStatus> {
+        let mut contents = self.contents();
+        std::mem::take(&mut contents.status_is_new).then(|| contents.status.clone())
+    }
+
+    /// The status as it is.
+    pub fn status(&self) -> BusStatus {
+        self.contents().status.clone()
+    }
+
+    /// Whether every frame has been taken and none will come any more.
+    pub fn is_finished(&self) -> bool {
+        let contents = self.contents();
+        contents.status.link.is_final() && contents.frames.is_empty()
+    }
+
+    /// The names of the buses whose frames these are: the port's own index first, the next
+    /// indices after it. More than one where a log of several buses is read.
+    pub fn names(&self) -> Vec<String> {
+        self.contents().names.clone()
+    }
+
+    /// Puts frames in; those that do not fit are left out, counted, and the status says so.
+    pub fn push(&self, frames: &[Frame]) {
+        let mut contents = self.contents();
+        let room = self.capacity - contents.frames.len();
+        let (fitting, lost) = frames.split_at(room.min(frames.len()));
+        contents.frames.extend(fitting);
+        if !lost.is_empty() {
+            contents.status.queue_drops += lost.len() as u64;
+            contents.status_is_new = true;
+        }
+        drop(contents);
+        self.news.notify_one();
+    }
+
+    /// How many frames would still fit: for sources that can wait.
+    pub fn room(&self) -> usize {
+        self.capacity - self.contents().frames.len()
+    }
+
+    /// Changes the status; wakes the consumer only if it is another one then.
+    pub fn update_status(&self, change: impl FnOnce(&mut BusStatus)) {
+        let mut contents = self.contents();
+        let before = contents.status.clone();
+        change(&mut contents.status);
+        if contents.status == before {
+            return;
+        }
+        contents.status_is_new = true;
+        drop(contents);
+        self.news.notify_one();
+    }
+
+    /// Gives the next bus of this port its name.
+    pub fn add_name(&self, name: &str) {
+        self.contents().names.push(name.to_owned());
+    }
+
+    /// Says that nothing more will come, unless that was said before.
+    pub fn finish(&self, link: Link, message: String) {
+        self.update_status(|status| {
+            if !status.link.is_final() {
+                status.link = link;
+                status.message = Some(message);
+            }
+        });
+    }
+
+    // A panic of the other side leaves nothing half-done in here, so its poison is ignored.
+    fn contents(&self) -> MutexGuard<'_, Contents> {
+        self.contents.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Contents {
+    fn has_news(&self) -> bool {
+        !self.frames.is_empty() || self.status_is_new
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::future::Future;
+    use std::pin::pin;
+    use std::sync::Arc;
+    use std::task::{Context, Poll, Waker};
+
+    fn frames(ids: std::ops::Range<u32>) -> Vec<Frame> {
+        ids.map(|id| Frame::classic(id, &[])).collect()
+    }
+
+    fn is_ready(queue: &Queue) -> bool {
+        let mut context = Context::from_waker(Waker::noop());
+        pin!(queue.ready()).poll(&mut context) == Poll::Ready(())
+    }
+
+    #[test]
+    fn hands_over_in_order_and_in_batches() {
+        let queue = Queue::new(10);
+        queue.push(&frames(0..5));
+        let mut taken = Vec::new();
+        assert_eq!(queue.drain(&mut taken, 3), 3);
+        assert_eq!(queue.drain(&mut taken, 3), 2);
+        assert_eq!(taken, frames(0..5));
+    }
+
+    #[test]
+    fn leaves_out_the_newest_and_counts_them() {
+        let queue = Queue::new(3);
+        queue.push(&frames(0..5));
+        queue.push(&frames(5..6));
+        assert_eq!(queue.take_status().map(|status| status.queue_drops), Some(3));
+        let mut taken = Vec::new();
+        queue.drain(&mut taken, 100);
+        assert_eq!(taken, frames(0..3));
+        assert_eq!(queue.room(), 3);
+    }
+
+    #[test]
+    fn is_ready_for_frames_and_for_a_changed_status_only() {
+        let queue = Queue::new(3);
+        assert!(!is_ready(&queue));
+        queue.update_status(|status| status.link = Link::Up);
+        assert!(is_ready(&queue));
+        assert_eq!(queue.take_status().map(|status| status.link), Some(Link::Up));
+        queue.update_status(|status| status.link = Link::Up);
+        assert!(!is_ready(&queue));
+        assert_eq!(queue.take_status(), None);
+        queue.push(&frames(0..1));
+        assert!(is_ready(&queue));
+    }
+
+    #[test]
+    fn is_finished_when_the_last_frame_is_taken() {
+        let queue = Queue::new(3);
+        queue.push(&frames(0..1));
+        queue.finish(Link::Ended, "end of log".into());
+        queue.finish(Link::Failed, "a later word does not count".into());
+        assert!(!queue.is_finished());
+        queue.drain(&mut Vec::new(), 9);
+        assert!(queue.is_finished());
+        assert_eq!(queue.status().message.as_deref(), Some("end of log"));
+    }
+
+    #[test]
+    fn wakes_a_consumer_in_another_thread() {
+        let queue = Arc::new(Queue::new(3));
+        let producer = Arc::clone(&queue);
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();
+        runtime.block_on(async {
+            let thread = std::thread::spawn(move || producer.push(&frames(0..1)));
+            let waited = tokio::time::timeout(crate::time::Duration::from_secs(10), queue.ready());
+            waited.await.expect("woken");
+            thread.join().unwrap();
+        });
+    }
+}

@@ -1,0 +1,360 @@
+//! SocketCAN: an interface of this machine as a port.
+//!
+//! Two threads. The reader does nothing but move frames, so nothing can hold it up; the
+//! observer asks netlink about the interface once a second and when there is reason to, which
+//! can take long while somebody configures another one. An interface that is down, missing or
+//! unplugged is a status, and is waited for.
+
+mod facts;
+mod socket;
+
+pub use facts::{Interface, interfaces};
+
+use super::Options;
+use super::clock::{Clock, Dating};
+use super::port::{Line, Port};
+use super::status::{BusState, BusStatus, Link};
+use crate::frame::{BusIndex, Frame, FrameKind};
+use facts::{Facts, advice_missing, is_can};
+use nix::errno::Errno;
+use nix::net::if_::if_nametoindex;
+use socket::{RawSocket, Received};
+use std::io;
+use std::os::fd::AsFd;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::time::{Duration, Instant as Monotonic};
+
+/// How often to look for an interface that is not there, and at one that is.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
+/// The least time between two looks: error reports can come by the thousand.
+const LOOK_AT_MOST_EVERY: Duration = Duration::from_millis(100);
+/// The longest nap between two batches. Wake-ups are what reading costs, not system calls.
+const LONGEST_NAP: Duration = Duration::from_millis(5);
+/// Frames that may gather during a nap: a quarter of what the smallest receive buffer holds.
+const FRAMES_PER_NAP: u32 = 64;
+/// How long to wait before a frame is offered again that the kernel had no room for, and for
+/// how long to do so. A full 125 kbit/s bus moves a frame on each millisecond.
+const RETRY_EVERY: Duration = Duration::from_millis(2);
+const RETRY_FOR: Duration = Duration::from_millis(500);
+
+/// Opens the interface; its status is there at once.
+pub(super) fn open(
+    name: &str,
+    index: BusIndex,
+    clock: Clock,
+    options: Options,
+) -> io::Result<Port> {
+    let line = Arc::new(Line::new()?);
+    line.queue.add_name(name);
+    let watch = Arc::new(Watch { name: name.to_owned(), ..Watch::default() });
+    let mut reader = Reader {
+        line: Arc::clone(&line),
+        watch: Arc::clone(&watch),
+        bus: index,
+        dating: Dating::new(clock),
+        drops_before: 0,
+        was_there: false,
+        waiting: None,
+    };
+    let socket = reader.find();
+    watch.look(&line);
+    let mut port = Port::new(name, line, options.listen_only);
+    port.serve(move |line| {
+        let _release = ObserverRelease(&reader.watch.clone());
+        if let Err(error) = reader.run(socket) {
+            let message = format!("cannot read {}: {error}", reader.watch.name);
+            line.queue.finish(Link::Failed, message);
+        }
+    })?;
+    port.serve(move |line| watch.run(line))?;
+    Ok(port)
+}
+
+/// What the two threads share: which interface it is now, and whether to look at it.
+#[derive(Debug, Default)]
+struct Watch {
+    name: String,
+    /// 0: not there.
+    ifindex: AtomicU32,
+    nudge: Mutex<Nudge>,
+    nudged: Condvar,
+}
+
+#[derive(Debug, Default)]
+struct Nudge {
+    look: bool,
+    stop: bool,
+}
+
+impl Watch {
+    fn nudge(&self, change: impl FnOnce(&mut Nudge)) {
+        change(&mut self.nudge.lock().unwrap_or_else(PoisonError::into_inner));
+        self.nudged.notify_one();
+    }
+
+    /// The observer.
+    fn run(&self, line: &Line) {
+        let mut nudge = self.nudge.lock().unwrap_or_else(PoisonError::into_inner);
+        while !nudge.stop {
+            (nudge, _) = self
+                .nudged
+                .wait_timeout_while(nudge, LOOK_EVERY, |nudge| !nudge.look && !nudge.stop)
+                .unwrap_or_else(PoisonError::into_inner);
+            nudge.look = false;
+            drop(nudge);
+            self.look(line);
+            nudge = self.nudge.lock().unwrap_or_else(PoisonError::into_inner);
+            (nudge, _) = self
+                .nudged
+                .wait_timeout_while(nudge, LOOK_AT_MOST_EVERY, |nudge| !nudge.stop)
+                .unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    /// Looks once, and says in the status what there is.
+    fn look(&self, line: &Line) {
+        let ifindex = self.ifindex.load(Ordering::Acquire);
+        if ifindex == 0 {
+            return;
+        }
+        let Ok(facts) = Facts::of(ifindex) else { return };
+        let message = facts.advice(&self.name);
+        line.queue.update_status(|status| {
+            // The reader may have lost the interface while we asked.
+            if self.ifindex.load(Ordering::Acquire) == ifindex {
+                status.link = if facts.up { Link::Up } else { Link::Down };
+                status.set_facts(&facts);
+                status.message = message;
+            }
+        });
+    }
+}
+
+impl BusStatus {
+    fn set_facts(&mut self, facts: &Facts) {
+        let facts = facts.clone();
+        self.state = facts.state;
+        self.bitrate = facts.bitrate;
+        self.data_bitrate = facts.data_bitrate;
+        self.tec = facts.tec;
+        self.rec = facts.rec;
+        self.restart_ms = facts.restart_ms;
+        self.fd = facts.fd;
+        self.listen_only = facts.listen_only;
+    }
+}
+
+/// Stops the observer when the reader ends, however it ends.
+struct ObserverRelease<'a>(&'a Watch);
+
+impl Drop for ObserverRelease<'_> {
+    fn drop(&mut self) {
+        self.0.nudge(|nudge| nudge.stop = true);
+    }
+}
+
+/// The reader.
+struct Reader {
+    line: Arc<Line>,
+    watch: Arc<Watch>,
+    bus: BusIndex,
+    dating: Dating,
+    /// Kernel drops of sockets that were closed since.
+    drops_before: u64,
+    /// Whether the interface was ever there: then its absence means unplugged.
+    was_there: bool,
+    /// A frame that the kernel had no room for, and until when it is offered again.
+    waiting: Option<(Frame, Monotonic)>,
+}
+
+impl Reader {
+    /// Serves the line until the port is dropped.
+    fn run(&mut self, mut found: Option<RawSocket>) -> io::Result<()> {
+        while !self.line.is_stopped() {
+            let Some(socket) = found.take().or_else(|| self.find()) else {
+                self.refuse_posted();
+                self.line.wait(None, Some(LOOK_EVERY))?;
+                continue;
+            };
+            self.watch.nudge(|nudge| nudge.look = true);
+            self.serve(socket)?;
+        }
+        Ok(())
+    }
+
+    /// Opens the interface if it is there; says in the status if it is not.
+    fn find(&mut self) -> Option<RawSocket> {
+        let name = &self.watch.name;
+        let opened = match if_nametoindex(name.as_str()) {
+            Ok(_) if !is_can(name) => Err((Link::NotCan, format!("{name} is no CAN interface"))),
+            Ok(ifindex) => match RawSocket::open(ifindex) {
+                Ok(socket) => Ok((ifindex, socket)),
+                Err(error) => Err(self.cannot_open(&error)),
+            },
+            Err(_) if self.was_there => Err((
+                Link::Unplugged,
+                format!("{name} is gone: waiting for it to be plugged in again"),
+            )),
+            Err(_) => Err((Link::Missing, advice_missing(name))),
+        };
+        match opened {
+            Ok((ifindex, socket)) => {
+                self.was_there = true;
+                self.watch.ifindex.store(ifindex, Ordering::Release);
+                Some(socket)
+            }
+            Err((link, message)) => {
+                self.line.queue.update_status(|status| {
+                    status.link = link;
+                    status.set_facts(&Facts { state: BusState::Down, ..Facts::default() });
+                    status.unconfirmed = 0;
+                    status.message = Some(message);
+                });
+                None
+            }
+        }
+    }
+
+    fn cannot_open(&self, error: &io::Error) -> (Link, String) {
+        let name = &self.watch.name;
+        match errno(error) {
+            Errno::ENODEV | Errno::ENXIO => (Link::Missing, advice_missing(name)),
+            Errno::EAFNOSUPPORT | Errno::EPROTONOSUPPORT => (
+                Link::NoKernel,
+                "this kernel has no CAN: sudo modprobe can-raw, or another kernel".into(),
+            ),
+            _ => (Link::Down, format!("cannot open {name}: {error}")),
+        }
+    }
+
+    /// Moves frames until the interface is gone or the port is dropped.
+    fn serve(&mut self, mut socket: RawSocket) -> io::Result<()> {
+        let mut batch = Vec::new();
+        let mut frames = Vec::new();
+        let mut last_arrival = Monotonic::now();
+        while !self.line.is_stopped() {
+            self.send_posted(&mut socket);
+            batch.clear();
+            if let Err(error) = socket.read(&mut batch) {
+                match errno(&error) {
+                    Errno::ENETDOWN => {
+                        socket.forget_unconfirmed();
+                        self.watch.nudge(|nudge| nudge.look = true);
+                    }
+                    Errno::ENODEV | Errno::ENXIO => break,
+                    Errno::EINTR => {}
+                    _ => return Err(error),
+                }
+            }
+            self.deliver(&batch, &mut frames, &socket);
+            if batch.is_empty() {
+                self.line.wait(Some(socket.as_fd()), self.retry_wait())?;
+            } else {
+                let nap = nap(last_arrival.elapsed(), batch.len() as u32);
+                last_arrival = Monotonic::now();
+                if let Some(nap) = nap {
+                    self.line
+                        .wait(None, Some(self.retry_wait().map_or(nap, |wait| wait.min(nap))))?;
+                }
+            }
+        }
+        self.drops_before += socket.drops();
+        self.watch.ifindex.store(0, Ordering::Release);
+        Ok(())
+    }
+
+    fn deliver(&mut self, batch: &[Received], frames: &mut Vec<Frame>, socket: &RawSocket) {
+        let mut reports = Reports::default();
+        if !batch.is_empty() {
+            self.dating.read_clocks();
+            frames.clear();
+            for received in batch {
+                let time = self.dating.date(received.stamp_micros);
+                let frame = received.frame.at(time).on(self.bus);
+                reports.note(&frame);
+                frames.push(frame);
+            }
+            self.line.queue.push(frames);
+        }
+        let drops = self.drops_before + socket.drops();
+        let unconfirmed = socket.unconfirmed();
+        self.line.queue.update_status(|status| {
+            status.kernel_drops = drops;
+            status.unconfirmed = unconfirmed;
+            status.missing_acks += reports.missing_acks;
+            status.controller_overruns += reports.overruns;
+        });
+        if reports.total > 0 {
+            self.watch.nudge(|nudge| nudge.look = true);
+        }
+    }
+
+    fn send_posted(&mut self, socket: &mut RawSocket) {
+        loop {
+            let now = Monotonic::now();
+            let next = self.waiting.take();
+            let next = next.or_else(|| Some((self.line.next_posted()?, now + RETRY_FOR)));
+            let Some((frame, give_up)) = next else { return };
+            let Err(error) = socket.send(&frame) else { continue };
+            let has_no_room = matches!(errno(&error), Errno::ENOBUFS | Errno::EAGAIN);
+            if has_no_room && now < give_up {
+                self.waiting = Some((frame, give_up));
+                return;
+            }
+            self.line.queue.update_status(|status| status.transmit_failures += 1);
+        }
+    }
+
+    fn retry_wait(&self) -> Option<Duration> {
+        self.waiting.is_some().then_some(RETRY_EVERY)
+    }
+
+    fn refuse_posted(&mut self) {
+        let waiting = self.waiting.take().into_iter().count() as u64;
+        let posted = std::iter::from_fn(|| self.line.next_posted()).count() as u64;
+        self.line.queue.update_status(|status| status.transmit_failures += waiting + posted);
+    }
+}
+
+/// How long to let frames gather: none if the bus is quiet (the next frame wakes us), shorter
+/// the faster they come.
+fn nap(since_last: Duration, count: u32) -> Option<Duration> {
+    if since_last > LONGEST_NAP && count < 2 {
+        return None;
+    }
+    let nap = LONGEST_NAP.min(since_last * FRAMES_PER_NAP / count.max(1));
+    (nap >= Duration::from_millis(1)).then_some(nap)
+}
+
+/// What a batch's error reports (`linux/can/error.h`) say that is counted here.
+#[derive(Default)]
+struct Reports {
+    total: u64,
+    missing_acks: u64,
+    overruns: u64,
+}
+
+impl Reports {
+    fn note(&mut self, frame: &Frame) {
+        const CONTROLLER: u32 = 0x04;
+        const PROTOCOL: u32 = 0x08;
+        const NO_ACK: u32 = 0x20;
+        const RECEIVE_OVERFLOW: u8 = 0x01;
+        const ACK_SLOT: u8 = 0x19;
+        let (FrameKind::Error, crate::frame::CanId::Extended(class)) = (frame.kind, frame.id)
+        else {
+            return;
+        };
+        let details = |at: usize| frame.data().get(at).copied().unwrap_or(0);
+        let no_ack = class & NO_ACK != 0 || class & PROTOCOL != 0 && details(3) == ACK_SLOT;
+        let overrun = class & CONTROLLER != 0 && details(1) & RECEIVE_OVERFLOW != 0;
+        self.total += 1;
+        self.missing_acks += u64::from(no_ack);
+        self.overruns += u64::from(overrun);
+    }
+}
+
+fn errno(error: &io::Error) -> Errno {
+    error.raw_os_error().map_or(Errno::UnknownErrno, Errno::from_raw)
+}

@@ -1,0 +1,137 @@
+//! How a bus is: link, controller state, rates, and every way a frame can get lost, counted.
+//!
+//! Does not know where it was learnt.
+
+use std::fmt;
+
+/// Whether frames can come and go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
+pub enum Link {
+    /// Not looked at yet.
+    #[default]
+    Opening,
+    /// Frames come and go.
+    Up,
+    /// The interface is there and switched off.
+    Down,
+    /// There is no such interface; waiting for one.
+    Missing,
+    /// The interface was there and went away; waiting for it to come back.
+    Unplugged,
+    /// The interface is there, and is no CAN interface.
+    NotCan,
+    /// The kernel has no CAN.
+    NoKernel,
+    /// The log has ended.
+    Ended,
+    /// Reading failed for good.
+    Failed,
+}
+
+impl Link {
+    /// Whether nothing more will come, whatever the user does.
+    pub fn is_final(self) -> bool {
+        matches!(self, Link::Ended | Link::Failed)
+    }
+}
+
+/// The controller's state, in the words that scripts rely on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
+pub enum BusState {
+    /// Both error counters are below 96.
+    ErrorActive,
+    /// An error counter is 96 or more.
+    ErrorWarning,
+    /// An error counter is 128 or more: the node still talks, but cannot flag errors.
+    ErrorPassive,
+    /// The controller has left the bus.
+    BusOff,
+    /// The controller is stopped or asleep.
+    Stopped,
+    /// The interface is down.
+    Down,
+    /// Nobody says: a virtual interface, a log.
+    #[default]
+    Unknown,
+}
+
+impl BusState {
+    /// `error-active`, `error-warning`, `error-passive`, `bus-off`, `stopped`, `down`, `unknown`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            BusState::ErrorActive => "error-active",
+            BusState::ErrorWarning => "error-warning",
+            BusState::ErrorPassive => "error-passive",
+            BusState::BusOff => "bus-off",
+            BusState::Stopped => "stopped",
+            BusState::Down => "down",
+            BusState::Unknown => "unknown",
+        }
+    }
+}
+
+impl fmt::Display for BusState {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// How a bus is. Counters count from the opening of the port.
+#[derive(Clone, Debug, PartialEq, Eq, Default)]
+pub struct BusStatus {
+    /// Whether frames can come and go.
+    pub link: Link,
+    /// The controller's state.
+    pub state: BusState,
+    /// Bit/s; FD: of the arbitration phase.
+    pub bitrate: Option<u32>,
+    /// Bit/s of the FD data phase.
+    pub data_bitrate: Option<u32>,
+    /// The transmit error counter.
+    pub tec: Option<u16>,
+    /// The receive error counter.
+    pub rec: Option<u16>,
+    /// After how many milliseconds the controller rejoins after bus-off; 0 = never by itself.
+    pub restart_ms: Option<u32>,
+    /// Whether the interface takes FD frames.
+    pub fd: bool,
+    /// Whether the *controller* only listens, and does not even acknowledge.
+    pub listen_only: bool,
+    /// Frames that did not fit the kernel's receive buffer.
+    pub kernel_drops: u64,
+    /// Times the controller itself was overrun.
+    pub controller_overruns: u64,
+    /// Frames that did not fit our queue.
+    pub queue_drops: u64,
+    /// Frames that were handed to the kernel and have not been seen on the bus.
+    pub unconfirmed: u64,
+    /// Frames that the kernel would not take, or not in time.
+    pub transmit_failures: u64,
+    /// Error reports that say nobody acknowledged.
+    pub missing_acks: u64,
+    /// What is wrong and the way out, on one line.
+    pub message: Option<String>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn states_have_the_names_scripts_rely_on() {
+        let names = [
+            BusState::ErrorActive,
+            BusState::ErrorWarning,
+            BusState::ErrorPassive,
+            BusState::BusOff,
+            BusState::Stopped,
+            BusState::Down,
+            BusState::Unknown,
+        ]
+        .map(|state| state.to_string());
+        assert_eq!(
+            names.join(" "),
+            "error-active error-warning error-passive bus-off stopped down unknown"
+        );
+    }
+}

@@ -1,0 +1,222 @@
+//! The command line: arguments in, plain options out.
+//!
+//! Opens nothing and reads nothing.
+
+use crate::bus::BusSpec;
+use crate::wire::id::Address;
+use clap::{Args, CommandFactory, Parser, Subcommand};
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// What the user asked for.
+#[derive(Debug, Parser)]
+#[command(
+    name = "descan",
+    version,
+    about = "Find the devices on a CAN bus, their services, versions and collisions; edit static addresses",
+    long_about = "Find the devices on a CAN bus with DES, the devices enumeration service: names, services, \
+                  versions, modes, collisions. Edit static addresses in des.json in place.",
+    after_help = EXAMPLES,
+    args_conflicts_with_subcommands = true,
+    subcommand_negates_reqs = true,
+    disable_help_subcommand = true
+)]
+pub struct Cli {
+    /// What to do; without it, the terminal UI on the given buses.
+    #[command(subcommand)]
+    pub command: Option<Command>,
+    /// The buses and how to treat them.
+    #[command(flatten)]
+    pub session: Session,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  descan                        the one CAN interface there is, in the terminal UI
+  descan can0                   can0, in the terminal UI
+  descan demo                   a simulated pellet boiler, to look around
+  descan scan can0              who is there, as a table
+  descan scan can0 --json       the same for scripts
+  descan scan can0 --write des.json
+                                begin a des.json with what is there
+  descan file:session.log       a candump log, as it was timed
+  ssh board candump -L can0 | descan -
+                                a bus at the other end of a line
+
+An interface that is down: sudo ip link set can0 up type can bitrate 125000";
+
+/// The commands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// The terminal UI on a simulated bus: devices that join, move, reboot, collide
+    Demo {
+        /// Which system is simulated
+        #[arg(default_value = "boiler", value_parser = ["boiler", "drone"])]
+        system: String,
+        /// How it is shown, and whether we only listen
+        #[command(flatten)]
+        session: Common,
+    },
+    /// One enumeration, printed as a table
+    Scan(Scan),
+    /// Simulated devices on a bus, from a scenario
+    Sim {
+        /// The bus they are put on
+        #[arg(value_name = "BUS")]
+        bus: BusSpec,
+        /// boiler, drone, or a scenario file (TOML)
+        #[arg(long, default_value = "boiler", value_name = "SCENARIO")]
+        scenario: String,
+        /// End after this many seconds
+        #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+        time: Option<Duration>,
+    },
+    /// Print the completions for a shell
+    Completions {
+        /// For which shell
+        shell: clap_complete::Shell,
+    },
+    /// Print the manual page
+    Man,
+    /// Print the JSON Schema of des.json
+    Schema,
+}
+
+/// `descan scan`.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Exit code: 0 nothing found, 1 a confirmed collision, 2 wrong usage, 3 bus or file not usable.
+
+Examples:
+  descan scan can0
+  descan scan can0 --json | jq '.devices[].name'
+  descan scan file:session.log --json")]
+pub struct Scan {
+    /// The buses and how to treat them.
+    #[command(flatten)]
+    pub session: Session,
+    /// Print one JSON object instead of tables
+    #[arg(long)]
+    pub json: bool,
+    /// Write what was found to this file; an existing one is not touched
+    #[arg(long, value_name = "FILE")]
+    pub write: Option<PathBuf>,
+    /// End at the latest after this many seconds
+    #[arg(long, value_name = "SECONDS", default_value = "15", value_parser = seconds)]
+    pub time: Duration,
+}
+
+/// Buses, and what concerns them.
+#[derive(Debug, Args, Clone)]
+pub struct Session {
+    /// can0 | file:LOG | - | sim:boiler | sim:drone | sim:FILE (several: one view over all)
+    #[arg(value_name = "BUS")]
+    pub buses: Vec<BusSpec>,
+    /// How fast a log is replayed: 1 as it was timed, 10 ten times faster
+    #[arg(long, value_name = "N", default_value = "1", value_parser = speed)]
+    pub speed: f64,
+    /// What concerns every session.
+    #[command(flatten)]
+    pub common: Common,
+}
+
+/// What concerns every session.
+#[derive(Debug, Args, Clone)]
+pub struct Common {
+    /// The list of devices and static addresses [default: ./des.json]
+    #[arg(long, value_name = "FILE")]
+    pub file: Option<PathBuf>,
+    /// What the protocol leaves open: service numbers, framing, heartbeat layout (TOML)
+    #[arg(long, value_name = "FILE")]
+    pub profile: Option<PathBuf>,
+    /// Send nothing at all; learn from what others ask and answer
+    #[arg(long)]
+    pub listen_only: bool,
+    /// Do not ask devices who they are
+    #[arg(long)]
+    pub no_scan: bool,
+    /// Our own address, 0 to 127 [default: 0, or a free one]
+    #[arg(long, value_name = "N", value_parser = address)]
+    pub address: Option<Address>,
+    /// terminal | dark | light | high-contrast | mono, or one of your own
+    #[arg(long, value_name = "NAME")]
+    pub theme: Option<String>,
+}
+
+fn address(text: &str) -> Result<Address, String> {
+    let number = match text.strip_prefix("0x") {
+        Some(hex) => u8::from_str_radix(hex, 16).ok(),
+        None => text.parse().ok(),
+    };
+    number.and_then(Address::new).ok_or_else(|| "an address is a number from 0 to 127".to_owned())
+}
+
+fn seconds(text: &str) -> Result<Duration, String> {
+    text.parse()
+        .ok()
+        .filter(|seconds: &f64| (0.001..=1e6).contains(seconds))
+        .map(Duration::from_secs_f64)
+        .ok_or_else(|| "a number of seconds, 0.001 to 1000000".to_owned())
+}
+
+fn speed(text: &str) -> Result<f64, String> {
+    text.parse()
+        .ok()
+        .filter(|speed| (0.001..=100_000.0).contains(speed))
+        .ok_or_else(|| "a number from 0.001 to 100000".to_owned())
+}
+
+/// Parses the arguments. What is wrong with them is one line that says what would be right.
+pub fn parse<I, T>(arguments: I) -> Result<Cli, Refusal>
+where
+    I: IntoIterator<Item = T>,
+    T: Into<std::ffi::OsString> + Clone,
+{
+    Cli::try_parse_from(arguments).map_err(|error| {
+        if !error.use_stderr() {
+            return Refusal::Text(error.render().to_string());
+        }
+        Refusal::Usage(one_line(&error))
+    })
+}
+
+/// Why there are no options.
+#[derive(Debug)]
+pub enum Refusal {
+    /// Help or version was asked for: this is it.
+    Text(String),
+    /// The arguments are wrong: this is what would be right.
+    Usage(String),
+}
+
+/// clap's several lines as one: what is wrong, the tip or the possible values, and where help is.
+fn one_line(error: &clap::Error) -> String {
+    let text = error.render().to_string();
+    let mut parts = text
+        .lines()
+        .map(str::trim)
+        .take_while(|line| !line.starts_with("Usage:"))
+        .filter(|line| !line.is_empty() && !line.starts_with("For more information"))
+        .map(|line| line.trim_start_matches("error: ").trim_start_matches("tip: "));
+    let first = parts.next().unwrap_or("wrong arguments").to_owned();
+    let rest: Vec<&str> = parts.collect();
+    if rest.is_empty() {
+        format!("{first} (descan --help shows what there is)")
+    } else {
+        format!("{first}: {}", rest.join("; "))
+    }
+}
+
+/// The completions of a shell.
+pub fn completions(shell: clap_complete::Shell) -> Vec<u8> {
+    let mut text = Vec::new();
+    clap_complete::generate(shell, &mut Cli::command(), "descan", &mut text);
+    text
+}
+
+/// The manual page, in roff.
+pub fn manual() -> std::io::Result<Vec<u8>> {
+    let mut text = Vec::new();
+    clap_mangen::Man::new(Cli::command()).render(&mut text)?;
+    Ok(text)
+}

@@ -1,0 +1,318 @@
+//! Whom we ask what, and when: rounds, names of nodes known by their frames alone, services;
+//! with time-outs, bounded retries, back-off, and within our share of the bus.
+
+use super::device::{QueryFault, QueryState};
+use super::rounds::RoundStep;
+use super::{Broadcast, Engine, NEVER, Presence, Query};
+use crate::frame::Frame;
+use crate::time::{Duration, Instant};
+use crate::wire::des::Request;
+use crate::wire::framing::Framing;
+use crate::wire::id::{Address, Header};
+use crate::wire::isotp;
+use crate::wire::profile::Profile;
+
+/// Questions that wait for an answer at the same time: enough to keep a slow bus busy.
+const MAX_WAITING: usize = 12;
+/// How often a node is asked for its services before it is left alone for a while.
+const SERVICES_ATTEMPTS: u32 = 4;
+/// How often a node is asked for its name, before everybody is.
+const NAME_ATTEMPTS: u32 = 2;
+/// When a question that was given up is tried again.
+const ASK_AGAIN: Duration = Duration::from_secs(30);
+/// How long a round may take until nodes it should have asked are asked one by one.
+const ROUND_PATIENCE: Duration = Duration::from_secs(2);
+/// Broadcasts that late answers are still matched with.
+const MAX_BROADCASTS: usize = 16;
+
+impl Engine {
+    /// Sends what is due, and gives up what is overdue.
+    pub(super) fn ask(&mut self) {
+        self.give_up_overdue();
+        let Some(own) = self.station.held() else { return };
+        if !self.config.scan || self.outbox.is_held() {
+            return;
+        }
+        self.refill();
+        self.step_round(own);
+        self.ask_devices(own);
+    }
+
+    fn share(&self) -> f64 {
+        let busy = self.rounds.is_starting();
+        let share = if busy { self.config.start_share } else { self.config.steady_share };
+        share * f64::from(self.config.bits_per_second())
+    }
+
+    fn refill(&mut self) {
+        // Up to a tenth of a second's worth may be saved up, and a round's frames at least.
+        let rate = self.share();
+        self.outbox.refill(self.now, rate, (rate / 10.0).max(800.0));
+    }
+
+    fn step_round(&mut self, own: Address) {
+        let now = self.now;
+        let known = self.roster.discoveries;
+        let open = self.open_questions();
+        match self.rounds.step(now, &self.config, open, known) {
+            RoundStep::None => {}
+            RoundStep::Ask if !self.outbox.has_budget() => {
+                self.rounds.put_off(self.outbox.budget_at(self.share()));
+            }
+            RoundStep::Ask => {
+                self.await_round();
+                let framings = self.config.profile.framings(None);
+                for to_not_working in [true, false] {
+                    for &framing in framings {
+                        self.send_broadcast(own, to_not_working, framing);
+                    }
+                }
+                let count = if self.config.echo { 2 * framings.len() as u32 } else { 0 };
+                self.rounds.note_questions(count);
+            }
+            RoundStep::Over { began } => self.round_is_over(began),
+        }
+    }
+
+    /// Nodes whose name is to be asked for are asked by the round that begins now.
+    fn await_round(&mut self) {
+        let after = self.now + ROUND_PATIENCE;
+        for device in self.roster.devices_mut() {
+            if device.name.is_none() && device.name_query.due.is_some() {
+                device.name_query.due = Some(after);
+            }
+        }
+    }
+
+    /// Questions whose answers a repeat round waits for.
+    fn open_questions(&self) -> usize {
+        if !self.rounds.is_starting() {
+            return 0;
+        }
+        let here = self.roster.devices().iter().filter(|device| device.is_here());
+        here.filter(|device| super::is_open(&device.services_query)).count()
+    }
+
+    fn round_is_over(&mut self, began: Instant) {
+        for device in self.roster.devices_mut() {
+            let there = device.heartbeat.last.is_some() || device.last_seen >= began;
+            device.rounds_missed = if there { 0 } else { device.rounds_missed + 1 };
+        }
+        self.judge_presence();
+        let now = self.now;
+        for device in self.roster.devices_mut() {
+            let query = &mut device.name_query;
+            if device.name.is_none() && query.state == QueryState::NotAsked && query.due.is_some() {
+                query.due = Some(now);
+            }
+            // A node that was asked in vain answered this round neither: leave it for a while.
+            let asked_all = query.state == QueryState::Asked && query.deadline.is_none();
+            if device.name.is_none() && asked_all && query.asked_at <= Some(began) {
+                query.state = QueryState::Unanswered;
+                query.due = Some(now + ASK_AGAIN);
+            }
+        }
+    }
+
+    fn send_broadcast(&mut self, own: Address, to_not_working: bool, framing: Framing) {
+        let mut rnd7 = Address::from_bits(self.rng.u8(..128));
+        if rnd7 == own {
+            rnd7 = Address::from_bits(own.number() ^ 0x40);
+        }
+        let service = self.config.profile.des_service();
+        let header = Header::broadcast(own, rnd7.number(), to_not_working, service);
+        self.note_broadcast(rnd7, true);
+        self.send_request(header, Request::Name, framing);
+    }
+
+    pub(super) fn note_broadcast(&mut self, rnd7: Address, ours: bool) {
+        if self.broadcasts.len() == MAX_BROADCASTS {
+            self.broadcasts.pop_front();
+        }
+        self.broadcasts.push_back(Broadcast { time: self.now, rnd7, ours });
+    }
+
+    fn send_request(&mut self, mut header: Header, request: Request, framing: Framing) {
+        header.no_error = self.config.profile.request_err;
+        let (data, len) = Profile::request_bytes(request, framing);
+        self.outbox.push(Frame::classic(header.encode(), &data[..len]));
+    }
+
+    fn ask_devices(&mut self, own: Address) {
+        let now = self.now;
+        if self.rounds.right_of_way(now).is_some() {
+            return;
+        }
+        for request in [Request::Name, Request::Services] {
+            // By address: lower ones have priority on the bus, so who was asked first is done
+            // first, and nobody waits behind the answers of those that are asked later.
+            for address in Address::all() {
+                if self.waiting >= MAX_WAITING || !self.outbox.has_budget() {
+                    return;
+                }
+                let Some(device) = self.roster.current_device_mut(address) else { continue };
+                let (working, framing) = (device.working, device.framing);
+                let usable = device.presence != Presence::Lost && address != own;
+                let query = match request {
+                    Request::Name => &mut device.name_query,
+                    Request::Services => &mut device.services_query,
+                };
+                if query.is_waiting() || query.due.is_none_or(|due| due > now) {
+                    continue;
+                }
+                if !usable {
+                    query.due = None;
+                    continue;
+                }
+                query.state = QueryState::Asked;
+                query.attempts += 1;
+                query.asked_at = Some(now);
+                query.due = None;
+                query.deadline = Some(now + patience(&self.config, query.attempts));
+                self.waiting += 1;
+                let service = self.config.profile.des_service();
+                let header = Header::request(own, address, !working, service);
+                for &framing in self.config.profile.framings(framing) {
+                    self.send_request(header, request, framing);
+                }
+            }
+        }
+    }
+
+    fn give_up_overdue(&mut self) {
+        let now = self.now;
+        let mut waiting = 0;
+        let mut hurry = false;
+        for device in self.roster.devices_mut() {
+            let named = device.name.is_some();
+            for (request, query) in [
+                (Request::Name, &mut device.name_query),
+                (Request::Services, &mut device.services_query),
+            ] {
+                if !query.is_waiting() {
+                    continue;
+                }
+                if query.deadline.is_some_and(|deadline| deadline > now) {
+                    waiting += 1;
+                    continue;
+                }
+                if query.deadline.is_none() {
+                    continue;
+                }
+                let fault = query.fault;
+                hurry |= fail(query, request, named, now, fault);
+            }
+        }
+        self.waiting = waiting;
+        if hurry {
+            self.rounds.hurry(now);
+        }
+    }
+
+    /// A question's answer broke off or was refused: ask again, as long as that is sensible.
+    pub(super) fn answer_failed(&mut self, index: usize, request: Request, fault: QueryFault) {
+        let now = self.now;
+        let device = self.roster.get_mut(index);
+        let named = device.name.is_some();
+        let query = match request {
+            Request::Name => &mut device.name_query,
+            Request::Services => &mut device.services_query,
+        };
+        query.fault = Some(fault);
+        if query.is_waiting() {
+            self.waiting = self.waiting.saturating_sub(1);
+            let refused = fault == QueryFault::Refused;
+            if refused {
+                query.attempts = SERVICES_ATTEMPTS;
+            }
+            fail(query, request, named, now, Some(fault));
+        }
+        self.wake_at(now);
+    }
+
+    /// When something of this is due.
+    pub(super) fn asking_timeout(&self) -> Option<Instant> {
+        let mut due = NEVER;
+        let asking = self.station.held().is_some() && self.config.scan && !self.outbox.is_held();
+        for (index, device) in self.roster.devices().iter().enumerate() {
+            let asking = asking && self.roster.is_current(index);
+            for query in [&device.name_query, &device.services_query] {
+                if let Some(deadline) = query.deadline.filter(|_| query.is_waiting()) {
+                    due = due.min(deadline);
+                } else if asking && self.waiting < MAX_WAITING {
+                    due = due.min(query.due.unwrap_or(NEVER));
+                }
+            }
+        }
+        if asking {
+            let round = self.rounds.poll_timeout(&self.config, self.open_questions());
+            due = due.min(round.unwrap_or(NEVER));
+            if let Some(until) = self.rounds.right_of_way(self.now) {
+                due = due.max(until).min(self.next_deadline());
+            }
+            if !self.outbox.has_budget() && due != NEVER {
+                due = due.max(self.outbox.budget_at(self.share())).min(self.next_deadline());
+            }
+        }
+        (due != NEVER).then_some(due)
+    }
+
+    fn next_deadline(&self) -> Instant {
+        let queries = self.roster.devices().iter().flat_map(|d| [&d.name_query, &d.services_query]);
+        queries.filter(|q| q.is_waiting()).filter_map(|q| q.deadline).min().unwrap_or(NEVER)
+    }
+
+    /// Extends a question's time while its answer arrives.
+    pub(super) fn answer_arrives(&mut self, index: usize, request: Request) {
+        let now = self.now;
+        let device = self.roster.get_mut(index);
+        let query = match request {
+            Request::Name => &mut device.name_query,
+            Request::Services => &mut device.services_query,
+        };
+        if query.is_waiting() {
+            query.state = QueryState::Receiving;
+            query.deadline = Some(now + isotp::TIMEOUT + Duration::from_millis(100));
+        }
+    }
+}
+
+/// How long the first frame of an answer may take: what devices need, and what a slow and busy
+/// bus adds; twice as long with every attempt.
+fn patience(config: &super::Config, attempts: u32) -> Duration {
+    let base = Duration::from_millis(200) + config.bit_time(180 * 150);
+    (base * 2u32.saturating_pow(attempts.saturating_sub(1))).min(Duration::from_secs(3))
+}
+
+/// Notes a failed attempt and plans the next. Whether everybody should be asked instead.
+fn fail(
+    query: &mut Query,
+    request: Request,
+    named: bool,
+    now: Instant,
+    fault: Option<QueryFault>,
+) -> bool {
+    query.deadline = None;
+    query.fault = fault;
+    let limit = match request {
+        Request::Name => NAME_ATTEMPTS,
+        Request::Services => SERVICES_ATTEMPTS,
+    };
+    if query.attempts < limit {
+        query.state = QueryState::NotAsked;
+        let back_off = Duration::from_millis(100 << query.attempts.min(6));
+        query.due = Some(now + back_off);
+        return false;
+    }
+    let ask_all = request == Request::Name && !named && query.state == QueryState::Asked;
+    if ask_all && query.attempts == limit {
+        // Stays open until the round that asks everybody is over.
+        query.attempts += 1;
+        query.asked_at = Some(now);
+        query.due = None;
+        return true;
+    }
+    query.state = QueryState::Unanswered;
+    query.due = Some(now + ASK_AGAIN);
+    false
+}

@@ -1,0 +1,637 @@
+//! What is learnt from a frame: who is there, what it says of itself, which answers arrive.
+
+use super::device::{ModeChange, QueryFault, QueryState, Quirk, ServiceEntry};
+use super::transfers::{Continued, Started};
+use super::{Engine, EventKind, Presence};
+use crate::frame::{Frame, FrameKind};
+use crate::text::Name;
+use crate::time::{Duration, Instant};
+use crate::wire::des::{self, AnswerFault, Asked, Request, ServicesAnswer};
+use crate::wire::framing::{Framing, classify_answer, classify_request, strip_raw_padding};
+use crate::wire::id::{Address, Header, MessageType};
+use crate::wire::isotp::{FlowControl, FlowStatus, Pci};
+use crate::wire::node::{Heartbeat, Uid};
+use std::hash::{DefaultHasher, Hash, Hasher};
+
+/// How long answers to a broadcast are matched with its RND7.
+const BROADCAST_OPEN: Duration = Duration::from_secs(3);
+/// Modes that are remembered per device.
+const MAX_MODES: usize = 16;
+/// A gap of this many periods between heartbeats may be a reboot.
+const REBOOT_GAP: f64 = 1.4;
+
+impl Engine {
+    /// Learns from a frame at `self.now`.
+    pub(super) fn hear(&mut self, frame: &Frame) {
+        let now = self.now;
+        self.counters.frames += 1;
+        if frame.kind == FrameKind::Error {
+            self.counters.errors += 1;
+            self.collisions.see_error(now, frame);
+            self.wake_at(now);
+            return;
+        }
+        let Some(id) = frame.platform_id() else {
+            self.counters.foreign += 1;
+            return;
+        };
+        if frame.ours {
+            self.counters.sent += 1;
+            let back = self.outbox.confirmed(now);
+            self.acknowledgement(back);
+            self.note_own_question(now, frame);
+            return;
+        }
+        let header = Header::decode(id);
+        let back = self.outbox.heard(now);
+        self.acknowledgement(back);
+        if !header.is_conforming() {
+            self.hear_non_conforming(now, header, frame);
+            if header.message_type() == MessageType::NonConforming {
+                return;
+            }
+        }
+        if self.outbox.is_own_echo(now, frame) {
+            self.collisions.see_own_echo(now);
+            return;
+        }
+        self.hear_platform(now, header, frame);
+    }
+
+    fn hear_non_conforming(&mut self, now: Instant, header: Header, frame: &Frame) {
+        self.counters.non_conforming += 1;
+        let Some(device) = self.roster.current_device_mut(header.source) else { return };
+        device.note(Quirk::NonConforming);
+        let name = device.name.clone();
+        self.collisions.see_non_conforming(now, header.source, name.as_ref(), frame);
+        self.wake_at(now);
+    }
+
+    fn hear_platform(&mut self, now: Instant, header: Header, frame: &Frame) {
+        let echoed = self.is_echoed_destination(now, header);
+        let counts = !header.broadcast && !echoed;
+        self.station.note_used(now, header, counts);
+        if let Some(own) = self.own_claim()
+            && own == header.source
+        {
+            self.collisions.see_rival(now, own, frame);
+            let change = self.station.handle_rival(now, own);
+            self.address_changed(change);
+            self.wake_at(now);
+        }
+        if header.message_type() == MessageType::Debug {
+            let data = frame.data().to_vec();
+            let code = header.service.number();
+            if let Some(index) = self.touch(now, header) {
+                self.tell(index, EventKind::Debug { code, data });
+            }
+            return;
+        }
+        let Some(index) = self.touch(now, header) else {
+            self.counters.refused += 1;
+            return;
+        };
+        if header.service == self.config.profile.heartbeat_service() {
+            self.hear_heartbeat(now, index, header, frame);
+        } else if header.service == self.config.profile.des_service() {
+            if header.response {
+                self.hear_answer(now, index, header, frame, echoed);
+            } else {
+                self.hear_question(now, header, frame);
+            }
+        }
+        // Rows may have moved meanwhile.
+        if let Some(index) = self.roster.current(header.source)
+            && self.roster.get(index).presence != Presence::Online
+        {
+            self.judge(index);
+        }
+    }
+
+    fn own_claim(&self) -> Option<Address> {
+        match self.station.own_address() {
+            super::OwnAddress::Held(address) | super::OwnAddress::Claiming(address) => {
+                Some(address)
+            }
+            _ => None,
+        }
+    }
+
+    /// Whether an answer's DST repeats the question's instead of naming the asker.
+    fn is_echoed_destination(&self, now: Instant, header: Header) -> bool {
+        if !header.response || header.broadcast {
+            return false;
+        }
+        if header.destination == header.source {
+            return true;
+        }
+        if self.station.held() == Some(header.destination)
+            || self.roster.current(header.destination).is_some()
+        {
+            return false;
+        }
+        self.broadcasts.iter().any(|broadcast| {
+            broadcast.rnd7 == header.destination && now.since(broadcast.time) < BROADCAST_OPEN
+        })
+    }
+
+    /// Whether an answer is for us: to our address, or with an echoed DST while a question of
+    /// ours is open.
+    fn is_for_us(&self, index: usize, header: Header, echoed: bool) -> bool {
+        let Some(own) = self.station.held() else { return false };
+        if header.destination == own {
+            return true;
+        }
+        if !echoed {
+            return false;
+        }
+        let device = self.roster.get(index);
+        let targeted = header.destination == header.source
+            && (device.services_query.is_waiting() || device.name_query.is_waiting());
+        targeted
+            || self.broadcasts.iter().any(|broadcast| {
+                broadcast.ours
+                    && broadcast.rnd7 == header.destination
+                    && self.now.since(broadcast.time) < BROADCAST_OPEN
+            })
+    }
+
+    /// The row of a frame's source, a new one where it is not known yet.
+    fn touch(&mut self, now: Instant, header: Header) -> Option<usize> {
+        let working = !header.sender_not_working;
+        let Some(index) = self.roster.current(header.source) else {
+            let index = self.roster.appear(now, header.source, working)?;
+            self.roster.get_mut(index).frames = 1;
+            self.roster.get_mut(index).name_query.renew(now);
+            self.tell(index, EventKind::Appeared);
+            self.wake_at(now);
+            return Some(index);
+        };
+        let device = self.roster.get_mut(index);
+        device.last_seen = now;
+        device.frames += 1;
+        device.working = working;
+        if device.presence == Presence::Lost {
+            // It may have come back as something else.
+            device.rounds_missed = 0;
+            device.name_query.renew(now);
+            device.services_query.renew(now);
+            self.wake_at(now);
+        }
+        Some(index)
+    }
+
+    // --- heartbeats ----------------------------------------------------------------------
+
+    fn hear_heartbeat(&mut self, now: Instant, index: usize, header: Header, frame: &Frame) {
+        let profile = &self.config.profile;
+        let codes = profile.modes.codes();
+        let heartbeat = Heartbeat::decode(frame.data(), &profile.heartbeat, &codes);
+        let period = profile.heartbeat.period();
+        let device = self.roster.get_mut(index);
+        let expected = device.heartbeat.period();
+        let jitter = device.heartbeat.jitter();
+        let first = device.heartbeat.last.is_none();
+        let previous_beat = device.heartbeat.last;
+        let gap = device.heartbeat.beat(now, period);
+        if first {
+            self.wake_at(now + period * 2);
+        }
+        let device = self.roster.get_mut(index);
+        device.error = heartbeat.error.or(device.error);
+        if heartbeat.uid.is_none() || heartbeat.mode.is_none() {
+            device.note(Quirk::ShortHeartbeat);
+        }
+        let was_lost = device.presence == Presence::Lost;
+        let uid_changed = match (heartbeat.uid, device.uid) {
+            (Some(new), Some(old)) => new != old,
+            (Some(_), None) => true,
+            _ => false,
+        };
+        if uid_changed {
+            device.uid_before = device.uid;
+            device.uid = heartbeat.uid;
+        }
+        // With another UID it is rather another board.
+        let restarted = !was_lost
+            && (first || !uid_changed || device.uid_before.is_none())
+            && gap.is_some_and(|gap| is_out_of_phase(gap, expected.unwrap_or(period), jitter));
+        if let Some(mode) = heartbeat.mode {
+            let fits = mode.is_working().is_none_or(|working| working == device.working);
+            if fits {
+                self.station.note_heartbeat();
+            } else {
+                device.note(Quirk::ModeContradictsU);
+            }
+            if device.mode != Some(mode) {
+                let from = device.mode.replace(mode);
+                if device.mode_history.len() == MAX_MODES {
+                    device.mode_history.pop_front();
+                }
+                device.mode_history.push_back(ModeChange { time: now, mode });
+                self.tell(index, EventKind::Mode { from, to: mode });
+            }
+        }
+        if restarted {
+            self.note_reboot(now, index);
+        }
+        let device = self.roster.get(index);
+        let (working, name) = (device.working, device.name.clone());
+        let address = header.source;
+        self.collisions.see_heartbeat(now, address, heartbeat.uid, working, name.as_ref(), frame);
+        if self.collisions.is_suspicious() {
+            self.wake_at(now);
+        }
+        if uid_changed {
+            self.uid_learnt(now, index, first);
+        }
+        if let (Some(uid), Some(previous)) = (heartbeat.uid, previous_beat) {
+            self.compare_uid(now, header.source, uid, previous, frame);
+        }
+    }
+
+    fn note_reboot(&mut self, now: Instant, index: usize) {
+        let device = self.roster.get_mut(index);
+        device.reboots += 1;
+        device.rebooted_at = Some(now);
+        // It may have new firmware.
+        device.services_query.renew(now);
+        device.name_query.renew(now);
+        self.tell(index, EventKind::Rebooted);
+        self.wake_at(now);
+    }
+
+    /// The node at this row has another UID than before, or one for the first time.
+    fn uid_learnt(&mut self, now: Instant, index: usize, first: bool) {
+        if !first {
+            // Another board, perhaps: ask who it is.
+            self.roster.get_mut(index).name_query.renew(now);
+            self.wake_at(now);
+        }
+        self.find_move_to(index);
+    }
+
+    /// Two addresses that keep beating with one UID.
+    fn compare_uid(
+        &mut self,
+        now: Instant,
+        address: Address,
+        uid: Uid,
+        previous: Instant,
+        frame: &Frame,
+    ) {
+        let period = self.config.profile.heartbeat.period();
+        if uid.is_blank() || now.since(previous) < period / 2 {
+            return;
+        }
+        let other = self.roster.devices().iter().find(|other| {
+            other.uid == Some(uid)
+                && other.address != address
+                && other.heartbeat.last.is_some_and(|last| last > previous)
+        });
+        if let Some(other) = other.map(|other| other.address) {
+            self.collisions.see_same_uid(now, address, other, frame);
+            self.wake_at(now);
+        }
+    }
+
+    // --- questions -----------------------------------------------------------------------
+
+    fn hear_question(&mut self, now: Instant, header: Header, frame: &Frame) {
+        self.note_question(now, header, frame, false);
+        let profile = &self.config.profile;
+        if !self.config.listen_only {
+            self.station.handle_question(now, header, frame, profile, &mut self.outbox);
+            self.wake_at(now);
+        }
+    }
+
+    /// A frame of ours is on the bus: answers are now set against it.
+    pub(super) fn note_own_question(&mut self, now: Instant, frame: &Frame) {
+        if let Some(id) = frame.platform_id() {
+            let header = Header::decode(id);
+            if !header.response && header.service == self.config.profile.des_service() {
+                self.note_question(now, header, frame, true);
+                if header.broadcast {
+                    self.rounds.note_sent();
+                    self.wake_at(now);
+                }
+            }
+        }
+    }
+
+    fn note_question(&mut self, now: Instant, header: Header, frame: &Frame, ours: bool) {
+        let Some((framing, message)) = classify_request(frame.data(), frame.fd) else { return };
+        let Some(Asked::Known(request)) = Request::decode(message) else { return };
+        if !header.broadcast {
+            self.collisions.see_question(now, header.destination, request, framing, true);
+            return;
+        }
+        if !ours {
+            self.note_broadcast(header.destination, false);
+        }
+        for address in Address::all() {
+            let known = self.roster.current_device(address);
+            if known.is_none_or(|device| device.working != header.to_not_working) {
+                self.collisions.see_question(now, address, request, framing, false);
+            }
+        }
+    }
+
+    // --- answers -------------------------------------------------------------------------
+
+    fn hear_answer(
+        &mut self,
+        now: Instant,
+        index: usize,
+        header: Header,
+        frame: &Frame,
+        echoed: bool,
+    ) {
+        let for_us = self.is_for_us(index, header, echoed);
+        if echoed {
+            self.roster.get_mut(index).note(Quirk::RspDstEcho);
+        }
+        if !header.no_error {
+            let request = self.open_request(index).unwrap_or(Request::Services);
+            self.answer_failed(index, request, QueryFault::Refused);
+            return;
+        }
+        let open = self.transfers.is_open(header);
+        match classify_answer(frame.data(), frame.fd, open) {
+            Some(Framing::Raw) => {
+                let message = strip_raw_padding(frame.data());
+                let request = request_of(message);
+                self.answer_begins(now, index, request, Framing::Raw, frame);
+                self.hear_message(now, index, Framing::Raw, message, frame);
+            }
+            Some(Framing::Isotp) => self.hear_isotp(now, index, header, frame, for_us),
+            None => {
+                // A late or lost transfer's frames are no fault of the device's.
+                let stray = matches!(frame.data().first(), Some(0x20..=0x3F));
+                if !stray {
+                    self.malformed(now, index, &"it fits neither framing", frame);
+                }
+            }
+        }
+    }
+
+    /// Which question to this node waits for an answer.
+    fn open_request(&self, index: usize) -> Option<Request> {
+        let device = self.roster.get(index);
+        if device.services_query.is_waiting() {
+            Some(Request::Services)
+        } else {
+            device.name_query.is_waiting().then_some(Request::Name)
+        }
+    }
+
+    fn answer_begins(
+        &mut self,
+        now: Instant,
+        index: usize,
+        request: Option<Request>,
+        framing: Framing,
+        frame: &Frame,
+    ) {
+        let Some(request) = request else { return };
+        self.rounds.note_answer(now);
+        let device = self.roster.get_mut(index);
+        if device.framing.is_some_and(|known| known != framing) {
+            device.note(Quirk::BothFramings);
+        } else {
+            device.framing = Some(framing);
+        }
+        let (address, name) = (device.address, device.name.clone());
+        self.collisions.see_answer(now, address, request, framing, name.as_ref(), frame);
+    }
+
+    fn hear_isotp(
+        &mut self,
+        now: Instant,
+        index: usize,
+        header: Header,
+        frame: &Frame,
+        for_us: bool,
+    ) {
+        match Pci::decode(frame.data(), frame.fd) {
+            Ok(Pci::Single(message)) => {
+                self.answer_begins(now, index, request_of(message), Framing::Isotp, frame);
+                self.hear_message(now, index, Framing::Isotp, message, frame);
+            }
+            Ok(Pci::First { length, data }) => {
+                let request = request_of(data);
+                if request.is_none() {
+                    self.malformed(now, index, &AnswerFault::NotServices, frame);
+                    return;
+                }
+                self.answer_begins(now, index, request, Framing::Isotp, frame);
+                let block_size = if for_us { self.config.profile.isotp.block_size } else { 0 };
+                match self.transfers.start(now, header, frame, length, data, block_size) {
+                    Started::Open => {
+                        if let Some(request) = request {
+                            self.answer_arrives(index, request);
+                        }
+                        if for_us {
+                            self.send_flow_control(header, FlowStatus::Continue);
+                        }
+                        self.wake_at(now);
+                    }
+                    Started::Fault(fault) => {
+                        self.counters.transfers_failed += 1;
+                        if for_us {
+                            self.send_flow_control(header, FlowStatus::Overflow);
+                        }
+                        self.malformed(now, index, &fault, frame);
+                        if let Some(request) = request {
+                            self.answer_failed(index, request, fault.into());
+                        }
+                    }
+                }
+            }
+            Ok(Pci::Consecutive { sequence, data }) => {
+                match self.transfers.go_on(now, header, sequence, data) {
+                    Continued::Done(message) => {
+                        self.hear_message(now, index, Framing::Isotp, &message, frame);
+                    }
+                    Continued::BlockEnd if for_us => {
+                        self.send_flow_control(header, FlowStatus::Continue);
+                    }
+                    Continued::Fault(fault, first) => {
+                        self.counters.transfers_failed += 1;
+                        let request = first.data().get(2).and_then(|&kind| request_of(&[kind]));
+                        if let Some(request) = request {
+                            self.answer_failed(index, request, fault.into());
+                        }
+                    }
+                    Continued::More | Continued::BlockEnd => {
+                        if let Some(request) = self.open_request(index) {
+                            self.answer_arrives(index, request);
+                        }
+                    }
+                    Continued::Unknown => {}
+                }
+            }
+            Ok(Pci::Flow(_)) => {}
+            Err(fault) => self.malformed(now, index, &fault, frame),
+        }
+    }
+
+    /// Flow control for an answer goes on the answerer's targeted request identifier.
+    fn send_flow_control(&mut self, answer: Header, status: FlowStatus) {
+        let Some(own) = self.station.held() else { return };
+        let mut header =
+            Header::request(own, answer.source, answer.sender_not_working, answer.service);
+        header.no_error = self.config.profile.request_err;
+        let isotp = &self.config.profile.isotp;
+        let flow = FlowControl { status, block_size: isotp.block_size, st_min: isotp.st_min };
+        self.outbox.push(Frame::classic(header.encode(), &flow.encode()));
+    }
+
+    /// Gives up transfers whose next frame is overdue.
+    pub(super) fn expire_transfers(&mut self) {
+        while let Some(expired) = self.transfers.expire(self.now) {
+            self.counters.transfers_failed += 1;
+            let Some(index) = self.roster.current(expired.header.source) else { continue };
+            if let Some(request) = self.open_request(index) {
+                self.answer_failed(index, request, expired.fault.into());
+            }
+        }
+    }
+
+    /// A whole message came from the node at this row.
+    fn hear_message(
+        &mut self,
+        now: Instant,
+        index: usize,
+        framing: Framing,
+        message: &[u8],
+        frame: &Frame,
+    ) {
+        match request_of(message) {
+            Some(Request::Name) => self.hear_name(now, index, framing, message, frame),
+            Some(Request::Services) => self.hear_services(now, index, message, frame),
+            None => self.malformed(now, index, &AnswerFault::NotServices, frame),
+        }
+    }
+
+    fn hear_name(
+        &mut self,
+        now: Instant,
+        index: usize,
+        framing: Framing,
+        message: &[u8],
+        frame: &Frame,
+    ) {
+        let (name, fault) = des::decode_name(message);
+        if let Some(fault) = fault {
+            self.malformed(now, index, &fault, frame);
+        }
+        let Some(name) = name.map(Name::new) else { return };
+        let address = self.roster.get(index).address;
+        self.collisions.see_name(now, address, &name, frame);
+        let index = self.row_of_name(now, index, &name);
+        let device = self.roster.get_mut(index);
+        if device.name_query.is_waiting() && device.name_query.deadline.is_some() {
+            self.waiting = self.waiting.saturating_sub(1);
+        }
+        let device = self.roster.get_mut(index);
+        device.name_query.answered(now, fault.map(QueryFault::from));
+        device.framing.get_or_insert(framing);
+        device.is_debug |= name.as_bytes() == b"DSCAN";
+        device.last_seen = now;
+        if device.name.is_none() {
+            device.name = Some(name);
+            device.services_query.renew(now);
+            self.roster.discoveries += 1;
+            self.tell(index, EventKind::Named);
+            self.find_move_to(index);
+        }
+        self.wake_at(now);
+    }
+
+    fn hear_services(&mut self, now: Instant, index: usize, message: &[u8], frame: &Frame) {
+        let answer = ServicesAnswer::decode(message);
+        let fault = answer.fault();
+        if let Some(fault) = fault {
+            self.malformed(now, index, &fault, frame);
+        }
+        let device = self.roster.get_mut(index);
+        if device.services_query.is_waiting() {
+            self.waiting = self.waiting.saturating_sub(1);
+        }
+        let device = self.roster.get_mut(index);
+        device.services_query.answered(now, fault.map(QueryFault::from));
+        if fault.is_some_and(|fault| fault != AnswerFault::Truncated) {
+            device.services_query.state = QueryState::Unanswered;
+            self.wake_at(now);
+            return;
+        }
+        let services: Vec<ServiceEntry> = answer
+            .services()
+            .map(|service| {
+                let mut strings = service.strings().map(Name::new);
+                let none = || Name::new(b"");
+                ServiceEntry {
+                    index: service.index,
+                    name: strings.next().unwrap_or_else(none),
+                    version: strings.next().unwrap_or_else(none),
+                    extra: strings.collect(),
+                }
+            })
+            .collect();
+        let mut hasher = DefaultHasher::new();
+        message.hash(&mut hasher);
+        let digest = hasher.finish();
+        let (address, name) = (device.address, device.name.clone());
+        let count = services.len();
+        let changed = device.services.as_ref().is_some_and(|known| *known != services);
+        let news = changed || device.services.is_none();
+        let before = device.services.replace(services);
+        if changed {
+            device.previous_services = before;
+        }
+        if fault.is_none() {
+            self.collisions.see_sound_answer(now, address);
+        }
+        self.collisions.see_services(now, address, digest, name.as_ref(), frame);
+        if news {
+            self.tell(index, EventKind::Services { count, changed });
+        }
+        self.wake_at(now);
+    }
+
+    fn malformed(
+        &mut self,
+        now: Instant,
+        index: usize,
+        fault: &dyn std::fmt::Display,
+        frame: &Frame,
+    ) {
+        self.counters.malformed += 1;
+        let device = self.roster.get(index);
+        let (address, name) = (device.address, device.name.clone());
+        self.collisions.see_malformed(now, address, name.as_ref(), fault, frame);
+        self.wake_at(now);
+    }
+}
+
+/// What kind of answer a message is, by its first byte.
+fn request_of(message: &[u8]) -> Option<Request> {
+    match message.first() {
+        Some(&des::TYPE_NAME) => Some(Request::Name),
+        Some(&des::TYPE_SERVICES) => Some(Request::Services),
+        _ => None,
+    }
+}
+
+/// Whether a gap between heartbeats is no whole number of periods: the sender started anew.
+fn is_out_of_phase(gap: Duration, period: Duration, jitter: Option<Duration>) -> bool {
+    let periods = gap.as_secs_f64() / period.as_secs_f64();
+    if !(REBOOT_GAP..=30.0).contains(&periods) {
+        return false;
+    }
+    let off = (periods - periods.round()).abs();
+    let noise = jitter.map_or(0.0, |jitter| jitter.as_secs_f64() / period.as_secs_f64());
+    off > (4.0 * noise).max(0.15)
+}

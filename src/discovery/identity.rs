@@ -1,0 +1,151 @@
+//! Which row a node is: another board at a known address, or a known device at another one.
+
+use super::device::QueryState;
+use super::{Device, Engine, EventKind, Presence};
+use crate::text::Name;
+use crate::time::Instant;
+use crate::wire::node::Uid;
+
+impl Engine {
+    /// The row at this address that has that name, or may be given it. Another row than the
+    /// current one means another board at the address.
+    pub(super) fn row_of_name(&mut self, now: Instant, index: usize, name: &Name) -> usize {
+        let current = self.roster.get(index);
+        if current.name.as_ref().is_none_or(|own| own == name) {
+            return index;
+        }
+        let (address, working) = (current.address, current.working);
+        let known = self
+            .roster
+            .devices()
+            .iter()
+            .position(|device| device.address == address && device.name.as_ref() == Some(name));
+        let live = self.roster.get(index).clone();
+        let old = self.roster.get_mut(index);
+        for query in [&mut old.name_query, &mut old.services_query] {
+            query.due = None;
+            query.deadline = None;
+            if query.is_waiting() {
+                query.state = QueryState::NotAsked;
+            }
+        }
+        // Heartbeats that came since the other board is there are not this row's.
+        old.uid = old.uid_before.take().or(old.uid);
+        let row = match known {
+            Some(row) => row,
+            None => match self.roster.appear(now, address, working) {
+                Some(row) => row,
+                None => return index,
+            },
+        };
+        self.roster.make_current(row);
+        let device = self.roster.get_mut(row);
+        // What was heard from the address lately is this row's now.
+        device.heartbeat = live.heartbeat;
+        device.uid = live.uid;
+        device.mode = live.mode;
+        device.error = live.error;
+        device.working = working;
+        device.framing = live.framing;
+        device.last_seen = now;
+        if known.is_none() {
+            self.tell(row, EventKind::Appeared);
+        } else {
+            let lost = device.presence == Presence::Lost;
+            if lost {
+                device.services_query.renew(now);
+            }
+        }
+        row
+    }
+
+    /// Whether the row is a known device at a new address: the same UID, else the only one of
+    /// its name, and its old address fell silent.
+    pub(super) fn find_move_to(&mut self, index: usize) {
+        let period = self.config.profile.heartbeat.period();
+        let device = self.roster.get(index);
+        let now = self.now;
+        let (uid, name, address) =
+            (device.uid.filter(|uid| !uid.is_blank()), device.name.clone(), device.address);
+        let first_seen = device.first_seen;
+        let gone = |other: &Device| {
+            other.address != address
+                && other.last_seen <= first_seen
+                && now.since(other.last_seen) > period.mul_f64(1.4)
+        };
+        let by_uid = uid.and_then(|uid| {
+            self.roster.devices().iter().position(|other| other.uid == Some(uid) && gone(other))
+        });
+        let old = by_uid.or_else(|| self.only_other_of_name(index, name.as_ref()?, gone));
+        if let Some(old) = old {
+            self.move_row(old, index);
+        }
+    }
+
+    fn only_other_of_name(
+        &self,
+        index: usize,
+        name: &Name,
+        gone: impl Fn(&Device) -> bool,
+    ) -> Option<usize> {
+        let blank_or = |uid: Option<Uid>| uid.filter(|uid| !uid.is_blank());
+        let own_uid = blank_or(self.roster.get(index).uid);
+        let mut others = self
+            .roster
+            .devices()
+            .iter()
+            .enumerate()
+            .filter(|(at, other)| *at != index && other.name.as_ref() == Some(name));
+        let (at, other) = others.next()?;
+        let contradicts = matches!((own_uid, blank_or(other.uid)), (Some(a), Some(b)) if a != b);
+        (others.next().is_none() && !contradicts && gone(other)).then_some(at)
+    }
+
+    /// A lost device may have turned up elsewhere before it was lost here.
+    pub(super) fn find_move_of_lost(&mut self, index: usize) {
+        let device = self.roster.get(index);
+        let (id, address, last_seen, uid, name) = (
+            device.id,
+            device.address,
+            device.last_seen,
+            device.uid.filter(|uid| !uid.is_blank()),
+            device.name.clone(),
+        );
+        let candidate = self.roster.devices().iter().position(|other| {
+            other.id != id
+                && other.address != address
+                && other.is_here()
+                && other.first_seen >= last_seen
+                && uid.is_some()
+                && other.uid == uid
+        });
+        let candidate = candidate.or_else(|| {
+            let name = name.as_ref()?;
+            let mut same = self
+                .roster
+                .devices()
+                .iter()
+                .enumerate()
+                .filter(|(_, other)| other.id != id && other.name.as_ref() == Some(name))
+                .filter(|(_, other)| other.address != address);
+            let (at, other) = same.next()?;
+            let contradicts =
+                matches!((uid, other.uid.filter(|u| !u.is_blank())), (Some(a), Some(b)) if a != b);
+            let fits = other.is_here() && other.first_seen >= last_seen && !contradicts;
+            (same.next().is_none() && fits).then_some(at)
+        });
+        if let Some(new) = candidate {
+            self.move_row(index, new);
+        }
+    }
+
+    fn move_row(&mut self, old: usize, new: usize) {
+        let from = self.roster.get(old).address;
+        let index = self.roster.join(old, new);
+        let now = self.now;
+        let device = self.roster.get_mut(index);
+        device.services_query.renew(now);
+        self.tell(index, EventKind::Moved { from });
+        self.wake_at(now);
+    }
+}

@@ -1,0 +1,161 @@
+//! Rounds: when everybody is asked who is there, and when a round is over.
+//!
+//! Rounds repeat at start until two in a row bring nothing new, each waiting until the services
+//! of what was found are known; then at a slow period. Does not send anything itself.
+
+use super::config::Config;
+use crate::time::{Duration, Instant};
+
+/// Rounds in a row without news that end the start.
+const QUIET_ROUNDS: u32 = 2;
+/// Bits of a usual frame, for windows that grow with slower buses.
+const FRAME_BITS: u64 = 150;
+/// How long a round's questions may hold up others.
+const RIGHT_OF_WAY: Duration = Duration::from_millis(500);
+/// How long a repeat round waits for services at the most.
+const WAIT_FOR_SERVICES: Duration = Duration::from_secs(2);
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Phase {
+    /// Until our address is ours.
+    NotYet,
+    /// Answers come in.
+    Collecting { began: Instant, last_answer: Instant, answers: u32, known: u64 },
+    /// The next round is due at `at`, or, while starting, as soon as no question is open.
+    Waiting { at: Instant, patience: Instant },
+    /// No further rounds.
+    Never,
+}
+
+#[derive(Debug)]
+pub(super) struct Rounds {
+    phase: Phase,
+    quiet: u32,
+    pub finished: u32,
+    /// Questions of this round that the bus has not taken yet.
+    unsent: u32,
+}
+
+/// What is to be done about rounds now.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum RoundStep {
+    None,
+    /// Send the questions of a round.
+    Ask,
+    /// A round that began at this moment is over.
+    Over {
+        began: Instant,
+    },
+}
+
+impl Rounds {
+    pub fn new() -> Self {
+        Self { phase: Phase::NotYet, quiet: 0, finished: 0, unsent: 0 }
+    }
+
+    /// Whether the rounds at start are not over yet.
+    pub fn is_starting(&self) -> bool {
+        self.quiet < QUIET_ROUNDS
+    }
+
+    pub fn is_collecting(&self) -> bool {
+        matches!(self.phase, Phase::Collecting { .. })
+    }
+
+    /// Makes a round as soon as possible, and repeats as at start.
+    pub fn restart(&mut self, now: Instant) {
+        self.quiet = 0;
+        self.phase = Phase::Waiting { at: now, patience: now };
+    }
+
+    /// Makes one round soon, unless one is being made.
+    pub fn hurry(&mut self, at: Instant) {
+        match &mut self.phase {
+            Phase::Waiting { at: due, .. } => *due = (*due).min(at),
+            Phase::Never => self.phase = Phase::Waiting { at, patience: at },
+            Phase::NotYet | Phase::Collecting { .. } => {}
+        }
+    }
+
+    /// Stops until the next [`restart`](Self::restart).
+    pub fn stop(&mut self) {
+        self.phase = Phase::NotYet;
+        self.quiet = 0;
+    }
+
+    /// So many questions of this round were handed out.
+    pub fn note_questions(&mut self, count: u32) {
+        self.unsent = count;
+    }
+
+    /// The bus took one of them.
+    pub fn note_sent(&mut self) {
+        self.unsent = self.unsent.saturating_sub(1);
+    }
+
+    /// Until when other questions, which may be of higher priority, are to let this round's
+    /// pass: the one to nodes that are not working would starve behind those to working ones.
+    pub fn right_of_way(&self, now: Instant) -> Option<Instant> {
+        match self.phase {
+            Phase::Collecting { began, .. } if self.unsent > 0 => {
+                Some(began + RIGHT_OF_WAY).filter(|until| now < *until)
+            }
+            _ => None,
+        }
+    }
+
+    pub fn note_answer(&mut self, now: Instant) {
+        if let Phase::Collecting { last_answer, answers, .. } = &mut self.phase {
+            *last_answer = now;
+            *answers += 1;
+        }
+    }
+
+    /// How long the bus must be quiet of answers until a round is over.
+    fn quiet_window(config: &Config, answers: u32) -> Duration {
+        let frames = 60 + u64::from(answers.min(127));
+        Duration::from_millis(60) + config.bit_time(frames * FRAME_BITS)
+    }
+
+    /// `open` questions are waiting for answers; `known` counts what was ever found.
+    pub fn step(&mut self, now: Instant, config: &Config, open: usize, known: u64) -> RoundStep {
+        match self.phase {
+            Phase::Collecting { began, last_answer, answers, known: before } => {
+                if now < last_answer + Self::quiet_window(config, answers) {
+                    return RoundStep::None;
+                }
+                self.finished += 1;
+                self.quiet = if known > before { 0 } else { self.quiet + 1 };
+                self.phase = if self.is_starting() {
+                    Phase::Waiting { at: now, patience: now + WAIT_FOR_SERVICES }
+                } else if config.round_period.is_zero() {
+                    Phase::Never
+                } else {
+                    Phase::Waiting { at: now + config.round_period, patience: now }
+                };
+                RoundStep::Over { began }
+            }
+            Phase::Waiting { at, patience } if now >= at && (open == 0 || now >= patience) => {
+                self.phase = Phase::Collecting { began: now, last_answer: now, answers: 0, known };
+                RoundStep::Ask
+            }
+            _ => RoundStep::None,
+        }
+    }
+
+    /// Puts the round that [`step`](Self::step) wanted off until `at`.
+    pub fn put_off(&mut self, at: Instant) {
+        self.phase = Phase::Waiting { at, patience: at };
+    }
+
+    pub fn poll_timeout(&self, config: &Config, open: usize) -> Option<Instant> {
+        match self.phase {
+            Phase::NotYet | Phase::Never => None,
+            Phase::Collecting { last_answer, answers, .. } => {
+                Some(last_answer + Self::quiet_window(config, answers))
+            }
+            Phase::Waiting { at, patience } if open > 0 => Some(at.max(patience)),
+            Phase::Waiting { at, .. } => Some(at),
+        }
+    }
+}

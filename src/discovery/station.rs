@@ -1,0 +1,307 @@
+//! Ourselves on the bus: which address we hold and how we came by it (3.2.4.2), our heartbeat,
+//! and our answers to the DES questions of others.
+//!
+//! Does not know what we ask; only whether we may ask, and from which address.
+
+use super::config::Config;
+use super::outbox::Outbox;
+use crate::frame::Frame;
+use crate::time::{Duration, Instant};
+use crate::wire::des::{self, Asked, Request};
+use crate::wire::framing::{Framing, classify_request};
+use crate::wire::id::{Address, Header};
+use crate::wire::isotp::{FlowControl, Pci, Segmenter};
+use crate::wire::node::{Heartbeat, Mode, Uid};
+use crate::wire::profile::{Announce, Profile};
+
+/// The name we answer with.
+const NAME: &[u8] = b"DSCAN";
+/// How many of our services answers may wait for flow control at once.
+const MAX_ANSWERS: usize = 4;
+/// An address heard within this many periods counts as used.
+const USED_FOR_PERIODS: u32 = 5;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Standing {
+    Off,
+    Listening { until: Instant },
+    Waiting { address: Address, since: Instant, until: Instant },
+    Held { address: Address },
+}
+
+/// A change of our address.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum AddressChange {
+    Taken(Address),
+    Lost(Address),
+}
+
+#[derive(Debug)]
+struct Answer {
+    id: u32,
+    flow_id: u32,
+    segmenter: Segmenter,
+}
+
+#[derive(Debug)]
+pub(super) struct Station {
+    standing: Standing,
+    wanted: Option<Address>,
+    contested: bool,
+    heard: [Option<Instant>; Address::COUNT],
+    period: Duration,
+    uid: Uid,
+    heartbeat_known: bool,
+    next_beat: Option<Instant>,
+    answers: Vec<Answer>,
+}
+
+impl Station {
+    pub fn new(now: Instant, config: &Config, rng: &mut fastrand::Rng) -> Self {
+        let period = config.profile.heartbeat.period();
+        let prefix = Uid::parse("DSCAN", &config.profile.uid).map_or([0; 8], Uid::sextets);
+        let mut sextets = prefix;
+        sextets[5..].fill_with(|| rng.u8(1..64));
+        let mut station = Self {
+            standing: Standing::Off,
+            wanted: config.address,
+            contested: false,
+            heard: [None; Address::COUNT],
+            period,
+            uid: Uid::from_sextets(sextets),
+            heartbeat_known: false,
+            next_beat: None,
+            answers: Vec::new(),
+        };
+        if !config.listen_only {
+            station.listen(now);
+        }
+        station
+    }
+
+    /// Begins (again) to listen for used addresses: 1.5 × BUS_CFG_HR_TIME.
+    pub fn listen(&mut self, now: Instant) {
+        self.standing = Standing::Listening { until: now + self.period.mul_f64(1.5) };
+        self.next_beat = None;
+        self.answers.clear();
+    }
+
+    pub fn held(&self) -> Option<Address> {
+        match self.standing {
+            Standing::Held { address } => Some(address),
+            _ => None,
+        }
+    }
+
+    pub fn own_address(&self) -> super::OwnAddress {
+        match self.standing {
+            Standing::Off => super::OwnAddress::None,
+            Standing::Listening { .. } => super::OwnAddress::Listening,
+            Standing::Waiting { address, .. } => super::OwnAddress::Claiming(address),
+            Standing::Held { address } => super::OwnAddress::Held(address),
+        }
+    }
+
+    /// Notes the addresses of a conforming frame of somebody else. `destination_counts` is
+    /// false for a broadcast and for an echoed DST.
+    pub fn note_used(&mut self, now: Instant, header: Header, destination_counts: bool) {
+        self.heard[header.source.index()] = Some(now);
+        if destination_counts {
+            self.heard[header.destination.index()] = Some(now);
+        }
+    }
+
+    /// A heartbeat that fits the profile was heard: ours will be understood.
+    pub fn note_heartbeat(&mut self) {
+        self.heartbeat_known = true;
+    }
+
+    /// Somebody else sends from the address we hold or want.
+    pub fn handle_rival(&mut self, now: Instant, source: Address) -> Option<AddressChange> {
+        match self.standing {
+            Standing::Held { address } if address == source => {
+                self.contested = true;
+                self.listen(now);
+                Some(AddressChange::Lost(address))
+            }
+            Standing::Waiting { address, .. } if address == source => {
+                self.contested = true;
+                self.listen(now);
+                None
+            }
+            _ => None,
+        }
+    }
+
+    fn is_used(&self, now: Instant, address: Address) -> bool {
+        let window = self.period * USED_FOR_PERIODS;
+        self.heard[address.index()].is_some_and(|heard| now.since(heard) < window)
+    }
+
+    fn choose(&self, now: Instant, rng: &mut fastrand::Rng) -> Option<Address> {
+        if let Some(wanted) = self.wanted {
+            return (!self.is_used(now, wanted)).then_some(wanted);
+        }
+        if !self.is_used(now, Address::DEBUG) {
+            return Some(Address::DEBUG);
+        }
+        let free: Vec<Address> =
+            Address::nodes().filter(|&node| !self.is_used(now, node)).collect();
+        (!free.is_empty()).then(|| free[rng.usize(..free.len())])
+    }
+
+    pub fn handle_timeout(
+        &mut self,
+        now: Instant,
+        profile: &Profile,
+        rng: &mut fastrand::Rng,
+        outbox: &mut Outbox,
+    ) -> Option<AddressChange> {
+        let change = match self.standing {
+            Standing::Listening { until } if now >= until => match self.choose(now, rng) {
+                None => {
+                    self.listen(now);
+                    None
+                }
+                // 0 is ours by right while nobody contests it.
+                Some(Address::DEBUG) if !self.contested => Some(self.take(now, Address::DEBUG)),
+                Some(address) => {
+                    let wait = Duration::from_micros(rng.u64(..self.period.as_micros() as u64));
+                    self.standing = Standing::Waiting { address, since: now, until: now + wait };
+                    None
+                }
+            },
+            Standing::Waiting { address, since, until } if now >= until => {
+                let heard = self.heard[address.index()].is_some_and(|heard| heard >= since);
+                if heard {
+                    self.listen(now);
+                    None
+                } else {
+                    Some(self.take(now, address))
+                }
+            }
+            _ => None,
+        };
+        self.beat(now, profile, rng, outbox);
+        self.send_answers(now, outbox);
+        change
+    }
+
+    fn take(&mut self, now: Instant, address: Address) -> AddressChange {
+        self.answers.clear();
+        self.standing = Standing::Held { address };
+        self.next_beat = Some(now);
+        AddressChange::Taken(address)
+    }
+
+    fn announces(&self, profile: &Profile) -> bool {
+        match profile.heartbeat.announce {
+            Announce::Always => true,
+            Announce::Never => false,
+            Announce::Auto => profile.given || self.heartbeat_known,
+        }
+    }
+
+    fn beat(
+        &mut self,
+        now: Instant,
+        profile: &Profile,
+        rng: &mut fastrand::Rng,
+        outbox: &mut Outbox,
+    ) {
+        let Some(address) = self.held() else { return };
+        if self.next_beat.is_none_or(|at| now < at) {
+            return;
+        }
+        self.next_beat = Some(now + self.period);
+        if outbox.is_held() || !self.announces(profile) {
+            return;
+        }
+        let heartbeat = Heartbeat { uid: Some(self.uid), mode: Some(Mode::Work), error: Some(0) };
+        let (data, len) = heartbeat.encode(&profile.heartbeat, &profile.modes.codes());
+        let rnd7 = rng.u8(..128);
+        let header = Header::unsolicited(address, rnd7, false, profile.heartbeat_service());
+        outbox.push(Frame::classic(header.encode(), &data[..len]));
+    }
+
+    /// Answers a DES question of another debug device, and takes its flow control.
+    pub fn handle_question(
+        &mut self,
+        now: Instant,
+        header: Header,
+        frame: &Frame,
+        profile: &Profile,
+        outbox: &mut Outbox,
+    ) {
+        let Some(address) = self.held() else { return };
+        if header.to_not_working || (!header.broadcast && header.destination != address) {
+            return;
+        }
+        if let Some((framing, message)) = classify_request(frame.data(), frame.fd) {
+            let Some(Asked::Known(request)) = Request::decode(message) else { return };
+            let message = match request {
+                Request::Name => des::encode_name(NAME),
+                Request::Services => des::encode_services(&[vec!["DES", "1.0"]]),
+            };
+            self.answer(header, address, framing, message, outbox);
+            self.send_answers(now, outbox);
+        } else if let Ok(Pci::Flow(flow)) = Pci::decode(frame.data(), frame.fd) {
+            let flow_id = Header::request(header.source, address, false, profile.des_service());
+            self.handle_flow(now, flow_id.encode(), flow);
+            self.send_answers(now, outbox);
+        }
+    }
+
+    fn answer(
+        &mut self,
+        question: Header,
+        from: Address,
+        framing: Framing,
+        message: Vec<u8>,
+        outbox: &mut Outbox,
+    ) {
+        let id = question.answer(from, false).encode();
+        match framing {
+            Framing::Raw if message.len() <= Frame::MAX_CLASSIC_DATA => {
+                outbox.push(Frame::classic(id, &message));
+            }
+            Framing::Raw => {}
+            Framing::Isotp => {
+                let mut flow_header =
+                    Header::request(question.source, from, false, question.service);
+                flow_header.no_error = false;
+                self.answers.retain(|open| open.id != id);
+                if self.answers.len() == MAX_ANSWERS {
+                    self.answers.remove(0);
+                }
+                let segmenter = Segmenter::new(message, false);
+                self.answers.push(Answer { id, flow_id: flow_header.encode(), segmenter });
+            }
+        }
+    }
+
+    fn handle_flow(&mut self, now: Instant, flow_id: u32, flow: FlowControl) {
+        self.answers.retain_mut(|answer| {
+            answer.flow_id != flow_id || answer.segmenter.handle_flow(now, flow).is_ok()
+        });
+    }
+
+    fn send_answers(&mut self, now: Instant, outbox: &mut Outbox) {
+        self.answers.retain_mut(|answer| {
+            while let Some(segment) = answer.segmenter.poll(now) {
+                outbox.push(Frame::classic(answer.id, segment.as_bytes()));
+            }
+            !answer.segmenter.is_done() && answer.segmenter.handle_timeout(now).is_ok()
+        });
+    }
+
+    pub fn poll_timeout(&self) -> Option<Instant> {
+        let standing = match self.standing {
+            Standing::Off => None,
+            Standing::Listening { until } | Standing::Waiting { until, .. } => Some(until),
+            Standing::Held { .. } => self.next_beat,
+        };
+        let answers = self.answers.iter().filter_map(|answer| answer.segmenter.poll_timeout());
+        standing.into_iter().chain(answers).min()
+    }
+}

@@ -1,0 +1,142 @@
+//! Answers that arrive in several frames: one reassembly per identifier, bounded per source.
+
+use crate::frame::Frame;
+use crate::time::Instant;
+use crate::wire::id::{Address, Header};
+use crate::wire::isotp::{Progress, Reassembly, TransferFault};
+
+/// How many transfers one source may have open at once: one per asker that is sensible.
+const MAX_PER_SOURCE: usize = 4;
+
+#[derive(Debug)]
+struct Transfer {
+    id: u32,
+    first: Frame,
+    reassembly: Reassembly,
+}
+
+/// What a first frame did.
+#[derive(Debug)]
+pub(super) enum Started {
+    /// A transfer is open; one that the identifier had open before is given up.
+    Open,
+    /// Refused.
+    Fault(TransferFault),
+}
+
+/// What a consecutive frame did.
+#[derive(Debug)]
+pub(super) enum Continued {
+    /// No transfer is open for it: a foreign or late frame.
+    Unknown,
+    /// More to come.
+    More,
+    /// More to come after our flow control.
+    BlockEnd,
+    /// The whole message.
+    Done(Vec<u8>),
+    /// The transfer broke off; its first frame comes back.
+    Fault(TransferFault, Frame),
+}
+
+/// A transfer that was given up.
+#[derive(Debug)]
+pub(super) struct Expired {
+    pub header: Header,
+    pub fault: TransferFault,
+}
+
+#[derive(Debug)]
+pub(super) struct Transfers {
+    by_source: Vec<Vec<Transfer>>,
+    open: usize,
+}
+
+impl Transfers {
+    pub fn new() -> Self {
+        Self { by_source: (0..Address::COUNT).map(|_| Vec::new()).collect(), open: 0 }
+    }
+
+    /// Whether the identifier has a transfer open.
+    pub fn is_open(&self, header: Header) -> bool {
+        let id = header.encode();
+        self.by_source[header.source.index()].iter().any(|transfer| transfer.id == id)
+    }
+
+    pub fn start(
+        &mut self,
+        now: Instant,
+        header: Header,
+        frame: &Frame,
+        length: u32,
+        data: &[u8],
+        block_size: u8,
+    ) -> Started {
+        let reassembly = match Reassembly::start(now, length, data, frame.len(), block_size) {
+            Ok(reassembly) => reassembly,
+            Err(fault) => return Started::Fault(fault),
+        };
+        let id = header.encode();
+        let transfers = &mut self.by_source[header.source.index()];
+        if let Some(open) = transfers.iter_mut().find(|transfer| transfer.id == id) {
+            open.reassembly = reassembly;
+            open.first = *frame;
+            return Started::Open;
+        }
+        if transfers.len() == MAX_PER_SOURCE {
+            transfers.remove(0);
+            self.open -= 1;
+        }
+        transfers.push(Transfer { id, first: *frame, reassembly });
+        self.open += 1;
+        Started::Open
+    }
+
+    pub fn go_on(&mut self, now: Instant, header: Header, sequence: u8, data: &[u8]) -> Continued {
+        let id = header.encode();
+        let transfers = &mut self.by_source[header.source.index()];
+        let Some(at) = transfers.iter().position(|transfer| transfer.id == id) else {
+            return Continued::Unknown;
+        };
+        match transfers[at].reassembly.push(now, sequence, data) {
+            Ok(Progress::More) => Continued::More,
+            Ok(Progress::BlockEnd) => Continued::BlockEnd,
+            Ok(Progress::Done) => {
+                self.open -= 1;
+                Continued::Done(transfers.swap_remove(at).reassembly.into_message())
+            }
+            Err(fault) => {
+                self.open -= 1;
+                Continued::Fault(fault, transfers.swap_remove(at).first)
+            }
+        }
+    }
+
+    /// Gives up a transfer that is overdue (N_Cr), one at a call.
+    pub fn expire(&mut self, now: Instant) -> Option<Expired> {
+        if self.open == 0 {
+            return None;
+        }
+        for transfers in &mut self.by_source {
+            if let Some(at) = transfers.iter().position(|open| open.reassembly.deadline() <= now) {
+                self.open -= 1;
+                let id = transfers.swap_remove(at).id;
+                let header = Header::decode(id);
+                return Some(Expired { header, fault: TransferFault::SenderSilent });
+            }
+        }
+        None
+    }
+
+    pub fn poll_timeout(&self) -> Option<Instant> {
+        if self.open == 0 {
+            return None;
+        }
+        self.by_source.iter().flatten().map(|transfer| transfer.reassembly.deadline()).min()
+    }
+
+    pub fn clear(&mut self) {
+        self.by_source.iter_mut().for_each(Vec::clear);
+        self.open = 0;
+    }
+}

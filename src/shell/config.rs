@@ -1,0 +1,152 @@
+//! The user's own settings: `config.toml`, `keys.toml` and `themes/` in the XDG config folder.
+//!
+//! Every part may be missing. What is wrong in one is told with file and line; it does not keep
+//! the program from starting with what is built in.
+
+use crate::keymap::Keymap;
+use etcetera::{BaseStrategy, choose_base_strategy};
+use serde::Deserialize;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// The largest of these files that is read, in bytes.
+const MAX_BYTES: u64 = 1 << 20;
+
+/// `config.toml`: what would otherwise be said on the command line each time.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// The theme's name.
+    pub theme: Option<String>,
+    /// Seconds between rounds once the bus is known; 0 = none after the first ones.
+    pub round_period: Option<f64>,
+    /// The share of the bus that what we send may take while starting, 0–1.
+    pub start_share: Option<f64>,
+    /// The same afterwards.
+    pub steady_share: Option<f64>,
+}
+
+impl Settings {
+    fn parse(text: &str) -> Result<Self, String> {
+        let settings: Self = toml::from_str(text).map_err(|error| {
+            let line = error.span().map_or(1, |span| text[..span.start].matches('\n').count() + 1);
+            format!("line {line}: {}", error.message())
+        })?;
+        let share = |share: Option<f64>| share.is_none_or(|share| (0.001..=1.0).contains(&share));
+        if !share(settings.start_share) || !share(settings.steady_share) {
+            return Err("a share of the bus is a number from 0.001 to 1".to_owned());
+        }
+        if !settings.round_period.is_none_or(|period| (0.0..=86_400.0).contains(&period)) {
+            return Err("round_period is a number of seconds, 0 to 86400".to_owned());
+        }
+        Ok(settings)
+    }
+
+    /// Time between rounds, where it is set.
+    pub fn round_period(&self) -> Option<Duration> {
+        self.round_period.map(Duration::from_secs_f64)
+    }
+}
+
+/// The folder with the user's settings.
+#[derive(Clone, Debug)]
+pub struct Folder {
+    path: PathBuf,
+}
+
+impl Folder {
+    /// `$XDG_CONFIG_HOME/descan`, by default `~/.config/descan`; none where there is no home.
+    pub fn of_user() -> Option<Self> {
+        let base = choose_base_strategy().ok()?;
+        Some(Self { path: base.config_dir().join("descan") })
+    }
+
+    /// That folder.
+    pub fn at(path: impl Into<PathBuf>) -> Self {
+        Self { path: path.into() }
+    }
+
+    /// `config.toml`; what is built in where it is missing. The error names file and line.
+    pub fn settings(&self) -> Result<Settings, String> {
+        self.read("config.toml", Settings::parse)
+    }
+
+    /// `keys.toml`; the usual keys where it is missing. The error names file and line.
+    pub fn keymap(&self) -> Result<Keymap, String> {
+        self.read("keys.toml", |text| Keymap::parse(text).map_err(|error| error.to_string()))
+    }
+
+    /// Where the user's theme of that name would be.
+    pub fn theme_path(&self, name: &str) -> PathBuf {
+        self.path.join("themes").join(format!("{name}.toml"))
+    }
+
+    /// The names of the user's themes, sorted.
+    pub fn theme_names(&self) -> Vec<String> {
+        let Ok(entries) = fs::read_dir(self.path.join("themes")) else { return Vec::new() };
+        let mut names: Vec<String> = entries
+            .filter_map(|entry| {
+                let path = entry.ok()?.path();
+                (path.extension()? == "toml").then(|| path.file_stem()?.to_str().map(str::to_owned))?
+            })
+            .collect();
+        names.sort();
+        names
+    }
+
+    fn read<T: Default>(
+        &self,
+        name: &str,
+        parse: impl FnOnce(&str) -> Result<T, String>,
+    ) -> Result<T, String> {
+        let path = self.path.join(name);
+        match read_text(&path) {
+            Ok(None) => Ok(T::default()),
+            Ok(Some(text)) => {
+                parse(&text).map_err(|message| format!("{}: {message}", path.display()))
+            }
+            Err(cause) => Err(format!("{} cannot be read: {cause}", path.display())),
+        }
+    }
+}
+
+/// The text of a small file; `None` where there is none.
+pub fn read_text(path: &Path) -> io::Result<Option<String>> {
+    match fs::metadata(path) {
+        Ok(metadata) if metadata.len() > MAX_BYTES => {
+            Err(io::Error::new(io::ErrorKind::InvalidData, "it is larger than 1 MiB"))
+        }
+        Ok(_) => fs::read_to_string(path).map(Some),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(error),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_missing_is_built_in_and_what_is_wrong_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let config = Folder::at(folder.path());
+        assert_eq!(config.settings(), Ok(Settings::default()));
+        fs::write(folder.path().join("config.toml"), "theme = \"dark\"\nround_period = 5\n").unwrap();
+        let settings = config.settings().unwrap();
+        assert_eq!(settings.theme.as_deref(), Some("dark"));
+        assert_eq!(settings.round_period(), Some(Duration::from_secs(5)));
+        for (text, hint) in [
+            ("\ntehme = \"dark\"", "line 2: unknown field `tehme`"),
+            ("start_share = 30", "0.001 to 1"),
+            ("round_period = -1", "0 to 86400"),
+        ] {
+            fs::write(folder.path().join("config.toml"), text).unwrap();
+            let error = config.settings().unwrap_err();
+            assert!(error.contains(hint) && error.contains("config.toml"), "{error}");
+        }
+        fs::write(folder.path().join("keys.toml"), "rescan = 5").unwrap();
+        assert!(config.keymap().unwrap_err().contains("keys.toml: line 1"));
+    }
+}

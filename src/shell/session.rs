@@ -1,0 +1,252 @@
+//! A session: the app, its buses and its file, and everything that passes between them.
+//!
+//! The screen is not part of it: the terminal UI and the commands without a screen drive the
+//! same session. Everything is bounded: a batch of frames a turn, the newest reading of the
+//! file, one save at a time.
+
+use super::store::{SaveError, Store};
+use super::watch::Watch;
+use crate::app::{App, Effect, FileReading, SaveOutcome};
+use crate::bus::{BusStatus, Clock, Port};
+use crate::frame::{BusIndex, Frame};
+use crate::time::Instant;
+use futures_util::future::select_all;
+use std::future::{Future, pending};
+use std::path::PathBuf;
+use std::pin::Pin;
+use tokio::task::{JoinHandle, spawn_blocking};
+
+/// Frames taken in one turn, so that keys and the screen get theirs.
+const BATCH: usize = 1024;
+
+/// Why a session woke.
+#[derive(Debug)]
+pub enum Wake {
+    /// Something is due.
+    Due,
+    /// A bus has frames, or its status changed.
+    Buses,
+    /// des.json was changed by somebody else.
+    File(Result<Option<Vec<u8>>, String>),
+    /// Work on files is done.
+    Done(Finished),
+}
+
+/// What work on files came to.
+#[derive(Debug)]
+pub enum Finished {
+    /// des.json was saved, or not.
+    Saved(SaveOutcome, Vec<u8>),
+    /// Another file was written, or not.
+    Written(PathBuf, Result<(), String>),
+}
+
+/// See the module's documentation.
+pub struct Session {
+    /// All state.
+    pub app: App,
+    clock: Clock,
+    ports: Vec<Port>,
+    statuses: Vec<BusStatus>,
+    store: Option<Store>,
+    watch: Option<Watch>,
+    work: Vec<JoinHandle<Finished>>,
+    batch: Vec<Frame>,
+}
+
+impl Session {
+    /// Joins app, buses and file. The port at place n carries the bus of index n.
+    pub fn new(app: App, clock: Clock, ports: Vec<Port>, store: Option<Store>) -> Self {
+        let statuses = vec![BusStatus::default(); ports.len()];
+        let mut session = Self {
+            app,
+            clock,
+            ports,
+            statuses,
+            store,
+            watch: None,
+            work: Vec::new(),
+            batch: Vec::with_capacity(BATCH),
+        };
+        session.open_file();
+        session
+    }
+
+    fn open_file(&mut self) {
+        let Some(store) = &self.store else { return };
+        let reading = store.read().map_err(|error| error.to_string());
+        self.watch = Some(Watch::spawn(store.clone(), reading.clone()));
+        self.app.handle_file(self.clock.now(), as_read(reading));
+    }
+
+    /// The moment it is.
+    pub fn now(&self) -> Instant {
+        self.clock.now()
+    }
+
+    /// What a bus's adapter says.
+    pub fn status(&self, index: BusIndex) -> Option<&BusStatus> {
+        self.statuses.get(usize::from(index.0))
+    }
+
+    /// Whether every bus has ended: logs that were read to their end.
+    pub fn is_over(&self) -> bool {
+        !self.ports.is_empty() && self.ports.iter().all(|port| port.queue().is_finished())
+    }
+
+    /// Waits for the next reason to do something. May be dropped while waiting.
+    pub async fn next(&mut self) -> Wake {
+        let deadline = self.app.poll_timeout().map(|at| self.clock.until(at));
+        let due = async {
+            match deadline {
+                Some(wait) => tokio::time::sleep(wait).await,
+                None => pending().await,
+            }
+        };
+        let watch = self.watch.as_ref();
+        let file = async {
+            match watch {
+                Some(watch) => watch.changed().await,
+                None => pending().await,
+            }
+        };
+        let ports = &self.ports;
+        let buses = async {
+            let ready: Vec<Pin<Box<dyn Future<Output = ()> + '_>>> =
+                ports.iter().map(|port| Box::pin(port.queue().ready()) as _).collect();
+            if ready.is_empty() {
+                pending::<()>().await;
+            }
+            select_all(ready).await;
+        };
+        let work = &mut self.work;
+        let done = async {
+            if work.is_empty() {
+                return pending().await;
+            }
+            let (result, at, _) = select_all(work.iter_mut()).await;
+            (result, at)
+        };
+        tokio::select! {
+            biased;
+            () = due => Wake::Due,
+            reading = file => Wake::File(reading),
+            (result, at) = done => {
+                drop(self.work.swap_remove(at));
+                match result {
+                    Ok(finished) => Wake::Done(finished),
+                    Err(broken) => {
+                        let why = format!("saving broke off: {broken}");
+                        Wake::Done(Finished::Saved(SaveOutcome::Failed(why), Vec::new()))
+                    }
+                }
+            }
+            () = buses => Wake::Buses,
+        }
+    }
+
+    /// Takes in what a wake brought.
+    pub fn take(&mut self, wake: Wake) {
+        let now = self.clock.now();
+        match wake {
+            Wake::Due => {}
+            Wake::Buses => self.take_buses(now),
+            Wake::File(reading) => self.app.handle_file(now, as_read(reading)),
+            Wake::Done(Finished::Saved(outcome, content)) => {
+                if let (SaveOutcome::Saved, Some(watch)) = (&outcome, &self.watch) {
+                    watch.saved(&content);
+                }
+                self.app.handle_saved(now, outcome);
+            }
+            Wake::Done(Finished::Written(path, result)) => {
+                self.app.handle_written(now, &path, result);
+            }
+        }
+    }
+
+    fn take_buses(&mut self, now: Instant) {
+        for (index, port) in self.ports.iter().enumerate() {
+            let index = BusIndex(index as u8);
+            if let Some(status) = port.queue().take_status() {
+                let before = &mut self.statuses[usize::from(index.0)];
+                self.app.handle_bus(now, index, &status);
+                *before = status;
+            }
+            self.batch.clear();
+            port.queue().drain(&mut self.batch, BATCH);
+            self.app.handle_frames(now, &self.batch);
+        }
+    }
+
+    /// Does what is due, sends what is to be sent, starts what is to be saved. What concerns
+    /// the screen or the program itself comes back.
+    pub fn settle(&mut self) -> Vec<Effect> {
+        let now = self.clock.now();
+        // Bounded: what is due can make something else due, but not for ever at one moment.
+        for _ in 0..8 {
+            if self.app.poll_timeout().is_none_or(|at| at > now) {
+                break;
+            }
+            self.app.handle_timeout(now);
+        }
+        while let Some(frame) = self.app.poll_transmit(now) {
+            if let Some(port) = self.ports.get(usize::from(frame.bus.0)) {
+                // A full outbox is in the port's status; the engine notices that no echo comes.
+                let _ = port.transmit(&frame);
+            }
+        }
+        let mut rest = Vec::new();
+        while let Some(effect) = self.app.poll_effect() {
+            match effect {
+                Effect::Save { expected, content } => self.start_save(expected, content),
+                Effect::WriteFile { path, bytes } => {
+                    self.work.push(spawn_blocking(move || {
+                        let result = write_new(&path, &bytes);
+                        Finished::Written(path, result)
+                    }));
+                }
+                other => rest.push(other),
+            }
+        }
+        rest
+    }
+
+    /// fsync may take long on a network file system: not on the thread that draws.
+    fn start_save(&mut self, expected: Option<Vec<u8>>, content: Vec<u8>) {
+        let Some(store) = self.store.clone() else { return };
+        self.work.push(spawn_blocking(move || {
+            let outcome = match store.save(expected.as_deref(), &content) {
+                Ok(()) => SaveOutcome::Saved,
+                Err(SaveError::Changed(there)) => SaveOutcome::Changed(there),
+                Err(error) => SaveOutcome::Failed(error.to_string()),
+            };
+            Finished::Saved(outcome, content)
+        }));
+    }
+
+    /// Waits for work on files that has begun: nothing half-written is left behind.
+    pub async fn finish_work(&mut self) {
+        for work in std::mem::take(&mut self.work) {
+            let _ = work.await;
+        }
+    }
+}
+
+fn as_read(reading: Result<Option<Vec<u8>>, String>) -> FileReading {
+    match reading {
+        Ok(content) => FileReading::Content(content),
+        Err(why) => FileReading::Error(why),
+    }
+}
+
+fn write_new(path: &std::path::Path, bytes: &[u8]) -> Result<(), String> {
+    use std::io::Write;
+    let mut file = std::fs::File::create_new(path).map_err(|error| {
+        if error.kind() == std::io::ErrorKind::AlreadyExists {
+            "there is a file of that name already".to_owned()
+        } else {
+            error.to_string()
+        }
+    })?;
+    file.write_all(bytes).and_then(|()| file.sync_all()).map_err(|error| error.to_string())
+}

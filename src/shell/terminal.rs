@@ -1,0 +1,121 @@
+//! The terminal: taken over at the start and given back as it was on every way out.
+//!
+//! Knows nothing of what is drawn.
+
+use crate::theme::Theme;
+use crossterm::{cursor, event, execute, queue, style, terminal};
+use ratatui::backend::CrosstermBackend;
+use std::io::{self, BufWriter, Stdout, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Buttons and wheel, in SGR coordinates; no any-motion reports, which would chatter over SSH.
+const MOUSE_ON: &str = "\x1b[?1000h\x1b[?1002h\x1b[?1006h";
+const MOUSE_OFF: &str = "\x1b[?1006l\x1b[?1002l\x1b[?1000l";
+/// Synchronised output (DEC 2026): terminals that lack it ignore it.
+const SYNC_BEGIN: &[u8] = b"\x1b[?2026h";
+const SYNC_END: &[u8] = b"\x1b[?2026l";
+
+static TAKEN: AtomicBool = AtomicBool::new(false);
+
+type Backend = CrosstermBackend<BufWriter<Stdout>>;
+
+/// The terminal while it is ours. Dropping it gives it back.
+pub struct Terminal {
+    screen: ratatui::Terminal<Backend>,
+}
+
+impl Terminal {
+    /// Takes the terminal over: raw mode, the alternate screen, mouse and paste reports.
+    pub fn take() -> io::Result<Self> {
+        // crossterm drops reversed and bold cells' attributes under NO_COLOR; our own mono
+        // theme does what NO_COLOR asks for.
+        style::force_color_output(true);
+        enter()?;
+        let backend = CrosstermBackend::new(BufWriter::with_capacity(64 * 1024, io::stdout()));
+        let screen = ratatui::Terminal::new(backend).inspect_err(|_| give_back())?;
+        Ok(Self { screen })
+    }
+
+    /// Columns and rows.
+    pub fn size(&self) -> io::Result<(u16, u16)> {
+        self.screen.size().map(|size| (size.width, size.height))
+    }
+
+    /// Draws `app`.
+    pub fn draw(&mut self, app: &crate::app::App, theme: &Theme) -> io::Result<()> {
+        self.screen.backend_mut().write_all(SYNC_BEGIN)?;
+        self.screen.draw(|frame| crate::ui::draw(app, theme, frame))?;
+        self.screen.backend_mut().write_all(SYNC_END)?;
+        Write::flush(self.screen.backend_mut())
+    }
+
+    /// Forgets what is on the screen: the next draw writes all of it.
+    pub fn redraw(&mut self) -> io::Result<()> {
+        self.screen.clear()
+    }
+
+    /// Writes a terminal command of our own (bell, clipboard).
+    pub fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.screen.backend_mut().write_all(bytes)?;
+        Write::flush(self.screen.backend_mut())
+    }
+
+    /// Puts text into the user's clipboard (OSC 52), where the terminal lets us.
+    pub fn copy(&mut self, text: &str) -> io::Result<()> {
+        let command = crossterm::clipboard::CopyToClipboard::to_clipboard_from(text);
+        queue!(self.screen.backend_mut(), command)?;
+        Write::flush(self.screen.backend_mut())
+    }
+
+    /// Gives the terminal back, stops this process as Ctrl-Z does, and takes the terminal over
+    /// again when it goes on.
+    pub fn suspend(&mut self) -> io::Result<()> {
+        give_back();
+        nix::sys::signal::raise(nix::sys::signal::Signal::SIGSTOP)?;
+        enter()?;
+        self.redraw()
+    }
+}
+
+impl Drop for Terminal {
+    fn drop(&mut self) {
+        give_back();
+    }
+}
+
+fn enter() -> io::Result<()> {
+    terminal::enable_raw_mode()?;
+    TAKEN.store(true, Ordering::SeqCst);
+    let mut out = io::stdout().lock();
+    execute!(
+        out,
+        terminal::EnterAlternateScreen,
+        event::EnableBracketedPaste,
+        style::Print(MOUSE_ON),
+        cursor::Hide
+    )
+    .inspect_err(|_| give_back())
+}
+
+/// Leaves the terminal as it was, whatever state we are in. Harmless when it is not ours.
+pub fn give_back() {
+    if !TAKEN.swap(false, Ordering::SeqCst) {
+        return;
+    }
+    let mut out = io::stdout().lock();
+    // Each for itself: a terminal that is gone must not keep the rest from being tried.
+    let _ = out.write_all(SYNC_END);
+    let _ = queue!(out, style::Print(MOUSE_OFF), event::DisableBracketedPaste);
+    let _ = queue!(out, style::ResetColor, terminal::LeaveAlternateScreen, cursor::Show);
+    let _ = out.flush();
+    let _ = terminal::disable_raw_mode();
+}
+
+/// Makes a panic give the terminal back before it is reported.
+pub fn restore_on_panic() {
+    let report = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        give_back();
+        report(panic);
+    }));
+}

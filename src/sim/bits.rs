@@ -1,0 +1,409 @@
+//! How long a frame is on the wire, to the bit: stuff bits, CRC, acknowledge, end of frame and
+//! intermission included (ISO 11898-1).
+//!
+//! Allocates nothing and keeps no tables outside the program's image, so the bus load of a full
+//! bus can be computed frame by frame. Does not know bit rates' history or who sends.
+
+use crate::frame::{CanId, Frame, FrameKind};
+
+/// Recessive bits between two frames, counted in [`FrameBits`].
+pub const INTERMISSION: u32 = 3;
+/// CRC delimiter, ACK slot, ACK delimiter, seven bits of end of frame, intermission.
+const TAIL: u32 = 3 + 7 + INTERMISSION;
+/// What follows the ACK slot: its delimiter, end of frame, intermission.
+const AFTER_ACK: u32 = 1 + 7 + INTERMISSION;
+/// Most data bits of a frame before the CRC: FD, extended, 64 bytes.
+const MAX_BYTES: usize = 72;
+
+/// The length of a frame in bits, those of the FD data phase apart.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub struct FrameBits {
+    /// Bits at the nominal rate, intermission included.
+    pub nominal: u32,
+    /// Bits at the data rate; 0 unless the frame is FD and switches.
+    pub data: u32,
+}
+
+impl FrameBits {
+    /// The length of `frame`. An error report counts as nothing: it is not on the wire itself.
+    pub fn of(frame: &Frame) -> Self {
+        if frame.kind == FrameKind::Error {
+            return Self::default();
+        }
+        let content = Content::of(frame);
+        if frame.fd { content.fd_length(frame) } else { content.classic_length() }
+    }
+
+    /// All bits, whatever their rate.
+    pub const fn total(self) -> u32 {
+        self.nominal + self.data
+    }
+
+    /// Those up to and with the ACK slot.
+    pub(super) const fn until_ack(self) -> Self {
+        Self { nominal: self.nominal - AFTER_ACK, data: self.data }
+    }
+
+    /// How long they take, in nanoseconds; rates in bit/s, at least 1.
+    pub const fn nanos(self, bitrate: u32, data_bitrate: u32) -> u64 {
+        bit_nanos(self.nominal, bitrate) + bit_nanos(self.data, data_bitrate)
+    }
+}
+
+/// How long `bits` take at `bitrate`, in nanoseconds.
+pub(super) const fn bit_nanos(bits: u32, bitrate: u32) -> u64 {
+    let bitrate = if bitrate == 0 { 1 } else { bitrate };
+    bits as u64 * 1_000_000_000 / bitrate as u64
+}
+
+/// What a frame says in arbitration, most significant bit first: the lower value wins. The base
+/// identifier, RTR or SRR, IDE, the identifier's extension, RTR.
+pub fn arbitration_field(frame: &Frame) -> u32 {
+    let remote = u32::from(frame.kind == FrameKind::Remote);
+    match frame.id {
+        CanId::Standard(id) => u32::from(id & 0x7FF) << 21 | remote << 20,
+        CanId::Extended(id) => {
+            let (base, extension) = (id >> 18 & 0x7FF, id & 0x3_FFFF);
+            base << 21 | 0b11 << 19 | extension << 1 | remote
+        }
+    }
+}
+
+/// Where two frames that begin alike part on the wire.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Divergence {
+    /// Bits from the start to the first different one, itself and stuff bits included.
+    pub bits: u32,
+    /// Whether the first of the two sends the recessive bit there, and so notices.
+    pub first_is_recessive: bool,
+}
+
+/// The first bit in which `first` and `second` differ on the wire; `None` when they are equal.
+pub fn divergence(first: &Frame, second: &Frame) -> Option<Divergence> {
+    let (first, second) = (Content::of(first), Content::of(second));
+    let at = first.stuffed().zip(second.stuffed()).enumerate().find(|(_, (a, b))| a != b)?;
+    let (before, (first_bit, _)) = at;
+    Some(Divergence { bits: before as u32 + 1, first_is_recessive: first_bit == 1 })
+}
+
+/// The bits of a frame from its start to the end of its data, unstuffed.
+struct Content {
+    bytes: [u8; MAX_BYTES],
+    len: usize,
+    /// How many of them precede the bit BRS.
+    before_switch: usize,
+}
+
+impl Content {
+    fn of(frame: &Frame) -> Self {
+        let mut bits = Self { bytes: [0; MAX_BYTES], len: 0, before_switch: 0 };
+        let remote = u32::from(frame.kind == FrameKind::Remote);
+        bits.push(0, 1);
+        match frame.id {
+            CanId::Standard(id) => {
+                bits.push(u32::from(id), 11);
+                bits.push(remote << 1, 2);
+            }
+            CanId::Extended(id) => {
+                bits.push(id >> 18, 11);
+                bits.push(0b11, 2);
+                bits.push(id, 18);
+                bits.push(remote, 1);
+            }
+        }
+        if frame.fd {
+            bits.push(0b10, 2);
+            bits.before_switch = bits.len;
+            bits.push(u32::from(frame.bit_rate_switch), 1);
+            bits.push(u32::from(frame.error_state), 1);
+        } else {
+            let reserved = if matches!(frame.id, CanId::Extended(_)) { 2 } else { 1 };
+            bits.push(0, reserved);
+        }
+        bits.push(dlc(frame.len()), 4);
+        for &byte in frame.data() {
+            bits.push(u32::from(byte), 8);
+        }
+        bits
+    }
+
+    /// Appends the low `count` bits of `value`, at most 25 of them.
+    fn push(&mut self, value: u32, count: usize) {
+        let (at, used) = (self.len / 8, self.len % 8);
+        let value = value & ((1 << count) - 1);
+        let aligned = (value << (32 - count) >> used).to_be_bytes();
+        for (place, byte) in self.bytes[at..].iter_mut().zip(aligned) {
+            *place |= byte;
+        }
+        self.len += count;
+    }
+
+    fn bit(&self, at: usize) -> u8 {
+        self.bytes[at / 8] >> (7 - at % 8) & 1
+    }
+
+    fn classic_length(mut self) -> FrameBits {
+        let crc = self.crc15();
+        self.push(u32::from(crc), 15);
+        let (stuffing, _) = self.stuff_bits(self.len);
+        FrameBits { nominal: self.len as u32 + stuffing + TAIL, data: 0 }
+    }
+
+    fn fd_length(&self, frame: &Frame) -> FrameBits {
+        // Fixed stuff bits make this part's length independent of its value: four bits of stuff
+        // count and the CRC, one stuff bit before each four of them.
+        let crc_field = if frame.len() <= 16 { 4 + 17 + 6 } else { 4 + 21 + 7 };
+        let (mut all, stuffed_at_end) = self.stuff_bits(self.len);
+        // The first fixed stuff bit stands in for one that would follow the last data bit.
+        all -= u32::from(stuffed_at_end);
+        let everything = self.len as u32 + all + crc_field + TAIL;
+        if !frame.bit_rate_switch {
+            return FrameBits { nominal: everything, data: 0 };
+        }
+        let (early, _) = self.stuff_bits(self.before_switch);
+        let nominal = self.before_switch as u32 + 1 + early + TAIL;
+        FrameBits { nominal, data: everything - nominal }
+    }
+
+    fn crc15(&self) -> u16 {
+        let whole = self.len / 8;
+        let mut crc = 0;
+        for &byte in &self.bytes[..whole] {
+            let index = (crc >> 7) ^ u16::from(byte);
+            crc = (crc << 8 ^ CRC15[usize::from(index & 0xFF)]) & 0x7FFF;
+        }
+        for at in whole * 8..self.len {
+            crc = crc15_bit(crc, u16::from(self.bit(at)));
+        }
+        crc
+    }
+
+    /// How many stuff bits the first `len` bits need, and whether one follows the last of them.
+    fn stuff_bits(&self, len: usize) -> (u32, bool) {
+        let (mut state, mut count, mut last) = (0u8, 0, false);
+        let body = len.saturating_sub(1) / 4 * 4;
+        for at in (0..body).step_by(4) {
+            let nibble = self.bytes[at / 8] >> (4 - at % 8) & 0x0F;
+            let (next, stuffed) = STUFFING[usize::from(state)][usize::from(nibble)];
+            state = next;
+            count += u32::from(stuffed);
+        }
+        for at in body..len {
+            (state, last) = stuff_bit(state, self.bit(at));
+            count += u32::from(last);
+        }
+        (count, last)
+    }
+
+    /// The bits as they go over the wire, up to the end of the data.
+    fn stuffed(&self) -> impl Iterator<Item = u8> {
+        let (mut at, mut state, mut pending) = (0, 0, None);
+        std::iter::from_fn(move || {
+            if let Some(bit) = pending.take() {
+                return Some(bit);
+            }
+            let bit = (at < self.len).then(|| self.bit(at))?;
+            at += 1;
+            let (next, stuffed) = stuff_bit(state, bit);
+            state = next;
+            pending = stuffed.then_some(1 - bit);
+            Some(bit)
+        })
+    }
+}
+
+/// The data length code of `len` bytes.
+const fn dlc(len: usize) -> u32 {
+    match len {
+        0..=8 => len as u32,
+        9..=12 => 9,
+        13..=16 => 10,
+        17..=20 => 11,
+        21..=24 => 12,
+        25..=32 => 13,
+        33..=48 => 14,
+        _ => 15,
+    }
+}
+
+/// One bit of the classic CRC, polynomial 4599.
+const fn crc15_bit(crc: u16, bit: u16) -> u16 {
+    let feedback = (crc >> 14 ^ bit) & 1;
+    let shifted = crc << 1 & 0x7FFF;
+    if feedback == 1 { shifted ^ 0x4599 } else { shifted }
+}
+
+static CRC15: [u16; 256] = {
+    let mut table = [0; 256];
+    let mut byte = 0;
+    while byte < 256 {
+        let mut crc = 0;
+        let mut bit = 8;
+        while bit > 0 {
+            bit -= 1;
+            crc = crc15_bit(crc, (byte >> bit & 1) as u16);
+        }
+        table[byte] = crc;
+        byte += 1;
+    }
+    table
+};
+
+/// Which bits came last: 0 none, 1–4 that many zeros, 5–8 one to four ones. Returns the state
+/// after `bit` and whether a stuff bit follows it.
+const fn stuff_bit(state: u8, bit: u8) -> (u8, bool) {
+    let run = match (state, bit) {
+        (1..=4, 0) => state + 1,
+        (5..=8, 1) => state - 3,
+        _ => 1,
+    };
+    match (run, bit) {
+        (5, 0) => (5, true),
+        (5, _) => (1, true),
+        (run, 0) => (run, false),
+        (run, _) => (run + 4, false),
+    }
+}
+
+/// [`stuff_bit`] four bits at a time: the state after them and how many stuff bits came.
+static STUFFING: [[(u8, u8); 16]; 9] = {
+    let mut table = [[(0, 0); 16]; 9];
+    let mut state = 0;
+    while state < 9 {
+        let mut nibble = 0;
+        while nibble < 16 {
+            let (mut now, mut count, mut bit) = (state as u8, 0, 4);
+            while bit > 0 {
+                bit -= 1;
+                let (next, stuffed) = stuff_bit(now, (nibble >> bit & 1) as u8);
+                now = next;
+                count += stuffed as u8;
+            }
+            table[state][nibble] = (now, count);
+            nibble += 1;
+        }
+        state += 1;
+    }
+    table
+};
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn total(frame: &Frame) -> u32 {
+        FrameBits::of(frame).total()
+    }
+
+    /// The same by another road: text of zeros and ones.
+    fn naive(frame: &Frame) -> u32 {
+        let remote = u8::from(frame.kind == FrameKind::Remote);
+        let (mut bits, id_end) = match frame.id {
+            CanId::Standard(id) => (format!("0{id:011b}{remote}0"), "0"),
+            CanId::Extended(id) => {
+                (format!("0{:011b}11{:018b}{remote}", id >> 18, id & 0x3_FFFF), "00")
+            }
+        };
+        bits += id_end;
+        bits += &format!("{:04b}", frame.len());
+        for byte in frame.data() {
+            bits += &format!("{byte:08b}");
+        }
+        let mut crc = 0u32;
+        for bit in bits.bytes() {
+            let bit = u32::from(bit == b'1');
+            let next = bit ^ (crc >> 14 & 1);
+            crc = crc << 1 & 0x7FFF;
+            if next == 1 {
+                crc ^= 0x4599;
+            }
+        }
+        bits += &format!("{crc:015b}");
+        let (mut run, mut last, mut count) = (0, b'x', 0);
+        for bit in bits.bytes() {
+            run = if bit == last { run + 1 } else { 1 };
+            last = bit;
+            count += 1;
+            if run == 5 {
+                count += 1;
+                last = b'0' + b'1' - bit;
+                run = 1;
+            }
+        }
+        count + 1 + 1 + 1 + 7 + 3
+    }
+
+    #[test]
+    fn a_frame_of_zeros_is_stuffed_every_five_bits() {
+        // 34 zeros from start to CRC: six stuff bits, 13 bits of tail.
+        assert_eq!(total(&Frame::with(CanId::Standard(0), &[])), 34 + 6 + 13);
+    }
+
+    #[test]
+    fn without_stuffing_a_frame_has_its_plain_length() {
+        // The shortest of all identifiers is the one that needs no stuff bit: 47 and 67 bits
+        // plus eight per byte, intermission included.
+        let data = [0x55; 8];
+        let extended = (0..0x2000).map(|id| total(&Frame::classic(0x0AAA_A555 ^ id, &data)));
+        let standard = (0..0x800).map(|id| total(&Frame::with(CanId::Standard(id), &data)));
+        assert_eq!((standard.min(), extended.min()), (Some(47 + 64), Some(67 + 64)));
+    }
+
+    #[test]
+    fn lengths_agree_with_a_bit_by_bit_account() {
+        let mut rng = fastrand::Rng::with_seed(1);
+        for round in 0..20_000 {
+            let len = rng.usize(0..=8);
+            // Mostly zeros and ones in runs, where stuffing happens.
+            let data: [u8; 8] = std::array::from_fn(|_| rng.choice([0, 0xFF, 0x0F, 0xF8]).unwrap());
+            let id = if round % 2 == 0 {
+                CanId::Standard(rng.u16(0..0x800) & rng.u16(..))
+            } else {
+                CanId::Extended(rng.u32(0..0x2000_0000) & rng.u32(..))
+            };
+            let frame = Frame::with(id, &data[..len]);
+            assert_eq!(total(&frame), naive(&frame), "{frame}");
+            let remote = Frame::remote(id, len);
+            assert_eq!(total(&remote), naive(&remote), "{remote}");
+        }
+    }
+
+    #[test]
+    fn fd_frames_have_two_rates() {
+        // Extended, no bytes, id that needs no stuffing before the switch: 35 bits and BRS, tail
+        // 13; then ESI, DLC (its four zeros and ESI's: one stuff bit would follow, the fixed one
+        // stands in for it), stuff count and CRC 27.
+        let mut frame = Frame::fd(0x0AAA_A555, &[], 0xCC);
+        assert_eq!(FrameBits::of(&frame), FrameBits { nominal: 36 + 13, data: 5 + 27 });
+        frame.bit_rate_switch = false;
+        // BRS is one zero more: five of them with ESI and three of DLC, one stuff bit.
+        assert_eq!(FrameBits::of(&frame), FrameBits { nominal: 36 + 13 + 5 + 1 + 27, data: 0 });
+        let long = Frame::fd(0x0AAA_A555, &[0x55; 64], 0xCC);
+        assert_eq!(FrameBits::of(&long).data, 5 + 512 + 32);
+        let nanos = FrameBits { nominal: 10, data: 10 }.nanos(125_000, 5_000_000);
+        assert_eq!(nanos, 80_000 + 2_000);
+    }
+
+    #[test]
+    fn frames_part_at_their_first_different_bit() {
+        let one = Frame::classic(0x0518_0002, &[0xAA, 0x80]);
+        let two = Frame::classic(0x0518_0002, &[0xAA, 0x00]);
+        assert_eq!(divergence(&one, &one), None);
+        let parting = divergence(&one, &two).unwrap();
+        assert!(parting.first_is_recessive);
+        assert_eq!(divergence(&two, &one).map(|d| d.bits), Some(parting.bits));
+        assert!(parting.bits > 39 + 8, "{parting:?}");
+        let standard = Frame::with(CanId::Standard(0x7FF), &[]);
+        assert!(arbitration_field(&one) < arbitration_field(&two) | 1);
+        assert!(arbitration_field(&one) < arbitration_field(&standard));
+    }
+
+    #[test]
+    fn standard_beats_extended_of_the_same_base() {
+        let standard = Frame::with(CanId::Standard(0x123), &[]);
+        let extended = Frame::classic(0x123 << 18, &[]);
+        assert!(arbitration_field(&standard) < arbitration_field(&extended));
+        let remote = Frame::remote(CanId::Extended(0x123 << 18), 0);
+        assert!(arbitration_field(&extended) < arbitration_field(&remote));
+    }
+}

@@ -1,0 +1,495 @@
+//! A simulated device: the platform's modes (3.2.4), its address, its heartbeat and what it says
+//! when it is asked.
+//!
+//! A state machine without a clock: it is told what it hears and when its time has come, and
+//! acts through a [`Port`]. Does not know of other devices except by what it hears; what it
+//! answers to requests is in [`serve`].
+
+mod serve;
+
+use super::bus::{Bus, StationIndex};
+use super::reply::Replies;
+use super::scenario::{Action, AddressChoice, DeviceSpec, Fault};
+use crate::frame::Frame;
+use crate::time::Duration;
+use crate::wire::id::{Address, Header};
+use crate::wire::node::{Heartbeat, Mode};
+use crate::wire::profile::Profile;
+
+/// BUS_CFG_TXERR_MAX: an error counter at which a device leaves the bus and begins anew.
+const MAX_ERRORS: u16 = 128;
+/// The shortest period of anything a device repeats, in nanoseconds.
+const SHORTEST_PERIOD: u64 = 100_000;
+/// The longest time a device counts, in nanoseconds: a year.
+const LONGEST_TIME: u64 = 366 * 86_400 * 1_000_000_000;
+
+/// A device's hands: its controller on the bus, and the numbers of the profile.
+pub(super) struct Port<'a> {
+    pub now: u64,
+    pub bus: &'a mut Bus,
+    pub station: StationIndex,
+    pub profile: &'a Profile,
+    pub modes: &'a [u8; 7],
+}
+
+impl Port<'_> {
+    fn send(&mut self, frame: Frame) -> bool {
+        self.bus.transmit(self.now, self.station, frame, false)
+    }
+
+    fn send_once(&mut self, frame: Frame) -> bool {
+        self.bus.transmit(self.now, self.station, frame, true)
+    }
+
+    /// BUS_CFG_HR_TIME in nanoseconds.
+    fn heartbeat_time(&self) -> u64 {
+        u64::from(self.profile.heartbeat.period_ms.max(1)) * 1_000_000
+    }
+}
+
+/// Where a device stands between power-on and its task.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stage {
+    Off,
+    /// INIT: silent, until a frame or the end of 1.5 × BUS_CFG_HR_TIME.
+    Init {
+        until: u64,
+    },
+    /// ARSLV: silent, notes who uses which address.
+    Listen {
+        until: u64,
+    },
+    /// ARSLV: has chosen, waits a random part of BUS_CFG_HR_TIME.
+    Wait {
+        choice: Address,
+        until: u64,
+    },
+    /// ARSLV: the heartbeat that claims the address is on its way.
+    Claim {
+        choice: Address,
+    },
+    /// In one of the other modes.
+    Run,
+}
+
+pub(super) struct Device {
+    pub spec: DeviceSpec,
+    rng: fastrand::Rng,
+    stage: Stage,
+    mode: Mode,
+    address: Option<Address>,
+    /// Addresses heard while listening, one bit each.
+    heard: u128,
+    /// The heartbeat's grid: the next beat comes at `beat` or up to the jitter later.
+    beat: u64,
+    beat_at: Option<u64>,
+    chatter_at: Vec<u64>,
+    chatter_count: u16,
+    replies: Replies,
+    /// What it was told to do, once the answer with this identifier is out.
+    ordered: Option<(u32, Action)>,
+}
+
+impl Device {
+    /// A device that is off.
+    pub fn new(spec: DeviceSpec, rng: fastrand::Rng) -> Self {
+        let chatter_at = vec![u64::MAX; spec.chatter.len()];
+        Self {
+            spec,
+            rng,
+            stage: Stage::Off,
+            mode: Mode::Init,
+            address: None,
+            heard: 0,
+            beat: 0,
+            beat_at: None,
+            chatter_at,
+            chatter_count: 0,
+            replies: Replies::default(),
+            ordered: None,
+        }
+    }
+
+    pub fn is_on(&self) -> bool {
+        self.stage != Stage::Off
+    }
+
+    pub fn mode(&self) -> Mode {
+        self.mode
+    }
+
+    /// The address it holds.
+    pub fn address(&self) -> Option<Address> {
+        self.address
+    }
+
+    /// Whether it wants to hear every frame: it is looking for an address.
+    pub fn is_listening(&self) -> bool {
+        !matches!(self.stage, Stage::Off | Stage::Run)
+    }
+
+    fn is_working(&self) -> bool {
+        self.mode.is_working() == Some(true)
+    }
+
+    fn gives_way(&self) -> bool {
+        !self.spec.faults.has(Fault::NeverGivesWay)
+    }
+
+    /// When [`Device::handle_timeout`] is to be called next, in nanoseconds.
+    pub fn poll_timeout(&self) -> Option<u64> {
+        let stage = match self.stage {
+            Stage::Init { until } | Stage::Listen { until } | Stage::Wait { until, .. } => {
+                Some(until)
+            }
+            Stage::Off | Stage::Claim { .. } | Stage::Run => None,
+        };
+        let chatter = self.chatter_at.iter().copied().min().filter(|&at| at != u64::MAX);
+        [stage, self.beat_at, chatter, self.replies.next()].into_iter().flatten().min()
+    }
+
+    /// Does what is due.
+    pub fn handle_timeout(&mut self, port: &mut Port) {
+        match self.stage {
+            Stage::Init { until } if until <= port.now => self.listen(port),
+            Stage::Listen { until } if until <= port.now => self.choose(port),
+            Stage::Wait { choice, until } if until <= port.now => self.claim(choice, port),
+            _ => {}
+        }
+        if self.beat_at.is_some_and(|at| at <= port.now) {
+            self.send_heartbeat(port);
+            self.schedule_beat(port);
+        }
+        for at in 0..self.chatter_at.len() {
+            if self.chatter_at[at] <= port.now {
+                self.send_chatter(at, port);
+            }
+        }
+        while let Some(frame) = self.replies.poll(port.now) {
+            if !port.send(frame) {
+                self.replies.clear();
+            }
+        }
+    }
+
+    /// Switches it on.
+    pub fn power_on(&mut self, port: &mut Port) {
+        if self.is_on() {
+            return;
+        }
+        if std::mem::take(&mut self.spec.settled) {
+            self.settle(port);
+        } else {
+            self.begin(port);
+        }
+    }
+
+    /// Switches it off.
+    pub fn power_off(&mut self, port: &mut Port) {
+        port.bus.set_attached(port.station, false);
+        self.stop();
+        self.stage = Stage::Off;
+        self.mode = Mode::Init;
+        self.address = None;
+    }
+
+    /// INIT, the beginning of everything: not yet to be heard on the bus.
+    fn begin(&mut self, port: &mut Port) {
+        self.stop();
+        port.bus.set_attached(port.station, true);
+        port.bus.controller_mut(port.station).silent = true;
+        self.mode = Mode::Init;
+        self.address = None;
+        self.stage = Stage::Init { until: port.now + port.heartbeat_time() * 3 / 2 };
+    }
+
+    /// Into its mode at once, as if everything had been resolved before.
+    fn settle(&mut self, port: &mut Port) {
+        port.bus.set_attached(port.station, true);
+        port.bus.controller_mut(port.station).silent = false;
+        let address = match self.spec.address {
+            AddressChoice::Preferred(address) | AddressChoice::Fixed(address) => address,
+            AddressChoice::Any => Address::from_bits(self.rng.u8(1..128)),
+        };
+        self.run(address, port);
+        let period = self.beat_period(port);
+        self.beat = port.now + self.rng.u64(0..period);
+        self.beat_at = self.beat_at.map(|_| self.beat);
+    }
+
+    fn stop(&mut self) {
+        self.replies.clear();
+        self.ordered = None;
+        self.beat_at = None;
+        self.chatter_at.fill(u64::MAX);
+    }
+
+    /// ARSLV from its first point: silent again, the table of used addresses empty.
+    fn listen(&mut self, port: &mut Port) {
+        self.stop();
+        port.bus.set_attached(port.station, true);
+        port.bus.controller_mut(port.station).silent = true;
+        self.mode = Mode::Arslv;
+        self.address = None;
+        self.heard = 0;
+        self.stage = Stage::Listen { until: port.now + port.heartbeat_time() * 3 / 2 };
+    }
+
+    fn choose(&mut self, port: &mut Port) {
+        let is_free = |address: Address| self.heard >> address.index() & 1 == 0;
+        let wanted = match self.spec.address {
+            AddressChoice::Any => None,
+            AddressChoice::Preferred(address) | AddressChoice::Fixed(address) => Some(address),
+        };
+        let wanted = wanted.filter(|&address| is_free(address) || !self.gives_way());
+        let choice = if wanted.is_some() || matches!(self.spec.address, AddressChoice::Fixed(_)) {
+            wanted
+        } else {
+            let free: Vec<Address> = Address::nodes().filter(|&at| is_free(at)).collect();
+            self.rng.choice(free)
+        };
+        let Some(choice) = choice else { return self.listen(port) };
+        let until = port.now + self.rng.u64(0..port.heartbeat_time());
+        self.stage = Stage::Wait { choice, until };
+    }
+
+    /// Leaves silence and sends the heartbeat that claims the address, not to be repeated by
+    /// the controller.
+    fn claim(&mut self, choice: Address, port: &mut Port) {
+        port.bus.controller_mut(port.station).silent = false;
+        self.stage = Stage::Claim { choice };
+        let frame = self.heartbeat(choice, port);
+        port.send_once(frame);
+    }
+
+    /// The claim failed: try again after another random time. The controller stays on, so that
+    /// two devices on an empty bus find each other: somebody has to acknowledge.
+    fn claim_again(&mut self, choice: Address, port: &mut Port) {
+        let until = port.now + self.rng.u64(0..port.heartbeat_time());
+        self.stage = Stage::Wait { choice, until };
+    }
+
+    /// The address is its own: on to the mode that its configuration asks for.
+    fn run(&mut self, address: Address, port: &mut Port) {
+        self.address = Some(address);
+        self.stage = Stage::Run;
+        let configured = self.spec.address != AddressChoice::Any && !self.spec.uid.is_blank();
+        self.mode = match self.spec.mode {
+            Some(Mode::Init | Mode::Arslv) | None if self.spec.autostart && configured => {
+                Mode::Work
+            }
+            Some(Mode::Init | Mode::Arslv) | None => Mode::Cfg,
+            Some(mode) => mode,
+        };
+        self.beat = port.now;
+        self.schedule_beat(port);
+        self.schedule_chatter(port);
+    }
+
+    fn schedule_chatter(&mut self, port: &Port) {
+        for (at, chatter) in self.chatter_at.iter_mut().zip(&self.spec.chatter) {
+            *at = port.now + self.rng.u64(0..=nanos_of(chatter.period));
+        }
+    }
+
+    fn beat_period(&self, port: &Port) -> u64 {
+        let period = self.spec.heartbeat.map_or(port.heartbeat_time(), nanos_of);
+        self.by_own_crystal(period)
+    }
+
+    /// A length of time as this device measures it.
+    fn by_own_crystal(&self, nanos: u64) -> u64 {
+        let millionths = 1_000_000 + i64::from(self.spec.tolerance_ppm.max(-900_000));
+        let own = u128::from(nanos) * millionths.unsigned_abs() as u128 / 1_000_000;
+        (own as u64).max(SHORTEST_PERIOD)
+    }
+
+    fn schedule_beat(&mut self, port: &Port) {
+        self.beat += self.beat_period(port);
+        let late = self.rng.u64(0..=nanos_of(self.spec.jitter));
+        let beats = !self.spec.faults.has(Fault::NoHeartbeat) && self.mode != Mode::Idle;
+        self.beat_at = beats.then_some((self.beat + late).max(port.now));
+    }
+
+    fn heartbeat(&mut self, from: Address, port: &Port) -> Frame {
+        let service = port.profile.heartbeat_service();
+        let header = Header::unsolicited(from, self.rng.u8(0..128), !self.is_working(), service);
+        let error = u8::from(self.mode == Mode::Ufunc);
+        let beat =
+            Heartbeat { uid: Some(self.spec.uid), mode: Some(self.mode), error: Some(error) };
+        let (data, len) = beat.encode(&port.profile.heartbeat, port.modes);
+        self.frame(header, &data[..len], port)
+    }
+
+    fn send_heartbeat(&mut self, port: &mut Port) {
+        let Some(address) = self.address else { return };
+        let frame = self.heartbeat(address, port);
+        port.send(frame);
+    }
+
+    /// Values that wander, as a sensor's do.
+    fn send_chatter(&mut self, at: usize, port: &mut Port) {
+        let chatter = self.spec.chatter[at];
+        let period = self.by_own_crystal(nanos_of(chatter.period));
+        self.chatter_at[at] = port.now + period;
+        let Some(address) = self.address.filter(|_| self.is_working()) else { return };
+        let rnd7 = self.rng.u8(0..128);
+        let header = Header::unsolicited(address, rnd7, false, chatter.service);
+        self.chatter_count = self.chatter_count.wrapping_add(1);
+        let mut data = [0; Frame::MAX_DATA];
+        let count = self.chatter_count.to_le_bytes();
+        data[..2].copy_from_slice(&count);
+        data[2] = self.rng.u8(..);
+        data[3] = 0x10;
+        let length = usize::from(chatter.length).min(data.len());
+        let frame = self.frame(header, &data[..length], port);
+        port.send(frame);
+    }
+
+    fn frame(&self, header: Header, data: &[u8], port: &Port) -> Frame {
+        if self.spec.fd {
+            Frame::fd(header.encode(), data, port.profile.isotp.fd_padding)
+        } else {
+            Frame::classic(header.encode(), data)
+        }
+    }
+
+    /// Hears somebody else's frame.
+    pub fn handle_frame(&mut self, frame: &Frame, header: Header, port: &mut Port) {
+        if !header.is_conforming() {
+            return;
+        }
+        match self.stage {
+            Stage::Off => {}
+            Stage::Init { .. } => {
+                self.listen(port);
+                self.note_addresses(header);
+            }
+            Stage::Listen { .. } => self.note_addresses(header),
+            Stage::Wait { choice, .. } | Stage::Claim { choice } => {
+                self.note_addresses(header);
+                if header.source == choice && self.gives_way() {
+                    self.listen(port);
+                    self.note_addresses(header);
+                }
+            }
+            Stage::Run => self.handle_while_running(frame, header, port),
+        }
+    }
+
+    fn note_addresses(&mut self, header: Header) {
+        self.heard |= 1 << header.source.index();
+        if !header.broadcast {
+            self.heard |= 1 << header.destination.index();
+        }
+    }
+
+    fn handle_while_running(&mut self, frame: &Frame, header: Header, port: &mut Port) {
+        let other_works = !header.sender_not_working;
+        if self.gives_way() {
+            let matters = other_works || !self.is_working();
+            if Some(header.source) == self.address && matters {
+                return self.listen(port);
+            }
+            let is_beat = header.response && header.service == port.profile.heartbeat_service();
+            if is_beat && other_works && self.is_working() && !self.spec.uid.is_blank() {
+                let beat = Heartbeat::decode(frame.data(), &port.profile.heartbeat, port.modes);
+                if beat.uid == Some(self.spec.uid) {
+                    self.mode = Mode::Cfg;
+                }
+            }
+        }
+        let for_us = header.broadcast || Some(header.destination) == self.address;
+        if for_us && !header.response && !header.sender_not_working {
+            self.handle_request(frame, header, port);
+        }
+    }
+
+    /// One of its own frames is out.
+    pub fn handle_sent(&mut self, frame: &Frame, port: &mut Port) {
+        if let Stage::Claim { choice } = self.stage {
+            self.run(choice, port);
+        } else if let Some(id) = frame.platform_id() {
+            self.replies.handle_sent(port.now, id);
+            if let Some((_, action)) = self.ordered.take_if(|(answer, _)| *answer == id) {
+                self.apply(action, port);
+            }
+        }
+    }
+
+    /// One of its frames was given up: the claim of an address, the only one not repeated.
+    pub fn handle_abandoned(&mut self, port: &mut Port) {
+        if let Stage::Claim { choice } = self.stage {
+            self.claim_again(choice, port);
+        }
+    }
+
+    /// Looks at its error counters after something broke: too many, and it begins anew.
+    pub fn handle_bus_error(&mut self, port: &mut Port) {
+        let (tec, rec) = port.bus.controller(port.station).counters();
+        if self.is_on() && tec.max(rec) >= MAX_ERRORS {
+            self.begin(port);
+        }
+    }
+
+    /// Does what the timetable or a test wants of it.
+    pub fn apply(&mut self, action: Action, port: &mut Port) {
+        match action {
+            Action::Join => self.power_on(port),
+            Action::Leave => self.power_off(port),
+            Action::Reboot { services } => {
+                if let Some(services) = services {
+                    self.spec.services = services;
+                }
+                self.begin(port);
+            }
+            Action::Move(address) => {
+                self.spec.address = address;
+                if self.is_on() {
+                    self.listen(port);
+                }
+            }
+            Action::Services(services) => self.spec.services = services,
+            Action::Mode(mode) => self.set_mode(mode, port),
+            Action::Name(name) => self.spec.name = name,
+            Action::Uid(uid) => self.spec.uid = uid,
+            Action::Break(fault) => self.set_fault(fault, true, port),
+            Action::Mend(fault) => self.set_fault(fault, false, port),
+            Action::ErrorRate(_) => {}
+        }
+    }
+
+    fn set_fault(&mut self, fault: Fault, present: bool, port: &mut Port) {
+        self.spec.faults.set(fault, present);
+        if fault == Fault::NoHeartbeat && self.stage == Stage::Run {
+            self.beat = port.now;
+            self.schedule_beat(port);
+        }
+    }
+
+    /// Into `mode` while it runs. Into IDLE it says so in one last heartbeat and falls asleep.
+    fn set_mode(&mut self, mode: Mode, port: &mut Port) {
+        match (self.stage, mode) {
+            (Stage::Off, _) => {}
+            (_, Mode::Init) => self.begin(port),
+            (_, Mode::Arslv) => self.listen(port),
+            (Stage::Run, _) => {
+                let slept = self.mode == Mode::Idle;
+                self.mode = mode;
+                if mode == Mode::Idle {
+                    self.send_heartbeat(port);
+                    self.stop();
+                } else if slept {
+                    self.beat = port.now;
+                    self.schedule_beat(port);
+                    self.schedule_chatter(port);
+                }
+            }
+            _ => {}
+        }
+    }
+}
+
+fn nanos_of(duration: Duration) -> u64 {
+    u64::try_from(duration.as_nanos()).unwrap_or(LONGEST_TIME).min(LONGEST_TIME)
+}

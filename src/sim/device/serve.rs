@@ -1,0 +1,174 @@
+//! What a device answers to requests: DES, its descriptor fields, and commands.
+//!
+//! The descriptor's service numbers and layouts are the profile's, assumed. An empty request
+//! reads a field, any other writes it where it may be written. Does not know how answers are
+//! cut into frames: that is [`super::super::reply`].
+
+use super::{Device, Port, nanos_of};
+use crate::frame::Frame;
+use crate::sim::reply::Form;
+use crate::sim::scenario::{Action, AddressChoice, Fault};
+use crate::wire::des::{self, Asked, Request};
+use crate::wire::framing::{Framing, classify_request};
+use crate::wire::id::{Address, Header};
+use crate::wire::isotp::Pci;
+use crate::wire::node::{Mode, Uid};
+
+/// What becomes of a request for a descriptor field or a command.
+enum Served {
+    /// Answered with these bytes.
+    Value(Vec<u8>),
+    /// Answered without bytes, then done.
+    Done(Option<Action>),
+    /// Answered with ERR = 0.
+    Refused,
+}
+
+impl Device {
+    /// Takes a conforming request to this device or to all.
+    pub(super) fn handle_request(&mut self, frame: &Frame, header: Header, port: &mut Port) {
+        if header.service == port.profile.des_service() {
+            self.handle_des(frame, header, port);
+        } else if !header.broadcast && self.hears(header) {
+            self.handle_common(frame, header, port);
+        }
+    }
+
+    /// Whether a request is meant for nodes in its mode, and it is awake.
+    fn hears(&self, header: Header) -> bool {
+        header.to_not_working != self.is_working() && self.mode != Mode::Idle
+    }
+
+    fn handle_des(&mut self, frame: &Frame, header: Header, port: &mut Port) {
+        if let Ok(Pci::Flow(flow)) = Pci::decode(frame.data(), frame.fd) {
+            self.replies.handle_flow(port.now, header.source.number(), flow);
+            return;
+        }
+        if !self.hears(header) {
+            return;
+        }
+        let Some((framing, message)) = classify_request(frame.data(), frame.fd) else { return };
+        let Some(Asked::Known(request)) = Request::decode(message) else { return };
+        let faults = self.spec.faults;
+        let mute = faults.has(Fault::NoDes)
+            || request == Request::Services && (header.broadcast || faults.has(Fault::NoServices));
+        if mute || !self.spec.framing.understands(framing) {
+            return;
+        }
+        let message = self.answer(request);
+        for _ in 0..=u8::from(faults.has(Fault::AnswersTwice)) {
+            self.reply(header, framing, message.clone(), port);
+        }
+    }
+
+    fn answer(&self, request: Request) -> Vec<u8> {
+        match request {
+            Request::Name => des::encode_name(&self.spec.name),
+            // Without its firmware a device has no services to list.
+            Request::Services if self.mode == Mode::Boot => vec![des::TYPE_SERVICES],
+            Request::Services => {
+                let mut message = des::encode_services(&self.spec.services);
+                if self.spec.faults.has(Fault::TruncatedServices) {
+                    let half = (message.len() - message.len().min(3)).max(2);
+                    message.truncate(half);
+                }
+                message
+            }
+        }
+    }
+
+    fn reply(&mut self, header: Header, framing: Framing, message: Vec<u8>, port: &Port) {
+        let Some(form) = self.form(header, framing, port) else { return };
+        let (least, most) = self.spec.delay;
+        let delay = self.rng.u64(nanos_of(least)..=nanos_of(most).max(nanos_of(least)));
+        self.replies.push(port.now + delay, form, message, self.spec.faults);
+    }
+
+    /// How the frames of the answer to `header` are made.
+    fn form(&self, header: Header, framing: Framing, port: &Port) -> Option<Form> {
+        let mut answer = header.answer(self.address?, !self.is_working());
+        if self.spec.faults.has(Fault::EchoDestination) {
+            answer.destination = header.destination;
+        }
+        let refusal = Header { no_error: false, ..answer };
+        Some(Form {
+            id: answer.encode(),
+            refusal_id: refusal.encode(),
+            framing,
+            fd: self.spec.fd,
+            padding: port.profile.isotp.fd_padding,
+            peer: header.source.number(),
+        })
+    }
+
+    fn handle_common(&mut self, frame: &Frame, header: Header, port: &mut Port) {
+        let Some(served) = self.serve(header.service.number(), frame.data(), port) else { return };
+        let Some(form) = self.form(header, Framing::Raw, port) else { return };
+        let (form, data, action) = match served {
+            Served::Value(data) => (form, data, None),
+            Served::Done(action) => (form, Vec::new(), action),
+            Served::Refused => (Form { id: form.refusal_id, ..form }, Vec::new(), None),
+        };
+        // What was asked for takes effect once the answer is out.
+        let sent = port.send(form.raw(&data));
+        self.ordered = action.filter(|_| sent).map(|action| (form.id, action));
+    }
+
+    fn serve(&self, service: u16, data: &[u8], port: &Port) -> Option<Served> {
+        let (fields, commands) = (&port.profile.descriptor, &port.profile.commands);
+        let read = data.is_empty();
+        let served = if service == fields.gid && read {
+            Served::Value(self.spec.descriptor.gid.to_vec())
+        } else if service == fields.uid && read {
+            Served::Value(self.spec.uid.0.to_vec())
+        } else if service == fields.uid {
+            data.try_into().map_or(Served::Refused, |uid| Served::Done(Some(Action::Uid(Uid(uid)))))
+        } else if service == fields.sn && read {
+            Served::Value(self.spec.descriptor.serial.to_le_bytes().to_vec())
+        } else if service == fields.fw && read {
+            let (major, minor) = self.spec.descriptor.firmware;
+            Served::Value([major.to_le_bytes(), minor.to_le_bytes()].concat())
+        } else if service == fields.caps && read {
+            // Programmable, no FPU, RV32I, no flags.
+            Served::Value(vec![1, 1, 0, 0, 0])
+        } else if service == fields.bspd && read {
+            let rates = [125_000, 250_000, 500_000, 1_000_000];
+            let at = rates.iter().position(|&rate| rate == port.bus.bitrate());
+            Served::Value(vec![at.map_or(0x80, |at| at as u8 | 0x80)])
+        } else if service == fields.addr && read {
+            Served::Value(vec![match self.spec.address {
+                AddressChoice::Any => 0,
+                AddressChoice::Fixed(address) => address.number(),
+                AddressChoice::Preferred(address) => address.number() | 0x80,
+            }])
+        } else if service == fields.addr {
+            match *data {
+                [0] => Served::Done(Some(Action::Move(AddressChoice::Any))),
+                [0x80] => Served::Refused,
+                [code] => {
+                    let address = Address::from_bits(code);
+                    let fixed = code & 0x80 == 0;
+                    let choice =
+                        if fixed { AddressChoice::Fixed } else { AddressChoice::Preferred };
+                    Served::Done(Some(Action::Move(choice(address))))
+                }
+                _ => Served::Refused,
+            }
+        } else if service == fields.autostart && read {
+            Served::Value(vec![u8::from(self.spec.autostart)])
+        } else if service == commands.identify {
+            Served::Done(None)
+        } else if service == commands.mode {
+            let code = data.first().filter(|_| data.len() == 1);
+            let mode = code.and_then(|code| port.modes.iter().position(|known| known == code));
+            mode.map_or(Served::Refused, |at| Served::Done(Some(Action::Mode(Mode::ALL[at]))))
+        } else if [fields.gid, fields.sn, fields.fw, fields.caps, fields.bspd, fields.autostart]
+            .contains(&service)
+        {
+            Served::Refused
+        } else {
+            return None;
+        };
+        Some(served)
+    }
+}

@@ -1,0 +1,397 @@
+//! The TOML of scenarios: what may be written, and what is said when it cannot be used.
+//!
+//! Only translates; what the values mean is in [`super::scenario`].
+
+use super::scenario::{
+    Action, AddressChoice, Chatter, Descriptor, DeviceFraming, DeviceSpec, Event, Fault, Faults,
+    Scenario, ScenarioError, uid_of,
+};
+use crate::time::{Duration, Instant};
+use crate::wire::id::Service;
+use crate::wire::node::{Mode, Uid};
+use crate::wire::profile::UidProfile;
+use serde::Deserialize;
+use std::collections::BTreeSet;
+use std::fmt::Display;
+
+/// The longest time a scenario may name: a year, in seconds.
+const LONGEST: f64 = 366.0 * 86_400.0;
+/// The most devices on one bus: every address twice and some.
+const MAX_DEVICES: usize = 512;
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ScenarioWritten {
+    bitrate: u32,
+    data_bitrate: Option<u32>,
+    seed: Option<u64>,
+    #[serde(default)]
+    error_rate: f64,
+    #[serde(default)]
+    observer_loss: f64,
+    #[serde(default)]
+    device: Vec<DeviceWritten>,
+    #[serde(default)]
+    at: Vec<EventWritten>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct DeviceWritten {
+    label: Option<String>,
+    name: Option<String>,
+    name_hex: Option<String>,
+    address: Option<AddressChoice>,
+    uid: Option<String>,
+    gid: Option<String>,
+    #[serde(default)]
+    serial: u32,
+    firmware: Option<[u16; 2]>,
+    services: Option<Vec<Vec<String>>>,
+    autostart: Option<bool>,
+    mode: Option<String>,
+    power_on: Option<PowerOn>,
+    #[serde(default)]
+    settled: bool,
+    #[serde(default)]
+    framing: DeviceFraming,
+    #[serde(default)]
+    fd: bool,
+    heartbeat_ms: Option<f64>,
+    jitter_ms: Option<f64>,
+    #[serde(default)]
+    tolerance_ppm: i32,
+    delay_us: Option<[u32; 2]>,
+    #[serde(default)]
+    faults: Vec<Fault>,
+    #[serde(default)]
+    chatter: Vec<ChatterWritten>,
+}
+
+/// Seconds, or `false` for a device that is off until the timetable says otherwise.
+#[derive(Deserialize)]
+#[serde(untagged, expecting = "power_on is a time in seconds, or false")]
+enum PowerOn {
+    At(f64),
+    Whether(bool),
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ChatterWritten {
+    service: u16,
+    period_ms: f64,
+    #[serde(default = "eight")]
+    length: u8,
+}
+
+const fn eight() -> u8 {
+    8
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct EventWritten {
+    time: f64,
+    every: Option<f64>,
+    #[serde(default)]
+    device: String,
+    #[serde(rename = "do")]
+    what: Deed,
+    services: Option<Vec<Vec<String>>>,
+    address: Option<AddressChoice>,
+    mode: Option<String>,
+    name: Option<String>,
+    name_hex: Option<String>,
+    uid: Option<String>,
+    fault: Option<Fault>,
+    rate: Option<f64>,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Deed {
+    Join,
+    Leave,
+    Reboot,
+    Move,
+    Services,
+    Mode,
+    Name,
+    Uid,
+    Break,
+    Mend,
+    ErrorRate,
+}
+
+pub(super) fn parse(text: &str) -> Result<Scenario, ScenarioError> {
+    let written: ScenarioWritten = toml::from_str(text)?;
+    let bus = Place("the bus".to_owned());
+    let defaults = Scenario::default();
+    let mut scenario = Scenario {
+        bitrate: written.bitrate,
+        data_bitrate: written
+            .data_bitrate
+            .unwrap_or_else(|| defaults.data_bitrate.max(written.bitrate)),
+        seed: written.seed.unwrap_or(defaults.seed),
+        error_rate: bus.share("error_rate", written.error_rate)?,
+        observer_loss: bus.share("observer_loss", written.observer_loss)?,
+        devices: Vec::new(),
+        timetable: Vec::new(),
+    };
+    bus.range("bitrate", scenario.bitrate, 10_000, 1_000_000, "10000 to 1000000 bit/s")?;
+    bus.range("data_bitrate", scenario.data_bitrate, 10_000, 8_000_000, "up to 8000000 bit/s")?;
+    if written.device.len() > MAX_DEVICES {
+        return Err(bus.out_of_range("device", &written.device.len(), "at most 512 devices"));
+    }
+    let mut labels = BTreeSet::new();
+    for (index, device) in written.device.into_iter().enumerate() {
+        let device = device.translate(index + 1)?;
+        if !labels.insert(device.label.clone()) {
+            return Err(ScenarioError::DuplicateLabel { label: device.label });
+        }
+        scenario.devices.push(device);
+    }
+    for (index, event) in written.at.into_iter().enumerate() {
+        let place = Place(format!("[[at]] number {}", index + 1));
+        let event = event.translate(&place)?;
+        let for_bus = matches!(event.action, Action::ErrorRate(_));
+        if for_bus != event.device.is_empty() {
+            let problem = if for_bus { "concerns the bus, no device" } else { "needs `device`" };
+            return Err(place.incomplete(problem));
+        }
+        if !for_bus && !labels.contains(&event.device) {
+            return Err(ScenarioError::UnknownDevice { place: place.0, device: event.device });
+        }
+        scenario.timetable.push(event);
+    }
+    Ok(scenario)
+}
+
+impl DeviceWritten {
+    fn translate(self, number: usize) -> Result<DeviceSpec, ScenarioError> {
+        let called = self.label.as_deref().or(self.name.as_deref()).unwrap_or("without a name");
+        let place = Place(format!("[[device]] number {number} ({called})"));
+        let name = place.name(self.name, self.name_hex)?;
+        let name = name.ok_or_else(|| place.incomplete("needs `name` or `name_hex`"))?;
+        let text = String::from_utf8_lossy(&name).into_owned();
+        let label = self.label.unwrap_or(text);
+        let defaults = DeviceSpec::new(&label);
+        let power_on = match self.power_on {
+            None => defaults.power_on,
+            Some(PowerOn::At(seconds)) => Some(place.seconds("power_on", seconds)?),
+            Some(PowerOn::Whether(false)) => None,
+            Some(PowerOn::Whether(true)) => {
+                return Err(place.out_of_range("power_on", &true, "a time in seconds, or false"));
+            }
+        };
+        let delay = match self.delay_us {
+            None => defaults.delay,
+            Some([least, most]) if least <= most => {
+                (Duration::from_micros(least.into()), Duration::from_micros(most.into()))
+            }
+            Some(delay) => {
+                let value = format!("{delay:?}");
+                return Err(place.out_of_range("delay_us", &value, "[least, most]"));
+            }
+        };
+        let mut faults = Faults::default();
+        for fault in self.faults {
+            faults.set(fault, true);
+        }
+        place.range("tolerance_ppm", self.tolerance_ppm, -100_000, 100_000, "within 100000")?;
+        let longest = if self.fd { 64 } else { 8 };
+        let chatter = self
+            .chatter
+            .into_iter()
+            .map(|chatter| {
+                place.range("chatter.length", chatter.length, 0, longest, "what a frame holds")?;
+                let service = Service::new(chatter.service).ok_or_else(|| {
+                    place.out_of_range("chatter.service", &chatter.service, "0 to 1023")
+                })?;
+                let period = place.period("chatter.period_ms", chatter.period_ms)?;
+                Ok(Chatter { service, period, length: chatter.length })
+            })
+            .collect::<Result<_, ScenarioError>>()?;
+        let mut descriptor = Descriptor { serial: self.serial, ..defaults.descriptor };
+        if let Some(gid) = self.gid {
+            let bytes = bytes_of_hex(&gid).and_then(|bytes| bytes.try_into().ok());
+            descriptor.gid = bytes
+                .ok_or_else(|| place.out_of_range("gid", &gid, "twelve hexadecimal digits"))?;
+        }
+        if let Some([major, minor]) = self.firmware {
+            descriptor.firmware = (major, minor);
+        }
+        Ok(DeviceSpec {
+            descriptor,
+            address: self.address.unwrap_or(defaults.address),
+            uid: self.uid.map_or(Ok(uid_of(&label)), |uid| place.uid(&uid))?,
+            services: self
+                .services
+                .map_or(Ok(defaults.services), |services| place.services(services))?,
+            autostart: self.autostart.unwrap_or(defaults.autostart),
+            mode: self.mode.map(|mode| place.mode(&mode)).transpose()?,
+            power_on,
+            settled: self.settled,
+            framing: self.framing,
+            fd: self.fd,
+            heartbeat: self.heartbeat_ms.map(|ms| place.period("heartbeat_ms", ms)).transpose()?,
+            jitter: match self.jitter_ms {
+                Some(ms) => place.seconds("jitter_ms", ms / 1000.0)?,
+                None => defaults.jitter,
+            },
+            tolerance_ppm: self.tolerance_ppm,
+            delay,
+            faults,
+            chatter,
+            label,
+            name,
+        })
+    }
+}
+
+impl EventWritten {
+    fn translate(self, place: &Place) -> Result<Event, ScenarioError> {
+        let given = [
+            ("services", self.services.is_some(), [Deed::Services, Deed::Reboot].as_slice()),
+            ("address", self.address.is_some(), &[Deed::Move]),
+            ("mode", self.mode.is_some(), &[Deed::Mode]),
+            ("name", self.name.is_some(), &[Deed::Name]),
+            ("name_hex", self.name_hex.is_some(), &[Deed::Name]),
+            ("uid", self.uid.is_some(), &[Deed::Uid]),
+            ("fault", self.fault.is_some(), &[Deed::Break, Deed::Mend]),
+            ("rate", self.rate.is_some(), &[Deed::ErrorRate]),
+        ];
+        if let Some((key, ..)) =
+            given.into_iter().find(|(_, given, by)| *given && !by.contains(&self.what))
+        {
+            return Err(place.incomplete(&format!("`{key}` means nothing to what it does")));
+        }
+        let needs = |key: &str| place.incomplete(&format!("needs `{key}`"));
+        let services = self.services.map(|services| place.services(services)).transpose()?;
+        let action = match self.what {
+            Deed::Join => Action::Join,
+            Deed::Leave => Action::Leave,
+            Deed::Reboot => Action::Reboot { services },
+            Deed::Move => Action::Move(self.address.ok_or_else(|| needs("address"))?),
+            Deed::Services => Action::Services(services.ok_or_else(|| needs("services"))?),
+            Deed::Mode => Action::Mode(place.mode(&self.mode.ok_or_else(|| needs("mode"))?)?),
+            Deed::Name => {
+                Action::Name(place.name(self.name, self.name_hex)?.ok_or_else(|| needs("name"))?)
+            }
+            Deed::Uid => Action::Uid(place.uid(&self.uid.ok_or_else(|| needs("uid"))?)?),
+            Deed::Break => Action::Break(self.fault.ok_or_else(|| needs("fault"))?),
+            Deed::Mend => Action::Mend(self.fault.ok_or_else(|| needs("fault"))?),
+            Deed::ErrorRate => {
+                let rate = self.rate.ok_or_else(|| needs("rate"))?;
+                Action::ErrorRate(place.share("rate", rate)?)
+            }
+        };
+        let time = Instant::ZERO + place.seconds("time", self.time)?;
+        let every = self.every.map(|every| place.period("every", every * 1000.0)).transpose()?;
+        Ok(Event { time, every, device: self.device, action })
+    }
+}
+
+/// Where in the scenario a value stands, for what is said about it.
+struct Place(String);
+
+impl Place {
+    fn out_of_range(
+        &self,
+        key: &'static str,
+        value: &dyn Display,
+        expected: &'static str,
+    ) -> ScenarioError {
+        ScenarioError::Range { place: self.0.clone(), key, value: value.to_string(), expected }
+    }
+
+    fn incomplete(&self, problem: &str) -> ScenarioError {
+        ScenarioError::Incomplete { place: self.0.clone(), problem: problem.to_owned() }
+    }
+
+    fn range<T: PartialOrd + Copy + Display>(
+        &self,
+        key: &'static str,
+        value: T,
+        least: T,
+        most: T,
+        expected: &'static str,
+    ) -> Result<(), ScenarioError> {
+        if value >= least && value <= most {
+            Ok(())
+        } else {
+            Err(self.out_of_range(key, &value, expected))
+        }
+    }
+
+    fn share(&self, key: &'static str, value: f64) -> Result<f64, ScenarioError> {
+        self.range(key, value, 0.0, 1.0, "a share, 0 to 1").map(|()| value)
+    }
+
+    fn seconds(&self, key: &'static str, value: f64) -> Result<Duration, ScenarioError> {
+        self.range(key, value, 0.0, LONGEST, "a time from 0 to a year")?;
+        Ok(Duration::from_secs_f64(value))
+    }
+
+    fn period(&self, key: &'static str, ms: f64) -> Result<Duration, ScenarioError> {
+        self.range(key, ms, 0.1, LONGEST * 1000.0, "at least 0.1 ms")?;
+        Ok(Duration::from_secs_f64(ms / 1000.0))
+    }
+
+    fn mode(&self, name: &str) -> Result<Mode, ScenarioError> {
+        let expected = "INIT, ARSLV, CFG, BOOT, WORK, UFUNC or IDLE";
+        Mode::from_name(name).ok_or_else(|| self.out_of_range("mode", &name, expected))
+    }
+
+    fn uid(&self, text: &str) -> Result<Uid, ScenarioError> {
+        if text.is_empty() {
+            return Ok(Uid([0; 6]));
+        }
+        let expected = "up to 8 characters from space to underscore, no small letters";
+        Uid::parse(text, &UidProfile::default())
+            .ok_or_else(|| self.out_of_range("uid", &text, expected))
+    }
+
+    /// A name in either spelling, if one is given.
+    fn name(
+        &self,
+        text: Option<String>,
+        hex: Option<String>,
+    ) -> Result<Option<Vec<u8>>, ScenarioError> {
+        let bytes = match (text, hex) {
+            (None, None) => return Ok(None),
+            (Some(text), None) => text.into_bytes(),
+            (None, Some(hex)) => {
+                let expected = "pairs of hexadecimal digits";
+                bytes_of_hex(&hex).ok_or_else(|| self.out_of_range("name_hex", &hex, expected))?
+            }
+            (Some(_), Some(_)) => return Err(self.incomplete("has both `name` and `name_hex`")),
+        };
+        if bytes.contains(&0) || bytes.len() > 1000 {
+            let value = format!("{} bytes", bytes.len());
+            return Err(self.out_of_range("name", &value, "up to 1000 bytes, none of them 0"));
+        }
+        Ok(Some(bytes))
+    }
+
+    fn services(&self, written: Vec<Vec<String>>) -> Result<Vec<Vec<Vec<u8>>>, ScenarioError> {
+        let bytes: usize = written.iter().flatten().map(|text| text.len() + 2).sum();
+        if written.len() > 256 || bytes > 4000 {
+            let value = format!("{} of them, {bytes} bytes", written.len());
+            return Err(self.out_of_range("services", &value, "at most 256 and 4000 bytes"));
+        }
+        if written.iter().flatten().any(|text| text.contains('\0')) {
+            return Err(self.incomplete("a zero byte in a service's strings"));
+        }
+        let bytes = |service: Vec<String>| service.into_iter().map(String::into_bytes).collect();
+        Ok(written.into_iter().map(bytes).collect())
+    }
+}
+
+fn bytes_of_hex(hex: &str) -> Option<Vec<u8>> {
+    let digits: Vec<u8> =
+        hex.chars().map(|c| c.to_digit(16).map(|digit| digit as u8)).collect::<Option<_>>()?;
+    let (pairs, rest) = digits.as_chunks::<2>();
+    rest.is_empty().then(|| pairs.iter().map(|[high, low]| high << 4 | low).collect())
+}

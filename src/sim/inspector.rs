@@ -1,0 +1,100 @@
+//! What a station from outside sees of the bus: frames, error reports and changes of its
+//! controller's state, as Linux reports them (`can/error.h`).
+//!
+//! Does not know devices, nor what frames mean.
+
+use super::bus::BusError;
+use super::controller::BusState;
+use crate::frame::Frame;
+use crate::time::Instant;
+use std::collections::VecDeque;
+
+/// The most frames that wait to be polled; what comes beyond is dropped and counted.
+const MAX_INBOX: usize = 1 << 17;
+
+// Classes of error reports, in the identifier.
+const CAN_ERR_CRTL: u32 = 0x04;
+const CAN_ERR_PROT: u32 = 0x08;
+const CAN_ERR_ACK: u32 = 0x20;
+const CAN_ERR_BUSOFF: u32 = 0x40;
+const CAN_ERR_BUSERROR: u32 = 0x80;
+const CAN_ERR_RESTARTED: u32 = 0x100;
+const CAN_ERR_CNT: u32 = 0x200;
+// Controller states, in byte 1.
+const CAN_ERR_CRTL_RX_WARNING: u8 = 0x04;
+const CAN_ERR_CRTL_TX_WARNING: u8 = 0x08;
+const CAN_ERR_CRTL_RX_PASSIVE: u8 = 0x10;
+const CAN_ERR_CRTL_TX_PASSIVE: u8 = 0x20;
+const CAN_ERR_CRTL_ACTIVE: u8 = 0x40;
+// Kinds of protocol errors, in byte 2, and where, in byte 3.
+const CAN_ERR_PROT_BIT: u8 = 0x01;
+const CAN_ERR_PROT_STUFF: u8 = 0x04;
+const CAN_ERR_PROT_TX: u8 = 0x80;
+const CAN_ERR_PROT_LOC_DATA: u8 = 0x0A;
+const CAN_ERR_PROT_LOC_ACK: u8 = 0x19;
+
+/// The outside end of an attached station.
+pub(super) struct Inspector {
+    inbox: VecDeque<Frame>,
+    state: BusState,
+    /// Frames that found no room because nobody polled.
+    pub overflowed: u64,
+    /// Frames of others that this observer missed, as the scenario's `observer_loss` has it.
+    pub missed: u64,
+}
+
+impl Inspector {
+    pub fn new() -> Self {
+        Self { inbox: VecDeque::new(), state: BusState::ErrorActive, overflowed: 0, missed: 0 }
+    }
+
+    pub fn poll(&mut self) -> Option<Frame> {
+        self.inbox.pop_front()
+    }
+
+    pub fn push(&mut self, frame: Frame) {
+        if self.inbox.len() < MAX_INBOX {
+            self.inbox.push_back(frame);
+        } else {
+            self.overflowed += 1;
+        }
+    }
+
+    /// Reports a frame that broke, as its sender or a receiver sees it.
+    pub fn push_error(&mut self, at: Instant, error: BusError, sent: bool, counters: (u16, u16)) {
+        let (tec, rec) = in_bytes(counters);
+        let (class, kind, place) = match (error, sent) {
+            (BusError::NoAcknowledge, true) => (CAN_ERR_ACK, 0, CAN_ERR_PROT_LOC_ACK),
+            (_, true) => (CAN_ERR_PROT, CAN_ERR_PROT_TX | CAN_ERR_PROT_BIT, CAN_ERR_PROT_LOC_DATA),
+            (_, false) => (CAN_ERR_PROT, CAN_ERR_PROT_STUFF, 0),
+        };
+        let details = [0, 0, kind, place, 0, 0, tec, rec];
+        self.push(Frame::error(class | CAN_ERR_BUSERROR | CAN_ERR_CNT, &details).at(at));
+    }
+
+    /// Reports the controller's state where it has changed.
+    pub fn push_state(&mut self, at: Instant, state: BusState, counters: (u16, u16)) {
+        let before = std::mem::replace(&mut self.state, state);
+        if before == state {
+            return;
+        }
+        let (tec, rec) = in_bytes(counters);
+        let from_send = tec >= rec;
+        let (class, how) = match state {
+            BusState::Down => return,
+            BusState::BusOff => (CAN_ERR_BUSOFF, 0),
+            BusState::ErrorActive if before >= BusState::BusOff => (CAN_ERR_RESTARTED, 0),
+            BusState::ErrorActive => (CAN_ERR_CRTL, CAN_ERR_CRTL_ACTIVE),
+            BusState::ErrorWarning if from_send => (CAN_ERR_CRTL, CAN_ERR_CRTL_TX_WARNING),
+            BusState::ErrorWarning => (CAN_ERR_CRTL, CAN_ERR_CRTL_RX_WARNING),
+            BusState::ErrorPassive if from_send => (CAN_ERR_CRTL, CAN_ERR_CRTL_TX_PASSIVE),
+            BusState::ErrorPassive => (CAN_ERR_CRTL, CAN_ERR_CRTL_RX_PASSIVE),
+        };
+        let details = [0, how, 0, 0, 0, 0, tec, rec];
+        self.push(Frame::error(class | CAN_ERR_CNT, &details).at(at));
+    }
+}
+
+fn in_bytes((tec, rec): (u16, u16)) -> (u8, u8) {
+    (tec.min(255) as u8, rec.min(255) as u8)
+}

@@ -1,0 +1,43 @@
+//! A simulated CAN bus, timed to the bit, with simulated devices of the platform on it, in
+//! virtual time.
+//!
+//! * [`scenario`]: which devices there are and what happens when; TOML, built in or in code.
+//! * [`bits`]: how long a frame is on the wire; also good for the load of a real bus.
+//! * [`Sim`]: all of it, running: attach a station, send, advance, poll.
+//!
+//! One deterministic state machine: the same scenario, seed and inputs give the same run to the
+//! byte. No I/O, no clock, no threads. It does not know the program that looks at it: that one
+//! attaches like any other station and sees frames only.
+//!
+//! Inside, times are nanoseconds, because a bit is 200 of them at 5 Mbit/s; outside, they are
+//! [`Instant`]s of whole microseconds.
+
+pub mod bits;
+mod bus;
+mod controller;
+mod device;
+mod format;
+mod inspector;
+mod reply;
+pub mod scenario;
+mod world;
+
+pub use bus::{BusError, Statistics};
+pub use controller::BusState;
+pub use scenario::{
+    Action, AddressChoice, Chatter, Descriptor, DeviceFraming, DeviceSpec, Event, Fault, Faults,
+    Scenario, ScenarioError,
+};
+pub use world::{DeviceId, DeviceState, Sim, Station, StationStatus};
+
+use crate::time::Instant;
+
+/// The whole microseconds of a time in nanoseconds.
+const fn instant(nanos: u64) -> Instant {
+    Instant::from_micros(nanos / 1000)
+}
+
+/// A time in nanoseconds.
+const fn nanos(at: Instant) -> u64 {
+    at.as_micros().saturating_mul(1000)
+}

@@ -1,0 +1,521 @@
+//! The running simulation: bus, devices, attached stations and the timetable, one event after
+//! the other.
+
+use super::bits::FrameBits;
+use super::bus::{Bus, BusError, Outcome, StationIndex, Statistics};
+use super::controller::BusState;
+use super::device::{Device, Port};
+use super::inspector::Inspector;
+use super::scenario::{Action, DeviceSpec, Scenario};
+use crate::frame::Frame;
+use crate::time::{Duration, Instant};
+use crate::wire::id::{Address, Header};
+use crate::wire::node::{Mode, Uid};
+use crate::wire::profile::Profile;
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+/// Frames a device's controller holds.
+const DEVICE_QUEUE: usize = 32;
+/// Frames an attached station may have waiting.
+const STATION_QUEUE: usize = 1024;
+/// The most devices of one simulation.
+const MAX_DEVICES: usize = 1024;
+/// The most stations attached from outside.
+const MAX_STATIONS: usize = 1024;
+
+/// A station attached from outside: the inspector, or another tester.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Station(u16);
+
+/// A simulated device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct DeviceId(u16);
+
+/// What an attached station's controller says of itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct StationStatus {
+    /// Where it stands in fault confinement.
+    pub state: BusState,
+    /// Transmit error counter.
+    pub tec: u16,
+    /// Receive error counter.
+    pub rec: u16,
+    /// The bus's nominal bit rate in bit/s.
+    pub bitrate: u32,
+    /// Frames waiting to be sent.
+    pub queued: usize,
+    /// Frames refused because the queue was full or the station off.
+    pub refused: u64,
+    /// Frames of others that it missed, as the scenario's `observer_loss` has it.
+    pub missed: u64,
+    /// Frames dropped because nobody polled them.
+    pub overflowed: u64,
+}
+
+/// How a device really is: what a test compares with what an inspector found out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct DeviceState<'a> {
+    /// Its label in the scenario.
+    pub label: &'a str,
+    /// The name it gives itself.
+    pub name: &'a [u8],
+    /// Its DEV_CFG_UID.
+    pub uid: Uid,
+    /// Its mode; `None` while it is off.
+    pub mode: Option<Mode>,
+    /// The address it holds.
+    pub address: Option<Address>,
+    /// Its services.
+    pub services: &'a [Vec<Vec<u8>>],
+    /// Transmit and receive error counters.
+    pub counters: (u16, u16),
+}
+
+/// A bus with devices, running.
+///
+/// Advance, then poll; what is transmitted goes onto the bus with the next advance. Never
+/// panics, whatever the scenario; all queues are bounded.
+pub struct Sim {
+    now: u64,
+    bus: Bus,
+    devices: Vec<Device>,
+    /// Station of each device, and which device or inspector a station is.
+    stations: Vec<StationIndex>,
+    owners: Vec<Owner>,
+    inspectors: Vec<Inspector>,
+    /// Devices by the address they hold.
+    by_address: [Vec<u16>; Address::COUNT],
+    /// Devices that look for an address and hear everything.
+    listening: Vec<u16>,
+    /// When each device wants to be called; stale entries of the queue differ from it.
+    calls: Vec<u64>,
+    call_queue: BinaryHeap<Reverse<(u64, u16)>>,
+    timetable: Vec<Entry>,
+    timetable_queue: BinaryHeap<Reverse<(u64, usize)>>,
+    profile: Profile,
+    modes: [u8; 7],
+    observer_loss: f64,
+    rng: fastrand::Rng,
+}
+
+#[derive(Clone, Copy)]
+enum Owner {
+    Device(u16),
+    Inspector(u16),
+}
+
+struct Entry {
+    device: Option<u16>,
+    every: Option<u64>,
+    action: Action,
+}
+
+impl Sim {
+    /// A simulation of `scenario` with the built-in profile.
+    pub fn new(scenario: &Scenario, seed: u64) -> Self {
+        Self::with_profile(scenario, seed, Profile::default())
+    }
+
+    /// The same with the scenario's own seed.
+    pub fn from_scenario(scenario: &Scenario) -> Self {
+        Self::new(scenario, scenario.seed)
+    }
+
+    /// A simulation whose devices use the numbers of `profile`.
+    pub fn with_profile(scenario: &Scenario, seed: u64, profile: Profile) -> Self {
+        let mut rng = fastrand::Rng::with_seed(seed);
+        let bus =
+            Bus::new(scenario.bitrate, scenario.data_bitrate, scenario.error_rate, rng.fork());
+        let mut sim = Self {
+            now: 0,
+            bus,
+            devices: Vec::new(),
+            stations: Vec::new(),
+            owners: Vec::new(),
+            inspectors: Vec::new(),
+            by_address: std::array::from_fn(|_| Vec::new()),
+            listening: Vec::new(),
+            calls: Vec::new(),
+            call_queue: BinaryHeap::new(),
+            timetable: Vec::new(),
+            timetable_queue: BinaryHeap::new(),
+            modes: profile.modes.codes(),
+            profile,
+            observer_loss: scenario.observer_loss,
+            rng,
+        };
+        for device in &scenario.devices {
+            sim.insert(device.clone());
+        }
+        for event in &scenario.timetable {
+            let device = sim.device(&event.device).map(|DeviceId(index)| index);
+            let every = event.every.map(|every| (every.as_nanos() as u64).max(1_000_000));
+            sim.schedule(super::nanos(event.time), device, every, event.action.clone());
+        }
+        sim
+    }
+
+    /// The virtual time.
+    pub fn now(&self) -> Instant {
+        super::instant(self.now)
+    }
+
+    /// When something happens next, if nothing is transmitted or done meanwhile; never in the
+    /// past.
+    pub fn next_event(&self) -> Option<Instant> {
+        self.next_nanos().map(|at| Instant::from_micros(at.max(self.now).div_ceil(1000)))
+    }
+
+    /// Runs bus and devices up to and with `until`. Does nothing where that is in the past.
+    pub fn advance(&mut self, until: Instant) {
+        let until = super::nanos(until);
+        while let Some(at) = self.next_nanos().filter(|&at| at <= until) {
+            self.now = self.now.max(at);
+            self.step();
+        }
+        self.now = self.now.max(until);
+    }
+
+    /// Attaches a station, its link up and its controller active. At most 1,024; beyond that
+    /// the last one is shared.
+    pub fn attach(&mut self) -> Station {
+        if self.inspectors.len() < MAX_STATIONS {
+            let station = self.bus.add(STATION_QUEUE);
+            self.owners.push(Owner::Inspector(self.inspectors.len() as u16));
+            self.inspectors.push(Inspector::new());
+            self.bus.set_attached(station, true);
+            return Station(station);
+        }
+        let last = self.owners.iter().rposition(|owner| matches!(owner, Owner::Inspector(_)));
+        Station(last.unwrap_or(0) as u16)
+    }
+
+    /// Queues a frame for sending. False when it is refused: the queue (1,024 frames) is full,
+    /// or the station is down or bus-off. Its own copy comes back with `ours` once the bus took
+    /// it.
+    pub fn transmit(&mut self, station: Station, frame: Frame) -> bool {
+        self.bus.transmit(self.now, station.0, frame, false)
+    }
+
+    /// The next frame as this station sees it, dated: others' frames, its own (`ours`), error
+    /// reports.
+    pub fn poll_frame(&mut self, station: Station) -> Option<Frame> {
+        self.inspector_mut(station.0)?.poll()
+    }
+
+    /// What its controller says of itself.
+    pub fn status(&self, station: Station) -> StationStatus {
+        let controller = self.bus.controller(station.0);
+        let (tec, rec) = controller.counters();
+        let (missed, overflowed) = match self.owners[usize::from(station.0)] {
+            Owner::Inspector(at) => {
+                let inspector = &self.inspectors[usize::from(at)];
+                (inspector.missed, inspector.overflowed)
+            }
+            Owner::Device(_) => (0, 0),
+        };
+        StationStatus {
+            state: controller.state(),
+            tec,
+            rec,
+            bitrate: self.bus.bitrate(),
+            queued: controller.queued(),
+            refused: controller.dropped,
+            missed,
+            overflowed,
+        }
+    }
+
+    /// Takes a station's link down (what it has queued is lost) or up, which also restarts it
+    /// from bus-off.
+    pub fn set_link(&mut self, station: Station, up: bool) {
+        self.bus.set_attached(station.0, up);
+        self.report_states();
+    }
+
+    /// Lets a station only listen: it sends, acknowledges and destroys nothing.
+    pub fn set_listen_only(&mut self, station: Station, listen_only: bool) {
+        self.bus.controller_mut(station.0).silent = listen_only;
+        self.bus.wake(self.now, station.0);
+    }
+
+    /// Sets a station's bit rate. At another than the bus's it understands nothing, and unless
+    /// it only listens it destroys what it hears.
+    pub fn set_bitrate(&mut self, station: Station, bitrate: u32) {
+        let wrong = bitrate != self.bus.bitrate();
+        self.bus.controller_mut(station.0).wrong_rate = wrong;
+    }
+
+    /// Adds a device, which is switched on at its `power_on` or now where that has passed. At
+    /// most 1,024; beyond that the last one is meant.
+    pub fn insert(&mut self, spec: DeviceSpec) -> DeviceId {
+        if self.devices.len() >= MAX_DEVICES {
+            return DeviceId((self.devices.len() - 1) as u16);
+        }
+        let index = self.devices.len() as u16;
+        let power_on = spec.power_on.map(|at| super::nanos(Instant::ZERO + at).max(self.now));
+        self.stations.push(self.bus.add(DEVICE_QUEUE));
+        self.owners.push(Owner::Device(index));
+        self.devices.push(Device::new(spec, self.rng.fork()));
+        self.calls.push(u64::MAX);
+        match power_on {
+            Some(at) if at > self.now => self.schedule(at, Some(index), None, Action::Join),
+            Some(_) => self.control(DeviceId(index), Action::Join),
+            None => {}
+        }
+        DeviceId(index)
+    }
+
+    /// The device with this label.
+    pub fn device(&self, label: &str) -> Option<DeviceId> {
+        let at = self.devices.iter().position(|device| device.spec.label == label)?;
+        Some(DeviceId(at as u16))
+    }
+
+    /// All devices, those that are off included.
+    pub fn devices(&self) -> impl Iterator<Item = DeviceId> + use<> {
+        (0..self.devices.len() as u16).map(DeviceId)
+    }
+
+    /// How a device really is.
+    pub fn device_state(&self, device: DeviceId) -> DeviceState<'_> {
+        let index = usize::from(device.0);
+        let it = &self.devices[index];
+        DeviceState {
+            label: &it.spec.label,
+            name: &it.spec.name,
+            uid: it.spec.uid,
+            mode: it.is_on().then(|| it.mode()),
+            address: it.address(),
+            services: &it.spec.services,
+            counters: self.bus.controller(self.stations[index]).counters(),
+        }
+    }
+
+    /// Does something to a device, now.
+    pub fn control(&mut self, device: DeviceId, action: Action) {
+        if let Action::ErrorRate(rate) = action {
+            self.bus.error_rate = rate;
+        } else {
+            self.with_device(device.0, |device, port| device.apply(action, port));
+        }
+    }
+
+    /// Changes how often frames break on the wire, 0–1.
+    pub fn set_error_rate(&mut self, rate: f64) {
+        self.bus.error_rate = rate;
+    }
+
+    /// Totals of the bus since the start.
+    pub fn statistics(&self) -> Statistics {
+        self.bus.statistics()
+    }
+
+    /// How long `frame` keeps this bus busy, stuff bits and intermission included.
+    pub fn frame_duration(&self, frame: &Frame) -> Duration {
+        let bits = FrameBits::of(frame);
+        Duration::from_nanos(bits.nanos(self.bus.bitrate(), self.bus.data_bitrate()))
+    }
+
+    fn next_nanos(&self) -> Option<u64> {
+        let call = self.call_queue.peek().map(|Reverse((at, _))| *at);
+        let entry = self.timetable_queue.peek().map(|Reverse((at, _))| *at);
+        [self.bus.next_event(), call, entry].into_iter().flatten().min()
+    }
+
+    /// The one thing that is next: the timetable before the bus before devices.
+    fn step(&mut self) {
+        if let Some(&Reverse((at, entry))) = self.timetable_queue.peek()
+            && at <= self.now
+        {
+            self.timetable_queue.pop();
+            self.follow_timetable(at, entry);
+        } else if self.bus.next_event().is_some_and(|at| at <= self.now) {
+            self.step_bus();
+        } else if let Some(&Reverse((at, device))) = self.call_queue.peek()
+            && at <= self.now
+        {
+            self.call_queue.pop();
+            if self.calls[usize::from(device)] == at {
+                self.calls[usize::from(device)] = u64::MAX;
+                self.with_device(device, Device::handle_timeout);
+            }
+        }
+    }
+
+    fn schedule(&mut self, at: u64, device: Option<u16>, every: Option<u64>, action: Action) {
+        self.timetable_queue.push(Reverse((at, self.timetable.len())));
+        self.timetable.push(Entry { device, every, action });
+    }
+
+    fn follow_timetable(&mut self, at: u64, index: usize) {
+        let entry = &self.timetable[index];
+        let action = entry.action.clone();
+        if let Some(every) = entry.every {
+            self.timetable_queue.push(Reverse((at.saturating_add(every), index)));
+        }
+        match (entry.device, action) {
+            (_, Action::ErrorRate(rate)) => self.bus.error_rate = rate,
+            (Some(device), action) => self.control(DeviceId(device), action),
+            (None, _) => {}
+        }
+    }
+
+    fn step_bus(&mut self) {
+        match self.bus.step() {
+            None => {}
+            Some(Outcome::Frame(frame)) => self.deliver(&frame),
+            Some(Outcome::Broken(error)) => {
+                let senders = self.bus.senders().to_vec();
+                self.report_error(error, &senders, false);
+            }
+            Some(Outcome::Spoilt) => {
+                let losers = self.bus.losers().to_vec();
+                self.report_error(BusError::Collision, &losers, true);
+            }
+        }
+    }
+
+    fn deliver(&mut self, frame: &Frame) {
+        self.show(frame);
+        let senders = self.bus.senders().to_vec();
+        for &sender in &senders {
+            if let Owner::Device(device) = self.owners[usize::from(sender)] {
+                self.with_device(device, |device, port| device.handle_sent(frame, port));
+            }
+        }
+        if let Some(id) = frame.platform_id() {
+            self.deliver_to_devices(frame, Header::decode(id), &senders);
+        }
+    }
+
+    /// Only those devices that may care are told.
+    fn deliver_to_devices(&mut self, frame: &Frame, header: Header, senders: &[StationIndex]) {
+        let is_beat = header.response && header.service == self.profile.heartbeat_service();
+        let to_all = is_beat || header.broadcast && !header.response;
+        let mut hearers: Vec<u16> = if to_all {
+            (0..self.devices.len() as u16).collect()
+        } else {
+            let mut some = self.listening.clone();
+            some.extend_from_slice(&self.by_address[header.source.index()]);
+            if header.destination != header.source && !header.broadcast {
+                some.extend_from_slice(&self.by_address[header.destination.index()]);
+            }
+            some
+        };
+        hearers.retain(|&device| !senders.contains(&self.stations[usize::from(device)]));
+        for &device in &hearers {
+            self.with_device(device, |device, port| device.handle_frame(frame, header, port));
+        }
+    }
+
+    /// Shows a frame to the stations from outside.
+    fn show(&mut self, frame: &Frame) {
+        let at = frame.time;
+        for (station, owner) in self.owners.iter().enumerate() {
+            let &Owner::Inspector(index) = owner else { continue };
+            let controller = self.bus.controller(station as StationIndex);
+            if !controller.attached {
+                continue;
+            }
+            let inspector = &mut self.inspectors[usize::from(index)];
+            if controller.wrong_rate {
+                inspector.push_error(at, BusError::Disturbance, false, controller.counters());
+            } else if self.bus.senders().contains(&(station as StationIndex)) {
+                inspector.push(frame.ours());
+            } else if controller.state() == BusState::BusOff {
+                // A bus-off controller hears nothing.
+            } else if self.observer_loss > 0.0 && self.rng.f64() < self.observer_loss {
+                inspector.missed += 1;
+            } else {
+                inspector.push(*frame);
+            }
+            inspector.push_state(at, controller.state(), controller.counters());
+        }
+    }
+
+    /// Something broke: everybody sees it, or (`privately`) those who sent it.
+    fn report_error(&mut self, error: BusError, senders: &[StationIndex], privately: bool) {
+        let at = super::instant(self.now);
+        for (station, owner) in self.owners.iter().enumerate() {
+            let station = station as StationIndex;
+            let &Owner::Inspector(index) = owner else { continue };
+            let controller = self.bus.controller(station);
+            let sent = senders.contains(&station);
+            if controller.attached && (sent || !privately) {
+                self.inspectors[usize::from(index)].push_error(
+                    at,
+                    error,
+                    sent,
+                    controller.counters(),
+                );
+            }
+        }
+        self.report_states();
+        for station in self.bus.take_abandoned() {
+            if let Owner::Device(device) = self.owners[usize::from(station)] {
+                self.with_device(device, Device::handle_abandoned);
+            }
+        }
+        for device in 0..self.devices.len() as u16 {
+            self.with_device(device, Device::handle_bus_error);
+        }
+    }
+
+    fn report_states(&mut self) {
+        let at = super::instant(self.now);
+        for (station, owner) in self.owners.iter().enumerate() {
+            if let &Owner::Inspector(index) = owner {
+                let controller = self.bus.controller(station as StationIndex);
+                let inspector = &mut self.inspectors[usize::from(index)];
+                inspector.push_state(at, controller.state(), controller.counters());
+            }
+        }
+    }
+
+    fn inspector_mut(&mut self, station: StationIndex) -> Option<&mut Inspector> {
+        match self.owners.get(usize::from(station))? {
+            Owner::Inspector(index) => self.inspectors.get_mut(usize::from(*index)),
+            Owner::Device(_) => None,
+        }
+    }
+
+    /// Lets a device do something, then takes note of what changed: its address, whether it
+    /// listens, when it wants to be called.
+    fn with_device(&mut self, index: u16, act: impl FnOnce(&mut Device, &mut Port)) {
+        let at = usize::from(index);
+        let Some(device) = self.devices.get_mut(at) else { return };
+        let before = (device.address(), device.is_listening());
+        let mut port = Port {
+            now: self.now,
+            bus: &mut self.bus,
+            station: self.stations[at],
+            profile: &self.profile,
+            modes: &self.modes,
+        };
+        act(device, &mut port);
+        let (address, listening) = (device.address(), device.is_listening());
+        if before.0 != address {
+            if let Some(old) = before.0 {
+                self.by_address[old.index()].retain(|&other| other != index);
+            }
+            if let Some(new) = address {
+                self.by_address[new.index()].push(index);
+            }
+        }
+        if before.1 != listening {
+            self.listening.retain(|&other| other != index);
+            if listening {
+                self.listening.push(index);
+            }
+        }
+        let call = device.poll_timeout().map_or(u64::MAX, |call| call.max(self.now));
+        if call != self.calls[at] {
+            self.calls[at] = call;
+            if call != u64::MAX {
+                self.call_queue.push(Reverse((call, index)));
+            }
+        }
+    }
+}

@@ -1,0 +1,255 @@
+//! How devices find addresses, beat, give way and give up.
+
+use super::{address, after, at_ms, beats, bus_with, from, is_error};
+use descan::sim::{Action, AddressChoice, DeviceSpec, Fault, Scenario, Sim, Station};
+use descan::time::Duration;
+use descan::wire::node::{Mode, Uid};
+
+fn state(sim: &Sim, label: &str) -> (Option<Mode>, Option<u8>) {
+    let state = sim.device_state(sim.device(label).unwrap());
+    (state.mode, state.address.map(|address| address.number()))
+}
+
+fn settled(name: &str, number: u8) -> DeviceSpec {
+    DeviceSpec::new(name).fixed(number).settled()
+}
+
+#[test]
+fn a_device_listens_waits_claims_and_works() {
+    let (mut sim, me) = bus_with([DeviceSpec::new("FEED").preferred(10)]);
+    // Nothing on the bus: INIT to 1.5 s, ARSLV to 3 s, a random part of 1 s.
+    sim.advance(at_ms(1400));
+    assert_eq!(state(&sim, "FEED"), (Some(Mode::Init), None));
+    sim.advance(at_ms(2900));
+    assert_eq!(state(&sim, "FEED"), (Some(Mode::Arslv), None));
+    let frames = after(&mut sim, me, 3000);
+    assert_eq!(state(&sim, "FEED"), (Some(Mode::Work), Some(10)));
+    let all = from(&frames, 10);
+    let (claim, frame) = all[0];
+    assert!(claim.sender_not_working && frame.data()[6] == 1, "claimed in ARSLV");
+    assert!((at_ms(3000)..at_ms(4010)).contains(&frame.time));
+    let (beat, frame) = all[1];
+    assert!(!beat.sender_not_working && frame.data()[6] == 4, "then at work");
+}
+
+#[test]
+fn a_frame_on_the_bus_ends_init_early() {
+    let (mut sim, _me) = bus_with([settled("A", 1), DeviceSpec::new("B").preferred(2)]);
+    sim.advance(at_ms(1100));
+    assert_eq!(state(&sim, "B").0, Some(Mode::Arslv));
+}
+
+#[test]
+fn two_devices_with_one_preferred_address_part() {
+    for seed in 0..20 {
+        let mut scenario = Scenario::new(125_000);
+        for label in ["A", "B"] {
+            scenario = scenario.with(DeviceSpec::new(label).preferred(10));
+        }
+        let mut sim = Sim::new(&scenario, seed);
+        sim.attach();
+        sim.advance(at_ms(20_000));
+        let (a, b) = (state(&sim, "A"), state(&sim, "B"));
+        assert_eq!((a.0, b.0), (Some(Mode::Work), Some(Mode::Work)), "seed {seed}");
+        assert_ne!(a.1, b.1, "seed {seed}");
+        assert!(a.1 == Some(10) || b.1 == Some(10), "seed {seed}");
+    }
+}
+
+#[test]
+fn two_devices_alone_find_each_other() {
+    // Nobody acknowledges the first claim; the second device's controller does, later.
+    let scenario = Scenario::new(125_000)
+        .with(DeviceSpec::new("A").preferred(1))
+        .with(DeviceSpec::new("B").preferred(2));
+    let mut sim = Sim::new(&scenario, 5);
+    sim.advance(at_ms(15_000));
+    assert_eq!(state(&sim, "A"), (Some(Mode::Work), Some(1)));
+    assert_eq!(state(&sim, "B"), (Some(Mode::Work), Some(2)));
+}
+
+#[test]
+fn a_device_alone_never_gets_an_address() {
+    let mut sim = Sim::new(&Scenario::new(125_000).with(DeviceSpec::new("A").preferred(1)), 1);
+    sim.advance(at_ms(60_000));
+    assert_eq!(state(&sim, "A").1, None);
+    let me = sim.attach();
+    assert!(!beats(&after(&mut sim, me, 10_000), 1).is_empty());
+}
+
+#[test]
+fn a_taken_fixed_address_is_waited_for_a_taken_preferred_one_is_not() {
+    let (mut sim, _me) = bus_with([
+        settled("OLD", 10),
+        DeviceSpec::new("FIXED").fixed(10),
+        DeviceSpec::new("PREF").preferred(10),
+    ]);
+    sim.advance(at_ms(20_000));
+    assert_eq!(state(&sim, "FIXED").1, None);
+    assert!(state(&sim, "PREF").1.is_some_and(|number| number != 10));
+    sim.control(sim.device("OLD").unwrap(), Action::Leave);
+    assert_eq!(state(&sim, "OLD"), (None, None));
+    sim.advance(at_ms(30_000));
+    assert_eq!(state(&sim, "FIXED"), (Some(Mode::Work), Some(10)));
+}
+
+#[test]
+fn destinations_count_as_used_too() {
+    let (mut sim, me) = bus_with([DeviceSpec::new("A").preferred(33)]);
+    sim.attach();
+    for second in 0..8u64 {
+        sim.advance(at_ms(second * 500));
+        let header = descan::wire::id::Header::request(
+            address(0),
+            address(33),
+            false,
+            descan::wire::id::Service::new(0x99).unwrap(),
+        );
+        sim.transmit(me, descan::frame::Frame::classic(header.encode(), &[]));
+    }
+    sim.advance(at_ms(10_000));
+    assert!(state(&sim, "A").1.is_some_and(|number| number != 33));
+}
+
+#[test]
+fn what_is_not_configured_does_not_work() {
+    let mut manual = DeviceSpec::new("MANUAL").preferred(3);
+    manual.autostart = false;
+    let mut forced = DeviceSpec::new("UFUNC").preferred(4);
+    forced.mode = Some(Mode::Ufunc);
+    let (mut sim, me) = bus_with([
+        DeviceSpec::new("ANY"),
+        DeviceSpec::new("BLANK").preferred(2).uid(Uid([0; 6])),
+        manual,
+        forced,
+    ]);
+    let frames = after(&mut sim, me, 10_000);
+    for label in ["ANY", "BLANK", "MANUAL"] {
+        assert_eq!(state(&sim, label).0, Some(Mode::Cfg), "{label}");
+    }
+    assert!(from(&frames, 3).iter().all(|(header, _)| header.sender_not_working));
+    let (header, beat) = *from(&frames, 4).last().unwrap();
+    assert!(!header.sender_not_working);
+    assert_eq!(&beat.data()[6..], [5, 1], "mode and an error code");
+}
+
+#[test]
+fn whoever_keeps_the_rules_gives_way_to_an_offender() {
+    let offender = DeviceSpec::new("BAD")
+        .fixed(10)
+        .fault(Fault::NeverGivesWay)
+        .power_on(Duration::from_secs(2));
+    let (mut sim, _me) = bus_with([DeviceSpec::new("GOOD").preferred(10).settled(), offender]);
+    sim.advance(at_ms(15_000));
+    assert_eq!(state(&sim, "BAD"), (Some(Mode::Work), Some(10)));
+    assert!(state(&sim, "GOOD").1.is_some_and(|number| number != 10));
+}
+
+#[test]
+fn a_second_uid_at_work_sends_the_first_to_be_configured() {
+    let uid = Uid([1; 6]);
+    let (mut sim, _me) = bus_with([settled("A", 1).uid(uid), settled("B", 2).uid(uid)]);
+    sim.advance(at_ms(3000));
+    let mut modes = [state(&sim, "A").0, state(&sim, "B").0];
+    modes.sort_unstable();
+    assert_eq!(modes, [Some(Mode::Cfg), Some(Mode::Work)]);
+}
+
+#[test]
+fn heartbeats_keep_their_period() {
+    let mut slow = settled("SLOW", 2);
+    slow.tolerance_ppm = 10_000;
+    slow.jitter = Duration::ZERO;
+    let mut late = settled("LATE", 3);
+    late.heartbeat = Some(Duration::from_millis(500));
+    late.jitter = Duration::from_millis(20);
+    let (mut sim, me) = bus_with([slow, late]);
+    let frames = after(&mut sim, me, 101_000);
+    let slow = beats(&frames, 2);
+    assert!((99..=100).contains(&slow.len()), "{}", slow.len());
+    let whole = slow[98].time.since(slow[0].time).as_secs_f64();
+    assert!((whole - 98.0 * 1.01).abs() < 0.01, "{whole}");
+    let late = beats(&frames, 3);
+    let gaps = late.windows(2).map(|pair| pair[1].time.since(pair[0].time).as_micros());
+    let (least, most) = (gaps.clone().min().unwrap(), gaps.clone().max().unwrap());
+    assert!((478_000..500_000).contains(&least), "{least}");
+    assert!((500_000..522_000).contains(&most), "{most}");
+    let mean = gaps.sum::<u128>() / (late.len() as u128 - 1);
+    assert!((499_500..500_500).contains(&mean), "the grid does not drift: {mean}");
+}
+
+#[test]
+fn two_offenders_destroy_each_other_and_give_up_at_128() {
+    let mut one = settled("ESC", 5).label("one").fault(Fault::NeverGivesWay);
+    one.services = vec![vec![b"DES".to_vec(), b"1.0".to_vec()]];
+    one.delay = (Duration::ZERO, Duration::ZERO);
+    let mut two = one.clone().label("two");
+    two.services = vec![vec![b"DES".to_vec(), b"9.9".to_vec()]];
+    let (mut sim, me) = bus_with([one, two]);
+    let ask = descan::wire::id::Header::request(address(0), address(5), false, super::des());
+    sim.transmit(me, descan::frame::Frame::classic(ask.encode(), &[4, b'D', b'E', b'S', 2]));
+    let frames = after(&mut sim, me, 10);
+    let answers = from(&frames, 5);
+    assert_eq!(answers.len(), 1, "equal first frames merge");
+    sim.transmit(me, descan::frame::Frame::classic(ask.encode(), &[0x30, 0, 0]));
+    let frames = after(&mut sim, me, 100);
+    assert!(from(&frames, 5).is_empty());
+    assert_eq!(frames.iter().filter(|frame| is_error(frame)).count(), 16);
+    assert_eq!(state(&sim, "one"), (Some(Mode::Init), None));
+    assert_eq!(state(&sim, "two"), (Some(Mode::Init), None));
+    sim.advance(at_ms(10_000));
+    assert_eq!(state(&sim, "one").1, Some(5), "and they come back");
+}
+
+#[test]
+fn controls_do_what_they_say() {
+    let (mut sim, me) = bus_with([settled("A", 1), settled("B", 2)]);
+    let a = sim.device("A").unwrap();
+    sim.control(a, Action::Mode(Mode::Cfg));
+    assert!(from(&after(&mut sim, me, 1100), 1)[0].0.sender_not_working);
+    sim.control(a, Action::Mode(Mode::Work));
+    sim.control(a, Action::Uid(Uid([9; 6])));
+    assert_eq!(beats(&after(&mut sim, me, 1100), 1)[0].data()[..6], [9; 6]);
+    sim.control(a, Action::Break(Fault::NoHeartbeat));
+    assert!(after(&mut sim, me, 5000).iter().all(|frame| beats(&[*frame], 1).is_empty()));
+    sim.control(a, Action::Mend(Fault::NoHeartbeat));
+    assert!(!beats(&after(&mut sim, me, 1100), 1).is_empty());
+    sim.control(a, Action::Mode(Mode::Idle));
+    let last_words = after(&mut sim, me, 5000);
+    let last_words = beats(&last_words, 1);
+    assert_eq!(last_words.len(), 1, "asleep");
+    assert_eq!(last_words[0].data()[6], 6);
+    sim.control(a, Action::Move(AddressChoice::Fixed(address(9))));
+    sim.advance(sim.now() + Duration::from_secs(5));
+    assert_eq!(state(&sim, "A"), (Some(Mode::Work), Some(9)));
+    sim.control(a, Action::Reboot { services: Some(vec![vec![b"X".to_vec(), b"2".to_vec()]]) });
+    assert_eq!(state(&sim, "A"), (Some(Mode::Init), None));
+    assert_eq!(sim.device_state(a).services[0][1], b"2");
+    let c = sim.insert(DeviceSpec::new("C").fixed(77).settled());
+    assert_eq!(sim.device("C"), Some(c));
+    assert!(!beats(&after(&mut sim, me, 1100), 77).is_empty());
+}
+
+#[test]
+fn descriptor_fields_are_read_and_the_address_is_written() {
+    let (mut sim, me) = bus_with([settled("A", 1), settled("B", 2)]);
+    let ask = |sim: &mut Sim, me: Station, to: u8, service: u16, data: &[u8]| {
+        let service = descan::wire::id::Service::new(service).unwrap();
+        let header = descan::wire::id::Header::request(address(0), address(to), false, service);
+        sim.transmit(me, descan::frame::Frame::classic(header.encode(), data));
+        let frames = after(sim, me, 10);
+        let answer = from(&frames, to).into_iter().find(|(header, _)| header.service == service);
+        answer.map(|(header, frame)| (header.no_error, frame.data().to_vec()))
+    };
+    assert_eq!(ask(&mut sim, me, 1, 0x016, &[]), Some((true, vec![1])));
+    assert_eq!(ask(&mut sim, me, 1, 0x015, &[]), Some((true, vec![0x80])));
+    assert_eq!(ask(&mut sim, me, 1, 0x013, &[]), Some((true, vec![1, 0, 0, 0])));
+    assert_eq!(ask(&mut sim, me, 1, 0x010, &[1]), Some((false, vec![])), "not to be written");
+    assert_eq!(ask(&mut sim, me, 1, 0x018, &[]), Some((true, vec![])), "blinks");
+    assert_eq!(ask(&mut sim, me, 1, 0x123, &[]), None);
+    assert_eq!(ask(&mut sim, me, 1, 0x016, &[0x80 | 99]), Some((true, vec![])));
+    sim.advance(sim.now() + Duration::from_secs(5));
+    assert_eq!(state(&sim, "A"), (Some(Mode::Work), Some(99)));
+    assert_eq!(ask(&mut sim, me, 2, 0x019, &[2]), Some((true, vec![])));
+    assert_eq!(state(&sim, "B").0, Some(Mode::Cfg));
+}

@@ -1,0 +1,376 @@
+//! The file on disk: saved whole or not at all, and watched.
+
+use std::fs;
+use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _, symlink};
+use std::path::Path;
+use std::time::Duration;
+
+use descan::shell::store::{SaveError, Store, StoreError};
+use descan::shell::watch::{FileReading, Watch};
+use tempfile::TempDir;
+
+fn folder() -> TempDir {
+    tempfile::tempdir().unwrap()
+}
+
+fn names(folder: &Path) -> Vec<String> {
+    let name = |entry: std::io::Result<fs::DirEntry>| entry.unwrap().file_name();
+    let mut names: Vec<String> =
+        fs::read_dir(folder).unwrap().map(|it| name(it).into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
+fn mode(path: &Path) -> u32 {
+    fs::metadata(path).unwrap().permissions().mode() & 0o7777
+}
+
+fn is_root() -> bool {
+    nix::unistd::geteuid().is_root()
+}
+
+// ---- reading ----
+
+#[test]
+fn reading_gives_the_content_or_says_what_is_wrong() {
+    let folder = folder();
+    let at = |name: &str| folder.path().join(name);
+    assert!(Store::new(at("none")).read().unwrap().is_none());
+    assert!(Store::new(at("no/such/folder")).read().unwrap().is_none());
+
+    fs::write(at("des.json"), "[]").unwrap();
+    symlink("des.json", at("link")).unwrap();
+    assert_eq!(Store::new(at("link")).read().unwrap().unwrap(), b"[]");
+
+    let error = Store::new(folder.path()).read().unwrap_err();
+    assert!(matches!(error, StoreError::Folder { .. }));
+    let path = folder.path().display();
+    assert_eq!(
+        error.to_string(),
+        format!("{path} is a folder: name the file in it, {path}/des.json")
+    );
+
+    // A pipe without a writer must not be waited for.
+    nix::unistd::mkfifo(&at("pipe"), nix::sys::stat::Mode::S_IRWXU).unwrap();
+    let error = Store::new(at("pipe")).read().unwrap_err();
+    assert!(matches!(error, StoreError::NotAFile { .. }), "{error}");
+
+    let large = fs::File::create(at("large")).unwrap();
+    large.set_len((64 << 20) + 1).unwrap();
+    let error = Store::new(at("large")).read().unwrap_err();
+    assert!(error.to_string().ends_with("is larger than 64 MiB: is it the right file?"));
+    large.set_len(64 << 20).unwrap();
+    assert_eq!(Store::new(at("large")).read().unwrap().unwrap().len(), 64 << 20);
+
+    symlink("circle", at("circle")).unwrap();
+    let error = Store::new(at("circle")).read().unwrap_err().to_string();
+    assert!(error.ends_with(": its symbolic links go in circles"), "{error}");
+}
+
+// ---- saving ----
+
+#[test]
+fn a_save_replaces_the_content_and_keeps_the_mode() {
+    let folder = folder();
+    let path = folder.path().join("des.json");
+    let store = Store::new(&path);
+    store.save(None, b"one").unwrap();
+    assert_eq!(fs::read(&path).unwrap(), b"one");
+    // As any program would create it.
+    fs::write(folder.path().join("other"), "").unwrap();
+    assert_eq!(mode(&path), mode(&folder.path().join("other")));
+
+    fs::set_permissions(&path, fs::Permissions::from_mode(0o640)).unwrap();
+    let inode = fs::metadata(&path).unwrap().ino();
+    store.save(Some(b"one"), b"two").unwrap();
+    assert_eq!(fs::read(&path).unwrap(), b"two");
+    assert_eq!(mode(&path), 0o640);
+    assert_ne!(fs::metadata(&path).unwrap().ino(), inode, "replaced, not written into");
+    assert_eq!(names(folder.path()), ["des.json", "other"]);
+}
+
+#[test]
+fn the_owner_is_kept() {
+    if !is_root() {
+        eprintln!("skipped: only root can give files away");
+        return;
+    }
+    let folder = folder();
+    let path = folder.path().join("des.json");
+    fs::write(&path, "one").unwrap();
+    std::os::unix::fs::chown(&path, Some(1234), Some(4321)).unwrap();
+    fs::set_permissions(&path, fs::Permissions::from_mode(0o660)).unwrap();
+    Store::new(&path).save(Some(b"one"), b"two").unwrap();
+    let metadata = fs::metadata(&path).unwrap();
+    assert_eq!((metadata.uid(), metadata.gid(), mode(&path)), (1234, 4321, 0o660));
+}
+
+#[test]
+fn symbolic_links_stay() {
+    let folder = folder();
+    let at = |name: &str| folder.path().join(name);
+    fs::create_dir_all(at("real/deep")).unwrap();
+    fs::create_dir(at("links")).unwrap();
+    symlink("../real", at("links/folder")).unwrap();
+    symlink("folder/deep/des.json", at("links/des.json")).unwrap();
+    symlink(at("links/des.json"), at("des.json")).unwrap();
+    let store = Store::new(at("des.json"));
+
+    // Also where the target does not exist yet.
+    store.save(None, b"one").unwrap();
+    assert_eq!(fs::read(at("real/deep/des.json")).unwrap(), b"one");
+    store.save(Some(b"one"), b"two").unwrap();
+    assert_eq!(fs::read(at("real/deep/des.json")).unwrap(), b"two");
+
+    assert!(at("des.json").is_symlink() && at("links/des.json").is_symlink());
+    assert!(!at("real/deep/des.json").is_symlink());
+    assert_eq!(names(&at("real/deep")), ["des.json"]);
+    assert_eq!(names(&at("links")), ["des.json", "folder"]);
+    assert_eq!(names(folder.path()), ["des.json", "links", "real"]);
+}
+
+#[test]
+fn what_others_wrote_is_not_overwritten() {
+    let folder = folder();
+    let path = folder.path().join("des.json");
+    let store = Store::new(&path);
+    let changed = |result: Result<(), SaveError>| match result {
+        Err(SaveError::Changed(content)) => content,
+        other => panic!("{other:?}"),
+    };
+    assert_eq!(changed(store.save(Some(b"one"), b"new")), None);
+    assert!(!path.exists());
+    fs::write(&path, "theirs").unwrap();
+    assert_eq!(changed(store.save(Some(b"one"), b"new")).unwrap(), b"theirs");
+    assert_eq!(changed(store.save(None, b"new")).unwrap(), b"theirs");
+    assert_eq!(fs::read(&path).unwrap(), b"theirs");
+    assert_eq!(names(folder.path()), ["des.json"]);
+}
+
+#[test]
+fn of_many_savers_one_wins() {
+    let folder = folder();
+    let path = folder.path().join("des.json");
+    for round in 0..20 {
+        let before = fs::read(&path).ok();
+        let save = |thread: u8| {
+            let new = [round, thread];
+            Store::new(&path).save(before.as_deref(), &new).map(|()| new)
+        };
+        let results: Vec<_> = std::thread::scope(|scope| {
+            let threads: Vec<_> = (0..8).map(|it| scope.spawn(move || save(it))).collect();
+            threads.into_iter().map(|it| it.join().unwrap()).collect()
+        });
+        let winners: Vec<_> = results.iter().flatten().collect();
+        assert_eq!(winners.len(), 1, "{results:?}");
+        assert_eq!(fs::read(&path).unwrap(), winners[0]);
+        let lost = |it: &&Result<_, _>| matches!(it, Err(SaveError::Changed(Some(_))));
+        assert_eq!(results.iter().filter(lost).count(), 7, "{results:?}");
+    }
+    assert_eq!(names(folder.path()), ["des.json"]);
+}
+
+#[test]
+fn a_save_that_fails_leaves_nothing_and_says_why() {
+    let folder = folder();
+    let at = |name: &str| folder.path().join(name);
+    let failure = |path: &Path| Store::new(path).save(None, b"new").unwrap_err().to_string();
+
+    let error = failure(&at("no/des.json"));
+    assert!(error.ends_with(": make its folder (mkdir -p), then save again"), "{error}");
+    fs::create_dir(at("folder")).unwrap();
+    let error = failure(&at("folder"));
+    assert!(error.contains("is a folder: name the file in it"), "{error}");
+    // Even root cannot create files here.
+    let error = failure(Path::new("/proc/des.json"));
+    assert!(error.starts_with("/proc/des.json cannot be saved: "), "{error}");
+    // Nor two files under one name of 255 bytes and our suffix.
+    let error = failure(&at(&"x".repeat(250)));
+    assert!(error.contains("File name too long"), "{error}");
+    assert_eq!(names(folder.path()), ["folder"]);
+
+    if is_root() {
+        eprintln!("skipped in part: root may write everywhere");
+        return;
+    }
+    fs::write(at("des.json"), "[]").unwrap();
+    fs::set_permissions(at("des.json"), fs::Permissions::from_mode(0o444)).unwrap();
+    let error = Store::new(at("des.json")).save(Some(b"[]"), b"new").unwrap_err();
+    assert!(matches!(error, SaveError::Protected { .. }), "{error}");
+    fs::set_permissions(at("folder"), fs::Permissions::from_mode(0o555)).unwrap();
+    let error = failure(&at("folder/des.json"));
+    assert!(error.contains("get the permission"), "{error}");
+}
+
+// ---- watching ----
+
+/// Waits for the next reading; a watch that says nothing fails the test.
+async fn next(watch: &Watch) -> FileReading {
+    tokio::time::timeout(Duration::from_secs(20), watch.changed()).await.expect("no reading")
+}
+
+async fn next_content(watch: &Watch) -> Option<String> {
+    next(watch).await.unwrap().map(|content| String::from_utf8(content).unwrap())
+}
+
+/// Waits until the file is reported to contain this; half-written content may come before.
+async fn until(watch: &Watch, content: Option<&str>) {
+    while next_content(watch).await.as_deref() != content {}
+}
+
+fn run(test: impl Future<Output = ()>) {
+    tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap().block_on(test);
+}
+
+fn replace(path: &Path, content: &str) {
+    let temporary = path.with_extension("new");
+    fs::write(&temporary, content).unwrap();
+    fs::rename(temporary, path).unwrap();
+}
+
+/// All that editors do to files, for a watch of either kind.
+async fn is_noticed(path: &Path, watch: &Watch) {
+    for round in 0..3 {
+        replace(path, &format!("renamed {round}"));
+        until(watch, Some(&format!("renamed {round}"))).await;
+        fs::write(path, format!("written {round}")).unwrap();
+        until(watch, Some(&format!("written {round}"))).await;
+        fs::remove_file(path).unwrap();
+        until(watch, None).await;
+        fs::write(path, format!("made anew {round}")).unwrap();
+        until(watch, Some(&format!("made anew {round}"))).await;
+    }
+}
+
+#[test]
+fn changes_are_noticed() {
+    run(async {
+        let folder = folder();
+        let path = folder.path().join("des.json");
+        let watch = Watch::spawn(Store::new(&path), Ok(None));
+        is_noticed(&path, &watch).await;
+    });
+}
+
+#[test]
+fn changes_are_noticed_by_polling() {
+    run(async {
+        let folder = folder();
+        let path = folder.path().join("des.json");
+        let period = Duration::from_millis(20);
+        let watch = Watch::polling(Store::new(&path), Ok(None), period);
+        is_noticed(&path, &watch).await;
+    });
+}
+
+#[test]
+fn changes_behind_links_are_noticed() {
+    run(async {
+        let folder = folder();
+        let at = |name: &str| folder.path().join(name);
+        for name in ["a", "b"] {
+            fs::create_dir(at(name)).unwrap();
+            fs::write(at(name).join("des.json"), name).unwrap();
+        }
+        symlink("a", at("now")).unwrap();
+        symlink("now/des.json", at("des.json")).unwrap();
+        let watch = Watch::spawn(Store::new(at("des.json")), Ok(Some(b"a".into())));
+        is_noticed(&at("a/des.json"), &watch).await;
+        // The folder's link is put elsewhere.
+        symlink("b", at("next")).unwrap();
+        fs::rename(at("next"), at("now")).unwrap();
+        until(&watch, Some("b")).await;
+        is_noticed(&at("b/des.json"), &watch).await;
+        // And the file's.
+        fs::write(at("c"), "c").unwrap();
+        symlink("c", at("next")).unwrap();
+        fs::rename(at("next"), at("des.json")).unwrap();
+        until(&watch, Some("c")).await;
+    });
+}
+
+#[test]
+fn a_folder_may_come_and_go() {
+    run(async {
+        let folder = folder();
+        let deep = folder.path().join("not/yet");
+        let path = deep.join("des.json");
+        let watch = Watch::spawn(Store::new(&path), Ok(None));
+        for round in 0..3 {
+            fs::create_dir_all(&deep).unwrap();
+            fs::write(&path, format!("here {round}")).unwrap();
+            until(&watch, Some(&format!("here {round}"))).await;
+            is_noticed(&path, &watch).await;
+            fs::remove_dir_all(folder.path().join("not")).unwrap();
+            until(&watch, None).await;
+        }
+    });
+}
+
+#[test]
+fn what_changed_before_the_watch_is_reported() {
+    run(async {
+        let folder = folder();
+        let path = folder.path().join("des.json");
+        fs::write(&path, "now").unwrap();
+        let watch = Watch::spawn(Store::new(&path), Ok(Some(b"then".into())));
+        assert_eq!(next_content(&watch).await.as_deref(), Some("now"));
+    });
+}
+
+#[test]
+fn our_own_saves_are_not_reported() {
+    run(async {
+        let folder = folder();
+        let path = folder.path().join("des.json");
+        let store = Store::new(&path);
+        store.save(None, b"0").unwrap();
+        let watch = Watch::spawn(store.clone(), Ok(Some(b"0".into())));
+        for round in 0..10 {
+            let (old, new) = (round.to_string(), (round + 1).to_string());
+            store.save(Some(old.as_bytes()), new.as_bytes()).unwrap();
+            watch.saved(new.as_bytes());
+        }
+        // Touched, but not changed; and something else in the folder.
+        fs::write(folder.path().join("other"), "x").unwrap();
+        replace(&path, "10");
+        replace(&path, "theirs");
+        assert_eq!(next_content(&watch).await.as_deref(), Some("theirs"));
+        // What we wrote once is news when others write it.
+        replace(&path, "10");
+        assert_eq!(next_content(&watch).await.as_deref(), Some("10"));
+    });
+}
+
+#[test]
+fn a_reading_from_before_a_save_is_dropped() {
+    run(async {
+        let folder = folder();
+        let path = folder.path().join("des.json");
+        fs::write(&path, "theirs").unwrap();
+        let store = Store::new(&path);
+        let watch = Watch::spawn(store.clone(), Ok(None));
+        assert_eq!(next_content(&watch).await.as_deref(), Some("theirs"));
+        // Theirs again, which the watch sees or not; we learn of it by saving.
+        replace(&path, "theirs again");
+        let Err(SaveError::Changed(_)) = store.save(Some(b"theirs"), b"ours") else { panic!() };
+        store.save(Some(b"theirs again"), b"ours").unwrap();
+        watch.saved(b"ours");
+        replace(&path, "last");
+        assert_eq!(next_content(&watch).await.as_deref(), Some("last"));
+    });
+}
+
+#[test]
+fn what_cannot_be_read_is_reported_once() {
+    run(async {
+        let folder = folder();
+        let path = folder.path().join("des.json");
+        let watch = Watch::polling(Store::new(&path), Ok(None), Duration::from_millis(10));
+        fs::create_dir(&path).unwrap();
+        let error = next(&watch).await.unwrap_err();
+        assert!(error.contains("is a folder"), "{error}");
+        fs::remove_dir(&path).unwrap();
+        assert_eq!(next(&watch).await, Ok(None));
+    });
+}
