@@ -8,15 +8,21 @@
 //! * [`discovery`]: the engine that finds devices and collisions on one bus.
 //! * [`sim`]: a simulated bus, timed to the bit, with devices on it.
 //! * [`document`]: des.json, read, edited in place and merged.
+//! * [`app`]: all state of the program; [`keymap`]: its actions and their keys.
+//! * [`theme`], [`ui`]: how it is drawn.
 //! * [`bus`]: where frames come from and go.
 //! * [`shell`]: files, watching, the terminal, the event loop.
 
+pub mod app;
 pub mod bus;
 pub mod discovery;
 pub mod document;
 pub mod frame;
+pub mod keymap;
 pub mod shell;
 pub mod sim;
 pub mod text;
+pub mod theme;
 pub mod time;
+pub mod ui;
 pub mod wire;

@@ -1,0 +1,141 @@
+//! One bus as the program sees it: its engine, what its adapter says of it, and how busy it is.
+//!
+//! Does not know how frames come in; the adapter's words arrive as a [`BusStatus`].
+
+use crate::bus::{BusState, BusStatus, Link};
+use crate::discovery::{Config, Engine};
+use crate::frame::{Frame, FrameKind};
+use crate::sim::bits::FrameBits;
+use crate::time::Instant;
+use std::collections::VecDeque;
+
+/// A bus.
+#[derive(Debug)]
+pub struct Bus {
+    /// Its name: `can0`.
+    pub name: String,
+    /// Finds its devices.
+    pub engine: Engine,
+    /// What its adapter says.
+    pub status: BusStatus,
+    /// How busy it is.
+    pub meter: Meter,
+}
+
+impl Bus {
+    /// A bus that starts now.
+    pub fn new(now: Instant, name: String, config: Config) -> Self {
+        let status = BusStatus { bitrate: config.bitrate, ..BusStatus::default() };
+        Self { name, engine: Engine::new(now, config), status, meter: Meter::new(now) }
+    }
+
+    /// The bit rate to reckon with.
+    pub fn bits_per_second(&self) -> u32 {
+        self.status.bitrate.unwrap_or_else(|| self.engine.config().bits_per_second())
+    }
+
+    /// Whether frames can come in and go out.
+    pub fn is_up(&self) -> bool {
+        is_up(&self.status)
+    }
+
+    /// Frames that were lost on the way to us.
+    pub fn lost(&self) -> u64 {
+        lost(&self.status)
+    }
+}
+
+/// Frames and bus time in each of the last seconds.
+#[derive(Debug)]
+pub struct Meter {
+    second: u64,
+    current: Second,
+    past: VecDeque<Second>,
+}
+
+/// What passed in one second.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Second {
+    /// Frames.
+    pub frames: u32,
+    /// Error frames among them.
+    pub errors: u32,
+    /// Bit times at the nominal rate that the bus was taken.
+    pub bits: u64,
+}
+
+impl Meter {
+    /// How many seconds are kept.
+    pub const SECONDS: usize = 30;
+
+    fn new(now: Instant) -> Self {
+        let second = now.as_micros() / 1_000_000;
+        let past = VecDeque::with_capacity(Self::SECONDS);
+        Self { second, current: Second::default(), past }
+    }
+
+    /// Counts a frame.
+    pub fn add(&mut self, frame: &Frame, bitrate: u32, data_bitrate: Option<u32>) {
+        self.current.frames += 1;
+        self.current.errors += u32::from(frame.kind == FrameKind::Error);
+        self.current.bits += bit_times(frame, bitrate, data_bitrate);
+    }
+
+    /// Closes the seconds that are over; whether there were any.
+    pub fn advance(&mut self, now: Instant) -> bool {
+        let second = now.as_micros() / 1_000_000;
+        if second <= self.second {
+            return false;
+        }
+        let over = (second - self.second).min(Self::SECONDS as u64 + 1);
+        self.second = second;
+        for _ in 0..over {
+            if self.past.len() == Self::SECONDS {
+                self.past.pop_front();
+            }
+            self.past.push_back(std::mem::take(&mut self.current));
+        }
+        true
+    }
+
+    /// The last whole second.
+    pub fn last(&self) -> Second {
+        self.past.back().copied().unwrap_or_default()
+    }
+
+    /// The last seconds, oldest first.
+    pub fn seconds(&self) -> impl DoubleEndedIterator<Item = &Second> + ExactSizeIterator {
+        self.past.iter()
+    }
+
+    /// Whether nothing passed for as long as is shown.
+    pub fn is_idle(&self) -> bool {
+        self.current.frames == 0 && self.past.iter().all(|second| second.frames == 0)
+    }
+}
+
+impl Second {
+    /// The share of the bus that was taken, 0–1.
+    pub fn load(self, bitrate: u32) -> f64 {
+        (self.bits as f64 / f64::from(bitrate.max(1))).min(1.0)
+    }
+}
+
+/// Whether a bus in this state lets frames come in and go out.
+pub(super) fn is_up(status: &BusStatus) -> bool {
+    let off = matches!(status.state, BusState::BusOff | BusState::Stopped | BusState::Down);
+    status.link == Link::Up && !off
+}
+
+/// Frames that were lost on the way to us.
+pub(super) fn lost(status: &BusStatus) -> u64 {
+    status.kernel_drops + status.queue_drops + status.controller_overruns
+}
+
+/// How many bit times at the nominal rate a frame takes of the bus.
+fn bit_times(frame: &Frame, bitrate: u32, data_bitrate: Option<u32>) -> u64 {
+    let bits = FrameBits::of(frame);
+    let (data, bitrate) = (u64::from(bits.data), u64::from(bitrate.max(1)));
+    let data_bitrate = data_bitrate.map_or(bitrate, u64::from).max(1);
+    u64::from(bits.nominal) + data * bitrate / data_bitrate
+}

@@ -1,0 +1,214 @@
+//! The frames of the last while, in a ring, and a row of statistics per identifier.
+//!
+//! Everything is bounded and allocated at the start: taking a frame allocates nothing once its
+//! identifier is known. Does not know how frames are shown.
+
+use crate::frame::{BusIndex, CanId, Frame, FrameKind};
+use crate::time::{Duration, Instant};
+use crate::wire::id::Header;
+use std::collections::{HashMap, VecDeque};
+
+/// The captured frames.
+#[derive(Debug)]
+pub struct Capture {
+    frames: VecDeque<Frame>,
+    /// How many frames went out of the ring: the number of its first frame.
+    first: u64,
+    identifiers: Identifiers,
+}
+
+impl Capture {
+    /// How many frames are kept.
+    pub const FRAMES: usize = 32_768;
+
+    /// An empty ring.
+    pub fn new() -> Self {
+        let frames = VecDeque::with_capacity(Self::FRAMES);
+        Self { frames, first: 0, identifiers: Identifiers::new() }
+    }
+
+    /// Takes a frame.
+    pub fn push(&mut self, frame: &Frame) {
+        if self.frames.len() == Self::FRAMES {
+            self.frames.pop_front();
+            self.first += 1;
+        }
+        self.frames.push_back(*frame);
+        self.identifiers.add(frame);
+    }
+
+    /// The number of the oldest frame that is kept.
+    pub fn first(&self) -> u64 {
+        self.first
+    }
+
+    /// The number that the next frame gets.
+    pub fn end(&self) -> u64 {
+        self.first + self.frames.len() as u64
+    }
+
+    /// The frame of that number, while it is kept.
+    pub fn get(&self, number: u64) -> Option<&Frame> {
+        self.frames.get(usize::try_from(number.checked_sub(self.first)?).ok()?)
+    }
+
+    /// The frames with their numbers, oldest first.
+    pub fn iter(&self) -> impl DoubleEndedIterator<Item = (u64, &Frame)> {
+        self.frames.iter().enumerate().map(|(at, frame)| (self.first + at as u64, frame))
+    }
+
+    /// The number of the first frame that is not older than `time`.
+    pub fn at_time(&self, time: Instant) -> u64 {
+        self.first + self.frames.partition_point(|frame| frame.time < time) as u64
+    }
+
+    /// The statistics per identifier.
+    pub fn identifiers(&self) -> &Identifiers {
+        &self.identifiers
+    }
+
+    /// Closes a second in the rates.
+    pub fn tick(&mut self) {
+        self.identifiers.tick();
+    }
+}
+
+impl Default for Capture {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// An identifier as a row: the random DST of a broadcast does not count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct IdentifierKey {
+    /// On which bus.
+    pub bus: BusIndex,
+    /// A standard identifier comes before all extended ones.
+    pub id: CanId,
+    /// Remote frames are rows of their own; error frames are one row.
+    pub kind: Kind,
+    /// FD frames are rows of their own.
+    pub fd: bool,
+}
+
+/// [`FrameKind`], in an order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[allow(missing_docs)]
+pub enum Kind {
+    Data,
+    Remote,
+    Error,
+}
+
+impl IdentifierKey {
+    /// The row of a frame.
+    pub fn of(frame: &Frame) -> Self {
+        let (kind, id) = match (frame.kind, frame.id) {
+            (FrameKind::Error, _) => (Kind::Error, CanId::Extended(0)),
+            (FrameKind::Remote, id) => (Kind::Remote, id),
+            (FrameKind::Data, CanId::Extended(id)) if Header::decode(id).broadcast => {
+                (Kind::Data, CanId::Extended(id & !(0x7F << 10)))
+            }
+            (FrameKind::Data, id) => (Kind::Data, id),
+        };
+        Self { bus: frame.bus, id, kind, fd: frame.fd }
+    }
+}
+
+/// What is known of the frames of one identifier.
+#[derive(Clone, Copy, Debug)]
+pub struct IdentifierStats {
+    /// Which.
+    pub key: IdentifierKey,
+    /// How many were seen.
+    pub count: u64,
+    /// How many in the last whole second.
+    pub rate: u32,
+    /// The last one.
+    pub last: Frame,
+    /// The time between the last two.
+    pub interval: Option<Duration>,
+    current: u32,
+}
+
+/// The table of identifiers.
+#[derive(Debug)]
+pub struct Identifiers {
+    rows: Vec<IdentifierStats>,
+    index: HashMap<IdentifierKey, u32>,
+    refused: u64,
+}
+
+impl Identifiers {
+    /// How many identifiers are told apart.
+    pub const MAX: usize = 4096;
+
+    fn new() -> Self {
+        Self { rows: Vec::new(), index: HashMap::with_capacity(256), refused: 0 }
+    }
+
+    fn add(&mut self, frame: &Frame) {
+        let key = IdentifierKey::of(frame);
+        if let Some(&at) = self.index.get(&key) {
+            let row = &mut self.rows[at as usize];
+            row.interval = Some(frame.time.since(row.last.time));
+            row.count += 1;
+            row.current += 1;
+            row.last = *frame;
+        } else if self.rows.len() < Self::MAX {
+            self.index.insert(key, self.rows.len() as u32);
+            let (last, interval) = (*frame, None);
+            self.rows.push(IdentifierStats { key, count: 1, rate: 0, last, interval, current: 1 });
+        } else {
+            self.refused += 1;
+        }
+    }
+
+    fn tick(&mut self) {
+        for row in &mut self.rows {
+            row.rate = std::mem::take(&mut row.current);
+        }
+    }
+
+    /// The rows in the order in which they were first seen.
+    pub fn rows(&self) -> &[IdentifierStats] {
+        &self.rows
+    }
+
+    /// How many frames are in no row, because there were too many identifiers.
+    pub fn refused(&self) -> u64 {
+        self.refused
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_ring_keeps_the_newest() {
+        let mut capture = Capture::new();
+        for at in 0..Capture::FRAMES as u64 + 10 {
+            capture.push(&Frame::classic(1, &[]).at(Instant::from_micros(at)));
+        }
+        assert_eq!((capture.first(), capture.end()), (10, Capture::FRAMES as u64 + 10));
+        assert!(capture.get(9).is_none());
+        assert_eq!(capture.get(10).unwrap().time, Instant::from_micros(10));
+        assert_eq!(capture.at_time(Instant::from_micros(100)), 100);
+    }
+
+    #[test]
+    fn a_broadcasts_random_destination_makes_no_rows() {
+        let mut capture = Capture::new();
+        let service = crate::wire::id::Service::from_bits(1);
+        let from = crate::wire::id::Address::from_bits(12);
+        for rnd7 in 0..100 {
+            let header = Header::unsolicited(from, rnd7, false, service);
+            capture.push(&Frame::classic(header.encode(), &[]));
+        }
+        capture.tick();
+        let [row] = capture.identifiers().rows() else { panic!("one row") };
+        assert_eq!((row.count, row.rate), (100, 100));
+    }
+}

@@ -1,0 +1,347 @@
+//! The rows of the Devices page: every device, and every entry of des.json that has none.
+//!
+//! A row says which device and which entry it is, and what the two say of each other; what is
+//! known of the device itself stays with its engine. Does not know how rows are drawn.
+
+use super::App;
+use super::buses::Bus;
+use super::filter::Filter;
+use super::matching::is_for;
+use crate::discovery::{Confidence, Device, DeviceId, Finding, Presence};
+use crate::document::{Entry, EntryKey};
+use crate::frame::BusIndex;
+use crate::text::Name;
+use crate::wire::id::Address;
+use std::cmp::Reverse;
+
+/// Which row: the selection holds on to this while others come and go.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum RowKey {
+    /// A device.
+    Device(DeviceId),
+    /// An entry that no device matches.
+    Entry(EntryKey),
+}
+
+/// A row.
+#[derive(Clone, Debug)]
+pub struct Row {
+    /// Which.
+    pub key: RowKey,
+    /// Its bus; `None` for an entry that names none while there are several.
+    pub bus: Option<BusIndex>,
+    /// The device's address, else the entry's.
+    pub address: Option<Address>,
+    /// The device's name, else the entry's.
+    pub name: Option<Name>,
+    /// Whether it is there.
+    pub state: State,
+    /// A suspicion is open about it.
+    pub suspected: bool,
+    /// Another device of this name is there.
+    pub twin: bool,
+    /// What the file says of it.
+    pub file: FileWord,
+    /// The place of its entry.
+    pub entry: Option<usize>,
+}
+
+/// The word in the STATE column.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum State {
+    /// A confirmed collision at its address.
+    Clash,
+    /// Listed, and not there.
+    Missing,
+    /// As the engine judges.
+    Lost,
+    /// As the engine judges.
+    Stale,
+    /// As the engine judges.
+    Silent,
+    /// As the engine judges.
+    Asleep,
+    /// Listed, and it is too early to say.
+    Awaited,
+    /// As the engine judges.
+    Online,
+}
+
+impl State {
+    /// The word.
+    pub const fn word(self) -> &'static str {
+        match self {
+            State::Clash => "CLASH",
+            State::Missing => "missing",
+            State::Lost => "lost",
+            State::Stale => "stale",
+            State::Silent => "silent",
+            State::Asleep => "asleep",
+            State::Awaited => "awaited",
+            State::Online => "online",
+        }
+    }
+}
+
+impl From<Presence> for State {
+    fn from(presence: Presence) -> Self {
+        match presence {
+            Presence::Online => State::Online,
+            Presence::Stale => State::Stale,
+            Presence::Silent => State::Silent,
+            Presence::Asleep => State::Asleep,
+            Presence::Lost => State::Lost,
+        }
+    }
+}
+
+/// What the file says of a row.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FileWord {
+    /// There is no file, or the row is a debug device: nothing to say.
+    Nothing,
+    /// The device is not listed.
+    New,
+    /// Listed, its address not static; the last main address.
+    Listed(Option<u8>),
+    /// Static, and the device is there.
+    Agrees(u8),
+    /// Static, and the device is not there.
+    Differs(u8),
+}
+
+/// By what the rows are sorted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[allow(missing_docs)]
+pub enum SortBy {
+    #[default]
+    Address,
+    Name,
+    State,
+    Seen,
+}
+
+impl SortBy {
+    /// The next one.
+    #[must_use]
+    pub const fn next(self) -> Self {
+        match self {
+            SortBy::Address => SortBy::Name,
+            SortBy::Name => SortBy::State,
+            SortBy::State => SortBy::Seen,
+            SortBy::Seen => SortBy::Address,
+        }
+    }
+
+    /// What it is, in words.
+    pub const fn describe(self) -> &'static str {
+        match self {
+            SortBy::Address => "by address",
+            SortBy::Name => "by name",
+            SortBy::State => "what needs attention first",
+            SortBy::Seen => "newest first",
+        }
+    }
+}
+
+/// How many devices are in which state.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[allow(missing_docs)]
+pub struct Counts {
+    pub here: usize,
+    pub missing: usize,
+    pub lost: usize,
+    pub confirmed: usize,
+    pub suspected: usize,
+}
+
+impl App {
+    /// The device of that identity.
+    pub fn device(&self, id: DeviceId) -> Option<&Device> {
+        self.buses.get(usize::from(id.bus.0))?.engine.device(id)
+    }
+
+    /// The bus of that index.
+    pub fn bus(&self, index: BusIndex) -> Option<&Bus> {
+        self.buses.get(usize::from(index.0))
+    }
+
+    /// The device of a row.
+    pub fn device_of(&self, row: &Row) -> Option<&Device> {
+        match row.key {
+            RowKey::Device(id) => self.device(id),
+            RowKey::Entry(_) => None,
+        }
+    }
+
+    /// The entry of a row.
+    pub fn entry_of(&self, row: &Row) -> Option<&Entry> {
+        self.file.document().entries().get(row.entry?)
+    }
+
+    /// The rows as sorted and filtered.
+    pub fn rows(&self) -> &[Row] {
+        &self.rows
+    }
+
+    /// The selected row.
+    pub fn selected_row(&self) -> Option<&Row> {
+        self.rows.get(self.selected_row_index()?)
+    }
+
+    /// The place of the selected row.
+    pub fn selected_row_index(&self) -> Option<usize> {
+        self.view.devices.index(self.rows.iter().map(|row| &row.key))
+    }
+
+    /// How many devices are in which state, whatever the filter shows.
+    pub fn counts(&self) -> Counts {
+        self.counts
+    }
+
+    /// Builds the rows anew after something changed; the selection stays on its device.
+    pub(super) fn refresh_rows(&mut self) {
+        let mut rows = self.all_rows();
+        self.counts = self.count(&rows);
+        let filter = Filter::parse(self.view.filter(super::Page::Devices));
+        rows.retain(|row| filter.matches_row(self, row));
+        if self.view.frozen.is_some() {
+            // Rows stay where they are; what is new goes to the end.
+            let old: Vec<&RowKey> = self.rows.iter().map(|row| &row.key).collect();
+            rows.sort_by_cached_key(|row| {
+                old.iter().position(|key| **key == row.key).unwrap_or(usize::MAX)
+            });
+        } else {
+            self.sort(&mut rows);
+        }
+        self.rows = rows;
+        let height = self.screen().list_rows();
+        let keys: Vec<RowKey> = self.rows.iter().map(|row| row.key.clone()).collect();
+        self.view.devices.settle(&keys, height);
+    }
+
+    fn all_rows(&self) -> Vec<Row> {
+        let entries = self.file.document().entries();
+        let mut rows = Vec::new();
+        for bus in &self.buses {
+            rows.extend(bus.engine.devices().iter().map(|device| self.device_row(bus, device)));
+        }
+        for entry in entries {
+            if self.matching.devices_of(entry.index).is_empty() {
+                rows.extend(self.entry_row(entry));
+            }
+        }
+        rows
+    }
+
+    fn device_row(&self, bus: &Bus, device: &Device) -> Row {
+        let entry = self.matching.entry_of(device.id);
+        let about = |finding: &&Finding| concerns(finding, device);
+        let findings = || bus.engine.findings().iter().filter(about);
+        let confirmed = findings()
+            .any(|it| it.confidence == Confidence::Confirmed && it.key.kind.is_collision());
+        let twin = device.is_here()
+            && bus.engine.devices().iter().any(|other| {
+                other.id != device.id
+                    && other.is_here()
+                    && other.name.is_some()
+                    && other.name == device.name
+            });
+        Row {
+            key: RowKey::Device(device.id),
+            bus: Some(device.id.bus),
+            address: Some(device.address),
+            name: device.name.clone(),
+            state: if confirmed && device.is_here() {
+                State::Clash
+            } else {
+                device.presence.into()
+            },
+            suspected: findings().any(|it| it.confidence == Confidence::Suspected),
+            twin,
+            file: self.file_word(device, entry.map(|at| &self.file.document().entries()[at])),
+            entry,
+        }
+    }
+
+    fn file_word(&self, device: &Device, entry: Option<&Entry>) -> FileWord {
+        match entry {
+            None if device.is_debug || !self.file.is_there() => FileWord::Nothing,
+            None => FileWord::New,
+            Some(entry) => match entry.address.filter(|_| entry.is_static) {
+                None => FileWord::Listed(entry.address),
+                Some(address) if address == device.address.number() => FileWord::Agrees(address),
+                Some(address) => FileWord::Differs(address),
+            },
+        }
+    }
+
+    /// `None` where the entry names a bus that is not open: nothing can be said.
+    fn entry_row(&self, entry: &Entry) -> Option<Row> {
+        let bus = match &entry.bus {
+            Some(_) => Some(self.buses.iter().position(|bus| is_for(entry, &bus.name))?),
+            None if self.buses.len() == 1 => Some(0),
+            None => None,
+        };
+        let bus = bus.map(|at| BusIndex(at as u8));
+        let awaited = match bus {
+            Some(bus) => !self.has_looked(bus),
+            None => (0..self.buses.len()).any(|at| !self.has_looked(BusIndex(at as u8))),
+        };
+        Some(Row {
+            key: RowKey::Entry(self.file.document().key(entry.index)),
+            bus,
+            address: entry.address.and_then(Address::new),
+            name: Some(Name::new(&entry.name)),
+            state: if awaited { State::Awaited } else { State::Missing },
+            suspected: false,
+            twin: false,
+            file: match entry.address {
+                Some(address) if entry.is_static => FileWord::Differs(address),
+                address => FileWord::Listed(address),
+            },
+            entry: Some(entry.index),
+        })
+    }
+
+    fn count(&self, rows: &[Row]) -> Counts {
+        let with =
+            |state: &dyn Fn(State) -> bool| rows.iter().filter(|row| state(row.state)).count();
+        let problems = self.problems();
+        let sure = |confidence| problems.iter().filter(|it| it.confidence == confidence).count();
+        Counts {
+            here: with(&|state| !matches!(state, State::Missing | State::Awaited | State::Lost)),
+            missing: with(&|state| state == State::Missing),
+            lost: with(&|state| state == State::Lost),
+            confirmed: sure(Confidence::Confirmed),
+            suspected: sure(Confidence::Suspected),
+        }
+    }
+
+    fn sort(&self, rows: &mut [Row]) {
+        rows.sort_by(|a, b| {
+            let name = |row: &Row| (row.name.is_none(), row.name.clone());
+            let seen = |row: &Row| Reverse(self.device_of(row).map(|device| device.first_seen));
+            let place = |row: &Row| (row.bus, row.address, row.name.clone());
+            match self.view.sort {
+                SortBy::Address => std::cmp::Ordering::Equal,
+                SortBy::Name => name(a).cmp(&name(b)),
+                SortBy::State => {
+                    let urgency =
+                        |row: &Row| (row.state != State::Clash, !row.suspected, row.state);
+                    urgency(a).cmp(&urgency(b))
+                }
+                SortBy::Seen => seen(a).cmp(&seen(b)),
+            }
+            .then_with(|| place(a).cmp(&place(b)))
+        });
+    }
+}
+
+/// Whether a finding of its bus is about this device.
+pub fn concerns(finding: &Finding, device: &Device) -> bool {
+    let named = |name: &Name| finding.names.is_empty() || finding.names.contains(name);
+    finding.key.bus == Some(device.id.bus)
+        && finding.addresses.contains(&device.address)
+        && device.name.as_ref().is_none_or(named)
+}

@@ -1,0 +1,418 @@
+//! The commands that edit des.json or ask the bus for something.
+//!
+//! Every edit is an operation of [`crate::document`]; nothing is written here, and nothing that
+//! goes beyond discovery is sent without a confirmation.
+
+use super::problems::as_listed;
+use super::prompt::PromptKind;
+use super::timeline::{Entry as Line, Kind};
+use super::{App, Effect, Overlay, Question, RowKey};
+use crate::discovery::{Device, DeviceId, OwnAddress};
+use crate::document::{NewEntry, Operation, ServiceEntry};
+use crate::frame::{BusIndex, Frame};
+use crate::text::Escaped;
+use crate::time::Instant;
+use crate::wire::id::{Header, Service};
+
+impl App {
+    // ---- des.json --------------------------------------------------------------------------
+
+    /// Command: edit the static address in the selected row.
+    pub fn edit_address(&mut self, _now: Instant) {
+        if !self.may_edit() {
+            return;
+        }
+        let Some(row) = self.selected_row() else { return self.complain("no row is selected") };
+        let key = row.key.clone();
+        if let Some(device) = self.device_of(row) {
+            if device.is_debug {
+                return self.complain("debug devices are not listed in the file");
+            }
+            if device.name.is_none() {
+                return self.complain("its name is not known yet, so it cannot be listed");
+            }
+        }
+        let listed = self.entry_for(&key).filter(|entry| entry.is_static);
+        let text = listed.and_then(|entry| entry.address).map(|address| address.to_string());
+        self.open_prompt(PromptKind::Address(key), text.unwrap_or_default());
+    }
+
+    /// Command: take the selected device into the file, with its services and its address (which
+    /// is not pinned by that); where it is listed, take its services.
+    pub fn add_device(&mut self, _now: Instant) {
+        if !self.may_edit() {
+            return;
+        }
+        let Some(device) = self.selected_row().and_then(|row| self.device_of(row)) else {
+            return self.complain("no device is selected");
+        };
+        if device.name.is_none() || device.is_debug {
+            return self.complain("only devices with a known name are listed in the file");
+        }
+        match self.taking(device) {
+            Some(operation) => self.edit(&[operation]),
+            None => self.say("the file says the same already"),
+        }
+    }
+
+    /// Command: take all devices that are there into the file.
+    pub fn add_all(&mut self, _now: Instant) {
+        if !self.may_edit() {
+            return;
+        }
+        let devices = self.buses.iter().flat_map(|bus| bus.engine.devices());
+        let unlisted = devices.filter(|device| {
+            let listed = self.matching.entry_of(device.id).is_some();
+            device.is_here() && !device.is_debug && device.name.is_some() && !listed
+        });
+        let operations: Vec<Operation> =
+            unlisted.filter_map(|device| self.taking(device)).collect();
+        match operations.len() {
+            0 => self.say("every device with a known name is listed already"),
+            _ => self.edit(&operations),
+        }
+    }
+
+    /// Command: ask for a new entry.
+    pub fn ask_new_entry(&mut self, _now: Instant) {
+        if self.may_edit() {
+            self.open_prompt(PromptKind::NewEntry, String::new());
+        }
+    }
+
+    /// Command: ask for the entry's new name.
+    pub fn ask_rename(&mut self, _now: Instant) {
+        if !self.may_edit() {
+            return;
+        }
+        let Some((at, _)) = self.selected_entry() else { return };
+        let document = self.file.document();
+        let (key, name) = (document.key(at), document.entries()[at].name_text.clone());
+        self.open_prompt(PromptKind::Rename(key), name);
+    }
+
+    /// Command: ask whether the entry is to be deleted.
+    pub fn ask_delete(&mut self, _now: Instant) {
+        if !self.may_edit() {
+            return;
+        }
+        let Some((at, _)) = self.selected_entry() else { return };
+        self.overlay = Overlay::Question(Question::Delete(self.file.document().key(at)));
+    }
+
+    /// Command: take the last edit back.
+    pub fn undo(&mut self, now: Instant) {
+        match self.file.undo() {
+            Ok(name) => self.edited(now, &format!("taken back: {name}")),
+            Err(refusal) => self.complain(refusal.to_string()),
+        }
+    }
+
+    /// Command: make the edit again that was taken back last.
+    pub fn redo(&mut self, now: Instant) {
+        match self.file.redo() {
+            Ok(name) => self.edited(now, &format!("made again: {name}")),
+            Err(refusal) => self.complain(refusal.to_string()),
+        }
+    }
+
+    /// Command: save again what could not be saved.
+    pub fn save(&mut self, _now: Instant) {
+        if self.file.conflict().is_some() {
+            self.overlay = Overlay::Conflict;
+        } else if self.file.unsaved() == 0 {
+            self.say("everything is saved");
+        } else {
+            self.save_pending();
+        }
+    }
+
+    /// Command: decide the conflict.
+    pub fn resolve(&mut self, now: Instant, ours: bool) {
+        self.overlay = Overlay::None;
+        let change = self.file.resolve(ours);
+        self.file_changed(change);
+        let whose = if ours { "our value" } else { "the file's value" };
+        if change_is_made(self) {
+            self.timeline.push(Line::new(now, Kind::File, format!("conflict: {whose} was kept")));
+            self.say(format!("{whose} was kept"));
+        }
+    }
+
+    /// Command: leave the conflict for later; the edit stays unsaved.
+    pub fn resolve_later(&mut self, _now: Instant) {
+        self.overlay = Overlay::None;
+        self.say("the edit is not saved; Ctrl-s comes back to it");
+    }
+
+    pub(super) fn edit(&mut self, operations: &[Operation]) {
+        match self.file.edit(operations) {
+            Ok(name) => self.edited(self.now, &name),
+            Err(refusal) => self.complain(refusal.to_string()),
+        }
+    }
+
+    fn edited(&mut self, now: Instant, what: &str) {
+        self.timeline.push(Line::new(now, Kind::File, what));
+        self.say(what);
+        self.save_pending();
+        self.refresh();
+    }
+
+    fn may_edit(&mut self) -> bool {
+        match self.file.check() {
+            Ok(()) => true,
+            Err(super::Refusal::Conflict) => {
+                self.overlay = Overlay::Conflict;
+                false
+            }
+            Err(refusal) => {
+                self.complain(refusal.to_string());
+                false
+            }
+        }
+    }
+
+    /// The place and name of the selected row's entry; complains where it has none.
+    fn selected_entry(&mut self) -> Option<(usize, String)> {
+        let row = self.selected_row();
+        let found = row.and_then(|row| self.entry_of(row));
+        let found = found.map(|entry| (entry.index, entry.name_text.clone()));
+        if found.is_none() {
+            self.complain("the row is not in the file");
+        }
+        found
+    }
+
+    /// The operation that makes the file say of a device what it says itself.
+    fn taking(&self, device: &Device) -> Option<Operation> {
+        let document = self.file.document();
+        let Some(at) = self.matching.entry_of(device.id) else {
+            return Some(Operation::Add { entry: self.new_entry(device)? });
+        };
+        let own = device.services.as_ref()?;
+        let listed = document.entries()[at].services.as_deref().unwrap_or_default();
+        if super::same_services(listed, own) {
+            return None;
+        }
+        Some(Operation::SetServices { entry: document.key(at), services: listed_services(device) })
+    }
+
+    /// What the file is to say of a device: its address as the last main one, not pinned.
+    pub(super) fn new_entry(&self, device: &Device) -> Option<NewEntry> {
+        let alphabet = &self.bus(device.id.bus)?.engine.config().profile.uid;
+        let uid = device.uid.filter(|uid| !uid.is_blank()).map(|uid| uid.text(alphabet));
+        Some(NewEntry {
+            name: device.name.as_ref()?.as_bytes().to_vec(),
+            address: Some(device.address.number()).filter(|address| *address > 0),
+            is_static: false,
+            bus: self.bus_to_name(Some(device.id.bus)),
+            uid: uid.filter(|uid| !uid.trim().is_empty()),
+            services: listed_services(device),
+        })
+    }
+
+    /// The bus that an entry is to name: none, while there is only one.
+    pub(super) fn bus_to_name(&self, bus: Option<BusIndex>) -> Option<String> {
+        let bus = self.bus(bus?)?;
+        (self.buses.len() > 1).then(|| bus.name.clone())
+    }
+
+    // ---- the bus ---------------------------------------------------------------------------
+
+    /// Command: ask all devices again.
+    pub fn rescan(&mut self, now: Instant) {
+        let asking = self.buses.iter().filter(|bus| !bus.engine.config().listen_only).count();
+        for bus in &mut self.buses {
+            bus.engine.rescan(now);
+        }
+        self.take_events();
+        if asking == 0 {
+            self.complain("listen-only: nobody is asked");
+        } else {
+            self.say("asking all devices again");
+        }
+    }
+
+    /// Command: forget the devices that are lost.
+    pub fn clear_lost(&mut self, _now: Instant) {
+        let lost = self.counts.lost;
+        for bus in &mut self.buses {
+            bus.engine.clear_lost();
+        }
+        self.take_events();
+        self.refresh();
+        self.say(match lost {
+            0 => "no device is lost".to_owned(),
+            1 => "1 lost device forgotten".to_owned(),
+            lost => format!("{lost} lost devices forgotten"),
+        });
+    }
+
+    /// Command: ask whether the device is to blink or beep.
+    pub fn ask_identify(&mut self, _now: Instant) {
+        let Some(device) = self.selected_row().and_then(|row| self.device_of(row)) else {
+            return self.complain("no device is selected");
+        };
+        let id = device.id;
+        match self.identify_frame(id) {
+            Ok(_) => self.overlay = Overlay::Question(Question::Identify(id)),
+            Err(why) => self.complain(why),
+        }
+    }
+
+    /// The frame that lets a device blink or beep, or why it is not sent.
+    fn identify_frame(&self, id: DeviceId) -> Result<Frame, &'static str> {
+        let (Some(device), Some(bus)) = (self.device(id), self.bus(id.bus)) else {
+            return Err("the device is gone");
+        };
+        let config = bus.engine.config();
+        if config.listen_only {
+            return Err("listen-only: nothing is sent");
+        }
+        if !config.profile.given {
+            return Err("identify needs a profile: its service number is only assumed");
+        }
+        if !bus.is_up() {
+            return Err("the bus is not up");
+        }
+        let OwnAddress::Held(own) = bus.engine.own_address() else {
+            return Err("we have no address on this bus yet");
+        };
+        let service = Service::from_bits(config.profile.commands.identify);
+        let mut header = Header::request(own, device.address, !device.working, service);
+        header.no_error = config.profile.request_err;
+        Ok(Frame::classic(header.encode(), &[]).on(id.bus).at(self.now))
+    }
+
+    // ---- questions -------------------------------------------------------------------------
+
+    /// The question that waits, in words.
+    pub fn question(&self) -> Option<String> {
+        let Overlay::Question(question) = &self.overlay else { return None };
+        Some(match question {
+            Question::Quit => match self.file.unsaved() {
+                0 => "Quit?".to_owned(),
+                1 => "1 edit is not saved. Quit all the same?".to_owned(),
+                many => format!("{many} edits are not saved. Quit all the same?"),
+            },
+            Question::Delete(key) => {
+                format!("Delete the entry {} from {}?", Escaped(&key.name), self.file.name())
+            }
+            Question::Identify(id) => {
+                let (name, address) = match self.device(*id) {
+                    Some(device) => {
+                        let name = device
+                            .name
+                            .as_ref()
+                            .map_or("the device".to_owned(), |name| name.to_string());
+                        (name, device.address.to_string())
+                    }
+                    None => ("a device that is gone".to_owned(), "?".to_owned()),
+                };
+                let service = self.profile(id.bus).commands.identify;
+                format!("Send identify (service {service:03X}) to {name} at {address}?")
+            }
+        })
+    }
+
+    /// Command: answers the question.
+    pub fn answer(&mut self, now: Instant, yes: bool) {
+        let Overlay::Question(question) = std::mem::take(&mut self.overlay) else { return };
+        if !yes {
+            return;
+        }
+        match question {
+            Question::Quit => self.quit(),
+            Question::Delete(key) => self.edit(&[Operation::Remove { entry: key }]),
+            Question::Identify(id) => match self.identify_frame(id) {
+                Ok(frame) => {
+                    let mut line = Line::new(now, Kind::Bus, "asked to identify itself");
+                    if let Some(device) = self.device(id) {
+                        line = line.on(id.bus);
+                        (line.device, line.address) = (Some(id), Some(device.address));
+                        line.name.clone_from(&device.name);
+                    }
+                    self.timeline.push(line);
+                    self.outbox.push_back(frame);
+                    self.say("sent");
+                }
+                Err(why) => self.complain(why),
+            },
+        }
+    }
+
+    /// Command: quit, but ask first while edits are not saved.
+    pub fn ask_quit(&mut self, _now: Instant) {
+        if self.file.unsaved() > 0 {
+            self.overlay = Overlay::Question(Question::Quit);
+        } else {
+            self.quit();
+        }
+    }
+
+    /// Command: quit.
+    pub fn quit(&mut self) {
+        self.effects.push_back(Effect::Quit);
+    }
+
+    /// Command: ask where the captured frames are to be saved.
+    pub fn ask_capture_path(&mut self, now: Instant) {
+        if self.capture.end() == 0 {
+            return self.complain("no frame has been captured yet");
+        }
+        let path = format!("descan-{}.log", stamp(self.wall_seconds(now)));
+        self.open_prompt(PromptKind::CapturePath, path);
+    }
+
+    /// The device that the selected row is.
+    pub fn selected_device(&self) -> Option<&Device> {
+        match self.selected_row()?.key {
+            RowKey::Device(id) => self.device(id),
+            RowKey::Entry(_) => None,
+        }
+    }
+}
+
+fn change_is_made(app: &App) -> bool {
+    app.file.conflict().is_none()
+}
+
+fn listed_services(device: &Device) -> Vec<ServiceEntry> {
+    let services = device.services.iter().flatten();
+    services
+        .map(|service| ServiceEntry {
+            name: as_listed(&service.name),
+            version: as_listed(&service.version),
+            extra: service.extra.iter().map(as_listed).collect(),
+        })
+        .collect()
+}
+
+/// `20261121-060036`.
+fn stamp(wall_seconds: u64) -> String {
+    let (days, second) = (wall_seconds / 86_400, wall_seconds % 86_400);
+    // Days since 1970 to a date of the Gregorian calendar, counted from 0000-03-01.
+    let days = days + 719_468;
+    let (era, of_era) = (days / 146_097, days % 146_097);
+    let year_of_era = (of_era - of_era / 1460 + of_era / 36_524 - of_era / 146_096) / 365;
+    let of_year = of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let from_march = (5 * of_year + 2) / 153;
+    let day = of_year - (153 * from_march + 2) / 5 + 1;
+    let month = if from_march < 10 { from_march + 3 } else { from_march - 9 };
+    let year = year_of_era + era * 400 + u64::from(month <= 2);
+    let (hours, minutes, seconds) = (second / 3600, second / 60 % 60, second % 60);
+    format!("{year:04}{month:02}{day:02}-{hours:02}{minutes:02}{seconds:02}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stamps_are_dates() {
+        assert_eq!(stamp(0), "19700101-000000");
+        assert_eq!(stamp(951_782_400), "20000229-000000");
+        assert_eq!(stamp(1_795_240_836), "20261121-060036");
+    }
+}

@@ -1,0 +1,232 @@
+//! From what happens on the buses and to the file, to the lines of the timeline.
+//!
+//! Does not judge anything: the engines did.
+
+use super::buses::{is_up, lost};
+
+use super::timeline::{Entry, Kind};
+use super::{App, Change, Effect, Overlay};
+use crate::bus::{BusState, BusStatus, Link};
+use crate::discovery::{Confidence, Event, EventKind, Presence};
+use crate::frame::BusIndex;
+use crate::text::Escaped;
+
+/// Something that happened, for those who watch without a screen.
+#[derive(Clone, Debug)]
+pub enum Happening {
+    /// On a bus.
+    Event(BusIndex, Event),
+    /// To a bus: link, bit rate, state.
+    Bus(BusIndex),
+    /// To des.json.
+    File,
+}
+
+impl App {
+    /// Takes the engines' events.
+    pub(super) fn take_events(&mut self) {
+        let mut any = false;
+        for index in 0..self.buses.len() {
+            while let Some(event) = self.buses[index].engine.poll_event() {
+                any = true;
+                self.take_event(BusIndex(index as u8), event);
+            }
+        }
+        if any {
+            self.refresh();
+            self.dirty_soon();
+        }
+    }
+
+    fn take_event(&mut self, bus: BusIndex, event: Event) {
+        if let Some((kind, text)) = self.describe(bus, &event) {
+            let confirmed = kind == Kind::Confirmed;
+            let mut entry = Entry::new(event.time, kind, text).on(bus);
+            (entry.device, entry.address) = (event.device, event.address);
+            entry.name.clone_from(&event.name);
+            self.timeline.push(entry);
+            if confirmed {
+                self.effects.push_back(Effect::Bell);
+            }
+        }
+        self.report(Happening::Event(bus, event));
+    }
+
+    fn report(&mut self, happening: Happening) {
+        const MOST: usize = 65_536;
+        if self.report && self.happenings.len() < MOST {
+            self.happenings.push_back(happening);
+        }
+    }
+
+    fn describe(&self, bus: BusIndex, event: &Event) -> Option<(Kind, String)> {
+        Some(match &event.kind {
+            EventKind::Appeared => (Kind::Good, "appeared".to_owned()),
+            EventKind::Named => (Kind::Good, "says its name".to_owned()),
+            EventKind::Services { count, changed } => {
+                let plural = if *count == 1 { "" } else { "s" };
+                let kind = if *changed { Kind::Change } else { Kind::Good };
+                let now = if *changed { ", other than before" } else { "" };
+                (kind, format!("{count} service{plural}{now}"))
+            }
+            EventKind::Mode { from: Some(from), to } => (Kind::Change, format!("{from} → {to}")),
+            EventKind::Mode { from: None, to } => (Kind::Change, format!("in mode {to}")),
+            EventKind::Moved { from } => (Kind::Change, format!("moved here from {from}")),
+            EventKind::Rebooted => (Kind::Change, "rebooted".to_owned()),
+            EventKind::Presence(Presence::Online) => (Kind::Good, "online".to_owned()),
+            EventKind::Presence(Presence::Stale) => {
+                (Kind::Late, "stale: its heartbeat is late".to_owned())
+            }
+            EventKind::Presence(Presence::Silent) => {
+                (Kind::Late, "silent: frames, but no heartbeats".to_owned())
+            }
+            EventKind::Presence(Presence::Asleep) => (Kind::Late, "asleep".to_owned()),
+            EventKind::Presence(Presence::Lost) => (Kind::Lost, "lost".to_owned()),
+            EventKind::Returned { was } => (Kind::Good, format!("returned, was {was}")),
+            EventKind::Finding { key, confidence } => {
+                let kind = match confidence {
+                    Confidence::Cleared => Kind::Cleared,
+                    Confidence::Suspected => Kind::Suspected,
+                    Confidence::Confirmed => Kind::Confirmed,
+                };
+                let findings = self.bus(bus).map_or(&[][..], |bus| bus.engine.findings());
+                let found = findings.iter().find(|finding| finding.key == *key);
+                let text = found.map_or("", |finding| finding.text.as_str());
+                (kind, format!("{confidence}: {}{}{text}", key.kind, separator(text)))
+            }
+            EventKind::OwnAddress(address) => (Kind::Bus, format!("we are at {address}")),
+            EventKind::OwnAddressLost(address) => {
+                (Kind::Bus, format!("we gave {address} up: somebody else uses it"))
+            }
+            EventKind::NobodyAcknowledges => {
+                (Kind::Error, "nobody acknowledges our frames: we wait".to_owned())
+            }
+            EventKind::Acknowledged => (Kind::Bus, "our frames are acknowledged".to_owned()),
+            EventKind::Debug { code, data } => {
+                let bytes: String = data.iter().map(|byte| format!(" {byte:02X}")).collect();
+                (Kind::Change, format!("debug message {code:03X}{bytes}"))
+            }
+        })
+    }
+
+    /// Takes an adapter's words.
+    pub(super) fn bus_changed(&mut self, index: BusIndex, status: BusStatus) {
+        let now = self.now;
+        let Some(bus) = self.buses.get_mut(usize::from(index.0)) else { return };
+        if bus.status == status {
+            return;
+        }
+        let old = std::mem::replace(&mut bus.status, status.clone());
+        if old.bitrate != status.bitrate {
+            bus.engine.set_bitrate(status.bitrate);
+        }
+        if is_up(&status) && !is_up(&old) && old.link != Link::Opening {
+            bus.engine.restart(now);
+        }
+        let newly_lost = lost(&status).saturating_sub(lost(&old));
+        if newly_lost > 0 {
+            bus.engine.handle_lost(now, newly_lost);
+        }
+        for (kind, text) in changes(&old, &status) {
+            self.timeline.push(Entry::new(now, kind, text).on(index));
+        }
+        self.take_events();
+        self.refresh();
+        self.dirty_soon();
+        self.report(Happening::Bus(index));
+    }
+
+    /// des.json changed, or what is known of it.
+    pub(super) fn file_changed(&mut self, change: Change) {
+        let name = self.file.name();
+        let entries = self.file.document().entries().len();
+        let listed = format!("{entries} {}", if entries == 1 { "entry" } else { "entries" });
+        let line = match change {
+            Change::None => return,
+            Change::First if !self.file.is_there() => Some((
+                Kind::File,
+                format!("{name} is not there yet: it begins with the first edit"),
+            )),
+            Change::First => Some((Kind::File, format!("{name}: {listed}"))),
+            Change::Saved => None,
+            Change::Content => Some((Kind::File, format!("{name} on disk: {listed}"))),
+            Change::Rebased => Some((
+                Kind::File,
+                format!(
+                    "{name} was changed by someone else: our edits are made on the newer content"
+                ),
+            )),
+            Change::Broken => {
+                let problem = self.file.problem().map(ToString::to_string).unwrap_or_default();
+                Some((Kind::Error, format!("{name}: {problem}")))
+            }
+            Change::Conflict => {
+                self.overlay = Overlay::Conflict;
+                Some((Kind::Error, format!("{name}: someone else changed the same value")))
+            }
+        };
+        if let Some((kind, text)) = line {
+            if kind == Kind::Error && change == Change::Broken {
+                self.complain(text.clone());
+            }
+            self.timeline.push(Entry::new(self.now, kind, text));
+        }
+        if matches!(change, Change::First | Change::Content | Change::Rebased) {
+            for finding in self.file.document().findings() {
+                let text = format!("{name}: {finding}");
+                self.timeline.push(Entry::new(self.now, Kind::File, text));
+            }
+        }
+        self.save_pending();
+        self.refresh();
+        self.dirty = true;
+        self.report(Happening::File);
+    }
+
+    /// Begins to save what is not saved yet.
+    pub(super) fn save_pending(&mut self) {
+        if let Some(saving) = self.file.start_saving() {
+            let (expected, content) = (saving.expected, saving.content);
+            self.effects.push_back(Effect::Save { expected, content });
+        }
+    }
+}
+
+/// What changed between two words of an adapter, in lines.
+fn changes(old: &BusStatus, status: &BusStatus) -> Vec<(Kind, String)> {
+    let message = status.message.as_ref().map(|message| Escaped(message.as_bytes()).to_string());
+    let mut lines = Vec::new();
+    if old.link != status.link {
+        lines.push(match status.link {
+            Link::Opening => (Kind::Bus, "being opened".to_owned()),
+            Link::Up => (Kind::Bus, "open".to_owned()),
+            Link::Ended => (Kind::Bus, "the log is at its end".to_owned()),
+            _ => (Kind::Error, message.unwrap_or_else(|| "down".to_owned())),
+        });
+    }
+    if old.state != status.state && status.state != BusState::Unknown {
+        let kind = match status.state {
+            BusState::ErrorActive => Kind::Bus,
+            BusState::ErrorWarning => Kind::Late,
+            _ => Kind::Error,
+        };
+        let counters = match (status.tec, status.rec) {
+            (Some(tec), Some(rec)) => format!(" (error counters: tx {tec}, rx {rec})"),
+            _ => String::new(),
+        };
+        lines.push((kind, format!("{}{counters}", status.state)));
+    }
+    if old.bitrate != status.bitrate
+        && let Some(bitrate) = status.bitrate
+    {
+        lines.push((Kind::Bus, format!("{bitrate} bit/s")));
+    }
+    if lost(old) < lost(status) {
+        lines.push((Kind::Error, "frames were lost on the way to us".to_owned()));
+    }
+    lines
+}
+
+fn separator(text: &str) -> &'static str {
+    if text.is_empty() { "" } else { ". " }
+}

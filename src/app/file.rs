@@ -1,0 +1,492 @@
+//! des.json as the program holds it: what is on disk, the edits that are not, undo and redo.
+//!
+//! The file is the user's. Edits are operations on what was read last; where the file changed
+//! meanwhile they are made again on the newer content, and where both changed the same value a
+//! person chooses. Does not read or write anything itself, and does not know the bus.
+
+use crate::document::{Conflict, Document, EditError, Merge, Operation, ParseError, Prefer, merge};
+use std::path::{Path, PathBuf};
+
+/// How des.json was found.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum FileReading {
+    /// Its content; `None` where there is no such file.
+    Content(Option<Vec<u8>>),
+    /// It cannot be read: why.
+    Error(String),
+}
+
+/// What became of a save.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum SaveOutcome {
+    /// It is on disk.
+    Saved,
+    /// Somebody else wrote meanwhile; nothing was written. What is there now.
+    Changed(Option<Vec<u8>>),
+    /// It could not be written: why.
+    Failed(String),
+}
+
+/// Why the file cannot be used as it is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum FileProblem {
+    /// It is not JSON.
+    Syntax(ParseError),
+    /// It cannot be read.
+    Unreadable(String),
+    /// The last save failed; the edits are kept.
+    NotSaved(String),
+}
+
+impl std::fmt::Display for FileProblem {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            FileProblem::Syntax(error) => error.fmt(f),
+            FileProblem::Unreadable(why) | FileProblem::NotSaved(why) => f.write_str(why),
+        }
+    }
+}
+
+/// What the reading of a file changed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Change {
+    /// Nothing.
+    None,
+    /// Its content.
+    Content,
+    /// Our edits are on disk.
+    Saved,
+    /// It was read for the first time.
+    First,
+    /// Our edits were made again on newer content.
+    Rebased,
+    /// It cannot be used any more; the last good content stays in force.
+    Broken,
+    /// Both changed the same value.
+    Conflict,
+}
+
+/// Bytes that are being saved.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Saving {
+    /// What is to be on disk for the save to be made; `None`: no file.
+    pub expected: Option<Vec<u8>>,
+    /// What is to be there afterwards.
+    pub content: Vec<u8>,
+    /// How many of the pending edits are in it.
+    operations: usize,
+}
+
+/// An edit that can be taken back (or made again): operations on the document they were made for.
+#[derive(Clone, Debug)]
+struct Step {
+    on: Document,
+    operations: Vec<Operation>,
+    /// The edit's name.
+    name: String,
+}
+
+/// The state of des.json.
+#[derive(Debug)]
+pub struct FileState {
+    path: Option<PathBuf>,
+    /// What is on disk, as it was last good; `None` before the first reading.
+    disk: Option<Document>,
+    is_on_disk: bool,
+    /// What is in force: disk, and the edits that are not saved yet.
+    document: Document,
+    pending: Vec<Operation>,
+    saving: Option<Saving>,
+    problem: Option<FileProblem>,
+    conflict: Option<(Conflict, Document)>,
+    undo: Vec<Step>,
+    redo: Vec<Step>,
+}
+
+/// Why an edit is not made.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs)]
+pub enum Refusal {
+    #[error("no file is open: start with --file des.json")]
+    NoFile,
+    #[error("the file has not been read yet")]
+    NotRead,
+    #[error("the file is not edited while it cannot be read: {0}")]
+    Broken(String),
+    #[error("first choose between your value and the one in the file")]
+    Conflict,
+    #[error("there is nothing to take back")]
+    NothingToUndo,
+    #[error("there is nothing to make again")]
+    NothingToRedo,
+    #[error(transparent)]
+    Edit(#[from] EditError),
+}
+
+impl FileState {
+    /// How many edits can be taken back.
+    const STEPS: usize = 200;
+
+    /// The file at this path, not read yet.
+    pub fn new(path: Option<PathBuf>) -> Self {
+        Self {
+            path,
+            disk: None,
+            is_on_disk: false,
+            document: Document::empty(),
+            pending: Vec::new(),
+            saving: None,
+            problem: None,
+            conflict: None,
+            undo: Vec::new(),
+            redo: Vec::new(),
+        }
+    }
+
+    /// Where it is.
+    pub fn path(&self) -> Option<&Path> {
+        self.path.as_deref()
+    }
+
+    /// Its name without folders, for the screen.
+    pub fn name(&self) -> String {
+        let name = self.path.as_deref().and_then(Path::file_name).unwrap_or_default();
+        crate::text::printable(name.as_encoded_bytes())
+    }
+
+    /// What is in force: the last good content with our edits.
+    pub fn document(&self) -> &Document {
+        &self.document
+    }
+
+    /// Whether there is a file, or content that will be one: rows can be listed or not.
+    pub fn is_there(&self) -> bool {
+        self.is_on_disk || !self.pending.is_empty()
+    }
+
+    /// Whether it was read.
+    pub fn is_read(&self) -> bool {
+        self.disk.is_some() || self.problem.is_some()
+    }
+
+    /// Why it cannot be used as it is.
+    pub fn problem(&self) -> Option<&FileProblem> {
+        self.problem.as_ref()
+    }
+
+    /// The conflict that waits for a decision.
+    pub fn conflict(&self) -> Option<&Conflict> {
+        self.conflict.as_ref().map(|(conflict, _)| conflict)
+    }
+
+    /// How many edits are not on disk.
+    pub fn unsaved(&self) -> usize {
+        self.pending.len()
+    }
+
+    /// Whether a save is on its way.
+    pub fn is_saving(&self) -> bool {
+        self.saving.is_some()
+    }
+
+    /// Takes what was found on disk.
+    pub fn read(&mut self, reading: FileReading) -> Change {
+        let content = match reading {
+            FileReading::Content(content) => content,
+            FileReading::Error(why) => {
+                let problem = Some(FileProblem::Unreadable(why));
+                let change = if self.problem == problem { Change::None } else { Change::Broken };
+                self.problem = problem;
+                return change;
+            }
+        };
+        if let Some(saving) = &self.saving
+            && content.as_ref() == Some(&saving.content)
+        {
+            self.saved();
+            return Change::Saved;
+        }
+        let theirs = match content.as_deref().map_or_else(|| Ok(Document::empty()), Document::parse)
+        {
+            Ok(document) => document,
+            Err(error) => {
+                let problem = Some(FileProblem::Syntax(error));
+                let change = if self.problem == problem { Change::None } else { Change::Broken };
+                self.problem = problem;
+                return change;
+            }
+        };
+        let is_first = self.disk.is_none();
+        let was_broken =
+            matches!(self.problem, Some(FileProblem::Syntax(_) | FileProblem::Unreadable(_)));
+        if !is_first && self.disk.as_ref() == Some(&theirs) && self.is_on_disk == content.is_some()
+        {
+            if was_broken {
+                self.problem = None;
+            }
+            return if was_broken { Change::Content } else { Change::None };
+        }
+        self.is_on_disk = content.is_some();
+        self.problem = None;
+        if self.pending.is_empty() {
+            self.document = theirs.clone();
+            self.disk = Some(theirs);
+            return if is_first { Change::First } else { Change::Content };
+        }
+        self.rebase(theirs, Prefer::Neither)
+    }
+
+    /// Makes our edits again on newer content.
+    fn rebase(&mut self, theirs: Document, prefer: Prefer) -> Change {
+        let base = self.disk.clone().unwrap_or_else(Document::empty);
+        match merge(&base, &self.pending, &theirs, prefer) {
+            Ok(Merge::Rebased { document, operations }) => {
+                self.disk = Some(theirs);
+                self.document = document;
+                self.pending = operations;
+                self.conflict = None;
+                Change::Rebased
+            }
+            Ok(Merge::Conflict(conflict)) => {
+                self.conflict = Some((conflict, theirs));
+                Change::Conflict
+            }
+            Err(error) => {
+                self.problem = Some(FileProblem::NotSaved(error.to_string()));
+                Change::Broken
+            }
+        }
+    }
+
+    /// Decides the conflict.
+    pub fn resolve(&mut self, ours: bool) -> Change {
+        let Some((_, theirs)) = self.conflict.take() else { return Change::None };
+        self.rebase(theirs, if ours { Prefer::Ours } else { Prefer::Theirs })
+    }
+
+    /// Whether an edit can be made at all.
+    pub fn check(&self) -> Result<(), Refusal> {
+        if self.path.is_none() {
+            return Err(Refusal::NoFile);
+        }
+        match &self.problem {
+            Some(problem @ (FileProblem::Syntax(_) | FileProblem::Unreadable(_))) => {
+                Err(Refusal::Broken(problem.to_string()))
+            }
+            _ if self.disk.is_none() => Err(Refusal::NotRead),
+            _ if self.conflict.is_some() => Err(Refusal::Conflict),
+            _ => Ok(()),
+        }
+    }
+
+    /// Makes an edit; what it did, in words.
+    pub fn edit(&mut self, operations: &[Operation]) -> Result<String, Refusal> {
+        self.check()?;
+        let name = match operations {
+            [only] => only.to_string(),
+            many => format!("{} edits", many.len()),
+        };
+        let undo = self.make(operations, name.clone())?;
+        push_bounded(&mut self.undo, undo);
+        self.redo.clear();
+        Ok(name)
+    }
+
+    /// Takes the last edit back; its name. On a conflict nothing is done and it is told.
+    pub fn undo(&mut self) -> Result<String, Refusal> {
+        self.check()?;
+        let step = self.undo.pop().ok_or(Refusal::NothingToUndo)?;
+        let name = step.name.clone();
+        let redo = self.take_step(step)?;
+        push_bounded(&mut self.redo, redo);
+        Ok(name)
+    }
+
+    /// Makes it again; its name.
+    pub fn redo(&mut self) -> Result<String, Refusal> {
+        self.check()?;
+        let step = self.redo.pop().ok_or(Refusal::NothingToRedo)?;
+        let name = step.name.clone();
+        let undo = self.take_step(step)?;
+        push_bounded(&mut self.undo, undo);
+        Ok(name)
+    }
+
+    /// Makes a step's operations on what is there now. Where somebody else changed the same value
+    /// since, theirs stands: taking back is no reason to overwrite it.
+    fn take_step(&mut self, step: Step) -> Result<Step, Refusal> {
+        match merge(&step.on, &step.operations, &self.document, Prefer::Theirs)? {
+            Merge::Rebased { operations, .. } => self.make(&operations, step.name),
+            Merge::Conflict(_) => Err(Refusal::Conflict),
+        }
+    }
+
+    /// Makes operations on the document in force; the step that takes them back.
+    fn make(&mut self, operations: &[Operation], name: String) -> Result<Step, Refusal> {
+        let mut document = self.document.clone();
+        let mut inverses = Vec::with_capacity(operations.len());
+        for operation in operations {
+            let inverse = operation.inverse(&document)?;
+            document = document.apply(operation)?;
+            inverses.push(inverse);
+        }
+        inverses.reverse();
+        self.pending.extend_from_slice(operations);
+        self.document = document.clone();
+        Ok(Step { on: document, operations: inverses, name })
+    }
+
+    /// What is to be saved now, if anything; the save counts as on its way.
+    pub fn start_saving(&mut self) -> Option<Saving> {
+        let waits = self.saving.is_some() || self.conflict.is_some();
+        if waits || self.pending.is_empty() || self.check().is_err() {
+            return None;
+        }
+        let expected = self.disk.as_ref().filter(|_| self.is_on_disk);
+        let saving = Saving {
+            expected: expected.map(|disk| disk.source().to_vec()),
+            content: self.document.source().to_vec(),
+            operations: self.pending.len(),
+        };
+        self.saving = Some(saving.clone());
+        Some(saving)
+    }
+
+    /// Takes what became of a save.
+    pub fn handle_saved(&mut self, outcome: SaveOutcome) -> Change {
+        match outcome {
+            SaveOutcome::Saved => {
+                self.saved();
+                Change::Saved
+            }
+            SaveOutcome::Changed(found) => {
+                self.saving = None;
+                self.read(FileReading::Content(found))
+            }
+            SaveOutcome::Failed(why) => {
+                self.saving = None;
+                self.problem = Some(FileProblem::NotSaved(why));
+                Change::Broken
+            }
+        }
+    }
+
+    /// What was being saved is on disk.
+    fn saved(&mut self) {
+        let Some(saving) = self.saving.take() else { return };
+        if let Ok(document) = Document::parse(&saving.content) {
+            self.disk = Some(document);
+        }
+        self.is_on_disk = true;
+        self.pending.drain(..saving.operations.min(self.pending.len()));
+        if self.problem.as_ref().is_some_and(|it| matches!(it, FileProblem::NotSaved(_))) {
+            self.problem = None;
+        }
+    }
+}
+
+fn push_bounded(steps: &mut Vec<Step>, step: Step) {
+    if steps.len() == FileState::STEPS {
+        steps.remove(0);
+    }
+    steps.push(step);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::document::EntryKey;
+
+    const FILE: &str = r#"{"devices":[{"name":"FEED","address":12,"static":true}]}"#;
+
+    fn content(text: &str) -> FileReading {
+        FileReading::Content(Some(text.as_bytes().to_vec()))
+    }
+
+    fn opened() -> FileState {
+        let mut file = FileState::new(Some("des.json".into()));
+        assert_eq!(file.read(content(FILE)), Change::First);
+        file
+    }
+
+    fn set_address(file: &FileState, to: u8) -> Operation {
+        let entry: EntryKey = file.document().key(0);
+        let from = entry.address;
+        Operation::SetAddress { entry, from, to }
+    }
+
+    fn source(file: &FileState) -> &str {
+        std::str::from_utf8(file.document().source()).unwrap()
+    }
+
+    #[test]
+    fn an_edit_is_saved_and_taken_back() {
+        let mut file = opened();
+        let name = file.edit(&[set_address(&file, 16)]).unwrap();
+        assert_eq!(name, "address of the entry FEED: 12 → 16");
+        let saving = file.start_saving().unwrap();
+        assert_eq!(saving.expected.as_deref(), Some(FILE.as_bytes()));
+        assert_eq!(saving.content, FILE.replace("12", "16").as_bytes());
+        assert_eq!(file.handle_saved(SaveOutcome::Saved), Change::Saved);
+        assert_eq!((file.unsaved(), file.start_saving()), (0, None));
+        file.undo().unwrap();
+        assert_eq!(source(&file), FILE);
+        assert_eq!(file.unsaved(), 1);
+        file.redo().unwrap();
+        assert_eq!(source(&file), FILE.replace("12", "16"));
+        assert_eq!(file.redo(), Err(Refusal::NothingToRedo));
+    }
+
+    #[test]
+    fn a_save_never_overwrites_what_others_wrote() {
+        let mut file = opened();
+        file.edit(&[set_address(&file, 16)]).unwrap();
+        file.start_saving().unwrap();
+        let theirs = FILE.replace("FEED", "FEEDX").replace("true", "true, \"note\":1");
+        let outcome = SaveOutcome::Changed(Some(theirs.clone().into_bytes()));
+        assert_eq!(file.handle_saved(outcome), Change::Rebased);
+        let saving = file.start_saving().unwrap();
+        assert_eq!(saving.expected.unwrap(), theirs.as_bytes());
+        assert_eq!(saving.content, theirs.replace("12", "16").as_bytes());
+    }
+
+    #[test]
+    fn the_same_value_is_for_a_person_to_choose() {
+        for (ours, address) in [(true, "16"), (false, "13")] {
+            let mut file = opened();
+            file.edit(&[set_address(&file, 16)]).unwrap();
+            assert_eq!(file.read(content(&FILE.replace("12", "13"))), Change::Conflict);
+            assert_eq!(file.start_saving(), None);
+            assert_eq!(file.edit(&[]), Err(Refusal::Conflict));
+            assert_eq!(file.resolve(ours), Change::Rebased);
+            assert_eq!(source(&file), FILE.replace("12", address));
+            assert_eq!(file.unsaved(), usize::from(ours));
+        }
+    }
+
+    #[test]
+    fn a_broken_file_is_never_written_and_the_last_good_content_stays() {
+        let mut file = opened();
+        assert_eq!(file.read(content("{\"devices\": [")), Change::Broken);
+        assert_eq!(source(&file), FILE);
+        assert!(matches!(file.edit(&[set_address(&file, 16)]), Err(Refusal::Broken(_))));
+        assert_eq!(file.start_saving(), None);
+        assert_eq!(file.read(content(FILE)), Change::Content);
+        assert!(file.problem().is_none());
+    }
+
+    #[test]
+    fn a_missing_file_is_begun() {
+        let mut file = FileState::new(Some("des.json".into()));
+        assert_eq!(file.read(FileReading::Content(None)), Change::First);
+        let entry = crate::document::NewEntry {
+            name: b"FEED".to_vec(),
+            address: Some(12),
+            is_static: true,
+            ..Default::default()
+        };
+        file.edit(&[Operation::Add { entry }]).unwrap();
+        assert_eq!(file.start_saving().unwrap().expected, None);
+        assert!(file.is_there());
+    }
+}

@@ -1,0 +1,226 @@
+//! What the filter line says: words and fields, all of which must fit.
+//!
+//! ```text
+//! feed            the row shows "feed" somewhere
+//! src:feed        the sender's name or address; dst: the receiver's; dev: either, or the device's
+//! srv:des         the service's name or number (srv:2, srv:0x002)
+//! type:rsp        the message type begins so; id:0201 the identifier's digits
+//! bus:can1        the bus
+//! err  ours       error frames, failed answers and malformed ones; what we sent
+//! !word           not that
+//! ```
+//!
+//! Upper and lower case make no difference.
+
+use super::App;
+use super::devices::Row;
+use super::timeline;
+use super::traffic::Decoded;
+use crate::discovery::Finding;
+use crate::frame::{Frame, FrameKind};
+
+/// A filter line, read.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Filter {
+    terms: Vec<Term>,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Term {
+    not: bool,
+    what: What,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum What {
+    Word(String),
+    Field(Field, String),
+    Error,
+    Ours,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Field {
+    Source,
+    Destination,
+    Device,
+    Service,
+    Type,
+    Id,
+    Bus,
+    State,
+}
+
+impl Filter {
+    /// Reads a filter line. Every line is one.
+    pub fn parse(text: &str) -> Self {
+        let term = |word: &str| {
+            let (not, word) = match word.strip_prefix('!') {
+                Some(rest) if !rest.is_empty() => (true, rest),
+                _ => (false, word),
+            };
+            let word = word.to_lowercase();
+            let field = word.split_once(':').and_then(|(field, value)| {
+                let field = match field {
+                    "src" | "from" => Field::Source,
+                    "dst" | "to" => Field::Destination,
+                    "dev" => Field::Device,
+                    "srv" => Field::Service,
+                    "type" => Field::Type,
+                    "id" => Field::Id,
+                    "bus" => Field::Bus,
+                    "state" => Field::State,
+                    _ => return None,
+                };
+                Some(What::Field(field, value.to_owned()))
+            });
+            let what = field.unwrap_or_else(|| match word.as_str() {
+                "err" => What::Error,
+                "ours" => What::Ours,
+                _ => What::Word(word),
+            });
+            Term { not, what }
+        };
+        Self { terms: text.split_whitespace().map(term).collect() }
+    }
+
+    /// Whether everything fits.
+    pub fn is_empty(&self) -> bool {
+        self.terms.is_empty()
+    }
+
+    fn all(&self, fits: impl Fn(&What) -> bool) -> bool {
+        self.terms.iter().all(|term| fits(&term.what) != term.not)
+    }
+
+    /// Whether a row of the Devices page fits.
+    pub fn matches_row(&self, app: &App, row: &Row) -> bool {
+        if self.is_empty() {
+            return true;
+        }
+        let name = row.name.as_ref().map(ToString::to_string).unwrap_or_default().to_lowercase();
+        let address = row.address.map(|address| address.to_string()).unwrap_or_default();
+        let bus = row.bus.and_then(|bus| app.bus(bus)).map_or("", |bus| &bus.name).to_lowercase();
+        let device = app.device_of(row);
+        let mode = device.and_then(|device| device.mode).map_or("", |mode| mode.name());
+        let services = device.and_then(|device| device.services.as_deref()).unwrap_or_default();
+        let service = |word: &str| {
+            let is_it = |name: &crate::text::Name| has(&name.to_string(), word);
+            services.iter().any(|service| is_it(&service.name))
+        };
+        self.all(|what| match what {
+            What::Word(word) => {
+                name.contains(word)
+                    || address == *word
+                    || row.state.word().eq_ignore_ascii_case(word)
+                    || mode.eq_ignore_ascii_case(word)
+                    || bus == *word
+                    || service(word)
+                    || (word == "new" && row.file == super::FileWord::New)
+                    || (word == "twin" && row.twin)
+            }
+            What::Field(Field::Source | Field::Destination | Field::Device, value) => {
+                name.contains(value) || address == *value
+            }
+            What::Field(Field::Service, value) => service(value),
+            What::Field(Field::Bus, value) => bus.contains(value),
+            What::Field(Field::State, value) => has(row.state.word(), value),
+            What::Field(Field::Type | Field::Id, _) | What::Ours => false,
+            What::Error => row.state == super::State::Clash || row.suspected,
+        })
+    }
+
+    /// Whether a line of the timeline fits.
+    pub fn matches_entry(&self, app: &App, entry: &timeline::Entry) -> bool {
+        let name = || entry.name.as_ref().map(ToString::to_string).unwrap_or_default();
+        let address = || entry.address.map(|address| address.to_string()).unwrap_or_default();
+        let bus = || entry.bus.and_then(|bus| app.bus(bus)).map_or("", |bus| &bus.name);
+        self.all(|what| match what {
+            What::Word(word) => has(&entry.text, word) || has(&name(), word) || address() == *word,
+            What::Field(Field::Bus, value) => has(bus(), value),
+            What::Field(_, value) => has(&name(), value) || address() == *value,
+            What::Error => matches!(entry.kind, timeline::Kind::Confirmed | timeline::Kind::Error),
+            What::Ours => entry.kind == timeline::Kind::File,
+        })
+    }
+
+    /// Whether a problem fits.
+    pub fn matches_finding(&self, app: &App, finding: &Finding) -> bool {
+        let bus = || finding.key.bus.and_then(|bus| app.bus(bus)).map_or("", |bus| &bus.name);
+        let named = |word: &str| {
+            finding.names.iter().any(|name| has(&name.to_string(), word))
+                || finding.addresses.iter().any(|address| address.to_string() == word)
+        };
+        self.all(|what| match what {
+            What::Word(word) => {
+                has(&finding.text, word)
+                    || has(finding.key.kind.name(), word)
+                    || has(finding.confidence.name(), word)
+                    || named(word)
+            }
+            What::Field(Field::Bus, value) => has(bus(), value),
+            What::Field(_, value) => named(value),
+            What::Error | What::Ours => false,
+        })
+    }
+
+    /// Whether a frame fits.
+    pub fn matches_frame(&self, app: &App, frame: &Frame) -> bool {
+        if self.is_empty() {
+            return true;
+        }
+        let decoded = Decoded::of(app, frame);
+        self.all(|what| match what {
+            What::Word(word) => {
+                has(&decoded.text, word)
+                    || has(&decoded.source, word)
+                    || has(&decoded.destination, word)
+                    || has(&decoded.service, word)
+                    || has(decoded.kind, word)
+            }
+            What::Field(Field::Source, value) => decoded.is_source(value),
+            What::Field(Field::Destination, value) => decoded.is_destination(value),
+            What::Field(Field::Device, value) => {
+                decoded.is_source(value) || decoded.is_destination(value)
+            }
+            What::Field(Field::Service, value) => decoded.is_service(value),
+            What::Field(Field::Type, value) => starts(decoded.kind, value),
+            What::Field(Field::Id, value) => has(&frame.id.to_string(), value),
+            What::Field(Field::Bus, value) => {
+                app.bus(frame.bus).is_some_and(|bus| has(&bus.name, value))
+            }
+            What::Field(Field::State, _) => false,
+            What::Error => decoded.is_error || frame.kind == FrameKind::Error,
+            What::Ours => frame.ours,
+        })
+    }
+}
+
+/// Whether `text` has `word` (which is in lower case) in it.
+fn has(text: &str, word: &str) -> bool {
+    text.to_lowercase().contains(word)
+}
+
+fn starts(text: &str, word: &str) -> bool {
+    text.to_lowercase().starts_with(word)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_line_is_a_filter() {
+        let terms = |text| Filter::parse(text).terms;
+        assert!(Filter::parse("  ").is_empty());
+        assert_eq!(
+            terms("src:FEED !err x:y"),
+            [
+                Term { not: false, what: What::Field(Field::Source, "feed".to_owned()) },
+                Term { not: true, what: What::Error },
+                Term { not: false, what: What::Word("x:y".to_owned()) },
+            ]
+        );
+        assert_eq!(terms("!")[0].what, What::Word("!".to_owned()));
+    }
+}

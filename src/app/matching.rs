@@ -1,0 +1,105 @@
+//! Which entry of des.json is which device.
+//!
+//! By UID, then by name and address, then the only device of its name that no other entry
+//! matches; devices that are there before devices that are lost. An entry without a bus may
+//! match a device on every bus. Does not judge what differs.
+
+use super::buses::Bus;
+use crate::discovery::{Device, DeviceId};
+use crate::document::Entry;
+use crate::frame::BusIndex;
+use std::collections::BTreeMap;
+
+/// Which belongs to which.
+#[derive(Debug, Default)]
+pub struct Matching {
+    entry_of: BTreeMap<DeviceId, usize>,
+    devices_of: Vec<Vec<DeviceId>>,
+}
+
+impl Matching {
+    /// Compares entries and devices.
+    pub fn new(entries: &[Entry], buses: &[Bus]) -> Self {
+        let mut matching =
+            Self { entry_of: BTreeMap::new(), devices_of: vec![Vec::new(); entries.len()] };
+        for (index, bus) in buses.iter().enumerate() {
+            let index = BusIndex(index as u8);
+            let entries: Vec<&Entry> =
+                entries.iter().filter(|entry| is_for(entry, &bus.name)).collect();
+            let mut open = Open { entries, matching: &mut matching, bus: index };
+            for here in [true, false] {
+                let devices = || bus.engine.devices().iter().filter(|it| it.is_here() == here);
+                let alphabet = &bus.engine.config().profile.uid;
+                open.pair(devices, |entry, device| {
+                    let listed = entry.uid.as_deref().map_or("", str::trim);
+                    let own = device.uid.filter(|uid| !uid.is_blank());
+                    !listed.is_empty() && own.is_some_and(|uid| uid.text(alphabet) == listed)
+                });
+                open.pair(devices, |entry, device| {
+                    device.is_named(&entry.name) && entry.address == Some(device.address.number())
+                });
+                open.pair_only_ones(devices);
+            }
+        }
+        matching
+    }
+
+    /// The place of the device's entry.
+    pub fn entry_of(&self, device: DeviceId) -> Option<usize> {
+        self.entry_of.get(&device).copied()
+    }
+
+    /// The devices of the entry at this place, at most one on each bus.
+    pub fn devices_of(&self, entry: usize) -> &[DeviceId] {
+        self.devices_of.get(entry).map_or(&[], Vec::as_slice)
+    }
+}
+
+/// Whether an entry speaks of a bus of that name.
+pub fn is_for(entry: &Entry, bus: &str) -> bool {
+    entry.bus.as_deref().is_none_or(|named| named == bus)
+}
+
+/// What is not matched yet on one bus.
+struct Open<'e, 'm> {
+    entries: Vec<&'e Entry>,
+    matching: &'m mut Matching,
+    bus: BusIndex,
+}
+
+impl Open<'_, '_> {
+    fn pair<'d, D: Iterator<Item = &'d Device>>(
+        &mut self,
+        devices: impl Fn() -> D,
+        same: impl Fn(&Entry, &Device) -> bool,
+    ) {
+        for entry in std::mem::take(&mut self.entries) {
+            let mut open = devices().filter(|device| self.is_open(device));
+            match open.find(|device| same(entry, device)) {
+                Some(device) => self.add(entry.index, device.id),
+                None => self.entries.push(entry),
+            }
+        }
+    }
+
+    fn pair_only_ones<'d, D: Iterator<Item = &'d Device>>(&mut self, devices: impl Fn() -> D) {
+        for entry in std::mem::take(&mut self.entries) {
+            let mut open = devices()
+                .filter(|device| self.is_open(device) && device.is_named(&entry.name))
+                .map(|device| device.id);
+            match (open.next(), open.next()) {
+                (Some(only), None) => self.add(entry.index, only),
+                _ => self.entries.push(entry),
+            }
+        }
+    }
+
+    fn is_open(&self, device: &Device) -> bool {
+        device.id.bus == self.bus && !self.matching.entry_of.contains_key(&device.id)
+    }
+
+    fn add(&mut self, entry: usize, device: DeviceId) {
+        self.matching.entry_of.insert(device, entry);
+        self.matching.devices_of[entry].push(device);
+    }
+}

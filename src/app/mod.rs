@@ -1,0 +1,530 @@
+//! All state of the program: the engines, des.json, the capture, the timeline, and what the user
+//! looks at. A state machine without I/O and without a clock, with four families of methods:
+//!
+//! * `handle_*`: frames, time, keys, file contents, the words of adapters: with the commands (that
+//!   keys run) the only things that change it;
+//! * commands: what the actions of [`crate::keymap`] do;
+//! * `poll_transmit`, `poll_effect`: what is to be done outside;
+//! * `poll_timeout`: when [`App::handle_timeout`] is to be called at the latest.
+//!
+//! Call one that changes it, drain the polls, draw if it is dirty. It does not know how it is
+//! drawn, where frames come from, or how files are kept.
+//!
+//! ```text
+//! buses     engine, adapter's words and meter of each bus
+//! capture   the frames of the last while; statistics per identifier
+//! timeline  what happened, in lines          events   from the engines' events to those lines
+//! matching  which entry is which device      devices  the rows of the Devices page
+//! file      des.json, edits, undo            edits    the commands that edit it
+//! problems  findings                         why      why a device is missing
+//! traffic   frames in words                  filter   the filter line
+//! view      page, selection, scroll          screen   where the regions are
+//! prompt    lines being typed                navigate the commands that only look
+//! ```
+
+mod buses;
+mod capture;
+mod devices;
+mod edits;
+mod events;
+mod file;
+mod filter;
+mod matching;
+mod navigate;
+mod problems;
+mod prompt;
+mod screen;
+mod timeline;
+mod traffic;
+mod view;
+mod why;
+
+pub use buses::{Bus, Meter, Second};
+pub use capture::{Capture, IdentifierKey, IdentifierStats, Kind as IdentifierKind};
+pub use devices::{Counts, FileWord, Row, RowKey, SortBy, State, concerns};
+pub use events::Happening;
+pub use file::{Change, FileProblem, FileReading, FileState, Refusal, SaveOutcome};
+pub use filter::Filter;
+pub use matching::Matching;
+pub use navigate::{Mouse, MouseKind};
+pub use problems::{Scope, same_services};
+pub use prompt::{Prompt, PromptKind, Verdict};
+pub use screen::{SPLIT_WIDTH, Screen, tabs};
+pub use timeline::{Entry as TimelineEntry, Kind as TimelineKind, Timeline};
+pub use traffic::{Decoded, clock, clock_millis};
+pub use view::{Cursor, Focus, Frozen, Page, View};
+pub use why::spell;
+
+use crate::bus::BusStatus;
+use crate::discovery::{Config, DeviceId, Finding, OwnAddress};
+use crate::frame::{BusIndex, Frame};
+use crate::keymap::{Key, Keymap, Mode};
+use crate::time::{Duration, Epoch, Instant};
+use crate::wire::id::Address;
+use std::collections::VecDeque;
+use std::path::PathBuf;
+
+/// What the program was started with.
+#[derive(Clone, Debug, Default)]
+pub struct AppOptions {
+    /// Which Unix time [`Instant::ZERO`] was.
+    pub epoch: Epoch,
+    /// How far the wall clock is ahead of UTC.
+    pub utc_offset_seconds: i32,
+    /// The buses, with their names and the settings of their engines.
+    pub buses: Vec<(String, Config)>,
+    /// Where des.json is, or will be.
+    pub file_path: Option<PathBuf>,
+    /// Which key does what.
+    pub keymap: Keymap,
+    /// The theme's name.
+    pub theme: String,
+    /// The themes to choose from.
+    pub themes: Vec<String>,
+    /// Keep happenings for [`App::poll_happening`].
+    pub report: bool,
+}
+
+/// What is to be done outside.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Effect {
+    /// Write des.json, if what is on disk is what is expected; then call [`App::handle_saved`].
+    Save {
+        /// What is to be on disk; `None`: no file.
+        expected: Option<Vec<u8>>,
+        /// What is to be there afterwards.
+        content: Vec<u8>,
+    },
+    /// Write a new file; then call [`App::handle_written`].
+    WriteFile {
+        /// Where.
+        path: PathBuf,
+        /// What.
+        bytes: Vec<u8>,
+    },
+    /// Put text into the user's clipboard.
+    Copy(String),
+    /// Draw with this theme from now on; then call [`App::handle_theme`].
+    UseTheme(String),
+    /// Ring.
+    Bell,
+    /// Draw everything anew.
+    Redraw,
+    /// Stop until the shell continues us.
+    Suspend,
+    /// End.
+    Quit,
+}
+
+/// A word to the user, shown in the last line for a while.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Message {
+    /// What.
+    pub text: String,
+    /// It says that something did not work.
+    pub is_error: bool,
+    until: Instant,
+}
+
+/// A question that waits for yes or no.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Question {
+    /// Quit although edits are not saved?
+    Quit,
+    /// Delete this entry?
+    Delete(crate::document::EntryKey),
+    /// Send the identify command to this device?
+    Identify(DeviceId),
+}
+
+/// What is open over the page.
+#[derive(Clone, Debug, Default)]
+pub enum Overlay {
+    /// Nothing.
+    #[default]
+    None,
+    /// The help, scrolled by so many lines.
+    Help(u16),
+    /// A question.
+    Question(Question),
+    /// A line being typed.
+    Prompt(Prompt),
+    /// The two values of a conflict.
+    Conflict,
+}
+
+/// All state of the program. See the module's documentation.
+#[derive(Debug)]
+pub struct App {
+    /// The latest moment that was told.
+    now: Instant,
+    started: Instant,
+    epoch: Epoch,
+    utc_offset_seconds: i32,
+    buses: Vec<Bus>,
+    file: FileState,
+    capture: Capture,
+    timeline: Timeline,
+    matching: Matching,
+    file_findings: Vec<Finding>,
+    rows: Vec<Row>,
+    counts: Counts,
+    view: View,
+    overlay: Overlay,
+    message: Option<Message>,
+    keymap: Keymap,
+    theme: String,
+    themes: Vec<String>,
+    outbox: VecDeque<Frame>,
+    effects: VecDeque<Effect>,
+    report: bool,
+    happenings: VecDeque<Happening>,
+    /// Something on the screen changed.
+    dirty: bool,
+    /// Something changed that need not be seen at once; when it is to be seen.
+    dirty_at: Option<Instant>,
+    last_calm_draw: Instant,
+    /// The next whole second, at which ages and rates change.
+    next_second: Instant,
+}
+
+/// What the bus changes is drawn at most this often, however much the devices chatter.
+const CALM: Duration = Duration::from_millis(250);
+const MESSAGE_FOR: Duration = Duration::from_secs(6);
+const SECOND: Duration = Duration::from_secs(1);
+
+impl App {
+    /// The program at its start.
+    pub fn new(now: Instant, options: AppOptions) -> Self {
+        let buses = options.buses.into_iter().enumerate().map(|(index, (name, config))| {
+            let bus = BusIndex(index as u8);
+            Bus::new(now, name, Config { bus, ..config })
+        });
+        Self {
+            now,
+            started: now,
+            epoch: options.epoch,
+            utc_offset_seconds: options.utc_offset_seconds,
+            buses: buses.collect(),
+            file: FileState::new(options.file_path),
+            capture: Capture::new(),
+            timeline: Timeline::default(),
+            matching: Matching::default(),
+            file_findings: Vec::new(),
+            rows: Vec::new(),
+            counts: Counts::default(),
+            view: View { size: (80, 24), ..View::default() },
+            overlay: Overlay::None,
+            message: None,
+            keymap: options.keymap,
+            theme: options.theme,
+            themes: options.themes,
+            outbox: VecDeque::new(),
+            effects: VecDeque::new(),
+            report: options.report,
+            happenings: VecDeque::new(),
+            dirty: true,
+            dirty_at: None,
+            last_calm_draw: now,
+            next_second: whole_second_after(now),
+        }
+    }
+
+    // ---- handle_*: what comes from outside ------------------------------------------------
+
+    /// Takes frames, each dated by its own time.
+    pub fn handle_frames(&mut self, now: Instant, frames: &[Frame]) {
+        self.now = self.now.max(now);
+        for frame in frames {
+            let Some(bus) = self.buses.get_mut(usize::from(frame.bus.0)) else { continue };
+            bus.engine.handle_frame(frame);
+            let (bitrate, data_bitrate) = (bus.bits_per_second(), bus.status.data_bitrate);
+            bus.meter.add(frame, bitrate, data_bitrate);
+            self.capture.push(frame);
+        }
+        if !frames.is_empty() && self.view.page == Page::Traffic && self.view.frozen.is_none() {
+            self.dirty_soon();
+        }
+        self.take_events();
+    }
+
+    /// Does what is due at `now`.
+    pub fn handle_timeout(&mut self, now: Instant) {
+        self.now = self.now.max(now);
+        for bus in &mut self.buses {
+            if bus.engine.poll_timeout().is_some_and(|at| at <= now) {
+                bus.engine.handle_timeout(now);
+            }
+        }
+        self.take_events();
+        if self.next_second <= now {
+            self.next_second = whole_second_after(now);
+            self.tick();
+        }
+        if self.message.as_ref().is_some_and(|message| message.until <= now) {
+            self.message = None;
+            self.dirty = true;
+        }
+        if self.dirty_at.is_some_and(|at| at <= now) {
+            self.dirty = true;
+        }
+    }
+
+    /// Takes a key: a prompt's, or an action's.
+    pub fn handle_key(&mut self, now: Instant, key: Key) {
+        self.now = self.now.max(now);
+        self.dirty = true;
+        if self.message.take().is_none_or(|message| !message.is_error) {
+            self.message = None;
+        }
+        if matches!(self.overlay, Overlay::Prompt(_)) {
+            self.type_key(now, key);
+        } else if let Some(action) = self.keymap.lookup(self.mode(), key) {
+            (action.run)(self, now);
+        }
+    }
+
+    /// Takes text that was pasted: into the line being typed, nowhere else.
+    pub fn handle_paste(&mut self, now: Instant, text: &str) {
+        self.now = self.now.max(now);
+        self.paste(text);
+    }
+
+    /// Takes the size of the screen.
+    pub fn handle_resize(&mut self, columns: u16, rows: u16) {
+        self.view.size = (columns, rows);
+        self.dirty = true;
+        self.refresh_rows();
+    }
+
+    /// Takes what was found at des.json's path.
+    pub fn handle_file(&mut self, now: Instant, reading: FileReading) {
+        self.now = self.now.max(now);
+        let change = self.file.read(reading);
+        self.file_changed(change);
+    }
+
+    /// Takes what became of an [`Effect::Save`].
+    pub fn handle_saved(&mut self, now: Instant, outcome: SaveOutcome) {
+        self.now = self.now.max(now);
+        let change = self.file.handle_saved(outcome);
+        self.file_changed(change);
+    }
+
+    /// Takes what became of an [`Effect::WriteFile`].
+    pub fn handle_written(
+        &mut self,
+        now: Instant,
+        path: &std::path::Path,
+        result: Result<(), String>,
+    ) {
+        self.now = self.now.max(now);
+        let path = crate::text::printable(path.as_os_str().as_encoded_bytes());
+        match result {
+            Ok(()) => self.say(format!("written: {path}")),
+            Err(why) => self.complain(format!("{path}: {why}")),
+        }
+    }
+
+    /// Takes what became of an [`Effect::UseTheme`].
+    pub fn handle_theme(&mut self, now: Instant, result: Result<(), String>) {
+        self.now = self.now.max(now);
+        match result {
+            Ok(()) => self.dirty = true,
+            Err(why) => self.complain(format!("theme {}: {why}", self.theme)),
+        }
+    }
+
+    /// Takes what an adapter says of its bus.
+    pub fn handle_bus(&mut self, now: Instant, index: BusIndex, status: BusStatus) {
+        self.now = self.now.max(now);
+        self.bus_changed(index, status);
+    }
+
+    // ---- poll_*: what is to be done outside, and when -------------------------------------
+
+    /// The next frame to send; `frame.bus` says where.
+    pub fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
+        if let Some(frame) = self.outbox.pop_front() {
+            return Some(frame);
+        }
+        self.buses.iter_mut().enumerate().find_map(|(index, bus)| {
+            bus.engine.poll_transmit(now).map(|frame| frame.on(BusIndex(index as u8)))
+        })
+    }
+
+    /// The next thing to be done.
+    pub fn poll_effect(&mut self) -> Option<Effect> {
+        self.effects.pop_front()
+    }
+
+    /// The next thing that happened, where [`AppOptions::report`] is set.
+    pub fn poll_happening(&mut self) -> Option<Happening> {
+        self.happenings.pop_front()
+    }
+
+    /// When [`App::handle_timeout`] is to be called at the latest.
+    pub fn poll_timeout(&self) -> Option<Instant> {
+        let engines = self.buses.iter().filter_map(|bus| bus.engine.poll_timeout());
+        let message = self.message.as_ref().map(|message| message.until);
+        let calm = self.dirty_at.filter(|_| !self.dirty);
+        let second = (!self.is_at_rest()).then_some(self.next_second);
+        engines.chain(message).chain(calm).chain(second).min()
+    }
+
+    /// Whether the screen is not what it should be.
+    pub fn is_dirty(&self) -> bool {
+        self.dirty
+    }
+
+    /// The same; afterwards it is as if drawn.
+    pub fn take_dirty(&mut self) -> bool {
+        let dirty = std::mem::take(&mut self.dirty);
+        if dirty {
+            self.dirty_at = None;
+            self.last_calm_draw = self.now;
+        }
+        dirty
+    }
+
+    // ---- what it is ------------------------------------------------------------------------
+
+    /// The latest moment that was told.
+    pub fn now(&self) -> Instant {
+        self.now
+    }
+
+    /// Which Unix time the start was.
+    pub fn epoch(&self) -> Epoch {
+        self.epoch
+    }
+
+    /// Seconds since midnight 1970 on the wall clock.
+    pub fn wall_seconds(&self, at: Instant) -> u64 {
+        (self.epoch.unix_micros(at) / 1_000_000)
+            .saturating_add_signed(i64::from(self.utc_offset_seconds))
+    }
+
+    /// The buses.
+    pub fn buses(&self) -> &[Bus] {
+        &self.buses
+    }
+
+    /// des.json.
+    pub fn file(&self) -> &FileState {
+        &self.file
+    }
+
+    /// The captured frames.
+    pub fn capture(&self) -> &Capture {
+        &self.capture
+    }
+
+    /// What happened.
+    pub fn timeline(&self) -> &Timeline {
+        &self.timeline
+    }
+
+    /// Which entry is which device.
+    pub fn matching(&self) -> &Matching {
+        &self.matching
+    }
+
+    /// What the user looks at.
+    pub fn view(&self) -> &View {
+        &self.view
+    }
+
+    /// What is open over the page.
+    pub fn overlay(&self) -> &Overlay {
+        &self.overlay
+    }
+
+    /// The word to the user.
+    pub fn message(&self) -> Option<&Message> {
+        self.message.as_ref()
+    }
+
+    /// Which key does what.
+    pub fn keymap(&self) -> &Keymap {
+        &self.keymap
+    }
+
+    /// The theme's name.
+    pub fn theme(&self) -> &str {
+        &self.theme
+    }
+
+    /// Where the regions of the screen are.
+    pub fn screen(&self) -> Screen {
+        Screen::new(&self.view, self.buses.len())
+    }
+
+    /// What keys mean at the moment; lines being typed take them before.
+    pub fn mode(&self) -> Mode {
+        match self.overlay {
+            Overlay::None | Overlay::Prompt(_) => Mode::Browse,
+            Overlay::Help(_) => Mode::Help,
+            Overlay::Question(_) => Mode::Confirm,
+            Overlay::Conflict => Mode::Conflict,
+        }
+    }
+
+    /// Whether an address on a bus is ours.
+    pub fn is_own_address(&self, bus: BusIndex, address: Address) -> bool {
+        let own = self.bus(bus).map(|bus| bus.engine.own_address());
+        own == Some(OwnAddress::Held(address))
+    }
+
+    // ---- what all parts need ---------------------------------------------------------------
+
+    fn say(&mut self, text: impl Into<String>) {
+        let until = self.now + MESSAGE_FOR;
+        self.message = Some(Message { text: text.into(), is_error: false, until });
+        self.dirty = true;
+    }
+
+    fn complain(&mut self, text: impl Into<String>) {
+        self.say(text);
+        if let Some(message) = &mut self.message {
+            message.is_error = true;
+        }
+    }
+
+    /// The bus changed something: to be seen soon, but not at the bus's pace.
+    fn dirty_soon(&mut self) {
+        if self.dirty_at.is_none() {
+            self.dirty_at = Some((self.last_calm_draw + CALM).max(self.now));
+        }
+    }
+
+    /// Nothing on the screen counts seconds.
+    fn is_at_rest(&self) -> bool {
+        let quiet = |bus: &Bus| bus.meter.is_idle() && bus.engine.devices().is_empty();
+        let waits = (0..self.buses.len()).any(|at| !self.has_looked(BusIndex(at as u8)));
+        self.buses.iter().all(quiet) && !(waits && self.file.is_there())
+    }
+
+    /// A second is over: rates and ages change.
+    fn tick(&mut self) {
+        let at_rest = self.is_at_rest();
+        for bus in &mut self.buses {
+            bus.meter.advance(self.now);
+        }
+        self.capture.tick();
+        if !at_rest {
+            self.refresh();
+            self.dirty = true;
+        }
+    }
+
+    /// Compares bus and file anew.
+    fn refresh(&mut self) {
+        self.refresh_problems(self.now);
+        self.refresh_rows();
+    }
+}
+
+fn whole_second_after(now: Instant) -> Instant {
+    Instant::from_micros(now.as_micros() / 1_000_000 * 1_000_000) + SECOND
+}

@@ -1,0 +1,449 @@
+//! The commands that only look: pages, rows, details, freezing, the mouse.
+
+use super::capture::{IdentifierKey, IdentifierStats};
+use super::prompt::PromptKind;
+use super::view::{Focus, Frozen, Page};
+use super::{App, Effect, Filter, Overlay, RowKey, tabs};
+use crate::discovery::FindingKey;
+use crate::time::Instant;
+use ratatui::layout::{Position, Rect};
+
+/// What the mouse did, and where.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Mouse {
+    /// What.
+    pub kind: MouseKind,
+    /// From 0.
+    pub column: u16,
+    /// From 0.
+    pub row: u16,
+}
+
+/// What the mouse did.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MouseKind {
+    /// The first button was pressed.
+    Press,
+    /// The wheel was turned, up.
+    WheelUp,
+    /// The wheel was turned, down.
+    WheelDown,
+}
+
+/// How many rows a notch of the wheel is.
+const NOTCH: isize = 3;
+
+impl App {
+    /// Takes what the mouse did.
+    pub fn handle_mouse(&mut self, now: Instant, mouse: Mouse) {
+        self.now = self.now.max(now);
+        let delta = match mouse.kind {
+            MouseKind::Press => return self.press(mouse),
+            MouseKind::WheelUp => -NOTCH,
+            MouseKind::WheelDown => NOTCH,
+        };
+        self.dirty = true;
+        match self.overlay {
+            Overlay::None if self.is_in(self.screen().details, mouse) => self.scroll_details(delta),
+            Overlay::None => self.move_list(delta),
+            Overlay::Help(_) => self.scroll_help(delta as i16),
+            _ => {}
+        }
+    }
+
+    #[allow(clippy::unused_self)]
+    fn is_in(&self, area: Rect, mouse: Mouse) -> bool {
+        area.contains(Position::new(mouse.column, mouse.row))
+    }
+
+    fn press(&mut self, mouse: Mouse) {
+        if !matches!(self.overlay, Overlay::None) {
+            return;
+        }
+        self.dirty = true;
+        let screen = self.screen();
+        if mouse.row == screen.tabs.y && screen.tabs.height > 0 {
+            let open = self.open_problems();
+            let hit = tabs(screen.whole.width, open).into_iter().find(|(_, start, text)| {
+                (*start..start + text.len() as u16).contains(&mouse.column)
+            });
+            if let Some((page, ..)) = hit {
+                self.show_page(page);
+            }
+        } else if self.is_in(screen.list, mouse) {
+            self.view.focus = Focus::List;
+            self.click_row(usize::from(mouse.row - screen.list.y));
+        } else if self.is_in(screen.details, mouse) {
+            self.view.focus = Focus::Details;
+        } else if self.is_in(screen.latest, mouse) {
+            self.show_page(Page::Timeline);
+        }
+    }
+
+    fn click_row(&mut self, line: usize) {
+        let height = self.screen().list_rows();
+        self.view.details_scroll = 0;
+        match self.view.page {
+            Page::Devices => {
+                let keys = self.row_keys();
+                self.view.devices.click(&keys, line, height);
+            }
+            Page::Problems => {
+                let keys = self.problem_keys();
+                self.view.problems.click(&keys, line, height);
+            }
+            Page::Timeline => {
+                let keys = self.lines_shown();
+                self.hold_timeline(&keys, height);
+                self.view.timeline.click(&keys, line, height);
+            }
+            Page::Traffic if self.view.by_identifier => {
+                let keys = self.identifier_keys();
+                self.view.identifiers.click(&keys, line, height);
+            }
+            Page::Traffic => {
+                let (shown, _) = self.frames_shown(height);
+                if let Some(&number) = shown.get(line) {
+                    (self.view.traffic, self.view.traffic_line) = (Some(number), line);
+                }
+            }
+        }
+    }
+
+    /// Command: up or down by rows.
+    pub fn move_by(&mut self, delta: isize) {
+        if self.view.focus == Focus::Details && self.screen().details.height > 0 {
+            self.scroll_details(delta);
+        } else {
+            self.move_list(delta);
+        }
+    }
+
+    /// Command: up or down by screenfuls.
+    pub fn move_pages(&mut self, pages: isize) {
+        let screen = self.screen();
+        let height = screen.list_rows().max(usize::from(screen.details.height));
+        self.move_by(pages * height.saturating_sub(1).max(1) as isize);
+    }
+
+    /// Command: to the first or to the last row.
+    pub fn move_to_end(&mut self, last: bool) {
+        if last && self.view.focus == Focus::List {
+            match self.view.page {
+                Page::Timeline => return self.view.timeline.release(),
+                Page::Traffic if !self.view.by_identifier => {
+                    self.view.traffic = None;
+                    return;
+                }
+                _ => {}
+            }
+        }
+        if !last && self.view.page == Page::Traffic && !self.view.by_identifier {
+            let first = self.frames_from(0).next();
+            self.view.traffic = first;
+            self.view.traffic_line = 0;
+            return;
+        }
+        self.move_by(if last { isize::MAX / 2 } else { isize::MIN / 2 });
+    }
+
+    fn scroll_details(&mut self, delta: isize) {
+        let scroll = usize::from(self.view.details_scroll).saturating_add_signed(delta);
+        // Where the text ends is only known when it is drawn; drawing does not go past it.
+        self.view.details_scroll = u16::try_from(scroll).unwrap_or(u16::MAX).min(999);
+    }
+
+    fn move_list(&mut self, delta: isize) {
+        let height = self.screen().list_rows();
+        self.view.details_scroll = 0;
+        match self.view.page {
+            Page::Devices => {
+                let keys = self.row_keys();
+                self.view.devices.move_by(&keys, delta, height);
+            }
+            Page::Problems => {
+                let keys = self.problem_keys();
+                self.view.problems.move_by(&keys, delta, height);
+            }
+            Page::Timeline => {
+                let keys = self.lines_shown();
+                self.hold_timeline(&keys, height);
+                self.view.timeline.move_by(&keys, delta, height);
+                if delta > 0 && self.view.timeline.selected() == keys.last() {
+                    self.view.timeline.release();
+                }
+            }
+            Page::Traffic if self.view.by_identifier => {
+                let keys = self.identifier_keys();
+                self.view.identifiers.settle(&keys, height);
+                self.view.identifiers.move_by(&keys, delta, height);
+            }
+            Page::Traffic => self.move_in_traffic(delta, height),
+        }
+    }
+
+    /// The timeline follows until something is selected: that begins at its newest line.
+    fn hold_timeline(&mut self, keys: &[u64], height: usize) {
+        if self.view.timeline.selected().is_none() {
+            self.view.timeline.move_to(keys, keys.len(), height);
+            let line = keys.len().min(height).saturating_sub(1);
+            self.view.timeline.click(keys, line, height);
+        }
+    }
+
+    fn move_in_traffic(&mut self, delta: isize, height: usize) {
+        let bottom = height.saturating_sub(1);
+        let (shown, selected) = self.frames_shown(height);
+        let (from, line) = match selected {
+            Some(selected) => {
+                (selected, shown.iter().position(|&number| number == selected).unwrap_or(0))
+            }
+            None => match shown.last() {
+                Some(&newest) => (newest, shown.len() - 1),
+                None => return,
+            },
+        };
+        let steps = delta.unsigned_abs();
+        let to = if delta > 0 {
+            self.frames_from(from + 1).take(steps).last()
+        } else {
+            self.frames_before(from).take(steps).last()
+        };
+        let Some(to) = to else {
+            self.view.traffic = (delta < 0).then_some(from);
+            return;
+        };
+        self.view.traffic = Some(to);
+        self.view.traffic_line = line.saturating_add_signed(delta).min(bottom);
+    }
+
+    /// Command: another page.
+    pub fn show_page(&mut self, page: Page) {
+        self.view.page = page;
+        self.view.focus = Focus::List;
+        self.view.details_scroll = 0;
+        self.dirty = true;
+    }
+
+    /// Command: the next page or the one before.
+    pub fn turn_page(&mut self, by: isize) {
+        let at = (self.view.page as isize + by).rem_euclid(Page::ALL.len() as isize);
+        self.show_page(Page::ALL[at as usize]);
+    }
+
+    /// Command: opens the details; in the timeline, goes to the frames of that moment.
+    pub fn open_details(&mut self) {
+        match self.view.page {
+            Page::Timeline => self.go_to_frames(),
+            Page::Traffic if self.view.by_identifier => {}
+            Page::Traffic => {
+                self.view.frame_details = !self.view.frame_details;
+                self.view.focus =
+                    if self.view.frame_details { Focus::Details } else { Focus::List };
+                if self.view.traffic.is_none() {
+                    let newest = self.frames_before(self.traffic_end()).next();
+                    self.view.traffic = newest;
+                    self.view.traffic_line = usize::MAX / 2;
+                }
+            }
+            Page::Devices | Page::Problems => {
+                let open = self.view.focus == Focus::List;
+                self.focus_details(open);
+            }
+        }
+    }
+
+    /// Command: the keys to the details, or back to the list.
+    pub fn focus_details(&mut self, details: bool) {
+        let has = match self.view.page {
+            Page::Devices | Page::Problems => true,
+            Page::Traffic => self.view.frame_details && !self.view.by_identifier,
+            Page::Timeline => false,
+        };
+        if !details && self.view.page == Page::Traffic {
+            self.view.frame_details = false;
+        }
+        self.view.focus = if details && has { Focus::Details } else { Focus::List };
+        self.view.details_scroll = 0;
+    }
+
+    fn go_to_frames(&mut self) {
+        let lines = self.lines_shown();
+        let selected = self.view.timeline.selected().or(lines.last());
+        let Some(line) = selected.and_then(|&number| self.timeline.get(number)) else { return };
+        let time = line.time;
+        let number = self.capture.at_time(time);
+        if self.capture.get(number).is_none()
+            || self.capture.get(self.capture.first()).is_some_and(|first| first.time > time)
+        {
+            return self.complain("the frames of that moment are not kept any more");
+        }
+        self.show_page(Page::Traffic);
+        self.view.by_identifier = false;
+        self.view.set_filter(Page::Traffic, String::new());
+        self.view.traffic = Some(number);
+        self.view.traffic_line = self.screen().list_rows() / 2;
+    }
+
+    /// Command: sorts the rows by the next column.
+    pub fn sort_by_next(&mut self) {
+        match self.view.page {
+            Page::Devices => {
+                self.view.sort = self.view.sort.next();
+                self.refresh_rows();
+                self.say(format!("sorted {}", self.view.sort.describe()));
+            }
+            _ => self.complain("only devices are sorted"),
+        }
+    }
+
+    /// Command: holds the page still, or lets it go on.
+    pub fn toggle_freeze(&mut self, _now: Instant) {
+        self.view.frozen = match self.view.frozen {
+            Some(_) => None,
+            None => Some(Frozen { frames: self.capture.end(), lines: self.timeline.end() }),
+        };
+        self.refresh_rows();
+        self.say(match self.view.frozen {
+            Some(_) => "held; nothing is lost meanwhile",
+            None => "going on",
+        });
+    }
+
+    /// Command: traffic as frames, or as a row per identifier.
+    pub fn toggle_identifiers(&mut self) {
+        if self.view.page == Page::Traffic {
+            self.view.by_identifier = !self.view.by_identifier;
+            let (keys, height) = (self.identifier_keys(), self.screen().list_rows());
+            self.view.identifiers.settle(&keys, height);
+        } else {
+            self.complain("the view by identifier is on the page Traffic");
+        }
+    }
+
+    /// Command: asks for the filter of this page.
+    pub fn ask_filter(&mut self) {
+        let page = self.view.page;
+        let before = self.view.filter(page).to_owned();
+        self.open_prompt(PromptKind::Filter(page, before.clone()), before);
+    }
+
+    /// Command: leaves what is open; else the details; else takes the filter away.
+    pub fn cancel(&mut self) {
+        let page = self.view.page;
+        if !matches!(self.overlay, Overlay::None) {
+            self.overlay = Overlay::None;
+        } else if self.view.focus == Focus::Details {
+            self.focus_details(false);
+        } else if page == Page::Traffic && self.view.frame_details {
+            self.view.frame_details = false;
+        } else if !self.view.filter(page).is_empty() {
+            self.view.set_filter(page, String::new());
+            self.refresh();
+        } else {
+            self.view.traffic = None;
+            self.view.timeline.release();
+        }
+    }
+
+    /// Command: the help.
+    pub fn show_help(&mut self) {
+        self.overlay = Overlay::Help(0);
+    }
+
+    /// Command: scrolls the help.
+    pub fn scroll_help(&mut self, by: i16) {
+        if let Overlay::Help(at) = &mut self.overlay {
+            *at = at.saturating_add_signed(by).min(999);
+        }
+    }
+
+    /// Command: the next theme.
+    pub fn next_theme(&mut self, _now: Instant) {
+        let at = self.themes.iter().position(|name| *name == self.theme).map_or(0, |at| at + 1);
+        let Some(name) = self.themes.get(at).or(self.themes.first()).cloned() else { return };
+        self.theme.clone_from(&name);
+        self.say(format!("theme {name}"));
+        self.effects.push_back(Effect::UseTheme(name));
+    }
+
+    /// Command: draw everything anew.
+    pub fn redraw(&mut self) {
+        self.effects.push_back(Effect::Redraw);
+    }
+
+    /// Command: stop until the shell continues us.
+    pub fn suspend(&mut self) {
+        self.effects.push_back(Effect::Suspend);
+    }
+
+    /// Command: puts the selected row into the clipboard.
+    pub fn copy_row(&mut self, _now: Instant) {
+        let text = match self.view.page {
+            Page::Devices => self.selected_row().map(|row| {
+                let name = row.name.as_ref().map_or("?".to_owned(), ToString::to_string);
+                let address = row.address.map_or("?".to_owned(), |address| address.to_string());
+                format!("{name} @{address} {}", row.state.word())
+            }),
+            Page::Problems => {
+                self.selected_problem().map(|it| format!("{}: {}", it.key.kind, it.text))
+            }
+            Page::Timeline => {
+                let number = self.view.timeline.selected().copied();
+                let line = number.and_then(|number| self.timeline.get(number));
+                line.map(|line| format!("{} {}", super::clock(self, line.time), line.text))
+            }
+            Page::Traffic => {
+                let frame = self.view.traffic.and_then(|number| self.capture.get(number));
+                frame.map(ToString::to_string)
+            }
+        };
+        match text {
+            Some(text) => {
+                self.say(format!("copied: {text}"));
+                self.effects.push_back(Effect::Copy(text));
+            }
+            None => self.complain("no row is selected"),
+        }
+    }
+
+    // ---- what is on the lists --------------------------------------------------------------
+
+    fn row_keys(&self) -> Vec<RowKey> {
+        self.rows.iter().map(|row| row.key.clone()).collect()
+    }
+
+    fn problem_keys(&self) -> Vec<FindingKey> {
+        self.problems_shown().iter().map(|finding| finding.key.clone()).collect()
+    }
+
+    /// The numbers of the timeline's lines that the filter lets through, oldest first.
+    pub fn lines_shown(&self) -> Vec<u64> {
+        let filter = Filter::parse(self.view.filter(Page::Timeline));
+        let end = self.view.frozen.map_or(u64::MAX, |frozen| frozen.lines);
+        let entries = self.timeline.entries().filter(|entry| entry.number < end);
+        entries
+            .filter(|entry| filter.is_empty() || filter.matches_entry(self, entry))
+            .map(|entry| entry.number)
+            .collect()
+    }
+
+    /// The rows of the view by identifier that the filter lets through, in order.
+    pub fn identifiers_shown(&self) -> Vec<&IdentifierStats> {
+        let filter = Filter::parse(self.view.filter(Page::Traffic));
+        let rows = self.capture.identifiers().rows().iter();
+        let mut shown: Vec<&IdentifierStats> =
+            rows.filter(|row| filter.matches_frame(self, &row.last)).collect();
+        shown.sort_by_key(|row| row.key);
+        shown
+    }
+
+    fn identifier_keys(&self) -> Vec<IdentifierKey> {
+        self.identifiers_shown().iter().map(|row| row.key).collect()
+    }
+
+    /// How many problems are open.
+    pub fn open_problems(&self) -> usize {
+        self.counts.confirmed + self.counts.suspected
+    }
+}

@@ -1,0 +1,264 @@
+//! What is wrong: the engines' findings, and what des.json and the bus say differently.
+//!
+//! The comparison is pure: entries and devices in, findings out. Does not know how sure the
+//! engines are or why; their findings are shown as they are.
+
+use super::App;
+use super::matching::{Matching, is_for};
+use crate::discovery::{Confidence, Device, Finding, FindingKey, FindingKind};
+use crate::document::{self, Document, Entry};
+use crate::frame::BusIndex;
+use crate::text::{Escaped, Name};
+use crate::time::Instant;
+use crate::wire::id::Address;
+
+/// How much is compared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scope {
+    /// What is shown while working: not what is merely not in the file (yet).
+    Screen,
+    /// Every difference, as `check` reports it.
+    Check,
+}
+
+impl App {
+    /// Everything that is wrong or was, what matters most first, cleared things last.
+    pub fn problems(&self) -> Vec<&Finding> {
+        let engines = self.buses.iter().flat_map(|bus| bus.engine.findings());
+        let mut all: Vec<&Finding> = engines.chain(&self.file_findings).collect();
+        all.sort_by_key(|finding| {
+            let cleared = finding.confidence == Confidence::Cleared;
+            let suspected = finding.confidence == Confidence::Suspected;
+            let weight = u8::MAX - finding.key.kind.weight();
+            (cleared, suspected, weight, finding.key.clone())
+        });
+        all
+    }
+
+    /// Those that the filter lets through.
+    pub fn problems_shown(&self) -> Vec<&Finding> {
+        let filter = super::Filter::parse(self.view.filter(super::Page::Problems));
+        let mut shown = self.problems();
+        shown.retain(|finding| filter.matches_finding(self, finding));
+        shown
+    }
+
+    /// The selected one.
+    pub fn selected_problem(&self) -> Option<&Finding> {
+        let shown = self.problems_shown();
+        let index = self.view.problems.index(shown.iter().map(|finding| &finding.key))?;
+        shown.get(index).copied()
+    }
+
+    /// How the file and the buses differ now.
+    pub fn compare(&self, now: Instant, scope: Scope) -> Vec<Finding> {
+        if !self.file.is_there() {
+            return Vec::new();
+        }
+        let mut comparison = Comparison { app: self, now, found: Vec::new() };
+        comparison.file_alone(self.file.document());
+        for entry in self.file.document().entries() {
+            comparison.entry(entry, scope);
+        }
+        if scope == Scope::Check {
+            comparison.unlisted();
+        }
+        comparison.found
+    }
+
+    /// Compares anew; what was found before keeps its time.
+    pub(super) fn refresh_problems(&mut self, now: Instant) {
+        self.matching = Matching::new(self.file.document().entries(), &self.buses);
+        let mut found = self.compare(now, Scope::Screen);
+        for finding in &mut found {
+            if let Some(old) = self.file_findings.iter().find(|old| old.key == finding.key) {
+                finding.first = old.first;
+                if old.confidence == finding.confidence {
+                    finding.changed = old.changed;
+                }
+            }
+        }
+        self.file_findings = found;
+        let height = self.screen().list_rows();
+        let keys: Vec<FindingKey> =
+            self.problems_shown().iter().map(|finding| finding.key.clone()).collect();
+        self.view.problems.settle(&keys, height);
+    }
+}
+
+struct Comparison<'a> {
+    app: &'a App,
+    now: Instant,
+    found: Vec<Finding>,
+}
+
+impl Comparison<'_> {
+    fn file_alone(&mut self, document: &Document) {
+        for finding in document.findings() {
+            let (kind, remedy) = match finding.kind {
+                document::FindingKind::DuplicateAddress => (
+                    FindingKind::FileDuplicateAddress,
+                    "Give one of them another address: e on its row.",
+                ),
+                document::FindingKind::DuplicateEntry => {
+                    (FindingKind::FileDuplicateEntry, "Delete one of them: D on its row.")
+                }
+                _ => continue,
+            };
+            let entries = finding.entries.iter().filter_map(|&at| document.entries().get(at));
+            let names: Vec<Name> = entries.clone().map(|entry| Name::new(&entry.name)).collect();
+            let address = entries.clone().find_map(|entry| Address::new(entry.address?));
+            let text = format!("{} ({})", finding.message, finding.position);
+            let name = names.first().cloned();
+            self.add(kind, None, address, name, text, remedy.to_owned());
+            if let Some(added) = self.found.last_mut() {
+                for name in &names {
+                    added.concern(name);
+                }
+            }
+        }
+    }
+
+    fn entry(&mut self, entry: &Entry, scope: Scope) {
+        let app = self.app;
+        let devices: Vec<&Device> = app
+            .matching
+            .devices_of(entry.index)
+            .iter()
+            .filter_map(|&id| app.device(id))
+            .filter(|device| device.is_here())
+            .collect();
+        let name = Escaped(&entry.name);
+        let pinned = entry.address.filter(|_| entry.is_static).and_then(Address::new);
+        if devices.is_empty() {
+            self.missing(entry);
+        }
+        for device in &devices {
+            if let Some(pinned) = pinned.filter(|pinned| *pinned != device.address) {
+                let text =
+                    format!("{name} is at {}, and the file pins it to {pinned}.", device.address);
+                let remedy = format!(
+                    "Give the device the address {pinned}, or the file the address {}: e on its \
+                     row.",
+                    device.address
+                );
+                let bus = Some(device.id.bus);
+                let named = device.name.clone();
+                self.add(FindingKind::WrongAddress, bus, Some(device.address), named, text, remedy);
+            }
+            if scope == Scope::Check {
+                self.services(entry, device);
+            }
+        }
+        let Some(pinned) = pinned else { return };
+        for (index, bus) in app.buses.iter().enumerate().filter(|(_, bus)| is_for(entry, &bus.name))
+        {
+            let other = bus.engine.devices().iter().find(|device| {
+                let is_it = app.matching.devices_of(entry.index).contains(&device.id);
+                device.address == pinned && device.is_here() && !is_it
+            });
+            let Some(other) = other else { continue };
+            let who =
+                other.name.as_ref().map_or("a device without a known name".to_owned(), |it| {
+                    format!("a device that calls itself {it}")
+                });
+            let text = format!("{pinned} is the static address of {name}, and {who} is there.");
+            let remedy = format!("Give {name} another address (e), or that device.");
+            let named = Some(Name::new(&entry.name));
+            let bus = Some(BusIndex(index as u8));
+            self.add(FindingKind::StaticAddressTaken, bus, Some(pinned), named, text, remedy);
+            if let (Some(found), Some(name)) = (self.found.last_mut(), &other.name) {
+                found.concern(name);
+            } else if let Some(found) = self.found.last_mut() {
+                found.confidence = Confidence::Suspected;
+            }
+        }
+    }
+
+    fn missing(&mut self, entry: &Entry) {
+        let app = self.app;
+        let bus = app.buses.iter().position(|bus| is_for(entry, &bus.name));
+        let Some(bus) = bus.map(|at| BusIndex(at as u8)) else { return };
+        if !app.has_looked(bus) {
+            return;
+        }
+        let address = entry.address.and_then(Address::new);
+        let at = address.map(|address| format!(" (at {address})")).unwrap_or_default();
+        let why = app.why_missing(entry);
+        let why = why.first().map_or("", String::as_str);
+        let text = format!("{}{at} is listed and not there: {why}.", Escaped(&entry.name));
+        let remedy = "Its row on the Devices page says what is known of it.".to_owned();
+        let name = Some(Name::new(&entry.name));
+        self.add(FindingKind::Missing, Some(bus), address, name, text, remedy);
+    }
+
+    fn services(&mut self, entry: &Entry, device: &Device) {
+        let (Some(listed), Some(own)) = (&entry.services, &device.services) else { return };
+        if listed.is_empty() || same_services(listed, own) {
+            return;
+        }
+        let text = format!(
+            "{} at {} has other services than the file lists.",
+            Escaped(&entry.name),
+            device.address
+        );
+        let remedy = "Take them into the file (a), or look at the firmware.".to_owned();
+        let (bus, name) = (Some(device.id.bus), device.name.clone());
+        self.add(FindingKind::ServicesDiffer, bus, Some(device.address), name, text, remedy);
+    }
+
+    fn unlisted(&mut self) {
+        for bus in &self.app.buses {
+            for device in bus.engine.devices() {
+                let listed = self.app.matching.entry_of(device.id).is_some();
+                if listed || device.is_debug || !device.is_here() {
+                    continue;
+                }
+                let who = device
+                    .name
+                    .as_ref()
+                    .map_or("A device without a name".to_owned(), |it| it.to_string());
+                let text = format!("{who} at {} is not in the file.", device.address);
+                let remedy = "Take it in: a on its row.".to_owned();
+                let (bus, name) = (Some(device.id.bus), device.name.clone());
+                self.add(FindingKind::Unlisted, bus, Some(device.address), name, text, remedy);
+            }
+        }
+    }
+
+    fn add(
+        &mut self,
+        kind: FindingKind,
+        bus: Option<BusIndex>,
+        address: Option<Address>,
+        name: Option<Name>,
+        text: String,
+        remedy: String,
+    ) {
+        let mut finding = Finding::new(FindingKey { kind, bus, address, name }, self.now);
+        finding.confidence = Confidence::Confirmed;
+        finding.text = text;
+        finding.remedy = remedy;
+        self.found.push(finding);
+    }
+}
+
+/// Whether the file lists what a device says of its services.
+pub fn same_services(
+    listed: &[document::ServiceEntry],
+    own: &[crate::discovery::ServiceEntry],
+) -> bool {
+    let same = |listed: &document::ServiceEntry, own: &crate::discovery::ServiceEntry| {
+        as_listed(&own.name) == listed.name
+            && (listed.version.is_empty() || as_listed(&own.version) == listed.version)
+    };
+    listed.len() == own.len() && listed.iter().zip(own).all(|(listed, own)| same(listed, own))
+}
+
+/// A device's string as the file lists it: the text itself where it is UTF-8.
+pub fn as_listed(name: &Name) -> String {
+    match std::str::from_utf8(name.as_bytes()) {
+        Ok(text) => text.to_owned(),
+        Err(_) => name.to_string(),
+    }
+}

@@ -1,0 +1,446 @@
+//! Lines being typed: the filter, an address in its row, a name, a new entry, a path.
+//!
+//! What is typed is checked as it is typed ([`Verdict`]); Enter does what the prompt is for, Esc
+//! leaves everything as it was. A prompt refers to what it edits by key, so that it survives a
+//! change of the file under it.
+
+use super::matching::is_for;
+use super::{App, Effect, Overlay, Page, RowKey};
+use crate::document::{Entry, EntryKey, NewEntry, Operation};
+use crate::keymap::{Key, KeyCode, Mode};
+use crate::text::{Escaped, is_printable};
+use crate::time::Instant;
+use std::fmt::Write;
+use std::path::PathBuf;
+use tui_input::{Input, InputRequest};
+
+/// A line being typed.
+#[derive(Clone, Debug)]
+pub struct Prompt {
+    /// What it is for.
+    pub kind: PromptKind,
+    /// The text and the cursor in it.
+    pub input: Input,
+}
+
+/// What a line is typed for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum PromptKind {
+    /// The filter of a page, and what it was before.
+    Filter(Page, String),
+    /// The static address of a device or an entry, in its row.
+    Address(RowKey),
+    /// Another name for an entry.
+    Rename(EntryKey),
+    /// Name and address of a new entry.
+    NewEntry,
+    /// Where to save the captured frames.
+    CapturePath,
+}
+
+impl PromptKind {
+    /// What stands before the line.
+    pub const fn label(&self) -> &'static str {
+        match self {
+            PromptKind::Filter(..) => "filter",
+            PromptKind::Address(_) => "static address",
+            PromptKind::Rename(_) => "name",
+            PromptKind::NewEntry => "new entry: name address",
+            PromptKind::CapturePath => "save frames to",
+        }
+    }
+}
+
+/// What is to be said of the text so far.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// Nothing, or what Enter will do.
+    Fine(String),
+    /// Enter works, but look at this.
+    Warns(String),
+    /// Enter does nothing, because of this.
+    Blocks(String),
+}
+
+impl App {
+    pub(super) fn open_prompt(&mut self, kind: PromptKind, text: String) {
+        self.overlay = Overlay::Prompt(Prompt { kind, input: Input::new(text) });
+        self.dirty = true;
+    }
+
+    /// The line being typed.
+    pub fn prompt(&self) -> Option<&Prompt> {
+        match &self.overlay {
+            Overlay::Prompt(prompt) => Some(prompt),
+            _ => None,
+        }
+    }
+
+    /// What is to be said of the line being typed.
+    pub fn verdict(&self) -> Option<Verdict> {
+        let prompt = self.prompt()?;
+        let text = prompt.input.value().trim();
+        Some(match &prompt.kind {
+            PromptKind::Filter(..) => Verdict::Fine(
+                "words; src: dst: srv: type: id: bus: state:  err  ours  !not".to_owned(),
+            ),
+            PromptKind::Address(key) => self.judge_address(key, text),
+            PromptKind::Rename(_) => judge_name(text),
+            PromptKind::NewEntry => self.judge_new_entry(text),
+            PromptKind::CapturePath if text.is_empty() => {
+                Verdict::Blocks("a path is needed".to_owned())
+            }
+            PromptKind::CapturePath => {
+                let frames = self.capture.end() - self.capture.first();
+                Verdict::Fine(format!("{frames} frames, as candump writes them"))
+            }
+        })
+    }
+
+    /// A key while a line is typed.
+    pub(super) fn type_key(&mut self, now: Instant, key: Key) {
+        let always = ["quit-now", "suspend", "redraw"];
+        if key.ctrl
+            && let Some(action) = self.keymap.lookup(Mode::Browse, key)
+            && always.contains(&action.name)
+        {
+            (action.run)(self, now);
+            return;
+        }
+        match key.code {
+            KeyCode::Enter => self.finish_prompt(),
+            KeyCode::Esc => self.leave_prompt(),
+            _ => {
+                if let Some(request) = request(key) {
+                    self.change_input(&[request]);
+                }
+            }
+        }
+    }
+
+    pub(super) fn paste(&mut self, text: &str) {
+        let line = text.trim().lines().next().unwrap_or_default();
+        let printable = line.chars().filter(|&c| is_printable(c));
+        let requests: Vec<InputRequest> = printable.map(InputRequest::InsertChar).collect();
+        self.change_input(&requests);
+    }
+
+    fn change_input(&mut self, requests: &[InputRequest]) {
+        const LONGEST: usize = 1000;
+        let Overlay::Prompt(prompt) = &mut self.overlay else { return };
+        for &request in requests {
+            let grows = matches!(request, InputRequest::InsertChar(_));
+            if !grows || prompt.input.value().len() < LONGEST {
+                prompt.input.handle(request);
+            }
+        }
+        self.dirty = true;
+        if let PromptKind::Filter(page, _) = prompt.kind {
+            let text = prompt.input.value().to_owned();
+            self.apply_filter(page, text);
+        }
+    }
+
+    fn apply_filter(&mut self, page: Page, text: String) {
+        self.view.set_filter(page, text);
+        self.refresh();
+    }
+
+    pub(super) fn leave_prompt(&mut self) {
+        if let Overlay::Prompt(Prompt { kind: PromptKind::Filter(page, before), .. }) =
+            std::mem::take(&mut self.overlay)
+        {
+            self.apply_filter(page, before);
+        }
+    }
+
+    fn finish_prompt(&mut self) {
+        if let Some(Verdict::Blocks(_)) = self.verdict() {
+            self.effects.push_back(Effect::Bell);
+            return;
+        }
+        let Overlay::Prompt(prompt) = std::mem::take(&mut self.overlay) else { return };
+        let text = prompt.input.value().trim().to_owned();
+        match prompt.kind {
+            PromptKind::Filter(page, _) => self.apply_filter(page, text),
+            PromptKind::Address(key) => self.finish_address(&key, &text),
+            PromptKind::Rename(entry) => {
+                let Some(to) = unescaped(&text).filter(|to| *to != entry.name) else { return };
+                self.edit(&[Operation::Rename { entry, to }]);
+            }
+            PromptKind::NewEntry => {
+                let Some((name, address)) = split_new_entry(&text) else { return };
+                let bus = self.bus_to_name(self.selected_row().and_then(|row| row.bus));
+                let is_static = address.is_some();
+                let entry = NewEntry { name, address, is_static, bus, ..NewEntry::default() };
+                self.edit(&[Operation::Add { entry }]);
+            }
+            PromptKind::CapturePath => {
+                let (path, bytes) = (PathBuf::from(text), self.candump_log().into_bytes());
+                self.effects.push_back(Effect::WriteFile { path, bytes });
+            }
+        }
+    }
+
+    // ---- the address of a row --------------------------------------------------------------
+
+    /// The entry that an address prompt edits: that of the device, or the one with that key, or
+    /// (where its address was changed under us) the only one of its name.
+    pub(super) fn entry_for(&self, key: &RowKey) -> Option<&Entry> {
+        let document = self.file.document();
+        match key {
+            RowKey::Device(id) => {
+                self.matching.entry_of(*id).and_then(|at| document.entries().get(at))
+            }
+            RowKey::Entry(key) => {
+                let named = || document.entries().iter().filter(|entry| entry.name == key.name);
+                let exact = document.find(key).map(|at| &document.entries()[at]);
+                exact.or_else(|| named().next().filter(|_| named().count() == 1))
+            }
+        }
+    }
+
+    fn judge_address(&self, key: &RowKey, text: &str) -> Verdict {
+        let entry = self.entry_for(key);
+        if text.is_empty() {
+            return match entry {
+                Some(entry) if entry.is_static => {
+                    Verdict::Fine("empty: no longer static".to_owned())
+                }
+                _ => Verdict::Fine("1 to 127, decimal or 0x…".to_owned()),
+            };
+        }
+        let Some(address) = parse_address(text) else {
+            return Verdict::Blocks("not an address: 1 to 127, decimal or 0x01 to 0x7F".to_owned());
+        };
+        let device = match key {
+            RowKey::Device(id) => self.device(*id),
+            RowKey::Entry(_) => None,
+        };
+        if device.is_some_and(|device| device.name.is_none()) {
+            return Verdict::Blocks("its name is not known yet".to_owned());
+        }
+        let bus = device.and_then(|it| self.bus(it.id.bus)).map(|bus| bus.name.as_str());
+        let bus = bus.or(entry.and_then(|entry| entry.bus.as_deref()));
+        let own = entry.map(|entry| entry.index);
+        if let Some(blocked) = self.pinned_elsewhere(address, bus, own) {
+            return blocked;
+        }
+        let own = |id| match key {
+            RowKey::Device(own) => *own == id,
+            RowKey::Entry(_) => false,
+        };
+        self.held_by_another(address, bus, own)
+            .unwrap_or_else(|| Verdict::Fine(format!("Enter pins it to {address}")))
+    }
+
+    fn pinned_elsewhere(
+        &self,
+        address: u8,
+        bus: Option<&str>,
+        own: Option<usize>,
+    ) -> Option<Verdict> {
+        let other = self.file.document().entries().iter().find(|entry| {
+            Some(entry.index) != own
+                && entry.is_static
+                && entry.address == Some(address)
+                && bus.is_none_or(|bus| is_for(entry, bus))
+        })?;
+        let line = other.position.line;
+        let name = Escaped(&other.name);
+        Some(Verdict::Blocks(format!("{address} is the static address of {name} (line {line})")))
+    }
+
+    fn held_by_another(
+        &self,
+        address: u8,
+        bus: Option<&str>,
+        is_own: impl Fn(crate::discovery::DeviceId) -> bool,
+    ) -> Option<Verdict> {
+        let buses = self.buses.iter().filter(|it| bus.is_none_or(|bus| it.name == bus));
+        let other = buses.flat_map(|bus| bus.engine.devices()).find(|device| {
+            device.address.number() == address && device.is_here() && !is_own(device.id)
+        })?;
+        let who = other.name.as_ref().map_or("a device".to_owned(), ToString::to_string);
+        Some(Verdict::Warns(format!("{who} is at {address} now; Enter pins it all the same")))
+    }
+
+    fn finish_address(&mut self, key: &RowKey, text: &str) {
+        let entry = self.entry_for(key);
+        let operation = match (parse_address(text), entry) {
+            (None, Some(entry)) if entry.is_static => Some(Operation::ClearAddress {
+                entry: self.file.document().key(entry.index),
+                from: entry.address,
+            }),
+            (Some(to), Some(entry)) if !entry.is_static || entry.address != Some(to) => {
+                let from = entry.address;
+                let entry = self.file.document().key(entry.index);
+                Some(Operation::SetAddress { entry, from, to })
+            }
+            (Some(to), None) => match key {
+                RowKey::Device(id) => self.device(*id).and_then(|device| {
+                    let mut entry = self.new_entry(device)?;
+                    (entry.address, entry.is_static) = (Some(to), true);
+                    Some(Operation::Add { entry })
+                }),
+                RowKey::Entry(_) => {
+                    self.complain("the entry is gone from the file");
+                    return;
+                }
+            },
+            _ => None,
+        };
+        if let Some(operation) = operation {
+            self.edit(&[operation]);
+        }
+    }
+
+    // ---- new entries -----------------------------------------------------------------------
+
+    fn judge_new_entry(&self, text: &str) -> Verdict {
+        let Some((name, address)) = split_new_entry(text) else {
+            return Verdict::Blocks("a name, and an address if it is to be pinned".to_owned());
+        };
+        let bus = self.bus_to_name(self.selected_row().and_then(|row| row.bus));
+        let exists = |entry: &&Entry| entry.name == name && entry.address == address;
+        if let Some(other) = self.file.document().entries().iter().find(exists) {
+            let line = other.position.line;
+            return Verdict::Blocks(format!("this entry is there already (line {line})"));
+        }
+        let Some(address) = address else {
+            return Verdict::Fine("without a static address".to_owned());
+        };
+        if let Some(blocked) = self.pinned_elsewhere(address, bus.as_deref(), None) {
+            return blocked;
+        }
+        let named = |id| self.device(id).is_some_and(|device| device.is_named(&name));
+        self.held_by_another(address, bus.as_deref(), named)
+            .unwrap_or_else(|| Verdict::Fine(format!("{}, pinned to {address}", Escaped(&name))))
+    }
+
+    // ---- the captured frames ---------------------------------------------------------------
+
+    /// The captured frames as candump writes them.
+    pub fn candump_log(&self) -> String {
+        let mut log = String::new();
+        for (_, frame) in self.capture.iter() {
+            let micros = self.epoch.unix_micros(frame.time);
+            let bus = self.bus(frame.bus).map_or("can", |bus| &bus.name);
+            let sent = if frame.ours { " T" } else { "" };
+            let (seconds, rest) = (micros / 1_000_000, micros % 1_000_000);
+            let _ = writeln!(log, "({seconds}.{rest:06}) {bus} {frame}{sent}");
+        }
+        log
+    }
+}
+
+/// A number from 1 to 127, decimal or hexadecimal.
+pub fn parse_address(text: &str) -> Option<u8> {
+    let hex = text.strip_prefix("0x").or_else(|| text.strip_prefix("0X"));
+    let digits = hex.unwrap_or(text);
+    let number = digits
+        .bytes()
+        .all(|byte| byte.is_ascii_hexdigit())
+        .then(|| u8::from_str_radix(digits, if hex.is_some() { 16 } else { 10 }).ok())??;
+    (1..=127).contains(&number).then_some(number)
+}
+
+/// The bytes of a name as it is shown: `\xNN` and `\\` are what they stand for.
+fn unescaped(text: &str) -> Option<Vec<u8>> {
+    let mut bytes = Vec::new();
+    let mut rest = text;
+    while let Some(at) = rest.find('\\') {
+        bytes.extend_from_slice(&rest.as_bytes()[..at]);
+        rest = &rest[at + 1..];
+        if let Some(behind) = rest.strip_prefix('\\') {
+            bytes.push(b'\\');
+            rest = behind;
+        } else {
+            let digits = rest.strip_prefix('x')?.get(..2)?;
+            bytes.push(u8::from_str_radix(digits, 16).ok().filter(|byte| *byte != 0)?);
+            rest = &rest[3..];
+        }
+    }
+    bytes.extend_from_slice(rest.as_bytes());
+    Some(bytes)
+}
+
+fn judge_name(text: &str) -> Verdict {
+    match unescaped(text) {
+        None => Verdict::Blocks("after \\ comes x and two digits, or another \\".to_owned()),
+        Some(name) if name.is_empty() => Verdict::Blocks("a name is needed".to_owned()),
+        Some(name) if name.len() > 5 => {
+            let bytes = name.len();
+            Verdict::Warns(format!("{bytes} bytes: an answer with more than 5 takes more frames"))
+        }
+        Some(_) => Verdict::Fine("Enter renames the entry; the device keeps its name".to_owned()),
+    }
+}
+
+/// `PUMP 12` → the name's bytes and the address; without a number at the end, the name alone.
+fn split_new_entry(text: &str) -> Option<(Vec<u8>, Option<u8>)> {
+    let split = text.rsplit_once(char::is_whitespace);
+    let with_address = split.and_then(|(name, last)| Some((name.trim_end(), parse_address(last)?)));
+    let (name, address) = match with_address {
+        Some((name, address)) => (name, Some(address)),
+        None => (text, None),
+    };
+    let name = unescaped(name).filter(|name| !name.is_empty())?;
+    Some((name, address))
+}
+
+/// What a key does to the line.
+fn request(key: Key) -> Option<InputRequest> {
+    use InputRequest as R;
+    Some(match (key.code, key.ctrl, key.alt) {
+        (KeyCode::Char(c), false, false) if is_printable(c) => R::InsertChar(c),
+        (KeyCode::Backspace, false, false) => R::DeletePrevChar,
+        (KeyCode::Delete, ..) => R::DeleteNextChar,
+        (KeyCode::Left, true, _) => R::GoToPrevWord,
+        (KeyCode::Right, true, _) => R::GoToNextWord,
+        (KeyCode::Left, ..) => R::GoToPrevChar,
+        (KeyCode::Right, ..) => R::GoToNextChar,
+        (KeyCode::Home, ..) | (KeyCode::Char('a'), true, _) => R::GoToStart,
+        (KeyCode::End, ..) | (KeyCode::Char('e'), true, _) => R::GoToEnd,
+        (KeyCode::Char('u'), true, _) => R::DeleteLine,
+        (KeyCode::Char('k'), true, _) => R::DeleteTillEnd,
+        (KeyCode::Char('w'), true, _) | (KeyCode::Backspace, ..) => R::DeletePrevWord,
+        (KeyCode::Char('h'), true, _) => R::DeletePrevChar,
+        _ => return None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_are_decimal_or_hexadecimal() {
+        for (text, address) in [("1", 1), ("127", 127), ("0x10", 16), ("0X7f", 127), ("007", 7)] {
+            assert_eq!(parse_address(text), Some(address), "{text}");
+        }
+        for wrong in ["", "0", "128", "-1", "+5", "0x", "0x80", "12a", "1.5", "٣", "1 2"] {
+            assert_eq!(parse_address(wrong), None, "{wrong}");
+        }
+    }
+
+    #[test]
+    fn names_are_typed_as_they_are_shown() {
+        for name in [&b"FEED"[..], b"a\\b", b"\x1b[2J", "Котёл".as_bytes(), b"\xff\xfe"] {
+            let shown = Escaped(name).to_string();
+            assert_eq!(unescaped(&shown).as_deref(), Some(name), "{shown}");
+        }
+        for wrong in ["\\", "\\x", "\\x1", "\\xzz", "\\n", "\\x00", "\\xé"] {
+            assert_eq!(unescaped(wrong), None, "{wrong}");
+        }
+    }
+
+    #[test]
+    fn a_new_entry_is_a_name_and_perhaps_an_address() {
+        assert_eq!(split_new_entry("PUMP 12"), Some((b"PUMP".to_vec(), Some(12))));
+        assert_eq!(split_new_entry("PUMP"), Some((b"PUMP".to_vec(), None)));
+        assert_eq!(split_new_entry("BIG PUMP"), Some((b"BIG PUMP".to_vec(), None)));
+        assert_eq!(split_new_entry("12"), Some((b"12".to_vec(), None)));
+        assert_eq!(split_new_entry(""), None);
+    }
+}

@@ -1,0 +1,189 @@
+//! Where the regions of the screen are: drawing and the mouse both go by this.
+//!
+//! ```text
+//!  can0 125k active  load  37% ▁▂▃▅▂  412 f/s  err 0  lost 0  me 0    status, a line per bus
+//!  des.json ✓ 12 entries         ● 14 here  ○ 1 missing  ⚠ 2  ? 1     (and one for the file)
+//! ─ 1 Devices ─ 2 Traffic ─ 3 Timeline ─ 4 Problems 2 ┬─ FEED @12 ──   tabs
+//!    ADDR  NAME   STATE   MODE    SVC   AGE   FILE    │ online 3m12s   header
+//! ▸  12   FEED   online  WORK      4    0s   ✓ 12     │ …              list, details
+//!    13   SENS   online  WORK      3    0s   + new    │
+//! ─ latest ───────────────────────────────────────────┴─────────────   latest
+//!  12:03:11  ACT @14  collision confirmed: …
+//!  e edit address  a add to file  u undo  r rescan  …        ? help    footer
+//! ```
+//!
+//! Knows sizes only, not what is drawn.
+
+use super::view::{Focus, Page, View};
+use ratatui::layout::Rect;
+
+/// The regions; those that are not on the screen are empty.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub struct Screen {
+    /// All of it.
+    pub whole: Rect,
+    /// The state of buses and file.
+    pub status: Rect,
+    /// The rule with the names of the pages, and of the details behind them.
+    pub tabs: Rect,
+    /// The column headings.
+    pub header: Rect,
+    /// The rows.
+    pub list: Rect,
+    /// The line between list and details.
+    pub divider: Rect,
+    /// What is selected, at length.
+    pub details: Rect,
+    /// The rule above the latest lines of the timeline.
+    pub latest_rule: Rect,
+    /// The latest lines of the timeline.
+    pub latest: Rect,
+    /// Hints, messages, questions, and the line being typed.
+    pub footer: Rect,
+}
+
+/// The least width at which details stand beside the list.
+pub const SPLIT_WIDTH: u16 = 76;
+
+impl Screen {
+    /// The regions of a screen that shows this, for so many buses.
+    pub fn new(view: &View, buses: usize) -> Self {
+        let (columns, rows) = view.size;
+        let whole = Rect::new(0, 0, columns, rows);
+        let mut left = whole;
+        let status = take_top(&mut left, Self::status_lines(columns, rows, buses));
+        let tabs = take_top(&mut left, 1);
+        let footer = take_bottom(&mut left, 1);
+        let mut screen = Self { whole, status, tabs, footer, ..Self::default() };
+        let latest = match rows {
+            _ if view.page != Page::Devices => 0,
+            0..=17 => 0,
+            18..=23 => 2,
+            24..=35 => 3,
+            36..=49 => 6,
+            _ => 10,
+        };
+        if latest > 0 {
+            screen.latest = take_bottom(&mut left, latest);
+            screen.latest_rule = take_bottom(&mut left, 1);
+        }
+        let has_details = match view.page {
+            Page::Devices | Page::Problems => true,
+            Page::Traffic => view.frame_details && !view.by_identifier,
+            Page::Timeline => false,
+        };
+        if has_details && columns >= SPLIT_WIDTH {
+            let width = match view.page {
+                Page::Devices => (columns * 3 / 8).clamp(29, 60),
+                _ => (columns / 2).clamp(36, 72),
+            };
+            screen.details = Rect::new(columns - width, left.y, width, left.height);
+            left.width -= width + 1;
+            screen.divider = Rect::new(left.width, left.y, 1, left.height);
+        } else if has_details && view.focus == Focus::Details {
+            screen.details = std::mem::take(&mut left);
+        }
+        screen.header = take_top(&mut left, 1);
+        screen.list = left;
+        screen
+    }
+
+    /// One line per bus (as many as there is room for), one for the file; on small screens one
+    /// for all.
+    fn status_lines(columns: u16, rows: u16, buses: usize) -> u16 {
+        let buses = u16::try_from(buses.max(1)).unwrap_or(u16::MAX);
+        match rows {
+            0..=4 => 0,
+            5..=15 => 1,
+            _ if columns >= 120 && buses == 1 => 1,
+            16..=30 => buses.min(2) + 1,
+            _ => buses.min(6) + 1,
+        }
+    }
+
+    /// How many rows of the list fit.
+    pub fn list_rows(&self) -> usize {
+        usize::from(self.list.height)
+    }
+
+    /// Whether the details take the list's place.
+    pub fn details_alone(&self) -> bool {
+        self.list.height == 0 && self.details.height > 0
+    }
+}
+
+fn take_top(area: &mut Rect, lines: u16) -> Rect {
+    let lines = lines.min(area.height);
+    let taken = Rect { height: lines, ..*area };
+    area.y += lines;
+    area.height -= lines;
+    taken
+}
+
+fn take_bottom(area: &mut Rect, lines: u16) -> Rect {
+    let lines = lines.min(area.height);
+    area.height -= lines;
+    Rect { y: area.y + area.height, height: lines, ..*area }
+}
+
+/// The names of the pages as they stand in the rule: where each begins, and its text.
+pub fn tabs(columns: u16, problems: usize) -> Vec<(Page, u16, String)> {
+    let short = columns < 60;
+    let mut at = 1;
+    Page::ALL
+        .into_iter()
+        .map(|page| {
+            let title = if short { &page.title()[..4] } else { page.title() };
+            let mut text = format!(" {} {title} ", page.number());
+            if page == Page::Problems && problems > 0 {
+                text.push_str(&format!("{problems} "));
+            }
+            let start = at;
+            at += text.len() as u16 + u16::from(!short);
+            (page, start, text)
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn regions_fill_every_screen_and_never_overlap() {
+        for columns in [0, 1, 20, 40, 75, 76, 80, 120, 250] {
+            for rows in [0, 1, 3, 5, 10, 16, 18, 24, 40, 60] {
+                for page in Page::ALL {
+                    for focus in [Focus::List, Focus::Details] {
+                        let size = (columns, rows);
+                        let view = View { page, focus, size, ..View::default() };
+                        let screen = Screen::new(&view, 2);
+                        let parts = [
+                            screen.status,
+                            screen.tabs,
+                            screen.header,
+                            screen.list,
+                            screen.divider,
+                            screen.details,
+                            screen.latest_rule,
+                            screen.latest,
+                            screen.footer,
+                        ];
+                        let area: u32 = parts.iter().map(|part| part.area()).sum();
+                        assert_eq!(area, whole_area(columns, rows), "{columns}×{rows} {screen:?}");
+                    }
+                }
+            }
+        }
+    }
+
+    fn whole_area(columns: u16, rows: u16) -> u32 {
+        u32::from(columns) * u32::from(rows)
+    }
+
+    #[test]
+    fn a_small_screen_still_shows_devices() {
+        let view = View { size: (40, 10), ..View::default() };
+        assert!(Screen::new(&view, 1).list_rows() >= 6);
+    }
+}

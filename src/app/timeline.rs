@@ -1,0 +1,138 @@
+//! What happened, line by line: devices, the bus, the file, edits. It outlives the devices.
+//!
+//! Bounded; a line that repeats within moments is counted instead of written again. Does not
+//! know where lines are shown.
+
+use crate::discovery::DeviceId;
+use crate::frame::BusIndex;
+use crate::text::Name;
+use crate::time::{Duration, Instant};
+use crate::wire::id::Address;
+use std::collections::VecDeque;
+
+/// A line of the timeline.
+#[derive(Clone, Debug)]
+pub struct Entry {
+    /// Its number, from 0.
+    pub number: u64,
+    /// When it happened first.
+    pub time: Instant,
+    /// When it happened last.
+    pub last: Instant,
+    /// On which bus.
+    pub bus: Option<BusIndex>,
+    /// To which device.
+    pub device: Option<DeviceId>,
+    /// Its address then.
+    pub address: Option<Address>,
+    /// Its name then.
+    pub name: Option<Name>,
+    /// What happened.
+    pub text: String,
+    /// What sort of thing it is.
+    pub kind: Kind,
+    /// How often it happened.
+    pub times: u32,
+}
+
+/// What sort of thing happened: chooses the sign and the colour.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// A device came, came back, or said more of itself.
+    Good,
+    /// A device changed.
+    Change,
+    /// A device is late, silent or asleep.
+    Late,
+    /// A device is gone.
+    Lost,
+    /// A suspicion.
+    Suspected,
+    /// A confirmed finding.
+    Confirmed,
+    /// A finding's cause is gone.
+    Cleared,
+    /// The bus or its adapter.
+    Bus,
+    /// des.json.
+    File,
+    /// Something that did not work.
+    Error,
+}
+
+/// The lines.
+#[derive(Debug, Default)]
+pub struct Timeline {
+    entries: VecDeque<Entry>,
+    next: u64,
+}
+
+impl Timeline {
+    /// How many lines are kept.
+    pub const ENTRIES: usize = 4096;
+    /// How near in time and how near in lines a repetition is counted.
+    const REPEAT_WITHIN: Duration = Duration::from_secs(5);
+    const REPEAT_LINES: usize = 8;
+
+    /// Writes a line, or counts it where it repeats one of the last.
+    pub fn push(&mut self, mut entry: Entry) {
+        let repeated = self.entries.iter_mut().rev().take(Self::REPEAT_LINES).find(|other| {
+            other.device == entry.device
+                && other.bus == entry.bus
+                && other.text == entry.text
+                && entry.time.since(other.last) <= Self::REPEAT_WITHIN
+        });
+        if let Some(repeated) = repeated {
+            repeated.times += 1;
+            repeated.last = entry.time;
+            return;
+        }
+        if self.entries.len() == Self::ENTRIES {
+            self.entries.pop_front();
+        }
+        entry.number = self.next;
+        self.next += 1;
+        self.entries.push_back(entry);
+    }
+
+    /// The lines, oldest first.
+    pub fn entries(&self) -> impl DoubleEndedIterator<Item = &Entry> + ExactSizeIterator {
+        self.entries.iter()
+    }
+
+    /// The line of that number.
+    pub fn get(&self, number: u64) -> Option<&Entry> {
+        let first = self.entries.front()?.number;
+        self.entries.get(usize::try_from(number.checked_sub(first)?).ok()?)
+    }
+
+    /// The number that the next line gets.
+    pub fn end(&self) -> u64 {
+        self.next
+    }
+}
+
+impl Entry {
+    /// A line about the program, the file or a bus.
+    pub fn new(time: Instant, kind: Kind, text: impl Into<String>) -> Self {
+        Self {
+            number: 0,
+            time,
+            last: time,
+            bus: None,
+            device: None,
+            address: None,
+            name: None,
+            text: text.into(),
+            kind,
+            times: 1,
+        }
+    }
+
+    /// The same line, about a bus.
+    #[must_use]
+    pub fn on(mut self, bus: BusIndex) -> Self {
+        self.bus = Some(bus);
+        self
+    }
+}

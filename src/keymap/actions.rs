@@ -1,0 +1,175 @@
+//! The table of actions: name, what it does in a line, its usual keys, its function.
+//!
+//! Keys, `keys.toml`, the help and the hints in the last line all come from here. What an action
+//! does is [`App`]'s; nothing that transmits beyond discovery happens without a confirmation.
+
+use crate::app::{App, Page};
+use crate::time::Instant;
+use std::fmt;
+
+/// Something the user can do.
+pub struct Action {
+    /// Its name in `keys.toml`.
+    pub name: &'static str,
+    /// What it does, in a line.
+    pub doc: &'static str,
+    /// The word for it in the last line of the screen; empty where it is not shown there.
+    pub hint: &'static str,
+    /// Where its keys count.
+    pub mode: Mode,
+    /// Its place in the help.
+    pub group: Group,
+    /// Its usual keys, as [`super::Key::parse`] reads them.
+    pub keys: &'static [&'static str],
+    /// Does it.
+    pub run: fn(&mut App, Instant),
+}
+
+/// What the keys mean at the moment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Mode {
+    /// Looking at a page.
+    Browse,
+    /// A question waits for yes or no.
+    Confirm,
+    /// Somebody else changed the same value of des.json.
+    Conflict,
+    /// The help is open.
+    Help,
+}
+
+/// The parts of the help.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[allow(missing_docs)]
+pub enum Group {
+    Look,
+    Bus,
+    File,
+    Program,
+    Answer,
+}
+
+impl Group {
+    /// In the order of the help.
+    pub const ALL: [Group; 5] =
+        [Group::Look, Group::Bus, Group::File, Group::Program, Group::Answer];
+
+    /// Its heading.
+    pub const fn title(self) -> &'static str {
+        match self {
+            Group::Look => "Looking",
+            Group::Bus => "The bus",
+            Group::File => "des.json",
+            Group::Program => "The program",
+            Group::Answer => "Questions",
+        }
+    }
+}
+
+impl fmt::Debug for Action {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name)
+    }
+}
+
+/// Writes the table: `mode group: name "doc" "hint" [keys] => function;`.
+macro_rules! actions {
+    ($($mode:ident $group:ident: {
+        $($name:literal $doc:literal $hint:literal [$($key:literal)*] => $run:expr;)*
+    })*) => {
+        /// All actions, in the order of the help.
+        pub static ACTIONS: &[Action] = &[$($(Action {
+            name: $name,
+            doc: $doc,
+            hint: $hint,
+            mode: Mode::$mode,
+            group: Group::$group,
+            keys: &[$($key),*],
+            run: $run,
+        },)*)*];
+    };
+}
+
+actions! {
+    Browse Look: {
+        "up" "Up a row" "" ["Up" "k"] => |app, _| app.move_by(-1);
+        "down" "Down a row" "" ["Down" "j"] => |app, _| app.move_by(1);
+        "page-up" "Up a screenful" "" ["PgUp" "Ctrl-b"] => |app, _| app.move_pages(-1);
+        "page-down" "Down a screenful" "" ["PgDn" "Ctrl-f"] => |app, _| app.move_pages(1);
+        "first" "To the first row" "" ["g" "Home"] => |app, _| app.move_to_end(false);
+        "last" "To the last row; in Traffic and Timeline: follow" "" ["G" "End"]
+            => |app, _| app.move_to_end(true);
+        "details" "Open the details, or go to the frames of a timeline line" "details" ["Enter"]
+            => |app, _| app.open_details();
+        "into" "Into the details" "" ["Right" "l"] => |app, _| app.focus_details(true);
+        "back" "Back to the list" "" ["Left" "h"] => |app, _| app.focus_details(false);
+        "next-page" "The next page" "" ["Tab"] => |app, _| app.turn_page(1);
+        "previous-page" "The page before" "" ["Shift-Tab"] => |app, _| app.turn_page(-1);
+        "devices" "Page 1: devices" "" ["1"] => |app, _| app.show_page(Page::Devices);
+        "traffic" "Page 2: traffic" "" ["2"] => |app, _| app.show_page(Page::Traffic);
+        "timeline" "Page 3: timeline" "" ["3"] => |app, _| app.show_page(Page::Timeline);
+        "problems" "Page 4: problems" "" ["4"] => |app, _| app.show_page(Page::Problems);
+        "filter" "Show only rows with these words" "filter" ["/"] => |app, _| app.ask_filter();
+        "sort" "Sort by the next column" "sort" ["s"] => |app, _| app.sort_by_next();
+        "freeze" "Hold the rows still; nothing is lost meanwhile" "freeze" ["Space"]
+            => |app, now| app.toggle_freeze(now);
+        "identifiers" "Traffic: frames, or one row per identifier" "identifiers" ["v"]
+            => |app, _| app.toggle_identifiers();
+        "copy" "Copy the selected row to the clipboard" "" ["y"] => |app, now| app.copy_row(now);
+        "cancel" "Leave what is open; take the filter away" "" ["Esc"] => |app, _| app.cancel();
+    }
+    Browse Bus: {
+        "rescan" "Ask all devices again" "rescan" ["r"] => |app, now| app.rescan(now);
+        "clear-lost" "Forget the devices that are lost" "clear lost" ["c"]
+            => |app, now| app.clear_lost(now);
+        "identify" "Let the device blink or beep (asks; needs a profile)" "identify" ["i"]
+            => |app, now| app.ask_identify(now);
+        "save-capture" "Save the captured frames as a candump log" "save log" ["w"]
+            => |app, now| app.ask_capture_path(now);
+    }
+    Browse File: {
+        "edit-address" "Edit the static address in the row" "edit address" ["e"]
+            => |app, now| app.edit_address(now);
+        "add" "Take the device into the file" "add to file" ["a"] => |app, now| app.add_device(now);
+        "add-all" "Take all devices into the file" "" ["A"] => |app, now| app.add_all(now);
+        "new-entry" "A new entry: name and address" "new" ["n"] => |app, now| app.ask_new_entry(now);
+        "rename" "Rename the entry" "" ["R"] => |app, now| app.ask_rename(now);
+        "delete-entry" "Delete the entry (asks)" "" ["D"] => |app, now| app.ask_delete(now);
+        "undo" "Take the last edit back" "undo" ["u"] => |app, now| app.undo(now);
+        "redo" "Make it again" "" ["Ctrl-r"] => |app, now| app.redo(now);
+        "save" "Save again what could not be saved" "" ["Ctrl-s"] => |app, now| app.save(now);
+    }
+    Browse Program: {
+        "help" "All keys, and what the signs mean" "help" ["?" "F1"] => |app, _| app.show_help();
+        "theme" "The next theme" "" ["t"] => |app, now| app.next_theme(now);
+        "redraw" "Draw the screen anew" "" ["Ctrl-l"] => |app, _| app.redraw();
+        "suspend" "To the shell; back with fg" "" ["Ctrl-z"] => |app, _| app.suspend();
+        "quit" "Quit; asks while edits are not saved" "quit" ["q"] => |app, now| app.ask_quit(now);
+        "quit-now" "Quit at once" "" ["Ctrl-c"] => |app, _| app.quit();
+    }
+    Help Answer: {
+        "help-up" "Scroll the help up" "" ["Up" "k"] => |app, _| app.scroll_help(-1);
+        "help-down" "Scroll the help down" "scroll" ["Down" "j" "Space"]
+            => |app, _| app.scroll_help(1);
+        "help-page-up" "A screenful up" "" ["PgUp" "Ctrl-b"] => |app, _| app.scroll_help(-10);
+        "help-page-down" "A screenful down" "" ["PgDn" "Ctrl-f"] => |app, _| app.scroll_help(10);
+        "help-close" "Close the help" "close" ["Esc" "?" "q" "Enter" "F1"]
+            => |app, _| app.cancel();
+    }
+    Confirm Answer: {
+        "yes" "Yes, do it" "yes" ["y"] => |app, now| app.answer(now, true);
+        "no" "No, leave it" "no" ["n" "Esc" "q"] => |app, now| app.answer(now, false);
+    }
+    Conflict Answer: {
+        "ours" "Conflict: keep our value" "ours" ["o"] => |app, now| app.resolve(now, true);
+        "theirs" "Conflict: keep the value in the file" "theirs" ["t"]
+            => |app, now| app.resolve(now, false);
+        "later" "Conflict: decide later; the edit stays unsaved" "later" ["Esc"]
+            => |app, now| app.resolve_later(now);
+    }
+}
+
+/// The action of that name.
+pub fn action(name: &str) -> Option<&'static Action> {
+    ACTIONS.iter().find(|action| action.name == name)
+}

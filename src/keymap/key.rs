@@ -1,0 +1,175 @@
+//! A key as it was pressed, how it is written in `keys.toml`, and where it is on a Russian
+//! keyboard.
+//!
+//! Does not know terminals: the shell converts what the terminal reports.
+
+use std::fmt;
+
+/// A key with its modifiers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Key {
+    /// Which one.
+    pub code: KeyCode,
+    /// With Ctrl.
+    pub ctrl: bool,
+    /// With Alt.
+    pub alt: bool,
+    /// With Shift. Never set for characters: they come as the character that Shift makes.
+    pub shift: bool,
+}
+
+/// A key without its modifiers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[allow(missing_docs)]
+pub enum KeyCode {
+    Char(char),
+    Enter,
+    Esc,
+    Tab,
+    Backspace,
+    Delete,
+    Insert,
+    Up,
+    Down,
+    Left,
+    Right,
+    Home,
+    End,
+    PageUp,
+    PageDown,
+    F(u8),
+}
+
+/// The keys that have names, as `keys.toml` and the help write them.
+const NAMED: [(KeyCode, &str); 16] = [
+    (KeyCode::Enter, "Enter"),
+    (KeyCode::Esc, "Esc"),
+    (KeyCode::Tab, "Tab"),
+    (KeyCode::Backspace, "Backspace"),
+    (KeyCode::Delete, "Delete"),
+    (KeyCode::Insert, "Insert"),
+    (KeyCode::Up, "Up"),
+    (KeyCode::Down, "Down"),
+    (KeyCode::Left, "Left"),
+    (KeyCode::Right, "Right"),
+    (KeyCode::Home, "Home"),
+    (KeyCode::End, "End"),
+    (KeyCode::PageUp, "PgUp"),
+    (KeyCode::PageDown, "PgDn"),
+    (KeyCode::Char(' '), "Space"),
+    (KeyCode::Char('-'), "Minus"),
+];
+
+impl Key {
+    /// A key without modifiers.
+    pub const fn new(code: KeyCode) -> Self {
+        Self { code, ctrl: false, alt: false, shift: false }
+    }
+
+    /// A character.
+    pub const fn char(c: char) -> Self {
+        Self::new(KeyCode::Char(c))
+    }
+
+    /// A character with Ctrl.
+    pub const fn ctrl(c: char) -> Self {
+        Self { ctrl: true, ..Self::char(c) }
+    }
+
+    /// The key as the keymap knows it: Shift is part of a character, and Ctrl makes no
+    /// difference between small and capital letters.
+    #[must_use]
+    pub fn normal(mut self) -> Self {
+        if let KeyCode::Char(c) = self.code {
+            self.shift = false;
+            if self.ctrl {
+                self.code = KeyCode::Char(c.to_lowercase().next().unwrap_or(c));
+            }
+        }
+        self
+    }
+
+    /// The key that is at the same place of a Latin keyboard, where the character is one of
+    /// the Russian layout (ЙЦУКЕН).
+    pub fn on_latin_keyboard(self) -> Option<Self> {
+        let KeyCode::Char(c) = self.code else { return None };
+        let at = RUSSIAN.chars().position(|russian| russian == c)?;
+        let code = KeyCode::Char(LATIN.chars().nth(at)?);
+        Some(Self { code, ..self })
+    }
+
+    /// Reads a key as it is written in `keys.toml`: `r`, `G`, `Space`, `Ctrl-r`, `Shift-Tab`,
+    /// `F5`.
+    pub fn parse(text: &str) -> Option<Self> {
+        let mut key = Key::char('\0');
+        let mut rest = text;
+        loop {
+            let Some((modifier, behind)) = rest.split_once('-') else { break };
+            match modifier {
+                _ if behind.is_empty() => break,
+                "Ctrl" | "C" => key.ctrl = true,
+                "Alt" | "A" => key.alt = true,
+                "Shift" | "S" => key.shift = true,
+                _ => return None,
+            }
+            rest = behind;
+        }
+        let named = NAMED.iter().find(|(_, name)| name.eq_ignore_ascii_case(rest));
+        let mut characters = rest.chars();
+        key.code = match (named, characters.next(), characters.next()) {
+            (Some(&(code, _)), ..) => code,
+            (None, Some(c), None) => KeyCode::Char(c),
+            _ => KeyCode::F(rest.strip_prefix('F')?.parse().ok().filter(|n| (1..=24).contains(n))?),
+        };
+        Some(key.normal())
+    }
+}
+
+/// As [`Key::parse`] reads it.
+impl fmt::Display for Key {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let modifiers = [(self.ctrl, "Ctrl-"), (self.alt, "Alt-"), (self.shift, "Shift-")];
+        let mut text = String::new();
+        for (_, name) in modifiers.iter().filter(|(held, _)| *held) {
+            text.push_str(name);
+        }
+        match (NAMED.iter().find(|(code, _)| *code == self.code), self.code) {
+            (Some((_, name)), _) => text.push_str(name),
+            (None, KeyCode::Char(c)) => text.push(c),
+            (None, KeyCode::F(number)) => text.push_str(&format!("F{number}")),
+            (None, _) => {}
+        }
+        f.pad(&text)
+    }
+}
+
+// The same keys in both layouts. The punctuation of the last row lets `/` and `?` be found, too.
+const RUSSIAN: &str = "йцукенгшщзхъфывапролджэячсмитьбю.ЙЦУКЕНГШЩЗХЪФЫВАПРОЛДЖЭЯЧСМИТЬБЮ,";
+const LATIN: &str = "qwertyuiop[]asdfghjkl;'zxcvbnm,./QWERTYUIOP{}ASDFGHJKL:\"ZXCVBNM<>?";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_are_written_as_they_are_read() {
+        for text in ["r", "G", "?", "Space", "Ctrl-r", "Shift-Tab", "F12", "PgDn", "Alt-Enter"] {
+            let key = Key::parse(text).unwrap_or_else(|| panic!("{text}"));
+            assert_eq!(key.to_string(), text);
+        }
+        assert_eq!(Key::parse("Minus"), Some(Key::char('-')));
+        for wrong in ["", "rr", "Hyper-r", "F0", "F99", "Ctrl-"] {
+            assert_eq!(Key::parse(wrong), None, "{wrong}");
+        }
+    }
+
+    #[test]
+    fn the_russian_layout_goes_by_place() {
+        assert_eq!(RUSSIAN.chars().count(), LATIN.chars().count());
+        let latin = |c| Key::char(c).on_latin_keyboard().map(|key| key.code);
+        assert_eq!(latin('к'), Some(KeyCode::Char('r')));
+        assert_eq!(latin('П'), Some(KeyCode::Char('G')));
+        assert_eq!(latin('.'), Some(KeyCode::Char('/')));
+        assert_eq!(latin('r'), None);
+    }
+}

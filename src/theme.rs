@@ -1,0 +1,431 @@
+//! Colours by meaning: a theme gives every [`Role`] a style. Five are built in; the user's are
+//! TOML files of the same form:
+//!
+//! ```toml
+//! inherits = "dark"
+//! [palette]
+//! amber = "#ffaf5f"
+//! [roles]
+//! warning = "amber"
+//! selected = { bg = "#303030", bold = true }
+//! ```
+//!
+//! A role that a theme does not name is as in the theme it inherits from (`terminal`, where it
+//! names none). A role given as a colour alone has that foreground and no attributes.
+//!
+//! Does not know what is drawn, nor where theme files are kept.
+
+use ratatui::style::{Color, Modifier, Style};
+use std::fmt;
+use std::ops::Range;
+use toml::Spanned;
+use toml::de::{DeString, DeTable, DeValue};
+
+macro_rules! roles {
+    ($($variant:ident $name:literal $doc:literal,)*) => {
+        /// What something on the screen means.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+        pub enum Role { $(#[doc = $doc] $variant,)* }
+
+        impl Role {
+            /// All of them.
+            pub const ALL: &[Role] = &[$(Role::$variant),*];
+
+            /// Its name in theme files.
+            pub const fn name(self) -> &'static str {
+                match self { $(Role::$variant => $name,)* }
+            }
+
+            /// What it is for.
+            pub const fn doc(self) -> &'static str {
+                match self { $(Role::$variant => $doc,)* }
+            }
+        }
+    };
+}
+
+roles! {
+    Text "text" "Ordinary text.",
+    Muted "muted" "What matters less: labels, units, old things.",
+    Title "title" "Headings and the names of panes.",
+    Tab "tab" "A page that is not open.",
+    TabActive "tab_active" "The page that is open.",
+    Border "border" "Lines between panes.",
+    BorderFocus "border_focus" "Lines of the pane that has the keys.",
+    Header "header" "Column headings.",
+    Selected "selected" "The selected row, laid over its other styles.",
+    Online "online" "Devices that are there.",
+    Stale "stale" "Devices whose heartbeat is late.",
+    Silent "silent" "Devices that send, but no heartbeats.",
+    Asleep "asleep" "Devices that sleep.",
+    Lost "lost" "Devices that are gone.",
+    Missing "missing" "Devices that are listed and not there.",
+    Collision "collision" "Confirmed collisions.",
+    Suspected "suspected" "Suspicions.",
+    FileOk "file_ok" "The file says what the bus says.",
+    FileDiffers "file_differs" "The file says something else.",
+    New "new" "Devices that are not in the file.",
+    Input "input" "Text being typed.",
+    Error "error" "What keeps something from working.",
+    Warning "warning" "What deserves a look.",
+    HintKey "hint_key" "Keys in the last line and in the help.",
+    Bar "bar" "The load bars.",
+    Match "match" "What the filter found, and that there is one.",
+}
+
+/// A style for every role.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Theme {
+    /// Its name.
+    pub name: String,
+    styles: [Style; Role::ALL.len()],
+}
+
+/// The themes that are built in, and their files.
+pub const BUILT_IN: [(&str, &str); 5] = [
+    ("terminal", include_str!("../themes/terminal.toml")),
+    ("dark", include_str!("../themes/dark.toml")),
+    ("light", include_str!("../themes/light.toml")),
+    ("high-contrast", include_str!("../themes/high-contrast.toml")),
+    ("mono", include_str!("../themes/mono.toml")),
+];
+
+/// How many colours the terminal has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Colours {
+    /// The sixteen of the user's own terminal.
+    Sixteen,
+    /// 256.
+    Indexed,
+    /// 24 bits.
+    Full,
+}
+
+/// Why a theme cannot be used.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("line {line}: {message}")]
+pub struct ThemeError {
+    /// From 1.
+    pub line: usize,
+    /// What is wrong there.
+    pub message: String,
+}
+
+impl Theme {
+    /// The built-in theme of that name.
+    pub fn built_in(name: &str) -> Option<Self> {
+        let (_, text) = BUILT_IN.iter().find(|(known, _)| *known == name)?;
+        Some(Self::parse(name, text, |_| None).unwrap_or_else(|error| {
+            panic!("the built-in theme {name} is checked by tests: {error}")
+        }))
+    }
+
+    /// Reads a theme. `find` gives the text of another theme of the user's by its name; the
+    /// built-in ones are known here.
+    pub fn parse(
+        name: &str,
+        text: &str,
+        find: impl Fn(&str) -> Option<String>,
+    ) -> Result<Self, ThemeError> {
+        Self::parse_below(name, text, &find, &[name])
+    }
+
+    fn parse_below(
+        name: &str,
+        text: &str,
+        find: &dyn Fn(&str) -> Option<String>,
+        above: &[&str],
+    ) -> Result<Self, ThemeError> {
+        let source = Source { text };
+        let table = DeTable::parse(text)
+            .map_err(|e| source.error(e.span().unwrap_or(0..0), e.message().to_owned()))?;
+        let mut theme = Self { name: name.to_owned(), styles: [Style::new(); Role::ALL.len()] };
+        let mut palette = None;
+        let mut roles = None;
+        for (key, value) in table.get_ref() {
+            match (key.get_ref().as_ref(), value.get_ref()) {
+                ("inherits", DeValue::String(parent)) => {
+                    theme.styles = source.parent(parent, value.span(), find, above)?.styles;
+                }
+                ("palette", DeValue::Table(table)) => palette = Some(table),
+                ("roles", DeValue::Table(table)) => roles = Some(table),
+                ("inherits", _) => return source.refuse(value, "a theme's name, in quotes"),
+                ("palette" | "roles", _) => return source.refuse(value, "a table"),
+                (other, _) => {
+                    let message =
+                        format!("no \"{other}\" here; there are inherits, [palette], [roles]");
+                    return Err(source.error(key.span(), message));
+                }
+            }
+        }
+        if !table.get_ref().contains_key("inherits") && name != "terminal" {
+            theme.styles = Self::built_in("terminal").map_or(theme.styles, |theme| theme.styles);
+        }
+        for (key, value) in roles.into_iter().flatten() {
+            let role = Role::ALL.iter().position(|role| role.name() == key.get_ref().as_ref());
+            let Some(role) = role else {
+                let known: Vec<&str> = Role::ALL.iter().map(|role| role.name()).collect();
+                let known = known.join(", ");
+                let message = format!("no role \"{}\"; there are {known}", key.get_ref());
+                return Err(source.error(key.span(), message));
+            };
+            theme.styles[role] = source.style(value, palette)?;
+        }
+        Ok(theme)
+    }
+
+    /// The style of a role.
+    pub fn style(&self, role: Role) -> Style {
+        self.styles[role as usize]
+    }
+
+    /// The same theme in the colours that the terminal has.
+    #[must_use]
+    pub fn limited(mut self, colours: Colours) -> Self {
+        for style in &mut self.styles {
+            style.fg = style.fg.map(|colour| nearest(colour, colours));
+            style.bg = style.bg.map(|colour| nearest(colour, colours));
+            style.underline_color = None;
+        }
+        self
+    }
+}
+
+/// The text of a theme, for saying where something is wrong.
+struct Source<'t> {
+    text: &'t str,
+}
+
+type Value<'t> = Spanned<DeValue<'t>>;
+
+impl Source<'_> {
+    fn error(&self, span: Range<usize>, message: String) -> ThemeError {
+        ThemeError { line: self.text[..span.start].matches('\n').count() + 1, message }
+    }
+
+    fn refuse<T>(&self, value: &Value, expected: impl fmt::Display) -> Result<T, ThemeError> {
+        Err(self.error(value.span(), format!("expected {expected}")))
+    }
+
+    fn parent(
+        &self,
+        name: &str,
+        span: Range<usize>,
+        find: &dyn Fn(&str) -> Option<String>,
+        above: &[&str],
+    ) -> Result<Theme, ThemeError> {
+        // A user's theme may have the name of a built-in one and inherit from that.
+        if !above.contains(&name)
+            && let Some(text) = find(name)
+        {
+            let above = [above, &[name]].concat();
+            return Theme::parse_below(name, &text, find, &above)
+                .map_err(|error| self.error(span, format!("in {name}: {error}")));
+        }
+        let own_text = |text: &str| BUILT_IN.iter().any(|(_, built_in)| *built_in == text);
+        match Theme::built_in_other_than(name, self.text) {
+            Some(theme) => Ok(theme),
+            None if above.contains(&name) || own_text(self.text) => {
+                Err(self.error(span, format!("{name} inherits from itself")))
+            }
+            None => Err(self.error(span, format!("there is no theme \"{name}\""))),
+        }
+    }
+
+    fn style(&self, value: &Value, palette: Option<&DeTable>) -> Result<Style, ThemeError> {
+        let DeValue::Table(table) = value.get_ref() else {
+            return Ok(Style { fg: self.colour(value, palette)?, ..Style::new() });
+        };
+        let mut style = Style::new();
+        for (key, value) in table {
+            let modifier = match key.get_ref().as_ref() {
+                "fg" => {
+                    style.fg = self.colour(value, palette)?;
+                    continue;
+                }
+                "bg" => {
+                    style.bg = self.colour(value, palette)?;
+                    continue;
+                }
+                "bold" => Modifier::BOLD,
+                "dim" => Modifier::DIM,
+                "italic" => Modifier::ITALIC,
+                "underline" => Modifier::UNDERLINED,
+                "reverse" => Modifier::REVERSED,
+                other => {
+                    let message = format!(
+                        "no \"{other}\" in a style; there are fg, bg, bold, dim, italic, \
+                         underline, reverse"
+                    );
+                    return Err(self.error(key.span(), message));
+                }
+            };
+            match value.get_ref() {
+                DeValue::Boolean(true) => style = style.add_modifier(modifier),
+                DeValue::Boolean(false) => {}
+                _ => return self.refuse(value, "true or false"),
+            }
+        }
+        Ok(style)
+    }
+
+    /// A colour; `None` is the terminal's own.
+    fn colour(
+        &self,
+        value: &Value,
+        palette: Option<&DeTable>,
+    ) -> Result<Option<Color>, ThemeError> {
+        let expected = "a colour: one of the palette, one of the sixteen (\"red\", \
+                        \"bright-red\", …), \"default\", \"#rrggbb\", or 0 to 255";
+        match value.get_ref() {
+            DeValue::String(name) => {
+                let own = |(key, _): &(&Spanned<DeString>, &Value)| key.get_ref() == name;
+                if let Some((_, value)) = palette.and_then(|palette| palette.iter().find(own)) {
+                    return self.colour(value, None);
+                }
+                match named(name) {
+                    Some(colour) => Ok(colour),
+                    None => self.refuse(value, expected),
+                }
+            }
+            DeValue::Integer(number) => match u8::from_str_radix(number.as_str(), number.radix()) {
+                Ok(index) => Ok(Some(Color::Indexed(index))),
+                Err(_) => self.refuse(value, expected),
+            },
+            _ => self.refuse(value, expected),
+        }
+    }
+}
+
+impl Theme {
+    /// The built-in theme of that name, unless its text is this one.
+    fn built_in_other_than(name: &str, text: &str) -> Option<Self> {
+        let other = BUILT_IN.iter().any(|(known, own)| *known == name && *own != text);
+        other.then(|| Self::built_in(name)).flatten()
+    }
+}
+
+const SIXTEEN: [(&str, Color, [u8; 3]); 16] = [
+    ("black", Color::Black, [0, 0, 0]),
+    ("red", Color::Red, [205, 0, 0]),
+    ("green", Color::Green, [0, 205, 0]),
+    ("yellow", Color::Yellow, [205, 205, 0]),
+    ("blue", Color::Blue, [0, 0, 238]),
+    ("magenta", Color::Magenta, [205, 0, 205]),
+    ("cyan", Color::Cyan, [0, 205, 205]),
+    ("white", Color::Gray, [229, 229, 229]),
+    ("bright-black", Color::DarkGray, [127, 127, 127]),
+    ("bright-red", Color::LightRed, [255, 80, 80]),
+    ("bright-green", Color::LightGreen, [80, 255, 80]),
+    ("bright-yellow", Color::LightYellow, [255, 255, 80]),
+    ("bright-blue", Color::LightBlue, [92, 92, 255]),
+    ("bright-magenta", Color::LightMagenta, [255, 80, 255]),
+    ("bright-cyan", Color::LightCyan, [80, 255, 255]),
+    ("bright-white", Color::White, [255, 255, 255]),
+];
+
+fn named(name: &str) -> Option<Option<Color>> {
+    if name == "default" {
+        return Some(None);
+    }
+    if let Some(hex) = name.strip_prefix('#') {
+        let digits = (hex.len() == 6).then(|| u32::from_str_radix(hex, 16).ok()).flatten()?;
+        let [_, red, green, blue] = digits.to_be_bytes();
+        return Some(Some(Color::Rgb(red, green, blue)));
+    }
+    let found = SIXTEEN.iter().find(|(known, ..)| *known == name);
+    found.map(|(_, colour, _)| Some(*colour))
+}
+
+/// The colour that comes nearest, among those the terminal has.
+fn nearest(colour: Color, colours: Colours) -> Color {
+    let rgb = match colour {
+        Color::Rgb(red, green, blue) if colours < Colours::Full => [red, green, blue],
+        Color::Indexed(index) if colours < Colours::Indexed => rgb_of(index),
+        _ => return colour,
+    };
+    let distance = |other: [u8; 3]| -> i32 {
+        let part = |at: usize| (i32::from(rgb[at]) - i32::from(other[at])).pow(2);
+        2 * part(0) + 4 * part(1) + 3 * part(2)
+    };
+    if colours == Colours::Indexed {
+        let best = (16..=255).min_by_key(|&index| distance(rgb_of(index)));
+        return Color::Indexed(best.unwrap_or(7));
+    }
+    let best = SIXTEEN.iter().min_by_key(|(.., other)| distance(*other));
+    best.map_or(colour, |(_, colour, _)| *colour)
+}
+
+/// The usual values of the 256 colours.
+fn rgb_of(index: u8) -> [u8; 3] {
+    let level = |part: u8| if part == 0 { 0 } else { 55 + 40 * part };
+    match index {
+        0..=15 => SIXTEEN[usize::from(index)].2,
+        16..=231 => {
+            let cube = index - 16;
+            [level(cube / 36), level(cube / 6 % 6), level(cube % 6)]
+        }
+        _ => [8 + 10 * (index - 232); 3],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(text: &str) -> Result<Theme, ThemeError> {
+        Theme::parse("mine", text, |name| match name {
+            "ours" => Some("inherits = \"ring\"\n[roles]\ntext = \"red\"".to_owned()),
+            "ring" => Some("inherits = \"ours\"".to_owned()),
+            "warm" => Some("[roles]\ntext = 208".to_owned()),
+            _ => None,
+        })
+    }
+
+    #[test]
+    fn built_in_themes_are_whole() {
+        for (name, text) in BUILT_IN {
+            let theme = Theme::built_in(name).unwrap();
+            assert!(theme.styles.iter().any(|style| *style != Style::new()), "{name}");
+            if !text.contains("inherits") {
+                for role in Role::ALL {
+                    assert!(text.contains(&format!("\n{} = ", role.name())), "{name}: {role:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn mono_has_no_colours() {
+        let theme = Theme::built_in("mono").unwrap();
+        assert!(theme.styles.iter().all(|style| style.fg.is_none() && style.bg.is_none()));
+        assert!(theme.style(Role::Selected).add_modifier.contains(Modifier::REVERSED));
+    }
+
+    #[test]
+    fn a_theme_inherits_and_has_a_palette() {
+        let theme = parse(
+            "inherits = \"warm\"\n[palette]\namber = \"#ffaf5f\"\n\
+             [roles]\nwarning = \"amber\"\nerror = { fg = \"bright-red\", bold = true }",
+        )
+        .unwrap();
+        assert_eq!(theme.style(Role::Text).fg, Some(Color::Indexed(208)));
+        assert_eq!(theme.style(Role::Warning).fg, Some(Color::Rgb(0xFF, 0xAF, 0x5F)));
+        assert!(theme.style(Role::Error).add_modifier.contains(Modifier::BOLD));
+        let limited = theme.clone().limited(Colours::Indexed);
+        assert_eq!(limited.style(Role::Warning).fg, Some(Color::Indexed(215)));
+        assert_eq!(theme.limited(Colours::Sixteen).style(Role::Error).fg, Some(Color::LightRed));
+    }
+
+    #[test]
+    fn errors_say_where_and_what_there_is() {
+        let message = |text| parse(text).unwrap_err().to_string();
+        assert!(message("[roles]\n\nerorr = \"red\"").starts_with("line 3: no role \"erorr\"; "));
+        assert!(message("[roles]\ntext = \"rde\"").starts_with("line 2: expected a colour"));
+        assert!(message("[roles]\ntext = 256").starts_with("line 2: expected a colour"));
+        assert!(message("[roles]\ntext = { bald = true }").starts_with("line 2: no \"bald\""));
+        assert_eq!(message("inherits = \"nice\""), "line 1: there is no theme \"nice\"");
+        assert!(message("inherits = \"ours\"").contains("inherits from itself"));
+        assert!(message("text = ").starts_with("line 1: "));
+    }
+}

@@ -1,0 +1,204 @@
+//! What all regions draw with: text in cells, by role.
+//!
+//! Knows how wide text is, not what it says.
+
+use crate::app::{App, Screen};
+use crate::theme::{Role, Theme};
+use ratatui::buffer::Buffer;
+use ratatui::layout::{Position, Rect};
+use ratatui::style::{Modifier, Style};
+use ratatui::text::{Line, Span};
+use unicode_width::{UnicodeWidthChar, UnicodeWidthStr};
+
+/// The app, the theme, and where to draw.
+pub struct Brush<'a> {
+    pub app: &'a App,
+    pub theme: &'a Theme,
+    pub screen: Screen,
+    pub buffer: &'a mut Buffer,
+    /// Where the terminal's cursor is to stand, where something is typed.
+    pub cursor: Option<Position>,
+}
+
+impl Brush<'_> {
+    pub fn style(&self, role: Role) -> Style {
+        self.theme.style(role)
+    }
+
+    pub fn span(&self, role: Role, text: impl Into<String>) -> Span<'static> {
+        Span::styled(text.into(), self.style(role))
+    }
+
+    /// Draws a line into the `row`th row of an area, cut at its end with `…`.
+    pub fn line(&mut self, area: Rect, row: u16, line: &Line) {
+        if row >= area.height {
+            return;
+        }
+        let width = usize::from(area.width);
+        let (x, y) = (area.x, area.y + row);
+        if line.width() <= width {
+            self.buffer.set_line(x, y, line, area.width);
+            return;
+        }
+        let mut left = width.saturating_sub(1);
+        let mut at = x;
+        let mut last = Style::new();
+        for span in &line.spans {
+            let text = cut(&span.content, left);
+            left -= text.width();
+            self.buffer.set_stringn(at, y, text, width, span.style);
+            at += text.width() as u16;
+            last = span.style;
+            if text.len() < span.content.len() {
+                break;
+            }
+        }
+        if width > 0 {
+            self.buffer.set_stringn(at, y, "…", 1, last);
+        }
+    }
+
+    /// Draws lines from the top of an area, the first `scroll` of them left out, but never more
+    /// than there is to see.
+    pub fn lines(&mut self, area: Rect, lines: &[Line], scroll: u16) {
+        let height = usize::from(area.height);
+        let hidden = lines.len().saturating_sub(height);
+        let scroll = usize::from(scroll).min(hidden);
+        for (row, line) in lines.iter().skip(scroll).take(height).enumerate() {
+            self.line(area, row as u16, line);
+        }
+        if hidden > scroll && height > 0 {
+            let more = format!(" ↓ {} more ", hidden - scroll);
+            let width = more.width() as u16;
+            if width <= area.width {
+                let x = area.right() - width;
+                let style = self.style(Role::Muted);
+                self.buffer.set_string(x, area.bottom() - 1, more, style);
+            }
+        }
+    }
+
+    /// Draws a horizontal rule.
+    pub fn rule(&mut self, area: Rect, role: Role) {
+        let style = self.style(role);
+        for y in area.top()..area.bottom() {
+            for x in area.left()..area.right() {
+                self.buffer[(x, y)].set_symbol("─").set_style(style);
+            }
+        }
+    }
+
+    /// Lays the style of the selected row over it.
+    pub fn select(&mut self, area: Rect, row: u16) {
+        if row < area.height {
+            let row = Rect { y: area.y + row, height: 1, ..area };
+            let style = self.style(Role::Selected);
+            if style.add_modifier.contains(Modifier::REVERSED) {
+                // One even bar: colours turned over would make patches of it.
+                let plain = self.style(Role::Text);
+                for x in row.left()..row.right() {
+                    let cell = &mut self.buffer[(x, row.y)];
+                    let keep = cell.modifier & Modifier::BOLD;
+                    cell.set_style(Style::reset().patch(plain).add_modifier(keep));
+                }
+            }
+            self.buffer.set_style(row, style);
+        }
+    }
+}
+
+/// The beginning of `text` that fits `width` cells.
+pub fn cut(text: &str, width: usize) -> &str {
+    let mut used = 0;
+    for (at, c) in text.char_indices() {
+        used += c.width().unwrap_or(0);
+        if used > width {
+            return &text[..at];
+        }
+    }
+    text
+}
+
+/// `text` in exactly `width` cells: cut with `…`, or filled with blanks behind.
+pub fn fit(text: &str, width: usize) -> String {
+    let own = text.width();
+    if own <= width {
+        return format!("{text}{}", " ".repeat(width - own));
+    }
+    let start = cut(text, width.saturating_sub(1));
+    let dots = if width > 0 { "…" } else { "" };
+    let rest = width.saturating_sub(start.width() + dots.width());
+    format!("{start}{dots}{}", " ".repeat(rest))
+}
+
+/// The same with the blanks in front.
+pub fn fit_right(text: &str, width: usize) -> String {
+    let own = text.width();
+    if own < width { format!("{}{text}", " ".repeat(width - own)) } else { fit(text, width) }
+}
+
+/// Breaks `text` into lines of at most `width` cells, at blanks where there are any.
+pub fn wrap(text: &str, width: usize) -> Vec<String> {
+    let width = width.max(4);
+    let mut lines = Vec::new();
+    let mut line = String::new();
+    for mut word in text.split_whitespace() {
+        if !line.is_empty() && line.width() + 1 + word.width() > width {
+            lines.push(std::mem::take(&mut line));
+        }
+        while word.width() > width {
+            let part = cut(word, width - line.width().min(width - 1));
+            lines.push(std::mem::take(&mut line) + part);
+            word = &word[part.len()..];
+        }
+        if !line.is_empty() {
+            line.push(' ');
+        }
+        line.push_str(word);
+    }
+    if !line.is_empty() {
+        lines.push(line);
+    }
+    lines
+}
+
+/// A label and text behind it, broken into lines that stay behind the label.
+pub fn labelled(
+    brush: &Brush,
+    label: &str,
+    role: Role,
+    text: &str,
+    width: u16,
+) -> Vec<Line<'static>> {
+    let indent = label.width();
+    wrap(text, usize::from(width).saturating_sub(indent))
+        .into_iter()
+        .enumerate()
+        .map(|(at, part)| {
+            let label = if at == 0 { label.to_owned() } else { " ".repeat(indent) };
+            Line::from(vec![brush.span(Role::Muted, label), brush.span(role, part)])
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_fits_its_cells() {
+        assert_eq!(fit("FEED", 6), "FEED  ");
+        assert_eq!(fit("FEEDER", 5), "FEED…");
+        assert_eq!(fit("温度計", 5), "温度…");
+        assert_eq!(fit("温度計", 4), "温… ");
+        assert_eq!(fit("x", 0), "");
+        assert_eq!(fit_right("12", 4), "  12");
+    }
+
+    #[test]
+    fn text_is_broken_at_blanks() {
+        assert_eq!(wrap("two devices answer", 11), ["two devices", "answer"]);
+        assert_eq!(wrap("a0123456789", 5), ["a0123", "45678", "9"]);
+        assert!(wrap("", 5).is_empty());
+    }
+}

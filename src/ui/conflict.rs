@@ -1,0 +1,36 @@
+//! Two values for one thing in des.json, ours and the one in the file: the user chooses.
+
+use super::brush::{Brush, labelled};
+use crate::theme::Role;
+use ratatui::layout::Rect;
+use ratatui::text::Line;
+
+pub fn draw(brush: &mut Brush) {
+    let whole = brush.screen.whole;
+    let top = brush.screen.tabs.y;
+    let rule = Rect { y: top, height: brush.screen.tabs.height, ..whole };
+    brush.rule(rule, Role::BorderFocus);
+    let title = Line::from(brush.span(Role::TabActive, " Conflict "));
+    brush.line(Rect { x: 1, width: whole.width.saturating_sub(1), ..rule }, 0, &title);
+    let area = Rect {
+        x: 2.min(whole.width),
+        y: top + rule.height,
+        width: whole.width.saturating_sub(4),
+        height: brush.screen.footer.y.saturating_sub(top + rule.height),
+    };
+    let Some(conflict) = brush.app.file().conflict() else { return };
+    let name = brush.app.file().name();
+    let mut lines = vec![Line::default()];
+    let text = format!("{name} was changed by someone else, where you changed it too.");
+    lines.extend(labelled(brush, "", Role::Text, &text, area.width));
+    lines.push(Line::default());
+    let edit = conflict.operation.to_string();
+    lines.extend(labelled(brush, "your edit  ", Role::Text, &edit, area.width));
+    lines.push(Line::default());
+    lines.extend(labelled(brush, "ours       ", Role::New, &conflict.ours, area.width));
+    lines.extend(labelled(brush, "theirs     ", Role::Suspected, &conflict.theirs, area.width));
+    lines.push(Line::default());
+    let text = "Until you choose nothing is written; the file stays as they left it.";
+    lines.extend(labelled(brush, "", Role::Muted, text, area.width));
+    brush.lines(area, &lines, 0);
+}

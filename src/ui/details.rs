@@ -1,0 +1,358 @@
+//! The details of the selected device: who it is, what it says, what is wrong with it, and why
+//! it is not there where it should be.
+
+use super::brush::{Brush, fit, labelled, wrap};
+use super::devices::state_role;
+use crate::app::{App, FileWord, Row, State, clock, concerns, spell};
+use crate::discovery::{Confidence, Device, Finding, Query, QueryState, ServiceEntry};
+use crate::theme::Role;
+use crate::time::Duration;
+use ratatui::layout::Rect;
+use ratatui::text::Line;
+use unicode_width::UnicodeWidthStr;
+
+pub fn draw(brush: &mut Brush) {
+    let area = inner(brush.screen.details, brush.screen.details_alone());
+    if area.height == 0 {
+        return;
+    }
+    let lines = match brush.app.selected_row() {
+        Some(row) => Details { brush, row, width: area.width, lines: Vec::new() }.all(),
+        None => vec![Line::from(brush.span(Role::Muted, "nothing is selected"))],
+    };
+    let scroll = brush.app.view().details_scroll;
+    brush.lines(area, &lines, scroll);
+}
+
+/// A blank column at either side.
+pub(super) fn inner(area: Rect, _alone: bool) -> Rect {
+    Rect { x: area.x + 1, width: area.width.saturating_sub(2), ..area }
+}
+
+struct Details<'b, 'a> {
+    brush: &'b Brush<'a>,
+    row: &'a Row,
+    width: u16,
+    lines: Vec<Line<'static>>,
+}
+
+impl<'a> Details<'_, 'a> {
+    fn all(mut self) -> Vec<Line<'static>> {
+        let app = self.brush.app;
+        let device = app.device_of(self.row);
+        self.state(device);
+        self.findings(device);
+        self.why(device);
+        if let Some(device) = device {
+            self.heartbeat(device);
+            self.identity(device);
+            self.services(device);
+        }
+        self.file(device);
+        if let Some(device) = device {
+            self.history(device);
+            self.questions(device);
+            self.quirks(device);
+        }
+        self.lines
+    }
+
+    fn app(&self) -> &'a App {
+        self.brush.app
+    }
+
+    fn ago(&self, at: crate::time::Instant) -> Duration {
+        self.app().now().since(at)
+    }
+
+    fn blank(&mut self) {
+        if self.lines.last().is_some_and(|line| !line.spans.is_empty()) {
+            self.lines.push(Line::default());
+        }
+    }
+
+    fn add(&mut self, label: &str, role: Role, text: &str) {
+        let label = if label.is_empty() { String::new() } else { fit(label, 10) };
+        self.lines.extend(labelled(self.brush, &label, role, text, self.width));
+    }
+
+    fn state(&mut self, device: Option<&Device>) {
+        let row = self.row;
+        let since = device
+            .map_or(String::new(), |device| format!(" {}", spell(self.ago(device.presence_since))));
+        let word = match (row.state, device) {
+            (State::Clash, Some(device)) => format!("CLASH · {}", device.presence),
+            _ => row.state.word().to_owned(),
+        };
+        let bus = match row.bus.and_then(|bus| self.app().bus(bus)) {
+            Some(bus) if self.app().buses().len() > 1 => format!(" on {}", bus.name),
+            _ => String::new(),
+        };
+        let mut line = Line::from(self.brush.span(state_role(row.state), word));
+        line.push_span(self.brush.span(Role::Text, format!("{since}{bus}")));
+        self.lines.push(line);
+        if let Some(device) = device.filter(|device| !device.is_here()) {
+            let text = format!("last heard {} ago", spell(self.ago(device.last_seen)));
+            self.add("", Role::Text, &text);
+        }
+        if row.twin
+            && let Some(device) = device
+        {
+            let twins = self.app().buses()[usize::from(device.id.bus.0)].engine.devices().iter();
+            let twins: Vec<String> = twins
+                .filter(|it| it.id != device.id && it.is_here() && it.name == device.name)
+                .map(|it| it.address.to_string())
+                .collect();
+            self.add("", Role::Text, &format!("² a twin: the same name at {}", twins.join(", ")));
+        }
+    }
+
+    fn findings(&mut self, device: Option<&Device>) {
+        let all = self.app().problems();
+        let about = |finding: &&&Finding| {
+            let of_row = || {
+                finding.key.name.is_some()
+                    && finding.key.name == self.row.name
+                    && finding.key.address == self.row.address
+            };
+            finding.confidence != Confidence::Cleared
+                && device.map_or_else(of_row, |device| concerns(finding, device))
+        };
+        let about: Vec<&Finding> = all.iter().filter(about).copied().collect();
+        for finding in about {
+            let (sign, role) = super::problems::sign(finding.confidence);
+            let text = if finding.text.is_empty() {
+                finding.key.kind.to_string()
+            } else {
+                finding.text.clone()
+            };
+            self.lines.extend(labelled(self.brush, &format!("{sign} "), role, &text, self.width));
+        }
+    }
+
+    fn why(&mut self, device: Option<&Device>) {
+        let app = self.app();
+        let reasons = match (device, app.entry_of(self.row)) {
+            (Some(device), _) => app.why_incomplete(device),
+            (None, Some(entry)) => app.why_missing(entry),
+            (None, None) => Vec::new(),
+        };
+        for reason in reasons {
+            self.lines.extend(labelled(self.brush, "→ ", Role::Warning, &reason, self.width));
+        }
+    }
+
+    fn heartbeat(&mut self, device: &Device) {
+        let beats = &device.heartbeat;
+        self.blank();
+        let text = match (beats.period(), beats.jitter()) {
+            _ if beats.count == 0 => "none heard".to_owned(),
+            (Some(period), Some(jitter)) => {
+                let millis = jitter.as_micros() as f64 / 1000.0;
+                format!("{:.2} s ±{millis:.0} ms", period.as_secs_f64())
+            }
+            (Some(period), None) => format!("{:.2} s", period.as_secs_f64()),
+            (None, _) => "one heard".to_owned(),
+        };
+        let missed = match beats.missed {
+            0 => String::new(),
+            missed => format!(", {missed} missed"),
+        };
+        self.add("heartbeat", Role::Text, &(text + &missed));
+        let modes: Vec<String> = device.mode_history.iter().map(|it| it.mode.to_string()).collect();
+        let mode = match device.mode {
+            Some(mode) => mode.to_string(),
+            None if device.working => "working (U bit)".to_owned(),
+            None => "not working (U bit)".to_owned(),
+        };
+        let error = device.error.filter(|code| *code != 0);
+        let error = error.map(|code| format!(", error {code}")).unwrap_or_default();
+        self.add("mode", Role::Text, &(mode + &error));
+        if modes.len() > 1 {
+            let last = modes.len().saturating_sub(6);
+            self.add("modes", Role::Muted, &modes[last..].join(" → "));
+        }
+    }
+
+    fn identity(&mut self, device: &Device) {
+        let profile = self.app().profile(device.id.bus);
+        match device.uid {
+            Some(uid) if uid.is_blank() => self.add("UID", Role::Muted, "blank"),
+            Some(uid) => {
+                let text = crate::text::Escaped(uid.text(&profile.uid).as_bytes()).to_string();
+                self.add("UID", Role::Text, &text);
+            }
+            None => {}
+        }
+        if let Some(framing) = device.framing {
+            self.add("framing", Role::Text, &framing.to_string());
+        }
+        if device.is_debug {
+            self.add("", Role::Text, "a debug device");
+        }
+    }
+
+    fn services(&mut self, device: &Device) {
+        self.blank();
+        let Some(services) = &device.services else {
+            let state = match device.services_query.state {
+                QueryState::NotAsked => "not asked",
+                QueryState::Asked => "asked …",
+                QueryState::Receiving => "arriving …",
+                QueryState::Answered => "not usable",
+                QueryState::Unanswered => "no answer",
+            };
+            return self.add("services", Role::Muted, state);
+        };
+        if services.is_empty() {
+            return self.add("services", Role::Text, "none");
+        }
+        let title = format!("services {}", services.len());
+        self.lines.push(Line::from(self.brush.span(Role::Title, title)));
+        let names = services.iter().map(|it| it.name.to_string().width()).max().unwrap_or(0);
+        let names = names.clamp(4, 16);
+        let listed = self.app().entry_of(self.row).and_then(|entry| entry.services.as_deref());
+        for service in services {
+            let version = service.version.to_string();
+            let mut line =
+                Line::from(self.brush.span(Role::Muted, format!("{:>3} ", service.index)));
+            let name = service.name.to_string();
+            line.push_span(self.brush.span(Role::Text, format!("{} ", fit(&name, names))));
+            line.push_span(self.brush.span(Role::Text, version));
+            for extra in &service.extra {
+                line.push_span(self.brush.span(Role::Muted, format!(" {extra}")));
+            }
+            if let Some(was) = before(device, service) {
+                line.push_span(self.brush.span(Role::Warning, format!("  was {was}")));
+            } else if let Some(listed) = listed_other(listed, service) {
+                line.push_span(self.brush.span(Role::FileDiffers, format!("  file {listed}")));
+            }
+            self.lines.push(line);
+        }
+        let gone = listed.unwrap_or_default().iter().filter(|listed| {
+            !services.iter().any(|own| own.name.to_string() == printable(&listed.name))
+        });
+        for listed in gone {
+            let text = format!("    {} is listed, not there", printable(&listed.name));
+            self.lines.push(Line::from(self.brush.span(Role::FileDiffers, text)));
+        }
+    }
+
+    fn file(&mut self, device: Option<&Device>) {
+        let app = self.app();
+        self.blank();
+        let name = app.file().name();
+        let (role, text) = match (self.row.file, device) {
+            (FileWord::Nothing, _) => return,
+            (FileWord::New, _) => (Role::New, "not listed (a takes it in)".to_owned()),
+            (FileWord::Listed(None), _) => (Role::Text, "listed without address".to_owned()),
+            (FileWord::Listed(Some(address)), _) => {
+                (Role::Text, format!("listed, last at {address}, not static"))
+            }
+            (FileWord::Agrees(address), _) => {
+                (Role::FileOk, format!("static {address}, as on the bus"))
+            }
+            (FileWord::Differs(address), Some(device)) => {
+                (Role::FileDiffers, format!("static {address}, but it is at {}", device.address))
+            }
+            (FileWord::Differs(address), None) => (Role::Text, format!("static {address}")),
+        };
+        let label = if name.width() < 9 { name } else { "file".to_owned() };
+        self.add(&label, role, &text);
+        if let Some(entry) = app.entry_of(self.row) {
+            self.add("", Role::Muted, &format!("{:10}{}", "", entry.position));
+            if device.is_none() {
+                for service in entry.services.iter().flatten() {
+                    let (name, version) = (printable(&service.name), printable(&service.version));
+                    self.lines.push(Line::from(
+                        self.brush.span(Role::Muted, format!("    {name} {version}")),
+                    ));
+                }
+            }
+        }
+    }
+
+    fn history(&mut self, device: &Device) {
+        let app = self.app();
+        self.blank();
+        let first = clock(app, device.first_seen);
+        self.add("seen", Role::Text, &format!("since {first}, {} frames", device.frames));
+        if let Some(at) = device.rebooted_at {
+            let ago = spell(self.ago(at));
+            let times = match device.reboots {
+                1 => "1 reboot".to_owned(),
+                count => format!("{count} reboots, the last"),
+            };
+            self.add("", Role::Text, &format!("{:10}{times} {ago} ago", ""));
+        }
+        if let Some(from) = device.moved_from {
+            self.add("", Role::Text, &format!("{:10}moved here from {from}", ""));
+        }
+    }
+
+    fn questions(&mut self, device: &Device) {
+        let lines: Vec<String> = [("name", device.name_query), ("services", device.services_query)]
+            .into_iter()
+            .filter_map(|(what, query)| self.question(what, query))
+            .collect();
+        for (at, text) in lines.iter().enumerate() {
+            self.add(if at == 0 { "asked" } else { " " }, Role::Muted, text);
+        }
+    }
+
+    fn question(&self, what: &str, query: Query) -> Option<String> {
+        let asked = query.asked_at.map(|at| spell(self.ago(at)));
+        match (query.answered_at, asked) {
+            (Some(answered), _) => {
+                let took = query.took.map(|took| format!(" in {} ms", took.as_millis()));
+                let ago = spell(self.ago(answered));
+                Some(format!("{what}: answered{} {ago} ago", took.unwrap_or_default()))
+            }
+            (None, Some(asked)) => {
+                Some(format!("{what}: {} times, last {asked} ago", query.attempts))
+            }
+            (None, None) => None,
+        }
+    }
+
+    fn quirks(&mut self, device: &Device) {
+        for quirk in &device.quirks {
+            for (at, line) in
+                wrap(quirk.describe(), usize::from(self.width).saturating_sub(2)).iter().enumerate()
+            {
+                let sign = if at == 0 { "! " } else { "  " };
+                self.lines
+                    .push(Line::from(self.brush.span(Role::Warning, format!("{sign}{line}"))));
+            }
+        }
+    }
+}
+
+fn printable(text: &str) -> String {
+    crate::text::Escaped(text.as_bytes()).to_string()
+}
+
+/// The version that a service had before it changed.
+fn before(device: &Device, service: &ServiceEntry) -> Option<String> {
+    let previous = device.previous_services.as_ref()?;
+    match previous.iter().find(|before| before.name == service.name) {
+        Some(before) if before.version == service.version => None,
+        Some(before) => Some(before.version.to_string()),
+        None => Some("not there".to_owned()),
+    }
+}
+
+/// The version that the file lists, where it is another one.
+fn listed_other(
+    listed: Option<&[crate::document::ServiceEntry]>,
+    service: &ServiceEntry,
+) -> Option<String> {
+    let listed = listed.filter(|listed| !listed.is_empty())?;
+    let own = service.name.to_string();
+    match listed.iter().find(|listed| printable(&listed.name) == own) {
+        Some(listed) if listed.version.is_empty() => None,
+        Some(listed) if printable(&listed.version) == service.version.to_string() => None,
+        Some(listed) => Some(printable(&listed.version)),
+        None => Some("does not list it".to_owned()),
+    }
+}

@@ -1,0 +1,329 @@
+//! The table of devices. Columns give way, least important first, where the screen is narrow.
+
+use super::brush::{Brush, fit, fit_right};
+use crate::app::{FileWord, PromptKind, Row, SortBy, State};
+use crate::discovery::{Device, QueryState};
+use crate::theme::Role;
+use crate::time::Duration;
+use ratatui::layout::{Position, Rect};
+use ratatui::text::{Line, Span};
+
+/// A column: its heading, its width, and how early it gives way (0: never).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Column {
+    Bus,
+    Address,
+    Name,
+    State,
+    Mode,
+    Services,
+    Age,
+    File,
+}
+
+use Column as C;
+
+impl Column {
+    const ALL: [Column; 8] =
+        [C::Bus, C::Address, C::Name, C::State, C::Mode, C::Services, C::Age, C::File];
+    /// In the order in which they give way.
+    const GIVE_WAY: [Column; 4] = [C::Services, C::Mode, C::Age, C::Bus];
+    const NAME_WIDTH: std::ops::RangeInclusive<usize> = 6..=20;
+
+    const fn title(self) -> &'static str {
+        match self {
+            C::Bus => "BUS",
+            C::Address => "ADDR",
+            C::Name => "NAME",
+            C::State => "STATE",
+            C::Mode => "MODE",
+            C::Services => "SVC",
+            C::Age => "AGE",
+            C::File => "FILE",
+        }
+    }
+
+    /// Its width; the name's is what is left.
+    const fn width(self) -> usize {
+        match self {
+            C::Bus | C::File => 6,
+            C::Name | C::Services => 3,
+            C::Address | C::Age => 4,
+            C::State => 7,
+            C::Mode => 5,
+        }
+    }
+
+    const fn is_number(self) -> bool {
+        matches!(self, C::Address | C::Services | C::Age)
+    }
+
+    const fn sorted_by(self) -> Option<SortBy> {
+        match self {
+            C::Address => Some(SortBy::Address),
+            C::Name => Some(SortBy::Name),
+            C::State => Some(SortBy::State),
+            C::Age => Some(SortBy::Seen),
+            _ => None,
+        }
+    }
+}
+
+/// Which columns there are, how wide, and what is between them.
+struct Columns {
+    shown: Vec<(Column, usize)>,
+    gap: usize,
+}
+
+/// The sign of the selection and the sign of the state.
+const SIGNS: usize = 3;
+
+impl Columns {
+    fn new(width: usize, buses: usize) -> Self {
+        let mut shown = Column::ALL.to_vec();
+        shown.retain(|&column| column != C::Bus || buses > 1);
+        let least = |shown: &[Column], gap: usize| {
+            let columns: usize = shown.iter().map(|column| column.width()).sum();
+            SIGNS + columns - C::Name.width()
+                + Column::NAME_WIDTH.start()
+                + gap * shown.len().saturating_sub(1)
+        };
+        let mut gap = 2;
+        for column in Column::GIVE_WAY {
+            if least(&shown, 2) > width {
+                gap = 1;
+            }
+            if least(&shown, 1) > width {
+                shown.retain(|other| *other != column);
+                gap = 2;
+            }
+        }
+        if least(&shown, gap) > width {
+            gap = 1;
+        }
+        let spare = width.saturating_sub(least(&shown, gap));
+        let name = (Column::NAME_WIDTH.start() + spare).min(*Column::NAME_WIDTH.end());
+        let width = |column: Column| if column == C::Name { name } else { column.width() };
+        let shown = shown.into_iter().map(|column| (column, width(column))).collect();
+        Self { shown, gap }
+    }
+
+    /// Where a column begins.
+    fn start(&self, column: Column) -> usize {
+        let before = self.shown.iter().take_while(|(other, _)| *other != column);
+        SIGNS + before.map(|(_, width)| width + self.gap).sum::<usize>()
+    }
+}
+
+pub fn draw(brush: &mut Brush) {
+    let (header, list) = (brush.screen.header, brush.screen.list);
+    let columns = Columns::new(usize::from(list.width), brush.app.buses().len());
+    draw_header(brush, header, &columns);
+    let app = brush.app;
+    let rows = app.rows();
+    if rows.is_empty() {
+        return draw_nothing(brush, list);
+    }
+    let selected = app.selected_row_index();
+    let top = app.view().devices.top(selected, rows.len(), usize::from(list.height));
+    for (line, row) in rows.iter().skip(top).take(usize::from(list.height)).enumerate() {
+        let is_selected = Some(top + line) == selected;
+        let text = row_line(brush, row, &columns, is_selected);
+        brush.line(list, line as u16, &text);
+        if is_selected {
+            brush.select(list, line as u16);
+        }
+        draw_editor(brush, list, line as u16, row, &columns);
+    }
+}
+
+fn draw_header(brush: &mut Brush, area: Rect, columns: &Columns) {
+    let sorted = brush.app.view().sort;
+    let mut line = Line::from(" ".repeat(SIGNS));
+    for &(column, width) in &columns.shown {
+        let mut title = column.title().to_owned();
+        let is_sorted = column.sorted_by() == Some(sorted) && sorted != SortBy::Address;
+        if is_sorted && title.len() < width {
+            title.push('↓');
+        }
+        let role = if is_sorted { Role::Title } else { Role::Header };
+        let title = if column.is_number() { fit_right(&title, width) } else { fit(&title, width) };
+        line.push_span(brush.span(role, title));
+        line.push_span(" ".repeat(columns.gap));
+    }
+    brush.line(area, 0, &line);
+}
+
+fn draw_nothing(brush: &mut Brush, list: Rect) {
+    let app = brush.app;
+    let text = if app.view().filter(crate::app::Page::Devices).is_empty() {
+        let listening = app.buses().iter().any(|bus| bus.is_up());
+        if listening { "no device was heard yet" } else { "no device: no bus is up" }
+    } else {
+        "no device fits the filter (Esc takes it away)"
+    };
+    let line = Line::from(brush.span(Role::Muted, format!("   {text}")));
+    brush.line(list, 1, &line);
+}
+
+fn row_line(brush: &Brush, row: &Row, columns: &Columns, selected: bool) -> Line<'static> {
+    let device = brush.app.device_of(row);
+    let (sign, role) = sign(row);
+    let pointer = if selected { "▸" } else { " " };
+    let mut spans = vec![brush.span(Role::Title, pointer), brush.span(role, sign), Span::raw(" ")];
+    for &(column, width) in &columns.shown {
+        spans.push(cell(brush, row, device, column, width));
+        spans.push(Span::raw(" ".repeat(columns.gap)));
+    }
+    spans.pop();
+    Line::from(spans)
+}
+
+fn cell(
+    brush: &Brush,
+    row: &Row,
+    device: Option<&Device>,
+    column: Column,
+    width: usize,
+) -> Span<'static> {
+    let gone = matches!(row.state, State::Lost | State::Missing | State::Awaited);
+    let plain = if gone { Role::Muted } else { Role::Text };
+    let (role, text) = match column {
+        C::Bus => {
+            let name = row.bus.and_then(|bus| brush.app.bus(bus)).map_or("any", |bus| &bus.name);
+            (Role::Muted, name.to_owned())
+        }
+        C::Address => {
+            let address = row.address.map_or("–".to_owned(), |address| address.to_string());
+            (plain, address)
+        }
+        C::Name => match &row.name {
+            Some(name) if row.twin => (plain, twin_name(&name.to_string(), width)),
+            Some(name) => (plain, name.to_string()),
+            None => (Role::Muted, "?".to_owned()),
+        },
+        C::State => (state_role(row.state), row.state.word().to_owned()),
+        C::Mode => match device.and_then(|device| device.mode) {
+            Some(mode) => (plain, mode.to_string()),
+            None if device.is_some_and(|device| !device.working) => (plain, "not w.".to_owned()),
+            None => (Role::Muted, if device.is_some() { "?" } else { "" }.to_owned()),
+        },
+        C::Services => match device {
+            None => (Role::Muted, String::new()),
+            Some(device) => match (&device.services, device.services_query.state) {
+                (Some(services), _) => (plain, services.len().to_string()),
+                (None, QueryState::Asked | QueryState::Receiving) => (Role::Muted, "…".to_owned()),
+                (None, QueryState::NotAsked) => (Role::Muted, "–".to_owned()),
+                (None, _) => (Role::Warning, "?".to_owned()),
+            },
+        },
+        C::Age => match device {
+            None => (Role::Muted, String::new()),
+            Some(device) => (plain, age(brush.app.now().since(device.last_seen))),
+        },
+        C::File => match row.file {
+            FileWord::Nothing => (Role::Muted, String::new()),
+            FileWord::New => (Role::New, "+ new".to_owned()),
+            FileWord::Listed(None) => (Role::Muted, "  –".to_owned()),
+            FileWord::Listed(Some(address)) => (Role::Muted, format!("  {address}")),
+            FileWord::Agrees(address) => (Role::FileOk, format!("✓ {address}")),
+            FileWord::Differs(address) => (Role::FileDiffers, format!("✗ {address}")),
+        },
+    };
+    let text = if column.is_number() { fit_right(&text, width) } else { fit(&text, width) };
+    brush.span(role, text)
+}
+
+/// The name with the sign of a twin behind it.
+fn twin_name(name: &str, width: usize) -> String {
+    let name = fit(name, width.saturating_sub(1));
+    let trimmed = name.trim_end();
+    format!("{trimmed}²")
+}
+
+/// The sign in front of a row.
+fn sign(row: &Row) -> (&'static str, Role) {
+    match row.state {
+        State::Clash => ("⚠", Role::Collision),
+        _ if row.suspected => ("?", Role::Suspected),
+        State::Missing => ("○", Role::Missing),
+        State::Lost => ("○", Role::Lost),
+        State::Awaited => ("·", Role::Muted),
+        State::Stale => ("◐", Role::Stale),
+        State::Silent => ("◌", Role::Silent),
+        State::Asleep => ("◒", Role::Asleep),
+        State::Online => ("●", Role::Online),
+    }
+}
+
+pub(super) fn state_role(state: State) -> Role {
+    match state {
+        State::Clash => Role::Collision,
+        State::Missing => Role::Missing,
+        State::Lost => Role::Lost,
+        State::Stale => Role::Stale,
+        State::Silent => Role::Silent,
+        State::Asleep => Role::Asleep,
+        State::Awaited => Role::Muted,
+        State::Online => Role::Online,
+    }
+}
+
+/// A duration in one unit.
+fn age(duration: Duration) -> String {
+    match duration.as_secs() {
+        seconds @ 0..=99 => format!("{seconds}s"),
+        seconds @ 100..=5999 => format!("{}m", seconds / 60),
+        seconds @ 6000..=172_799 => format!("{}h", seconds / 3600),
+        seconds => format!("{}d", seconds / 86_400),
+    }
+}
+
+/// The address being typed stands where the file's word is.
+fn draw_editor(brush: &mut Brush, list: Rect, line: u16, row: &Row, columns: &Columns) {
+    let Some(prompt) = brush.app.prompt() else { return };
+    if !matches!(&prompt.kind, PromptKind::Address(key) if *key == row.key) {
+        return;
+    }
+    let start = columns.start(C::File) as u16;
+    let width = list.width.saturating_sub(start);
+    if width < 2 {
+        return;
+    }
+    let at = Rect { x: list.x + start, y: list.y + line, width, height: 1 };
+    let scroll = prompt.input.visual_scroll(usize::from(width - 1));
+    let text: String = prompt.input.value().chars().skip(scroll).collect();
+    let style = brush.style(Role::Input);
+    brush.buffer.set_string(at.x, at.y, fit("", usize::from(width)), style);
+    brush.buffer.set_style(at, ratatui::style::Style::reset().patch(style));
+    brush.buffer.set_stringn(at.x, at.y, text, usize::from(width), style);
+    let cursor = prompt.input.visual_cursor().saturating_sub(scroll) as u16;
+    brush.cursor = Some(Position::new(at.x + cursor.min(width - 1), at.y));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn columns_give_way_in_order() {
+        let titles = |width: usize| -> Vec<&str> {
+            let columns = Columns::new(width, 1);
+            let end = columns.start(C::File) + 6;
+            assert!(end <= width || width < 31, "{width}: {end}");
+            columns.shown.iter().map(|(column, _)| column.title()).collect()
+        };
+        assert_eq!(titles(51).len(), 7);
+        assert_eq!(titles(46).len(), 7);
+        assert_eq!(titles(40), ["ADDR", "NAME", "STATE", "AGE", "FILE"]);
+        assert_eq!(titles(31), ["ADDR", "NAME", "STATE", "FILE"]);
+    }
+
+    #[test]
+    fn ages_have_one_unit() {
+        for (seconds, text) in [(0, "0s"), (99, "99s"), (100, "1m"), (7200, "2h"), (200_000, "2d")]
+        {
+            assert_eq!(age(Duration::from_secs(seconds)), text);
+        }
+    }
+}

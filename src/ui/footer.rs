@@ -1,0 +1,127 @@
+//! The last line: a question, the line being typed, a message, or which keys do what here.
+
+use super::brush::{Brush, cut};
+use crate::app::{Focus, Page, PromptKind, Verdict};
+use crate::keymap::Mode;
+use crate::theme::Role;
+use ratatui::layout::{Position, Rect};
+use ratatui::text::{Line, Span};
+use unicode_width::UnicodeWidthStr;
+
+pub fn draw(brush: &mut Brush) {
+    let area = brush.screen.footer;
+    if area.height == 0 {
+        return;
+    }
+    if brush.app.prompt().is_some() {
+        return draw_prompt(brush, area);
+    }
+    if let Some(question) = brush.app.question() {
+        let mut line = Line::from(brush.span(Role::Warning, format!(" {question}  ")));
+        line.spans.extend(hints(brush, &["yes", "no"], usize::MAX));
+        return brush.line(area, 0, &line);
+    }
+    let mode = brush.app.mode();
+    if let Some(message) = brush.app.message().filter(|_| mode == Mode::Browse) {
+        let role = if message.is_error { Role::Error } else { Role::Text };
+        let line = Line::from(brush.span(role, format!(" {}", message.text)));
+        return brush.line(area, 0, &line);
+    }
+    let line = Line::from(hint_line(brush, mode, usize::from(area.width)));
+    brush.line(area, 0, &line);
+}
+
+/// What is typed, and what is to be said of it.
+fn draw_prompt(brush: &mut Brush, area: Rect) {
+    let app = brush.app;
+    let (Some(prompt), Some(verdict)) = (app.prompt(), app.verdict()) else { return };
+    let (sign, role, said) = match &verdict {
+        Verdict::Fine(text) => ("", Role::Muted, text),
+        Verdict::Warns(text) => ("! ", Role::Warning, text),
+        Verdict::Blocks(text) => ("✗ ", Role::Error, text),
+    };
+    let in_row = brush.cursor.is_some();
+    let label = format!(" {} ", prompt.kind.label());
+    let label_width = label.width() as u16;
+    let mut line = Line::from(brush.span(Role::Title, label));
+    if in_row {
+        line.push_span(brush.span(role, format!("{sign}{said}")));
+        return brush.line(area, 0, &line);
+    }
+    let left = area.width.saturating_sub(label_width);
+    let said_width = (sign.width() + said.width()) as u16 + 2;
+    let least = match prompt.kind {
+        PromptKind::Address(_) => 6,
+        _ => 24,
+    };
+    let wanted = (prompt.input.value().width() as u16 + 1).max(least);
+    let width = wanted.min(left.saturating_sub(said_width).max(least)).min(left);
+    brush.line(area, 0, &line);
+    let at = Rect { x: area.x + label_width, width, ..area };
+    let scroll = prompt.input.visual_scroll(usize::from(width.saturating_sub(1)));
+    let text: String = prompt.input.value().chars().skip(scroll).collect();
+    let style = brush.style(Role::Input);
+    brush.buffer.set_string(at.x, at.y, " ".repeat(usize::from(width)), style);
+    brush.buffer.set_string(at.x, at.y, cut(&text, usize::from(width)), style);
+    let cursor = prompt.input.visual_cursor().saturating_sub(scroll) as u16;
+    brush.cursor = Some(Position::new(at.x + cursor.min(width.saturating_sub(1)), at.y));
+    let behind = Rect { x: at.right(), width: left.saturating_sub(width), ..area };
+    let line = Line::from(brush.span(role, format!("  {sign}{said}")));
+    brush.line(behind, 0, &line);
+}
+
+fn hint_line(brush: &Brush, mode: Mode, width: usize) -> Vec<Span<'static>> {
+    let app = brush.app;
+    let view = app.view();
+    let names: &[&str] = match (mode, view.page, view.focus) {
+        (Mode::Help, ..) => &["help-close", "help-down"],
+        (Mode::Confirm, ..) => &["yes", "no"],
+        (Mode::Conflict, ..) => &["ours", "theirs", "later"],
+        (Mode::Browse, Page::Devices, Focus::List) => &[
+            "help",
+            "quit",
+            "edit-address",
+            "add",
+            "details",
+            "filter",
+            "rescan",
+            "undo",
+            "freeze",
+            "sort",
+            "clear-lost",
+            "identify",
+        ],
+        (Mode::Browse, Page::Traffic, _) => &[
+            "help",
+            "quit",
+            "details",
+            "filter",
+            "freeze",
+            "identifiers",
+            "save-capture",
+            "rescan",
+        ],
+        (Mode::Browse, Page::Timeline, _) => &["help", "quit", "filter", "freeze", "save-capture"],
+        (Mode::Browse, ..) => &["help", "quit", "details", "filter", "edit-address", "rescan"],
+    };
+    let mut spans = vec![Span::raw(" ")];
+    spans.extend(hints(brush, names, width.saturating_sub(1)));
+    spans
+}
+
+/// Keys and what they do, as many as there is room for.
+fn hints(brush: &Brush, names: &[&str], width: usize) -> Vec<Span<'static>> {
+    let mut spans = Vec::new();
+    let mut used = 0;
+    for (key, hint) in names.iter().filter_map(|name| brush.app.keymap().hint(name)) {
+        let key = key.to_string();
+        let own = key.width() + 1 + hint.width() + 2;
+        if used + own > width.saturating_add(2) {
+            continue;
+        }
+        used += own;
+        spans.push(brush.span(Role::HintKey, key));
+        spans.push(brush.span(Role::Muted, format!(" {hint}  ")));
+    }
+    spans
+}

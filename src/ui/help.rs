@@ -1,0 +1,118 @@
+//! All keys, from the keymap, and what the signs mean.
+
+use super::brush::{Brush, fit, wrap};
+use crate::keymap::{ACTIONS, Action, Group};
+use crate::theme::Role;
+use ratatui::layout::Rect;
+use ratatui::text::{Line, Span};
+
+const SIGNS: [(Role, &str, &str); 15] = [
+    (Role::Online, "● online", "its heartbeats come"),
+    (Role::Stale, "◐ stale", "the last heartbeat is late"),
+    (Role::Silent, "◌ silent", "frames come, but no heartbeats"),
+    (Role::Asleep, "◒ asleep", "no heartbeats, and its last mode was IDLE"),
+    (Role::Lost, "○ lost", "nothing for five heartbeat periods"),
+    (Role::Missing, "○ missing", "listed in the file, not on the bus"),
+    (Role::Collision, "⚠ CLASH", "a confirmed collision: see Problems"),
+    (Role::Suspected, "?", "a suspicion; it may be innocent"),
+    (Role::Text, "NAME²", "a twin: the same name at another address, which is fine"),
+    (Role::FileOk, "✓ 12", "the file pins it to 12, and it is there"),
+    (Role::FileDiffers, "✗ 16", "the file pins it to 16, and it is not there"),
+    (Role::Muted, "  12", "listed, not pinned; last at 12"),
+    (Role::New, "+ new", "not in the file"),
+    (
+        Role::Suspected,
+        "≈ assumed",
+        "service numbers and layouts are assumed: no --profile is given",
+    ),
+    (Role::Warning, "HELD", "rows are held still (Space goes on)"),
+];
+
+pub fn draw(brush: &mut Brush, scroll: u16) {
+    let whole = brush.screen.whole;
+    let top = brush.screen.tabs.y;
+    let bottom = brush.screen.footer.y.max(top);
+    let rule = Rect { y: top, height: brush.screen.tabs.height, ..whole };
+    brush.rule(rule, Role::BorderFocus);
+    let title = Line::from(brush.span(Role::TabActive, " Help "));
+    brush.line(Rect { x: 1, width: whole.width.saturating_sub(1), ..rule }, 0, &title);
+    let area = Rect {
+        x: 1,
+        y: top + rule.height,
+        width: whole.width.saturating_sub(2),
+        height: bottom.saturating_sub(top + rule.height),
+    };
+    let columns = if area.width >= 110 { 2 } else { 1 };
+    let width = (area.width + 2) / columns - 2;
+    let mut lines = keys(brush, width);
+    let signs = signs(brush, width);
+    if columns == 1 {
+        lines.push(Line::default());
+        lines.extend(signs);
+        brush.lines(area, &lines, scroll);
+    } else {
+        brush.lines(Rect { width, ..area }, &lines, scroll);
+        brush.lines(Rect { x: area.x + width + 2, width, ..area }, &signs, scroll);
+    }
+}
+
+/// Every action with its keys, by groups.
+fn keys(brush: &Brush, width: u16) -> Vec<Line<'static>> {
+    let mut lines = Vec::new();
+    for group in Group::ALL {
+        if !lines.is_empty() {
+            lines.push(Line::default());
+        }
+        lines.push(Line::from(brush.span(Role::Title, group.title())));
+        for action in ACTIONS.iter().filter(|action| action.group == group) {
+            lines.extend(action_lines(brush, action, width));
+        }
+    }
+    lines
+}
+
+fn action_lines(brush: &Brush, action: &Action, width: u16) -> Vec<Line<'static>> {
+    const KEYS: usize = 15;
+    let keys: Vec<String> = brush.app.keymap().keys_of(action).map(|key| key.to_string()).collect();
+    let keys = if keys.is_empty() { "–".to_owned() } else { keys.join(" ") };
+    two_columns(brush, (Role::HintKey, &keys), KEYS, action.doc, width)
+}
+
+fn signs(brush: &Brush, width: u16) -> Vec<Line<'static>> {
+    let mut lines = vec![Line::from(brush.span(Role::Title, "Signs"))];
+    for (role, sign, meaning) in SIGNS {
+        lines.extend(two_columns(brush, (role, sign), 15, meaning, width));
+    }
+    lines.push(Line::default());
+    lines.push(Line::from(brush.span(Role::Title, "Filter")));
+    for (term, meaning) in [
+        ("feed", "rows that show it somewhere; several words: all of them"),
+        ("src:FEED dst:0", "sender, receiver; dev: either"),
+        ("srv:des type:rsp", "service, message type; id: digits of the identifier"),
+        ("bus:can1", "the bus; state:stale on Devices"),
+        ("err  ours", "what went wrong; what we sent"),
+        ("!word", "not that"),
+    ] {
+        lines.extend(two_columns(brush, (Role::HintKey, term), 18, meaning, width));
+    }
+    lines
+}
+
+fn two_columns(
+    brush: &Brush,
+    (role, left): (Role, &str),
+    left_width: usize,
+    right: &str,
+    width: u16,
+) -> Vec<Line<'static>> {
+    let room = usize::from(width).saturating_sub(left_width + 3);
+    wrap(right, room)
+        .into_iter()
+        .enumerate()
+        .map(|(at, part)| {
+            let left = if at == 0 { fit(left, left_width) } else { " ".repeat(left_width) };
+            let left = brush.span(role, left);
+            Line::from(vec![Span::raw("  "), left, brush.span(Role::Text, format!(" {part}"))])
+        })
+        .collect()
+}

@@ -1,0 +1,298 @@
+//! The lines at the top: each bus, the file, and how many devices are there.
+//!
+//! What matters most comes first and stays longest when the screen is narrow.
+
+use super::brush::Brush;
+use crate::app::{Bus, FileProblem, Meter};
+use crate::bus::{BusState, Link};
+use crate::discovery::OwnAddress;
+use crate::frame::BusIndex;
+use crate::theme::Role;
+use ratatui::layout::Rect;
+use ratatui::text::{Line, Span};
+
+/// Text that is left out, from the end, where it does not fit.
+type Parts = Vec<Vec<Span<'static>>>;
+
+pub fn draw(brush: &mut Brush) {
+    let area = brush.screen.status;
+    let buses = brush.app.buses().len();
+    match area.height {
+        0 => {}
+        1 => {
+            let bus = bus_parts(brush, selected_bus(brush));
+            let counts = counts(brush);
+            let mut right = file(brush, false);
+            right.extend(counts);
+            pair(brush, area, 0, bus, right);
+        }
+        lines => {
+            let shown = usize::from(lines - 1);
+            for row in 0..shown.min(buses.max(1)) {
+                // Where not all fit, the last line is the selected row's bus.
+                let index = if buses > shown && row + 1 == shown {
+                    usize::from(selected_bus(brush).0).max(row)
+                } else {
+                    row
+                };
+                let mut parts = bus_parts(brush, BusIndex(index as u8));
+                if buses > shown && row + 1 == shown {
+                    let more = format!("bus {} of {buses}", index + 1);
+                    parts.insert(1, vec![brush.span(Role::Muted, more)]);
+                }
+                let right = if row == 0 { marks(brush) } else { Vec::new() };
+                pair(brush, area, row as u16, parts, right);
+            }
+            let (left, right) = (file(brush, true), counts(brush));
+            pair(brush, area, lines - 1, left, right);
+        }
+    }
+}
+
+fn selected_bus(brush: &Brush) -> BusIndex {
+    brush.app.selected_row().and_then(|row| row.bus).unwrap_or_default()
+}
+
+/// Draws parts from the left and others from the right; of the left ones those that fit.
+fn pair(brush: &mut Brush, area: Rect, row: u16, left: Parts, right: Parts) {
+    let gap = |parts: Parts, width: usize| -> Line<'static> {
+        let mut line = Line::default();
+        for part in parts {
+            let space = if line.spans.is_empty() { " " } else { "  " };
+            let own: usize = part.iter().map(Span::width).sum();
+            if line.width() + space.len() + own > width {
+                break;
+            }
+            line.push_span(Span::raw(space));
+            line.spans.extend(part);
+        }
+        line
+    };
+    let width = usize::from(area.width);
+    // The first part on the left is never left out.
+    let first: usize = left.first().map_or(0, |part| part.iter().map(Span::width).sum::<usize>());
+    let right = gap(right, width.saturating_sub(first + 3));
+    let taken = if right.spans.is_empty() { 0 } else { right.width() + 1 };
+    let left = gap(left, width.saturating_sub(taken).max(first + 1));
+    brush.line(area, row, &left);
+    if taken > 0 {
+        let at = Rect { x: area.right() - taken as u16, width: taken as u16, ..area };
+        brush.line(at, row, &right);
+    }
+}
+
+fn bus_parts(brush: &Brush, index: BusIndex) -> Parts {
+    let Some(bus) = brush.app.bus(index) else {
+        return vec![vec![brush.span(Role::Muted, "no bus")]];
+    };
+    let text = |text: String| vec![brush.span(Role::Text, text)];
+    let mut parts: Parts = Vec::new();
+    let mut name = vec![brush.span(Role::Title, bus.name.clone())];
+    if let Some(bitrate) = bus.status.bitrate {
+        name.push(brush.span(Role::Text, format!(" {}", rate(bitrate))));
+        if let Some(data) = bus.status.data_bitrate {
+            name.push(brush.span(Role::Text, format!("/{}", rate(data))));
+        }
+    }
+    parts.push(name);
+    parts.push(vec![state(brush, bus)]);
+    if let Some(message) = bus.status.message.as_ref().filter(|_| !bus.is_up()) {
+        let message = crate::text::Escaped(message.as_bytes()).to_string();
+        parts.push(vec![brush.span(Role::Error, message)]);
+        return parts;
+    }
+    let load = bus.meter.last().load(bus.bits_per_second()) * 100.0;
+    let frames = bus.meter.last().frames;
+    let errors = bus.engine.counters().errors;
+    let lost = bus.lost();
+    parts.push(vec![
+        brush.span(Role::Muted, "load "),
+        brush.span(if load >= 80.0 { Role::Warning } else { Role::Text }, format!("{load:>3.0}% ")),
+        brush.span(Role::Bar, sparkline(bus, if brush.screen.whole.width < 100 { 8 } else { 20 })),
+    ]);
+    parts.push(text(format!("{frames:>4} f/s")));
+    parts.push(counter(brush, "err", errors, Role::Warning));
+    parts.push(counter(brush, "lost", lost, Role::Error));
+    parts.push(own_address(brush, bus));
+    parts
+}
+
+fn counter(brush: &Brush, label: &str, count: u64, bad: Role) -> Vec<Span<'static>> {
+    let role = if count > 0 { bad } else { Role::Text };
+    vec![brush.span(Role::Muted, format!("{label} ")), brush.span(role, short(count))]
+}
+
+/// A count in at most five characters.
+fn short(count: u64) -> String {
+    match count {
+        0..=99_999 => count.to_string(),
+        100_000..=9_999_999 => format!("{}k", count / 1000),
+        _ => format!("{}M", count / 1_000_000),
+    }
+}
+
+/// `125k`, `1M`.
+fn rate(bits: u32) -> String {
+    match bits {
+        0 => "0".to_owned(),
+        _ if bits.is_multiple_of(1_000_000) => format!("{}M", bits / 1_000_000),
+        _ if bits.is_multiple_of(1000) => format!("{}k", bits / 1000),
+        _ => bits.to_string(),
+    }
+}
+
+fn state(brush: &Brush, bus: &Bus) -> Span<'static> {
+    let (word, role) = match (bus.status.link, bus.status.state) {
+        (Link::Opening, _) => ("opening", Role::Muted),
+        (Link::Down, _) | (Link::Up, BusState::Down) => ("DOWN", Role::Error),
+        (Link::Missing, _) => ("MISSING", Role::Error),
+        (Link::Unplugged, _) => ("UNPLUGGED", Role::Error),
+        (Link::NotCan | Link::NoKernel | Link::Failed, _) => ("FAILED", Role::Error),
+        (Link::Ended, _) => ("end of log", Role::Muted),
+        (Link::Up, BusState::ErrorActive) => ("active", Role::Online),
+        (Link::Up, BusState::Unknown) => ("open", Role::Online),
+        (Link::Up, BusState::ErrorWarning) => ("WARNING", Role::Warning),
+        (Link::Up, BusState::ErrorPassive) => ("PASSIVE", Role::Error),
+        (Link::Up, BusState::BusOff) => ("BUS-OFF", Role::Error),
+        (Link::Up, BusState::Stopped) => ("STOPPED", Role::Error),
+    };
+    brush.span(role, word)
+}
+
+fn own_address(brush: &Brush, bus: &Bus) -> Vec<Span<'static>> {
+    let label = |text: &str| brush.span(Role::Muted, text.to_owned());
+    if bus.engine.config().listen_only {
+        // Without the controller's own listen-only mode our adapter still acknowledges frames.
+        let more = if bus.status.listen_only { "" } else { ", acknowledging" };
+        return vec![brush.span(Role::Warning, format!("listen-only{more}"))];
+    }
+    if bus.engine.is_unacknowledged() {
+        return vec![brush.span(Role::Error, "nobody acknowledges")];
+    }
+    match bus.engine.own_address() {
+        OwnAddress::Held(address) => {
+            vec![label("me "), brush.span(Role::Text, address.to_string())]
+        }
+        OwnAddress::Claiming(address) => vec![label(&format!("me {address}?"))],
+        OwnAddress::Listening => vec![label("listening")],
+        OwnAddress::None => vec![label("me –")],
+    }
+}
+
+/// The load of the last seconds, newest at the right; the bars stand for eighths of the bus.
+fn sparkline(bus: &Bus, width: usize) -> String {
+    const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
+    let bitrate = bus.bits_per_second();
+    let width = width.min(Meter::SECONDS);
+    let newest = bus.meter.seconds().rev().take(width);
+    let mut bars: Vec<char> = newest
+        .map(|second| match (second.frames, second.load(bitrate)) {
+            (0, _) => ' ',
+            (_, load) => BARS[((load * 8.0) as usize).min(7)],
+        })
+        .collect();
+    bars.resize(width, ' ');
+    bars.iter().rev().collect()
+}
+
+/// What holds for the whole program.
+fn marks(brush: &Brush) -> Parts {
+    let app = brush.app;
+    let mut parts = Vec::new();
+    if app.view().frozen.is_some() {
+        parts.push(vec![brush.span(Role::Warning, "HELD")]);
+    }
+    let assumed = app.buses().iter().any(|bus| !bus.engine.config().profile.given);
+    if assumed && !app.buses().is_empty() {
+        parts.push(vec![brush.span(Role::Suspected, "≈"), brush.span(Role::Muted, " assumed")]);
+    }
+    parts
+}
+
+fn counts(brush: &Brush) -> Parts {
+    let counts = brush.app.counts();
+    let narrow = brush.screen.whole.width < 60;
+    let one = |role: Role, sign: &str, count: usize, word: &str| {
+        let word = if narrow || word.is_empty() { String::new() } else { format!(" {word}") };
+        vec![
+            brush.span(role, format!("{sign} {count}")),
+            brush.span(if count > 0 { role } else { Role::Muted }, word),
+        ]
+    };
+    let mut parts = vec![one(Role::Online, "●", counts.here, "here")];
+    if counts.missing > 0 {
+        parts.push(one(Role::Missing, "○", counts.missing, "missing"));
+    }
+    if counts.lost > 0 {
+        parts.push(one(Role::Lost, "○", counts.lost, "lost"));
+    }
+    if counts.confirmed > 0 {
+        parts.push(one(Role::Collision, "⚠", counts.confirmed, ""));
+    }
+    if counts.suspected > 0 {
+        parts.push(one(Role::Suspected, "?", counts.suspected, ""));
+    }
+    parts
+}
+
+fn file(brush: &Brush, whole: bool) -> Parts {
+    let file = brush.app.file();
+    let name = brush.span(Role::Title, file.name());
+    let mut parts: Parts = Vec::new();
+    if file.path().is_none() {
+        return vec![vec![brush.span(Role::Muted, "no file")]];
+    }
+    if brush.app.view().frozen.is_some() && !whole {
+        parts.push(vec![brush.span(Role::Warning, "HELD")]);
+    }
+    let entries = file.document().entries().len();
+    match file.problem() {
+        Some(FileProblem::Syntax(error)) => {
+            let text = if whole {
+                format!(" ✗ {error}")
+            } else {
+                format!(" ✗ {}:{}", error.line, error.column)
+            };
+            parts.push(vec![name, brush.span(Role::Error, text)]);
+            if whole {
+                let text = format!("the last good content stays ({entries} entries)");
+                parts.push(vec![brush.span(Role::Muted, text)]);
+            }
+            return parts;
+        }
+        Some(FileProblem::Unreadable(why)) => {
+            let text = if whole { format!(" ✗ {why}") } else { " ✗".to_owned() };
+            parts.push(vec![name, brush.span(Role::Error, text)]);
+            return parts;
+        }
+        Some(FileProblem::NotSaved(why)) => {
+            let text =
+                if whole { format!(" ✗ not saved: {why}") } else { " ✗ not saved".to_owned() };
+            parts.push(vec![name, brush.span(Role::Error, text)]);
+            return parts;
+        }
+        None => {}
+    }
+    let unsaved = file.unsaved();
+    if file.conflict().is_some() {
+        parts.push(vec![name, brush.span(Role::Error, " ✗ conflict")]);
+    } else if unsaved > 0 {
+        parts.push(vec![name, brush.span(Role::Warning, format!(" … saving {unsaved}"))]);
+    } else if !file.is_read() {
+        parts.push(vec![name, brush.span(Role::Muted, " …")]);
+    } else if file.is_there() {
+        let words = match (whole, entries) {
+            (false, count) => format!(" {count}"),
+            (true, 1) => " 1 entry".to_owned(),
+            (true, count) => format!(" {count} entries"),
+        };
+        parts.push(vec![name, brush.span(Role::FileOk, " ✓"), brush.span(Role::Text, words)]);
+        let odd = file.document().findings().len();
+        if odd > 0 {
+            parts.push(vec![brush.span(Role::Warning, format!("! {odd}"))]);
+        }
+    } else {
+        parts.push(vec![name, brush.span(Role::Muted, " not there yet")]);
+    }
+    parts
+}

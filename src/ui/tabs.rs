@@ -1,0 +1,85 @@
+//! The rule with the names of the pages; behind them, the name of what the details show.
+
+use super::brush::{Brush, cut};
+use crate::app::{Focus, Page, RowKey, tabs};
+use crate::theme::Role;
+use ratatui::layout::Rect;
+use ratatui::text::Line;
+use unicode_width::UnicodeWidthStr;
+
+pub fn draw(brush: &mut Brush) {
+    let area = brush.screen.tabs;
+    if area.height == 0 {
+        return;
+    }
+    brush.rule(area, Role::Border);
+    let open = brush.app.view().page;
+    let mut end = 0;
+    for (page, start, text) in tabs(area.width, brush.app.open_problems()) {
+        let role = if page == open { Role::TabActive } else { Role::Tab };
+        end = start + text.width() as u16;
+        let at = Rect { x: area.x + start, width: area.width.saturating_sub(start), ..area };
+        let line = Line::from(brush.span(role, text));
+        brush.line(at, 0, &line);
+    }
+    let screen = brush.screen;
+    let focused = brush.app.view().focus == Focus::Details;
+    let line_role = if focused { Role::BorderFocus } else { Role::Border };
+    let details = screen.details;
+    let filter = brush.app.view().filter(open);
+    let shown = (!filter.is_empty()).then(|| format!(" /{filter} "));
+    if let Some(text) = shown {
+        let room = if details.height > 0 && screen.divider.height > 0 {
+            screen.divider.x.saturating_sub(end)
+        } else {
+            area.width.saturating_sub(end)
+        };
+        let text = cut(&text, usize::from(room.saturating_sub(1))).to_owned();
+        let line = Line::from(brush.span(Role::Match, text));
+        let at = Rect { x: end + 1, width: room.saturating_sub(1), ..area };
+        brush.line(at, 0, &line);
+    }
+    if details.height == 0 {
+        return;
+    }
+    let mut at = Rect { x: details.x, width: details.width, ..area };
+    if screen.divider.height > 0 {
+        // On narrow screens the names of the pages reach past the divider.
+        let from = (end + 1).max(details.x);
+        at = Rect { x: from, width: area.right().saturating_sub(from), ..area };
+        brush.rule(at, line_role);
+        if end < screen.divider.x {
+            let cell = &mut brush.buffer[(screen.divider.x, area.y)];
+            cell.set_symbol("┬");
+        }
+        let style = brush.style(line_role);
+        for y in screen.divider.top()..screen.divider.bottom() {
+            brush.buffer[(screen.divider.x, y)].set_symbol("│").set_style(style);
+        }
+    } else {
+        at.x = end + 1;
+        at.width = area.right().saturating_sub(at.x);
+    }
+    if let Some(title) = title(brush) {
+        let line = Line::from(brush.span(Role::Title, format!(" {title} ")));
+        let at = Rect { x: at.x + 1, width: at.width.saturating_sub(2), ..at };
+        brush.line(at, 0, &line);
+    }
+}
+
+fn title(brush: &Brush) -> Option<String> {
+    let app = brush.app;
+    match app.view().page {
+        Page::Devices => {
+            let row = app.selected_row()?;
+            let name = row.name.as_ref().map_or("?".to_owned(), ToString::to_string);
+            Some(match (&row.key, row.address) {
+                (RowKey::Device(_), Some(address)) => format!("{name} @{address}"),
+                _ => name,
+            })
+        }
+        Page::Problems => app.selected_problem().map(|finding| finding.key.kind.to_string()),
+        Page::Traffic => Some("Frame".to_owned()),
+        Page::Timeline => None,
+    }
+}

@@ -1,0 +1,111 @@
+//! The timeline: as a page, and its latest lines below the devices.
+
+use super::brush::{Brush, cut, fit};
+use crate::app::{Page, TimelineEntry, TimelineKind, clock};
+use crate::theme::Role;
+use ratatui::text::Line;
+use unicode_width::UnicodeWidthStr;
+
+pub fn draw(brush: &mut Brush) {
+    let (header, list) = (brush.screen.header, brush.screen.list);
+    let title = format!("  {:8}  {:12} WHAT", "TIME", "WHO");
+    let line = Line::from(brush.span(Role::Header, title));
+    brush.line(header, 0, &line);
+    let app = brush.app;
+    let numbers = app.lines_shown();
+    if numbers.is_empty() {
+        let text = if app.view().filter(Page::Timeline).is_empty() {
+            "nothing has happened yet"
+        } else {
+            "no line fits the filter (Esc takes it away)"
+        };
+        let line = Line::from(brush.span(Role::Muted, format!("   {text}")));
+        return brush.line(list, 1, &line);
+    }
+    let height = usize::from(list.height);
+    let selected = app.view().timeline.index(numbers.iter());
+    let top = match selected {
+        Some(_) => app.view().timeline.top(selected, numbers.len(), height),
+        None => numbers.len().saturating_sub(height),
+    };
+    for (row, number) in numbers.iter().skip(top).take(height).enumerate() {
+        let Some(entry) = app.timeline().get(*number) else { continue };
+        let is_selected = selected == Some(top + row);
+        let pointer = if is_selected { "▸" } else { " " };
+        let mut line = Line::from(brush.span(Role::Title, pointer));
+        line.spans.extend(entry_line(brush, entry, 12).spans);
+        brush.line(list, row as u16, &line);
+        if is_selected {
+            brush.select(list, row as u16);
+        }
+    }
+}
+
+pub fn draw_latest(brush: &mut Brush) {
+    let (rule, area) = (brush.screen.latest_rule, brush.screen.latest);
+    if area.height == 0 {
+        return;
+    }
+    brush.rule(rule, Role::Border);
+    if brush.screen.divider.height > 0 {
+        brush.buffer[(brush.screen.divider.x, rule.y)].set_symbol("┴");
+    }
+    let title = Line::from(brush.span(Role::Muted, " latest "));
+    let at = ratatui::layout::Rect { x: rule.x + 1, width: rule.width.saturating_sub(2), ..rule };
+    brush.line(at, 0, &title);
+    let app = brush.app;
+    let end = app.view().frozen.map_or(u64::MAX, |frozen| frozen.lines);
+    let latest = app.timeline().entries().rev().filter(|entry| entry.number < end);
+    let latest: Vec<&TimelineEntry> = latest.take(usize::from(area.height)).collect();
+    for (row, entry) in latest.into_iter().rev().enumerate() {
+        let line = entry_line(brush, entry, 10);
+        brush.line(area, row as u16, &line);
+    }
+}
+
+fn entry_line(brush: &Brush, entry: &TimelineEntry, who_width: usize) -> Line<'static> {
+    let (sign, role) = match entry.kind {
+        TimelineKind::Good => ("+", Role::Online),
+        TimelineKind::Change => ("~", Role::Text),
+        TimelineKind::Late => ("◐", Role::Stale),
+        TimelineKind::Lost => ("○", Role::Lost),
+        TimelineKind::Suspected => ("?", Role::Suspected),
+        TimelineKind::Confirmed => ("⚠", Role::Collision),
+        TimelineKind::Cleared => ("✓", Role::FileOk),
+        TimelineKind::Bus => ("·", Role::Text),
+        TimelineKind::File => ("·", Role::Text),
+        TimelineKind::Error => ("!", Role::Error),
+    };
+    let who = who(brush, entry, who_width);
+    let times = if entry.times > 1 { format!(" ×{}", entry.times) } else { String::new() };
+    Line::from(vec![
+        brush.span(Role::Muted, format!(" {} ", clock(brush.app, entry.time))),
+        brush.span(role, format!("{sign} ")),
+        brush.span(Role::Text, format!("{} ", fit(&who, who_width))),
+        brush.span(role, entry.text.clone()),
+        brush.span(Role::Muted, times),
+    ])
+}
+
+/// The device's name and address, else the bus, else the file.
+fn who(brush: &Brush, entry: &TimelineEntry, width: usize) -> String {
+    let app = brush.app;
+    match (&entry.name, entry.address) {
+        (Some(name), Some(address)) => {
+            let address = format!(" @{address}");
+            let name = name.to_string();
+            let room = width.saturating_sub(address.width());
+            let short = if name.width() > room {
+                format!("{}…", cut(&name, room.saturating_sub(1)))
+            } else {
+                name
+            };
+            short + &address
+        }
+        (None, Some(address)) => format!("? @{address}"),
+        _ => match entry.bus.and_then(|bus| app.bus(bus)) {
+            Some(bus) => bus.name.clone(),
+            None => app.file().name(),
+        },
+    }
+}
