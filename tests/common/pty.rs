@@ -47,6 +47,7 @@ impl Pty {
         command.env("TERM", "xterm-256color");
         command.env("XDG_CONFIG_HOME", folder.join("config"));
         command.env("TZ", "UTC");
+        command.env("RUST_BACKTRACE", "0");
         command.env_remove("NO_COLOR");
         let child = pair.slave.spawn_command(command).expect("the program starts");
         drop(pair.slave);
