@@ -59,16 +59,22 @@ pub(super) struct Station {
 impl Station {
     pub fn new(now: Instant, config: &Config, rng: &mut fastrand::Rng) -> Self {
         let period = config.profile.heartbeat.period();
-        let prefix = Uid::parse("DSCAN", &config.profile.uid).map_or([0; 8], Uid::sextets);
-        let mut sextets = prefix;
-        sextets[5..].fill_with(|| rng.u8(1..64));
+        let random: String =
+            std::iter::repeat_with(|| rng.choice(b"23456789ABCDEFGHJKLMNPQRSTUVWXYZ"))
+                .flatten()
+                .take(3)
+                .map(|&character| char::from(character))
+                .collect();
+        // An alphabet without these letters gets other characters, still at random.
+        let uid = Uid::parse(&format!("DSCAN{random}"), &config.profile.uid)
+            .unwrap_or_else(|| Uid::from_sextets(std::array::from_fn(|_| rng.u8(1..63))));
         let mut station = Self {
             standing: Standing::Off,
             wanted: config.address,
             contested: false,
             heard: [None; Address::COUNT],
             period,
-            uid: Uid::from_sextets(sextets),
+            uid,
             heartbeat_known: false,
             next_beat: None,
             answers: Vec::new(),

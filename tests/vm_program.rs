@@ -1,0 +1,184 @@
+//! The real program on a CAN bus of a real kernel: simulated devices that a second descan puts
+//! there, a device made of can-utils and the kernel's own ISO-TP, and the terminal UI through
+//! an interface's troubles.
+//!
+//! Without CAN in the kernel these tests say why they do not run.
+
+mod can;
+#[path = "common/pty.rs"]
+mod pty;
+
+use can::{Vcan, run};
+use pty::Pty;
+use serde_json::Value;
+use std::io::{BufRead, BufReader};
+use std::process::{Child, Command, Output, Stdio};
+
+fn program() -> Command {
+    Command::new(env!("CARGO_BIN_EXE_descan"))
+}
+
+/// A process that ends with the test.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Simulated devices on a bus, once they are there.
+fn simulated(bus: &str, system: &str) -> Running {
+    let mut child =
+        program().args(["sim", bus, "--scenario", system]).stderr(Stdio::piped()).spawn().unwrap();
+    let mut said = BufReader::new(child.stderr.take().unwrap()).lines();
+    let first = said.next().expect("it says that it runs").unwrap();
+    assert!(first.contains("devices on"), "{first}");
+    Running(child)
+}
+
+fn scan(bus: &str) -> Output {
+    program().args(["scan", bus, "--json", "--time", "40"]).stdin(Stdio::null()).output().unwrap()
+}
+
+fn report(output: &Output) -> Value {
+    serde_json::from_slice(&output.stdout).unwrap_or_else(|error| {
+        panic!("{error}: {}", String::from_utf8_lossy(&output.stderr));
+    })
+}
+
+fn device<'r>(report: &'r Value, name: &str) -> &'r Value {
+    let devices = report["devices"].as_array().unwrap();
+    devices.iter().find(|it| it["name"] == name).unwrap_or_else(|| panic!("no {name}: {report:#}"))
+}
+
+#[test]
+fn devices_of_a_second_descan_are_found_with_their_services() {
+    let Some(vcan) = Vcan::new("dsp-scan") else { return };
+    let _devices = simulated(vcan.name(), "boiler");
+    let output = scan(vcan.name());
+    let report = report(&output);
+    assert_eq!(output.status.code(), Some(0), "{report:#}");
+    assert_eq!(report["buses"][0]["address"], 0);
+    assert_eq!(report["buses"][0]["lost"], 0);
+    for (name, address, services) in [("FEED", 10, 5), ("SENS", 12, 4), ("PSU", 30, 3)] {
+        let device = device(&report, name);
+        assert_eq!(device["address"], address);
+        assert_eq!(device["presence"], "online");
+        assert_eq!(device["services"].as_array().unwrap().len(), services, "{device:#}");
+    }
+}
+
+/// A device made of candump, cansend and the kernel's ISO-TP: it answers one who-is-there and
+/// one services request.
+fn answer_as_device(bus: &str) -> std::thread::JoinHandle<()> {
+    let mut candump = Command::new("candump")
+        .args(["-L", bus])
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("can-utils are there");
+    let lines = BufReader::new(candump.stdout.take().unwrap()).lines();
+    let bus = bus.to_owned();
+    std::thread::spawn(move || {
+        let _candump = Running(candump);
+        let mut named = false;
+        for line in lines.map_while(Result::ok) {
+            let frame = line.split_whitespace().nth(2).unwrap_or_default().to_owned();
+            // Who is there, to all working nodes, from address 0, in ISO-TP.
+            if frame.starts_with("020") && frame.ends_with("#0444455301") && !named {
+                run("cansend", &[&bus, "05180002#06014645454400"]);
+                named = true;
+            }
+            // Services? To address 12. A Linux program may die late: its socket answers on.
+            if frame == "00003002#0444455302" {
+                let services = "02 00 44 45 53 00 31 2E 30 00 01 41 55 47 45 52 00 32 2E 31 00";
+                let arguments = ["-s", "05180002", "-d", "00003002", &bus];
+                can::Peer::start_with_input("isotpsend", &arguments, services).finish();
+                return;
+            }
+        }
+    })
+}
+
+#[test]
+fn a_device_of_the_kernels_own_iso_tp_is_understood() {
+    let Some(vcan) = Vcan::new("dsp-isotp") else { return };
+    let device_thread = answer_as_device(vcan.name());
+    // Something must be on the bus for candump to be known to listen.
+    let output = scan(vcan.name());
+    let report = report(&output);
+    let feed = device(&report, "FEED");
+    assert_eq!((&feed["address"], &feed["framing"]), (&12.into(), &"isotp".into()));
+    assert_eq!(feed["services"][1]["name"], "AUGER", "{feed:#}");
+    assert_eq!(feed["services"][1]["version"], "2.1");
+    device_thread.join().unwrap();
+}
+
+#[test]
+fn an_interface_that_is_down_or_missing_is_told_with_the_way_out() {
+    let Some(vcan) = Vcan::new("dsp-down") else { return };
+    vcan.down();
+    let output = scan(vcan.name());
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(3), "{said}");
+    assert!(said.contains("ip link set dsp-down up"), "{said}");
+    let output = scan("dsp-none");
+    assert_eq!(output.status.code(), Some(3));
+}
+
+#[test]
+fn the_screen_waits_for_its_interface_and_goes_on() {
+    let Some(vcan) = Vcan::new("dsp-ui") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let mut devices = Some(simulated(vcan.name(), "boiler"));
+    let mut pty = Pty::start(&[vcan.name()], folder.path(), (80, 24));
+    pty.wait_for("FEED");
+    pty.wait_for("AUGER");
+    devices.take();
+    vcan.down();
+    pty.wait_for("down");
+    vcan.up();
+    devices = Some(simulated(vcan.name(), "boiler"));
+    pty.wait_until("devices online again", |screen| {
+        let text = screen.contents();
+        text.lines().any(|line| line.contains("FEED") && line.contains("online"))
+    });
+    devices.take();
+    vcan.remove();
+    pty.wait_until("word that it is gone", |screen| {
+        let text = screen.contents().to_lowercase();
+        text.contains("unplugged") || text.contains("gone") || text.contains("missing")
+    });
+    vcan.create().unwrap();
+    devices = Some(simulated(vcan.name(), "boiler"));
+    pty.wait_until("devices online once more", |screen| {
+        let text = screen.contents();
+        text.lines().any(|line| line.contains("FEED") && line.contains("online"))
+    });
+    drop(devices);
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+    pty.assert_given_back();
+}
+
+#[test]
+fn two_inspectors_on_one_bus_live_together() {
+    let Some(vcan) = Vcan::new("dsp-two") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let _devices = simulated(vcan.name(), "boiler");
+    let mut first = Pty::start(&[vcan.name()], folder.path(), (100, 30));
+    first.wait_for("me 0");
+    let mut second = Pty::start(&[vcan.name()], folder.path(), (100, 30));
+    second.wait_for("FEED");
+    second.wait_until("an address of its own", |screen| {
+        let text = screen.contents();
+        text.contains("me ") && !text.contains("me 0 ") && !text.contains("me —")
+    });
+    second.wait_for("DSCAN");
+    second.send("gj");
+    second.wait_for("AUGER");
+    first.send("q");
+    second.send("q");
+    assert_eq!((first.wait(), second.wait()), (0, 0));
+}
