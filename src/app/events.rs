@@ -70,7 +70,8 @@ impl App {
                 (kind, format!("{count} service{plural}{now}"))
             }
             EventKind::Mode { from: Some(from), to } => (Kind::Change, format!("{from} → {to}")),
-            EventKind::Mode { from: None, to } => (Kind::Change, format!("in mode {to}")),
+            // The first mode of a device that appears is no news: its row says it.
+            EventKind::Mode { from: None, .. } => return None,
             EventKind::Moved { from } => (Kind::Change, format!("moved here from {from}")),
             EventKind::Rebooted => (Kind::Change, "rebooted".to_owned()),
             EventKind::Presence(Presence::Online) => (Kind::Good, "online".to_owned()),
@@ -92,7 +93,8 @@ impl App {
                 let findings = self.bus(bus).map_or(&[][..], |bus| bus.engine.findings());
                 let found = findings.iter().find(|finding| finding.key == *key);
                 let text = found.map_or("", |finding| finding.text.as_str());
-                (kind, format!("{confidence}: {}{}{text}", key.kind, separator(text)))
+                let text = if text.is_empty() { key.kind.name() } else { text };
+                (kind, format!("{confidence}: {text}"))
             }
             EventKind::OwnAddress(address) => (Kind::Bus, format!("we are at {address}")),
             EventKind::OwnAddressLost(address) => {
@@ -225,8 +227,4 @@ fn changes(old: &BusStatus, status: &BusStatus) -> Vec<(Kind, String)> {
         lines.push((Kind::Error, "frames were lost on the way to us".to_owned()));
     }
     lines
-}
-
-fn separator(text: &str) -> &'static str {
-    if text.is_empty() { "" } else { ". " }
 }

@@ -64,8 +64,9 @@ impl App {
         let screen = self.screen();
         if mouse.row == screen.tabs.y && screen.tabs.height > 0 {
             let open = self.open_problems();
-            let hit = tabs(screen.whole.width, open).into_iter().find(|(_, start, text)| {
-                (*start..start + text.len() as u16).contains(&mouse.column)
+            let tabs = tabs(screen.whole.width, self.view.page, open);
+            let hit = tabs.into_iter().find(|(_, start, text)| {
+                (*start..start + text.chars().count() as u16).contains(&mouse.column)
             });
             if let Some((page, ..)) = hit {
                 self.show_page(page);
@@ -238,8 +239,10 @@ impl App {
             Page::Traffic if self.view.by_identifier => {}
             Page::Traffic => {
                 self.view.frame_details = !self.view.frame_details;
-                self.view.focus =
-                    if self.view.frame_details { Focus::Details } else { Focus::List };
+                self.view.focus = Focus::List;
+                if self.view.frame_details && self.screen().details.height == 0 {
+                    self.view.focus = Focus::Details;
+                }
                 if self.view.traffic.is_none() {
                     let newest = self.frames_before(self.traffic_end()).next();
                     self.view.traffic = newest;
@@ -255,11 +258,7 @@ impl App {
 
     /// Command: the keys to the details, or back to the list.
     pub fn focus_details(&mut self, details: bool) {
-        let has = match self.view.page {
-            Page::Devices | Page::Problems => true,
-            Page::Traffic => self.view.frame_details && !self.view.by_identifier,
-            Page::Timeline => false,
-        };
+        let has = self.view.has_details();
         if !details && self.view.page == Page::Traffic {
             self.view.frame_details = false;
         }

@@ -5,7 +5,7 @@
 
 use super::App;
 use super::matching::{Matching, is_for};
-use crate::discovery::{Confidence, Device, Finding, FindingKey, FindingKind};
+use crate::discovery::{Confidence, Device, Finding, FindingKey, FindingKind, QueryState};
 use crate::document::{self, Document, Entry};
 use crate::frame::BusIndex;
 use crate::text::{Escaped, Name};
@@ -157,7 +157,12 @@ impl Comparison<'_> {
                 let is_it = app.matching.devices_of(entry.index).contains(&device.id);
                 device.address == pinned && device.is_here() && !is_it
             });
-            let Some(other) = other else { continue };
+            // Whoever has not said its name yet may be the very device.
+            let Some(other) = other.filter(|other| {
+                other.name.is_some() || other.name_query.state == QueryState::Unanswered
+            }) else {
+                continue;
+            };
             let who =
                 other.name.as_ref().map_or("a device without a known name".to_owned(), |it| {
                     format!("a device that calls itself {it}")

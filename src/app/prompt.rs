@@ -21,6 +21,8 @@ pub struct Prompt {
     pub kind: PromptKind,
     /// The text and the cursor in it.
     pub input: Input,
+    /// The text is what was there before: the first character typed takes its place.
+    pub untouched: bool,
 }
 
 /// What a line is typed for.
@@ -64,7 +66,8 @@ pub enum Verdict {
 
 impl App {
     pub(super) fn open_prompt(&mut self, kind: PromptKind, text: String) {
-        self.overlay = Overlay::Prompt(Prompt { kind, input: Input::new(text) });
+        let untouched = matches!(kind, PromptKind::Address(_)) && !text.is_empty();
+        self.overlay = Overlay::Prompt(Prompt { kind, input: Input::new(text), untouched });
         self.dirty = true;
     }
 
@@ -130,6 +133,9 @@ impl App {
         let Overlay::Prompt(prompt) = &mut self.overlay else { return };
         for &request in requests {
             let grows = matches!(request, InputRequest::InsertChar(_));
+            if std::mem::take(&mut prompt.untouched) && grows {
+                prompt.input.reset();
+            }
             if !grows || prompt.input.value().len() < LONGEST {
                 prompt.input.handle(request);
             }

@@ -64,17 +64,15 @@ impl Brush<'_> {
         let height = usize::from(area.height);
         let hidden = lines.len().saturating_sub(height);
         let scroll = usize::from(scroll).min(hidden);
+        let is_more = hidden > scroll && height > 0;
+        let height = height - usize::from(is_more);
         for (row, line) in lines.iter().skip(scroll).take(height).enumerate() {
             self.line(area, row as u16, line);
         }
-        if hidden > scroll && height > 0 {
-            let more = format!(" ↓ {} more ", hidden - scroll);
-            let width = more.width() as u16;
-            if width <= area.width {
-                let x = area.right() - width;
-                let style = self.style(Role::Muted);
-                self.buffer.set_string(x, area.bottom() - 1, more, style);
-            }
+        if is_more {
+            let more = format!("↓ {} more", lines.len() - scroll - height);
+            let line = Line::from(self.span(Role::Muted, more));
+            self.line(area, area.height - 1, &line);
         }
     }
 

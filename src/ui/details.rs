@@ -224,8 +224,15 @@ impl<'a> Details<'_, 'a> {
             }
             if let Some(was) = before(device, service) {
                 line.push_span(self.brush.span(Role::Warning, format!("  was {was}")));
-            } else if let Some(listed) = listed_other(listed, service) {
-                line.push_span(self.brush.span(Role::FileDiffers, format!("  file {listed}")));
+            } else {
+                match in_file(listed, service) {
+                    InFile::Same => {}
+                    InFile::New => line.push_span(self.brush.span(Role::New, "  + new")),
+                    InFile::Other(version) => {
+                        let text = format!("  ✗ {version}");
+                        line.push_span(self.brush.span(Role::FileDiffers, text));
+                    }
+                }
             }
             self.lines.push(line);
         }
@@ -233,7 +240,7 @@ impl<'a> Details<'_, 'a> {
             !services.iter().any(|own| own.name.to_string() == printable(&listed.name))
         });
         for listed in gone {
-            let text = format!("    {} is listed, not there", printable(&listed.name));
+            let text = format!("  ✗ {} listed, not there", printable(&listed.name));
             self.lines.push(Line::from(self.brush.span(Role::FileDiffers, text)));
         }
     }
@@ -260,7 +267,7 @@ impl<'a> Details<'_, 'a> {
         let label = if name.width() < 9 { name } else { "file".to_owned() };
         self.add(&label, role, &text);
         if let Some(entry) = app.entry_of(self.row) {
-            self.add("", Role::Muted, &format!("{:10}{}", "", entry.position));
+            self.add(" ", Role::Muted, &entry.position.to_string());
             if device.is_none() {
                 for service in entry.services.iter().flatten() {
                     let (name, version) = (printable(&service.name), printable(&service.version));
@@ -276,17 +283,17 @@ impl<'a> Details<'_, 'a> {
         let app = self.app();
         self.blank();
         let first = clock(app, device.first_seen);
-        self.add("seen", Role::Text, &format!("since {first}, {} frames", device.frames));
+        self.add("seen", Role::Text, &format!("since {first}"));
         if let Some(at) = device.rebooted_at {
             let ago = spell(self.ago(at));
             let times = match device.reboots {
                 1 => "1 reboot".to_owned(),
                 count => format!("{count} reboots, the last"),
             };
-            self.add("", Role::Text, &format!("{:10}{times} {ago} ago", ""));
+            self.add(" ", Role::Text, &format!("{times} {ago} ago"));
         }
         if let Some(from) = device.moved_from {
-            self.add("", Role::Text, &format!("{:10}moved here from {from}", ""));
+            self.add(" ", Role::Text, &format!("moved here from {from}"));
         }
     }
 
@@ -301,15 +308,15 @@ impl<'a> Details<'_, 'a> {
     }
 
     fn question(&self, what: &str, query: Query) -> Option<String> {
-        let asked = query.asked_at.map(|at| spell(self.ago(at)));
-        match (query.answered_at, asked) {
+        // Moments, not ages: what need not change each second should not.
+        let at = |time| clock(self.app(), time);
+        match (query.answered_at, query.asked_at) {
             (Some(answered), _) => {
                 let took = query.took.map(|took| format!(" in {} ms", took.as_millis()));
-                let ago = spell(self.ago(answered));
-                Some(format!("{what}: answered{} {ago} ago", took.unwrap_or_default()))
+                Some(format!("{what} {}{}", at(answered), took.unwrap_or_default()))
             }
             (None, Some(asked)) => {
-                Some(format!("{what}: {} times, last {asked} ago", query.attempts))
+                Some(format!("{what} ×{}, last {}, no answer", query.attempts, at(asked)))
             }
             (None, None) => None,
         }
@@ -342,17 +349,21 @@ fn before(device: &Device, service: &ServiceEntry) -> Option<String> {
     }
 }
 
-/// The version that the file lists, where it is another one.
-fn listed_other(
-    listed: Option<&[crate::document::ServiceEntry]>,
-    service: &ServiceEntry,
-) -> Option<String> {
-    let listed = listed.filter(|listed| !listed.is_empty())?;
+/// What the file says of a service.
+enum InFile {
+    Same,
+    New,
+    Other(String),
+}
+
+fn in_file(listed: Option<&[crate::document::ServiceEntry]>, service: &ServiceEntry) -> InFile {
+    let Some(listed) = listed.filter(|listed| !listed.is_empty()) else { return InFile::Same };
     let own = service.name.to_string();
+    let version = |listed: &crate::document::ServiceEntry| printable(&listed.version);
     match listed.iter().find(|listed| printable(&listed.name) == own) {
-        Some(listed) if listed.version.is_empty() => None,
-        Some(listed) if printable(&listed.version) == service.version.to_string() => None,
-        Some(listed) => Some(printable(&listed.version)),
-        None => Some("does not list it".to_owned()),
+        None => InFile::New,
+        Some(listed) if listed.version.is_empty() => InFile::Same,
+        Some(listed) if version(listed) == service.version.to_string() => InFile::Same,
+        Some(listed) => InFile::Other(version(listed)),
     }
 }

@@ -151,6 +151,7 @@ fn draw_header(brush: &mut Brush, area: Rect, columns: &Columns) {
         line.push_span(brush.span(role, title));
         line.push_span(" ".repeat(columns.gap));
     }
+    line.spans.pop();
     brush.line(area, 0, &line);
 }
 
@@ -293,9 +294,10 @@ fn draw_editor(brush: &mut Brush, list: Rect, line: u16, row: &Row, columns: &Co
     let at = Rect { x: list.x + start, y: list.y + line, width, height: 1 };
     let scroll = prompt.input.visual_scroll(usize::from(width - 1));
     let text: String = prompt.input.value().chars().skip(scroll).collect();
-    let style = brush.style(Role::Input);
-    brush.buffer.set_string(at.x, at.y, fit("", usize::from(width)), style);
-    brush.buffer.set_style(at, ratatui::style::Style::reset().patch(style));
+    let role = if prompt.untouched { Role::Selected } else { Role::Input };
+    let (style, under) = (brush.style(role), brush.style(Role::Input));
+    brush.buffer.set_string(at.x, at.y, fit("", usize::from(width)), under);
+    brush.buffer.set_style(at, ratatui::style::Style::reset().patch(under));
     brush.buffer.set_stringn(at.x, at.y, text, usize::from(width), style);
     let cursor = prompt.input.visual_cursor().saturating_sub(scroll) as u16;
     brush.cursor = Some(Position::new(at.x + cursor.min(width - 1), at.y));
@@ -315,7 +317,7 @@ mod tests {
         };
         assert_eq!(titles(51).len(), 7);
         assert_eq!(titles(46).len(), 7);
-        assert_eq!(titles(40), ["ADDR", "NAME", "STATE", "AGE", "FILE"]);
+        assert_eq!(titles(40), ["ADDR", "NAME", "STATE", "MODE", "AGE", "FILE"]);
         assert_eq!(titles(31), ["ADDR", "NAME", "STATE", "FILE"]);
     }
 

@@ -42,7 +42,7 @@ pub fn draw(brush: &mut Brush) {
 }
 
 pub fn draw_latest(brush: &mut Brush) {
-    let (rule, area) = (brush.screen.latest_rule, brush.screen.latest);
+    let (rule, area) = (brush.screen.lower_rule, brush.screen.latest);
     if area.height == 0 {
         return;
     }
@@ -58,7 +58,7 @@ pub fn draw_latest(brush: &mut Brush) {
     let latest = app.timeline().entries().rev().filter(|entry| entry.number < end);
     let latest: Vec<&TimelineEntry> = latest.take(usize::from(area.height)).collect();
     for (row, entry) in latest.into_iter().rev().enumerate() {
-        let line = entry_line(brush, entry, 10);
+        let line = entry_line(brush, entry, if area.width >= 60 { 12 } else { 8 });
         brush.line(area, row as u16, &line);
     }
 }
@@ -90,7 +90,9 @@ fn entry_line(brush: &Brush, entry: &TimelineEntry, who_width: usize) -> Line<'s
 /// The device's name and address, else the bus, else the file.
 fn who(brush: &Brush, entry: &TimelineEntry, width: usize) -> String {
     let app = brush.app;
-    match (&entry.name, entry.address) {
+    // A device that had no name then has one now, perhaps.
+    let known = || entry.device.and_then(|id| app.device(id)?.name.clone());
+    match (entry.name.clone().or_else(known), entry.address) {
         (Some(name), Some(address)) => {
             let address = format!(" @{address}");
             let name = name.to_string();

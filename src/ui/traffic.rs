@@ -2,7 +2,7 @@
 
 use super::brush::{Brush, fit, fit_right, labelled};
 use super::details::inner;
-use crate::app::{Decoded, IdentifierKind, IdentifierStats, Page, clock_millis};
+use crate::app::{Decoded, Focus, IdentifierKind, IdentifierStats, Page, clock_millis};
 use crate::frame::Frame;
 use crate::theme::Role;
 use ratatui::layout::Rect;
@@ -41,7 +41,7 @@ fn draw_frames(brush: &mut Brush) {
     if room.bus {
         title.push_str("BUS    ");
     }
-    title.push_str("FROM    TO     SRV  ");
+    title.push_str("  FROM TO     SRV  ");
     if room.kind {
         title.push_str("TYPE        ");
     }
@@ -130,6 +130,9 @@ fn draw_details(brush: &mut Brush) {
     if area.height == 0 {
         return;
     }
+    let rule = brush.screen.lower_rule;
+    let focused = brush.app.view().focus == Focus::Details;
+    brush.rule(rule, if focused { Role::BorderFocus } else { Role::Border });
     let app = brush.app;
     let Some((number, frame)) =
         app.view().traffic.and_then(|number| Some((number, app.capture().get(number)?)))
@@ -143,42 +146,26 @@ fn draw_details(brush: &mut Brush) {
         lines.extend(labelled(brush, &fit(label, 9), role, text, area.width));
     };
     let bus = app.bus(frame.bus).map_or("", |bus| &bus.name);
-    add("time", Role::Text, &clock_millis(app, frame.time));
-    add("bus", Role::Text, bus);
-    add("id", Role::Text, &frame.id.to_string());
-    add("type", Role::Text, decoded.kind);
+    let ours = if frame.ours { ", sent by us" } else { "" };
+    add("frame", Role::Text, &format!("{} on {bus}{ours}", clock_millis(app, frame.time)));
+    add("id", Role::Text, &describe_id(frame, &decoded));
     if let Some(header) = decoded.header {
         let who = |name: &str, address: crate::wire::id::Address| {
             if name == address.to_string() { name.to_owned() } else { format!("{name} @{address}") }
         };
-        add("from", Role::Text, &who(&decoded.source, header.source));
         let to = if header.broadcast {
             format!("all (RND7 {})", header.destination)
         } else {
             who(&decoded.destination, header.destination)
         };
-        add("to", Role::Text, &to);
         let number = header.service;
         let service = if decoded.service == number.to_string() {
-            format!("{number}")
+            format!("service {number}")
         } else {
-            format!("{} ({number})", decoded.service)
+            format!("service {} ({number})", decoded.service)
         };
-        add("service", Role::Text, &service);
-        let flag = |name: &str, set: bool| format!("{name}{} ", u8::from(set));
-        let flags = flag("U", header.sender_not_working)
-            + &flag("D", header.to_not_working)
-            + &flag("R", header.response)
-            + &flag("B", header.broadcast)
-            + &flag("ERR", header.no_error);
-        add("flags", Role::Text, &flags);
-    }
-    if frame.fd {
-        let rate = if frame.bit_rate_switch { "FD, faster data" } else { "FD" };
-        add("format", Role::Text, rate);
-    }
-    if frame.ours {
-        add("", Role::Muted, "sent by us");
+        let from = who(&decoded.source, header.source);
+        add("route", Role::Text, &format!("{from} → {to}, {service}"));
     }
     let role = if decoded.is_error { Role::Error } else { Role::Text };
     if !decoded.text.is_empty() {
@@ -194,16 +181,38 @@ fn draw_details(brush: &mut Brush) {
             .map(|&byte| if (0x20..0x7F).contains(&byte) { char::from(byte) } else { '·' })
             .collect();
         let label = if at == 0 { format!("data {}", frame.len()) } else { String::new() };
-        add(&label, Role::Text, &hex.join(" "));
-        add("", Role::Muted, &text);
+        let mut line = Line::from(brush.span(Role::Muted, fit(&label, 9)));
+        line.push_span(brush.span(Role::Text, fit(&hex.join(" "), 25)));
+        line.push_span(brush.span(Role::Muted, text));
+        lines.push(line);
     }
     let scroll = app.view().details_scroll;
     brush.lines(area, &lines, scroll);
 }
 
+/// The identifier, its type and its flags.
+fn describe_id(frame: &Frame, decoded: &Decoded) -> String {
+    let mut text = format!("{}  {}", frame.id, decoded.kind);
+    if let Some(header) = decoded.header {
+        let flag = |name: &str, set: bool| format!(" {name}{}", u8::from(set));
+        text.push(' ');
+        text += &flag("U", header.sender_not_working);
+        text += &flag("D", header.to_not_working);
+        text += &flag("R", header.response);
+        text += &flag("B", header.broadcast);
+        text += &flag("ERR", header.no_error);
+    }
+    match (frame.fd, frame.bit_rate_switch) {
+        (true, true) => text.push_str("  FD, faster data"),
+        (true, false) => text.push_str("  FD"),
+        (false, _) => {}
+    }
+    text
+}
+
 fn draw_identifiers(brush: &mut Brush) {
     let (header, list) = (brush.screen.header, brush.screen.list);
-    let title = format!("  {:8}  {:>4}  {:>7}  FROM    TO     SRV  LAST", "ID", "f/s", "COUNT");
+    let title = format!("  {:8}  {:>4}  {:>7}    FROM TO     SRV  LAST", "ID", "f/s", "COUNT");
     let line = Line::from(brush.span(Role::Header, title));
     brush.line(header, 0, &line);
     let app = brush.app;
