@@ -73,7 +73,7 @@ impl Stage {
             bitrate,
             ..BusStatus::default()
         };
-        stage.app.handle_bus(Instant::ZERO, BusIndex(0), status);
+        stage.app.handle_bus(Instant::ZERO, BusIndex(0), &status);
         let content = stage.file.clone();
         stage.app.handle_file(Instant::ZERO, FileReading::Content(content));
         stage

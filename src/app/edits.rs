@@ -305,7 +305,7 @@ impl App {
                         let name = device
                             .name
                             .as_ref()
-                            .map_or("the device".to_owned(), |name| name.to_string());
+                            .map_or("the device".to_owned(), ToString::to_string);
                         (name, device.address.to_string())
                     }
                     None => ("a device that is gone".to_owned(), "?".to_owned()),

@@ -3,6 +3,7 @@
 //! Does not judge anything: the engines did.
 
 use super::buses::{is_up, lost};
+use super::traffic::hex;
 
 use super::timeline::{Entry, Kind};
 use super::{App, Change, Effect, Overlay};
@@ -105,31 +106,30 @@ impl App {
             }
             EventKind::Acknowledged => (Kind::Bus, "our frames are acknowledged".to_owned()),
             EventKind::Debug { code, data } => {
-                let bytes: String = data.iter().map(|byte| format!(" {byte:02X}")).collect();
-                (Kind::Change, format!("debug message {code:03X}{bytes}"))
+                (Kind::Change, format!("debug message {code:03X} {}", hex(data, " ")))
             }
         })
     }
 
     /// Takes an adapter's words.
-    pub(super) fn bus_changed(&mut self, index: BusIndex, status: BusStatus) {
+    pub(super) fn bus_changed(&mut self, index: BusIndex, status: &BusStatus) {
         let now = self.now;
         let Some(bus) = self.buses.get_mut(usize::from(index.0)) else { return };
-        if bus.status == status {
+        if bus.status == *status {
             return;
         }
         let old = std::mem::replace(&mut bus.status, status.clone());
         if old.bitrate != status.bitrate {
             bus.engine.set_bitrate(status.bitrate);
         }
-        if is_up(&status) && !is_up(&old) && old.link != Link::Opening {
+        if is_up(status) && !is_up(&old) && old.link != Link::Opening {
             bus.engine.restart(now);
         }
-        let newly_lost = lost(&status).saturating_sub(lost(&old));
+        let newly_lost = lost(status).saturating_sub(lost(&old));
         if newly_lost > 0 {
             bus.engine.handle_lost(now, newly_lost);
         }
-        for (kind, text) in changes(&old, &status) {
+        for (kind, text) in changes(&old, status) {
             self.timeline.push(Entry::new(now, kind, text).on(index));
         }
         self.take_events();

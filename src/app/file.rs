@@ -48,7 +48,7 @@ impl std::fmt::Display for FileProblem {
 }
 
 /// What the reading of a file changed.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Change {
     /// Nothing.
     None,

@@ -51,7 +51,7 @@ pub use problems::{Scope, same_services};
 pub use prompt::{Prompt, PromptKind, Verdict};
 pub use screen::{SPLIT_WIDTH, Screen, tabs};
 pub use timeline::{Entry as TimelineEntry, Kind as TimelineKind, Timeline};
-pub use traffic::{Decoded, clock, clock_millis};
+pub use traffic::{Decoded, clock, clock_millis, hex};
 pub use view::{Cursor, Focus, Frozen, Page, View};
 pub use why::spell;
 
@@ -336,7 +336,7 @@ impl App {
     }
 
     /// Takes what an adapter says of its bus.
-    pub fn handle_bus(&mut self, now: Instant, index: BusIndex, status: BusStatus) {
+    pub fn handle_bus(&mut self, now: Instant, index: BusIndex, status: &BusStatus) {
         self.now = self.now.max(now);
         self.bus_changed(index, status);
     }

@@ -124,7 +124,7 @@ impl App {
     pub fn move_pages(&mut self, pages: isize) {
         let screen = self.screen();
         let height = screen.list_rows().max(usize::from(screen.details.height));
-        self.move_by(pages * height.saturating_sub(1).max(1) as isize);
+        self.move_by(pages * height.saturating_sub(1).max(1).cast_signed());
     }
 
     /// Command: to the first or to the last row.
@@ -228,8 +228,9 @@ impl App {
 
     /// Command: the next page or the one before.
     pub fn turn_page(&mut self, by: isize) {
-        let at = (self.view.page as isize + by).rem_euclid(Page::ALL.len() as isize);
-        self.show_page(Page::ALL[at as usize]);
+        let count = Page::ALL.len();
+        let at = (self.view.page as usize + count).saturating_add_signed(by) % count;
+        self.show_page(Page::ALL[at]);
     }
 
     /// Command: opens the details; in the timeline, goes to the frames of that moment.

@@ -222,7 +222,7 @@ impl Comparison<'_> {
                 let who = device
                     .name
                     .as_ref()
-                    .map_or("A device without a name".to_owned(), |it| it.to_string());
+                    .map_or("A device without a name".to_owned(), ToString::to_string);
                 let text = format!("{who} at {} is not in the file.", device.address);
                 let remedy = "Take it in: a on its row.".to_owned();
                 let (bus, name) = (Some(device.id.bus), device.name.clone());

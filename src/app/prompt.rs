@@ -400,7 +400,7 @@ fn request(key: Key) -> Option<InputRequest> {
     use InputRequest as R;
     Some(match (key.code, key.ctrl, key.alt) {
         (KeyCode::Char(c), false, false) if is_printable(c) => R::InsertChar(c),
-        (KeyCode::Backspace, false, false) => R::DeletePrevChar,
+        (KeyCode::Backspace, false, false) | (KeyCode::Char('h'), true, _) => R::DeletePrevChar,
         (KeyCode::Delete, ..) => R::DeleteNextChar,
         (KeyCode::Left, true, _) => R::GoToPrevWord,
         (KeyCode::Right, true, _) => R::GoToNextWord,
@@ -411,7 +411,6 @@ fn request(key: Key) -> Option<InputRequest> {
         (KeyCode::Char('u'), true, _) => R::DeleteLine,
         (KeyCode::Char('k'), true, _) => R::DeleteTillEnd,
         (KeyCode::Char('w'), true, _) | (KeyCode::Backspace, ..) => R::DeletePrevWord,
-        (KeyCode::Char('h'), true, _) => R::DeletePrevChar,
         _ => return None,
     })
 }

@@ -16,6 +16,7 @@
 
 use super::view::{Focus, Page, View};
 use ratatui::layout::Rect;
+use std::fmt::Write;
 
 /// The regions; those that are not on the screen are empty.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -143,7 +144,7 @@ pub fn tabs(columns: u16, open: Page, problems: usize) -> Vec<(Page, u16, String
             }
             if page == Page::Problems && problems > 0 {
                 let sign = if narrow { "⚠" } else { "" };
-                text.push_str(&format!("{sign}{problems} "));
+                let _ = write!(text, "{sign}{problems} ");
             }
             let start = at;
             at += text.chars().count() as u16 + u16::from(wide);

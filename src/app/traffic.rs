@@ -9,7 +9,7 @@ use crate::frame::{BusIndex, CanId, Frame, FrameKind};
 use crate::text::Escaped;
 use crate::time::Instant;
 use crate::wire::des::{Asked, Request, ServicesAnswer, TYPE_NAME, TYPE_SERVICES, decode_name};
-use crate::wire::framing::{classify_answer, classify_request, strip_raw_padding};
+use crate::wire::framing::{Framing, classify_answer, classify_request, strip_raw_padding};
 use crate::wire::id::{Address, Header, MessageType};
 use crate::wire::isotp::{FlowStatus, Pci};
 use crate::wire::node::Heartbeat;
@@ -253,7 +253,6 @@ fn describe_data(profile: &Profile, header: Header, frame: &Frame) -> (String, b
             },
         };
     }
-    use crate::wire::framing::Framing;
     match classify_answer(data, frame.fd, true) {
         Some(Framing::Raw) => describe_answer(strip_raw_padding(data)),
         Some(Framing::Isotp) => match Pci::decode(data, frame.fd) {
@@ -379,6 +378,16 @@ fn describe_error(class: u32, details: &[u8]) -> String {
         ));
     }
     if parts.is_empty() { "error frame".to_owned() } else { parts.join(", ") }
+}
+
+/// Bytes in hexadecimal, with something between them.
+pub fn hex(data: &[u8], between: &str) -> String {
+    let mut text = String::with_capacity(data.len() * (2 + between.len()));
+    for (at, byte) in data.iter().enumerate() {
+        let between = if at == 0 { "" } else { between };
+        let _ = write!(text, "{between}{byte:02X}");
+    }
+    text
 }
 
 /// A moment as the wall clock shows it: `12:03:11`.

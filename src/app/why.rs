@@ -139,7 +139,7 @@ fn why_bus(bus: &Bus, reasons: &mut Vec<String>) {
             reasons.push(match &bus.status.message {
                 Some(message) => Escaped(message.as_bytes()).to_string(),
                 None => format!("{name} is down"),
-            })
+            });
         }
         (_, BusState::BusOff) => {
             reasons.push(format!("the controller of {name} is bus-off: it hears nothing"));

@@ -158,7 +158,7 @@ fn draw_header(brush: &mut Brush, area: Rect, columns: &Columns) {
 fn draw_nothing(brush: &mut Brush, list: Rect) {
     let app = brush.app;
     let text = if app.view().filter(crate::app::Page::Devices).is_empty() {
-        let listening = app.buses().iter().any(|bus| bus.is_up());
+        let listening = app.buses().iter().any(crate::app::Bus::is_up);
         if listening { "no device was heard yet" } else { "no device: no bus is up" }
     } else {
         "no device fits the filter (Esc takes it away)"

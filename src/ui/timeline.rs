@@ -72,8 +72,7 @@ fn entry_line(brush: &Brush, entry: &TimelineEntry, who_width: usize) -> Line<'s
         TimelineKind::Suspected => ("?", Role::Suspected),
         TimelineKind::Confirmed => ("⚠", Role::Collision),
         TimelineKind::Cleared => ("✓", Role::FileOk),
-        TimelineKind::Bus => ("·", Role::Text),
-        TimelineKind::File => ("·", Role::Text),
+        TimelineKind::Bus | TimelineKind::File => ("·", Role::Text),
         TimelineKind::Error => ("!", Role::Error),
     };
     let who = who(brush, entry, who_width);

@@ -2,7 +2,7 @@
 
 use super::brush::{Brush, fit, fit_right, labelled};
 use super::details::inner;
-use crate::app::{Decoded, Focus, IdentifierKind, IdentifierStats, Page, clock_millis};
+use crate::app::{Decoded, Focus, IdentifierKind, IdentifierStats, Page, clock_millis, hex};
 use crate::frame::Frame;
 use crate::theme::Role;
 use ratatui::layout::Rect;
@@ -54,9 +54,10 @@ fn draw_frames(brush: &mut Brush) {
     let (shown, selected) = brush.app.frames_shown(usize::from(list.height));
     if shown.is_empty() {
         let filtered = !brush.app.view().filter(Page::Traffic).is_empty();
-        let text = match filtered {
-            true => "no frame fits the filter (Esc takes it away)",
-            false => "no frame was heard yet",
+        let text = if filtered {
+            "no frame fits the filter (Esc takes it away)"
+        } else {
+            "no frame was heard yet"
         };
         let line = Line::from(brush.span(Role::Muted, format!("   {text}")));
         return brush.line(list, 1, &line);
@@ -103,7 +104,7 @@ fn frame_line(
     }
     let used: usize = spans.iter().map(Span::width).sum();
     let left = usize::from(list.width).saturating_sub(used);
-    let bytes = hex(frame.data(), 8);
+    let bytes = first_bytes(frame.data());
     let role = if decoded.is_error { Role::Error } else { plain };
     if room.bytes && left > 17 + 12 {
         spans.push(text(role, format!("{} ", fit(&decoded.text, left - 18))));
@@ -116,13 +117,10 @@ fn frame_line(
     Line::from(spans)
 }
 
-/// The first `most` bytes, and whether there are more.
-fn hex(data: &[u8], most: usize) -> String {
-    let mut text: String = data.iter().take(most).map(|byte| format!("{byte:02X}")).collect();
-    if data.len() > most {
-        text.push('…');
-    }
-    text
+/// The first eight bytes, and whether there are more.
+fn first_bytes(data: &[u8]) -> String {
+    let more = if data.len() > 8 { "…" } else { "" };
+    hex(&data[..data.len().min(8)], "") + more
 }
 
 fn draw_details(brush: &mut Brush) {
@@ -130,9 +128,9 @@ fn draw_details(brush: &mut Brush) {
     if area.height == 0 {
         return;
     }
-    let rule = brush.screen.lower_rule;
+    let above = brush.screen.lower_rule;
     let focused = brush.app.view().focus == Focus::Details;
-    brush.rule(rule, if focused { Role::BorderFocus } else { Role::Border });
+    brush.rule(above, if focused { Role::BorderFocus } else { Role::Border });
     let app = brush.app;
     let Some((number, frame)) =
         app.view().traffic.and_then(|number| Some((number, app.capture().get(number)?)))
@@ -175,14 +173,13 @@ fn draw_details(brush: &mut Brush) {
         add("message", Role::Text, &message);
     }
     for (at, bytes) in frame.data().chunks(8).enumerate() {
-        let hex: Vec<String> = bytes.iter().map(|byte| format!("{byte:02X}")).collect();
         let text: String = bytes
             .iter()
             .map(|&byte| if (0x20..0x7F).contains(&byte) { char::from(byte) } else { '·' })
             .collect();
         let label = if at == 0 { format!("data {}", frame.len()) } else { String::new() };
         let mut line = Line::from(brush.span(Role::Muted, fit(&label, 9)));
-        line.push_span(brush.span(Role::Text, fit(&hex.join(" "), 25)));
+        line.push_span(brush.span(Role::Text, fit(&hex(bytes, " "), 25)));
         line.push_span(brush.span(Role::Muted, text));
         lines.push(line);
     }
@@ -265,7 +262,7 @@ fn identifier_line(
     }
     let used: usize = spans.iter().map(Span::width).sum();
     let left = usize::from(list.width).saturating_sub(used);
-    let bytes = hex(row.last.data(), 8);
+    let bytes = first_bytes(row.last.data());
     let role = if decoded.is_error { Role::Error } else { Role::Text };
     if left > 17 + 12 {
         spans.push(brush.span(role, format!("{} ", fit(&decoded.text, left - 18))));
