@@ -108,6 +108,8 @@ pub enum FileWord {
     Agrees(u8),
     /// Static, and the device is not there.
     Differs(u8),
+    /// Static, and it is too early to say where the device is.
+    Pinned(u8),
 }
 
 /// By what the rows are sorted.
@@ -304,10 +306,7 @@ impl App {
             None => None,
         };
         let bus = bus.map(|at| BusIndex(at as u8));
-        let awaited = match bus {
-            Some(bus) => !self.has_looked(bus),
-            None => (0..self.buses.len()).any(|at| !self.has_looked(BusIndex(at as u8))),
-        };
+        let awaited = !self.is_missing(entry);
         Some(Row {
             key: RowKey::Entry(self.file.document().key(entry.index)),
             bus,
@@ -317,7 +316,8 @@ impl App {
             suspected: false,
             twin: false,
             file: match entry.address {
-                Some(address) if entry.is_static && !awaited => FileWord::Differs(address),
+                Some(address) if entry.is_static && awaited => FileWord::Pinned(address),
+                Some(address) if entry.is_static => FileWord::Differs(address),
                 address => FileWord::Listed(address),
             },
             entry: Some(entry.index),

@@ -145,38 +145,32 @@ impl App {
         let listed = format!("{entries} {}", if entries == 1 { "entry" } else { "entries" });
         let line = match change {
             Change::None => return,
-            Change::First if !self.file.is_there() => Some((
-                Kind::File,
-                format!("{name} is not there yet: it begins with the first edit"),
-            )),
-            Change::First => Some((Kind::File, format!("{name}: {listed}"))),
             Change::Saved => None,
-            Change::Content => Some((Kind::File, format!("{name} on disk: {listed}"))),
+            Change::First if !self.file.is_there() => {
+                Some((Kind::File, "not there yet: it begins with the first edit".to_owned()))
+            }
+            Change::First => Some((Kind::File, listed)),
+            Change::Content => Some((Kind::File, format!("changed on disk: {listed}"))),
             Change::Rebased => Some((
                 Kind::File,
-                format!(
-                    "{name} was changed by someone else: our edits are made on the newer content"
-                ),
+                "changed by someone else: our edits are made on the newer content".to_owned(),
             )),
             Change::Broken => {
                 let problem = self.file.problem().map(ToString::to_string).unwrap_or_default();
-                Some((Kind::Error, format!("{name}: {problem}")))
+                self.complain(format!("{name}: {problem}"));
+                Some((Kind::Error, problem))
             }
             Change::Conflict => {
                 self.overlay = Overlay::Conflict;
-                Some((Kind::Error, format!("{name}: someone else changed the same value")))
+                Some((Kind::Error, "someone else changed the same value".to_owned()))
             }
         };
         if let Some((kind, text)) = line {
-            if kind == Kind::Error && change == Change::Broken {
-                self.complain(text.clone());
-            }
             self.timeline.push(Entry::new(self.now, kind, text));
         }
         if matches!(change, Change::First | Change::Content | Change::Rebased) {
             for finding in self.file.document().findings() {
-                let text = format!("{name}: {finding}");
-                self.timeline.push(Entry::new(self.now, Kind::File, text));
+                self.timeline.push(Entry::new(self.now, Kind::File, finding.to_string()));
             }
         }
         self.save_pending();

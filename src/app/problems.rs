@@ -184,7 +184,7 @@ impl Comparison<'_> {
         let app = self.app;
         let bus = app.buses.iter().position(|bus| is_for(entry, &bus.name));
         let Some(bus) = bus.map(|at| BusIndex(at as u8)) else { return };
-        if !app.has_looked(bus) {
+        if !app.is_missing(entry) {
             return;
         }
         let address = entry.address.and_then(Address::new);

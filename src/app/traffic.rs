@@ -133,6 +133,9 @@ impl App {
     pub fn message_of(&self, number: u64) -> Option<String> {
         let frame = self.capture.get(number)?;
         let id = frame.platform_id()?;
+        if Header::decode(id).service != self.profile(frame.bus).des_service() {
+            return None;
+        }
         let same = |other: &&Frame| other.bus == frame.bus && other.platform_id() == Some(id);
         let is_first =
             |other: &&Frame| matches!(Pci::decode(other.data(), other.fd), Ok(Pci::First { .. }));

@@ -36,6 +36,10 @@ impl Brush<'_> {
         }
         let width = usize::from(area.width);
         let (x, y) = (area.x, area.y + row);
+        // A role without a colour has the text's, not that of what was drawn here before.
+        let plain = Style::reset().patch(self.style(Role::Text));
+        let covered = line.width().min(width) as u16;
+        self.buffer.set_style(Rect { x, y, width: covered, height: 1 }, plain);
         if line.width() <= width {
             self.buffer.set_line(x, y, line, area.width);
             return;

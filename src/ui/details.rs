@@ -4,7 +4,7 @@
 use super::brush::{Brush, fit, labelled, wrap};
 use super::devices::state_role;
 use crate::app::{App, FileWord, Row, State, clock, concerns, spell};
-use crate::discovery::{Confidence, Device, Finding, Query, QueryState, ServiceEntry};
+use crate::discovery::{Confidence, Device, Finding, FindingKind, Query, QueryState, ServiceEntry};
 use crate::theme::Role;
 use crate::time::Duration;
 use ratatui::layout::Rect;
@@ -116,6 +116,7 @@ impl<'a> Details<'_, 'a> {
                     && finding.key.address == self.row.address
             };
             finding.confidence != Confidence::Cleared
+                && finding.key.kind != FindingKind::Missing
                 && device.map_or_else(of_row, |device| concerns(finding, device))
         };
         let about: Vec<&Finding> = all.iter().filter(about).copied().collect();
@@ -262,7 +263,9 @@ impl<'a> Details<'_, 'a> {
             (FileWord::Differs(address), Some(device)) => {
                 (Role::FileDiffers, format!("static {address}, but it is at {}", device.address))
             }
-            (FileWord::Differs(address), None) => (Role::Text, format!("static {address}")),
+            (FileWord::Differs(address) | FileWord::Pinned(address), _) => {
+                (Role::Text, format!("static {address}"))
+            }
         };
         let label = if name.width() < 9 { name } else { "file".to_owned() };
         self.add(&label, role, &text);

@@ -226,7 +226,9 @@ fn cell(
             FileWord::Nothing => (Role::Muted, String::new()),
             FileWord::New => (Role::New, "+ new".to_owned()),
             FileWord::Listed(None) => (Role::Muted, "  –".to_owned()),
-            FileWord::Listed(Some(address)) => (Role::Muted, format!("  {address}")),
+            FileWord::Listed(Some(address)) | FileWord::Pinned(address) => {
+                (Role::Muted, format!("  {address}"))
+            }
             FileWord::Agrees(address) => (Role::FileOk, format!("✓ {address}")),
             FileWord::Differs(address) => (Role::FileDiffers, format!("✗ {address}")),
         },
