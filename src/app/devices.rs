@@ -236,8 +236,8 @@ impl App {
             let number = |row: &Row| row.address.map_or(0, |address| i16::from(address.number()));
             (number(row) - number(old)).abs()
         });
-        if let Some(row) = nearest {
-            self.view.devices.select(row.key.clone());
+        if let Some(key) = nearest.map(|row| row.key.clone()) {
+            self.view.devices.replace(key);
         }
     }
 

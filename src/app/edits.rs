@@ -19,7 +19,7 @@ impl App {
 
     /// Command: edit the static address in the selected row.
     pub fn edit_address(&mut self, _now: Instant) {
-        if !self.may_edit() {
+        if !self.may_edit() || !self.go_to_row() {
             return;
         }
         let Some(row) = self.selected_row() else { return self.complain("no row is selected") };
@@ -40,7 +40,7 @@ impl App {
     /// Command: take the selected device into the file, with its services and its address (which
     /// is not pinned by that); where it is listed, take its services.
     pub fn add_device(&mut self, _now: Instant) {
-        if !self.may_edit() {
+        if !self.may_edit() || !self.go_to_row() {
             return;
         }
         let Some(device) = self.selected_row().and_then(|row| self.device_of(row)) else {
@@ -82,7 +82,7 @@ impl App {
 
     /// Command: ask for the entry's new name.
     pub fn ask_rename(&mut self, _now: Instant) {
-        if !self.may_edit() {
+        if !self.may_edit() || !self.go_to_row() {
             return;
         }
         let Some((at, _)) = self.selected_entry() else { return };
@@ -93,7 +93,7 @@ impl App {
 
     /// Command: ask whether the entry is to be deleted.
     pub fn ask_delete(&mut self, _now: Instant) {
-        if !self.may_edit() {
+        if !self.may_edit() || !self.go_to_row() {
             return;
         }
         let Some((at, _)) = self.selected_entry() else { return };
@@ -251,6 +251,9 @@ impl App {
 
     /// Command: ask whether the device is to blink or beep.
     pub fn ask_identify(&mut self, _now: Instant) {
+        if !self.go_to_row() {
+            return;
+        }
         let Some(device) = self.selected_row().and_then(|row| self.device_of(row)) else {
             return self.complain("no device is selected");
         };

@@ -34,19 +34,20 @@ impl App {
             }
         }
         if any {
-            self.refresh();
+            self.outdated = true;
             self.dirty_soon();
         }
     }
 
     fn take_event(&mut self, bus: BusIndex, event: Event) {
         if let Some((kind, text)) = self.describe(bus, &event) {
-            let confirmed = kind == Kind::Confirmed;
+            let collision = matches!(&event.kind, EventKind::Finding { key, .. }
+                if key.kind.is_collision() && kind == Kind::Confirmed);
             let mut entry = Entry::new(event.time, kind, text).on(bus);
             (entry.device, entry.address) = (event.device, event.address);
             entry.name.clone_from(&event.name);
             self.timeline.push(entry);
-            if confirmed {
+            if collision {
                 self.effects.push_back(Effect::Bell);
             }
         }

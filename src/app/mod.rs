@@ -63,6 +63,7 @@ use crate::time::{Duration, Epoch, Instant};
 use crate::wire::id::Address;
 use std::collections::VecDeque;
 use std::path::PathBuf;
+use traffic::Matches;
 
 /// What the program was started with.
 #[derive(Clone, Debug, Default)]
@@ -164,6 +165,7 @@ pub struct App {
     buses: Vec<Bus>,
     file: FileState,
     capture: Capture,
+    matches: Matches,
     timeline: Timeline,
     matching: Matching,
     file_findings: Vec<Finding>,
@@ -179,6 +181,8 @@ pub struct App {
     effects: VecDeque<Effect>,
     report: bool,
     happenings: VecDeque<Happening>,
+    /// Something happened since bus and file were compared.
+    outdated: bool,
     /// Something on the screen changed.
     dirty: bool,
     /// Something changed that need not be seen at once; when it is to be seen.
@@ -208,6 +212,7 @@ impl App {
             buses: buses.collect(),
             file: FileState::new(options.file_path),
             capture: Capture::new(),
+            matches: Matches::default(),
             timeline: Timeline::default(),
             matching: Matching::default(),
             file_findings: Vec::new(),
@@ -223,6 +228,7 @@ impl App {
             effects: VecDeque::new(),
             report: options.report,
             happenings: VecDeque::new(),
+            outdated: false,
             dirty: true,
             dirty_at: None,
             last_calm_draw: now,
@@ -267,6 +273,7 @@ impl App {
         }
         if self.dirty_at.is_some_and(|at| at <= now) {
             self.dirty = true;
+            self.catch_up();
         }
     }
 
@@ -274,9 +281,8 @@ impl App {
     pub fn handle_key(&mut self, now: Instant, key: Key) {
         self.now = self.now.max(now);
         self.dirty = true;
-        if self.message.take().is_none_or(|message| !message.is_error) {
-            self.message = None;
-        }
+        self.message = None;
+        self.catch_up();
         if matches!(self.overlay, Overlay::Prompt(_)) {
             self.type_key(now, key);
         } else if let Some(action) = self.keymap.lookup(self.mode(), key) {
@@ -514,12 +520,22 @@ impl App {
         self.capture.tick();
         if !at_rest {
             self.refresh();
+            self.filter_frames();
             self.dirty = true;
         }
     }
 
-    /// Compares bus and file anew.
+    /// Compares bus and file anew, if something happened since, and filters the frames that came.
+    /// Done by itself before there is something to draw; whoever reads without a screen calls it.
+    pub fn catch_up(&mut self) {
+        if std::mem::take(&mut self.outdated) {
+            self.refresh();
+        }
+        self.filter_frames();
+    }
+
     fn refresh(&mut self) {
+        self.outdated = false;
         self.refresh_problems(self.now);
         self.refresh_rows();
     }

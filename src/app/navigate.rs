@@ -3,7 +3,7 @@
 use super::capture::{IdentifierKey, IdentifierStats};
 use super::prompt::PromptKind;
 use super::view::{Focus, Frozen, Page};
-use super::{App, Effect, Filter, Overlay, RowKey, tabs};
+use super::{App, Decoded, Effect, Filter, Overlay, Row, RowKey, tabs};
 use crate::discovery::FindingKey;
 use crate::time::Instant;
 use ratatui::layout::{Position, Rect};
@@ -221,6 +221,7 @@ impl App {
     /// Command: another page.
     pub fn show_page(&mut self, page: Page) {
         self.view.page = page;
+        self.filter_frames();
         self.view.focus = Focus::List;
         self.view.details_scroll = 0;
         self.dirty = true;
@@ -405,6 +406,46 @@ impl App {
             }
             None => self.complain("no row is selected"),
         }
+    }
+
+    /// Edits are made on the page Devices: from another page, goes to the row that its selection is
+    /// about. Whether there is one.
+    pub(super) fn go_to_row(&mut self) -> bool {
+        let (bus, address, name) = match self.view.page {
+            Page::Devices => return true,
+            Page::Problems => match self.selected_problem() {
+                Some(it) => (it.key.bus, it.key.address, it.key.name.clone()),
+                None => (None, None, None),
+            },
+            Page::Timeline => {
+                let number = self.view.timeline.selected();
+                match number.and_then(|&number| self.timeline.get(number)) {
+                    Some(line) => (line.bus, line.address, line.name.clone()),
+                    None => (None, None, None),
+                }
+            }
+            Page::Traffic => {
+                let frame = self.view.traffic.and_then(|number| self.capture.get(number));
+                let source = frame.and_then(|frame| Decoded::of(self, frame).header);
+                (frame.map(|frame| frame.bus), source.map(|header| header.source), None)
+            }
+        };
+        let on_bus = |row: &&Row| bus.is_none() || row.bus.is_none() || row.bus == bus;
+        let fits = |row: &Row| {
+            let named = name.is_some() && row.name == name;
+            let there = address.is_some() && row.address == address;
+            (named && there, named, there && name.is_none())
+        };
+        let best = self.rows.iter().filter(on_bus).max_by_key(|row| fits(row));
+        let Some(key) =
+            best.filter(|row| fits(row) > (false, false, false)).map(|it| it.key.clone())
+        else {
+            self.complain("no row of the page Devices is selected");
+            return false;
+        };
+        self.view.devices.select(key);
+        self.show_page(Page::Devices);
+        true
     }
 
     // ---- what is on the lists --------------------------------------------------------------

@@ -150,6 +150,7 @@ impl App {
     fn apply_filter(&mut self, page: Page, text: String) {
         self.view.set_filter(page, text);
         self.refresh();
+        self.filter_frames();
     }
 
     pub(super) fn leave_prompt(&mut self) {

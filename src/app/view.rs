@@ -103,6 +103,12 @@ impl<K: Clone + PartialEq> Cursor<K> {
     /// Selects a row, wherever it is.
     pub fn select(&mut self, key: K) {
         self.selected = Some(key);
+        self.moved = true;
+    }
+
+    /// The selected row goes on under another key.
+    pub fn replace(&mut self, key: K) {
+        self.selected = Some(key);
     }
 
     /// After the rows changed: what is gone gives its place to its neighbour, and where nothing
