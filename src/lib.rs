@@ -12,9 +12,12 @@
 //! * [`theme`], [`ui`]: how it is drawn.
 //! * [`bus`]: where frames come from and go.
 //! * [`shell`]: files, watching, the terminal, the event loop.
+//! * [`cli`], [`commands`]: what the command line asks for, done with a screen or without.
 
 pub mod app;
 pub mod bus;
+pub mod cli;
+pub mod commands;
 pub mod discovery;
 pub mod document;
 pub mod frame;

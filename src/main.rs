@@ -1,3 +1,21 @@
-//! The command `descan`.
+//! The command `descan`: parse, run, exit code.
 
-fn main() {}
+use descan::cli::{self, Refusal};
+use descan::commands;
+use std::io::Write;
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    match cli::parse(std::env::args_os()) {
+        Ok(cli) => commands::run(cli),
+        Err(Refusal::Text(text)) => {
+            // Nobody may be left to read it.
+            let _ = std::io::stdout().write_all(text.as_bytes());
+            ExitCode::SUCCESS
+        }
+        Err(Refusal::Usage(line)) => {
+            let _ = writeln!(std::io::stderr(), "descan: {line}");
+            ExitCode::from(commands::USAGE)
+        }
+    }
+}

@@ -14,7 +14,10 @@
 //! `?` what is shown at the end. Run with `UPDATE_SCENARIOS=1` to write what comes instead of
 //! checking it; then read the difference.
 
-use descan::discovery::{Config, Engine, Event, EventKind};
+mod common;
+
+use common::describe;
+use descan::discovery::{Config, Engine};
 use descan::frame::{CanId, Frame};
 use descan::time::Instant;
 use descan::wire::id::Address;
@@ -41,37 +44,6 @@ fn parse_frame(text: &str) -> Frame {
     }
     let id = if id.len() == 3 { CanId::Standard(number as u16) } else { CanId::Extended(number) };
     Frame::with(id, &data)
-}
-
-fn describe(event: &Event) -> String {
-    let mut who = event.address.map_or(String::new(), |address| format!(" {address}"));
-    if let Some(name) = &event.name {
-        write!(who, " {name}").unwrap();
-    }
-    match &event.kind {
-        EventKind::Appeared => format!("appeared{who}"),
-        EventKind::Named => format!("named{who}"),
-        EventKind::Services { count, changed } => {
-            format!("services{who}: {count}{}", if *changed { ", others than before" } else { "" })
-        }
-        EventKind::Mode { from, to } => match from {
-            Some(from) => format!("mode{who}: {from} -> {to}"),
-            None => format!("mode{who}: {to}"),
-        },
-        EventKind::Moved { from } => format!("moved{who}: from {from}"),
-        EventKind::Rebooted => format!("rebooted{who}"),
-        EventKind::Presence(presence) => format!("{presence}{who}"),
-        EventKind::Returned { was } => format!("returned{who}: was {was}"),
-        EventKind::Finding { key, confidence } => {
-            let at = key.address.map_or(String::new(), |address| format!(" at {address}"));
-            format!("finding {} {confidence}{at}", key.kind)
-        }
-        EventKind::OwnAddress(address) => format!("we are {address}"),
-        EventKind::OwnAddressLost(address) => format!("we gave up {address}"),
-        EventKind::NobodyAcknowledges => "nobody acknowledges".to_owned(),
-        EventKind::Acknowledged => "acknowledged".to_owned(),
-        EventKind::Debug { code, data } => format!("debug{who}: {code:03X} {data:02X?}"),
-    }
 }
 
 /// An engine whose every frame sent is taken by the bus at once.

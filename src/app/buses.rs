@@ -51,6 +51,8 @@ pub struct Meter {
     second: u64,
     current: Second,
     past: VecDeque<Second>,
+    started: Instant,
+    bits: u64,
 }
 
 /// What passed in one second.
@@ -71,14 +73,16 @@ impl Meter {
     fn new(now: Instant) -> Self {
         let second = now.as_micros() / 1_000_000;
         let past = VecDeque::with_capacity(Self::SECONDS);
-        Self { second, current: Second::default(), past }
+        Self { second, current: Second::default(), past, started: now, bits: 0 }
     }
 
     /// Counts a frame.
     pub fn add(&mut self, frame: &Frame, bitrate: u32, data_bitrate: Option<u32>) {
         self.current.frames += 1;
         self.current.errors += u32::from(frame.kind == FrameKind::Error);
-        self.current.bits += bit_times(frame, bitrate, data_bitrate);
+        let bits = bit_times(frame, bitrate, data_bitrate);
+        self.current.bits += bits;
+        self.bits += bits;
     }
 
     /// Closes the seconds that are over; whether there were any.
@@ -96,6 +100,12 @@ impl Meter {
             self.past.push_back(std::mem::take(&mut self.current));
         }
         true
+    }
+
+    /// The share of the bus that was taken since the start, 0–1.
+    pub fn mean_load(&self, now: Instant, bitrate: u32) -> f64 {
+        let whole = now.since(self.started).as_secs_f64() * f64::from(bitrate.max(1));
+        if whole > 0.0 { (self.bits as f64 / whole).min(1.0) } else { 0.0 }
     }
 
     /// The last whole second.

@@ -199,7 +199,7 @@ impl App {
     }
 
     /// What the file is to say of a device: its address as the last main one, not pinned.
-    pub(super) fn new_entry(&self, device: &Device) -> Option<NewEntry> {
+    pub fn new_entry(&self, device: &Device) -> Option<NewEntry> {
         let alphabet = &self.bus(device.id.bus)?.engine.config().profile.uid;
         let uid = device.uid.filter(|uid| !uid.is_blank()).map(|uid| uid.text(alphabet));
         Some(NewEntry {

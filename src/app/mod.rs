@@ -236,6 +236,16 @@ impl App {
         }
     }
 
+    /// One more bus, as when a log turns out to have several. At most 256.
+    pub fn add_bus(&mut self, now: Instant, name: String, config: Config) {
+        if let Ok(index) = u8::try_from(self.buses.len()) {
+            let bus = BusIndex(index);
+            self.buses.push(Bus::new(now, name, Config { bus, ..config }));
+            self.refresh();
+            self.dirty = true;
+        }
+    }
+
     // ---- handle_*: what comes from outside ------------------------------------------------
 
     /// Takes frames, each dated by its own time.

@@ -5,7 +5,7 @@
 //! know what frames mean.
 //!
 //! Reading order: [`BusSpec`] (what the user typed), [`open`], [`Port`], [`Queue`],
-//! [`BusStatus`], [`Clock`]; then the kinds: `socketcan`, `replay`. A log can also be read at
+//! [`BusStatus`], [`Clock`]; then the kinds: `socketcan`, `replay`, `sim`. A log can also be read at
 //! once: [`log::LogReader`].
 
 mod bell;
@@ -15,6 +15,7 @@ pub mod log;
 mod port;
 mod queue;
 mod replay;
+mod sim;
 mod socketcan;
 mod spec;
 mod status;
@@ -27,6 +28,7 @@ pub use spec::{BusSpec, SpecError};
 pub use status::{BusState, BusStatus, Link};
 
 use crate::frame::BusIndex;
+use crate::sim::Scenario;
 use std::fs::File;
 use std::io;
 use std::os::fd::AsFd;
@@ -44,6 +46,9 @@ pub enum BusError {
         /// Why.
         cause: io::Error,
     },
+    /// The scenario of a simulated bus cannot be used.
+    #[error("{0}")]
+    Scenario(String),
     /// A kind of bus that is yet to come.
     #[error("{0}: this kind of bus is not supported yet")]
     NotSupported(String),
@@ -84,11 +89,26 @@ pub fn open(
             .as_fd()
             .try_clone_to_owned()
             .and_then(|log| replay::open(&name, File::from(log), index, clock)),
-        BusSpec::Sim(_) | BusSpec::Slcan { .. } | BusSpec::Udp(_) | BusSpec::Socketcand(_) => {
+        BusSpec::Sim(system) => {
+            let scenario = scenario(system)?;
+            sim::open(&name, &scenario, index, clock, options.listen_only)
+        }
+        BusSpec::Slcan { .. } | BusSpec::Udp(_) | BusSpec::Socketcand(_) => {
             return Err(BusError::NotSupported(name));
         }
     };
     port.map_err(|cause| BusError::Resources { name, cause })
+}
+
+/// The scenario of that name: a built-in one, or a file.
+pub fn scenario(name: &str) -> Result<Scenario, BusError> {
+    if Scenario::builtin_text(name).is_some() {
+        return Scenario::builtin(name).map_err(|error| BusError::Scenario(error.to_string()));
+    }
+    let text = std::fs::read_to_string(name).map_err(|cause| {
+        BusError::Scenario(format!("{name}: {cause}; there are boiler, drone, and files (TOML)"))
+    })?;
+    Scenario::parse(&text).map_err(|error| BusError::Scenario(format!("{name}: {error}")))
 }
 
 /// Opens a candump log.

@@ -10,6 +10,7 @@ use crate::wire::des::Request;
 use crate::wire::framing::Framing;
 use crate::wire::id::{Address, Header};
 use crate::wire::isotp;
+use crate::wire::node::Mode;
 use crate::wire::profile::Profile;
 
 /// Questions that wait for an answer at the same time: enough to keep a slow bus busy.
@@ -152,6 +153,8 @@ impl Engine {
                 }
                 let Some(device) = self.roster.current_device_mut(address) else { continue };
                 let (working, framing) = (device.working, device.framing);
+                // While it resolves its address, the mode it takes next is not known.
+                let undecided = matches!(device.mode, Some(Mode::Init | Mode::Arslv));
                 let usable = device.presence != Presence::Lost && address != own;
                 let query = match request {
                     Request::Name => &mut device.name_query,
@@ -171,9 +174,14 @@ impl Engine {
                 query.deadline = Some(now + patience(&self.config, query.attempts));
                 self.waiting += 1;
                 let service = self.config.profile.des_service();
-                let header = Header::request(own, address, !working, service);
-                for &framing in self.config.profile.framings(framing) {
-                    self.send_request(header, request, framing);
+                for to_not_working in [false, true] {
+                    if to_not_working == working && !undecided {
+                        continue;
+                    }
+                    let header = Header::request(own, address, to_not_working, service);
+                    for &framing in self.config.profile.framings(framing) {
+                        self.send_request(header, request, framing);
+                    }
                 }
             }
         }

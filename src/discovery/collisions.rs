@@ -77,7 +77,8 @@ struct Tally {
 
 impl Tally {
     fn ask(&mut self, now: Instant, targeted: bool) {
-        if now.since(self.asked_at) > ANSWER_WINDOW {
+        let answered = self.answered >= self.asked;
+        if answered || now.since(self.asked_at) > ANSWER_WINDOW {
             self.asked = 0;
             self.answered = 0;
             self.first_answer = None;
@@ -489,6 +490,14 @@ impl Collisions {
                 self.end(now, at);
             }
         }
+    }
+
+    /// The device at `address` was found elsewhere: what answers there now is no rival of it.
+    pub fn note_left(&mut self, address: Address) {
+        let watch = &mut self.watches[address.index()];
+        watch.names = Alternation::default();
+        watch.uids = Alternation::default();
+        watch.services = Alternation::default();
     }
 
     /// Whether there is a change that [`poll_changed`](Self::poll_changed) will tell.

@@ -290,6 +290,8 @@ pub struct Device {
     pub reboots: u32,
     /// When it rebooted last.
     pub rebooted_at: Option<Instant>,
+    /// When another row began to speak from its address.
+    pub(super) replaced_at: Option<Instant>,
     /// The UID its heartbeats said before the present one.
     pub(super) uid_before: Option<Uid>,
     /// The address it moved from last.
@@ -326,6 +328,7 @@ impl Device {
             frames: 0,
             reboots: 0,
             rebooted_at: None,
+            replaced_at: None,
             uid_before: None,
             moved_from: None,
             is_debug: address == Address::DEBUG,

@@ -10,7 +10,7 @@ use crate::wire::des::{self, AnswerFault, Asked, Request, ServicesAnswer};
 use crate::wire::framing::{Framing, classify_answer, classify_request, strip_raw_padding};
 use crate::wire::id::{Address, Header, MessageType};
 use crate::wire::isotp::{FlowControl, FlowStatus, Pci};
-use crate::wire::node::{Heartbeat, Uid};
+use crate::wire::node::{Heartbeat, Mode, Uid};
 use std::hash::{DefaultHasher, Hash, Hasher};
 
 /// How long answers to a broadcast are matched with its RND7.
@@ -213,9 +213,14 @@ impl Engine {
             device.uid = heartbeat.uid;
         }
         // With another UID it is rather another board.
+        // In an early mode after a pause, or off the beat: it started anew.
+        let paused = gap.is_some_and(|gap| gap > period.mul_f64(REBOOT_GAP));
+        let early = matches!(heartbeat.mode, Some(Mode::Init | Mode::Arslv));
+        let early = early && paused && device.mode != heartbeat.mode;
         let restarted = !was_lost
             && (first || !uid_changed || device.uid_before.is_none())
-            && gap.is_some_and(|gap| is_out_of_phase(gap, expected.unwrap_or(period), jitter));
+            && (early
+                || gap.is_some_and(|gap| is_out_of_phase(gap, expected.unwrap_or(period), jitter)));
         if let Some(mode) = heartbeat.mode {
             let fits = mode.is_working().is_none_or(|working| working == device.working);
             if fits {
@@ -263,7 +268,7 @@ impl Engine {
 
     /// The node at this row has another UID than before, or one for the first time.
     fn uid_learnt(&mut self, now: Instant, index: usize, first: bool) {
-        if !first {
+        if !first && !self.collisions.is_open_at(self.roster.get(index).address) {
             // Another board, perhaps: ask who it is.
             self.roster.get_mut(index).name_query.renew(now);
             self.wake_at(now);

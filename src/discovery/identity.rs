@@ -29,6 +29,7 @@ impl Engine {
                 query.state = QueryState::NotAsked;
             }
         }
+        old.replaced_at = Some(now);
         // Heartbeats that came since the other board is there are not this row's.
         old.uid = old.uid_before.take().or(old.uid);
         let row = match known {
@@ -142,6 +143,7 @@ impl Engine {
     fn move_row(&mut self, old: usize, new: usize) {
         let from = self.roster.get(old).address;
         let index = self.roster.join(old, new);
+        self.collisions.note_left(from);
         let now = self.now;
         let device = self.roster.get_mut(index);
         device.services_query.renew(now);

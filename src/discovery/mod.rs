@@ -422,6 +422,9 @@ impl Engine {
         device.presence = presence;
         device.presence_since = self.now;
         if presence == Presence::Online {
+            // It may have been away for new firmware.
+            self.roster.get_mut(index).services_query.renew(self.now);
+            self.wake_at(self.now);
             self.tell(index, EventKind::Returned { was });
         } else {
             self.tell(index, EventKind::Presence(presence));
@@ -440,7 +443,8 @@ impl Engine {
             return Presence::Lost;
         }
         let patience = if self.collisions.is_open_at(device.address) { 8 } else { 4 };
-        let answered = device.name_query.answered_at.unwrap_or(device.last_seen);
+        let answered = device.name_query.answered_at.max(device.replaced_at);
+        let answered = answered.unwrap_or(device.last_seen);
         let period = self.config.profile.heartbeat.period();
         if self.now.since(answered) < period * patience { device.presence } else { Presence::Lost }
     }

@@ -89,7 +89,8 @@ impl Folder {
         let mut names: Vec<String> = entries
             .filter_map(|entry| {
                 let path = entry.ok()?.path();
-                (path.extension()? == "toml").then(|| path.file_stem()?.to_str().map(str::to_owned))?
+                (path.extension()? == "toml")
+                    .then(|| path.file_stem()?.to_str().map(str::to_owned))?
             })
             .collect();
         names.sort();
@@ -133,7 +134,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let config = Folder::at(folder.path());
         assert_eq!(config.settings(), Ok(Settings::default()));
-        fs::write(folder.path().join("config.toml"), "theme = \"dark\"\nround_period = 5\n").unwrap();
+        fs::write(folder.path().join("config.toml"), "theme = \"dark\"\nround_period = 5\n")
+            .unwrap();
         let settings = config.settings().unwrap();
         assert_eq!(settings.theme.as_deref(), Some("dark"));
         assert_eq!(settings.round_period(), Some(Duration::from_secs(5)));

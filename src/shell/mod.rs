@@ -9,5 +9,9 @@
 //!
 //! Knows tokio, threads, clocks and the file system, so that nothing above has to.
 
+pub mod config;
+pub mod screen;
+pub mod session;
 pub mod store;
+pub mod terminal;
 pub mod watch;

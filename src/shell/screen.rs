@@ -114,7 +114,7 @@ fn handle_input(session: &mut Session, event: &Event) {
         Event::Resize(columns, rows) => session.app.handle_resize(*columns, *rows),
         Event::Mouse(mouse) => {
             let kind = match mouse.kind {
-                MouseEventKind::Down(MouseButton::Left) => MouseKind::Click,
+                MouseEventKind::Down(MouseButton::Left) => MouseKind::Press,
                 MouseEventKind::ScrollUp => MouseKind::WheelUp,
                 MouseEventKind::ScrollDown => MouseKind::WheelDown,
                 _ => return,
@@ -189,7 +189,9 @@ impl Themes {
         let mut names: Vec<String> =
             crate::theme::BUILT_IN.iter().map(|(name, _)| (*name).to_owned()).collect();
         let own = self.folder.as_ref().map(Folder::theme_names).unwrap_or_default();
-        names.extend(own.into_iter().filter(|name| crate::theme::BUILT_IN.iter().all(|b| b.0 != name)));
+        names.extend(
+            own.into_iter().filter(|name| crate::theme::BUILT_IN.iter().all(|b| b.0 != name)),
+        );
         names
     }
 
@@ -197,7 +199,8 @@ impl Themes {
         match &self.folder {
             Some(folder) if !name.contains('/') => {
                 let path = folder.theme_path(name);
-                read_text(&path).map_err(|cause| format!("{} cannot be read: {cause}", path.display()))
+                read_text(&path)
+                    .map_err(|cause| format!("{} cannot be read: {cause}", path.display()))
             }
             _ => Ok(None),
         }

@@ -7,7 +7,7 @@
 use super::store::{SaveError, Store};
 use super::watch::Watch;
 use crate::app::{App, Effect, FileReading, SaveOutcome};
-use crate::bus::{BusStatus, Clock, Port};
+use crate::bus::{Clock, Port};
 use crate::frame::{BusIndex, Frame};
 use crate::time::Instant;
 use futures_util::future::select_all;
@@ -47,7 +47,6 @@ pub struct Session {
     pub app: App,
     clock: Clock,
     ports: Vec<Port>,
-    statuses: Vec<BusStatus>,
     store: Option<Store>,
     watch: Option<Watch>,
     work: Vec<JoinHandle<Finished>>,
@@ -57,12 +56,10 @@ pub struct Session {
 impl Session {
     /// Joins app, buses and file. The port at place n carries the bus of index n.
     pub fn new(app: App, clock: Clock, ports: Vec<Port>, store: Option<Store>) -> Self {
-        let statuses = vec![BusStatus::default(); ports.len()];
         let mut session = Self {
             app,
             clock,
             ports,
-            statuses,
             store,
             watch: None,
             work: Vec::new(),
@@ -82,11 +79,6 @@ impl Session {
     /// The moment it is.
     pub fn now(&self) -> Instant {
         self.clock.now()
-    }
-
-    /// What a bus's adapter says.
-    pub fn status(&self, index: BusIndex) -> Option<&BusStatus> {
-        self.statuses.get(usize::from(index.0))
     }
 
     /// Whether every bus has ended: logs that were read to their end.
@@ -168,9 +160,7 @@ impl Session {
         for (index, port) in self.ports.iter().enumerate() {
             let index = BusIndex(index as u8);
             if let Some(status) = port.queue().take_status() {
-                let before = &mut self.statuses[usize::from(index.0)];
-                self.app.handle_bus(now, index, &status);
-                *before = status;
+                self.app.handle_bus(now, index, status);
             }
             self.batch.clear();
             port.queue().drain(&mut self.batch, BATCH);

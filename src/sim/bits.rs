@@ -290,6 +290,7 @@ static STUFFING: [[(u8, u8); 16]; 9] = {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::fmt::Write;
 
     fn total(frame: &Frame) -> u32 {
         FrameBits::of(frame).total()
@@ -305,9 +306,9 @@ mod tests {
             }
         };
         bits += id_end;
-        bits += &format!("{:04b}", frame.len());
+        write!(bits, "{:04b}", frame.len()).unwrap();
         for byte in frame.data() {
-            bits += &format!("{byte:08b}");
+            write!(bits, "{byte:08b}").unwrap();
         }
         let mut crc = 0u32;
         for bit in bits.bytes() {
@@ -318,7 +319,7 @@ mod tests {
                 crc ^= 0x4599;
             }
         }
-        bits += &format!("{crc:015b}");
+        write!(bits, "{crc:015b}").unwrap();
         let (mut run, mut last, mut count) = (0, b'x', 0);
         for bit in bits.bytes() {
             run = if bit == last { run + 1 } else { 1 };

@@ -91,6 +91,8 @@ pub(super) struct Bus {
     waiting: Vec<StationIndex>,
     /// Those with a receive error counter above 0, each once.
     troubled: Vec<StationIndex>,
+    /// Those at another bit rate.
+    strangers: Vec<StationIndex>,
     senders: Vec<StationIndex>,
     losers: Vec<StationIndex>,
     abandoned: Vec<StationIndex>,
@@ -108,6 +110,7 @@ impl Bus {
             controllers: Vec::new(),
             waiting: Vec::new(),
             troubled: Vec::new(),
+            strangers: Vec::new(),
             senders: Vec::new(),
             losers: Vec::new(),
             abandoned: Vec::new(),
@@ -151,6 +154,15 @@ impl Bus {
         controller.reset();
         controller.attached = attached;
         self.withdraw(station);
+    }
+
+    /// Sets a station to the bus's bit rate or to another.
+    pub fn set_wrong_rate(&mut self, station: StationIndex, wrong: bool) {
+        self.controller_mut(station).wrong_rate = wrong;
+        self.strangers.retain(|&other| other != station);
+        if wrong {
+            self.strangers.push(station);
+        }
     }
 
     /// Takes a station's frames back, the one on the wire included.
@@ -360,7 +372,7 @@ impl Bus {
 
     fn is_spoilt_by_rate(&self) -> bool {
         self.senders.iter().any(|&sender| self.controller(sender).wrong_rate)
-            || self.controllers.iter().any(|other| other.wrong_rate && other.is_destructive())
+            || self.strangers.iter().any(|&other| self.controller(other).is_destructive())
     }
 
     fn is_acknowledged(&self) -> bool {
@@ -393,6 +405,7 @@ impl Bus {
         for (station, controller) in self.controllers.iter_mut().enumerate() {
             let station = station as StationIndex;
             if !controller.is_active() {
+                controller.restore();
                 continue;
             }
             if self.senders.contains(&station) {

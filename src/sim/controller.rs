@@ -167,6 +167,11 @@ impl Controller {
         self.attached && !self.silent && !self.bus_off
     }
 
+    /// Whether it sees what is on the bus.
+    pub fn hears(&self) -> bool {
+        self.attached && !self.bus_off
+    }
+
     /// Whether it would acknowledge somebody's frame.
     pub fn acknowledges(&self) -> bool {
         self.is_active() && !self.wrong_rate
@@ -230,6 +235,11 @@ impl Controller {
             }
             _ => true,
         }
+    }
+
+    /// Its frame was destroyed after it had withdrawn to listening: it waits again.
+    pub fn restore(&mut self) {
+        self.queue.extend(self.on_wire.take());
     }
 
     /// It received a frame without errors.

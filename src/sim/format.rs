@@ -1,5 +1,39 @@
 //! The TOML of scenarios: what may be written, and what is said when it cannot be used.
 //!
+//! ```toml
+//! bitrate = 125000                    # needed; then optional: data_bitrate, seed, error_rate,
+//! error_rate = 0.01                   # observer_loss
+//!
+//! [[device]]                          # all but the name is optional
+//! name = "ACT"                        # or name_hex = "414354"
+//! label = "the valve"                 # how the timetable calls it; else its name
+//! address = { preferred = 14 }        # or { fixed = 14 }, or "any"
+//! uid = "BOILER03"                    # "" = blank; else made of the label
+//! services = [["DES", "1.0"], ["VALVE", "1.2", "more"]]
+//! autostart = true
+//! mode = "WORK"                       # whatever the configuration says
+//! power_on = 4.0                      # seconds; false = off
+//! settled = true                      # has its address when it is first switched on
+//! framing = "isotp"                   # or "raw", "both"
+//! fd = false
+//! heartbeat_ms = 1000
+//! jitter_ms = 0.5
+//! tolerance_ppm = 40
+//! delay_us = [200, 1000]              # before answers
+//! faults = ["drop-frame"]             # see Fault
+//! chatter = [{ service = 0x130, period_ms = 250, length = 8 }]
+//! gid = "010203040506"
+//! serial = 7
+//! firmware = [2, 1]
+//!
+//! [[at]]
+//! time = 30.0                         # seconds; again with every = 60.0
+//! device = "the valve"
+//! do = "reboot"                       # optional: services
+//! # join, leave, move (address), services (services), mode (mode), name (name or name_hex),
+//! # uid (uid), break and mend (fault); without a device: error-rate (rate)
+//! ```
+//!
 //! Only translates; what the values mean is in [`super::scenario`].
 
 use super::scenario::{

@@ -3,7 +3,7 @@
 //!
 //! Does not know devices, nor what frames mean.
 
-use super::bus::BusError;
+use super::bus::{BusError, StationIndex};
 use super::controller::BusState;
 use crate::frame::Frame;
 use crate::time::Instant;
@@ -35,6 +35,8 @@ const CAN_ERR_PROT_LOC_ACK: u8 = 0x19;
 
 /// The outside end of an attached station.
 pub(super) struct Inspector {
+    /// Its station on the bus.
+    pub station: StationIndex,
     inbox: VecDeque<Frame>,
     state: BusState,
     /// Frames that found no room because nobody polled.
@@ -44,8 +46,14 @@ pub(super) struct Inspector {
 }
 
 impl Inspector {
-    pub fn new() -> Self {
-        Self { inbox: VecDeque::new(), state: BusState::ErrorActive, overflowed: 0, missed: 0 }
+    pub fn new(station: StationIndex) -> Self {
+        Self {
+            station,
+            inbox: VecDeque::new(),
+            state: BusState::ErrorActive,
+            overflowed: 0,
+            missed: 0,
+        }
     }
 
     pub fn poll(&mut self) -> Option<Frame> {
@@ -62,6 +70,9 @@ impl Inspector {
 
     /// Reports a frame that broke, as its sender or a receiver sees it.
     pub fn push_error(&mut self, at: Instant, error: BusError, sent: bool, counters: (u16, u16)) {
+        if self.state == BusState::BusOff {
+            return;
+        }
         let (tec, rec) = in_bytes(counters);
         let (class, kind, place) = match (error, sent) {
             (BusError::NoAcknowledge, true) => (CAN_ERR_ACK, 0, CAN_ERR_PROT_LOC_ACK),

@@ -20,6 +20,7 @@ mod format;
 mod inspector;
 mod reply;
 pub mod scenario;
+mod view;
 mod world;
 
 pub use bus::{BusError, Statistics};
@@ -28,7 +29,8 @@ pub use scenario::{
     Action, AddressChoice, Chatter, Descriptor, DeviceFraming, DeviceSpec, Event, Fault, Faults,
     Scenario, ScenarioError,
 };
-pub use world::{DeviceId, DeviceState, Sim, Station, StationStatus};
+pub use view::{DeviceId, DeviceState, Station, StationStatus};
+pub use world::Sim;
 
 use crate::time::Instant;
 

@@ -3,14 +3,13 @@
 
 use super::bits::FrameBits;
 use super::bus::{Bus, BusError, Outcome, StationIndex, Statistics};
-use super::controller::BusState;
 use super::device::{Device, Port};
 use super::inspector::Inspector;
 use super::scenario::{Action, DeviceSpec, Scenario};
+use super::view::{DeviceId, DeviceState, Station, StationStatus};
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
 use crate::wire::id::{Address, Header};
-use crate::wire::node::{Mode, Uid};
 use crate::wire::profile::Profile;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -23,54 +22,6 @@ const STATION_QUEUE: usize = 1024;
 const MAX_DEVICES: usize = 1024;
 /// The most stations attached from outside.
 const MAX_STATIONS: usize = 1024;
-
-/// A station attached from outside: the inspector, or another tester.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct Station(u16);
-
-/// A simulated device.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct DeviceId(u16);
-
-/// What an attached station's controller says of itself.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct StationStatus {
-    /// Where it stands in fault confinement.
-    pub state: BusState,
-    /// Transmit error counter.
-    pub tec: u16,
-    /// Receive error counter.
-    pub rec: u16,
-    /// The bus's nominal bit rate in bit/s.
-    pub bitrate: u32,
-    /// Frames waiting to be sent.
-    pub queued: usize,
-    /// Frames refused because the queue was full or the station off.
-    pub refused: u64,
-    /// Frames of others that it missed, as the scenario's `observer_loss` has it.
-    pub missed: u64,
-    /// Frames dropped because nobody polled them.
-    pub overflowed: u64,
-}
-
-/// How a device really is: what a test compares with what an inspector found out.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct DeviceState<'a> {
-    /// Its label in the scenario.
-    pub label: &'a str,
-    /// The name it gives itself.
-    pub name: &'a [u8],
-    /// Its DEV_CFG_UID.
-    pub uid: Uid,
-    /// Its mode; `None` while it is off.
-    pub mode: Option<Mode>,
-    /// The address it holds.
-    pub address: Option<Address>,
-    /// Its services.
-    pub services: &'a [Vec<Vec<u8>>],
-    /// Transmit and receive error counters.
-    pub counters: (u16, u16),
-}
 
 /// A bus with devices, running.
 ///
@@ -183,7 +134,7 @@ impl Sim {
         if self.inspectors.len() < MAX_STATIONS {
             let station = self.bus.add(STATION_QUEUE);
             self.owners.push(Owner::Inspector(self.inspectors.len() as u16));
-            self.inspectors.push(Inspector::new());
+            self.inspectors.push(Inspector::new(station));
             self.bus.set_attached(station, true);
             return Station(station);
         }
@@ -243,8 +194,7 @@ impl Sim {
     /// Sets a station's bit rate. At another than the bus's it understands nothing, and unless
     /// it only listens it destroys what it hears.
     pub fn set_bitrate(&mut self, station: Station, bitrate: u32) {
-        let wrong = bitrate != self.bus.bitrate();
-        self.bus.controller_mut(station.0).wrong_rate = wrong;
+        self.bus.set_wrong_rate(station.0, bitrate != self.bus.bitrate());
     }
 
     /// Adds a device, which is switched on at its `power_on` or now where that has passed. At
@@ -412,44 +362,33 @@ impl Sim {
 
     /// Shows a frame to the stations from outside.
     fn show(&mut self, frame: &Frame) {
-        let at = frame.time;
-        for (station, owner) in self.owners.iter().enumerate() {
-            let &Owner::Inspector(index) = owner else { continue };
-            let controller = self.bus.controller(station as StationIndex);
-            if !controller.attached {
+        for inspector in &mut self.inspectors {
+            let controller = self.bus.controller(inspector.station);
+            if !controller.hears() {
                 continue;
             }
-            let inspector = &mut self.inspectors[usize::from(index)];
+            let counters = controller.counters();
             if controller.wrong_rate {
-                inspector.push_error(at, BusError::Disturbance, false, controller.counters());
-            } else if self.bus.senders().contains(&(station as StationIndex)) {
+                inspector.push_error(frame.time, BusError::Disturbance, false, counters);
+            } else if self.bus.senders().contains(&inspector.station) {
                 inspector.push(frame.ours());
-            } else if controller.state() == BusState::BusOff {
-                // A bus-off controller hears nothing.
             } else if self.observer_loss > 0.0 && self.rng.f64() < self.observer_loss {
                 inspector.missed += 1;
             } else {
                 inspector.push(*frame);
             }
-            inspector.push_state(at, controller.state(), controller.counters());
+            inspector.push_state(frame.time, controller.state(), counters);
         }
     }
 
     /// Something broke: everybody sees it, or (`privately`) those who sent it.
     fn report_error(&mut self, error: BusError, senders: &[StationIndex], privately: bool) {
         let at = super::instant(self.now);
-        for (station, owner) in self.owners.iter().enumerate() {
-            let station = station as StationIndex;
-            let &Owner::Inspector(index) = owner else { continue };
-            let controller = self.bus.controller(station);
-            let sent = senders.contains(&station);
+        for inspector in &mut self.inspectors {
+            let controller = self.bus.controller(inspector.station);
+            let sent = senders.contains(&inspector.station);
             if controller.attached && (sent || !privately) {
-                self.inspectors[usize::from(index)].push_error(
-                    at,
-                    error,
-                    sent,
-                    controller.counters(),
-                );
+                inspector.push_error(at, error, sent, controller.counters());
             }
         }
         self.report_states();
@@ -465,12 +404,9 @@ impl Sim {
 
     fn report_states(&mut self) {
         let at = super::instant(self.now);
-        for (station, owner) in self.owners.iter().enumerate() {
-            if let &Owner::Inspector(index) = owner {
-                let controller = self.bus.controller(station as StationIndex);
-                let inspector = &mut self.inspectors[usize::from(index)];
-                inspector.push_state(at, controller.state(), controller.counters());
-            }
+        for inspector in &mut self.inspectors {
+            let controller = self.bus.controller(inspector.station);
+            inspector.push_state(at, controller.state(), controller.counters());
         }
     }
 

@@ -1,11 +1,12 @@
-//! An engine on a simulated bus, driven in virtual time.
+//! An engine on a simulated bus, driven in virtual time; events in words.
 
 #![allow(dead_code)]
 
-use descan::discovery::{Config, Engine, Event};
+use descan::discovery::{Config, Engine, Event, EventKind};
 use descan::frame::Frame;
 use descan::sim::{Scenario, Sim, Station};
 use descan::time::Instant;
+use std::fmt::Write;
 
 /// A simulated bus with an inspector on it.
 pub struct Inspection {
@@ -53,5 +54,37 @@ impl Inspection {
             let next = next.into_iter().flatten().min().unwrap_or(until);
             self.sim.advance(next.max(now));
         }
+    }
+}
+
+/// An event in words.
+pub fn describe(event: &Event) -> String {
+    let mut who = event.address.map_or(String::new(), |address| format!(" {address}"));
+    if let Some(name) = &event.name {
+        write!(who, " {name}").unwrap();
+    }
+    match &event.kind {
+        EventKind::Appeared => format!("appeared{who}"),
+        EventKind::Named => format!("named{who}"),
+        EventKind::Services { count, changed } => {
+            format!("services{who}: {count}{}", if *changed { ", others than before" } else { "" })
+        }
+        EventKind::Mode { from, to } => match from {
+            Some(from) => format!("mode{who}: {from} -> {to}"),
+            None => format!("mode{who}: {to}"),
+        },
+        EventKind::Moved { from } => format!("moved{who}: from {from}"),
+        EventKind::Rebooted => format!("rebooted{who}"),
+        EventKind::Presence(presence) => format!("{presence}{who}"),
+        EventKind::Returned { was } => format!("returned{who}: was {was}"),
+        EventKind::Finding { key, confidence } => {
+            let at = key.address.map_or(String::new(), |address| format!(" at {address}"));
+            format!("finding {} {confidence}{at}", key.kind)
+        }
+        EventKind::OwnAddress(address) => format!("we are {address}"),
+        EventKind::OwnAddressLost(address) => format!("we gave up {address}"),
+        EventKind::NobodyAcknowledges => "nobody acknowledges".to_owned(),
+        EventKind::Acknowledged => "acknowledged".to_owned(),
+        EventKind::Debug { code, data } => format!("debug{who}: {code:03X} {data:02X?}"),
     }
 }

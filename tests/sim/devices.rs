@@ -3,11 +3,12 @@
 use super::{address, after, at_ms, beats, bus_with, from, is_error};
 use descan::sim::{Action, AddressChoice, DeviceSpec, Fault, Scenario, Sim, Station};
 use descan::time::Duration;
+use descan::wire::id::Address;
 use descan::wire::node::{Mode, Uid};
 
 fn state(sim: &Sim, label: &str) -> (Option<Mode>, Option<u8>) {
     let state = sim.device_state(sim.device(label).unwrap());
-    (state.mode, state.address.map(|address| address.number()))
+    (state.mode, state.address.map(Address::number))
 }
 
 fn settled(name: &str, number: u8) -> DeviceSpec {
@@ -247,9 +248,85 @@ fn descriptor_fields_are_read_and_the_address_is_written() {
     assert_eq!(ask(&mut sim, me, 1, 0x010, &[1]), Some((false, vec![])), "not to be written");
     assert_eq!(ask(&mut sim, me, 1, 0x018, &[]), Some((true, vec![])), "blinks");
     assert_eq!(ask(&mut sim, me, 1, 0x123, &[]), None);
-    assert_eq!(ask(&mut sim, me, 1, 0x016, &[0x80 | 99]), Some((true, vec![])));
+    assert_eq!(ask(&mut sim, me, 1, 0x016, &[0x80 | 0x63]), Some((true, vec![])));
     sim.advance(sim.now() + Duration::from_secs(5));
     assert_eq!(state(&sim, "A"), (Some(Mode::Work), Some(99)));
     assert_eq!(ask(&mut sim, me, 2, 0x019, &[2]), Some((true, vec![])));
     assert_eq!(state(&sim, "B").0, Some(Mode::Cfg));
+}
+
+/// Whatever was done to them: once nobody offends any more, every device that works has an
+/// address of its own.
+#[test]
+fn after_any_trouble_the_rules_bring_order() {
+    const FAULTS: [Fault; 6] = [
+        Fault::NeverGivesWay,
+        Fault::Endless,
+        Fault::AnswersTwice,
+        Fault::NoHeartbeat,
+        Fault::DropFrame,
+        Fault::HugeLength,
+    ];
+    for seed in 0..60 {
+        let mut rng = fastrand::Rng::with_seed(seed);
+        let mut scenario = Scenario::new(500_000);
+        for number in 0..12 {
+            // Few addresses for many.
+            let device = DeviceSpec::new(&format!("N{number}")).preferred(rng.u8(1..5));
+            let device = device.service("A-SERVICE", "1.0").chatter(0x100, at(30), 8);
+            scenario = scenario.with(if rng.bool() { device.settled() } else { device });
+        }
+        let mut sim = Sim::new(&scenario, seed);
+        let me = sim.attach();
+        let devices: Vec<_> = sim.devices().collect();
+        for _ in 0..150 {
+            let device = rng.choice(&devices).copied().unwrap();
+            let fault = rng.choice(FAULTS).unwrap();
+            let wanted = AddressChoice::Fixed(address(rng.u8(1..5)));
+            match rng.u8(0..9) {
+                0 => sim.control(device, Action::Leave),
+                1 => sim.control(device, Action::Join),
+                2 => sim.control(device, Action::Reboot { services: None }),
+                3 => sim.control(device, Action::Move(wanted)),
+                4 => sim.control(device, Action::Break(fault)),
+                5 => sim.control(device, Action::Mode(rng.choice(Mode::ALL).unwrap())),
+                6 => sim.set_error_rate(rng.f64() * 0.5),
+                7 => sim.set_link(me, rng.bool()),
+                _ => {
+                    let header = super::Header::request(
+                        address(0),
+                        address(rng.u8(1..5)),
+                        rng.bool(),
+                        super::des(),
+                    );
+                    let data = [4, b'D', b'E', b'S', rng.u8(1..3)];
+                    let flow = [0x30, rng.u8(0..4), rng.u8(..)];
+                    let data = if rng.bool() { &data[..] } else { &flow[..] };
+                    sim.transmit(me, descan::frame::Frame::classic(header.encode(), data));
+                }
+            }
+            after(&mut sim, me, rng.u64(0..800));
+        }
+        sim.set_error_rate(0.0);
+        sim.set_link(me, true);
+        for &device in &devices {
+            for fault in FAULTS {
+                sim.control(device, Action::Mend(fault));
+            }
+            let preferred = AddressChoice::Preferred(address(rng.u8(1..5)));
+            sim.control(device, Action::Move(preferred));
+            sim.control(device, Action::Join);
+        }
+        after(&mut sim, me, 60_000);
+        let states = devices.iter().map(|&device| sim.device_state(device));
+        let mut held: Vec<u8> =
+            states.map(|state| state.address.map_or(0, Address::number)).collect();
+        held.sort_unstable();
+        held.dedup();
+        assert!(held.len() == 12 && held[0] > 0, "seed {seed}: {held:?}");
+    }
+}
+
+fn at(ms: u64) -> Duration {
+    Duration::from_millis(ms)
 }

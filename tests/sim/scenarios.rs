@@ -4,6 +4,7 @@ use super::{after, at_ms, beats, from};
 use descan::frame::Frame;
 use descan::sim::{Action, DeviceSpec, Scenario, ScenarioError, Sim};
 use descan::time::{Duration, Instant};
+use descan::wire::id::Address;
 use descan::wire::node::Mode;
 
 fn recording(scenario: &Scenario, seed: u64, seconds: u64) -> Vec<Frame> {
@@ -78,7 +79,7 @@ fn the_boiler_tells_its_story() {
     assert_eq!(sim.device_state(feed).services[2][1], b"2.2");
     after(&mut sim, me, 17_000);
     let moved = sim.device_state(sim.device("DISP").unwrap()).address;
-    assert_eq!(moved.map(|address| address.number()), Some(40));
+    assert_eq!(moved.map(Address::number), Some(40));
 }
 
 #[test]

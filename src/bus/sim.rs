@@ -1,0 +1,81 @@
+//! A simulated bus as a port: virtual time keeps the pace of the clock.
+//!
+//! Knows nothing of what is simulated: [`crate::sim`] does.
+
+use super::clock::Clock;
+use super::port::{Line, Port};
+use super::status::{BusState, Link};
+use crate::frame::{BusIndex, Frame};
+use crate::sim::{self, Scenario, Sim, Station};
+use crate::time::Duration;
+use std::io;
+use std::sync::Arc;
+
+/// Frames are handed over at most this often: wake-ups cost more than frames.
+const NAP: Duration = Duration::from_millis(2);
+/// The longest sleep of a bus on which nothing happens.
+const IDLE: Duration = Duration::from_secs(1);
+
+/// Opens a bus on which `scenario` runs, its start at the clock's now.
+pub(super) fn open(
+    name: &str,
+    scenario: &Scenario,
+    index: BusIndex,
+    clock: Clock,
+    listen_only: bool,
+) -> io::Result<Port> {
+    let line = Arc::new(Line::new()?);
+    let mut sim = Sim::from_scenario(scenario);
+    let station = sim.attach();
+    let mut port = Port::new(name, Arc::clone(&line), listen_only);
+    line.queue.update_status(|status| {
+        status.link = Link::Up;
+        status.bitrate = Some(scenario.bitrate);
+    });
+    port.serve(move |line| run(&mut sim, station, line, index, clock))?;
+    Ok(port)
+}
+
+fn run(sim: &mut Sim, station: Station, line: &Line, index: BusIndex, clock: Clock) {
+    // The simulation begins at its own zero, whenever that is for the clock.
+    let start = clock.now();
+    let mut batch: Vec<Frame> = Vec::new();
+    while !line.is_stopped() {
+        let now = clock.now();
+        let passed = now.since(start);
+        while let Some(frame) = line.next_posted() {
+            sim.transmit(station, frame);
+        }
+        sim.advance(crate::time::Instant::ZERO + passed);
+        batch.clear();
+        while let Some(frame) = sim.poll_frame(station) {
+            let time = start + frame.time.since(crate::time::Instant::ZERO);
+            batch.push(frame.at(time).on(index));
+        }
+        if !batch.is_empty() {
+            line.queue.push(&batch);
+        }
+        report(sim, station, line);
+        let next = sim.next_event().map_or(IDLE, |at| at.since(sim.now()));
+        if line.wait(None, Some(next.clamp(NAP, IDLE))).is_err() {
+            return;
+        }
+    }
+}
+
+fn report(sim: &Sim, station: Station, line: &Line) {
+    let status = sim.status(station);
+    line.queue.update_status(|told| {
+        told.bitrate = Some(status.bitrate);
+        told.tec = Some(status.tec);
+        told.rec = Some(status.rec);
+        told.queue_drops = status.overflowed;
+        told.state = match status.state {
+            sim::BusState::ErrorActive => BusState::ErrorActive,
+            sim::BusState::ErrorWarning => BusState::ErrorWarning,
+            sim::BusState::ErrorPassive => BusState::ErrorPassive,
+            sim::BusState::BusOff => BusState::BusOff,
+            sim::BusState::Down => BusState::Down,
+        };
+    });
+}

@@ -1,0 +1,92 @@
+//! The terminal UI, on real buses and on simulated ones.
+
+use super::open::{self, Setup};
+use super::{FINE, Failure, INTERRUPTED};
+use crate::app::AppOptions;
+use crate::bus::{BusSpec, Clock};
+use crate::cli::{Common, Session as Arguments};
+use crate::shell::screen::{self, Ending, Themes};
+use crate::shell::terminal;
+use anyhow::Context;
+use std::io::IsTerminal;
+
+/// `descan [BUS…]`.
+pub fn ui(arguments: &Arguments) -> Result<u8, Failure> {
+    needs_terminal()?;
+    let buses = open::buses(arguments)?;
+    let setup = Setup::new(&arguments.common)?;
+    let clock = open::clock(&buses, arguments.speed)?;
+    show(&buses, &setup, clock)
+}
+
+/// `descan demo`: a simulated bus, and a des.json of its own in a temporary folder.
+pub fn demo(system: &str, common: &Common) -> Result<u8, Failure> {
+    needs_terminal()?;
+    let mut setup = Setup::new(common)?;
+    let mut kept = None;
+    if common.file.is_none() {
+        let folder = tempfile::Builder::new()
+            .prefix("descan-demo-")
+            .tempdir()
+            .context("no temporary folder for the demo's des.json")?;
+        setup.file = folder.keep().join("des.json");
+        std::fs::write(&setup.file, example(system)).context("the demo's des.json")?;
+        kept = Some(&setup.file);
+    }
+    let result = show(&[BusSpec::Sim(system.to_owned())], &setup, Clock::start());
+    if let (Some(kept), Ok(_)) = (kept, &result) {
+        println!("The demo's des.json is kept: {}", kept.display());
+    }
+    result
+}
+
+/// The demo's des.json: what a firmware team might have pinned before the boards came.
+fn example(system: &str) -> &'static str {
+    match system {
+        "drone" => include_str!("demo/drone.json"),
+        _ => include_str!("demo/boiler.json"),
+    }
+}
+
+fn needs_terminal() -> Result<(), Failure> {
+    if std::io::stdout().is_terminal() {
+        return Ok(());
+    }
+    let message = "the screen needs a terminal; without one there are: descan scan, descan watch";
+    Err(Failure::Usage(message.to_owned()))
+}
+
+fn show(buses: &[BusSpec], setup: &Setup, clock: Clock) -> Result<u8, Failure> {
+    let mut themes = Themes::new(setup.folder.clone());
+    let colourless = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
+    let usual = if colourless { "mono" } else { "terminal" };
+    let wanted = setup.theme.as_deref().unwrap_or(usual);
+    themes.choose(wanted).map_err(|why| Failure::Usage(format!("theme {wanted}: {why}")))?;
+    let options = AppOptions {
+        keymap: setup.keymap.clone(),
+        theme: wanted.to_owned(),
+        themes: themes.names(),
+        utc_offset_seconds: utc_offset_seconds(),
+        ..AppOptions::default()
+    };
+    terminal::restore_on_panic();
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .context("no event loop")?;
+    let ending = runtime.block_on(async {
+        let mut session = open::session(buses, setup, clock, options)?;
+        let ending = screen::run(&mut session, &mut themes).await.context("the terminal")?;
+        session.finish_work().await;
+        Ok::<Ending, Failure>(ending)
+    })?;
+    Ok(match ending {
+        Ending::Quit => FINE,
+        Ending::Terminated | Ending::Hangup => INTERRUPTED,
+    })
+}
+
+/// How far the wall clock is ahead of UTC; 0 where the system does not say.
+fn utc_offset_seconds() -> i32 {
+    time::UtcOffset::current_local_offset().map_or(0, time::UtcOffset::whole_seconds)
+}

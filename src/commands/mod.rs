@@ -1,0 +1,83 @@
+//! What the command line's commands do: the same app, with a screen or without.
+//!
+//! Each returns the exit code that scripts rely on; what cannot be done is an error whose text
+//! names the cause and the way out.
+
+mod look;
+mod open;
+mod report;
+mod scan;
+mod simulate;
+
+use crate::cli::{self, Cli, Command};
+use std::io::{self, Write};
+use std::process::ExitCode;
+
+/// Nothing found, or all done.
+pub const FINE: u8 = 0;
+/// Findings that count.
+pub const FINDINGS: u8 = 1;
+/// Wrong arguments.
+pub const USAGE: u8 = 2;
+/// A bus or a file cannot be used.
+pub const UNUSABLE: u8 = 3;
+/// Ended by SIGINT or SIGTERM.
+pub const INTERRUPTED: u8 = 130;
+
+/// Why a command did not do its work.
+#[derive(Debug, thiserror::Error)]
+pub enum Failure {
+    /// Wrong arguments.
+    #[error("{0}")]
+    Usage(String),
+    /// A bus or a file cannot be used.
+    #[error("{0}")]
+    Unusable(String),
+    /// Standard output is closed: whoever read it has enough.
+    #[error("standard output is closed")]
+    Closed,
+    /// The terminal or the system does not do as it should.
+    #[error("{0:#}")]
+    System(#[from] anyhow::Error),
+}
+
+impl From<io::Error> for Failure {
+    fn from(error: io::Error) -> Self {
+        if error.kind() == io::ErrorKind::BrokenPipe {
+            Failure::Closed
+        } else {
+            Failure::System(error.into())
+        }
+    }
+}
+
+/// Does what the arguments ask for. Errors go to standard error as one line.
+pub fn run(cli: Cli) -> ExitCode {
+    let result = match cli.command {
+        None => look::ui(&cli.session),
+        Some(Command::Demo { system, session }) => look::demo(&system, &session),
+        Some(Command::Scan(scan)) => scan::run(&scan),
+        Some(Command::Sim { bus, scenario, time }) => simulate::run(&bus, &scenario, time),
+        Some(Command::Completions { shell }) => print(&cli::completions(shell)),
+        Some(Command::Man) => cli::manual().map_err(Failure::from).and_then(|text| print(&text)),
+        Some(Command::Schema) => print(crate::document::SCHEMA.as_bytes()),
+    };
+    ExitCode::from(match result {
+        Ok(code) => code,
+        Err(Failure::Closed) => FINE,
+        Err(failure) => {
+            let _ = writeln!(io::stderr(), "descan: {failure}");
+            match failure {
+                Failure::Usage(_) => USAGE,
+                _ => UNUSABLE,
+            }
+        }
+    })
+}
+
+fn print(text: &[u8]) -> Result<u8, Failure> {
+    let mut out = io::stdout().lock();
+    out.write_all(text)?;
+    out.flush()?;
+    Ok(FINE)
+}

@@ -1,0 +1,166 @@
+//! From arguments to an open session: profile, settings, buses, des.json.
+
+use super::Failure;
+use crate::app::{App, AppOptions};
+use crate::bus::{self, BusSpec, Clock, Options, Port};
+use crate::cli::{Common, Session as Arguments};
+use crate::discovery::Config;
+use crate::frame::BusIndex;
+use crate::keymap::Keymap;
+use crate::shell::config::{Folder, Settings, read_text};
+use crate::shell::session::Session;
+use crate::shell::store::Store;
+use crate::time::Epoch;
+use crate::wire::profile::Profile;
+use std::io::{self, BufReader, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Where des.json is when nothing is said.
+const DEFAULT_FILE: &str = "des.json";
+
+/// What the settings folder and the arguments say together.
+pub struct Setup {
+    /// The user's settings folder.
+    pub folder: Option<Folder>,
+    /// The keys.
+    pub keymap: Keymap,
+    /// The settings of every bus's engine.
+    pub config: Config,
+    /// Where des.json is.
+    pub file: PathBuf,
+    /// The theme's name, where one is chosen.
+    pub theme: Option<String>,
+}
+
+impl Setup {
+    /// Reads the user's settings (what is wrong in them is a warning) and the profile (what is
+    /// wrong in it is an error: it was asked for).
+    pub fn new(common: &Common) -> Result<Self, Failure> {
+        let folder = Folder::of_user();
+        let settings = folder.as_ref().map_or(Ok(Settings::default()), Folder::settings);
+        let settings = settings.unwrap_or_else(|why| warn(&why));
+        let keymap = folder.as_ref().map_or(Ok(Keymap::default()), Folder::keymap);
+        let keymap = keymap.unwrap_or_else(|why| warn(&why));
+        let built_in = Config::default();
+        let config = Config {
+            profile: Arc::new(profile(common.profile.as_deref())?),
+            listen_only: common.listen_only,
+            scan: !common.no_scan,
+            address: common.address,
+            round_period: settings.round_period().unwrap_or(built_in.round_period),
+            start_share: settings.start_share.unwrap_or(built_in.start_share),
+            steady_share: settings.steady_share.unwrap_or(built_in.steady_share),
+            // Two inspectors that start together must not choose alike.
+            seed: fastrand::u64(..),
+            ..built_in
+        };
+        let file = common.file.clone().unwrap_or_else(|| PathBuf::from(DEFAULT_FILE));
+        let theme = common.theme.clone().or(settings.theme);
+        Ok(Self { folder, keymap, config, file, theme })
+    }
+}
+
+fn warn<T: Default>(why: &str) -> T {
+    let _ = writeln!(io::stderr(), "descan: {why} (built-in values are used)");
+    T::default()
+}
+
+fn profile(path: Option<&Path>) -> Result<Profile, Failure> {
+    let Some(path) = path else { return Ok(Profile::default()) };
+    let unusable = |why: String| Failure::Unusable(format!("{}: {why}", path.display()));
+    let text = read_text(path).map_err(|error| unusable(error.to_string()))?;
+    let text = text.ok_or_else(|| unusable("there is no such file".to_owned()))?;
+    Profile::parse(&text).map_err(|error| {
+        // TOML's errors draw the line; here one line has to do.
+        let message = error.to_string();
+        let lines: Vec<&str> = message.lines().filter(|line| !line.trim().is_empty()).collect();
+        match lines[..] {
+            [] => unusable("it cannot be read".to_owned()),
+            [only] => unusable(only.to_owned()),
+            [first, .., last] => unusable(format!("{first}: {last}")),
+        }
+    })
+}
+
+/// The buses of the arguments; where none is given, the one CAN interface there is.
+pub fn buses(arguments: &Arguments) -> Result<Vec<BusSpec>, Failure> {
+    let stdins = arguments.buses.iter().filter(|bus| **bus == BusSpec::Stdin).count();
+    if stdins > 1 {
+        return Err(Failure::Usage("standard input (-) can be read only once".to_owned()));
+    }
+    if !arguments.buses.is_empty() {
+        return Ok(arguments.buses.clone());
+    }
+    let there = bus::interfaces();
+    match &there[..] {
+        [only] => Ok(vec![BusSpec::SocketCan(only.name.clone())]),
+        [] => Err(Failure::Usage(
+            "there is no CAN interface; name a bus (descan can0, descan file:LOG), or look around \
+             with: descan demo"
+                .to_owned(),
+        )),
+        several => {
+            let names: Vec<&str> = several.iter().map(|it| it.name.as_str()).collect();
+            Err(Failure::Usage(format!("which bus? There are {}", names.join(", "))))
+        }
+    }
+}
+
+/// The clock of a session: logs keep the pace and the dates of their recording.
+pub fn clock(buses: &[BusSpec], speed: f64) -> Result<Clock, Failure> {
+    let log = buses.iter().find_map(|bus| match bus {
+        BusSpec::File(path) => Some(path),
+        _ => None,
+    });
+    let epoch = match log {
+        Some(path) => epoch_of(path)?,
+        None => Clock::start().epoch(),
+    };
+    Ok(Clock::replaying(epoch, if buses.iter().any(is_log) { speed } else { 1.0 }))
+}
+
+/// Whether a bus is a recording: nothing can be sent on it.
+pub fn is_log(bus: &BusSpec) -> bool {
+    matches!(bus, BusSpec::File(_) | BusSpec::Stdin)
+}
+
+fn epoch_of(path: &Path) -> Result<Epoch, Failure> {
+    let unusable = |error: io::Error| {
+        Failure::Unusable(format!("file:{} cannot be read: {error}", path.display()))
+    };
+    let log = bus::open_log(path).map_err(unusable)?;
+    if !log.metadata().map_err(unusable)?.is_file() {
+        return Ok(Clock::start().epoch());
+    }
+    let mut reader = bus::log::LogReader::new(BufReader::new(log));
+    reader.next_frame().map_err(unusable)?;
+    Ok(reader.tally().epoch.unwrap_or_default())
+}
+
+/// Opens the buses and joins them with the app.
+pub fn session(
+    buses: &[BusSpec],
+    setup: &Setup,
+    clock: Clock,
+    options: AppOptions,
+) -> Result<Session, Failure> {
+    let mut ports: Vec<Port> = Vec::new();
+    let mut named = Vec::new();
+    for (index, spec) in buses.iter().enumerate() {
+        let listen_only = setup.config.listen_only || is_log(spec);
+        let index = BusIndex(index as u8);
+        let port = bus::open(spec, index, clock, Options { listen_only })
+            .map_err(|error| Failure::Unusable(error.to_string()))?;
+        named.push((port.name().to_owned(), Config { listen_only, ..setup.config.clone() }));
+        ports.push(port);
+    }
+    let options = AppOptions {
+        epoch: clock.epoch(),
+        buses: named,
+        file_path: Some(setup.file.clone()),
+        ..options
+    };
+    let app = App::new(clock.now(), options);
+    Ok(Session::new(app, clock, ports, Some(Store::new(&setup.file))))
+}

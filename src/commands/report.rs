@@ -1,0 +1,341 @@
+//! What `scan` and `check` report: one value, as JSON or as tables.
+//!
+//! The JSON's names, types and meanings are relied on by scripts. What is not known is null.
+
+use crate::app::{App, Bus};
+use crate::bus::Link;
+use crate::discovery::{Confidence, Device, Evidence, Finding, FindingKind, OwnAddress};
+use crate::frame::Frame;
+use crate::text::Name;
+use crate::time::{Duration, Epoch, Instant};
+use serde::Serialize;
+use std::fmt::Write as _;
+
+/// The report.
+#[derive(Debug, Serialize)]
+pub struct Report {
+    descan: &'static str,
+    buses: Vec<BusReport>,
+    devices: Vec<DeviceReport>,
+    findings: Vec<FindingReport>,
+    file: FileReport,
+}
+
+#[derive(Debug, Serialize)]
+struct BusReport {
+    name: String,
+    bitrate: Option<u32>,
+    state: &'static str,
+    frames: u64,
+    errors: u64,
+    lost: u64,
+    load: Option<f64>,
+    address: Option<u8>,
+}
+
+#[derive(Debug, Serialize)]
+struct DeviceReport {
+    bus: String,
+    address: u8,
+    name: Option<String>,
+    name_hex: Option<String>,
+    presence: &'static str,
+    mode: Option<&'static str>,
+    working: bool,
+    uid: Option<String>,
+    framing: Option<String>,
+    services: Vec<ServiceReport>,
+    services_known: bool,
+    heartbeat: HeartbeatReport,
+    file: EntryReport,
+    quirks: Vec<&'static str>,
+    #[serde(skip)]
+    clash: bool,
+}
+
+#[derive(Debug, Serialize)]
+struct ServiceReport {
+    index: u8,
+    name: String,
+    version: String,
+    extra: Vec<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct HeartbeatReport {
+    count: u64,
+    period_ms: Option<f64>,
+    jitter_ms: Option<f64>,
+    missed: u64,
+}
+
+#[derive(Debug, Serialize)]
+struct EntryReport {
+    listed: bool,
+    address: Option<u8>,
+    #[serde(rename = "static")]
+    is_static: Option<bool>,
+    agrees: Option<bool>,
+}
+
+#[derive(Debug, Serialize)]
+struct FindingReport {
+    kind: &'static str,
+    confidence: &'static str,
+    bus: Option<String>,
+    address: Option<u8>,
+    addresses: Vec<u8>,
+    names: Vec<String>,
+    first: f64,
+    evidence: Vec<EvidenceReport>,
+    text: String,
+    remedy: String,
+    #[serde(skip)]
+    counts: bool,
+}
+
+#[derive(Debug, Serialize)]
+struct EvidenceReport {
+    time: f64,
+    what: &'static str,
+    frame: Option<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct FileReport {
+    path: String,
+    ok: Option<bool>,
+    entries: Option<usize>,
+    error: Option<String>,
+}
+
+impl Report {
+    /// What the app knows at `now`; the load of a bus is that of the whole session.
+    pub fn new(app: &App, now: Instant) -> Self {
+        let epoch = app.epoch();
+        let mut devices: Vec<DeviceReport> = app
+            .buses()
+            .iter()
+            .flat_map(|bus| bus.engine.devices().iter().map(|device| of_device(app, bus, device)))
+            .collect();
+        devices.sort_by(|a, b| (&a.bus, a.address, &a.name).cmp(&(&b.bus, b.address, &b.name)));
+        let mut findings: Vec<&Finding> = app.problems();
+        findings.sort_by_key(|finding| finding.first);
+        let findings = findings.iter().map(|finding| of_finding(app, epoch, finding)).collect();
+        Self {
+            descan: env!("CARGO_PKG_VERSION"),
+            buses: app.buses().iter().map(|bus| of_bus(bus, now)).collect(),
+            devices,
+            findings,
+            file: of_file(app),
+        }
+    }
+
+    /// Whether a finding that counts for `scan` is confirmed.
+    pub fn has_findings(&self) -> bool {
+        self.findings.iter().any(|finding| finding.counts)
+    }
+
+    /// As JSON, indented.
+    pub fn json(&self) -> String {
+        serde_json::to_string_pretty(self).expect("plain values are always JSON") + "\n"
+    }
+
+    /// As tables for people.
+    pub fn tables(&self) -> String {
+        let mut text = String::new();
+        for bus in &self.buses {
+            let rate = bus.bitrate.map_or("bit rate unknown".to_owned(), |rate| {
+                format!("{} kbit/s", f64::from(rate) / 1000.0)
+            });
+            let load =
+                bus.load.map_or(String::new(), |load| format!("load {:.0} %, ", load * 100.0));
+            let _ = writeln!(
+                text,
+                "{}: {rate}, {}, {} frames, {load}{} errors, {} lost",
+                bus.name, bus.state, bus.frames, bus.errors, bus.lost
+            );
+        }
+        text.push('\n');
+        text.push_str(&self.device_table());
+        for finding in &self.findings {
+            let _ = write!(
+                text,
+                "\n{} {}: {}\n  {}\n",
+                finding.confidence, finding.kind, finding.text, finding.remedy
+            );
+        }
+        if let Some(error) = &self.file.error {
+            let _ = writeln!(text, "\n{}: {error}", self.file.path);
+        }
+        text
+    }
+
+    fn device_table(&self) -> String {
+        if self.devices.is_empty() {
+            return "no devices\n".to_owned();
+        }
+        let several = self.buses.len() > 1;
+        let mut rows =
+            vec![["BUS", "ADDR", "NAME", "STATE", "MODE", "UID", "SERVICES"].map(str::to_owned)];
+        for device in &self.devices {
+            let services: Vec<String> = device
+                .services
+                .iter()
+                .map(|service| {
+                    format!("{} {}", service.name, service.version).trim_end().to_owned()
+                })
+                .collect();
+            let services = if device.services_known { services.join(", ") } else { "?".to_owned() };
+            let state = if device.clash { "CLASH" } else { device.presence };
+            let unknown = if device.working { "working" } else { "not working" };
+            rows.push([
+                device.bus.clone(),
+                device.address.to_string(),
+                device.name.clone().unwrap_or_else(|| "?".to_owned()),
+                state.to_owned(),
+                device.mode.unwrap_or(unknown).to_owned(),
+                device.uid.clone().unwrap_or_else(|| "?".to_owned()),
+                services,
+            ]);
+        }
+        let first = usize::from(!several);
+        let width = |column: usize| {
+            let cells = rows.iter().map(|row| unicode_width::UnicodeWidthStr::width(&*row[column]));
+            cells.max().unwrap_or(0)
+        };
+        let widths: Vec<usize> = (0..7).map(width).collect();
+        let mut text = String::new();
+        for row in &rows {
+            let mut line = String::new();
+            for column in first..7 {
+                let cell = &row[column];
+                let space = widths[column] - unicode_width::UnicodeWidthStr::width(&**cell);
+                // Numbers stand to the right.
+                if column == 1 {
+                    let _ = write!(line, "{}{cell}  ", " ".repeat(space));
+                } else {
+                    let _ = write!(line, "{cell}{}  ", " ".repeat(space));
+                }
+            }
+            text.push_str(line.trim_end());
+            text.push('\n');
+        }
+        text
+    }
+}
+
+fn of_bus(bus: &Bus, now: Instant) -> BusReport {
+    let counters = bus.engine.counters();
+    let load = bus.status.bitrate.map(|bitrate| bus.meter.mean_load(now, bitrate));
+    BusReport {
+        name: bus.name.clone(),
+        bitrate: bus.status.bitrate,
+        state: match bus.status.link {
+            Link::Down | Link::Missing | Link::Unplugged | Link::NotCan | Link::NoKernel => "down",
+            _ => bus.status.state.name(),
+        },
+        frames: counters.frames,
+        errors: counters.errors,
+        lost: bus.lost(),
+        load: load.map(|load| (load * 1000.0).round() / 1000.0),
+        address: match bus.engine.own_address() {
+            OwnAddress::Held(address) => Some(address.number()),
+            _ => None,
+        },
+    }
+}
+
+fn of_device(app: &App, bus: &Bus, device: &Device) -> DeviceReport {
+    let millis = |duration: Duration| (duration.as_secs_f64() * 1e4).round() / 10.0;
+    let alphabet = &bus.engine.config().profile.uid;
+    let services = device.services.as_deref().unwrap_or_default();
+    let clash = bus.engine.findings().iter().any(|finding| {
+        finding.confidence == Confidence::Confirmed
+            && finding.key.kind.is_collision()
+            && crate::app::concerns(finding, device)
+    });
+    DeviceReport {
+        bus: bus.name.clone(),
+        address: device.address.number(),
+        name: device.name.as_ref().map(ToString::to_string),
+        name_hex: device.name.as_ref().map(Name::hex),
+        presence: device.presence.name(),
+        mode: device.mode.map(crate::wire::node::Mode::name),
+        working: device.working,
+        uid: device.uid.map(|uid| uid.text(alphabet)),
+        framing: device.framing.map(|framing| framing.to_string()),
+        services: services
+            .iter()
+            .map(|service| ServiceReport {
+                index: service.index,
+                name: service.name.to_string(),
+                version: service.version.to_string(),
+                extra: service.extra.iter().map(ToString::to_string).collect(),
+            })
+            .collect(),
+        services_known: device.services.is_some(),
+        heartbeat: HeartbeatReport {
+            count: device.heartbeat.count,
+            period_ms: device.heartbeat.period().map(millis),
+            jitter_ms: device.heartbeat.jitter().map(millis),
+            missed: device.heartbeat.missed,
+        },
+        file: of_entry(app, device),
+        quirks: device.quirks.iter().map(|quirk| quirk.name()).collect(),
+        clash,
+    }
+}
+
+fn of_entry(app: &App, device: &Device) -> EntryReport {
+    let entry = app.matching().entry_of(device.id);
+    let entry = entry.and_then(|at| app.file().document().entries().get(at));
+    EntryReport {
+        listed: entry.is_some(),
+        address: entry.and_then(|entry| entry.address),
+        is_static: entry.map(|entry| entry.is_static),
+        agrees: entry
+            .map(|entry| !entry.is_static || entry.address == Some(device.address.number())),
+    }
+}
+
+fn of_finding(app: &App, epoch: Epoch, finding: &Finding) -> FindingReport {
+    let bus = finding.key.bus.and_then(|index| app.bus(index));
+    FindingReport {
+        kind: finding.key.kind.name(),
+        confidence: finding.confidence.name(),
+        bus: bus.map(|bus| bus.name.clone()),
+        address: finding.key.address.map(crate::wire::id::Address::number),
+        addresses: finding.addresses.iter().map(|address| address.number()).collect(),
+        names: finding.names.iter().map(ToString::to_string).collect(),
+        first: epoch.unix_secs(finding.first),
+        evidence: finding.evidence.iter().map(|piece| of_evidence(epoch, piece)).collect(),
+        text: finding.text.clone(),
+        remedy: finding.remedy.clone(),
+        counts: finding.confidence == Confidence::Confirmed && counts(finding.key.kind),
+    }
+}
+
+/// The findings that make `scan` exit with 1.
+fn counts(kind: FindingKind) -> bool {
+    kind.is_collision()
+}
+
+fn of_evidence(epoch: Epoch, piece: &Evidence) -> EvidenceReport {
+    EvidenceReport {
+        time: epoch.unix_secs(piece.time),
+        what: piece.what,
+        frame: piece.frame.as_ref().map(Frame::to_string),
+    }
+}
+
+fn of_file(app: &App) -> FileReport {
+    let file = app.file();
+    let problem = file.problem().map(ToString::to_string);
+    FileReport {
+        path: file.name(),
+        ok: if problem.is_some() { Some(false) } else { file.is_there().then_some(true) },
+        entries: file.is_there().then(|| file.document().entries().len()),
+        error: problem,
+    }
+}

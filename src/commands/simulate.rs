@@ -1,0 +1,73 @@
+//! `descan sim`: simulated devices on a bus. Their bus is simulated too; what they send there
+//! goes out to the real one, and what is heard there comes in.
+
+use super::{FINE, Failure, UNUSABLE};
+use crate::bus::{self, BusSpec, Clock, Link, Options};
+use crate::frame::{BusIndex, Frame, FrameKind};
+use crate::sim::Sim;
+use crate::time::Instant;
+use anyhow::Context;
+use std::io::{self, Write};
+use std::time::Duration;
+use tokio::signal::unix::{SignalKind, signal};
+
+/// The pace at which both buses exchange frames.
+const NAP: Duration = Duration::from_millis(2);
+
+/// Runs until interrupted, or for `time`.
+pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8, Failure> {
+    if matches!(spec, BusSpec::File(_) | BusSpec::Stdin | BusSpec::Sim(_)) {
+        return Err(Failure::Usage(format!(
+            "{spec} is no bus to put devices on; for a simulated one: descan demo"
+        )));
+    }
+    let scenario = bus::scenario(scenario).map_err(|error| Failure::Unusable(error.to_string()))?;
+    let clock = Clock::start();
+    let port = bus::open(spec, BusIndex(0), clock, Options { listen_only: false })
+        .map_err(|error| Failure::Unusable(error.to_string()))?;
+    let mut sim = Sim::from_scenario(&scenario);
+    let station = sim.attach();
+    let _ = writeln!(io::stderr(), "{} devices on {spec}; Ctrl-C ends", scenario.devices.len());
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .context("no event loop")?;
+    runtime.block_on(async {
+        let mut interrupt = signal(SignalKind::interrupt()).context("no signals")?;
+        let mut terminate = signal(SignalKind::terminate()).context("no signals")?;
+        let mut heard: Vec<Frame> = Vec::new();
+        loop {
+            let now = clock.now();
+            let status = port.queue().status();
+            if !matches!(status.link, Link::Opening | Link::Up) {
+                let why = status.message.unwrap_or_else(|| format!("{spec} cannot be used"));
+                let _ = writeln!(io::stderr(), "descan: {why}");
+                return Ok(UNUSABLE);
+            }
+            if time.is_some_and(|time| now.since(Instant::ZERO) >= time) {
+                return Ok(FINE);
+            }
+            heard.clear();
+            port.queue().drain(&mut heard, usize::MAX);
+            for frame in heard.iter().filter(|frame| !frame.ours && frame.kind != FrameKind::Error)
+            {
+                sim.transmit(station, *frame);
+            }
+            sim.advance(now);
+            while let Some(frame) = sim.poll_frame(station) {
+                if !frame.ours && frame.kind != FrameKind::Error {
+                    // A full outbox is a bus that takes nothing; its status says so.
+                    let _ = port.transmit(&frame);
+                }
+            }
+            let next = sim.next_event().map_or(NAP, |at| at.since(now)).max(NAP);
+            tokio::select! {
+                biased;
+                _ = interrupt.recv() => return Ok(FINE),
+                _ = terminate.recv() => return Ok(FINE),
+                () = tokio::time::sleep(next.min(Duration::from_secs(1))) => {}
+                () = port.queue().ready(), if next > NAP => {}
+            }
+        }
+    })
+}

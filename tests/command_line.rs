@@ -1,0 +1,337 @@
+//! The command line, from outside: what it prints, where, and the exit codes.
+
+use descan::bus::candump::write_line;
+use descan::frame::Frame;
+use descan::sim::{Action, DeviceSpec, Scenario, Sim};
+use descan::time::{Duration, Epoch, Instant};
+use serde_json::Value;
+use std::io::Write;
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+fn descan(arguments: &[&str], folder: &Path) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_descan"))
+        .args(arguments)
+        .current_dir(folder)
+        .env("XDG_CONFIG_HOME", folder.join("config"))
+        .env_remove("NO_COLOR")
+        .stdin(Stdio::null())
+        .output()
+        .expect("the program starts")
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8(bytes.to_vec()).expect("output is UTF-8")
+}
+
+fn json(output: &Output) -> Value {
+    serde_json::from_slice(&output.stdout)
+        .unwrap_or_else(|error| panic!("{error}: {}", text(&output.stdout)))
+}
+
+/// What an observer sees of a scenario in which another inspector asks, as a candump log.
+fn log(scenario: &Scenario, seconds: u64) -> String {
+    let mut sim = Sim::new(scenario, 7);
+    let observer = sim.attach();
+    let inspector = sim.attach();
+    let config = descan::discovery::Config { seed: 7, ..descan::discovery::Config::default() };
+    let mut engine = descan::discovery::Engine::new(Instant::ZERO, config);
+    let epoch = Epoch::from_unix_micros(1_436_509_052_249_713);
+    let mut log = Vec::new();
+    let until = Instant::from_micros(seconds * 1_000_000);
+    while sim.now() < until {
+        let now = sim.now();
+        while let Some(frame) = sim.poll_frame(inspector) {
+            engine.handle_frame(&frame);
+        }
+        engine.handle_timeout(now);
+        while let Some(frame) = engine.poll_transmit(now) {
+            sim.transmit(inspector, frame);
+        }
+        while let Some(frame) = sim.poll_frame(observer) {
+            write_line(&mut log, epoch, "can0", &frame).unwrap();
+        }
+        let next = [engine.poll_timeout(), sim.next_event()].into_iter().flatten().min();
+        sim.advance(next.unwrap_or(until).max(now + Duration::from_micros(1)).min(until));
+    }
+    String::from_utf8(log).unwrap()
+}
+
+fn two_devices() -> Scenario {
+    Scenario::new(125_000)
+        .with(DeviceSpec::new("FEED").fixed(12).settled().service("AUGER", "2.1"))
+        .with(DeviceSpec::new("SENS").fixed(13).settled().service("TEMP", "1.7"))
+}
+
+#[test]
+fn a_log_is_scanned_by_its_own_clock() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("session.log"), log(&two_devices(), 12)).unwrap();
+    let output = descan(&["scan", "file:session.log", "--json"], folder.path());
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let report = json(&output);
+    assert_eq!(report["descan"], "0.1.0");
+    let bus = &report["buses"][0];
+    assert_eq!(bus["name"], "can0");
+    assert_eq!(bus["bitrate"], Value::Null, "a log does not say");
+    assert_eq!(bus["load"], Value::Null, "nor can the load be known then");
+    assert_eq!(bus["state"], "unknown");
+    assert_eq!(
+        (&bus["errors"], &bus["lost"], &bus["address"]),
+        (&0.into(), &0.into(), &Value::Null)
+    );
+    let devices = report["devices"].as_array().unwrap();
+    let named: Vec<_> =
+        devices.iter().map(|it| (it["address"].as_u64().unwrap(), it["name"].clone())).collect();
+    assert_eq!(named[1..], [(12, "FEED".into()), (13, "SENS".into())]);
+    let feed = &devices[1];
+    assert_eq!(feed["bus"], "can0");
+    assert_eq!(feed["name_hex"], "46454544");
+    assert_eq!(feed["presence"], "online");
+    assert_eq!(feed["mode"], "WORK");
+    assert_eq!(feed["working"], true);
+    assert_eq!(feed["uid"], "FEED");
+    assert_eq!(feed["framing"], "isotp");
+    assert_eq!(feed["services_known"], true);
+    let services = serde_json::json!([
+        { "index": 0, "name": "DES", "version": "1.0", "extra": [] },
+        { "index": 1, "name": "AUGER", "version": "2.1", "extra": [] },
+    ]);
+    assert_eq!(feed["services"], services);
+    assert_eq!(feed["heartbeat"]["missed"], 0);
+    let period = feed["heartbeat"]["period_ms"].as_f64().unwrap();
+    assert!((990.0..1010.0).contains(&period), "{period}");
+    assert_eq!(feed["quirks"], serde_json::json!([]));
+    assert_eq!(report["findings"], serde_json::json!([]));
+    assert_eq!(report["file"]["ok"], Value::Null, "there is no des.json");
+}
+
+#[test]
+fn a_device_that_left_before_the_logs_end_is_lost() {
+    let scenario = two_devices().at(Duration::from_secs(4), "SENS", Action::Leave);
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("session.log"), log(&scenario, 12)).unwrap();
+    let report = json(&descan(&["scan", "file:session.log", "--json"], folder.path()));
+    let sens = report["devices"].as_array().unwrap().iter().find(|it| it["name"] == "SENS");
+    assert_eq!(sens.unwrap()["presence"], "lost");
+}
+
+#[test]
+fn a_collision_in_a_log_makes_the_exit_code_1() {
+    let twin = DeviceSpec::new("FEED")
+        .label("second")
+        .fixed(12)
+        .settled()
+        .uid(descan::wire::node::Uid([1, 2, 3, 4, 5, 6]))
+        .fault(descan::sim::Fault::NeverGivesWay);
+    let first = two_devices();
+    let mut scenario = first.with(twin);
+    scenario.devices[0].faults.set(descan::sim::Fault::NeverGivesWay, true);
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("session.log"), log(&scenario, 20)).unwrap();
+    let output = descan(&["scan", "file:session.log", "--json"], folder.path());
+    assert_eq!(output.status.code(), Some(1));
+    let report = json(&output);
+    let finding = report["findings"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .find(|it| it["confidence"] == "confirmed")
+        .expect("a confirmed finding");
+    assert_eq!(finding["address"], 12);
+    assert_eq!(finding["addresses"], serde_json::json!([12]));
+    assert_eq!(finding["bus"], "can0");
+    assert!(finding["first"].as_f64().unwrap() > 1_436_509_052.0);
+    let evidence = &finding["evidence"][0];
+    assert!(evidence["frame"].as_str().unwrap().contains('#'));
+    assert!(!finding["text"].as_str().unwrap().is_empty());
+    assert!(!finding["remedy"].as_str().unwrap().is_empty());
+    let tables = descan(&["scan", "file:session.log"], folder.path());
+    assert!(text(&tables.stdout).contains("CLASH"), "{}", text(&tables.stdout));
+}
+
+#[test]
+fn standard_input_is_a_log_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut child = Command::new(env!("CARGO_BIN_EXE_descan"))
+        .args(["scan", "-", "--json"])
+        .current_dir(folder.path())
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = log(&two_devices(), 5);
+    lines.push_str("this is no line of a log\n");
+    child.stdin.take().unwrap().write_all(lines.as_bytes()).unwrap();
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(json(&output)["devices"].as_array().unwrap().len(), 3);
+}
+
+#[test]
+fn unreadable_lines_are_named_once_on_standard_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let lines = format!("{}what?\nand this?\n", log(&two_devices(), 3));
+    let number = lines.lines().count() - 1;
+    std::fs::write(folder.path().join("session.log"), lines).unwrap();
+    let output = descan(&["scan", "file:session.log"], folder.path());
+    let said = text(&output.stderr);
+    assert!(
+        said.contains(&format!("2 lines cannot be read, the first is line {number}")),
+        "{said}"
+    );
+}
+
+#[test]
+fn hostile_names_reach_no_terminal() {
+    let hostile =
+        DeviceSpec { name: b"\x1b[2J\x07".to_vec(), ..DeviceSpec::new("x").fixed(9).settled() };
+    let hostile = hostile.service("\u{202e}evil", "\u{9b}1");
+    let folder = tempfile::tempdir().unwrap();
+    let lines = log(&Scenario::new(125_000).with(hostile), 5);
+    std::fs::write(folder.path().join("session.log"), lines).unwrap();
+    for arguments in [&["scan", "file:session.log"][..], &["scan", "file:session.log", "--json"]] {
+        let shown = text(&descan(arguments, folder.path()).stdout);
+        assert!(shown.contains("x1B[2J"), "{shown}");
+        assert!(!shown.chars().any(|c| c.is_control() && c != '\n'), "{shown:?}");
+        assert!(!shown.contains('\u{202e}'));
+    }
+}
+
+#[test]
+fn what_was_found_becomes_a_des_json_and_nothing_is_overwritten() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("session.log"), log(&two_devices(), 5)).unwrap();
+    let arguments = ["scan", "file:session.log", "--write", "found.json"];
+    assert_eq!(descan(&arguments, folder.path()).status.code(), Some(0));
+    let written = std::fs::read(folder.path().join("found.json")).unwrap();
+    let document = descan::document::Document::parse(&written).unwrap();
+    let listed: Vec<_> =
+        document.entries().iter().map(|it| (it.name_text.as_str(), it.address)).collect();
+    assert_eq!(listed, [("FEED", Some(12)), ("SENS", Some(13))]);
+    let again = descan(&arguments, folder.path());
+    assert_eq!(again.status.code(), Some(3));
+    assert!(text(&again.stderr).contains("found.json is there already"));
+    assert_eq!(std::fs::read(folder.path().join("found.json")).unwrap(), written);
+}
+
+#[test]
+fn the_file_is_compared_with_the_bus() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("session.log"), log(&two_devices(), 8)).unwrap();
+    std::fs::write(
+        folder.path().join("des.json"),
+        r#"{"devices":[{"name":"FEED","address":16,"static":true},{"name":"GONE","address":40,"static":true},{"name":"SENS","address":13,"static":true}]}"#,
+    )
+    .unwrap();
+    let report = json(&descan(&["scan", "file:session.log", "--json"], folder.path()));
+    assert_eq!(report["file"]["ok"], true);
+    assert_eq!(report["file"]["entries"], 3);
+    let file = |name: &str| {
+        let devices = report["devices"].as_array().unwrap();
+        devices.iter().find(|it| it["name"] == name).unwrap()["file"].clone()
+    };
+    let says = |address: u8, agrees: bool| serde_json::json!({ "listed": true, "address": address, "static": true, "agrees": agrees });
+    assert_eq!(file("FEED"), says(16, false));
+    assert_eq!(file("SENS"), says(13, true));
+    let kinds: Vec<&str> = report["findings"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|finding| finding["kind"].as_str().unwrap())
+        .collect();
+    assert!(kinds.contains(&"wrong-address") && kinds.contains(&"missing"), "{kinds:?}");
+}
+
+#[test]
+fn a_broken_file_is_told_with_line_and_column() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("session.log"), log(&two_devices(), 3)).unwrap();
+    std::fs::write(folder.path().join("des.json"), "{\"devices\": [\n  { \"name\": }\n]}").unwrap();
+    let report = json(&descan(&["scan", "file:session.log", "--json"], folder.path()));
+    assert_eq!(report["file"]["ok"], false);
+    let error = report["file"]["error"].as_str().unwrap();
+    assert!(error.contains("line 2, column"), "{error}");
+}
+
+#[test]
+fn a_simulated_bus_is_scanned_in_a_few_seconds() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = descan(&["scan", "sim:drone", "--json"], folder.path());
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let report = json(&output);
+    assert_eq!(report["buses"][0]["bitrate"], 1_000_000);
+    assert_eq!(report["buses"][0]["address"], 0);
+    let devices = report["devices"].as_array().unwrap();
+    assert!(devices.len() >= 9);
+    assert!(devices.iter().all(|device| device["services_known"] == true));
+}
+
+#[test]
+fn wrong_arguments_are_one_line_that_says_what_would_be_right() {
+    let folder = tempfile::tempdir().unwrap();
+    for (arguments, hint) in [
+        (&["scan", "--jsn"][..], "--json"),
+        (&["session.log"], "file:session.log"),
+        (&["scan", "--time", "soon"], "a number of seconds"),
+        (&["--address", "200"], "0 to 127"),
+        (&["demo", "submarine"], "boiler"),
+        (&["scan", "-", "-"], "only once"),
+        (&["sim", "sim:boiler"], "descan demo"),
+        (&[], "descan scan"),
+        (&["demo"], "descan scan"),
+    ] {
+        let output = descan(arguments, folder.path());
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {said}");
+        assert_eq!(said.lines().count(), 1, "{said}");
+        assert!(said.starts_with("descan: ") && said.contains(hint), "{arguments:?}: {said}");
+        assert!(output.stdout.is_empty());
+    }
+}
+
+#[test]
+fn what_cannot_be_used_is_named_and_exits_with_3() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("bad.toml"), "framing = \"morse\"").unwrap();
+    for (arguments, hint) in [
+        (&["scan", "file:nothing.log"][..], "nothing.log"),
+        (&["scan", "nocan7"], "nocan7"),
+        (&["scan", "sim:nothing"], "boiler"),
+        (&["scan", "sim:boiler", "--profile", "nothing.toml"], "there is no such file"),
+        (&["scan", "sim:boiler", "--profile", "bad.toml"], "morse"),
+    ] {
+        let output = descan(arguments, folder.path());
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(3), "{arguments:?}: {said}");
+        assert!(said.contains(hint), "{arguments:?}: {said}");
+    }
+}
+
+#[test]
+fn help_teaches_and_a_closed_pipe_is_no_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let help = descan(&["--help"], folder.path());
+    assert_eq!(help.status.code(), Some(0));
+    assert!(text(&help.stdout).contains("descan scan can0 --json"));
+    assert!(text(&descan(&["completions", "bash"], folder.path()).stdout).contains("descan"));
+    assert!(text(&descan(&["man"], folder.path()).stdout).contains(".TH"));
+    let schema: Value = serde_json::from_slice(&descan(&["schema"], folder.path()).stdout).unwrap();
+    assert!(schema["$schema"].as_str().unwrap().contains("2020-12"));
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    let status = Command::new(env!("CARGO_BIN_EXE_descan"))
+        .arg("schema")
+        .stdout(writer)
+        .stderr(Stdio::piped())
+        .output()
+        .unwrap();
+    assert_eq!((status.status.code(), text(&status.stderr)), (Some(0), String::new()));
+}
+
+#[test]
+fn frames_are_printed_as_candump_does() {
+    let mut line = Vec::new();
+    let frame = Frame::classic(0x0201_5402, &[4, 0x44]);
+    write_line(&mut line, Epoch::from_unix_micros(1_436_509_052_249_713), "can0", &frame).unwrap();
+    assert_eq!(text(&line), "(1436509052.249713) can0 02015402#0444\n");
+}
