@@ -73,7 +73,7 @@ impl Stage {
             bitrate,
             ..BusStatus::default()
         };
-        stage.app.handle_bus(Instant::ZERO, BusIndex(0), &status);
+        stage.app.handle_bus(Instant::ZERO, BusIndex(0), status);
         let content = stage.file.clone();
         stage.app.handle_file(Instant::ZERO, FileReading::Content(content));
         stage
@@ -584,7 +584,7 @@ fn a_bus_that_is_down_says_so_everywhere() {
         ..BusStatus::default()
     };
     let now = stage.app.now();
-    stage.app.handle_bus(now, BusIndex(0), &status);
+    stage.app.handle_bus(now, BusIndex(0), status);
     stage.sim.set_link(stage.station, false);
     stage.until(40.0).keys("G");
     snapshot!("bus_down", stage);
@@ -637,7 +637,7 @@ fn two_buses_are_one_view() {
         .into();
     for (index, bitrate) in [(0, Some(125_000)), (1, Some(1_000_000))] {
         let status = BusStatus { link: Link::Up, bitrate, ..BusStatus::default() };
-        app.handle_bus(Instant::ZERO, BusIndex(index), &status);
+        app.handle_bus(Instant::ZERO, BusIndex(index), status);
     }
     for step in 1..=20_000u64 {
         let now = Instant::from_micros(step * 1000);

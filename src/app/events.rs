@@ -36,6 +36,9 @@ impl App {
         if any {
             self.outdated = true;
             self.dirty_soon();
+            if !self.has_screen {
+                self.catch_up();
+            }
         }
     }
 
@@ -113,25 +116,26 @@ impl App {
     }
 
     /// Takes an adapter's words.
-    pub(super) fn bus_changed(&mut self, index: BusIndex, status: &BusStatus) {
+    pub(super) fn bus_changed(&mut self, index: BusIndex, status: BusStatus) {
         let now = self.now;
         let Some(bus) = self.buses.get_mut(usize::from(index.0)) else { return };
-        if bus.status == *status {
+        if bus.status == status {
             return;
         }
-        let old = std::mem::replace(&mut bus.status, status.clone());
-        if old.bitrate != status.bitrate {
+        for (kind, text) in changes(&bus.status, &status) {
+            self.timeline.push(Entry::new(now, kind, text).on(index));
+        }
+        let came_back = is_up(&status) && !is_up(&bus.status) && bus.status.link != Link::Opening;
+        let newly_lost = lost(&status).saturating_sub(lost(&bus.status));
+        if bus.status.bitrate != status.bitrate {
             bus.engine.set_bitrate(status.bitrate);
         }
-        if is_up(status) && !is_up(&old) && old.link != Link::Opening {
+        bus.status = status;
+        if came_back {
             bus.engine.restart(now);
         }
-        let newly_lost = lost(status).saturating_sub(lost(&old));
         if newly_lost > 0 {
             bus.engine.handle_lost(now, newly_lost);
-        }
-        for (kind, text) in changes(&old, status) {
-            self.timeline.push(Entry::new(now, kind, text).on(index));
         }
         self.take_events();
         self.refresh();

@@ -181,6 +181,8 @@ pub struct App {
     effects: VecDeque<Effect>,
     report: bool,
     happenings: VecDeque<Happening>,
+    /// A screen's size was told. Without one nothing waits until it is to be seen.
+    has_screen: bool,
     /// Something happened since bus and file were compared.
     outdated: bool,
     /// Something on the screen changed.
@@ -228,6 +230,7 @@ impl App {
             effects: VecDeque::new(),
             report: options.report,
             happenings: VecDeque::new(),
+            has_screen: false,
             outdated: false,
             dirty: true,
             dirty_at: None,
@@ -309,6 +312,7 @@ impl App {
     /// Takes the size of the screen.
     pub fn handle_resize(&mut self, columns: u16, rows: u16) {
         self.view.size = (columns, rows);
+        self.has_screen = true;
         self.dirty = true;
         self.refresh_rows();
     }
@@ -352,7 +356,7 @@ impl App {
     }
 
     /// Takes what an adapter says of its bus.
-    pub fn handle_bus(&mut self, now: Instant, index: BusIndex, status: &BusStatus) {
+    pub fn handle_bus(&mut self, now: Instant, index: BusIndex, status: BusStatus) {
         self.now = self.now.max(now);
         self.bus_changed(index, status);
     }
@@ -535,9 +539,9 @@ impl App {
         }
     }
 
-    /// Compares bus and file anew, if something happened since, and filters the frames that came.
-    /// Done by itself before there is something to draw; whoever reads without a screen calls it.
-    pub fn catch_up(&mut self) {
+    /// Before there is something to draw: compares bus and file anew, if something happened since,
+    /// and filters the frames that came.
+    fn catch_up(&mut self) {
         if std::mem::take(&mut self.outdated) {
             self.refresh();
         }
