@@ -321,7 +321,7 @@ fn an_address_is_edited_in_its_row() {
     assert_eq!(stage.file(), BOILER, "a blocked address is not saved");
     stage.keys("Ctrl-u").text("0x1E");
     snapshot!("editor_warning", stage);
-    stage.keys("Ctrl-u").text("13 Enter".split(' ').next().unwrap()).keys("Enter");
+    stage.keys("Ctrl-u").text("13").keys("Enter");
     assert!(stage.file().contains(r#""address": 13"#), "{}", stage.file());
     assert!(stage.screen().contains("✓ 13"));
     stage.keys("u");
@@ -365,6 +365,37 @@ fn a_conflict_shows_both_and_lets_choose() {
 }
 
 #[test]
+fn a_line_being_typed_goes_on_after_a_conflict() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0);
+    // Not drained: the save is on its way while somebody else writes.
+    for key in ["e", "4", "7", "Enter", "j", "e", "5"] {
+        stage.app.handle_key(stage.app.now(), Key::parse(key).unwrap());
+    }
+    stage.write(&BOILER.replace("10", "11"));
+    assert!(stage.screen().contains("Conflict"), "{}", stage.screen());
+    stage.keys("t").text("0").keys("Enter");
+    assert_eq!(stage.file(), BOILER.replace("10", "11").replace("12", "50"));
+}
+
+#[test]
+fn a_failed_save_is_tried_again_when_asked() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0);
+    for key in ["e", "4", "7", "Enter"] {
+        stage.app.handle_key(stage.app.now(), Key::parse(key).unwrap());
+    }
+    let now = stage.app.now();
+    while stage.app.poll_effect().is_some() {}
+    stage.app.handle_saved(now, SaveOutcome::Failed("no space left on the disk".to_owned()));
+    assert_eq!(stage.app.poll_effect(), None, "not again and again");
+    assert!(stage.screen().contains("not saved: no space left"), "{}", stage.screen());
+    stage.keys("Ctrl-s");
+    assert_eq!(stage.file(), BOILER.replace("10", "47"));
+    assert!(stage.screen().contains("✓ 5 entries"));
+}
+
+#[test]
 fn a_broken_file_is_shown_and_never_written() {
     let mut stage = Stage::boiler();
     let broken = BOILER.replace("\"SENS\",", "\"SENS\"");
@@ -391,7 +422,7 @@ fn devices_are_taken_into_a_file_that_is_begun() {
     stage.keys("n").text("PUMP 44").keys("Enter");
     assert!(stage.file().contains("PUMP"));
     stage.keys("u u u");
-    assert_eq!(stage.file().trim(), "{\n  \"devices\": []\n}".trim(), "{}", stage.file());
+    assert_eq!(stage.file().trim(), "{\n  \"devices\": []\n}");
 }
 
 #[test]

@@ -119,7 +119,7 @@ impl App {
     /// Command: save again what could not be saved.
     pub fn save(&mut self, _now: Instant) {
         if self.file.conflict().is_some() {
-            self.overlay = Overlay::Conflict;
+            self.show_conflict();
         } else if self.file.unsaved() == 0 {
             self.say("everything is saved");
         } else {
@@ -127,21 +127,32 @@ impl App {
         }
     }
 
+    /// Shows both values; a line being typed waits until that is decided.
+    pub(super) fn show_conflict(&mut self) {
+        if let Overlay::Prompt(prompt) = std::mem::replace(&mut self.overlay, Overlay::Conflict) {
+            self.set_aside = Some(prompt);
+        }
+    }
+
+    fn leave_conflict(&mut self) {
+        self.overlay = self.set_aside.take().map_or(Overlay::None, Overlay::Prompt);
+    }
+
     /// Command: decide the conflict.
     pub fn resolve(&mut self, now: Instant, ours: bool) {
-        self.overlay = Overlay::None;
+        self.leave_conflict();
         let change = self.file.resolve(ours);
         self.file_changed(change);
-        let whose = if ours { "our value" } else { "the file's value" };
-        if change_is_made(self) {
-            self.timeline.push(Line::new(now, Kind::File, format!("conflict: {whose} was kept")));
-            self.say(format!("{whose} was kept"));
+        if self.file.conflict().is_none() {
+            let whose = if ours { "our value was kept" } else { "the file's value was kept" };
+            self.timeline.push(Line::new(now, Kind::File, format!("conflict: {whose}")));
+            self.say(whose);
         }
     }
 
     /// Command: leave the conflict for later; the edit stays unsaved.
     pub fn resolve_later(&mut self, _now: Instant) {
-        self.overlay = Overlay::None;
+        self.leave_conflict();
         self.say("the edit is not saved; Ctrl-s comes back to it");
     }
 
@@ -163,7 +174,7 @@ impl App {
         match self.file.check() {
             Ok(()) => true,
             Err(super::Refusal::Conflict) => {
-                self.overlay = Overlay::Conflict;
+                self.show_conflict();
                 false
             }
             Err(refusal) => {
@@ -375,10 +386,6 @@ impl App {
             RowKey::Entry(_) => None,
         }
     }
-}
-
-fn change_is_made(app: &App) -> bool {
-    app.file.conflict().is_none()
 }
 
 fn listed_services(device: &Device) -> Vec<ServiceEntry> {

@@ -6,7 +6,7 @@ use super::buses::{is_up, lost};
 use super::traffic::hex;
 
 use super::timeline::{Entry, Kind};
-use super::{App, Change, Effect, Overlay};
+use super::{App, Change, Effect};
 use crate::bus::{BusState, BusStatus, Link};
 use crate::discovery::{Confidence, Event, EventKind, Presence};
 use crate::frame::BusIndex;
@@ -166,7 +166,7 @@ impl App {
                 Some((Kind::Error, problem))
             }
             Change::Conflict => {
-                self.overlay = Overlay::Conflict;
+                self.show_conflict();
                 Some((Kind::Error, "someone else changed the same value".to_owned()))
             }
         };
@@ -178,7 +178,9 @@ impl App {
                 self.timeline.push(Entry::new(self.now, Kind::File, finding.to_string()));
             }
         }
-        self.save_pending();
+        if change != Change::Broken {
+            self.save_pending();
+        }
         self.refresh();
         self.dirty = true;
         self.report(Happening::File);

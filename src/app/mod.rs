@@ -173,6 +173,8 @@ pub struct App {
     counts: Counts,
     view: View,
     overlay: Overlay,
+    /// The line being typed when a conflict came up; it goes on afterwards.
+    set_aside: Option<Prompt>,
     message: Option<Message>,
     keymap: Keymap,
     theme: String,
@@ -222,6 +224,7 @@ impl App {
             counts: Counts::default(),
             view: View { size: (80, 24), ..View::default() },
             overlay: Overlay::None,
+            set_aside: None,
             message: None,
             keymap: options.keymap,
             theme: options.theme,

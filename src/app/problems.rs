@@ -190,9 +190,9 @@ impl Comparison<'_> {
         let address = entry.address.and_then(Address::new);
         let at = address.map(|address| format!(" (at {address})")).unwrap_or_default();
         let why = app.why_missing(entry);
-        let why = why.first().map_or("", String::as_str);
-        let text = format!("{}{at} is listed and not there: {why}.", Escaped(&entry.name));
-        let remedy = "Its row on the Devices page says what is known of it.".to_owned();
+        let (first, rest) = why.split_first().map_or(("", &[][..]), |(it, rest)| (it, rest));
+        let text = format!("{}{at} is listed and not there: {first}.", Escaped(&entry.name));
+        let remedy = rest.join("; ");
         let name = Some(Name::new(&entry.name));
         self.add(FindingKind::Missing, Some(bus), address, name, text, remedy);
     }

@@ -122,12 +122,18 @@ impl<'a> Details<'_, 'a> {
         let about: Vec<&Finding> = all.iter().filter(about).copied().collect();
         for finding in about {
             let (sign, role) = super::problems::sign(finding.confidence);
+            let sure = finding.confidence == Confidence::Confirmed;
             let text = if finding.text.is_empty() {
-                finding.key.kind.to_string()
+                finding.key.kind.name()
             } else {
-                finding.text.clone()
+                finding.text.as_str()
             };
-            self.lines.extend(labelled(self.brush, &format!("{sign} "), role, &text, self.width));
+            let text_role = if sure { Role::Text } else { Role::Muted };
+            let mut lines = labelled(self.brush, &format!("{sign} "), text_role, text, self.width);
+            if let Some(first) = lines.first_mut() {
+                first.spans[0].style = self.brush.style(role);
+            }
+            self.lines.extend(lines);
         }
     }
 

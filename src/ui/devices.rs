@@ -6,6 +6,7 @@ use crate::discovery::{Device, QueryState};
 use crate::theme::Role;
 use crate::time::Duration;
 use ratatui::layout::{Position, Rect};
+use ratatui::style::Modifier;
 use ratatui::text::{Line, Span};
 
 /// A column: its heading, its width, and how early it gives way (0: never).
@@ -171,7 +172,7 @@ fn row_line(brush: &Brush, row: &Row, columns: &Columns, selected: bool) -> Line
     let device = brush.app.device_of(row);
     let (sign, role) = sign(row);
     let pointer = if selected { "▸" } else { " " };
-    let mut spans = vec![brush.span(Role::Title, pointer), brush.span(role, sign), Span::raw(" ")];
+    let mut spans = vec![brush.span(Role::Text, pointer), brush.span(role, sign), Span::raw(" ")];
     for &(column, width) in &columns.shown {
         spans.push(cell(brush, row, device, column, width));
         spans.push(Span::raw(" ".repeat(columns.gap)));
@@ -296,8 +297,9 @@ fn draw_editor(brush: &mut Brush, list: Rect, line: u16, row: &Row, columns: &Co
     let at = Rect { x: list.x + start, y: list.y + line, width, height: 1 };
     let scroll = prompt.input.visual_scroll(usize::from(width - 1));
     let text: String = prompt.input.value().chars().skip(scroll).collect();
-    let role = if prompt.untouched { Role::Selected } else { Role::Input };
-    let (style, under) = (brush.style(role), brush.style(Role::Input));
+    let under = brush.style(Role::Input);
+    let untouched = if prompt.untouched { Modifier::REVERSED } else { Modifier::empty() };
+    let style = under.add_modifier(untouched);
     brush.buffer.set_string(at.x, at.y, fit("", usize::from(width)), under);
     brush.buffer.set_style(at, ratatui::style::Style::reset().patch(under));
     brush.buffer.set_stringn(at.x, at.y, text, usize::from(width), style);

@@ -47,7 +47,7 @@ fn draw_list(brush: &mut Brush) {
         let cleared = finding.confidence == Confidence::Cleared;
         let plain = if cleared { Role::Muted } else { Role::Text };
         let mut spans = vec![
-            brush.span(Role::Title, if is_selected { "▸" } else { " " }),
+            brush.span(Role::Text, if is_selected { "▸" } else { " " }),
             brush.span(role, format!("{sign} ")),
             brush.span(plain, format!(" {} ", fit(&place(brush, finding), place_width(brush)))),
             brush.span(plain, finding.key.kind.to_string()),

@@ -54,7 +54,10 @@ fn selected_bus(brush: &Brush) -> BusIndex {
 /// are left out: the last of the left ones, the first of the right ones.
 fn pair(brush: &mut Brush, area: Rect, row: u16, left: Parts, mut right: Parts) {
     let own = |part: &[Span]| part.iter().map(Span::width).sum::<usize>();
-    let whole = |parts: &Parts| parts.iter().map(|part| own(part) + 2).sum::<usize>();
+    let whole = |parts: &Parts| match parts.len() {
+        0 => 0,
+        _ => parts.iter().map(|part| own(part) + 2).sum::<usize>() + 1,
+    };
     let width = usize::from(area.width);
     let first = left.first().map_or(0, |part| own(part) + 1);
     while !right.is_empty() && first + whole(&right) > width {

@@ -32,7 +32,7 @@ pub fn draw(brush: &mut Brush) {
         let Some(entry) = app.timeline().get(*number) else { continue };
         let is_selected = selected == Some(top + row);
         let pointer = if is_selected { "▸" } else { " " };
-        let mut line = Line::from(brush.span(Role::Title, pointer));
+        let mut line = Line::from(brush.span(Role::Text, pointer));
         line.spans.extend(entry_line(brush, entry, 12).spans);
         brush.line(list, row as u16, &line);
         if is_selected {

@@ -84,7 +84,7 @@ fn frame_line(
     let plain = if frame.ours { Role::Muted } else { Role::Text };
     let text = |role: Role, text: String| brush.span(role, text);
     let mut spans: Vec<Span> = vec![
-        text(Role::Title, if selected { "▸ " } else { "  " }.to_owned()),
+        text(Role::Text, if selected { "▸ " } else { "  " }.to_owned()),
         text(Role::Muted, format!("{} ", clock_millis(brush.app, frame.time))),
     ];
     if room.bus {
@@ -247,7 +247,7 @@ fn identifier_line(
     };
     let rate = if row.rate == 0 { Role::Muted } else { Role::Text };
     let mut spans = vec![
-        brush.span(Role::Title, if selected { "▸ " } else { "  " }),
+        brush.span(Role::Text, if selected { "▸ " } else { "  " }),
         brush.span(Role::Text, fit(&id, 8)),
         brush.span(rate, format!("  {:>4}", row.rate)),
         brush.span(Role::Muted, format!("  {:>7}  ", row.count)),
