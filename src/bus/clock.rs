@@ -29,12 +29,17 @@ impl Clock {
 
     /// The moment it is.
     pub fn now(&self) -> Instant {
-        Instant::ZERO + self.start.elapsed().mul_f64(self.speed)
+        Instant::ZERO + self.run_in(self.start.elapsed())
     }
 
     /// Which Unix time the start was.
     pub fn epoch(&self) -> Epoch {
         self.epoch
+    }
+
+    /// How far this clock runs in a real `duration`.
+    pub fn run_in(&self, duration: Duration) -> Duration {
+        duration.mul_f64(self.speed)
     }
 
     /// How long to sleep until `at`; zero if it has passed.

@@ -54,7 +54,7 @@ fn replay(
         let age = frame.time.since(Instant::ZERO);
         let now = clock.now();
         let start = start.get_or_insert(now);
-        *start = (*start).max(now - MAX_LATENESS - age);
+        *start = (*start).max(now - clock.run_in(MAX_LATENESS) - age);
         let due = *start + age;
         loop {
             if line.is_stopped() {

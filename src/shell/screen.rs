@@ -77,6 +77,10 @@ pub async fn run(session: &mut Session, themes: &mut Themes) -> io::Result<Endin
             event = input.next() => match event {
                 Some(Ok(event)) => {
                     pace = PACE_AFTER_KEY;
+                    if matches!(event, Event::Resize(..)) {
+                        // Whatever the terminal made of the old content meanwhile.
+                        terminal.redraw()?;
+                    }
                     handle_input(session, &event);
                 }
                 Some(Err(_)) | None => return Ok(Ending::Hangup),

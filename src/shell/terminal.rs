@@ -51,7 +51,9 @@ impl Terminal {
 
     /// Forgets what is on the screen: the next draw writes all of it.
     pub fn redraw(&mut self) -> io::Result<()> {
-        self.screen.clear()
+        // Not `clear`: that asks the terminal where its cursor is, and waits for the answer.
+        let size = self.screen.size()?;
+        self.screen.resize(ratatui::layout::Rect::from((ratatui::layout::Position::ORIGIN, size)))
     }
 
     /// Writes a terminal command of our own (bell, clipboard).

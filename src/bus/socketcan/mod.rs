@@ -61,7 +61,7 @@ pub(super) fn open(
     watch.look(&line);
     let mut port = Port::new(name, line, options.listen_only);
     port.serve(move |line| {
-        let _release = ObserverRelease(&reader.watch.clone());
+        let _release = ObserverRelease(Arc::clone(&reader.watch));
         if let Err(error) = reader.run(socket) {
             let message = format!("cannot read {}: {error}", reader.watch.name);
             line.queue.finish(Link::Failed, message);
@@ -146,9 +146,9 @@ impl BusStatus {
 }
 
 /// Stops the observer when the reader ends, however it ends.
-struct ObserverRelease<'a>(&'a Watch);
+struct ObserverRelease(Arc<Watch>);
 
-impl Drop for ObserverRelease<'_> {
+impl Drop for ObserverRelease {
     fn drop(&mut self) {
         self.0.nudge(|nudge| nudge.stop = true);
     }
@@ -264,18 +264,16 @@ impl Reader {
         Ok(())
     }
 
+    /// The status first, so that nobody sees frames newer than it.
     fn deliver(&mut self, batch: &[Received], frames: &mut Vec<Frame>, socket: &RawSocket) {
         let mut reports = Reports::default();
-        if !batch.is_empty() {
-            self.dating.read_clocks();
-            frames.clear();
-            for received in batch {
-                let time = self.dating.date(received.stamp_micros);
-                let frame = received.frame.at(time).on(self.bus);
-                reports.note(&frame);
-                frames.push(frame);
-            }
-            self.line.queue.push(frames);
+        frames.clear();
+        self.dating.read_clocks();
+        for received in batch {
+            let time = self.dating.date(received.stamp_micros);
+            let frame = received.frame.at(time).on(self.bus);
+            reports.note(&frame);
+            frames.push(frame);
         }
         let drops = self.drops_before + socket.drops();
         let unconfirmed = socket.unconfirmed();
@@ -285,6 +283,9 @@ impl Reader {
             status.missing_acks += reports.missing_acks;
             status.controller_overruns += reports.overruns;
         });
+        if !frames.is_empty() {
+            self.line.queue.push(frames);
+        }
         if reports.total > 0 {
             self.watch.nudge(|nudge| nudge.look = true);
         }

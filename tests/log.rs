@@ -1,0 +1,148 @@
+//! Logs from outside: a file replayed as a port, and a log piped in while it is written.
+
+use descan::bus::log::LogReader;
+use descan::bus::{self, BusError, BusSpec, Clock, Link, Options, Port, TransmitError};
+use descan::frame::{BusIndex, CanId, Frame};
+use descan::time::{Duration, Epoch, Instant};
+use std::fs::File;
+use std::io::{BufReader, Write};
+use std::time::Instant as Monotonic;
+
+const PATIENCE: Duration = Duration::from_mins(1);
+const LOG: &str = "\
+(100.000000) can0 02015402#04
+(100.200000) can1 123#R4
+garbage
+(100.400000) can0 02015402#05 T
+";
+
+/// Takes all there is until the port says that it has ended.
+fn drain(port: &Port) -> Vec<Frame> {
+    take_until(port, |_| port.queue().is_finished())
+}
+
+fn take_until(port: &Port, condition: impl Fn(&[Frame]) -> bool) -> Vec<Frame> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();
+    let mut frames = Vec::new();
+    let wait = async {
+        loop {
+            port.queue().drain(&mut frames, 1000);
+            port.queue().take_status();
+            if condition(&frames) {
+                return;
+            }
+            port.queue().ready().await;
+        }
+    };
+    runtime.block_on(async { tokio::time::timeout(PATIENCE, wait).await }).expect("in time");
+    frames
+}
+
+fn open(spec: &BusSpec, clock: Clock) -> Port {
+    bus::open(spec, BusIndex(2), clock, Options::default()).expect("a port")
+}
+
+fn log_file(text: &str) -> (tempfile::TempDir, BusSpec) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("session.log");
+    std::fs::write(&path, text).unwrap();
+    (folder, BusSpec::File(path))
+}
+
+#[test]
+fn a_file_is_replayed_as_it_was_timed() {
+    let (_folder, spec) = log_file(LOG);
+    let clock = Clock::replaying(Epoch::from_unix_micros(100_000_000), 1.0);
+    let before = Monotonic::now();
+    let port = open(&spec, clock);
+    let frames = drain(&port);
+    assert!(before.elapsed() >= Duration::from_millis(400));
+    let start = frames[0].time;
+    let ages: Vec<_> = frames.iter().map(|frame| frame.time.since(start).as_millis()).collect();
+    assert_eq!(ages, [0, 200, 400]);
+    let told: Vec<_> = frames.iter().map(|frame| (frame.bus, frame.ours)).collect();
+    assert_eq!(told, [(BusIndex(2), false), (BusIndex(3), false), (BusIndex(2), true)]);
+    assert_eq!(port.queue().names(), ["can0", "can1"]);
+
+    let status = port.queue().status();
+    assert_eq!(status.link, Link::Ended);
+    assert_eq!(
+        status.message.as_deref(),
+        Some(
+            "end of log: 3 frames; line 3 cannot be read: it does not begin with \
+             (SECONDS.FRACTION)"
+        )
+    );
+    assert_eq!(port.transmit(&Frame::classic(1, &[])), Err(TransmitError::ListenOnly));
+}
+
+#[test]
+fn a_faster_clock_replays_faster() {
+    let hours = "(0.0) can0 123#\n(7200.0) can0 123#\n";
+    let (_folder, spec) = log_file(hours);
+    let port = open(&spec, Clock::replaying(Epoch::default(), 100_000.0));
+    let frames = drain(&port);
+    assert_eq!(frames[1].time.since(frames[0].time), Duration::from_hours(2));
+}
+
+#[test]
+fn more_frames_at_once_than_the_queue_holds_are_not_lost() {
+    let (_folder, spec) = log_file(&"(1.0) can0 123#\n".repeat(50_000));
+    let port = open(&spec, Clock::start());
+    let frames = drain(&port);
+    assert_eq!((frames.len(), port.queue().status().queue_drops), (50_000, 0));
+}
+
+#[test]
+fn a_pipe_is_read_as_it_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("pipe");
+    nix::unistd::mkfifo(&path, nix::sys::stat::Mode::S_IRWXU).unwrap();
+    let writer = std::thread::spawn({
+        let path = path.clone();
+        move || File::options().write(true).open(path).unwrap()
+    });
+    let port = open(&BusSpec::File(path), Clock::start());
+    let mut writer = writer.join().unwrap();
+    writer.write_all(b"(1.0) can0 00000001#\n(1.0) can0 0000").unwrap();
+    assert_eq!(take_until(&port, |frames| frames.len() == 1)[0].platform_id(), Some(1));
+    writer.write_all(b"0002#\n").unwrap();
+    assert_eq!(take_until(&port, |frames| frames.len() == 1)[0].platform_id(), Some(2));
+
+    // Dropped while it waits for the next line.
+    drop(port);
+    drop(writer);
+}
+
+#[test]
+fn dropping_a_replay_does_not_wait_for_its_next_frame() {
+    let (_folder, spec) = log_file("(0.0) can0 123#\n(100000.0) can0 123#\n");
+    let port = open(&spec, Clock::start());
+    take_until(&port, |frames| frames.len() == 1);
+    drop(port);
+}
+
+#[test]
+fn a_log_that_cannot_be_opened_is_an_error_that_names_it() {
+    let clock = Clock::start();
+    for path in ["/nowhere/session.log", "/"] {
+        let spec = BusSpec::File(path.into());
+        let error = bus::open(&spec, BusIndex(0), clock, Options::default()).unwrap_err();
+        assert!(matches!(error, BusError::Log { .. }));
+        assert!(error.to_string().starts_with(&format!("cannot read file:{path}: ")), "{error}");
+    }
+}
+
+#[test]
+fn a_log_is_read_at_once_by_its_own_clock() {
+    let (_folder, spec) = log_file(LOG);
+    let BusSpec::File(path) = spec else { unreachable!() };
+    let mut reader = LogReader::new(BufReader::new(bus::open_log(&path).unwrap()));
+    let frames: Vec<_> = reader.by_ref().map(Result::unwrap).collect();
+    assert_eq!(
+        frames[1],
+        Frame::remote(CanId::Standard(0x123), 4).on(BusIndex(1)).at(frames[1].time)
+    );
+    assert_eq!(reader.tally().last, Instant::from_micros(400_000));
+    assert_eq!(reader.tally().epoch, Some(Epoch::from_unix_micros(100_000_000)));
+}

@@ -1,0 +1,229 @@
+//! The real binary in a pseudo-terminal: what is seen, what keys do, and that the terminal is
+//! given back on every way out.
+
+#[path = "common/pty.rs"]
+mod pty;
+
+use nix::sys::signal::Signal;
+use pty::Pty;
+use std::path::Path;
+
+const SMALL: (u16, u16) = (80, 24);
+
+fn demo(folder: &Path) -> Pty {
+    let mut pty = Pty::start(&["sim:boiler", "--file", "des.json"], folder, SMALL);
+    pty.wait_for("FEED");
+    pty
+}
+
+#[test]
+fn q_quits_and_the_terminal_is_as_before() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut pty = demo(folder.path());
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+    pty.assert_given_back();
+}
+
+#[test]
+fn ctrl_c_and_signals_give_the_terminal_back() {
+    for (way, code) in [(None, 0), (Some(Signal::SIGTERM), 130), (Some(Signal::SIGINT), 130)] {
+        let folder = tempfile::tempdir().unwrap();
+        let mut pty = demo(folder.path());
+        match way {
+            None => pty.send("\x03"),
+            Some(signal) => pty.signal(signal),
+        }
+        assert_eq!(pty.wait(), code, "{way:?}");
+        pty.assert_given_back();
+    }
+}
+
+#[test]
+fn a_lost_connection_ends_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut pty = demo(folder.path());
+    pty.hang_up();
+    pty.wait();
+    pty.assert_given_back();
+}
+
+#[test]
+fn ctrl_z_gives_the_terminal_back_until_it_goes_on() {
+    for key in [true, false] {
+        let folder = tempfile::tempdir().unwrap();
+        let mut pty = demo(folder.path());
+        if key {
+            pty.send("\x1a");
+        } else {
+            pty.signal(Signal::SIGTSTP);
+        }
+        pty.wait_for_state('T');
+        pty.assert_given_back();
+        pty.signal(Signal::SIGCONT);
+        pty.wait_until("screen again", |screen| {
+            screen.alternate_screen() && screen.contents().contains("FEED")
+        });
+        pty.send("q");
+        assert_eq!(pty.wait(), 0);
+        pty.assert_given_back();
+    }
+}
+
+/// Not a test of its own: what `a_panic_gives_the_terminal_back` runs in a terminal.
+#[test]
+#[ignore = "run by another test"]
+fn panics_with_the_terminal_taken() {
+    descan::shell::terminal::restore_on_panic();
+    let _terminal = descan::shell::terminal::Terminal::take().expect("a terminal");
+    panic!("on purpose");
+}
+
+#[test]
+fn a_panic_gives_the_terminal_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let own = std::env::current_exe().unwrap();
+    let arguments = [
+        "--exact",
+        "panics_with_the_terminal_taken",
+        "--ignored",
+        "--nocapture",
+        "--test-threads=1",
+    ];
+    let mut pty = Pty::run(own.to_str().unwrap(), &arguments, folder.path(), SMALL);
+    assert_ne!(pty.wait(), 0);
+    let taken = pty.bytes.windows(8).any(|bytes| bytes == b"\x1b[?1049h");
+    assert!(taken, "the terminal was taken");
+    pty.assert_given_back();
+    assert!(pty.screen().contains("on purpose"), "{}", pty.screen());
+}
+
+#[test]
+fn an_address_is_pinned_in_the_row_and_taken_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("des.json");
+    let before = "{ \"devices\": [\n    {\"name\": \"FEED\", \"address\": 9, \"note\": 1e3}\n] }\n";
+    std::fs::write(&path, before).unwrap();
+    let mut pty = demo(folder.path());
+    pty.wait_for("SENS");
+    pty.send("g");
+    pty.send("e");
+    pty.send("\x7f\x7f\x7f");
+    pty.send("12\r");
+    let pinned = before.replace("\"address\": 9", "\"address\": 12, \"static\": true");
+    wait_for_content(&mut pty, &path, &pinned);
+    pty.send("u");
+    wait_for_content(&mut pty, &path, before);
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}
+
+fn wait_for_content(pty: &mut Pty, path: &Path, wanted: &str) {
+    let deadline = std::time::Instant::now() + pty::PATIENCE;
+    loop {
+        let content = std::fs::read_to_string(path).unwrap();
+        if content == wanted {
+            return;
+        }
+        assert!(std::time::Instant::now() < deadline, "{content}\n{}", pty.screen());
+        pty.count_for(std::time::Duration::from_millis(10));
+    }
+}
+
+#[test]
+fn a_change_of_the_file_is_seen_while_an_address_is_being_typed() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("des.json");
+    std::fs::write(&path, r#"{"devices":[{"name":"FEED","address":10}]}"#).unwrap();
+    let mut pty = demo(folder.path());
+    pty.wait_for("SENS");
+    pty.send("ge");
+    pty.send("\x7f\x7f\x7f44");
+    pty.wait_for("44");
+    // Somebody else pins another device to just that address, as editors save.
+    let other =
+        r#"{"devices":[{"name":"FEED","address":10},{"name":"VALVE","address":44,"static":true}]}"#;
+    std::fs::write(folder.path().join("new"), other).unwrap();
+    std::fs::rename(folder.path().join("new"), &path).unwrap();
+    pty.wait_for("VALVE");
+    // The editor is still open, and refuses what was free before.
+    pty.send("\r");
+    pty.count_for(std::time::Duration::from_millis(100));
+    assert_eq!(std::fs::read_to_string(&path).unwrap(), other, "{}", pty.screen());
+    pty.send("\x7f5\r");
+    let pinned = other
+        .replace(r#""name":"FEED","address":10"#, r#""name":"FEED","address":45,"static":true"#);
+    wait_for_content(&mut pty, &path, &pinned);
+}
+
+#[test]
+fn a_broken_file_is_told_and_never_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("des.json");
+    std::fs::write(&path, "{\"devices\": [\n  oops\n]}").unwrap();
+    let mut pty = demo(folder.path());
+    pty.wait_for("line 2");
+    pty.send("ga");
+    pty.send("e11\r");
+    pty.count_for(std::time::Duration::from_millis(100));
+    assert_eq!(std::fs::read_to_string(&path).unwrap(), "{\"devices\": [\n  oops\n]}");
+}
+
+#[test]
+fn an_interface_that_does_not_exist_is_waited_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut pty = Pty::start(&["nocan7"], folder.path(), SMALL);
+    pty.wait_for("nocan7");
+    pty.wait_until("the cause", |screen| {
+        let text = screen.contents();
+        text.contains("there is no nocan7") || text.contains("kernel")
+    });
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+    pty.assert_given_back();
+}
+
+#[test]
+fn every_size_shows_devices() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut pty = demo(folder.path());
+    for (columns, rows) in [(40, 10), (120, 40), (200, 60), (20, 5), (1, 1), (80, 24)] {
+        pty.resize(columns, rows);
+        if columns >= 40 {
+            pty.wait_for("FEED");
+        }
+    }
+    pty.wait_for("FEED");
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}
+
+#[test]
+fn what_is_written_is_bracketed_as_one_update() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut pty = demo(folder.path());
+    pty.send("q");
+    pty.wait();
+    let count = |needle: &[u8]| pty.bytes.windows(needle.len()).filter(|it| *it == needle).count();
+    assert!(count(b"\x1b[?2026h") > 0);
+    assert!(count(b"\x1b[?2026l") >= count(b"\x1b[?2026h"));
+    assert_eq!(count(b"\x1b[?1003h"), 0, "no any-motion reports");
+}
+
+#[test]
+fn a_log_is_shown_as_it_was_timed_and_its_end_is_no_exit() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut log = String::new();
+    for beat in 0..5 {
+        log.push_str(&format!(
+            "({}.100000) can7 07183C01#8AFA6C9724110400\n",
+            1_436_509_052 + beat
+        ));
+    }
+    std::fs::write(folder.path().join("session.log"), log).unwrap();
+    let mut pty = Pty::start(&["file:session.log", "--speed", "20"], folder.path(), SMALL);
+    pty.wait_for("BOILER01");
+    pty.wait_until("the end", |screen| screen.contents().to_lowercase().contains("end"));
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}
