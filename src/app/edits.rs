@@ -153,7 +153,8 @@ impl App {
     /// Command: leave the conflict for later; the edit stays unsaved.
     pub fn resolve_later(&mut self, _now: Instant) {
         self.leave_conflict();
-        self.say("the edit is not saved; Ctrl-s comes back to it");
+        let key = self.key_of("save");
+        self.say(format!("the edit is not saved; {key} comes back to it"));
     }
 
     pub(super) fn edit(&mut self, operations: &[Operation]) {

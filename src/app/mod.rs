@@ -473,6 +473,11 @@ impl App {
         &self.keymap
     }
 
+    /// The key of an action, for a sentence; its name where it has none.
+    pub fn key_of(&self, action: &str) -> String {
+        self.keymap.hint(action).map_or_else(|| action.to_owned(), |(key, _)| key.to_string())
+    }
+
     /// The theme's name.
     pub fn theme(&self) -> &str {
         &self.theme

@@ -96,12 +96,11 @@ impl Comparison<'_> {
     fn file_alone(&mut self, document: &Document) {
         for finding in document.findings() {
             let (kind, remedy) = match finding.kind {
-                document::FindingKind::DuplicateAddress => (
-                    FindingKind::FileDuplicateAddress,
-                    "Give one of them another address: e on its row.",
-                ),
+                document::FindingKind::DuplicateAddress => {
+                    (FindingKind::FileDuplicateAddress, "Give one of them another address.")
+                }
                 document::FindingKind::DuplicateEntry => {
-                    (FindingKind::FileDuplicateEntry, "Delete one of them: D on its row.")
+                    (FindingKind::FileDuplicateEntry, "Delete one of them from the file.")
                 }
                 _ => continue,
             };
@@ -138,8 +137,7 @@ impl Comparison<'_> {
                 let text =
                     format!("{name} is at {}, and the file pins it to {pinned}.", device.address);
                 let remedy = format!(
-                    "Give the device the address {pinned}, or the file the address {}: e on its \
-                     row.",
+                    "Give the device the address {pinned}, or pin it to {} in the file.",
                     device.address
                 );
                 let bus = Some(device.id.bus);
@@ -168,7 +166,7 @@ impl Comparison<'_> {
                     format!("a device that calls itself {it}")
                 });
             let text = format!("{pinned} is the static address of {name}, and {who} is there.");
-            let remedy = format!("Give {name} another address (e), or that device.");
+            let remedy = format!("Pin {name} to another address, or give that device one.");
             let named = Some(Name::new(&entry.name));
             let bus = Some(BusIndex(index as u8));
             self.add(FindingKind::StaticAddressTaken, bus, Some(pinned), named, text, remedy);
@@ -207,7 +205,7 @@ impl Comparison<'_> {
             Escaped(&entry.name),
             device.address
         );
-        let remedy = "Take them into the file (a), or look at the firmware.".to_owned();
+        let remedy = "Take them into the file, or look at the firmware.".to_owned();
         let (bus, name) = (Some(device.id.bus), device.name.clone());
         self.add(FindingKind::ServicesDiffer, bus, Some(device.address), name, text, remedy);
     }
@@ -224,7 +222,7 @@ impl Comparison<'_> {
                     .as_ref()
                     .map_or("A device without a name".to_owned(), ToString::to_string);
                 let text = format!("{who} at {} is not in the file.", device.address);
-                let remedy = "Take it in: a on its row.".to_owned();
+                let remedy = "Take it into the file, or off the bus.".to_owned();
                 let (bus, name) = (Some(device.id.bus), device.name.clone());
                 self.add(FindingKind::Unlisted, bus, Some(device.address), name, text, remedy);
             }

@@ -80,6 +80,14 @@ impl Brush<'_> {
         }
     }
 
+    /// Says that the filter leaves nothing, and how to take it away.
+    pub fn filtered(&mut self, area: Rect, what: &str) {
+        let key = self.app.key_of("cancel");
+        let text = format!("   {what} ({key} takes it away)");
+        let line = Line::from(self.span(Role::Muted, text));
+        self.line(area, 1, &line);
+    }
+
     /// Draws a horizontal rule.
     pub fn rule(&mut self, area: Rect, role: Role) {
         let style = self.style(role);

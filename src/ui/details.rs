@@ -258,7 +258,9 @@ impl<'a> Details<'_, 'a> {
         let name = app.file().name();
         let (role, text) = match (self.row.file, device) {
             (FileWord::Nothing, _) => return,
-            (FileWord::New, _) => (Role::New, "not listed (a takes it in)".to_owned()),
+            (FileWord::New, _) => {
+                (Role::New, format!("not listed ({} takes it in)", app.key_of("add")))
+            }
             (FileWord::Listed(None), _) => (Role::Text, "listed without address".to_owned()),
             (FileWord::Listed(Some(address)), _) => {
                 (Role::Text, format!("listed, last at {address}, not static"))

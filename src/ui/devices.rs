@@ -162,7 +162,7 @@ fn draw_nothing(brush: &mut Brush, list: Rect) {
         let listening = app.buses().iter().any(crate::app::Bus::is_up);
         if listening { "no device was heard yet" } else { "no device: no bus is up" }
     } else {
-        "no device fits the filter (Esc takes it away)"
+        return brush.filtered(list, "no device fits the filter");
     };
     let line = Line::from(brush.span(Role::Muted, format!("   {text}")));
     brush.line(list, 1, &line);

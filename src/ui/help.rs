@@ -26,7 +26,7 @@ const SIGNS: [(Role, &str, &str); 16] = [
         "service numbers and layouts are assumed: no --profile is given",
     ),
     (Role::Warning, "listen-only, acks", "we send nothing, but the controller acknowledges frames"),
-    (Role::Warning, "HELD", "rows are held still (Space goes on)"),
+    (Role::Warning, "HELD", "rows are held still, until the same key is pressed again"),
 ];
 
 pub fn draw(brush: &mut Brush, scroll: u16) {

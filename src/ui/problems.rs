@@ -33,7 +33,7 @@ fn draw_list(brush: &mut Brush) {
         let text = if app.view().filter(Page::Problems).is_empty() {
             "nothing is wrong, as far as can be seen"
         } else {
-            "no problem fits the filter (Esc takes it away)"
+            return brush.filtered(list, "no problem fits the filter");
         };
         let line = Line::from(brush.span(Role::Muted, format!("   {text}")));
         return brush.line(list, 1, &line);

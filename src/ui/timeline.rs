@@ -8,7 +8,7 @@ use unicode_width::UnicodeWidthStr;
 
 pub fn draw(brush: &mut Brush) {
     let (header, list) = (brush.screen.header, brush.screen.list);
-    let title = format!("  {:8}  {:12} WHAT", "TIME", "WHO");
+    let title = format!("  {:8}   {:12} WHAT", "TIME", "WHO");
     let line = Line::from(brush.span(Role::Header, title));
     brush.line(header, 0, &line);
     let app = brush.app;
@@ -17,7 +17,7 @@ pub fn draw(brush: &mut Brush) {
         let text = if app.view().filter(Page::Timeline).is_empty() {
             "nothing has happened yet"
         } else {
-            "no line fits the filter (Esc takes it away)"
+            return brush.filtered(list, "no line fits the filter");
         };
         let line = Line::from(brush.span(Role::Muted, format!("   {text}")));
         return brush.line(list, 1, &line);
@@ -75,13 +75,19 @@ fn entry_line(brush: &Brush, entry: &TimelineEntry, who_width: usize) -> Line<'s
         TimelineKind::Bus | TimelineKind::File => ("·", Role::Text),
         TimelineKind::Error => ("!", Role::Error),
     };
+    // Only what deserves a look has the colour of its sign.
+    let calm = matches!(
+        entry.kind,
+        TimelineKind::Good | TimelineKind::Change | TimelineKind::Late | TimelineKind::Cleared
+    );
+    let text_role = if calm { Role::Text } else { role };
     let who = who(brush, entry, who_width);
     let times = if entry.times > 1 { format!(" ×{}", entry.times) } else { String::new() };
     Line::from(vec![
         brush.span(Role::Muted, format!(" {} ", clock(brush.app, entry.time))),
         brush.span(role, format!("{sign} ")),
         brush.span(Role::Text, format!("{} ", fit(&who, who_width))),
-        brush.span(role, entry.text.clone()),
+        brush.span(text_role, entry.text.clone()),
         brush.span(Role::Muted, times),
     ])
 }

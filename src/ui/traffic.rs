@@ -55,7 +55,7 @@ fn draw_frames(brush: &mut Brush) {
     if shown.is_empty() {
         let filtered = !brush.app.view().filter(Page::Traffic).is_empty();
         let text = if filtered {
-            "no frame fits the filter (Esc takes it away)"
+            return brush.filtered(list, "no frame fits the filter");
         } else {
             "no frame was heard yet"
         };
