@@ -108,6 +108,8 @@ pub enum FileWord {
     Agrees(u8),
     /// Static, and the device is not there.
     Differs(u8),
+    /// Static, and it is too early to say where the device is.
+    Pinned(u8),
 }
 
 /// By what the rows are sorted.
@@ -214,10 +216,29 @@ impl App {
         } else {
             self.sort(&mut rows);
         }
-        self.rows = rows;
+        let before = std::mem::replace(&mut self.rows, rows);
+        self.follow_selection(&before);
         let height = self.screen().list_rows();
         let keys: Vec<RowKey> = self.rows.iter().map(|row| row.key.clone()).collect();
         self.view.devices.settle(&keys, height);
+    }
+
+    /// A listed device that appears, or one that is forgotten, goes on in another row: the
+    /// selection goes with it.
+    fn follow_selection(&mut self, before: &[Row]) {
+        let Some(selected) = self.view.devices.selected() else { return };
+        if self.rows.iter().any(|row| row.key == *selected) {
+            return;
+        }
+        let Some(old) = before.iter().find(|row| row.key == *selected) else { return };
+        let same = |row: &&Row| row.name == old.name && row.name.is_some();
+        let nearest = self.rows.iter().filter(same).min_by_key(|row| {
+            let number = |row: &Row| row.address.map_or(0, |address| i16::from(address.number()));
+            (number(row) - number(old)).abs()
+        });
+        if let Some(key) = nearest.map(|row| row.key.clone()) {
+            self.view.devices.replace(key);
+        }
     }
 
     fn all_rows(&self) -> Vec<Row> {
@@ -266,7 +287,8 @@ impl App {
 
     fn file_word(&self, device: &Device, entry: Option<&Entry>) -> FileWord {
         match entry {
-            None if device.is_debug || !self.file.is_there() => FileWord::Nothing,
+            None if device.is_debug || device.name.is_none() => FileWord::Nothing,
+            None if !self.file.is_there() => FileWord::Nothing,
             None => FileWord::New,
             Some(entry) => match entry.address.filter(|_| entry.is_static) {
                 None => FileWord::Listed(entry.address),
@@ -284,10 +306,7 @@ impl App {
             None => None,
         };
         let bus = bus.map(|at| BusIndex(at as u8));
-        let awaited = match bus {
-            Some(bus) => !self.has_looked(bus),
-            None => (0..self.buses.len()).any(|at| !self.has_looked(BusIndex(at as u8))),
-        };
+        let awaited = !self.is_missing(entry);
         Some(Row {
             key: RowKey::Entry(self.file.document().key(entry.index)),
             bus,
@@ -297,6 +316,7 @@ impl App {
             suspected: false,
             twin: false,
             file: match entry.address {
+                Some(address) if entry.is_static && awaited => FileWord::Pinned(address),
                 Some(address) if entry.is_static => FileWord::Differs(address),
                 address => FileWord::Listed(address),
             },

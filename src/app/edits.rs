@@ -19,7 +19,7 @@ impl App {
 
     /// Command: edit the static address in the selected row.
     pub fn edit_address(&mut self, _now: Instant) {
-        if !self.may_edit() {
+        if !self.may_edit() || !self.go_to_row() {
             return;
         }
         let Some(row) = self.selected_row() else { return self.complain("no row is selected") };
@@ -40,7 +40,7 @@ impl App {
     /// Command: take the selected device into the file, with its services and its address (which
     /// is not pinned by that); where it is listed, take its services.
     pub fn add_device(&mut self, _now: Instant) {
-        if !self.may_edit() {
+        if !self.may_edit() || !self.go_to_row() {
             return;
         }
         let Some(device) = self.selected_row().and_then(|row| self.device_of(row)) else {
@@ -82,7 +82,7 @@ impl App {
 
     /// Command: ask for the entry's new name.
     pub fn ask_rename(&mut self, _now: Instant) {
-        if !self.may_edit() {
+        if !self.may_edit() || !self.go_to_row() {
             return;
         }
         let Some((at, _)) = self.selected_entry() else { return };
@@ -93,7 +93,7 @@ impl App {
 
     /// Command: ask whether the entry is to be deleted.
     pub fn ask_delete(&mut self, _now: Instant) {
-        if !self.may_edit() {
+        if !self.may_edit() || !self.go_to_row() {
             return;
         }
         let Some((at, _)) = self.selected_entry() else { return };
@@ -119,7 +119,7 @@ impl App {
     /// Command: save again what could not be saved.
     pub fn save(&mut self, _now: Instant) {
         if self.file.conflict().is_some() {
-            self.overlay = Overlay::Conflict;
+            self.show_conflict();
         } else if self.file.unsaved() == 0 {
             self.say("everything is saved");
         } else {
@@ -127,22 +127,34 @@ impl App {
         }
     }
 
+    /// Shows both values; a line being typed waits until that is decided.
+    pub(super) fn show_conflict(&mut self) {
+        if let Overlay::Prompt(prompt) = std::mem::replace(&mut self.overlay, Overlay::Conflict) {
+            self.set_aside = Some(prompt);
+        }
+    }
+
+    fn leave_conflict(&mut self) {
+        self.overlay = self.set_aside.take().map_or(Overlay::None, Overlay::Prompt);
+    }
+
     /// Command: decide the conflict.
     pub fn resolve(&mut self, now: Instant, ours: bool) {
-        self.overlay = Overlay::None;
+        self.leave_conflict();
         let change = self.file.resolve(ours);
         self.file_changed(change);
-        let whose = if ours { "our value" } else { "the file's value" };
-        if change_is_made(self) {
-            self.timeline.push(Line::new(now, Kind::File, format!("conflict: {whose} was kept")));
-            self.say(format!("{whose} was kept"));
+        if self.file.conflict().is_none() {
+            let whose = if ours { "our value was kept" } else { "the file's value was kept" };
+            self.timeline.push(Line::new(now, Kind::File, format!("conflict: {whose}")));
+            self.say(whose);
         }
     }
 
     /// Command: leave the conflict for later; the edit stays unsaved.
     pub fn resolve_later(&mut self, _now: Instant) {
-        self.overlay = Overlay::None;
-        self.say("the edit is not saved; Ctrl-s comes back to it");
+        self.leave_conflict();
+        let key = self.key_of("save");
+        self.say(format!("the edit is not saved; {key} comes back to it"));
     }
 
     pub(super) fn edit(&mut self, operations: &[Operation]) {
@@ -163,7 +175,7 @@ impl App {
         match self.file.check() {
             Ok(()) => true,
             Err(super::Refusal::Conflict) => {
-                self.overlay = Overlay::Conflict;
+                self.show_conflict();
                 false
             }
             Err(refusal) => {
@@ -251,6 +263,9 @@ impl App {
 
     /// Command: ask whether the device is to blink or beep.
     pub fn ask_identify(&mut self, _now: Instant) {
+        if !self.go_to_row() {
+            return;
+        }
         let Some(device) = self.selected_row().and_then(|row| self.device_of(row)) else {
             return self.complain("no device is selected");
         };
@@ -305,7 +320,7 @@ impl App {
                         let name = device
                             .name
                             .as_ref()
-                            .map_or("the device".to_owned(), |name| name.to_string());
+                            .map_or("the device".to_owned(), ToString::to_string);
                         (name, device.address.to_string())
                     }
                     None => ("a device that is gone".to_owned(), "?".to_owned()),
@@ -372,10 +387,6 @@ impl App {
             RowKey::Entry(_) => None,
         }
     }
-}
-
-fn change_is_made(app: &App) -> bool {
-    app.file.conflict().is_none()
 }
 
 fn listed_services(device: &Device) -> Vec<ServiceEntry> {

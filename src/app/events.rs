@@ -3,9 +3,10 @@
 //! Does not judge anything: the engines did.
 
 use super::buses::{is_up, lost};
+use super::traffic::hex;
 
 use super::timeline::{Entry, Kind};
-use super::{App, Change, Effect, Overlay};
+use super::{App, Change, Effect};
 use crate::bus::{BusState, BusStatus, Link};
 use crate::discovery::{Confidence, Event, EventKind, Presence};
 use crate::frame::BusIndex;
@@ -33,19 +34,23 @@ impl App {
             }
         }
         if any {
-            self.refresh();
+            self.outdated = true;
             self.dirty_soon();
+            if !self.has_screen {
+                self.catch_up();
+            }
         }
     }
 
     fn take_event(&mut self, bus: BusIndex, event: Event) {
         if let Some((kind, text)) = self.describe(bus, &event) {
-            let confirmed = kind == Kind::Confirmed;
+            let collision = matches!(&event.kind, EventKind::Finding { key, .. }
+                if key.kind.is_collision() && kind == Kind::Confirmed);
             let mut entry = Entry::new(event.time, kind, text).on(bus);
             (entry.device, entry.address) = (event.device, event.address);
             entry.name.clone_from(&event.name);
             self.timeline.push(entry);
-            if confirmed {
+            if collision {
                 self.effects.push_back(Effect::Bell);
             }
         }
@@ -70,7 +75,8 @@ impl App {
                 (kind, format!("{count} service{plural}{now}"))
             }
             EventKind::Mode { from: Some(from), to } => (Kind::Change, format!("{from} → {to}")),
-            EventKind::Mode { from: None, to } => (Kind::Change, format!("in mode {to}")),
+            // The first mode of a device that appears is no news: its row says it.
+            EventKind::Mode { from: None, .. } => return None,
             EventKind::Moved { from } => (Kind::Change, format!("moved here from {from}")),
             EventKind::Rebooted => (Kind::Change, "rebooted".to_owned()),
             EventKind::Presence(Presence::Online) => (Kind::Good, "online".to_owned()),
@@ -92,7 +98,8 @@ impl App {
                 let findings = self.bus(bus).map_or(&[][..], |bus| bus.engine.findings());
                 let found = findings.iter().find(|finding| finding.key == *key);
                 let text = found.map_or("", |finding| finding.text.as_str());
-                (kind, format!("{confidence}: {}{}{text}", key.kind, separator(text)))
+                let text = if text.is_empty() { key.kind.name() } else { text };
+                (kind, format!("{confidence}: {text}"))
             }
             EventKind::OwnAddress(address) => (Kind::Bus, format!("we are at {address}")),
             EventKind::OwnAddressLost(address) => {
@@ -103,8 +110,7 @@ impl App {
             }
             EventKind::Acknowledged => (Kind::Bus, "our frames are acknowledged".to_owned()),
             EventKind::Debug { code, data } => {
-                let bytes: String = data.iter().map(|byte| format!(" {byte:02X}")).collect();
-                (Kind::Change, format!("debug message {code:03X}{bytes}"))
+                (Kind::Change, format!("debug message {code:03X} {}", hex(data, " ")))
             }
         })
     }
@@ -116,19 +122,20 @@ impl App {
         if bus.status == status {
             return;
         }
-        let old = std::mem::replace(&mut bus.status, status.clone());
-        if old.bitrate != status.bitrate {
+        for (kind, text) in changes(&bus.status, &status) {
+            self.timeline.push(Entry::new(now, kind, text).on(index));
+        }
+        let came_back = is_up(&status) && !is_up(&bus.status) && bus.status.link != Link::Opening;
+        let newly_lost = lost(&status).saturating_sub(lost(&bus.status));
+        if bus.status.bitrate != status.bitrate {
             bus.engine.set_bitrate(status.bitrate);
         }
-        if is_up(&status) && !is_up(&old) && old.link != Link::Opening {
+        bus.status = status;
+        if came_back {
             bus.engine.restart(now);
         }
-        let newly_lost = lost(&status).saturating_sub(lost(&old));
         if newly_lost > 0 {
             bus.engine.handle_lost(now, newly_lost);
-        }
-        for (kind, text) in changes(&old, &status) {
-            self.timeline.push(Entry::new(now, kind, text).on(index));
         }
         self.take_events();
         self.refresh();
@@ -143,41 +150,37 @@ impl App {
         let listed = format!("{entries} {}", if entries == 1 { "entry" } else { "entries" });
         let line = match change {
             Change::None => return,
-            Change::First if !self.file.is_there() => Some((
-                Kind::File,
-                format!("{name} is not there yet: it begins with the first edit"),
-            )),
-            Change::First => Some((Kind::File, format!("{name}: {listed}"))),
             Change::Saved => None,
-            Change::Content => Some((Kind::File, format!("{name} on disk: {listed}"))),
+            Change::First if !self.file.is_there() => {
+                Some((Kind::File, "not there yet: it begins with the first edit".to_owned()))
+            }
+            Change::First => Some((Kind::File, listed)),
+            Change::Content => Some((Kind::File, format!("changed on disk: {listed}"))),
             Change::Rebased => Some((
                 Kind::File,
-                format!(
-                    "{name} was changed by someone else: our edits are made on the newer content"
-                ),
+                "changed by someone else: our edits are made on the newer content".to_owned(),
             )),
             Change::Broken => {
                 let problem = self.file.problem().map(ToString::to_string).unwrap_or_default();
-                Some((Kind::Error, format!("{name}: {problem}")))
+                self.complain(format!("{name}: {problem}"));
+                Some((Kind::Error, problem))
             }
             Change::Conflict => {
-                self.overlay = Overlay::Conflict;
-                Some((Kind::Error, format!("{name}: someone else changed the same value")))
+                self.show_conflict();
+                Some((Kind::Error, "someone else changed the same value".to_owned()))
             }
         };
         if let Some((kind, text)) = line {
-            if kind == Kind::Error && change == Change::Broken {
-                self.complain(text.clone());
-            }
             self.timeline.push(Entry::new(self.now, kind, text));
         }
         if matches!(change, Change::First | Change::Content | Change::Rebased) {
             for finding in self.file.document().findings() {
-                let text = format!("{name}: {finding}");
-                self.timeline.push(Entry::new(self.now, Kind::File, text));
+                self.timeline.push(Entry::new(self.now, Kind::File, finding.to_string()));
             }
         }
-        self.save_pending();
+        if change != Change::Broken {
+            self.save_pending();
+        }
         self.refresh();
         self.dirty = true;
         self.report(Happening::File);
@@ -225,8 +228,4 @@ fn changes(old: &BusStatus, status: &BusStatus) -> Vec<(Kind, String)> {
         lines.push((Kind::Error, "frames were lost on the way to us".to_owned()));
     }
     lines
-}
-
-fn separator(text: &str) -> &'static str {
-    if text.is_empty() { "" } else { ". " }
 }

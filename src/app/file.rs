@@ -48,7 +48,7 @@ impl std::fmt::Display for FileProblem {
 }
 
 /// What the reading of a file changed.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Change {
     /// Nothing.
     None,
@@ -284,6 +284,9 @@ impl FileState {
         self.check()?;
         let name = match operations {
             [only] => only.to_string(),
+            many if many.iter().all(|it| matches!(it, Operation::Add { .. })) => {
+                format!("{} new entries", many.len())
+            }
             many => format!("{} edits", many.len()),
         };
         let undo = self.make(operations, name.clone())?;

@@ -74,7 +74,7 @@ impl Filter {
                 };
                 Some(What::Field(field, value.to_owned()))
             });
-            let what = field.unwrap_or_else(|| match word.as_str() {
+            let what = field.unwrap_or(match word.as_str() {
                 "err" => What::Error,
                 "ours" => What::Ours,
                 _ => What::Word(word),

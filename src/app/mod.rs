@@ -51,7 +51,7 @@ pub use problems::{Scope, same_services};
 pub use prompt::{Prompt, PromptKind, Verdict};
 pub use screen::{SPLIT_WIDTH, Screen, tabs};
 pub use timeline::{Entry as TimelineEntry, Kind as TimelineKind, Timeline};
-pub use traffic::{Decoded, clock, clock_millis};
+pub use traffic::{Decoded, clock, clock_millis, hex};
 pub use view::{Cursor, Focus, Frozen, Page, View};
 pub use why::spell;
 
@@ -63,6 +63,7 @@ use crate::time::{Duration, Epoch, Instant};
 use crate::wire::id::Address;
 use std::collections::VecDeque;
 use std::path::PathBuf;
+use traffic::Matches;
 
 /// What the program was started with.
 #[derive(Clone, Debug, Default)]
@@ -164,6 +165,7 @@ pub struct App {
     buses: Vec<Bus>,
     file: FileState,
     capture: Capture,
+    matches: Matches,
     timeline: Timeline,
     matching: Matching,
     file_findings: Vec<Finding>,
@@ -171,6 +173,8 @@ pub struct App {
     counts: Counts,
     view: View,
     overlay: Overlay,
+    /// The line being typed when a conflict came up; it goes on afterwards.
+    set_aside: Option<Prompt>,
     message: Option<Message>,
     keymap: Keymap,
     theme: String,
@@ -179,6 +183,10 @@ pub struct App {
     effects: VecDeque<Effect>,
     report: bool,
     happenings: VecDeque<Happening>,
+    /// A screen's size was told. Without one nothing waits until it is to be seen.
+    has_screen: bool,
+    /// Something happened since bus and file were compared.
+    outdated: bool,
     /// Something on the screen changed.
     dirty: bool,
     /// Something changed that need not be seen at once; when it is to be seen.
@@ -208,6 +216,7 @@ impl App {
             buses: buses.collect(),
             file: FileState::new(options.file_path),
             capture: Capture::new(),
+            matches: Matches::default(),
             timeline: Timeline::default(),
             matching: Matching::default(),
             file_findings: Vec::new(),
@@ -215,6 +224,7 @@ impl App {
             counts: Counts::default(),
             view: View { size: (80, 24), ..View::default() },
             overlay: Overlay::None,
+            set_aside: None,
             message: None,
             keymap: options.keymap,
             theme: options.theme,
@@ -223,6 +233,8 @@ impl App {
             effects: VecDeque::new(),
             report: options.report,
             happenings: VecDeque::new(),
+            has_screen: false,
+            outdated: false,
             dirty: true,
             dirty_at: None,
             last_calm_draw: now,
@@ -277,6 +289,7 @@ impl App {
         }
         if self.dirty_at.is_some_and(|at| at <= now) {
             self.dirty = true;
+            self.catch_up();
         }
     }
 
@@ -284,9 +297,8 @@ impl App {
     pub fn handle_key(&mut self, now: Instant, key: Key) {
         self.now = self.now.max(now);
         self.dirty = true;
-        if self.message.take().is_none_or(|message| !message.is_error) {
-            self.message = None;
-        }
+        self.message = None;
+        self.catch_up();
         if matches!(self.overlay, Overlay::Prompt(_)) {
             self.type_key(now, key);
         } else if let Some(action) = self.keymap.lookup(self.mode(), key) {
@@ -303,6 +315,7 @@ impl App {
     /// Takes the size of the screen.
     pub fn handle_resize(&mut self, columns: u16, rows: u16) {
         self.view.size = (columns, rows);
+        self.has_screen = true;
         self.dirty = true;
         self.refresh_rows();
     }
@@ -460,6 +473,11 @@ impl App {
         &self.keymap
     }
 
+    /// The key of an action, for a sentence; its name where it has none.
+    pub fn key_of(&self, action: &str) -> String {
+        self.keymap.hint(action).map_or_else(|| action.to_owned(), |(key, _)| key.to_string())
+    }
+
     /// The theme's name.
     pub fn theme(&self) -> &str {
         &self.theme
@@ -524,12 +542,22 @@ impl App {
         self.capture.tick();
         if !at_rest {
             self.refresh();
+            self.filter_frames();
             self.dirty = true;
         }
     }
 
-    /// Compares bus and file anew.
+    /// Before there is something to draw: compares bus and file anew, if something happened since,
+    /// and filters the frames that came.
+    fn catch_up(&mut self) {
+        if std::mem::take(&mut self.outdated) {
+            self.refresh();
+        }
+        self.filter_frames();
+    }
+
     fn refresh(&mut self) {
+        self.outdated = false;
         self.refresh_problems(self.now);
         self.refresh_rows();
     }

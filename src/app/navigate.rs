@@ -3,7 +3,7 @@
 use super::capture::{IdentifierKey, IdentifierStats};
 use super::prompt::PromptKind;
 use super::view::{Focus, Frozen, Page};
-use super::{App, Effect, Filter, Overlay, RowKey, tabs};
+use super::{App, Decoded, Effect, Filter, Overlay, Row, RowKey, tabs};
 use crate::discovery::FindingKey;
 use crate::time::Instant;
 use ratatui::layout::{Position, Rect};
@@ -64,8 +64,9 @@ impl App {
         let screen = self.screen();
         if mouse.row == screen.tabs.y && screen.tabs.height > 0 {
             let open = self.open_problems();
-            let hit = tabs(screen.whole.width, open).into_iter().find(|(_, start, text)| {
-                (*start..start + text.len() as u16).contains(&mouse.column)
+            let tabs = tabs(screen.whole.width, self.view.page, open);
+            let hit = tabs.into_iter().find(|(_, start, text)| {
+                (*start..start + text.chars().count() as u16).contains(&mouse.column)
             });
             if let Some((page, ..)) = hit {
                 self.show_page(page);
@@ -123,7 +124,7 @@ impl App {
     pub fn move_pages(&mut self, pages: isize) {
         let screen = self.screen();
         let height = screen.list_rows().max(usize::from(screen.details.height));
-        self.move_by(pages * height.saturating_sub(1).max(1) as isize);
+        self.move_by(pages * height.saturating_sub(1).max(1).cast_signed());
     }
 
     /// Command: to the first or to the last row.
@@ -220,6 +221,7 @@ impl App {
     /// Command: another page.
     pub fn show_page(&mut self, page: Page) {
         self.view.page = page;
+        self.filter_frames();
         self.view.focus = Focus::List;
         self.view.details_scroll = 0;
         self.dirty = true;
@@ -227,8 +229,9 @@ impl App {
 
     /// Command: the next page or the one before.
     pub fn turn_page(&mut self, by: isize) {
-        let at = (self.view.page as isize + by).rem_euclid(Page::ALL.len() as isize);
-        self.show_page(Page::ALL[at as usize]);
+        let count = Page::ALL.len();
+        let at = (self.view.page as usize + count).saturating_add_signed(by) % count;
+        self.show_page(Page::ALL[at]);
     }
 
     /// Command: opens the details; in the timeline, goes to the frames of that moment.
@@ -238,8 +241,10 @@ impl App {
             Page::Traffic if self.view.by_identifier => {}
             Page::Traffic => {
                 self.view.frame_details = !self.view.frame_details;
-                self.view.focus =
-                    if self.view.frame_details { Focus::Details } else { Focus::List };
+                self.view.focus = Focus::List;
+                if self.view.frame_details && self.screen().details.height == 0 {
+                    self.view.focus = Focus::Details;
+                }
                 if self.view.traffic.is_none() {
                     let newest = self.frames_before(self.traffic_end()).next();
                     self.view.traffic = newest;
@@ -255,11 +260,7 @@ impl App {
 
     /// Command: the keys to the details, or back to the list.
     pub fn focus_details(&mut self, details: bool) {
-        let has = match self.view.page {
-            Page::Devices | Page::Problems => true,
-            Page::Traffic => self.view.frame_details && !self.view.by_identifier,
-            Page::Timeline => false,
-        };
+        let has = self.view.has_details();
         if !details && self.view.page == Page::Traffic {
             self.view.frame_details = false;
         }
@@ -405,6 +406,46 @@ impl App {
             }
             None => self.complain("no row is selected"),
         }
+    }
+
+    /// Edits are made on the page Devices: from another page, goes to the row that its selection is
+    /// about. Whether there is one.
+    pub(super) fn go_to_row(&mut self) -> bool {
+        let (bus, address, name) = match self.view.page {
+            Page::Devices => return true,
+            Page::Problems => match self.selected_problem() {
+                Some(it) => (it.key.bus, it.key.address, it.key.name.clone()),
+                None => (None, None, None),
+            },
+            Page::Timeline => {
+                let number = self.view.timeline.selected();
+                match number.and_then(|&number| self.timeline.get(number)) {
+                    Some(line) => (line.bus, line.address, line.name.clone()),
+                    None => (None, None, None),
+                }
+            }
+            Page::Traffic => {
+                let frame = self.view.traffic.and_then(|number| self.capture.get(number));
+                let source = frame.and_then(|frame| Decoded::of(self, frame).header);
+                (frame.map(|frame| frame.bus), source.map(|header| header.source), None)
+            }
+        };
+        let on_bus = |row: &&Row| bus.is_none() || row.bus.is_none() || row.bus == bus;
+        let fits = |row: &Row| {
+            let named = name.is_some() && row.name == name;
+            let there = address.is_some() && row.address == address;
+            (named && there, named, there && name.is_none())
+        };
+        let best = self.rows.iter().filter(on_bus).max_by_key(|row| fits(row));
+        let Some(key) =
+            best.filter(|row| fits(row) > (false, false, false)).map(|it| it.key.clone())
+        else {
+            self.complain("no row of the page Devices is selected");
+            return false;
+        };
+        self.view.devices.select(key);
+        self.show_page(Page::Devices);
+        true
     }
 
     // ---- what is on the lists --------------------------------------------------------------

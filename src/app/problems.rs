@@ -5,7 +5,7 @@
 
 use super::App;
 use super::matching::{Matching, is_for};
-use crate::discovery::{Confidence, Device, Finding, FindingKey, FindingKind};
+use crate::discovery::{Confidence, Device, Finding, FindingKey, FindingKind, QueryState};
 use crate::document::{self, Document, Entry};
 use crate::frame::BusIndex;
 use crate::text::{Escaped, Name};
@@ -96,12 +96,11 @@ impl Comparison<'_> {
     fn file_alone(&mut self, document: &Document) {
         for finding in document.findings() {
             let (kind, remedy) = match finding.kind {
-                document::FindingKind::DuplicateAddress => (
-                    FindingKind::FileDuplicateAddress,
-                    "Give one of them another address: e on its row.",
-                ),
+                document::FindingKind::DuplicateAddress => {
+                    (FindingKind::FileDuplicateAddress, "Give one of them another address.")
+                }
                 document::FindingKind::DuplicateEntry => {
-                    (FindingKind::FileDuplicateEntry, "Delete one of them: D on its row.")
+                    (FindingKind::FileDuplicateEntry, "Delete one of them from the file.")
                 }
                 _ => continue,
             };
@@ -138,8 +137,7 @@ impl Comparison<'_> {
                 let text =
                     format!("{name} is at {}, and the file pins it to {pinned}.", device.address);
                 let remedy = format!(
-                    "Give the device the address {pinned}, or the file the address {}: e on its \
-                     row.",
+                    "Give the device the address {pinned}, or pin it to {} in the file.",
                     device.address
                 );
                 let bus = Some(device.id.bus);
@@ -157,13 +155,18 @@ impl Comparison<'_> {
                 let is_it = app.matching.devices_of(entry.index).contains(&device.id);
                 device.address == pinned && device.is_here() && !is_it
             });
-            let Some(other) = other else { continue };
+            // Whoever has not said its name yet may be the very device.
+            let Some(other) = other.filter(|other| {
+                other.name.is_some() || other.name_query.state == QueryState::Unanswered
+            }) else {
+                continue;
+            };
             let who =
                 other.name.as_ref().map_or("a device without a known name".to_owned(), |it| {
                     format!("a device that calls itself {it}")
                 });
             let text = format!("{pinned} is the static address of {name}, and {who} is there.");
-            let remedy = format!("Give {name} another address (e), or that device.");
+            let remedy = format!("Pin {name} to another address, or give that device one.");
             let named = Some(Name::new(&entry.name));
             let bus = Some(BusIndex(index as u8));
             self.add(FindingKind::StaticAddressTaken, bus, Some(pinned), named, text, remedy);
@@ -179,15 +182,15 @@ impl Comparison<'_> {
         let app = self.app;
         let bus = app.buses.iter().position(|bus| is_for(entry, &bus.name));
         let Some(bus) = bus.map(|at| BusIndex(at as u8)) else { return };
-        if !app.has_looked(bus) {
+        if !app.is_missing(entry) {
             return;
         }
         let address = entry.address.and_then(Address::new);
         let at = address.map(|address| format!(" (at {address})")).unwrap_or_default();
         let why = app.why_missing(entry);
-        let why = why.first().map_or("", String::as_str);
-        let text = format!("{}{at} is listed and not there: {why}.", Escaped(&entry.name));
-        let remedy = "Its row on the Devices page says what is known of it.".to_owned();
+        let (first, rest) = why.split_first().map_or(("", &[][..]), |(it, rest)| (it, rest));
+        let text = format!("{}{at} is listed and not there: {first}.", Escaped(&entry.name));
+        let remedy = rest.join("; ");
         let name = Some(Name::new(&entry.name));
         self.add(FindingKind::Missing, Some(bus), address, name, text, remedy);
     }
@@ -202,7 +205,7 @@ impl Comparison<'_> {
             Escaped(&entry.name),
             device.address
         );
-        let remedy = "Take them into the file (a), or look at the firmware.".to_owned();
+        let remedy = "Take them into the file, or look at the firmware.".to_owned();
         let (bus, name) = (Some(device.id.bus), device.name.clone());
         self.add(FindingKind::ServicesDiffer, bus, Some(device.address), name, text, remedy);
     }
@@ -217,9 +220,9 @@ impl Comparison<'_> {
                 let who = device
                     .name
                     .as_ref()
-                    .map_or("A device without a name".to_owned(), |it| it.to_string());
+                    .map_or("A device without a name".to_owned(), ToString::to_string);
                 let text = format!("{who} at {} is not in the file.", device.address);
-                let remedy = "Take it in: a on its row.".to_owned();
+                let remedy = "Take it into the file, or off the bus.".to_owned();
                 let (bus, name) = (Some(device.id.bus), device.name.clone());
                 self.add(FindingKind::Unlisted, bus, Some(device.address), name, text, remedy);
             }

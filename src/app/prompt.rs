@@ -21,6 +21,8 @@ pub struct Prompt {
     pub kind: PromptKind,
     /// The text and the cursor in it.
     pub input: Input,
+    /// The text is what was there before: the first character typed takes its place.
+    pub untouched: bool,
 }
 
 /// What a line is typed for.
@@ -64,7 +66,8 @@ pub enum Verdict {
 
 impl App {
     pub(super) fn open_prompt(&mut self, kind: PromptKind, text: String) {
-        self.overlay = Overlay::Prompt(Prompt { kind, input: Input::new(text) });
+        let untouched = matches!(kind, PromptKind::Address(_)) && !text.is_empty();
+        self.overlay = Overlay::Prompt(Prompt { kind, input: Input::new(text), untouched });
         self.dirty = true;
     }
 
@@ -130,6 +133,9 @@ impl App {
         let Overlay::Prompt(prompt) = &mut self.overlay else { return };
         for &request in requests {
             let grows = matches!(request, InputRequest::InsertChar(_));
+            if std::mem::take(&mut prompt.untouched) && grows {
+                prompt.input.reset();
+            }
             if !grows || prompt.input.value().len() < LONGEST {
                 prompt.input.handle(request);
             }
@@ -144,6 +150,7 @@ impl App {
     fn apply_filter(&mut self, page: Page, text: String) {
         self.view.set_filter(page, text);
         self.refresh();
+        self.filter_frames();
     }
 
     pub(super) fn leave_prompt(&mut self) {
@@ -394,7 +401,7 @@ fn request(key: Key) -> Option<InputRequest> {
     use InputRequest as R;
     Some(match (key.code, key.ctrl, key.alt) {
         (KeyCode::Char(c), false, false) if is_printable(c) => R::InsertChar(c),
-        (KeyCode::Backspace, false, false) => R::DeletePrevChar,
+        (KeyCode::Backspace, false, false) | (KeyCode::Char('h'), true, _) => R::DeletePrevChar,
         (KeyCode::Delete, ..) => R::DeleteNextChar,
         (KeyCode::Left, true, _) => R::GoToPrevWord,
         (KeyCode::Right, true, _) => R::GoToNextWord,
@@ -405,7 +412,6 @@ fn request(key: Key) -> Option<InputRequest> {
         (KeyCode::Char('u'), true, _) => R::DeleteLine,
         (KeyCode::Char('k'), true, _) => R::DeleteTillEnd,
         (KeyCode::Char('w'), true, _) | (KeyCode::Backspace, ..) => R::DeletePrevWord,
-        (KeyCode::Char('h'), true, _) => R::DeletePrevChar,
         _ => return None,
     })
 }

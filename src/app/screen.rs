@@ -16,6 +16,7 @@
 
 use super::view::{Focus, Page, View};
 use ratatui::layout::Rect;
+use std::fmt::Write;
 
 /// The regions; those that are not on the screen are empty.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -34,8 +35,8 @@ pub struct Screen {
     pub divider: Rect,
     /// What is selected, at length.
     pub details: Rect,
-    /// The rule above the latest lines of the timeline.
-    pub latest_rule: Rect,
+    /// The rule below the list, above the latest lines of the timeline or a frame's details.
+    pub lower_rule: Rect,
     /// The latest lines of the timeline.
     pub latest: Rect,
     /// Hints, messages, questions, and the line being typed.
@@ -44,6 +45,9 @@ pub struct Screen {
 
 /// The least width at which details stand beside the list.
 pub const SPLIT_WIDTH: u16 = 76;
+
+/// The least height at which a frame's details stand below the frames.
+const SPLIT_HEIGHT: u16 = 18;
 
 impl Screen {
     /// The regions of a screen that shows this, for so many buses.
@@ -65,17 +69,16 @@ impl Screen {
         };
         if latest > 0 {
             screen.latest = take_bottom(&mut left, latest);
-            screen.latest_rule = take_bottom(&mut left, 1);
+            screen.lower_rule = take_bottom(&mut left, 1);
         }
-        let has_details = match view.page {
-            Page::Devices | Page::Problems => true,
-            Page::Traffic => view.frame_details && !view.by_identifier,
-            Page::Timeline => false,
-        };
-        if has_details && columns >= SPLIT_WIDTH {
+        let has_details = view.has_details();
+        if has_details && view.page == Page::Traffic && rows >= SPLIT_HEIGHT {
+            screen.details = take_bottom(&mut left, (rows / 3).clamp(7, 14));
+            screen.lower_rule = take_bottom(&mut left, 1);
+        } else if has_details && view.page != Page::Traffic && columns >= SPLIT_WIDTH {
             let width = match view.page {
                 Page::Devices => (columns * 3 / 8).clamp(29, 60),
-                _ => (columns / 2).clamp(36, 72),
+                _ => (columns * 9 / 20).clamp(34, 72),
             };
             screen.details = Rect::new(columns - width, left.y, width, left.height);
             left.width -= width + 1;
@@ -95,7 +98,7 @@ impl Screen {
         match rows {
             0..=4 => 0,
             5..=15 => 1,
-            _ if columns >= 120 && buses == 1 => 1,
+            _ if columns >= 140 && buses == 1 => 1,
             16..=30 => buses.min(2) + 1,
             _ => buses.min(6) + 1,
         }
@@ -126,20 +129,25 @@ fn take_bottom(area: &mut Rect, lines: u16) -> Rect {
     Rect { y: area.y + area.height, height: lines, ..*area }
 }
 
-/// The names of the pages as they stand in the rule: where each begins, and its text.
-pub fn tabs(columns: u16, problems: usize) -> Vec<(Page, u16, String)> {
-    let short = columns < 60;
-    let mut at = 1;
+/// The names of the pages as they stand in the rule: where each begins, and its text. On a
+/// narrow screen only the open page has its name, the others their numbers.
+pub fn tabs(columns: u16, open: Page, problems: usize) -> Vec<(Page, u16, String)> {
+    let (narrow, wide) = (columns < 60, columns >= 100);
+    let mut at = u16::from(wide);
     Page::ALL
         .into_iter()
         .map(|page| {
-            let title = if short { &page.title()[..4] } else { page.title() };
-            let mut text = format!(" {} {title} ", page.number());
+            let mut text = format!(" {} ", page.number());
+            if !narrow || page == open {
+                text.push_str(page.title());
+                text.push(' ');
+            }
             if page == Page::Problems && problems > 0 {
-                text.push_str(&format!("{problems} "));
+                let sign = if narrow { "⚠" } else { "" };
+                let _ = write!(text, "{sign}{problems} ");
             }
             let start = at;
-            at += text.len() as u16 + u16::from(!short);
+            at += text.chars().count() as u16 + u16::from(wide);
             (page, start, text)
         })
         .collect()
@@ -165,7 +173,7 @@ mod tests {
                             screen.list,
                             screen.divider,
                             screen.details,
-                            screen.latest_rule,
+                            screen.lower_rule,
                             screen.latest,
                             screen.footer,
                         ];

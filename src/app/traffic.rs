@@ -3,17 +3,18 @@
 //! A frame is decoded when it is looked at, never when it arrives. Everything that devices say
 //! comes out through [`Escaped`]. Does not know how it is drawn.
 
-use super::App;
+use super::{App, Filter, Page};
 use crate::discovery::Device;
 use crate::frame::{BusIndex, CanId, Frame, FrameKind};
 use crate::text::Escaped;
 use crate::time::Instant;
 use crate::wire::des::{Asked, Request, ServicesAnswer, TYPE_NAME, TYPE_SERVICES, decode_name};
-use crate::wire::framing::{classify_answer, classify_request, strip_raw_padding};
+use crate::wire::framing::{Framing, classify_answer, classify_request, strip_raw_padding};
 use crate::wire::id::{Address, Header, MessageType};
 use crate::wire::isotp::{FlowStatus, Pci};
 use crate::wire::node::Heartbeat;
 use crate::wire::profile::Profile;
+use std::collections::VecDeque;
 use std::fmt::Write;
 
 /// A frame in words.
@@ -110,6 +111,15 @@ fn is_party(name: &str, address: Address, value: &str) -> bool {
     name.to_lowercase() == value || address.to_string() == value
 }
 
+/// The captured frames that the filter line lets through: found once per frame, not per draw.
+#[derive(Debug, Default)]
+pub(super) struct Matches {
+    line: String,
+    numbers: VecDeque<u64>,
+    /// Frames before this number were looked at.
+    seen: u64,
+}
+
 impl App {
     /// The profile that a bus runs on.
     pub fn profile(&self, bus: BusIndex) -> std::sync::Arc<Profile> {
@@ -133,6 +143,9 @@ impl App {
     pub fn message_of(&self, number: u64) -> Option<String> {
         let frame = self.capture.get(number)?;
         let id = frame.platform_id()?;
+        if Header::decode(id).service != self.profile(frame.bus).des_service() {
+            return None;
+        }
         let same = |other: &&Frame| other.bus == frame.bus && other.platform_id() == Some(id);
         let is_first =
             |other: &&Frame| matches!(Pci::decode(other.data(), other.fd), Ok(Pci::First { .. }));
@@ -159,23 +172,50 @@ impl App {
     }
 
     /// The numbers of the frames that the filter lets through, from `number` on, oldest first.
-    pub fn frames_from(&self, number: u64) -> impl Iterator<Item = u64> {
-        let fits = self.frame_filter();
-        (number.max(self.capture.first())..self.traffic_end()).filter(move |number| fits(*number))
+    pub fn frames_from(&self, number: u64) -> Box<dyn Iterator<Item = u64> + '_> {
+        let (first, end) = (number.max(self.capture.first()), self.traffic_end());
+        if self.view.filter(Page::Traffic).is_empty() {
+            return Box::new(first..end);
+        }
+        let numbers = &self.matches.numbers;
+        let start = numbers.partition_point(|&other| other < first);
+        Box::new(numbers.range(start..).copied().take_while(move |&number| number < end))
     }
 
     /// The same before `number`, newest first.
-    pub fn frames_before(&self, number: u64) -> impl Iterator<Item = u64> {
-        let fits = self.frame_filter();
-        let end = number.min(self.traffic_end());
-        (self.capture.first()..end).rev().filter(move |number| fits(*number))
+    pub fn frames_before(&self, number: u64) -> Box<dyn Iterator<Item = u64> + '_> {
+        let (first, end) = (self.capture.first(), number.min(self.traffic_end()));
+        if self.view.filter(Page::Traffic).is_empty() {
+            return Box::new((first..end).rev());
+        }
+        let numbers = &self.matches.numbers;
+        let stop = numbers.partition_point(|&other| other < end);
+        Box::new(numbers.range(..stop).rev().copied().take_while(move |&number| number >= first))
     }
 
-    fn frame_filter(&self) -> impl Fn(u64) -> bool {
-        let filter = super::Filter::parse(self.view.filter(super::Page::Traffic));
-        move |number| {
-            self.capture.get(number).is_some_and(|frame| filter.matches_frame(self, frame))
+    /// Filters the frames that came since it was done last, where that is to be seen.
+    pub(super) fn filter_frames(&mut self) {
+        let line = self.view.filter(Page::Traffic);
+        if self.view.page != Page::Traffic || line.is_empty() {
+            return;
         }
+        let mut matches = std::mem::take(&mut self.matches);
+        if matches.line != line {
+            matches = Matches { line: line.to_owned(), ..Matches::default() };
+        }
+        let (first, end) = (self.capture.first(), self.capture.end());
+        while matches.numbers.front().is_some_and(|&number| number < first) {
+            matches.numbers.pop_front();
+        }
+        let filter = Filter::parse(line);
+        for number in matches.seen.max(first)..end {
+            let frame = self.capture.get(number);
+            if frame.is_some_and(|frame| filter.matches_frame(self, frame)) {
+                matches.numbers.push_back(number);
+            }
+        }
+        matches.seen = end;
+        self.matches = matches;
     }
 
     /// Behind the last frame that is shown: a held page stays where it is.
@@ -253,7 +293,6 @@ fn describe_data(profile: &Profile, header: Header, frame: &Frame) -> (String, b
             },
         };
     }
-    use crate::wire::framing::Framing;
     match classify_answer(data, frame.fd, true) {
         Some(Framing::Raw) => describe_answer(strip_raw_padding(data)),
         Some(Framing::Isotp) => match Pci::decode(data, frame.fd) {
@@ -379,6 +418,16 @@ fn describe_error(class: u32, details: &[u8]) -> String {
         ));
     }
     if parts.is_empty() { "error frame".to_owned() } else { parts.join(", ") }
+}
+
+/// Bytes in hexadecimal, with something between them.
+pub fn hex(data: &[u8], between: &str) -> String {
+    let mut text = String::with_capacity(data.len() * (2 + between.len()));
+    for (at, byte) in data.iter().enumerate() {
+        let between = if at == 0 { "" } else { between };
+        let _ = write!(text, "{between}{byte:02X}");
+    }
+    text
 }
 
 /// A moment as the wall clock shows it: `12:03:11`.

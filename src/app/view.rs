@@ -64,11 +64,13 @@ pub struct Cursor<K> {
     line: usize,
     /// Where it was last: the place to go to when it is gone.
     last: usize,
+    /// The user moved it; until then it is the first row, whichever that is.
+    moved: bool,
 }
 
 impl<K> Default for Cursor<K> {
     fn default() -> Self {
-        Self { selected: None, line: 0, last: 0 }
+        Self { selected: None, line: 0, last: 0, moved: false }
     }
 }
 
@@ -101,13 +103,19 @@ impl<K: Clone + PartialEq> Cursor<K> {
     /// Selects a row, wherever it is.
     pub fn select(&mut self, key: K) {
         self.selected = Some(key);
+        self.moved = true;
+    }
+
+    /// The selected row goes on under another key.
+    pub fn replace(&mut self, key: K) {
+        self.selected = Some(key);
     }
 
     /// After the rows changed: what is gone gives its place to its neighbour, and where nothing
     /// was selected the first row is.
     pub fn settle(&mut self, keys: &[K], height: usize) {
-        let index = self.index(keys.iter()).unwrap_or(self.last);
-        self.move_to(keys, index, height);
+        let index = if self.moved { self.index(keys.iter()).unwrap_or(self.last) } else { 0 };
+        self.place(keys, index, height);
     }
 
     /// Moves the selection by `delta` rows.
@@ -121,6 +129,11 @@ impl<K: Clone + PartialEq> Cursor<K> {
 
     /// Selects the row at that place.
     pub fn move_to(&mut self, keys: &[K], index: usize, height: usize) {
+        self.moved = true;
+        self.place(keys, index, height);
+    }
+
+    fn place(&mut self, keys: &[K], index: usize, height: usize) {
         let index = index.min(keys.len().saturating_sub(1));
         self.selected = keys.get(index).cloned();
         self.last = index;
@@ -172,6 +185,15 @@ pub struct View {
 }
 
 impl View {
+    /// Whether the page has details beside, below or behind its list.
+    pub fn has_details(&self) -> bool {
+        match self.page {
+            Page::Devices | Page::Problems => true,
+            Page::Traffic => self.frame_details && !self.by_identifier,
+            Page::Timeline => false,
+        }
+    }
+
     /// The filter line of a page.
     pub fn filter(&self, page: Page) -> &str {
         &self.filters[page as usize]

@@ -25,14 +25,36 @@ impl App {
         progress.settled || progress.rounds >= 2 || listened
     }
 
+    /// Whether an entry that no device matches can be said to be missing: every bus it is for was
+    /// looked at, and nobody without a known name sits where it should be.
+    pub fn is_missing(&self, entry: &Entry) -> bool {
+        let perhaps = |device: &Device| {
+            entry.address == Some(device.address.number())
+                && device.is_here()
+                && device.name.is_none()
+                && device.name_query.state != QueryState::Unanswered
+        };
+        let buses = self.buses.iter().enumerate().filter(|(_, bus)| is_for(entry, &bus.name));
+        buses.into_iter().all(|(index, bus)| {
+            self.has_looked(BusIndex(index as u8)) && !bus.engine.devices().iter().any(perhaps)
+        })
+    }
+
     /// Why no device matches this entry: the likeliest cause first.
     pub fn why_missing(&self, entry: &Entry) -> Vec<String> {
         let mut reasons = Vec::new();
-        for bus in self.buses.iter().filter(|bus| is_for(entry, &bus.name)) {
+        for (index, bus) in self.buses.iter().enumerate().filter(|(_, it)| is_for(entry, &it.name))
+        {
             let before = reasons.len();
             why_bus(bus, &mut reasons);
-            if reasons.len() == before {
-                self.why_on(bus, entry, &mut reasons);
+            if reasons.len() > before {
+                continue;
+            }
+            self.why_on(bus, entry, &mut reasons);
+            if reasons.len() == before && !self.has_looked(BusIndex(index as u8)) {
+                reasons.push("still looking".to_owned());
+            } else if reasons.len() == before {
+                why_silent(bus, entry, &mut reasons);
             }
         }
         if reasons.is_empty() {
@@ -64,33 +86,13 @@ impl App {
                 (Some(name), true) if name.as_bytes() != entry.name => {
                     reasons.push(format!("{name} sits on its address {address}"));
                 }
-                (None, true) => reasons.extend(why_unnamed(other)),
+                (None, true) => reasons.extend(why_unnamed(other, self.asks(other.id.bus))),
                 (None, false) => reasons.push(format!(
                     "something without a name was at {address}, last heard {} ago",
                     seconds(other)
                 )),
                 _ => {}
             }
-        }
-        if !reasons.is_empty() {
-            return;
-        }
-        reasons.push(match entry.address {
-            Some(address) => format!("nothing was ever heard from address {address}"),
-            None => format!("nobody called {}", Escaped(&entry.name)),
-        });
-        let config = bus.engine.config();
-        if config.listen_only || !config.scan {
-            reasons.push("we do not ask: a device that says nothing is not seen".to_owned());
-        } else if bus.engine.own_address() == OwnAddress::None {
-            reasons.push("we have no address yet, so nobody was asked".to_owned());
-        } else if devices.iter().all(|device| device.is_debug || !device.is_here()) {
-            reasons.push(
-                "nobody at all answers: is the bit rate right, are both ends terminated?"
-                    .to_owned(),
-            );
-        } else {
-            reasons.push("others answer: is it powered and wired?".to_owned());
         }
     }
 
@@ -103,7 +105,7 @@ impl App {
             why_bus(bus, &mut reasons);
         }
         if device.name.is_none() && !device.is_debug {
-            reasons.extend(why_unnamed(device));
+            reasons.extend(why_unnamed(device, self.asks(device.id.bus)));
         } else if device.services.is_none() {
             let query = device.services_query;
             match query.state {
@@ -132,6 +134,25 @@ impl App {
     }
 }
 
+/// Why nothing at all was heard of a device.
+fn why_silent(bus: &Bus, entry: &Entry, reasons: &mut Vec<String>) {
+    reasons.push(match entry.address {
+        Some(address) => format!("nothing was ever heard from address {address}"),
+        None => format!("nobody called {}", Escaped(&entry.name)),
+    });
+    let config = bus.engine.config();
+    let mut others = bus.engine.devices().iter().filter(|it| !it.is_debug && it.is_here());
+    reasons.push(if config.listen_only || !config.scan {
+        "we do not ask: a device that says nothing is not seen".to_owned()
+    } else if bus.engine.own_address() == OwnAddress::None {
+        "we have no address yet, so nobody was asked".to_owned()
+    } else if others.next().is_none() {
+        "nobody at all answers: is the bit rate right, are both ends terminated?".to_owned()
+    } else {
+        "others answer: is it powered and wired?".to_owned()
+    });
+}
+
 fn why_bus(bus: &Bus, reasons: &mut Vec<String>) {
     let name = &bus.name;
     match (bus.status.link, bus.status.state) {
@@ -139,7 +160,7 @@ fn why_bus(bus: &Bus, reasons: &mut Vec<String>) {
             reasons.push(match &bus.status.message {
                 Some(message) => Escaped(message.as_bytes()).to_string(),
                 None => format!("{name} is down"),
-            })
+            });
         }
         (_, BusState::BusOff) => {
             reasons.push(format!("the controller of {name} is bus-off: it hears nothing"));
@@ -147,14 +168,14 @@ fn why_bus(bus: &Bus, reasons: &mut Vec<String>) {
         (_, BusState::Stopped) => reasons.push(format!("{name} is stopped")),
         _ => {}
     }
-    if bus.engine.is_unacknowledged() {
+    if bus.is_up() && bus.engine.is_unacknowledged() {
         reasons.push(format!(
             "nobody on {name} acknowledges: no other device, another bit rate, or a broken wire"
         ));
     }
 }
 
-fn why_unnamed(device: &Device) -> Option<String> {
+fn why_unnamed(device: &Device, asks: bool) -> Option<String> {
     let what = if device.heartbeat.count > 0 { "a heartbeat" } else { "frames" };
     let query = device.name_query;
     match query.state {
@@ -163,7 +184,12 @@ fn why_unnamed(device: &Device) -> Option<String> {
             device.address,
             times(query.attempts)
         )),
-        QueryState::NotAsked => Some(format!("{what} at {}, not asked yet", device.address)),
+        QueryState::NotAsked if asks => {
+            Some(format!("{what} at {}, not asked yet", device.address))
+        }
+        QueryState::NotAsked => {
+            Some(format!("{what} at {}; its name is not known, as we do not ask", device.address))
+        }
         _ => None,
     }
 }

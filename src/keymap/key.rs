@@ -103,8 +103,7 @@ impl Key {
     pub fn parse(text: &str) -> Option<Self> {
         let mut key = Key::char('\0');
         let mut rest = text;
-        loop {
-            let Some((modifier, behind)) = rest.split_once('-') else { break };
+        while let Some((modifier, behind)) = rest.split_once('-') {
             match modifier {
                 _ if behind.is_empty() => break,
                 "Ctrl" | "C" => key.ctrl = true,
@@ -128,15 +127,14 @@ impl Key {
 /// As [`Key::parse`] reads it.
 impl fmt::Display for Key {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let modifiers = [(self.ctrl, "Ctrl-"), (self.alt, "Alt-"), (self.shift, "Shift-")];
         let mut text = String::new();
-        for (_, name) in modifiers.iter().filter(|(held, _)| *held) {
-            text.push_str(name);
+        for (held, name) in [(self.ctrl, "Ctrl-"), (self.alt, "Alt-"), (self.shift, "Shift-")] {
+            text.push_str(if held { name } else { "" });
         }
         match (NAMED.iter().find(|(code, _)| *code == self.code), self.code) {
             (Some((_, name)), _) => text.push_str(name),
             (None, KeyCode::Char(c)) => text.push(c),
-            (None, KeyCode::F(number)) => text.push_str(&format!("F{number}")),
+            (None, KeyCode::F(number)) => text.extend(["F", number.to_string().as_str()]),
             (None, _) => {}
         }
         f.pad(&text)

@@ -165,7 +165,7 @@ mod tests {
         let message = |text| Keymap::parse(text).unwrap_err().to_string();
         assert!(message("\nrescann = \"r\"").starts_with("line 2: no action \"rescann\"; there"));
         assert!(message("rescan = 5").starts_with("line 1: a key is written like"));
-        assert_eq!(message("undo = \"x\"\nredo = \"x\""), "line 2: x is already given to undo",);
+        assert_eq!(message("redo = \"x\"\nundo = \"x\""), "line 2: x is already given to redo");
         assert!(message("rescan = ").starts_with("line 1: "));
     }
 }

@@ -36,6 +36,10 @@ impl Brush<'_> {
         }
         let width = usize::from(area.width);
         let (x, y) = (area.x, area.y + row);
+        // A role without a colour has the text's, not that of what was drawn here before.
+        let plain = Style::reset().patch(self.style(Role::Text));
+        let covered = line.width().min(width) as u16;
+        self.buffer.set_style(Rect { x, y, width: covered, height: 1 }, plain);
         if line.width() <= width {
             self.buffer.set_line(x, y, line, area.width);
             return;
@@ -64,18 +68,24 @@ impl Brush<'_> {
         let height = usize::from(area.height);
         let hidden = lines.len().saturating_sub(height);
         let scroll = usize::from(scroll).min(hidden);
+        let is_more = hidden > scroll && height > 0;
+        let height = height - usize::from(is_more);
         for (row, line) in lines.iter().skip(scroll).take(height).enumerate() {
             self.line(area, row as u16, line);
         }
-        if hidden > scroll && height > 0 {
-            let more = format!(" ↓ {} more ", hidden - scroll);
-            let width = more.width() as u16;
-            if width <= area.width {
-                let x = area.right() - width;
-                let style = self.style(Role::Muted);
-                self.buffer.set_string(x, area.bottom() - 1, more, style);
-            }
+        if is_more {
+            let more = format!("↓ {} more", lines.len() - scroll - height);
+            let line = Line::from(self.span(Role::Muted, more));
+            self.line(area, area.height - 1, &line);
         }
+    }
+
+    /// Says that the filter leaves nothing, and how to take it away.
+    pub fn filtered(&mut self, area: Rect, what: &str) {
+        let key = self.app.key_of("cancel");
+        let text = format!("   {what} ({key} takes it away)");
+        let line = Line::from(self.span(Role::Muted, text));
+        self.line(area, 1, &line);
     }
 
     /// Draws a horizontal rule.

@@ -4,7 +4,7 @@
 use super::brush::{Brush, fit, labelled, wrap};
 use super::devices::state_role;
 use crate::app::{App, FileWord, Row, State, clock, concerns, spell};
-use crate::discovery::{Confidence, Device, Finding, Query, QueryState, ServiceEntry};
+use crate::discovery::{Confidence, Device, Finding, FindingKind, Query, QueryState, ServiceEntry};
 use crate::theme::Role;
 use crate::time::Duration;
 use ratatui::layout::Rect;
@@ -116,17 +116,24 @@ impl<'a> Details<'_, 'a> {
                     && finding.key.address == self.row.address
             };
             finding.confidence != Confidence::Cleared
+                && finding.key.kind != FindingKind::Missing
                 && device.map_or_else(of_row, |device| concerns(finding, device))
         };
         let about: Vec<&Finding> = all.iter().filter(about).copied().collect();
         for finding in about {
             let (sign, role) = super::problems::sign(finding.confidence);
+            let sure = finding.confidence == Confidence::Confirmed;
             let text = if finding.text.is_empty() {
-                finding.key.kind.to_string()
+                finding.key.kind.name()
             } else {
-                finding.text.clone()
+                finding.text.as_str()
             };
-            self.lines.extend(labelled(self.brush, &format!("{sign} "), role, &text, self.width));
+            let text_role = if sure { Role::Text } else { Role::Muted };
+            let mut lines = labelled(self.brush, &format!("{sign} "), text_role, text, self.width);
+            if let Some(first) = lines.first_mut() {
+                first.spans[0].style = self.brush.style(role);
+            }
+            self.lines.extend(lines);
         }
     }
 
@@ -224,8 +231,15 @@ impl<'a> Details<'_, 'a> {
             }
             if let Some(was) = before(device, service) {
                 line.push_span(self.brush.span(Role::Warning, format!("  was {was}")));
-            } else if let Some(listed) = listed_other(listed, service) {
-                line.push_span(self.brush.span(Role::FileDiffers, format!("  file {listed}")));
+            } else {
+                match in_file(listed, service) {
+                    InFile::Same => {}
+                    InFile::New => line.push_span(self.brush.span(Role::New, "  + new")),
+                    InFile::Other(version) => {
+                        let text = format!("  ✗ {version}");
+                        line.push_span(self.brush.span(Role::FileDiffers, text));
+                    }
+                }
             }
             self.lines.push(line);
         }
@@ -233,7 +247,7 @@ impl<'a> Details<'_, 'a> {
             !services.iter().any(|own| own.name.to_string() == printable(&listed.name))
         });
         for listed in gone {
-            let text = format!("    {} is listed, not there", printable(&listed.name));
+            let text = format!("  ✗ {} listed, not there", printable(&listed.name));
             self.lines.push(Line::from(self.brush.span(Role::FileDiffers, text)));
         }
     }
@@ -244,7 +258,9 @@ impl<'a> Details<'_, 'a> {
         let name = app.file().name();
         let (role, text) = match (self.row.file, device) {
             (FileWord::Nothing, _) => return,
-            (FileWord::New, _) => (Role::New, "not listed (a takes it in)".to_owned()),
+            (FileWord::New, _) => {
+                (Role::New, format!("not listed ({} takes it in)", app.key_of("add")))
+            }
             (FileWord::Listed(None), _) => (Role::Text, "listed without address".to_owned()),
             (FileWord::Listed(Some(address)), _) => {
                 (Role::Text, format!("listed, last at {address}, not static"))
@@ -255,12 +271,14 @@ impl<'a> Details<'_, 'a> {
             (FileWord::Differs(address), Some(device)) => {
                 (Role::FileDiffers, format!("static {address}, but it is at {}", device.address))
             }
-            (FileWord::Differs(address), None) => (Role::Text, format!("static {address}")),
+            (FileWord::Differs(address) | FileWord::Pinned(address), _) => {
+                (Role::Text, format!("static {address}"))
+            }
         };
         let label = if name.width() < 9 { name } else { "file".to_owned() };
         self.add(&label, role, &text);
         if let Some(entry) = app.entry_of(self.row) {
-            self.add("", Role::Muted, &format!("{:10}{}", "", entry.position));
+            self.add(" ", Role::Muted, &entry.position.to_string());
             if device.is_none() {
                 for service in entry.services.iter().flatten() {
                     let (name, version) = (printable(&service.name), printable(&service.version));
@@ -276,17 +294,17 @@ impl<'a> Details<'_, 'a> {
         let app = self.app();
         self.blank();
         let first = clock(app, device.first_seen);
-        self.add("seen", Role::Text, &format!("since {first}, {} frames", device.frames));
+        self.add("seen", Role::Text, &format!("since {first}"));
         if let Some(at) = device.rebooted_at {
             let ago = spell(self.ago(at));
             let times = match device.reboots {
                 1 => "1 reboot".to_owned(),
                 count => format!("{count} reboots, the last"),
             };
-            self.add("", Role::Text, &format!("{:10}{times} {ago} ago", ""));
+            self.add(" ", Role::Text, &format!("{times} {ago} ago"));
         }
         if let Some(from) = device.moved_from {
-            self.add("", Role::Text, &format!("{:10}moved here from {from}", ""));
+            self.add(" ", Role::Text, &format!("moved here from {from}"));
         }
     }
 
@@ -301,15 +319,15 @@ impl<'a> Details<'_, 'a> {
     }
 
     fn question(&self, what: &str, query: Query) -> Option<String> {
-        let asked = query.asked_at.map(|at| spell(self.ago(at)));
-        match (query.answered_at, asked) {
+        // Moments, not ages: what need not change each second should not.
+        let at = |time| clock(self.app(), time);
+        match (query.answered_at, query.asked_at) {
             (Some(answered), _) => {
                 let took = query.took.map(|took| format!(" in {} ms", took.as_millis()));
-                let ago = spell(self.ago(answered));
-                Some(format!("{what}: answered{} {ago} ago", took.unwrap_or_default()))
+                Some(format!("{what} {}{}", at(answered), took.unwrap_or_default()))
             }
             (None, Some(asked)) => {
-                Some(format!("{what}: {} times, last {asked} ago", query.attempts))
+                Some(format!("{what} ×{}, last {}, no answer", query.attempts, at(asked)))
             }
             (None, None) => None,
         }
@@ -342,17 +360,21 @@ fn before(device: &Device, service: &ServiceEntry) -> Option<String> {
     }
 }
 
-/// The version that the file lists, where it is another one.
-fn listed_other(
-    listed: Option<&[crate::document::ServiceEntry]>,
-    service: &ServiceEntry,
-) -> Option<String> {
-    let listed = listed.filter(|listed| !listed.is_empty())?;
+/// What the file says of a service.
+enum InFile {
+    Same,
+    New,
+    Other(String),
+}
+
+fn in_file(listed: Option<&[crate::document::ServiceEntry]>, service: &ServiceEntry) -> InFile {
+    let Some(listed) = listed.filter(|listed| !listed.is_empty()) else { return InFile::Same };
     let own = service.name.to_string();
+    let version = |listed: &crate::document::ServiceEntry| printable(&listed.version);
     match listed.iter().find(|listed| printable(&listed.name) == own) {
-        Some(listed) if listed.version.is_empty() => None,
-        Some(listed) if printable(&listed.version) == service.version.to_string() => None,
-        Some(listed) => Some(printable(&listed.version)),
-        None => Some("does not list it".to_owned()),
+        None => InFile::New,
+        Some(listed) if listed.version.is_empty() => InFile::Same,
+        Some(listed) if version(listed) == service.version.to_string() => InFile::Same,
+        Some(listed) => InFile::Other(version(listed)),
     }
 }

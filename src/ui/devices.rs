@@ -6,6 +6,7 @@ use crate::discovery::{Device, QueryState};
 use crate::theme::Role;
 use crate::time::Duration;
 use ratatui::layout::{Position, Rect};
+use ratatui::style::Modifier;
 use ratatui::text::{Line, Span};
 
 /// A column: its heading, its width, and how early it gives way (0: never).
@@ -151,16 +152,17 @@ fn draw_header(brush: &mut Brush, area: Rect, columns: &Columns) {
         line.push_span(brush.span(role, title));
         line.push_span(" ".repeat(columns.gap));
     }
+    line.spans.pop();
     brush.line(area, 0, &line);
 }
 
 fn draw_nothing(brush: &mut Brush, list: Rect) {
     let app = brush.app;
     let text = if app.view().filter(crate::app::Page::Devices).is_empty() {
-        let listening = app.buses().iter().any(|bus| bus.is_up());
+        let listening = app.buses().iter().any(crate::app::Bus::is_up);
         if listening { "no device was heard yet" } else { "no device: no bus is up" }
     } else {
-        "no device fits the filter (Esc takes it away)"
+        return brush.filtered(list, "no device fits the filter");
     };
     let line = Line::from(brush.span(Role::Muted, format!("   {text}")));
     brush.line(list, 1, &line);
@@ -170,7 +172,7 @@ fn row_line(brush: &Brush, row: &Row, columns: &Columns, selected: bool) -> Line
     let device = brush.app.device_of(row);
     let (sign, role) = sign(row);
     let pointer = if selected { "▸" } else { " " };
-    let mut spans = vec![brush.span(Role::Title, pointer), brush.span(role, sign), Span::raw(" ")];
+    let mut spans = vec![brush.span(Role::Text, pointer), brush.span(role, sign), Span::raw(" ")];
     for &(column, width) in &columns.shown {
         spans.push(cell(brush, row, device, column, width));
         spans.push(Span::raw(" ".repeat(columns.gap)));
@@ -225,7 +227,9 @@ fn cell(
             FileWord::Nothing => (Role::Muted, String::new()),
             FileWord::New => (Role::New, "+ new".to_owned()),
             FileWord::Listed(None) => (Role::Muted, "  –".to_owned()),
-            FileWord::Listed(Some(address)) => (Role::Muted, format!("  {address}")),
+            FileWord::Listed(Some(address)) | FileWord::Pinned(address) => {
+                (Role::Muted, format!("  {address}"))
+            }
             FileWord::Agrees(address) => (Role::FileOk, format!("✓ {address}")),
             FileWord::Differs(address) => (Role::FileDiffers, format!("✗ {address}")),
         },
@@ -293,9 +297,11 @@ fn draw_editor(brush: &mut Brush, list: Rect, line: u16, row: &Row, columns: &Co
     let at = Rect { x: list.x + start, y: list.y + line, width, height: 1 };
     let scroll = prompt.input.visual_scroll(usize::from(width - 1));
     let text: String = prompt.input.value().chars().skip(scroll).collect();
-    let style = brush.style(Role::Input);
-    brush.buffer.set_string(at.x, at.y, fit("", usize::from(width)), style);
-    brush.buffer.set_style(at, ratatui::style::Style::reset().patch(style));
+    let under = brush.style(Role::Input);
+    let untouched = if prompt.untouched { Modifier::REVERSED } else { Modifier::empty() };
+    let style = under.add_modifier(untouched);
+    brush.buffer.set_string(at.x, at.y, fit("", usize::from(width)), under);
+    brush.buffer.set_style(at, ratatui::style::Style::reset().patch(under));
     brush.buffer.set_stringn(at.x, at.y, text, usize::from(width), style);
     let cursor = prompt.input.visual_cursor().saturating_sub(scroll) as u16;
     brush.cursor = Some(Position::new(at.x + cursor.min(width - 1), at.y));
@@ -315,7 +321,7 @@ mod tests {
         };
         assert_eq!(titles(51).len(), 7);
         assert_eq!(titles(46).len(), 7);
-        assert_eq!(titles(40), ["ADDR", "NAME", "STATE", "AGE", "FILE"]);
+        assert_eq!(titles(40), ["ADDR", "NAME", "STATE", "MODE", "AGE", "FILE"]);
         assert_eq!(titles(31), ["ADDR", "NAME", "STATE", "FILE"]);
     }
 

@@ -41,7 +41,7 @@ fn draw_prompt(brush: &mut Brush, area: Rect) {
         Verdict::Blocks(text) => ("✗ ", Role::Error, text),
     };
     let in_row = brush.cursor.is_some();
-    let label = format!(" {} ", prompt.kind.label());
+    let label = format!(" {}: ", prompt.kind.label());
     let label_width = label.width() as u16;
     let mut line = Line::from(brush.span(Role::Title, label));
     if in_row {
@@ -82,10 +82,10 @@ fn hint_line(brush: &Brush, mode: Mode, width: usize) -> Vec<Span<'static>> {
             "quit",
             "edit-address",
             "add",
-            "details",
-            "filter",
             "rescan",
+            "filter",
             "undo",
+            "details",
             "freeze",
             "sort",
             "clear-lost",
@@ -115,13 +115,15 @@ fn hints(brush: &Brush, names: &[&str], width: usize) -> Vec<Span<'static>> {
     let mut used = 0;
     for (key, hint) in names.iter().filter_map(|name| brush.app.keymap().hint(name)) {
         let key = key.to_string();
-        let own = key.width() + 1 + hint.width() + 2;
-        if used + own > width.saturating_add(2) {
+        let gap = if used == 0 { "" } else { "  " };
+        let own = gap.len() + key.width() + 1 + hint.width();
+        if used + own > width {
             continue;
         }
         used += own;
+        spans.push(Span::raw(gap));
         spans.push(brush.span(Role::HintKey, key));
-        spans.push(brush.span(Role::Muted, format!(" {hint}  ")));
+        spans.push(brush.span(Role::Muted, format!(" {hint}")));
     }
     spans
 }

@@ -6,7 +6,7 @@ use crate::theme::Role;
 use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
 
-const SIGNS: [(Role, &str, &str); 15] = [
+const SIGNS: [(Role, &str, &str); 16] = [
     (Role::Online, "● online", "its heartbeats come"),
     (Role::Stale, "◐ stale", "the last heartbeat is late"),
     (Role::Silent, "◌ silent", "frames come, but no heartbeats"),
@@ -25,7 +25,8 @@ const SIGNS: [(Role, &str, &str); 15] = [
         "≈ assumed",
         "service numbers and layouts are assumed: no --profile is given",
     ),
-    (Role::Warning, "HELD", "rows are held still (Space goes on)"),
+    (Role::Warning, "listen-only, acks", "we send nothing, but the controller acknowledges frames"),
+    (Role::Warning, "HELD", "rows are held still, until the same key is pressed again"),
 ];
 
 pub fn draw(brush: &mut Brush, scroll: u16) {
@@ -81,7 +82,7 @@ fn action_lines(brush: &Brush, action: &Action, width: u16) -> Vec<Line<'static>
 fn signs(brush: &Brush, width: u16) -> Vec<Line<'static>> {
     let mut lines = vec![Line::from(brush.span(Role::Title, "Signs"))];
     for (role, sign, meaning) in SIGNS {
-        lines.extend(two_columns(brush, (role, sign), 15, meaning, width));
+        lines.extend(two_columns(brush, (role, sign), 18, meaning, width));
     }
     lines.push(Line::default());
     lines.push(Line::from(brush.span(Role::Title, "Filter")));

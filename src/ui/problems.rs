@@ -23,7 +23,9 @@ pub(super) fn sign(confidence: Confidence) -> (&'static str, Role) {
 
 fn draw_list(brush: &mut Brush) {
     let (header, list) = (brush.screen.header, brush.screen.list);
-    let line = Line::from(brush.span(Role::Header, "    WHERE     WHAT"));
+    let line = Line::from(
+        brush.span(Role::Header, format!("    {} WHAT", fit("WHERE", place_width(brush)))),
+    );
     brush.line(header, 0, &line);
     let app = brush.app;
     let problems = app.problems_shown();
@@ -31,7 +33,7 @@ fn draw_list(brush: &mut Brush) {
         let text = if app.view().filter(Page::Problems).is_empty() {
             "nothing is wrong, as far as can be seen"
         } else {
-            "no problem fits the filter (Esc takes it away)"
+            return brush.filtered(list, "no problem fits the filter");
         };
         let line = Line::from(brush.span(Role::Muted, format!("   {text}")));
         return brush.line(list, 1, &line);
@@ -45,9 +47,9 @@ fn draw_list(brush: &mut Brush) {
         let cleared = finding.confidence == Confidence::Cleared;
         let plain = if cleared { Role::Muted } else { Role::Text };
         let mut spans = vec![
-            brush.span(Role::Title, if is_selected { "▸" } else { " " }),
+            brush.span(Role::Text, if is_selected { "▸" } else { " " }),
             brush.span(role, format!("{sign} ")),
-            brush.span(plain, format!(" {} ", fit(&place(brush, finding), 9))),
+            brush.span(plain, format!(" {} ", fit(&place(brush, finding), place_width(brush)))),
             brush.span(plain, finding.key.kind.to_string()),
         ];
         if let Some(name) = finding.names.first() {
@@ -60,6 +62,10 @@ fn draw_list(brush: &mut Brush) {
     }
 }
 
+fn place_width(brush: &Brush) -> usize {
+    if brush.app.buses().len() > 1 { 10 } else { 5 }
+}
+
 /// Where it is: the bus, where there are several, and the address.
 fn place(brush: &Brush, finding: &Finding) -> String {
     let app = brush.app;
@@ -67,7 +73,7 @@ fn place(brush: &Brush, finding: &Finding) -> String {
     let bus = bus.map(|bus| format!("{} ", bus.name)).unwrap_or_default();
     match finding.key.address {
         Some(address) => format!("{bus}@{address}"),
-        None if finding.key.bus.is_none() => app.file().name(),
+        None if finding.key.bus.is_none() => "file".to_owned(),
         None => finding
             .key
             .bus

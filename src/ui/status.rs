@@ -2,7 +2,7 @@
 //!
 //! What matters most comes first and stays longest when the screen is narrow.
 
-use super::brush::Brush;
+use super::brush::{Brush, fit};
 use crate::app::{Bus, FileProblem, Meter};
 use crate::bus::{BusState, Link};
 use crate::discovery::OwnAddress;
@@ -20,31 +20,28 @@ pub fn draw(brush: &mut Brush) {
     match area.height {
         0 => {}
         1 => {
-            let bus = bus_parts(brush, selected_bus(brush));
-            let counts = counts(brush);
+            let left = bus_parts(brush, selected_bus(brush));
             let mut right = file(brush, false);
-            right.extend(counts);
-            pair(brush, area, 0, bus, right);
+            right.extend(counts(brush));
+            pair(brush, area, 0, left, right);
         }
         lines => {
             let shown = usize::from(lines - 1);
             for row in 0..shown.min(buses.max(1)) {
                 // Where not all fit, the last line is the selected row's bus.
-                let index = if buses > shown && row + 1 == shown {
-                    usize::from(selected_bus(brush).0).max(row)
-                } else {
-                    row
-                };
+                let rest = buses > shown && row + 1 == shown;
+                let selected = usize::from(selected_bus(brush).0);
+                let index = if rest { selected.max(row) } else { row };
                 let mut parts = bus_parts(brush, BusIndex(index as u8));
-                if buses > shown && row + 1 == shown {
+                if rest {
                     let more = format!("bus {} of {buses}", index + 1);
                     parts.insert(1, vec![brush.span(Role::Muted, more)]);
                 }
-                let right = if row == 0 { marks(brush) } else { Vec::new() };
-                pair(brush, area, row as u16, parts, right);
+                pair(brush, area, row as u16, parts, Vec::new());
             }
-            let (left, right) = (file(brush, true), counts(brush));
-            pair(brush, area, lines - 1, left, right);
+            let mut left = file(brush, true);
+            left.extend(assumed(brush));
+            pair(brush, area, lines - 1, left, counts(brush));
         }
     }
 }
@@ -53,32 +50,43 @@ fn selected_bus(brush: &Brush) -> BusIndex {
     brush.app.selected_row().and_then(|row| row.bus).unwrap_or_default()
 }
 
-/// Draws parts from the left and others from the right; of the left ones those that fit.
-fn pair(brush: &mut Brush, area: Rect, row: u16, left: Parts, right: Parts) {
-    let gap = |parts: Parts, width: usize| -> Line<'static> {
-        let mut line = Line::default();
-        for part in parts {
-            let space = if line.spans.is_empty() { " " } else { "  " };
-            let own: usize = part.iter().map(Span::width).sum();
-            if line.width() + space.len() + own > width {
-                break;
-            }
-            line.push_span(Span::raw(space));
-            line.spans.extend(part);
-        }
-        line
+/// Draws parts from the left and others from the right. Where not all fit, those in the middle
+/// are left out: the last of the left ones, the first of the right ones.
+fn pair(brush: &mut Brush, area: Rect, row: u16, left: Parts, mut right: Parts) {
+    let own = |part: &[Span]| part.iter().map(Span::width).sum::<usize>();
+    let whole = |parts: &Parts| match parts.len() {
+        0 => 0,
+        _ => parts.iter().map(|part| own(part) + 2).sum::<usize>() + 1,
     };
     let width = usize::from(area.width);
-    // The first part on the left is never left out.
-    let first: usize = left.first().map_or(0, |part| part.iter().map(Span::width).sum::<usize>());
-    let right = gap(right, width.saturating_sub(first + 3));
-    let taken = if right.spans.is_empty() { 0 } else { right.width() + 1 };
-    let left = gap(left, width.saturating_sub(taken).max(first + 1));
-    brush.line(area, row, &left);
-    if taken > 0 {
-        let at = Rect { x: area.right() - taken as u16, width: taken as u16, ..area };
-        brush.line(at, row, &right);
+    let first = left.first().map_or(0, |part| own(part) + 1);
+    while !right.is_empty() && first + whole(&right) > width {
+        right.remove(0);
     }
+    let room = width.saturating_sub(whole(&right));
+    let mut line = Line::default();
+    for part in left {
+        let space = if line.spans.is_empty() { " " } else { "  " };
+        let free = room.saturating_sub(line.width() + space.len());
+        if own(&part) > free && !line.spans.is_empty() {
+            // A sentence is cut; numbers are shown whole or not at all.
+            if let (Some(text), 12..) = (part.first(), free) {
+                line.push_span(Span::raw(space));
+                line.push_span(Span::styled(fit(&text.content, free), text.style));
+            }
+            break;
+        }
+        line.push_span(Span::raw(space));
+        line.spans.extend(part);
+    }
+    brush.line(area, row, &line);
+    let taken = whole(&right).min(width) as u16;
+    let mut line = Line::default();
+    for part in right {
+        line.push_span(Span::raw("  "));
+        line.spans.extend(part);
+    }
+    brush.line(Rect { x: area.right() - taken, width: taken, ..area }, row, &line);
 }
 
 fn bus_parts(brush: &Brush, index: BusIndex) -> Parts {
@@ -94,13 +102,25 @@ fn bus_parts(brush: &Brush, index: BusIndex) -> Parts {
             name.push(brush.span(Role::Text, format!("/{}", rate(data))));
         }
     }
-    parts.push(name);
-    parts.push(vec![state(brush, bus)]);
+    let good = matches!(bus.status.state, BusState::ErrorActive | BusState::Unknown);
+    if bus.is_up() && good {
+        parts.push(name);
+        parts.push(vec![state(brush, bus)]);
+    } else {
+        // What is wrong is never left out.
+        name.push(Span::raw("  "));
+        name.push(state(brush, bus));
+        parts.push(name);
+    }
+    if brush.app.view().frozen.is_some() {
+        parts.insert(1, vec![brush.span(Role::Warning, "HELD")]);
+    }
     if let Some(message) = bus.status.message.as_ref().filter(|_| !bus.is_up()) {
         let message = crate::text::Escaped(message.as_bytes()).to_string();
         parts.push(vec![brush.span(Role::Error, message)]);
         return parts;
     }
+    parts.extend(warning(brush, bus));
     let load = bus.meter.last().load(bus.bits_per_second()) * 100.0;
     let frames = bus.meter.last().frames;
     let errors = bus.engine.counters().errors;
@@ -108,12 +128,12 @@ fn bus_parts(brush: &Brush, index: BusIndex) -> Parts {
     parts.push(vec![
         brush.span(Role::Muted, "load "),
         brush.span(if load >= 80.0 { Role::Warning } else { Role::Text }, format!("{load:>3.0}% ")),
-        brush.span(Role::Bar, sparkline(bus, if brush.screen.whole.width < 100 { 8 } else { 20 })),
+        brush.span(Role::Bar, sparkline(bus, if brush.screen.whole.width < 100 { 6 } else { 20 })),
     ]);
     parts.push(text(format!("{frames:>4} f/s")));
     parts.push(counter(brush, "err", errors, Role::Warning));
     parts.push(counter(brush, "lost", lost, Role::Error));
-    parts.push(own_address(brush, bus));
+    parts.extend(own_address(brush, bus));
     parts
 }
 
@@ -159,24 +179,30 @@ fn state(brush: &Brush, bus: &Bus) -> Span<'static> {
     brush.span(role, word)
 }
 
-fn own_address(brush: &Brush, bus: &Bus) -> Vec<Span<'static>> {
-    let label = |text: &str| brush.span(Role::Muted, text.to_owned());
+/// What keeps us from asking.
+fn warning(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
     if bus.engine.config().listen_only {
-        // Without the controller's own listen-only mode our adapter still acknowledges frames.
-        let more = if bus.status.listen_only { "" } else { ", acknowledging" };
-        return vec![brush.span(Role::Warning, format!("listen-only{more}"))];
+        // Without its own listen-only mode our controller still acknowledges frames.
+        let acks = if bus.status.listen_only { "" } else { ", acks" };
+        return Some(vec![brush.span(Role::Warning, format!("listen-only{acks}"))]);
     }
-    if bus.engine.is_unacknowledged() {
-        return vec![brush.span(Role::Error, "nobody acknowledges")];
+    let alone = bus.engine.is_unacknowledged();
+    alone.then(|| vec![brush.span(Role::Error, "nobody acknowledges")])
+}
+
+fn own_address(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
+    if bus.engine.config().listen_only {
+        return None;
     }
-    match bus.engine.own_address() {
+    let label = |text: String| vec![brush.span(Role::Muted, text)];
+    Some(match bus.engine.own_address() {
         OwnAddress::Held(address) => {
-            vec![label("me "), brush.span(Role::Text, address.to_string())]
+            vec![brush.span(Role::Muted, "me "), brush.span(Role::Text, address.to_string())]
         }
-        OwnAddress::Claiming(address) => vec![label(&format!("me {address}?"))],
-        OwnAddress::Listening => vec![label("listening")],
-        OwnAddress::None => vec![label("me –")],
-    }
+        OwnAddress::Claiming(address) => label(format!("me {address}?")),
+        OwnAddress::Listening => label("listening".to_owned()),
+        OwnAddress::None => label("me –".to_owned()),
+    })
 }
 
 /// The load of the last seconds, newest at the right; the bars stand for eighths of the bus.
@@ -195,18 +221,10 @@ fn sparkline(bus: &Bus, width: usize) -> String {
     bars.iter().rev().collect()
 }
 
-/// What holds for the whole program.
-fn marks(brush: &Brush) -> Parts {
-    let app = brush.app;
-    let mut parts = Vec::new();
-    if app.view().frozen.is_some() {
-        parts.push(vec![brush.span(Role::Warning, "HELD")]);
-    }
-    let assumed = app.buses().iter().any(|bus| !bus.engine.config().profile.given);
-    if assumed && !app.buses().is_empty() {
-        parts.push(vec![brush.span(Role::Suspected, "≈"), brush.span(Role::Muted, " assumed")]);
-    }
-    parts
+/// The profile's values are assumed.
+fn assumed(brush: &Brush) -> Option<Vec<Span<'static>>> {
+    let assumed = brush.app.buses().iter().any(|bus| !bus.engine.config().profile.given);
+    assumed.then(|| vec![brush.span(Role::Suspected, "≈"), brush.span(Role::Muted, " assumed")])
 }
 
 fn counts(brush: &Brush) -> Parts {
@@ -241,9 +259,6 @@ fn file(brush: &Brush, whole: bool) -> Parts {
     let mut parts: Parts = Vec::new();
     if file.path().is_none() {
         return vec![vec![brush.span(Role::Muted, "no file")]];
-    }
-    if brush.app.view().frozen.is_some() && !whole {
-        parts.push(vec![brush.span(Role::Warning, "HELD")]);
     }
     let entries = file.document().entries().len();
     match file.problem() {

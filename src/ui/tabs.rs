@@ -15,7 +15,7 @@ pub fn draw(brush: &mut Brush) {
     brush.rule(area, Role::Border);
     let open = brush.app.view().page;
     let mut end = 0;
-    for (page, start, text) in tabs(area.width, brush.app.open_problems()) {
+    for (page, start, text) in tabs(area.width, open, brush.app.open_problems()) {
         let role = if page == open { Role::TabActive } else { Role::Tab };
         end = start + text.width() as u16;
         let at = Rect { x: area.x + start, width: area.width.saturating_sub(start), ..area };
@@ -39,16 +39,16 @@ pub fn draw(brush: &mut Brush) {
         let at = Rect { x: end + 1, width: room.saturating_sub(1), ..area };
         brush.line(at, 0, &line);
     }
-    if details.height == 0 {
+    if details.height == 0 || screen.lower_rule.y + 1 == details.y {
         return;
     }
     let mut at = Rect { x: details.x, width: details.width, ..area };
     if screen.divider.height > 0 {
         // On narrow screens the names of the pages reach past the divider.
-        let from = (end + 1).max(details.x);
+        let from = end.max(details.x);
         at = Rect { x: from, width: area.right().saturating_sub(from), ..area };
         brush.rule(at, line_role);
-        if end < screen.divider.x {
+        if end <= screen.divider.x {
             let cell = &mut brush.buffer[(screen.divider.x, area.y)];
             cell.set_symbol("┬");
         }

@@ -8,7 +8,7 @@ use unicode_width::UnicodeWidthStr;
 
 pub fn draw(brush: &mut Brush) {
     let (header, list) = (brush.screen.header, brush.screen.list);
-    let title = format!("  {:8}  {:12} WHAT", "TIME", "WHO");
+    let title = format!("  {:8}   {:12} WHAT", "TIME", "WHO");
     let line = Line::from(brush.span(Role::Header, title));
     brush.line(header, 0, &line);
     let app = brush.app;
@@ -17,7 +17,7 @@ pub fn draw(brush: &mut Brush) {
         let text = if app.view().filter(Page::Timeline).is_empty() {
             "nothing has happened yet"
         } else {
-            "no line fits the filter (Esc takes it away)"
+            return brush.filtered(list, "no line fits the filter");
         };
         let line = Line::from(brush.span(Role::Muted, format!("   {text}")));
         return brush.line(list, 1, &line);
@@ -32,7 +32,7 @@ pub fn draw(brush: &mut Brush) {
         let Some(entry) = app.timeline().get(*number) else { continue };
         let is_selected = selected == Some(top + row);
         let pointer = if is_selected { "▸" } else { " " };
-        let mut line = Line::from(brush.span(Role::Title, pointer));
+        let mut line = Line::from(brush.span(Role::Text, pointer));
         line.spans.extend(entry_line(brush, entry, 12).spans);
         brush.line(list, row as u16, &line);
         if is_selected {
@@ -42,7 +42,7 @@ pub fn draw(brush: &mut Brush) {
 }
 
 pub fn draw_latest(brush: &mut Brush) {
-    let (rule, area) = (brush.screen.latest_rule, brush.screen.latest);
+    let (rule, area) = (brush.screen.lower_rule, brush.screen.latest);
     if area.height == 0 {
         return;
     }
@@ -58,7 +58,7 @@ pub fn draw_latest(brush: &mut Brush) {
     let latest = app.timeline().entries().rev().filter(|entry| entry.number < end);
     let latest: Vec<&TimelineEntry> = latest.take(usize::from(area.height)).collect();
     for (row, entry) in latest.into_iter().rev().enumerate() {
-        let line = entry_line(brush, entry, 10);
+        let line = entry_line(brush, entry, if area.width >= 60 { 12 } else { 8 });
         brush.line(area, row as u16, &line);
     }
 }
@@ -72,17 +72,22 @@ fn entry_line(brush: &Brush, entry: &TimelineEntry, who_width: usize) -> Line<'s
         TimelineKind::Suspected => ("?", Role::Suspected),
         TimelineKind::Confirmed => ("⚠", Role::Collision),
         TimelineKind::Cleared => ("✓", Role::FileOk),
-        TimelineKind::Bus => ("·", Role::Text),
-        TimelineKind::File => ("·", Role::Text),
+        TimelineKind::Bus | TimelineKind::File => ("·", Role::Text),
         TimelineKind::Error => ("!", Role::Error),
     };
+    // Only what deserves a look has the colour of its sign.
+    let calm = matches!(
+        entry.kind,
+        TimelineKind::Good | TimelineKind::Change | TimelineKind::Late | TimelineKind::Cleared
+    );
+    let text_role = if calm { Role::Text } else { role };
     let who = who(brush, entry, who_width);
     let times = if entry.times > 1 { format!(" ×{}", entry.times) } else { String::new() };
     Line::from(vec![
         brush.span(Role::Muted, format!(" {} ", clock(brush.app, entry.time))),
         brush.span(role, format!("{sign} ")),
         brush.span(Role::Text, format!("{} ", fit(&who, who_width))),
-        brush.span(role, entry.text.clone()),
+        brush.span(text_role, entry.text.clone()),
         brush.span(Role::Muted, times),
     ])
 }
@@ -90,7 +95,9 @@ fn entry_line(brush: &Brush, entry: &TimelineEntry, who_width: usize) -> Line<'s
 /// The device's name and address, else the bus, else the file.
 fn who(brush: &Brush, entry: &TimelineEntry, width: usize) -> String {
     let app = brush.app;
-    match (&entry.name, entry.address) {
+    // A device that had no name then has one now, perhaps.
+    let known = || entry.device.and_then(|id| app.device(id)?.name.clone());
+    match (entry.name.clone().or_else(known), entry.address) {
         (Some(name), Some(address)) => {
             let address = format!(" @{address}");
             let name = name.to_string();

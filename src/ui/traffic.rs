@@ -2,7 +2,7 @@
 
 use super::brush::{Brush, fit, fit_right, labelled};
 use super::details::inner;
-use crate::app::{Decoded, IdentifierKind, IdentifierStats, Page, clock_millis};
+use crate::app::{Decoded, Focus, IdentifierKind, IdentifierStats, Page, clock_millis, hex};
 use crate::frame::Frame;
 use crate::theme::Role;
 use ratatui::layout::Rect;
@@ -41,7 +41,7 @@ fn draw_frames(brush: &mut Brush) {
     if room.bus {
         title.push_str("BUS    ");
     }
-    title.push_str("FROM    TO     SRV  ");
+    title.push_str("  FROM TO     SRV  ");
     if room.kind {
         title.push_str("TYPE        ");
     }
@@ -54,9 +54,10 @@ fn draw_frames(brush: &mut Brush) {
     let (shown, selected) = brush.app.frames_shown(usize::from(list.height));
     if shown.is_empty() {
         let filtered = !brush.app.view().filter(Page::Traffic).is_empty();
-        let text = match filtered {
-            true => "no frame fits the filter (Esc takes it away)",
-            false => "no frame was heard yet",
+        let text = if filtered {
+            return brush.filtered(list, "no frame fits the filter");
+        } else {
+            "no frame was heard yet"
         };
         let line = Line::from(brush.span(Role::Muted, format!("   {text}")));
         return brush.line(list, 1, &line);
@@ -83,7 +84,7 @@ fn frame_line(
     let plain = if frame.ours { Role::Muted } else { Role::Text };
     let text = |role: Role, text: String| brush.span(role, text);
     let mut spans: Vec<Span> = vec![
-        text(Role::Title, if selected { "▸ " } else { "  " }.to_owned()),
+        text(Role::Text, if selected { "▸ " } else { "  " }.to_owned()),
         text(Role::Muted, format!("{} ", clock_millis(brush.app, frame.time))),
     ];
     if room.bus {
@@ -103,7 +104,7 @@ fn frame_line(
     }
     let used: usize = spans.iter().map(Span::width).sum();
     let left = usize::from(list.width).saturating_sub(used);
-    let bytes = hex(frame.data(), 8);
+    let bytes = first_bytes(frame.data());
     let role = if decoded.is_error { Role::Error } else { plain };
     if room.bytes && left > 17 + 12 {
         spans.push(text(role, format!("{} ", fit(&decoded.text, left - 18))));
@@ -116,13 +117,10 @@ fn frame_line(
     Line::from(spans)
 }
 
-/// The first `most` bytes, and whether there are more.
-fn hex(data: &[u8], most: usize) -> String {
-    let mut text: String = data.iter().take(most).map(|byte| format!("{byte:02X}")).collect();
-    if data.len() > most {
-        text.push('…');
-    }
-    text
+/// The first eight bytes, and whether there are more.
+fn first_bytes(data: &[u8]) -> String {
+    let more = if data.len() > 8 { "…" } else { "" };
+    hex(&data[..data.len().min(8)], "") + more
 }
 
 fn draw_details(brush: &mut Brush) {
@@ -130,6 +128,9 @@ fn draw_details(brush: &mut Brush) {
     if area.height == 0 {
         return;
     }
+    let above = brush.screen.lower_rule;
+    let focused = brush.app.view().focus == Focus::Details;
+    brush.rule(above, if focused { Role::BorderFocus } else { Role::Border });
     let app = brush.app;
     let Some((number, frame)) =
         app.view().traffic.and_then(|number| Some((number, app.capture().get(number)?)))
@@ -143,42 +144,26 @@ fn draw_details(brush: &mut Brush) {
         lines.extend(labelled(brush, &fit(label, 9), role, text, area.width));
     };
     let bus = app.bus(frame.bus).map_or("", |bus| &bus.name);
-    add("time", Role::Text, &clock_millis(app, frame.time));
-    add("bus", Role::Text, bus);
-    add("id", Role::Text, &frame.id.to_string());
-    add("type", Role::Text, decoded.kind);
+    let ours = if frame.ours { ", sent by us" } else { "" };
+    add("frame", Role::Text, &format!("{} on {bus}{ours}", clock_millis(app, frame.time)));
+    add("id", Role::Text, &describe_id(frame, &decoded));
     if let Some(header) = decoded.header {
         let who = |name: &str, address: crate::wire::id::Address| {
             if name == address.to_string() { name.to_owned() } else { format!("{name} @{address}") }
         };
-        add("from", Role::Text, &who(&decoded.source, header.source));
         let to = if header.broadcast {
             format!("all (RND7 {})", header.destination)
         } else {
             who(&decoded.destination, header.destination)
         };
-        add("to", Role::Text, &to);
         let number = header.service;
         let service = if decoded.service == number.to_string() {
-            format!("{number}")
+            format!("service {number}")
         } else {
-            format!("{} ({number})", decoded.service)
+            format!("service {} ({number})", decoded.service)
         };
-        add("service", Role::Text, &service);
-        let flag = |name: &str, set: bool| format!("{name}{} ", u8::from(set));
-        let flags = flag("U", header.sender_not_working)
-            + &flag("D", header.to_not_working)
-            + &flag("R", header.response)
-            + &flag("B", header.broadcast)
-            + &flag("ERR", header.no_error);
-        add("flags", Role::Text, &flags);
-    }
-    if frame.fd {
-        let rate = if frame.bit_rate_switch { "FD, faster data" } else { "FD" };
-        add("format", Role::Text, rate);
-    }
-    if frame.ours {
-        add("", Role::Muted, "sent by us");
+        let from = who(&decoded.source, header.source);
+        add("route", Role::Text, &format!("{from} → {to}, {service}"));
     }
     let role = if decoded.is_error { Role::Error } else { Role::Text };
     if !decoded.text.is_empty() {
@@ -188,22 +173,43 @@ fn draw_details(brush: &mut Brush) {
         add("message", Role::Text, &message);
     }
     for (at, bytes) in frame.data().chunks(8).enumerate() {
-        let hex: Vec<String> = bytes.iter().map(|byte| format!("{byte:02X}")).collect();
         let text: String = bytes
             .iter()
             .map(|&byte| if (0x20..0x7F).contains(&byte) { char::from(byte) } else { '·' })
             .collect();
         let label = if at == 0 { format!("data {}", frame.len()) } else { String::new() };
-        add(&label, Role::Text, &hex.join(" "));
-        add("", Role::Muted, &text);
+        let mut line = Line::from(brush.span(Role::Muted, fit(&label, 9)));
+        line.push_span(brush.span(Role::Text, fit(&hex(bytes, " "), 25)));
+        line.push_span(brush.span(Role::Muted, text));
+        lines.push(line);
     }
     let scroll = app.view().details_scroll;
     brush.lines(area, &lines, scroll);
 }
 
+/// The identifier, its type and its flags.
+fn describe_id(frame: &Frame, decoded: &Decoded) -> String {
+    let mut text = format!("{}  {}", frame.id, decoded.kind);
+    if let Some(header) = decoded.header {
+        let flag = |name: &str, set: bool| format!(" {name}{}", u8::from(set));
+        text.push(' ');
+        text += &flag("U", header.sender_not_working);
+        text += &flag("D", header.to_not_working);
+        text += &flag("R", header.response);
+        text += &flag("B", header.broadcast);
+        text += &flag("ERR", header.no_error);
+    }
+    match (frame.fd, frame.bit_rate_switch) {
+        (true, true) => text.push_str("  FD, faster data"),
+        (true, false) => text.push_str("  FD"),
+        (false, _) => {}
+    }
+    text
+}
+
 fn draw_identifiers(brush: &mut Brush) {
     let (header, list) = (brush.screen.header, brush.screen.list);
-    let title = format!("  {:8}  {:>4}  {:>7}  FROM    TO     SRV  LAST", "ID", "f/s", "COUNT");
+    let title = format!("  {:8}  {:>4}  {:>7}    FROM TO     SRV  LAST", "ID", "f/s", "COUNT");
     let line = Line::from(brush.span(Role::Header, title));
     brush.line(header, 0, &line);
     let app = brush.app;
@@ -241,7 +247,7 @@ fn identifier_line(
     };
     let rate = if row.rate == 0 { Role::Muted } else { Role::Text };
     let mut spans = vec![
-        brush.span(Role::Title, if selected { "▸ " } else { "  " }),
+        brush.span(Role::Text, if selected { "▸ " } else { "  " }),
         brush.span(Role::Text, fit(&id, 8)),
         brush.span(rate, format!("  {:>4}", row.rate)),
         brush.span(Role::Muted, format!("  {:>7}  ", row.count)),
@@ -256,7 +262,7 @@ fn identifier_line(
     }
     let used: usize = spans.iter().map(Span::width).sum();
     let left = usize::from(list.width).saturating_sub(used);
-    let bytes = hex(row.last.data(), 8);
+    let bytes = first_bytes(row.last.data());
     let role = if decoded.is_error { Role::Error } else { Role::Text };
     if left > 17 + 12 {
         spans.push(brush.span(role, format!("{} ", fit(&decoded.text, left - 18))));

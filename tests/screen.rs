@@ -1,0 +1,692 @@
+//! Keys and simulated buses in, screens out.
+
+use descan::app::{App, AppOptions, Effect, FileReading, Mouse, MouseKind, SaveOutcome};
+use descan::bus::{BusState, BusStatus, Link};
+use descan::discovery::Config;
+use descan::frame::BusIndex;
+use descan::keymap::Key;
+use descan::sim::{Scenario, Sim, Station};
+use descan::theme::{BUILT_IN, Role, Theme};
+use descan::time::{Duration, Epoch, Instant};
+use descan::ui;
+use ratatui::Terminal;
+use ratatui::backend::TestBackend;
+use ratatui::buffer::Buffer;
+
+/// A bus, the program on it, and a file: what stands around the program elsewhere.
+struct Stage {
+    app: App,
+    sim: Sim,
+    station: Station,
+    file: Option<Vec<u8>>,
+    effects: Vec<Effect>,
+    size: (u16, u16),
+}
+
+const BOILER: &str = r#"{
+  "devices": [
+    { "name": "FEED", "address": 10, "static": true,
+      "services": [ { "name": "DES", "version": "1.0" }, { "name": "AUGER", "version": "2.1" } ] },
+    { "name": "SENS", "address": 12, "static": true },
+    { "name": "ACT", "address": 16, "static": true },
+    { "name": "DISP", "address": 20 },
+    { "name": "PUMP", "address": 44, "static": true }
+  ]
+}
+"#;
+
+impl Stage {
+    fn new(scenario: &Scenario, file: Option<&str>) -> Self {
+        Self::with(scenario, file, Config { seed: 7, ..Config::default() })
+    }
+
+    fn with(scenario: &Scenario, file: Option<&str>, config: Config) -> Self {
+        let mut sim = Sim::new(scenario, 1);
+        let station = sim.attach();
+        sim.set_listen_only(station, config.listen_only);
+        // 2026-11-21 12:00:00 UTC.
+        let epoch = Epoch::from_unix_micros(1_795_262_400_000_000);
+        let app = App::new(
+            Instant::ZERO,
+            AppOptions {
+                epoch,
+                buses: vec![("can0".to_owned(), config)],
+                file_path: Some("des.json".into()),
+                theme: "terminal".to_owned(),
+                themes: BUILT_IN.iter().map(|(name, _)| (*name).to_owned()).collect(),
+                ..AppOptions::default()
+            },
+        );
+        let mut stage = Self {
+            app,
+            sim,
+            station,
+            file: file.map(|text| text.as_bytes().to_vec()),
+            effects: Vec::new(),
+            size: (80, 24),
+        };
+        stage.size(80, 24);
+        let bitrate = Some(scenario.bitrate);
+        let status = BusStatus {
+            link: Link::Up,
+            state: BusState::ErrorActive,
+            bitrate,
+            ..BusStatus::default()
+        };
+        stage.app.handle_bus(Instant::ZERO, BusIndex(0), status);
+        let content = stage.file.clone();
+        stage.app.handle_file(Instant::ZERO, FileReading::Content(content));
+        stage
+    }
+
+    fn boiler() -> Self {
+        Self::new(&Scenario::builtin("boiler").unwrap(), Some(BOILER))
+    }
+
+    /// Lets everything run until `seconds` after the start.
+    fn until(&mut self, seconds: f64) -> &mut Self {
+        let end = Instant::ZERO + Duration::from_secs_f64(seconds);
+        let mut now = self.app.now();
+        while now < end {
+            let next = [self.sim.next_event(), self.app.poll_timeout(), Some(end)];
+            now = next.into_iter().flatten().min().unwrap().max(now + Duration::from_micros(1));
+            self.sim.advance(now);
+            while let Some(frame) = self.sim.poll_frame(self.station) {
+                self.app.handle_frames(now, &[frame]);
+            }
+            if self.app.poll_timeout().is_some_and(|at| at <= now) {
+                self.app.handle_timeout(now);
+            }
+            self.drain(now);
+        }
+        self
+    }
+
+    fn drain(&mut self, now: Instant) {
+        while let Some(frame) = self.app.poll_transmit(now) {
+            self.sim.transmit(self.station, frame);
+        }
+        while let Some(effect) = self.app.poll_effect() {
+            if let Effect::Save { expected, content } = &effect {
+                let outcome = if *expected == self.file {
+                    self.file = Some(content.clone());
+                    SaveOutcome::Saved
+                } else {
+                    SaveOutcome::Changed(self.file.clone())
+                };
+                self.app.handle_saved(now, outcome);
+            }
+            self.effects.push(effect);
+        }
+    }
+
+    /// Presses keys, written as in keys.toml, with blanks between.
+    fn keys(&mut self, keys: &str) -> &mut Self {
+        for text in keys.split_whitespace() {
+            let key = Key::parse(text).unwrap_or_else(|| panic!("{text} is no key"));
+            self.app.handle_key(self.app.now(), key);
+            self.drain(self.app.now());
+        }
+        self
+    }
+
+    /// Types text into the line being typed.
+    fn text(&mut self, text: &str) -> &mut Self {
+        for c in text.chars() {
+            self.app.handle_key(self.app.now(), Key::char(c));
+        }
+        self
+    }
+
+    /// Somebody else writes the file.
+    fn write(&mut self, text: &str) -> &mut Self {
+        self.file = Some(text.as_bytes().to_vec());
+        let content = self.file.clone();
+        self.app.handle_file(self.app.now(), FileReading::Content(content));
+        self.drain(self.app.now());
+        self
+    }
+
+    fn size(&mut self, columns: u16, rows: u16) -> &mut Self {
+        self.size = (columns, rows);
+        self.app.handle_resize(columns, rows);
+        self
+    }
+
+    fn buffer(&self, theme: &str) -> Buffer {
+        let mut terminal = Terminal::new(TestBackend::new(self.size.0, self.size.1)).unwrap();
+        let theme = Theme::built_in(theme).unwrap();
+        terminal.draw(|frame| ui::draw(&self.app, &theme, frame)).unwrap();
+        terminal.backend().buffer().clone()
+    }
+
+    /// The screen as text.
+    fn screen(&self) -> String {
+        text_of(&self.buffer("terminal"))
+    }
+
+    /// The text of the file.
+    fn file(&self) -> &str {
+        std::str::from_utf8(self.file.as_deref().unwrap_or_default()).unwrap()
+    }
+}
+
+fn text_of(buffer: &Buffer) -> String {
+    let mut text = String::new();
+    for row in buffer.content().chunks(usize::from(buffer.area.width).max(1)) {
+        let mut line = String::new();
+        let mut skip = 0;
+        for cell in row {
+            if skip == 0 {
+                line.push_str(cell.symbol());
+                skip = unicode_width::UnicodeWidthStr::width(cell.symbol()).max(1);
+            }
+            skip -= 1;
+        }
+        text.push_str(line.trim_end());
+        text.push('\n');
+    }
+    text
+}
+
+/// A snapshot of the screen as text.
+macro_rules! snapshot {
+    ($name:literal, $stage:expr) => {
+        insta::assert_snapshot!($name, $stage.screen())
+    };
+}
+
+// ---- what it looks like -------------------------------------------------------------------
+
+#[test]
+fn devices_at_three_sizes() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0);
+    snapshot!("devices_80x24", stage);
+    snapshot!("devices_120x40", stage.size(120, 40));
+    snapshot!("devices_40x10", stage.size(40, 10));
+    snapshot!("devices_40x10_details", stage.size(40, 10).keys("j Enter"));
+}
+
+#[test]
+fn the_first_second() {
+    let mut stage = Stage::boiler();
+    snapshot!("start_80x24", stage);
+    snapshot!("first_second_80x24", stage.until(1.0));
+}
+
+#[test]
+fn details_of_a_clash_and_of_what_is_missing() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0).size(100, 30);
+    snapshot!("clash", stage.keys("j j j"));
+    snapshot!("missing", stage.keys("j j j j"));
+}
+
+#[test]
+fn traffic_and_its_details() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0).keys("2");
+    snapshot!("traffic_80x24", stage);
+    snapshot!("traffic_120x40", stage.size(120, 40));
+    snapshot!("traffic_details", stage.size(80, 24).keys("Space k k k Enter"));
+    snapshot!("traffic_details_40x10", stage.size(40, 10).keys("Esc Enter"));
+    snapshot!("identifiers", stage.size(80, 24).keys("Esc Esc v"));
+}
+
+#[test]
+fn timeline_problems_and_help() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0);
+    snapshot!("timeline_80x24", stage.keys("3"));
+    snapshot!("problems_80x24", stage.keys("4"));
+    snapshot!("problems_40x10", stage.size(40, 10));
+    snapshot!("help_80x24", stage.size(80, 24).keys("?"));
+    snapshot!("help_120x40", stage.size(120, 60));
+}
+
+#[test]
+fn styles_by_role() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0).size(60, 16);
+    for theme in ["terminal", "mono"] {
+        insta::assert_snapshot!(format!("styles_{theme}"), styles_of(&stage.buffer(theme)));
+    }
+}
+
+/// For each row its text, and below it where which style is.
+fn styles_of(buffer: &Buffer) -> String {
+    use std::fmt::Write;
+    let mut text = String::new();
+    let width = usize::from(buffer.area.width);
+    for (row, line) in buffer.content().chunks(width).zip(text_of(buffer).lines()) {
+        let _ = writeln!(text, "{line}");
+        let mut at = 0;
+        for run in row.chunk_by(|a, b| a.style() == b.style()) {
+            let style = run[0].style();
+            let _ = write!(text, "    {at}–{}", at + run.len());
+            at += run.len();
+            let colours = [("", style.fg), ("on ", style.bg)];
+            for (word, colour) in colours.into_iter().filter_map(|(word, it)| Some((word, it?))) {
+                if colour != ratatui::style::Color::Reset {
+                    let _ = write!(text, " {word}{colour}");
+                }
+            }
+            if !style.add_modifier.is_empty() {
+                let _ = write!(text, " {:?}", style.add_modifier);
+            }
+        }
+        text.push('\n');
+    }
+    text
+}
+
+#[test]
+fn every_state_is_readable_without_colour() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0);
+    for (name, _) in BUILT_IN {
+        assert_eq!(text_of(&stage.buffer(name)), stage.screen(), "{name}");
+    }
+    let screen = stage.screen();
+    for words in ["● ", "⚠   14 ACT         CLASH", "missing", "✓ 10", "✗ 16", "+ new", "SENS²"]
+    {
+        assert!(screen.contains(words), "{words}\n{screen}");
+    }
+}
+
+#[test]
+fn every_size_is_drawn() {
+    let mut stage = Stage::boiler();
+    stage.until(30.0);
+    for keys in ["1", "2", "v", "v Enter", "3", "4", "?"] {
+        stage.keys(keys);
+        for columns in [1, 2, 7, 20, 39, 60, 75, 76, 99, 200] {
+            for rows in [1, 2, 3, 6, 12, 17, 18, 50] {
+                stage.size(columns, rows).screen();
+            }
+        }
+    }
+}
+
+// ---- des.json -----------------------------------------------------------------------------
+
+#[test]
+fn an_address_is_edited_in_its_row() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("j j");
+    stage.keys("e").text("12");
+    snapshot!("editor_blocked", stage);
+    stage.keys("Enter");
+    assert_eq!(stage.file(), BOILER, "a blocked address is not saved");
+    stage.keys("Ctrl-u").text("0x1E");
+    snapshot!("editor_warning", stage);
+    stage.keys("Ctrl-u").text("13").keys("Enter");
+    assert!(stage.file().contains(r#""address": 13"#), "{}", stage.file());
+    assert!(stage.screen().contains("✓ 13"));
+    stage.keys("u");
+    assert_eq!(stage.file(), BOILER, "undo restores every byte");
+    stage.keys("Ctrl-r");
+    assert!(stage.file().contains(r#""address": 13"#));
+}
+
+#[test]
+fn an_edit_survives_a_change_of_the_file_under_it() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("e").text("4");
+    stage.write(&BOILER.replace("\"DISP\"", "\"DISPL\"")).text("7");
+    assert!(stage.screen().contains("static address: Enter pins it to 47"), "{}", stage.screen());
+    stage.keys("Enter");
+    let meant = BOILER.replace("\"DISP\"", "\"DISPL\"").replace("10", "47");
+    assert_eq!(stage.file(), meant);
+}
+
+#[test]
+fn empty_takes_the_pin_away_and_esc_leaves() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("e Ctrl-u Esc");
+    assert_eq!(stage.file(), BOILER);
+    stage.keys("e Ctrl-u Enter");
+    assert_eq!(stage.file(), BOILER.replacen("\"static\": true", "\"static\": false", 1));
+}
+
+#[test]
+fn a_conflict_shows_both_and_lets_choose() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0);
+    // Somebody else writes in the moment before our save.
+    let theirs = BOILER.replace("10", "11");
+    stage.file = Some(theirs.clone().into_bytes());
+    stage.keys("e").text("47").keys("Enter");
+    snapshot!("conflict", stage);
+    assert_eq!(stage.file(), theirs, "nothing is written before the choice");
+    stage.keys("o");
+    assert_eq!(stage.file(), BOILER.replace("10", "47"));
+}
+
+#[test]
+fn a_line_being_typed_goes_on_after_a_conflict() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0);
+    // Not drained: the save is on its way while somebody else writes.
+    for key in ["e", "4", "7", "Enter", "j", "e", "5"] {
+        stage.app.handle_key(stage.app.now(), Key::parse(key).unwrap());
+    }
+    stage.write(&BOILER.replace("10", "11"));
+    assert!(stage.screen().contains("Conflict"), "{}", stage.screen());
+    stage.keys("t").text("0").keys("Enter");
+    assert_eq!(stage.file(), BOILER.replace("10", "11").replace("12", "50"));
+}
+
+#[test]
+fn a_failed_save_is_tried_again_when_asked() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0);
+    for key in ["e", "4", "7", "Enter"] {
+        stage.app.handle_key(stage.app.now(), Key::parse(key).unwrap());
+    }
+    let now = stage.app.now();
+    while stage.app.poll_effect().is_some() {}
+    stage.app.handle_saved(now, SaveOutcome::Failed("no space left on the disk".to_owned()));
+    assert_eq!(stage.app.poll_effect(), None, "not again and again");
+    assert!(stage.screen().contains("not saved: no space left"), "{}", stage.screen());
+    stage.keys("Ctrl-s");
+    assert_eq!(stage.file(), BOILER.replace("10", "47"));
+    assert!(stage.screen().contains("✓ 5 entries"));
+}
+
+#[test]
+fn a_broken_file_is_shown_and_never_written() {
+    let mut stage = Stage::boiler();
+    let broken = BOILER.replace("\"SENS\",", "\"SENS\"");
+    stage.until(24.0).write(&broken).keys("j");
+    snapshot!("broken_file", stage);
+    stage.keys("e");
+    assert!(stage.app.prompt().is_none());
+    stage.keys("A");
+    assert_eq!(stage.file(), broken);
+    assert!(stage.screen().contains("✓ 10"), "the last good content stays in force");
+}
+
+#[test]
+fn devices_are_taken_into_a_file_that_is_begun() {
+    let mut stage = Stage::new(&Scenario::crowd(500_000, 3, 2), None);
+    stage.until(5.0).keys("A");
+    insta::assert_snapshot!("begun_file", stage.file());
+    stage.keys("D");
+    assert!(stage.screen().contains("Delete the entry N001 from des.json?"));
+    stage.keys("n");
+    assert_eq!(stage.file().matches("name").count(), 3 + 9);
+    stage.keys("D y");
+    assert_eq!(stage.file().matches("name").count(), 2 + 6);
+    stage.keys("n").text("PUMP 44").keys("Enter");
+    assert!(stage.file().contains("PUMP"));
+    stage.keys("u u u");
+    assert_eq!(stage.file().trim(), "{\n  \"devices\": []\n}");
+}
+
+#[test]
+fn quitting_asks_while_edits_are_not_saved() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("q");
+    assert!(stage.effects.contains(&Effect::Quit));
+    stage.effects.clear();
+    stage.file = Some(b"{".to_vec());
+    stage.keys("e").text("47").keys("Enter q");
+    assert!(stage.screen().contains("1 edit is not saved. Quit all the same?"));
+    stage.keys("n q y");
+    assert!(stage.effects.contains(&Effect::Quit));
+}
+
+// ---- looking ------------------------------------------------------------------------------
+
+#[test]
+fn the_selection_follows_its_device() {
+    let mut stage = Stage::boiler();
+    stage.until(3.0);
+    let select = |stage: &mut Stage, name: &str| {
+        for _ in 0..20 {
+            let row = stage.app.selected_row().unwrap();
+            if row.name.as_ref().is_some_and(|it| it.to_string() == name) {
+                return;
+            }
+            stage.keys("j");
+        }
+        panic!("no {name}\n{}", stage.screen());
+    };
+    select(&mut stage, "PSU");
+    stage.until(22.0);
+    assert_eq!(stage.app.selected_row().unwrap().name.as_ref().unwrap().to_string(), "PSU");
+    // A listed device that comes: from the file's row to the device's.
+    let mut stage = Stage::boiler();
+    stage.until(3.0);
+    select(&mut stage, "ACT");
+    assert!(stage.app.selected_device().is_none());
+    stage.until(22.0);
+    assert!(stage.app.selected_device().unwrap().is_named(b"ACT"));
+}
+
+#[test]
+fn filters_show_less() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0).keys("/").text("sens");
+    snapshot!("filter_devices", stage);
+    stage.keys("Enter 2 /").text("src:act srv:des").keys("Enter");
+    snapshot!("filter_traffic", stage);
+    stage.keys("Esc 1 Esc");
+    assert_eq!(stage.app.rows().len(), 10);
+}
+
+#[test]
+fn freezing_holds_the_frames_and_loses_none() {
+    let mut stage = Stage::boiler();
+    stage.until(20.0).keys("2 Space");
+    let held = stage.screen();
+    let body = |screen: &str| screen.lines().skip(3).take(18).collect::<Vec<_>>().join("\n");
+    stage.until(22.0);
+    assert_eq!(body(&stage.screen()), body(&held));
+    assert!(stage.screen().contains("HELD"));
+    stage.keys("Space");
+    assert!(stage.screen().contains("12:00:21.9"));
+}
+
+#[test]
+fn the_russian_layout_works() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("4").keys("о");
+    assert_eq!(stage.app.view().page, descan::app::Page::Problems);
+    stage.keys("1 у").text("47").keys("Enter");
+    assert!(stage.file().contains("47"), "у is e");
+    stage.keys("г");
+    assert_eq!(stage.file(), BOILER, "г is u");
+    stage.keys("й");
+    assert!(stage.effects.contains(&Effect::Quit), "й is q");
+}
+
+#[test]
+fn the_mouse_selects_and_turns_pages() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0);
+    let mut mouse = |kind, column, row| {
+        let now = stage.app.now();
+        stage.app.handle_mouse(now, Mouse { kind, column, row });
+        stage.app.view().page
+    };
+    mouse(MouseKind::Press, 10, 6);
+    assert_eq!(mouse(MouseKind::Press, 14, 2), descan::app::Page::Traffic);
+    assert_eq!(mouse(MouseKind::WheelUp, 14, 9), descan::app::Page::Traffic);
+    assert_eq!(mouse(MouseKind::Press, 40, 2), descan::app::Page::Problems);
+    assert!(stage.app.view().traffic.is_some(), "the wheel holds the traffic");
+    stage.keys("1");
+    assert_eq!(stage.app.selected_row_index(), Some(2));
+}
+
+#[test]
+fn the_timeline_leads_to_the_frames() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0).keys("3 k k Enter");
+    assert_eq!(stage.app.view().page, descan::app::Page::Traffic);
+    let number = stage.app.view().traffic.unwrap();
+    let frame = stage.app.capture().get(number).unwrap();
+    assert!(frame.time > Instant::ZERO + Duration::from_secs(26), "{}", frame.time);
+}
+
+#[test]
+fn every_action_is_in_the_help() {
+    let mut stage = Stage::boiler();
+    let screen = stage.size(80, 200).keys("?").screen();
+    for action in descan::keymap::ACTIONS {
+        let words: Vec<&str> = action.doc.split(' ').take(3).collect();
+        assert!(screen.contains(&words.join(" ")), "{}: {}", action.name, action.doc);
+        assert!(screen.contains(action.keys[0]), "{}", action.name);
+    }
+    for role in [Role::Online, Role::Collision] {
+        assert!(!role.doc().is_empty());
+    }
+}
+
+// ---- what the bus may do ------------------------------------------------------------------
+
+#[test]
+fn nothing_beyond_discovery_is_sent_by_one_key() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("i");
+    assert!(stage.screen().contains("identify needs a profile"), "{}", stage.screen());
+    let profile = descan::wire::profile::Profile { given: true, ..Default::default() };
+    let config = Config { profile: profile.into(), seed: 7, ..Config::default() };
+    let scenario = Scenario::builtin("boiler").unwrap();
+    let mut stage = Stage::with(&scenario, Some(BOILER), config);
+    stage.until(24.0);
+    let sent = |stage: &Stage| {
+        let ours = stage.app.capture().iter().filter(|(_, frame)| frame.ours);
+        ours.filter(|(_, frame)| frame.platform_id().is_some_and(|id| id & 0x3FF == 0x18)).count()
+    };
+    stage.keys("i");
+    assert!(stage.screen().contains("Send identify (service 018) to FEED at 10?"));
+    stage.keys("n").until(25.0);
+    assert_eq!(sent(&stage), 0);
+    stage.keys("i y").until(26.0);
+    assert_eq!(sent(&stage), 1);
+}
+
+#[test]
+fn hostile_names_never_reach_the_terminal() {
+    use descan::sim::DeviceSpec;
+    let mut scenario = Scenario::new(500_000);
+    let names: [&[u8]; 4] = [
+        b"\x1b]0;pwned\x07",
+        b"\x1b[2J\x9b31m",
+        "\u{202e}\u{200b}\u{2028}\u{9b}".as_bytes(),
+        b"a\r\nb\tc",
+    ];
+    for (at, name) in names.into_iter().enumerate() {
+        let mut device = DeviceSpec::new("x").label(&format!("device {at}")).settled();
+        device.name = name.to_vec();
+        device = device.fixed(20 + at as u8);
+        device.services = vec![vec![name.to_vec(), name.to_vec(), name.to_vec()]];
+        scenario = scenario.with(device);
+    }
+    let mut stage = Stage::new(&scenario, None);
+    stage.until(8.0).keys("A");
+    for (columns, rows) in [(80, 24), (140, 50), (40, 10)] {
+        stage.size(columns, rows);
+        for keys in ["1", "j", "j", "j", "Enter", "Esc 2", "v", "v k k Enter", "Esc 3", "4", "1 R"]
+        {
+            stage.keys(keys);
+            let buffer = stage.buffer("terminal");
+            for cell in buffer.content() {
+                let odd = cell.symbol().chars().find(|&c| !descan::text::is_printable(c));
+                assert_eq!(odd, None, "{keys} {:?}", cell.symbol());
+            }
+        }
+        stage.keys("Esc");
+    }
+    snapshot!("hostile_names", stage.size(80, 24).keys("1"));
+}
+
+#[test]
+fn a_bus_that_is_down_says_so_everywhere() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0);
+    let status = BusStatus {
+        link: Link::Down,
+        state: BusState::Down,
+        message: Some("can0 is down: sudo ip link set can0 up type can bitrate 125000".to_owned()),
+        ..BusStatus::default()
+    };
+    let now = stage.app.now();
+    stage.app.handle_bus(now, BusIndex(0), status);
+    stage.sim.set_link(stage.station, false);
+    stage.until(40.0).keys("G");
+    snapshot!("bus_down", stage);
+}
+
+#[test]
+fn listening_only_says_what_it_does() {
+    let config = Config { listen_only: true, seed: 7, ..Config::default() };
+    let scenario = Scenario::builtin("boiler").unwrap();
+    let mut stage = Stage::with(&scenario, Some(BOILER), config);
+    stage.until(24.0);
+    assert!(stage.screen().contains("listen-only, acks"), "{}", stage.screen());
+    snapshot!("listen_only", stage);
+    assert!(!stage.app.capture().iter().any(|(_, frame)| frame.ours));
+    stage.keys("r");
+    assert!(stage.screen().contains("listen-only: nobody is asked"));
+}
+
+#[test]
+fn frames_alone_do_not_make_the_devices_page_dirty() {
+    let mut stage = Stage::new(&Scenario::crowd(500_000, 20, 2), None);
+    stage.until(30.0);
+    stage.app.take_dirty();
+    let mut draws = 0;
+    for step in 1..=400 {
+        stage.until(30.0 + f64::from(step) * 0.025);
+        draws += u32::from(stage.app.take_dirty());
+    }
+    assert!(draws <= 12, "{draws} draws in ten quiet seconds");
+}
+
+#[test]
+fn two_buses_are_one_view() {
+    let mut app = App::new(
+        Instant::ZERO,
+        AppOptions {
+            buses: vec![
+                ("can0".to_owned(), Config::default()),
+                ("can1".to_owned(), Config::default()),
+            ],
+            ..AppOptions::default()
+        },
+    );
+    let mut sims: Vec<(Sim, Station)> = [("boiler", 1), ("drone", 2)]
+        .map(|(name, seed)| {
+            let mut sim = Sim::new(&Scenario::builtin(name).unwrap(), seed);
+            let station = sim.attach();
+            (sim, station)
+        })
+        .into();
+    for (index, bitrate) in [(0, Some(125_000)), (1, Some(1_000_000))] {
+        let status = BusStatus { link: Link::Up, bitrate, ..BusStatus::default() };
+        app.handle_bus(Instant::ZERO, BusIndex(index), status);
+    }
+    for step in 1..=20_000u64 {
+        let now = Instant::from_micros(step * 1000);
+        for (index, (sim, station)) in sims.iter_mut().enumerate() {
+            sim.advance(now);
+            while let Some(frame) = sim.poll_frame(*station) {
+                app.handle_frames(now, &[frame.on(BusIndex(index as u8))]);
+            }
+        }
+        app.handle_timeout(now);
+        while let Some(frame) = app.poll_transmit(now) {
+            let (sim, station) = &mut sims[usize::from(frame.bus.0)];
+            sim.transmit(*station, frame);
+        }
+    }
+    app.handle_resize(100, 30);
+    let mut terminal = Terminal::new(TestBackend::new(100, 30)).unwrap();
+    let theme = Theme::built_in("dark").unwrap();
+    terminal.draw(|frame| ui::draw(&app, &theme, frame)).unwrap();
+    insta::assert_snapshot!("two_buses", text_of(terminal.backend().buffer()));
+}
