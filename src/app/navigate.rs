@@ -30,6 +30,12 @@ pub enum MouseKind {
     WheelDown,
 }
 
+impl Mouse {
+    fn is_in(self, area: Rect) -> bool {
+        area.contains(Position::new(self.column, self.row))
+    }
+}
+
 /// How many rows a notch of the wheel is.
 const NOTCH: isize = 3;
 
@@ -44,16 +50,11 @@ impl App {
         };
         self.dirty = true;
         match self.overlay {
-            Overlay::None if self.is_in(self.screen().details, mouse) => self.scroll_details(delta),
+            Overlay::None if mouse.is_in(self.screen().details) => self.scroll_details(delta),
             Overlay::None => self.move_list(delta),
             Overlay::Help(_) => self.scroll_help(delta as i16),
             _ => {}
         }
-    }
-
-    #[allow(clippy::unused_self)]
-    fn is_in(&self, area: Rect, mouse: Mouse) -> bool {
-        area.contains(Position::new(mouse.column, mouse.row))
     }
 
     fn press(&mut self, mouse: Mouse) {
@@ -71,12 +72,12 @@ impl App {
             if let Some((page, ..)) = hit {
                 self.show_page(page);
             }
-        } else if self.is_in(screen.list, mouse) {
+        } else if mouse.is_in(screen.list) {
             self.view.focus = Focus::List;
             self.click_row(usize::from(mouse.row - screen.list.y));
-        } else if self.is_in(screen.details, mouse) {
+        } else if mouse.is_in(screen.details) {
             self.view.focus = Focus::Details;
-        } else if self.is_in(screen.latest, mouse) {
+        } else if mouse.is_in(screen.latest) {
             self.show_page(Page::Timeline);
         }
     }
