@@ -6,6 +6,7 @@ mod pty;
 
 use nix::sys::signal::Signal;
 use pty::Pty;
+use std::fmt::Write;
 use std::path::Path;
 
 const SMALL: (u16, u16) = (80, 24);
@@ -215,10 +216,8 @@ fn a_log_is_shown_as_it_was_timed_and_its_end_is_no_exit() {
     let folder = tempfile::tempdir().unwrap();
     let mut log = String::new();
     for beat in 0..5 {
-        log.push_str(&format!(
-            "({}.100000) can7 07183C01#8AFA6C9724110400\n",
-            1_436_509_052 + beat
-        ));
+        let second = 1_436_509_052 + beat;
+        writeln!(log, "({second}.100000) can7 07183C01#8AFA6C9724110400").unwrap();
     }
     std::fs::write(folder.path().join("session.log"), log).unwrap();
     let mut pty = Pty::start(&["file:session.log", "--speed", "20"], folder.path(), SMALL);

@@ -33,15 +33,12 @@ fn sent(message: &[u8], fd: bool) -> Vec<Vec<u8>> {
     let mut sender = Segmenter::new(message.to_vec(), fd);
     let mut frames = Vec::new();
     while !sender.is_done() {
-        match sender.poll(Instant::ZERO) {
-            Some(segment) => {
-                let padding = if fd { 0xCC } else { 0 };
-                frames.push(segment.into_frame(0, fd, padding).data().to_vec());
-            }
-            None => {
-                let go = FlowControl { status: FlowStatus::Continue, block_size: 0, st_min: 0 };
-                sender.handle_flow(Instant::ZERO, go).unwrap();
-            }
+        if let Some(segment) = sender.poll(Instant::ZERO) {
+            let padding = if fd { 0xCC } else { 0 };
+            frames.push(segment.into_frame(0, fd, padding).data().to_vec());
+        } else {
+            let go = FlowControl { status: FlowStatus::Continue, block_size: 0, st_min: 0 };
+            sender.handle_flow(Instant::ZERO, go).unwrap();
         }
     }
     frames

@@ -57,11 +57,11 @@ fn needs_terminal() -> Result<(), Failure> {
 }
 
 fn show(buses: &[BusSpec], setup: &Setup, clock: Clock) -> Result<u8, Failure> {
-    let mut themes = Themes::new(setup.folder.clone());
     let colourless = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
     let usual = if colourless { "mono" } else { "terminal" };
     let wanted = setup.theme.as_deref().unwrap_or(usual);
-    themes.choose(wanted).map_err(|why| Failure::Usage(format!("theme {wanted}: {why}")))?;
+    let mut themes = Themes::new(setup.folder.clone(), wanted)
+        .map_err(|why| Failure::Usage(format!("theme {wanted}: {why}")))?;
     let options = AppOptions {
         keymap: setup.keymap.clone(),
         theme: wanted.to_owned(),

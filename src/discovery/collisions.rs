@@ -744,14 +744,12 @@ impl Watch {
             return (twice, false);
         }
         let period = period.as_secs_f64();
-        let gaps: Vec<f64> = self
-            .beats
-            .iter()
-            .zip(self.beats.iter().skip(1))
-            .map(|(a, b)| b.time.since(a.time).as_secs_f64() / period)
-            .collect();
-        let phases = gaps.windows(2).all(|pair| {
-            (0.85..=1.15).contains(&(pair[0] + pair[1])) && (pair[0] - pair[1]).abs() > 0.15
+        let gap = |a: &Beat, b: &Beat| b.time.since(a.time).as_secs_f64() / period;
+        let triples =
+            self.beats.iter().zip(self.beats.iter().skip(1)).zip(self.beats.iter().skip(2));
+        let phases = triples.into_iter().all(|((a, b), c)| {
+            let (first, second) = (gap(a, b), gap(b, c));
+            (0.85..=1.15).contains(&(first + second)) && (first - second).abs() > 0.15
         });
         (twice, phases)
     }

@@ -164,10 +164,14 @@ pub struct Themes {
 }
 
 impl Themes {
-    /// The built-in `terminal` theme until another one is chosen.
-    pub fn new(folder: Option<Folder>) -> Self {
-        let current = Theme::built_in("terminal").expect("it is built in");
-        Self { current, folder, watch: None }
+    /// The theme of that name: the user's own, or a built-in one.
+    pub fn new(folder: Option<Folder>, name: &str) -> Result<Self, String> {
+        let (name_built_in, text) = crate::theme::BUILT_IN[0];
+        let first =
+            Theme::parse(name_built_in, text, |_| None).map_err(|error| error.to_string())?;
+        let mut themes = Self { current: first, folder, watch: None };
+        themes.choose(name)?;
+        Ok(themes)
     }
 
     /// Draws with the theme of that name from now on: the user's own, or a built-in one.

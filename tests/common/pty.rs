@@ -13,7 +13,7 @@ use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
 /// How long anything may take on a busy machine.
-pub const PATIENCE: Duration = Duration::from_secs(60);
+pub const PATIENCE: Duration = Duration::from_mins(1);
 
 pub struct Pty {
     child: Box<dyn Child + Send + Sync>,
@@ -54,7 +54,7 @@ impl Pty {
         let mut reader = pair.master.try_clone_reader().unwrap();
         let (sender, output) = channel();
         std::thread::spawn(move || {
-            let mut buffer = [0; 65_536];
+            let mut buffer = vec![0; 65_536];
             while let Ok(count @ 1..) = reader.read(&mut buffer) {
                 if sender.send(buffer[..count].to_vec()).is_err() {
                     return;
@@ -78,10 +78,10 @@ impl Pty {
         let deadline = Instant::now() + PATIENCE;
         while !wanted(self.parser.screen()) {
             let left = deadline.saturating_duration_since(Instant::now());
-            match self.output.recv_timeout(left) {
-                Ok(bytes) => self.take(&bytes),
-                Err(_) => panic!("no {what}; the screen is\n{}", self.screen()),
-            }
+            let Ok(bytes) = self.output.recv_timeout(left) else {
+                panic!("no {what}; the screen is\n{}", self.screen());
+            };
+            self.take(&bytes);
         }
     }
 
@@ -113,7 +113,7 @@ impl Pty {
     }
 
     pub fn pid(&self) -> Pid {
-        Pid::from_raw(self.child.process_id().expect("it runs") as i32)
+        Pid::from_raw(self.child.process_id().expect("it runs").cast_signed())
     }
 
     pub fn signal(&self, signal: Signal) {
