@@ -1,0 +1,82 @@
+//! What the real binary writes to its terminal while a bus is full, how soon its first screen
+//! is there, and how much memory it holds.
+//!
+//! 60 devices at 1 Mbit/s that chatter: about 7,000 frames a second on a simulated bus in the
+//! same process.
+
+#[path = "../common/pty.rs"]
+mod pty;
+
+use pty::Pty;
+use std::fmt::Write;
+use std::time::{Duration, Instant};
+
+const DEVICES: u32 = 60;
+const AT_REST: Duration = Duration::from_secs(20);
+
+fn main() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    std::fs::write(folder.path().join("full.toml"), scenario()).expect("the scenario");
+    first_screen(folder.path());
+    for size in [(80, 24), (120, 40), (160, 50)] {
+        at_rest(folder.path(), size);
+    }
+}
+
+/// Each device beats once a second and sends 8 bytes 116 times a second.
+fn scenario() -> String {
+    let mut text = "bitrate = 1000000\n".to_owned();
+    for address in 1..=DEVICES {
+        write!(
+            text,
+            "[[device]]\nname = \"N{address:03}\"\nuid = \"NODE{address:03}\"\n\
+             address = {{ fixed = {address} }}\nsettled = true\n\
+             services = [[\"DES\", \"1.0\"], [\"DATA\", \"2.{address}\"]]\n\
+             chatter = [{{ service = {}, period_ms = 9 }}, {{ service = {}, period_ms = 200 }}]\n",
+            0x100 + address,
+            0x180 + address
+        )
+        .expect("a String takes everything");
+    }
+    text
+}
+
+fn first_screen(folder: &std::path::Path) {
+    let mut times: Vec<f64> = (0..11)
+        .map(|_| {
+            let start = Instant::now();
+            let mut pty = Pty::start(&["sim:full.toml"], folder, (80, 24));
+            pty.wait_until("first screen", |screen| screen.contents().contains("1 Devices"));
+            let took = start.elapsed().as_secs_f64() * 1e3;
+            pty.send("q");
+            pty.wait();
+            took
+        })
+        .collect();
+    times.sort_by(f64::total_cmp);
+    println!(
+        "from start to the first screen: median {:.1} ms, worst {:.1} ms of 11",
+        times[5], times[10]
+    );
+}
+
+fn at_rest(folder: &std::path::Path, size: (u16, u16)) {
+    let mut pty = Pty::start(&["sim:full.toml"], folder, size);
+    pty.wait_until("all devices", |screen| screen.contents().contains("60 here"));
+    pty.count_for(Duration::from_secs(5));
+    let bytes = pty.count_for(AT_REST);
+    let rate = bytes as f64 / AT_REST.as_secs_f64();
+    let shown = pty.screen();
+    let frames =
+        shown.split_whitespace().zip(shown.split_whitespace().skip(1)).find(|it| it.1 == "f/s");
+    let frames = frames.map_or("?", |it| it.0).to_owned();
+    let status = std::fs::read_to_string(format!("/proc/{}/status", pty.pid())).unwrap_or_default();
+    let resident =
+        status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap_or("?").trim();
+    println!(
+        "at rest on Devices, {}×{}: {rate:.0} bytes/s at {frames} frames/s; resident {resident}",
+        size.0, size.1
+    );
+    pty.send("q");
+    pty.wait();
+}
