@@ -198,6 +198,17 @@ fn hostile_names_reach_no_terminal() {
 }
 
 #[test]
+fn an_interface_name_in_a_log_steers_no_terminal() {
+    let folder = tempfile::tempdir().unwrap();
+    let lines = "(1.0) ca\u{1b}[2Jn0 07183C01#\n(1.1) ca\u{9b}n0 07183C01#\n(1.2) can0 07183C01#\n";
+    std::fs::write(folder.path().join("session.log"), lines).unwrap();
+    let output = descan(&["scan", "file:session.log"], folder.path());
+    let shown = text(&output.stdout) + &text(&output.stderr);
+    assert!(!shown.chars().any(|c| c.is_control() && c != '\n'), "{shown:?}");
+    assert!(shown.contains("can0: ") && shown.contains("2 lines cannot be read"), "{shown}");
+}
+
+#[test]
 fn what_was_found_becomes_a_des_json_and_nothing_is_overwritten() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("session.log"), log(&two_devices(), 5)).unwrap();

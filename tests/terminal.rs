@@ -212,6 +212,25 @@ fn what_is_written_is_bracketed_as_one_update() {
 }
 
 #[test]
+fn a_log_of_two_interfaces_is_two_buses() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut log = String::new();
+    for beat in 0..3 {
+        let second = 1_436_509_052 + beat;
+        writeln!(log, "({second}.100000) can7 07183C01#8AFA6C9724110400").unwrap();
+        writeln!(log, "({second}.200000) can8 07283C01#8AFA6C9724120400").unwrap();
+    }
+    std::fs::write(folder.path().join("session.log"), log).unwrap();
+    let mut pty = Pty::start(&["file:session.log", "--speed", "20"], folder.path(), (100, 30));
+    pty.wait_until("both buses and a node on each", |screen| {
+        let text = screen.contents();
+        ["can7", "can8", " 12  ", " 20  "].iter().all(|wanted| text.contains(wanted))
+    });
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}
+
+#[test]
 fn a_log_is_shown_as_it_was_timed_and_its_end_is_no_exit() {
     let folder = tempfile::tempdir().unwrap();
     let mut log = String::new();

@@ -242,6 +242,15 @@ impl App {
         }
     }
 
+    /// Gives a bus the name that is known now: a log says which interface it was taken from.
+    pub fn name_bus(&mut self, index: BusIndex, name: String) {
+        if let Some(bus) = self.buses.get_mut(usize::from(index.0)) {
+            bus.name = name;
+            self.refresh();
+            self.dirty = true;
+        }
+    }
+
     /// One more bus, as when a log turns out to have several. At most 256.
     pub fn add_bus(&mut self, now: Instant, name: String, config: Config) {
         if let Ok(index) = u8::try_from(self.buses.len()) {

@@ -38,7 +38,7 @@ pub enum LineFault {
     /// It does not begin with a time in parentheses.
     #[error("it does not begin with (SECONDS.FRACTION)")]
     Time,
-    /// No interface name after the time, or not one in UTF-8.
+    /// No interface name after the time, or not one that can be shown.
     #[error("no interface name after the time")]
     Interface,
     /// No `ID#…`.
@@ -77,6 +77,10 @@ pub fn parse_line(line: &[u8]) -> Result<Option<LogLine<'_>>, LineFault> {
     let unix_micros = parse_time(time).ok_or(LineFault::Time)?;
     let interface = words.next().ok_or(LineFault::Interface)?;
     let interface = std::str::from_utf8(interface).map_err(|_| LineFault::Interface)?;
+    // The name is shown: nothing in it may steer a terminal.
+    if !interface.chars().all(crate::text::is_printable) {
+        return Err(LineFault::Interface);
+    }
     let mut frame = parse_frame(words.next().ok_or(LineFault::Frame)?)?;
     match words.next() {
         None | Some(b"R") => {}

@@ -47,6 +47,8 @@ pub struct Session {
     pub app: App,
     clock: Clock,
     ports: Vec<Port>,
+    /// How many of its interfaces' names each port has told.
+    named: Vec<usize>,
     store: Option<Store>,
     watch: Option<Watch>,
     work: Vec<JoinHandle<Finished>>,
@@ -59,6 +61,7 @@ impl Session {
         let mut session = Self {
             app,
             clock,
+            named: vec![0; ports.len()],
             ports,
             store,
             watch: None,
@@ -157,13 +160,26 @@ impl Session {
     }
 
     fn take_buses(&mut self, now: Instant) {
-        for (index, port) in self.ports.iter().enumerate() {
-            let index = BusIndex(index as u8);
+        for (port_at, port) in self.ports.iter().enumerate() {
+            let index = BusIndex(port_at as u8);
             if let Some(status) = port.queue().take_status() {
                 self.app.handle_bus(now, index, status);
             }
             self.batch.clear();
             port.queue().drain(&mut self.batch, BATCH);
+            // A log tells its interfaces' names as they turn up; the first is the port's bus.
+            for (at, name) in port.queue().names().into_iter().enumerate().skip(self.named[port_at])
+            {
+                let Ok(further) = u8::try_from(at) else { break };
+                let bus = BusIndex(index.0.saturating_add(further));
+                if at == 0 || self.app.bus(bus).is_some() {
+                    self.app.name_bus(bus, name);
+                } else if let Some(first) = self.app.bus(index) {
+                    let config = first.engine.config().clone();
+                    self.app.add_bus(now, name, config);
+                }
+                self.named[port_at] = at + 1;
+            }
             self.app.handle_frames(now, &self.batch);
         }
     }
