@@ -171,6 +171,33 @@ fn a_broken_file_is_told_and_never_written() {
 }
 
 #[test]
+fn a_theme_of_the_users_is_read_again_when_it_is_saved() {
+    let folder = tempfile::tempdir().unwrap();
+    let themes = folder.path().join("config/descan/themes");
+    std::fs::create_dir_all(&themes).unwrap();
+    let write = |colour: &str| {
+        let text = format!("inherits = \"dark\"\n[roles]\nselected = {{ bg = \"{colour}\" }}\n");
+        std::fs::write(themes.join("own.toml"), text).unwrap();
+    };
+    // The nearest of 256 colours: these two are in the cube.
+    write("#5f00af");
+    let mut pty = Pty::start(&["sim:boiler", "--theme", "own"], folder.path(), SMALL);
+    let has = |screen: &vt100::Screen, index: u8| {
+        (0..24).any(|row| {
+            screen.cell(row, 2).is_some_and(|cell| cell.bgcolor() == vt100::Color::Idx(index))
+        })
+    };
+    pty.wait_until("the first colour", |screen| has(screen, 55));
+    write("#00875f");
+    pty.wait_until("the other colour", |screen| has(screen, 29));
+    write("#nonsense");
+    pty.wait_for("theme own");
+    pty.wait_until("still the other colour", |screen| has(screen, 29));
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}
+
+#[test]
 fn an_interface_that_does_not_exist_is_waited_for() {
     let folder = tempfile::tempdir().unwrap();
     let mut pty = Pty::start(&["nocan7"], folder.path(), SMALL);

@@ -9,7 +9,7 @@ use super::terminal::Terminal;
 use super::watch::Watch;
 use crate::app::{Effect, Mouse, MouseKind};
 use crate::keymap::{Key, KeyCode};
-use crate::theme::Theme;
+use crate::theme::{Colours, Theme};
 use crossterm::event::{
     self, Event, EventStream, KeyEvent, KeyEventKind, KeyModifiers, MouseButton, MouseEventKind,
 };
@@ -159,6 +159,7 @@ fn key_of(event: KeyEvent) -> Option<Key> {
 pub struct Themes {
     /// What is drawn with.
     pub current: Theme,
+    colours: Colours,
     folder: Option<Folder>,
     watch: Option<Watch>,
 }
@@ -166,10 +167,9 @@ pub struct Themes {
 impl Themes {
     /// The theme of that name: the user's own, or a built-in one.
     pub fn new(folder: Option<Folder>, name: &str) -> Result<Self, String> {
-        let (name_built_in, text) = crate::theme::BUILT_IN[0];
-        let first =
-            Theme::parse(name_built_in, text, |_| None).map_err(|error| error.to_string())?;
-        let mut themes = Self { current: first, folder, watch: None };
+        let (built_in, text) = crate::theme::BUILT_IN[0];
+        let first = Theme::parse(built_in, text, |_| None).map_err(|error| error.to_string())?;
+        let mut themes = Self { current: first, colours: colours(), folder, watch: None };
         themes.choose(name)?;
         Ok(themes)
     }
@@ -180,6 +180,7 @@ impl Themes {
         self.current = match &text {
             Some(text) => self.parse(name, text)?,
             None => Theme::built_in(name)
+                .map(|theme| theme.limited(self.colours))
                 .ok_or_else(|| format!("there is none; there are {}", self.names().join(", ")))?,
         };
         self.watch = match (&self.folder, text) {
@@ -216,7 +217,8 @@ impl Themes {
 
     fn parse(&self, name: &str, text: &str) -> Result<Theme, String> {
         let find = |parent: &str| self.text_of(parent).ok().flatten();
-        Theme::parse(name, text, find).map_err(|error| error.to_string())
+        let theme = Theme::parse(name, text, find).map_err(|error| error.to_string())?;
+        Ok(theme.limited(self.colours))
     }
 
     /// Waits until the file of the current theme changes.
@@ -233,6 +235,20 @@ impl Themes {
         let name = self.current.name.clone();
         self.current = self.parse(&name, &text)?;
         Ok(())
+    }
+}
+
+/// How many colours the terminal says it has.
+fn colours() -> Colours {
+    let variable = |name| std::env::var(name).unwrap_or_default();
+    let full = ["truecolor", "24bit"].contains(&variable("COLORTERM").as_str());
+    let terminal = variable("TERM");
+    if full || terminal.ends_with("-direct") {
+        Colours::Full
+    } else if terminal.contains("256") {
+        Colours::Indexed
+    } else {
+        Colours::Sixteen
     }
 }
 

@@ -49,6 +49,7 @@ impl Pty {
         command.env("TZ", "UTC");
         command.env("RUST_BACKTRACE", "0");
         command.env_remove("NO_COLOR");
+        command.env_remove("COLORTERM");
         let child = pair.slave.spawn_command(command).expect("the program starts");
         drop(pair.slave);
         let mut reader = pair.master.try_clone_reader().unwrap();
