@@ -425,7 +425,10 @@ impl Engine {
                 self.hear_message(now, index, Framing::Isotp, message, frame);
             }
             Ok(Pci::First { length, data }) => {
-                let request = request_of(data);
+                // With an absurd length there may be no type byte: it is what was asked for.
+                let absurd = length as usize > des::MAX_MESSAGE;
+                let asked = if absurd { self.open_request(index) } else { None };
+                let request = request_of(data).or(asked);
                 if request.is_none() {
                     self.malformed(now, index, &AnswerFault::NotServices, frame);
                     return;
