@@ -80,7 +80,7 @@ fn another_profile_has_other_numbers() {
     assert!(it.run_until(seconds(10.0), |engine| engine.progress().settled));
     let feed = device(&it, 12);
     assert!(feed.is_named(b"FEED"));
-    assert_eq!(feed.mode.map(|mode| mode.name()), Some("WORK"));
+    assert_eq!(feed.mode.map(descan::wire::node::Mode::name), Some("WORK"));
     assert_eq!(feed.services.as_ref().map(Vec::len), Some(2));
     let asked = it.frames.iter().filter(|frame| frame.ours && frame.data().starts_with(b"DES"));
     assert_eq!(asked.count(), 0, "asked in ISO 15765-2 alone, as the profile says");
