@@ -226,12 +226,12 @@ impl Engine {
             Request::Name => &mut device.name_query,
             Request::Services => &mut device.services_query,
         };
-        query.fault = Some(fault);
+        let before = query.fault.replace(fault);
         if query.is_waiting() {
             self.waiting = self.waiting.saturating_sub(1);
-            let refused = fault == QueryFault::Refused;
-            if refused {
-                query.attempts = SERVICES_ATTEMPTS;
+            // Once may be because of the framing it was asked in.
+            if fault == QueryFault::Refused && before == Some(fault) {
+                query.attempts = query.attempts.max(limit(request));
             }
             fail(query, request, named, now, Some(fault));
         }
@@ -292,6 +292,14 @@ fn patience(config: &super::Config, attempts: u32) -> Duration {
     (base * 2u32.saturating_pow(attempts.saturating_sub(1))).min(Duration::from_secs(3))
 }
 
+/// How often in a row a question is asked.
+const fn limit(request: Request) -> u32 {
+    match request {
+        Request::Name => NAME_ATTEMPTS,
+        Request::Services => SERVICES_ATTEMPTS,
+    }
+}
+
 /// Notes a failed attempt and plans the next. Whether everybody should be asked instead.
 fn fail(
     query: &mut Query,
@@ -302,10 +310,7 @@ fn fail(
 ) -> bool {
     query.deadline = None;
     query.fault = fault;
-    let limit = match request {
-        Request::Name => NAME_ATTEMPTS,
-        Request::Services => SERVICES_ATTEMPTS,
-    };
+    let limit = limit(request);
     if query.attempts < limit {
         query.state = QueryState::NotAsked;
         let back_off = Duration::from_millis(100 << query.attempts.min(6));

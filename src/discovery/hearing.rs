@@ -358,6 +358,13 @@ impl Engine {
             self.roster.get_mut(index).note(Quirk::RspDstEcho);
         }
         if !header.no_error {
+            // To somebody else's question, or to the one of two in the other framing.
+            let device = self.roster.get(index);
+            let arriving = [&device.name_query, &device.services_query];
+            let arriving = arriving.iter().any(|query| query.state == QueryState::Receiving);
+            if arriving || (self.station.held().is_some() && !for_us) {
+                return;
+            }
             let request = self.open_request(index).unwrap_or(Request::Services);
             self.answer_failed(index, request, QueryFault::Refused);
             return;
@@ -404,9 +411,16 @@ impl Engine {
         let device = self.roster.get_mut(index);
         if device.framing.is_some_and(|known| known != framing) {
             device.note(Quirk::BothFramings);
+            // Only this one can carry services that do not fit one frame.
+            let was_raw = device.framing.replace(Framing::Isotp) == Some(Framing::Raw);
+            if was_raw && device.name.is_some() && device.services.is_none() {
+                device.services_query.renew(now);
+                self.wake_at(now);
+            }
         } else {
             device.framing = Some(framing);
         }
+        let device = self.roster.get(index);
         let (address, name) = (device.address, device.name.clone());
         self.collisions.see_answer(now, address, request, framing, name.as_ref(), frame);
     }

@@ -69,10 +69,12 @@ impl Engine {
         let (uid, name, address) =
             (device.uid.filter(|uid| !uid.is_blank()), device.name.clone(), device.address);
         let first_seen = device.first_seen;
+        // Who has no heartbeat says nothing between rounds, and is gone only when it is lost.
         let gone = |other: &Device| {
             other.address != address
                 && other.last_seen <= first_seen
                 && now.since(other.last_seen) > period.mul_f64(1.4)
+                && (other.heartbeat.period().is_some() || !other.is_here())
         };
         let by_uid = uid.and_then(|uid| {
             self.roster.devices().iter().position(|other| other.uid == Some(uid) && gone(other))

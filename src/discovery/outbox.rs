@@ -102,13 +102,14 @@ impl Outbox {
         self.release()
     }
 
-    /// Somebody else sent a frame: there is somebody to acknowledge ours.
+    /// Somebody else sent a frame: there is somebody to acknowledge ours. One of ours that is
+    /// still not sent waits behind frames of higher priority.
     pub fn heard(&mut self, now: Instant) -> Option<Acknowledgement> {
+        self.unconfirmed_since = now;
         if !self.missing {
             return None;
         }
         self.unconfirmed = 0;
-        self.unconfirmed_since = now;
         self.release()
     }
 

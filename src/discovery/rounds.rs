@@ -34,6 +34,8 @@ pub(super) struct Rounds {
     pub finished: u32,
     /// Questions of this round that the bus has not taken yet.
     unsent: u32,
+    /// Somebody waits for a round that begins after this one.
+    hurried: bool,
 }
 
 /// What is to be done about rounds now.
@@ -50,7 +52,7 @@ pub(super) enum RoundStep {
 
 impl Rounds {
     pub fn new() -> Self {
-        Self { phase: Phase::NotYet, quiet: 0, finished: 0, unsent: 0 }
+        Self { phase: Phase::NotYet, quiet: 0, finished: 0, unsent: 0, hurried: false }
     }
 
     /// Whether the rounds at start are not over yet.
@@ -68,12 +70,13 @@ impl Rounds {
         self.phase = Phase::Waiting { at: now, patience: now };
     }
 
-    /// Makes one round soon, unless one is being made.
+    /// Makes one round soon: where one is being made, another after it.
     pub fn hurry(&mut self, at: Instant) {
         match &mut self.phase {
             Phase::Waiting { at: due, .. } => *due = (*due).min(at),
             Phase::Never => self.phase = Phase::Waiting { at, patience: at },
-            Phase::NotYet | Phase::Collecting { .. } => {}
+            Phase::Collecting { .. } => self.hurried = true,
+            Phase::NotYet => {}
         }
     }
 
@@ -128,6 +131,8 @@ impl Rounds {
                 self.quiet = if known > before { 0 } else { self.quiet + 1 };
                 self.phase = if self.is_starting() {
                     Phase::Waiting { at: now, patience: now + WAIT_FOR_SERVICES }
+                } else if std::mem::take(&mut self.hurried) {
+                    Phase::Waiting { at: now, patience: now }
                 } else if config.round_period.is_zero() {
                     Phase::Never
                 } else {
@@ -136,6 +141,7 @@ impl Rounds {
                 RoundStep::Over { began }
             }
             Phase::Waiting { at, patience } if now >= at && (open == 0 || now >= patience) => {
+                self.hurried = false;
                 self.phase = Phase::Collecting { began: now, last_answer: now, answers: 0, known };
                 RoundStep::Ask
             }
