@@ -441,7 +441,7 @@ impl App {
         let Some(key) =
             best.filter(|row| fits(row) > (false, false, false)).map(|it| it.key.clone())
         else {
-            self.complain("no row of the page Devices is selected");
+            self.complain("select a device first");
             return false;
         };
         self.view.devices.select(key);
