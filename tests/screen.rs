@@ -544,6 +544,17 @@ fn freezing_holds_the_frames_and_loses_none() {
 }
 
 #[test]
+fn rows_that_are_held_are_sorted_when_asked() {
+    let mut stage = Stage::boiler();
+    stage.until(20.0).keys("Space").until(24.0).keys("s");
+    let mut names: Vec<String> = Vec::new();
+    for row in stage.app.rows() {
+        names.extend(row.name.as_ref().map(ToString::to_string));
+    }
+    assert!(names.is_sorted(), "{names:?}");
+}
+
+#[test]
 fn the_russian_layout_works() {
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("4").keys("о");

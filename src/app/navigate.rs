@@ -292,6 +292,8 @@ impl App {
         match self.view.page {
             Page::Devices => {
                 self.view.sort = self.view.sort.next();
+                // Rows that are held are in the wanted order all the same.
+                self.rows.clear();
                 self.refresh_rows();
                 self.say(format!("sorted {}", self.view.sort.describe()));
             }
