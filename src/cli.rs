@@ -85,7 +85,7 @@ pub enum Command {
 /// `descan scan`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Exit code: 0 nothing found, 1 a confirmed collision, 2 wrong usage, 3 bus or file not usable.
+Exit code: 0 no confirmed collision, 1 one or more, 2 wrong usage, 3 bus or file not usable.
 
 Examples:
   descan scan can0

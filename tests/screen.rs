@@ -342,6 +342,59 @@ fn an_edit_survives_a_change_of_the_file_under_it() {
 }
 
 #[test]
+fn an_address_that_someone_else_changed_is_not_overridden_unseen() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("e").text("4");
+    stage.write(&BOILER.replace("10", "11")).text("7");
+    let screen = stage.screen();
+    assert!(screen.contains("! changed to 11 by someone else; Enter overrides"), "{screen}");
+    stage.keys("Esc");
+    assert_eq!(stage.file(), BOILER.replace("10", "11"));
+}
+
+#[test]
+fn what_is_typed_waits_until_the_file_is_repaired() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("e").text("47");
+    stage.write("{ broken").keys("Enter");
+    let screen = stage.screen();
+    assert!(screen.contains("✗ not edited while it is broken: line 1, column 3"), "{screen}");
+    stage.write(BOILER).keys("Enter");
+    assert_eq!(stage.file(), BOILER.replace("10", "47"));
+}
+
+#[test]
+fn a_file_that_is_deleted_is_said_to_be_gone() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0);
+    stage.app.handle_file(stage.app.now(), FileReading::Content(None));
+    assert!(stage.screen().contains("des.json     gone"), "{}", stage.screen());
+}
+
+#[test]
+fn a_new_entry_is_selected_and_a_wrong_address_in_it_is_told() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("n").text("PUMP 200");
+    let screen = stage.screen();
+    assert!(screen.contains("! all of it is the name: 200 is no address"), "{screen}");
+    stage.keys("Ctrl-u").text("VALVE 99").keys("Enter");
+    assert_eq!(stage.app.selected_row().unwrap().name.as_ref().unwrap().to_string(), "VALVE");
+}
+
+#[test]
+fn what_blocks_and_how_to_answer_are_never_cut_off() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0).size(40, 10).keys("n");
+    assert!(stage.screen().contains("✗ a name, and an address to pin it to"), "{}", stage.screen());
+    stage.keys("Esc e").text("128");
+    assert!(stage.screen().contains("✗ not an address: 1 to 127"), "{}", stage.screen());
+    stage.keys("Esc D");
+    assert!(stage.screen().contains("y yes  n no"), "{}", stage.screen());
+    stage.keys("n").size(80, 24).keys("n").text("PUMP 12");
+    assert!(stage.screen().contains("static address of SENS (line 5)"), "{}", stage.screen());
+}
+
+#[test]
 fn empty_takes_the_pin_away_and_esc_leaves() {
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("e Ctrl-u Esc");
@@ -414,7 +467,7 @@ fn devices_are_taken_into_a_file_that_is_begun() {
     stage.until(5.0).keys("A");
     insta::assert_snapshot!("begun_file", stage.file());
     stage.keys("D");
-    assert!(stage.screen().contains("Delete the entry N001 from des.json?"));
+    assert!(stage.screen().contains("Delete the entry N001 at"));
     stage.keys("n");
     assert_eq!(stage.file().matches("name").count(), 3 + 9);
     stage.keys("D y");
@@ -488,6 +541,17 @@ fn freezing_holds_the_frames_and_loses_none() {
     assert!(stage.screen().contains("HELD"));
     stage.keys("Space");
     assert!(stage.screen().contains("12:00:21.9"));
+}
+
+#[test]
+fn rows_that_are_held_are_sorted_when_asked() {
+    let mut stage = Stage::boiler();
+    stage.until(20.0).keys("Space").until(24.0).keys("s");
+    let mut names: Vec<String> = Vec::new();
+    for row in stage.app.rows() {
+        names.extend(row.name.as_ref().map(ToString::to_string));
+    }
+    assert!(names.is_sorted(), "{names:?}");
 }
 
 #[test]

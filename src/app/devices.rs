@@ -207,14 +207,13 @@ impl App {
         self.counts = self.count(&rows);
         let filter = Filter::parse(self.view.filter(super::Page::Devices));
         rows.retain(|row| filter.matches_row(self, row));
+        self.sort(&mut rows);
         if self.view.frozen.is_some() {
             // Rows stay where they are; what is new goes to the end.
             let old: Vec<&RowKey> = self.rows.iter().map(|row| &row.key).collect();
             rows.sort_by_cached_key(|row| {
                 old.iter().position(|key| **key == row.key).unwrap_or(usize::MAX)
             });
-        } else {
-            self.sort(&mut rows);
         }
         let before = std::mem::replace(&mut self.rows, rows);
         self.follow_selection(&before);

@@ -32,9 +32,8 @@ impl App {
                 return self.complain("its name is not known yet, so it cannot be listed");
             }
         }
-        let listed = self.entry_for(&key).filter(|entry| entry.is_static);
-        let text = listed.and_then(|entry| entry.address).map(|address| address.to_string());
-        self.open_prompt(PromptKind::Address(key), text.unwrap_or_default());
+        let text = self.pinned_text(&key);
+        self.open_prompt(PromptKind::Address(key), text);
     }
 
     /// Command: take the selected device into the file, with its services and its address (which
@@ -312,7 +311,8 @@ impl App {
                 many => format!("{many} edits are not saved. Quit all the same?"),
             },
             Question::Delete(key) => {
-                format!("Delete the entry {} from {}?", Escaped(&key.name), self.file.name())
+                let at = key.address.map(|address| format!(" at {address}")).unwrap_or_default();
+                format!("Delete the entry {}{at} from {}?", Escaped(&key.name), self.file.name())
             }
             Question::Identify(id) => {
                 let (name, address) = match self.device(*id) {

@@ -155,6 +155,9 @@ impl App {
                 Some((Kind::File, "not there yet: it begins with the first edit".to_owned()))
             }
             Change::First => Some((Kind::File, listed)),
+            Change::Content if !self.file.is_there() => {
+                Some((Kind::File, "gone: the next edit begins a new one".to_owned()))
+            }
             Change::Content => Some((Kind::File, format!("changed on disk: {listed}"))),
             Change::Rebased => Some((
                 Kind::File,

@@ -111,7 +111,7 @@ pub enum Refusal {
     NoFile,
     #[error("the file has not been read yet")]
     NotRead,
-    #[error("the file is not edited while it cannot be read: {0}")]
+    #[error("not edited while it is broken: {0}")]
     Broken(String),
     #[error("first choose between your value and the one in the file")]
     Conflict,

@@ -292,6 +292,8 @@ impl App {
         match self.view.page {
             Page::Devices => {
                 self.view.sort = self.view.sort.next();
+                // Rows that are held are in the wanted order all the same.
+                self.rows.clear();
                 self.refresh_rows();
                 self.say(format!("sorted {}", self.view.sort.describe()));
             }
@@ -441,7 +443,7 @@ impl App {
         let Some(key) =
             best.filter(|row| fits(row) > (false, false, false)).map(|it| it.key.clone())
         else {
-            self.complain("no row of the page Devices is selected");
+            self.complain("select a device first");
             return false;
         };
         self.view.devices.select(key);

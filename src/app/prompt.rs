@@ -23,6 +23,8 @@ pub struct Prompt {
     pub input: Input,
     /// The text is what was there before: the first character typed takes its place.
     pub untouched: bool,
+    /// The text it was opened with.
+    before: String,
 }
 
 /// What a line is typed for.
@@ -51,6 +53,11 @@ impl PromptKind {
             PromptKind::CapturePath => "save frames to",
         }
     }
+
+    /// It edits des.json.
+    const fn edits(&self) -> bool {
+        matches!(self, PromptKind::Address(_) | PromptKind::Rename(_) | PromptKind::NewEntry)
+    }
 }
 
 /// What is to be said of the text so far.
@@ -67,7 +74,8 @@ pub enum Verdict {
 impl App {
     pub(super) fn open_prompt(&mut self, kind: PromptKind, text: String) {
         let untouched = matches!(kind, PromptKind::Address(_)) && !text.is_empty();
-        self.overlay = Overlay::Prompt(Prompt { kind, input: Input::new(text), untouched });
+        let (input, before) = (Input::new(text.clone()), text);
+        self.overlay = Overlay::Prompt(Prompt { kind, input, untouched, before });
         self.dirty = true;
     }
 
@@ -83,11 +91,19 @@ impl App {
     pub fn verdict(&self) -> Option<Verdict> {
         let prompt = self.prompt()?;
         let text = prompt.input.value().trim();
+        if prompt.kind.edits()
+            && let Err(refusal) = self.file.check()
+        {
+            return Some(Verdict::Blocks(refusal.to_string()));
+        }
         Some(match &prompt.kind {
             PromptKind::Filter(..) => Verdict::Fine(
                 "words; src: dst: srv: type: id: bus: state:  err  ours  !not".to_owned(),
             ),
-            PromptKind::Address(key) => self.judge_address(key, text),
+            PromptKind::Address(key) => match self.judge_address(key, text) {
+                Verdict::Blocks(why) => Verdict::Blocks(why),
+                verdict => self.judge_change(key, &prompt.before).unwrap_or(verdict),
+            },
             PromptKind::Rename(_) => judge_name(text),
             PromptKind::NewEntry => self.judge_new_entry(text),
             PromptKind::CapturePath if text.is_empty() => {
@@ -164,6 +180,11 @@ impl App {
     fn finish_prompt(&mut self) {
         if let Some(Verdict::Blocks(_)) = self.verdict() {
             self.effects.push_back(Effect::Bell);
+            if self.prompt().is_some_and(|prompt| prompt.kind.edits())
+                && self.file.conflict().is_some()
+            {
+                self.show_conflict();
+            }
             return;
         }
         let Overlay::Prompt(prompt) = std::mem::take(&mut self.overlay) else { return };
@@ -180,7 +201,8 @@ impl App {
                 let bus = self.bus_to_name(self.selected_row().and_then(|row| row.bus));
                 let is_static = address.is_some();
                 let entry = NewEntry { name, address, is_static, bus, ..NewEntry::default() };
-                self.edit(&[Operation::Add { entry }]);
+                self.edit(&[Operation::Add { entry: entry.clone() }]);
+                self.select_entry(&entry.name, entry.address);
             }
             PromptKind::CapturePath => {
                 let (path, bytes) = (PathBuf::from(text), self.candump_log().into_bytes());
@@ -207,18 +229,37 @@ impl App {
         }
     }
 
+    /// What the file pins a row to, as the line is opened with it.
+    pub(super) fn pinned_text(&self, key: &RowKey) -> String {
+        let listed = self.entry_for(key).filter(|entry| entry.is_static);
+        listed.and_then(|entry| entry.address).map(|it| it.to_string()).unwrap_or_default()
+    }
+
+    /// Whether somebody else changed the pinned address while another one was typed.
+    fn judge_change(&self, key: &RowKey, before: &str) -> Option<Verdict> {
+        let now = self.pinned_text(key);
+        if now == before {
+            return None;
+        }
+        let theirs = match now.as_str() {
+            "" => "unpinned".to_owned(),
+            now => format!("changed to {now}"),
+        };
+        Some(Verdict::Warns(format!("{theirs} by someone else; Enter overrides that")))
+    }
+
     fn judge_address(&self, key: &RowKey, text: &str) -> Verdict {
         let entry = self.entry_for(key);
         if text.is_empty() {
             return match entry {
                 Some(entry) if entry.is_static => {
-                    Verdict::Fine("empty: no longer static".to_owned())
+                    Verdict::Fine("empty: Enter unpins it".to_owned())
                 }
                 _ => Verdict::Fine("1 to 127, decimal or 0x…".to_owned()),
             };
         }
         let Some(address) = parse_address(text) else {
-            return Verdict::Blocks("not an address: 1 to 127, decimal or 0x01 to 0x7F".to_owned());
+            return Verdict::Blocks("not an address: 1 to 127, or 0x01 to 0x7F".to_owned());
         };
         let device = match key {
             RowKey::Device(id) => self.device(*id),
@@ -304,9 +345,20 @@ impl App {
 
     // ---- new entries -----------------------------------------------------------------------
 
+    /// Selects the row of an entry, if it is shown.
+    fn select_entry(&mut self, name: &[u8], address: Option<u8>) {
+        let entries = self.file.document().entries();
+        let place = entries.iter().rposition(|it| it.name == name && it.address == address);
+        let row = self.rows.iter().find(|row| place.is_some() && row.entry == place);
+        if let Some(key) = row.map(|row| row.key.clone()) {
+            self.view.devices.select(key);
+            self.refresh_rows();
+        }
+    }
+
     fn judge_new_entry(&self, text: &str) -> Verdict {
         let Some((name, address)) = split_new_entry(text) else {
-            return Verdict::Blocks("a name, and an address if it is to be pinned".to_owned());
+            return Verdict::Blocks("a name, and an address to pin it to".to_owned());
         };
         let bus = self.bus_to_name(self.selected_row().and_then(|row| row.bus));
         let exists = |entry: &&Entry| entry.name == name && entry.address == address;
@@ -315,7 +367,12 @@ impl App {
             return Verdict::Blocks(format!("this entry is there already (line {line})"));
         }
         let Some(address) = address else {
-            return Verdict::Fine("without a static address".to_owned());
+            let shown = Escaped(&name);
+            let last = text.rsplit(char::is_whitespace).next().unwrap_or_default();
+            return match last.starts_with(|c: char| c.is_ascii_digit()) {
+                true => Verdict::Warns(format!("all of it is the name: {last} is no address")),
+                false => Verdict::Fine(format!("{shown}, not pinned")),
+            };
         };
         if let Some(blocked) = self.pinned_elsewhere(address, bus.as_deref(), None) {
             return blocked;

@@ -52,7 +52,7 @@ fn needs_terminal() -> Result<(), Failure> {
     if std::io::stdout().is_terminal() {
         return Ok(());
     }
-    let message = "the screen needs a terminal; without one there are: descan scan, descan watch";
+    let message = "the screen needs a terminal; without one there is: descan scan";
     Err(Failure::Usage(message.to_owned()))
 }
 

@@ -266,7 +266,10 @@ fn write_document(app: &App, path: &Path) -> Result<(), Failure> {
             count += 1;
         }
     }
-    Store::new(path).save(None, document.source()).map_err(|error| unusable(error.to_string()))?;
-    let _ = writeln!(io::stderr(), "{}: {count} devices written", path.display());
+    let saved = Store::new(path).save(None, document.source());
+    // The error names the path.
+    saved.map_err(|error| Failure::Unusable(error.to_string()))?;
+    let devices = if count == 1 { "device" } else { "devices" };
+    let _ = writeln!(io::stderr(), "{}: {count} {devices} written", path.display());
     Ok(())
 }

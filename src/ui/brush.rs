@@ -83,7 +83,7 @@ impl Brush<'_> {
     /// Says that the filter leaves nothing, and how to take it away.
     pub fn filtered(&mut self, area: Rect, what: &str) {
         let key = self.app.key_of("cancel");
-        let text = format!("   {what} ({key} takes it away)");
+        let text = format!("  {what}; {key} clears it");
         let line = Line::from(self.span(Role::Muted, text));
         self.line(area, 1, &line);
     }

@@ -1,6 +1,6 @@
 //! The last line: a question, the line being typed, a message, or which keys do what here.
 
-use super::brush::{Brush, cut};
+use super::brush::{Brush, cut, fit};
 use crate::app::{Focus, Page, PromptKind, Verdict};
 use crate::keymap::Mode;
 use crate::theme::Role;
@@ -17,8 +17,13 @@ pub fn draw(brush: &mut Brush) {
         return draw_prompt(brush, area);
     }
     if let Some(question) = brush.app.question() {
-        let mut line = Line::from(brush.span(Role::Warning, format!(" {question}  ")));
-        line.spans.extend(hints(brush, &["yes", "no"], usize::MAX));
+        // How to answer is never cut off.
+        let answers = Line::from(hints(brush, &["yes", "no"], usize::MAX));
+        let own = question.width() as u16 + 3;
+        let width = own.min(area.width.saturating_sub(answers.width() as u16 + 1));
+        let question = fit(&format!(" {question}"), usize::from(width.saturating_sub(2))) + "  ";
+        let mut line = Line::from(brush.span(Role::Warning, question));
+        line.spans.extend(answers.spans);
         return brush.line(area, 0, &line);
     }
     let mode = brush.app.mode();
@@ -45,6 +50,9 @@ fn draw_prompt(brush: &mut Brush, area: Rect) {
     let label_width = label.width() as u16;
     let mut line = Line::from(brush.span(Role::Title, label));
     if in_row {
+        if line.width() + sign.width() + said.width() > usize::from(area.width) {
+            line = Line::from(" ");
+        }
         line.push_span(brush.span(role, format!("{sign}{said}")));
         return brush.line(area, 0, &line);
     }
@@ -52,9 +60,9 @@ fn draw_prompt(brush: &mut Brush, area: Rect) {
     let said_width = (sign.width() + said.width()) as u16 + 2;
     let least = match prompt.kind {
         PromptKind::Address(_) => 6,
-        _ => 24,
+        _ => 12,
     };
-    let wanted = (prompt.input.value().width() as u16 + 1).max(least);
+    let wanted = (prompt.input.value().width() as u16 + 1).max(24);
     let width = wanted.min(left.saturating_sub(said_width).max(least)).min(left);
     brush.line(area, 0, &line);
     let at = Rect { x: area.x + label_width, width, ..area };
@@ -66,6 +74,13 @@ fn draw_prompt(brush: &mut Brush, area: Rect) {
     let cursor = prompt.input.visual_cursor().saturating_sub(scroll) as u16;
     brush.cursor = Some(Position::new(at.x + cursor.min(width.saturating_sub(1)), at.y));
     let behind = Rect { x: at.right(), width: left.saturating_sub(width), ..area };
+    let is_fine = matches!(verdict, Verdict::Fine(_));
+    if said_width > behind.width && !is_fine && area.y > 0 {
+        // What blocks or warns is read whole: above the line, where there is no room behind it.
+        let said = fit(&format!(" {sign}{said}"), usize::from(area.width));
+        let line = Line::from(brush.span(role, said));
+        return brush.line(Rect { y: area.y - 1, ..area }, 0, &line);
+    }
     let line = Line::from(brush.span(role, format!("  {sign}{said}")));
     brush.line(behind, 0, &line);
 }

@@ -21,7 +21,8 @@ pub fn draw(brush: &mut Brush) {
         0 => {}
         1 => {
             let left = bus_parts(brush, selected_bus(brush));
-            let mut right = file(brush, false);
+            let mut right: Parts = assumed(brush).into_iter().collect();
+            right.extend(file(brush, false));
             right.extend(counts(brush));
             pair(brush, area, 0, left, right);
         }
@@ -238,11 +239,16 @@ fn counts(brush: &Brush) -> Parts {
         ]
     };
     let mut parts = vec![one(Role::Online, "●", counts.here, "here")];
-    if counts.missing > 0 {
-        parts.push(one(Role::Missing, "○", counts.missing, "missing"));
+    // Without their words the two look the same.
+    let (missing, lost) = match narrow {
+        true => (counts.missing + counts.lost, 0),
+        false => (counts.missing, counts.lost),
+    };
+    if missing > 0 {
+        parts.push(one(Role::Missing, "○", missing, "missing"));
     }
-    if counts.lost > 0 {
-        parts.push(one(Role::Lost, "○", counts.lost, "lost"));
+    if lost > 0 {
+        parts.push(one(Role::Lost, "○", lost, "lost"));
     }
     if counts.confirmed > 0 {
         parts.push(one(Role::Collision, "⚠", counts.confirmed, ""));
