@@ -4,7 +4,7 @@
 mod common;
 
 use common::Inspection;
-use descan::discovery::{Config, Presence, QueryState, Quirk};
+use descan::discovery::{Config, FindingKind, Presence, QueryState, Quirk};
 use descan::frame::Frame;
 use descan::sim::{Action, DeviceFraming, DeviceSpec, Fault, Scenario, Sim};
 use descan::time::{Duration, Instant};
@@ -111,6 +111,15 @@ fn faults_are_told_and_end() {
         let query = &device(&it, address).services_query;
         let given_up = query.fault.is_some() && query.state != QueryState::Answered;
         assert!(given_up, "{address}: {query:?}");
+    }
+    for (address, what) in [(3, "out of sequence"), (4, "out of sequence"), (6, "4095")] {
+        let malformed = it.engine.findings().iter().find(|finding| {
+            finding.key.kind == FindingKind::MalformedAnswer
+                && finding.key.address == Address::new(address)
+        });
+        let finding = malformed.unwrap_or_else(|| panic!("a finding at {address}"));
+        assert!(finding.text.contains(what), "{}", finding.text);
+        assert!(finding.evidence.iter().all(|piece| piece.frame.is_some()));
     }
     // The frames behind a message that is whole are nobody's.
     assert!(device(&it, 5).services.is_some());

@@ -9,7 +9,7 @@ use crate::time::{Duration, Instant};
 use crate::wire::des::{self, AnswerFault, Asked, Request, ServicesAnswer};
 use crate::wire::framing::{Framing, classify_answer, classify_request, strip_raw_padding};
 use crate::wire::id::{Address, Header, MessageType};
-use crate::wire::isotp::{FlowControl, FlowStatus, Pci};
+use crate::wire::isotp::{FlowControl, FlowStatus, Pci, TransferFault};
 use crate::wire::node::{Heartbeat, Mode, Uid};
 use std::hash::{DefaultHasher, Hash, Hasher};
 
@@ -480,11 +480,8 @@ impl Engine {
                         self.send_flow_control(header, FlowStatus::Continue);
                     }
                     Continued::Fault(fault, first) => {
-                        self.counters.transfers_failed += 1;
                         let request = first.data().get(2).and_then(|&kind| request_of(&[kind]));
-                        if let Some(request) = request {
-                            self.answer_failed(index, request, fault.into());
-                        }
+                        self.transfer_broke(now, index, request, fault, frame);
                     }
                     Continued::More | Continued::BlockEnd => {
                         if let Some(request) = self.open_request(index) {
@@ -513,12 +510,32 @@ impl Engine {
     /// Gives up transfers whose next frame is overdue.
     pub(super) fn expire_transfers(&mut self) {
         while let Some(expired) = self.transfers.expire(self.now) {
-            self.counters.transfers_failed += 1;
             let Some(index) = self.roster.current(expired.header.source) else { continue };
-            if let Some(request) = self.open_request(index) {
-                self.answer_failed(index, request, expired.fault.into());
-            }
+            let request = self.open_request(index);
+            self.transfer_broke(self.now, index, request, expired.fault, &expired.first);
         }
+    }
+
+    /// An answer in several frames broke off: once is a lost frame, again in a row a finding.
+    fn transfer_broke(
+        &mut self,
+        now: Instant,
+        index: usize,
+        request: Option<Request>,
+        fault: TransferFault,
+        frame: &Frame,
+    ) {
+        self.counters.transfers_failed += 1;
+        let Some(request) = request else { return };
+        let device = self.roster.get(index);
+        let before = match request {
+            Request::Name => device.name_query.fault,
+            Request::Services => device.services_query.fault,
+        };
+        if matches!(before, Some(QueryFault::Transfer(_))) {
+            self.malformed(now, index, &fault, frame);
+        }
+        self.answer_failed(index, request, fault.into());
     }
 
     /// A whole message came from the node at this row.

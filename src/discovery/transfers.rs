@@ -44,6 +44,8 @@ pub(super) enum Continued {
 pub(super) struct Expired {
     pub header: Header,
     pub fault: TransferFault,
+    /// Its first frame.
+    pub first: Frame,
 }
 
 #[derive(Debug)]
@@ -120,9 +122,9 @@ impl Transfers {
         for transfers in &mut self.by_source {
             if let Some(at) = transfers.iter().position(|open| open.reassembly.deadline() <= now) {
                 self.open -= 1;
-                let id = transfers.swap_remove(at).id;
+                let Transfer { id, first, .. } = transfers.swap_remove(at);
                 let header = Header::decode(id);
-                return Some(Expired { header, fault: TransferFault::SenderSilent });
+                return Some(Expired { header, fault: TransferFault::SenderSilent, first });
             }
         }
         None
