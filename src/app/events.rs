@@ -154,7 +154,12 @@ impl App {
             Change::First if !self.file.is_there() => {
                 Some((Kind::File, "not there yet: it begins with the first edit".to_owned()))
             }
-            Change::First => Some((Kind::File, listed)),
+            Change::First => {
+                let path = self.file.path().map(|path| path.as_os_str().as_encoded_bytes());
+                let path = crate::text::printable(path.unwrap_or_default());
+                let where_it_is = if path == name { String::new() } else { format!(", {path}") };
+                Some((Kind::File, format!("{listed}{where_it_is}")))
+            }
             Change::Content if !self.file.is_there() => {
                 Some((Kind::File, "gone: the next edit begins a new one".to_owned()))
             }

@@ -140,7 +140,7 @@ actions! {
         "save" "Save again what could not be saved" "" ["Ctrl-s"] => |app, now| app.save(now);
     }
     Browse Program: {
-        "help" "All keys, and what the signs mean" "help" ["?" "F1"] => |app, _| app.show_help();
+        "help" "All keys, what the signs mean, all counters" "help" ["?" "F1"] => |app, _| app.show_help();
         "theme" "The next theme" "" ["t"] => |app, now| app.next_theme(now);
         "redraw" "Draw the screen anew" "" ["Ctrl-l"] => |app, _| app.redraw();
         "suspend" "To the shell; back with fg" "" ["Ctrl-z"] => |app, _| app.suspend();

@@ -1,4 +1,4 @@
-//! All keys, from the keymap, and what the signs mean.
+//! All keys, from the keymap, what the signs mean, and the counters.
 
 use super::brush::{Brush, fit, wrap};
 use crate::keymap::{ACTIONS, Action, Group};
@@ -46,7 +46,8 @@ pub fn draw(brush: &mut Brush, scroll: u16) {
     let columns = if area.width >= 110 { 2 } else { 1 };
     let width = (area.width + 2) / columns - 2;
     let mut lines = keys(brush, width);
-    let signs = signs(brush, width);
+    let mut signs = signs(brush, width);
+    signs.extend(counters(brush, width));
     if columns == 1 {
         lines.push(Line::default());
         lines.extend(signs);
@@ -95,6 +96,35 @@ fn signs(brush: &Brush, width: u16) -> Vec<Line<'static>> {
         ("!word", "not that"),
     ] {
         lines.extend(two_columns(brush, (Role::HintKey, term), 18, meaning, width));
+    }
+    lines
+}
+
+/// Everything that is counted, of each bus: what is lost is never lost unseen.
+fn counters(brush: &Brush, width: u16) -> Vec<Line<'static>> {
+    let mut lines = Vec::new();
+    for bus in brush.app.buses() {
+        let (engine, status) = (bus.engine.counters(), &bus.status);
+        lines.push(Line::default());
+        let title = format!("Counters of {}", bus.name);
+        lines.push(Line::from(brush.span(Role::Title, title)));
+        for (name, count, meaning) in [
+            ("frames", engine.frames, "heard, ours included"),
+            ("sent", engine.sent, "ours that the bus took"),
+            ("errors", engine.errors, "error frames"),
+            ("foreign", engine.foreign, "standard and remote frames: never interpreted"),
+            ("non-conforming", engine.non_conforming, "none of the nine message types"),
+            ("malformed", engine.malformed, "answers that could not be used, or only in part"),
+            ("broken off", engine.transfers_failed, "answers in several frames that did not end"),
+            ("refused", engine.refused, "rows and findings beyond what is kept"),
+            ("lost: kernel", status.kernel_drops, "did not fit the receive buffer"),
+            ("lost: adapter", status.controller_overruns, "the controller itself was overrun"),
+            ("lost: queue", status.queue_drops, "did not fit our own queue"),
+            ("not sent", status.transmit_failures, "the kernel would not take them"),
+        ] {
+            let left = format!("{name:<14}{count:>9}");
+            lines.extend(two_columns(brush, (Role::Text, &left), 24, meaning, width));
+        }
     }
     lines
 }
