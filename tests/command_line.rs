@@ -278,6 +278,16 @@ fn a_simulated_bus_is_scanned_in_a_few_seconds() {
 }
 
 #[test]
+fn a_bus_on_which_nobody_acknowledges_is_said_to_be_one() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("empty.toml"), "bitrate = 125000\n").unwrap();
+    let output = descan(&["scan", "sim:empty.toml", "--time", "3", "--json"], folder.path());
+    let said = text(&output.stderr);
+    assert!(said.contains("nobody acknowledges"), "{said}");
+    assert_eq!(json(&output)["devices"], serde_json::json!([]));
+}
+
+#[test]
 fn wrong_arguments_are_one_line_that_says_what_would_be_right() {
     let folder = tempfile::tempdir().unwrap();
     for (arguments, hint) in [

@@ -54,6 +54,14 @@ pub fn run(scan: &Scan) -> Result<u8, Failure> {
     {
         let _ = writeln!(io::stderr(), "descan: {}: {tally}", buses[0]);
     }
+    for bus in app.buses().iter().filter(|bus| bus.engine.is_unacknowledged()) {
+        let _ = writeln!(
+            io::stderr(),
+            "descan: {}: nobody acknowledges our frames; is another node on, at the same bit rate, and are both \
+             ends terminated?",
+            bus.name
+        );
+    }
     let report = Report::new(&app, now);
     let text = if scan.json { report.json() } else { report.tables() };
     let mut out = io::stdout().lock();

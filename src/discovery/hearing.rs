@@ -318,7 +318,7 @@ impl Engine {
             if !header.response && header.service == self.config.profile.des_service() {
                 self.note_question(now, header, frame, true);
                 if header.broadcast {
-                    self.rounds.note_sent();
+                    self.rounds.note_sent(now);
                     self.wake_at(now);
                 }
             }

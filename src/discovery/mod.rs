@@ -354,7 +354,13 @@ impl Engine {
 
     fn acknowledgement(&mut self, change: Option<Acknowledgement>) {
         match change {
-            Some(Acknowledgement::Missing) => self.tell_bus(EventKind::NobodyAcknowledges),
+            Some(Acknowledgement::Missing) => {
+                self.tell_bus(EventKind::NobodyAcknowledges);
+                // Nobody heard the question: it is asked again when we try again.
+                if self.station.held().is_some() && self.config.scan {
+                    self.rounds.restart(self.now);
+                }
+            }
             Some(Acknowledgement::Back) => {
                 self.tell_bus(EventKind::Acknowledged);
                 if self.station.held().is_some() && self.config.scan {

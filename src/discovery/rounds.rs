@@ -12,6 +12,8 @@ const QUIET_ROUNDS: u32 = 2;
 const FRAME_BITS: u64 = 150;
 /// How long a round's questions may hold up others.
 const RIGHT_OF_WAY: Duration = Duration::from_millis(500);
+/// How long a round waits for the bus to take its questions: one may have been lost below us.
+const UNSENT: Duration = Duration::from_secs(3);
 /// How long a repeat round waits for services at the most.
 const WAIT_FOR_SERVICES: Duration = Duration::from_secs(2);
 
@@ -67,6 +69,7 @@ impl Rounds {
     /// Makes a round as soon as possible, and repeats as at start.
     pub fn restart(&mut self, now: Instant) {
         self.quiet = 0;
+        self.unsent = 0;
         self.phase = Phase::Waiting { at: now, patience: now };
     }
 
@@ -92,8 +95,12 @@ impl Rounds {
     }
 
     /// The bus took one of them.
-    pub fn note_sent(&mut self) {
+    pub fn note_sent(&mut self, now: Instant) {
         self.unsent = self.unsent.saturating_sub(1);
+        // The answers to it are still to come.
+        if let Phase::Collecting { last_answer, .. } = &mut self.phase {
+            *last_answer = now;
+        }
     }
 
     /// Until when other questions, which may be of higher priority, are to let this round's
@@ -123,6 +130,9 @@ impl Rounds {
     /// `open` questions are waiting for answers; `known` counts what was ever found.
     pub fn step(&mut self, now: Instant, config: &Config, open: usize, known: u64) -> RoundStep {
         match self.phase {
+            Phase::Collecting { began, .. } if self.unsent > 0 && now < began + UNSENT => {
+                RoundStep::None
+            }
             Phase::Collecting { began, last_answer, answers, known: before } => {
                 if now < last_answer + Self::quiet_window(config, answers) {
                     return RoundStep::None;
@@ -157,8 +167,9 @@ impl Rounds {
     pub fn poll_timeout(&self, config: &Config, open: usize) -> Option<Instant> {
         match self.phase {
             Phase::NotYet | Phase::Never => None,
-            Phase::Collecting { last_answer, answers, .. } => {
-                Some(last_answer + Self::quiet_window(config, answers))
+            Phase::Collecting { began, last_answer, answers, .. } => {
+                let quiet = last_answer + Self::quiet_window(config, answers);
+                Some(if self.unsent > 0 { quiet.max(began + UNSENT) } else { quiet })
             }
             Phase::Waiting { at, patience } if open > 0 => Some(at.max(patience)),
             Phase::Waiting { at, .. } => Some(at),
