@@ -1,8 +1,9 @@
 //! Logs from outside: a file replayed as a port, and a log piped in while it is written.
 
 use descan::bus::log::LogReader;
-use descan::bus::{self, BusError, BusSpec, Clock, Link, Options, Port, TransmitError};
+use descan::bus::{self, BusError, BusSpec, Clock, Options, Port, TransmitError};
 use descan::frame::{BusIndex, CanId, Frame};
+use descan::status::Link;
 use descan::time::{Duration, Epoch, Instant};
 use std::fs::File;
 use std::io::{BufReader, Write};

@@ -1,11 +1,11 @@
 //! Keys and simulated buses in, screens out.
 
 use descan::app::{App, AppOptions, Effect, FileReading, Mouse, MouseKind, SaveOutcome};
-use descan::bus::{BusState, BusStatus, Link};
 use descan::discovery::Config;
 use descan::frame::BusIndex;
 use descan::keymap::Key;
 use descan::sim::{Scenario, Sim, Station};
+use descan::status::{BusState, BusStatus, Link};
 use descan::theme::{BUILT_IN, Role, Theme};
 use descan::time::{Duration, Epoch, Instant};
 use descan::ui;

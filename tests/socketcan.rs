@@ -5,8 +5,9 @@ mod can;
 
 use can::{PATIENCE, Peer, Vcan, controllers, listeners, run, wait_for_listeners};
 use descan::bus::candump::{parse_frame, parse_line};
-use descan::bus::{self, BusSpec, BusState, BusStatus, Clock, Link, Options, Port, TransmitError};
+use descan::bus::{self, BusSpec, Clock, Options, Port, TransmitError};
 use descan::frame::{BusIndex, CanId, Frame, FrameKind};
+use descan::status::{BusState, BusStatus, Link};
 use descan::time::{Duration, Instant};
 use descan::wire::isotp::{FlowControl, FlowStatus, Pci, Progress, Reassembly, Segmenter};
 use std::sync::Mutex;

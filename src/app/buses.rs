@@ -2,10 +2,10 @@
 //!
 //! Does not know how frames come in; the adapter's words arrive as a [`BusStatus`].
 
-use crate::bus::{BusState, BusStatus, Link};
 use crate::discovery::{Config, Engine};
 use crate::frame::{Frame, FrameKind};
 use crate::sim::bits::FrameBits;
+use crate::status::{BusState, BusStatus, Link};
 use crate::time::Instant;
 use std::collections::VecDeque;
 

@@ -7,9 +7,9 @@ use super::traffic::hex;
 
 use super::timeline::{Entry, Kind};
 use super::{App, Change, Effect};
-use crate::bus::{BusState, BusStatus, Link};
 use crate::discovery::{Confidence, Event, EventKind, Presence};
 use crate::frame::BusIndex;
+use crate::status::{BusState, BusStatus, Link};
 use crate::text::Escaped;
 
 /// Something that happened, for those who watch without a screen.

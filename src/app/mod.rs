@@ -55,10 +55,10 @@ pub use traffic::{Decoded, clock, clock_millis, hex};
 pub use view::{Cursor, Focus, Frozen, Page, View};
 pub use why::spell;
 
-use crate::bus::BusStatus;
 use crate::discovery::{Config, DeviceId, Finding, OwnAddress};
 use crate::frame::{BusIndex, Frame};
 use crate::keymap::{Key, Keymap, Mode};
+use crate::status::BusStatus;
 use crate::time::{Duration, Epoch, Instant};
 use crate::wire::id::Address;
 use std::collections::VecDeque;

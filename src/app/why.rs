@@ -6,10 +6,10 @@
 use super::App;
 use super::buses::Bus;
 use super::matching::is_for;
-use crate::bus::{BusState, Link};
 use crate::discovery::{Device, OwnAddress, QueryState};
 use crate::document::Entry;
 use crate::frame::BusIndex;
+use crate::status::{BusState, Link};
 use crate::text::Escaped;
 use crate::time::Duration;
 

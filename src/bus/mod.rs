@@ -18,14 +18,12 @@ mod replay;
 mod sim;
 mod socketcan;
 mod spec;
-mod status;
 
 pub use clock::{Clock, Dating};
 pub use port::{Port, TransmitError};
 pub use queue::Queue;
 pub use socketcan::{Interface, interfaces};
 pub use spec::{BusSpec, SpecError};
-pub use status::{BusState, BusStatus, Link};
 
 use crate::frame::BusIndex;
 use crate::sim::Scenario;

@@ -5,8 +5,8 @@
 
 use super::bell::Bell;
 use super::queue::Queue;
-use super::status::Link;
 use crate::frame::Frame;
+use crate::status::Link;
 use std::collections::VecDeque;
 use std::io;
 use std::os::fd::BorrowedFd;

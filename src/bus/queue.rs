@@ -3,8 +3,8 @@
 //! The thread never waits for the loop: what does not fit is left out and counted. Knows
 //! nothing of where frames come from.
 
-use super::status::{BusStatus, Link};
 use crate::frame::Frame;
+use crate::status::{BusStatus, Link};
 use std::collections::VecDeque;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use tokio::sync::Notify;

@@ -6,8 +6,8 @@
 use super::clock::Clock;
 use super::log::LogReader;
 use super::port::{Line, Port};
-use super::status::Link;
 use crate::frame::BusIndex;
+use crate::status::Link;
 use crate::time::{Duration, Instant};
 use std::fs::File;
 use std::io::{self, BufReader, Read};

@@ -4,9 +4,9 @@
 
 use super::clock::Clock;
 use super::port::{Line, Port};
-use super::status::{BusState, Link};
 use crate::frame::{BusIndex, Frame};
 use crate::sim::{self, Scenario, Sim, Station};
+use crate::status::{BusState, Link};
 use crate::time::Duration;
 use std::io;
 use std::sync::Arc;

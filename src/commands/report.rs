@@ -3,9 +3,9 @@
 //! The JSON's names, types and meanings are relied on by scripts. What is not known is null.
 
 use crate::app::{App, Bus};
-use crate::bus::Link;
 use crate::discovery::{Confidence, Device, Evidence, Finding, FindingKind, OwnAddress};
 use crate::frame::Frame;
+use crate::status::Link;
 use crate::text::Name;
 use crate::time::{Duration, Epoch, Instant};
 use serde::Serialize;

@@ -2,9 +2,10 @@
 //! goes out to the real one, and what is heard there comes in.
 
 use super::{FINE, Failure, UNUSABLE};
-use crate::bus::{self, BusSpec, Clock, Link, Options};
+use crate::bus::{self, BusSpec, Clock, Options};
 use crate::frame::{BusIndex, Frame, FrameKind};
 use crate::sim::Sim;
+use crate::status::Link;
 use crate::time::Instant;
 use anyhow::Context;
 use std::io::{self, Write};

@@ -4,9 +4,9 @@
 
 use super::brush::{Brush, fit};
 use crate::app::{Bus, FileProblem, Meter};
-use crate::bus::{BusState, Link};
 use crate::discovery::OwnAddress;
 use crate::frame::BusIndex;
+use crate::status::{BusState, Link};
 use crate::theme::Role;
 use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};

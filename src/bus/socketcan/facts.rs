@@ -3,7 +3,7 @@
 //!
 //! Asks and never changes anything; no privilege is needed.
 
-use crate::bus::status::BusState;
+use crate::status::BusState;
 use nix::net::if_::if_nametoindex;
 use socketcan::nl::{CanState, Mtu};
 use socketcan::{CanCtrlMode, CanInterface};
