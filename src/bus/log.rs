@@ -1,7 +1,7 @@
 //! Reading a candump log as fast as possible, by the log's own clock.
 //!
 //! Lines that cannot be read are counted, never an error: a log is evidence, and half of it is
-//! better than none. Knows nothing of the session's clock: replaying is [`super::replay`].
+//! better than none. Knows nothing of the session's clock: replaying is `bus::replay`.
 
 use super::candump::{LineFault, LogLine, MAX_LINE, parse_line};
 use crate::frame::{BusIndex, Frame};

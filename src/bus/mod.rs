@@ -5,7 +5,7 @@
 //! know what frames mean.
 //!
 //! Reading order: [`BusSpec`] (what the user typed), [`open`], [`Port`], [`Queue`],
-//! [`BusStatus`], [`Clock`]; then the kinds: `socketcan`, `replay`, `sim`. A log can also be read at
+//! [`BusStatus`](crate::status::BusStatus), [`Clock`]; then the kinds: `socketcan`, `replay`, `sim`. A log can also be read at
 //! once: [`log::LogReader`].
 
 mod bell;
