@@ -107,6 +107,18 @@ fn a_log_is_scanned_by_its_own_clock() {
 }
 
 #[test]
+fn a_clock_that_was_set_meanwhile_takes_no_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = "(1.0) can0 07180001#8AFA6C9724110400\n\
+               (1780000000.0) can0 07180401#8AFA6C9724110400\n\
+               (18446744073709.551615) can0 07180801#8AFA6C9724110400\n";
+    std::fs::write(folder.path().join("session.log"), log).unwrap();
+    let report = json(&descan(&["scan", "file:session.log", "--json"], folder.path()));
+    assert_eq!(report["devices"][0]["presence"], "online");
+    assert_eq!(report["devices"][0]["heartbeat"]["count"], 3);
+}
+
+#[test]
 fn a_device_that_left_before_the_logs_end_is_lost() {
     let scenario = two_devices().at(Duration::from_secs(4), "SENS", Action::Leave);
     let folder = tempfile::tempdir().unwrap();

@@ -158,7 +158,9 @@ impl Engine {
 
     /// The row of a frame's source, a new one where it is not known yet.
     fn touch(&mut self, now: Instant, header: Header) -> Option<usize> {
-        let working = !header.sender_not_working;
+        // In a DEBUG message U says nothing of the sender's mode.
+        let says_mode = header.message_type() != MessageType::Debug;
+        let working = !(header.sender_not_working && says_mode);
         let Some(index) = self.roster.current(header.source) else {
             let index = self.roster.appear(now, header.source, working)?;
             self.roster.get_mut(index).frames = 1;
@@ -170,10 +172,12 @@ impl Engine {
         let device = self.roster.get_mut(index);
         device.last_seen = now;
         device.frames += 1;
-        device.working = working;
+        device.rounds_missed = 0;
+        if says_mode {
+            device.working = working;
+        }
         if device.presence == Presence::Lost {
             // It may have come back as something else.
-            device.rounds_missed = 0;
             device.name_query.renew(now);
             device.services_query.renew(now);
             self.wake_at(now);

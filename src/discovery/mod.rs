@@ -166,6 +166,7 @@ impl Engine {
         self.advance(now);
         self.collisions.see_loss(self.now, count);
         self.tell_findings();
+        self.wake_at(self.now);
     }
 
     /// Does what is due at `now`.
@@ -216,8 +217,12 @@ impl Engine {
         if self.station.held().is_some() && self.config.scan {
             self.rounds.restart(now);
         }
-        for device in self.roster.devices_mut() {
-            if device.is_here() && self.config.scan {
+        for address in Address::all() {
+            // A row at whose address another one speaks cannot be asked.
+            if let Some(device) = self.roster.current_device_mut(address)
+                && device.is_here()
+                && self.config.scan
+            {
                 device.services_query.renew(now);
             }
         }

@@ -2,7 +2,8 @@
 //!
 //! With a heartbeat: online while they come, stale after 2.5 periods, lost after 5; silent
 //! instead while other frames arrive, asleep instead of lost when its last mode was IDLE.
-//! Without one: by rounds, or, where none are made, stale 30 s after the last frame.
+//! Without one: by rounds, unless frames arrive between them, or, where none are made, stale
+//! 30 s after the last frame.
 
 use super::device::{Device, Presence};
 use crate::time::{Duration, Instant};
@@ -51,8 +52,16 @@ impl Measure {
         now: Instant,
     ) -> (Presence, Option<Instant>) {
         if self.rounds {
-            let lost = device.rounds_missed >= LOST_AFTER_ROUNDS;
-            return (if lost { Presence::Lost } else { Presence::Online }, None);
+            if device.rounds_missed < LOST_AFTER_ROUNDS {
+                return (Presence::Online, None);
+            }
+            // The rounds at start follow each other fast.
+            let lost_at = device.last_seen + self.period * 5;
+            return if now < lost_at {
+                (Presence::Online, Some(lost_at))
+            } else {
+                (Presence::Lost, None)
+            };
         }
         let stale_at = device.last_seen + STALE_WITHOUT_ROUNDS;
         if now < stale_at { (Presence::Online, Some(stale_at)) } else { (Presence::Stale, None) }

@@ -12,8 +12,11 @@ const QUIET_ROUNDS: u32 = 2;
 const FRAME_BITS: u64 = 150;
 /// How long a round's questions may hold up others.
 const RIGHT_OF_WAY: Duration = Duration::from_millis(500);
-/// How long a round waits for the bus to take its questions: one may have been lost below us.
-const UNSENT: Duration = Duration::from_secs(3);
+/// How long a round waits for the bus to take its questions at the most.
+const SENT_WITHIN: Duration = Duration::from_secs(2);
+/// How long a round goes on while answers come, beside what they take on the bus: others' answers
+/// to others must not keep it open for ever.
+const LONGEST: Duration = Duration::from_secs(2);
 /// How long a repeat round waits for services at the most.
 const WAIT_FOR_SERVICES: Duration = Duration::from_secs(2);
 
@@ -94,10 +97,9 @@ impl Rounds {
         self.unsent = count;
     }
 
-    /// The bus took one of them.
+    /// The bus took one of them: from now on it may be answered.
     pub fn note_sent(&mut self, now: Instant) {
         self.unsent = self.unsent.saturating_sub(1);
-        // The answers to it are still to come.
         if let Phase::Collecting { last_answer, .. } = &mut self.phase {
             *last_answer = now;
         }
@@ -127,14 +129,27 @@ impl Rounds {
         Duration::from_millis(60) + config.bit_time(frames * FRAME_BITS)
     }
 
+    /// When the round that is being made is over if nothing more is heard.
+    fn end_of_round(
+        &self,
+        config: &Config,
+        began: Instant,
+        last_answer: Instant,
+        answers: u32,
+    ) -> Instant {
+        let quiet = last_answer + Self::quiet_window(config, answers);
+        if self.unsent > 0 {
+            return quiet.max(began + SENT_WITHIN);
+        }
+        let longest = SENT_WITHIN + LONGEST + config.bit_time(4 * 127 * FRAME_BITS);
+        quiet.min(began + longest)
+    }
+
     /// `open` questions are waiting for answers; `known` counts what was ever found.
     pub fn step(&mut self, now: Instant, config: &Config, open: usize, known: u64) -> RoundStep {
         match self.phase {
-            Phase::Collecting { began, .. } if self.unsent > 0 && now < began + UNSENT => {
-                RoundStep::None
-            }
             Phase::Collecting { began, last_answer, answers, known: before } => {
-                if now < last_answer + Self::quiet_window(config, answers) {
+                if now < self.end_of_round(config, began, last_answer, answers) {
                     return RoundStep::None;
                 }
                 self.finished += 1;
@@ -168,11 +183,56 @@ impl Rounds {
         match self.phase {
             Phase::NotYet | Phase::Never => None,
             Phase::Collecting { began, last_answer, answers, .. } => {
-                let quiet = last_answer + Self::quiet_window(config, answers);
-                Some(if self.unsent > 0 { quiet.max(began + UNSENT) } else { quiet })
+                Some(self.end_of_round(config, began, last_answer, answers))
             }
             Phase::Waiting { at, patience } if open > 0 => Some(at.max(patience)),
             Phase::Waiting { at, .. } => Some(at),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(millis: u64) -> Instant {
+        Instant::ZERO + Duration::from_millis(millis)
+    }
+
+    fn begun() -> Rounds {
+        let mut rounds = Rounds::new();
+        rounds.restart(at(0));
+        assert_eq!(rounds.step(at(0), &Config::default(), 0, 0), RoundStep::Ask);
+        rounds
+    }
+
+    #[test]
+    fn answers_without_end_do_not_keep_a_round_open() {
+        let mut rounds = begun();
+        let over = (1..100).find(|tenth| {
+            rounds.note_answer(at(tenth * 100));
+            rounds.step(at(tenth * 100), &Config::default(), 0, 0) != RoundStep::None
+        });
+        assert!(over.is_some_and(|tenth| tenth < 60), "{over:?}");
+    }
+
+    #[test]
+    fn a_round_waits_until_the_bus_took_its_questions() {
+        let mut rounds = begun();
+        rounds.note_questions(1);
+        assert_eq!(rounds.step(at(900), &Config::default(), 0, 0), RoundStep::None);
+        rounds.note_sent(at(1000));
+        assert_eq!(rounds.step(at(1020), &Config::default(), 0, 0), RoundStep::None);
+        assert!(matches!(rounds.step(at(1200), &Config::default(), 0, 0), RoundStep::Over { .. }));
+    }
+
+    #[test]
+    fn whoever_hurries_gets_a_round_that_begins_afterwards() {
+        let config = Config { round_period: Duration::ZERO, ..Config::default() };
+        let mut rounds = begun();
+        rounds.quiet = QUIET_ROUNDS;
+        rounds.hurry(at(50));
+        assert!(matches!(rounds.step(at(1000), &config, 0, 0), RoundStep::Over { .. }));
+        assert_eq!(rounds.step(at(1000), &config, 0, 0), RoundStep::Ask);
     }
 }

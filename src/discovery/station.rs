@@ -112,7 +112,8 @@ impl Station {
     /// false for a broadcast and for an echoed DST.
     pub fn note_used(&mut self, now: Instant, header: Header, destination_counts: bool) {
         self.heard[header.source.index()] = Some(now);
-        if destination_counts {
+        // What is sent to us says nothing of anybody else at our address.
+        if destination_counts && self.held() != Some(header.destination) {
             self.heard[header.destination.index()] = Some(now);
         }
     }
