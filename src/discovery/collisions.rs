@@ -10,6 +10,8 @@
 //! Knows the frames of one bus and nothing of rows, presence, or des.json.
 
 use super::finding::{Confidence, Evidence, Finding, FindingKey, FindingKind};
+use super::memory::{Alternation, BEATS, Beat, Watch};
+use super::wording;
 use crate::frame::{BusIndex, Frame};
 use crate::text::Name;
 use crate::time::{Duration, Instant};
@@ -17,114 +19,15 @@ use crate::wire::des::Request;
 use crate::wire::framing::Framing;
 use crate::wire::id::Address;
 use crate::wire::node::Uid;
-use std::collections::VecDeque;
 
 /// How many findings a bus may have.
 const MAX_FINDINGS: usize = 512;
 /// Questions that follow up a suspicion, one a second.
 const MAX_FOLLOW_UPS: u32 = 6;
-/// Answers later than this after a question are not set against it.
-const ANSWER_WINDOW: Duration = Duration::from_secs(2);
+/// Strong pieces of evidence that, lasting long enough, confirm a collision.
+const STRONG_CONFIRM: u32 = 3;
 /// Error frames in a row, each within a period of the last, that are a finding.
 const ERRORS_CONFIRM: u64 = 3;
-
-/// Something that takes turns between two values: A, B, A, B.
-#[derive(Debug)]
-struct Alternation<T> {
-    now: Option<T>,
-    before: Option<T>,
-    returns: u32,
-    changed: Instant,
-}
-
-impl<T> Default for Alternation<T> {
-    fn default() -> Self {
-        Self { now: None, before: None, returns: 0, changed: Instant::ZERO }
-    }
-}
-
-impl<T: PartialEq + Clone> Alternation<T> {
-    /// Takes the value seen now. Returns how often a value came back, if it did just now.
-    fn see(&mut self, now: Instant, value: &T, forget_after: Duration) -> Option<u32> {
-        if self.now.as_ref() == Some(value) {
-            return None;
-        }
-        if now.since(self.changed) > forget_after {
-            self.returns = 0;
-            self.before = None;
-        }
-        self.changed = now;
-        if self.before.as_ref() == Some(value) {
-            self.returns += 1;
-        } else {
-            self.returns = 0;
-        }
-        let returned = self.before.as_ref() == Some(value);
-        self.before = self.now.replace(value.clone());
-        returned.then_some(self.returns)
-    }
-}
-
-/// Answers set against questions, for one kind of question in one framing.
-#[derive(Debug, Default)]
-struct Tally {
-    asked: u32,
-    answered: u32,
-    asked_at: Instant,
-    targeted: bool,
-    first_answer: Option<Frame>,
-}
-
-impl Tally {
-    fn ask(&mut self, now: Instant, targeted: bool) {
-        let answered = self.answered >= self.asked;
-        if answered || now.since(self.asked_at) > ANSWER_WINDOW {
-            self.asked = 0;
-            self.answered = 0;
-            self.first_answer = None;
-        }
-        self.targeted = targeted && (self.asked == 0 || self.targeted);
-        self.first_answer = None;
-        self.asked += 1;
-        self.asked_at = now;
-    }
-
-    /// Counts an answer; the first one comes back when this is one too many.
-    fn answer(&mut self, now: Instant, frame: &Frame) -> Option<(Frame, bool)> {
-        if self.asked == 0 || now.since(self.asked_at) > ANSWER_WINDOW {
-            return None;
-        }
-        self.answered += 1;
-        let first = *self.first_answer.get_or_insert(*frame);
-        if self.answered <= self.asked {
-            return None;
-        }
-        // Said once: one answer too many is not one too many for the next question as well.
-        self.answered = self.asked;
-        Some((first, self.targeted))
-    }
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Beat {
-    time: Instant,
-    frame: Frame,
-}
-
-/// What is remembered of one address.
-#[derive(Debug, Default)]
-struct Watch {
-    names: Alternation<Name>,
-    uids: Alternation<Uid>,
-    services: Alternation<u64>,
-    working: Alternation<bool>,
-    tallies: [[Tally; 2]; 2],
-    beats: VecDeque<Beat>,
-    doubled_until: Instant,
-}
-
-/// Heartbeats kept per address: six intervals and one more.
-const BEATS: usize = 8;
 
 /// How much a piece of evidence weighs.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -387,7 +290,7 @@ impl Collisions {
         if let Some(at) = self.report(now, kind, address, name, frame, what, Weight::Proof) {
             self.findings[at].text = format!(
                 "{} answers with something that is no DES answer: {fault}.",
-                who(address, &self.findings[at].names)
+                wording::who(address, &self.findings[at].names)
             );
         }
     }
@@ -579,7 +482,7 @@ impl Collisions {
         }
         let lasting = now.since(case.began) >= self.period * 5;
         self.describe(at);
-        if weight == Weight::Proof || (case_is_strong(&self.cases[at]) && lasting) {
+        if weight == Weight::Proof || (self.cases[at].strong >= STRONG_CONFIRM && lasting) {
             self.set(now, at, Confidence::Confirmed);
         }
         Some(at)
@@ -658,99 +561,6 @@ impl Collisions {
     }
 
     fn describe(&mut self, at: usize) {
-        let finding = &self.findings[at];
-        let who = finding.key.address.map_or(String::new(), |address| who(address, &finding.names));
-        let address = finding.key.address.map_or(0, Address::number);
-        let list =
-            finding.addresses.iter().map(ToString::to_string).collect::<Vec<_>>().join(" and ");
-        let names = finding.names.iter().map(ToString::to_string).collect::<Vec<_>>().join(" and ");
-        let (text, remedy) = match finding.key.kind {
-            FindingKind::SameNameSameAddress => (
-                if finding.names.is_empty() {
-                    format!("Two devices send from address {address}, and nothing tells them apart.")
-                } else {
-                    format!("Two devices answer as {who}.")
-                },
-                format!(
-                    "Give one of them another address: switch one off, then move or pin the other away from {address}."
-                ),
-            ),
-            FindingKind::OneAddressTwoNames => (
-                format!("Two devices share address {address}: {names} both answer from it."),
-                "Switch one of them off, then give it a free address.".to_owned(),
-            ),
-            FindingKind::OneAddressTwoIdentities => (
-                format!("Two devices share address {address}: heartbeats of two identities take turns."),
-                "Switch one of them off, then give it a free address.".to_owned(),
-            ),
-            FindingKind::OneUidTwoAddresses => (
-                format!("Addresses {list} beat with the same DEV_CFG_UID, which must be unique on a bus."),
-                "Give one of the two boards a UID of its own.".to_owned(),
-            ),
-            FindingKind::TwoDebugDevices => (
-                "Another debug device uses address 0, as we did.".to_owned(),
-                "Nothing to do: we take another address; or end the other tool.".to_owned(),
-            ),
-            FindingKind::AddressContested => (
-                format!("Two devices contended for address {address}, until one gave way."),
-                "Pin addresses in des.json and in the devices, so that they do not meet at start.".to_owned(),
-            ),
-            FindingKind::NonConforming => (
-                format!("{who} sends identifiers that are none of the nine message types."),
-                "Check its firmware's identifiers against section 4.3; a foreign protocol on this bus looks the same.".to_owned(),
-            ),
-            FindingKind::MalformedAnswer => {
-                (finding.text.clone(), "Check how its firmware builds DES answers.".to_owned())
-            }
-            FindingKind::BusErrors => (
-                "The bus reports errors.".to_owned(),
-                "Check the bit rate of every device, both 120 Ω terminators, and the wiring; two devices at one address cause errors too.".to_owned(),
-            ),
-            FindingKind::FramesLost => (
-                format!("{} frames were lost before they could be read: what is missing here may be there.", finding.count),
-                "Close what else loads this machine, or watch fewer identifiers.".to_owned(),
-            ),
-            _ => return,
-        };
-        let finding = &mut self.findings[at];
-        finding.text = text;
-        finding.remedy = remedy;
-    }
-}
-
-fn case_is_strong(case: &Case) -> bool {
-    case.strong >= 3
-}
-
-/// "FEED at address 12", or "the device at address 12".
-fn who(address: Address, names: &[Name]) -> String {
-    match names.first() {
-        Some(name) => format!("{name} at address {address}"),
-        None => format!("the device at address {address}"),
-    }
-}
-
-impl Watch {
-    fn tally(&mut self, request: Request, framing: Framing) -> &mut Tally {
-        &mut self.tallies[request as usize][framing as usize]
-    }
-
-    /// Whether heartbeats come at twice the rate, and whether in two clear phases.
-    fn rhythm(&self, period: Duration) -> (bool, bool) {
-        let Some(last) = self.beats.back() else { return (false, false) };
-        let recent = self.beats.iter().filter(|beat| last.time.since(beat.time) < period * 4);
-        let twice = recent.count() >= 7;
-        if self.beats.len() < BEATS - 1 {
-            return (twice, false);
-        }
-        let period = period.as_secs_f64();
-        let gap = |a: &Beat, b: &Beat| b.time.since(a.time).as_secs_f64() / period;
-        let triples =
-            self.beats.iter().zip(self.beats.iter().skip(1)).zip(self.beats.iter().skip(2));
-        let phases = triples.into_iter().all(|((a, b), c)| {
-            let (first, second) = (gap(a, b), gap(b, c));
-            (0.85..=1.15).contains(&(first + second)) && (first - second).abs() > 0.15
-        });
-        (twice, phases)
+        wording::describe(&mut self.findings[at]);
     }
 }

@@ -18,13 +18,16 @@ mod device;
 mod event;
 mod finding;
 mod hearing;
+mod heartbeats;
 mod identity;
+mod memory;
 mod outbox;
 mod presence;
 mod roster;
 mod rounds;
 mod station;
 mod transfers;
+mod wording;
 
 pub use config::Config;
 pub use device::{

@@ -1,0 +1,138 @@
+//! What is remembered of one address, to tell two senders apart: names, UIDs and service lists
+//! that take turns, answers set against questions, the rhythm of heartbeats.
+//!
+//! Does not decide what any of it amounts to: [`super::collisions`] does.
+
+use crate::frame::Frame;
+use crate::text::Name;
+use crate::time::{Duration, Instant};
+use crate::wire::des::Request;
+use crate::wire::framing::Framing;
+use crate::wire::node::Uid;
+use std::collections::VecDeque;
+
+/// Answers later than this after a question are not set against it.
+const ANSWER_WINDOW: Duration = Duration::from_secs(2);
+
+/// Something that takes turns between two values: A, B, A, B.
+#[derive(Debug)]
+pub(super) struct Alternation<T> {
+    pub now: Option<T>,
+    pub before: Option<T>,
+    pub returns: u32,
+    pub changed: Instant,
+}
+
+impl<T> Default for Alternation<T> {
+    fn default() -> Self {
+        Self { now: None, before: None, returns: 0, changed: Instant::ZERO }
+    }
+}
+
+impl<T: PartialEq + Clone> Alternation<T> {
+    /// Takes the value seen now. Returns how often a value came back, if it did just now.
+    pub fn see(&mut self, now: Instant, value: &T, forget_after: Duration) -> Option<u32> {
+        if self.now.as_ref() == Some(value) {
+            return None;
+        }
+        if now.since(self.changed) > forget_after {
+            self.returns = 0;
+            self.before = None;
+        }
+        self.changed = now;
+        if self.before.as_ref() == Some(value) {
+            self.returns += 1;
+        } else {
+            self.returns = 0;
+        }
+        let returned = self.before.as_ref() == Some(value);
+        self.before = self.now.replace(value.clone());
+        returned.then_some(self.returns)
+    }
+}
+
+/// Answers set against questions, for one kind of question in one framing.
+#[derive(Debug, Default)]
+pub(super) struct Tally {
+    asked: u32,
+    answered: u32,
+    asked_at: Instant,
+    targeted: bool,
+    first_answer: Option<Frame>,
+}
+
+impl Tally {
+    pub fn ask(&mut self, now: Instant, targeted: bool) {
+        let answered = self.answered >= self.asked;
+        if answered || now.since(self.asked_at) > ANSWER_WINDOW {
+            self.asked = 0;
+            self.answered = 0;
+            self.first_answer = None;
+        }
+        self.targeted = targeted && (self.asked == 0 || self.targeted);
+        self.first_answer = None;
+        self.asked += 1;
+        self.asked_at = now;
+    }
+
+    /// Counts an answer; the first one comes back when this is one too many.
+    pub fn answer(&mut self, now: Instant, frame: &Frame) -> Option<(Frame, bool)> {
+        if self.asked == 0 || now.since(self.asked_at) > ANSWER_WINDOW {
+            return None;
+        }
+        self.answered += 1;
+        let first = *self.first_answer.get_or_insert(*frame);
+        if self.answered <= self.asked {
+            return None;
+        }
+        // Said once: one answer too many is not one too many for the next question as well.
+        self.answered = self.asked;
+        Some((first, self.targeted))
+    }
+}
+
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Beat {
+    pub time: Instant,
+    pub frame: Frame,
+}
+
+/// What is remembered of one address.
+#[derive(Debug, Default)]
+pub(super) struct Watch {
+    pub names: Alternation<Name>,
+    pub uids: Alternation<Uid>,
+    pub services: Alternation<u64>,
+    pub working: Alternation<bool>,
+    pub tallies: [[Tally; 2]; 2],
+    pub beats: VecDeque<Beat>,
+    pub doubled_until: Instant,
+}
+
+/// Heartbeats kept per address: six intervals and one more.
+pub(super) const BEATS: usize = 8;
+
+impl Watch {
+    pub fn tally(&mut self, request: Request, framing: Framing) -> &mut Tally {
+        &mut self.tallies[request as usize][framing as usize]
+    }
+
+    /// Whether heartbeats come at twice the rate, and whether in two clear phases.
+    pub fn rhythm(&self, period: Duration) -> (bool, bool) {
+        let Some(last) = self.beats.back() else { return (false, false) };
+        let recent = self.beats.iter().filter(|beat| last.time.since(beat.time) < period * 4);
+        let twice = recent.count() >= 7;
+        if self.beats.len() < BEATS - 1 {
+            return (twice, false);
+        }
+        let period = period.as_secs_f64();
+        let gap = |a: &Beat, b: &Beat| b.time.since(a.time).as_secs_f64() / period;
+        let triples =
+            self.beats.iter().zip(self.beats.iter().skip(1)).zip(self.beats.iter().skip(2));
+        let phases = triples.into_iter().all(|((a, b), c)| {
+            let (first, second) = (gap(a, b), gap(b, c));
+            (0.85..=1.15).contains(&(first + second)) && (first - second).abs() > 0.15
+        });
+        (twice, phases)
+    }
+}
