@@ -8,6 +8,16 @@
 //! * `poll_transmit`, `poll_event`: what is to be sent, what happened;
 //! * `poll_timeout`: when to be called again at the latest.
 //!
+//! ```text
+//! hearing     what a frame tells; questions and answers    heartbeats   mode, UID, reboots
+//! roster      the rows                                     identity     boards swapped, devices moved
+//! presence    who is there                                 transfers    answers in several frames
+//! rounds      when everybody is asked                      asking       who is asked what, and when
+//! station     our own address, and our answers             outbox       our share; who acknowledges
+//! collisions  evidence and what it amounts to              memory       of an address: what takes turns
+//! device, event, finding: what others read                 wording      findings in words
+//! ```
+//!
 //! Call one that changes it, then drain the polls. It does not know des.json, the screen, or
 //! where frames come from.
 
