@@ -333,7 +333,9 @@ fn of_file(app: &App) -> FileReport {
     let file = app.file();
     let problem = file.problem().map(ToString::to_string);
     FileReport {
-        path: file.name(),
+        path: file.path().map_or(String::new(), |path| {
+            crate::text::printable(path.as_os_str().as_encoded_bytes())
+        }),
         ok: if problem.is_some() { Some(false) } else { file.is_there().then_some(true) },
         entries: file.is_there().then(|| file.document().entries().len()),
         error: problem,

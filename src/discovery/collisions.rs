@@ -24,6 +24,8 @@ use crate::wire::node::Uid;
 const MAX_FINDINGS: usize = 512;
 /// Questions that follow up a suspicion, one a second.
 const MAX_FOLLOW_UPS: u32 = 6;
+/// Heartbeats at twice the rate that are a suspicion: time enough for the follow-ups.
+const ODD_RATE_BEATS: u32 = 16;
 /// Strong pieces of evidence that, lasting long enough, confirm a collision.
 const STRONG_CONFIRM: u32 = 3;
 /// Error frames in a row, each within a period of the last, that are a finding.
@@ -203,6 +205,9 @@ impl Collisions {
         let uid_returned = uid.and_then(|uid| watch.uids.see(now, &uid, memory));
         let mode_returned = watch.working.see(now, &working, period * 2);
         let (twice, phases) = watch.rhythm(period);
+        watch.twice_for = if twice { watch.twice_for + 1 } else { 0 };
+        // A device that keeps to another period is looked into, and then left in peace.
+        let odd_rate = twice && watch.twice_for <= ODD_RATE_BEATS;
         let previous = watch.beats.iter().rev().nth(1).map(|beat| beat.frame);
 
         let identity = if address == Address::DEBUG {
@@ -234,7 +239,7 @@ impl Collisions {
             if let (Some(at), Some(since)) = (at, since) {
                 self.cases[at].began = self.cases[at].began.min(since);
             }
-        } else if twice && !self.is_open(identity, address) {
+        } else if odd_rate && !self.is_open(identity, address) {
             let kind = FindingKind::SameNameSameAddress;
             self.report(
                 now,

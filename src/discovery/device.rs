@@ -234,6 +234,9 @@ impl Quirk {
     }
 }
 
+/// Modes that are remembered per device.
+pub(super) const MAX_MODES: usize = 16;
+
 /// A mode a device was in, and since when.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ModeChange {

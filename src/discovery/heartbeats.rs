@@ -1,14 +1,12 @@
 //! What heartbeats tell: mode, UID, reboots, and who else beats with the same UID.
 
-use super::device::{ModeChange, Quirk};
+use super::device::{MAX_MODES, ModeChange, Quirk};
 use super::{Engine, EventKind, Presence};
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
 use crate::wire::id::{Address, Header};
 use crate::wire::node::{Heartbeat, Mode, Uid};
 
-/// Modes that are remembered per device.
-const MAX_MODES: usize = 16;
 /// A gap of this many periods between heartbeats may be a reboot.
 const REBOOT_GAP: f64 = 1.4;
 
@@ -105,7 +103,8 @@ impl Engine {
     /// The node at this row has another UID than before, or one for the first time.
     fn uid_learnt(&mut self, now: Instant, index: usize, first: bool) {
         if !first && !self.collisions.is_open_at(self.roster.get(index).address) {
-            // Another board, perhaps: ask who it is.
+            // Another board, perhaps: ask who it is. Not for its services yet: two boards that
+            // answer in several frames at once destroy each other's.
             self.roster.get_mut(index).name_query.renew(now);
             self.wake_at(now);
         }

@@ -107,6 +107,8 @@ pub(super) struct Watch {
     pub tallies: [[Tally; 2]; 2],
     pub beats: VecDeque<Beat>,
     pub doubled_until: Instant,
+    /// For how many heartbeats in a row they came at twice the rate.
+    pub twice_for: u32,
 }
 
 /// Heartbeats kept per address: six intervals and one more.

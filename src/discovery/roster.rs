@@ -1,6 +1,6 @@
 //! The rows of one bus, and which of them speaks from which address.
 
-use super::device::{Device, DeviceId, Presence};
+use super::device::{Device, DeviceId, MAX_MODES, Presence};
 use crate::frame::BusIndex;
 use crate::time::Instant;
 use crate::wire::id::Address;
@@ -129,6 +129,12 @@ impl Roster {
         device.last_seen = fresh.last_seen;
         device.frames += fresh.frames;
         device.rounds_missed = 0;
+        device.is_debug |= fresh.is_debug;
+        fresh.quirks.into_iter().for_each(|quirk| device.note(quirk));
+        device.mode_history.extend(fresh.mode_history);
+        while device.mode_history.len() > MAX_MODES {
+            device.mode_history.pop_front();
+        }
         if was_current {
             self.current[before.index()] = None;
         }
