@@ -369,9 +369,10 @@ impl App {
         let Some(address) = address else {
             let shown = Escaped(&name);
             let last = text.rsplit(char::is_whitespace).next().unwrap_or_default();
-            return match last.starts_with(|c: char| c.is_ascii_digit()) {
-                true => Verdict::Warns(format!("all of it is the name: {last} is no address")),
-                false => Verdict::Fine(format!("{shown}, not pinned")),
+            return if last.starts_with(|c: char| c.is_ascii_digit()) {
+                Verdict::Warns(format!("all of it is the name: {last} is no address"))
+            } else {
+                Verdict::Fine(format!("{shown}, not pinned"))
             };
         };
         if let Some(blocked) = self.pinned_elsewhere(address, bus.as_deref(), None) {

@@ -240,10 +240,8 @@ fn counts(brush: &Brush) -> Parts {
     };
     let mut parts = vec![one(Role::Online, "●", counts.here, "here")];
     // Without their words the two look the same.
-    let (missing, lost) = match narrow {
-        true => (counts.missing + counts.lost, 0),
-        false => (counts.missing, counts.lost),
-    };
+    let (missing, lost) =
+        if narrow { (counts.missing + counts.lost, 0) } else { (counts.missing, counts.lost) };
     if missing > 0 {
         parts.push(one(Role::Missing, "○", missing, "missing"));
     }
