@@ -27,6 +27,22 @@ fn q_quits_and_the_terminal_is_as_before() {
 }
 
 #[test]
+fn wrong_settings_are_told_on_the_screen_and_do_not_keep_it_from_starting() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("config/descan");
+    std::fs::create_dir_all(&config).unwrap();
+    std::fs::write(config.join("config.toml"), "theme = \"mine\"").unwrap();
+    std::fs::write(config.join("keys.toml"), "rescan = 5").unwrap();
+    let mut pty = demo(folder.path());
+    pty.send("3");
+    pty.wait_for("settings");
+    let screen = pty.screen();
+    assert!(screen.contains("theme mine: there is none"), "{screen}");
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}
+
+#[test]
 fn ctrl_c_and_signals_give_the_terminal_back() {
     for (way, code) in [(None, 0), (Some(Signal::SIGTERM), 130), (Some(Signal::SIGINT), 130)] {
         let folder = tempfile::tempdir().unwrap();

@@ -82,6 +82,8 @@ pub struct AppOptions {
     pub theme: String,
     /// The themes to choose from.
     pub themes: Vec<String>,
+    /// What is wrong in the user's settings.
+    pub warnings: Vec<String>,
     /// Keep happenings for [`App::poll_happening`].
     pub report: bool,
 }
@@ -208,7 +210,7 @@ impl App {
             let bus = BusIndex(index as u8);
             Bus::new(now, name, Config { bus, ..config })
         });
-        Self {
+        let mut app = Self {
             now,
             started: now,
             epoch: options.epoch,
@@ -239,7 +241,14 @@ impl App {
             dirty_at: None,
             last_calm_draw: now,
             next_second: whole_second_after(now),
+        };
+        for warning in options.warnings {
+            let mut line = TimelineEntry::new(now, TimelineKind::Error, &warning);
+            line.name = Some("settings".into());
+            app.timeline.push(line);
+            app.complain(warning);
         }
+        app
     }
 
     /// Gives a bus the name that is known now: a log says which interface it was taken from.

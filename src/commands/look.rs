@@ -59,14 +59,25 @@ fn needs_terminal() -> Result<(), Failure> {
 fn show(buses: &[BusSpec], setup: &Setup, clock: Clock) -> Result<u8, Failure> {
     let colourless = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
     let usual = if colourless { "mono" } else { "terminal" };
-    let wanted = setup.theme.as_deref().unwrap_or(usual);
-    let mut themes = Themes::new(setup.folder.clone(), wanted)
-        .map_err(|why| Failure::Usage(format!("theme {wanted}: {why}")))?;
+    let mut wanted = setup.theme.as_deref().unwrap_or(usual);
+    let mut warnings = setup.warnings.clone();
+    let mut themes = match Themes::new(setup.folder.clone(), wanted) {
+        // One that was not asked for just now is no reason not to start.
+        Err(why) if !setup.theme_is_asked_for => {
+            open::warn::<()>(&mut warnings, format!("theme {wanted}: {why}"));
+            wanted = usual;
+            // The user's own may have that name; without the folder it is the built-in one.
+            Themes::new(setup.folder.clone(), usual).or_else(|_| Themes::new(None, usual))
+        }
+        themes => themes,
+    }
+    .map_err(|why| Failure::Usage(format!("theme {wanted}: {why}")))?;
     let options = AppOptions {
         keymap: setup.keymap.clone(),
         theme: wanted.to_owned(),
         themes: themes.names(),
         utc_offset_seconds: utc_offset_seconds(),
+        warnings,
         ..AppOptions::default()
     };
     terminal::restore_on_panic();

@@ -31,6 +31,10 @@ pub struct Setup {
     pub file: PathBuf,
     /// The theme's name, where one is chosen.
     pub theme: Option<String>,
+    /// It was chosen on the command line: one that cannot be used is an error.
+    pub theme_is_asked_for: bool,
+    /// What is wrong in the user's settings. It was told already; a screen hides that.
+    pub warnings: Vec<String>,
 }
 
 impl Setup {
@@ -39,9 +43,10 @@ impl Setup {
     pub fn new(common: &Common) -> Result<Self, Failure> {
         let folder = Folder::of_user();
         let settings = folder.as_ref().map_or(Ok(Settings::default()), Folder::settings);
-        let settings = settings.unwrap_or_else(|why| warn(&why));
+        let mut warnings = Vec::new();
+        let settings = settings.unwrap_or_else(|why| warn(&mut warnings, why));
         let keymap = folder.as_ref().map_or(Ok(Keymap::default()), Folder::keymap);
-        let keymap = keymap.unwrap_or_else(|why| warn(&why));
+        let keymap = keymap.unwrap_or_else(|why| warn(&mut warnings, why));
         let built_in = Config::default();
         let config = Config {
             profile: Arc::new(profile(common.profile.as_deref())?),
@@ -57,12 +62,15 @@ impl Setup {
         };
         let file = common.file.clone().unwrap_or_else(|| PathBuf::from(DEFAULT_FILE));
         let theme = common.theme.clone().or(settings.theme);
-        Ok(Self { folder, keymap, config, file, theme })
+        let theme_is_asked_for = common.theme.is_some();
+        Ok(Self { folder, keymap, config, file, theme, theme_is_asked_for, warnings })
     }
 }
 
-fn warn<T: Default>(why: &str) -> T {
+/// Tells what is wrong in the settings; what is built in goes in its place.
+pub fn warn<T: Default>(warnings: &mut Vec<String>, why: String) -> T {
     let _ = writeln!(io::stderr(), "descan: {why} (built-in values are used)");
+    warnings.push(why);
     T::default()
 }
 

@@ -110,6 +110,7 @@ fn who(brush: &Brush, entry: &TimelineEntry, width: usize) -> String {
             short + &address
         }
         (None, Some(address)) => format!("? @{address}"),
+        (Some(name), None) if entry.bus.is_none() => name.to_string(),
         _ => match entry.bus.and_then(|bus| app.bus(bus)) {
             Some(bus) => bus.name.clone(),
             None => app.file().name(),
