@@ -50,8 +50,8 @@ pub enum SpecError {
     },
     /// Not a kind of bus we know.
     #[error(
-        "{0}: is no kind of bus; there are can0 (SocketCAN), slcan:, udp:, socketcand://, file:, \
-         sim: and -"
+        "{0}: is no kind of bus; there are can0 (SocketCAN), file:LOG, sim:boiler and - (a log from \
+         standard input)"
     )]
     UnknownKind(String),
     /// A path, most likely of a log.

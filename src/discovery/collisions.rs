@@ -26,6 +26,8 @@ const MAX_FINDINGS: usize = 512;
 const MAX_FOLLOW_UPS: u32 = 6;
 /// Heartbeats at twice the rate that are a suspicion: time enough for the follow-ups.
 const ODD_RATE_BEATS: u32 = 16;
+/// Observations that need no second device to explain them: one may be a stray frame.
+const PROOFS_CONFIRM: u64 = 2;
 /// Strong pieces of evidence that, lasting long enough, confirm a collision.
 const STRONG_CONFIRM: u32 = 3;
 /// Error frames in a row, each within a period of the last, that are a finding.
@@ -38,7 +40,7 @@ enum Weight {
     Weak,
     /// Only a second device explains it, if it goes on.
     Strong,
-    /// An observation that needs no second one.
+    /// An observation: what is seen is so, if it is seen again.
     Proof,
 }
 
@@ -349,9 +351,7 @@ impl Collisions {
             if finding.confidence == Confidence::Cleared {
                 continue;
             }
-            if now >= finding.last + self.memory()
-                && finding.key.kind != FindingKind::MalformedAnswer
-            {
+            if now >= finding.last + self.memory() && passes(finding) {
                 self.end(now, at);
                 continue;
             }
@@ -376,7 +376,7 @@ impl Collisions {
             .iter()
             .zip(&self.cases)
             .filter(|(finding, _)| finding.confidence != Confidence::Cleared)
-            .filter(|(finding, _)| finding.key.kind != FindingKind::MalformedAnswer)
+            .filter(|(finding, _)| passes(finding))
             .flat_map(|(finding, case)| {
                 let check = if self.passive { None } else { case.next_check };
                 [Some(finding.last + self.memory()), check]
@@ -487,7 +487,9 @@ impl Collisions {
         }
         let lasting = now.since(case.began) >= self.period * 5;
         self.describe(at);
-        if weight == Weight::Proof || (self.cases[at].strong >= STRONG_CONFIRM && lasting) {
+        if (weight == Weight::Proof && self.findings[at].count >= PROOFS_CONFIRM)
+            || (self.cases[at].strong >= STRONG_CONFIRM && lasting)
+        {
             self.set(now, at, Confidence::Confirmed);
         }
         Some(at)
@@ -568,4 +570,10 @@ impl Collisions {
     fn describe(&mut self, at: usize) {
         wording::describe(&mut self.findings[at]);
     }
+}
+
+/// Whether a finding is over when no more evidence comes. Malformed answers are not: only a
+/// sound one ends them, and a device is not asked often.
+fn passes(finding: &Finding) -> bool {
+    finding.key.kind != FindingKind::MalformedAnswer || finding.confidence != Confidence::Confirmed
 }
