@@ -43,6 +43,36 @@ fn wrong_settings_are_told_on_the_screen_and_do_not_keep_it_from_starting() {
 }
 
 #[test]
+fn the_demo_keeps_its_des_json_only_where_it_was_edited() {
+    for edit in [false, true] {
+        let folder = tempfile::tempdir().unwrap();
+        let mut pty = Pty::start(&["demo"], folder.path(), (120, 40));
+        pty.wait_for("FEED");
+        pty.wait_for("descan-demo-");
+        let screen = pty.screen();
+        let place = screen.split_whitespace().find(|word| word.contains("descan-demo-")).unwrap();
+        let path = std::path::PathBuf::from(place);
+        assert!(path.exists(), "{place}");
+        if edit {
+            pty.wait_for("PSU");
+            pty.send("Ge44\r");
+            pty.wait_for("44");
+            pty.wait_until("the edit in the file", |_| {
+                std::fs::read_to_string(&path).is_ok_and(|text| text.contains("44"))
+            });
+        }
+        pty.send("q");
+        assert_eq!(pty.wait(), 0);
+        pty.assert_given_back();
+        assert_eq!(path.exists(), edit);
+        if edit {
+            assert!(pty.screen().contains("is kept"), "{}", pty.screen());
+            std::fs::remove_dir_all(path.parent().unwrap()).unwrap();
+        }
+    }
+}
+
+#[test]
 fn ctrl_c_and_signals_give_the_terminal_back() {
     for (way, code) in [(None, 0), (Some(Signal::SIGTERM), 130), (Some(Signal::SIGINT), 130)] {
         let folder = tempfile::tempdir().unwrap();

@@ -8,7 +8,7 @@ use crate::cli::{Common, Session as Arguments};
 use crate::shell::screen::{self, Ending, Themes};
 use crate::shell::terminal;
 use anyhow::Context;
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write};
 
 /// `descan [BUS…]`.
 pub fn ui(arguments: &Arguments) -> Result<u8, Failure> {
@@ -23,21 +23,25 @@ pub fn ui(arguments: &Arguments) -> Result<u8, Failure> {
 pub fn demo(system: &str, common: &Common) -> Result<u8, Failure> {
     needs_terminal()?;
     let mut setup = Setup::new(common)?;
-    let mut kept = None;
-    if common.file.is_none() {
-        let folder = tempfile::Builder::new()
-            .prefix("descan-demo-")
-            .tempdir()
-            .context("no temporary folder for the demo's des.json")?;
-        setup.file = folder.keep().join("des.json");
-        std::fs::write(&setup.file, example(system)).context("the demo's des.json")?;
-        kept = Some(&setup.file);
+    let buses = [BusSpec::Sim(system.to_owned())];
+    if common.file.is_some() {
+        return show(&buses, &setup, Clock::start());
     }
-    let result = show(&[BusSpec::Sim(system.to_owned())], &setup, Clock::start());
-    if let (Some(kept), Ok(_)) = (kept, &result) {
-        println!("The demo's des.json is kept: {}", kept.display());
+    let folder = tempfile::Builder::new()
+        .prefix("descan-demo-")
+        .tempdir()
+        .context("no temporary folder for the demo's des.json")?;
+    setup.file = folder.path().join("des.json");
+    std::fs::write(&setup.file, example(system)).context("the demo's des.json")?;
+    let code = show(&buses, &setup, Clock::start())?;
+    // What was edited stays for a look; the rest goes with the folder.
+    let edited = std::fs::read(&setup.file).is_ok_and(|now| now != example(system).as_bytes());
+    if edited {
+        let kept = folder.keep().join("des.json");
+        // The terminal may be gone.
+        let _ = writeln!(std::io::stdout(), "The demo's des.json is kept: {}", kept.display());
     }
-    result
+    Ok(code)
 }
 
 /// The demo's des.json: what a firmware team might have pinned before the boards came.
