@@ -4,7 +4,7 @@
 mod common;
 
 use common::Inspection;
-use descan::discovery::{Config, FindingKind, Presence, QueryState, Quirk};
+use descan::discovery::{Config, FindingKind, OwnAddress, Presence, QueryState, Quirk};
 use descan::frame::Frame;
 use descan::sim::{Action, DeviceFraming, DeviceSpec, Fault, Scenario, Sim};
 use descan::time::{Duration, Instant};
@@ -211,4 +211,44 @@ fn new_firmware_after_a_reboot_is_noticed() {
     assert_eq!(known, ["1.1"]);
     assert_eq!(rebooted.previous_services.as_ref().map(Vec::len), Some(2), "what it had before");
     assert_eq!(rebooted.reboots, 1);
+}
+
+#[test]
+fn inspectors_that_start_together_end_at_addresses_of_their_own() {
+    for seed in 0..20 {
+        let mut sim = Sim::new(&Scenario::crowd(250_000, 5, 1), seed);
+        let mut inspectors: Vec<_> = (0..4)
+            .map(|at| {
+                let config =
+                    Config { bitrate: Some(250_000), seed: seed * 100 + at, ..Config::default() };
+                (sim.attach(), descan::discovery::Engine::new(Instant::ZERO, config))
+            })
+            .collect();
+        while sim.now() < seconds(20.0) {
+            let now = sim.now();
+            for (station, engine) in &mut inspectors {
+                while let Some(frame) = sim.poll_frame(*station) {
+                    engine.handle_frame(&frame);
+                }
+                engine.handle_timeout(now);
+                while let Some(frame) = engine.poll_transmit(now) {
+                    sim.transmit(*station, frame);
+                }
+            }
+            let due = inspectors.iter().filter_map(|(_, engine)| engine.poll_timeout());
+            let next = due.chain(sim.next_event()).min().unwrap_or(seconds(20.0));
+            sim.advance(next.max(now + Duration::from_micros(1)));
+        }
+        let mut held: Vec<u8> = inspectors
+            .iter()
+            .map(|(_, engine)| match engine.own_address() {
+                OwnAddress::Held(address) => address.number(),
+                other => panic!("seed {seed}: {other:?}"),
+            })
+            .collect();
+        held.sort_unstable();
+        held.dedup();
+        assert_eq!(held.len(), 4, "seed {seed}: {held:?}");
+        assert!(held.iter().all(|address| !(1..=5).contains(address)), "a device's: {held:?}");
+    }
 }
