@@ -16,6 +16,15 @@ pub enum FileReading {
     Error(String),
 }
 
+impl From<Result<Option<Vec<u8>>, String>> for FileReading {
+    fn from(reading: Result<Option<Vec<u8>>, String>) -> Self {
+        match reading {
+            Ok(content) => FileReading::Content(content),
+            Err(why) => FileReading::Error(why),
+        }
+    }
+}
+
 /// What became of a save.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum SaveOutcome {

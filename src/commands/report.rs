@@ -3,7 +3,7 @@
 //! The JSON's names, types and meanings are relied on by scripts. What is not known is null.
 
 use crate::app::{App, Bus};
-use crate::discovery::{Confidence, Device, Evidence, Finding, FindingKind, OwnAddress};
+use crate::discovery::{Confidence, Device, Evidence, Finding, OwnAddress};
 use crate::frame::Frame;
 use crate::status::Link;
 use crate::text::Name;
@@ -312,13 +312,8 @@ fn of_finding(app: &App, epoch: Epoch, finding: &Finding) -> FindingReport {
         evidence: finding.evidence.iter().map(|piece| of_evidence(epoch, piece)).collect(),
         text: finding.text.clone(),
         remedy: finding.remedy.clone(),
-        counts: finding.confidence == Confidence::Confirmed && counts(finding.key.kind),
+        counts: finding.confidence == Confidence::Confirmed && finding.key.kind.is_collision(),
     }
-}
-
-/// The findings that make `scan` exit with 1.
-fn counts(kind: FindingKind) -> bool {
-    kind.is_collision()
 }
 
 fn of_evidence(epoch: Epoch, piece: &Evidence) -> EvidenceReport {

@@ -4,7 +4,7 @@
 use super::open::{self, Setup, is_log};
 use super::report::Report;
 use super::{FINDINGS, FINE, Failure, INTERRUPTED};
-use crate::app::{App, AppOptions, FileReading};
+use crate::app::{App, AppOptions};
 use crate::bus::log::{LogReader, Tally};
 use crate::bus::{self, BusSpec};
 use crate::cli::Scan;
@@ -15,7 +15,6 @@ use crate::shell::store::Store;
 use crate::status::Link;
 use crate::time::Instant;
 use anyhow::Context;
-use std::fs::File;
 use std::io::{self, BufRead, BufReader, IsTerminal, Write};
 use std::path::Path;
 use tokio::signal::unix::{SignalKind, signal};
@@ -34,21 +33,17 @@ pub fn run(scan: &Scan) -> Result<u8, Failure> {
         )));
     }
     let buses = open::buses(&scan.session)?;
-    let mut setup = Setup::new(&scan.session.common)?;
+    let setup = Setup::new(&scan.session.common)?;
     let (app, now, tally) = match &buses[..] {
         [log] if is_log(log) => read_log(log, &setup)?,
         _ if buses.iter().any(is_log) => {
             let message = "a log is scanned alone: descan scan file:LOG";
             return Err(Failure::Usage(message.to_owned()));
         }
-        _ => {
-            // Rounds at start only: what they do not find, `--time` does not either.
-            setup.config.seed = fastrand::u64(..);
-            match scan_live(&buses, &setup, scan)? {
-                Some((app, now)) => (app, now, None),
-                None => return Ok(INTERRUPTED),
-            }
-        }
+        _ => match scan_live(&buses, &setup, scan)? {
+            Some((app, now)) => (app, now, None),
+            None => return Ok(INTERRUPTED),
+        },
     };
     if let Some(tally) = tally
         && (tally.unreadable > 0 || tally.frames == 0)
@@ -77,11 +72,14 @@ pub fn run(scan: &Scan) -> Result<u8, Failure> {
 // --- a log --------------------------------------------------------------------------------
 
 fn read_log(spec: &BusSpec, setup: &Setup) -> Result<(App, Instant, Option<Tally>), Failure> {
+    let unusable = |error: io::Error| Failure::Unusable(format!("{spec} cannot be read: {error}"));
     let source: Box<dyn BufRead> = match spec {
-        BusSpec::File(path) => Box::new(BufReader::with_capacity(1 << 16, open_log(path)?)),
+        BusSpec::File(path) => {
+            let log = bus::open_log(path).map_err(unusable)?;
+            Box::new(BufReader::with_capacity(1 << 16, log))
+        }
         _ => Box::new(io::stdin().lock()),
     };
-    let unusable = |error: io::Error| Failure::Unusable(format!("{spec} cannot be read: {error}"));
     let mut reader = LogReader::new(source);
     let mut frame = reader.next_frame().map_err(unusable)?;
     let epoch = reader.tally().epoch.unwrap_or_default();
@@ -89,7 +87,8 @@ fn read_log(spec: &BusSpec, setup: &Setup) -> Result<(App, Instant, Option<Tally
     let options =
         AppOptions { epoch, file_path: Some(setup.file.clone()), ..AppOptions::default() };
     let mut app = App::new(Instant::ZERO, options);
-    app.handle_file(Instant::ZERO, read_file(&setup.file));
+    let reading = Store::new(&setup.file).read().map_err(|error| error.to_string());
+    app.handle_file(Instant::ZERO, reading.into());
     let mut named = 0;
     let mut now = Instant::ZERO;
     while let Some(next) = frame {
@@ -108,19 +107,6 @@ fn read_log(spec: &BusSpec, setup: &Setup) -> Result<(App, Instant, Option<Tally
     pass_time(&mut app, now);
     let tally = reader.tally().clone();
     Ok((app, now, Some(tally)))
-}
-
-fn open_log(path: &Path) -> Result<File, Failure> {
-    bus::open_log(path).map_err(|error| {
-        Failure::Unusable(format!("file:{} cannot be read: {error}", path.display()))
-    })
-}
-
-fn read_file(path: &Path) -> FileReading {
-    match Store::new(path).read() {
-        Ok(content) => FileReading::Content(content),
-        Err(error) => FileReading::Error(error.to_string()),
-    }
 }
 
 /// Lets everything happen that is due until `now`, each at its time.

@@ -156,10 +156,7 @@ impl Engine {
                 // While it resolves its address, the mode it takes next is not known.
                 let undecided = matches!(device.mode, Some(Mode::Init | Mode::Arslv));
                 let usable = device.presence != Presence::Lost && address != own;
-                let query = match request {
-                    Request::Name => &mut device.name_query,
-                    Request::Services => &mut device.services_query,
-                };
+                let query = device.query_mut(request);
                 if query.is_waiting() || query.due.is_none_or(|due| due > now) {
                     continue;
                 }
@@ -197,18 +194,15 @@ impl Engine {
                 (Request::Name, &mut device.name_query),
                 (Request::Services, &mut device.services_query),
             ] {
-                if !query.is_waiting() {
-                    continue;
+                let deadline = query.deadline.filter(|_| query.is_waiting());
+                match deadline {
+                    None => {}
+                    Some(deadline) if deadline > now => waiting += 1,
+                    Some(_) => {
+                        let fault = query.fault;
+                        hurry |= fail(query, request, named, now, fault);
+                    }
                 }
-                if query.deadline.is_some_and(|deadline| deadline > now) {
-                    waiting += 1;
-                    continue;
-                }
-                if query.deadline.is_none() {
-                    continue;
-                }
-                let fault = query.fault;
-                hurry |= fail(query, request, named, now, fault);
             }
         }
         self.waiting = waiting;
@@ -222,13 +216,9 @@ impl Engine {
         let now = self.now;
         let device = self.roster.get_mut(index);
         let named = device.name.is_some();
-        let query = match request {
-            Request::Name => &mut device.name_query,
-            Request::Services => &mut device.services_query,
-        };
+        let query = device.query_mut(request);
         let before = query.fault.replace(fault);
         if query.is_waiting() {
-            self.waiting = self.waiting.saturating_sub(1);
             // Once may be because of the framing it was asked in.
             if fault == QueryFault::Refused && before == Some(fault) {
                 query.attempts = query.attempts.max(limit(request));
@@ -274,10 +264,7 @@ impl Engine {
     pub(super) fn answer_arrives(&mut self, index: usize, request: Request) {
         let now = self.now;
         let device = self.roster.get_mut(index);
-        let query = match request {
-            Request::Name => &mut device.name_query,
-            Request::Services => &mut device.services_query,
-        };
+        let query = device.query_mut(request);
         if query.is_waiting() {
             query.state = QueryState::Receiving;
             query.deadline = Some(now + isotp::TIMEOUT + Duration::from_millis(100));

@@ -6,7 +6,7 @@
 use crate::frame::BusIndex;
 use crate::text::Name;
 use crate::time::{Duration, Instant};
-use crate::wire::des::AnswerFault;
+use crate::wire::des::{AnswerFault, Request};
 use crate::wire::framing::Framing;
 use crate::wire::id::Address;
 use crate::wire::isotp::TransferFault;
@@ -235,7 +235,7 @@ impl Quirk {
 }
 
 /// Modes that are remembered per device.
-pub(super) const MAX_MODES: usize = 16;
+const MAX_MODES: usize = 16;
 
 /// A mode a device was in, and since when.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -342,6 +342,29 @@ impl Device {
     /// Whether it is the same device as an entry with that name (bytes equal).
     pub fn is_named(&self, name: &[u8]) -> bool {
         self.name.as_ref().is_some_and(|own| own.as_bytes() == name)
+    }
+
+    /// The question of that kind.
+    pub fn query(&self, request: Request) -> &Query {
+        match request {
+            Request::Name => &self.name_query,
+            Request::Services => &self.services_query,
+        }
+    }
+
+    pub(super) fn query_mut(&mut self, request: Request) -> &mut Query {
+        match request {
+            Request::Name => &mut self.name_query,
+            Request::Services => &mut self.services_query,
+        }
+    }
+
+    /// Adds to the modes it was in; the oldest go.
+    pub(super) fn remember_mode(&mut self, change: ModeChange) {
+        if self.mode_history.len() == MAX_MODES {
+            self.mode_history.pop_front();
+        }
+        self.mode_history.push_back(change);
     }
 
     /// Notes a deviation once.

@@ -2,7 +2,7 @@
 
 use super::device::{QueryFault, QueryState, Quirk, ServiceEntry};
 use super::transfers::{Continued, Started};
-use super::{Engine, EventKind, Presence};
+use super::{Engine, EventKind, Presence, station};
 use crate::frame::{Frame, FrameKind};
 use crate::text::Name;
 use crate::time::{Duration, Instant};
@@ -408,11 +408,7 @@ impl Engine {
         self.counters.transfers_failed += 1;
         let Some(request) = request else { return };
         let device = self.roster.get(index);
-        let before = match request {
-            Request::Name => device.name_query.fault,
-            Request::Services => device.services_query.fault,
-        };
-        if matches!(before, Some(QueryFault::Transfer(_))) {
+        if matches!(device.query(request).fault, Some(QueryFault::Transfer(_))) {
             self.malformed(now, index, &fault, frame);
         }
         self.answer_failed(index, request, fault.into());
@@ -451,13 +447,9 @@ impl Engine {
         self.collisions.see_name(now, address, &name, frame);
         let index = self.row_of_name(now, index, &name);
         let device = self.roster.get_mut(index);
-        if device.name_query.is_waiting() && device.name_query.deadline.is_some() {
-            self.waiting = self.waiting.saturating_sub(1);
-        }
-        let device = self.roster.get_mut(index);
         device.name_query.answered(now, fault.map(QueryFault::from));
         device.framing.get_or_insert(framing);
-        device.is_debug |= name.as_bytes() == b"DSCAN";
+        device.is_debug |= name.as_bytes() == station::NAME;
         device.last_seen = now;
         if device.name.is_none() {
             device.name = Some(name);
@@ -474,10 +466,6 @@ impl Engine {
         let fault = answer.fault();
         if let Some(fault) = fault {
             self.malformed(now, index, &fault, frame);
-        }
-        let device = self.roster.get_mut(index);
-        if device.services_query.is_waiting() {
-            self.waiting = self.waiting.saturating_sub(1);
         }
         let device = self.roster.get_mut(index);
         device.services_query.answered(now, fault.map(QueryFault::from));

@@ -1,6 +1,6 @@
 //! What heartbeats tell: mode, UID, reboots, and who else beats with the same UID.
 
-use super::device::{MAX_MODES, ModeChange, Quirk};
+use super::device::{ModeChange, Quirk};
 use super::{Engine, EventKind, Presence};
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
@@ -46,8 +46,8 @@ impl Engine {
             device.uid_before = device.uid;
             device.uid = heartbeat.uid;
         }
-        // With another UID it is rather another board.
-        // In an early mode after a pause, or off the beat: it started anew.
+        // In an early mode after a pause, or off the beat: it started anew. With another UID it is
+        // rather another board.
         let paused = gap.is_some_and(|gap| gap > period.mul_f64(REBOOT_GAP));
         let early = matches!(heartbeat.mode, Some(Mode::Init | Mode::Arslv));
         let early = early && paused && device.mode != heartbeat.mode;
@@ -64,10 +64,7 @@ impl Engine {
             }
             if device.mode != Some(mode) {
                 let from = device.mode.replace(mode);
-                if device.mode_history.len() == MAX_MODES {
-                    device.mode_history.pop_front();
-                }
-                device.mode_history.push_back(ModeChange { time: now, mode });
+                device.remember_mode(ModeChange { time: now, mode });
                 self.tell(index, EventKind::Mode { from, to: mode });
             }
         }

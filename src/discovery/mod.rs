@@ -129,6 +129,7 @@ pub struct Engine {
     broadcasts: VecDeque<Broadcast>,
     events: VecDeque<Event>,
     counters: Counters,
+    /// Questions that await an answer, counted anew whenever anybody is to be asked.
     waiting: usize,
     wake: Instant,
 }

@@ -1,6 +1,6 @@
 //! The rows of one bus, and which of them speaks from which address.
 
-use super::device::{Device, DeviceId, MAX_MODES, Presence};
+use super::device::{Device, DeviceId, Presence};
 use crate::frame::BusIndex;
 use crate::time::Instant;
 use crate::wire::id::Address;
@@ -131,10 +131,7 @@ impl Roster {
         device.rounds_missed = 0;
         device.is_debug |= fresh.is_debug;
         fresh.quirks.into_iter().for_each(|quirk| device.note(quirk));
-        device.mode_history.extend(fresh.mode_history);
-        while device.mode_history.len() > MAX_MODES {
-            device.mode_history.pop_front();
-        }
+        fresh.mode_history.into_iter().for_each(|change| device.remember_mode(change));
         if was_current {
             self.current[before.index()] = None;
         }

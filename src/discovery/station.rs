@@ -15,7 +15,7 @@ use crate::wire::node::{Heartbeat, Mode, Uid};
 use crate::wire::profile::{Announce, Profile};
 
 /// The name we answer with.
-const NAME: &[u8] = b"DSCAN";
+pub(super) const NAME: &[u8] = b"DSCAN";
 /// How many of our services answers may wait for flow control at once.
 const MAX_ANSWERS: usize = 4;
 /// An address heard within this many periods counts as used.
@@ -274,9 +274,7 @@ impl Station {
             }
             Framing::Raw => {}
             Framing::Isotp => {
-                let mut flow_header =
-                    Header::request(question.source, from, false, question.service);
-                flow_header.no_error = false;
+                let flow_header = Header::request(question.source, from, false, question.service);
                 self.answers.retain(|open| open.id != id);
                 if self.answers.len() == MAX_ANSWERS {
                     self.answers.remove(0);

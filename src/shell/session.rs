@@ -6,7 +6,7 @@
 
 use super::store::{SaveError, Store};
 use super::watch::Watch;
-use crate::app::{App, Effect, FileReading, SaveOutcome};
+use crate::app::{App, Effect, SaveOutcome};
 use crate::bus::{Clock, Port};
 use crate::frame::{BusIndex, Frame};
 use crate::time::Instant;
@@ -76,17 +76,12 @@ impl Session {
         let Some(store) = &self.store else { return };
         let reading = store.read().map_err(|error| error.to_string());
         self.watch = Some(Watch::spawn(store.clone(), reading.clone()));
-        self.app.handle_file(self.clock.now(), as_read(reading));
+        self.app.handle_file(self.clock.now(), reading.into());
     }
 
     /// The moment it is.
     pub fn now(&self) -> Instant {
         self.clock.now()
-    }
-
-    /// Whether every bus has ended: logs that were read to their end.
-    pub fn is_over(&self) -> bool {
-        !self.ports.is_empty() && self.ports.iter().all(|port| port.queue().is_finished())
     }
 
     /// Waits for the next reason to do something. May be dropped while waiting.
@@ -146,7 +141,7 @@ impl Session {
         match wake {
             Wake::Due => {}
             Wake::Buses => self.take_buses(now),
-            Wake::File(reading) => self.app.handle_file(now, as_read(reading)),
+            Wake::File(reading) => self.app.handle_file(now, reading.into()),
             Wake::Done(Finished::Saved(outcome, content)) => {
                 if let (SaveOutcome::Saved, Some(watch)) = (&outcome, &self.watch) {
                     watch.saved(&content);
@@ -207,7 +202,7 @@ impl Session {
                 Effect::Save { expected, content } => self.start_save(expected, content),
                 Effect::WriteFile { path, bytes } => {
                     self.work.push(spawn_blocking(move || {
-                        let result = write_new(&path, &bytes);
+                        let result = write_new(path.clone(), &bytes);
                         Finished::Written(path, result)
                     }));
                 }
@@ -238,21 +233,10 @@ impl Session {
     }
 }
 
-fn as_read(reading: Result<Option<Vec<u8>>, String>) -> FileReading {
-    match reading {
-        Ok(content) => FileReading::Content(content),
-        Err(why) => FileReading::Error(why),
-    }
-}
-
-fn write_new(path: &std::path::Path, bytes: &[u8]) -> Result<(), String> {
-    use std::io::Write;
-    let mut file = std::fs::File::create_new(path).map_err(|error| {
-        if error.kind() == std::io::ErrorKind::AlreadyExists {
-            "there is a file of that name already".to_owned()
-        } else {
-            error.to_string()
-        }
-    })?;
-    file.write_all(bytes).and_then(|()| file.sync_all()).map_err(|error| error.to_string())
+/// Writes a file that is not there yet, whole or not at all.
+fn write_new(path: PathBuf, bytes: &[u8]) -> Result<(), String> {
+    Store::new(path).save(None, bytes).map_err(|error| match error {
+        SaveError::Changed(_) => "there is a file of that name already".to_owned(),
+        other => other.to_string(),
+    })
 }
