@@ -108,7 +108,10 @@ pub fn give_back() {
     // Each for itself: a terminal that is gone must not keep the rest from being tried.
     let _ = out.write_all(SYNC_END);
     let _ = queue!(out, style::Print(MOUSE_OFF), event::DisableBracketedPaste);
-    let _ = queue!(out, style::ResetColor, terminal::LeaveAlternateScreen, cursor::Show);
+    // Cleared and with the cursor at the end: where the window grew meanwhile, tmux takes lines of
+    // this screen over into the other one.
+    let _ = queue!(out, style::ResetColor, terminal::Clear(terminal::ClearType::All));
+    let _ = queue!(out, cursor::MoveTo(0, 998), terminal::LeaveAlternateScreen, cursor::Show);
     let _ = out.flush();
     let _ = terminal::disable_raw_mode();
 }
