@@ -205,12 +205,17 @@ impl Device {
 
     /// Into its mode at once, as if everything had been resolved before.
     fn settle(&mut self, port: &mut Port) {
-        port.bus.set_attached(port.station, true);
-        port.bus.controller_mut(port.station).silent = false;
         let address = match self.spec.address {
             AddressChoice::Preferred(address) | AddressChoice::Fixed(address) => address,
             AddressChoice::Any => Address::from_bits(self.rng.u8(1..128)),
         };
+        self.settle_at(address, port);
+    }
+
+    /// Begins to run at `address`, its heartbeat in a phase of its own.
+    fn settle_at(&mut self, address: Address, port: &mut Port) {
+        port.bus.set_attached(port.station, true);
+        port.bus.controller_mut(port.station).silent = false;
         self.run(address, port);
         let period = self.beat_period(port);
         self.beat = port.now + self.rng.u64(0..period);
@@ -442,6 +447,12 @@ impl Device {
                     self.spec.services = services;
                 }
                 self.begin(port);
+            }
+            Action::QuickReboot => {
+                if let (Stage::Run, Some(address)) = (self.stage, self.address) {
+                    self.stop();
+                    self.settle_at(address, port);
+                }
             }
             Action::Move(address) => {
                 self.spec.address = address;

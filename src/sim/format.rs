@@ -30,8 +30,8 @@
 //! time = 30.0                         # seconds; again with every = 60.0
 //! device = "the valve"
 //! do = "reboot"                       # optional: services
-//! # join, leave, move (address), services (services), mode (mode), name (name or name_hex),
-//! # uid (uid), break and mend (fault); without a device: error-rate (rate)
+//! # join, leave, quick-reboot, move (address), services (services), mode (mode), name (name or
+//! # name_hex), uid (uid), break and mend (fault); without a device: error-rate (rate)
 //! ```
 //!
 //! Only translates; what the values mean is in [`super::scenario`].
@@ -148,6 +148,7 @@ enum Deed {
     Join,
     Leave,
     Reboot,
+    QuickReboot,
     Move,
     Services,
     Mode,
@@ -307,6 +308,7 @@ impl EventWritten {
             Deed::Join => Action::Join,
             Deed::Leave => Action::Leave,
             Deed::Reboot => Action::Reboot { services },
+            Deed::QuickReboot => Action::QuickReboot,
             Deed::Move => Action::Move(self.address.ok_or_else(|| needs("address"))?),
             Deed::Services => Action::Services(services.ok_or_else(|| needs("services"))?),
             Deed::Mode => Action::Mode(place.mode(&self.mode.ok_or_else(|| needs("mode"))?)?),

@@ -393,6 +393,9 @@ pub enum Action {
         /// The services it has afterwards; `None`: the same.
         services: Option<Vec<Vec<Vec<u8>>>>,
     },
+    /// Off and on again within a bit or two, as by a watchdog: it keeps its address and says
+    /// nothing of it; only its heartbeat's phase and what it was about to answer are lost.
+    QuickReboot,
     /// Configure another address; it resolves anew.
     Move(AddressChoice),
     /// Change its services without a reboot.

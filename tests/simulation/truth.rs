@@ -1,0 +1,96 @@
+//! How it really was: who held which address together with whom, and who shared a UID, looked up
+//! in the simulator while it runs.
+
+use descan::sim::{DeviceId, Sim};
+use descan::time::{Duration, Instant};
+use descan::wire::id::Address;
+use std::collections::BTreeMap;
+
+/// For how long something went on without a pause.
+#[derive(Clone, Copy, Debug)]
+pub struct Span {
+    pub from: Instant,
+    /// The last moment it was seen.
+    pub until: Instant,
+}
+
+impl Span {
+    pub fn lasted(&self) -> Duration {
+        self.until.since(self.from)
+    }
+}
+
+/// Two devices that are one too many.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Clash {
+    Address(Address, DeviceId2, DeviceId2),
+    Uid(Address, Address),
+}
+
+/// A device by its place in the scenario.
+pub type DeviceId2 = usize;
+
+#[derive(Default)]
+pub struct Truth {
+    spans: BTreeMap<Clash, Vec<Span>>,
+    sampled: Option<Instant>,
+}
+
+impl Truth {
+    /// Looks at everybody.
+    pub fn sample(&mut self, now: Instant, sim: &Sim, devices: &[DeviceId]) {
+        let mut at: BTreeMap<Address, Vec<usize>> = BTreeMap::new();
+        for (index, &id) in devices.iter().enumerate() {
+            if let Some(address) = sim.device_state(id).address {
+                at.entry(address).or_default().push(index);
+            }
+        }
+        for (&address, here) in &at {
+            for (place, &one) in here.iter().enumerate() {
+                for &other in &here[place + 1..] {
+                    self.see(now, Clash::Address(address, one, other));
+                }
+            }
+        }
+        let mut uids: BTreeMap<[u8; 6], Vec<Address>> = BTreeMap::new();
+        for (&address, here) in &at {
+            for &index in here {
+                let uid = sim.device_state(devices[index]).uid;
+                let known = uids.entry(uid.0).or_default();
+                if !uid.is_blank() && !known.contains(&address) {
+                    known.push(address);
+                }
+            }
+        }
+        for addresses in uids.values().filter(|addresses| addresses.len() > 1) {
+            for (place, &one) in addresses.iter().enumerate() {
+                for &other in &addresses[place + 1..] {
+                    self.see(now, Clash::Uid(one.min(other), one.max(other)));
+                }
+            }
+        }
+        self.sampled = Some(now);
+    }
+
+    fn see(&mut self, now: Instant, clash: Clash) {
+        let spans = self.spans.entry(clash).or_default();
+        match spans.last_mut() {
+            Some(span) if Some(span.until) == self.sampled => span.until = now,
+            _ => spans.push(Span { from: now, until: now }),
+        }
+    }
+
+    /// Everything that was one too many, and when.
+    pub fn clashes(&self) -> impl Iterator<Item = (Clash, Span)> + '_ {
+        self.spans.iter().flat_map(|(clash, spans)| spans.iter().map(|span| (*clash, *span)))
+    }
+}
+
+impl Clash {
+    pub fn concerns(self, address: Address) -> bool {
+        match self {
+            Clash::Address(at, ..) => at == address,
+            Clash::Uid(one, other) => one == address || other == address,
+        }
+    }
+}

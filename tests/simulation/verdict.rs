@@ -1,0 +1,450 @@
+//! What an inspector said, held against how it really was.
+
+use crate::truth::{Clash, Span};
+use crate::world::FAULTS;
+use crate::{Inspector, Run};
+use descan::discovery::{Confidence, EventKind, FindingKind, OwnAddress, Presence};
+use descan::sim::{AddressChoice, DeviceSpec, Fault};
+use descan::time::{Duration, Instant};
+use descan::wire::id::{Address, Header};
+use descan::wire::node::Uid;
+use std::collections::BTreeMap;
+
+pub use crate::common::describe;
+
+const PERIOD: Duration = Duration::from_secs(1);
+/// Within which a collision that can be seen is to be confirmed, and cleared when it is over.
+const TEN_SECONDS: Duration = Duration::from_secs(10);
+
+/// The confidence of one finding over time.
+struct Course {
+    kind: FindingKind,
+    addresses: Vec<Address>,
+    changes: Vec<(Instant, Confidence)>,
+}
+
+impl Course {
+    fn at(&self, time: Instant) -> Option<Confidence> {
+        self.changes.iter().take_while(|(at, _)| *at <= time).last().map(|(_, it)| *it)
+    }
+
+    fn concerns(&self, address: Address) -> bool {
+        self.addresses.contains(&address)
+    }
+}
+
+fn courses(it: &Inspector) -> Vec<Course> {
+    let mut courses = BTreeMap::new();
+    for (at, event) in &it.events {
+        let EventKind::Finding { key, confidence } = &event.kind else { continue };
+        let found = it.engine.findings().iter().find(|finding| finding.key == *key);
+        let course = courses.entry(key.clone()).or_insert_with(|| Course {
+            kind: key.kind,
+            addresses: found.map_or_else(Vec::new, |finding| finding.addresses.clone()),
+            changes: Vec::new(),
+        });
+        course.changes.push((*at, *confidence));
+    }
+    courses.into_values().collect()
+}
+
+pub fn judge(run: &Run) -> Vec<String> {
+    let mut wrong = Vec::new();
+    for number in 0..run.inspectors.len() {
+        let mut case = Case {
+            run,
+            it: &run.inspectors[number],
+            number,
+            courses: courses(&run.inspectors[number]),
+            wrong: &mut wrong,
+        };
+        case.accusations();
+        case.detections();
+        case.clearings();
+        case.contests();
+        case.inventory();
+        case.quiet();
+    }
+    addresses_of_inspectors(run, &mut wrong);
+    wrong
+}
+
+struct Case<'a> {
+    run: &'a Run,
+    it: &'a Inspector,
+    number: usize,
+    courses: Vec<Course>,
+    wrong: &'a mut Vec<String>,
+}
+
+impl Case<'_> {
+    fn complain(&mut self, what: String) {
+        self.wrong.push(format!("inspector {}: {what}", self.number));
+    }
+
+    fn clashes(&self) -> Vec<(Clash, Span)> {
+        self.run.truth.clashes().collect()
+    }
+
+    fn spec(&self, device: usize) -> &DeviceSpec {
+        &self.run.world.scenario.devices[device]
+    }
+
+    fn is_clear(&self) -> bool {
+        self.run.world.is_clear(self.number) && self.it.cut_off.is_empty()
+    }
+
+    // --- nobody innocent is accused ------------------------------------------------------
+
+    fn accusations(&mut self) {
+        let clashes = self.clashes();
+        let mut wrong = Vec::new();
+        for course in &self.courses {
+            let confirmed = course.changes.iter().filter(|(_, it)| *it == Confidence::Confirmed);
+            for &(at, _) in confirmed {
+                if !self.is_justified(course, at, &clashes) {
+                    wrong.push(format!("{at} {} at {:?} is confirmed", course.kind, course.addresses));
+                }
+            }
+        }
+        wrong.into_iter().for_each(|it| self.complain(it));
+    }
+
+    fn is_justified(&self, course: &Course, at: Instant, clashes: &[(Clash, Span)]) -> bool {
+        let going_on = |clash: &Clash, span: &Span| {
+            course.addresses.iter().any(|&address| clash.concerns(address))
+                && span.from <= at
+                && at.since(span.until) < TEN_SECONDS
+                && span.until.min(at).since(span.from) >= PERIOD.mul_f64(4.0)
+        };
+        let names = |one: usize, other: usize| {
+            let name = |at: usize| self.run.sim.device_state(self.run.devices[at]).name;
+            name(one) != name(other)
+        };
+        let uid = |at: usize| self.run.sim.device_state(self.run.devices[at]).uid;
+        let any = |fits: &dyn Fn(&Clash) -> bool| {
+            clashes.iter().any(|(clash, span)| going_on(clash, span) && fits(clash))
+        };
+        match course.kind {
+            FindingKind::OneAddressTwoNames => {
+                any(&|it| matches!(*it, Clash::Address(_, a, b) if names(a, b)))
+            }
+            FindingKind::SameNameSameAddress => {
+                any(&|it| matches!(*it, Clash::Address(_, a, b) if !names(a, b)))
+            }
+            FindingKind::OneAddressTwoIdentities => any(&|it| {
+                matches!(*it, Clash::Address(_, a, b)
+                    if uid(a) != uid(b) || self.spec(a).mode != self.spec(b).mode)
+            }),
+            FindingKind::OneUidTwoAddresses => any(&|it| matches!(it, Clash::Uid(..))),
+            FindingKind::TwoDebugDevices
+            | FindingKind::AddressContested
+            | FindingKind::NonConforming => false,
+            // Whatever else is confirmed is seen, not concluded.
+            FindingKind::MalformedAnswer => {
+                let faulty = |spec: &DeviceSpec| {
+                    [Fault::DropFrame, Fault::WrongSequence, Fault::HugeLength]
+                        .iter()
+                        .any(|fault| spec.faults.has(*fault))
+                };
+                any(&|_| true)
+                    || self.run.world.scenario.devices.iter().any(|spec| {
+                        faulty(spec) && course.addresses.iter().any(|&it| is_fixed(spec, it))
+                    })
+            }
+            _ => true,
+        }
+    }
+
+    // --- nobody guilty escapes -----------------------------------------------------------
+
+    fn detections(&mut self) {
+        let mut wrong = Vec::new();
+        for (clash, span) in self.clashes() {
+            let from = span.from.max(self.begin());
+            if span.until.since(from) < TEN_SECONDS || !self.can_see(clash, from, span.until) {
+                continue;
+            }
+            let due = from + TEN_SECONDS;
+            let fitting = |course: &&Course| match clash {
+                Clash::Address(at, ..) => {
+                    course.concerns(at)
+                        && course.kind.is_collision()
+                        && course.kind != FindingKind::OneUidTwoAddresses
+                }
+                Clash::Uid(one, other) => {
+                    course.kind == FindingKind::OneUidTwoAddresses
+                        && course.concerns(one)
+                        && course.concerns(other)
+                }
+            };
+            let mut times: Vec<Instant> = self
+                .courses
+                .iter()
+                .flat_map(|course| course.changes.iter().map(|(at, _)| *at))
+                .filter(|at| (due..span.until).contains(at))
+                .collect();
+            times.push(due);
+            times.push(span.until);
+            for time in times {
+                let best = self.courses.iter().filter(fitting).filter_map(|it| it.at(time)).max();
+                if best != Some(Confidence::Confirmed) {
+                    wrong.push(format!(
+                        "{clash:?} from {} until {} is {best:?} at {time}",
+                        span.from, span.until
+                    ));
+                    break;
+                }
+            }
+        }
+        wrong.into_iter().for_each(|it| self.complain(it));
+    }
+
+    fn begin(&self) -> Instant {
+        Instant::ZERO + self.run.world.inspectors[self.number].from
+    }
+
+    /// Whether frames that can be told apart come from both, and arrive.
+    fn can_see(&self, clash: Clash, from: Instant, until: Instant) -> bool {
+        let inspector = &self.run.world.inspectors[self.number];
+        let lens = &inspector.lens;
+        let between = |at: Duration| (from..until).contains(&(Instant::ZERO + at));
+        if lens.deaf.is_some_and(|deaf| between(deaf.from) || between(deaf.until))
+            || lens.jump.is_some_and(|jump| between(jump.at))
+            || self.it.cut_off.iter().any(|at| (from..until).contains(at))
+        {
+            return false;
+        }
+        let (one, other) = match clash {
+            Clash::Address(_, one, other) => (self.spec(one), self.spec(other)),
+            Clash::Uid(one, other) => {
+                let beats = |address| {
+                    let mut at = self.run.world.scenario.devices.iter();
+                    at.any(|spec| is_fixed(spec, address) && spec.faults.has(Fault::NoHeartbeat))
+                };
+                return !beats(one) && !beats(other);
+            }
+        };
+        let both = |fault| !one.faults.has(fault) && !other.faults.has(fault);
+        let beat = both(Fault::NoHeartbeat);
+        let answer = both(Fault::NoDes) && !inspector.config.listen_only;
+        let uids = !one.uid.is_blank() && !other.uid.is_blank() && one.uid != other.uid;
+        beat && uids || answer && (one.name != other.name || lens.doubled.is_none() && !lens.echo)
+    }
+
+    // --- what is past is cleared ---------------------------------------------------------
+
+    fn clearings(&mut self) {
+        let end = Instant::ZERO + self.run.world.end;
+        let mut wrong = Vec::new();
+        for course in self.courses.iter().filter(|course| course.kind.is_collision()) {
+            let over = self
+                .run
+                .truth
+                .clashes()
+                .filter(|(clash, _)| course.addresses.iter().any(|&it| clash.concerns(it)))
+                .map(|(_, span)| span.until)
+                .max()
+                .unwrap_or(Instant::ZERO)
+                .max(self.begin());
+            let last_word = course.at(end);
+            let calm = Instant::ZERO + self.run.world.calm;
+            // What was suspected without a cause may have begun with the last thing that happened.
+            let over = if course.at(over).is_none() { over.max(calm) } else { over };
+            let due = over + TEN_SECONDS;
+            if due < end && last_word != Some(Confidence::Cleared) {
+                wrong.push(format!(
+                    "{} at {:?} is still {last_word:?}, though over at {over}",
+                    course.kind, course.addresses
+                ));
+            }
+            let at_due = course.at(due.max(calm));
+            if due.max(calm) < end && at_due.is_some_and(|it| it != Confidence::Cleared) {
+                wrong.push(format!(
+                    "{} at {:?} is {at_due:?} at {due}, though over at {over}",
+                    course.kind, course.addresses
+                ));
+            }
+        }
+        wrong.into_iter().for_each(|it| self.complain(it));
+    }
+
+    // --- who gives way -------------------------------------------------------------------
+
+    /// Where UIDs took turns at an address for less than five periods, it was contested.
+    fn contests(&mut self) {
+        let mut wrong = Vec::new();
+        let mut seen: BTreeMap<Address, Vec<(Instant, Uid)>> = BTreeMap::new();
+        for frame in &self.it.frames {
+            let Some(header) = frame.platform_id().map(Header::decode) else { continue };
+            let beat = header.response && header.broadcast && header.service.number() == 1;
+            let Some(uid) = frame.data().first_chunk::<6>().map(|bytes| Uid(*bytes)) else { continue };
+            if beat && header.is_conforming() && !uid.is_blank() {
+                let course = seen.entry(header.source).or_default();
+                if course.last().is_none_or(|(_, last)| *last != uid) {
+                    course.push((frame.time, uid));
+                }
+            }
+        }
+        for (address, course) in seen {
+            let turns = course.windows(3).any(|three| {
+                three[0].1 == three[2].1 && three[2].0.since(three[1].0) < PERIOD * 5
+            });
+            let told = self.courses.iter().any(|course| {
+                course.concerns(address)
+                    && (course.kind == FindingKind::AddressContested
+                        || course.changes.iter().any(|(_, it)| *it == Confidence::Confirmed))
+            });
+            let late = course.last().is_some_and(|(at, _)| {
+                (Instant::ZERO + self.run.world.end).since(*at) < PERIOD * 9
+            });
+            let jumped = self.run.world.inspectors[self.number].lens.jump.is_some();
+            if turns && !told && !late && !jumped && address != Address::DEBUG {
+                wrong.push(format!("{address} was contested, and nothing says so: {course:?}"));
+            }
+        }
+        wrong.into_iter().for_each(|it| self.complain(it));
+    }
+
+    // --- what is known in the end --------------------------------------------------------
+
+    fn inventory(&mut self) {
+        let config = &self.run.world.inspectors[self.number].config;
+        let lossy = self.run.world.scenario.observer_loss > 0.0;
+        let end = Instant::ZERO + self.run.world.end;
+        let clashes = self.clashes();
+        let clashing = |address: Address| {
+            clashes.iter().any(|(clash, span)| {
+                clash.concerns(address) && end.since(span.until) < TEN_SECONDS * 2
+            })
+        };
+        let mut wrong = Vec::new();
+        let mut occupied = [false; 128];
+        for (spec, &id) in self.run.world.scenario.devices.iter().zip(&self.run.devices) {
+            let truth = self.run.sim.device_state(id);
+            let (Some(address), Some(_)) = (truth.address, truth.mode) else { continue };
+            occupied[address.index()] = true;
+            if clashing(address) || truth.counters.0 > 0 {
+                continue;
+            }
+            let quiet = spec.faults.has(Fault::NoHeartbeat);
+            let Some(device) = self.it.engine.device_at(address) else {
+                if !(quiet && config.listen_only) {
+                    wrong.push(format!("{truth:?} is not known"));
+                }
+                continue;
+            };
+            if !quiet && !lossy && device.presence != Presence::Online {
+                wrong.push(format!("{truth:?} is {}", device.presence));
+            }
+            if !quiet && device.mode != truth.mode {
+                wrong.push(format!("{truth:?} is in {:?}", device.mode));
+            }
+            let mute = FAULTS.iter().any(|fault| {
+                spec.faults.has(*fault)
+                    && *fault != Fault::EchoDestination
+                    && *fault != Fault::NoHeartbeat
+            });
+            if config.listen_only || mute {
+                continue;
+            }
+            if !device.is_named(truth.name) {
+                wrong.push(format!("{truth:?} is known as {:?}", device.name));
+            }
+            let services: Option<Vec<Vec<Vec<u8>>>> = device.services.as_ref().map(|services| {
+                let strings = |service: &descan::discovery::ServiceEntry| {
+                    let two = [&service.name, &service.version].into_iter();
+                    two.chain(&service.extra).map(|it| it.as_bytes().to_vec()).collect()
+                };
+                services.iter().map(strings).collect()
+            });
+            let unlucky = !self.is_clear() && device.services_query.fault.is_some();
+            if services.as_deref() != Some(truth.services) && !unlucky {
+                wrong.push(format!(
+                    "{truth:?} lists {:?}: {:?}",
+                    services.map(|it| it.len()),
+                    device.services_query
+                ));
+            }
+        }
+        for address in Address::nodes().filter(|&address| !clashing(address)) {
+            let rows = self.it.engine.devices().iter();
+            let here: Vec<String> = rows
+                .filter(|device| device.address == address && device.is_here() && !device.is_debug)
+                .map(|device| format!("{:?} {}", device.name, device.presence))
+                .collect();
+            if here.len() > usize::from(occupied[address.index()]) {
+                let rounds = !config.listen_only && !config.round_period.is_zero();
+                let all_beat = self.it.engine.devices().iter().all(|device| {
+                    device.address != address || device.heartbeat.last.is_some()
+                });
+                if rounds || all_beat {
+                    wrong.push(format!("{address}: {here:?} are here"));
+                }
+            }
+        }
+        wrong.into_iter().for_each(|it| self.complain(it));
+    }
+
+    // --- nothing is made up --------------------------------------------------------------
+
+    fn quiet(&mut self) {
+        let world = &self.run.world;
+        let mut wrong = Vec::new();
+        for (at, event) in self.it.events.iter().filter(|_| self.is_clear()) {
+            let Some(address) = event.address else { continue };
+            let mut owners = world.scenario.devices.iter().filter(|spec| is_fixed(spec, address));
+            let untouched =
+                owners.all(|spec| !world.touched.contains(&spec.label) && is_regular(spec));
+            let inspector = self.it.engine.device(event.device.expect("of a device"));
+            if !untouched || inspector.is_none_or(|device| device.is_debug) {
+                continue;
+            }
+            let odd = match &event.kind {
+                EventKind::Moved { .. }
+                | EventKind::Presence(_)
+                | EventKind::Returned { .. }
+                | EventKind::Rebooted => true,
+                EventKind::Finding { key, .. } => {
+                    key.kind.is_collision() && key.kind != FindingKind::OneUidTwoAddresses
+                }
+                _ => false,
+            };
+            if odd {
+                wrong.push(format!("{at} {}, but nothing happened", describe(event)));
+            }
+        }
+        wrong.into_iter().for_each(|it| self.complain(it));
+    }
+}
+
+fn is_fixed(spec: &DeviceSpec, address: Address) -> bool {
+    matches!(spec.address, AddressChoice::Fixed(at) | AddressChoice::Preferred(at) if at == address)
+}
+
+/// Whether its heartbeats come, and come regularly.
+fn is_regular(spec: &DeviceSpec) -> bool {
+    !spec.faults.has(Fault::NoHeartbeat) && spec.jitter < Duration::from_millis(80)
+}
+
+/// Several inspectors live together, each at an address of its own.
+fn addresses_of_inspectors(run: &Run, wrong: &mut Vec<String>) {
+    let mut held = Vec::new();
+    for (number, it) in run.inspectors.iter().enumerate() {
+        if run.world.inspectors[number].config.listen_only {
+            continue;
+        }
+        let OwnAddress::Held(address) = it.engine.own_address() else {
+            wrong.push(format!("inspector {number} has no address: {:?}", it.engine.own_address()));
+            continue;
+        };
+        if held.contains(&address) {
+            wrong.push(format!("two inspectors are at {address}"));
+        }
+        held.push(address);
+        let devices = run.devices.iter().map(|&id| run.sim.device_state(id));
+        if devices.into_iter().any(|state| state.address == Some(address)) {
+            wrong.push(format!("inspector {number} sits at a device's address {address}"));
+        }
+    }
+}
