@@ -9,6 +9,7 @@
 //!
 //! Knows the frames of one bus and nothing of rows, presence, or des.json.
 
+use super::doubling::Doubling;
 use super::finding::{Confidence, Evidence, Finding, FindingKey, FindingKind};
 use super::memory::{Alternation, BEATS, Beat, Watch};
 use super::wording;
@@ -62,8 +63,7 @@ pub(super) struct Collisions {
     findings: Vec<Finding>,
     cases: Vec<Case>,
     changed: Vec<(FindingKey, Confidence)>,
-    doubled_until: Instant,
-    doubled_address: Option<Address>,
+    doubling: Doubling,
     pub refused: u64,
 }
 
@@ -77,8 +77,7 @@ impl Collisions {
             findings: Vec::new(),
             cases: Vec::new(),
             changed: Vec::new(),
-            doubled_until: Instant::ZERO,
-            doubled_address: None,
+            doubling: Doubling::new(period),
             refused: 0,
         }
     }
@@ -133,9 +132,13 @@ impl Collisions {
         frame: &Frame,
     ) {
         let extra = self.watches[address.index()].tally(request, framing).answer(now, frame);
+        self.doubling.see_answer(now, address, extra.is_some());
         let Some((first, targeted)) = extra else { return };
         // Answers that differ tell of two names or two lists, which is another finding.
-        if self.is_doubled(now, address) || !first.same_on_wire(frame) {
+        if self.doubling.asks_twice(now)
+            || !first.same_on_wire(frame)
+            || self.has_two_names(address)
+        {
             return;
         }
         let weight = if targeted { Weight::Strong } else { Weight::Weak };
@@ -156,6 +159,9 @@ impl Collisions {
         let what = if returned.is_some() { "the first name again" } else { "another name" };
         self.report(now, kind, address, Some(name), frame, what, weight);
         self.concern(kind, address, &before);
+        if returned.is_some() {
+            self.supersede(now, FindingKind::SameNameSameAddress, kind, address);
+        }
     }
 
     /// A whole services answer came from `address`.
@@ -169,7 +175,7 @@ impl Collisions {
     ) {
         let memory = self.memory();
         let returned = self.watches[address.index()].services.see(now, &digest, memory);
-        if returned.is_some() {
+        if returned.is_some() && !self.has_two_names(address) {
             let kind = FindingKind::SameNameSameAddress;
             self.report(now, kind, address, name, frame, "service lists alternate", Weight::Strong);
         }
@@ -187,18 +193,6 @@ impl Collisions {
     ) {
         let (memory, period) = (self.memory(), self.period);
         let watch = &mut self.watches[address.index()];
-        if let Some(last) = watch.beats.back()
-            && last.frame.same_on_wire(frame)
-            && now.since(last.time) < period / 2
-        {
-            // RND7 and all: a bridge sent it twice.
-            watch.doubled_until = now + period * 3;
-            if self.doubled_address.is_some_and(|other| other != address) {
-                self.doubled_until = now + period * 3;
-            }
-            self.doubled_address = Some(address);
-            return;
-        }
         if watch.beats.len() == BEATS {
             watch.beats.pop_front();
         }
@@ -229,7 +223,9 @@ impl Collisions {
                 self.report(now, identity, address, name, &previous, other, Weight::Weak);
             }
             self.report(now, identity, address, name, frame, again, Weight::Strong);
-        } else if phases && !self.is_open(identity, address) {
+        } else if self.is_open(identity, address) || self.has_two_names(address) {
+            // Told already, by what tells the two apart.
+        } else if phases {
             let kind = FindingKind::SameNameSameAddress;
             let since = self.watches[address.index()].beats.front().map(|beat| beat.time);
             if let Some(previous) = previous {
@@ -241,7 +237,7 @@ impl Collisions {
             if let (Some(at), Some(since)) = (at, since) {
                 self.cases[at].began = self.cases[at].began.min(since);
             }
-        } else if odd_rate && !self.is_open(identity, address) {
+        } else if odd_rate {
             let kind = FindingKind::SameNameSameAddress;
             self.report(
                 now,
@@ -257,7 +253,16 @@ impl Collisions {
 
     /// A frame of ours came back that the bus had already confirmed: something doubles frames.
     pub fn see_own_echo(&mut self, now: Instant) {
-        self.doubled_until = now + self.period * 3;
+        self.doubling.see_own_echo(now);
+    }
+
+    /// Whether a frame from `source` only repeats one that was heard already, because something
+    /// sends everything twice.
+    pub fn is_copy(&mut self, now: Instant, source: Address, beat: bool, frame: &Frame) -> bool {
+        if beat {
+            self.doubling.see_heartbeat(now, source, frame);
+        }
+        self.doubling.is_copy(now, frame)
     }
 
     /// Two addresses beat with one UID, each since the other's last heartbeat.
@@ -417,11 +422,7 @@ impl Collisions {
 
     /// Evidence older than this is past: the cause is gone.
     fn memory(&self) -> Duration {
-        if self.passive { self.period * 9 } else { self.period * 6 }
-    }
-
-    fn is_doubled(&self, now: Instant, address: Address) -> bool {
-        now < self.doubled_until || now < self.watches[address.index()].doubled_until
+        if self.passive { self.period * 8 } else { self.period * 6 }
     }
 
     fn find(&self, kind: FindingKind, address: Address) -> Option<usize> {
@@ -485,14 +486,20 @@ impl Collisions {
             case.strong += 1;
             case.strong_at = Some(now);
         }
-        let lasting = now.since(case.began) >= self.period * 5;
         self.describe(at);
-        if (weight == Weight::Proof && self.findings[at].count >= PROOFS_CONFIRM)
-            || (self.cases[at].strong >= STRONG_CONFIRM && lasting)
-        {
+        if weight == Weight::Proof && self.findings[at].count >= PROOFS_CONFIRM {
             self.set(now, at, Confidence::Confirmed);
         }
+        self.weigh(now, at);
         Some(at)
+    }
+
+    /// Confirms a finding whose evidence is strong and went on for long enough.
+    fn weigh(&mut self, now: Instant, at: usize) {
+        let case = &self.cases[at];
+        if case.strong >= STRONG_CONFIRM && now.since(case.began) >= self.period * 5 {
+            self.set(now, at, Confidence::Confirmed);
+        }
     }
 
     fn report_on_bus(
@@ -517,6 +524,27 @@ impl Collisions {
         if let Some(at) = self.find(kind, address) {
             self.findings[at].concern(name);
             self.describe(at);
+        }
+    }
+
+    /// Whether two names take turns at `address`: whatever else its devices have in common, they
+    /// are not of one name.
+    fn has_two_names(&self, address: Address) -> bool {
+        self.find(FindingKind::OneAddressTwoNames, address).is_some_and(|at| {
+            self.findings[at].confidence != Confidence::Cleared && self.cases[at].strong > 0
+        })
+    }
+
+    /// What looked like `old` turns out to be `new`: it began then, and is told as that alone.
+    fn supersede(&mut self, now: Instant, old: FindingKind, new: FindingKind, address: Address) {
+        let (Some(old), Some(new)) = (self.find(old, address), self.find(new, address)) else {
+            return;
+        };
+        if self.findings[old].confidence != Confidence::Cleared {
+            self.cases[new].began = self.cases[new].began.min(self.cases[old].began);
+            self.cases[new].strong += self.cases[old].strong;
+            self.set(now, old, Confidence::Cleared);
+            self.weigh(now, new);
         }
     }
 

@@ -50,6 +50,10 @@ impl Engine {
             self.collisions.see_own_echo(now);
             return;
         }
+        let beat = header.response && header.service == self.config.profile.heartbeat_service();
+        if self.collisions.is_copy(now, header.source, beat, frame) {
+            return;
+        }
         self.hear_platform(now, header, frame);
     }
 
@@ -288,21 +292,25 @@ impl Engine {
     ) {
         let Some(request) = request else { return };
         self.rounds.note_answer(now);
-        let device = self.roster.get_mut(index);
-        if device.framing.is_some_and(|known| known != framing) {
-            device.note(Quirk::BothFramings);
-            // Only this one can carry services that do not fit one frame.
-            let was_raw = device.framing.replace(Framing::Isotp) == Some(Framing::Raw);
-            if was_raw && device.name.is_some() && device.services.is_none() {
-                device.services_query.renew(now);
-                self.wake_at(now);
-            }
-        } else {
-            device.framing = Some(framing);
-        }
         let device = self.roster.get(index);
         let (address, name) = (device.address, device.name.clone());
         self.collisions.see_answer(now, address, request, framing, name.as_ref(), frame);
+    }
+
+    /// The node at this row answered in that framing.
+    fn note_framing(&mut self, now: Instant, index: usize, framing: Framing) {
+        let device = self.roster.get_mut(index);
+        if device.framing.is_none_or(|known| known == framing) {
+            device.framing = Some(framing);
+            return;
+        }
+        device.note(Quirk::BothFramings);
+        // Only this one can carry services that do not fit one frame.
+        let was_raw = device.framing.replace(Framing::Isotp) == Some(Framing::Raw);
+        if was_raw && device.name.is_some() && device.services.is_none() {
+            device.services_query.renew(now);
+            self.wake_at(now);
+        }
     }
 
     fn hear_isotp(
@@ -425,7 +433,10 @@ impl Engine {
     ) {
         match request_of(message) {
             Some(Request::Name) => self.hear_name(now, index, framing, message, frame),
-            Some(Request::Services) => self.hear_services(now, index, message, frame),
+            Some(Request::Services) => {
+                self.note_framing(now, index, framing);
+                self.hear_services(now, index, message, frame);
+            }
             None => self.malformed(now, index, &AnswerFault::NotServices, frame),
         }
     }
@@ -448,7 +459,6 @@ impl Engine {
         let index = self.row_of_name(now, index, &name);
         let device = self.roster.get_mut(index);
         device.name_query.answered(now, fault.map(QueryFault::from));
-        device.framing.get_or_insert(framing);
         device.is_debug |= name.as_bytes() == station::NAME;
         device.last_seen = now;
         if device.name.is_none() {
@@ -456,7 +466,10 @@ impl Engine {
             device.services_query.renew(now);
             self.roster.discoveries += 1;
             self.tell(index, EventKind::Named);
+            self.note_framing(now, index, framing);
             self.find_move_to(index);
+        } else {
+            self.note_framing(now, index, framing);
         }
         self.wake_at(now);
     }

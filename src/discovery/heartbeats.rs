@@ -81,7 +81,8 @@ impl Engine {
         if uid_changed {
             self.uid_learnt(now, index, first);
         }
-        if let (Some(uid), Some(previous)) = (heartbeat.uid, previous_beat) {
+        // Its own heartbeat before must have said the same: boards that swap addresses have not.
+        if let (Some(uid), Some(previous), false) = (heartbeat.uid, previous_beat, uid_changed) {
             self.compare_uid(now, header.source, uid, previous, frame);
         }
     }

@@ -47,7 +47,6 @@ impl Engine {
         device.mode = live.mode;
         device.error = live.error;
         device.working = working;
-        device.framing = live.framing;
         device.last_seen = now;
         if known.is_none() {
             self.tell(row, EventKind::Appeared);

@@ -106,7 +106,6 @@ pub(super) struct Watch {
     pub working: Alternation<bool>,
     pub tallies: [[Tally; 2]; 2],
     pub beats: VecDeque<Beat>,
-    pub doubled_until: Instant,
     /// For how many heartbeats in a row they came at twice the rate.
     pub twice_for: u32,
 }
@@ -123,7 +122,10 @@ impl Watch {
     pub fn rhythm(&self, period: Duration) -> (bool, bool) {
         let Some(last) = self.beats.back() else { return (false, false) };
         let recent = self.beats.iter().filter(|beat| last.time.since(beat.time) < period * 4);
-        let twice = recent.count() >= 7;
+        // The newest itself must have come too soon, or it is over already.
+        let before = self.beats.iter().rev().nth(1);
+        let soon = before.is_some_and(|beat| last.time.since(beat.time) < period.mul_f64(0.85));
+        let twice = soon && recent.count() >= 7;
         if self.beats.len() < BEATS - 1 {
             return (twice, false);
         }

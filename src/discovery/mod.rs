@@ -15,6 +15,7 @@
 //! rounds      when everybody is asked                      asking       who is asked what, and when
 //! station     our own address, and our answers             outbox       our share; who acknowledges
 //! collisions  evidence and what it amounts to              memory       of an address: what takes turns
+//! doubling    bridges and echoes that repeat everything
 //! device, event, finding: what others read                 wording      findings in words
 //! ```
 //!
@@ -25,6 +26,7 @@ mod asking;
 mod collisions;
 mod config;
 mod device;
+mod doubling;
 mod event;
 mod finding;
 mod hearing;
@@ -363,11 +365,28 @@ impl Engine {
 
     fn tell_findings(&mut self) {
         while let Some((key, confidence)) = self.collisions.poll_changed() {
+            if let (true, Confidence::Cleared, Some(address)) =
+                (key.kind.is_collision(), confidence, key.address)
+            {
+                self.ask_anew(address);
+            }
             let at = key.address.and_then(|address| self.roster.current(address));
             match at {
                 Some(index) => self.tell(index, EventKind::Finding { key, confidence }),
                 None => self.tell_bus(EventKind::Finding { key, confidence }),
             }
+        }
+    }
+
+    /// Whoever is left at `address` after a collision: what is known may be the other's.
+    fn ask_anew(&mut self, address: Address) {
+        let now = self.now;
+        if let Some(device) = self.roster.current_device_mut(address)
+            && device.is_here()
+        {
+            device.name_query.renew(now);
+            device.services_query.renew(now);
+            self.wake_at(now);
         }
     }
 

@@ -111,12 +111,17 @@ impl Case<'_> {
     }
 
     fn is_justified(&self, course: &Course, at: Instant, clashes: &[(Clash, Span)]) -> bool {
+        // Whoever never gives way is guilty even where both fall silent in between, because they
+        // destroyed each other's frames; of others it must have lasted.
         let going_on = |clash: &Clash, span: &Span| {
+            let stubborn = matches!(*clash, Clash::Address(_, one, other)
+                if [one, other].iter().all(|&it| self.spec(it).faults.has(Fault::NeverGivesWay)));
             course.addresses.iter().any(|&address| clash.concerns(address))
                 && span.from <= at
                 && at.since(span.until) < TEN_SECONDS
-                && span.until.min(at).since(span.from) >= PERIOD.mul_f64(4.0)
+                && (stubborn || span.until.min(at).since(span.from) >= PERIOD.mul_f64(4.0))
         };
+        let config = &self.run.world.inspectors[self.number].config;
         let names = |one: usize, other: usize| {
             let name = |at: usize| self.run.sim.device_state(self.run.devices[at]).name;
             name(one) != name(other)
@@ -130,7 +135,13 @@ impl Case<'_> {
                 any(&|it| matches!(*it, Clash::Address(_, a, b) if names(a, b)))
             }
             FindingKind::SameNameSameAddress => {
-                any(&|it| matches!(*it, Clash::Address(_, a, b) if !names(a, b)))
+                // Who only listens does not hear the names.
+                any(&|it| {
+                    matches!(*it, Clash::Address(_, a, b)
+                        if config.listen_only
+                            || self.spec(a).faults.has(Fault::NoDes)
+                            || !names(a, b))
+                })
             }
             FindingKind::OneAddressTwoIdentities => any(&|it| {
                 matches!(*it, Clash::Address(_, a, b)
@@ -393,9 +404,9 @@ impl Case<'_> {
         let mut wrong = Vec::new();
         for (at, event) in self.it.events.iter().filter(|_| self.is_clear()) {
             let Some(address) = event.address else { continue };
-            let mut owners = world.scenario.devices.iter().filter(|spec| is_fixed(spec, address));
-            let untouched =
-                owners.all(|spec| !world.touched.contains(&spec.label) && is_regular(spec));
+            let owners = world.scenario.devices.iter().filter(|spec| is_fixed(spec, address));
+            let untouched = owners.clone().count() > 0
+                && owners.clone().all(|it| !world.touched.contains(&it.label) && is_regular(it));
             let inspector = self.it.engine.device(event.device.expect("of a device"));
             if !untouched || inspector.is_none_or(|device| device.is_debug) {
                 continue;

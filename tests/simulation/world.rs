@@ -197,7 +197,7 @@ impl Maker {
             17..19 => 2,
             _ => 4,
         };
-        (0..count)
+        let mut inspectors: Vec<Inspector> = (0..count)
             .map(|_| {
                 let late = self.one_in(4);
                 let from = if late { millis(self.rng.u64(0..BUSY - 4000)) } else { millis(0) };
@@ -214,7 +214,9 @@ impl Maker {
                 ));
                 Inspector { from, config, lens }
             })
-            .collect()
+            .collect();
+        inspectors.sort_by_key(|inspector| inspector.from);
+        inspectors
     }
 
     fn lens(&mut self) -> Lens {

@@ -1,0 +1,232 @@
+//! Frames that come twice: a bridge, a gateway or an echo sends again what was on the bus.
+//!
+//! Two devices at one address are given away by frames that come once too often, and so is
+//! something in between that repeats everything. It is told by its repeating *everything*: the
+//! heartbeats of several addresses, RND7 and all, each again after a moment. While that goes on,
+//! the second of two equal frames is left out before anything is learnt from it. Where devices
+//! hear questions twice, they answer twice: then most of those that are asked do.
+//!
+//! Does not judge devices.
+
+use crate::frame::Frame;
+use crate::time::{Duration, Instant};
+use crate::wire::id::Address;
+use std::collections::VecDeque;
+use std::hash::{DefaultHasher, Hash, Hasher};
+
+/// The most that a repeated frame may be late. Two devices whose heartbeats are equal because
+/// they do not draw a RND7 are seldom so close.
+const MAX_DELAY: Duration = Duration::from_millis(100);
+/// Copies in a row from the only address that beats.
+const COPIES_OF_ONE: u32 = 3;
+/// Frames of which a copy may still come.
+const MAX_OPEN: usize = 1024;
+
+#[derive(Clone, Copy, Debug)]
+struct Beat {
+    frame: Frame,
+    copied: bool,
+}
+
+#[derive(Debug)]
+pub(super) struct Doubling {
+    period: Duration,
+    beats: Vec<Option<Beat>>,
+    /// Heartbeats in a row that came twice, and from which address the last one was.
+    copies: u32,
+    copied: Option<Address>,
+    /// Whether copies came from several addresses.
+    several: bool,
+    until: Instant,
+    delay: Duration,
+    /// Frames that a copy may come of, by the hash of what was on the wire.
+    open: VecDeque<(Instant, u64)>,
+    echoed_until: Instant,
+    answers: Answers,
+}
+
+/// Who answered lately, and who did twice; a new pair of sets is begun every three periods.
+#[derive(Debug, Default)]
+struct Answers {
+    began: Instant,
+    once: [u128; 2],
+    twice: [u128; 2],
+}
+
+impl Doubling {
+    pub fn new(period: Duration) -> Self {
+        Self {
+            period,
+            beats: vec![None; Address::COUNT],
+            copies: 0,
+            copied: None,
+            several: false,
+            until: Instant::ZERO,
+            delay: Duration::ZERO,
+            open: VecDeque::new(),
+            echoed_until: Instant::ZERO,
+            answers: Answers::default(),
+        }
+    }
+
+    /// Whether everything comes twice.
+    pub fn is_on(&self, now: Instant) -> bool {
+        now < self.until
+    }
+
+    /// Whether a frame is the second of two, to be left out.
+    pub fn is_copy(&mut self, now: Instant, frame: &Frame) -> bool {
+        if !self.is_on(now) {
+            self.open.clear();
+            return false;
+        }
+        let window = (self.delay * 2).max(Duration::from_millis(20));
+        while self.open.front().is_some_and(|(at, _)| now.since(*at) > window) {
+            self.open.pop_front();
+        }
+        let mut hasher = DefaultHasher::new();
+        (frame.platform_id(), frame.data()).hash(&mut hasher);
+        let hash = hasher.finish();
+        if let Some(at) = self.open.iter().position(|(_, open)| *open == hash) {
+            self.open.remove(at);
+            return true;
+        }
+        if self.open.len() == MAX_OPEN {
+            self.open.pop_front();
+        }
+        self.open.push_back((now, hash));
+        false
+    }
+
+    /// Takes a heartbeat from `address`, before [`is_copy`](Self::is_copy) is asked about it.
+    pub fn see_heartbeat(&mut self, now: Instant, address: Address, frame: &Frame) {
+        let period = self.period;
+        if self.beats.iter().flatten().all(|beat| now.since(beat.frame.time) > period * 3) {
+            self.several = false;
+        }
+        let last = &mut self.beats[address.index()];
+        let copied = last.filter(|beat| !beat.copied && beat.frame.same_on_wire(frame));
+        let late = copied.map(|beat| now.since(beat.frame.time));
+        if let (Some(late), Some(beat)) = (late.filter(|late| *late <= MAX_DELAY), last.as_mut()) {
+            beat.copied = true;
+            self.copies += 1;
+            self.several |= self.copied.is_some_and(|other| other != address);
+            self.copied = Some(address);
+            if self.several || self.copies >= COPIES_OF_ONE && self.is_alone(now, address) {
+                self.until = now + period * 3;
+                self.delay = self.delay.max(late);
+            }
+            return;
+        }
+        // The one before had no copy in all this time.
+        if last.is_some_and(|beat| !beat.copied && now.since(beat.frame.time) > MAX_DELAY) {
+            self.copies = 0;
+            self.several = false;
+            self.copied = None;
+        }
+        *last = Some(Beat { frame: frame.at(now), copied: false });
+    }
+
+    fn is_alone(&self, now: Instant, address: Address) -> bool {
+        let mut beats = self.beats.iter().enumerate().filter(|(at, _)| *at != address.index());
+        beats.all(|(_, beat)| {
+            beat.is_none_or(|beat| now.since(beat.frame.time) > self.period * 3)
+        })
+    }
+
+    /// A frame of ours came back as somebody else's: devices may have heard it twice as well.
+    pub fn see_own_echo(&mut self, now: Instant) {
+        self.echoed_until = now + self.period * 3;
+    }
+
+    /// An answer from `address`; `extra`: one more than there were questions.
+    pub fn see_answer(&mut self, now: Instant, address: Address, extra: bool) {
+        let answers = &mut self.answers;
+        if now.since(answers.began) >= self.period * 3 {
+            answers.began = now;
+            answers.once = [0, answers.once[0]];
+            answers.twice = [0, answers.twice[0]];
+        }
+        let bit = 1 << address.index();
+        answers.once[0] |= bit;
+        if extra {
+            answers.twice[0] |= bit;
+        }
+    }
+
+    /// Whether questions reach devices twice, as far as their answers tell: a second answer is
+    /// then nobody else's.
+    pub fn asks_twice(&self, now: Instant) -> bool {
+        if self.is_on(now) || now < self.echoed_until {
+            return true;
+        }
+        let count = |sets: [u128; 2]| (sets[0] | sets[1]).count_ones();
+        let (once, twice) = (count(self.answers.once), count(self.answers.twice));
+        twice >= 2 && twice * 2 > once
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PERIOD: Duration = Duration::from_secs(1);
+
+    fn address(number: u8) -> Address {
+        Address::from_bits(number)
+    }
+
+    fn at(millis: u64) -> Instant {
+        Instant::from_micros(millis * 1000)
+    }
+
+    /// A heartbeat from `source` with that RND7.
+    fn beat(source: u32, rnd7: u32, millis: u64) -> Frame {
+        Frame::classic(0x0700_0001 | source << 17 | rnd7 << 10, &[1; 8]).at(at(millis))
+    }
+
+    fn hear(doubling: &mut Doubling, frame: &Frame) -> bool {
+        let source = (frame.platform_id().unwrap() >> 17) as u8;
+        doubling.see_heartbeat(frame.time, address(source), frame);
+        doubling.is_copy(frame.time, frame)
+    }
+
+    #[test]
+    fn what_repeats_everything_is_recognised_and_its_copies_left_out() {
+        let mut doubling = Doubling::new(PERIOD);
+        for second in 0..3 {
+            for source in [5, 9] {
+                let start = second * 1000 + u64::from(source) * 50;
+                assert!(!hear(&mut doubling, &beat(source, second as u32, start)));
+                let copy = hear(&mut doubling, &beat(source, second as u32, start + 12));
+                assert!(copy || second == 0, "the copy in second {second} is left out");
+            }
+        }
+        assert!(doubling.is_on(at(3000)));
+        assert!(!doubling.is_on(at(6000)), "it is over when no more copies come");
+    }
+
+    #[test]
+    fn two_equal_devices_at_one_address_are_no_bridge() {
+        let mut doubling = Doubling::new(PERIOD);
+        for second in 0..20 {
+            for (source, phase) in [(5, 0), (5, 60), (9, 500)] {
+                hear(&mut doubling, &beat(source, 0, second * 1000 + phase));
+            }
+        }
+        assert!(!doubling.is_on(at(20_000)));
+    }
+
+    #[test]
+    fn when_most_devices_answer_twice_they_were_asked_twice() {
+        let mut doubling = Doubling::new(PERIOD);
+        for source in 1..=4 {
+            doubling.see_answer(at(0), address(source), source == 1);
+        }
+        assert!(!doubling.asks_twice(at(0)), "one of four");
+        for source in 2..=3 {
+            doubling.see_answer(at(10), address(source), true);
+        }
+        assert!(doubling.asks_twice(at(10)), "three of four");
+    }
+}
