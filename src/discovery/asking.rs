@@ -170,6 +170,8 @@ impl Engine {
                 query.due = None;
                 query.deadline = Some(now + patience(&self.config, query.attempts));
                 self.waiting += 1;
+                // What does not answer in its framing any more may be another board.
+                let framing = framing.filter(|_| query.attempts < limit(request));
                 let service = self.config.profile.des_service();
                 for to_not_working in [false, true] {
                     if to_not_working == working && !undecided {

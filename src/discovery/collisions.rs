@@ -25,6 +25,9 @@ use crate::wire::node::Uid;
 const MAX_FINDINGS: usize = 512;
 /// Questions that follow up a suspicion, one a second.
 const MAX_FOLLOW_UPS: u32 = 6;
+/// How often a collision that is confirmed is looked at again: often enough that it does not
+/// seem to be over because two equal answers merged once.
+const CHECK_AGAIN: Duration = Duration::from_secs(2);
 /// Heartbeats at twice the rate that are a suspicion: time enough for the follow-ups.
 const ODD_RATE_BEATS: u32 = 16;
 /// Observations that need no second device to explain them: one may be a stray frame.
@@ -202,9 +205,14 @@ impl Collisions {
         let mode_returned = watch.working.see(now, &working, period * 2);
         let (twice, phases) = watch.rhythm(period);
         watch.twice_for = if twice { watch.twice_for + 1 } else { 0 };
-        // A device that keeps to another period is looked into, and then left in peace.
-        let odd_rate = twice && watch.twice_for <= ODD_RATE_BEATS;
+        let twice_for = watch.twice_for;
         let previous = watch.beats.iter().rev().nth(1).map(|beat| beat.frame);
+        // A device that keeps to another period is looked into, and then left in peace; what is
+        // confirmed by other means goes on as long as they come too often.
+        let confirmed = self
+            .find(FindingKind::SameNameSameAddress, address)
+            .is_some_and(|at| self.findings[at].confidence == Confidence::Confirmed);
+        let odd_rate = twice && (twice_for <= ODD_RATE_BEATS || confirmed);
 
         let identity = if address == Address::DEBUG {
             FindingKind::TwoDebugDevices
@@ -368,7 +376,7 @@ impl Collisions {
                 let case = &mut self.cases[at];
                 case.follow_ups += 1;
                 case.next_check = if confirmed {
-                    Some(now + Duration::from_secs(3))
+                    Some(now + CHECK_AGAIN)
                 } else {
                     (case.follow_ups < MAX_FOLLOW_UPS).then(|| now + Duration::from_secs(1))
                 };
@@ -422,7 +430,7 @@ impl Collisions {
 
     /// Evidence older than this is past: the cause is gone.
     fn memory(&self) -> Duration {
-        if self.passive { self.period * 8 } else { self.period * 6 }
+        if self.passive { self.period * 8 } else { self.period * 5 }
     }
 
     fn find(&self, kind: FindingKind, address: Address) -> Option<usize> {
@@ -591,7 +599,7 @@ impl Collisions {
         self.changed.push((finding.key.clone(), confidence));
         if confidence == Confidence::Confirmed {
             self.cases[at].next_check =
-                finding.key.kind.is_collision().then(|| now + Duration::from_secs(3));
+                finding.key.kind.is_collision().then(|| now + CHECK_AGAIN);
         }
     }
 

@@ -100,6 +100,10 @@ impl Engine {
 
     /// The node at this row has another UID than before, or one for the first time.
     fn uid_learnt(&mut self, now: Instant, index: usize, first: bool) {
+        if !first {
+            // Another board may lay its answers into frames in another way.
+            self.roster.get_mut(index).framing = None;
+        }
         if !first && !self.collisions.is_open_at(self.roster.get(index).address) {
             // Another board, perhaps: ask who it is. Not for its services yet: two boards that
             // answer in several frames at once destroy each other's.

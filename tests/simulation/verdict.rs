@@ -159,8 +159,13 @@ impl Case<'_> {
                         .any(|fault| spec.faults.has(*fault))
                 };
                 any(&|_| true)
-                    || self.run.world.scenario.devices.iter().any(|spec| {
-                        faulty(spec) && course.addresses.iter().any(|&it| is_fixed(spec, it))
+                    || self.run.world.scenario.devices.iter().zip(&self.run.devices).any(|(it, id)| {
+                        let now = self.run.sim.device_state(*id).address;
+                        faulty(it)
+                            && course
+                                .addresses
+                                .iter()
+                                .any(|&address| is_fixed(it, address) || now == Some(address))
                     })
             }
             _ => true,

@@ -292,7 +292,7 @@ impl Maker {
         } else {
             same.push("UID");
         }
-        if self.one_in(3) {
+        if other.framing != DeviceFraming::Raw && self.one_in(3) {
             other = other.service("OTHER", "9.9");
         }
         if self.one_in(5) {
