@@ -11,7 +11,7 @@
 
 use super::doubling::Doubling;
 use super::finding::{Confidence, Evidence, Finding, FindingKey, FindingKind};
-use super::memory::{Alternation, BEATS, Beat, Watch};
+use super::memory::{Alternation, Asking, BEATS, Beat, Watch};
 use super::wording;
 use crate::frame::{BusIndex, Frame};
 use crate::text::Name;
@@ -36,6 +36,16 @@ const PROOFS_CONFIRM: u64 = 2;
 const STRONG_CONFIRM: u32 = 3;
 /// Error frames in a row, each within a period of the last, that are a finding.
 const ERRORS_CONFIRM: u64 = 3;
+
+/// An answer that begins.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Answer {
+    pub from: Address,
+    /// Who asked, where the answer says it.
+    pub to: Option<Address>,
+    pub request: Request,
+    pub framing: Framing,
+}
 
 /// How much a piece of evidence weighs.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -119,33 +129,37 @@ impl Collisions {
         address: Address,
         request: Request,
         framing: Framing,
-        targeted: bool,
+        asking: Asking,
     ) {
-        self.watches[address.index()].tally(request, framing).ask(now, targeted);
+        self.watches[address.index()].tally(request, framing).ask(now, asking);
+        if !asking.targeted {
+            self.doubling.see_broadcast(now);
+        }
     }
 
-    /// An answer from `address` begins.
+    /// An answer begins.
     pub fn see_answer(
         &mut self,
         now: Instant,
-        address: Address,
-        request: Request,
-        framing: Framing,
+        answer: Answer,
         name: Option<&Name>,
         frame: &Frame,
     ) {
-        let extra = self.watches[address.index()].tally(request, framing).answer(now, frame);
-        self.doubling.see_answer(now, address, extra.is_some());
-        let Some((first, targeted)) = extra else { return };
-        // Answers that differ tell of two names or two lists, which is another finding.
-        if self.doubling.asks_twice(now)
-            || !first.same_on_wire(frame)
-            || self.has_two_names(address)
-        {
-            return;
+        let Answer { from: address, to, request, framing } = answer;
+        let tally = self.watches[address.index()].tally(request, framing);
+        let extra = tally.answer(now, to, frame);
+        let targeted = tally.is_targeted();
+        if !targeted {
+            self.doubling.see_answer(address, extra.is_some());
         }
+        let Some(first) = extra.filter(|_| !self.doubling.asks_twice(now)) else { return };
         let weight = if targeted { Weight::Strong } else { Weight::Weak };
-        let kind = FindingKind::SameNameSameAddress;
+        let differ = !first.same_on_wire(frame);
+        let kind = if request == Request::Name && differ || self.has_two_names(address) {
+            FindingKind::OneAddressTwoNames
+        } else {
+            FindingKind::SameNameSameAddress
+        };
         self.report(now, kind, address, name, &first, "first answer to one request", Weight::Weak);
         self.report(now, kind, address, name, frame, "second answer to one request", weight);
     }
@@ -213,6 +227,9 @@ impl Collisions {
             .find(FindingKind::SameNameSameAddress, address)
             .is_some_and(|at| self.findings[at].confidence == Confidence::Confirmed);
         let odd_rate = twice && (twice_for <= ODD_RATE_BEATS || confirmed);
+        // Where another name answered not long ago, it is more likely that one again.
+        let names = &self.watches[address.index()].names;
+        let another_name = names.before.is_some() && now.since(names.changed) < period * 30;
 
         let identity = if address == Address::DEBUG {
             FindingKind::TwoDebugDevices
@@ -231,8 +248,14 @@ impl Collisions {
                 self.report(now, identity, address, name, &previous, other, Weight::Weak);
             }
             self.report(now, identity, address, name, frame, again, Weight::Strong);
-        } else if self.is_open(identity, address) || self.has_two_names(address) {
+        } else if self.is_open(identity, address)
+            || self.is_open(FindingKind::OneAddressTwoNames, address)
+        {
             // Told already, by what tells the two apart.
+        } else if (phases || odd_rate) && another_name {
+            let kind = FindingKind::OneAddressTwoNames;
+            let what = "heartbeats at twice the rate";
+            self.report(now, kind, address, name, frame, what, Weight::Weak);
         } else if phases {
             let kind = FindingKind::SameNameSameAddress;
             let since = self.watches[address.index()].beats.front().map(|beat| beat.time);

@@ -45,12 +45,12 @@ pub(super) struct Doubling {
     answers: Answers,
 }
 
-/// Who answered lately, and who did twice; a new pair of sets is begun every three periods.
+/// Who answered the last question to all, and who did twice.
 #[derive(Debug, Default)]
 struct Answers {
-    began: Instant,
-    once: [u128; 2],
-    twice: [u128; 2],
+    asked_at: Instant,
+    once: u128,
+    twice: u128,
 }
 
 impl Doubling {
@@ -139,18 +139,19 @@ impl Doubling {
         self.echoed_until = now + self.period * 3;
     }
 
-    /// An answer from `address`; `extra`: one more than there were questions.
-    pub fn see_answer(&mut self, now: Instant, address: Address, extra: bool) {
-        let answers = &mut self.answers;
-        if now.since(answers.began) >= self.period * 3 {
-            answers.began = now;
-            answers.once = [0, answers.once[0]];
-            answers.twice = [0, answers.twice[0]];
+    /// A question to all; those of one round belong together.
+    pub fn see_broadcast(&mut self, now: Instant) {
+        if now.since(self.answers.asked_at) > self.period / 2 {
+            self.answers = Answers { asked_at: now, once: 0, twice: 0 };
         }
+    }
+
+    /// An answer to a question to all from `address`; `extra`: one more than there were questions.
+    pub fn see_answer(&mut self, address: Address, extra: bool) {
         let bit = 1 << address.index();
-        answers.once[0] |= bit;
+        self.answers.once |= bit;
         if extra {
-            answers.twice[0] |= bit;
+            self.answers.twice |= bit;
         }
     }
 
@@ -160,8 +161,7 @@ impl Doubling {
         if self.is_on(now) || now < self.echoed_until {
             return true;
         }
-        let count = |sets: [u128; 2]| (sets[0] | sets[1]).count_ones();
-        let (once, twice) = (count(self.answers.once), count(self.answers.twice));
+        let (once, twice) = (self.answers.once.count_ones(), self.answers.twice.count_ones());
         twice >= 2 && twice * 2 > once
     }
 }
@@ -221,11 +221,11 @@ mod tests {
     fn when_most_devices_answer_twice_they_were_asked_twice() {
         let mut doubling = Doubling::new(PERIOD);
         for source in 1..=4 {
-            doubling.see_answer(at(0), address(source), source == 1);
+            doubling.see_answer(address(source), source == 1);
         }
         assert!(!doubling.asks_twice(at(0)), "one of four");
         for source in 2..=3 {
-            doubling.see_answer(at(10), address(source), true);
+            doubling.see_answer(address(source), true);
         }
         assert!(doubling.asks_twice(at(10)), "three of four");
     }

@@ -1,6 +1,8 @@
 //! What is learnt from a frame: who is there, what it says of itself, which answers arrive.
 
+use super::collisions::Answer;
 use super::device::{QueryFault, QueryState, Quirk, ServiceEntry};
+use super::memory::Asking;
 use super::transfers::{Continued, Started};
 use super::{Engine, EventKind, Presence, station};
 use crate::frame::{Frame, FrameKind};
@@ -213,7 +215,8 @@ impl Engine {
         let Some((framing, message)) = classify_request(frame.data(), frame.fd) else { return };
         let Some(Asked::Known(request)) = Request::decode(message) else { return };
         if !header.broadcast {
-            self.collisions.see_question(now, header.destination, request, framing, true);
+            let asked = Asking { by: header.source, targeted: true };
+            self.collisions.see_question(now, header.destination, request, framing, asked);
             return;
         }
         if !ours {
@@ -222,7 +225,8 @@ impl Engine {
         for address in Address::all() {
             let known = self.roster.current_device(address);
             if known.is_none_or(|device| device.working != header.to_not_working) {
-                self.collisions.see_question(now, address, request, framing, false);
+                let asked = Asking { by: header.source, targeted: false };
+                self.collisions.see_question(now, address, request, framing, asked);
             }
         }
     }
@@ -258,10 +262,14 @@ impl Engine {
             Some(Framing::Raw) => {
                 let message = strip_raw_padding(frame.data());
                 let request = request_of(message);
-                self.answer_begins(now, index, request, Framing::Raw, frame);
+                let to = (!echoed).then_some(header.destination);
+                self.answer_begins(now, index, request, Framing::Raw, to, frame);
                 self.hear_message(now, index, Framing::Raw, message, frame);
             }
-            Some(Framing::Isotp) => self.hear_isotp(now, index, header, frame, for_us),
+            Some(Framing::Isotp) => {
+                let to = (!echoed).then_some(header.destination);
+                self.hear_isotp(now, index, header, frame, for_us, to);
+            }
             None => {
                 // A late or lost transfer's frames are no fault of the device's.
                 let stray = matches!(frame.data().first(), Some(0x20..=0x3F));
@@ -288,13 +296,15 @@ impl Engine {
         index: usize,
         request: Option<Request>,
         framing: Framing,
+        to: Option<Address>,
         frame: &Frame,
     ) {
         let Some(request) = request else { return };
         self.rounds.note_answer(now);
         let device = self.roster.get(index);
         let (address, name) = (device.address, device.name.clone());
-        self.collisions.see_answer(now, address, request, framing, name.as_ref(), frame);
+        let answer = Answer { from: address, to, request, framing };
+        self.collisions.see_answer(now, answer, name.as_ref(), frame);
     }
 
     /// The node at this row answered in that framing.
@@ -320,10 +330,12 @@ impl Engine {
         header: Header,
         frame: &Frame,
         for_us: bool,
+        to: Option<Address>,
     ) {
         match Pci::decode(frame.data(), frame.fd) {
             Ok(Pci::Single(message)) => {
-                self.answer_begins(now, index, request_of(message), Framing::Isotp, frame);
+                let request = request_of(message);
+                self.answer_begins(now, index, request, Framing::Isotp, to, frame);
                 self.hear_message(now, index, Framing::Isotp, message, frame);
             }
             Ok(Pci::First { length, data }) => {
@@ -335,7 +347,7 @@ impl Engine {
                     self.malformed(now, index, &AnswerFault::NotServices, frame);
                     return;
                 }
-                self.answer_begins(now, index, request, Framing::Isotp, frame);
+                self.answer_begins(now, index, request, Framing::Isotp, to, frame);
                 let block_size = if for_us { self.config.profile.isotp.block_size } else { 0 };
                 match self.transfers.start(now, header, frame, length, data, block_size) {
                     Started::Open => {
@@ -404,7 +416,8 @@ impl Engine {
         }
     }
 
-    /// An answer in several frames broke off: once is a lost frame, again in a row a finding.
+    /// An answer in several frames broke off: once is a lost frame, and so is another time
+    /// elsewhere in it; at the same place in a row it is the device's doing, and a finding.
     fn transfer_broke(
         &mut self,
         now: Instant,
@@ -416,7 +429,7 @@ impl Engine {
         self.counters.transfers_failed += 1;
         let Some(request) = request else { return };
         let device = self.roster.get(index);
-        if matches!(device.query(request).fault, Some(QueryFault::Transfer(_))) {
+        if device.query(request).fault == Some(QueryFault::Transfer(fault)) {
             self.malformed(now, index, &fault, frame);
         }
         self.answer_failed(index, request, fault.into());

@@ -65,6 +65,10 @@ impl Engine {
             if device.mode != Some(mode) {
                 let from = device.mode.replace(mode);
                 device.remember_mode(ModeChange { time: now, mode });
+                if matches!(from, Some(Mode::Init | Mode::Arslv)) {
+                    // Whatever was there before, this one began just now.
+                    device.services_query.renew(now);
+                }
                 self.tell(index, EventKind::Mode { from, to: mode });
             }
         }

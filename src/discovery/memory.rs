@@ -8,6 +8,7 @@ use crate::text::Name;
 use crate::time::{Duration, Instant};
 use crate::wire::des::Request;
 use crate::wire::framing::Framing;
+use crate::wire::id::Address;
 use crate::wire::node::Uid;
 use std::collections::VecDeque;
 
@@ -51,33 +52,49 @@ impl<T: PartialEq + Clone> Alternation<T> {
     }
 }
 
-/// Answers set against questions, for one kind of question in one framing.
+/// Who asked, and whom.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub(super) struct Asking {
+    pub by: Address,
+    /// One node, not all.
+    pub targeted: bool,
+}
+
+/// Answers set against the questions of one asker, for one kind of question in one framing.
 #[derive(Debug, Default)]
 pub(super) struct Tally {
     asked: u32,
     answered: u32,
     asked_at: Instant,
-    targeted: bool,
+    asking: Asking,
     first_answer: Option<Frame>,
 }
 
 impl Tally {
-    pub fn ask(&mut self, now: Instant, targeted: bool) {
+    pub fn ask(&mut self, now: Instant, asking: Asking) {
         let answered = self.answered >= self.asked;
-        if answered || now.since(self.asked_at) > ANSWER_WINDOW {
+        let old = now.since(self.asked_at) > ANSWER_WINDOW;
+        if answered || old || self.asking.by != asking.by {
             self.asked = 0;
             self.answered = 0;
-            self.first_answer = None;
         }
-        self.targeted = targeted && (self.asked == 0 || self.targeted);
+        let targeted = asking.targeted && (self.asked == 0 || self.asking.targeted);
+        self.asking = Asking { targeted, ..asking };
         self.first_answer = None;
         self.asked += 1;
         self.asked_at = now;
     }
 
-    /// Counts an answer; the first one comes back when this is one too many.
-    pub fn answer(&mut self, now: Instant, frame: &Frame) -> Option<(Frame, bool)> {
-        if self.asked == 0 || now.since(self.asked_at) > ANSWER_WINDOW {
+    /// Whether the question that is open went to one node alone.
+    pub fn is_targeted(&self) -> bool {
+        self.asking.targeted
+    }
+
+    /// Counts an answer to the asker, or to whom is not known; the first one comes back when
+    /// this is one too many.
+    pub fn answer(&mut self, now: Instant, to: Option<Address>, frame: &Frame) -> Option<Frame> {
+        let theirs = to.is_some_and(|to| to != self.asking.by);
+        if self.asked == 0 || theirs || now.since(self.asked_at) > ANSWER_WINDOW {
             return None;
         }
         self.answered += 1;
@@ -87,7 +104,7 @@ impl Tally {
         }
         // Said once: one answer too many is not one too many for the next question as well.
         self.answered = self.asked;
-        Some((first, self.targeted))
+        Some(first)
     }
 }
 

@@ -122,9 +122,10 @@ impl Transfers {
         for transfers in &mut self.by_source {
             if let Some(at) = transfers.iter().position(|open| open.reassembly.deadline() <= now) {
                 self.open -= 1;
-                let Transfer { id, first, .. } = transfers.swap_remove(at);
+                let Transfer { id, first, reassembly } = transfers.swap_remove(at);
                 let header = Header::decode(id);
-                return Some(Expired { header, fault: TransferFault::SenderSilent, first });
+                let fault = TransferFault::SenderSilent { after: reassembly.message().len() };
+                return Some(Expired { header, fault, first });
             }
         }
         None

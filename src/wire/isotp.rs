@@ -187,11 +187,17 @@ pub fn single_frame(message: &[u8], fd: bool) -> Option<Segment> {
 pub enum TransferFault {
     /// The next consecutive frame has the wrong number: a frame was lost, or two senders share
     /// the identifier.
-    #[error("consecutive frame out of sequence")]
-    OutOfSequence,
+    #[error("consecutive frame out of sequence after {after} bytes")]
+    OutOfSequence {
+        /// How many bytes of the message had come.
+        after: usize,
+    },
     /// The next consecutive frame did not come (N_Cr).
-    #[error("no consecutive frame within 1 s")]
-    SenderSilent,
+    #[error("no consecutive frame within 1 s after {after} bytes")]
+    SenderSilent {
+        /// How many bytes of the message had come.
+        after: usize,
+    },
     /// No flow control came (N_Bs).
     #[error("no flow control within 1 s")]
     ReceiverSilent,
@@ -272,7 +278,7 @@ impl Reassembly {
         let missing = self.length - self.message.len();
         let take = missing.min(self.part);
         if sequence != self.next_sequence || data.len() < take {
-            return Err(TransferFault::OutOfSequence);
+            return Err(TransferFault::OutOfSequence { after: self.message.len() });
         }
         self.message.extend_from_slice(&data[..take]);
         self.next_sequence = (sequence + 1) & 0x0F;

@@ -114,8 +114,13 @@ impl Case<'_> {
         // Whoever never gives way is guilty even where both fall silent in between, because they
         // destroyed each other's frames; of others it must have lasted.
         let going_on = |clash: &Clash, span: &Span| {
-            let stubborn = matches!(*clash, Clash::Address(_, one, other)
-                if [one, other].iter().all(|&it| self.spec(it).faults.has(Fault::NeverGivesWay)));
+            let stubborn = match *clash {
+                Clash::Address(_, one, other) => {
+                    let never = |it| self.spec(it).faults.has(Fault::NeverGivesWay);
+                    never(one) && never(other)
+                }
+                Clash::Uid(..) => true,
+            };
             course.addresses.iter().any(|&address| clash.concerns(address))
                 && span.from <= at
                 && at.since(span.until) < TEN_SECONDS
@@ -275,7 +280,7 @@ impl Case<'_> {
                 ));
             }
             let at_due = course.at(due.max(calm));
-            if due.max(calm) < end && at_due.is_some_and(|it| it != Confidence::Cleared) {
+            if due.max(calm) < end && at_due == Some(Confidence::Confirmed) {
                 wrong.push(format!(
                     "{} at {:?} is {at_due:?} at {due}, though over at {over}",
                     course.kind, course.addresses
