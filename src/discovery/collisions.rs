@@ -17,14 +17,17 @@ use crate::frame::{BusIndex, Frame};
 use crate::text::Name;
 use crate::time::{Duration, Instant};
 use crate::wire::des::Request;
-use crate::wire::framing::Framing;
+use crate::wire::framing::{Framing, strip_raw_padding};
 use crate::wire::id::Address;
+use crate::wire::isotp::Pci;
 use crate::wire::node::Uid;
 
 /// How many findings a bus may have.
 const MAX_FINDINGS: usize = 512;
 /// Questions that follow up a suspicion, one a second.
 const MAX_FOLLOW_UPS: u32 = 6;
+/// After how many periods without a question new evidence for a suspicion is followed up again.
+const ASK_AGAIN_PERIODS: u32 = 3;
 /// How often a collision that is confirmed is looked at again: often enough that it does not
 /// seem to be over because two equal answers merged once.
 const CHECK_AGAIN: Duration = Duration::from_secs(2);
@@ -65,6 +68,8 @@ struct Case {
     strong_at: Option<Instant>,
     follow_ups: u32,
     next_check: Option<Instant>,
+    /// When it was followed up last.
+    checked_at: Instant,
 }
 
 #[derive(Debug)]
@@ -147,14 +152,14 @@ impl Collisions {
     ) {
         let Answer { from: address, to, request, framing } = answer;
         let tally = self.watches[address.index()].tally(request, framing);
-        let extra = tally.answer(now, to, frame);
-        let targeted = tally.is_targeted();
-        if !targeted {
+        let (to_all, extra) = tally.answer(now, to, frame);
+        if to_all {
             self.doubling.see_answer(address, extra.is_some());
         }
-        let Some(first) = extra.filter(|_| !self.doubling.asks_twice(now)) else { return };
-        let weight = if targeted { Weight::Strong } else { Weight::Weak };
-        let differ = !first.same_on_wire(frame);
+        let Some(extra) = extra.filter(|_| !self.doubling.asks_twice(now)) else { return };
+        let first = extra.first;
+        let weight = if extra.targeted { Weight::Strong } else { Weight::Weak };
+        let differ = message(&first, framing) != message(frame, framing);
         let kind = if request == Request::Name && differ || self.has_two_names(address) {
             FindingKind::OneAddressTwoNames
         } else {
@@ -229,7 +234,8 @@ impl Collisions {
         let odd_rate = twice && (twice_for <= ODD_RATE_BEATS || confirmed);
         // Where another name answered not long ago, it is more likely that one again.
         let names = &self.watches[address.index()].names;
-        let another_name = names.before.is_some() && now.since(names.changed) < period * 30;
+        let another_name = names.before.is_some() && now.since(names.changed) < period * 30
+            || self.is_open(FindingKind::OneAddressTwoNames, address);
 
         let identity = if address == Address::DEBUG {
             FindingKind::TwoDebugDevices
@@ -248,9 +254,7 @@ impl Collisions {
                 self.report(now, identity, address, name, &previous, other, Weight::Weak);
             }
             self.report(now, identity, address, name, frame, again, Weight::Strong);
-        } else if self.is_open(identity, address)
-            || self.is_open(FindingKind::OneAddressTwoNames, address)
-        {
+        } else if self.is_open(identity, address) {
             // Told already, by what tells the two apart.
         } else if (phases || odd_rate) && another_name {
             let kind = FindingKind::OneAddressTwoNames;
@@ -398,6 +402,7 @@ impl Collisions {
                 }
                 let case = &mut self.cases[at];
                 case.follow_ups += 1;
+                case.checked_at = now;
                 case.next_check = if confirmed {
                     Some(now + CHECK_AGAIN)
                 } else {
@@ -472,6 +477,7 @@ impl Collisions {
             strong: 0,
             strong_at: None,
             follow_ups: 0,
+            checked_at: now,
             next_check: key.kind.is_collision().then(|| now + Duration::from_secs(1)),
         };
         if let Some(at) = self.findings.iter().position(|finding| finding.key == key) {
@@ -516,6 +522,14 @@ impl Collisions {
         if weight == Weight::Strong && apart {
             case.strong += 1;
             case.strong_at = Some(now);
+        }
+        // Evidence that comes when the questions are used up is worth asking again.
+        if kind.is_collision()
+            && case.next_check.is_none()
+            && now.since(case.checked_at) >= self.period * ASK_AGAIN_PERIODS
+        {
+            case.follow_ups = 0;
+            case.next_check = Some(now);
         }
         self.describe(at);
         if weight == Weight::Proof && self.findings[at].count >= PROOFS_CONFIRM {
@@ -628,6 +642,15 @@ impl Collisions {
 
     fn describe(&mut self, at: usize) {
         wording::describe(&mut self.findings[at]);
+    }
+}
+
+/// What the frame with which an answer begins says, without its padding.
+fn message(frame: &Frame, framing: Framing) -> &[u8] {
+    match (framing, Pci::decode(frame.data(), frame.fd)) {
+        (Framing::Raw, _) => strip_raw_padding(frame.data()),
+        (Framing::Isotp, Ok(Pci::Single(message))) => message,
+        (Framing::Isotp, _) => frame.data(),
     }
 }
 

@@ -9,6 +9,35 @@ use crate::wire::node::{Heartbeat, Mode, Uid};
 
 /// A gap of this many periods between heartbeats may be a reboot.
 const REBOOT_GAP: f64 = 1.4;
+/// A heartbeat that is off the beat by more than this part of a period came late.
+const LATE: f64 = 0.1;
+/// So many late ones within a few periods are the bus's doing, not their senders'.
+const LATE_TOGETHER: u32 = 3;
+
+/// Whose heartbeats came late lately. Where several do, it is the bus that holds them up.
+#[derive(Debug, Default)]
+pub(super) struct Lateness {
+    began: Instant,
+    late: [u128; 2],
+}
+
+impl Lateness {
+    /// A heartbeat of `address` came `gap` after the one before.
+    fn see(&mut self, now: Instant, address: Address, gap: Duration, period: Duration) {
+        if now.since(self.began) >= period * 2 {
+            let old = if now.since(self.began) < period * 4 { self.late[0] } else { 0 };
+            (self.began, self.late) = (now, [0, old]);
+        }
+        let periods = gap.as_secs_f64() / period.as_secs_f64();
+        if (periods - periods.round()).abs() > LATE && periods > 1.0 {
+            self.late[0] |= 1 << address.index();
+        }
+    }
+
+    fn is_common(&self) -> bool {
+        (self.late[0] | self.late[1]).count_ones() >= LATE_TOGETHER
+    }
+}
 
 impl Engine {
     pub(super) fn hear_heartbeat(
@@ -22,6 +51,9 @@ impl Engine {
         let codes = profile.modes.codes();
         let heartbeat = Heartbeat::decode(frame.data(), &profile.heartbeat, &codes);
         let period = profile.heartbeat.period();
+        if let Some(last) = self.roster.get(index).heartbeat.last {
+            self.lateness.see(now, header.source, now.since(last), period);
+        }
         let device = self.roster.get_mut(index);
         let expected = device.heartbeat.period();
         let jitter = device.heartbeat.jitter();
@@ -53,8 +85,8 @@ impl Engine {
         let early = early && paused && device.mode != heartbeat.mode;
         let restarted = !was_lost
             && (first || !uid_changed || device.uid_before.is_none())
-            && (early
-                || gap.is_some_and(|gap| is_out_of_phase(gap, expected.unwrap_or(period), jitter)));
+            && (early || gap.is_some_and(|gap| is_out_of_phase(gap, expected.unwrap_or(period), jitter)));
+        let restarted = restarted && (early || !self.lateness.is_common());
         if let Some(mode) = heartbeat.mode {
             let fits = mode.is_working().is_none_or(|working| working == device.working);
             if fits {

@@ -60,51 +60,84 @@ pub(super) struct Asking {
     pub targeted: bool,
 }
 
-/// Answers set against the questions of one asker, for one kind of question in one framing.
+/// Answers set against questions, for one kind of question in one framing; each asker's apart.
 #[derive(Debug, Default)]
 pub(super) struct Tally {
+    open: [Option<Open>; ASKERS],
+}
+
+/// Askers whose questions to one node are told apart.
+const ASKERS: usize = 4;
+
+/// Questions of one asker that answers may still come to.
+#[derive(Clone, Copy, Debug)]
+struct Open {
+    asking: Asking,
     asked: u32,
     answered: u32,
     asked_at: Instant,
-    asking: Asking,
     first_answer: Option<Frame>,
+}
+
+/// An answer more than there were questions.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Extra {
+    /// The first answer.
+    pub first: Frame,
+    /// Whether the question went to one node alone.
+    pub targeted: bool,
 }
 
 impl Tally {
     pub fn ask(&mut self, now: Instant, asking: Asking) {
-        let answered = self.answered >= self.asked;
-        let old = now.since(self.asked_at) > ANSWER_WINDOW;
-        if answered || old || self.asking.by != asking.by {
-            self.asked = 0;
-            self.answered = 0;
-        }
-        let targeted = asking.targeted && (self.asked == 0 || self.asking.targeted);
-        self.asking = Asking { targeted, ..asking };
-        self.first_answer = None;
-        self.asked += 1;
-        self.asked_at = now;
+        let fresh = Open { asking, asked: 0, answered: 0, asked_at: now, first_answer: None };
+        let by = asking.by;
+        let at = self.open.iter().position(|it| it.is_some_and(|open| open.asking.by == by));
+        let at = at.unwrap_or_else(|| {
+            // The oldest makes room.
+            let oldest = (0..ASKERS).min_by_key(|&at| self.open[at].map(|open| open.asked_at));
+            oldest.unwrap_or(0)
+        });
+        let open = self.open[at].filter(|open| {
+            open.asking.by == by
+                && open.answered < open.asked
+                && now.since(open.asked_at) <= ANSWER_WINDOW
+        });
+        let open = open.unwrap_or(fresh);
+        let targeted = asking.targeted && (open.asked == 0 || open.asking.targeted);
+        self.open[at] = Some(Open {
+            asking: Asking { targeted, ..asking },
+            asked: open.asked + 1,
+            asked_at: now,
+            first_answer: None,
+            ..open
+        });
     }
 
-    /// Whether the question that is open went to one node alone.
-    pub fn is_targeted(&self) -> bool {
-        self.asking.targeted
-    }
-
-    /// Counts an answer to the asker, or to whom is not known; the first one comes back when
-    /// this is one too many.
-    pub fn answer(&mut self, now: Instant, to: Option<Address>, frame: &Frame) -> Option<Frame> {
-        let theirs = to.is_some_and(|to| to != self.asking.by);
-        if self.asked == 0 || theirs || now.since(self.asked_at) > ANSWER_WINDOW {
-            return None;
-        }
-        self.answered += 1;
-        let first = *self.first_answer.get_or_insert(*frame);
-        if self.answered <= self.asked {
-            return None;
+    /// Counts an answer, to whom it is where that is known; otherwise to whoever has none yet.
+    /// Comes back with whether the question went to all, and with what is one too many.
+    pub fn answer(
+        &mut self,
+        now: Instant,
+        to: Option<Address>,
+        frame: &Frame,
+    ) -> (bool, Option<Extra>) {
+        let fresh = |open: &&mut Open| now.since(open.asked_at) <= ANSWER_WINDOW;
+        let mut open = self.open.iter_mut().flatten().filter(fresh);
+        let open = match to {
+            Some(to) => open.find(|open| open.asking.by == to),
+            None => open.min_by_key(|open| (open.answered >= open.asked, open.asked_at)),
+        };
+        let Some(open) = open else { return (false, None) };
+        open.answered += 1;
+        let first = *open.first_answer.get_or_insert(*frame);
+        let targeted = open.asking.targeted;
+        if open.answered <= open.asked {
+            return (!targeted, None);
         }
         // Said once: one answer too many is not one too many for the next question as well.
-        self.answered = self.asked;
-        Some(first)
+        open.answered = open.asked;
+        (!targeted, Some(Extra { first, targeted }))
     }
 }
 

@@ -53,6 +53,7 @@ use crate::frame::Frame;
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
 use collisions::Collisions;
+use heartbeats::Lateness;
 use outbox::{Acknowledgement, Outbox};
 use presence::Measure;
 use roster::Roster;
@@ -128,6 +129,7 @@ pub struct Engine {
     collisions: Collisions,
     station: Station,
     outbox: Outbox,
+    lateness: Lateness,
     broadcasts: VecDeque<Broadcast>,
     events: VecDeque<Event>,
     counters: Counters,
@@ -156,6 +158,7 @@ impl Engine {
             roster: Roster::new(config.bus),
             rounds: Rounds::new(),
             transfers: Transfers::new(),
+            lateness: Lateness::default(),
             broadcasts: VecDeque::new(),
             events: VecDeque::new(),
             counters: Counters::default(),

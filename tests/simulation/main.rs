@@ -68,7 +68,7 @@ impl Run {
         loop {
             let now = self.sim.now();
             if now >= sample {
-                self.truth.sample(now, &self.sim, &self.devices);
+                self.truth.sample(now, &self.sim, &self.devices, &self.world.scenario.devices);
                 sample = now + SAMPLE;
             }
             self.attach_due(now);
@@ -199,6 +199,10 @@ fn tell(run: &Run) {
         }
         for finding in it.engine.findings() {
             println!("{number} ? {:?} {} {}", finding.key, finding.confidence, finding.text);
+            for it in &finding.evidence {
+                let frame = it.frame.map_or(String::new(), |frame| frame.to_string());
+                println!("{number} ?   {} {} {frame}", it.time, it.what);
+            }
         }
     }
 }

@@ -1,7 +1,7 @@
 //! How it really was: who held which address together with whom, and who shared a UID, looked up
 //! in the simulator while it runs.
 
-use descan::sim::{DeviceId, Sim};
+use descan::sim::{DeviceId, DeviceSpec, Fault, Sim};
 use descan::time::{Duration, Instant};
 use descan::wire::id::Address;
 use std::collections::BTreeMap;
@@ -20,25 +20,31 @@ impl Span {
     }
 }
 
-/// Two devices that are one too many.
+/// Two devices, by their places in the scenario, that are one too many.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Clash {
-    Address(Address, DeviceId2, DeviceId2),
+    Address(Address, usize, usize),
     Uid(Address, Address),
 }
-
-/// A device by its place in the scenario.
-pub type DeviceId2 = usize;
 
 #[derive(Default)]
 pub struct Truth {
     spans: BTreeMap<Clash, Vec<Span>>,
     sampled: Option<Instant>,
+    /// Until when both of a pair were switched on, where neither ever gives way: they come back to
+    /// their address however often they silence each other.
+    both_on: BTreeMap<Clash, Instant>,
 }
 
 impl Truth {
     /// Looks at everybody.
-    pub fn sample(&mut self, now: Instant, sim: &Sim, devices: &[DeviceId]) {
+    pub fn sample(
+        &mut self,
+        now: Instant,
+        sim: &Sim,
+        devices: &[DeviceId],
+        specs: &[DeviceSpec],
+    ) {
         let mut at: BTreeMap<Address, Vec<usize>> = BTreeMap::new();
         for (index, &id) in devices.iter().enumerate() {
             if let Some(address) = sim.device_state(id).address {
@@ -70,6 +76,25 @@ impl Truth {
             }
         }
         self.sampled = Some(now);
+        let stubborn = |it: usize| {
+            let on = sim.device_state(devices[it]).mode.is_some();
+            on && specs[it].faults.has(Fault::NeverGivesWay)
+        };
+        for &clash in self.spans.keys() {
+            if let Clash::Address(_, one, other) = clash
+                && stubborn(one)
+                && stubborn(other)
+            {
+                self.both_on.insert(clash, now);
+            }
+        }
+    }
+
+    /// When it was over for good.
+    pub fn over(&self, clash: Clash) -> Instant {
+        let last = self.spans.get(&clash).and_then(|spans| spans.last()).map(|span| span.until);
+        let both_on = self.both_on.get(&clash).copied();
+        last.max(both_on).unwrap_or(Instant::ZERO)
     }
 
     fn see(&mut self, now: Instant, clash: Clash) {

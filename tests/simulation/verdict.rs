@@ -264,7 +264,7 @@ impl Case<'_> {
                 .truth
                 .clashes()
                 .filter(|(clash, _)| course.addresses.iter().any(|&it| clash.concerns(it)))
-                .map(|(_, span)| span.until)
+                .map(|(clash, _)| self.run.truth.over(clash))
                 .max()
                 .unwrap_or(Instant::ZERO)
                 .max(self.begin());
