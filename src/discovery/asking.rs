@@ -154,7 +154,8 @@ impl Engine {
                 let Some(device) = self.roster.current_device_mut(address) else { continue };
                 let (working, framing) = (device.working, device.framing);
                 // While it resolves its address, the mode it takes next is not known.
-                let undecided = matches!(device.mode, Some(Mode::Init | Mode::Arslv));
+                let early = matches!(device.mode, Some(Mode::Init | Mode::Arslv));
+                let undecided = early && !working;
                 let usable = device.presence != Presence::Lost && address != own;
                 let query = device.query_mut(request);
                 if query.is_waiting() || query.due.is_none_or(|due| due > now) {

@@ -214,18 +214,20 @@ impl Engine {
     fn note_question(&mut self, now: Instant, header: Header, frame: &Frame, ours: bool) {
         let Some((framing, message)) = classify_request(frame.data(), frame.fd) else { return };
         let Some(Asked::Known(request)) = Request::decode(message) else { return };
-        if !header.broadcast {
-            let asked = Asking { by: header.source, targeted: true };
-            self.collisions.see_question(now, header.destination, request, framing, asked);
-            return;
-        }
-        if !ours {
+        if header.broadcast && !ours {
             self.note_broadcast(header.destination, false);
         }
-        for address in Address::all() {
+        // Of the same question to both kinds of nodes a node answers one.
+        let fits = |address: Address| {
             let known = self.roster.current_device(address);
-            if known.is_none_or(|device| device.working != header.to_not_working) {
-                let asked = Asking { by: header.source, targeted: false };
+            known.is_none_or(|device| device.working != header.to_not_working)
+        };
+        let asked = Asking { by: header.source, targeted: !header.broadcast };
+        let all = 0..Address::COUNT as u8;
+        let one = header.destination.number();
+        for address in if header.broadcast { all } else { one..one + 1 } {
+            let address = Address::from_bits(address);
+            if fits(address) {
                 self.collisions.see_question(now, address, request, framing, asked);
             }
         }

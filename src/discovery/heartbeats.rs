@@ -97,8 +97,11 @@ impl Engine {
             if device.mode != Some(mode) {
                 let from = device.mode.replace(mode);
                 device.remember_mode(ModeChange { time: now, mode });
-                if matches!(from, Some(Mode::Init | Mode::Arslv)) {
-                    // Whatever was there before, this one began just now.
+                // Whatever was there before, this one began just now; and not all services are
+                // there in every mode.
+                let began = matches!(from, Some(Mode::Init | Mode::Arslv));
+                let other = from.is_some_and(|from| from.is_working() != mode.is_working());
+                if (began || other) && !self.collisions.is_open_at(header.source) {
                     device.services_query.renew(now);
                 }
                 self.tell(index, EventKind::Mode { from, to: mode });

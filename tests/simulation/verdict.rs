@@ -149,8 +149,10 @@ impl Case<'_> {
                 })
             }
             FindingKind::OneAddressTwoIdentities => any(&|it| {
+                // Two of one UID that keep resolving their address differ in the U bit meanwhile.
+                let stubborn = |it: usize| self.spec(it).faults.has(Fault::NeverGivesWay);
                 matches!(*it, Clash::Address(_, a, b)
-                    if uid(a) != uid(b) || self.spec(a).mode != self.spec(b).mode)
+                    if uid(a) != uid(b) || stubborn(a) && stubborn(b))
             }),
             FindingKind::OneUidTwoAddresses => any(&|it| matches!(it, Clash::Uid(..))),
             FindingKind::TwoDebugDevices
