@@ -2,6 +2,7 @@
 //! with time-outs, bounded retries, back-off, and within our share of the bus.
 
 use super::device::{QueryFault, QueryState};
+use super::presence::beats_no_more;
 use super::rounds::RoundStep;
 use super::{Broadcast, Engine, NEVER, Presence, Query};
 use crate::frame::Frame;
@@ -95,8 +96,10 @@ impl Engine {
     }
 
     fn round_is_over(&mut self, began: Instant) {
+        let period = self.config.profile.heartbeat.period();
         for device in self.roster.devices_mut() {
-            let there = device.heartbeat.last.is_some() || device.last_seen >= began;
+            let beats = device.heartbeat.last.is_some() && !beats_no_more(device, period);
+            let there = beats || device.last_seen >= began;
             device.rounds_missed = if there { 0 } else { device.rounds_missed + 1 };
         }
         self.judge_presence();

@@ -34,7 +34,7 @@ const CHECK_AGAIN: Duration = Duration::from_secs(2);
 /// Heartbeats at twice the rate that are a suspicion: time enough for the follow-ups.
 const ODD_RATE_BEATS: u32 = 16;
 /// Observations that need no second device to explain them: one may be a stray frame.
-const PROOFS_CONFIRM: u64 = 2;
+const PROOFS_CONFIRM: u32 = 2;
 /// Strong pieces of evidence that, lasting long enough, confirm a collision.
 const STRONG_CONFIRM: u32 = 3;
 /// Error frames in a row, each within a period of the last, that are a finding.
@@ -160,10 +160,13 @@ impl Collisions {
         let first = extra.first;
         let weight = if extra.targeted { Weight::Strong } else { Weight::Weak };
         let differ = message(&first, framing) != message(frame, framing);
-        let kind = if request == Request::Name && differ || self.has_two_names(address) {
-            FindingKind::OneAddressTwoNames
-        } else {
-            FindingKind::SameNameSameAddress
+        let (kind, weight) = match request {
+            Request::Name if differ => (FindingKind::OneAddressTwoNames, weight),
+            _ if self.has_two_names(address) => (FindingKind::OneAddressTwoNames, weight),
+            Request::Services if self.had_another_name(now, address) => {
+                (FindingKind::OneAddressTwoNames, Weight::Weak)
+            }
+            _ => (FindingKind::SameNameSameAddress, weight),
         };
         self.report(now, kind, address, name, &first, "first answer to one request", Weight::Weak);
         self.report(now, kind, address, name, frame, "second answer to one request", weight);
@@ -197,10 +200,15 @@ impl Collisions {
     ) {
         let memory = self.memory();
         let returned = self.watches[address.index()].services.see(now, &digest, memory);
-        if returned.is_some() && !self.has_two_names(address) {
-            let kind = FindingKind::SameNameSameAddress;
-            self.report(now, kind, address, name, frame, "service lists alternate", Weight::Strong);
+        if returned.is_none() || self.has_two_names(address) {
+            return;
         }
+        let (kind, weight) = if self.had_another_name(now, address) {
+            (FindingKind::OneAddressTwoNames, Weight::Weak)
+        } else {
+            (FindingKind::SameNameSameAddress, Weight::Strong)
+        };
+        self.report(now, kind, address, name, frame, "service lists alternate", weight);
     }
 
     /// A heartbeat came from `address`.
@@ -232,10 +240,7 @@ impl Collisions {
             .find(FindingKind::SameNameSameAddress, address)
             .is_some_and(|at| self.findings[at].confidence == Confidence::Confirmed);
         let odd_rate = twice && (twice_for <= ODD_RATE_BEATS || confirmed);
-        // Where another name answered not long ago, it is more likely that one again.
-        let names = &self.watches[address.index()].names;
-        let another_name = names.before.is_some() && now.since(names.changed) < period * 30
-            || self.is_open(FindingKind::OneAddressTwoNames, address);
+        let another_name = self.had_another_name(now, address);
 
         let identity = if address == Address::DEBUG {
             FindingKind::TwoDebugDevices
@@ -517,9 +522,9 @@ impl Collisions {
         self.findings[at].add(Evidence { time: frame.time, what, frame: Some(*frame) });
         self.findings[at].last = now;
         let case = &mut self.cases[at];
-        // Strong evidence counts once in half a period: it must go on, not come in a burst.
+        // Evidence counts once in half a period: it must go on, not come in a burst.
         let apart = case.strong_at.is_none_or(|last| now.since(last) >= self.period / 2);
-        if weight == Weight::Strong && apart {
+        if weight != Weight::Weak && apart {
             case.strong += 1;
             case.strong_at = Some(now);
         }
@@ -532,7 +537,7 @@ impl Collisions {
             case.next_check = Some(now);
         }
         self.describe(at);
-        if weight == Weight::Proof && self.findings[at].count >= PROOFS_CONFIRM {
+        if weight == Weight::Proof && self.cases[at].strong >= PROOFS_CONFIRM {
             self.set(now, at, Confidence::Confirmed);
         }
         self.weigh(now, at);
@@ -578,6 +583,14 @@ impl Collisions {
         self.find(FindingKind::OneAddressTwoNames, address).is_some_and(|at| {
             self.findings[at].confidence != Confidence::Cleared && self.cases[at].strong > 0
         })
+    }
+
+    /// Whether another name answered from `address` not long ago: what tells of two devices there
+    /// more likely tells of that one again than of two that share the present name.
+    fn had_another_name(&self, now: Instant, address: Address) -> bool {
+        let names = &self.watches[address.index()].names;
+        let lately = names.before.is_some() && now.since(names.changed) < self.period * 30;
+        lately || self.is_open(FindingKind::OneAddressTwoNames, address)
     }
 
     /// What looked like `old` turns out to be `new`: it began then, and is told as that alone.

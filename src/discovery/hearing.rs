@@ -469,7 +469,12 @@ impl Engine {
             self.malformed(now, index, &fault, frame);
         }
         let Some(name) = name.map(Name::new) else { return };
-        let address = self.roster.get(index).address;
+        let device = self.roster.get(index);
+        // With frames lost, the rest of another answer may stand at its end.
+        if fault.is_some() && device.name.as_ref().is_some_and(|known| *known != name) {
+            return;
+        }
+        let address = device.address;
         self.collisions.see_name(now, address, &name, frame);
         let index = self.row_of_name(now, index, &name);
         let device = self.roster.get_mut(index);

@@ -2,7 +2,7 @@
 //!
 //! With a heartbeat: online while they come, stale after 2.5 periods, lost after 5; silent
 //! instead while other frames arrive, asleep instead of lost when its last mode was IDLE.
-//! Without one: by rounds, unless frames arrive between them, or, where none are made, stale
+//! Without one, or with none but the one that claimed its address: by rounds, unless frames arrive between them, or, where none are made, stale
 //! 30 s after the last frame.
 
 use super::device::{Device, Presence};
@@ -14,6 +14,13 @@ const LOST_AFTER_ROUNDS: u32 = 3;
 /// Age of the last frame at which a device without heartbeats is stale, where no rounds are
 /// made.
 const STALE_WITHOUT_ROUNDS: Duration = Duration::from_secs(30);
+
+/// Whether a device's only heartbeat was the one that claimed its address, and it was heard long
+/// after that: it has no heartbeat.
+pub(super) fn beats_no_more(device: &Device, period: Duration) -> bool {
+    let claim = device.heartbeat.last.filter(|_| device.heartbeat.count == 1);
+    claim.is_some_and(|claim| device.last_seen.since(claim) >= period * 5)
+}
 
 /// What a device's presence is judged by.
 #[derive(Clone, Copy, Debug)]
@@ -29,7 +36,8 @@ impl Measure {
     pub fn judge(&self, device: &Device, now: Instant) -> (Presence, Option<Instant>) {
         let stale_after = self.period.mul_f64(2.5);
         let lost_after = self.period * 5;
-        let Some(last_beat) = device.heartbeat.last else {
+        let Some(last_beat) = device.heartbeat.last.filter(|_| !beats_no_more(device, self.period))
+        else {
             return self.judge_without_heartbeat(device, now);
         };
         let age = now.since(last_beat);

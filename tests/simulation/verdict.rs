@@ -188,7 +188,11 @@ impl Case<'_> {
             if span.until.since(from) < TEN_SECONDS || !self.can_see(clash, from, span.until) {
                 continue;
             }
-            let due = from + TEN_SECONDS;
+            // Who has no heartbeat is heard only when it is asked, which it is in each round.
+            let due = from + if self.beats(clash) { TEN_SECONDS } else { PERIOD * 25 };
+            if span.until < due {
+                continue;
+            }
             let fitting = |course: &&Course| match clash {
                 Clash::Address(at, ..) => {
                     course.concerns(at)
@@ -227,6 +231,15 @@ impl Case<'_> {
         Instant::ZERO + self.run.world.inspectors[self.number].from
     }
 
+    fn beats(&self, clash: Clash) -> bool {
+        match clash {
+            Clash::Address(_, one, other) => {
+                [one, other].iter().all(|&it| !self.spec(it).faults.has(Fault::NoHeartbeat))
+            }
+            Clash::Uid(..) => true,
+        }
+    }
+
     /// Whether frames that can be told apart come from both, and arrive.
     fn can_see(&self, clash: Clash, from: Instant, until: Instant) -> bool {
         let inspector = &self.run.world.inspectors[self.number];
@@ -250,7 +263,8 @@ impl Case<'_> {
         };
         let both = |fault| !one.faults.has(fault) && !other.faults.has(fault);
         let beat = both(Fault::NoHeartbeat);
-        let answer = both(Fault::NoDes) && !inspector.config.listen_only;
+        let rounds = beat || !inspector.config.round_period.is_zero();
+        let answer = both(Fault::NoDes) && !inspector.config.listen_only && rounds;
         let uids = !one.uid.is_blank() && !other.uid.is_blank() && one.uid != other.uid;
         beat && uids || answer && (one.name != other.name || lens.doubled.is_none() && !lens.echo)
     }
@@ -390,10 +404,20 @@ impl Case<'_> {
                 ));
             }
         }
+        let ours: Vec<Address> = self
+            .run
+            .inspectors
+            .iter()
+            .filter_map(|it| match it.engine.own_address() {
+                OwnAddress::Held(address) => Some(address),
+                _ => None,
+            })
+            .collect();
         for address in Address::nodes().filter(|&address| !clashing(address)) {
             let rows = self.it.engine.devices().iter();
             let here: Vec<String> = rows
                 .filter(|device| device.address == address && device.is_here() && !device.is_debug)
+                .filter(|_| !ours.contains(&address))
                 .map(|device| format!("{:?} {}", device.name, device.presence))
                 .collect();
             if here.len() > usize::from(occupied[address.index()]) {

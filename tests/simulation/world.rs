@@ -78,7 +78,10 @@ impl World {
 
     /// Whether the inspector sees all of the bus, as it is.
     pub fn is_clear(&self, inspector: usize) -> bool {
-        self.scenario.observer_loss == 0.0
+        let load: f64 = self.scenario.devices.iter().map(load).sum();
+        // A bus that is full delays everything.
+        load / f64::from(self.scenario.bitrate) < 0.8
+            && self.scenario.observer_loss == 0.0
             && self.scenario.error_rate == 0.0
             && self.scenario.timetable.iter().all(|entry| !entry.device.is_empty())
             && self.inspectors[inspector].lens.is_clear()
@@ -443,6 +446,12 @@ impl Maker {
             self.at(at + millis(2), &label, Action::Join);
         }
     }
+}
+
+/// About how many bits a device sends in a second.
+fn load(device: &DeviceSpec) -> f64 {
+    let chatter = device.chatter.iter().map(|it| 150.0 / it.period.as_secs_f64());
+    150.0 + chatter.sum::<f64>()
 }
 
 /// What a device does wrong without being two. One that never ends an answer is not among them: it
