@@ -229,7 +229,9 @@ impl Engine {
             if fault == QueryFault::Refused && before == Some(fault) {
                 query.attempts = query.attempts.max(limit(request));
             }
-            fail(query, request, named, now, Some(fault));
+            if fail(query, request, named, now, Some(fault)) {
+                self.rounds.hurry(now);
+            }
         }
         self.wake_at(now);
     }

@@ -174,10 +174,10 @@ impl Collisions {
 
     /// A whole name answer came from `address`.
     pub fn see_name(&mut self, now: Instant, address: Address, name: &Name, frame: &Frame) {
-        let memory = self.memory();
+        let turn = self.turn();
         let watch = &mut self.watches[address.index()];
         let before = watch.names.now.clone();
-        let returned = watch.names.see(now, name, memory);
+        let returned = watch.names.see(now, name, turn);
         let Some(before) = before.filter(|before| before != name) else { return };
         let kind = FindingKind::OneAddressTwoNames;
         let weight = if returned.is_some() { Weight::Strong } else { Weight::Weak };
@@ -198,8 +198,8 @@ impl Collisions {
         name: Option<&Name>,
         frame: &Frame,
     ) {
-        let memory = self.memory();
-        let returned = self.watches[address.index()].services.see(now, &digest, memory);
+        let turn = self.turn();
+        let returned = self.watches[address.index()].services.see(now, &digest, turn);
         if returned.is_none() || self.has_two_names(address) {
             return;
         }
@@ -221,14 +221,14 @@ impl Collisions {
         name: Option<&Name>,
         frame: &Frame,
     ) {
-        let (memory, period) = (self.memory(), self.period);
+        let (turn, period) = (self.turn(), self.period);
         let watch = &mut self.watches[address.index()];
         if watch.beats.len() == BEATS {
             watch.beats.pop_front();
         }
         watch.beats.push_back(Beat { time: now, frame: *frame });
         let uid = uid.filter(|uid| !uid.is_blank());
-        let uid_returned = uid.and_then(|uid| watch.uids.see(now, &uid, memory));
+        let uid_returned = uid.and_then(|uid| watch.uids.see(now, &uid, turn));
         let mode_returned = watch.working.see(now, &working, period * 2);
         let (twice, phases) = watch.rhythm(period);
         watch.twice_for = if twice { watch.twice_for + 1 } else { 0 };
@@ -464,6 +464,11 @@ impl Collisions {
     /// Evidence older than this is past: the cause is gone.
     fn memory(&self) -> Duration {
         if self.passive { self.period * 8 } else { self.period * 5 }
+    }
+
+    /// Within which what takes turns must be back. Who only listens waits for others to ask.
+    fn turn(&self) -> Duration {
+        if self.passive { self.memory() } else { self.period * 4 }
     }
 
     fn find(&self, kind: FindingKind, address: Address) -> Option<usize> {

@@ -217,17 +217,15 @@ impl Engine {
         if header.broadcast && !ours {
             self.note_broadcast(header.destination, false);
         }
-        // Of the same question to both kinds of nodes a node answers one.
-        let fits = |address: Address| {
-            let known = self.roster.current_device(address);
-            known.is_none_or(|device| device.working != header.to_not_working)
-        };
         let asked = Asking { by: header.source, targeted: !header.broadcast };
-        let all = 0..Address::COUNT as u8;
-        let one = header.destination.number();
-        for address in if header.broadcast { all } else { one..one + 1 } {
-            let address = Address::from_bits(address);
-            if fits(address) {
+        if !header.broadcast {
+            self.collisions.see_question(now, header.destination, request, framing, asked);
+            return;
+        }
+        for address in Address::all() {
+            // Of the same question to both kinds of nodes a node answers one.
+            let known = self.roster.current_device(address);
+            if known.is_none_or(|device| device.working != header.to_not_working) {
                 self.collisions.see_question(now, address, request, framing, asked);
             }
         }

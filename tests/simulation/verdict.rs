@@ -386,7 +386,7 @@ impl Case<'_> {
                 continue;
             }
             if !device.is_named(truth.name) {
-                wrong.push(format!("{truth:?} is known as {:?}", device.name));
+                wrong.push(format!("{truth:?} is known as {:?}: {:?}", device.name, device.name_query));
             }
             let services: Option<Vec<Vec<Vec<u8>>>> = device.services.as_ref().map(|services| {
                 let strings = |service: &descan::discovery::ServiceEntry| {
