@@ -6,7 +6,7 @@ use super::buses::{is_up, lost};
 use super::traffic::hex;
 
 use super::timeline::{Entry, Kind};
-use super::{App, Change, Effect};
+use super::{App, Change, Effect, ProblemKey};
 use crate::discovery::{Confidence, Event, EventKind, Presence};
 use crate::frame::BusIndex;
 use crate::status::{BusState, BusStatus, Link};
@@ -45,7 +45,9 @@ impl App {
     fn take_event(&mut self, bus: BusIndex, event: Event) {
         if let Some((kind, text)) = self.describe(bus, &event) {
             let collision = matches!(&event.kind, EventKind::Finding { key, .. }
-                if key.kind.is_collision() && kind == Kind::Confirmed);
+                if key.kind.is_collision()
+                    && kind == Kind::Confirmed
+                    && !self.muted.contains(&ProblemKey::of(key)));
             let mut entry = Entry::new(event.time, kind, text).on(bus);
             (entry.device, entry.address) = (event.device, event.address);
             entry.name.clone_from(&event.name);
