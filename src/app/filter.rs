@@ -161,7 +161,7 @@ impl Filter {
 
     /// Whether a line of the timeline fits.
     pub fn matches_entry(&self, app: &App, entry: &timeline::Entry) -> bool {
-        let name = || entry.name.as_ref().map(ToString::to_string).unwrap_or_default();
+        let name = || app.name_on_line(entry).map(ToString::to_string).unwrap_or_default();
         let address = || entry.address.map(|address| address.to_string()).unwrap_or_default();
         let bus = || entry.bus.and_then(|bus| app.bus(bus)).map_or("", |bus| &bus.name);
         self.all(|what| match what {

@@ -95,6 +95,40 @@ impl Timeline {
         self.entries.push_back(entry);
     }
 
+    /// Adds to the line that was written at the same moment of the same device; what `join` makes
+    /// of its words and of these stands there. False where there is no such line, or nothing
+    /// is made of the two.
+    pub fn amend(&mut self, entry: &Entry, join: impl Fn(&str, &str) -> Option<String>) -> bool {
+        let latest = self.entries.iter_mut().rev().take(Self::REPEAT_LINES);
+        let same = |other: &&mut Entry| {
+            entry.device.is_some()
+                && other.device == entry.device
+                && other.last == entry.time
+                && other.times == 1
+        };
+        for other in latest.filter(same) {
+            if let Some(text) = join(&other.text, &entry.text) {
+                if !text.starts_with(&other.text) {
+                    other.kind = entry.kind;
+                }
+                other.text = text;
+                other.address = entry.address.or(other.address);
+                return true;
+            }
+        }
+        false
+    }
+
+    /// What was told of `was` (before a moment) was told of `device`.
+    pub fn rejoin(&mut self, was: DeviceId, before: Option<Instant>, device: DeviceId) {
+        let is_before = |entry: &Entry| before.is_none_or(|before| entry.time < before);
+        for entry in self.entries.iter_mut().filter(|entry| entry.device == Some(was)) {
+            if is_before(entry) {
+                entry.device = Some(device);
+            }
+        }
+    }
+
     /// The lines, oldest first.
     pub fn entries(&self) -> impl DoubleEndedIterator<Item = &Entry> + ExactSizeIterator {
         self.entries.iter()

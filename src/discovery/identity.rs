@@ -77,7 +77,12 @@ impl Engine {
                 && (other.heartbeat.period().is_some() || !other.is_here())
         };
         let by_uid = uid.and_then(|uid| {
-            self.roster.devices().iter().position(|other| other.uid == Some(uid) && gone(other))
+            let speaks = self.claims.row_of(uid);
+            self.roster.devices().iter().position(|other| {
+                let is_it = speaks == Some(other.id)
+                    || (other.uid == Some(uid) && self.claims.uid_of(other.id).is_none());
+                is_it && gone(other)
+            })
         });
         let old = by_uid.or_else(|| self.only_other_of_name(index, name.as_ref()?, gone));
         if let Some(old) = old {
@@ -107,13 +112,9 @@ impl Engine {
     /// A lost device may have turned up elsewhere before it was lost here.
     pub(super) fn find_move_of_lost(&mut self, index: usize) {
         let device = self.roster.get(index);
-        let (id, address, last_seen, uid, name) = (
-            device.id,
-            device.address,
-            device.last_seen,
-            device.uid.filter(|uid| !uid.is_blank()),
-            device.name.clone(),
-        );
+        let (id, address, last_seen, name) =
+            (device.id, device.address, device.last_seen, device.name.clone());
+        let uid = self.uid_of_row(index);
         let candidate = self.roster.devices().iter().position(|other| {
             other.id != id
                 && other.address != address
@@ -142,14 +143,23 @@ impl Engine {
         }
     }
 
-    fn move_row(&mut self, old: usize, new: usize) {
+    pub(super) fn move_row(&mut self, old: usize, new: usize) {
         let from = self.roster.get(old).address;
+        let (id, was) = (self.roster.get(old).id, self.roster.get(new).id);
+        let is_known_by_uid = self.uid_of_row(old).is_some() && self.uid_of_row(new).is_some();
+        let told = self.roster.get(new).moved_from == Some(from);
         let index = self.roster.join(old, new);
+        self.tell(index, EventKind::Joined { was, before: None });
+        if !is_known_by_uid {
+            self.tell_gave_way_by_name(id, from);
+        }
         self.collisions.note_left(from);
         let now = self.now;
         let device = self.roster.get_mut(index);
         device.services_query.renew(now);
-        self.tell(index, EventKind::Moved { from });
+        if !told {
+            self.tell(index, EventKind::Moved { from });
+        }
         self.wake_at(now);
     }
 }

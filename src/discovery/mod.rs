@@ -11,6 +11,7 @@
 //! ```text
 //! hearing     what a frame tells; questions and answers    heartbeats   mode, UID, reboots
 //! roster      the rows                                     identity     boards swapped, devices moved
+//! claims      who claims an address, who gives way         resolution   telling so
 //! presence    who is there                                 transfers    answers in several frames
 //! rounds      when everybody is asked                      asking       who is asked what, and when
 //! station     our own address, and our answers             outbox       our share; who acknowledges
@@ -22,6 +23,7 @@
 //! where frames come from.
 
 mod asking;
+mod claims;
 mod collisions;
 mod config;
 mod device;
@@ -33,6 +35,7 @@ mod identity;
 mod memory;
 mod outbox;
 mod presence;
+mod resolution;
 mod roster;
 mod rounds;
 mod station;
@@ -44,12 +47,13 @@ pub use device::{
     Device, DeviceId, HeartbeatStats, ModeChange, Presence, Query, QueryFault, QueryState, Quirk,
     ServiceEntry,
 };
-pub use event::{Event, EventKind};
+pub use event::{Event, EventKind, Party};
 pub use finding::{Confidence, Evidence, Finding, FindingKey, FindingKind};
 
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
+use claims::Claims;
 use collisions::Collisions;
 use outbox::{Acknowledgement, Outbox};
 use presence::Measure;
@@ -123,6 +127,7 @@ pub struct Engine {
     roster: Roster,
     rounds: Rounds,
     transfers: Transfers,
+    claims: Claims,
     collisions: Collisions,
     station: Station,
     outbox: Outbox,
@@ -154,6 +159,7 @@ impl Engine {
             roster: Roster::new(config.bus),
             rounds: Rounds::new(),
             transfers: Transfers::new(),
+            claims: Claims::new(period),
             broadcasts: VecDeque::new(),
             events: VecDeque::new(),
             counters: Counters::default(),
@@ -348,6 +354,12 @@ impl Engine {
         let device = self.roster.get(index);
         let (id, address, name) = (device.id, device.address, device.name.clone());
         self.push(Event { time: self.now, device: Some(id), address: Some(address), name, kind });
+    }
+
+    /// Tells something of a device that may have no row, at an address that may be another's.
+    fn tell_of(&mut self, device: Option<DeviceId>, address: Address, kind: EventKind) {
+        let name = device.and_then(|id| self.roster.by_id(id)?.name.clone());
+        self.push(Event { time: self.now, device, address: Some(address), name, kind });
     }
 
     fn tell_bus(&mut self, kind: EventKind) {
