@@ -534,6 +534,16 @@ fn filters_show_less() {
 }
 
 #[test]
+fn a_device_has_its_whole_story_under_its_name() {
+    let mut stage = Stage::boiler();
+    stage.until(170.0).size(100, 24).keys("3 /").text("heat").keys("Enter");
+    // It claimed 16 before it had a row, and held it under a row that is DIN's now.
+    snapshot!("story_of_heat", stage);
+    stage.keys("Esc /").text("dev:disp").keys("Enter");
+    snapshot!("story_of_disp", stage);
+}
+
+#[test]
 fn freezing_holds_the_frames_and_loses_none() {
     let mut stage = Stage::boiler();
     stage.until(20.0).keys("2 Space");

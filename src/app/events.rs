@@ -55,7 +55,8 @@ impl App {
             let mut entry = Entry::new(event.time, kind, text).on(bus);
             (entry.device, entry.address) = (event.device, event.address);
             entry.name.clone_from(&event.name);
-            let may_join = matches!(event.kind, EventKind::Moved { .. } | EventKind::Claimed { .. });
+            let may_join =
+                matches!(event.kind, EventKind::Moved { .. } | EventKind::Claimed { .. });
             if !may_join || !self.timeline.amend(&entry, one_line) {
                 self.timeline.push(entry);
             }

@@ -32,8 +32,8 @@ pub(super) struct Beat {
     pub mode: Option<Mode>,
     /// The row that speaks from the address.
     pub row: DeviceId,
-    /// Whether that row is one without a UID that beat just before, and is not claiming itself.
-    pub over_blank: bool,
+    /// Whether that row is known to be another one's.
+    pub over: bool,
 }
 
 /// What a heartbeat tells of its sender.
@@ -92,15 +92,16 @@ impl Claims {
 
     /// Takes a heartbeat. `reserve` gives an id that no row will have.
     pub fn hear(&mut self, beat: Beat, reserve: impl FnOnce() -> DeviceId) -> Heard {
-        let Beat { now, address, uid, mode, row, over_blank } = beat;
+        let Beat { now, address, uid, mode, row, over } = beat;
         let (period, pause) = (self.period, self.period.mul_f64(PAUSE));
         let patience = period * GIVES_WAY_WITHIN;
-        // A board that was swapped for another one was silent for longer.
+        // A board that was swapped for another one was silent for longer; one that is asleep, too.
         let is_holder = |node: &Node| {
-            let recently = now.since(node.last) < period.mul_f64(HOLDS_FOR);
-            node.uid != uid && node.address == address && node.device == row && recently
+            let holds = now.since(node.last) < period.mul_f64(HOLDS_FOR);
+            let holds = holds || mode == Some(Mode::Arslv);
+            node.uid != uid && node.address == address && node.device == row && holds
         };
-        let is_another = over_blank || self.nodes.iter().any(is_holder);
+        let is_another = over || self.nodes.iter().any(is_holder);
         let at = match self.nodes.iter().position(|node| node.uid == uid) {
             Some(at) => at,
             None => {
@@ -147,18 +148,18 @@ impl Claims {
         node.has_claimed |= heard.claims;
         node.mode = mode.or(node.mode);
         node.last = now;
-        self.contend(at, over_blank, now);
+        self.contend(at, over, now);
         if heard.claims && is_another {
             self.note_claimed_over(now, address);
         }
         heard
     }
 
-    fn contend(&mut self, at: usize, over_blank: bool, now: Instant) {
+    fn contend(&mut self, at: usize, over: bool, now: Instant) {
         let (uid, address) = (self.nodes[at].uid, self.nodes[at].address);
         let patience = self.period * GIVES_WAY_WITHIN;
-        let recently = self.period.mul_f64(1.5);
-        let (mut near, mut any) = (over_blank, over_blank);
+        let recently = self.period.mul_f64(HOLDS_FOR);
+        let (mut near, mut any) = (over, over);
         for other in &mut self.nodes {
             if other.uid == uid || other.address != address {
                 continue;
@@ -253,6 +254,11 @@ impl Claims {
     pub fn row_of(&self, uid: Uid) -> Option<DeviceId> {
         let device = self.nodes.iter().find(|node| node.uid == uid)?.device;
         (self.uid_of(device) == Some(uid)).then_some(device)
+    }
+
+    /// The mode that node said last.
+    pub fn mode_of(&self, uid: Uid) -> Option<Mode> {
+        self.nodes.iter().find(|node| node.uid == uid)?.mode
     }
 
     /// When whoever beats from `address` besides that node began to.

@@ -40,11 +40,13 @@ impl Engine {
             },
         };
         self.roster.make_current(row);
+        // Its own: what the address said last may have been the other board's.
+        let mode = live.uid.and_then(|uid| self.claims.mode_of(uid)).or(live.mode);
         let device = self.roster.get_mut(row);
         // What was heard from the address lately is this row's now.
         device.heartbeat = live.heartbeat;
         device.uid = live.uid;
-        device.mode = live.mode;
+        device.mode = mode;
         device.error = live.error;
         device.working = working;
         device.framing = live.framing;
@@ -57,7 +59,20 @@ impl Engine {
                 device.services_query.renew(now);
             }
         }
-        row
+        let id = self.roster.get(row).id;
+        self.find_where_it_went(index);
+        self.roster.index_of(id).unwrap_or(row)
+    }
+
+    /// A row that another board has replaced: its own may have been heard elsewhere already.
+    fn find_where_it_went(&mut self, index: usize) {
+        let (uid, from) = (self.uid_of_row(index), self.roster.get(index).address);
+        let went = self.roster.devices().iter().position(|other| {
+            uid.is_some() && other.uid == uid && other.moved_from == Some(from) && other.is_here()
+        });
+        if let Some(went) = went.filter(|went| *went != index) {
+            self.move_row(index, went);
+        }
     }
 
     /// Whether the row is a known device at a new address: the same UID, else the only one of

@@ -60,8 +60,12 @@ impl Engine {
                 holder: over_held.then(|| self.party(row, before)),
             };
         };
-        let over_blank = over_held && before.is_none();
-        let beat = Beat { now, address, uid, mode: heartbeat.mode, row, over_blank };
+        // It has a row of its own there, whose name it has yet to say again.
+        let own = self.claims.row_of(uid).filter(|own| *own != row);
+        let own =
+            own.and_then(|own| self.roster.by_id(own)).is_some_and(|it| it.address == address);
+        let over = own || (over_held && before.is_none());
+        let beat = Beat { now, address, uid, mode: heartbeat.mode, row, over };
         let heard = self.claims.hear(beat, || self.roster.reserve());
         let same = before.is_none() || before == Some(uid);
         Sender {
@@ -69,7 +73,7 @@ impl Engine {
             mode_before: if same { mode_before } else { heard.mode_before },
             is_another: heard.is_another,
             claims: heard.claims,
-            holder: heard.is_another.then(|| {
+            holder: (heard.is_another && self.roster.get(index).is_here()).then(|| {
                 let holder = self.claims.uid_of(row).or(before);
                 self.party(row, holder)
             }),
@@ -104,7 +108,8 @@ impl Engine {
     pub(super) fn tell_claim(&mut self, address: Address, sender: &Sender) {
         if let Some((_, heard)) = sender.known
             && let (Some(left), false) = (heard.left, sender.is_another)
-            && let (Some(old), Some(new)) = (self.row_left(left, &heard), self.roster.current(address))
+            && let (Some(old), Some(new)) =
+                (self.row_left(left, &heard), self.roster.current(address))
             && old != new
         {
             self.move_row(old, new);
@@ -188,7 +193,7 @@ impl Engine {
     fn blank_party(&self, address: Address, then: Instant) -> Option<Party> {
         let row = self.roster.current_device(address)?;
         let last = row.heartbeat.last.filter(|last| *last > then)?;
-                let is_blank = row.uid.is_none_or(Uid::is_blank);
+        let is_blank = row.uid.is_none_or(Uid::is_blank);
         (is_blank && self.now.since(last) < self.pause()).then(|| self.party(row.id, None))
     }
 }
