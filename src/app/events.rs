@@ -84,11 +84,12 @@ impl App {
                 let now = if *changed { ", other than before" } else { "" };
                 (kind, format!("{count} service{plural}{now}"))
             }
-            // That it claims its address says so.
-            EventKind::Mode { to: Mode::Arslv, .. } => return None,
+            // The first mode of a device that appears is no news: its row says it. ARSLV is told as
+            // the claim of an address.
+            EventKind::Mode { from: None, .. }
+            | EventKind::Mode { to: Mode::Arslv, .. }
+            | EventKind::Joined { .. } => return None,
             EventKind::Mode { from: Some(from), to } => (Kind::Change, format!("{from} → {to}")),
-            // The first mode of a device that appears is no news: its row says it.
-            EventKind::Mode { from: None, .. } => return None,
             EventKind::Moved { from } => (Kind::Change, format!("moved here from {from}")),
             EventKind::Claimed { uid, holder, guess } => {
                 let holder = holder.as_ref().map(|holder| self.party(holder));
@@ -109,7 +110,6 @@ impl App {
                 let by = self.uid_of_nobody(bus, event.device, *uid);
                 (Kind::Change, format!("lost {}{to}{guess}{by}", address(event)))
             }
-            EventKind::Joined { .. } => return None,
             EventKind::Rebooted => (Kind::Change, "rebooted".to_owned()),
             EventKind::Presence(Presence::Online) => (Kind::Good, "online".to_owned()),
             EventKind::Presence(Presence::Stale) => {

@@ -102,24 +102,22 @@ impl Claims {
             node.uid != uid && node.address == address && node.device == row && holds
         };
         let is_another = over || self.nodes.iter().any(is_holder);
-        let at = match self.nodes.iter().position(|node| node.uid == uid) {
-            Some(at) => at,
-            None => {
-                let device = if is_another { reserve() } else { row };
-                self.remember(Node {
-                    uid,
-                    device,
-                    is_rowless: is_another,
-                    address,
-                    mode: None,
-                    since: now,
-                    last: now,
-                    has_claimed: false,
-                    contended: None,
-                    told: false,
-                })
-            }
-        };
+        let known = self.nodes.iter().position(|node| node.uid == uid);
+        let at = known.unwrap_or_else(|| {
+            let device = if is_another { reserve() } else { row };
+            self.remember(Node {
+                uid,
+                device,
+                is_rowless: is_another,
+                address,
+                mode: None,
+                since: now,
+                last: now,
+                has_claimed: false,
+                contended: None,
+                told: false,
+            })
+        });
         let node = &mut self.nodes[at];
         let silence = now.since(node.last);
         let mut heard = Heard {
