@@ -843,7 +843,9 @@ fn evidence_is_there_when_the_capture_has_forgotten_it() {
     assert!(screen.contains("the frames around it are not kept any more"), "{screen}");
     // What was open before the frames went out of the capture stays, too.
     let mut stage = Stage::boiler();
-    stage.until(45.0).keys("4 Enter Enter");
+    stage.until(28.0).keys("Space").until(45.0).keys("4 G Enter G Enter");
+    assert!(stage.screen().contains("it came after the page was held"), "{}", stage.screen());
+    stage.keys("Space g Enter");
     flood(&mut stage);
     stage.keys("Enter");
     assert!(stage.screen().contains("▸◇12:00:"), "{}", stage.screen());
@@ -879,6 +881,9 @@ fn from_a_device_to_its_problem_and_back() {
     assert_eq!(selected(&stage), "missing @44", "also of what is not there");
     stage.keys("1 g p");
     assert!(stage.screen().contains("no problem is known of it"), "{}", stage.screen());
+    // Rows that do not fit the filter are found all the same.
+    stage.keys("/").text("feed").keys("Enter 4 g p");
+    assert_eq!((stage.app.view().page, name(&stage)), (Page::Devices, "ACT".to_owned()));
 }
 
 #[test]
@@ -970,8 +975,23 @@ fn hostile_names_never_reach_the_terminal() {
     stage.until(8.0).keys("A");
     for (columns, rows) in [(80, 24), (140, 50), (40, 10)] {
         stage.size(columns, rows);
-        for keys in ["1", "j", "j", "j", "Enter", "Esc 2", "v", "v k k Enter", "Esc 3", "4", "1 R"]
-        {
+        for keys in [
+            "1",
+            "j",
+            "j",
+            "j",
+            "Enter",
+            "Esc 2",
+            "v",
+            "v k k Enter",
+            "Esc 3",
+            "4",
+            "Enter",
+            "Enter",
+            "Enter",
+            "4 m",
+            "1 R",
+        ] {
             stage.keys(keys);
             let buffer = stage.buffer("terminal");
             for cell in buffer.content() {
@@ -1050,23 +1070,30 @@ fn two_buses_are_one_view() {
         let status = BusStatus { link: Link::Up, bitrate, ..BusStatus::default() };
         app.handle_bus(Instant::ZERO, BusIndex(index), status);
     }
-    for step in 1..=20_000u64 {
-        let now = Instant::from_micros(step * 1000);
-        for (index, (sim, station)) in sims.iter_mut().enumerate() {
-            sim.advance(now);
-            while let Some(frame) = sim.poll_frame(*station) {
-                app.handle_frames(now, &[frame.on(BusIndex(index as u8))]);
+    let mut run = |app: &mut App, seconds: std::ops::Range<u64>| {
+        for millis in seconds.start * 1000 + 1..=seconds.end * 1000 {
+            let now = Instant::from_micros(millis * 1000);
+            for (index, (sim, station)) in sims.iter_mut().enumerate() {
+                sim.advance(now);
+                while let Some(frame) = sim.poll_frame(*station) {
+                    app.handle_frames(now, &[frame.on(BusIndex(index as u8))]);
+                }
+            }
+            app.handle_timeout(now);
+            while let Some(frame) = app.poll_transmit(now) {
+                let (sim, station) = &mut sims[usize::from(frame.bus.0)];
+                sim.transmit(*station, frame);
             }
         }
-        app.handle_timeout(now);
-        while let Some(frame) = app.poll_transmit(now) {
-            let (sim, station) = &mut sims[usize::from(frame.bus.0)];
-            sim.transmit(*station, frame);
-        }
-    }
+    };
+    run(&mut app, 0..20);
     app.handle_resize(100, 30);
     let mut terminal = Terminal::new(TestBackend::new(100, 30)).unwrap();
     let theme = Theme::built_in("dark").unwrap();
     terminal.draw(|frame| ui::draw(&app, &theme, frame)).unwrap();
     insta::assert_snapshot!("two_buses", text_of(terminal.backend().buffer()));
+    run(&mut app, 20..36);
+    app.handle_key(app.now(), Key::char('4'));
+    terminal.draw(|frame| ui::draw(&app, &theme, frame)).unwrap();
+    insta::assert_snapshot!("two_buses_problems", text_of(terminal.backend().buffer()));
 }

@@ -126,9 +126,13 @@ impl App {
             None => Some(self.capture.at_time(piece.time))
                 .filter(|&number| number > self.capture.first() && number < self.capture.end()),
         };
-        let Some(number) = number.filter(|&number| number < self.traffic_end()) else {
+        let Some(number) = number else {
             return self.complain("the frames around it are not kept any more");
         };
+        if number >= self.traffic_end() {
+            let key = self.key_of("freeze");
+            return self.complain(format!("it came after the page was held: {key} goes on"));
+        }
         self.view.traffic = Some(number);
         self.view.traffic_line = self.screen().list_rows() / 2;
         self.set_around(true);

@@ -247,10 +247,13 @@ impl App {
 
     /// Those that the filter lets through.
     pub fn problems_shown(&self) -> Vec<Problem<'_>> {
+        self.filtered(self.problems())
+    }
+
+    fn filtered<'a>(&'a self, mut problems: Vec<Problem<'a>>) -> Vec<Problem<'a>> {
         let filter = super::Filter::parse(self.view.filter(super::Page::Problems));
-        let mut shown = self.problems();
-        shown.retain(|problem| filter.matches_problem(self, problem));
-        shown
+        problems.retain(|problem| filter.matches_problem(self, problem));
+        problems
     }
 
     /// The selected one.
@@ -266,9 +269,15 @@ impl App {
 
     /// After findings changed: the rows anew, the selection on its problem.
     pub(super) fn settle_problems(&mut self) {
-        self.problem_order = self.problems().into_iter().map(|problem| problem.key).collect();
-        let (keys, height) = (self.problem_keys(), self.screen().list_rows());
-        self.view.problems.settle(&keys, height);
+        let keys = |problems: &[Problem]| -> Vec<ProblemKey> {
+            problems.iter().map(|problem| problem.key.clone()).collect()
+        };
+        let problems = self.problems();
+        let order = keys(&problems);
+        let shown = keys(&self.filtered(problems));
+        self.problem_order = order;
+        let height = self.screen().list_rows();
+        self.view.problems.settle(&shown, height);
     }
 
     /// Command: the selected problem does not count any more, or counts again.

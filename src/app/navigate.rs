@@ -446,9 +446,11 @@ impl App {
     /// Edits are made on the page Devices: from another page, goes to the row that its selection is
     /// about. Whether there is one.
     pub(super) fn go_to_row(&mut self) -> bool {
-        if self.view.page == Page::Devices {
-            return true;
-        }
+        self.view.page == Page::Devices || self.find_row("select a device first")
+    }
+
+    /// Goes to the row that the selection is about; where there is none, says so with `otherwise`.
+    fn find_row(&mut self, otherwise: &str) -> bool {
         let (bus, address, name) = self.subject();
         let on_bus = |row: &&Row| bus.is_none() || row.bus.is_none() || row.bus == bus;
         let fits = |row: &Row| {
@@ -456,11 +458,24 @@ impl App {
             let there = address.is_some() && row.address == address;
             (named && there, named, there && name.is_none())
         };
-        let best = self.rows.iter().filter(on_bus).max_by_key(|row| fits(row));
-        let Some(key) =
-            best.filter(|row| fits(row) > (false, false, false)).map(|it| it.key.clone())
-        else {
-            self.complain("select a device first");
+        let best = |rows: &[Row]| {
+            let best = rows.iter().filter(on_bus).max_by_key(|row| fits(row));
+            best.filter(|row| fits(row) > (false, false, false)).map(|row| row.key.clone())
+        };
+        let mut found = best(&self.rows);
+        if found.is_none() && !self.view.filter(Page::Devices).is_empty() {
+            // It may be there, and not fit the filter.
+            let filter = self.view.filter(Page::Devices).to_owned();
+            self.view.set_filter(Page::Devices, String::new());
+            self.refresh_rows();
+            found = best(&self.rows);
+            if found.is_none() {
+                self.view.set_filter(Page::Devices, filter);
+                self.refresh_rows();
+            }
+        }
+        let Some(key) = found else {
+            self.complain(otherwise);
             return false;
         };
         self.view.devices.select(key);
@@ -471,7 +486,7 @@ impl App {
     /// Command: from a device to the problem it is in, from a problem to its device.
     pub fn go_to_problem(&mut self) {
         if self.view.page == Page::Problems {
-            self.go_to_row();
+            self.find_row("no device belongs to it");
             return;
         }
         let (bus, address, name) = self.subject();

@@ -117,7 +117,7 @@ actions! {
             => |app, _| app.toggle_identifiers();
         "problem" "From a device to its problem, and back" "problem" ["p"]
             => |app, _| app.go_to_problem();
-        "mute" "Problems: do not count it until descan ends; count it again" "mute" ["m"]
+        "mute" "Mute a problem: it does not count until descan ends; or undo that" "mute" ["m"]
             => |app, _| app.toggle_muted();
         "copy" "Copy the selected row to the clipboard" "" ["y"] => |app, now| app.copy_row(now);
         "cancel" "Leave what is open; take the filter away" "" ["Esc"] => |app, _| app.cancel();

@@ -17,7 +17,7 @@ const SIGNS: [(Role, &str, &str); 19] = [
     (Role::Collision, "⚠ 2", "problems that are certain"),
     (Role::Suspected, "? 1", "suspicions; they may be innocent"),
     (Role::Muted, "✓ @14", "a problem that is over"),
-    (Role::Match, "◆ ◇", "evidence; the capture has forgotten the frame, the finding has not"),
+    (Role::Match, "◆ ◇", "evidence; ◇ where the capture has forgotten the frame"),
     (Role::Text, "NAME²", "a twin: the same name at another address, which is fine"),
     (Role::FileOk, "✓ 12", "the file pins it to 12, and it is there"),
     (Role::FileDiffers, "✗ 16", "the file pins it to 16, and it is not there"),

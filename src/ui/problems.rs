@@ -8,6 +8,7 @@ use crate::discovery::Confidence;
 use crate::theme::Role;
 use ratatui::layout::Rect;
 use ratatui::text::Line;
+use unicode_width::UnicodeWidthStr;
 
 pub fn draw(brush: &mut Brush) {
     draw_list(brush);
@@ -39,7 +40,7 @@ const WITH_TIME: u16 = 56;
 fn draw_list(brush: &mut Brush) {
     let (header, list) = (brush.screen.header, brush.screen.list);
     let time = if list.width >= WITH_TIME { "SINCE    " } else { "" };
-    let title = format!("    {} {time}WHAT", fit("WHERE", place_width(brush)));
+    let title = format!("    {} {time}WHAT", fit("WHERE", bus_width(brush) + ADDRESS));
     let line = Line::from(brush.span(Role::Header, title));
     brush.line(header, 0, &line);
     let app = brush.app;
@@ -71,7 +72,7 @@ fn problem_line(brush: &Brush, problem: &Problem, list: Rect, selected: bool) ->
     let mut spans = vec![
         brush.span(Role::Text, if selected { "▸" } else { " " }),
         brush.span(sign_role, format!("{sign} ")),
-        brush.span(plain, format!(" {} ", fit(&place(brush, problem), place_width(brush)))),
+        brush.span(plain, format!(" {} ", place(brush, problem))),
     ];
     if list.width >= WITH_TIME {
         let since = clock(brush.app, problem.head().changed);
@@ -88,20 +89,28 @@ fn problem_line(brush: &Brush, problem: &Problem, list: Rect, selected: bool) ->
     Line::from(spans)
 }
 
-fn place_width(brush: &Brush) -> usize {
-    if brush.app.buses().len() > 1 { 10 } else { 5 }
+/// How wide an address is, with its sign.
+const ADDRESS: usize = 5;
+
+/// How wide the names of buses are, where there are several.
+fn bus_width(brush: &Brush) -> usize {
+    let buses = brush.app.buses();
+    let longest = buses.iter().map(|bus| bus.name.width()).max().unwrap_or(0);
+    let most = if brush.screen.list.width >= WITH_TIME { 12 } else { 6 };
+    if buses.len() > 1 { longest.min(most) + 1 } else { 0 }
 }
 
 /// Where it is: the bus, where there are several, and the address.
 fn place(brush: &Brush, problem: &Problem) -> String {
-    let app = brush.app;
-    let bus = problem.bus().and_then(|bus| app.bus(bus));
-    let prefix = bus.filter(|_| app.buses().len() > 1);
-    let prefix = prefix.map(|bus| format!("{} ", bus.name)).unwrap_or_default();
-    match (problem.head().key.address, bus) {
-        (Some(address), _) => format!("{prefix}@{address}"),
-        (None, None) => "file".to_owned(),
-        (None, Some(bus)) => bus.name.clone(),
+    let name = problem.bus().and_then(|bus| brush.app.bus(bus)).map(|bus| bus.name.as_str());
+    let (bus, address) = match (problem.head().key.address, name) {
+        (Some(address), name) => (name.unwrap_or("file"), format!("@{address}")),
+        (None, Some(name)) => (name, if bus_width(brush) > 0 { "" } else { "bus" }.to_owned()),
+        (None, None) => ("file", if bus_width(brush) > 0 { "" } else { "file" }.to_owned()),
+    };
+    match bus_width(brush) {
+        0 => fit(&address, ADDRESS),
+        width => format!("{} {}", fit(bus, width - 1), fit(&address, ADDRESS)),
     }
 }
 
