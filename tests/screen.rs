@@ -12,6 +12,7 @@ use descan::status::{BusState, BusStatus, Link};
 use descan::theme::{BUILT_IN, Role, Theme};
 use descan::time::{Duration, Epoch, Instant};
 use descan::ui;
+use descan::wire::id::Address;
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 use ratatui::buffer::Buffer;
@@ -541,6 +542,19 @@ fn a_device_has_its_whole_story_under_its_name() {
     snapshot!("story_of_heat", stage);
     stage.keys("Esc /").text("dev:disp").keys("Enter");
     snapshot!("story_of_disp", stage);
+}
+
+#[test]
+fn an_address_of_ours_that_another_uses_is_named_as_the_cause() {
+    let address = Address::new(12);
+    let config = Config { seed: 7, address, ..Config::default() };
+    let mut stage = Stage::with(&Scenario::builtin("boiler").unwrap(), Some(BOILER), config);
+    stage.until(8.0);
+    snapshot!("address_in_use_80x24", stage);
+    snapshot!("address_in_use_40x10", stage.size(40, 10));
+    let lines: Vec<_> = stage.app.timeline().entries().map(|line| line.text.as_str()).collect();
+    let ours: Vec<_> = lines.iter().filter(|line| line.contains("our address")).collect();
+    assert_eq!(ours, [&"somebody else uses our address 12: we ask nobody until it is free"]);
 }
 
 #[test]

@@ -137,6 +137,9 @@ impl App {
             EventKind::OwnAddressLost(address) => {
                 (Kind::Bus, format!("we gave {address} up: somebody else uses it"))
             }
+            EventKind::NoAddress(wanted) => {
+                (Kind::Error, self.why_no_address(bus, *wanted).unwrap_or_default())
+            }
             EventKind::NobodyAcknowledges => {
                 (Kind::Error, "nobody acknowledges our frames: we wait".to_owned())
             }

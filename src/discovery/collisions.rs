@@ -277,9 +277,8 @@ impl Collisions {
     /// Somebody else sent from the address we hold.
     pub fn see_rival(&mut self, now: Instant, address: Address, frame: &Frame) {
         if address == Address::DEBUG {
-            let what = "a frame from address 0 that we did not send";
             let kind = FindingKind::TwoDebugDevices;
-            self.report(now, kind, address, None, frame, what, Weight::Strong);
+            self.report(now, kind, address, None, frame, wording::NOT_OURS, Weight::Strong);
         }
     }
 

@@ -106,6 +106,8 @@ pub enum EventKind {
     OwnAddress(Address),
     /// We gave our address up: somebody else uses it.
     OwnAddressLost(Address),
+    /// We find no address: the fixed one is used by somebody else, or, without one, all are used.
+    NoAddress(Option<Address>),
     /// Nobody acknowledges our frames: nothing more is sent until somebody does.
     NobodyAcknowledges,
     /// Our frames are acknowledged (again).

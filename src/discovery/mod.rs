@@ -75,6 +75,9 @@ pub enum OwnAddress {
     Listening,
     /// About to claim this one.
     Claiming(Address),
+    /// Not to be had: somebody else uses the one we are told to have, or, without one, all are
+    /// used. We go on listening, and take one as soon as it is free.
+    Blocked(Option<Address>),
     /// Ours.
     Held(Address),
 }
@@ -410,6 +413,9 @@ impl Engine {
                 if self.config.scan {
                     self.rounds.restart(self.now);
                 }
+            }
+            Some(AddressChange::Blocked(wanted)) => {
+                self.tell_bus(EventKind::NoAddress(wanted));
             }
             Some(AddressChange::Lost(address)) => {
                 self.tell_bus(EventKind::OwnAddressLost(address));

@@ -222,6 +222,10 @@ fn own_address(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
         OwnAddress::Held(address) => {
             vec![brush.span(Role::Muted, "me "), brush.span(Role::Text, address.to_string())]
         }
+        OwnAddress::Blocked(Some(address)) => {
+            vec![brush.span(Role::Error, format!("me {address} in use"))]
+        }
+        OwnAddress::Blocked(None) => vec![brush.span(Role::Error, "no address free")],
         OwnAddress::Claiming(address) => label(format!("me {address}?")),
         OwnAddress::Listening => label("listening".to_owned()),
         OwnAddress::None => label("me –".to_owned()),
