@@ -4,9 +4,12 @@
 mod common;
 
 use common::Inspection;
-use descan::discovery::{Config, FindingKind, OwnAddress, Presence, QueryState, Quirk};
+use descan::discovery::{
+    Confidence, Config, Engine, Event, EventKind, FindingKind, OwnAddress, Presence, QueryState,
+    Quirk,
+};
 use descan::frame::Frame;
-use descan::sim::{Action, DeviceFraming, DeviceSpec, Fault, Scenario, Sim};
+use descan::sim::{Action, DeviceFraming, DeviceSpec, Fault, Scenario, Sim, Station};
 use descan::time::{Duration, Instant};
 use descan::wire::framing::Framing;
 use descan::wire::id::{Address, Header};
@@ -213,42 +216,276 @@ fn new_firmware_after_a_reboot_is_noticed() {
     assert_eq!(rebooted.reboots, 1);
 }
 
-#[test]
-fn inspectors_that_start_together_end_at_addresses_of_their_own() {
-    for seed in 0..20 {
-        let mut sim = Sim::new(&Scenario::crowd(250_000, 5, 1), seed);
-        let mut inspectors: Vec<_> = (0..4)
-            .map(|at| {
-                let config =
-                    Config { bitrate: Some(250_000), seed: seed * 100 + at, ..Config::default() };
-                (sim.attach(), descan::discovery::Engine::new(Instant::ZERO, config))
-            })
-            .collect();
-        while sim.now() < seconds(20.0) {
-            let now = sim.now();
-            for (station, engine) in &mut inspectors {
-                while let Some(frame) = sim.poll_frame(*station) {
+/// Several inspectors on one simulated bus.
+struct Company {
+    sim: Sim,
+    members: Vec<Member>,
+}
+
+struct Member {
+    station: Station,
+    engine: Engine,
+    events: Vec<Event>,
+}
+
+impl Company {
+    fn new(scenario: &Scenario, seed: u64) -> Self {
+        Self { sim: Sim::new(scenario, seed), members: Vec::new() }
+    }
+
+    /// One more, that starts now.
+    fn join(&mut self, config: Config) {
+        let station = self.sim.attach();
+        let config = Config { bitrate: Some(250_000), ..config };
+        let engine = Engine::new(self.sim.now(), config);
+        self.members.push(Member { station, engine, events: Vec::new() });
+    }
+
+    fn run_until(&mut self, end: Instant) {
+        self.run_with(end, |_, _| {});
+    }
+
+    /// Runs, and calls `act` whenever something happened.
+    fn run_with(&mut self, end: Instant, mut act: impl FnMut(Instant, &mut Sim)) {
+        while self.sim.now() < end {
+            let now = self.sim.now();
+            act(now, &mut self.sim);
+            for Member { station, engine, events } in &mut self.members {
+                while let Some(frame) = self.sim.poll_frame(*station) {
                     engine.handle_frame(&frame);
                 }
                 engine.handle_timeout(now);
                 while let Some(frame) = engine.poll_transmit(now) {
-                    sim.transmit(*station, frame);
+                    self.sim.transmit(*station, frame);
+                }
+                while let Some(event) = engine.poll_event() {
+                    events.push(event);
                 }
             }
-            let due = inspectors.iter().filter_map(|(_, engine)| engine.poll_timeout());
-            let next = due.chain(sim.next_event()).min().unwrap_or(seconds(20.0));
-            sim.advance(next.max(now + Duration::from_micros(1)));
+            let due = self.members.iter().filter_map(|member| member.engine.poll_timeout());
+            let next = due.chain(self.sim.next_event()).min().unwrap_or(end);
+            self.sim.advance(next.clamp(now + Duration::from_micros(1), end));
         }
-        let mut held: Vec<u8> = inspectors
-            .iter()
-            .map(|(_, engine)| match engine.own_address() {
-                OwnAddress::Held(address) => address.number(),
-                other => panic!("seed {seed}: {other:?}"),
-            })
-            .collect();
-        held.sort_unstable();
-        held.dedup();
-        assert_eq!(held.len(), 4, "seed {seed}: {held:?}");
-        assert!(held.iter().all(|address| !(1..=5).contains(address)), "a device's: {held:?}");
     }
+
+    fn held(&self) -> Vec<Option<u8>> {
+        let held = self.members.iter().map(|member| match member.engine.own_address() {
+            OwnAddress::Held(address) => Some(address.number()),
+            _ => None,
+        });
+        held.collect()
+    }
+}
+
+fn told(events: &[Event]) -> Vec<String> {
+    events.iter().map(common::describe).collect()
+}
+
+/// Each holds an address of its own and knows the others as debug devices; none ever called the
+/// others a collision that is confirmed.
+fn assert_live_together(company: &Company, what: &str) {
+    let held = company.held();
+    for (at, member) in company.members.iter().enumerate() {
+        let own = held[at].unwrap_or_else(|| panic!("{what}: {held:?}"));
+        for (other, address) in held.iter().enumerate().filter(|(other, _)| *other != at) {
+            let address = address.unwrap();
+            assert_ne!(own, address, "{what}: {at} and {other}");
+            let row = member.engine.device_at(Address::new(address).unwrap());
+            let row = row.unwrap_or_else(|| panic!("{what}: {at} does not know {other}"));
+            assert!(row.is_debug && row.is_named(b"DSCAN"), "{what}: {row:?}");
+            assert_eq!(row.services.as_ref().map(Vec::len), Some(1), "{what}");
+        }
+        let confirmed = member.events.iter().find(|event| {
+            matches!(&event.kind, EventKind::Finding { key, confidence: Confidence::Confirmed }
+                if key.kind.is_collision())
+        });
+        assert!(confirmed.is_none(), "{what}: {}", common::describe(confirmed.unwrap()));
+    }
+}
+
+#[test]
+fn inspectors_live_together() {
+    for seed in 0..10 {
+        for count in [2_u32, 4] {
+            // With devices there are heartbeats, and so ours; alone there are only questions.
+            for devices in [5, 0] {
+                for apart in [0.0, 0.001, 0.7, 3.0] {
+                    let what =
+                        format!("seed {seed}, {count} with {devices} devices, {apart} s apart");
+                    let mut company = Company::new(&Scenario::crowd(250_000, devices, 1), seed);
+                    for at in 0..count {
+                        company.run_until(seconds(apart * f64::from(at)));
+                        let seed = seed * 100 + u64::from(at);
+                        company.join(Config { seed, ..Config::default() });
+                    }
+                    company.run_until(seconds(60.0));
+                    assert_live_together(&company, &what);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn two_that_are_both_told_to_take_0_do_not_fight_for_ever() {
+    for seed in 0..20 {
+        let mut company = Company::new(&Scenario::crowd(250_000, 3, 1), seed);
+        for at in 0..2 {
+            let config =
+                Config { seed: seed * 2 + at, address: Some(Address::DEBUG), ..Config::default() };
+            company.join(config);
+        }
+        company.run_until(seconds(30.0));
+        let mut held = company.held();
+        held.sort_unstable();
+        assert_eq!(held, [None, Some(0)], "seed {seed}");
+        let told: Vec<_> = company.members.iter().map(|it| told(&it.events)).collect();
+        let won = told.iter().flatten().filter(|told| *told == "we are 0").count();
+        assert!(won <= 3, "seed {seed}: both at first, then one: {told:#?}");
+    }
+}
+
+/// A heartbeat from an address, of that UID.
+fn beat(at: u8, uid: &str) -> Frame {
+    let profile = Profile::default();
+    let uid = descan::wire::node::Uid::parse(uid, &profile.uid);
+    let mode = Some(descan::wire::node::Mode::Work);
+    let beat = descan::wire::node::Heartbeat { uid, mode, error: Some(0) };
+    let (data, len) = beat.encode(&profile.heartbeat, &profile.modes.codes());
+    let from = Address::new(at).unwrap();
+    let header = Header::unsolicited(from, 77, false, profile.heartbeat_service());
+    Frame::classic(header.encode(), &data[..len])
+}
+
+/// An engine that heard nobody for 1.5 s, and its events so far.
+fn alone(config: Config) -> (Engine, Vec<String>) {
+    let mut engine = Engine::new(Instant::ZERO, Config { echo: false, ..config });
+    let events = run(&mut engine, seconds(1.6), |_| None);
+    (engine, events)
+}
+
+/// Runs an engine to `end` against frames that come each at its time.
+fn run(
+    engine: &mut Engine,
+    end: Instant,
+    mut next: impl FnMut(Instant) -> Option<Frame>,
+) -> Vec<String> {
+    let mut events = Vec::new();
+    let mut now = Instant::ZERO;
+    while now < end {
+        now += Duration::from_millis(1);
+        if let Some(frame) = next(now) {
+            engine.handle_frame(&frame.at(now));
+        }
+        engine.handle_timeout(now);
+        while engine.poll_transmit(now).is_some() {}
+        while let Some(event) = engine.poll_event() {
+            events.push(common::describe(&event));
+        }
+    }
+    events
+}
+
+fn confidence(engine: &Engine, kind: FindingKind) -> Option<Confidence> {
+    engine.findings().iter().find(|it| it.key.kind == kind).map(|it| it.confidence)
+}
+
+#[test]
+fn one_that_never_gives_0_up_has_it() {
+    let mut engine = Engine::new(Instant::ZERO, Config { echo: false, ..Config::default() });
+    // It starts when we hold 0.
+    let events = run(&mut engine, seconds(30.0), |now| {
+        let beats = now >= seconds(3.0) && now.as_micros() % 1_000_000 == 0;
+        beats.then(|| beat(0, "TOOL"))
+    });
+    let OwnAddress::Held(own) = engine.own_address() else { panic!("{events:#?}") };
+    assert_ne!(own, Address::DEBUG);
+    let ours: Vec<_> = events.iter().filter(|it| it.starts_with("we ")).collect();
+    assert_eq!(ours, ["we are 0", "we gave up 0", &format!("we are {own}")]);
+    // Ours was a suspicion, for it is alone there now.
+    let findings: Vec<_> = events.iter().filter(|it| it.starts_with("finding")).collect();
+    assert_eq!(
+        findings,
+        [
+            "finding two-debug-devices suspected at 0",
+            "finding two-debug-devices cleared at 0",
+            "finding address-contested suspected at 0",
+            "finding address-contested cleared at 0",
+        ]
+    );
+}
+
+#[test]
+fn two_foreign_tools_at_0_are_confirmed() {
+    let mut engine = Engine::new(Instant::ZERO, Config { echo: false, ..Config::default() });
+    let events = run(&mut engine, seconds(15.0), |now| match now.as_micros() % 1_000_000 {
+        100_000 => Some(beat(0, "TOOL")),
+        600_000 => Some(beat(0, "OTHER")),
+        _ => None,
+    });
+    assert!(matches!(engine.own_address(), OwnAddress::Held(own) if own != Address::DEBUG));
+    assert_eq!(confidence(&engine, FindingKind::TwoDebugDevices), Some(Confidence::Confirmed));
+    let found = engine.findings().iter().find(|it| it.key.kind == FindingKind::TwoDebugDevices);
+    let found = found.unwrap();
+    assert_eq!(
+        found.text,
+        "Two debug devices use address 0: heartbeats of two identities take turns."
+    );
+    assert!(!found.remedy.contains("we take another"), "{}", found.remedy);
+    assert!(!events.iter().any(|it| it.contains("gave way")), "{events:#?}");
+}
+
+#[test]
+fn a_rival_that_only_asks_is_one() {
+    let question = {
+        let header = Header::broadcast(Address::DEBUG, 33, false, Profile::default().des_service());
+        Frame::classic(header.encode(), &[4, b'D', b'E', b'S', 1])
+    };
+    let (mut engine, _) = alone(Config::default());
+    assert_eq!(engine.own_address(), OwnAddress::Held(Address::DEBUG));
+    engine.handle_frame(&question.at(seconds(2.0)));
+    assert_eq!(engine.own_address(), OwnAddress::Listening);
+    assert!(engine.poll_transmit(seconds(2.0)).is_none(), "no more from an address of others");
+}
+
+#[test]
+fn a_rival_between_our_claim_and_our_first_frame_silences_us() {
+    let mut profile = Profile::default();
+    profile.heartbeat.announce = descan::wire::profile::Announce::Always;
+    let config = Config { profile: Arc::new(profile), echo: false, ..Config::default() };
+    let mut engine = Engine::new(Instant::ZERO, config);
+    let due = seconds(1.5);
+    engine.handle_timeout(due);
+    assert_eq!(engine.own_address(), OwnAddress::Held(Address::DEBUG));
+    engine.handle_frame(&beat(0, "TOOL").at(due));
+    assert_eq!(engine.own_address(), OwnAddress::Listening);
+    assert!(engine.poll_transmit(due).is_none(), "what was to be sent is not sent");
+}
+
+#[test]
+fn without_a_free_address_we_listen_until_there_is_one() {
+    let mut engine = Engine::new(Instant::ZERO, Config { echo: false, ..Config::default() });
+    // All beat each second, 0 included; from 10 s on, 77 does not.
+    let events = run(&mut engine, seconds(20.0), |now| {
+        let at = now.as_micros() % 1_000_000 / 1000;
+        let at = u8::try_from(at).ok().filter(|at| *at < 128)?;
+        (at != 77 || now < seconds(10.0)).then(|| beat(at, &format!("N{at}")))
+    });
+    let ours: Vec<_> =
+        events.iter().filter(|it| it.starts_with("we ") || it.contains("free")).collect();
+    assert_eq!(ours, ["no address is free", "we are 77"]);
+}
+
+#[test]
+fn a_fixed_address_that_is_used_is_waited_for() {
+    let wanted = Address::new(5).unwrap();
+    let config = Config { address: Some(wanted), echo: false, ..Config::default() };
+    let mut engine = Engine::new(Instant::ZERO, config);
+    let events = run(&mut engine, seconds(30.0), |now| {
+        let beats = now < seconds(10.0) && now.as_micros() % 1_000_000 == 0;
+        beats.then(|| beat(5, "N5"))
+    });
+    let ours: Vec<_> =
+        events.iter().filter(|it| it.starts_with("we ") || it.contains("free")).collect();
+    assert_eq!(ours, ["5 is not free", "we are 5"]);
 }

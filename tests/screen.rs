@@ -1,14 +1,18 @@
 //! Keys and simulated buses in, screens out.
 
-use descan::app::{App, AppOptions, Effect, FileReading, Mouse, MouseKind, SaveOutcome};
+use descan::app::{
+    App, AppOptions, Capture, Effect, FileReading, Mouse, MouseKind, Page, Piece, Problem,
+    SaveOutcome,
+};
 use descan::discovery::Config;
-use descan::frame::BusIndex;
+use descan::frame::{BusIndex, CanId, Frame};
 use descan::keymap::Key;
 use descan::sim::{Scenario, Sim, Station};
 use descan::status::{BusState, BusStatus, Link};
 use descan::theme::{BUILT_IN, Role, Theme};
 use descan::time::{Duration, Epoch, Instant};
 use descan::ui;
+use descan::wire::id::Address;
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 use ratatui::buffer::Buffer;
@@ -531,6 +535,29 @@ fn filters_show_less() {
 }
 
 #[test]
+fn a_device_has_its_whole_story_under_its_name() {
+    let mut stage = Stage::boiler();
+    stage.until(170.0).size(100, 24).keys("3 /").text("heat").keys("Enter");
+    // It claimed 16 before it had a row, and held it under a row that is DIN's now.
+    snapshot!("story_of_heat", stage);
+    stage.keys("Esc /").text("dev:disp").keys("Enter");
+    snapshot!("story_of_disp", stage);
+}
+
+#[test]
+fn an_address_of_ours_that_another_uses_is_named_as_the_cause() {
+    let address = Address::new(12);
+    let config = Config { seed: 7, address, ..Config::default() };
+    let mut stage = Stage::with(&Scenario::builtin("boiler").unwrap(), Some(BOILER), config);
+    stage.until(8.0);
+    snapshot!("address_in_use_80x24", stage);
+    snapshot!("address_in_use_40x10", stage.size(40, 10));
+    let lines: Vec<_> = stage.app.timeline().entries().map(|line| line.text.as_str()).collect();
+    let ours: Vec<_> = lines.iter().filter(|line| line.contains("our address")).collect();
+    assert_eq!(ours, [&"somebody else uses our address 12: we ask nobody until it is free"]);
+}
+
+#[test]
 fn freezing_holds_the_frames_and_loses_none() {
     let mut stage = Stage::boiler();
     stage.until(20.0).keys("2 Space");
@@ -558,7 +585,7 @@ fn rows_that_are_held_are_sorted_when_asked() {
 fn the_russian_layout_works() {
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("4").keys("о");
-    assert_eq!(stage.app.view().page, descan::app::Page::Problems);
+    assert_eq!(stage.app.view().page, Page::Problems);
     stage.keys("1 у").text("47").keys("Enter");
     assert!(stage.file().contains("47"), "у is e");
     stage.keys("г");
@@ -577,9 +604,9 @@ fn the_mouse_selects_and_turns_pages() {
         stage.app.view().page
     };
     mouse(MouseKind::Press, 10, 6);
-    assert_eq!(mouse(MouseKind::Press, 14, 2), descan::app::Page::Traffic);
-    assert_eq!(mouse(MouseKind::WheelUp, 14, 9), descan::app::Page::Traffic);
-    assert_eq!(mouse(MouseKind::Press, 40, 2), descan::app::Page::Problems);
+    assert_eq!(mouse(MouseKind::Press, 14, 2), Page::Traffic);
+    assert_eq!(mouse(MouseKind::WheelUp, 14, 9), Page::Traffic);
+    assert_eq!(mouse(MouseKind::Press, 40, 2), Page::Problems);
     assert!(stage.app.view().traffic.is_some(), "the wheel holds the traffic");
     stage.keys("1");
     assert_eq!(stage.app.selected_row_index(), Some(2));
@@ -589,7 +616,7 @@ fn the_mouse_selects_and_turns_pages() {
 fn the_timeline_leads_to_the_frames() {
     let mut stage = Stage::boiler();
     stage.until(45.0).keys("3 k k Enter");
-    assert_eq!(stage.app.view().page, descan::app::Page::Traffic);
+    assert_eq!(stage.app.view().page, Page::Traffic);
     let number = stage.app.view().traffic.unwrap();
     let frame = stage.app.capture().get(number).unwrap();
     assert!(frame.time > Instant::ZERO + Duration::from_secs(26), "{}", frame.time);
@@ -607,6 +634,314 @@ fn every_action_is_in_the_help() {
     for role in [Role::Online, Role::Collision] {
         assert!(!role.doc().is_empty());
     }
+}
+
+// ---- problems -----------------------------------------------------------------------------
+
+/// The problems as they stand in the list: sign, muted or not, what.
+fn problems(stage: &Stage) -> Vec<String> {
+    let shown = stage.app.problems_shown();
+    let line = |problem: &Problem| {
+        let muted = if problem.is_muted { "muted " } else { "" };
+        format!("{muted}{} {}", problem.confidence(), problem.title())
+    };
+    shown.iter().map(line).collect()
+}
+
+fn selected(stage: &Stage) -> String {
+    stage.app.selected_problem().map_or_else(String::new, |problem| problem.title())
+}
+
+/// So many foreign frames that the capture has room for no others.
+fn flood(stage: &mut Stage) {
+    let now = stage.app.now();
+    let frame = Frame::with(CanId::Standard(0x123), &[]).at(now);
+    stage.app.handle_frames(now, &vec![frame; Capture::FRAMES]);
+}
+
+#[test]
+fn what_is_sure_comes_before_suspicions_and_these_before_what_is_over() {
+    let mut stage = Stage::boiler();
+    stage.until(30.5).keys("4");
+    assert_eq!(
+        problems(&stage),
+        [
+            "confirmed static address taken @16",
+            "confirmed not at its address @14",
+            "confirmed missing @44",
+            "suspected two devices, one name @14",
+        ]
+    );
+    snapshot!("problems_suspected_120x40", stage.size(120, 40).keys("G"));
+    for (size, status) in [((80, 24), "○ 1 missing  ⚠ 3  ? 1"), ((40, 10), "○ 1  ⚠ 3  ? 1")]
+    {
+        let screen = stage.size(size.0, size.1).screen();
+        assert!(screen.contains(status), "{screen}");
+    }
+    assert!(stage.screen().contains(" 4 Problems ⚠3 ?1 "), "{}", stage.screen());
+    stage.until(45.0);
+    assert_eq!(problems(&stage)[0], "confirmed two devices, one name @14");
+    stage.until(130.0);
+    let last = problems(&stage).pop().unwrap();
+    assert!(last.starts_with("cleared "), "{:?}", problems(&stage));
+}
+
+#[test]
+fn a_collision_is_one_problem_whatever_shows_it() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0).keys("4");
+    let findings = stage.app.findings().filter(|finding| finding.key.kind.is_collision()).count();
+    let problem = stage.app.selected_problem().unwrap();
+    assert_eq!((findings, problem.findings.len()), (2, 2));
+    let evidence = problem.evidence();
+    assert!(evidence.is_sorted_by_key(|piece| piece.time));
+    for finding in &problem.findings {
+        for piece in &finding.evidence {
+            let is_it = |own: &&Piece| own.time == piece.time && own.frame == piece.frame;
+            let kept = evidence.iter().find(is_it).unwrap();
+            assert!(kept.what.contains(piece.what), "{kept:?} is not {piece:?}");
+        }
+    }
+    let counts = stage.app.counts();
+    assert_eq!((counts.confirmed, counts.suspected), (4, 0));
+    let screen = stage.size(80, 80).screen();
+    for words in [
+        "Two devices answer as ACT",
+        "heartbeats of two identities",
+        "same-name-same-address",
+        "one-address-two-identities",
+        "ACT→me DES I am ACT",
+        "051C0002#050141435400",
+    ] {
+        assert!(screen.contains(words), "{words}\n{screen}");
+    }
+}
+
+#[test]
+fn a_muted_problem_does_not_count_and_stays_muted() {
+    let mut stage = Stage::boiler();
+    stage.until(30.5).keys("4 G m");
+    assert_eq!(selected(&stage), "two devices, one name @14");
+    assert!(stage.screen().contains("○ 1 missing  ⚠ 3  1 muted"), "{}", stage.screen());
+    stage.effects.clear();
+    stage.until(45.0);
+    assert_eq!(problems(&stage)[3], "muted confirmed two devices, one name @14");
+    assert_eq!(stage.app.counts().confirmed, 3);
+    assert!(!stage.effects.contains(&Effect::Bell), "nobody wants to hear of it");
+    snapshot!("problems_muted_80x24", stage);
+    snapshot!("problems_muted_40x10", stage.size(40, 10));
+    stage.size(80, 24).keys("1");
+    assert!(stage.screen().contains("⚠   14 ACT         CLASH"), "the device says it all the same");
+    stage.keys("4 m");
+    assert_eq!(stage.app.counts().confirmed, 4);
+    assert_eq!(problems(&stage)[0], "confirmed two devices, one name @14");
+    assert_eq!(selected(&stage), "two devices, one name @14");
+    stage.keys("1 m");
+    assert_eq!(stage.app.counts().confirmed, 4, "only on the page itself");
+}
+
+#[test]
+fn problems_are_filtered_by_words_and_fields() {
+    let mut stage = Stage::boiler();
+    stage.until(30.5).keys("4");
+    let mut filtered = |filter: &str| {
+        stage.keys("/").text(filter).keys("Enter");
+        let shown = problems(&stage).len();
+        stage.keys("Esc");
+        (shown, problems(&stage).len())
+    };
+    for (filter, shown) in [
+        ("is:confirmed", 3),
+        ("is:suspected", 1),
+        ("is:cleared", 0),
+        ("is:muted", 0),
+        ("at:14", 2),
+        ("at:1", 0),
+        ("name:pump", 1),
+        ("name:a", 3),
+        ("bus:can0", 4),
+        ("bus:can1", 0),
+        ("kind:two", 1),
+        ("kind:same-name", 1),
+        ("kind:missing", 1),
+        ("pump", 1),
+        ("address", 4),
+        ("!is:confirmed", 1),
+        ("at:14 is:confirmed", 1),
+    ] {
+        assert_eq!(filtered(filter), (shown, 4), "{filter}");
+    }
+    stage.keys("m /").text("is:muted").keys("Enter");
+    assert_eq!(problems(&stage), ["muted confirmed static address taken @16"]);
+    stage.keys("m");
+    assert!(stage.screen().contains("no problem fits the filter; Esc clears it"));
+}
+
+#[test]
+fn the_other_pages_know_the_same_fields() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0);
+    let mut rows = |page: &str, filter: &str| {
+        stage.keys(page).keys("/").text(filter).keys("Enter");
+        let screen = stage.screen();
+        let count = match page {
+            "1" => stage.app.rows().len(),
+            "2" => stage.app.frames_shown(500).0.len(),
+            _ => stage.app.lines_shown().len(),
+        };
+        stage.keys("Esc");
+        assert!(count > 0, "{page} {filter}\n{screen}");
+        count
+    };
+    assert_eq!(rows("1", "at:14"), 1);
+    assert_eq!(rows("1", "name:sens"), 2);
+    assert_eq!(rows("1", "is:clash"), 1);
+    assert_eq!(rows("1", "is:missing"), 1);
+    assert_eq!(rows("3", "is:suspected"), 2);
+    assert_eq!(rows("3", "is:confirmed"), 2);
+    assert_eq!(rows("3", "is:suspected at:14 name:act"), 2);
+    rows("2", "at:14 name:act is:ours");
+}
+
+#[test]
+fn a_problem_leads_to_its_frames_and_back() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0).keys("4 Enter");
+    snapshot!("evidence_80x24", stage);
+    snapshot!("evidence_120x40", stage.size(120, 40));
+    stage.size(80, 24).keys("j j j Enter");
+    snapshot!("evidence_around", stage);
+    let frame = *stage.app.selected_frame().unwrap();
+    assert_eq!(stage.app.piece_of(&frame).unwrap().what, "first answer to one request");
+    // To the next one among all frames: the list of evidence goes with it.
+    stage.keys("j");
+    let next = *stage.app.selected_frame().unwrap();
+    assert_ne!(next, frame);
+    stage.keys("Enter");
+    assert_eq!(stage.app.selected_frame(), Some(&next));
+    assert!(stage.app.evidence_alone().is_some());
+    stage.keys("Esc");
+    assert_eq!(stage.app.view().page, Page::Problems);
+    assert_eq!(selected(&stage), "two devices, one name @14");
+    stage.keys("2");
+    assert!(stage.screen().contains("following"), "the traffic is as it was before");
+    assert!(!stage.screen().contains('◆'));
+}
+
+#[test]
+fn the_evidence_is_left_as_anything_else_is() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0).keys("2 v /").text("srv:des").keys("Enter 4 Enter");
+    let shown = |stage: &Stage| stage.screen().contains("WHAT IT SHOWS");
+    assert!(shown(&stage), "{}", stage.screen());
+    assert!(!stage.screen().contains("/srv:des"), "no filter stands before evidence");
+    stage.keys("Enter Esc");
+    assert!(shown(&stage), "first back to the evidence alone");
+    stage.keys("Tab Shift-Tab");
+    assert!(!shown(&stage) && stage.screen().contains("COUNT"), "{}", stage.screen());
+    stage.keys("4 Enter v");
+    assert!(!shown(&stage) && stage.screen().contains("following"), "{}", stage.screen());
+    stage.keys("4 Enter /");
+    assert!(!shown(&stage) && stage.screen().contains("filter: srv:des"), "{}", stage.screen());
+}
+
+#[test]
+fn evidence_is_there_when_the_capture_has_forgotten_it() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0).keys("4");
+    flood(&mut stage);
+    stage.keys("Enter");
+    snapshot!("evidence_forgotten", stage);
+    stage.keys("Enter");
+    let screen = stage.screen();
+    assert!(screen.contains("the frames around it are not kept any more"), "{screen}");
+    // What was open before the frames went out of the capture stays, too.
+    let mut stage = Stage::boiler();
+    stage.until(28.0).keys("Space").until(45.0).keys("4 G Enter G Enter");
+    assert!(stage.screen().contains("it came after the page was held"), "{}", stage.screen());
+    stage.keys("Space g Enter");
+    flood(&mut stage);
+    stage.keys("Enter");
+    assert!(stage.screen().contains("▸◇12:00:"), "{}", stage.screen());
+}
+
+#[test]
+fn small_screens_show_what_is_wrong_before_the_frames() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0).size(40, 10).keys("4 Enter");
+    snapshot!("problem_40x10", stage);
+    snapshot!("evidence_40x10", stage.keys("Enter"));
+    snapshot!("evidence_40x10_frame", stage.keys("Right"));
+    stage.keys("Esc Enter");
+    snapshot!("evidence_around_40x10", stage);
+    stage.keys("Esc Esc");
+    assert!(stage.screen().contains("Two devices answer as ACT"), "{}", stage.screen());
+    stage.keys("Esc j j j Enter Enter");
+    assert!(stage.screen().contains("no frames to show"), "{}", stage.screen());
+}
+
+#[test]
+fn from_a_device_to_its_problem_and_back() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0).keys("j j j");
+    assert!(stage.screen().contains("→ 4 Problems (p)"), "{}", stage.screen());
+    stage.keys("4 /").text("pump").keys("Enter 1 p");
+    assert_eq!(stage.app.view().page, Page::Problems);
+    assert_eq!(selected(&stage), "two devices, one name @14", "a filter does not hide it");
+    stage.keys("G p");
+    let name = |stage: &Stage| stage.app.selected_row().unwrap().name.clone().unwrap().to_string();
+    assert_eq!((stage.app.view().page, name(&stage)), (Page::Devices, "PUMP".to_owned()));
+    stage.keys("p");
+    assert_eq!(selected(&stage), "missing @44", "also of what is not there");
+    stage.keys("1 g p");
+    assert!(stage.screen().contains("no problem is known of it"), "{}", stage.screen());
+    // Rows that do not fit the filter are found all the same.
+    stage.keys("/").text("feed").keys("Enter 4 g p");
+    assert_eq!((stage.app.view().page, name(&stage)), (Page::Devices, "ACT".to_owned()));
+}
+
+#[test]
+fn the_selection_follows_its_problem() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("4 G");
+    assert_eq!(selected(&stage), "missing @44");
+    stage.until(45.0);
+    assert_eq!(selected(&stage), "missing @44");
+    stage.keys("g").write(&BOILER.replace("44", "45"));
+    assert_eq!(selected(&stage), "two devices, one name @14");
+    // While the screen is held, no row moves, and what is new comes last.
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("4 Space");
+    let before = problems(&stage);
+    stage.until(45.0);
+    assert_eq!(problems(&stage)[..before.len()], before);
+    assert_eq!(problems(&stage).last().unwrap(), "confirmed two devices, one name @14");
+    stage.keys("Space");
+    assert_eq!(problems(&stage)[0], "confirmed two devices, one name @14");
+}
+
+#[test]
+fn problems_by_mouse_and_in_russian() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0).keys("4");
+    let press = |stage: &mut Stage, column, row| {
+        let mouse = Mouse { kind: MouseKind::Press, column, row };
+        stage.app.handle_mouse(stage.app.now(), mouse);
+    };
+    press(&mut stage, 10, 7);
+    assert_eq!(selected(&stage), "missing @44");
+    stage.keys("ь");
+    assert_eq!(stage.app.counts().confirmed, 3, "ь is m");
+    stage.keys("з");
+    assert_eq!(stage.app.view().page, Page::Devices, "з is p");
+    stage.keys("4 g Enter");
+    press(&mut stage, 10, 6);
+    let (place, _) = stage.app.evidence_alone().unwrap().selected().unwrap();
+    assert_eq!(place, 2);
+    let wheel = Mouse { kind: MouseKind::WheelDown, column: 10, row: 6 };
+    stage.app.handle_mouse(stage.app.now(), wheel);
+    let (place, _) = stage.app.evidence_alone().unwrap().selected().unwrap();
+    assert_eq!(place, 5);
 }
 
 // ---- what the bus may do ------------------------------------------------------------------
@@ -654,8 +989,23 @@ fn hostile_names_never_reach_the_terminal() {
     stage.until(8.0).keys("A");
     for (columns, rows) in [(80, 24), (140, 50), (40, 10)] {
         stage.size(columns, rows);
-        for keys in ["1", "j", "j", "j", "Enter", "Esc 2", "v", "v k k Enter", "Esc 3", "4", "1 R"]
-        {
+        for keys in [
+            "1",
+            "j",
+            "j",
+            "j",
+            "Enter",
+            "Esc 2",
+            "v",
+            "v k k Enter",
+            "Esc 3",
+            "4",
+            "Enter",
+            "Enter",
+            "Enter",
+            "4 m",
+            "1 R",
+        ] {
             stage.keys(keys);
             let buffer = stage.buffer("terminal");
             for cell in buffer.content() {
@@ -734,23 +1084,30 @@ fn two_buses_are_one_view() {
         let status = BusStatus { link: Link::Up, bitrate, ..BusStatus::default() };
         app.handle_bus(Instant::ZERO, BusIndex(index), status);
     }
-    for step in 1..=20_000u64 {
-        let now = Instant::from_micros(step * 1000);
-        for (index, (sim, station)) in sims.iter_mut().enumerate() {
-            sim.advance(now);
-            while let Some(frame) = sim.poll_frame(*station) {
-                app.handle_frames(now, &[frame.on(BusIndex(index as u8))]);
+    let mut run = |app: &mut App, seconds: std::ops::Range<u64>| {
+        for millis in seconds.start * 1000 + 1..=seconds.end * 1000 {
+            let now = Instant::from_micros(millis * 1000);
+            for (index, (sim, station)) in sims.iter_mut().enumerate() {
+                sim.advance(now);
+                while let Some(frame) = sim.poll_frame(*station) {
+                    app.handle_frames(now, &[frame.on(BusIndex(index as u8))]);
+                }
+            }
+            app.handle_timeout(now);
+            while let Some(frame) = app.poll_transmit(now) {
+                let (sim, station) = &mut sims[usize::from(frame.bus.0)];
+                sim.transmit(*station, frame);
             }
         }
-        app.handle_timeout(now);
-        while let Some(frame) = app.poll_transmit(now) {
-            let (sim, station) = &mut sims[usize::from(frame.bus.0)];
-            sim.transmit(*station, frame);
-        }
-    }
+    };
+    run(&mut app, 0..20);
     app.handle_resize(100, 30);
     let mut terminal = Terminal::new(TestBackend::new(100, 30)).unwrap();
     let theme = Theme::built_in("dark").unwrap();
     terminal.draw(|frame| ui::draw(&app, &theme, frame)).unwrap();
     insta::assert_snapshot!("two_buses", text_of(terminal.backend().buffer()));
+    run(&mut app, 20..36);
+    app.handle_key(app.now(), Key::char('4'));
+    terminal.draw(|frame| ui::draw(&app, &theme, frame)).unwrap();
+    insta::assert_snapshot!("two_buses_problems", text_of(terminal.backend().buffer()));
 }

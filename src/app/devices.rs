@@ -6,6 +6,7 @@
 use super::App;
 use super::buses::Bus;
 use super::filter::Filter;
+use super::groups::Problem;
 use super::matching::is_for;
 use crate::discovery::{Confidence, Device, DeviceId, Finding, Presence};
 use crate::document::{Entry, EntryKey};
@@ -155,6 +156,7 @@ pub struct Counts {
     pub lost: usize,
     pub confirmed: usize,
     pub suspected: usize,
+    pub muted: usize,
 }
 
 impl App {
@@ -327,13 +329,17 @@ impl App {
         let with =
             |state: &dyn Fn(State) -> bool| rows.iter().filter(|row| state(row.state)).count();
         let problems = self.problems();
-        let sure = |confidence| problems.iter().filter(|it| it.confidence == confidence).count();
+        let sure = |confidence| {
+            problems.iter().filter(|it| it.counts() && it.confidence() == confidence).count()
+        };
+        let open = |it: &&Problem| it.is_muted && it.confidence() != Confidence::Cleared;
         Counts {
             here: with(&|state| !matches!(state, State::Missing | State::Awaited | State::Lost)),
             missing: with(&|state| state == State::Missing),
             lost: with(&|state| state == State::Lost),
             confirmed: sure(Confidence::Confirmed),
             suspected: sure(Confidence::Suspected),
+            muted: problems.iter().filter(open).count(),
         }
     }
 

@@ -6,11 +6,12 @@ use super::buses::{is_up, lost};
 use super::traffic::hex;
 
 use super::timeline::{Entry, Kind};
-use super::{App, Change, Effect};
-use crate::discovery::{Confidence, Event, EventKind, Presence};
+use super::{App, Change, Effect, ProblemKey};
+use crate::discovery::{Confidence, DeviceId, Event, EventKind, Party, Presence};
 use crate::frame::BusIndex;
 use crate::status::{BusState, BusStatus, Link};
-use crate::text::Escaped;
+use crate::text::{Escaped, Name};
+use crate::wire::node::{Mode, Uid};
 
 /// Something that happened, for those who watch without a screen.
 #[derive(Clone, Debug)]
@@ -43,13 +44,22 @@ impl App {
     }
 
     fn take_event(&mut self, bus: BusIndex, event: Event) {
+        if let (EventKind::Joined { was, before }, Some(device)) = (&event.kind, event.device) {
+            self.timeline.rejoin(*was, *before, device);
+        }
         if let Some((kind, text)) = self.describe(bus, &event) {
             let collision = matches!(&event.kind, EventKind::Finding { key, .. }
-                if key.kind.is_collision() && kind == Kind::Confirmed);
+                if key.kind.is_collision()
+                    && kind == Kind::Confirmed
+                    && !self.muted.contains(&ProblemKey::of(key)));
             let mut entry = Entry::new(event.time, kind, text).on(bus);
             (entry.device, entry.address) = (event.device, event.address);
             entry.name.clone_from(&event.name);
-            self.timeline.push(entry);
+            let may_join =
+                matches!(event.kind, EventKind::Moved { .. } | EventKind::Claimed { .. });
+            if !may_join || !self.timeline.amend(&entry, one_line) {
+                self.timeline.push(entry);
+            }
             if collision {
                 self.effects.push_back(Effect::Bell);
             }
@@ -74,10 +84,32 @@ impl App {
                 let now = if *changed { ", other than before" } else { "" };
                 (kind, format!("{count} service{plural}{now}"))
             }
+            // The first mode of a device that appears is no news: its row says it. ARSLV is told as
+            // the claim of an address.
+            EventKind::Mode { from: None, .. }
+            | EventKind::Mode { to: Mode::Arslv, .. }
+            | EventKind::Joined { .. } => return None,
             EventKind::Mode { from: Some(from), to } => (Kind::Change, format!("{from} → {to}")),
-            // The first mode of a device that appears is no news: its row says it.
-            EventKind::Mode { from: None, .. } => return None,
             EventKind::Moved { from } => (Kind::Change, format!("moved here from {from}")),
+            EventKind::Claimed { uid, holder, guess } => {
+                let holder = holder.as_ref().map(|holder| self.party(holder));
+                let held = match (holder, guess) {
+                    (Some(holder), false) => format!(", which {holder} holds"),
+                    (Some(holder), true) => format!(": not {holder}, it seems, but another"),
+                    (None, _) => String::new(),
+                };
+                let by = self.uid_of_nobody(bus, event.device, *uid);
+                (Kind::Change, format!("claimed {}{held}{by}", address(event)))
+            }
+            EventKind::GaveWay { uid, to, guess } => {
+                let to = match to {
+                    Some(to) => format!(" to {}", self.party(to)),
+                    None => ": another claimed it too".to_owned(),
+                };
+                let guess = if *guess { ", it seems" } else { "" };
+                let by = self.uid_of_nobody(bus, event.device, *uid);
+                (Kind::Change, format!("lost {}{to}{guess}{by}", address(event)))
+            }
             EventKind::Rebooted => (Kind::Change, "rebooted".to_owned()),
             EventKind::Presence(Presence::Online) => (Kind::Good, "online".to_owned()),
             EventKind::Presence(Presence::Stale) => {
@@ -105,6 +137,9 @@ impl App {
             EventKind::OwnAddressLost(address) => {
                 (Kind::Bus, format!("we gave {address} up: somebody else uses it"))
             }
+            EventKind::NoAddress(wanted) => {
+                (Kind::Error, self.why_no_address(bus, *wanted).unwrap_or_default())
+            }
             EventKind::NobodyAcknowledges => {
                 (Kind::Error, "nobody acknowledges our frames: we wait".to_owned())
             }
@@ -113,6 +148,36 @@ impl App {
                 (Kind::Change, format!("debug message {code:03X} {}", hex(data, " ")))
             }
         })
+    }
+
+    fn party(&self, party: &Party) -> String {
+        let known = || self.device(party.device)?.name.as_ref();
+        match (party.name.as_ref().or_else(known), party.uid) {
+            (Some(name), _) => name.to_string(),
+            (None, Some(uid)) => self.uid_text(party.device.bus, uid),
+            (None, None) => "another device".to_owned(),
+        }
+    }
+
+    /// The UID of one that has no row, and so no name.
+    fn uid_of_nobody(&self, bus: BusIndex, device: Option<DeviceId>, uid: Option<Uid>) -> String {
+        let has_row = device.is_some_and(|id| self.device(id).is_some());
+        match uid {
+            Some(uid) if !has_row => format!(" ({})", self.uid_text(bus, uid)),
+            _ => String::new(),
+        }
+    }
+
+    fn uid_text(&self, bus: BusIndex, uid: Uid) -> String {
+        let alphabet = self.bus(bus).map(|bus| &bus.engine.config().profile.uid);
+        let text = alphabet.map_or_else(String::new, |alphabet| uid.text(alphabet));
+        format!("UID {}", Escaped(text.as_bytes()))
+    }
+
+    /// The name of the device that a line is about: it may have had none yet then.
+    pub fn name_on_line<'a>(&'a self, entry: &'a Entry) -> Option<&'a Name> {
+        let known = || self.device(entry.device?)?.name.as_ref();
+        entry.name.as_ref().or_else(known)
     }
 
     /// Takes an adapter's words.
@@ -200,6 +265,22 @@ impl App {
             let (expected, content) = (saving.expected, saving.content);
             self.effects.push_back(Effect::Save { expected, content });
         }
+    }
+}
+
+fn address(event: &Event) -> String {
+    event.address.map_or_else(String::new, |address| address.to_string())
+}
+
+/// One line of two that one frame gave rise to: that a device appeared, moved or rebooted, and that it
+/// claims its address.
+fn one_line(first: &str, second: &str) -> Option<String> {
+    let moved = second.starts_with("moved");
+    match first {
+        "appeared" if moved => Some(second.to_owned()),
+        "appeared" | "rebooted" if !moved => Some(format!("{first}, {second}")),
+        _ if first.starts_with("moved") && !moved => Some(format!("{first}, {second}")),
+        _ => None,
     }
 }
 

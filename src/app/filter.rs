@@ -4,7 +4,12 @@
 //! feed            the row shows "feed" somewhere
 //! src:feed        the sender's name or address; dst: the receiver's; dev: either, or the device's
 //! srv:des         the service's name or number (srv:2, srv:0x002)
+//! at:12           the address: of either side, of the device, of what the problem is about
+//! name:feed       the same by a part of the name
 //! type:rsp        the message type begins so; id:0201 the identifier's digits
+//! kind:two        the problem's kind, in its short or in its long words
+//! is:confirmed    how it is: suspected, cleared, muted; a device: online, stale, new, twin; a
+//!                 frame: error, ours
 //! bus:can1        the bus
 //! err  ours       error frames, failed answers and malformed ones; what we sent
 //! !word           not that
@@ -14,10 +19,13 @@
 
 use super::App;
 use super::devices::Row;
+use super::groups::Problem;
 use super::timeline;
 use super::traffic::Decoded;
-use crate::discovery::Finding;
+use super::view::Page;
+use crate::discovery::Confidence;
 use crate::frame::{Frame, FrameKind};
+use crate::wire::id::Address;
 
 /// A filter line, read.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -44,6 +52,8 @@ enum Field {
     Source,
     Destination,
     Device,
+    Address,
+    Name,
     Service,
     Type,
     Id,
@@ -65,11 +75,13 @@ impl Filter {
                     "src" | "from" => Field::Source,
                     "dst" | "to" => Field::Destination,
                     "dev" => Field::Device,
+                    "at" => Field::Address,
+                    "name" => Field::Name,
                     "srv" => Field::Service,
-                    "type" => Field::Type,
+                    "type" | "kind" => Field::Type,
                     "id" => Field::Id,
                     "bus" => Field::Bus,
-                    "state" => Field::State,
+                    "is" | "state" => Field::State,
                     _ => return None,
                 };
                 Some(What::Field(field, value.to_owned()))
@@ -82,6 +94,16 @@ impl Filter {
             Term { not, what }
         };
         Self { terms: text.split_whitespace().map(term).collect() }
+    }
+
+    /// What fields there are on a page, in a line: the syntax is one, but not every page has all.
+    pub const fn teach(page: Page) -> &'static str {
+        match page {
+            Page::Devices => "words; at: name: srv: bus: is:lost  err  !not",
+            Page::Traffic => "words; src: dst: srv: type: at: id: bus:  err  ours  !not",
+            Page::Timeline => "words; at: name: bus: is:suspected  err  !not",
+            Page::Problems => "words; kind: is:suspected at: name: bus:  !not",
+        }
     }
 
     /// Whether everything fits.
@@ -122,9 +144,16 @@ impl Filter {
             What::Field(Field::Source | Field::Destination | Field::Device, value) => {
                 name.contains(value) || address == *value
             }
+            What::Field(Field::Address, value) => address == *value,
+            What::Field(Field::Name, value) => name.contains(value),
             What::Field(Field::Service, value) => service(value),
             What::Field(Field::Bus, value) => bus.contains(value),
-            What::Field(Field::State, value) => has(row.state.word(), value),
+            What::Field(Field::State, value) => {
+                has(row.state.word(), value)
+                    || (row.suspected && starts("suspected", value))
+                    || (row.file == super::FileWord::New && starts("new", value))
+                    || (row.twin && starts("twin", value))
+            }
             What::Field(Field::Type | Field::Id, _) | What::Ours => false,
             What::Error => row.state == super::State::Clash || row.suspected,
         })
@@ -132,12 +161,21 @@ impl Filter {
 
     /// Whether a line of the timeline fits.
     pub fn matches_entry(&self, app: &App, entry: &timeline::Entry) -> bool {
-        let name = || entry.name.as_ref().map(ToString::to_string).unwrap_or_default();
+        let name = || app.name_on_line(entry).map(ToString::to_string).unwrap_or_default();
         let address = || entry.address.map(|address| address.to_string()).unwrap_or_default();
         let bus = || entry.bus.and_then(|bus| app.bus(bus)).map_or("", |bus| &bus.name);
         self.all(|what| match what {
             What::Word(word) => has(&entry.text, word) || has(&name(), word) || address() == *word,
             What::Field(Field::Bus, value) => has(bus(), value),
+            What::Field(Field::Address, value) => address() == *value,
+            What::Field(Field::Name, value) => has(&name(), value),
+            What::Field(Field::State, value) => match entry.kind {
+                timeline::Kind::Suspected => starts("suspected", value),
+                timeline::Kind::Confirmed => starts("confirmed", value),
+                timeline::Kind::Cleared => starts("cleared", value),
+                timeline::Kind::Error => starts("error", value),
+                _ => false,
+            },
             What::Field(_, value) => has(&name(), value) || address() == *value,
             What::Error => matches!(entry.kind, timeline::Kind::Confirmed | timeline::Kind::Error),
             What::Ours => entry.kind == timeline::Kind::File,
@@ -145,22 +183,37 @@ impl Filter {
     }
 
     /// Whether a problem fits.
-    pub fn matches_finding(&self, app: &App, finding: &Finding) -> bool {
-        let bus = || finding.key.bus.and_then(|bus| app.bus(bus)).map_or("", |bus| &bus.name);
-        let named = |word: &str| {
-            finding.names.iter().any(|name| has(&name.to_string(), word))
-                || finding.addresses.iter().any(|address| address.to_string() == word)
+    pub fn matches_problem(&self, app: &App, problem: &Problem) -> bool {
+        if self.is_empty() {
+            return true;
+        }
+        let bus = || problem.bus().and_then(|bus| app.bus(bus)).map_or("", |bus| &bus.name);
+        let confidence = problem.confidence();
+        let at = |word: &str| problem.addresses().iter().any(|it| it.to_string() == word);
+        let named = |word: &str| problem.names().iter().any(|it| has(&it.to_string(), word));
+        let kind = |word: &str| {
+            has(problem.headline(), word)
+                || problem.findings.iter().any(|finding| has(finding.key.kind.name(), word))
         };
         self.all(|what| match what {
             What::Word(word) => {
-                has(&finding.text, word)
-                    || has(finding.key.kind.name(), word)
-                    || has(finding.confidence.name(), word)
+                kind(word)
+                    || problem.findings.iter().any(|finding| has(&finding.text, word))
+                    || has(confidence.name(), word)
+                    || (problem.is_muted && word == "muted")
                     || named(word)
+                    || at(word)
+            }
+            What::Field(Field::Address, value) => at(value),
+            What::Field(Field::Name, value) => named(value),
+            What::Field(Field::Type, value) => kind(value),
+            What::Field(Field::State, value) => {
+                starts(confidence.name(), value) || (problem.is_muted && starts("muted", value))
             }
             What::Field(Field::Bus, value) => has(bus(), value),
-            What::Field(_, value) => named(value),
-            What::Error | What::Ours => false,
+            What::Field(_, value) => named(value) || at(value),
+            What::Error => confidence == Confidence::Confirmed,
+            What::Ours => false,
         })
     }
 
@@ -189,7 +242,17 @@ impl Filter {
             What::Field(Field::Bus, value) => {
                 app.bus(frame.bus).is_some_and(|bus| has(&bus.name, value))
             }
-            What::Field(Field::State, _) => false,
+            What::Field(Field::Address, value) => decoded.header.is_some_and(|header| {
+                let is_it = |address: Address| address.to_string() == *value;
+                is_it(header.source) || (!header.broadcast && is_it(header.destination))
+            }),
+            What::Field(Field::Name, value) => {
+                has(&decoded.source, value) || has(&decoded.destination, value)
+            }
+            What::Field(Field::State, value) => {
+                let is_error = decoded.is_error || frame.kind == FrameKind::Error;
+                (is_error && starts("error", value)) || (frame.ours && starts("ours", value))
+            }
             What::Error => decoded.is_error || frame.kind == FrameKind::Error,
             What::Ours => frame.ours,
         })

@@ -16,7 +16,8 @@
 //! timeline  what happened, in lines          events   from the engines' events to those lines
 //! matching  which entry is which device      devices  the rows of the Devices page
 //! file      des.json, edits, undo            edits    the commands that edit it
-//! problems  findings                         why      why a device is missing
+//! problems  findings                         groups   from them to the rows of Problems
+//! evidence  the frames of a problem          why      why a device is missing
 //! traffic   frames in words                  filter   the filter line
 //! view      page, selection, scroll          screen   where the regions are
 //! prompt    lines being typed                navigate the commands that only look
@@ -27,8 +28,10 @@ mod capture;
 mod devices;
 mod edits;
 mod events;
+mod evidence;
 mod file;
 mod filter;
+mod groups;
 mod matching;
 mod navigate;
 mod problems;
@@ -43,8 +46,10 @@ pub use buses::{Bus, Meter, Second};
 pub use capture::{Capture, IdentifierKey, IdentifierStats, Kind as IdentifierKind};
 pub use devices::{Counts, FileWord, Row, RowKey, SortBy, State, concerns};
 pub use events::Happening;
+pub use evidence::EvidenceView;
 pub use file::{Change, FileProblem, FileReading, FileState, Refusal, SaveOutcome};
 pub use filter::Filter;
+pub use groups::{Piece, Problem, ProblemKey};
 pub use matching::Matching;
 pub use navigate::{Mouse, MouseKind};
 pub use problems::{Scope, same_services};
@@ -61,7 +66,7 @@ use crate::keymap::{Key, Keymap, Mode};
 use crate::status::BusStatus;
 use crate::time::{Duration, Epoch, Instant};
 use crate::wire::id::Address;
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::path::PathBuf;
 use traffic::Matches;
 
@@ -171,6 +176,10 @@ pub struct App {
     timeline: Timeline,
     matching: Matching,
     file_findings: Vec<Finding>,
+    /// The problems that are not to count, for as long as the program runs.
+    muted: BTreeSet<ProblemKey>,
+    /// All problems in the order in which they were shown last.
+    problem_order: Vec<ProblemKey>,
     rows: Vec<Row>,
     counts: Counts,
     view: View,
@@ -222,6 +231,8 @@ impl App {
             timeline: Timeline::default(),
             matching: Matching::default(),
             file_findings: Vec::new(),
+            muted: BTreeSet::new(),
+            problem_order: Vec::new(),
             rows: Vec::new(),
             counts: Counts::default(),
             view: View { size: (80, 24), ..View::default() },

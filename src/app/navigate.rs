@@ -3,9 +3,11 @@
 use super::capture::{IdentifierKey, IdentifierStats};
 use super::prompt::PromptKind;
 use super::view::{Focus, Frozen, Page};
-use super::{App, Decoded, Effect, Filter, Overlay, Row, RowKey, tabs};
-use crate::discovery::FindingKey;
+use super::{App, Decoded, Effect, Filter, Overlay, Problem, Row, RowKey, tabs};
+use crate::frame::BusIndex;
+use crate::text::Name;
 use crate::time::Instant;
+use crate::wire::id::Address;
 use ratatui::layout::{Position, Rect};
 
 /// What the mouse did, and where.
@@ -64,8 +66,7 @@ impl App {
         self.dirty = true;
         let screen = self.screen();
         if mouse.row == screen.tabs.y && screen.tabs.height > 0 {
-            let open = self.open_problems();
-            let tabs = tabs(screen.whole.width, self.view.page, open);
+            let tabs = tabs(screen.whole.width, self.view.page, self.counts);
             let hit = tabs.into_iter().find(|(_, start, text)| {
                 (*start..start + text.chars().count() as u16).contains(&mouse.column)
             });
@@ -99,7 +100,8 @@ impl App {
                 self.hold_timeline(&keys, height);
                 self.view.timeline.click(&keys, line, height);
             }
-            Page::Traffic if self.view.by_identifier => {
+            Page::Traffic if self.evidence_alone().is_some() => self.click_evidence(line),
+            Page::Traffic if self.view.shows_identifiers() => {
                 let keys = self.identifier_keys();
                 self.view.identifiers.click(&keys, line, height);
             }
@@ -130,17 +132,18 @@ impl App {
 
     /// Command: to the first or to the last row.
     pub fn move_to_end(&mut self, last: bool) {
+        let by_rows = self.evidence_alone().is_some() || self.view.shows_identifiers();
         if last && self.view.focus == Focus::List {
             match self.view.page {
                 Page::Timeline => return self.view.timeline.release(),
-                Page::Traffic if !self.view.by_identifier => {
+                Page::Traffic if !by_rows => {
                     self.view.traffic = None;
                     return;
                 }
                 _ => {}
             }
         }
-        if !last && self.view.page == Page::Traffic && !self.view.by_identifier {
+        if !last && self.view.page == Page::Traffic && !by_rows {
             let first = self.frames_from(0).next();
             self.view.traffic = first;
             self.view.traffic_line = 0;
@@ -175,7 +178,8 @@ impl App {
                     self.view.timeline.release();
                 }
             }
-            Page::Traffic if self.view.by_identifier => {
+            Page::Traffic if self.evidence_alone().is_some() => self.move_in_evidence(delta),
+            Page::Traffic if self.view.shows_identifiers() => {
                 let keys = self.identifier_keys();
                 self.view.identifiers.settle(&keys, height);
                 self.view.identifiers.move_by(&keys, delta, height);
@@ -221,6 +225,7 @@ impl App {
 
     /// Command: another page.
     pub fn show_page(&mut self, page: Page) {
+        self.close_evidence();
         self.view.page = page;
         self.filter_frames();
         self.view.focus = Focus::List;
@@ -235,11 +240,14 @@ impl App {
         self.show_page(Page::ALL[at]);
     }
 
-    /// Command: opens the details; in the timeline, goes to the frames of that moment.
+    /// Command: opens the details; in the timeline, goes to the frames of that moment, and from a
+    /// problem whose details are in view to the frames that prove it.
     pub fn open_details(&mut self) {
         match self.view.page {
             Page::Timeline => self.go_to_frames(),
-            Page::Traffic if self.view.by_identifier => {}
+            Page::Problems if self.screen().details.height > 0 => self.open_evidence(),
+            Page::Traffic if self.view.evidence.is_some() => self.toggle_around(),
+            Page::Traffic if self.view.shows_identifiers() => {}
             Page::Traffic => {
                 self.view.frame_details = !self.view.frame_details;
                 self.view.focus = Focus::List;
@@ -317,6 +325,7 @@ impl App {
     /// Command: traffic as frames, or as a row per identifier.
     pub fn toggle_identifiers(&mut self) {
         if self.view.page == Page::Traffic {
+            self.close_evidence();
             self.view.by_identifier = !self.view.by_identifier;
             let (keys, height) = (self.identifier_keys(), self.screen().list_rows());
             self.view.identifiers.settle(&keys, height);
@@ -327,6 +336,7 @@ impl App {
 
     /// Command: asks for the filter of this page.
     pub fn ask_filter(&mut self) {
+        self.close_evidence();
         let page = self.view.page;
         let before = self.view.filter(page).to_owned();
         self.open_prompt(PromptKind::Filter(page, before.clone()), before);
@@ -339,6 +349,7 @@ impl App {
             self.overlay = Overlay::None;
         } else if self.view.focus == Focus::Details {
             self.focus_details(false);
+        } else if self.leave_evidence() {
         } else if page == Page::Traffic && self.view.frame_details {
             self.view.frame_details = false;
         } else if !self.view.filter(page).is_empty() {
@@ -390,17 +401,15 @@ impl App {
                 format!("{name} @{address} {}", row.state.word())
             }),
             Page::Problems => {
-                self.selected_problem().map(|it| format!("{}: {}", it.key.kind, it.text))
+                let problem = self.selected_problem();
+                problem.map(|it| format!("{}: {}", it.title(), it.head().text))
             }
             Page::Timeline => {
                 let number = self.view.timeline.selected().copied();
                 let line = number.and_then(|number| self.timeline.get(number));
                 line.map(|line| format!("{} {}", super::clock(self, line.time), line.text))
             }
-            Page::Traffic => {
-                let frame = self.view.traffic.and_then(|number| self.capture.get(number));
-                frame.map(ToString::to_string)
-            }
+            Page::Traffic => self.selected_frame().map(ToString::to_string),
         };
         match text {
             Some(text) => {
@@ -411,39 +420,62 @@ impl App {
         }
     }
 
-    /// Edits are made on the page Devices: from another page, goes to the row that its selection is
-    /// about. Whether there is one.
-    pub(super) fn go_to_row(&mut self) -> bool {
-        let (bus, address, name) = match self.view.page {
-            Page::Devices => return true,
-            Page::Problems => match self.selected_problem() {
-                Some(it) => (it.key.bus, it.key.address, it.key.name.clone()),
-                None => (None, None, None),
-            },
+    /// What the selection is about: bus, address, name, as far as it says.
+    fn subject(&self) -> (Option<BusIndex>, Option<Address>, Option<Name>) {
+        match self.view.page {
+            Page::Devices => self
+                .selected_row()
+                .map_or((None, None, None), |row| (row.bus, row.address, row.name.clone())),
+            Page::Problems => self.selected_problem().map_or((None, None, None), |problem| {
+                let key = &problem.head().key;
+                (key.bus, key.address, key.name.clone())
+            }),
             Page::Timeline => {
                 let number = self.view.timeline.selected();
-                match number.and_then(|&number| self.timeline.get(number)) {
-                    Some(line) => (line.bus, line.address, line.name.clone()),
-                    None => (None, None, None),
-                }
+                let line = number.and_then(|&number| self.timeline.get(number));
+                line.map_or((None, None, None), |line| (line.bus, line.address, line.name.clone()))
             }
             Page::Traffic => {
-                let frame = self.view.traffic.and_then(|number| self.capture.get(number));
+                let frame = self.selected_frame();
                 let source = frame.and_then(|frame| Decoded::of(self, frame).header);
                 (frame.map(|frame| frame.bus), source.map(|header| header.source), None)
             }
-        };
+        }
+    }
+
+    /// Edits are made on the page Devices: from another page, goes to the row that its selection is
+    /// about. Whether there is one.
+    pub(super) fn go_to_row(&mut self) -> bool {
+        self.view.page == Page::Devices || self.find_row("select a device first")
+    }
+
+    /// Goes to the row that the selection is about; where there is none, says so with `otherwise`.
+    fn find_row(&mut self, otherwise: &str) -> bool {
+        let (bus, address, name) = self.subject();
         let on_bus = |row: &&Row| bus.is_none() || row.bus.is_none() || row.bus == bus;
         let fits = |row: &Row| {
             let named = name.is_some() && row.name == name;
             let there = address.is_some() && row.address == address;
             (named && there, named, there && name.is_none())
         };
-        let best = self.rows.iter().filter(on_bus).max_by_key(|row| fits(row));
-        let Some(key) =
-            best.filter(|row| fits(row) > (false, false, false)).map(|it| it.key.clone())
-        else {
-            self.complain("select a device first");
+        let best = |rows: &[Row]| {
+            let best = rows.iter().filter(on_bus).max_by_key(|row| fits(row));
+            best.filter(|row| fits(row) > (false, false, false)).map(|row| row.key.clone())
+        };
+        let mut found = best(&self.rows);
+        if found.is_none() && !self.view.filter(Page::Devices).is_empty() {
+            // It may be there, and not fit the filter.
+            let filter = self.view.filter(Page::Devices).to_owned();
+            self.view.set_filter(Page::Devices, String::new());
+            self.refresh_rows();
+            found = best(&self.rows);
+            if found.is_none() {
+                self.view.set_filter(Page::Devices, filter);
+                self.refresh_rows();
+            }
+        }
+        let Some(key) = found else {
+            self.complain(otherwise);
             return false;
         };
         self.view.devices.select(key);
@@ -451,14 +483,31 @@ impl App {
         true
     }
 
+    /// Command: from a device to the problem it is in, from a problem to its device.
+    pub fn go_to_problem(&mut self) {
+        if self.view.page == Page::Problems {
+            self.find_row("no device belongs to it");
+            return;
+        }
+        let (bus, address, name) = self.subject();
+        let problems = self.problems();
+        let about = |problem: &&Problem| problem.is_about(bus, address, name.as_ref());
+        let Some(key) = problems.iter().find(about).map(|problem| problem.key.clone()) else {
+            return self.complain("no problem is known of it");
+        };
+        drop(problems);
+        if !self.problem_keys().contains(&key) {
+            self.view.set_filter(Page::Problems, String::new());
+        }
+        self.view.problems.select(key);
+        self.show_page(Page::Problems);
+        self.refresh();
+    }
+
     // ---- what is on the lists --------------------------------------------------------------
 
     fn row_keys(&self) -> Vec<RowKey> {
         self.rows.iter().map(|row| row.key.clone()).collect()
-    }
-
-    fn problem_keys(&self) -> Vec<FindingKey> {
-        self.problems_shown().iter().map(|finding| finding.key.clone()).collect()
     }
 
     /// The numbers of the timeline's lines that the filter lets through, oldest first.
@@ -484,10 +533,5 @@ impl App {
 
     fn identifier_keys(&self) -> Vec<IdentifierKey> {
         self.identifiers_shown().iter().map(|row| row.key).collect()
-    }
-
-    /// How many problems are open.
-    pub fn open_problems(&self) -> usize {
-        self.counts.confirmed + self.counts.suspected
     }
 }

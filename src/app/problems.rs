@@ -1,7 +1,7 @@
-//! What is wrong: the engines' findings, and what des.json and the bus say differently.
+//! What is found: the engines' findings, and what des.json and the bus say differently.
 //!
 //! The comparison is pure: entries and devices in, findings out. Does not know how sure the
-//! engines are or why; their findings are shown as they are.
+//! engines are or why, nor how the findings are shown.
 
 use super::App;
 use super::matching::{Matching, is_for};
@@ -22,32 +22,10 @@ pub enum Scope {
 }
 
 impl App {
-    /// Everything that is wrong or was, what matters most first, cleared things last.
-    pub fn problems(&self) -> Vec<&Finding> {
+    /// Everything that is found: bus by bus, then what comes of the file.
+    pub fn findings(&self) -> impl Iterator<Item = &Finding> {
         let engines = self.buses.iter().flat_map(|bus| bus.engine.findings());
-        let mut all: Vec<&Finding> = engines.chain(&self.file_findings).collect();
-        all.sort_by_key(|finding| {
-            let cleared = finding.confidence == Confidence::Cleared;
-            let suspected = finding.confidence == Confidence::Suspected;
-            let weight = u8::MAX - finding.key.kind.weight();
-            (cleared, suspected, weight, finding.key.clone())
-        });
-        all
-    }
-
-    /// Those that the filter lets through.
-    pub fn problems_shown(&self) -> Vec<&Finding> {
-        let filter = super::Filter::parse(self.view.filter(super::Page::Problems));
-        let mut shown = self.problems();
-        shown.retain(|finding| filter.matches_finding(self, finding));
-        shown
-    }
-
-    /// The selected one.
-    pub fn selected_problem(&self) -> Option<&Finding> {
-        let shown = self.problems_shown();
-        let index = self.view.problems.index(shown.iter().map(|finding| &finding.key))?;
-        shown.get(index).copied()
+        engines.chain(&self.file_findings)
     }
 
     /// How the file and the buses differ now.
@@ -79,10 +57,7 @@ impl App {
             }
         }
         self.file_findings = found;
-        let height = self.screen().list_rows();
-        let keys: Vec<FindingKey> =
-            self.problems_shown().iter().map(|finding| finding.key.clone()).collect();
-        self.view.problems.settle(&keys, height);
+        self.settle_problems();
     }
 }
 

@@ -97,9 +97,7 @@ impl App {
             return Some(Verdict::Blocks(refusal.to_string()));
         }
         Some(match &prompt.kind {
-            PromptKind::Filter(..) => Verdict::Fine(
-                "words; src: dst: srv: type: id: bus: state:  err  ours  !not".to_owned(),
-            ),
+            PromptKind::Filter(page, _) => Verdict::Fine(super::Filter::teach(*page).to_owned()),
             PromptKind::Address(key) => match self.judge_address(key, text) {
                 Verdict::Blocks(why) => Verdict::Blocks(why),
                 verdict => self.judge_change(key, &prompt.before).unwrap_or(verdict),

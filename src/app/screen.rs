@@ -14,6 +14,7 @@
 //!
 //! Knows sizes only, not what is drawn.
 
+use super::devices::Counts;
 use super::view::{Focus, Page, View};
 use ratatui::layout::Rect;
 use std::fmt::Write;
@@ -130,8 +131,9 @@ fn take_bottom(area: &mut Rect, lines: u16) -> Rect {
 }
 
 /// The names of the pages as they stand in the rule: where each begins, and its text. On a
-/// narrow screen only the open page has its name, the others their numbers.
-pub fn tabs(columns: u16, open: Page, problems: usize) -> Vec<(Page, u16, String)> {
+/// narrow screen only the open page has its name, the others their numbers; how many problems are
+/// sure and how many suspected is said apart there.
+pub fn tabs(columns: u16, open: Page, counts: Counts) -> Vec<(Page, u16, String)> {
     let (narrow, wide) = (columns < 60, columns >= 100);
     let mut at = u16::from(wide);
     Page::ALL
@@ -142,9 +144,15 @@ pub fn tabs(columns: u16, open: Page, problems: usize) -> Vec<(Page, u16, String
                 text.push_str(page.title());
                 text.push(' ');
             }
-            if page == Page::Problems && problems > 0 {
-                let sign = if narrow { "⚠" } else { "" };
-                let _ = write!(text, "{sign}{problems} ");
+            let all = counts.confirmed + counts.suspected;
+            if page == Page::Problems && narrow {
+                for (sign, count) in [("⚠", counts.confirmed), ("?", counts.suspected)] {
+                    if count > 0 {
+                        let _ = write!(text, "{sign}{count} ");
+                    }
+                }
+            } else if page == Page::Problems && all > 0 {
+                let _ = write!(text, "{all} ");
             }
             let start = at;
             at += text.chars().count() as u16 + u16::from(wide);

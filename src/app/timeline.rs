@@ -95,6 +95,49 @@ impl Timeline {
         self.entries.push_back(entry);
     }
 
+    /// Adds to the line that was written at the same moment of the same device; what `join` makes
+    /// of its words and of these stands there, or last where these words take its place. False
+    /// where there is no such line, or nothing is made of the two.
+    pub fn amend(&mut self, entry: &Entry, join: impl Fn(&str, &str) -> Option<String>) -> bool {
+        let same = |other: &Entry| {
+            entry.device.is_some()
+                && other.device == entry.device
+                && other.last == entry.time
+                && other.times == 1
+        };
+        let first = self.entries.len().saturating_sub(Self::REPEAT_LINES);
+        let joined = (first..self.entries.len()).rev().find_map(|at| {
+            let other = self.entries.get(at).filter(|other| same(other))?;
+            Some((at, join(&other.text, &entry.text)?))
+        });
+        let Some((at, text)) = joined else { return false };
+        let other = &mut self.entries[at];
+        other.address = entry.address.or(other.address);
+        if text.starts_with(&other.text) {
+            other.text = text;
+            return true;
+        }
+        (other.text, other.kind) = (text, entry.kind);
+        // What led to it stands before it.
+        for later in at + 1..self.entries.len() {
+            self.entries.swap(later - 1, later);
+            let number = self.entries[later].number;
+            self.entries[later].number = self.entries[later - 1].number;
+            self.entries[later - 1].number = number;
+        }
+        true
+    }
+
+    /// What was told of `was` (before a moment) was told of `device`.
+    pub fn rejoin(&mut self, was: DeviceId, before: Option<Instant>, device: DeviceId) {
+        let is_before = |entry: &Entry| before.is_none_or(|before| entry.time < before);
+        for entry in self.entries.iter_mut().filter(|entry| entry.device == Some(was)) {
+            if is_before(entry) {
+                entry.device = Some(device);
+            }
+        }
+    }
+
     /// The lines, oldest first.
     pub fn entries(&self) -> impl DoubleEndedIterator<Item = &Entry> + ExactSizeIterator {
         self.entries.iter()

@@ -174,7 +174,7 @@ impl App {
     /// The numbers of the frames that the filter lets through, from `number` on, oldest first.
     pub fn frames_from(&self, number: u64) -> Box<dyn Iterator<Item = u64> + '_> {
         let (first, end) = (number.max(self.capture.first()), self.traffic_end());
-        if self.view.filter(Page::Traffic).is_empty() {
+        if !self.is_filtered() {
             return Box::new(first..end);
         }
         let numbers = &self.matches.numbers;
@@ -185,12 +185,17 @@ impl App {
     /// The same before `number`, newest first.
     pub fn frames_before(&self, number: u64) -> Box<dyn Iterator<Item = u64> + '_> {
         let (first, end) = (self.capture.first(), number.min(self.traffic_end()));
-        if self.view.filter(Page::Traffic).is_empty() {
+        if !self.is_filtered() {
             return Box::new((first..end).rev());
         }
         let numbers = &self.matches.numbers;
         let stop = numbers.partition_point(|&other| other < end);
         Box::new(numbers.range(..stop).rev().copied().take_while(move |&number| number >= first))
+    }
+
+    /// Whether the filter line chooses frames: around evidence all are shown.
+    fn is_filtered(&self) -> bool {
+        !self.view.filter(Page::Traffic).is_empty() && self.view.evidence.is_none()
     }
 
     /// Filters the frames that came since it was done last, where that is to be seen.

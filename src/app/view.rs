@@ -5,7 +5,8 @@
 
 use super::capture::IdentifierKey;
 use super::devices::{RowKey, SortBy};
-use crate::discovery::FindingKey;
+use super::evidence::EvidenceView;
+use super::groups::ProblemKey;
 
 /// The pages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -172,7 +173,7 @@ pub struct View {
     /// The selected device.
     pub devices: Cursor<RowKey>,
     /// The selected problem.
-    pub problems: Cursor<FindingKey>,
+    pub problems: Cursor<ProblemKey>,
     /// The selected line of the timeline; none: the newest, as they come.
     pub timeline: Cursor<u64>,
     /// The selected identifier.
@@ -181,6 +182,8 @@ pub struct View {
     pub traffic: Option<u64>,
     /// On which line of the screen it is.
     pub traffic_line: usize,
+    /// Traffic shows the evidence of a problem.
+    pub evidence: Option<EvidenceView>,
     pub(super) filters: [String; 4],
 }
 
@@ -189,9 +192,15 @@ impl View {
     pub fn has_details(&self) -> bool {
         match self.page {
             Page::Devices | Page::Problems => true,
+            Page::Traffic if self.evidence.is_some() => true,
             Page::Traffic => self.frame_details && !self.by_identifier,
             Page::Timeline => false,
         }
+    }
+
+    /// Whether Traffic shows a row per identifier: evidence is always frames.
+    pub fn shows_identifiers(&self) -> bool {
+        self.by_identifier && self.evidence.is_none()
     }
 
     /// The filter line of a page.

@@ -12,6 +12,7 @@ use crate::frame::BusIndex;
 use crate::status::{BusState, Link};
 use crate::text::Escaped;
 use crate::time::Duration;
+use crate::wire::id::Address;
 
 /// How long to listen before a listed device counts as missing, where nobody is asked.
 const LISTEN: Duration = Duration::from_secs(5);
@@ -123,6 +124,18 @@ impl App {
             reasons.push(format!("its answer was not usable: {fault}"));
         }
         reasons
+    }
+
+    /// Why we have no address on a bus, where that is the case: the fixed one is used by somebody
+    /// else, or all are used.
+    pub fn why_no_address(&self, bus: BusIndex, wanted: Option<Address>) -> Option<String> {
+        let Some(wanted) = wanted else {
+            return Some("all addresses are used: we ask nobody until one is free".to_owned());
+        };
+        let user = self.bus(bus)?.engine.device_at(wanted);
+        let user = user.and_then(|device| device.name.as_ref());
+        let user = user.map_or_else(|| "somebody else".to_owned(), ToString::to_string);
+        Some(format!("{user} uses our address {wanted}: we ask nobody until it is free"))
     }
 
     /// Whether discovery asks anything on a bus.

@@ -9,6 +9,7 @@ use crate::status::Link;
 use crate::text::Name;
 use crate::time::{Duration, Epoch, Instant};
 use serde::Serialize;
+use std::cmp::Reverse;
 use std::fmt::Write as _;
 
 /// The report.
@@ -119,8 +120,13 @@ impl Report {
             .flat_map(|bus| bus.engine.devices().iter().map(|device| of_device(app, bus, device)))
             .collect();
         devices.sort_by(|a, b| (&a.bus, a.address, &a.name).cmp(&(&b.bus, b.address, &b.name)));
-        let mut findings: Vec<&Finding> = app.problems();
-        findings.sort_by_key(|finding| finding.first);
+        let mut findings: Vec<&Finding> = app.findings().collect();
+        // By time, and of what was seen at one moment what matters most first.
+        findings.sort_by_key(|finding| {
+            let confidence = Reverse(finding.confidence);
+            let weight = Reverse(finding.key.kind.weight());
+            (finding.first, confidence, weight, finding.key.clone())
+        });
         let findings = findings.iter().map(|finding| of_finding(app, epoch, finding)).collect();
         Self {
             descan: env!("CARGO_PKG_VERSION"),

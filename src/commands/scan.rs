@@ -8,8 +8,9 @@ use crate::app::{App, AppOptions};
 use crate::bus::log::{LogReader, Tally};
 use crate::bus::{self, BusSpec};
 use crate::cli::Scan;
-use crate::discovery::{Config, Progress};
+use crate::discovery::{Config, OwnAddress, Progress};
 use crate::document::{Document, Operation};
+use crate::frame::BusIndex;
 use crate::shell::session::Session;
 use crate::shell::store::Store;
 use crate::status::Link;
@@ -57,6 +58,13 @@ pub fn run(scan: &Scan) -> Result<u8, Failure> {
              ends terminated?",
             bus.name
         );
+    }
+    for (index, bus) in app.buses().iter().enumerate() {
+        if let OwnAddress::Blocked(wanted) = bus.engine.own_address()
+            && let Some(why) = app.why_no_address(BusIndex(index as u8), wanted)
+        {
+            let _ = writeln!(io::stderr(), "descan: {}: {why}", bus.name);
+        }
     }
     let report = Report::new(&app, now);
     let text = if scan.json { report.json() } else { report.tables() };

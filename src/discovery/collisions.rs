@@ -143,13 +143,7 @@ impl Collisions {
     }
 
     /// An answer begins.
-    pub fn see_answer(
-        &mut self,
-        now: Instant,
-        answer: Answer,
-        name: Option<&Name>,
-        frame: &Frame,
-    ) {
+    pub fn see_answer(&mut self, now: Instant, answer: Answer, name: Option<&Name>, frame: &Frame) {
         let Answer { from: address, to, request, framing } = answer;
         let tally = self.watches[address.index()].tally(request, framing);
         let (to_all, extra) = tally.answer(now, to, frame);
@@ -322,9 +316,8 @@ impl Collisions {
     /// Somebody else sent from the address we hold.
     pub fn see_rival(&mut self, now: Instant, address: Address, frame: &Frame) {
         if address == Address::DEBUG {
-            let what = "a frame from address 0 that we did not send";
             let kind = FindingKind::TwoDebugDevices;
-            self.report(now, kind, address, None, frame, what, Weight::Strong);
+            self.report(now, kind, address, None, frame, wording::NOT_OURS, Weight::Strong);
         }
     }
 
@@ -653,8 +646,7 @@ impl Collisions {
         finding.changed = now;
         self.changed.push((finding.key.clone(), confidence));
         if confidence == Confidence::Confirmed {
-            self.cases[at].next_check =
-                finding.key.kind.is_collision().then(|| now + CHECK_AGAIN);
+            self.cases[at].next_check = finding.key.kind.is_collision().then(|| now + CHECK_AGAIN);
         }
     }
 

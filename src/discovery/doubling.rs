@@ -129,9 +129,7 @@ impl Doubling {
 
     fn is_alone(&self, now: Instant, address: Address) -> bool {
         let mut beats = self.beats.iter().enumerate().filter(|(at, _)| *at != address.index());
-        beats.all(|(_, beat)| {
-            beat.is_none_or(|beat| now.since(beat.frame.time) > self.period * 3)
-        })
+        beats.all(|(_, beat)| beat.is_none_or(|beat| now.since(beat.frame.time) > self.period * 3))
     }
 
     /// A frame of ours came back as somebody else's: devices may have heard it twice as well.

@@ -5,7 +5,7 @@ use super::finding::{Confidence, FindingKey};
 use crate::text::Name;
 use crate::time::Instant;
 use crate::wire::id::Address;
-use crate::wire::node::Mode;
+use crate::wire::node::{Mode, Uid};
 
 /// Something that happened to a device or on the bus.
 #[derive(Clone, Debug)]
@@ -20,6 +20,17 @@ pub struct Event {
     pub name: Option<Name>,
     /// What.
     pub kind: EventKind,
+}
+
+/// The other one of two that want the same address, as far as it is known then.
+#[derive(Clone, Debug)]
+pub struct Party {
+    /// Its id.
+    pub device: DeviceId,
+    /// Its name.
+    pub name: Option<Name>,
+    /// Its UID, where that is not blank.
+    pub uid: Option<Uid>,
 }
 
 /// What happened.
@@ -43,10 +54,37 @@ pub enum EventKind {
         /// The mode now.
         to: Mode,
     },
+    /// It claims the address: a heartbeat in ARSLV.
+    Claimed {
+        /// The UID it claims with, where that is not blank.
+        uid: Option<Uid>,
+        /// Who beats from the address already, where somebody does.
+        holder: Option<Party>,
+        /// Whether it is only likely that it is another device than the holder: neither has a
+        /// UID that tells.
+        guess: bool,
+    },
+    /// It used the address, and fell silent there when another one used it.
+    GaveWay {
+        /// Its UID, where that is not blank.
+        uid: Option<Uid>,
+        /// Who beats from the address now.
+        to: Option<Party>,
+        /// Whether it is only likely: it was not heard elsewhere since, or is known by its name
+        /// alone.
+        guess: bool,
+    },
     /// It is at another address than before.
     Moved {
         /// The address before.
         from: Address,
+    },
+    /// What was told of another id before was told of this device.
+    Joined {
+        /// That id: of a row that is gone, or of nobody known then.
+        was: DeviceId,
+        /// Only what was told before: since then the row speaks for another device.
+        before: Option<Instant>,
     },
     /// It started anew.
     Rebooted,
@@ -68,6 +106,8 @@ pub enum EventKind {
     OwnAddress(Address),
     /// We gave our address up: somebody else uses it.
     OwnAddressLost(Address),
+    /// We find no address: the fixed one is used by somebody else, or, without one, all are used.
+    NoAddress(Option<Address>),
     /// Nobody acknowledges our frames: nothing more is sent until somebody does.
     NobodyAcknowledges,
     /// Our frames are acknowledged (again).

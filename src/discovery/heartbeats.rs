@@ -1,6 +1,7 @@
 //! What heartbeats tell: mode, UID, reboots, and who else beats with the same UID.
 
 use super::device::{ModeChange, Quirk};
+use super::resolution::Claim;
 use super::{Engine, EventKind, Presence};
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
@@ -69,6 +70,8 @@ impl Engine {
             device.note(Quirk::ShortHeartbeat);
         }
         let was_lost = device.presence == Presence::Lost;
+        let uid_before = device.uid;
+        let mode_before = device.mode;
         let uid_changed = match (heartbeat.uid, device.uid) {
             (Some(new), Some(old)) => new != old,
             (Some(_), None) => true,
@@ -78,6 +81,10 @@ impl Engine {
             device.uid_before = device.uid;
             device.uid = heartbeat.uid;
         }
+        let address = header.source;
+        let claim = Claim { index, address, heartbeat, uid_before, mode_before, gap };
+        let sender = self.note_sender(claim);
+        let device = self.roster.get_mut(index);
         // In an early mode after a pause, or off the beat: it started anew. With another UID it is
         // rather another board.
         let paused = gap.is_some_and(|gap| gap > period.mul_f64(REBOOT_GAP));
@@ -85,7 +92,8 @@ impl Engine {
         let early = early && paused && device.mode != heartbeat.mode;
         let restarted = !was_lost
             && (first || !uid_changed || device.uid_before.is_none())
-            && (early || gap.is_some_and(|gap| is_out_of_phase(gap, expected.unwrap_or(period), jitter)));
+            && (early
+                || gap.is_some_and(|gap| is_out_of_phase(gap, expected.unwrap_or(period), jitter)));
         let restarted = restarted && (early || !self.lateness.is_common());
         if let Some(mode) = heartbeat.mode {
             let fits = mode.is_working().is_none_or(|working| working == device.working);
@@ -94,8 +102,12 @@ impl Engine {
             } else {
                 device.note(Quirk::ModeContradictsU);
             }
-            if device.mode != Some(mode) {
-                let from = device.mode.replace(mode);
+            // Where two beat from one address, each has a mode of its own.
+            let from = sender.mode_before;
+            if !sender.is_another {
+                device.mode = Some(mode);
+            }
+            if !sender.is_another && from != Some(mode) {
                 device.remember_mode(ModeChange { time: now, mode });
                 // Whatever was there before, this one began just now; and not all services are
                 // there in every mode.
@@ -112,17 +124,18 @@ impl Engine {
         }
         let device = self.roster.get(index);
         let (working, name) = (device.working, device.name.clone());
-        let address = header.source;
         self.collisions.see_heartbeat(now, address, heartbeat.uid, working, name.as_ref(), frame);
         if self.collisions.is_suspicious() {
             self.wake_at(now);
         }
+        self.tell_gave_way(address, &sender);
         if uid_changed {
             self.uid_learnt(now, index, first);
         }
+        self.tell_claim(address, &sender);
         // Its own heartbeat before must have said the same: boards that swap addresses have not.
         if let (Some(uid), Some(previous), false) = (heartbeat.uid, previous_beat, uid_changed) {
-            self.compare_uid(now, header.source, uid, previous, frame);
+            self.compare_uid(now, address, uid, previous, frame);
         }
     }
 

@@ -40,11 +40,13 @@ impl Engine {
             },
         };
         self.roster.make_current(row);
+        // Its own: what the address said last may have been the other board's.
+        let mode = live.uid.and_then(|uid| self.claims.mode_of(uid)).or(live.mode);
         let device = self.roster.get_mut(row);
         // What was heard from the address lately is this row's now.
         device.heartbeat = live.heartbeat;
         device.uid = live.uid;
-        device.mode = live.mode;
+        device.mode = mode;
         device.error = live.error;
         device.working = working;
         device.last_seen = now;
@@ -56,7 +58,20 @@ impl Engine {
                 device.services_query.renew(now);
             }
         }
-        row
+        let id = self.roster.get(row).id;
+        self.find_where_it_went(index);
+        self.roster.index_of(id).unwrap_or(row)
+    }
+
+    /// A row that another board has replaced: its own may have been heard elsewhere already.
+    fn find_where_it_went(&mut self, index: usize) {
+        let (uid, from) = (self.uid_of_row(index), self.roster.get(index).address);
+        let went = self.roster.devices().iter().position(|other| {
+            uid.is_some() && other.uid == uid && other.moved_from == Some(from) && other.is_here()
+        });
+        if let Some(went) = went.filter(|went| *went != index) {
+            self.move_row(index, went);
+        }
     }
 
     /// Whether the row is a known device at a new address: the same UID, else the only one of
@@ -76,7 +91,12 @@ impl Engine {
                 && (other.heartbeat.period().is_some() || !other.is_here())
         };
         let by_uid = uid.and_then(|uid| {
-            self.roster.devices().iter().position(|other| other.uid == Some(uid) && gone(other))
+            let speaks = self.claims.row_of(uid);
+            self.roster.devices().iter().position(|other| {
+                let is_it = speaks == Some(other.id)
+                    || (other.uid == Some(uid) && self.claims.uid_of(other.id).is_none());
+                is_it && gone(other)
+            })
         });
         let old = by_uid.or_else(|| self.only_other_of_name(index, name.as_ref()?, gone));
         if let Some(old) = old {
@@ -106,13 +126,9 @@ impl Engine {
     /// A lost device may have turned up elsewhere before it was lost here.
     pub(super) fn find_move_of_lost(&mut self, index: usize) {
         let device = self.roster.get(index);
-        let (id, address, last_seen, uid, name) = (
-            device.id,
-            device.address,
-            device.last_seen,
-            device.uid.filter(|uid| !uid.is_blank()),
-            device.name.clone(),
-        );
+        let (id, address, last_seen, name) =
+            (device.id, device.address, device.last_seen, device.name.clone());
+        let uid = self.uid_of_row(index);
         let candidate = self.roster.devices().iter().position(|other| {
             other.id != id
                 && other.address != address
@@ -141,14 +157,23 @@ impl Engine {
         }
     }
 
-    fn move_row(&mut self, old: usize, new: usize) {
+    pub(super) fn move_row(&mut self, old: usize, new: usize) {
         let from = self.roster.get(old).address;
+        let (id, was) = (self.roster.get(old).id, self.roster.get(new).id);
+        let is_known_by_uid = self.uid_of_row(old).is_some() && self.uid_of_row(new).is_some();
+        let told = self.roster.get(new).moved_from == Some(from);
         let index = self.roster.join(old, new);
+        self.tell(index, EventKind::Joined { was, before: None });
+        if !is_known_by_uid {
+            self.tell_gave_way_by_name(id, from);
+        }
         self.collisions.note_left(from);
         let now = self.now;
         let device = self.roster.get_mut(index);
         device.services_query.renew(now);
-        self.tell(index, EventKind::Moved { from });
+        if !told {
+            self.tell(index, EventKind::Moved { from });
+        }
         self.wake_at(now);
     }
 }

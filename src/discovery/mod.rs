@@ -11,6 +11,7 @@
 //! ```text
 //! hearing     what a frame tells; questions and answers    heartbeats   mode, UID, reboots
 //! roster      the rows                                     identity     boards swapped, devices moved
+//! claims      who claims an address, who gives way         resolution   telling so
 //! presence    who is there                                 transfers    answers in several frames
 //! rounds      when everybody is asked                      asking       who is asked what, and when
 //! station     our own address, and our answers             outbox       our share; who acknowledges
@@ -23,6 +24,7 @@
 //! where frames come from.
 
 mod asking;
+mod claims;
 mod collisions;
 mod config;
 mod device;
@@ -35,6 +37,7 @@ mod identity;
 mod memory;
 mod outbox;
 mod presence;
+mod resolution;
 mod roster;
 mod rounds;
 mod station;
@@ -46,12 +49,13 @@ pub use device::{
     Device, DeviceId, HeartbeatStats, ModeChange, Presence, Query, QueryFault, QueryState, Quirk,
     ServiceEntry,
 };
-pub use event::{Event, EventKind};
+pub use event::{Event, EventKind, Party};
 pub use finding::{Confidence, Evidence, Finding, FindingKey, FindingKind};
 
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
+use claims::Claims;
 use collisions::Collisions;
 use heartbeats::Lateness;
 use outbox::{Acknowledgement, Outbox};
@@ -74,6 +78,9 @@ pub enum OwnAddress {
     Listening,
     /// About to claim this one.
     Claiming(Address),
+    /// Not to be had: somebody else uses the one we are told to have, or, without one, all are
+    /// used. We go on listening, and take one as soon as it is free.
+    Blocked(Option<Address>),
     /// Ours.
     Held(Address),
 }
@@ -126,6 +133,7 @@ pub struct Engine {
     roster: Roster,
     rounds: Rounds,
     transfers: Transfers,
+    claims: Claims,
     collisions: Collisions,
     station: Station,
     outbox: Outbox,
@@ -159,6 +167,7 @@ impl Engine {
             rounds: Rounds::new(),
             transfers: Transfers::new(),
             lateness: Lateness::default(),
+            claims: Claims::new(period),
             broadcasts: VecDeque::new(),
             events: VecDeque::new(),
             counters: Counters::default(),
@@ -355,6 +364,12 @@ impl Engine {
         self.push(Event { time: self.now, device: Some(id), address: Some(address), name, kind });
     }
 
+    /// Tells something of a device that may have no row, at an address that may be another's.
+    fn tell_of(&mut self, device: Option<DeviceId>, address: Address, kind: EventKind) {
+        let name = device.and_then(|id| self.roster.by_id(id)?.name.clone());
+        self.push(Event { time: self.now, device, address: Some(address), name, kind });
+    }
+
     fn tell_bus(&mut self, kind: EventKind) {
         self.push(Event { time: self.now, device: None, address: None, name: None, kind });
     }
@@ -420,6 +435,9 @@ impl Engine {
                 if self.config.scan {
                     self.rounds.restart(self.now);
                 }
+            }
+            Some(AddressChange::Blocked(wanted)) => {
+                self.tell_bus(EventKind::NoAddress(wanted));
             }
             Some(AddressChange::Lost(address)) => {
                 self.tell_bus(EventKind::OwnAddressLost(address));

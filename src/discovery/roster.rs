@@ -47,8 +47,12 @@ impl Roster {
     }
 
     pub fn by_id(&self, id: DeviceId) -> Option<&Device> {
+        self.index_of(id).map(|at| &self.devices[at])
+    }
+
+    pub fn index_of(&self, id: DeviceId) -> Option<usize> {
         let at = self.devices.binary_search_by_key(&id.number, |device| device.id.number);
-        at.ok().map(|at| &self.devices[at]).filter(|device| device.id == id)
+        at.ok().filter(|&at| self.devices[at].id == id)
     }
 
     /// The row that speaks from `address` now.
@@ -82,12 +86,18 @@ impl Roster {
                 .min_by_key(|&at| self.devices[at].last_seen)?;
             self.remove(oldest);
         }
-        let id = DeviceId { bus: self.bus, number: self.next_number };
-        self.next_number += 1;
+        let id = self.reserve();
         self.discoveries += 1;
         self.devices.push(Device::appear(id, now, address, working));
         self.current[address.index()] = Some((self.devices.len() - 1) as u16);
         Some(self.devices.len() - 1)
+    }
+
+    /// An id that no row has or will have.
+    pub fn reserve(&mut self) -> DeviceId {
+        let id = DeviceId { bus: self.bus, number: self.next_number };
+        self.next_number += 1;
+        id
     }
 
     /// Removes a row.

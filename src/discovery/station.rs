@@ -34,6 +34,8 @@ enum Standing {
 pub(super) enum AddressChange {
     Taken(Address),
     Lost(Address),
+    /// The fixed one is used by somebody else, or all are used.
+    Blocked(Option<Address>),
 }
 
 #[derive(Debug)]
@@ -47,7 +49,11 @@ struct Answer {
 pub(super) struct Station {
     standing: Standing,
     wanted: Option<Address>,
+    /// Somebody else wanted our address: who wants it again waits at random before, so that two
+    /// do not do so at the same moment time and again.
     contested: bool,
+    /// When we looked last, there was no address to be had.
+    blocked: bool,
     heard: [Option<Instant>; Address::COUNT],
     period: Duration,
     uid: Uid,
@@ -72,6 +78,7 @@ impl Station {
             standing: Standing::Off,
             wanted: config.address,
             contested: false,
+            blocked: false,
             heard: [None; Address::COUNT],
             period,
             uid,
@@ -102,6 +109,7 @@ impl Station {
     pub fn own_address(&self) -> super::OwnAddress {
         match self.standing {
             Standing::Off => super::OwnAddress::None,
+            Standing::Listening { .. } if self.blocked => super::OwnAddress::Blocked(self.wanted),
             Standing::Listening { .. } => super::OwnAddress::Listening,
             Standing::Waiting { address, .. } => super::OwnAddress::Claiming(address),
             Standing::Held { address } => super::OwnAddress::Held(address),
@@ -168,11 +176,13 @@ impl Station {
             Standing::Listening { until } if now >= until => match self.choose(now, rng) {
                 None => {
                     self.listen(now);
-                    None
+                    let news = !std::mem::replace(&mut self.blocked, true);
+                    news.then_some(AddressChange::Blocked(self.wanted))
                 }
                 // 0 is ours by right while nobody contests it.
                 Some(Address::DEBUG) if !self.contested => Some(self.take(now, Address::DEBUG)),
                 Some(address) => {
+                    self.blocked = false;
                     let wait = Duration::from_micros(rng.u64(..self.period.as_micros() as u64));
                     self.standing = Standing::Waiting { address, since: now, until: now + wait };
                     None
@@ -196,6 +206,7 @@ impl Station {
 
     fn take(&mut self, now: Instant, address: Address) -> AddressChange {
         self.answers.clear();
+        self.blocked = false;
         self.standing = Standing::Held { address };
         self.next_beat = Some(now);
         AddressChange::Taken(address)

@@ -6,6 +6,9 @@ use super::finding::{Finding, FindingKind};
 use crate::text::Name;
 use crate::wire::id::Address;
 
+/// What a frame of somebody else from our own address shows.
+pub(super) const NOT_OURS: &str = "a frame from address 0 that we did not send";
+
 /// Words a finding of the engine anew, after its evidence changed.
 pub(super) fn describe(finding: &mut Finding) {
     let who = finding.key.address.map_or(String::new(), |address| who(address, &finding.names));
@@ -35,6 +38,10 @@ pub(super) fn describe(finding: &mut Finding) {
             format!("Addresses {list} beat with the same DEV_CFG_UID, which must be unique on a bus."),
             "Give one of the two boards a UID of its own.".to_owned(),
         ),
+        FindingKind::TwoDebugDevices if !is_about_us(finding) => (
+            "Two debug devices use address 0: heartbeats of two identities take turns.".to_owned(),
+            "End one of the two tools, or give it another address.".to_owned(),
+        ),
         FindingKind::TwoDebugDevices => (
             "Another debug device uses address 0, as we did.".to_owned(),
             "Nothing to do: we take another address; or end the other tool.".to_owned(),
@@ -62,6 +69,11 @@ pub(super) fn describe(finding: &mut Finding) {
     };
     finding.text = text;
     finding.remedy = remedy;
+}
+
+/// Whether it came up because of an address that was ours.
+fn is_about_us(finding: &Finding) -> bool {
+    finding.evidence.iter().any(|piece| piece.what == NOT_OURS)
 }
 
 /// "FEED at address 12", or "the device at address 12".

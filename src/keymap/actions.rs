@@ -99,7 +99,7 @@ actions! {
         "first" "To the first row" "" ["g" "Home"] => |app, _| app.move_to_end(false);
         "last" "To the last row; in Traffic and Timeline: follow" "" ["G" "End"]
             => |app, _| app.move_to_end(true);
-        "details" "Open the details, or go to the frames of a timeline line" "details" ["Enter"]
+        "details" "Open the details; go to the frames of a problem or of a timeline line" "details" ["Enter"]
             => |app, _| app.open_details();
         "into" "Into the details" "" ["Right" "l"] => |app, _| app.focus_details(true);
         "back" "Back to the list" "" ["Left" "h"] => |app, _| app.focus_details(false);
@@ -115,6 +115,10 @@ actions! {
             => |app, now| app.toggle_freeze(now);
         "identifiers" "Traffic: frames, or one row per identifier" "identifiers" ["v"]
             => |app, _| app.toggle_identifiers();
+        "problem" "From a device to its problem, and back" "problem" ["p"]
+            => |app, _| app.go_to_problem();
+        "mute" "Mute a problem: it does not count until descan ends; or undo that" "mute" ["m"]
+            => |app, _| app.toggle_muted();
         "copy" "Copy the selected row to the clipboard" "" ["y"] => |app, now| app.copy_row(now);
         "cancel" "Leave what is open; take the filter away" "" ["Esc"] => |app, _| app.cancel();
     }

@@ -391,7 +391,8 @@ impl Device {
 
     fn handle_while_running(&mut self, frame: &Frame, header: Header, port: &mut Port) {
         let other_works = !header.sender_not_working;
-        if self.gives_way() {
+        // Asleep it does not watch who else uses its address (3.2.4.5).
+        if self.gives_way() && self.mode != Mode::Idle {
             let matters = other_works || !self.is_working();
             if Some(header.source) == self.address && matters {
                 return self.listen(port);

@@ -108,32 +108,43 @@ impl<'a> Details<'_, 'a> {
     }
 
     fn findings(&mut self, device: Option<&Device>) {
-        let all = self.app().problems();
-        let about = |finding: &&&Finding| {
-            let of_row = || {
-                finding.key.name.is_some()
-                    && finding.key.name == self.row.name
-                    && finding.key.address == self.row.address
-            };
+        let of_row = |finding: &Finding| {
+            finding.key.name.is_some()
+                && finding.key.name == self.row.name
+                && finding.key.address == self.row.address
+        };
+        let about = |finding: &Finding| {
             finding.confidence != Confidence::Cleared
                 && finding.key.kind != FindingKind::Missing
-                && device.map_or_else(of_row, |device| concerns(finding, device))
+                && device.map_or_else(|| of_row(finding), |device| concerns(finding, device))
         };
-        let about: Vec<&Finding> = all.iter().filter(about).copied().collect();
-        for finding in about {
-            let (sign, role) = super::problems::sign(finding.confidence);
-            let sure = finding.confidence == Confidence::Confirmed;
-            let text = if finding.text.is_empty() {
-                finding.key.kind.name()
-            } else {
-                finding.text.as_str()
-            };
-            let text_role = if sure { Role::Text } else { Role::Muted };
-            let mut lines = labelled(self.brush, &format!("{sign} "), text_role, text, self.width);
-            if let Some(first) = lines.first_mut() {
-                first.spans[0].style = self.brush.style(role);
+        let mut any = false;
+        for problem in self.app().problems() {
+            for finding in problem.findings.iter().filter(|finding| about(finding)) {
+                any = true;
+                let (sign, role) = super::problems::sign(finding.confidence);
+                let sure = finding.confidence == Confidence::Confirmed && !problem.is_muted;
+                let text = if finding.text.is_empty() {
+                    problem.headline()
+                } else {
+                    finding.text.as_str()
+                };
+                let text_role = if sure { Role::Text } else { Role::Muted };
+                let muted = if problem.is_muted { "muted · " } else { "" };
+                let text = format!("{muted}{text}");
+                let mut lines =
+                    labelled(self.brush, &format!("{sign} "), text_role, &text, self.width);
+                if let Some(first) = lines.first_mut() {
+                    first.spans[0].style = self.brush.style(role);
+                }
+                self.lines.extend(lines);
             }
-            self.lines.extend(lines);
+        }
+        if any {
+            let key = self.app().key_of("problem");
+            let page = crate::app::Page::Problems;
+            let text = format!("→ {} {} ({key})", page.number(), page.title());
+            self.lines.push(Line::from(self.brush.span(Role::Muted, text)));
         }
     }
 

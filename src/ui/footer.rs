@@ -2,7 +2,7 @@
 
 use super::brush::{Brush, cut, fit};
 use crate::app::{Focus, Page, PromptKind, Verdict};
-use crate::keymap::Mode;
+use crate::keymap::{Key, Mode};
 use crate::theme::Role;
 use ratatui::layout::{Position, Rect};
 use ratatui::text::{Line, Span};
@@ -103,9 +103,13 @@ fn hint_line(brush: &Brush, mode: Mode, width: usize) -> Vec<Span<'static>> {
             "details",
             "freeze",
             "sort",
+            "problem",
             "clear-lost",
             "identify",
         ],
+        (Mode::Browse, Page::Traffic, _) if view.evidence.is_some() => {
+            &["help", "quit", "details", "cancel", "freeze", "save-capture"]
+        }
         (Mode::Browse, Page::Traffic, _) => &[
             "help",
             "quit",
@@ -117,18 +121,36 @@ fn hint_line(brush: &Brush, mode: Mode, width: usize) -> Vec<Span<'static>> {
             "rescan",
         ],
         (Mode::Browse, Page::Timeline, _) => &["help", "quit", "filter", "freeze", "save-capture"],
-        (Mode::Browse, ..) => &["help", "quit", "details", "filter", "edit-address", "rescan"],
+        (Mode::Browse, ..) => {
+            &["help", "quit", "details", "mute", "filter", "problem", "edit-address", "rescan"]
+        }
     };
     let mut spans = vec![Span::raw(" ")];
     spans.extend(hints(brush, names, width.saturating_sub(1)));
     spans
 }
 
+/// The key of an action and the word for what it does here.
+fn hint(brush: &Brush, name: &str) -> Option<(Key, &'static str)> {
+    let (key, word) = brush.app.keymap().hint(name)?;
+    let view = brush.app.view();
+    let here = match (name, view.page, &view.evidence) {
+        ("details", Page::Problems, _) if brush.screen.details.height > 0 => "frames",
+        ("details", Page::Traffic, Some(evidence)) if evidence.around => "only evidence",
+        ("details", Page::Traffic, Some(_)) => "all around it",
+        ("problem", Page::Problems, _) => "its device",
+        ("cancel", ..) => "back",
+        ("mute", ..) if brush.app.selected_problem().is_some_and(|it| it.is_muted) => "unmute",
+        _ => word,
+    };
+    Some((key, here))
+}
+
 /// Keys and what they do, as many as there is room for.
 fn hints(brush: &Brush, names: &[&str], width: usize) -> Vec<Span<'static>> {
     let mut spans = Vec::new();
     let mut used = 0;
-    for (key, hint) in names.iter().filter_map(|name| brush.app.keymap().hint(name)) {
+    for (key, hint) in names.iter().filter_map(|name| hint(brush, name)) {
         let key = key.to_string();
         let gap = if used == 0 { "" } else { "  " };
         let own = gap.len() + key.width() + 1 + hint.width();

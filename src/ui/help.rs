@@ -6,7 +6,7 @@ use crate::theme::Role;
 use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
 
-const SIGNS: [(Role, &str, &str); 16] = [
+const SIGNS: [(Role, &str, &str); 19] = [
     (Role::Online, "● online", "its heartbeats come"),
     (Role::Stale, "◐ stale", "the last heartbeat is late"),
     (Role::Silent, "◌ silent", "frames come, but no heartbeats"),
@@ -14,7 +14,10 @@ const SIGNS: [(Role, &str, &str); 16] = [
     (Role::Lost, "○ lost", "nothing for five heartbeat periods"),
     (Role::Missing, "○ missing", "listed in the file, not on the bus"),
     (Role::Collision, "⚠ CLASH", "a confirmed collision: see Problems"),
-    (Role::Suspected, "?", "a suspicion; it may be innocent"),
+    (Role::Collision, "⚠ 2", "problems that are certain"),
+    (Role::Suspected, "? 1", "suspicions; they may be innocent"),
+    (Role::Muted, "✓ @14", "a problem that is over"),
+    (Role::Match, "◆ ◇", "evidence; ◇ where the capture has forgotten the frame"),
     (Role::Text, "NAME²", "a twin: the same name at another address, which is fine"),
     (Role::FileOk, "✓ 12", "the file pins it to 12, and it is there"),
     (Role::FileDiffers, "✗ 16", "the file pins it to 16, and it is not there"),
@@ -89,9 +92,12 @@ fn signs(brush: &Brush, width: u16) -> Vec<Line<'static>> {
     lines.push(Line::from(brush.span(Role::Title, "Filter")));
     for (term, meaning) in [
         ("feed", "rows that show it somewhere; several words: all of them"),
+        ("at:12 name:FEED", "address, name; on Traffic either side's"),
+        ("is:suspected", "how sure; is:confirmed, is:cleared, is:muted, is:stale, is:new"),
+        ("kind:two", "the kind of a problem, in short or long words"),
         ("src:FEED dst:0", "sender, receiver; dev: either"),
         ("srv:des type:rsp", "service, message type; id: digits of the identifier"),
-        ("bus:can1", "the bus; state:stale on Devices"),
+        ("bus:can1", "the bus"),
         ("err  ours", "what went wrong; what we sent"),
         ("!word", "not that"),
     ] {

@@ -2,10 +2,13 @@
 
 use super::brush::{Brush, fit, labelled};
 use super::details::inner;
-use crate::app::{Page, clock, clock_millis, spell};
-use crate::discovery::{Confidence, Finding};
+use super::traffic::in_words;
+use crate::app::{Page, Problem, clock, clock_millis, spell};
+use crate::discovery::Confidence;
 use crate::theme::Role;
-use ratatui::text::{Line, Span};
+use ratatui::layout::Rect;
+use ratatui::text::Line;
+use unicode_width::UnicodeWidthStr;
 
 pub fn draw(brush: &mut Brush) {
     draw_list(brush);
@@ -21,11 +24,24 @@ pub(super) fn sign(confidence: Confidence) -> (&'static str, Role) {
     }
 }
 
+/// The sign of a problem, and the role of its text.
+fn roles(problem: &Problem) -> (&'static str, Role, Role) {
+    let (sign, role) = sign(problem.confidence());
+    match problem.confidence() {
+        _ if problem.is_muted => (sign, Role::Muted, Role::Muted),
+        Confidence::Cleared => (sign, role, Role::Muted),
+        _ => (sign, role, Role::Text),
+    }
+}
+
+/// How wide the list is where there is room for the time.
+const WITH_TIME: u16 = 56;
+
 fn draw_list(brush: &mut Brush) {
     let (header, list) = (brush.screen.header, brush.screen.list);
-    let line = Line::from(
-        brush.span(Role::Header, format!("    {} WHAT", fit("WHERE", place_width(brush)))),
-    );
+    let time = if list.width >= WITH_TIME { "SINCE    " } else { "" };
+    let title = format!("    {} {time}WHAT", fit("WHERE", bus_width(brush) + ADDRESS));
+    let line = Line::from(brush.span(Role::Header, title));
     brush.line(header, 0, &line);
     let app = brush.app;
     let problems = app.problems_shown();
@@ -38,47 +54,63 @@ fn draw_list(brush: &mut Brush) {
         let line = Line::from(brush.span(Role::Muted, format!("   {text}")));
         return brush.line(list, 1, &line);
     }
-    let selected = app.view().problems.index(problems.iter().map(|finding| &finding.key));
+    let selected = app.view().problems.index(problems.iter().map(|problem| &problem.key));
     let height = usize::from(list.height);
     let top = app.view().problems.top(selected, problems.len(), height);
-    for (row, finding) in problems.iter().skip(top).take(height).enumerate() {
+    for (row, problem) in problems.iter().skip(top).take(height).enumerate() {
         let is_selected = selected == Some(top + row);
-        let (sign, role) = sign(finding.confidence);
-        let cleared = finding.confidence == Confidence::Cleared;
-        let plain = if cleared { Role::Muted } else { Role::Text };
-        let mut spans = vec![
-            brush.span(Role::Text, if is_selected { "▸" } else { " " }),
-            brush.span(role, format!("{sign} ")),
-            brush.span(plain, format!(" {} ", fit(&place(brush, finding), place_width(brush)))),
-            brush.span(plain, finding.key.kind.to_string()),
-        ];
-        if let Some(name) = finding.names.first() {
-            spans.push(brush.span(Role::Muted, format!("  {name}")));
-        }
-        brush.line(list, row as u16, &Line::from(spans));
+        let line = problem_line(brush, problem, list, is_selected);
+        brush.line(list, row as u16, &line);
         if is_selected {
             brush.select(list, row as u16);
         }
     }
 }
 
-fn place_width(brush: &Brush) -> usize {
-    if brush.app.buses().len() > 1 { 10 } else { 5 }
+fn problem_line(brush: &Brush, problem: &Problem, list: Rect, selected: bool) -> Line<'static> {
+    let (sign, sign_role, plain) = roles(problem);
+    let mut spans = vec![
+        brush.span(Role::Text, if selected { "▸" } else { " " }),
+        brush.span(sign_role, format!("{sign} ")),
+        brush.span(plain, format!(" {} ", place(brush, problem))),
+    ];
+    if list.width >= WITH_TIME {
+        let since = clock(brush.app, problem.head().changed);
+        spans.push(brush.span(Role::Muted, format!("{since} ")));
+    }
+    if problem.is_muted {
+        spans.push(brush.span(plain, "muted · "));
+    }
+    spans.push(brush.span(plain, problem.headline()));
+    let names: Vec<String> = problem.names().iter().map(ToString::to_string).collect();
+    if !names.is_empty() {
+        spans.push(brush.span(Role::Muted, format!("  {}", names.join(", "))));
+    }
+    Line::from(spans)
+}
+
+/// How wide an address is, with its sign.
+const ADDRESS: usize = 5;
+
+/// How wide the names of buses are, where there are several.
+fn bus_width(brush: &Brush) -> usize {
+    let buses = brush.app.buses();
+    let longest = buses.iter().map(|bus| bus.name.width()).max().unwrap_or(0);
+    let most = if brush.screen.list.width >= WITH_TIME { 12 } else { 6 };
+    if buses.len() > 1 { longest.min(most) + 1 } else { 0 }
 }
 
 /// Where it is: the bus, where there are several, and the address.
-fn place(brush: &Brush, finding: &Finding) -> String {
-    let app = brush.app;
-    let bus = finding.key.bus.filter(|_| app.buses().len() > 1).and_then(|bus| app.bus(bus));
-    let bus = bus.map(|bus| format!("{} ", bus.name)).unwrap_or_default();
-    match finding.key.address {
-        Some(address) => format!("{bus}@{address}"),
-        None if finding.key.bus.is_none() => "file".to_owned(),
-        None => finding
-            .key
-            .bus
-            .and_then(|bus| app.bus(bus))
-            .map_or_else(String::new, |bus| bus.name.clone()),
+fn place(brush: &Brush, problem: &Problem) -> String {
+    let name = problem.bus().and_then(|bus| brush.app.bus(bus)).map(|bus| bus.name.as_str());
+    let (bus, address) = match (problem.head().key.address, name) {
+        (Some(address), name) => (name.unwrap_or("file"), format!("@{address}")),
+        (None, Some(name)) => (name, if bus_width(brush) > 0 { "" } else { "bus" }.to_owned()),
+        (None, None) => ("file", if bus_width(brush) > 0 { "" } else { "file" }.to_owned()),
+    };
+    match bus_width(brush) {
+        0 => fit(&address, ADDRESS),
+        width => format!("{} {}", fit(bus, width - 1), fit(&address, ADDRESS)),
     }
 }
 
@@ -87,50 +119,135 @@ fn draw_details(brush: &mut Brush) {
     if area.height == 0 {
         return;
     }
-    let app = brush.app;
-    let Some(finding) = app.selected_problem() else { return };
-    let (sign, role) = sign(finding.confidence);
-    let since = spell(app.now().since(finding.changed));
-    let mut lines = vec![Line::from(vec![
-        brush.span(role, format!("{sign} {}", finding.confidence)),
-        brush.span(Role::Muted, format!("  since {since}")),
-    ])];
-    let text = |role: Role, text: &str| labelled(brush, "", role, text, area.width);
-    lines.extend(text(Role::Text, &finding.text));
-    if !finding.remedy.is_empty() {
-        lines.push(Line::default());
-        lines.extend(labelled(brush, "→ ", Role::New, &finding.remedy, area.width));
+    let lines = match brush.app.selected_problem() {
+        Some(problem) => Details { brush, problem, width: area.width, lines: Vec::new() }.all(),
+        None => return,
+    };
+    let scroll = brush.app.view().details_scroll;
+    brush.lines(area, &lines, scroll);
+}
+
+struct Details<'b, 'a> {
+    brush: &'b Brush<'a>,
+    problem: Problem<'a>,
+    width: u16,
+    lines: Vec<Line<'static>>,
+}
+
+impl Details<'_, '_> {
+    fn all(mut self) -> Vec<Line<'static>> {
+        self.certainty();
+        self.text();
+        self.others();
+        self.evidence();
+        self.concerned();
+        self.lines
     }
-    if finding.addresses.len() > 1 {
-        let all: Vec<String> = finding.addresses.iter().map(ToString::to_string).collect();
-        lines.extend(labelled(brush, "addresses ", Role::Text, &all.join(", "), area.width));
+
+    fn add(&mut self, label: &str, role: Role, text: &str) {
+        self.lines.extend(labelled(self.brush, label, role, text, self.width));
     }
-    if finding.names.len() > 1 {
-        let all: Vec<String> = finding.names.iter().map(ToString::to_string).collect();
-        lines.extend(labelled(brush, "names ", Role::Text, &all.join(", "), area.width));
-    }
-    if !finding.evidence.is_empty() {
-        lines.push(Line::default());
-        let kept = finding.evidence.len() as u64;
-        let all = if finding.count > kept {
-            format!("evidence: {} pieces, the first and the last", finding.count)
-        } else {
-            "evidence".to_owned()
+
+    /// How sure, and since when. What is simply so has no word for it.
+    fn certainty(&mut self) {
+        let (app, head) = (self.brush.app, self.problem.head());
+        let (sign, role, _) = roles(&self.problem);
+        let at = clock(app, head.changed);
+        let ago = spell(app.now().since(head.changed));
+        let word = match head.confidence {
+            Confidence::Cleared => "over ",
+            Confidence::Suspected => "suspected ",
+            Confidence::Confirmed if head.key.kind.is_collision() => "confirmed ",
+            Confidence::Confirmed => "",
         };
-        lines.push(Line::from(brush.span(Role::Title, all)));
-    }
-    for evidence in &finding.evidence {
-        let time = clock_millis(app, evidence.time);
-        lines.extend(labelled(brush, &format!("{time} "), Role::Text, evidence.what, area.width));
-        if let Some(frame) = &evidence.frame {
-            let text = frame.to_string();
-            lines.push(Line::from(vec![Span::raw("  "), brush.span(Role::Muted, text)]));
+        self.lines.push(Line::from(vec![
+            self.brush.span(role, format!("{sign} {word}")),
+            self.brush.span(Role::Muted, format!("since {at}, {ago}")),
+        ]));
+        if self.problem.is_muted {
+            let key = app.key_of("mute");
+            self.add("", Role::Muted, &format!("muted: it does not count ({key} undoes it)"));
         }
     }
-    lines.push(Line::default());
-    let first = clock(app, finding.first);
-    let last = clock(app, finding.last);
-    lines.push(Line::from(brush.span(Role::Muted, format!("first {first}, last {last}"))));
-    let scroll = app.view().details_scroll;
-    brush.lines(area, &lines, scroll);
+
+    fn text(&mut self) {
+        let head = self.problem.head();
+        let text = if head.text.is_empty() { self.problem.headline() } else { &head.text };
+        self.add("", Role::Text, text);
+        if let Some(awaits) = self.problem.awaits() {
+            self.lines.push(Line::default());
+            self.add("? ", Role::Muted, awaits);
+        }
+        if !head.remedy.is_empty() && head.confidence != Confidence::Cleared {
+            self.lines.push(Line::default());
+            self.add("→ ", Role::New, &head.remedy);
+        }
+    }
+
+    /// What else shows it.
+    fn others(&mut self) {
+        if self.problem.findings.len() > 1 {
+            self.lines.push(Line::default());
+        }
+        for at in 1..self.problem.findings.len() {
+            let finding = self.problem.findings[at];
+            let (sign, _) = sign(finding.confidence);
+            let sure = finding.confidence == Confidence::Confirmed;
+            self.add(
+                &format!("{sign} "),
+                if sure { Role::Text } else { Role::Muted },
+                &finding.text,
+            );
+        }
+    }
+
+    fn evidence(&mut self) {
+        let (brush, pieces) = (self.brush, self.problem.evidence());
+        if pieces.is_empty() {
+            return;
+        }
+        self.lines.push(Line::default());
+        let key = brush.app.key_of("details");
+        let count = self.problem.count().max(pieces.len() as u64);
+        let kept = pieces.len();
+        let text = match count {
+            1 => "1 piece of evidence".to_owned(),
+            _ if count > kept as u64 => format!("{count} pieces of evidence, {kept} kept"),
+            _ => format!("{count} pieces of evidence"),
+        };
+        self.lines.push(Line::from(brush.span(Role::Title, text)));
+        self.add("", Role::Muted, &format!("{key} shows their frames"));
+        for piece in &pieces {
+            let time = format!("{} ", clock_millis(brush.app, piece.time));
+            self.add(&time, Role::Text, &piece.what);
+            if let Some(frame) = &piece.frame {
+                self.add("  ", Role::Text, &in_words(brush, frame));
+                self.add("  ", Role::Muted, &frame.to_string());
+            }
+        }
+    }
+
+    /// Addresses, names, when it was seen, and what the kinds are called in JSON.
+    fn concerned(&mut self) {
+        let (app, problem) = (self.brush.app, &self.problem);
+        let addresses: Vec<String> = problem.addresses().iter().map(ToString::to_string).collect();
+        let names: Vec<String> = problem.names().iter().map(ToString::to_string).collect();
+        let bus = problem.bus().filter(|_| app.buses().len() > 1).and_then(|bus| app.bus(bus));
+        let buses: Vec<String> = bus.iter().map(|bus| bus.name.clone()).collect();
+        let (first, last) = (clock(app, problem.first()), clock(app, problem.last()));
+        self.lines.push(Line::default());
+        for (one, several, all) in [
+            ("bus", "", buses),
+            ("address", "addresses", addresses),
+            ("name", "names", names),
+            ("seen", "", vec![format!("first {first}, last {last}")]),
+        ] {
+            let label = if all.len() > 1 { several } else { one };
+            self.add(&fit(label, 10), Role::Muted, &all.join(", "));
+        }
+        for at in 0..self.problem.findings.len() {
+            let label = if at == 0 { "kind " } else { "     " };
+            self.add(label, Role::Muted, self.problem.findings[at].key.kind.name());
+        }
+    }
 }

@@ -24,6 +24,7 @@ pub fn draw(brush: &mut Brush) {
             let mut right: Parts = assumed(brush).into_iter().collect();
             right.extend(file(brush, false));
             right.extend(counts(brush));
+            add_muted(brush, area, &left, &mut right);
             pair(brush, area, 0, left, right);
         }
         lines => {
@@ -42,7 +43,9 @@ pub fn draw(brush: &mut Brush) {
             }
             let mut left = file(brush, true);
             left.extend(assumed(brush));
-            pair(brush, area, lines - 1, left, counts(brush));
+            let mut right = counts(brush);
+            add_muted(brush, area, &left, &mut right);
+            pair(brush, area, lines - 1, left, right);
         }
     }
 }
@@ -54,11 +57,6 @@ fn selected_bus(brush: &Brush) -> BusIndex {
 /// Draws parts from the left and others from the right. Where not all fit, those in the middle
 /// are left out: the last of the left ones, the first of the right ones.
 fn pair(brush: &mut Brush, area: Rect, row: u16, left: Parts, mut right: Parts) {
-    let own = |part: &[Span]| part.iter().map(Span::width).sum::<usize>();
-    let whole = |parts: &Parts| match parts.len() {
-        0 => 0,
-        _ => parts.iter().map(|part| own(part) + 2).sum::<usize>() + 1,
-    };
     let width = usize::from(area.width);
     let first = left.first().map_or(0, |part| own(part) + 1);
     while !right.is_empty() && first + whole(&right) > width {
@@ -88,6 +86,30 @@ fn pair(brush: &mut Brush, area: Rect, row: u16, left: Parts, mut right: Parts) 
         line.spans.extend(part);
     }
     brush.line(Rect { x: area.right() - taken, width: taken, ..area }, row, &line);
+}
+
+/// The width of a part.
+fn own(part: &[Span]) -> usize {
+    part.iter().map(Span::width).sum()
+}
+
+/// The width of parts with the space between them.
+fn whole(parts: &Parts) -> usize {
+    match parts.len() {
+        0 => 0,
+        _ => parts.iter().map(|part| own(part) + 2).sum::<usize>() + 1,
+    }
+}
+
+/// How many problems are muted: only where nothing else gives way to it.
+fn add_muted(brush: &Brush, area: Rect, left: &Parts, right: &mut Parts) {
+    let muted = brush.app.counts().muted;
+    if muted > 0 {
+        let part = vec![brush.span(Role::Muted, format!("{muted} muted"))];
+        if whole(left) + whole(right) + own(&part) + 2 <= usize::from(area.width) {
+            right.push(part);
+        }
+    }
 }
 
 fn bus_parts(brush: &Brush, index: BusIndex) -> Parts {
@@ -200,6 +222,10 @@ fn own_address(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
         OwnAddress::Held(address) => {
             vec![brush.span(Role::Muted, "me "), brush.span(Role::Text, address.to_string())]
         }
+        OwnAddress::Blocked(Some(address)) => {
+            vec![brush.span(Role::Error, format!("me {address} in use"))]
+        }
+        OwnAddress::Blocked(None) => vec![brush.span(Role::Error, "no address free")],
         OwnAddress::Claiming(address) => label(format!("me {address}?")),
         OwnAddress::Listening => label("listening".to_owned()),
         OwnAddress::None => label("me –".to_owned()),

@@ -1,6 +1,6 @@
 //! The rule with the names of the pages; behind them, the name of what the details show.
 
-use super::brush::{Brush, cut};
+use super::brush::{Brush, fit};
 use crate::app::{Focus, Page, RowKey, tabs};
 use crate::theme::Role;
 use ratatui::layout::Rect;
@@ -15,7 +15,7 @@ pub fn draw(brush: &mut Brush) {
     brush.rule(area, Role::Border);
     let open = brush.app.view().page;
     let mut end = 0;
-    for (page, start, text) in tabs(area.width, open, brush.app.open_problems()) {
+    for (page, start, text) in tabs(area.width, open, brush.app.counts()) {
         let role = if page == open { Role::TabActive } else { Role::Tab };
         end = start + text.width() as u16;
         let at = Rect { x: area.x + start, width: area.width.saturating_sub(start), ..area };
@@ -26,15 +26,21 @@ pub fn draw(brush: &mut Brush) {
     let focused = brush.app.view().focus == Focus::Details;
     let line_role = if focused { Role::BorderFocus } else { Role::Border };
     let details = screen.details;
-    let filter = brush.app.view().filter(open);
-    let shown = (!filter.is_empty()).then(|| format!(" /{filter} "));
-    if let Some(text) = shown {
+    let shown = match &brush.app.view().evidence {
+        Some(evidence) => Some(format!(" ◆ {} ", evidence.title)),
+        None => Some(brush.app.view().filter(open))
+            .filter(|filter| !filter.is_empty())
+            .map(|filter| format!(" /{filter} ")),
+    };
+    // Where the details have the list's place, the name of what they show is here.
+    if let Some(text) = shown.filter(|_| !screen.details_alone()) {
         let room = if details.height > 0 && screen.divider.height > 0 {
             screen.divider.x.saturating_sub(end)
         } else {
             area.width.saturating_sub(end)
         };
-        let text = cut(&text, usize::from(room.saturating_sub(1))).to_owned();
+        let room_for_text = usize::from(room.saturating_sub(1));
+        let text = if text.width() > room_for_text { fit(&text, room_for_text) } else { text };
         let line = Line::from(brush.span(Role::Match, text));
         let at = Rect { x: end + 1, width: room.saturating_sub(1), ..area };
         brush.line(at, 0, &line);
@@ -78,7 +84,7 @@ fn title(brush: &Brush) -> Option<String> {
                 _ => name,
             })
         }
-        Page::Problems => app.selected_problem().map(|finding| finding.key.kind.to_string()),
+        Page::Problems => app.selected_problem().map(|problem| problem.title()),
         Page::Traffic => Some("Frame".to_owned()),
         Page::Timeline => None,
     }

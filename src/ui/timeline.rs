@@ -95,9 +95,7 @@ fn entry_line(brush: &Brush, entry: &TimelineEntry, who_width: usize) -> Line<'s
 /// The device's name and address, else the bus, else the file.
 fn who(brush: &Brush, entry: &TimelineEntry, width: usize) -> String {
     let app = brush.app;
-    // A device that had no name then has one now, perhaps.
-    let known = || entry.device.and_then(|id| app.device(id)?.name.clone());
-    match (entry.name.clone().or_else(known), entry.address) {
+    match (app.name_on_line(entry), entry.address) {
         (Some(name), Some(address)) => {
             let address = format!(" @{address}");
             let name = name.to_string();

@@ -9,7 +9,10 @@ use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
 
 pub fn draw(brush: &mut Brush) {
-    if brush.app.view().by_identifier {
+    if brush.app.evidence_alone().is_some() {
+        draw_evidence(brush);
+        draw_details(brush);
+    } else if brush.app.view().shows_identifiers() {
         draw_identifiers(brush);
     } else {
         draw_frames(brush);
@@ -81,24 +84,19 @@ fn frame_line(
     selected: bool,
 ) -> Line<'static> {
     let decoded = Decoded::of(brush.app, frame);
+    let proves = brush.app.piece_of(frame).is_some();
     let plain = if frame.ours { Role::Muted } else { Role::Text };
     let text = |role: Role, text: String| brush.span(role, text);
     let mut spans: Vec<Span> = vec![
-        text(Role::Text, if selected { "▸ " } else { "  " }.to_owned()),
+        text(Role::Text, if selected { "▸" } else { " " }.to_owned()),
+        text(Role::Match, if proves { HELD } else { " " }.to_owned()),
         text(Role::Muted, format!("{} ", clock_millis(brush.app, frame.time))),
     ];
     if room.bus {
         let bus = brush.app.bus(frame.bus).map_or("", |bus| &bus.name);
         spans.push(text(Role::Muted, format!("{} ", fit(bus, 6))));
     }
-    if decoded.header.is_some() {
-        spans.push(text(plain, fit_right(&decoded.source, NAME)));
-        spans.push(text(Role::Muted, "→".to_owned()));
-        spans.push(text(plain, format!("{} ", fit(&decoded.destination, NAME))));
-        spans.push(text(plain, format!("{} ", fit(&decoded.service, 4))));
-    } else {
-        spans.push(text(plain, format!("{} ", fit(&frame.id.to_string(), 2 * NAME + 6))));
-    }
+    spans.extend(route(brush, frame, &decoded, plain));
     if room.kind {
         spans.push(text(Role::Muted, format!("{} ", fit(decoded.kind, 11))));
     }
@@ -117,6 +115,91 @@ fn frame_line(
     Line::from(spans)
 }
 
+/// Who to whom, and which service; for frames that have none of these the identifier.
+fn route(brush: &Brush, frame: &Frame, decoded: &Decoded, role: Role) -> Vec<Span<'static>> {
+    if decoded.header.is_none() {
+        return vec![brush.span(role, format!("{} ", fit(&frame.id.to_string(), 2 * NAME + 6)))];
+    }
+    vec![
+        brush.span(role, fit_right(&decoded.source, NAME)),
+        brush.span(Role::Muted, "→"),
+        brush.span(role, format!("{} ", fit(&decoded.destination, NAME))),
+        brush.span(role, format!("{} ", fit(&decoded.service, 4))),
+    ]
+}
+
+/// A frame in a line of its own: who to whom, which service, what it says.
+pub(super) fn in_words(brush: &Brush, frame: &Frame) -> String {
+    let decoded = Decoded::of(brush.app, frame);
+    let says = if decoded.text.is_empty() { decoded.kind } else { &decoded.text };
+    match decoded.header {
+        Some(_) => {
+            format!("{}→{} {} {says}", decoded.source, decoded.destination, decoded.service)
+        }
+        None => format!("{} {says}", frame.id),
+    }
+}
+
+/// The sign of evidence that the capture still holds, and of what only the finding has kept.
+const HELD: &str = "◆";
+const KEPT: &str = "◇";
+
+/// The pieces of evidence, a row each: what they show before what they say.
+fn draw_evidence(brush: &mut Brush) {
+    let (header, list) = (brush.screen.header, brush.screen.list);
+    let Some(evidence) = brush.app.evidence_alone() else { return };
+    let room = Room::new(brush, list.width);
+    let with_route = list.width >= 60;
+    let mut title = format!("  {:12} ", "TIME");
+    if room.bus {
+        title.push_str("BUS    ");
+    }
+    if with_route {
+        title.push_str("  FROM TO     SRV  ");
+    }
+    title.push_str("WHAT IT SHOWS");
+    let mut line = Line::from(brush.span(Role::Header, title));
+    if evidence.count > evidence.pieces.len() as u64 {
+        let text = format!("   {} of {} kept", evidence.pieces.len(), evidence.count);
+        line.push_span(brush.span(Role::Muted, text));
+    }
+    brush.line(header, 0, &line);
+    let selected = evidence.selected().map(|(place, _)| place);
+    let (count, height) = (evidence.pieces.len(), usize::from(list.height));
+    let top = evidence.cursor.top(selected, count, height);
+    for (row, piece) in evidence.pieces.iter().skip(top).take(height).enumerate() {
+        let is_selected = selected == Some(top + row);
+        let sign = match &piece.frame {
+            Some(frame) if brush.app.captured(frame).is_some() => HELD,
+            Some(_) => KEPT,
+            None => " ",
+        };
+        let mut spans = vec![
+            brush.span(Role::Text, if is_selected { "▸" } else { " " }),
+            brush.span(Role::Match, sign),
+            brush.span(Role::Muted, format!("{} ", clock_millis(brush.app, piece.time))),
+        ];
+        let decoded = piece.frame.map(|frame| (frame, Decoded::of(brush.app, &frame)));
+        if let Some((frame, decoded)) = &decoded {
+            if room.bus {
+                let bus = brush.app.bus(frame.bus).map_or("", |bus| &bus.name);
+                spans.push(brush.span(Role::Muted, format!("{} ", fit(bus, 6))));
+            }
+            if with_route {
+                spans.extend(route(brush, frame, decoded, Role::Text));
+            }
+        }
+        spans.push(brush.span(Role::Text, piece.what.clone()));
+        if let Some((_, decoded)) = decoded.filter(|(_, decoded)| !decoded.text.is_empty()) {
+            spans.push(brush.span(Role::Muted, format!(": {}", decoded.text)));
+        }
+        brush.line(list, row as u16, &Line::from(spans));
+        if is_selected {
+            brush.select(list, row as u16);
+        }
+    }
+}
+
 /// The first eight bytes, and whether there are more.
 fn first_bytes(data: &[u8]) -> String {
     let more = if data.len() > 8 { "…" } else { "" };
@@ -132,9 +215,8 @@ fn draw_details(brush: &mut Brush) {
     let focused = brush.app.view().focus == Focus::Details;
     brush.rule(above, if focused { Role::BorderFocus } else { Role::Border });
     let app = brush.app;
-    let Some((number, frame)) =
-        app.view().traffic.and_then(|number| Some((number, app.capture().get(number)?)))
-    else {
+    let alone = app.evidence_alone();
+    let Some(frame) = app.selected_frame() else {
         let line = Line::from(brush.span(Role::Muted, "no frame is selected"));
         return brush.line(area, 0, &line);
     };
@@ -169,8 +251,18 @@ fn draw_details(brush: &mut Brush) {
     if !decoded.text.is_empty() {
         add("says", role, &decoded.text);
     }
-    if let Some(message) = app.message_of(number) {
+    let number = match alone {
+        Some(_) => app.captured(frame),
+        None => app.view().traffic,
+    };
+    if let Some(message) = number.and_then(|number| app.message_of(number)) {
         add("message", Role::Text, &message);
+    }
+    if let Some(piece) = app.piece_of(frame) {
+        add("evidence", Role::Text, &piece.what);
+    }
+    if alone.is_some() && number.is_none() {
+        add("", Role::Muted, "the capture has forgotten it; the finding has not");
     }
     for (at, bytes) in frame.data().chunks(8).enumerate() {
         let text: String = bytes

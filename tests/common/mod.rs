@@ -2,7 +2,7 @@
 
 #![allow(dead_code)]
 
-use descan::discovery::{Config, Engine, Event, EventKind};
+use descan::discovery::{Config, Engine, Event, EventKind, Party};
 use descan::frame::Frame;
 use descan::sim::{Scenario, Sim, Station};
 use descan::time::Instant;
@@ -73,7 +73,19 @@ pub fn describe(event: &Event) -> String {
             Some(from) => format!("mode{who}: {from} -> {to}"),
             None => format!("mode{who}: {to}"),
         },
+        EventKind::Claimed { holder, guess, .. } => match holder {
+            Some(holder) => format!("claimed{who}: held by {}{}", party(holder), perhaps(*guess)),
+            None => format!("claimed{who}"),
+        },
+        EventKind::GaveWay { to, guess, .. } => {
+            let to = to.as_ref().map_or("nobody".to_owned(), party);
+            format!("gave way{who}: to {to}{}", perhaps(*guess))
+        }
         EventKind::Moved { from } => format!("moved{who}: from {from}"),
+        EventKind::Joined { was, before: None } => format!("joined{who}: was row {}", was.number),
+        EventKind::Joined { was, before: Some(before) } => {
+            format!("joined{who}: was row {} before {before}", was.number)
+        }
         EventKind::Rebooted => format!("rebooted{who}"),
         EventKind::Presence(presence) => format!("{presence}{who}"),
         EventKind::Returned { was } => format!("returned{who}: was {was}"),
@@ -83,8 +95,19 @@ pub fn describe(event: &Event) -> String {
         }
         EventKind::OwnAddress(address) => format!("we are {address}"),
         EventKind::OwnAddressLost(address) => format!("we gave up {address}"),
+        EventKind::NoAddress(Some(wanted)) => format!("{wanted} is not free"),
+        EventKind::NoAddress(None) => "no address is free".to_owned(),
         EventKind::NobodyAcknowledges => "nobody acknowledges".to_owned(),
         EventKind::Acknowledged => "acknowledged".to_owned(),
         EventKind::Debug { code, data } => format!("debug{who}: {code:03X} {data:02X?}"),
     }
+}
+
+fn party(party: &Party) -> String {
+    let name = party.name.as_ref().map(ToString::to_string);
+    name.unwrap_or_else(|| format!("row {}", party.device.number))
+}
+
+fn perhaps(guess: bool) -> &'static str {
+    if guess { ", perhaps" } else { "" }
 }

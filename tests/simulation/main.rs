@@ -192,7 +192,11 @@ fn tell(run: &Run) {
         for (_, event) in &it.events {
             while let Some(frame) = frames.next_if(|frame| frame.time <= event.time) {
                 if !quiet && matches!(frame.id, CanId::Extended(_)) {
-                    println!("{number}   {} {frame}{}", frame.time, if frame.ours { " T" } else { "" });
+                    println!(
+                        "{number}   {} {frame}{}",
+                        frame.time,
+                        if frame.ours { " T" } else { "" }
+                    );
                 }
             }
             println!("{number} {} {}", event.time, verdict::describe(event));

@@ -38,13 +38,7 @@ pub struct Truth {
 
 impl Truth {
     /// Looks at everybody.
-    pub fn sample(
-        &mut self,
-        now: Instant,
-        sim: &Sim,
-        devices: &[DeviceId],
-        specs: &[DeviceSpec],
-    ) {
+    pub fn sample(&mut self, now: Instant, sim: &Sim, devices: &[DeviceId], specs: &[DeviceSpec]) {
         let mut at: BTreeMap<Address, Vec<usize>> = BTreeMap::new();
         for (index, &id) in devices.iter().enumerate() {
             if let Some(address) = sim.device_state(id).address {

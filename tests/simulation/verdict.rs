@@ -103,7 +103,10 @@ impl Case<'_> {
             let confirmed = course.changes.iter().filter(|(_, it)| *it == Confidence::Confirmed);
             for &(at, _) in confirmed {
                 if !self.is_justified(course, at, &clashes) {
-                    wrong.push(format!("{at} {} at {:?} is confirmed", course.kind, course.addresses));
+                    wrong.push(format!(
+                        "{at} {} at {:?} is confirmed",
+                        course.kind, course.addresses
+                    ));
                 }
             }
         }
@@ -166,14 +169,16 @@ impl Case<'_> {
                         .any(|fault| spec.faults.has(*fault))
                 };
                 any(&|_| true)
-                    || self.run.world.scenario.devices.iter().zip(&self.run.devices).any(|(it, id)| {
-                        let now = self.run.sim.device_state(*id).address;
-                        faulty(it)
-                            && course
-                                .addresses
-                                .iter()
-                                .any(|&address| is_fixed(it, address) || now == Some(address))
-                    })
+                    || self.run.world.scenario.devices.iter().zip(&self.run.devices).any(
+                        |(it, id)| {
+                            let now = self.run.sim.device_state(*id).address;
+                            faulty(it)
+                                && course
+                                    .addresses
+                                    .iter()
+                                    .any(|&address| is_fixed(it, address) || now == Some(address))
+                        },
+                    )
             }
             _ => true,
         }
@@ -315,7 +320,9 @@ impl Case<'_> {
         for frame in &self.it.frames {
             let Some(header) = frame.platform_id().map(Header::decode) else { continue };
             let beat = header.response && header.broadcast && header.service.number() == 1;
-            let Some(uid) = frame.data().first_chunk::<6>().map(|bytes| Uid(*bytes)) else { continue };
+            let Some(uid) = frame.data().first_chunk::<6>().map(|bytes| Uid(*bytes)) else {
+                continue;
+            };
             if beat && header.is_conforming() && !uid.is_blank() {
                 let course = seen.entry(header.source).or_default();
                 if course.last().is_none_or(|(_, last)| *last != uid) {
@@ -324,9 +331,9 @@ impl Case<'_> {
             }
         }
         for (address, course) in seen {
-            let turns = course.windows(3).any(|three| {
-                three[0].1 == three[2].1 && three[2].0.since(three[1].0) < PERIOD * 5
-            });
+            let turns = course
+                .windows(3)
+                .any(|three| three[0].1 == three[2].1 && three[2].0.since(three[1].0) < PERIOD * 5);
             let told = self.courses.iter().any(|course| {
                 course.concerns(address)
                     && (course.kind == FindingKind::AddressContested
@@ -386,7 +393,10 @@ impl Case<'_> {
                 continue;
             }
             if !device.is_named(truth.name) {
-                wrong.push(format!("{truth:?} is known as {:?}: {:?}", device.name, device.name_query));
+                wrong.push(format!(
+                    "{truth:?} is known as {:?}: {:?}",
+                    device.name, device.name_query
+                ));
             }
             let services: Option<Vec<Vec<Vec<u8>>>> = device.services.as_ref().map(|services| {
                 let strings = |service: &descan::discovery::ServiceEntry| {
@@ -422,9 +432,12 @@ impl Case<'_> {
                 .collect();
             if here.len() > usize::from(occupied[address.index()]) {
                 let rounds = !config.listen_only && !config.round_period.is_zero();
-                let all_beat = self.it.engine.devices().iter().all(|device| {
-                    device.address != address || device.heartbeat.last.is_some()
-                });
+                let all_beat = self
+                    .it
+                    .engine
+                    .devices()
+                    .iter()
+                    .all(|device| device.address != address || device.heartbeat.last.is_some());
                 if rounds || all_beat {
                     wrong.push(format!("{address}: {here:?} are here"));
                 }

@@ -432,8 +432,7 @@ impl Maker {
             self.at(at, &other.label, Action::Move(device.address));
             return;
         }
-        for (mut one, address) in
-            [(device.clone(), other.address), (other.clone(), device.address)]
+        for (mut one, address) in [(device.clone(), other.address), (other.clone(), device.address)]
         {
             let label = format!("{}*", one.label);
             self.at(at, &one.label, Action::Leave);
