@@ -11,7 +11,6 @@ use crate::wire::des::Request;
 use crate::wire::framing::Framing;
 use crate::wire::id::{Address, Header};
 use crate::wire::isotp;
-use crate::wire::node::Mode;
 use crate::wire::profile::Profile;
 
 /// Questions that wait for an answer at the same time: enough to keep a slow bus busy.
@@ -157,8 +156,7 @@ impl Engine {
                 let Some(device) = self.roster.current_device_mut(address) else { continue };
                 let (working, framing) = (device.working, device.framing);
                 // While it resolves its address, the mode it takes next is not known.
-                let early = matches!(device.mode, Some(Mode::Init | Mode::Arslv));
-                let undecided = early && !working;
+                let undecided = device.is_resolving && !working;
                 let usable = device.presence != Presence::Lost && address != own;
                 let query = device.query_mut(request);
                 if query.is_waiting() || query.due.is_none_or(|due| due > now) {

@@ -232,6 +232,13 @@ impl Claims {
             .collect()
     }
 
+    /// Whether somebody else than `uid` still holds `address`.
+    pub fn is_shared(&self, now: Instant, address: Address, uid: Uid) -> bool {
+        let holds = self.period.mul_f64(HOLDS_FOR);
+        let mut others = self.nodes.iter().filter(|it| it.uid != uid && it.address == address);
+        others.any(|node| now.since(node.last) < holds)
+    }
+
     /// Notes that `address` was claimed while somebody else beat from it.
     pub fn note_claimed_over(&mut self, now: Instant, address: Address) {
         self.claimed_over[address.index()] = Some(now);

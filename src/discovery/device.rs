@@ -297,6 +297,9 @@ pub struct Device {
     pub(super) replaced_at: Option<Instant>,
     /// The UID its heartbeats said before the present one.
     pub(super) uid_before: Option<Uid>,
+    /// Whether the last heartbeat from its address was one of a node that is about to take another
+    /// mode.
+    pub(super) is_resolving: bool,
     /// The address it moved from last.
     pub moved_from: Option<Address>,
     /// Whether it is a debug device: at address 0, or one of our kind.
@@ -333,6 +336,7 @@ impl Device {
             rebooted_at: None,
             replaced_at: None,
             uid_before: None,
+            is_resolving: false,
             moved_from: None,
             is_debug: address == Address::DEBUG,
             rounds_missed: 0,
@@ -357,6 +361,17 @@ impl Device {
             Request::Name => &mut self.name_query,
             Request::Services => &mut self.services_query,
         }
+    }
+
+    /// What was heard from its address lately, under another row, is this one's.
+    pub(super) fn take_live(&mut self, live: &Self) {
+        self.heartbeat = live.heartbeat.clone();
+        self.uid = live.uid;
+        self.mode = live.mode;
+        self.error = live.error;
+        self.working = live.working;
+        self.is_resolving = live.is_resolving;
+        self.last_seen = live.last_seen;
     }
 
     /// Adds to the modes it was in; the oldest go.

@@ -65,6 +65,7 @@ impl Engine {
             self.wake_at(now + period * 2);
         }
         let device = self.roster.get_mut(index);
+        device.is_resolving = matches!(heartbeat.mode, Some(Mode::Init | Mode::Arslv));
         device.error = heartbeat.error.or(device.error);
         if heartbeat.uid.is_none() || heartbeat.mode.is_none() {
             device.note(Quirk::ShortHeartbeat);

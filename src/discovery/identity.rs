@@ -21,17 +21,7 @@ impl Engine {
             .iter()
             .position(|device| device.address == address && device.name.as_ref() == Some(name));
         let live = self.roster.get(index).clone();
-        let old = self.roster.get_mut(index);
-        for query in [&mut old.name_query, &mut old.services_query] {
-            query.due = None;
-            query.deadline = None;
-            if query.is_waiting() {
-                query.state = QueryState::NotAsked;
-            }
-        }
-        old.replaced_at = Some(now);
-        // Heartbeats that came since the other board is there are not this row's.
-        old.uid = old.uid_before.take().or(old.uid);
+        self.put_aside(index);
         let row = match known {
             Some(row) => row,
             None => match self.roster.appear(now, address, working) {
@@ -43,13 +33,14 @@ impl Engine {
         // Its own: what the address said last may have been the other board's.
         let mode = live.uid.and_then(|uid| self.claims.mode_of(uid)).or(live.mode);
         let device = self.roster.get_mut(row);
-        // What was heard from the address lately is this row's now.
-        device.heartbeat = live.heartbeat;
-        device.uid = live.uid;
+        device.take_live(&live);
         device.mode = mode;
-        device.error = live.error;
-        device.working = working;
         device.last_seen = now;
+        let id = device.id;
+        if let Some(uid) = live.uid.filter(|uid| !uid.is_blank() && known.is_none()) {
+            self.claims.adopt(uid, id, || self.roster.reserve());
+        }
+        let device = self.roster.get_mut(row);
         if known.is_none() {
             self.tell(row, EventKind::Appeared);
         } else {
@@ -99,9 +90,46 @@ impl Engine {
             })
         });
         let old = by_uid.or_else(|| self.only_other_of_name(index, name.as_ref()?, gone));
-        if let Some(old) = old {
+        let Some(old) = old else { return };
+        let known_as = self.roster.get(old).name.as_ref();
+        if name.is_some() && known_as.is_some() && known_as != name.as_ref() {
+            // Known by its UID: the row here is somebody else's, whose place it took.
+            self.move_onto(old, index);
+        } else {
             self.move_row(old, index);
         }
+    }
+
+    /// The device of the row `old` is now where another device was, whose row stays.
+    fn move_onto(&mut self, old: usize, other: usize) {
+        let (now, from) = (self.now, self.roster.get(old).address);
+        let live = self.roster.get(other).clone();
+        self.put_aside(other);
+        self.roster.settle(old, live.address);
+        let device = self.roster.get_mut(old);
+        device.take_live(&live);
+        device.name_query.renew(now);
+        device.services_query.renew(now);
+        self.collisions.note_left(from);
+        self.collisions.note_left(live.address);
+        self.tell(old, EventKind::Moved { from });
+        self.wake_at(now);
+    }
+
+    /// Another row speaks from this one's address from now on.
+    fn put_aside(&mut self, index: usize) {
+        let now = self.now;
+        let old = self.roster.get_mut(index);
+        for query in [&mut old.name_query, &mut old.services_query] {
+            query.due = None;
+            query.deadline = None;
+            if query.is_waiting() {
+                query.state = QueryState::NotAsked;
+            }
+        }
+        old.replaced_at = Some(now);
+        // Heartbeats that came since the other board is there are not this row's.
+        old.uid = old.uid_before.take().or(old.uid);
     }
 
     fn only_other_of_name(

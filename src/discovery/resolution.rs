@@ -63,7 +63,8 @@ impl Engine {
         // It has a row of its own there, whose name it has yet to say again.
         let own = self.claims.row_of(uid).filter(|own| *own != row);
         let own =
-            own.and_then(|own| self.roster.by_id(own)).is_some_and(|it| it.address == address);
+            own.and_then(|own| self.roster.by_id(own)).is_some_and(|it| it.address == address)
+                && self.claims.is_shared(now, address, uid);
         let over = own || (over_held && before.is_none());
         let beat = Beat { now, address, uid, mode: heartbeat.mode, row, over };
         let heard = self.claims.hear(beat, || self.roster.reserve());

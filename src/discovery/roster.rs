@@ -149,6 +149,19 @@ impl Roster {
         old
     }
 
+    /// The row is at another address now, and speaks from there.
+    pub fn settle(&mut self, index: usize, address: Address) {
+        let was_current = self.is_current(index);
+        let device = &mut self.devices[index];
+        let before = std::mem::replace(&mut device.address, address);
+        device.moved_from = Some(before);
+        device.rounds_missed = 0;
+        if was_current {
+            self.current[before.index()] = None;
+        }
+        self.current[address.index()] = Some(index as u16);
+    }
+
     /// Forgets the rows that are lost.
     pub fn clear_lost(&mut self) {
         for at in (0..self.devices.len()).rev() {

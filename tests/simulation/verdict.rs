@@ -456,7 +456,7 @@ impl Case<'_> {
             let owners = world.scenario.devices.iter().filter(|spec| is_fixed(spec, address));
             let untouched = owners.clone().count() > 0
                 && owners.clone().all(|it| !world.touched.contains(&it.label) && is_regular(it));
-            let inspector = self.it.engine.device(event.device.expect("of a device"));
+            let inspector = event.device.and_then(|it| self.it.engine.device(it));
             if !untouched || inspector.is_none_or(|device| device.is_debug) {
                 continue;
             }
