@@ -144,6 +144,7 @@ impl Engine {
         if self.rounds.right_of_way(now).is_some() {
             return;
         }
+        let window = self.answer_window();
         for request in [Request::Name, Request::Services] {
             // By address: lower ones have priority on the bus, so who was asked first is done
             // first, and nobody waits behind the answers of those that are asked later.
@@ -162,6 +163,10 @@ impl Engine {
                 }
                 if !usable {
                     query.due = None;
+                    continue;
+                }
+                if let Some(alone) = self.errors.put_off(now, address, window) {
+                    query.due = Some(alone);
                     continue;
                 }
                 query.state = QueryState::Asked;

@@ -85,6 +85,7 @@ impl Engine {
         let device = self.roster.get(index);
         let (working, name) = (device.working, device.name.clone());
         self.collisions.see_heartbeat(now, address, heartbeat.uid, working, name.as_ref(), frame);
+        self.errors.see_heartbeat(now, address, frame);
         if self.collisions.is_suspicious() {
             self.wake_at(now);
         }
