@@ -684,6 +684,7 @@ fn what_is_sure_comes_before_suspicions_and_these_before_what_is_over() {
     stage.until(130.0);
     let last = problems(&stage).pop().unwrap();
     assert!(last.starts_with("cleared "), "{:?}", problems(&stage));
+    snapshot!("problems_over_80x24", stage.size(80, 24).keys("G"));
 }
 
 #[test]
@@ -895,7 +896,11 @@ fn from_a_device_to_its_problem_and_back() {
     assert_eq!(selected(&stage), "missing @44", "also of what is not there");
     stage.keys("1 g p");
     assert!(stage.screen().contains("no problem is known of it"), "{}", stage.screen());
+    stage.keys("3 /").text("is:suspected").keys("Enter k k p");
+    assert_eq!(selected(&stage), "two devices, one name @14", "from a line of the timeline, too");
+    stage.keys("3 Esc");
     // Rows that do not fit the filter are found all the same.
+    stage.keys("1 g");
     stage.keys("/").text("feed").keys("Enter 4 g p");
     assert_eq!((stage.app.view().page, name(&stage)), (Page::Devices, "ACT".to_owned()));
 }

@@ -68,6 +68,16 @@ impl<'a> Problem<'a> {
         self.head().confidence
     }
 
+    /// Since when it is as sure as it is.
+    pub fn since(&self) -> Instant {
+        let confidence = self.confidence();
+        let moments = self.findings.iter().filter(|it| it.confidence == confidence);
+        let moments = moments.map(|finding| finding.changed);
+        // It is over when all of it is over.
+        let since = if confidence == Confidence::Cleared { moments.max() } else { moments.min() };
+        since.unwrap_or(self.head().changed)
+    }
+
     /// Whether it is to be counted: it is not over, and not muted.
     pub fn counts(&self) -> bool {
         !self.is_muted && self.confidence() != Confidence::Cleared
