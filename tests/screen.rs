@@ -719,6 +719,22 @@ fn a_collision_is_one_problem_whatever_shows_it() {
 }
 
 #[test]
+fn errors_that_follow_an_address_belong_to_its_problem() {
+    use descan::sim::{DeviceSpec, Fault};
+    let act = |label: &str, service: &str| {
+        let mut device = DeviceSpec::new("ACT").label(label).fixed(101).settled();
+        device.delay = (Duration::from_millis(2), Duration::from_millis(2));
+        device.service(service, "1.0").fault(Fault::NeverGivesWay)
+    };
+    let scenario =
+        Scenario::crowd(125_000, 10, 3).with(act("one", "PUMP")).with(act("other", "VALVE"));
+    let mut stage = Stage::new(&scenario, None);
+    stage.until(15.0).keys("4").size(80, 40);
+    snapshot!("problems_errors", stage);
+    snapshot!("evidence_errors", stage.keys("Enter").size(100, 30));
+}
+
+#[test]
 fn a_muted_problem_does_not_count_and_stays_muted() {
     let mut stage = Stage::boiler();
     stage.until(30.5).keys("4 G m");
