@@ -5,7 +5,7 @@
 
 use super::App;
 use super::matching::{Matching, is_for};
-use crate::discovery::{Confidence, Device, Finding, FindingKey, FindingKind, QueryState};
+use crate::discovery::{Confidence, Device, Finding, FindingKey, FindingKind};
 use crate::document::{self, Document, Entry};
 use crate::frame::BusIndex;
 use crate::text::{Escaped, Name};
@@ -46,6 +46,10 @@ impl App {
 
     /// Compares anew; what was found before keeps its time.
     pub(super) fn refresh_problems(&mut self, now: Instant) {
+        // Every round opens questions again; what was looked at stays looked at.
+        for index in 0..self.buses.len() {
+            self.buses[index].was_looked_at = self.has_looked(BusIndex(index as u8));
+        }
         self.matching = Matching::new(self.file.document().entries(), &self.buses);
         let mut found = self.compare(now, Scope::Screen);
         for finding in &mut found {
@@ -56,7 +60,8 @@ impl App {
                 }
             }
         }
-        self.file_findings = found;
+        let before = std::mem::replace(&mut self.file_findings, found);
+        self.report_differences(before, now);
         self.settle_problems();
     }
 }
@@ -132,7 +137,7 @@ impl Comparison<'_> {
             });
             // Whoever has not said its name yet may be the very device.
             let Some(other) = other.filter(|other| {
-                other.name.is_some() || other.name_query.state == QueryState::Unanswered
+                other.name.is_some() || other.name_query.in_vain
             }) else {
                 continue;
             };

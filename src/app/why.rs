@@ -23,7 +23,7 @@ impl App {
         let Some(bus) = self.bus(bus) else { return false };
         let progress = bus.engine.progress();
         let listened = self.now.since(self.started) >= LISTEN;
-        progress.settled || progress.rounds >= 2 || listened
+        bus.was_looked_at || progress.settled || progress.rounds >= 2 || listened
     }
 
     /// Whether an entry that no device matches can be said to be missing: every bus it is for was
@@ -33,7 +33,7 @@ impl App {
             entry.address == Some(device.address.number())
                 && device.is_here()
                 && device.name.is_none()
-                && device.name_query.state != QueryState::Unanswered
+                && !device.name_query.in_vain
         };
         let buses = self.buses.iter().enumerate().filter(|(_, bus)| is_for(entry, &bus.name));
         buses.into_iter().all(|(index, bus)| {

@@ -109,8 +109,7 @@ impl Engine {
             // A node that was asked in vain answered this round neither: leave it for a while.
             let asked_all = query.state == QueryState::Asked && query.deadline.is_none();
             if device.name.is_none() && asked_all && query.asked_at <= Some(began) {
-                query.state = QueryState::Unanswered;
-                query.due = Some(now + ASK_AGAIN);
+                query.give_up(now + ASK_AGAIN);
             }
         }
     }
@@ -317,7 +316,6 @@ fn fail(
         query.due = None;
         return true;
     }
-    query.state = QueryState::Unanswered;
-    query.due = Some(now + ASK_AGAIN);
+    query.give_up(now + ASK_AGAIN);
     false
 }
