@@ -136,9 +136,9 @@ impl Comparison<'_> {
                 device.address == pinned && device.is_here() && !is_it
             });
             // Whoever has not said its name yet may be the very device.
-            let Some(other) = other.filter(|other| {
-                other.name.is_some() || other.name_query.in_vain
-            }) else {
+            let Some(other) =
+                other.filter(|other| other.name.is_some() || other.name_query.in_vain)
+            else {
                 continue;
             };
             let who =

@@ -86,7 +86,8 @@ pub fn recorded(
             if pace == Pace::Live { (limits.time, None) } else { (None, limits.time) };
         let mut endings = endings(limits, real)?;
         let with = (options, setup.config.clone());
-        let mut recording = Recording::new(log, pace, own, with, &setup.file).context("no thread")?;
+        let mut recording =
+            Recording::new(log, pace, own, with, &setup.file).context("no thread")?;
         let ending = loop {
             let wake = tokio::select! {
                 biased;

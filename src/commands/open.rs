@@ -132,9 +132,9 @@ pub fn clock(buses: &[BusSpec], speed: f64) -> Result<Clock, Failure> {
 pub fn log<'b>(buses: &'b [BusSpec], command: &str) -> Result<Option<&'b BusSpec>, Failure> {
     match buses {
         [log] if is_log(log) => Ok(Some(log)),
-        _ if buses.iter().any(is_log) => Err(Failure::Usage(format!(
-            "a log is read alone: descan {command} file:LOG"
-        ))),
+        _ if buses.iter().any(is_log) => {
+            Err(Failure::Usage(format!("a log is read alone: descan {command} file:LOG")))
+        }
         _ => Ok(None),
     }
 }

@@ -40,8 +40,10 @@ pub fn run(watch: &Watch) -> Result<u8, Failure> {
     } else {
         let mut patience = Patience::default();
         headless::live(&buses, &setup, options, limits, |session| {
-            patience.check(session)?;
-            teller.tell(&mut session.app)?;
+            // What cannot be used from the start is told as that, and nothing else.
+            if patience.check(session)? {
+                teller.tell(&mut session.app)?;
+            }
             Ok(ControlFlow::Continue(()))
         })?;
     }
@@ -55,7 +57,8 @@ struct Patience {
 }
 
 impl Patience {
-    fn check(&mut self, session: &Session) -> Result<(), Failure> {
+    /// Whether all buses were open once.
+    fn check(&mut self, session: &Session) -> Result<bool, Failure> {
         let buses = session.app.buses();
         self.was_open.resize(buses.len(), false);
         for (bus, was_open) in buses.iter().zip(&mut self.was_open) {
@@ -66,7 +69,7 @@ impl Patience {
                 return Err(Failure::Unusable(why));
             }
         }
-        Ok(())
+        Ok(self.was_open.iter().all(|was_open| *was_open))
     }
 }
 
@@ -110,8 +113,7 @@ impl Teller {
 fn in_words(app: &App, line: &TimelineEntry) -> String {
     const NAME: usize = 12;
     let bus = line.bus.and_then(|index| app.bus(index)).map_or("", |bus| &bus.name);
-    let known = || app.device(line.device?)?.name.as_ref();
-    let name = line.name.as_ref().or_else(known).map(ToString::to_string);
+    let name = app.name_on_line(line).map(ToString::to_string);
     let several = app.buses().len() > 1;
     let who = match (line.address, name) {
         (Some(address), name) => format!("{address:>3} {}", name.as_deref().unwrap_or("?")),
@@ -228,6 +230,10 @@ fn of_event(app: &App, bus: BusIndex, event: Event) -> Option<Told> {
         EventKind::Debug { code, data } => ("debug", More::Debug { code, data: hex(&data, "") }),
         // They come as values of their own.
         EventKind::Finding { .. } => return None,
+        // No events of those that scripts know: what comes of a claim is an event of its own.
+        EventKind::Claimed { .. } | EventKind::GaveWay { .. } | EventKind::Joined { .. } => {
+            return None;
+        }
         // The bus says which address is ours.
         EventKind::OwnAddress(_) | EventKind::OwnAddressLost(_) => {
             return of_bus_now(app, bus, event.time);
