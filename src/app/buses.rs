@@ -20,16 +20,13 @@ pub struct Bus {
     pub status: BusStatus,
     /// How busy it is.
     pub meter: Meter,
-    /// It was asked or heard long enough once to call a device missing.
-    pub(super) was_looked_at: bool,
 }
 
 impl Bus {
     /// A bus that starts now.
     pub fn new(now: Instant, name: String, config: Config) -> Self {
         let status = BusStatus { bitrate: config.bitrate, ..BusStatus::default() };
-        let engine = Engine::new(now, config);
-        Self { name, engine, status, meter: Meter::new(now), was_looked_at: false }
+        Self { name, engine: Engine::new(now, config), status, meter: Meter::new(now) }
     }
 
     /// The bit rate to reckon with.

@@ -46,10 +46,6 @@ impl App {
 
     /// Compares anew; what was found before keeps its time.
     pub(super) fn refresh_problems(&mut self, now: Instant) {
-        // Every round opens questions again; what was looked at stays looked at.
-        for index in 0..self.buses.len() {
-            self.buses[index].was_looked_at = self.has_looked(BusIndex(index as u8));
-        }
         self.matching = Matching::new(self.file.document().entries(), &self.buses);
         let mut found = self.compare(now, Scope::Screen);
         for finding in &mut found {

@@ -23,7 +23,7 @@ impl App {
         let Some(bus) = self.bus(bus) else { return false };
         let progress = bus.engine.progress();
         let listened = self.now.since(self.started) >= LISTEN;
-        bus.was_looked_at || progress.settled || progress.rounds >= 2 || listened
+        progress.settled || progress.rounds >= 2 || listened
     }
 
     /// Whether an entry that no device matches can be said to be missing: every bus it is for was
