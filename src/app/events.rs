@@ -91,7 +91,7 @@ impl App {
     }
 
     /// Tells what is found now by comparing file and bus, and was not `before`, or was otherwise.
-    pub(super) fn report_differences(&mut self, before: Vec<Finding>, now: Instant) {
+    pub(super) fn report_differences(&mut self, before: &[Finding], now: Instant) {
         if !self.report {
             return;
         }
@@ -106,7 +106,7 @@ impl App {
             }
         }
         let is_news =
-            |found: &&Finding| confidence_in(&before, &found.key) != Some(found.confidence);
+            |found: &&Finding| confidence_in(before, &found.key) != Some(found.confidence);
         told.extend(self.file_findings.iter().filter(is_news).cloned());
         for finding in told {
             let (kind, text) = finding_in_words(finding.confidence, &finding.key, &finding.text);

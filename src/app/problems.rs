@@ -57,7 +57,7 @@ impl App {
             }
         }
         let before = std::mem::replace(&mut self.file_findings, found);
-        self.report_differences(before, now);
+        self.report_differences(&before, now);
         self.settle_problems();
     }
 }

@@ -133,8 +133,10 @@ pub fn tell_hindrance(app: &App, index: BusIndex) {
         let _ = writeln!(io::stderr(), "descan: {}: {why}", bus.name);
     };
     if bus.engine.is_unacknowledged() {
-        say("nobody acknowledges our frames; is another node on, at the same bit rate, and are both \
-             ends terminated?");
+        say(
+            "nobody acknowledges our frames; is another node on, at the same bit rate, and are both \
+             ends terminated?",
+        );
     }
     if let OwnAddress::Blocked(wanted) = bus.engine.own_address()
         && let Some(why) = app.why_no_address(index, wanted)

@@ -18,6 +18,7 @@ use crate::shell::session::Session;
 use crate::status::Link;
 use crate::time::Instant;
 use crate::wire::id::Address;
+use crate::wire::node::Mode;
 use serde::Serialize;
 use std::io::{self, Write};
 use std::ops::ControlFlow;
@@ -220,20 +221,15 @@ fn of_event(app: &App, bus: BusIndex, event: Event) -> Option<Told> {
             ("services", More::Services { services, changed })
         }
         EventKind::Mode { from, to } => {
-            ("mode", More::Mode { mode: to.name(), from: from.map(|mode| mode.name()) })
+            ("mode", More::Mode { mode: to.name(), from: from.map(Mode::name) })
         }
         EventKind::Moved { from } => ("moved", More::Moved { from: from.number() }),
         EventKind::Rebooted => ("rebooted", More::Nothing {}),
-        EventKind::Presence(Presence::Online) => return None,
-        EventKind::Presence(presence) => (presence.name(), More::Nothing {}),
+        EventKind::Presence(presence) if presence != Presence::Online => {
+            (presence.name(), More::Nothing {})
+        }
         EventKind::Returned { was } => ("returned", More::Returned { was: was.name() }),
         EventKind::Debug { code, data } => ("debug", More::Debug { code, data: hex(&data, "") }),
-        // They come as values of their own.
-        EventKind::Finding { .. } => return None,
-        // No events of those that scripts know: what comes of a claim is an event of its own.
-        EventKind::Claimed { .. } | EventKind::GaveWay { .. } | EventKind::Joined { .. } => {
-            return None;
-        }
         // The bus says which address is ours.
         EventKind::OwnAddress(_) | EventKind::OwnAddressLost(_) => {
             return of_bus_now(app, bus, event.time);
@@ -243,7 +239,14 @@ fn of_event(app: &App, bus: BusIndex, event: Event) -> Option<Told> {
             headless::tell_hindrance(app, bus);
             return None;
         }
-        EventKind::Acknowledged => return None,
+        // Findings come as values of their own, and who is online again has returned. The others are
+        // no events that scripts know: what comes of a claim is.
+        EventKind::Finding { .. }
+        | EventKind::Presence(_)
+        | EventKind::Claimed { .. }
+        | EventKind::GaveWay { .. }
+        | EventKind::Joined { .. }
+        | EventKind::Acknowledged => return None,
     };
     let what = What::Device {
         bus: app.bus(bus).map(|bus| bus.name.clone()),
