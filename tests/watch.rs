@@ -166,7 +166,7 @@ fn the_time_of_a_log_is_its_own() {
         let output = watch(&arguments, folder.path());
         assert_eq!(output.status.code(), Some(0));
         let last = values(&output.stdout).pop().unwrap();
-        assert_eq!((&last["event"], &last["time"]), (&json!("returned"), &json!(1436509063.45)));
+        assert_eq!((&last["event"], &last["time"]), (&json!("returned"), &json!(1_436_509_063.45)));
     }
 }
 
@@ -261,13 +261,13 @@ fn time_goes_on_while_no_line_comes() {
     let mut watching = Watching::start(&["-", "--json", "--profile", "quick.toml"], folder.path());
     watching.write(LOG.lines().next().unwrap());
     watching.write("\n");
-    assert_eq!(watching.event("stale")["time"], 1436509052.35);
-    assert_eq!(watching.event("lost")["time"], 1436509052.6);
+    assert_eq!(watching.event("stale")["time"], 1_436_509_052.35);
+    assert_eq!(watching.event("lost")["time"], 1_436_509_052.6);
     // A line that was late all the same: nothing happens before what was told.
     watching.write("(1436509052.200000) can0 07180001#8AFA6C9724110400\n");
     let returned = watching.event("returned");
     assert_eq!(returned["was"], "lost");
-    assert!(returned["time"].as_f64().unwrap() >= 1436509052.6, "{returned}");
+    assert!(returned["time"].as_f64().unwrap() >= 1_436_509_052.6, "{returned}");
 }
 
 #[test]
