@@ -37,6 +37,7 @@ Examples:
   descan demo                   a simulated pellet boiler, to look around
   descan scan can0              who is there, as a table
   descan scan can0 --json       the same for scripts
+  descan watch can0             what happens, as it happens, a line each
   descan scan can0 --write des.json
                                 begin a des.json with what is there
   descan file:session.log       a candump log, as it was timed
@@ -59,6 +60,8 @@ pub enum Command {
     },
     /// One enumeration, printed as a table
     Scan(Scan),
+    /// What happens, as it happens, a line each
+    Watch(Watch),
     /// Simulated devices on a bus, from a scenario
     Sim {
         /// The bus they are put on
@@ -106,6 +109,33 @@ pub struct Scan {
     pub time: Duration,
 }
 
+/// `descan watch`.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+A log is read as fast as it can be, with its own times, unless --speed is given; lines from
+standard input are told as they come. What goes down or is unplugged is waited for, once it was
+open.
+
+Exit code: 0 ended by a signal, by --time or by the log's end, 2 wrong usage, 3 bus or file not
+usable.
+
+Examples:
+  descan watch can0
+  descan watch can0 can1 --json --time 60 | jq -c 'select(.event == \"finding\")'
+  descan watch file:session.log
+  ssh board candump -L can0 | descan watch -")]
+pub struct Watch {
+    /// The buses and how to treat them.
+    #[command(flatten)]
+    pub session: Session,
+    /// Print one JSON object a line
+    #[arg(long)]
+    pub json: bool,
+    /// End after this many seconds; those of a log file are its own
+    #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+    pub time: Option<Duration>,
+}
+
 /// Buses, and what concerns them.
 #[derive(Debug, Args, Clone)]
 pub struct Session {
@@ -113,8 +143,8 @@ pub struct Session {
     #[arg(value_name = "BUS")]
     pub buses: Vec<BusSpec>,
     /// How fast a log is replayed: 1 as it was timed, 10 ten times faster
-    #[arg(long, value_name = "N", default_value = "1", value_parser = speed)]
-    pub speed: f64,
+    #[arg(long, value_name = "N", value_parser = speed)]
+    pub speed: Option<f64>,
     /// What concerns every session.
     #[command(flatten)]
     pub common: Common,

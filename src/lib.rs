@@ -3,6 +3,7 @@
 //! Reading order:
 //!
 //! * [`time`], [`frame`]: moments and CAN frames, the two values everything is made of.
+//! * [`error_report`]: what a controller says of errors.
 //! * [`text`]: how bytes from outside are shown.
 //! * [`wire`]: what bytes on the bus mean.
 //! * [`discovery`]: the engine that finds devices and collisions on one bus.
@@ -21,6 +22,7 @@ pub mod cli;
 pub mod commands;
 pub mod discovery;
 pub mod document;
+pub mod error_report;
 pub mod frame;
 pub mod keymap;
 pub mod shell;

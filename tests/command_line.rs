@@ -1,9 +1,12 @@
 //! The command line, from outside: what it prints, where, and the exit codes.
 
+mod common;
+
+use common::log;
 use descan::bus::candump::write_line;
 use descan::frame::Frame;
-use descan::sim::{Action, DeviceSpec, Scenario, Sim};
-use descan::time::{Duration, Epoch, Instant};
+use descan::sim::{Action, DeviceSpec, Scenario};
+use descan::time::{Duration, Epoch};
 use serde_json::Value;
 use std::io::Write;
 use std::path::Path;
@@ -27,34 +30,6 @@ fn text(bytes: &[u8]) -> String {
 fn json(output: &Output) -> Value {
     serde_json::from_slice(&output.stdout)
         .unwrap_or_else(|error| panic!("{error}: {}", text(&output.stdout)))
-}
-
-/// What an observer sees of a scenario in which another inspector asks, as a candump log.
-fn log(scenario: &Scenario, seconds: u64) -> String {
-    let mut sim = Sim::new(scenario, 7);
-    let observer = sim.attach();
-    let inspector = sim.attach();
-    let config = descan::discovery::Config { seed: 7, ..descan::discovery::Config::default() };
-    let mut engine = descan::discovery::Engine::new(Instant::ZERO, config);
-    let epoch = Epoch::from_unix_micros(1_436_509_052_249_713);
-    let mut log = Vec::new();
-    let until = Instant::from_micros(seconds * 1_000_000);
-    while sim.now() < until {
-        let now = sim.now();
-        while let Some(frame) = sim.poll_frame(inspector) {
-            engine.handle_frame(&frame);
-        }
-        engine.handle_timeout(now);
-        while let Some(frame) = engine.poll_transmit(now) {
-            sim.transmit(inspector, frame);
-        }
-        while let Some(frame) = sim.poll_frame(observer) {
-            write_line(&mut log, epoch, "can0", &frame).unwrap();
-        }
-        let next = [engine.poll_timeout(), sim.next_event()].into_iter().flatten().min();
-        sim.advance(next.unwrap_or(until).max(now + Duration::from_micros(1)).min(until));
-    }
-    String::from_utf8(log).unwrap()
 }
 
 fn two_devices() -> Scenario {

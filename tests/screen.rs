@@ -662,7 +662,7 @@ fn flood(stage: &mut Stage) {
 #[test]
 fn what_is_sure_comes_before_suspicions_and_these_before_what_is_over() {
     let mut stage = Stage::boiler();
-    stage.until(30.5).keys("4");
+    stage.until(32.0).keys("4");
     assert_eq!(
         problems(&stage),
         [
@@ -684,6 +684,7 @@ fn what_is_sure_comes_before_suspicions_and_these_before_what_is_over() {
     stage.until(130.0);
     let last = problems(&stage).pop().unwrap();
     assert!(last.starts_with("cleared "), "{:?}", problems(&stage));
+    snapshot!("problems_over_80x24", stage.size(80, 24).keys("G"));
 }
 
 #[test]
@@ -718,9 +719,25 @@ fn a_collision_is_one_problem_whatever_shows_it() {
 }
 
 #[test]
+fn errors_that_follow_an_address_belong_to_its_problem() {
+    use descan::sim::{DeviceSpec, Fault};
+    let act = |label: &str, service: &str| {
+        let mut device = DeviceSpec::new("ACT").label(label).fixed(101).settled();
+        device.delay = (Duration::from_millis(2), Duration::from_millis(2));
+        device.service(service, "1.0").fault(Fault::NeverGivesWay)
+    };
+    let scenario =
+        Scenario::crowd(125_000, 10, 3).with(act("one", "PUMP")).with(act("other", "VALVE"));
+    let mut stage = Stage::new(&scenario, None);
+    stage.until(15.0).keys("4").size(80, 40);
+    snapshot!("problems_errors", stage);
+    snapshot!("evidence_errors", stage.keys("Enter").size(100, 30));
+}
+
+#[test]
 fn a_muted_problem_does_not_count_and_stays_muted() {
     let mut stage = Stage::boiler();
-    stage.until(30.5).keys("4 G m");
+    stage.until(32.0).keys("4 G m");
     assert_eq!(selected(&stage), "two devices, one name @14");
     assert!(stage.screen().contains("○ 1 missing  ⚠ 3  1 muted"), "{}", stage.screen());
     stage.effects.clear();
@@ -743,7 +760,7 @@ fn a_muted_problem_does_not_count_and_stays_muted() {
 #[test]
 fn problems_are_filtered_by_words_and_fields() {
     let mut stage = Stage::boiler();
-    stage.until(30.5).keys("4");
+    stage.until(32.0).keys("4");
     let mut filtered = |filter: &str| {
         stage.keys("/").text(filter).keys("Enter");
         let shown = problems(&stage).len();
@@ -895,7 +912,11 @@ fn from_a_device_to_its_problem_and_back() {
     assert_eq!(selected(&stage), "missing @44", "also of what is not there");
     stage.keys("1 g p");
     assert!(stage.screen().contains("no problem is known of it"), "{}", stage.screen());
+    stage.keys("3 /").text("is:suspected").keys("Enter k k p");
+    assert_eq!(selected(&stage), "two devices, one name @14", "from a line of the timeline, too");
+    stage.keys("3 Esc");
     // Rows that do not fit the filter are found all the same.
+    stage.keys("1 g");
     stage.keys("/").text("feed").keys("Enter 4 g p");
     assert_eq!((stage.app.view().page, name(&stage)), (Page::Devices, "ACT".to_owned()));
 }

@@ -7,21 +7,30 @@ use super::traffic::hex;
 
 use super::timeline::{Entry, Kind};
 use super::{App, Change, Effect, ProblemKey};
-use crate::discovery::{Confidence, DeviceId, Event, EventKind, Party, Presence};
+use crate::discovery::{
+    Confidence, DeviceId, Event, EventKind, Finding, FindingKey, Party, Presence,
+};
 use crate::frame::BusIndex;
 use crate::status::{BusState, BusStatus, Link};
 use crate::text::{Escaped, Name};
+use crate::time::Instant;
 use crate::wire::node::{Mode, Uid};
 
 /// Something that happened, for those who watch without a screen.
 #[derive(Clone, Debug)]
 pub enum Happening {
-    /// On a bus.
+    /// Anything at all, in the words of the timeline, each line as often as it happens; what
+    /// it says in words comes as a value beside it.
+    Line(Entry),
+    /// To a device or on a bus; findings come as [`Happening::Finding`].
     Event(BusIndex, Event),
-    /// To a bus: link, bit rate, state.
-    Bus(BusIndex),
+    /// A finding, the engine's or one of comparing file and bus: it appeared, its confidence
+    /// changed, or it is gone (cleared).
+    Finding(Instant, Box<Finding>),
+    /// To a bus: link, bit rate, state, frames lost.
+    Bus(BusIndex, Instant),
     /// To des.json.
-    File,
+    File(Instant),
 }
 
 impl App {
@@ -55,6 +64,7 @@ impl App {
             let mut entry = Entry::new(event.time, kind, text).on(bus);
             (entry.device, entry.address) = (event.device, event.address);
             entry.name.clone_from(&event.name);
+            self.report_line(&entry);
             let may_join =
                 matches!(event.kind, EventKind::Moved { .. } | EventKind::Claimed { .. });
             if !may_join || !self.timeline.amend(&entry, one_line) {
@@ -64,7 +74,55 @@ impl App {
                 self.effects.push_back(Effect::Bell);
             }
         }
-        self.report(Happening::Event(bus, event));
+        if let EventKind::Finding { key, confidence } = &event.kind {
+            let mut finding = self
+                .engine_finding(bus, key)
+                .cloned()
+                .unwrap_or_else(|| Finding::new(key.clone(), event.time));
+            finding.confidence = *confidence;
+            self.report(Happening::Finding(event.time, Box::new(finding)));
+        } else {
+            self.report(Happening::Event(bus, event));
+        }
+    }
+
+    fn engine_finding(&self, bus: BusIndex, key: &FindingKey) -> Option<&Finding> {
+        self.bus(bus)?.engine.findings().iter().find(|finding| finding.key == *key)
+    }
+
+    /// Tells what is found now by comparing file and bus, and was not `before`, or was otherwise.
+    pub(super) fn report_differences(&mut self, before: &[Finding], now: Instant) {
+        if !self.report {
+            return;
+        }
+        let confidence_in = |findings: &[Finding], key: &FindingKey| {
+            findings.iter().find(|finding| finding.key == *key).map(|finding| finding.confidence)
+        };
+        let mut told = Vec::new();
+        for mut finding in before.iter().cloned() {
+            if confidence_in(&self.file_findings, &finding.key).is_none() {
+                (finding.confidence, finding.changed) = (Confidence::Cleared, now);
+                told.push(finding);
+            }
+        }
+        let is_news =
+            |found: &&Finding| confidence_in(before, &found.key) != Some(found.confidence);
+        told.extend(self.file_findings.iter().filter(is_news).cloned());
+        for finding in told {
+            let (kind, text) = finding_in_words(finding.confidence, &finding.key, &finding.text);
+            let mut line = Entry::new(now, kind, text);
+            line.bus = finding.key.bus;
+            line.address = finding.key.address;
+            line.name.clone_from(&finding.key.name);
+            self.report_line(&line);
+            self.report(Happening::Finding(now, Box::new(finding)));
+        }
+    }
+
+    fn report_line(&mut self, line: &Entry) {
+        if self.report {
+            self.report(Happening::Line(line.clone()));
+        }
     }
 
     fn report(&mut self, happening: Happening) {
@@ -122,16 +180,9 @@ impl App {
             EventKind::Presence(Presence::Lost) => (Kind::Lost, "lost".to_owned()),
             EventKind::Returned { was } => (Kind::Good, format!("returned, was {was}")),
             EventKind::Finding { key, confidence } => {
-                let kind = match confidence {
-                    Confidence::Cleared => Kind::Cleared,
-                    Confidence::Suspected => Kind::Suspected,
-                    Confidence::Confirmed => Kind::Confirmed,
-                };
-                let findings = self.bus(bus).map_or(&[][..], |bus| bus.engine.findings());
-                let found = findings.iter().find(|finding| finding.key == *key);
+                let found = self.engine_finding(bus, key);
                 let text = found.map_or("", |finding| finding.text.as_str());
-                let text = if text.is_empty() { key.kind.name() } else { text };
-                (kind, format!("{confidence}: {text}"))
+                finding_in_words(*confidence, key, text)
             }
             EventKind::OwnAddress(address) => (Kind::Bus, format!("we are at {address}")),
             EventKind::OwnAddressLost(address) => {
@@ -187,15 +238,23 @@ impl App {
         if bus.status == status {
             return;
         }
-        for (kind, text) in changes(&bus.status, &status) {
-            self.timeline.push(Entry::new(now, kind, text).on(index));
-        }
+        let changes = changes(&bus.status, &status);
         let came_back = is_up(&status) && !is_up(&bus.status) && bus.status.link != Link::Opening;
         let newly_lost = lost(&status).saturating_sub(lost(&bus.status));
         if bus.status.bitrate != status.bitrate {
             bus.engine.set_bitrate(status.bitrate);
         }
         bus.status = status;
+        let is_news = !changes.is_empty();
+        for (kind, text) in changes {
+            let line = Entry::new(now, kind, text).on(index);
+            self.report_line(&line);
+            self.timeline.push(line);
+        }
+        if is_news {
+            self.report(Happening::Bus(index, now));
+        }
+        let Some(bus) = self.buses.get_mut(usize::from(index.0)) else { return };
         if came_back {
             bus.engine.restart(now);
         }
@@ -205,7 +264,6 @@ impl App {
         self.take_events();
         self.refresh();
         self.dirty_soon();
-        self.report(Happening::Bus(index));
     }
 
     /// des.json changed, or what is known of it.
@@ -243,20 +301,22 @@ impl App {
                 Some((Kind::Error, "someone else changed the same value".to_owned()))
             }
         };
-        if let Some((kind, text)) = line {
-            self.timeline.push(Entry::new(self.now, kind, text));
-        }
+        let mut lines: Vec<(Kind, String)> = line.into_iter().collect();
         if matches!(change, Change::First | Change::Content | Change::Rebased) {
-            for finding in self.file.document().findings() {
-                self.timeline.push(Entry::new(self.now, Kind::File, finding.to_string()));
-            }
+            let findings = self.file.document().findings().iter();
+            lines.extend(findings.map(|finding| (Kind::File, finding.to_string())));
         }
+        for (kind, text) in lines {
+            let line = Entry::new(self.now, kind, text);
+            self.report_line(&line);
+            self.timeline.push(line);
+        }
+        self.report(Happening::File(self.now));
         if change != Change::Broken {
             self.save_pending();
         }
         self.refresh();
         self.dirty = true;
-        self.report(Happening::File);
     }
 
     /// Begins to save what is not saved yet.
@@ -282,6 +342,17 @@ fn one_line(first: &str, second: &str) -> Option<String> {
         _ if first.starts_with("moved") && !moved => Some(format!("{first}, {second}")),
         _ => None,
     }
+}
+
+/// A finding as a line tells it; one without words yet by its kind.
+fn finding_in_words(confidence: Confidence, key: &FindingKey, text: &str) -> (Kind, String) {
+    let kind = match confidence {
+        Confidence::Cleared => Kind::Cleared,
+        Confidence::Suspected => Kind::Suspected,
+        Confidence::Confirmed => Kind::Confirmed,
+    };
+    let text = if text.is_empty() { key.kind.name() } else { text };
+    (kind, format!("{confidence}: {text}"))
 }
 
 /// What changed between two words of an adapter, in lines.

@@ -25,9 +25,14 @@ pub enum ProblemKey {
 impl ProblemKey {
     /// The problem that a finding belongs to.
     pub fn of(key: &FindingKey) -> Self {
-        // One UID at two addresses is about two addresses, and is put right at the boards.
-        let shared = key.kind.is_collision() && key.kind != FindingKind::OneUidTwoAddresses
-            || key.kind == FindingKind::AddressContested;
+        let shared = match key.kind {
+            // It is about two addresses, and is put right at the boards.
+            FindingKind::OneUidTwoAddresses => false,
+            // Two devices that send different bytes break each other's frames: errors that follow
+            // one address are a way in which they show.
+            FindingKind::AddressContested | FindingKind::BusErrors => true,
+            kind => kind.is_collision(),
+        };
         match (key.bus, key.address) {
             (Some(bus), Some(address)) if shared => Self::Shared(bus, address),
             _ => Self::Finding(key.clone()),
@@ -66,6 +71,16 @@ impl<'a> Problem<'a> {
     /// How sure it is.
     pub fn confidence(&self) -> Confidence {
         self.head().confidence
+    }
+
+    /// Since when it is as sure as it is.
+    pub fn since(&self) -> Instant {
+        let confidence = self.confidence();
+        let moments = self.findings.iter().filter(|it| it.confidence == confidence);
+        let moments = moments.map(|finding| finding.changed);
+        // It is over when all of it is over.
+        let since = if confidence == Confidence::Cleared { moments.max() } else { moments.min() };
+        since.unwrap_or(self.head().changed)
     }
 
     /// Whether it is to be counted: it is not over, and not muted.
@@ -157,7 +172,11 @@ impl<'a> Problem<'a> {
 
     /// What is wrong, in as few words as say it.
     pub fn headline(&self) -> &'static str {
-        headline(self.head().key.kind)
+        let key = &self.head().key;
+        match key.kind {
+            FindingKind::BusErrors if key.address.is_some() => "frames break when it sends",
+            kind => headline(kind),
+        }
     }
 
     /// The same with the address.
@@ -181,6 +200,9 @@ impl<'a> Problem<'a> {
             }
             FindingKind::MalformedAnswer | FindingKind::NonConforming => {
                 "Seen once: sure when it is seen again."
+            }
+            FindingKind::BusErrors if self.head().key.address.is_some() => {
+                "Never more than a suspicion: a bad transceiver looks the same."
             }
             FindingKind::BusErrors => "Sure when more of them follow.",
             FindingKind::StaticAddressTaken => "Sure once that device says its name.",

@@ -5,7 +5,7 @@
 
 use super::App;
 use super::matching::{Matching, is_for};
-use crate::discovery::{Confidence, Device, Finding, FindingKey, FindingKind, QueryState};
+use crate::discovery::{Confidence, Device, Finding, FindingKey, FindingKind};
 use crate::document::{self, Document, Entry};
 use crate::frame::BusIndex;
 use crate::text::{Escaped, Name};
@@ -56,7 +56,8 @@ impl App {
                 }
             }
         }
-        self.file_findings = found;
+        let before = std::mem::replace(&mut self.file_findings, found);
+        self.report_differences(&before, now);
         self.settle_problems();
     }
 }
@@ -131,9 +132,9 @@ impl Comparison<'_> {
                 device.address == pinned && device.is_here() && !is_it
             });
             // Whoever has not said its name yet may be the very device.
-            let Some(other) = other.filter(|other| {
-                other.name.is_some() || other.name_query.state == QueryState::Unanswered
-            }) else {
+            let Some(other) =
+                other.filter(|other| other.name.is_some() || other.name_query.in_vain)
+            else {
                 continue;
             };
             let who =

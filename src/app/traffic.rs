@@ -5,6 +5,7 @@
 
 use super::{App, Filter, Page};
 use crate::discovery::Device;
+use crate::error_report::ErrorReport;
 use crate::frame::{BusIndex, CanId, Frame, FrameKind};
 use crate::text::Escaped;
 use crate::time::Instant;
@@ -40,9 +41,9 @@ impl Decoded {
     /// Reads a frame.
     pub fn of(app: &App, frame: &Frame) -> Self {
         match (frame.kind, frame.id) {
-            (FrameKind::Error, CanId::Extended(class)) => Self {
+            (FrameKind::Error, _) => Self {
                 kind: "error",
-                text: describe_error(class, frame.data()),
+                text: ErrorReport::of(frame).map_or(String::new(), |report| report.to_string()),
                 is_error: true,
                 ..Self::default()
             },
@@ -380,49 +381,6 @@ fn describe_heartbeat(profile: &Profile, data: &[u8]) -> String {
         let _ = write!(text, " error {error}");
     }
     text
-}
-
-/// What an error frame reports, as Linux `can/error.h` lays it out.
-fn describe_error(class: u32, details: &[u8]) -> String {
-    const CLASSES: [(u32, &str); 10] = [
-        (0x001, "transmission timed out"),
-        (0x002, "arbitration lost"),
-        (0x004, "controller"),
-        (0x008, "protocol violation"),
-        (0x010, "transceiver"),
-        (0x020, "nobody acknowledged"),
-        (0x040, "bus-off"),
-        (0x080, "bus error"),
-        (0x100, "controller restarted"),
-        (0x200, "error counters"),
-    ];
-    let mut parts: Vec<&str> =
-        CLASSES.iter().filter(|(bit, _)| class & bit != 0).map(|(_, word)| *word).collect();
-    let bits = |byte: usize, words: &[(u8, &'static str)]| -> Vec<&'static str> {
-        let set = details.get(byte).copied().unwrap_or_default();
-        words.iter().filter(|(bit, _)| set & bit != 0).map(|(_, word)| *word).collect()
-    };
-    if class & 0x004 != 0 {
-        parts.extend(bits(
-            1,
-            &[
-                (0x01, "receive overflow"),
-                (0x02, "transmit overflow"),
-                (0x04, "receive warning"),
-                (0x08, "transmit warning"),
-                (0x10, "receive passive"),
-                (0x20, "transmit passive"),
-                (0x40, "active again"),
-            ],
-        ));
-    }
-    if class & 0x008 != 0 {
-        parts.extend(bits(
-            2,
-            &[(0x01, "bit"), (0x02, "form"), (0x04, "stuff"), (0x08, "bit 0"), (0x10, "bit 1")],
-        ));
-    }
-    if parts.is_empty() { "error frame".to_owned() } else { parts.join(", ") }
 }
 
 /// Bytes in hexadecimal, with something between them.

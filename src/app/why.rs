@@ -33,7 +33,7 @@ impl App {
             entry.address == Some(device.address.number())
                 && device.is_here()
                 && device.name.is_none()
-                && device.name_query.state != QueryState::Unanswered
+                && !device.name_query.in_vain
         };
         let buses = self.buses.iter().enumerate().filter(|(_, bus)| is_for(entry, &bus.name));
         buses.into_iter().all(|(index, bus)| {
@@ -43,57 +43,108 @@ impl App {
 
     /// Why no device matches this entry: the likeliest cause first.
     pub fn why_missing(&self, entry: &Entry) -> Vec<String> {
+        let buses = self.buses.iter().enumerate().filter(|(_, bus)| is_for(entry, &bus.name));
+        let mut by_bus: Vec<(&str, Vec<String>)> = buses
+            .map(|(at, bus)| (bus.name.as_str(), self.why_on(BusIndex(at as u8), bus, entry)))
+            .collect();
+        let Some((_, first)) = by_bus.first() else {
+            let bus = entry.bus.as_deref().unwrap_or_default();
+            return vec![format!("it is on {}, which is not open here", Escaped(bus.as_bytes()))];
+        };
+        if by_bus.iter().all(|(_, reasons)| reasons == first) {
+            return by_bus.swap_remove(0).1;
+        }
+        let named = |bus: &str, reason: String| {
+            if reason.contains(bus) { reason } else { format!("{bus}: {reason}") }
+        };
+        let reasons = by_bus
+            .into_iter()
+            .flat_map(|(bus, reasons)| reasons.into_iter().map(move |it| named(bus, it)));
+        reasons.collect()
+    }
+
+    fn why_on(&self, index: BusIndex, bus: &Bus, entry: &Entry) -> Vec<String> {
         let mut reasons = Vec::new();
-        for (index, bus) in self.buses.iter().enumerate().filter(|(_, it)| is_for(entry, &it.name))
-        {
-            let before = reasons.len();
-            why_bus(bus, &mut reasons);
-            if reasons.len() > before {
-                continue;
-            }
-            self.why_on(bus, entry, &mut reasons);
-            if reasons.len() == before && !self.has_looked(BusIndex(index as u8)) {
-                reasons.push("still looking".to_owned());
-            } else if reasons.len() == before {
-                why_silent(bus, entry, &mut reasons);
+        why_bus(bus, &mut reasons);
+        if !reasons.is_empty() {
+            return reasons;
+        }
+        let mut elsewhere = Vec::new();
+        let mut taken = Vec::new();
+        for device in bus.engine.devices() {
+            let owner = self.matching.entry_of(device.id);
+            let is_it = owner == Some(entry.index);
+            let is_namesake = device.is_named(&entry.name);
+            match (device.is_here(), owner) {
+                (false, None) if is_namesake => reasons.push(self.was_at(device)),
+                (false, _) if is_it => reasons.push(self.was_at(device)),
+                (true, None) if is_namesake => elsewhere.push(device.address),
+                (true, Some(_)) if is_namesake && !is_it => taken.push(device),
+                _ => {}
             }
         }
-        if reasons.is_empty() {
-            reasons.push("nothing was heard of it".to_owned());
+        self.why_at_its_address(bus, entry, &mut reasons);
+        elsewhere.sort_unstable();
+        if let [only] = elsewhere[..] {
+            reasons.push(format!("it is there under another address: {only}"));
+        } else if !elsewhere.is_empty() {
+            let at: Vec<String> = elsewhere.iter().map(ToString::to_string).collect();
+            let not = entry.address.map(|own| format!(", not at {own}")).unwrap_or_default();
+            let (name, at) = (called(&entry.name), at.join(" and "));
+            reasons.push(format!("{name} answers at {at}{not}: which is it?"));
         }
+        if reasons.is_empty() && !self.has_looked(index) {
+            reasons.push("still looking".to_owned());
+        } else if reasons.is_empty() {
+            why_silent(bus, entry, &mut reasons);
+        }
+        reasons.extend(taken.into_iter().map(|device| {
+            format!("the {} at {} is another entry's", called(&entry.name), device.address)
+        }));
         reasons
     }
 
-    fn why_on(&self, bus: &Bus, entry: &Entry, reasons: &mut Vec<String>) {
-        let devices = bus.engine.devices();
-        let at = |device: &&Device| entry.address == Some(device.address.number());
-        let seconds = |device: &Device| spell(self.now.since(device.last_seen));
-        for other in devices.iter().filter(|device| device.is_named(&entry.name)) {
-            let listed = self.matching.entry_of(other.id).is_some();
-            reasons.push(match (other.is_here(), listed) {
-                (true, false) => format!("it is there under another address: {}", other.address),
-                (true, true) => format!(
-                    "one of its name is at {}, which belongs to another entry",
-                    other.address
-                ),
-                (false, _) => {
-                    format!("it was at {} and was last heard {} ago", other.address, seconds(other))
-                }
-            });
+    fn was_at(&self, device: &Device) -> String {
+        let ago = spell(self.now.since(device.last_seen));
+        format!("it was at {} and was last heard {ago} ago", device.address)
+    }
+
+    /// Who or what is, or was, where the file has it.
+    fn why_at_its_address(&self, bus: &Bus, entry: &Entry, reasons: &mut Vec<String>) {
+        let Some(address) = entry.address.and_then(Address::new) else { return };
+        if bus.engine.own_address() == OwnAddress::Held(address) {
+            reasons.push(format!("we use its address {address} ourselves"));
         }
-        for other in devices.iter().filter(at) {
-            let address = other.address;
-            match (&other.name, other.is_here()) {
-                (Some(name), true) if name.as_bytes() != entry.name => {
-                    reasons.push(format!("{name} sits on its address {address}"));
-                }
-                (None, true) => reasons.extend(why_unnamed(other, self.asks(other.id.bus))),
-                (None, false) => reasons.push(format!(
-                    "something without a name was at {address}, last heard {} ago",
-                    seconds(other)
-                )),
-                _ => {}
+        let mut gone = None;
+        for other in bus.engine.devices() {
+            if other.moved_from == Some(address) && other.is_here() && other.address != address {
+                gone = Some(format!(
+                    "{} was at {address} and is at {} now",
+                    who(other),
+                    other.address
+                ));
             }
+            let is_its = self.matching.entry_of(other.id) == Some(entry.index);
+            if other.address != address || is_its || other.is_named(&entry.name) {
+                continue;
+            }
+            match (&other.name, other.is_here()) {
+                (Some(_), true) if entry.is_static => {
+                    reasons.push(format!("{} sits on its address {address}", who(other)));
+                }
+                (Some(_), true) => {
+                    reasons.push(format!("{} has address {address} now", who(other)));
+                }
+                (None, true) => reasons.extend(self.why_unnamed(other)),
+                (_, false) => {
+                    let ago = spell(self.now.since(other.last_seen));
+                    gone =
+                        Some(format!("only {} was at {address}, last heard {ago} ago", who(other)));
+                }
+            }
+        }
+        if reasons.is_empty() {
+            reasons.extend(gone);
         }
     }
 
@@ -106,13 +157,13 @@ impl App {
             why_bus(bus, &mut reasons);
         }
         if device.name.is_none() && !device.is_debug {
-            reasons.extend(why_unnamed(device, self.asks(device.id.bus)));
+            reasons.extend(self.why_unnamed(device));
         } else if device.services.is_none() {
             let query = device.services_query;
             match query.state {
                 QueryState::Unanswered => reasons.push(format!(
-                    "it says its name, but not its services (asked {})",
-                    times(query.attempts)
+                    "it says its name, but not its services{}",
+                    asked(query.attempts)
                 )),
                 QueryState::NotAsked if !self.asks(device.id.bus) => {
                     reasons.push("services: we do not ask".to_owned());
@@ -124,6 +175,31 @@ impl App {
             reasons.push(format!("its answer was not usable: {fault}"));
         }
         reasons
+    }
+
+    fn why_unnamed(&self, device: &Device) -> Option<String> {
+        let what = if device.heartbeat.count > 0 { "a heartbeat" } else { "frames" };
+        let (address, query) = (device.address, device.name_query);
+        let own = self.bus(device.id.bus).map(|bus| bus.engine.own_address());
+        match query.state {
+            QueryState::Unanswered => {
+                Some(format!("{what} at {address}, but no DES answer{}", asked(query.attempts)))
+            }
+            QueryState::Asked if query.attempts > 0 => {
+                Some(format!("{what} at {address}, but no DES answer yet{}", asked(query.attempts)))
+            }
+            QueryState::NotAsked if !self.asks(device.id.bus) => {
+                Some(format!("{what} at {address}; its name is not known, as we do not ask"))
+            }
+            QueryState::NotAsked => Some(match own {
+                Some(OwnAddress::Blocked(wanted)) => {
+                    let why = self.why_no_address(device.id.bus, wanted).unwrap_or_default();
+                    format!("{what} at {address}, but {why}")
+                }
+                _ => format!("{what} at {address}, not asked yet"),
+            }),
+            _ => None,
+        }
     }
 
     /// Why we have no address on a bus, where that is the case: the fixed one is used by somebody
@@ -149,26 +225,49 @@ impl App {
 
 /// Why nothing at all was heard of a device.
 fn why_silent(bus: &Bus, entry: &Entry, reasons: &mut Vec<String>) {
+    let ended = bus.status.link == Link::Ended;
+    let log = if ended { "in this log " } else { "" };
     reasons.push(match entry.address {
-        Some(address) => format!("nothing was ever heard from address {address}"),
-        None => format!("nobody called {}", Escaped(&entry.name)),
+        Some(address) => format!("{log}nothing was ever heard from address {address}"),
+        None => format!("{log}nobody called {}", called(&entry.name)),
     });
     let config = bus.engine.config();
-    let mut others = bus.engine.devices().iter().filter(|it| !it.is_debug && it.is_here());
-    reasons.push(if config.listen_only || !config.scan {
+    let others = || bus.engine.devices().iter().filter(|it| !it.is_debug && it.is_here());
+    let nameless = others().filter(|it| it.name.is_none()).count();
+    if entry.address.is_none() && nameless > 0 {
+        reasons.push(match nameless {
+            1 => "there is one whose name is not known: it may be that".to_owned(),
+            count => format!("there are {count} whose names are not known: it may be one of them"),
+        });
+    }
+    reasons.push(if ended || config.listen_only || !config.scan {
         "we do not ask: a device that says nothing is not seen".to_owned()
-    } else if bus.engine.own_address() == OwnAddress::None {
-        "we have no address yet, so nobody was asked".to_owned()
-    } else if others.next().is_none() {
+    } else if let OwnAddress::Blocked(_) = bus.engine.own_address() {
+        "we have no address of our own: nobody was asked".to_owned()
+    } else if others().next().is_none() {
         "nobody at all answers: is the bit rate right, are both ends terminated?".to_owned()
     } else {
         "others answer: is it powered and wired?".to_owned()
     });
 }
 
+/// A name as it is spoken of, an empty one too.
+fn called(name: &[u8]) -> String {
+    if name.is_empty() { "\"\"".to_owned() } else { Escaped(name).to_string() }
+}
+
+fn who(device: &Device) -> String {
+    match &device.name {
+        Some(name) if name.as_bytes().is_empty() => "a device with an empty name".to_owned(),
+        Some(name) => name.to_string(),
+        None => "something without a name".to_owned(),
+    }
+}
+
 fn why_bus(bus: &Bus, reasons: &mut Vec<String>) {
     let name = &bus.name;
     match (bus.status.link, bus.status.state) {
+        (Link::Opening, _) => reasons.push(format!("{name} is being opened")),
         (link, _) if !matches!(link, Link::Up | Link::Ended) => {
             reasons.push(match &bus.status.message {
                 Some(message) => Escaped(message.as_bytes()).to_string(),
@@ -188,23 +287,8 @@ fn why_bus(bus: &Bus, reasons: &mut Vec<String>) {
     }
 }
 
-fn why_unnamed(device: &Device, asks: bool) -> Option<String> {
-    let what = if device.heartbeat.count > 0 { "a heartbeat" } else { "frames" };
-    let query = device.name_query;
-    match query.state {
-        QueryState::Unanswered | QueryState::Asked if query.attempts > 0 => Some(format!(
-            "{what} at {}, but no DES answer (asked {})",
-            device.address,
-            times(query.attempts)
-        )),
-        QueryState::NotAsked if asks => {
-            Some(format!("{what} at {}, not asked yet", device.address))
-        }
-        QueryState::NotAsked => {
-            Some(format!("{what} at {}; its name is not known, as we do not ask", device.address))
-        }
-        _ => None,
-    }
+fn asked(attempts: u32) -> String {
+    if attempts > 0 { format!(" (asked {})", times(attempts)) } else { String::new() }
 }
 
 fn times(count: u32) -> String {

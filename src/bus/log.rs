@@ -7,7 +7,7 @@ use super::candump::{LineFault, LogLine, MAX_LINE, parse_line};
 use crate::frame::{BusIndex, Frame};
 use crate::time::{Epoch, Instant};
 use std::fmt;
-use std::io::{self, BufRead};
+use std::io::{self, BufRead, BufReader, Read};
 
 /// The frames of a log. The first is at the start; times that run backwards stand still, and
 /// are counted.
@@ -54,33 +54,60 @@ impl<R: BufRead> LogReader<R> {
     /// The next frame; `None` at the end.
     pub fn next_frame(&mut self) -> io::Result<Option<Frame>> {
         loop {
-            let buffer = match self.source.fill_buf() {
-                Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
-                buffer => buffer?,
-            };
-            let (read, is_at_end) = (buffer.len(), buffer.is_empty());
-            let line_end = buffer.iter().position(|&byte| byte == b'\n');
-            let piece = &buffer[..line_end.unwrap_or(read)];
-            let frame = match line_end {
-                _ if is_at_end && self.partial.is_empty() => return Ok(None),
-                Some(_) if self.partial.is_empty() => self.tally.take(piece),
-                None if !is_at_end => {
-                    keep(&mut self.partial, piece);
-                    None
-                }
-                _ => {
-                    keep(&mut self.partial, piece);
-                    let frame = self.tally.take(&self.partial);
-                    self.partial.clear();
-                    frame
-                }
-            };
-            self.source.consume(line_end.map_or(read, |end| end + 1));
-            if frame.is_some() {
-                return Ok(frame);
+            match self.step()? {
+                Step::End => return Ok(None),
+                Step::Frame(frame) => return Ok(Some(frame)),
+                Step::Nothing => {}
             }
         }
     }
+
+    /// Reads to the end of a line or of the source's buffer.
+    fn step(&mut self) -> io::Result<Step> {
+        let buffer = match self.source.fill_buf() {
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => return Ok(Step::Nothing),
+            buffer => buffer?,
+        };
+        let (read, is_at_end) = (buffer.len(), buffer.is_empty());
+        let line_end = buffer.iter().position(|&byte| byte == b'\n');
+        let piece = &buffer[..line_end.unwrap_or(read)];
+        let frame = match line_end {
+            _ if is_at_end && self.partial.is_empty() => return Ok(Step::End),
+            Some(_) if self.partial.is_empty() => self.tally.take(piece),
+            None if !is_at_end => {
+                keep(&mut self.partial, piece);
+                None
+            }
+            _ => {
+                keep(&mut self.partial, piece);
+                let frame = self.tally.take(&self.partial);
+                self.partial.clear();
+                frame
+            }
+        };
+        self.source.consume(line_end.map_or(read, |end| end + 1));
+        Ok(frame.map_or(Step::Nothing, Step::Frame))
+    }
+}
+
+impl<R: Read> LogReader<BufReader<R>> {
+    /// The next frame whose line is here already; `None` where the source would have to be read.
+    pub fn next_buffered(&mut self) -> Option<Frame> {
+        while self.source.buffer().contains(&b'\n') {
+            // What is buffered is not read again, so there is no error.
+            if let Ok(Step::Frame(frame)) = self.step() {
+                return Some(frame);
+            }
+        }
+        None
+    }
+}
+
+/// What a step of reading came to.
+enum Step {
+    End,
+    Nothing,
+    Frame(Frame),
 }
 
 /// Adds a piece to a cut line, no more than it takes to see that the line is too long.
@@ -151,7 +178,7 @@ impl fmt::Display for Tally {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::io::BufReader;
+    use crate::frame::CanId;
 
     const LOG: &str = "\
 (1436509052.249713) can0 02015402#04
@@ -181,6 +208,26 @@ not a line
         for buffer in 1..60 {
             assert_eq!(read(LOG, buffer), (frames.clone(), tally.clone()));
         }
+    }
+
+    #[test]
+    fn what_is_here_is_had_without_reading_on() {
+        // A pipe that gives one piece per read, and nothing after them.
+        struct Pieces(Vec<&'static str>);
+        impl Read for Pieces {
+            fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+                let piece = self.0.pop().expect("it is not read on").as_bytes();
+                buffer[..piece.len()].copy_from_slice(piece);
+                Ok(piece.len())
+            }
+        }
+        let pieces = vec!["0 125#\n", "(0.1) can0 123#\n\n?\n(0.2) can0 124#\n\n(0.3) can"];
+        let mut reader = LogReader::new(BufReader::new(Pieces(pieces)));
+        assert_eq!(reader.next_frame().unwrap().unwrap().id, CanId::Standard(0x123));
+        assert_eq!(reader.next_buffered().unwrap().id, CanId::Standard(0x124));
+        assert_eq!(reader.next_buffered(), None);
+        assert_eq!(reader.next_frame().unwrap().unwrap().id, CanId::Standard(0x125));
+        assert_eq!(reader.next_buffered(), None);
     }
 
     #[test]

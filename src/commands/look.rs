@@ -15,7 +15,7 @@ pub fn ui(arguments: &Arguments) -> Result<u8, Failure> {
     needs_terminal()?;
     let buses = open::buses(arguments)?;
     let setup = Setup::new(&arguments.common)?;
-    let clock = open::clock(&buses, arguments.speed)?;
+    let clock = open::clock(&buses, arguments.speed.unwrap_or(1.0))?;
     show(&buses, &setup, clock)
 }
 
@@ -56,7 +56,7 @@ fn needs_terminal() -> Result<(), Failure> {
     if std::io::stdout().is_terminal() {
         return Ok(());
     }
-    let message = "the screen needs a terminal; without one there is: descan scan";
+    let message = "the screen needs a terminal; without one there are: descan scan, descan watch";
     Err(Failure::Usage(message.to_owned()))
 }
 
@@ -80,7 +80,7 @@ fn show(buses: &[BusSpec], setup: &Setup, clock: Clock) -> Result<u8, Failure> {
         keymap: setup.keymap.clone(),
         theme: wanted.to_owned(),
         themes: themes.names(),
-        utc_offset_seconds: utc_offset_seconds(),
+        utc_offset_seconds: open::utc_offset_seconds(),
         warnings,
         ..AppOptions::default()
     };
@@ -99,9 +99,4 @@ fn show(buses: &[BusSpec], setup: &Setup, clock: Clock) -> Result<u8, Failure> {
         Ending::Quit => FINE,
         Ending::Terminated | Ending::Hangup => INTERRUPTED,
     })
-}
-
-/// How far the wall clock is ahead of UTC; 0 where the system does not say.
-fn utc_offset_seconds() -> i32 {
-    time::UtcOffset::current_local_offset().map_or(0, time::UtcOffset::whole_seconds)
 }

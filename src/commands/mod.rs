@@ -3,11 +3,13 @@
 //! Each returns the exit code that scripts rely on; what cannot be done is an error whose text
 //! names the cause and the way out.
 
+mod headless;
 mod look;
 mod open;
 mod report;
 mod scan;
 mod simulate;
+mod watch;
 
 use crate::cli::{self, Cli, Command};
 use std::io::{self, Write};
@@ -57,6 +59,7 @@ pub fn run(cli: Cli) -> ExitCode {
         None => look::ui(&cli.session),
         Some(Command::Demo { system, session }) => look::demo(&system, &session),
         Some(Command::Scan(scan)) => scan::run(&scan),
+        Some(Command::Watch(watch)) => watch::run(&watch),
         Some(Command::Sim { bus, scenario, time }) => simulate::run(&bus, &scenario, time),
         Some(Command::Completions { shell }) => print(&cli::completions(shell)),
         Some(Command::Man) => cli::manual().map_err(Failure::from).and_then(|text| print(&text)),

@@ -128,6 +128,17 @@ pub fn clock(buses: &[BusSpec], speed: f64) -> Result<Clock, Failure> {
     Ok(Clock::replaying(epoch, if buses.iter().any(is_log) { speed } else { 1.0 }))
 }
 
+/// The log among the buses, where there is one: then it is the only one.
+pub fn log<'b>(buses: &'b [BusSpec], command: &str) -> Result<Option<&'b BusSpec>, Failure> {
+    match buses {
+        [log] if is_log(log) => Ok(Some(log)),
+        _ if buses.iter().any(is_log) => {
+            Err(Failure::Usage(format!("a log is read alone: descan {command} file:LOG")))
+        }
+        _ => Ok(None),
+    }
+}
+
 /// Whether a bus is a recording: nothing can be sent on it.
 pub fn is_log(bus: &BusSpec) -> bool {
     matches!(bus, BusSpec::File(_) | BusSpec::Stdin)
@@ -171,4 +182,10 @@ pub fn session(
     };
     let app = App::new(clock.now(), options);
     Ok(Session::new(app, clock, ports, Some(Store::new(&setup.file))))
+}
+
+/// How far the wall clock is ahead of UTC; 0 where the system does not say. To be asked before
+/// there are threads.
+pub fn utc_offset_seconds() -> i32 {
+    time::UtcOffset::current_local_offset().map_or(0, time::UtcOffset::whole_seconds)
 }

@@ -1,9 +1,9 @@
-//! What `scan` and `check` report: one value, as JSON or as tables.
+//! What `scan` and `check` report: one value, as JSON or as tables. `watch` tells parts of it.
 //!
 //! The JSON's names, types and meanings are relied on by scripts. What is not known is null.
 
 use crate::app::{App, Bus};
-use crate::discovery::{Confidence, Device, Evidence, Finding, OwnAddress};
+use crate::discovery::{Confidence, Device, Evidence, Finding, OwnAddress, ServiceEntry};
 use crate::frame::Frame;
 use crate::status::Link;
 use crate::text::Name;
@@ -23,7 +23,7 @@ pub struct Report {
 }
 
 #[derive(Debug, Serialize)]
-struct BusReport {
+pub(super) struct BusReport {
     name: String,
     bitrate: Option<u32>,
     state: &'static str,
@@ -55,7 +55,7 @@ struct DeviceReport {
 }
 
 #[derive(Debug, Serialize)]
-struct ServiceReport {
+pub(super) struct ServiceReport {
     index: u8,
     name: String,
     version: String,
@@ -80,7 +80,7 @@ struct EntryReport {
 }
 
 #[derive(Debug, Serialize)]
-struct FindingReport {
+pub(super) struct FindingReport {
     kind: &'static str,
     confidence: &'static str,
     bus: Option<String>,
@@ -103,7 +103,7 @@ struct EvidenceReport {
 }
 
 #[derive(Debug, Serialize)]
-struct FileReport {
+pub(super) struct FileReport {
     path: String,
     ok: Option<bool>,
     entries: Option<usize>,
@@ -231,7 +231,7 @@ impl Report {
     }
 }
 
-fn of_bus(bus: &Bus, now: Instant) -> BusReport {
+pub(super) fn of_bus(bus: &Bus, now: Instant) -> BusReport {
     let counters = bus.engine.counters();
     let load = bus.status.bitrate.map(|bitrate| bus.meter.mean_load(now, bitrate));
     BusReport {
@@ -271,15 +271,7 @@ fn of_device(app: &App, bus: &Bus, device: &Device) -> DeviceReport {
         working: device.working,
         uid: device.uid.map(|uid| uid.text(alphabet)),
         framing: device.framing.map(|framing| framing.to_string()),
-        services: services
-            .iter()
-            .map(|service| ServiceReport {
-                index: service.index,
-                name: service.name.to_string(),
-                version: service.version.to_string(),
-                extra: service.extra.iter().map(ToString::to_string).collect(),
-            })
-            .collect(),
+        services: of_services(services),
         services_known: device.services.is_some(),
         heartbeat: HeartbeatReport {
             count: device.heartbeat.count,
@@ -291,6 +283,16 @@ fn of_device(app: &App, bus: &Bus, device: &Device) -> DeviceReport {
         quirks: device.quirks.iter().map(|quirk| quirk.name()).collect(),
         clash,
     }
+}
+
+pub(super) fn of_services(services: &[ServiceEntry]) -> Vec<ServiceReport> {
+    let of_service = |service: &ServiceEntry| ServiceReport {
+        index: service.index,
+        name: service.name.to_string(),
+        version: service.version.to_string(),
+        extra: service.extra.iter().map(ToString::to_string).collect(),
+    };
+    services.iter().map(of_service).collect()
 }
 
 fn of_entry(app: &App, device: &Device) -> EntryReport {
@@ -305,7 +307,7 @@ fn of_entry(app: &App, device: &Device) -> EntryReport {
     }
 }
 
-fn of_finding(app: &App, epoch: Epoch, finding: &Finding) -> FindingReport {
+pub(super) fn of_finding(app: &App, epoch: Epoch, finding: &Finding) -> FindingReport {
     let bus = finding.key.bus.and_then(|index| app.bus(index));
     FindingReport {
         kind: finding.key.kind.name(),
@@ -330,7 +332,7 @@ fn of_evidence(epoch: Epoch, piece: &Evidence) -> EvidenceReport {
     }
 }
 
-fn of_file(app: &App) -> FileReport {
+pub(super) fn of_file(app: &App) -> FileReport {
     let file = app.file();
     let problem = file.problem().map(ToString::to_string);
     FileReport {

@@ -111,8 +111,7 @@ impl Engine {
             // A node that was asked in vain answered this round neither: leave it for a while.
             let asked_all = query.state == QueryState::Asked && query.deadline.is_none();
             if device.name.is_none() && asked_all && query.asked_at <= Some(began) {
-                query.state = QueryState::Unanswered;
-                query.due = Some(now + ASK_AGAIN);
+                query.give_up(now + ASK_AGAIN);
             }
         }
     }
@@ -146,6 +145,7 @@ impl Engine {
         if self.rounds.right_of_way(now).is_some() {
             return;
         }
+        let window = self.answer_window();
         for request in [Request::Name, Request::Services] {
             // By address: lower ones have priority on the bus, so who was asked first is done
             // first, and nobody waits behind the answers of those that are asked later.
@@ -164,6 +164,10 @@ impl Engine {
                 }
                 if !usable {
                     query.due = None;
+                    continue;
+                }
+                if let Some(alone) = self.errors.put_off(now, address, window) {
+                    query.due = Some(alone);
                     continue;
                 }
                 query.state = QueryState::Asked;
@@ -318,7 +322,6 @@ fn fail(
         query.due = None;
         return true;
     }
-    query.state = QueryState::Unanswered;
-    query.due = Some(now + ASK_AGAIN);
+    query.give_up(now + ASK_AGAIN);
     false
 }

@@ -37,8 +37,6 @@ const ODD_RATE_BEATS: u32 = 16;
 const PROOFS_CONFIRM: u32 = 2;
 /// Strong pieces of evidence that, lasting long enough, confirm a collision.
 const STRONG_CONFIRM: u32 = 3;
-/// Error frames in a row, each within a period of the last, that are a finding.
-const ERRORS_CONFIRM: u64 = 3;
 
 /// An answer that begins.
 #[derive(Clone, Copy, Debug)]
@@ -358,9 +356,28 @@ impl Collisions {
         self.report(now, kind, address, name, frame, what, Weight::Proof);
     }
 
-    /// An error frame.
-    pub fn see_error(&mut self, now: Instant, frame: &Frame) {
-        self.report_on_bus(now, FindingKind::BusErrors, frame, "error frame");
+    /// What [`super::errors`] judged of the errors on the bus, or of those that follow one
+    /// address. The finding comes back where there is one: evidence and words are its affair.
+    pub fn judge_errors(
+        &mut self,
+        now: Instant,
+        address: Option<Address>,
+        confidence: Confidence,
+    ) -> Option<&mut Finding> {
+        let kind = FindingKind::BusErrors;
+        let key = FindingKey { kind, bus: Some(self.bus), address, name: None };
+        let at = if confidence == Confidence::Cleared {
+            self.findings.iter().position(|finding| finding.key == key)?
+        } else {
+            self.open(now, key)?
+        };
+        self.set(now, at, confidence);
+        self.findings.get_mut(at)
+    }
+
+    /// The last heartbeat of `address` that is remembered.
+    pub fn last_heartbeat(&self, address: Address) -> Option<Frame> {
+        self.watches[address.index()].beats.back().map(|beat| beat.frame)
     }
 
     /// Frames were lost before they reached us: what is missing may have been there.
@@ -550,24 +567,6 @@ impl Collisions {
         }
     }
 
-    fn report_on_bus(
-        &mut self,
-        now: Instant,
-        kind: FindingKind,
-        frame: &Frame,
-        what: &'static str,
-    ) {
-        let key = FindingKey { kind, bus: Some(self.bus), address: None, name: None };
-        let Some(at) = self.open(now, key) else { return };
-        self.findings[at].add(Evidence { time: frame.time, what, frame: Some(*frame) });
-        self.findings[at].last = now;
-        self.cases[at].strong += 1;
-        self.describe(at);
-        if u64::from(self.cases[at].strong) >= ERRORS_CONFIRM {
-            self.set(now, at, Confidence::Confirmed);
-        }
-    }
-
     fn concern(&mut self, kind: FindingKind, address: Address, name: &Name) {
         if let Some(at) = self.find(kind, address) {
             self.findings[at].concern(name);
@@ -665,7 +664,11 @@ fn message(frame: &Frame, framing: Framing) -> &[u8] {
 }
 
 /// Whether a finding is over when no more evidence comes. Malformed answers are not: only a
-/// sound one ends them, and a device is not asked often.
+/// sound one ends them, and a device is not asked often. Of errors, [`super::errors`] judges.
 fn passes(finding: &Finding) -> bool {
-    finding.key.kind != FindingKind::MalformedAnswer || finding.confidence != Confidence::Confirmed
+    match finding.key.kind {
+        FindingKind::BusErrors => false,
+        FindingKind::MalformedAnswer => finding.confidence != Confidence::Confirmed,
+        _ => true,
+    }
 }

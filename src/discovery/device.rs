@@ -147,6 +147,8 @@ pub struct Query {
     pub took: Option<Duration>,
     /// What was wrong with the last answer.
     pub fault: Option<QueryFault>,
+    /// It was asked as often as is sensible since the last answer; still so while it is asked again.
+    pub in_vain: bool,
     /// When it is to be asked (again), where it is.
     pub(super) due: Option<Instant>,
     /// Until when an answer, or its next frame, is awaited.
@@ -167,6 +169,13 @@ impl Query {
         }
     }
 
+    /// Gives up until `again`.
+    pub(super) fn give_up(&mut self, again: Instant) {
+        self.state = QueryState::Unanswered;
+        self.in_vain = true;
+        self.due = Some(again);
+    }
+
     /// Notes an answer.
     pub(super) fn answered(&mut self, now: Instant, fault: Option<QueryFault>) {
         if let (true, Some(asked_at)) = (self.is_waiting(), self.asked_at) {
@@ -174,6 +183,7 @@ impl Query {
         }
         self.state = QueryState::Answered;
         self.answered_at = Some(now);
+        self.in_vain = false;
         self.attempts = 0;
         self.fault = fault;
         self.due = None;

@@ -24,8 +24,7 @@ impl Engine {
         self.counters.frames += 1;
         if frame.kind == FrameKind::Error {
             self.counters.errors += 1;
-            self.collisions.see_error(now, frame);
-            self.wake_at(now);
+            self.hear_error(frame);
             return;
         }
         let Some(id) = frame.platform_id() else {
@@ -214,20 +213,40 @@ impl Engine {
     fn note_question(&mut self, now: Instant, header: Header, frame: &Frame, ours: bool) {
         let Some((framing, message)) = classify_request(frame.data(), frame.fd) else { return };
         let Some(Asked::Known(request)) = Request::decode(message) else { return };
-        if header.broadcast && !ours {
-            self.note_broadcast(header.destination, false);
-        }
-        let asked = Asking { by: header.source, targeted: !header.broadcast };
+        let asking = Asking { by: header.source, targeted: !header.broadcast };
         if !header.broadcast {
-            self.collisions.see_question(now, header.destination, request, framing, asked);
+            let asked = header.destination;
+            self.collisions.see_question(now, asked, request, framing, asking);
+            let known = self.roster.current_device(asked);
+            if known.is_some_and(|device| device.framing.is_none_or(|it| it == framing)) {
+                let ends = self.answer_window();
+                self.errors.see_question(asked, request, ends, frame);
+                self.wake_at(ends);
+            }
             return;
         }
+        let ends = self.answer_window();
+        if !ours {
+            self.note_broadcast(header.destination, false);
+        }
+        let mut awaited = 0;
         for address in Address::all() {
             // Of the same question to both kinds of nodes a node answers one.
             let known = self.roster.current_device(address);
+            let may_answer = known.is_some_and(|device| {
+                address != header.source
+                    && device.working != header.to_not_working
+                    && device.is_here()
+                    && device.name_query.state != QueryState::Unanswered
+                    && device.framing.is_none_or(|it| it == framing)
+            });
+            awaited |= u128::from(may_answer) << address.index();
             if known.is_none_or(|device| device.working != header.to_not_working) {
-                self.collisions.see_question(now, address, request, framing, asked);
+                self.collisions.see_question(now, address, request, framing, asking);
             }
+        }
+        if let Request::Name = request {
+            self.errors.see_broadcast(now, ends, awaited, frame);
         }
     }
 
@@ -242,6 +261,7 @@ impl Engine {
         echoed: bool,
     ) {
         let for_us = self.is_for_us(index, header, echoed);
+        self.errors.see_part(header.source, self.answer_window());
         if echoed {
             self.roster.get_mut(index).note(Quirk::RspDstEcho);
         }
@@ -474,6 +494,7 @@ impl Engine {
         }
         let address = device.address;
         self.collisions.see_name(now, address, &name, frame);
+        self.errors.see_answer(now, address, Request::Name, frame, self.counters.frames);
         let index = self.row_of_name(now, index, &name);
         let device = self.roster.get_mut(index);
         device.name_query.answered(now, fault.map(QueryFault::from));
@@ -522,6 +543,7 @@ impl Engine {
         message.hash(&mut hasher);
         let digest = hasher.finish();
         let (address, name) = (device.address, device.name.clone());
+        self.errors.see_answer(now, address, Request::Services, frame, self.counters.frames);
         let count = services.len();
         let changed = device.services.as_ref().is_some_and(|known| *known != services);
         let news = changed || device.services.is_none();

@@ -113,7 +113,8 @@ impl Engine {
                 // Whatever was there before, this one began just now; and not all services are
                 // there in every mode.
                 let began = matches!(from, Some(Mode::Init | Mode::Arslv));
-                let other = from.is_some_and(|from| from.is_working() != mode.is_working());
+                let works = mode.is_working();
+                let other = works.is_some() && from.is_some_and(|from| from.is_working() != works);
                 if (began || other) && !self.collisions.is_open_at(header.source) {
                     device.services_query.renew(now);
                 }
@@ -126,6 +127,7 @@ impl Engine {
         let device = self.roster.get(index);
         let (working, name) = (device.working, device.name.clone());
         self.collisions.see_heartbeat(now, address, heartbeat.uid, working, name.as_ref(), frame);
+        self.errors.see_heartbeat(now, address, frame);
         if self.collisions.is_suspicious() {
             self.wake_at(now);
         }

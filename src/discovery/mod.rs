@@ -17,6 +17,7 @@
 //! station     our own address, and our answers             outbox       our share; who acknowledges
 //! collisions  evidence and what it amounts to              memory       of an address: what takes turns
 //! doubling    bridges and echoes that repeat everything
+//! errors      errors that follow one address               error_rate   those of the bus as a whole
 //! device, event, finding: what others read                 wording      findings in words
 //! ```
 //!
@@ -29,6 +30,8 @@ mod collisions;
 mod config;
 mod device;
 mod doubling;
+mod error_rate;
+mod errors;
 mod event;
 mod finding;
 mod hearing;
@@ -57,6 +60,7 @@ use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
 use claims::Claims;
 use collisions::Collisions;
+use errors::Errors;
 use heartbeats::Lateness;
 use outbox::{Acknowledgement, Outbox};
 use presence::Measure;
@@ -135,6 +139,7 @@ pub struct Engine {
     transfers: Transfers,
     claims: Claims,
     collisions: Collisions,
+    errors: Errors,
     station: Station,
     outbox: Outbox,
     lateness: Lateness,
@@ -163,6 +168,7 @@ impl Engine {
             station: Station::new(now, &config, &mut rng),
             outbox: Outbox::new(now, config.echo),
             collisions: Collisions::new(config.bus, period, config.listen_only),
+            errors: Errors::default(),
             roster: Roster::new(config.bus),
             rounds: Rounds::new(),
             transfers: Transfers::new(),
@@ -184,6 +190,7 @@ impl Engine {
     pub fn handle_frame(&mut self, frame: &Frame) {
         self.advance(frame.time);
         self.hear(frame);
+        self.tell_errors();
         if self.collisions.has_changed() {
             self.tell_findings();
         }
@@ -193,6 +200,7 @@ impl Engine {
     pub fn handle_lost(&mut self, now: Instant, count: u64) {
         self.advance(now);
         self.collisions.see_loss(self.now, count);
+        self.errors.see_loss();
         self.tell_findings();
         self.wake_at(self.now);
     }
@@ -212,6 +220,7 @@ impl Engine {
         self.expire_transfers();
         self.judge_presence();
         self.check_suspicions();
+        self.check_errors();
         self.ask();
         self.tell_findings();
         self.wake = self.next_wake();
@@ -268,6 +277,7 @@ impl Engine {
         self.advance(now);
         self.outbox.clear();
         self.transfers.clear();
+        self.errors.restart();
         self.rounds.stop();
         if !self.config.listen_only {
             self.station.listen(self.now);
@@ -325,7 +335,8 @@ impl Engine {
             && !self.rounds.is_starting()
             && !self.rounds.is_collecting()
             && progress.open_questions == 0
-            && !self.collisions.is_suspicious();
+            && !self.collisions.is_suspicious()
+            && !self.errors.is_looking();
         progress
     }
 
@@ -497,6 +508,7 @@ impl Engine {
         if presence == Presence::Lost {
             if self.roster.is_current(index) {
                 self.collisions.forget(self.now, address);
+                self.errors.forget(address);
             }
             self.find_move_of_lost(index);
         }
@@ -529,6 +541,7 @@ impl Engine {
         at(self.station.poll_timeout());
         at(self.transfers.poll_timeout());
         at(self.collisions.poll_timeout());
+        at(self.errors_timeout());
         at(self.outbox.poll_timeout());
         wake
     }

@@ -2,7 +2,9 @@
 //!
 //! Names no keys and no commands: `scan` prints these words as the screen shows them.
 
+use super::error_rate::{Cause, Summary};
 use super::finding::{Finding, FindingKind};
+use crate::error_report::Violation;
 use crate::text::Name;
 use crate::wire::id::Address;
 
@@ -57,10 +59,6 @@ pub(super) fn describe(finding: &mut Finding) {
         FindingKind::MalformedAnswer => {
             (finding.text.clone(), "Check how its firmware builds DES answers.".to_owned())
         }
-        FindingKind::BusErrors => (
-            "The bus reports errors.".to_owned(),
-            "Check the bit rate of every device, both 120 Ω terminators, and the wiring; two devices at one address cause errors too.".to_owned(),
-        ),
         FindingKind::FramesLost => (
             format!("{} frames were lost before they could be read: what is missing here may be there.", finding.count),
             "Close what else loads this machine, or watch fewer identifiers.".to_owned(),
@@ -74,6 +72,63 @@ pub(super) fn describe(finding: &mut Finding) {
 /// Whether it came up because of an address that was ours.
 fn is_about_us(finding: &Finding) -> bool {
     finding.evidence.iter().any(|piece| piece.what == NOT_OURS)
+}
+
+/// What is wrong with a bus on which frames break, and what to do about it.
+pub(super) fn bus_errors(summary: &Summary) -> (String, String) {
+    let rate = match summary.rate {
+        rate if rate < 9.95 => format!("{rate:.1}"),
+        rate => format!("{rate:.0}"),
+    };
+    let share = match summary.share * 100.0 {
+        share if share < 1.0 => "less than 1 %".to_owned(),
+        share => format!("{share:.0} %"),
+    };
+    let (text, remedy) = match summary.cause {
+        Cause::BusOff => (
+            "Our controller has left the bus (bus-off): too many of its frames failed.".to_owned(),
+            "Check our bit rate and the wiring, then restart the interface.",
+        ),
+        Cause::NoAcknowledge => (
+            format!("Nobody acknowledges our frames: {rate} attempts a second fail."),
+            "Check the plug, that another device is on, and that our bit rate is the bus's.",
+        ),
+        Cause::Wires => (
+            "The transceiver reports a fault of the wires.".to_owned(),
+            "Check CAN_H and CAN_L for a break or a short, to each other, to ground and to supply.",
+        ),
+        Cause::OwnFrames => (
+            format!("Frames of ours break: {rate} a second, {share} of all."),
+            "Check our wiring and our bit rate; another debug device at our address does the same.",
+        ),
+        Cause::Broken(violation) => {
+            let how = match violation {
+                Some(Violation::Bit) => ", most of them with bit errors",
+                Some(Violation::Stuff) => ", most of them with stuff errors",
+                Some(Violation::Form) => ", most of them with form errors",
+                None => "",
+            };
+            (
+                format!("Frames break on the bus: {rate} a second, {share} of all{how}."),
+                "Check the bit rate of every device, both 120 Ω terminators, and the wiring; two devices at one address cause errors too.",
+            )
+        }
+    };
+    (text, remedy.to_owned())
+}
+
+/// What is wrong at an address whose frames break, and what to do about it.
+pub(super) fn errors_at(address: Address, names: &[Name], heartbeat: bool) -> (String, String) {
+    let who = who(address, names);
+    let what = if heartbeat { "should send its heartbeat" } else { "should answer" };
+    (
+        format!(
+            "The bus breaks frames just when {who} {what}: two devices there that send different bytes do that, or its transceiver."
+        ),
+        format!(
+            "Switch it off: if something still answers from {address}, give that another address. Otherwise check its transceiver and wiring."
+        ),
+    )
 }
 
 /// "FEED at address 12", or "the device at address 12".

@@ -2,6 +2,8 @@
 //!
 //! ```text
 //! session   app, buses and file, and what passes between them
+//! recording the same of a log, by its own clock
+//! ending    signals, time, closed pipes: what ends those without a screen
 //! screen    the terminal UI's loop        terminal  taking it over, giving it back
 //! store     des.json on disk              watch     noticing that others changed it
 //! config    the user's settings
@@ -10,6 +12,8 @@
 //! Knows tokio, threads, clocks and the file system, so that nothing above has to.
 
 pub mod config;
+pub mod ending;
+pub mod recording;
 pub mod screen;
 pub mod session;
 pub mod store;

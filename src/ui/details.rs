@@ -151,6 +151,7 @@ impl<'a> Details<'_, 'a> {
     fn why(&mut self, device: Option<&Device>) {
         let app = self.app();
         let reasons = match (device, app.entry_of(self.row)) {
+            (Some(device), Some(entry)) if !device.is_here() => app.why_missing(entry),
             (Some(device), _) => app.why_incomplete(device),
             (None, Some(entry)) => app.why_missing(entry),
             (None, None) => Vec::new(),

@@ -120,7 +120,9 @@ fn hint_line(brush: &Brush, mode: Mode, width: usize) -> Vec<Span<'static>> {
             "save-capture",
             "rescan",
         ],
-        (Mode::Browse, Page::Timeline, _) => &["help", "quit", "filter", "freeze", "save-capture"],
+        (Mode::Browse, Page::Timeline, _) => {
+            &["help", "quit", "details", "filter", "freeze", "problem", "save-capture"]
+        }
         (Mode::Browse, ..) => {
             &["help", "quit", "details", "mute", "filter", "problem", "edit-address", "rescan"]
         }
@@ -135,6 +137,7 @@ fn hint(brush: &Brush, name: &str) -> Option<(Key, &'static str)> {
     let (key, word) = brush.app.keymap().hint(name)?;
     let view = brush.app.view();
     let here = match (name, view.page, &view.evidence) {
+        ("details", Page::Timeline, _) => "frames",
         ("details", Page::Problems, _) if brush.screen.details.height > 0 => "frames",
         ("details", Page::Traffic, Some(evidence)) if evidence.around => "only evidence",
         ("details", Page::Traffic, Some(_)) => "all around it",

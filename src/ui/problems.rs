@@ -75,7 +75,7 @@ fn problem_line(brush: &Brush, problem: &Problem, list: Rect, selected: bool) ->
         brush.span(plain, format!(" {} ", place(brush, problem))),
     ];
     if list.width >= WITH_TIME {
-        let since = clock(brush.app, problem.head().changed);
+        let since = clock(brush.app, problem.since());
         spans.push(brush.span(Role::Muted, format!("{since} ")));
     }
     if problem.is_muted {
@@ -152,8 +152,8 @@ impl Details<'_, '_> {
     fn certainty(&mut self) {
         let (app, head) = (self.brush.app, self.problem.head());
         let (sign, role, _) = roles(&self.problem);
-        let at = clock(app, head.changed);
-        let ago = spell(app.now().since(head.changed));
+        let since = self.problem.since();
+        let (at, ago) = (clock(app, since), spell(app.now().since(since)));
         let word = match head.confidence {
             Confidence::Cleared => "over ",
             Confidence::Suspected => "suspected ",

@@ -3,7 +3,7 @@
 use super::brush::{Brush, fit, fit_right, labelled};
 use super::details::inner;
 use crate::app::{Decoded, Focus, IdentifierKind, IdentifierStats, Page, clock_millis, hex};
-use crate::frame::Frame;
+use crate::frame::{Frame, FrameKind};
 use crate::theme::Role;
 use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
@@ -136,6 +136,7 @@ pub(super) fn in_words(brush: &Brush, frame: &Frame) -> String {
         Some(_) => {
             format!("{}→{} {} {says}", decoded.source, decoded.destination, decoded.service)
         }
+        None if frame.kind == FrameKind::Error => format!("error: {says}"),
         None => format!("{} {says}", frame.id),
     }
 }

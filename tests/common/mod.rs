@@ -2,10 +2,11 @@
 
 #![allow(dead_code)]
 
+use descan::bus::candump::write_line;
 use descan::discovery::{Config, Engine, Event, EventKind, Party};
 use descan::frame::Frame;
 use descan::sim::{Scenario, Sim, Station};
-use descan::time::Instant;
+use descan::time::{Duration, Epoch, Instant};
 use std::fmt::Write;
 
 /// A simulated bus with an inspector on it.
@@ -110,4 +111,32 @@ fn party(party: &Party) -> String {
 
 fn perhaps(guess: bool) -> &'static str {
     if guess { ", perhaps" } else { "" }
+}
+
+/// What an observer sees of a scenario in which another inspector asks, as a candump log.
+pub fn log(scenario: &Scenario, seconds: u64) -> String {
+    let mut sim = Sim::new(scenario, 7);
+    let observer = sim.attach();
+    let inspector = sim.attach();
+    let config = Config { seed: 7, ..Config::default() };
+    let mut engine = Engine::new(Instant::ZERO, config);
+    let epoch = Epoch::from_unix_micros(1_436_509_052_249_713);
+    let mut log = Vec::new();
+    let until = Instant::from_micros(seconds * 1_000_000);
+    while sim.now() < until {
+        let now = sim.now();
+        while let Some(frame) = sim.poll_frame(inspector) {
+            engine.handle_frame(&frame);
+        }
+        engine.handle_timeout(now);
+        while let Some(frame) = engine.poll_transmit(now) {
+            sim.transmit(inspector, frame);
+        }
+        while let Some(frame) = sim.poll_frame(observer) {
+            write_line(&mut log, epoch, "can0", &frame).unwrap();
+        }
+        let next = [engine.poll_timeout(), sim.next_event()].into_iter().flatten().min();
+        sim.advance(next.unwrap_or(until).max(now + Duration::from_micros(1)).min(until));
+    }
+    String::from_utf8(log).unwrap()
 }

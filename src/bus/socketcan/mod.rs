@@ -13,7 +13,8 @@ pub use facts::{Interface, interfaces};
 use super::Options;
 use super::clock::{Clock, Dating};
 use super::port::{Line, Port};
-use crate::frame::{BusIndex, Frame, FrameKind};
+use crate::error_report::ErrorReport;
+use crate::frame::{BusIndex, Frame};
 use crate::status::{BusState, BusStatus, Link};
 use facts::{Facts, advice_missing, is_can};
 use nix::errno::Errno;
@@ -338,21 +339,10 @@ struct Reports {
 
 impl Reports {
     fn note(&mut self, frame: &Frame) {
-        const CONTROLLER: u32 = 0x04;
-        const PROTOCOL: u32 = 0x08;
-        const NO_ACK: u32 = 0x20;
-        const RECEIVE_OVERFLOW: u8 = 0x01;
-        const ACK_SLOT: u8 = 0x19;
-        let (FrameKind::Error, crate::frame::CanId::Extended(class)) = (frame.kind, frame.id)
-        else {
-            return;
-        };
-        let details = |at: usize| frame.data().get(at).copied().unwrap_or(0);
-        let no_ack = class & NO_ACK != 0 || class & PROTOCOL != 0 && details(3) == ACK_SLOT;
-        let overrun = class & CONTROLLER != 0 && details(1) & RECEIVE_OVERFLOW != 0;
+        let Some(report) = ErrorReport::of(frame) else { return };
         self.total += 1;
-        self.missing_acks += u64::from(no_ack);
-        self.overruns += u64::from(overrun);
+        self.missing_acks += u64::from(report.is_missing_acknowledge());
+        self.overruns += u64::from(report.is_receive_overflow());
     }
 }
 

@@ -1,0 +1,171 @@
+//! The app without a screen, on buses and on logs, until there is enough, something ends it, or
+//! the log is at its end. What is done meanwhile is for the commands to say.
+
+use super::Failure;
+use super::open::{self, Setup};
+use crate::app::{App, AppOptions, Bus};
+use crate::bus::log::Tally;
+use crate::bus::{self, BusSpec};
+use crate::discovery::OwnAddress;
+use crate::frame::BusIndex;
+use crate::shell::ending::{Ending, Endings};
+use crate::shell::recording::{Pace, Recording};
+use crate::shell::session::Session;
+use crate::status::Link;
+use crate::time::Instant;
+use anyhow::Context;
+use std::fs::File;
+use std::io::{self, Write};
+use std::ops::ControlFlow;
+use std::os::fd::AsFd;
+use std::time::Duration;
+
+/// How long an interface may take to be looked at.
+const OPENING: Duration = Duration::from_secs(2);
+
+/// What ends it, beside signals.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Limits {
+    /// After so long; where lines of a log have their own times, by these.
+    pub time: Option<Duration>,
+    /// When standard output is closed.
+    pub while_read: bool,
+}
+
+/// What became of it.
+pub struct Outcome {
+    /// All state.
+    pub app: App,
+    /// The moment it is of.
+    pub now: Instant,
+    /// What ended it; none where there was enough, or the log is at its end.
+    pub ending: Option<Ending>,
+}
+
+/// On buses. `turn` is called whenever something may have changed, and breaks when there is enough.
+pub fn live(
+    buses: &[BusSpec],
+    setup: &Setup,
+    options: AppOptions,
+    limits: Limits,
+    mut turn: impl FnMut(&mut Session) -> Result<ControlFlow<()>, Failure>,
+) -> Result<Outcome, Failure> {
+    runtime()?.block_on(async {
+        let clock = open::clock(buses, 1.0)?;
+        let mut session = open::session(buses, setup, clock, options)?;
+        let mut endings = endings(limits, limits.time)?;
+        let ending = loop {
+            session.settle();
+            if turn(&mut session)?.is_break() {
+                break None;
+            }
+            tokio::select! {
+                biased;
+                ending = endings.next() => break Some(ending),
+                wake = session.next() => session.take(wake),
+            }
+        };
+        let now = session.now();
+        Ok(Outcome { app: session.app, now, ending })
+    })
+}
+
+/// On one log, at this pace. `turn` is called after each frame and when time passed. Lines that
+/// cannot be read are told on standard error, once.
+pub fn recorded(
+    spec: &BusSpec,
+    setup: &Setup,
+    options: AppOptions,
+    (pace, limits): (Pace, Limits),
+    mut turn: impl FnMut(&mut App) -> Result<(), Failure>,
+) -> Result<Outcome, Failure> {
+    let unusable = |error: io::Error| Failure::Unusable(format!("{spec} cannot be read: {error}"));
+    let log = open_log(spec).map_err(unusable)?;
+    runtime()?.block_on(async {
+        let (real, own) =
+            if pace == Pace::Live { (limits.time, None) } else { (None, limits.time) };
+        let mut endings = endings(limits, real)?;
+        let with = (options, setup.config.clone());
+        let mut recording =
+            Recording::new(log, pace, own, with, &setup.file).context("no thread")?;
+        let ending = loop {
+            let wake = tokio::select! {
+                biased;
+                ending = endings.next() => break Some(ending),
+                wake = recording.next() => wake,
+            };
+            let wake = wake.map_err(unusable)?;
+            if recording.take(wake, &mut turn)?.is_break() {
+                break None;
+            }
+        };
+        let (app, tally) = recording.finish();
+        tell_unreadable(spec, tally);
+        let now = app.now();
+        Ok(Outcome { app, now, ending })
+    })
+}
+
+/// The pace of a log that nobody asked for another pace of: a file is all there, and of anything else
+/// lines come as they are written.
+pub fn natural_pace(spec: &BusSpec) -> Pace {
+    let is_file = || open_log(spec)?.metadata().map(|it| it.is_file());
+    // What cannot be opened is told when it is opened to be read.
+    if is_file().unwrap_or(true) { Pace::AtOnce } else { Pace::Live }
+}
+
+/// Why a bus cannot be used now, where nobody waits for it to come up.
+pub fn why_unusable(bus: &Bus, now: Instant) -> Option<String> {
+    let is_dead = match bus.status.link {
+        Link::Up | Link::Ended => false,
+        Link::Opening => now.since(Instant::ZERO) > OPENING,
+        _ => true,
+    };
+    let why = || bus.status.message.clone();
+    is_dead.then(|| why().unwrap_or_else(|| format!("{} cannot be opened", bus.name)))
+}
+
+/// Says on standard error what keeps us from asking on a bus: nobody acknowledges, or we have no
+/// address.
+pub fn tell_hindrance(app: &App, index: BusIndex) {
+    let Some(bus) = app.bus(index) else { return };
+    let say = |why: &str| {
+        let _ = writeln!(io::stderr(), "descan: {}: {why}", bus.name);
+    };
+    if bus.engine.is_unacknowledged() {
+        say(
+            "nobody acknowledges our frames; is another node on, at the same bit rate, and are both \
+             ends terminated?",
+        );
+    }
+    if let OwnAddress::Blocked(wanted) = bus.engine.own_address()
+        && let Some(why) = app.why_no_address(index, wanted)
+    {
+        say(&why);
+    }
+}
+
+fn tell_unreadable(spec: &BusSpec, tally: Option<Tally>) {
+    if let Some(tally) = tally
+        && (tally.unreadable > 0 || tally.frames == 0)
+    {
+        let _ = writeln!(io::stderr(), "descan: {spec}: {tally}");
+    }
+}
+
+fn open_log(spec: &BusSpec) -> io::Result<File> {
+    match spec {
+        BusSpec::File(path) => bus::open_log(path),
+        _ => Ok(File::from(io::stdin().as_fd().try_clone_to_owned()?)),
+    }
+}
+
+fn endings(limits: Limits, time: Option<Duration>) -> Result<Endings, Failure> {
+    let endings = Endings::new(time).context("no signals")?;
+    Ok(if limits.while_read { endings.or_unread() } else { endings })
+}
+
+fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+    Ok(runtime.context("no event loop")?)
+}

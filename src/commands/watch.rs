@@ -1,0 +1,276 @@
+//! `descan watch`: what happens, as it happens, a line each: in the words of the timeline, or as
+//! JSON objects.
+//!
+//! The JSON's names, types and meanings are relied on by scripts.
+
+use super::headless::{self, Limits, natural_pace, why_unusable};
+use super::open::{self, Setup};
+use super::report::{
+    BusReport, FileReport, FindingReport, ServiceReport, of_bus, of_file, of_finding, of_services,
+};
+use super::{FINE, Failure};
+use crate::app::{App, AppOptions, Happening, TimelineEntry, clock_millis, hex};
+use crate::cli::Watch;
+use crate::discovery::{Event, EventKind, Finding, Presence};
+use crate::frame::BusIndex;
+use crate::shell::recording::Pace;
+use crate::shell::session::Session;
+use crate::status::Link;
+use crate::time::Instant;
+use crate::wire::id::Address;
+use crate::wire::node::Mode;
+use serde::Serialize;
+use std::io::{self, Write};
+use std::ops::ControlFlow;
+use unicode_width::UnicodeWidthStr;
+
+/// Runs it.
+pub fn run(watch: &Watch) -> Result<u8, Failure> {
+    let buses = open::buses(&watch.session)?;
+    let setup = Setup::new(&watch.session.common)?;
+    let options = AppOptions {
+        utc_offset_seconds: open::utc_offset_seconds(),
+        report: true,
+        ..AppOptions::default()
+    };
+    let limits = Limits { time: watch.time, while_read: true };
+    let mut teller = Teller { json: watch.json, text: Vec::new() };
+    if let Some(log) = open::log(&buses, "watch")? {
+        let pace = watch.session.speed.map_or_else(|| natural_pace(log), Pace::Timed);
+        headless::recorded(log, &setup, options, (pace, limits), |app| teller.tell(app))?;
+    } else {
+        let mut patience = Patience::default();
+        headless::live(&buses, &setup, options, limits, |session| {
+            // What cannot be used from the start is told as that, and nothing else.
+            if patience.check(session)? {
+                teller.tell(&mut session.app)?;
+            }
+            Ok(ControlFlow::Continue(()))
+        })?;
+    }
+    Ok(FINE)
+}
+
+/// A bus must be usable at first; later it is waited for.
+#[derive(Default)]
+struct Patience {
+    was_open: Vec<bool>,
+}
+
+impl Patience {
+    /// Whether all buses were open once.
+    fn check(&mut self, session: &Session) -> Result<bool, Failure> {
+        let buses = session.app.buses();
+        self.was_open.resize(buses.len(), false);
+        for (bus, was_open) in buses.iter().zip(&mut self.was_open) {
+            *was_open |= bus.status.link == Link::Up;
+            let is_over = bus.status.link == Link::Failed;
+            let why = why_unusable(bus, session.now()).filter(|_| is_over || !*was_open);
+            if let Some(why) = why {
+                return Err(Failure::Unusable(why));
+            }
+        }
+        Ok(self.was_open.iter().all(|was_open| *was_open))
+    }
+}
+
+/// Writes the lines.
+struct Teller {
+    json: bool,
+    text: Vec<u8>,
+}
+
+impl Teller {
+    /// Tells what happened since it was called last.
+    fn tell(&mut self, app: &mut App) -> Result<(), Failure> {
+        self.text.clear();
+        while let Some(happening) = app.poll_happening() {
+            match (self.json, &happening) {
+                (false, Happening::Line(line)) => {
+                    self.text.extend_from_slice(in_words(app, line).as_bytes());
+                    self.text.push(b'\n');
+                }
+                (false, _) => {}
+                (true, _) => {
+                    if let Some(told) = as_value(app, happening) {
+                        serde_json::to_writer(&mut self.text, &told).map_err(io::Error::from)?;
+                        self.text.push(b'\n');
+                    }
+                }
+            }
+        }
+        if !self.text.is_empty() {
+            let mut out = io::stdout().lock();
+            out.write_all(&self.text)?;
+            out.flush()?;
+        }
+        Ok(())
+    }
+}
+
+// --- in words -------------------------------------------------------------------------------
+
+/// `07:08:55.123 can0   12 FEED        says its name`: the bus where there are several.
+fn in_words(app: &App, line: &TimelineEntry) -> String {
+    const NAME: usize = 12;
+    let bus = line.bus.and_then(|index| app.bus(index)).map_or("", |bus| &bus.name);
+    let name = app.name_on_line(line).map(ToString::to_string);
+    let several = app.buses().len() > 1;
+    let who = match (line.address, name) {
+        (Some(address), name) => format!("{address:>3} {}", name.as_deref().unwrap_or("?")),
+        (None, Some(name)) => name,
+        (None, None) if line.bus.is_none() => app.file().name(),
+        (None, None) if several => String::new(),
+        (None, None) => bus.to_owned(),
+    };
+    let mut text = clock_millis(app, line.time);
+    if several {
+        let width = app.buses().iter().map(|bus| bus.name.width()).max().unwrap_or(0);
+        text = format!("{text} {bus}{}", " ".repeat(width.saturating_sub(bus.width())));
+    }
+    let space = " ".repeat((4 + NAME).saturating_sub(who.width()));
+    format!("{text} {who}{space} {}", line.text)
+}
+
+// --- as JSON --------------------------------------------------------------------------------
+
+#[derive(Serialize)]
+struct Told {
+    /// Unix seconds.
+    time: f64,
+    event: &'static str,
+    #[serde(flatten)]
+    what: What,
+}
+
+#[derive(Serialize)]
+#[serde(untagged)]
+enum What {
+    Device {
+        bus: Option<String>,
+        address: Option<u8>,
+        name: Option<String>,
+        #[serde(flatten)]
+        more: More,
+    },
+    Finding {
+        bus: Option<String>,
+        address: Option<u8>,
+        /// Where it is about one name.
+        name: Option<String>,
+        finding: FindingReport,
+    },
+    Bus {
+        bus: BusReport,
+    },
+    File {
+        file: FileReport,
+    },
+}
+
+/// What an event of a device says beside the device.
+#[derive(Serialize)]
+#[serde(untagged)]
+enum More {
+    Nothing {},
+    Services {
+        services: Vec<ServiceReport>,
+        changed: bool,
+    },
+    Mode {
+        mode: &'static str,
+        /// The mode before, where it is known.
+        from: Option<&'static str>,
+    },
+    Moved {
+        from: u8,
+    },
+    Returned {
+        was: &'static str,
+    },
+    Debug {
+        code: u16,
+        /// Hexadecimal digits.
+        data: String,
+    },
+}
+
+fn as_value(app: &App, happening: Happening) -> Option<Told> {
+    let time = |at: Instant| app.epoch().unix_secs(at);
+    Some(match happening {
+        Happening::Line(_) => return None,
+        Happening::Event(bus, event) => return of_event(app, bus, event),
+        Happening::Finding(at, finding) => {
+            Told { time: time(at), event: "finding", what: what_finding(app, &finding) }
+        }
+        Happening::Bus(bus, at) => of_bus_now(app, bus, at)?,
+        Happening::File(at) => {
+            Told { time: time(at), event: "file", what: What::File { file: of_file(app) } }
+        }
+    })
+}
+
+fn of_event(app: &App, bus: BusIndex, event: Event) -> Option<Told> {
+    let (word, more) = match event.kind {
+        EventKind::Appeared => ("appeared", More::Nothing {}),
+        EventKind::Named => ("named", More::Nothing {}),
+        EventKind::Services { changed, .. } => {
+            let device = event.device.and_then(|id| app.device(id));
+            let services = device.and_then(|device| device.services.as_deref());
+            let services = of_services(services.unwrap_or_default());
+            ("services", More::Services { services, changed })
+        }
+        EventKind::Mode { from, to } => {
+            ("mode", More::Mode { mode: to.name(), from: from.map(Mode::name) })
+        }
+        EventKind::Moved { from } => ("moved", More::Moved { from: from.number() }),
+        EventKind::Rebooted => ("rebooted", More::Nothing {}),
+        EventKind::Presence(presence) if presence != Presence::Online => {
+            (presence.name(), More::Nothing {})
+        }
+        EventKind::Returned { was } => ("returned", More::Returned { was: was.name() }),
+        EventKind::Debug { code, data } => ("debug", More::Debug { code, data: hex(&data, "") }),
+        // The bus says which address is ours.
+        EventKind::OwnAddress(_) | EventKind::OwnAddressLost(_) => {
+            return of_bus_now(app, bus, event.time);
+        }
+        // No event of those that scripts know; but whoever reads the words should.
+        EventKind::NobodyAcknowledges | EventKind::NoAddress(_) => {
+            headless::tell_hindrance(app, bus);
+            return None;
+        }
+        // Findings come as values of their own, and who is online again has returned. The others are
+        // no events that scripts know: what comes of a claim is.
+        EventKind::Finding { .. }
+        | EventKind::Presence(_)
+        | EventKind::Claimed { .. }
+        | EventKind::GaveWay { .. }
+        | EventKind::Joined { .. }
+        | EventKind::Acknowledged => return None,
+    };
+    let what = What::Device {
+        bus: app.bus(bus).map(|bus| bus.name.clone()),
+        address: event.address.map(Address::number),
+        name: event.name.as_ref().map(ToString::to_string),
+        more,
+    };
+    Some(Told { time: app.epoch().unix_secs(event.time), event: word, what })
+}
+
+fn what_finding(app: &App, finding: &Finding) -> What {
+    let name = match &finding.names[..] {
+        [only] => Some(only.to_string()),
+        _ => None,
+    };
+    What::Finding {
+        bus: finding.key.bus.and_then(|index| app.bus(index)).map(|bus| bus.name.clone()),
+        address: finding.key.address.map(Address::number),
+        name,
+        finding: of_finding(app, app.epoch(), finding),
+    }
+}
+
+fn of_bus_now(app: &App, bus: BusIndex, at: Instant) -> Option<Told> {
+    let bus = of_bus(app.bus(bus)?, at);
+    Some(Told { time: app.epoch().unix_secs(at), event: "bus", what: What::Bus { bus } })
+}

@@ -1,0 +1,225 @@
+//! How often frames break on the bus, and how: the finding about the bus as a whole.
+//!
+//! * *Suspected*: three broken frames (or missing acknowledges) within ten seconds. One or two
+//!   are counted, and nothing is said: a plug that is touched does as much.
+//! * *Confirmed*: some in each of three successive seconds; or in three of ten seconds, and then
+//!   at least 1 % of the frames: however busy or quiet the bus is, that is no chance. Bus-off is
+//!   a fact, and confirmed at once.
+//!   Bursts that follow one address do not count: those are another finding.
+//! * *Cleared*: none for ten seconds, thirty where it was confirmed. Bus-off: once the
+//!   controller takes part again.
+
+use super::finding::Confidence;
+use crate::error_report::{ErrorReport, Violation};
+use crate::time::{Duration, Instant};
+use std::collections::VecDeque;
+
+/// How long errors are remembered, in seconds.
+const MEMORY: u64 = 10;
+/// Errors within the memory that are a suspicion.
+const SUSPECT: u64 = 3;
+/// Seconds with errors that confirm it: in a row, or within the memory.
+const CONFIRM_SECONDS: usize = 3;
+/// One frame in so many, where the seconds are not in a row.
+const CONFIRM_SHARE: u64 = 100;
+/// How long no errors end what was suspected, and what was confirmed.
+const QUIET: Duration = Duration::from_secs(10);
+const QUIET_CONFIRMED: Duration = Duration::from_secs(30);
+
+/// What the errors are, as far as the reports say it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Cause {
+    /// Our controller has left the bus.
+    BusOff,
+    /// Nobody acknowledges our frames.
+    NoAcknowledge,
+    /// The transceiver says that the wires are at fault.
+    Wires,
+    /// Bits of our own frames are overwritten.
+    OwnFrames,
+    /// Frames break, most of them in this way.
+    Broken(Option<Violation>),
+}
+
+/// What there is to say of the errors of the last ten seconds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Summary {
+    /// What most of them are.
+    pub cause: Cause,
+    /// Errors per second, while they come.
+    pub rate: f64,
+    /// Their share of all frames while they come, 0–1.
+    pub share: f64,
+}
+
+/// A second in which there were errors.
+#[derive(Clone, Copy, Debug, Default)]
+struct Second {
+    /// Which, since the beginning of time.
+    number: u64,
+    /// Frames heard before its first error.
+    frames_before: u64,
+    broken: u64,
+    no_acknowledge: u64,
+    /// Of the broken ones, ours.
+    sending: u64,
+    /// Of the broken ones, by [`Violation`].
+    violations: [u64; 3],
+}
+
+#[derive(Debug, Default)]
+pub(super) struct ErrorRate {
+    seconds: VecDeque<Second>,
+    /// What was told last, while it is not cleared.
+    told: Option<Confidence>,
+    last: Instant,
+    /// Since when our controller is off the bus: frames heard until then.
+    bus_off: Option<u64>,
+    wires: bool,
+}
+
+impl ErrorRate {
+    /// Takes a report in; `broken` frames broke, of `frames` heard in all, errors included.
+    /// Whether it is an error at all.
+    pub fn see(&mut self, now: Instant, report: &ErrorReport, broken: u64, frames: u64) -> bool {
+        if report.is_recovery() {
+            self.bus_off = None;
+        }
+        let no_acknowledge = u64::from(report.is_missing_acknowledge());
+        let off = report.is_bus_off();
+        if broken + no_acknowledge == 0 && !off && !report.is_transceiver_fault() {
+            return false;
+        }
+        self.last = now;
+        self.wires = report.is_transceiver_fault() || self.wires && self.told.is_some();
+        if off {
+            self.bus_off = Some(frames);
+        }
+        let second = self.second(now, frames);
+        second.broken += broken;
+        second.no_acknowledge += no_acknowledge;
+        second.sending += if report.is_while_sending() { broken } else { 0 };
+        if let Some(violation) = report.violation() {
+            second.violations[violation as usize] += broken;
+        }
+        true
+    }
+
+    /// How sure it is now that something is wrong, where that is anything.
+    pub fn confidence(&mut self, frames: u64) -> Option<Confidence> {
+        let now = if self.bus_off.is_some() || self.is_lasting(frames) {
+            Some(Confidence::Confirmed)
+        } else if self.wires || self.count() >= SUSPECT {
+            Some(Confidence::Suspected)
+        } else {
+            None
+        };
+        // What is told stays until it is quiet.
+        self.told = self.told.max(now);
+        self.told
+    }
+
+    /// The errors in numbers.
+    pub fn summary(&self, now: Instant, frames: u64) -> Summary {
+        let sum = |of: fn(&Second) -> u64| self.seconds.iter().map(of).sum::<u64>();
+        let (broken, no_acknowledge) = (sum(|s| s.broken), sum(|s| s.no_acknowledge));
+        let violations = [Violation::Bit, Violation::Stuff, Violation::Form];
+        let most = violations.into_iter().max_by_key(|violation| {
+            self.seconds.iter().map(|s| s.violations[*violation as usize]).sum::<u64>()
+        });
+        let known = sum(|s| s.violations.iter().sum()) > 0;
+        let cause = if self.bus_off.is_some() {
+            Cause::BusOff
+        } else if self.wires {
+            Cause::Wires
+        } else if no_acknowledge > broken {
+            Cause::NoAcknowledge
+        } else if sum(|s| s.sending) * 2 > broken {
+            Cause::OwnFrames
+        } else {
+            Cause::Broken(most.filter(|_| known))
+        };
+        let first = self.seconds.front().map_or(0, |second| second.number);
+        let seconds = (second_of(now).saturating_sub(first) + 1).min(MEMORY);
+        let errors = self.count() as f64;
+        let frames = self.frames(frames).max(1) as f64;
+        Summary { cause, rate: errors / seconds as f64, share: (errors / frames).min(1.0) }
+    }
+
+    /// Of the errors between two moments `count` have another cause than the bus.
+    pub fn explain(&mut self, from: Instant, to: Instant, mut count: u64) {
+        let (from, to) = (second_of(from), second_of(to));
+        for second in &mut self.seconds {
+            if (from..=to).contains(&second.number) {
+                let explained = second.broken.min(count);
+                second.broken -= explained;
+                count -= explained;
+            }
+        }
+        self.seconds.retain(|second| second.broken + second.no_acknowledge > 0);
+    }
+
+    /// When [`handle_timeout`](Self::handle_timeout) is to be called.
+    pub fn poll_timeout(&self) -> Option<Instant> {
+        let quiet = match self.told? {
+            Confidence::Confirmed => QUIET_CONFIRMED,
+            Confidence::Suspected | Confidence::Cleared => QUIET,
+        };
+        Some(self.last + quiet)
+    }
+
+    /// Whether it was quiet long enough.
+    pub fn handle_timeout(&mut self, now: Instant, frames: u64) -> bool {
+        if self.poll_timeout().is_none_or(|due| now < due) {
+            return false;
+        }
+        if self.bus_off.is_some_and(|heard| heard >= frames) {
+            // Nothing is heard off the bus.
+            self.last = now;
+            return false;
+        }
+        *self = Self::default();
+        true
+    }
+
+    /// The controller begins anew.
+    pub fn restart(&mut self) {
+        self.bus_off = None;
+    }
+
+    fn second(&mut self, now: Instant, frames: u64) -> &mut Second {
+        let number = second_of(now);
+        while self.seconds.front().is_some_and(|second| second.number + MEMORY <= number) {
+            self.seconds.pop_front();
+        }
+        if self.seconds.back().is_none_or(|last| last.number != number) {
+            let frames_before = frames.saturating_sub(1);
+            self.seconds.push_back(Second { number, frames_before, ..Second::default() });
+        }
+        let last = self.seconds.len() - 1;
+        &mut self.seconds[last]
+    }
+
+    fn count(&self) -> u64 {
+        self.seconds.iter().map(|second| second.broken + second.no_acknowledge).sum()
+    }
+
+    /// Frames since the first error that is remembered.
+    fn frames(&self, frames: u64) -> u64 {
+        frames - self.seconds.front().map_or(frames, |second| second.frames_before)
+    }
+
+    fn is_lasting(&self, frames: u64) -> bool {
+        let count = self.seconds.len();
+        if count < CONFIRM_SECONDS {
+            return false;
+        }
+        let (last, third) = (self.seconds[count - 1], self.seconds[count - CONFIRM_SECONDS]);
+        let in_a_row = last.number - third.number < CONFIRM_SECONDS as u64;
+        in_a_row || self.count() * CONFIRM_SHARE >= self.frames(frames)
+    }
+}
+
+fn second_of(now: Instant) -> u64 {
+    now.as_micros() / 1_000_000
+}

@@ -1,0 +1,710 @@
+//! Error frames as evidence: of a bus that is disturbed, and of one address at which two
+//! devices destroy each other's frames.
+//!
+//! An error frame does not say whose frame broke. But two devices at one address that answer
+//! one question with different bytes break each other's answer again and again, some sixteen
+//! times, until both are error-passive: a burst of errors between the question and the answer,
+//! or instead of it, each time that address is asked, while the rest of the bus is clean. So a
+//! *window* is kept open while an address is expected to send, from a question to its answer,
+//! or about a heartbeat that is due, and what breaks in it is set against what breaks outside.
+//!
+//! An address is named only where
+//!
+//! * in each of three windows three frames or more broke, with fewer whole ones between, at a
+//!   time at which nobody else was expected to send; or in each of two windows eight or more,
+//!   with next to no whole ones between;
+//! * and its windows are not clean when it is asked again, some seconds later;
+//! * and outside of windows next to nothing breaks: at most three frames and 2 % of all, and
+//!   not more than one in a second. On a
+//!   bus that is disturbed, at a wrong rate or badly terminated, nobody is named.
+//!
+//! Even then it is only suspected: a bad transceiver looks the same.
+
+use super::collisions::Collisions;
+use super::error_rate::ErrorRate;
+use super::finding::{Confidence, Evidence};
+use super::{Engine, Presence, wording};
+use crate::error_report::ErrorReport;
+use crate::frame::Frame;
+use crate::text::Name;
+use crate::time::{Duration, Instant};
+use crate::wire::des::Request;
+use crate::wire::id::Address;
+use std::collections::VecDeque;
+
+/// Windows that are open at the same time; beyond that the oldest is forgotten.
+const MAX_WINDOWS: usize = 32;
+/// Addresses that are looked into at the same time; beyond that nobody new is.
+const MAX_SUSPECTS: usize = 16;
+/// Frames that break in a window until it counts: fewer is chance.
+const BURST: u64 = 3;
+/// Frames that break in a row as only two senders break them: two such windows are enough.
+const LONG_BURST: u64 = 8;
+/// More than two senders can break until both are error-passive, or off the bus.
+const LONGEST_BURST: u64 = 40;
+/// What a window with a burst counts, with a long one, and how much names an address.
+const WEIGHT: u32 = 2;
+const LONG_WEIGHT: u32 = 3;
+const NAMED_FROM: u32 = 6;
+/// Clean windows in a row that end a suspicion, and that clear an address that was named.
+const CLEAN: u32 = 2;
+const CLEAN_NAMED: u32 = 3;
+/// For so long after a burst a clean window says nothing: of two devices that gave up one may
+/// be back.
+const RESTART: Duration = Duration::from_secs(5);
+/// The same for heartbeats, of which there are more.
+const CLEAN_BEATS: u32 = 10;
+/// Questions to look into a suspicion, at most, and how far apart, more with each: no part of
+/// the heartbeat's period, or what happens with every heartbeat would meet every question.
+const FOLLOW_UPS: u32 = 6;
+const FOLLOW_UP_AFTER: Duration = Duration::from_millis(770);
+/// How often an address that was named is asked again. Seldom: its devices may begin anew with
+/// each burst.
+const ASK_NAMED: Duration = Duration::from_millis(20_370);
+/// A suspicion without another burst ends after this, and so does a finding.
+const MEMORY: Duration = Duration::from_secs(45);
+/// How far the receive error counter must have gone up since it was last reported to tell of
+/// frames that broke just now.
+const COUNTED: u8 = 16;
+/// How late a heartbeat is missing, in periods.
+const OVERDUE: f64 = 0.3;
+/// How long a run of broken frames counts as one thing, and how many frames it counts as.
+const RUN: Duration = Duration::from_millis(50);
+const RUN_COUNTS: f64 = 3.0;
+/// How soon what happens outside of windows is forgotten by half.
+const HALF_LIFE: Duration = Duration::from_secs(10);
+
+/// What an address is expected to send.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Due {
+    Answer(Request),
+    Heartbeat,
+}
+
+/// A time in which an address is expected to send.
+#[derive(Debug)]
+struct Window {
+    address: Address,
+    due: Due,
+    /// The question, or the last heartbeat.
+    cause: Option<Frame>,
+    ends: Instant,
+    /// Frames that broke while nobody else was expected to send.
+    errors: u64,
+    /// And while others were.
+    shared: u64,
+    /// The number of the first and of the last frame that broke, all frames counted.
+    span: Option<(u64, u64)>,
+    first: Option<Frame>,
+    last: Option<Frame>,
+}
+
+impl Window {
+    fn note(&mut self, broken: u64, number: u64, frame: &Frame) {
+        self.errors += broken;
+        self.span = Some((self.span.map_or(number, |(first, _)| first), number));
+        self.first.get_or_insert(*frame);
+        self.last = Some(*frame);
+    }
+
+    /// What it counts, where frames broke one after the other, and not here and there.
+    fn weight(&self) -> Option<u32> {
+        let (first, last) = self.span?;
+        if self.errors > LONGEST_BURST {
+            return None;
+        }
+        let whole = (last + 1 - first).saturating_sub(self.errors);
+        if self.errors >= LONG_BURST && whole * 8 <= self.errors {
+            Some(LONG_WEIGHT)
+        } else {
+            (self.errors >= BURST && whole <= self.errors).then_some(WEIGHT)
+        }
+    }
+
+    fn evidence(&self, answer: Option<&Frame>) -> impl Iterator<Item = Evidence> {
+        let (cause, broken, late) = match self.due {
+            Due::Answer(_) => {
+                ("the question", "a frame broke before the answer", "the answer, late")
+            }
+            Due::Heartbeat => ("the heartbeat before", "a frame broke when the next was due", ""),
+        };
+        let last = self.last.filter(|_| self.errors > 1);
+        let pieces = [(cause, self.cause), (broken, self.first), (broken, last)];
+        let pieces = pieces.into_iter().chain([(late, answer.copied())]);
+        pieces.filter_map(|(what, frame)| {
+            frame.map(|frame| Evidence { time: frame.time, what, frame: Some(frame) })
+        })
+    }
+}
+
+/// A question to all, and who has yet to answer it.
+#[derive(Debug)]
+struct Broadcast {
+    question: Frame,
+    ends: Instant,
+    /// One bit for each address.
+    awaited: u128,
+    answered: u128,
+}
+
+/// An address in whose windows frames broke.
+#[derive(Debug)]
+struct Suspect {
+    address: Address,
+    due: Due,
+    /// What its bursts count together.
+    weight: u32,
+    /// Clean windows since the last burst.
+    clean: u32,
+    last: Instant,
+    /// Evidence until the address is named.
+    evidence: Vec<Evidence>,
+    /// Whether it did not answer when a burst may have been its own, or another's.
+    silent: bool,
+    /// Until when it may answer our last question.
+    asked_until: Option<Instant>,
+    follow_ups: u32,
+    ask_at: Option<Instant>,
+    named: bool,
+}
+
+impl Suspect {
+    fn ends(&self) -> Instant {
+        self.last + MEMORY
+    }
+}
+
+/// What becomes of an address that was looked into.
+#[derive(Debug)]
+enum Verdict {
+    /// Errors follow it; with the evidence that is new.
+    Named(Address, Due, Vec<Evidence>),
+    /// They do not, or no more.
+    Cleared(Address),
+}
+
+/// What breaks while nobody in particular is expected to send. Decays.
+#[derive(Debug, Default)]
+struct Background {
+    broken: f64,
+    frames: f64,
+    /// Up to here frames are counted.
+    counted: u64,
+    at: Instant,
+    /// When the present run of broken frames began, its last one's number, and how much it
+    /// counts so far.
+    run: (Instant, u64, f64),
+}
+
+impl Background {
+    fn advance(&mut self, now: Instant, frames: u64) {
+        let passed = now.since(self.at).as_secs_f64() / HALF_LIFE.as_secs_f64();
+        let left = 0.5f64.powf(passed);
+        self.at = self.at.max(now);
+        self.broken *= left;
+        self.frames = self.frames * left + frames.saturating_sub(self.counted) as f64;
+        self.counted = frames;
+    }
+
+    /// Counts a frame that broke, the `number`th of all. Of those that break one after the other
+    /// only some count: it is one cause that breaks them, unless it goes on.
+    fn count(&mut self, now: Instant, broken: u64, number: u64) {
+        let (began, last, counted) = self.run;
+        let goes_on = number == last + 1 && now.since(began) < RUN;
+        let (began, counted) = if goes_on { (began, counted) } else { (now, 0.0) };
+        let more = (broken as f64).min(RUN_COUNTS - counted);
+        self.broken += more;
+        self.run = (began, number, counted + more);
+    }
+
+    fn is_clean(&self) -> bool {
+        self.broken <= 3.0 + (0.02 * self.frames).min(9.0)
+    }
+}
+
+/// What is known of the errors on a bus.
+#[derive(Debug, Default)]
+pub(super) struct Errors {
+    rate: ErrorRate,
+    /// The second for which the finding about the bus was worded last.
+    worded: Option<u64>,
+    /// The controller's error counters, as they were reported last.
+    counters: Option<(u8, u8)>,
+    windows: Vec<Window>,
+    suspects: Vec<Suspect>,
+    background: Background,
+    broadcast: Option<Broadcast>,
+    verdicts: VecDeque<Verdict>,
+    /// Frames heard, as far as it was told.
+    frames: u64,
+}
+
+impl Errors {
+    /// A question to `address` passed by; its answer is awaited until `ends`.
+    pub fn see_question(
+        &mut self,
+        address: Address,
+        request: Request,
+        ends: Instant,
+        frame: &Frame,
+    ) {
+        let due = Due::Answer(request);
+        if let Some(open) = self.window(address, due) {
+            // Asked in another framing, or again.
+            open.ends = open.ends.max(ends);
+        } else {
+            self.open(address, due, ends, Some(*frame));
+        }
+    }
+
+    /// A question to all passed by, which the addresses `awaited` (one bit each) may answer until
+    /// `ends`.
+    pub fn see_broadcast(&mut self, now: Instant, ends: Instant, awaited: u128, frame: &Frame) {
+        let before = self.broadcast.take().filter(|it| now < it.ends);
+        // Asked in two framings, or in two modes, whoever answered once has answered.
+        let (more, answered) = before.map_or((0, 0), |it| (it.awaited, it.answered));
+        let awaited = (awaited | more) & !answered;
+        self.broadcast = Some(Broadcast { question: *frame, ends, awaited, answered });
+    }
+
+    /// Part of an answer came: the rest is awaited until `ends`.
+    pub fn see_part(&mut self, address: Address, ends: Instant) {
+        for window in &mut self.windows {
+            if window.address == address && window.due != Due::Heartbeat {
+                window.ends = window.ends.max(ends);
+            }
+        }
+    }
+
+    /// A whole answer came; `frames` were heard in all.
+    pub fn see_answer(
+        &mut self,
+        now: Instant,
+        address: Address,
+        request: Request,
+        frame: &Frame,
+        frames: u64,
+    ) {
+        self.frames = frames;
+        if let Some(broadcast) = &mut self.broadcast {
+            broadcast.awaited &= !(1 << address.index());
+            broadcast.answered |= 1 << address.index();
+        }
+        self.close(now, address, Due::Answer(request), Some(frame));
+    }
+
+    /// A heartbeat came.
+    pub fn see_heartbeat(&mut self, now: Instant, address: Address, frame: &Frame) {
+        if self.windows.is_empty() && self.suspects.is_empty() {
+            return;
+        }
+        self.close(now, address, Due::Heartbeat, Some(frame));
+    }
+
+    /// Frames were lost before they reached us: an answer may have been among them.
+    pub fn see_loss(&mut self) {
+        self.windows.clear();
+    }
+
+    /// The node at `address` is lost.
+    pub fn forget(&mut self, address: Address) {
+        self.windows.retain(|window| window.address != address);
+        self.suspects.retain(|suspect| suspect.address != address || suspect.named);
+        for suspect in &mut self.suspects {
+            if suspect.address == address {
+                self.verdicts.push_back(Verdict::Cleared(address));
+            }
+        }
+        self.suspects.retain(|suspect| suspect.address != address);
+    }
+
+    /// The controller begins anew.
+    pub fn restart(&mut self) {
+        self.rate.restart();
+        self.windows.clear();
+    }
+
+    /// Whether an address is being looked into that may yet be named.
+    pub fn is_looking(&self) -> bool {
+        let mut open = self.suspects.iter().filter(|suspect| !suspect.named);
+        open.any(|suspect| suspect.weight > 0 && suspect.ask_at.is_some())
+    }
+
+    /// `address` is about to be asked, and may answer until `until`. When it is to be asked
+    /// instead, where that is not now: of two that are looked into each is asked alone, or it
+    /// would never be known whose frames break.
+    pub fn put_off(&mut self, now: Instant, address: Address, until: Instant) -> Option<Instant> {
+        let at = self.suspects.iter().position(|suspect| suspect.address == address)?;
+        let others = self.suspects.iter().filter(|suspect| suspect.address != address);
+        let busy = others.filter_map(|suspect| suspect.asked_until).max();
+        let busy = busy.filter(|until| now < *until);
+        if busy.is_none() {
+            self.suspects[at].asked_until = Some(until);
+        }
+        busy
+    }
+
+    /// How many frames broke, as far as a report tells. Drivers that do not report each broken
+    /// frame report the counters when they pass a limit.
+    fn broken(&mut self, report: &ErrorReport) -> u64 {
+        let before = self.counters;
+        self.counters = report.counters().or(before);
+        if report.is_broken_frame() {
+            return 1;
+        }
+        let (true, Some((tec, rec))) = (report.is_error_state(), report.counters()) else {
+            return 0;
+        };
+        let (tec_before, rec_before) = before.unwrap_or((0, 0));
+        // Each frame that breaks counts one for whoever receives, eight for its sender.
+        let received = rec.saturating_sub(rec_before);
+        let sent = tec.saturating_sub(tec_before) / 8;
+        if received >= COUNTED { received.into() } else { sent.into() }
+    }
+
+    /// Sets broken frames against who is expected to send. `beating` finds the one address
+    /// whose heartbeat is due now, its last one, and when the next is overdue.
+    fn attribute(
+        &mut self,
+        now: Instant,
+        report: &ErrorReport,
+        broken: u64,
+        frame: &Frame,
+        beating: impl FnOnce() -> Option<(Address, Option<Frame>, Instant)>,
+    ) {
+        self.background.advance(now, self.frames);
+        if report.is_while_sending() {
+            self.background.count(now, broken, self.frames);
+            return;
+        }
+        let broadcast = self.broadcast.as_ref().filter(|it| now < it.ends && it.awaited != 0);
+        let windows = self.windows.iter().fold(0, |bits, it| bits | 1 << it.address.index());
+        let expected: u128 = windows | broadcast.map_or(0, |it| it.awaited);
+        if expected == 0 {
+            match beating() {
+                Some((address, last, overdue)) => self.open(address, Due::Heartbeat, overdue, last),
+                None => self.background.count(now, broken, self.frames),
+            }
+        } else if expected.count_ones() > 1 {
+            self.windows.iter_mut().for_each(|window| window.shared += broken);
+            return;
+        } else if windows == 0
+            && let Some((question, ends)) = broadcast.map(|it| (it.question, it.ends))
+        {
+            // All others have answered.
+            let address = Address::from_bits(expected.trailing_zeros() as u8);
+            self.open(address, Due::Answer(Request::Name), ends, Some(question));
+        }
+        // Of several questions to one address the first is answered first.
+        let number = self.frames;
+        if let Some(window) = self.windows.first_mut() {
+            window.note(broken, number, frame);
+        }
+    }
+
+    fn window(&mut self, address: Address, due: Due) -> Option<&mut Window> {
+        self.windows.iter_mut().find(|window| window.address == address && window.due == due)
+    }
+
+    fn open(&mut self, address: Address, due: Due, ends: Instant, cause: Option<Frame>) {
+        if self.windows.len() == MAX_WINDOWS {
+            self.windows.remove(0);
+        }
+        self.windows.push(Window {
+            address,
+            due,
+            cause,
+            ends,
+            errors: 0,
+            shared: 0,
+            span: None,
+            first: None,
+            last: None,
+        });
+    }
+
+    /// What was expected came, or did not in time.
+    fn close(&mut self, now: Instant, address: Address, due: Due, came: Option<&Frame>) {
+        let at = self.windows.iter().position(|it| it.address == address && it.due == due);
+        let Some(at) = at else {
+            if due == Due::Heartbeat {
+                self.pass(now, address, due);
+            }
+            return;
+        };
+        let window = self.windows.remove(at);
+        self.background.advance(now, self.frames);
+        let in_time = due == Due::Heartbeat && came.is_some();
+        let weight = window.weight().filter(|_| !in_time);
+        if let Some(weight) = weight {
+            self.accuse(now, &window, weight, came);
+        } else if window.errors == 0 && window.shared == 0 {
+            if came.is_some() {
+                self.pass(now, address, due);
+            }
+        } else if window.shared >= BURST && window.errors < BURST {
+            self.consider(now, &window, came.is_some());
+        } else {
+            // Here and there, in time all the same, or without end.
+            let run = if window.errors > LONGEST_BURST { f64::MAX } else { RUN_COUNTS };
+            self.background.broken += (window.errors as f64).min(run);
+        }
+    }
+
+    /// There was a burst in a window of an address, and in nobody else's.
+    fn accuse(&mut self, now: Instant, window: &Window, weight: u32, came: Option<&Frame>) {
+        if let (Some(first), true) = (window.first, self.background.is_clean()) {
+            self.rate.explain(first.time, now, window.errors);
+        }
+        let Some(suspect) = self.suspect(now, window) else { return };
+        suspect.weight += weight;
+        suspect.clean = 0;
+        suspect.due = window.due;
+        suspect.last = now;
+        if suspect.evidence.len() < 16 {
+            suspect.evidence.extend(window.evidence(came));
+        }
+        let after = if suspect.named { ASK_NAMED } else { FOLLOW_UP_AFTER };
+        suspect.ask_at = Some(now + after);
+        let (address, due) = (suspect.address, suspect.due);
+        if !self.background.is_clean() {
+            self.suspects.retain(|suspect| suspect.named);
+        } else if let Some(suspect) = self.suspects.iter_mut().find(|it| it.address == address)
+            && suspect.weight >= NAMED_FROM
+        {
+            suspect.named = true;
+            suspect.ask_at = Some(now + ASK_NAMED);
+            let evidence = std::mem::take(&mut suspect.evidence);
+            self.verdicts.push_back(Verdict::Named(address, due, evidence));
+        }
+    }
+
+    /// There was a burst that may have been this address's or another's: ask it alone.
+    fn consider(&mut self, now: Instant, window: &Window, answered: bool) {
+        if !self.background.is_clean() {
+            return;
+        }
+        // One after the other, so that each window stands alone; first who did not answer.
+        let queue = self.suspects.iter().filter(|suspect| answered || suspect.silent);
+        let queue = queue.filter_map(|suspect| suspect.ask_at).max();
+        let at = queue.unwrap_or(now).max(now) + FOLLOW_UP_AFTER;
+        if let Some(suspect) = self.suspect(now, window) {
+            if !answered {
+                suspect.silent = true;
+                suspect.last = now;
+            }
+            suspect.ask_at.get_or_insert(at);
+        }
+    }
+
+    fn suspect(&mut self, now: Instant, window: &Window) -> Option<&mut Suspect> {
+        let known = self.suspects.iter().position(|suspect| suspect.address == window.address);
+        if known.is_none() {
+            if self.suspects.len() == MAX_SUSPECTS {
+                return None;
+            }
+            self.suspects.push(Suspect {
+                address: window.address,
+                due: window.due,
+                weight: 0,
+                clean: 0,
+                last: now,
+                evidence: Vec::new(),
+                silent: false,
+                asked_until: None,
+                follow_ups: 0,
+                ask_at: None,
+                named: false,
+            });
+        }
+        let at = known.unwrap_or(self.suspects.len() - 1);
+        self.suspects.get_mut(at)
+    }
+
+    /// What was expected of an address came, and nothing broke.
+    fn pass(&mut self, now: Instant, address: Address, due: Due) {
+        let at = self.suspects.iter().position(|it| it.address == address && it.due == due);
+        let Some(at) = at else { return };
+        let suspect = &mut self.suspects[at];
+        if now.since(suspect.last) < RESTART && (suspect.silent || suspect.weight > 0) {
+            return;
+        }
+        suspect.clean += 1;
+        let enough = match (due, suspect.named) {
+            (Due::Heartbeat, _) => CLEAN_BEATS,
+            (_, true) => CLEAN_NAMED,
+            (_, false) if suspect.weight == 0 => 1,
+            (_, false) => CLEAN,
+        };
+        if suspect.clean >= enough {
+            self.end(at);
+        }
+    }
+
+    fn end(&mut self, at: usize) {
+        let suspect = self.suspects.remove(at);
+        if suspect.named {
+            self.verdicts.push_back(Verdict::Cleared(suspect.address));
+        }
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        let windows = self.windows.iter().map(|window| window.ends);
+        let suspects =
+            self.suspects.iter().flat_map(|suspect| [Some(suspect.ends()), suspect.ask_at]);
+        windows.chain(suspects.flatten()).chain(self.rate.poll_timeout()).min()
+    }
+
+    /// Closes what is over. Who is to be asked once more comes back through `ask`, with when it
+    /// was last under suspicion; true where it was asked.
+    fn handle_timeout(
+        &mut self,
+        now: Instant,
+        mut ask: impl FnMut(Address, Request, Instant) -> bool,
+    ) {
+        while let Some(window) = self.windows.iter().find(|window| window.ends <= now) {
+            let (address, due) = (window.address, window.due);
+            self.close(now, address, due, None);
+        }
+        while let Some(at) = self.suspects.iter().position(|suspect| suspect.ends() <= now) {
+            self.end(at);
+        }
+        for suspect in self.suspects.iter_mut().filter(|it| it.ask_at.is_some_and(|at| at <= now)) {
+            let Due::Answer(request) = suspect.due else {
+                suspect.ask_at = None;
+                continue;
+            };
+            let asked = ask(suspect.address, request, suspect.last);
+            suspect.follow_ups += u32::from(asked);
+            let after = if suspect.named {
+                ASK_NAMED
+            } else {
+                FOLLOW_UP_AFTER + Duration::from_secs(suspect.follow_ups.into())
+            };
+            let more = suspect.named || suspect.follow_ups < FOLLOW_UPS;
+            suspect.ask_at = more.then(|| now + after);
+        }
+    }
+}
+
+impl Engine {
+    /// Takes an error frame in.
+    pub(super) fn hear_error(&mut self, frame: &Frame) {
+        let Some(report) = ErrorReport::of(frame) else { return };
+        let (now, frames) = (self.now, self.counters.frames);
+        let errors = &mut self.errors;
+        errors.frames = frames;
+        let broken = errors.broken(&report);
+        if errors.rate.see(now, &report, broken, frames) {
+            self.judge_bus(frame);
+        }
+        if broken > 0 {
+            let (roster, collisions) = (&self.roster, &self.collisions);
+            let period = self.config.profile.heartbeat.period();
+            self.errors.attribute(now, &report, broken, frame, || {
+                beating(roster, collisions, now, period)
+            });
+        }
+        self.wake_at(now);
+    }
+
+    /// Tells what is to be told about the bus as a whole, after an error.
+    fn judge_bus(&mut self, frame: &Frame) {
+        let (now, frames) = (self.now, self.counters.frames);
+        let Some(confidence) = self.errors.rate.confidence(frames) else { return };
+        let Some(finding) = self.collisions.judge_errors(now, None, confidence) else { return };
+        finding.add(Evidence { time: frame.time, what: "error frame", frame: Some(*frame) });
+        // Error frames may come by the thousand: words for each would be too many.
+        let second = Some(now.as_micros() / 1_000_000);
+        if finding.changed == now || self.errors.worded != second {
+            self.errors.worded = second;
+            let summary = self.errors.rate.summary(now, frames);
+            (finding.text, finding.remedy) = wording::bus_errors(&summary);
+        }
+    }
+
+    /// How long an answer may take, on a busy and slow bus too, until its window closes.
+    pub(super) fn answer_window(&self) -> Instant {
+        self.now + Duration::from_millis(200) + self.config.bit_time(180 * 150)
+    }
+
+    /// Closes windows that are over, and asks again where that shows more.
+    pub(super) fn check_errors(&mut self) {
+        let (now, frames) = (self.now, self.counters.frames);
+        self.errors.frames = frames;
+        let (roster, asks) = (&mut self.roster, self.station.held().is_some() && self.config.scan);
+        self.errors.handle_timeout(now, |address, request, since| {
+            // After a burst devices may begin anew, and answer nothing for some seconds.
+            let Some(device) = roster.current_device_mut(address) else { return false };
+            let there = asks && device.is_here() && device.last_seen > since;
+            if there {
+                device.query_mut(request).renew(now);
+            }
+            there
+        });
+        if self.errors.rate.handle_timeout(now, frames) {
+            self.collisions.judge_errors(now, None, Confidence::Cleared);
+        }
+        self.tell_errors();
+    }
+
+    /// Tells who is named, or no more.
+    pub(super) fn tell_errors(&mut self) {
+        let now = self.now;
+        while let Some(verdict) = self.errors.verdicts.pop_front() {
+            let (address, due, evidence) = match verdict {
+                Verdict::Named(address, due, evidence) => (address, due, evidence),
+                Verdict::Cleared(address) => {
+                    self.collisions.judge_errors(now, Some(address), Confidence::Cleared);
+                    continue;
+                }
+            };
+            let name: Option<Name> =
+                self.roster.current_device(address).and_then(|device| device.name.clone());
+            let suspected = Confidence::Suspected;
+            let Some(finding) = self.collisions.judge_errors(now, Some(address), suspected) else {
+                continue;
+            };
+            if let Some(name) = &name {
+                finding.concern(name);
+            }
+            for piece in evidence {
+                finding.add(piece);
+            }
+            (finding.text, finding.remedy) =
+                wording::errors_at(address, &finding.names, due == Due::Heartbeat);
+        }
+    }
+
+    pub(super) fn errors_timeout(&self) -> Option<Instant> {
+        self.errors.poll_timeout()
+    }
+}
+
+/// The one address whose heartbeat is due now, its last one, and when the next is overdue.
+fn beating(
+    roster: &super::roster::Roster,
+    collisions: &Collisions,
+    now: Instant,
+    period: Duration,
+) -> Option<(Address, Option<Frame>, Instant)> {
+    let mut found = None;
+    for device in roster.devices() {
+        let beats = &device.heartbeat;
+        let (Some(last), Presence::Online) = (beats.last, device.presence) else { continue };
+        let period = beats.period().unwrap_or(period);
+        let jitter = beats.jitter().unwrap_or_default() * 3;
+        let due = last + period;
+        // A burst takes some milliseconds from the moment at which the heartbeat began.
+        let early = due - (jitter + Duration::from_millis(2));
+        let late = due + jitter + Duration::from_millis(30);
+        if (early..=late).contains(&now) {
+            if found.is_some() {
+                return None;
+            }
+            let overdue = due + period.mul_f64(OVERDUE);
+            found = Some((device.address, collisions.last_heartbeat(device.address), overdue));
+        }
+    }
+    found
+}

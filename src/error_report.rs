@@ -1,0 +1,216 @@
+//! What a controller reports of errors, read from an error frame as Linux `can/error.h` lays it
+//! out: class bits in the identifier, details in eight bytes.
+//!
+//! Knows nothing of who sent the frames that broke: a report does not say it.
+
+use crate::frame::{CanId, Frame, FrameKind};
+use std::fmt;
+
+// Classes, in the identifier.
+const TRANSMISSION_TIMEOUT: u32 = 0x001;
+const LOST_ARBITRATION: u32 = 0x002;
+const CONTROLLER: u32 = 0x004;
+const PROTOCOL: u32 = 0x008;
+const TRANSCEIVER: u32 = 0x010;
+const NO_ACKNOWLEDGE: u32 = 0x020;
+const BUS_OFF: u32 = 0x040;
+const BUS_ERROR: u32 = 0x080;
+const RESTARTED: u32 = 0x100;
+const COUNTERS: u32 = 0x200;
+
+// The controller's state, in byte 1.
+const RECEIVE_OVERFLOW: u8 = 0x01;
+const TRANSMIT_OVERFLOW: u8 = 0x02;
+const RECEIVE_WARNING: u8 = 0x04;
+const TRANSMIT_WARNING: u8 = 0x08;
+const RECEIVE_PASSIVE: u8 = 0x10;
+const TRANSMIT_PASSIVE: u8 = 0x20;
+const ACTIVE: u8 = 0x40;
+
+// The violation, in byte 2.
+const BIT: u8 = 0x01;
+const FORM: u8 = 0x02;
+const STUFF: u8 = 0x04;
+const BIT_0: u8 = 0x08;
+const BIT_1: u8 = 0x10;
+const OVERLOAD: u8 = 0x20;
+const WHILE_SENDING: u8 = 0x80;
+
+/// The acknowledge slot, as a place in the frame, in byte 3.
+const ACKNOWLEDGE_SLOT: u8 = 0x19;
+
+/// An error frame, read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ErrorReport {
+    class: u32,
+    details: [u8; 8],
+}
+
+/// Which rule of the protocol a frame broke.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Violation {
+    /// A bit was read back otherwise than it was sent: somebody else sent at the same time, or
+    /// the line is disturbed.
+    Bit,
+    /// More than five equal bits in a row: an error flag, another bit rate, or a disturbance.
+    Stuff,
+    /// A bit that is fixed had the other value.
+    Form,
+}
+
+impl ErrorReport {
+    /// Reads an error frame; `None` for all others.
+    pub fn of(frame: &Frame) -> Option<Self> {
+        let (FrameKind::Error, CanId::Extended(class)) = (frame.kind, frame.id) else {
+            return None;
+        };
+        let details = std::array::from_fn(|at| frame.data().get(at).copied().unwrap_or(0));
+        Some(Self { class, details })
+    }
+
+    /// Whether a frame broke on the wire, ours or another's. Missing acknowledges, arbitration
+    /// lost, overload and mere changes of the controller's state are no broken frames.
+    pub fn is_broken_frame(&self) -> bool {
+        let overload = self.is(PROTOCOL) && self.details[2] & !WHILE_SENDING == OVERLOAD;
+        (self.is(PROTOCOL) || self.is(BUS_ERROR)) && !self.is_missing_acknowledge() && !overload
+    }
+
+    /// Whether the frame that broke was ours. Not every driver says so.
+    pub fn is_while_sending(&self) -> bool {
+        self.is(PROTOCOL) && self.details[2] & WHILE_SENDING != 0
+    }
+
+    /// Whether nobody acknowledged a frame of ours.
+    pub fn is_missing_acknowledge(&self) -> bool {
+        self.is(NO_ACKNOWLEDGE) || self.is(PROTOCOL) && self.details[3] == ACKNOWLEDGE_SLOT
+    }
+
+    /// Which rule a broken frame broke, where the driver says it.
+    pub fn violation(&self) -> Option<Violation> {
+        if !self.is(PROTOCOL) {
+            None
+        } else if self.details[2] & (BIT | BIT_0 | BIT_1) != 0 {
+            Some(Violation::Bit)
+        } else if self.details[2] & STUFF != 0 {
+            Some(Violation::Stuff)
+        } else {
+            (self.details[2] & FORM != 0).then_some(Violation::Form)
+        }
+    }
+
+    /// Whether the controller has left the bus.
+    pub fn is_bus_off(&self) -> bool {
+        self.is(BUS_OFF)
+    }
+
+    /// Whether the controller takes part again, after bus-off or an error state.
+    pub fn is_recovery(&self) -> bool {
+        !self.is_bus_off()
+            && (self.is(RESTARTED) || self.is(CONTROLLER) && self.details[1] & ACTIVE != 0)
+    }
+
+    /// Whether an error counter of the controller reached 96 (warning) or 128 (error-passive).
+    pub fn is_error_state(&self) -> bool {
+        let states = RECEIVE_WARNING | TRANSMIT_WARNING | RECEIVE_PASSIVE | TRANSMIT_PASSIVE;
+        self.is(CONTROLLER) && self.details[1] & states != 0
+    }
+
+    /// Whether the controller itself lost received frames.
+    pub fn is_receive_overflow(&self) -> bool {
+        self.is(CONTROLLER) && self.details[1] & RECEIVE_OVERFLOW != 0
+    }
+
+    /// Whether the transceiver reports a fault of the wires.
+    pub fn is_transceiver_fault(&self) -> bool {
+        self.is(TRANSCEIVER)
+    }
+
+    /// The controller's transmit and receive error counters, 0–255, where the report has them.
+    pub fn counters(&self) -> Option<(u8, u8)> {
+        // Kernels before 6.0 fill them in with the state, and have no class bit for it.
+        let counters = (self.details[6], self.details[7]);
+        let there = self.is(COUNTERS) || self.is(CONTROLLER) && counters != (0, 0);
+        there.then_some(counters)
+    }
+
+    fn is(&self, class: u32) -> bool {
+        self.class & class != 0
+    }
+}
+
+/// All that it says, in words.
+impl fmt::Display for ErrorReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        const CLASSES: [(u32, &str); 10] = [
+            (TRANSMISSION_TIMEOUT, "transmission timed out"),
+            (LOST_ARBITRATION, "arbitration lost"),
+            (CONTROLLER, "controller"),
+            (PROTOCOL, "protocol violation"),
+            (TRANSCEIVER, "transceiver"),
+            (NO_ACKNOWLEDGE, "nobody acknowledged"),
+            (BUS_OFF, "bus-off"),
+            (BUS_ERROR, "bus error"),
+            (RESTARTED, "controller restarted"),
+            (COUNTERS, "error counters"),
+        ];
+        const STATES: [(u8, &str); 7] = [
+            (RECEIVE_OVERFLOW, "receive overflow"),
+            (TRANSMIT_OVERFLOW, "transmit overflow"),
+            (RECEIVE_WARNING, "receive warning"),
+            (TRANSMIT_WARNING, "transmit warning"),
+            (RECEIVE_PASSIVE, "receive passive"),
+            (TRANSMIT_PASSIVE, "transmit passive"),
+            (ACTIVE, "active again"),
+        ];
+        const VIOLATIONS: [(u8, &str); 7] = [
+            (BIT, "bit"),
+            (FORM, "form"),
+            (STUFF, "stuff"),
+            (BIT_0, "bit 0"),
+            (BIT_1, "bit 1"),
+            (OVERLOAD, "overload"),
+            (WHILE_SENDING, "while we sent"),
+        ];
+        let classes = CLASSES.iter().filter(|(bit, _)| self.is(*bit)).map(|(_, word)| *word);
+        let states =
+            STATES.iter().filter(|(bit, _)| self.is(CONTROLLER) && self.details[1] & bit != 0);
+        let violations =
+            VIOLATIONS.iter().filter(|(bit, _)| self.is(PROTOCOL) && self.details[2] & bit != 0);
+        let details = states.chain(violations).map(|(_, word)| *word);
+        let mut between = "";
+        for word in classes.chain(details) {
+            write!(f, "{between}{word}")?;
+            between = ", ";
+        }
+        if between.is_empty() { f.write_str("error frame") } else { Ok(()) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn report(class: u32, details: [u8; 8]) -> ErrorReport {
+        ErrorReport::of(&Frame::error(class, &details)).unwrap()
+    }
+
+    #[test]
+    fn broken_frames_are_told_from_what_only_looks_like_them() {
+        let broken = |class, details| report(class, details).is_broken_frame();
+        assert!(broken(PROTOCOL | BUS_ERROR, [0, 0, STUFF, 0, 0, 0, 0, 0]));
+        assert!(broken(BUS_ERROR, [0; 8]));
+        assert!(!broken(NO_ACKNOWLEDGE | BUS_ERROR, [0, 0, 0, ACKNOWLEDGE_SLOT, 0, 0, 0, 0]));
+        assert!(!broken(PROTOCOL, [0, 0, BIT, ACKNOWLEDGE_SLOT, 0, 0, 0, 0]));
+        assert!(!broken(PROTOCOL | BUS_ERROR, [0, 0, OVERLOAD, 0, 0, 0, 0, 0]));
+        assert!(!broken(LOST_ARBITRATION, [5, 0, 0, 0, 0, 0, 0, 0]));
+        assert!(!broken(CONTROLLER, [0, RECEIVE_WARNING, 0, 0, 0, 0, 0, 96]));
+    }
+
+    #[test]
+    fn counters_are_read_where_they_are() {
+        assert_eq!(report(PROTOCOL, [0, 0, 0, 0, 0, 0, 1, 2]).counters(), None);
+        assert_eq!(report(PROTOCOL | COUNTERS, [0; 8]).counters(), Some((0, 0)));
+        assert_eq!(report(CONTROLLER, [0, 4, 0, 0, 0, 0, 0, 96]).counters(), Some((0, 96)));
+        assert_eq!(ErrorReport::of(&Frame::error(COUNTERS, &[])).unwrap().counters(), Some((0, 0)));
+    }
+}

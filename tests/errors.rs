@@ -1,0 +1,278 @@
+//! Error frames: an address is named where frames break just when it should send, and nobody is
+//! named where they break for another reason.
+
+mod common;
+
+use common::Inspection;
+use descan::discovery::{Confidence, Config, Engine, EventKind, Finding, FindingKind};
+use descan::frame::FrameKind;
+use descan::sim::{Action, BusState, DeviceSpec, Event, Fault, Scenario, Sim};
+use descan::time::{Duration, Instant};
+use descan::wire::id::{Address, Header};
+use descan::wire::node::Uid;
+
+fn seconds(seconds: f64) -> Instant {
+    Instant::from_micros((seconds * 1e6) as u64)
+}
+
+fn millis(millis: u64) -> Duration {
+    Duration::from_millis(millis)
+}
+
+/// A device that keeps its address whatever happens, and answers after exactly `delay`.
+fn stubborn(label: &str, name: &str, address: u8, delay: Duration) -> DeviceSpec {
+    let mut device = DeviceSpec::new(name).label(label).fixed(address).settled();
+    device.delay = (delay, delay);
+    device.fault(Fault::NeverGivesWay)
+}
+
+/// Addresses that errors were ever said to follow, each time they were.
+fn named(it: &Inspection) -> Vec<u8> {
+    let told = it.events.iter().filter_map(|event| match &event.kind {
+        EventKind::Finding { key, confidence } if key.kind == FindingKind::BusErrors => {
+            key.address.filter(|_| *confidence != Confidence::Cleared)
+        }
+        _ => None,
+    });
+    told.map(Address::number).collect()
+}
+
+fn errors_at(it: &Inspection, address: Option<u8>) -> Option<&Finding> {
+    it.engine.findings().iter().find(|finding| {
+        finding.key.kind == FindingKind::BusErrors
+            && finding.key.address.map(Address::number) == address
+    })
+}
+
+/// Runs on where the bus is too bad for our controller: off the bus, it begins anew.
+fn run(it: &mut Inspection, until: Instant) {
+    while it.sim.now() < until {
+        let now = it.sim.now();
+        while let Some(frame) = it.sim.poll_frame(it.station) {
+            it.engine.handle_frame(&frame);
+            it.frames.push(frame);
+        }
+        it.engine.handle_timeout(now);
+        while let Some(frame) = it.engine.poll_transmit(now) {
+            let _ = it.sim.transmit(it.station, frame);
+        }
+        while let Some(event) = it.engine.poll_event() {
+            it.events.push(event);
+        }
+        if it.sim.status(it.station).state == BusState::BusOff {
+            it.sim.set_link(it.station, false);
+            it.sim.set_link(it.station, true);
+            it.engine.restart(now);
+        }
+        let next = [it.engine.poll_timeout(), it.sim.next_event(), Some(until)];
+        let next = next.into_iter().flatten().min().unwrap_or(until);
+        it.sim.advance(next.max(now + Duration::from_micros(1)));
+    }
+}
+
+/// Two devices at address 14 that answer at the same moment; `differ` makes the second another.
+fn pair(differ: impl Fn(DeviceSpec) -> DeviceSpec) -> [DeviceSpec; 2] {
+    let one = stubborn("one", "ACT", 14, millis(2)).service("PUMP", "1.0");
+    let other = stubborn("other", "ACT", 14, millis(2)).uid(Uid([1, 2, 3, 4, 5, 6]));
+    [one, differ(other)]
+}
+
+fn with_pair(scenario: Scenario, pair: [DeviceSpec; 2]) -> Scenario {
+    pair.into_iter().fold(scenario, Scenario::with)
+}
+
+#[test]
+fn two_that_answer_differently_are_named() {
+    let services = pair(|other| other.service("VALVE", "2.1"));
+    let names = pair(|other| DeviceSpec { name: b"VALVE".to_vec(), ..other });
+    for (what, pair) in [("services", services), ("names", names)] {
+        for bitrate in [125_000, 1_000_000] {
+            // With nobody else there, nobody acknowledges while the two begin anew.
+            for crowd in [1, 10, 40] {
+                let scenario = with_pair(Scenario::crowd(bitrate, crowd, 3), pair.clone());
+                // Of a crowd that has an address 14 as well there are three at it.
+                for seed in 0..4 {
+                    let mut it = Inspection::new(&scenario, seed, Config::default());
+                    run(&mut it, seconds(15.0));
+                    let told = named(&it);
+                    assert!(
+                        told.contains(&14) && told.iter().all(|address| *address == 14),
+                        "{what}, {bitrate} bit/s, {crowd} others, seed {seed}: {told:?}"
+                    );
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn who_is_named_is_suspected_with_the_frames_that_show_it() {
+    let pair = pair(|other| other.service("VALVE", "2.1"));
+    let scenario = with_pair(Scenario::crowd(250_000, 10, 3), pair);
+    let mut it = Inspection::new(&scenario, 1, Config::default());
+    run(&mut it, seconds(15.0));
+    let finding = errors_at(&it, Some(14)).expect("address 14 is named");
+    assert_eq!(finding.confidence, Confidence::Suspected);
+    assert!(finding.text.contains("ACT at address 14"), "{}", finding.text);
+    let question = finding.evidence.front().and_then(|piece| piece.frame).unwrap();
+    let header = Header::decode(question.platform_id().unwrap());
+    assert_eq!((header.destination.number(), header.response), (14, false));
+    let broken = finding.evidence.iter().filter_map(|piece| piece.frame);
+    let broken = broken.filter(|frame| frame.kind == FrameKind::Error).count();
+    assert!(broken >= 4, "{:?}", finding.evidence);
+    assert!(finding.evidence.iter().is_sorted_by_key(|piece| piece.time));
+}
+
+#[test]
+fn once_one_of_the_two_is_gone_nobody_is_named_any_more() {
+    let pair = pair(|other| other.service("VALVE", "2.1"));
+    let scenario = with_pair(Scenario::crowd(250_000, 10, 3), pair).at(
+        Duration::from_secs(20),
+        "other",
+        Action::Leave,
+    );
+    let mut it = Inspection::new(&scenario, 1, Config::default());
+    run(&mut it, seconds(20.0));
+    assert_eq!(errors_at(&it, Some(14)).map(|it| it.confidence), Some(Confidence::Suspected));
+    run(&mut it, seconds(110.0));
+    assert_eq!(errors_at(&it, Some(14)).map(|it| it.confidence), Some(Confidence::Cleared));
+}
+
+#[test]
+fn who_listens_only_names_it_by_the_questions_of_others() {
+    let pair = pair(|other| other.service("VALVE", "2.1"));
+    let mut sim = Sim::new(&with_pair(Scenario::crowd(250_000, 10, 3), pair), 1);
+    let (asking, listening) = (sim.attach(), sim.attach());
+    let config = Config { bitrate: Some(250_000), ..Config::default() };
+    let mut asker = Engine::new(Instant::ZERO, config.clone());
+    let mut listener = Engine::new(Instant::ZERO, Config { listen_only: true, ..config });
+    while sim.now() < seconds(40.0) {
+        let now = sim.now();
+        for (station, engine) in [(asking, &mut asker), (listening, &mut listener)] {
+            while let Some(frame) = sim.poll_frame(station) {
+                engine.handle_frame(&frame);
+            }
+            engine.handle_timeout(now);
+        }
+        while let Some(frame) = asker.poll_transmit(now) {
+            sim.transmit(asking, frame);
+        }
+        let next = [asker.poll_timeout(), listener.poll_timeout(), sim.next_event()];
+        let next = next.into_iter().flatten().min().unwrap_or(seconds(40.0));
+        sim.advance(next.max(now + Duration::from_micros(1)));
+    }
+    for engine in [&asker, &listener] {
+        let named = engine.findings().iter().filter(|it| it.key.kind == FindingKind::BusErrors);
+        let named: Vec<_> = named.filter_map(|it| it.key.address.map(Address::number)).collect();
+        assert_eq!(named, [14]);
+    }
+}
+
+/// Twenty devices: quick and slow, with short answers and long ones, silent and talkative.
+fn mixed(bitrate: u32) -> Scenario {
+    let mut scenario = Scenario::crowd(bitrate, 20, 0);
+    for (at, device) in scenario.devices.iter_mut().enumerate() {
+        for service in 0..at {
+            *device = device.clone().service(&format!("S{service}"), "1.0");
+        }
+        if at % 3 == 0 {
+            device.delay = (millis(5), millis(80));
+        }
+        if at % 5 == 0 {
+            *device = device.clone().chatter(0x100, millis(20), 8);
+        }
+    }
+    scenario
+}
+
+fn assert_nobody_named(what: &str, scenario: &Scenario, seed: u64) -> Inspection {
+    let mut it = Inspection::new(scenario, seed, Config::default());
+    run(&mut it, seconds(60.0));
+    assert_eq!(named(&it), [0; 0], "{what}, seed {seed}");
+    it
+}
+
+#[test]
+fn on_a_disturbed_bus_nobody_is_named() {
+    for seed in 0..20 {
+        for rate in [0.01, 0.05, 0.2] {
+            let bitrate = if seed % 2 == 0 { 125_000 } else { 1_000_000 };
+            let scenario = Scenario { error_rate: rate, ..mixed(bitrate) };
+            let it = assert_nobody_named(&format!("{rate} of all break"), &scenario, seed);
+            let bus = errors_at(&it, None).expect("the bus as a whole");
+            assert_eq!(bus.confidence, Confidence::Confirmed, "{rate} of all break");
+        }
+    }
+    for seed in 0..3 {
+        for rate in [0.3, 0.5, 0.8] {
+            let scenario = Scenario { error_rate: rate, ..mixed(250_000) };
+            assert_nobody_named(&format!("{rate} of all break"), &scenario, seed);
+        }
+    }
+}
+
+#[test]
+fn what_disturbs_now_and_then_names_nobody() {
+    // A motor that is switched: all breaks for some milliseconds, over and over.
+    for (period, pulse) in [(100, 15), (770, 20), (1000, 15), (1000, 40), (10_000, 100)] {
+        for seed in 0..3 {
+            let mut scenario = mixed(250_000);
+            for (after, rate) in [(0, 1.0), (pulse, 0.0)] {
+                scenario.timetable.push(Event {
+                    time: Instant::ZERO + millis(1510 + after),
+                    every: Some(millis(period)),
+                    device: String::new(),
+                    action: Action::ErrorRate(rate),
+                });
+            }
+            let what = format!("{pulse} ms of {period}");
+            assert_nobody_named(&what, &scenario, seed);
+        }
+    }
+}
+
+#[test]
+fn a_station_at_another_rate_names_nobody() {
+    for seed in 0..5 {
+        let mut it = Inspection::new(&mixed(250_000), seed, Config::default());
+        let stranger = it.sim.attach();
+        for second in 0..60 {
+            let wrong = second % 5 == 4;
+            it.sim.set_bitrate(stranger, if wrong { 500_000 } else { 250_000 });
+            run(&mut it, seconds(f64::from(second)));
+        }
+        assert_eq!(named(&it), [0; 0], "seed {seed}");
+        assert!(errors_at(&it, None).is_some(), "the bus as a whole");
+    }
+}
+
+#[test]
+fn where_nobody_acknowledges_nobody_is_named() {
+    let mut scenario = Scenario::crowd(250_000, 3, 1);
+    for device in ["N001", "N002", "N003"] {
+        scenario = scenario.at(Duration::from_secs(10), device, Action::Leave);
+    }
+    let mut it = Inspection::new(&scenario, 1, Config::default());
+    run(&mut it, seconds(30.0));
+    assert_eq!(named(&it), [0; 0]);
+    let bus = errors_at(&it, None).expect("the bus as a whole");
+    assert!(bus.text.starts_with("Nobody acknowledges our frames"), "{}", bus.text);
+}
+
+#[test]
+fn whoever_is_alone_at_an_address_is_not_named_for_another() {
+    // While 14 and 15 are two each, all others answer as they should.
+    let other = |name: &str| {
+        let one = stubborn(name, "VENT", 15, millis(3));
+        one.service(name, "1").uid(Uid([name.len() as u8; 6]))
+    };
+    let scenario = with_pair(mixed(250_000), pair(|other| other.service("VALVE", "2.1")));
+    let scenario = with_pair(scenario, [other("A"), other("BB")]);
+    for seed in 0..5 {
+        let mut it = Inspection::new(&scenario, seed, Config::default());
+        run(&mut it, seconds(60.0));
+        let told = named(&it);
+        assert!(told.iter().all(|address| [14, 15].contains(address)), "{seed}: {told:?}");
+        assert!([14, 15].iter().all(|address| told.contains(address)), "{seed}: {told:?}");
+    }
+}

@@ -1,0 +1,490 @@
+//! `descan watch`, from outside: which line comes of what, when it comes, and how it ends.
+
+mod common;
+
+use common::log;
+use descan::app::{App, AppOptions, FileReading, Happening};
+use descan::discovery::{Confidence, Config, FindingKind};
+use descan::sim::{DeviceSpec, Fault, Scenario, Sim};
+use descan::time::Instant;
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use serde_json::{Value, json};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::path::Path;
+use std::process::{Child, ChildStdin, Command, Output, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+use std::time::Duration;
+
+/// How long anything may take on a busy machine.
+const PATIENCE: Duration = Duration::from_mins(1);
+
+/// FEED appears at 12, is in trouble for a second, reboots, is late, is gone for a while, and
+/// turns up at 31 in the end, where the file wants it.
+const LOG: &str = "\
+(1436509052.100000) can0 07180001#8AFA6C9724110400
+(1436509052.500000) can0 05180002#06014645454400
+(1436509052.600000) can0 05180002#100A020044455300
+(1436509052.700000) can0 05180002#21312E3000
+(1436509053.100000) can0 07180401#8AFA6C9724110400
+(1436509054.100001) can0 07180801#8AFA6C9724110500
+(1436509055.100000) can0 07180C01#8AFA6C9724110400
+(1436509056.100000) can0 07181001#8AFA6C9724110400
+(1436509058.450000) can0 0718A001#8AFA6C9724110400
+(1436509058.500000) can0 1F19FC2A#01FE
+(1436509059.450000) can0 0718A401#8AFA6C9724110400
+(1436509060.450000) can0 0718A801#8AFA6C9724110400
+(1436509063.450000) can0 0718AC01#8AFA6C9724110400
+(1436509070.450000) can0 0718B001#8AFA6C9724110400
+(1436509071.450000) can0 0718B401#8AFA6C9724110400
+(1436509074.000000) can0 073EA001#8AFA6C9724110400
+(1436509075.000000) can0 073EA401#8AFA6C9724110400
+";
+const FILE: &str = r#"{"devices":[{"name":"FEED","address":31,"static":true}]}"#;
+
+/// What `watch --json` says of it, byte for byte.
+const TOLD: &str = r#"{"time":1436509052.1,"event":"file","file":{"path":"des.json","ok":true,"entries":1,"error":null}}
+{"time":1436509052.1,"event":"bus","bus":{"name":"can0","bitrate":null,"state":"unknown","frames":1,"errors":0,"lost":0,"load":null,"address":null}}
+{"time":1436509052.1,"event":"appeared","bus":"can0","address":12,"name":null}
+{"time":1436509052.1,"event":"mode","bus":"can0","address":12,"name":null,"mode":"WORK","from":null}
+{"time":1436509052.5,"event":"named","bus":"can0","address":12,"name":"FEED"}
+{"time":1436509052.5,"event":"finding","bus":"can0","address":12,"name":"FEED","finding":{"kind":"wrong-address","confidence":"confirmed","bus":"can0","address":12,"addresses":[12],"names":["FEED"],"first":1436509052.5,"evidence":[],"text":"FEED is at 12, and the file pins it to 31.","remedy":"Give the device the address 31, or pin it to 12 in the file."}}
+{"time":1436509052.7,"event":"services","bus":"can0","address":12,"name":"FEED","services":[{"index":0,"name":"DES","version":"1.0","extra":[]}],"changed":false}
+{"time":1436509054.100001,"event":"mode","bus":"can0","address":12,"name":"FEED","mode":"UFUNC","from":"WORK"}
+{"time":1436509055.1,"event":"mode","bus":"can0","address":12,"name":"FEED","mode":"WORK","from":"UFUNC"}
+{"time":1436509058.45,"event":"rebooted","bus":"can0","address":12,"name":"FEED"}
+{"time":1436509058.5,"event":"debug","bus":"can0","address":12,"name":"FEED","code":42,"data":"01FE"}
+{"time":1436509062.95,"event":"stale","bus":"can0","address":12,"name":"FEED"}
+{"time":1436509063.45,"event":"returned","bus":"can0","address":12,"name":"FEED","was":"stale"}
+{"time":1436509065.95,"event":"stale","bus":"can0","address":12,"name":"FEED"}
+{"time":1436509068.45,"event":"lost","bus":"can0","address":12,"name":"FEED"}
+{"time":1436509068.45,"event":"finding","bus":"can0","address":12,"name":"FEED","finding":{"kind":"wrong-address","confidence":"cleared","bus":"can0","address":12,"addresses":[12],"names":["FEED"],"first":1436509052.5,"evidence":[],"text":"FEED is at 12, and the file pins it to 31.","remedy":"Give the device the address 31, or pin it to 12 in the file."}}
+{"time":1436509068.45,"event":"finding","bus":"can0","address":31,"name":"FEED","finding":{"kind":"missing","confidence":"confirmed","bus":"can0","address":31,"addresses":[31],"names":["FEED"],"first":1436509068.45,"evidence":[],"text":"FEED (at 31) is listed and not there: it was at 12 and was last heard 5s ago.","remedy":""}}
+{"time":1436509070.45,"event":"returned","bus":"can0","address":12,"name":"FEED","was":"lost"}
+{"time":1436509070.45,"event":"finding","bus":"can0","address":31,"name":"FEED","finding":{"kind":"missing","confidence":"cleared","bus":"can0","address":31,"addresses":[31],"names":["FEED"],"first":1436509068.45,"evidence":[],"text":"FEED (at 31) is listed and not there: it was at 12 and was last heard 7s ago.","remedy":""}}
+{"time":1436509070.45,"event":"finding","bus":"can0","address":12,"name":"FEED","finding":{"kind":"wrong-address","confidence":"confirmed","bus":"can0","address":12,"addresses":[12],"names":["FEED"],"first":1436509070.45,"evidence":[],"text":"FEED is at 12, and the file pins it to 31.","remedy":"Give the device the address 31, or pin it to 12 in the file."}}
+{"time":1436509073.95,"event":"stale","bus":"can0","address":12,"name":"FEED"}
+{"time":1436509074.0,"event":"appeared","bus":"can0","address":31,"name":null}
+{"time":1436509074.0,"event":"mode","bus":"can0","address":31,"name":null,"mode":"WORK","from":null}
+{"time":1436509074.0,"event":"moved","bus":"can0","address":31,"name":"FEED","from":12}
+{"time":1436509074.0,"event":"finding","bus":"can0","address":12,"name":"FEED","finding":{"kind":"wrong-address","confidence":"cleared","bus":"can0","address":12,"addresses":[12],"names":["FEED"],"first":1436509070.45,"evidence":[],"text":"FEED is at 12, and the file pins it to 31.","remedy":"Give the device the address 31, or pin it to 12 in the file."}}
+{"time":1436509075.0,"event":"bus","bus":{"name":"can0","bitrate":null,"state":"unknown","frames":17,"errors":0,"lost":0,"load":null,"address":null}}
+"#;
+
+const IN_WORDS: &str = "\
+06:17:32.100 des.json         1 entry
+06:17:32.100 can0             open
+06:17:32.100  12 ?            appeared
+06:17:32.500  12 FEED         says its name
+06:17:32.500  12 FEED         confirmed: FEED is at 12, and the file pins it to 31.
+06:17:32.700  12 FEED         1 service
+06:17:34.100  12 FEED         WORK → UFUNC
+06:17:35.100  12 FEED         UFUNC → WORK
+06:17:38.450  12 FEED         rebooted
+06:17:38.500  12 FEED         debug message 02A 01 FE
+06:17:42.950  12 FEED         stale: its heartbeat is late
+";
+
+fn command(arguments: &[&str], folder: &Path) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
+    command
+        .args(arguments)
+        .current_dir(folder)
+        .env("XDG_CONFIG_HOME", folder.join("config"))
+        .env("TZ", "UTC")
+        .stdin(Stdio::null());
+    command
+}
+
+fn watch(arguments: &[&str], folder: &Path) -> Output {
+    let arguments = [&["watch"], arguments].concat();
+    command(&arguments, folder).output().expect("the program starts")
+}
+
+fn text(bytes: &[u8]) -> &str {
+    std::str::from_utf8(bytes).expect("output is UTF-8")
+}
+
+fn values(output: &[u8]) -> Vec<Value> {
+    text(output).lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
+
+/// A folder with the log and the file.
+fn folder() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("session.log"), LOG).unwrap();
+    std::fs::write(folder.path().join("des.json"), FILE).unwrap();
+    folder
+}
+
+#[test]
+fn a_log_is_told_line_by_line() {
+    let folder = folder();
+    let output = watch(&["file:session.log", "--json"], folder.path());
+    assert_eq!(text(&output.stderr), "");
+    assert_eq!(output.status.code(), Some(0));
+    for (at, (told, expected)) in text(&output.stdout).lines().zip(TOLD.lines()).enumerate() {
+        assert_eq!(told, expected, "line {}", at + 1);
+    }
+    assert_eq!(text(&output.stdout), TOLD);
+    let output = watch(&["file:session.log"], folder.path());
+    assert_eq!(output.status.code(), Some(0));
+    let words = text(&output.stdout);
+    assert!(words.starts_with(IN_WORDS), "{words}");
+    assert!(words.ends_with("06:17:55.000 can0             the log is at its end\n"), "{words}");
+}
+
+#[test]
+fn the_pace_of_a_log_changes_nothing_of_what_is_told() {
+    let folder = folder();
+    // How many frames had come when a line was written depends on how they were handed over, and how
+    // long ago something was on when it was looked at last.
+    let essence = |text: &str| -> Vec<Value> {
+        let mut values = values(text.as_bytes());
+        for value in &mut values {
+            let member = if value["event"] == "bus" { "frames" } else { "text" };
+            let event = value["event"].as_str().unwrap().to_owned();
+            let object = value.get_mut(&event).and_then(Value::as_object_mut);
+            object.and_then(|object| object.remove(member));
+        }
+        values
+    };
+    let timed = watch(&["file:session.log", "--json", "--speed", "50"], folder.path());
+    assert_eq!(essence(text(&timed.stdout)), essence(TOLD));
+    let mut piped = Watching::start(&["-", "--json"], folder.path());
+    piped.write(LOG);
+    piped.stdin = None;
+    assert_eq!(essence(&piped.rest()), essence(TOLD));
+    assert_eq!(piped.exit_code(), 0);
+}
+
+#[test]
+fn the_time_of_a_log_is_its_own() {
+    let folder = folder();
+    for more in [&[][..], &["--speed", "20"]] {
+        let arguments = [&["file:session.log", "--json", "--time", "12"], more].concat();
+        let output = watch(&arguments, folder.path());
+        assert_eq!(output.status.code(), Some(0));
+        let last = values(&output.stdout).pop().unwrap();
+        assert_eq!((&last["event"], &last["time"]), (&json!("returned"), &json!(1_436_509_063.45)));
+    }
+}
+
+/// The program, its standard input open, its lines as they come.
+struct Watching {
+    child: Child,
+    stdin: Option<ChildStdin>,
+    lines: Receiver<String>,
+}
+
+impl Watching {
+    fn start(arguments: &[&str], folder: &Path) -> Self {
+        let mut child = command(&[&["watch"], arguments].concat(), folder)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let (sender, lines) = channel();
+        let stdout = BufReader::new(child.stdout.take().unwrap());
+        std::thread::spawn(move || {
+            for line in stdout.lines().map_while(Result::ok) {
+                if sender.send(line).is_err() {
+                    return;
+                }
+            }
+        });
+        Self { stdin: child.stdin.take(), child, lines }
+    }
+
+    fn write(&mut self, lines: &str) {
+        self.stdin.as_mut().unwrap().write_all(lines.as_bytes()).unwrap();
+    }
+
+    fn line(&self) -> String {
+        self.lines.recv_timeout(PATIENCE).expect("a line comes")
+    }
+
+    /// The next value of that event.
+    fn event(&self, event: &str) -> Value {
+        loop {
+            let value: Value = serde_json::from_str(&self.line()).unwrap();
+            if value["event"] == event {
+                return value;
+            }
+        }
+    }
+
+    fn rest(&self) -> String {
+        self.lines.iter().map(|line| line + "\n").collect()
+    }
+
+    fn signal(&self, signal: Signal) {
+        kill(Pid::from_raw(self.child.id().cast_signed()), signal).unwrap();
+    }
+
+    fn exit_code(&mut self) -> i32 {
+        self.child.wait().unwrap().code().expect("it ends by itself")
+    }
+}
+
+impl Drop for Watching {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+#[test]
+fn lines_of_standard_input_are_told_as_they_come() {
+    let folder = folder();
+    let mut lines = LOG.split_inclusive('\n');
+    let mut watching = Watching::start(&["-", "--json"], folder.path());
+    watching.write(lines.next().unwrap());
+    assert_eq!(watching.event("appeared")["address"], 12);
+    // A line that comes in two pieces, and one that is none.
+    let (begin, end) = lines.next().unwrap().split_at(20);
+    watching.write(begin);
+    watching.write(end);
+    watching.write("what?\n");
+    assert_eq!(watching.event("named")["name"], "FEED");
+    // The file is watched, too.
+    std::fs::write(folder.path().join("des.json"), "[]").unwrap();
+    assert_eq!(watching.event("file")["file"]["entries"], 0);
+    assert_eq!(watching.event("finding")["finding"]["confidence"], "cleared");
+}
+
+#[test]
+fn time_goes_on_while_no_line_comes() {
+    let folder = folder();
+    let profile = "[heartbeat]\nperiod_ms = 100\n";
+    std::fs::write(folder.path().join("quick.toml"), profile).unwrap();
+    let mut watching = Watching::start(&["-", "--json", "--profile", "quick.toml"], folder.path());
+    watching.write(LOG.lines().next().unwrap());
+    watching.write("\n");
+    assert_eq!(watching.event("stale")["time"], 1_436_509_052.35);
+    assert_eq!(watching.event("lost")["time"], 1_436_509_052.6);
+    // A line that was late all the same: nothing happens before what was told.
+    watching.write("(1436509052.200000) can0 07180001#8AFA6C9724110400\n");
+    let returned = watching.event("returned");
+    assert_eq!(returned["was"], "lost");
+    assert!(returned["time"].as_f64().unwrap() >= 1_436_509_052.6, "{returned}");
+}
+
+#[test]
+fn signals_and_time_end_it_with_0() {
+    let folder = folder();
+    for signal in [Signal::SIGTERM, Signal::SIGINT] {
+        // A log of which no line has come; one that is told; a bus.
+        for (bus, lines) in [("-", ""), ("-", LOG), ("sim:boiler", "")] {
+            let mut watching = Watching::start(&[bus], folder.path());
+            watching.write(lines);
+            if (bus, lines) == ("-", "") {
+                // Its first act is to let signals be told: then it does not end by default.
+                while !handles(watching.child.id(), signal) {
+                    std::thread::yield_now();
+                }
+            } else {
+                watching.line();
+            }
+            watching.signal(signal);
+            assert_eq!(watching.exit_code(), 0, "{signal} {bus}");
+        }
+    }
+    for bus in ["sim:boiler", "-"] {
+        let mut watching = Watching::start(&[bus, "--time", "0.3"], folder.path());
+        assert_eq!(watching.exit_code(), 0, "{bus}");
+    }
+}
+
+/// Whether a process has a handler for a signal.
+fn handles(process: u32, signal: Signal) -> bool {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap();
+    let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:")).unwrap().trim();
+    u64::from_str_radix(caught, 16).unwrap() >> (signal as u32 - 1) & 1 == 1
+}
+
+#[test]
+fn it_ends_when_nobody_reads_any_more() {
+    let folder = folder();
+    for arguments in [&["watch", "-"][..], &["watch", "sim:boiler", "--json"]] {
+        let mut child = command(arguments, folder.path())
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut stdin = child.stdin.take().unwrap();
+        stdin.write_all(LOG.lines().next().unwrap().as_bytes()).unwrap();
+        stdin.write_all(b"\n").unwrap();
+        let mut first = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut first).unwrap();
+        assert!(first.contains("des.json"), "{first}");
+        // Though nothing more is to be told: the input stays open.
+        assert_eq!(child.wait().unwrap().code(), Some(0));
+        let mut said = String::new();
+        child.stderr.take().unwrap().read_to_string(&mut said).unwrap();
+        assert_eq!(said, "");
+        drop(stdin);
+    }
+}
+
+#[test]
+fn collisions_are_told_as_scan_reports_them() {
+    let board = |label: &str, uid: u8| {
+        let uid = descan::wire::node::Uid([uid; 6]);
+        let board = DeviceSpec::new("FEED").label(label).fixed(12).settled().uid(uid);
+        board.service("AUGER", "2.1").fault(Fault::NeverGivesWay)
+    };
+    let other = DeviceSpec::new("SENS").fixed(13).settled();
+    let scenario = Scenario::new(125_000).with(board("a", 1)).with(board("b", 2)).with(other);
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("session.log"), log(&scenario, 20)).unwrap();
+    let told = values(&watch(&["file:session.log", "--json"], folder.path()).stdout);
+    let findings: Vec<&Value> = told.iter().filter(|it| it["event"] == "finding").collect();
+    assert!(!findings.is_empty());
+    let scan = command(&["scan", "file:session.log", "--json"], folder.path()).output().unwrap();
+    let report: Value = serde_json::from_slice(&scan.stdout).unwrap();
+    let reported = report["findings"].as_array().unwrap();
+    assert!(reported.iter().any(|it| it["confidence"] == "confirmed"));
+    for finding in reported {
+        let which = |it: &Value| (it["kind"].clone(), it["address"].clone());
+        let of_it: Vec<_> =
+            findings.iter().filter(|it| which(&it["finding"]) == which(finding)).collect();
+        let last = &of_it.last().expect("each is told")["finding"];
+        let members = |it: &Value| it.as_object().unwrap().keys().cloned().collect::<Vec<_>>();
+        assert_eq!(members(last), members(finding));
+        assert_eq!(
+            (&last["confidence"], &last["first"]),
+            (&finding["confidence"], &finding["first"])
+        );
+        assert!(last["evidence"][0]["frame"].as_str().unwrap().contains('#'));
+        // Once per change.
+        for pair in of_it.windows(2) {
+            assert_ne!(pair[0]["finding"]["confidence"], pair[1]["finding"]["confidence"]);
+            assert!(pair[0]["time"].as_f64() <= pair[1]["time"].as_f64());
+        }
+    }
+    let times: Vec<f64> = told.iter().map(|it| it["time"].as_f64().unwrap()).collect();
+    assert!(times.is_sorted(), "{times:?}");
+}
+
+#[test]
+fn several_buses_have_a_column() {
+    let folder = tempfile::tempdir().unwrap();
+    let lines = "(1.0) can0 07180001#8AFA6C9724110400\n(1.5) vcan-long 07180001#8AFA6C9724110400\n";
+    std::fs::write(folder.path().join("session.log"), lines).unwrap();
+    let output = watch(&["file:session.log"], folder.path());
+    let shown = text(&output.stdout);
+    assert!(shown.contains("00:00:01.500 vcan-long  12 ?            appeared\n"), "{shown}");
+    assert!(
+        shown.contains("00:00:01.500 can0                       the log is at its end\n"),
+        "{shown}"
+    );
+    let told = values(&watch(&["file:session.log", "--json"], folder.path()).stdout);
+    let appeared = told.iter().filter(|it| it["event"] == "appeared");
+    assert_eq!(appeared.map(|it| &it["bus"]).collect::<Vec<_>>(), ["can0", "vcan-long"]);
+}
+
+#[test]
+fn hostile_names_reach_no_terminal() {
+    let name = b"\x1b[2J\xff\\".to_vec();
+    let hostile = DeviceSpec { name, ..DeviceSpec::new("x").fixed(9).settled() };
+    let hostile = hostile.service("\u{202e}evil", "\u{9b}1");
+    let folder = tempfile::tempdir().unwrap();
+    let lines = log(&Scenario::new(125_000).with(hostile), 5);
+    std::fs::write(folder.path().join("session.log"), lines).unwrap();
+    for arguments in [&["file:session.log"][..], &["file:session.log", "--json"]] {
+        let output = watch(arguments, folder.path());
+        let shown = text(&output.stdout);
+        assert!(shown.contains("x1B[2J"), "{shown}");
+        assert!(!shown.chars().any(|c| c.is_control() && c != '\n'), "{shown:?}");
+        assert!(!shown.contains('\u{202e}'));
+    }
+    let told = values(&watch(&["file:session.log", "--json"], folder.path()).stdout);
+    let named = told.iter().find(|it| it["event"] == "named" && it["address"] == 9).unwrap();
+    assert_eq!(named["name"], r"\x1B[2J\xFF\\");
+}
+
+#[test]
+fn what_cannot_be_watched_is_said_on_one_line() {
+    let folder = folder();
+    for (arguments, code, hint) in [
+        (&["--time", "soon"][..], 2, "a number of seconds"),
+        (&["-", "-"], 2, "only once"),
+        (&["sim:boiler", "file:session.log"], 2, "descan watch file:LOG"),
+        (&["--jsn"], 2, "--json"),
+        (&["nocan7"], 3, "nocan7"),
+        (&["file:nothing.log"], 3, "nothing.log"),
+        (&["sim:nothing"], 3, "boiler"),
+        (&["sim:boiler", "--profile", "nothing.toml"], 3, "there is no such file"),
+    ] {
+        let output = watch(arguments, folder.path());
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {said}");
+        assert_eq!(said.lines().count(), 1, "{said}");
+        assert!(said.starts_with("descan: ") && said.contains(hint), "{arguments:?}: {said}");
+        assert_eq!(text(&output.stdout), "", "{arguments:?}");
+    }
+    let help = watch(&["--help"], folder.path());
+    assert!(text(&help.stdout).contains("descan watch can0"));
+}
+
+/// The findings that an app on a simulated bus tells in so many seconds, without a screen.
+fn findings(scenario: &Scenario, file: &str, seconds: u64) -> Vec<(FindingKind, Confidence)> {
+    let mut sim = Sim::new(scenario, 7);
+    let station = sim.attach();
+    let config = Config { bitrate: Some(scenario.bitrate), seed: 7, ..Config::default() };
+    let buses = vec![("sim".to_owned(), config)];
+    let options = AppOptions {
+        buses,
+        file_path: Some("des.json".into()),
+        report: true,
+        ..AppOptions::default()
+    };
+    let mut app = App::new(Instant::ZERO, options);
+    app.handle_file(Instant::ZERO, FileReading::Content(Some(file.as_bytes().to_vec())));
+    let mut told = Vec::new();
+    let end = Instant::from_micros(seconds * 1_000_000);
+    while sim.now() < end {
+        let now = sim.now();
+        let mut frames = Vec::new();
+        while let Some(frame) = sim.poll_frame(station) {
+            frames.push(frame);
+        }
+        app.handle_frames(now, &frames);
+        app.handle_timeout(now);
+        while let Some(frame) = app.poll_transmit(now) {
+            sim.transmit(station, frame);
+        }
+        while let Some(happening) = app.poll_happening() {
+            if let Happening::Finding(_, finding) = happening {
+                told.push((finding.key.kind, finding.confidence));
+            }
+        }
+        let next = [app.poll_timeout(), sim.next_event()].into_iter().flatten().min();
+        let least = now + Duration::from_micros(1);
+        sim.advance(next.unwrap_or(end).clamp(least, end.max(least)));
+    }
+    told
+}
+
+#[test]
+fn what_is_found_by_comparing_is_told_once_and_does_not_flap() {
+    // One that never says its name sits where another is pinned: it is asked again and again.
+    let silent = DeviceSpec::new("x").fixed(40).settled().fault(Fault::NoDes);
+    let feed = DeviceSpec::new("FEED").fixed(12).settled().service("AUGER", "2.1");
+    // One comes late and makes everybody be asked again.
+    let late = DeviceSpec::new("LATE").fixed(50).power_on(Duration::from_millis(3200));
+    let scenario = Scenario::new(125_000).with(silent).with(feed).with(late);
+    let file = r#"{"devices":[{"name":"GONE","address":40,"static":true},{"name":"AWAY","address":41},
+        {"name":"FEED","address":13,"static":true}]}"#;
+    let mut told = findings(&scenario, file, 130);
+    told.sort_by_key(|(kind, _)| kind.name());
+    let expected = [
+        (FindingKind::Missing, Confidence::Confirmed),
+        (FindingKind::Missing, Confidence::Confirmed),
+        (FindingKind::StaticAddressTaken, Confidence::Suspected),
+        (FindingKind::WrongAddress, Confidence::Confirmed),
+    ];
+    assert_eq!(told, expected);
+}
