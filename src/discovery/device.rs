@@ -307,6 +307,8 @@ pub struct Device {
     pub(super) replaced_at: Option<Instant>,
     /// The UID its heartbeats said before the present one.
     pub(super) uid_before: Option<Uid>,
+    /// Whether the last heartbeat from its address was another one's, who has no row yet.
+    pub(super) is_beaten_for: bool,
     /// The address it moved from last.
     pub moved_from: Option<Address>,
     /// Whether it is a debug device: at address 0, or one of our kind.
@@ -343,6 +345,7 @@ impl Device {
             rebooted_at: None,
             replaced_at: None,
             uid_before: None,
+            is_beaten_for: false,
             moved_from: None,
             is_debug: address == Address::DEBUG,
             rounds_missed: 0,
