@@ -463,6 +463,34 @@ fn a_rival_between_our_claim_and_our_first_frame_silences_us() {
 }
 
 #[test]
+fn who_speaks_first_from_the_address_we_chose_has_it() {
+    let mut engine = Engine::new(Instant::ZERO, Config { echo: false, ..Config::default() });
+    let (mut now, mut chosen, mut sent) = (Instant::ZERO, None, Vec::new());
+    while now < seconds(15.0) {
+        now += Duration::from_millis(1);
+        // A tool has 0, and another device takes what we chose while we wait to claim it.
+        if now.as_micros() % 1_000_000 == 0 {
+            engine.handle_frame(&beat(0, "TOOL").at(now));
+            if let Some(chosen) = chosen {
+                engine.handle_frame(&beat(chosen, "OTHER").at(now));
+            }
+        }
+        if let (None, OwnAddress::Claiming(address)) = (chosen, engine.own_address()) {
+            chosen = Some(address.number());
+            engine.handle_frame(&beat(address.number(), "OTHER").at(now));
+            assert_eq!(engine.own_address(), OwnAddress::Listening);
+        }
+        engine.handle_timeout(now);
+        while let Some(frame) = engine.poll_transmit(now) {
+            sent.push(Header::decode(frame.platform_id().unwrap()).source.number());
+        }
+    }
+    let OwnAddress::Held(own) = engine.own_address() else { panic!("{:?}", engine.own_address()) };
+    assert_ne!(Some(own.number()), chosen);
+    assert!(!sent.is_empty() && sent.iter().all(|source| *source == own.number()), "{sent:?}");
+}
+
+#[test]
 fn without_a_free_address_we_listen_until_there_is_one() {
     let mut engine = Engine::new(Instant::ZERO, Config { echo: false, ..Config::default() });
     // All beat each second, 0 included; from 10 s on, 77 does not.

@@ -5,7 +5,7 @@ mod common;
 
 use common::Inspection;
 use descan::discovery::{Confidence, Config, Engine, EventKind, Finding, FindingKind};
-use descan::frame::FrameKind;
+use descan::frame::{Frame, FrameKind};
 use descan::sim::{Action, BusState, DeviceSpec, Event, Fault, Scenario, Sim};
 use descan::time::{Duration, Instant};
 use descan::wire::id::{Address, Header};
@@ -275,4 +275,59 @@ fn whoever_is_alone_at_an_address_is_not_named_for_another() {
         assert!(told.iter().all(|address| [14, 15].contains(address)), "{seed}: {told:?}");
         assert!([14, 15].iter().all(|address| told.contains(address)), "{seed}: {told:?}");
     }
+}
+
+/// Hears `frames` a second, spread evenly, of which those break that `breaks` says, for so many
+/// seconds; then the events about the bus as a whole, and the last words.
+fn heard(frames: u64, seconds: u64, breaks: impl Fn(u64) -> bool) -> (Vec<String>, String) {
+    let config = Config { listen_only: true, ..Config::default() };
+    let mut engine = Engine::new(Instant::ZERO, config);
+    let beat = Frame::classic(0x0714_0001, &[1, 2, 3, 4, 5, 6, 4, 0]);
+    let stuff = Frame::error(0x88, &[0, 0, 4, 0, 0, 0, 0, 0]);
+    let mut told = Vec::new();
+    for number in 0..frames * seconds {
+        let frame = if breaks(number) { stuff } else { beat };
+        engine.handle_frame(&frame.at(Instant::from_micros(number * 1_000_000 / frames)));
+        while let Some(due) = engine.poll_timeout().filter(|due| *due <= frame.time) {
+            engine.handle_timeout(due);
+        }
+        engine.handle_timeout(Instant::from_micros(number * 1_000_000 / frames));
+        while let Some(event) = engine.poll_event() {
+            if let EventKind::Finding { key, confidence } = event.kind
+                && key.kind == FindingKind::BusErrors
+                && key.address.is_none()
+            {
+                told.push(format!("{} {confidence}", event.time.as_micros() / 1_000_000));
+            }
+        }
+    }
+    let finding = engine.findings().iter().find(|it| it.key.kind == FindingKind::BusErrors);
+    (told, finding.map_or(String::new(), |finding| finding.text.clone()))
+}
+
+#[test]
+fn how_often_frames_break_decides_what_is_said_of_the_bus() {
+    let none: [&str; 0] = [];
+    // A frame now and then is no finding.
+    assert_eq!(heard(100, 300, |number| number % 1000 == 500).0, none);
+    // Three in a row are a suspicion, on a busy bus and on a quiet one, and pass.
+    assert_eq!(
+        heard(7000, 20, |number| (7000..7003).contains(&number)).0,
+        ["1 suspected", "11 cleared"]
+    );
+    assert_eq!(heard(20, 20, |number| (20..23).contains(&number)).0, ["1 suspected", "11 cleared"]);
+    // Every third second one of 7000, for long: too few to be sure, too many to say nothing.
+    let seldom = heard(7000, 30, |number| number % 21_000 == 3500).0;
+    assert_eq!(seldom, ["6 suspected"]);
+    // The same of 20 is more than 1 %.
+    let often = heard(20, 30, |number| number % 60 == 10).0;
+    assert_eq!(often, ["6 suspected", "6 confirmed"]);
+    // A few in each second are a fault, however many frames are sound.
+    let (steady, text) = heard(7000, 30, |number| number % 3500 == 10);
+    assert_eq!(steady, ["1 suspected", "2 confirmed"]);
+    assert!(text.starts_with("Frames break on the bus: 2."), "{text}");
+    assert!(text.ends_with("less than 1 % of all, most of them with stuff errors."), "{text}");
+    // Where it ends, it is over half a minute later.
+    let ends = heard(100, 60, |number| number % 20 == 0 && number < 1000).0;
+    assert_eq!(ends, ["0 suspected", "2 confirmed", "39 cleared"]);
 }

@@ -755,6 +755,12 @@ fn a_muted_problem_does_not_count_and_stays_muted() {
     assert_eq!(selected(&stage), "two devices, one name @14");
     stage.keys("1 m");
     assert_eq!(stage.app.counts().confirmed, 4, "only on the page itself");
+    // Where nothing was selected by hand, too, the key undoes what it did.
+    let mut stage = Stage::boiler();
+    stage.until(45.0).keys("4 m");
+    assert_eq!(selected(&stage), "two devices, one name @14");
+    stage.keys("m");
+    assert_eq!(stage.app.counts().confirmed, 4);
 }
 
 #[test]
@@ -788,7 +794,7 @@ fn problems_are_filtered_by_words_and_fields() {
     ] {
         assert_eq!(filtered(filter), (shown, 4), "{filter}");
     }
-    stage.keys("m /").text("is:muted").keys("Enter");
+    stage.keys("g m /").text("is:muted").keys("Enter");
     assert_eq!(problems(&stage), ["muted confirmed static address taken @16"]);
     stage.keys("m");
     assert!(stage.screen().contains("no problem fits the filter; Esc clears it"));
@@ -930,6 +936,15 @@ fn the_selection_follows_its_problem() {
     assert_eq!(selected(&stage), "missing @44");
     stage.keys("g").write(&BOILER.replace("44", "45"));
     assert_eq!(selected(&stage), "two devices, one name @14");
+    // Also where it was not selected by hand: what is read is not pushed away by what comes on top.
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("4");
+    let first = selected(&stage);
+    stage.until(45.0);
+    assert_eq!(selected(&stage), first);
+    assert_ne!(problems(&stage)[0], format!("confirmed {first}"));
+    stage.keys("1").until(46.0).keys("4");
+    assert_eq!(selected(&stage), "two devices, one name @14", "the page opens with the first");
     // While the screen is held, no row moves, and what is new comes last.
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("4 Space");

@@ -6,7 +6,7 @@
 mod common;
 
 use common::{Inspection, describe};
-use descan::discovery::{Confidence, Config, Presence};
+use descan::discovery::{Confidence, Config, FindingKind, Presence};
 use descan::sim::{AddressChoice, DeviceFraming, DeviceSpec, Fault, Scenario};
 use descan::time::{Duration, Instant};
 use descan::wire::id::Address;
@@ -162,7 +162,10 @@ fn tried(seed: u64, config: Config, wrong: &mut String) {
         }
     }
     for finding in engine.findings() {
-        if finding.key.kind.is_collision() && finding.confidence == Confidence::Confirmed {
+        // Frames break at random, or not at all: that is nobody's doing.
+        let blamed = finding.key.kind == FindingKind::BusErrors && finding.key.address.is_some();
+        let collision = finding.key.kind.is_collision();
+        if blamed || collision && finding.confidence == Confidence::Confirmed {
             complain(format!(
                 "{} at {:?}: {:?}",
                 finding.key.kind, finding.key.address, finding.evidence

@@ -87,6 +87,8 @@ impl App {
                 _ => "no frames to show: this comes of comparing the bus with des.json",
             });
         }
+        // What is left again is this one, whichever is the first meanwhile.
+        self.view.problems.select(key.clone());
         let before = (self.view.traffic, self.view.traffic_line, self.view.focus);
         let held =
             |piece: &Piece| piece.frame.as_ref().is_some_and(|it| self.captured(it).is_some());

@@ -299,7 +299,12 @@ impl App {
         let shown = keys(&self.filtered(problems));
         self.problem_order = order;
         let height = self.screen().list_rows();
-        self.view.problems.settle(&shown, height);
+        if self.view.page == super::Page::Problems {
+            // What comes on top while it is read must not take its place under a key.
+            self.view.problems.keep(&shown, height);
+        } else {
+            self.view.problems.settle(&shown, height);
+        }
     }
 
     /// Command: the selected problem does not count any more, or counts again.
@@ -312,6 +317,8 @@ impl App {
         };
         let (key, title) = (problem.key.clone(), problem.title());
         let undo = self.key_of("mute");
+        // The same key undoes it: from here on the selection stays with this one.
+        self.view.problems.select(key.clone());
         if self.muted.remove(&key) {
             self.say(format!("counts again: {title}"));
         } else {

@@ -115,7 +115,16 @@ impl<K: Clone + PartialEq> Cursor<K> {
     /// After the rows changed: what is gone gives its place to its neighbour, and where nothing
     /// was selected the first row is.
     pub fn settle(&mut self, keys: &[K], height: usize) {
-        let index = if self.moved { self.index(keys.iter()).unwrap_or(self.last) } else { 0 };
+        if self.moved {
+            self.keep(keys, height);
+        } else {
+            self.place(keys, 0, height);
+        }
+    }
+
+    /// The same, but what is selected stays so, whether or not the user moved it: it is looked at.
+    pub fn keep(&mut self, keys: &[K], height: usize) {
+        let index = self.index(keys.iter()).unwrap_or(self.last);
         self.place(keys, index, height);
     }
 

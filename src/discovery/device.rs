@@ -310,6 +310,8 @@ pub struct Device {
     /// Whether the last heartbeat from its address was one of a node that is about to take another
     /// mode.
     pub(super) is_resolving: bool,
+    /// Whether the last heartbeat from its address was another one's, who has no row yet.
+    pub(super) is_beaten_for: bool,
     /// The address it moved from last.
     pub moved_from: Option<Address>,
     /// Whether it is a debug device: at address 0, or one of our kind.
@@ -347,6 +349,7 @@ impl Device {
             replaced_at: None,
             uid_before: None,
             is_resolving: false,
+            is_beaten_for: false,
             moved_from: None,
             is_debug: address == Address::DEBUG,
             rounds_missed: 0,

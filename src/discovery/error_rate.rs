@@ -57,8 +57,6 @@ pub(super) struct Summary {
 struct Second {
     /// Which, since the beginning of time.
     number: u64,
-    /// Frames heard before its first error.
-    frames_before: u64,
     broken: u64,
     no_acknowledge: u64,
     /// Of the broken ones, ours.
@@ -70,20 +68,39 @@ struct Second {
 #[derive(Debug, Default)]
 pub(super) struct ErrorRate {
     seconds: VecDeque<Second>,
+    /// When a second began, and how many frames had been heard by then: as far back as errors
+    /// are remembered.
+    heard: VecDeque<(Instant, u64)>,
+    /// When the next second begins.
+    next_second: Instant,
     /// What was told last, while it is not cleared.
     told: Option<Confidence>,
     last: Instant,
     /// Since when our controller is off the bus: frames heard until then.
     bus_off: Option<u64>,
     wires: bool,
+    /// What was told is over before it was quiet for long.
+    over: bool,
 }
 
 impl ErrorRate {
+    /// Takes note that `frames` were heard before now. Called with every frame.
+    pub fn see_frame(&mut self, now: Instant, frames: u64) {
+        if now >= self.next_second {
+            self.next_second = Instant::from_micros((second_of(now) + 1) * 1_000_000);
+            if self.heard.len() as u64 == MEMORY {
+                self.heard.pop_front();
+            }
+            self.heard.push_back((now, frames));
+        }
+    }
+
     /// Takes a report in; `broken` frames broke, of `frames` heard in all, errors included.
     /// Whether it is an error at all.
     pub fn see(&mut self, now: Instant, report: &ErrorReport, broken: u64, frames: u64) -> bool {
         if report.is_recovery() {
-            self.bus_off = None;
+            // Where there was nothing else, it is over.
+            self.over = self.bus_off.take().is_some() && self.count() < SUSPECT;
         }
         let no_acknowledge = u64::from(report.is_missing_acknowledge());
         let off = report.is_bus_off();
@@ -91,11 +108,15 @@ impl ErrorRate {
             return false;
         }
         self.last = now;
+        self.over = false;
         self.wires = report.is_transceiver_fault() || self.wires && self.told.is_some();
         if off {
             self.bus_off = Some(frames);
         }
-        let second = self.second(now, frames);
+        if broken + no_acknowledge == 0 {
+            return true;
+        }
+        let second = self.second(now);
         second.broken += broken;
         second.no_acknowledge += no_acknowledge;
         second.sending += if report.is_while_sending() { broken } else { 0 };
@@ -139,11 +160,11 @@ impl ErrorRate {
         } else {
             Cause::Broken(most.filter(|_| known))
         };
-        let first = self.seconds.front().map_or(0, |second| second.number);
-        let seconds = (second_of(now).saturating_sub(first) + 1).min(MEMORY);
         let errors = self.count() as f64;
+        let since = self.heard.front().map_or(now, |(since, _)| *since);
+        let seconds = now.since(since).as_secs_f64().clamp(1.0, MEMORY as f64);
         let frames = self.frames(frames).max(1) as f64;
-        Summary { cause, rate: errors / seconds as f64, share: (errors / frames).min(1.0) }
+        Summary { cause, rate: errors / seconds, share: (errors / frames).min(1.0) }
     }
 
     /// Of the errors between two moments `count` have another cause than the bus.
@@ -161,7 +182,11 @@ impl ErrorRate {
 
     /// When [`handle_timeout`](Self::handle_timeout) is to be called.
     pub fn poll_timeout(&self) -> Option<Instant> {
-        let quiet = match self.told? {
+        let told = self.told?;
+        if self.over {
+            return Some(self.last);
+        }
+        let quiet = match told {
             Confidence::Confirmed => QUIET_CONFIRMED,
             Confidence::Suspected | Confidence::Cleared => QUIET,
         };
@@ -178,7 +203,10 @@ impl ErrorRate {
             self.last = now;
             return false;
         }
-        *self = Self::default();
+        self.told = None;
+        self.wires = false;
+        self.bus_off = None;
+        self.over = false;
         true
     }
 
@@ -187,14 +215,13 @@ impl ErrorRate {
         self.bus_off = None;
     }
 
-    fn second(&mut self, now: Instant, frames: u64) -> &mut Second {
+    fn second(&mut self, now: Instant) -> &mut Second {
         let number = second_of(now);
         while self.seconds.front().is_some_and(|second| second.number + MEMORY <= number) {
             self.seconds.pop_front();
         }
         if self.seconds.back().is_none_or(|last| last.number != number) {
-            let frames_before = frames.saturating_sub(1);
-            self.seconds.push_back(Second { number, frames_before, ..Second::default() });
+            self.seconds.push_back(Second { number, ..Second::default() });
         }
         let last = self.seconds.len() - 1;
         &mut self.seconds[last]
@@ -204,9 +231,9 @@ impl ErrorRate {
         self.seconds.iter().map(|second| second.broken + second.no_acknowledge).sum()
     }
 
-    /// Frames since the first error that is remembered.
+    /// Of all frames heard, those of the last ten seconds.
     fn frames(&self, frames: u64) -> u64 {
-        frames - self.seconds.front().map_or(frames, |second| second.frames_before)
+        frames - self.heard.front().map_or(0, |(_, before)| *before)
     }
 
     fn is_lasting(&self, frames: u64) -> bool {

@@ -63,14 +63,16 @@ const FOLLOW_UP_AFTER: Duration = Duration::from_millis(770);
 const ASK_NAMED: Duration = Duration::from_millis(20_370);
 /// A suspicion without another burst ends after this, and so does a finding.
 const MEMORY: Duration = Duration::from_secs(45);
-/// How far the receive error counter must have gone up since it was last reported to tell of
-/// frames that broke just now.
+/// How far the receive error counter must have gone up since it was last reported to tell of a
+/// burst just now.
 const COUNTED: u8 = 16;
 /// How late a heartbeat is missing, in periods.
 const OVERDUE: f64 = 0.3;
 /// How long a run of broken frames counts as one thing, and how many frames it counts as.
 const RUN: Duration = Duration::from_millis(50);
 const RUN_COUNTS: f64 = 3.0;
+/// How often the finding about the bus is worded: error frames may come by the thousand.
+const WORDS: Duration = Duration::from_millis(200);
 /// How soon what happens outside of windows is forgotten by half.
 const HALF_LIFE: Duration = Duration::from_secs(10);
 
@@ -226,8 +228,9 @@ impl Background {
 #[derive(Debug, Default)]
 pub(super) struct Errors {
     rate: ErrorRate,
-    /// The second for which the finding about the bus was worded last.
-    worded: Option<u64>,
+    /// When the finding about the bus was worded last, and whether it is to be anew.
+    worded: Instant,
+    outdated: bool,
     /// The controller's error counters, as they were reported last.
     counters: Option<(u8, u8)>,
     windows: Vec<Window>,
@@ -240,6 +243,11 @@ pub(super) struct Errors {
 }
 
 impl Errors {
+    /// A frame comes; `frames` came before it.
+    pub fn see_frame(&mut self, now: Instant, frames: u64) {
+        self.rate.see_frame(now, frames);
+    }
+
     /// A question to `address` passed by; its answer is awaited until `ends`.
     pub fn see_question(
         &mut self,
@@ -309,13 +317,10 @@ impl Errors {
     /// The node at `address` is lost.
     pub fn forget(&mut self, address: Address) {
         self.windows.retain(|window| window.address != address);
-        self.suspects.retain(|suspect| suspect.address != address || suspect.named);
-        for suspect in &mut self.suspects {
-            if suspect.address == address {
-                self.verdicts.push_back(Verdict::Cleared(address));
-            }
+        let named = self.suspects.iter().position(|it| it.address == address && it.named);
+        if let Some(at) = named {
+            self.end(at);
         }
-        self.suspects.retain(|suspect| suspect.address != address);
     }
 
     /// The controller begins anew.
@@ -352,14 +357,12 @@ impl Errors {
         if report.is_broken_frame() {
             return 1;
         }
-        let (true, Some((tec, rec))) = (report.is_error_state(), report.counters()) else {
+        let (true, Some((_, received))) = (report.is_error_state(), report.counters()) else {
             return 0;
         };
-        let (tec_before, rec_before) = before.unwrap_or((0, 0));
-        // Each frame that breaks counts one for whoever receives, eight for its sender.
-        let received = rec.saturating_sub(rec_before);
-        let sent = tec.saturating_sub(tec_before) / 8;
-        if received >= COUNTED { received.into() } else { sent.into() }
+        // The transmit counter goes up where nobody acknowledges, too.
+        let risen = received.saturating_sub(before.map_or(0, |(_, received)| received));
+        if risen >= COUNTED { BURST } else { 0 }
     }
 
     /// Sets broken frames against who is expected to send. `beating` finds the one address
@@ -455,6 +458,7 @@ impl Errors {
     fn accuse(&mut self, now: Instant, window: &Window, weight: u32, came: Option<&Frame>) {
         if let (Some(first), true) = (window.first, self.background.is_clean()) {
             self.rate.explain(first.time, now, window.errors);
+            self.outdated = false;
         }
         let Some(suspect) = self.suspect(now, window) else { return };
         suspect.weight += weight;
@@ -552,7 +556,8 @@ impl Errors {
         let windows = self.windows.iter().map(|window| window.ends);
         let suspects =
             self.suspects.iter().flat_map(|suspect| [Some(suspect.ends()), suspect.ask_at]);
-        windows.chain(suspects.flatten()).chain(self.rate.poll_timeout()).min()
+        let words = self.outdated.then(|| self.worded + WORDS);
+        windows.chain(suspects.flatten()).chain(self.rate.poll_timeout()).chain(words).min()
     }
 
     /// Closes what is over. Who is to be asked once more comes back through `ask`, with when it
@@ -614,10 +619,19 @@ impl Engine {
         let Some(confidence) = self.errors.rate.confidence(frames) else { return };
         let Some(finding) = self.collisions.judge_errors(now, None, confidence) else { return };
         finding.add(Evidence { time: frame.time, what: "error frame", frame: Some(*frame) });
-        // Error frames may come by the thousand: words for each would be too many.
-        let second = Some(now.as_micros() / 1_000_000);
-        if finding.changed == now || self.errors.worded != second {
-            self.errors.worded = second;
+        if finding.changed == now || finding.text.is_empty() {
+            self.word_bus();
+        } else {
+            self.errors.outdated = true;
+        }
+    }
+
+    fn word_bus(&mut self) {
+        let (now, frames) = (self.now, self.counters.frames);
+        self.errors.outdated = false;
+        self.errors.worded = now;
+        let Some(confidence) = self.errors.rate.confidence(frames) else { return };
+        if let Some(finding) = self.collisions.judge_errors(now, None, confidence) {
             let summary = self.errors.rate.summary(now, frames);
             (finding.text, finding.remedy) = wording::bus_errors(&summary);
         }
@@ -644,6 +658,8 @@ impl Engine {
         });
         if self.errors.rate.handle_timeout(now, frames) {
             self.collisions.judge_errors(now, None, Confidence::Cleared);
+        } else if self.errors.outdated && now >= self.errors.worded + WORDS {
+            self.word_bus();
         }
         self.tell_errors();
     }

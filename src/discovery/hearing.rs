@@ -21,6 +21,7 @@ impl Engine {
     /// Learns from a frame at `self.now`.
     pub(super) fn hear(&mut self, frame: &Frame) {
         let now = self.now;
+        self.errors.see_frame(now, self.counters.frames);
         self.counters.frames += 1;
         if frame.kind == FrameKind::Error {
             self.counters.errors += 1;

@@ -86,6 +86,7 @@ impl Engine {
         let claim = Claim { index, address, heartbeat, uid_before, mode_before, gap };
         let sender = self.note_sender(claim);
         let device = self.roster.get_mut(index);
+        device.is_beaten_for = sender.is_another;
         // In an early mode after a pause, or off the beat: it started anew. With another UID it is
         // rather another board.
         let paused = gap.is_some_and(|gap| gap > period.mul_f64(REBOOT_GAP));

@@ -58,6 +58,7 @@ pub use finding::{Confidence, Evidence, Finding, FindingKey, FindingKind};
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
+use crate::wire::node::Mode;
 use claims::Claims;
 use collisions::Collisions;
 use errors::Errors;
@@ -490,7 +491,9 @@ impl Engine {
             self.judge_replaced(device)
         };
         let was = device.presence;
-        if presence == was {
+        // What another one beats does not bring it back.
+        let beaten_for = device.is_beaten_for && self.roster.is_current(index);
+        if presence == was || (presence == Presence::Online && beaten_for) {
             return;
         }
         let address = device.address;
@@ -516,14 +519,18 @@ impl Engine {
 
     /// A row at whose address another one speaks: there while it still answers for itself.
     fn judge_replaced(&self, device: &Device) -> Presence {
-        if device.presence == Presence::Lost {
-            return Presence::Lost;
+        if matches!(device.presence, Presence::Lost | Presence::Asleep) {
+            return device.presence;
         }
         let patience = if self.collisions.is_open_at(device.address) { 8 } else { 4 };
         let answered = device.name_query.answered_at.max(device.replaced_at);
         let answered = answered.unwrap_or(device.last_seen);
         let period = self.config.profile.heartbeat.period();
-        if self.now.since(answered) < period * patience { device.presence } else { Presence::Lost }
+        match device.mode {
+            _ if self.now.since(answered) < period * patience => device.presence,
+            Some(Mode::Idle) => Presence::Asleep,
+            _ => Presence::Lost,
+        }
     }
 
     fn next_wake(&self) -> Instant {
@@ -533,7 +540,7 @@ impl Engine {
         for (index, device) in self.roster.devices().iter().enumerate() {
             if self.roster.is_current(index) {
                 at(measure.judge(device, self.now).1);
-            } else if device.presence != Presence::Lost {
+            } else if !matches!(device.presence, Presence::Lost | Presence::Asleep) {
                 at(Some(self.now + Duration::from_secs(1)));
             }
         }

@@ -134,6 +134,7 @@ impl Roster {
         device.framing = fresh.framing.or(device.framing);
         device.services = fresh.services.or(device.services.take());
         device.heartbeat = fresh.heartbeat;
+        device.is_beaten_for = fresh.is_beaten_for;
         device.name_query = fresh.name_query;
         device.services_query = fresh.services_query;
         device.last_seen = fresh.last_seen;
