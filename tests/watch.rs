@@ -1,23 +1,21 @@
 //! `descan watch`, from outside: which line comes of what, when it comes, and how it ends.
 
 mod common;
+#[path = "common/watching.rs"]
+mod watching;
 
 use common::log;
 use descan::app::{App, AppOptions, FileReading, Happening};
 use descan::discovery::{Confidence, Config, FindingKind};
 use descan::sim::{DeviceSpec, Fault, Scenario, Sim};
 use descan::time::Instant;
-use nix::sys::signal::{Signal, kill};
-use nix::unistd::Pid;
+use nix::sys::signal::Signal;
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
-use std::process::{Child, ChildStdin, Command, Output, Stdio};
-use std::sync::mpsc::{Receiver, channel};
+use std::process::{Output, Stdio};
 use std::time::Duration;
-
-/// How long anything may take on a busy machine.
-const PATIENCE: Duration = Duration::from_mins(1);
+use watching::{Watching, command};
 
 /// FEED appears at 12, is in trouble for a second, reboots, is late, is gone for a while, and
 /// turns up at 31 in the end, where the file wants it.
@@ -84,17 +82,6 @@ const IN_WORDS: &str = "\
 06:17:38.500  12 FEED         debug message 02A 01 FE
 06:17:42.950  12 FEED         stale: its heartbeat is late
 ";
-
-fn command(arguments: &[&str], folder: &Path) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
-    command
-        .args(arguments)
-        .current_dir(folder)
-        .env("XDG_CONFIG_HOME", folder.join("config"))
-        .env("TZ", "UTC")
-        .stdin(Stdio::null());
-    command
-}
 
 fn watch(arguments: &[&str], folder: &Path) -> Output {
     let arguments = [&["watch"], arguments].concat();
@@ -170,70 +157,6 @@ fn the_time_of_a_log_is_its_own() {
     }
 }
 
-/// The program, its standard input open, its lines as they come.
-struct Watching {
-    child: Child,
-    stdin: Option<ChildStdin>,
-    lines: Receiver<String>,
-}
-
-impl Watching {
-    fn start(arguments: &[&str], folder: &Path) -> Self {
-        let mut child = command(&[&["watch"], arguments].concat(), folder)
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let (sender, lines) = channel();
-        let stdout = BufReader::new(child.stdout.take().unwrap());
-        std::thread::spawn(move || {
-            for line in stdout.lines().map_while(Result::ok) {
-                if sender.send(line).is_err() {
-                    return;
-                }
-            }
-        });
-        Self { stdin: child.stdin.take(), child, lines }
-    }
-
-    fn write(&mut self, lines: &str) {
-        self.stdin.as_mut().unwrap().write_all(lines.as_bytes()).unwrap();
-    }
-
-    fn line(&self) -> String {
-        self.lines.recv_timeout(PATIENCE).expect("a line comes")
-    }
-
-    /// The next value of that event.
-    fn event(&self, event: &str) -> Value {
-        loop {
-            let value: Value = serde_json::from_str(&self.line()).unwrap();
-            if value["event"] == event {
-                return value;
-            }
-        }
-    }
-
-    fn rest(&self) -> String {
-        self.lines.iter().map(|line| line + "\n").collect()
-    }
-
-    fn signal(&self, signal: Signal) {
-        kill(Pid::from_raw(self.child.id().cast_signed()), signal).unwrap();
-    }
-
-    fn exit_code(&mut self) -> i32 {
-        self.child.wait().unwrap().code().expect("it ends by itself")
-    }
-}
-
-impl Drop for Watching {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
-
 #[test]
 fn lines_of_standard_input_are_told_as_they_come() {
     let folder = folder();
@@ -280,7 +203,7 @@ fn signals_and_time_end_it_with_0() {
             watching.write(lines);
             if (bus, lines) == ("-", "") {
                 // Its first act is to let signals be told: then it does not end by default.
-                while !handles(watching.child.id(), signal) {
+                while !handles(watching.id(), signal) {
                     std::thread::yield_now();
                 }
             } else {
