@@ -122,6 +122,25 @@ fn a_log_is_told_line_by_line() {
 }
 
 #[test]
+fn the_readme_shows_what_is_told() {
+    let readme = include_str!("../README.md");
+    let example = readme.split("```text\n06:17").nth(1).unwrap().split("```").next().unwrap();
+    for line in example.lines().skip(1) {
+        assert!(IN_WORDS.lines().any(|told| told == line), "{line}");
+    }
+    let object = readme.split('`').find(|it| it.starts_with(r#"{"time""#)).unwrap();
+    assert!(TOLD.lines().any(|told| told == object), "{object}");
+    let table = readme.split("| `event` |").nth(1).unwrap();
+    let rows = table.lines().skip(2).take_while(|line| line.starts_with('|'));
+    let words: Vec<&str> =
+        rows.flat_map(|row| row.split('|').nth(1).unwrap().split('`').skip(1).step_by(2)).collect();
+    for value in values(TOLD.as_bytes()) {
+        assert!(words.contains(&value["event"].as_str().unwrap()), "{value}");
+    }
+    assert_eq!(words.len(), 15);
+}
+
+#[test]
 fn the_pace_of_a_log_changes_nothing_of_what_is_told() {
     let folder = folder();
     // How many frames had come when a line was written depends on how they were handed over, and how
