@@ -137,6 +137,102 @@ fn a_collision_in_a_log_makes_the_exit_code_1() {
     assert!(text(&tables.stdout).contains("CLASH"), "{}", text(&tables.stdout));
 }
 
+/// Two boards answer as FEED and as PUMP from address 12, for as long as anybody listens; in the
+/// end the one at 40 sends an identifier that is none of the nine types.
+fn two_boards_at_12() -> Vec<String> {
+    let mut lines = Vec::new();
+    let mut add = |millis: u32, frame: String| {
+        lines.push(format!(
+            "({}.{:03}000) can0 {frame}",
+            1_436_509_052 + millis / 1000,
+            millis % 1000
+        ));
+    };
+    for second in 0..14 {
+        let rnd7 = (second * 3 + 1) << 10;
+        let at = second * 1000;
+        // Who is there? Then both answers, and both heartbeats.
+        add(at + 100, format!("{:08X}#0444455301", 0x0200_0002 | rnd7));
+        add(at + 110, "05180002#06014645454400".to_owned());
+        add(at + 115, "05180002#060150554D5000".to_owned());
+        add(at + 200, format!("{:08X}#8AFA6C9724110400", 0x0718_0001 | rnd7));
+        add(
+            at + 700,
+            format!("{:08X}#112233445566 0400", 0x0718_0001 | rnd7 ^ 0x400).replace(' ', ""),
+        );
+    }
+    add(13_800, "07500001#0102030405060400".to_owned());
+    add(13_900, "10500001#00".to_owned());
+    lines
+}
+
+#[test]
+fn findings_are_proved_by_lines_of_the_log() {
+    let folder = tempfile::tempdir().unwrap();
+    let lines = two_boards_at_12();
+    std::fs::write(folder.path().join("session.log"), lines.join("\n") + "\n").unwrap();
+    let output = descan(&["scan", "file:session.log", "--json"], folder.path());
+    assert_eq!(output.status.code(), Some(1));
+    let report = json(&output);
+    let findings = report["findings"].as_array().unwrap();
+    let members = [
+        "addresses",
+        "address",
+        "bus",
+        "confidence",
+        "evidence",
+        "first",
+        "kind",
+        "names",
+        "remedy",
+        "text",
+    ];
+    for finding in findings {
+        let mut own: Vec<&str> = finding.as_object().unwrap().keys().map(String::as_str).collect();
+        own.sort_unstable_by_key(|it| members.iter().position(|member| member == it));
+        assert_eq!(own, members, "{finding:#}");
+        assert_eq!(finding["bus"], "can0");
+        assert!(
+            ["suspected", "confirmed", "cleared"]
+                .contains(&finding["confidence"].as_str().unwrap())
+        );
+        let text = |member: &str| finding[member].as_str().unwrap().to_owned();
+        assert!(text("text").ends_with('.') && text("remedy").ends_with('.'), "{finding:#}");
+        let evidence = finding["evidence"].as_array().unwrap();
+        assert!((1..=8).contains(&evidence.len()), "{finding:#}");
+        assert_eq!(finding["first"], evidence[0]["time"]);
+        for piece in evidence {
+            assert!(!piece["what"].as_str().unwrap().is_empty());
+            let time = piece["time"].as_f64().unwrap();
+            let line = format!("({time:.6}) can0 {}", piece["frame"].as_str().unwrap());
+            assert!(lines.contains(&line), "{line} is not in the log: {finding:#}");
+        }
+        let times: Vec<f64> = evidence.iter().map(|it| it["time"].as_f64().unwrap()).collect();
+        assert!(times.is_sorted(), "{finding:#}");
+    }
+    let firsts: Vec<f64> = findings.iter().map(|it| it["first"].as_f64().unwrap()).collect();
+    assert!(firsts.is_sorted(), "{firsts:?}");
+    let of_kind = |kind: &str| {
+        let found = findings.iter().find(|it| it["kind"] == kind);
+        found.unwrap_or_else(|| panic!("no {kind}: {findings:#?}"))
+    };
+    let names = of_kind("one-address-two-names");
+    assert_eq!(names["confidence"], "confirmed");
+    assert_eq!((&names["address"], &names["addresses"]), (&12.into(), &serde_json::json!([12])));
+    let mut both: Vec<&str> =
+        names["names"].as_array().unwrap().iter().filter_map(Value::as_str).collect();
+    both.sort_unstable();
+    assert_eq!(both, ["FEED", "PUMP"]);
+    let identities = of_kind("one-address-two-identities");
+    assert_eq!(
+        (&identities["confidence"], &identities["address"]),
+        (&"confirmed".into(), &12.into())
+    );
+    let odd = of_kind("non-conforming");
+    assert_eq!((&odd["confidence"], &odd["address"]), (&"suspected".into(), &40.into()));
+    assert_eq!(odd["evidence"][0]["frame"], "10500001#00");
+}
+
 #[test]
 fn standard_input_is_a_log_too() {
     let folder = tempfile::tempdir().unwrap();
@@ -285,8 +381,8 @@ fn wrong_arguments_are_one_line_that_says_what_would_be_right() {
         (&["demo", "submarine"], "boiler"),
         (&["scan", "-", "-"], "only once"),
         (&["sim", "sim:boiler"], "descan demo"),
-        (&[], "descan scan"),
-        (&["demo"], "descan scan"),
+        (&[], "descan scan, descan watch"),
+        (&["demo"], "descan scan, descan watch"),
     ] {
         let output = descan(arguments, folder.path());
         let said = text(&output.stderr);
@@ -321,8 +417,10 @@ fn help_teaches_and_a_closed_pipe_is_no_error() {
     let help = descan(&["--help"], folder.path());
     assert_eq!(help.status.code(), Some(0));
     assert!(text(&help.stdout).contains("descan scan can0 --json"));
-    assert!(text(&descan(&["completions", "bash"], folder.path()).stdout).contains("descan"));
-    assert!(text(&descan(&["man"], folder.path()).stdout).contains(".TH"));
+    let completions = text(&descan(&["completions", "bash"], folder.path()).stdout);
+    assert!(completions.contains("descan__subcmd__watch"), "{completions}");
+    let manual = text(&descan(&["man"], folder.path()).stdout);
+    assert!(manual.contains(".TH") && manual.contains("descan\\-watch(1)"), "{manual}");
     let schema: Value = serde_json::from_slice(&descan(&["schema"], folder.path()).stdout).unwrap();
     assert!(schema["$schema"].as_str().unwrap().contains("2020-12"));
     let (reader, writer) = std::io::pipe().unwrap();

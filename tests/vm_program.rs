@@ -7,12 +7,16 @@
 mod can;
 #[path = "common/pty.rs"]
 mod pty;
+#[path = "common/watching.rs"]
+mod watching;
 
 use can::{Vcan, run};
 use pty::Pty;
 use serde_json::Value;
 use std::io::{BufRead, BufReader};
+use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
+use watching::Watching;
 
 fn program() -> Command {
     Command::new(env!("CARGO_BIN_EXE_descan"))
@@ -36,6 +40,19 @@ fn simulated(bus: &str, system: &str) -> Running {
     let first = said.next().expect("it says that it runs").unwrap();
     assert!(first.contains("devices on"), "{first}");
     Running(child)
+}
+
+/// One board in a process of its own: it keeps address 12, whatever it hears. Without a UID it is a
+/// fresh one.
+fn board(bus: &str, folder: &Path, name: &str, uid: &str) -> Running {
+    let scenario = format!(
+        "bitrate = 125000\n[[device]]\nname = \"{name}\"\nuid = \"{uid}\"\nsettled = true\n\
+         address = {{ fixed = 12 }}\nfaults = [\"never-gives-way\"]\n\
+         services = [[\"DES\", \"1.0\"], [\"AUGER\", \"2.1\"]]\n"
+    );
+    let path = folder.join(format!("{name}{uid}.toml"));
+    std::fs::write(&path, scenario).unwrap();
+    simulated(bus, path.to_str().unwrap())
 }
 
 fn scan(bus: &str) -> Output {
@@ -181,4 +198,95 @@ fn two_inspectors_on_one_bus_live_together() {
     first.send("q");
     second.send("q");
     assert_eq!((first.wait(), second.wait()), (0, 0));
+}
+
+#[test]
+fn what_happens_to_an_interface_is_watched() {
+    let Some(vcan) = Vcan::new("dsp-watch") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let first = board(vcan.name(), folder.path(), "FEED", "WATCHED");
+    let mut watching = Watching::start(&[vcan.name(), "--json"], folder.path());
+    let is_feed = |it: &Value| it["address"] == 12;
+    watching.event_that("bus", |it| it["bus"]["address"] == 0);
+    assert_eq!(watching.event_that("services", is_feed)["services"][1]["name"], "AUGER");
+    let is_down = |it: &Value| it["bus"]["state"] == "down";
+    let is_up = |it: &Value| it["bus"]["state"] != "down";
+    vcan.down();
+    watching.event_that("bus", is_down);
+    drop(first);
+    watching.event_that("lost", is_feed);
+    vcan.up();
+    watching.event_that("bus", is_up);
+    let second = board(vcan.name(), folder.path(), "FEED", "WATCHED");
+    assert_eq!(watching.event_that("returned", is_feed)["was"], "lost");
+    drop(second);
+    vcan.remove();
+    watching.event_that("bus", is_down);
+    vcan.create().unwrap();
+    watching.event_that("bus", is_up);
+    let _third = board(vcan.name(), folder.path(), "FEED", "WATCHED");
+    watching.event_that("returned", is_feed);
+    watching.signal(nix::sys::signal::Signal::SIGTERM);
+    assert_eq!(watching.exit_code(), 0);
+    vcan.down();
+    let mut refused = Watching::start(&[vcan.name(), "--json"], folder.path());
+    assert_eq!(refused.exit_code(), 3);
+    assert_eq!(refused.rest(), "");
+}
+
+/// Two boards in two processes at one address: `scan`, `watch` and the screen say that it is
+/// confirmed, and that it is over when one of them is gone.
+fn collide(bus: &str, (first, second): ((&str, &str), (&str, &str))) {
+    let Some(vcan) = Vcan::new(bus) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let start = |(name, uid): (&str, &str), place: &str| {
+        let folder = folder.path().join(place);
+        std::fs::create_dir(&folder).unwrap();
+        board(vcan.name(), &folder, name, uid)
+    };
+    let _first = start(first, "first");
+    let second = start(second, "second");
+    let output = scan(vcan.name());
+    let report = report(&output);
+    assert_eq!(output.status.code(), Some(1), "{report:#}");
+    let is_confirmed = |it: &Value| {
+        let kind = it["kind"].as_str().unwrap();
+        let is_collision =
+            ["same-name-same-address", "one-address-two-names", "one-address-two-identities"]
+                .contains(&kind);
+        is_collision && it["confidence"] == "confirmed" && it["address"] == 12
+    };
+    let findings = report["findings"].as_array().unwrap();
+    assert!(findings.iter().any(is_confirmed), "{report:#}");
+
+    let watching = Watching::start(&[vcan.name(), "--json"], folder.path());
+    let mut pty = Pty::start(&[vcan.name()], folder.path(), (100, 30));
+    let confirmed = watching.event_that("finding", |it| is_confirmed(&it["finding"]));
+    let evidence = &confirmed["finding"]["evidence"];
+    assert!(evidence[0]["frame"].as_str().unwrap().contains('#'), "{confirmed:#}");
+    pty.wait_for("CLASH");
+
+    drop(second);
+    let kind = &confirmed["finding"]["kind"];
+    watching.event_that("finding", |it| {
+        it["finding"]["kind"] == *kind && it["finding"]["confidence"] == "cleared"
+    });
+    pty.wait_until("word that it is over", |screen| !screen.contents().contains("CLASH"));
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}
+
+#[test]
+fn two_boards_of_different_names_collide() {
+    collide("dsp-names", (("FEED", "ONE"), ("PUMP", "TWO")));
+}
+
+#[test]
+fn two_boards_of_one_name_collide() {
+    collide("dsp-name", (("FEED", "ONE"), ("FEED", "TWO")));
+}
+
+#[test]
+fn two_fresh_boards_of_one_name_collide() {
+    collide("dsp-fresh", (("FEED", ""), ("FEED", "")));
 }

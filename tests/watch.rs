@@ -1,23 +1,21 @@
 //! `descan watch`, from outside: which line comes of what, when it comes, and how it ends.
 
 mod common;
+#[path = "common/watching.rs"]
+mod watching;
 
 use common::log;
 use descan::app::{App, AppOptions, FileReading, Happening};
 use descan::discovery::{Confidence, Config, FindingKind};
 use descan::sim::{DeviceSpec, Fault, Scenario, Sim};
 use descan::time::Instant;
-use nix::sys::signal::{Signal, kill};
-use nix::unistd::Pid;
+use nix::sys::signal::Signal;
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
-use std::process::{Child, ChildStdin, Command, Output, Stdio};
-use std::sync::mpsc::{Receiver, channel};
+use std::process::{Output, Stdio};
 use std::time::Duration;
-
-/// How long anything may take on a busy machine.
-const PATIENCE: Duration = Duration::from_mins(1);
+use watching::{Watching, command};
 
 /// FEED appears at 12, is in trouble for a second, reboots, is late, is gone for a while, and
 /// turns up at 31 in the end, where the file wants it.
@@ -85,17 +83,6 @@ const IN_WORDS: &str = "\
 06:17:42.950  12 FEED         stale: its heartbeat is late
 ";
 
-fn command(arguments: &[&str], folder: &Path) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
-    command
-        .args(arguments)
-        .current_dir(folder)
-        .env("XDG_CONFIG_HOME", folder.join("config"))
-        .env("TZ", "UTC")
-        .stdin(Stdio::null());
-    command
-}
-
 fn watch(arguments: &[&str], folder: &Path) -> Output {
     let arguments = [&["watch"], arguments].concat();
     command(&arguments, folder).output().expect("the program starts")
@@ -135,6 +122,25 @@ fn a_log_is_told_line_by_line() {
 }
 
 #[test]
+fn the_readme_shows_what_is_told() {
+    let readme = include_str!("../README.md");
+    let example = readme.split("```text\n06:17").nth(1).unwrap().split("```").next().unwrap();
+    for line in example.lines().skip(1) {
+        assert!(IN_WORDS.lines().any(|told| told == line), "{line}");
+    }
+    let object = readme.split('`').find(|it| it.starts_with(r#"{"time""#)).unwrap();
+    assert!(TOLD.lines().any(|told| told == object), "{object}");
+    let table = readme.split("| `event` |").nth(1).unwrap();
+    let rows = table.lines().skip(2).take_while(|line| line.starts_with('|'));
+    let words: Vec<&str> =
+        rows.flat_map(|row| row.split('|').nth(1).unwrap().split('`').skip(1).step_by(2)).collect();
+    for value in values(TOLD.as_bytes()) {
+        assert!(words.contains(&value["event"].as_str().unwrap()), "{value}");
+    }
+    assert_eq!(words.len(), 15);
+}
+
+#[test]
 fn the_pace_of_a_log_changes_nothing_of_what_is_told() {
     let folder = folder();
     // How many frames had come when a line was written depends on how they were handed over, and how
@@ -167,70 +173,6 @@ fn the_time_of_a_log_is_its_own() {
         assert_eq!(output.status.code(), Some(0));
         let last = values(&output.stdout).pop().unwrap();
         assert_eq!((&last["event"], &last["time"]), (&json!("returned"), &json!(1_436_509_063.45)));
-    }
-}
-
-/// The program, its standard input open, its lines as they come.
-struct Watching {
-    child: Child,
-    stdin: Option<ChildStdin>,
-    lines: Receiver<String>,
-}
-
-impl Watching {
-    fn start(arguments: &[&str], folder: &Path) -> Self {
-        let mut child = command(&[&["watch"], arguments].concat(), folder)
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let (sender, lines) = channel();
-        let stdout = BufReader::new(child.stdout.take().unwrap());
-        std::thread::spawn(move || {
-            for line in stdout.lines().map_while(Result::ok) {
-                if sender.send(line).is_err() {
-                    return;
-                }
-            }
-        });
-        Self { stdin: child.stdin.take(), child, lines }
-    }
-
-    fn write(&mut self, lines: &str) {
-        self.stdin.as_mut().unwrap().write_all(lines.as_bytes()).unwrap();
-    }
-
-    fn line(&self) -> String {
-        self.lines.recv_timeout(PATIENCE).expect("a line comes")
-    }
-
-    /// The next value of that event.
-    fn event(&self, event: &str) -> Value {
-        loop {
-            let value: Value = serde_json::from_str(&self.line()).unwrap();
-            if value["event"] == event {
-                return value;
-            }
-        }
-    }
-
-    fn rest(&self) -> String {
-        self.lines.iter().map(|line| line + "\n").collect()
-    }
-
-    fn signal(&self, signal: Signal) {
-        kill(Pid::from_raw(self.child.id().cast_signed()), signal).unwrap();
-    }
-
-    fn exit_code(&mut self) -> i32 {
-        self.child.wait().unwrap().code().expect("it ends by itself")
-    }
-}
-
-impl Drop for Watching {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
     }
 }
 
@@ -280,7 +222,7 @@ fn signals_and_time_end_it_with_0() {
             watching.write(lines);
             if (bus, lines) == ("-", "") {
                 // Its first act is to let signals be told: then it does not end by default.
-                while !handles(watching.child.id(), signal) {
+                while !handles(watching.id(), signal) {
                     std::thread::yield_now();
                 }
             } else {

@@ -70,17 +70,20 @@ pub fn live(
     })
 }
 
-/// On one log, at this pace. `turn` is called after each frame and when time passed. Lines that
+/// On one log, at this pace, or that of its kind. `turn` is called after each frame and when time passed. Lines that
 /// cannot be read are told on standard error, once.
 pub fn recorded(
     spec: &BusSpec,
     setup: &Setup,
     options: AppOptions,
-    (pace, limits): (Pace, Limits),
+    (pace, limits): (Option<Pace>, Limits),
     mut turn: impl FnMut(&mut App) -> Result<(), Failure>,
 ) -> Result<Outcome, Failure> {
     let unusable = |error: io::Error| Failure::Unusable(format!("{spec} cannot be read: {error}"));
     let log = open_log(spec).map_err(unusable)?;
+    // A file is all there; of anything else lines come as they are written.
+    let is_file = log.metadata().is_ok_and(|it| it.is_file());
+    let pace = pace.unwrap_or(if is_file { Pace::AtOnce } else { Pace::Live });
     runtime()?.block_on(async {
         let (real, own) =
             if pace == Pace::Live { (limits.time, None) } else { (None, limits.time) };
@@ -106,14 +109,6 @@ pub fn recorded(
     })
 }
 
-/// The pace of a log that nobody asked for another pace of: a file is all there, and of anything else
-/// lines come as they are written.
-pub fn natural_pace(spec: &BusSpec) -> Pace {
-    let is_file = || open_log(spec)?.metadata().map(|it| it.is_file());
-    // What cannot be opened is told when it is opened to be read.
-    if is_file().unwrap_or(true) { Pace::AtOnce } else { Pace::Live }
-}
-
 /// Why a bus cannot be used now, where nobody waits for it to come up.
 pub fn why_unusable(bus: &Bus, now: Instant) -> Option<String> {
     let is_dead = match bus.status.link {
@@ -132,7 +127,7 @@ pub fn tell_hindrance(app: &App, index: BusIndex) {
     let say = |why: &str| {
         let _ = writeln!(io::stderr(), "descan: {}: {why}", bus.name);
     };
-    if bus.engine.is_unacknowledged() {
+    if bus.is_up() && bus.engine.is_unacknowledged() {
         say(
             "nobody acknowledges our frames; is another node on, at the same bit rate, and are both \
              ends terminated?",

@@ -33,7 +33,7 @@ pub fn run(scan: &Scan) -> Result<u8, Failure> {
     let setup = Setup::new(&scan.session.common)?;
     let Outcome { app, now, ending } = match open::log(&buses, "scan")? {
         Some(log) => {
-            let all = (Pace::AtOnce, Limits::default());
+            let all = (Some(Pace::AtOnce), Limits::default());
             headless::recorded(log, &setup, AppOptions::default(), all, |_| Ok(()))?
         }
         None => scan_live(&buses, &setup, scan)?,

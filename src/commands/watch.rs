@@ -3,7 +3,7 @@
 //!
 //! The JSON's names, types and meanings are relied on by scripts.
 
-use super::headless::{self, Limits, natural_pace, why_unusable};
+use super::headless::{self, Limits, why_unusable};
 use super::open::{self, Setup};
 use super::report::{
     BusReport, FileReport, FindingReport, ServiceReport, of_bus, of_file, of_finding, of_services,
@@ -36,7 +36,7 @@ pub fn run(watch: &Watch) -> Result<u8, Failure> {
     let limits = Limits { time: watch.time, while_read: true };
     let mut teller = Teller { json: watch.json, text: Vec::new() };
     if let Some(log) = open::log(&buses, "watch")? {
-        let pace = watch.session.speed.map_or_else(|| natural_pace(log), Pace::Timed);
+        let pace = watch.session.speed.map(Pace::Timed);
         headless::recorded(log, &setup, options, (pace, limits), |app| teller.tell(app))?;
     } else {
         let mut patience = Patience::default();

@@ -198,6 +198,8 @@ impl Finding {
 
     /// Adds a piece of evidence; the first half of what is kept never goes.
     pub fn add(&mut self, evidence: Evidence) {
+        // It may have been seen before it said anything by itself.
+        self.first = self.first.min(evidence.time);
         self.last = self.last.max(evidence.time);
         self.count += 1;
         if self.evidence.len() == Self::MAX_EVIDENCE {
