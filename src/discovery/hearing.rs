@@ -279,16 +279,17 @@ impl Engine {
             return;
         }
         let open = self.transfers.is_open(header);
+        // Who repeats the question's DST may happen to name another asker.
+        let echoes = self.roster.get(index).quirks.contains(&Quirk::RspDstEcho);
+        let to = (!echoes).then_some(header.destination);
         match classify_answer(frame.data(), frame.fd, open) {
             Some(Framing::Raw) => {
                 let message = strip_raw_padding(frame.data());
                 let request = request_of(message);
-                let to = (!echoed).then_some(header.destination);
                 self.answer_begins(now, index, request, Framing::Raw, to, frame);
                 self.hear_message(now, index, Framing::Raw, message, frame);
             }
             Some(Framing::Isotp) => {
-                let to = (!echoed).then_some(header.destination);
                 self.hear_isotp(now, index, header, frame, for_us, to);
             }
             None => {

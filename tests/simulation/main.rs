@@ -55,7 +55,7 @@ fn instant(at: Duration) -> Instant {
 
 impl Run {
     fn new(world: World, keep_frames: bool) -> Self {
-        let mut sim = Sim::new(&world.scenario, world.seed);
+        let sim = Sim::new(&world.scenario, world.seed);
         let devices: Vec<DeviceId> = sim.devices().collect();
         let mut run = Self { sim, devices, truth: Truth::default(), inspectors: Vec::new(), world };
         run.go(keep_frames);

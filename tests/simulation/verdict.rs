@@ -124,9 +124,10 @@ impl Case<'_> {
                 }
                 Clash::Uid(..) => true,
             };
+            let until = if stubborn { self.run.truth.over(*clash) } else { span.until };
             course.addresses.iter().any(|&address| clash.concerns(address))
                 && span.from <= at
-                && at.since(span.until) < TEN_SECONDS
+                && at.since(until) < TEN_SECONDS
                 && (stubborn || span.until.min(at).since(span.from) >= PERIOD.mul_f64(4.0))
         };
         let config = &self.run.world.inspectors[self.number].config;
@@ -271,7 +272,9 @@ impl Case<'_> {
         let rounds = beat || !inspector.config.round_period.is_zero();
         let answer = both(Fault::NoDes) && !inspector.config.listen_only && rounds;
         let uids = !one.uid.is_blank() && !other.uid.is_blank() && one.uid != other.uid;
-        beat && uids || answer && (one.name != other.name || lens.doubled.is_none() && !lens.echo)
+        // Answers to all often wait for the bus together, and equal ones merge then.
+        beat && uids
+            || answer && (one.name != other.name || beat && lens.doubled.is_none() && !lens.echo)
     }
 
     // --- what is past is cleared ---------------------------------------------------------
