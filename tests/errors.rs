@@ -214,12 +214,15 @@ fn on_a_disturbed_bus_nobody_is_named() {
 #[test]
 fn what_disturbs_now_and_then_names_nobody() {
     // A motor that is switched: all breaks for some milliseconds, over and over.
-    for (period, pulse) in [(100, 15), (770, 20), (1000, 15), (1000, 40), (10_000, 100)] {
+    for (period, pulse) in
+        [(100, 15), (200, 8), (200, 15), (333, 25), (500, 8), (770, 25), (1000, 25), (10_000, 100)]
+    {
         for seed in 0..3 {
-            let mut scenario = mixed(250_000);
+            let mut scenario = mixed([500_000, 1_000_000, 250_000][seed as usize]);
             for (after, rate) in [(0, 1.0), (pulse, 0.0)] {
                 scenario.timetable.push(Event {
-                    time: Instant::ZERO + millis(1510 + after),
+                    // From the first question on.
+                    time: Instant::ZERO + millis(1502 + 3 * seed + after),
                     every: Some(millis(period)),
                     device: String::new(),
                     action: Action::ErrorRate(rate),

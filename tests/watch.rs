@@ -141,6 +141,49 @@ fn the_readme_shows_what_is_told() {
 }
 
 #[test]
+fn what_one_frame_gives_rise_to_is_told_in_one_line() {
+    // SENS has 12. FEED claims it, gives way, and claims 31.
+    let log = "\
+(1436509052.100000) can0 07181001#C35B700000000400
+(1436509052.300000) can0 05180002#060153454E5300
+(1436509053.100000) can0 07182001#C35B700000000400
+(1436509054.100000) can0 07183001#C35B700000000400
+(1436509054.500000) can0 1718B001#8AFA6C9724110100
+(1436509055.100000) can0 07184001#C35B700000000400
+(1436509056.100000) can0 07185001#C35B700000000400
+(1436509056.900000) can0 173EC001#8AFA6C9724110100
+(1436509057.000000) can0 153E0002#06014645454400
+(1436509057.100000) can0 07186001#C35B700000000400
+(1436509057.900000) can0 073ED001#8AFA6C9724110400
+(1436509058.100000) can0 07187001#C35B700000000400
+(1436509058.900000) can0 073EE001#8AFA6C9724110400
+(1436509059.100000) can0 07188001#C35B700000000400
+(1436509059.900000) can0 073EF001#8AFA6C9724110400
+(1436509060.100000) can0 07189001#C35B700000000400
+(1436509060.900000) can0 073F0001#8AFA6C9724110400
+(1436509061.100000) can0 0718A001#C35B700000000400
+";
+    let folder = folder();
+    std::fs::write(folder.path().join("session.log"), log).unwrap();
+    let output = watch(&["file:session.log"], folder.path());
+    let of_resolution = text(&output.stdout)
+        .lines()
+        .filter(|line| ["claimed", "lost", "moved", "appeared"].iter().any(|it| line.contains(it)))
+        .map(|line| {
+            line.split_once(' ').unwrap().1.split_whitespace().collect::<Vec<_>>().join(" ")
+        });
+    assert_eq!(
+        of_resolution.collect::<Vec<_>>(),
+        [
+            "12 ? appeared",
+            "12 ? claimed 12, which SENS holds (UID BOILER01)",
+            "12 ? lost 12 to SENS",
+            "31 ? moved here from 12, claimed 31",
+        ]
+    );
+}
+
+#[test]
 fn the_pace_of_a_log_changes_nothing_of_what_is_told() {
     let folder = folder();
     // How many frames had come when a line was written depends on how they were handed over, and how

@@ -38,9 +38,14 @@ impl App {
     pub(super) fn take_events(&mut self) {
         let mut any = false;
         for index in 0..self.buses.len() {
+            // Told when all that one frame gave rise to is known: some of it is one line.
+            let mut lines = Vec::new();
             while let Some(event) = self.buses[index].engine.poll_event() {
                 any = true;
-                self.take_event(BusIndex(index as u8), event);
+                self.take_event(BusIndex(index as u8), event, &mut lines);
+            }
+            for line in lines {
+                self.report(Happening::Line(line));
             }
         }
         if any {
@@ -52,7 +57,7 @@ impl App {
         }
     }
 
-    fn take_event(&mut self, bus: BusIndex, event: Event) {
+    fn take_event(&mut self, bus: BusIndex, event: Event, lines: &mut Vec<Entry>) {
         if let (EventKind::Joined { was, before }, Some(device)) = (&event.kind, event.device) {
             self.timeline.rejoin(*was, *before, device);
         }
@@ -64,10 +69,19 @@ impl App {
             let mut entry = Entry::new(event.time, kind, text).on(bus);
             (entry.device, entry.address) = (event.device, event.address);
             entry.name.clone_from(&event.name);
-            self.report_line(&entry);
             let may_join =
                 matches!(event.kind, EventKind::Moved { .. } | EventKind::Claimed { .. });
-            if !may_join || !self.timeline.amend(&entry, one_line) {
+            let amended = if may_join { self.timeline.amend(&entry, one_line) } else { None };
+            if let Some((before, amended)) = amended {
+                let is_it = |line: &Entry| line.text == before && line.address == amended.address;
+                if let Some(at) = lines.iter().rposition(is_it) {
+                    lines.remove(at);
+                    lines.push(amended);
+                }
+            } else {
+                if self.report {
+                    lines.push(entry.clone());
+                }
                 self.timeline.push(entry);
             }
             if collision {

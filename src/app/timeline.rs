@@ -96,9 +96,14 @@ impl Timeline {
     }
 
     /// Adds to the line that was written at the same moment of the same device; what `join` makes
-    /// of its words and of these stands there, or last where these words take its place. False
-    /// where there is no such line, or nothing is made of the two.
-    pub fn amend(&mut self, entry: &Entry, join: impl Fn(&str, &str) -> Option<String>) -> bool {
+    /// of its words and of these stands there, or last where these words take its place. Returns
+    /// what it said before and the line as it is now; `None` where there is no such line, or
+    /// nothing is made of the two.
+    pub fn amend(
+        &mut self,
+        entry: &Entry,
+        join: impl Fn(&str, &str) -> Option<String>,
+    ) -> Option<(String, Entry)> {
         let same = |other: &Entry| {
             entry.device.is_some()
                 && other.device == entry.device
@@ -110,14 +115,15 @@ impl Timeline {
             let other = self.entries.get(at).filter(|other| same(other))?;
             Some((at, join(&other.text, &entry.text)?))
         });
-        let Some((at, text)) = joined else { return false };
+        let (at, text) = joined?;
         let other = &mut self.entries[at];
         other.address = entry.address.or(other.address);
-        if text.starts_with(&other.text) {
-            other.text = text;
-            return true;
+        let before = std::mem::replace(&mut other.text, text);
+        if other.text.starts_with(&before) {
+            return Some((before, other.clone()));
         }
-        (other.text, other.kind) = (text, entry.kind);
+        other.kind = entry.kind;
+        let amended = other.clone();
         // What led to it stands before it.
         for later in at + 1..self.entries.len() {
             self.entries.swap(later - 1, later);
@@ -125,7 +131,7 @@ impl Timeline {
             self.entries[later].number = self.entries[later - 1].number;
             self.entries[later - 1].number = number;
         }
-        true
+        Some((before, amended))
     }
 
     /// What was told of `was` (before a moment) was told of `device`.

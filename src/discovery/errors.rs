@@ -13,6 +13,8 @@
 //! * in each of three windows three frames or more broke, with fewer whole ones between, at a
 //!   time at which nobody else was expected to send; or in each of two windows eight or more,
 //!   with next to no whole ones between;
+//! * and of other bursts, when it was not expected to send, there are at most a third as many,
+//!   but for those that follow another address;
 //! * and its windows are not clean when it is asked again, some seconds later;
 //! * and outside of windows next to nothing breaks: at most three frames and 2 % of all, and
 //!   not more than one in a second. On a
@@ -66,6 +68,10 @@ const MEMORY: Duration = Duration::from_secs(45);
 /// How far the receive error counter must have gone up since it was last reported to tell of a
 /// burst just now.
 const COUNTED: u8 = 16;
+/// How long it must go on: what disturbs the bus meets others meanwhile.
+const LASTING: Duration = Duration::from_millis(2500);
+/// Bursts that are remembered.
+const MAX_BURSTS: usize = 64;
 /// How late a heartbeat is missing, in periods.
 const OVERDUE: f64 = 0.3;
 /// How long a run of broken frames counts as one thing, and how many frames it counts as.
@@ -116,7 +122,9 @@ impl Window {
             return None;
         }
         let whole = (last + 1 - first).saturating_sub(self.errors);
-        if self.errors >= LONG_BURST && whole * 8 <= self.errors {
+        // A heartbeat that is overdue was not even asked for.
+        let asked = self.due != Due::Heartbeat;
+        if asked && self.errors >= LONG_BURST && whole * 8 <= self.errors {
             Some(LONG_WEIGHT)
         } else {
             (self.errors >= BURST && whole <= self.errors).then_some(WEIGHT)
@@ -154,10 +162,12 @@ struct Broadcast {
 struct Suspect {
     address: Address,
     due: Due,
-    /// What its bursts count together.
+    /// What its bursts count together, and how many they are.
     weight: u32,
+    hits: u32,
     /// Clean windows since the last burst.
     clean: u32,
+    began: Instant,
     last: Instant,
     /// Evidence until the address is named.
     evidence: Vec<Evidence>,
@@ -237,6 +247,10 @@ pub(super) struct Errors {
     suspects: Vec<Suspect>,
     background: Background,
     broadcast: Option<Broadcast>,
+    /// The last bursts, and who was expected to send then: one bit for each address.
+    bursts: VecDeque<(Instant, u128)>,
+    /// The number of the last frame that broke, and how many broke in a row.
+    run: (u64, u64),
     verdicts: VecDeque<Verdict>,
     /// Frames heard, as far as it was told.
     frames: u64,
@@ -378,11 +392,14 @@ impl Errors {
         self.background.advance(now, self.frames);
         if report.is_while_sending() {
             self.background.count(now, broken, self.frames);
+            self.note_burst(now, broken, 0);
             return;
         }
-        let broadcast = self.broadcast.as_ref().filter(|it| now < it.ends && it.awaited != 0);
+        let broadcast = self.broadcast.as_ref().filter(|it| now < it.ends);
+        let broadcast = broadcast.map(|it| (it.awaited, it.question, it.ends));
         let windows = self.windows.iter().fold(0, |bits, it| bits | 1 << it.address.index());
-        let expected: u128 = windows | broadcast.map_or(0, |it| it.awaited);
+        let expected: u128 = windows | broadcast.map_or(0, |(awaited, ..)| awaited);
+        self.note_burst(now, broken, expected);
         if expected == 0 {
             match beating() {
                 Some((address, last, overdue)) => self.open(address, Due::Heartbeat, overdue, last),
@@ -392,7 +409,7 @@ impl Errors {
             self.windows.iter_mut().for_each(|window| window.shared += broken);
             return;
         } else if windows == 0
-            && let Some((question, ends)) = broadcast.map(|it| (it.question, it.ends))
+            && let Some((_, question, ends)) = broadcast
         {
             // All others have answered.
             let address = Address::from_bits(expected.trailing_zeros() as u8);
@@ -402,6 +419,60 @@ impl Errors {
         let number = self.frames;
         if let Some(window) = self.windows.first_mut() {
             window.note(broken, number, frame);
+        }
+    }
+
+    /// Remembers bursts, with who was expected to send, one bit each.
+    fn note_burst(&mut self, now: Instant, broken: u64, expected: u128) {
+        let (last, before) = self.run;
+        let before = if self.frames == last + 1 { before } else { 0 };
+        let count = before + broken;
+        self.run = (self.frames, count);
+        let passes = |limit: u64| before < limit && count >= limit;
+        // What goes on for longer is no burst of anybody's.
+        let endless = passes(LONGEST_BURST + 1);
+        if passes(BURST) || endless {
+            if self.bursts.len() == MAX_BURSTS {
+                self.bursts.pop_front();
+            }
+            self.bursts.push_back((now, if endless { 0 } else { expected }));
+        }
+    }
+
+    /// How many of the bursts that are remembered neither this suspect explains nor another one
+    /// that is as suspicious.
+    fn unexplained(&self, now: Instant, suspect: &Suspect) -> u32 {
+        let others = self.suspects.iter().filter(|it| it.hits > 1);
+        let explained = others.fold(0u128, |bits, it| bits | 1 << it.address.index());
+        let own = 1u128 << suspect.address.index();
+        let unexplained = self.bursts.iter().filter(|(at, expected)| {
+            let others = expected.is_power_of_two() && expected & explained != 0;
+            now.since(*at) < MEMORY && expected & own == 0 && !others
+        });
+        unexplained.count() as u32
+    }
+
+    /// Names those against whom there is enough, and takes back who was named wrongly.
+    fn judge(&mut self, now: Instant) {
+        let clean = self.background.is_clean();
+        let mut at = 0;
+        while at < self.suspects.len() {
+            let suspect = &self.suspects[at];
+            let unexplained = self.unexplained(now, suspect);
+            let (hits, enough) = (suspect.hits, suspect.weight >= NAMED_FROM);
+            if suspect.named && unexplained > hits || !suspect.named && enough && !clean {
+                self.end(at);
+                continue;
+            }
+            let suspect = &mut self.suspects[at];
+            let lasting = now.since(suspect.began) >= LASTING;
+            if enough && lasting && !suspect.named && unexplained * 3 <= hits {
+                suspect.named = true;
+                suspect.ask_at = Some(now + ASK_NAMED);
+                let evidence = std::mem::take(&mut suspect.evidence);
+                self.verdicts.push_back(Verdict::Named(suspect.address, suspect.due, evidence));
+            }
+            at += 1;
         }
     }
 
@@ -462,6 +533,10 @@ impl Errors {
         }
         let Some(suspect) = self.suspect(now, window) else { return };
         suspect.weight += weight;
+        if suspect.hits == 0 {
+            suspect.began = now;
+        }
+        suspect.hits += 1;
         suspect.clean = 0;
         suspect.due = window.due;
         suspect.last = now;
@@ -470,17 +545,10 @@ impl Errors {
         }
         let after = if suspect.named { ASK_NAMED } else { FOLLOW_UP_AFTER };
         suspect.ask_at = Some(now + after);
-        let (address, due) = (suspect.address, suspect.due);
         if !self.background.is_clean() {
             self.suspects.retain(|suspect| suspect.named);
-        } else if let Some(suspect) = self.suspects.iter_mut().find(|it| it.address == address)
-            && suspect.weight >= NAMED_FROM
-        {
-            suspect.named = true;
-            suspect.ask_at = Some(now + ASK_NAMED);
-            let evidence = std::mem::take(&mut suspect.evidence);
-            self.verdicts.push_back(Verdict::Named(address, due, evidence));
         }
+        self.judge(now);
     }
 
     /// There was a burst that may have been this address's or another's: ask it alone.
@@ -511,7 +579,9 @@ impl Errors {
                 address: window.address,
                 due: window.due,
                 weight: 0,
+                hits: 0,
                 clean: 0,
+                began: now,
                 last: now,
                 evidence: Vec::new(),
                 silent: false,
@@ -573,6 +643,9 @@ impl Errors {
         }
         while let Some(at) = self.suspects.iter().position(|suspect| suspect.ends() <= now) {
             self.end(at);
+        }
+        if self.suspects.iter().any(|suspect| suspect.named) {
+            self.judge(now);
         }
         for suspect in self.suspects.iter_mut().filter(|it| it.ask_at.is_some_and(|at| at <= now)) {
             let Due::Answer(request) = suspect.due else {
