@@ -34,7 +34,7 @@ impl Engine {
         };
         if frame.ours {
             self.counters.sent += 1;
-            let back = self.outbox.confirmed(now);
+            let back = self.outbox.confirmed(now, frame);
             self.acknowledgement(back);
             self.note_own_question(now, frame);
             return;

@@ -118,6 +118,9 @@ impl Engine {
                 let other = works.is_some() && from.is_some_and(|from| from.is_working() != works);
                 if (began || other) && !self.collisions.is_open_at(header.source) {
                     device.services_query.renew(now);
+                    if began {
+                        device.name_query.renew(now);
+                    }
                 }
                 self.tell(index, EventKind::Mode { from, to: mode });
             }

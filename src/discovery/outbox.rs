@@ -96,7 +96,11 @@ impl Outbox {
     }
 
     /// The bus took a frame of ours.
-    pub fn confirmed(&mut self, now: Instant) -> Option<Acknowledgement> {
+    pub fn confirmed(&mut self, now: Instant, frame: &Frame) -> Option<Acknowledgement> {
+        // It may have waited for long; what comes back of it comes after this.
+        if let Some(own) = self.sent.iter_mut().find(|own| own.same_on_wire(frame)) {
+            own.time = now;
+        }
         self.unconfirmed = self.unconfirmed.saturating_sub(1);
         self.unconfirmed_since = now;
         self.release()
