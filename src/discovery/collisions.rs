@@ -419,9 +419,9 @@ impl Collisions {
                 case.follow_ups += 1;
                 case.checked_at = now;
                 case.next_check = if confirmed {
-                    Some(now + CHECK_AGAIN)
+                    Some(now + CHECK_AGAIN + uneven(case.follow_ups) - Duration::from_secs(1))
                 } else {
-                    (case.follow_ups < MAX_FOLLOW_UPS).then(|| now + Duration::from_secs(1))
+                    (case.follow_ups < MAX_FOLLOW_UPS).then(|| now + uneven(case.follow_ups))
                 };
             }
         }
@@ -652,6 +652,12 @@ impl Collisions {
     fn describe(&mut self, at: usize) {
         wording::describe(&mut self.findings[at]);
     }
+}
+
+/// About a second. What beats each second would otherwise hold up the two answers each time, and
+/// equal answers that wait together merge.
+fn uneven(count: u32) -> Duration {
+    Duration::from_millis(900 + u64::from(count * 3 % 5) * 50)
 }
 
 /// What the frame with which an answer begins says, without its padding.

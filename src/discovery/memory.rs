@@ -160,6 +160,18 @@ pub(super) struct Watch {
     pub twice_for: u32,
 }
 
+/// Whether a long gap follows a short one each time, far more regularly than chance has it: two
+/// steady senders almost half a period apart.
+fn takes_turns(gaps: &[f64]) -> bool {
+    let range = |from: usize| {
+        let every_other = gaps.iter().skip(from).step_by(2);
+        every_other.fold((f64::MAX, f64::MIN), |(low, high), &gap| (low.min(gap), high.max(gap)))
+    };
+    let (even, odd) = (range(0), range(1));
+    let apart = (even.0 - odd.1).max(odd.0 - even.1);
+    apart > 0.04 && apart > 3.0 * (even.1 - even.0).max(odd.1 - odd.0)
+}
+
 /// Heartbeats kept per address: six intervals and one more.
 pub(super) const BEATS: usize = 8;
 
@@ -180,13 +192,16 @@ impl Watch {
             return (twice, false);
         }
         let period = period.as_secs_f64();
-        let gap = |a: &Beat, b: &Beat| b.time.since(a.time).as_secs_f64() / period;
-        let triples =
-            self.beats.iter().zip(self.beats.iter().skip(1)).zip(self.beats.iter().skip(2));
-        let phases = triples.into_iter().all(|((a, b), c)| {
-            let (first, second) = (gap(a, b), gap(b, c));
-            (0.85..=1.15).contains(&(first + second)) && (first - second).abs() > 0.15
-        });
-        (twice, phases)
+        let mut gaps = [0.0; BEATS - 1];
+        let pairs = self.beats.iter().zip(self.beats.iter().skip(1));
+        let mut count = 0;
+        for (gap, (a, b)) in gaps.iter_mut().zip(pairs) {
+            *gap = b.time.since(a.time).as_secs_f64() / period;
+            count += 1;
+        }
+        let gaps = &gaps[..count];
+        let whole = gaps.windows(2).all(|two| (0.85..=1.15).contains(&(two[0] + two[1])));
+        let apart = gaps.windows(2).all(|two| (two[0] - two[1]).abs() > 0.15);
+        (twice, whole && (apart || takes_turns(gaps)))
     }
 }

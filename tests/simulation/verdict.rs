@@ -491,7 +491,9 @@ fn is_fixed(spec: &DeviceSpec, address: Address) -> bool {
 
 /// Whether its heartbeats come, and come regularly.
 fn is_regular(spec: &DeviceSpec) -> bool {
-    !spec.faults.has(Fault::NoHeartbeat) && spec.jitter < Duration::from_millis(80)
+    // Nor does it leave open whom of several it answers.
+    let told = !spec.faults.has(Fault::NoHeartbeat) && !spec.faults.has(Fault::EchoDestination);
+    told && spec.jitter < Duration::from_millis(80)
 }
 
 /// Several inspectors live together, each at an address of its own.
