@@ -20,8 +20,8 @@ use std::ops::ControlFlow;
 use std::os::fd::AsFd;
 use std::time::Duration;
 
-/// How long an interface may take to be looked at.
-const OPENING: Duration = Duration::from_secs(2);
+/// How long an interface may take to be looked at, on a machine that is busy.
+const OPENING: Duration = Duration::from_secs(10);
 
 /// What ends it, beside signals.
 #[derive(Clone, Copy, Debug, Default)]
