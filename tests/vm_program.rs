@@ -222,6 +222,7 @@ fn what_happens_to_an_interface_is_watched() {
     drop(second);
     vcan.remove();
     watching.event_that("bus", is_down);
+    watching.event_that("lost", is_feed);
     vcan.create().unwrap();
     watching.event_that("bus", is_up);
     let _third = board(vcan.name(), folder.path(), "FEED", "WATCHED");

@@ -9,7 +9,8 @@ use descan::app::{App, AppOptions, FileReading, Happening};
 use descan::discovery::{Confidence, Config, FindingKind};
 use descan::sim::{DeviceSpec, Fault, Scenario, Sim};
 use descan::time::Instant;
-use nix::sys::signal::Signal;
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
@@ -279,6 +280,40 @@ fn signals_and_time_end_it_with_0() {
         let mut watching = Watching::start(&[bus, "--time", "0.3"], folder.path());
         assert_eq!(watching.exit_code(), 0, "{bus}");
     }
+}
+
+#[test]
+fn a_signal_ends_it_though_nobody_reads_and_the_pipe_is_full() {
+    let folder = tempfile::tempdir().unwrap();
+    let debug = |at: u32| format!("({}.{:06}) can0 1F19FC2A#01FE\n", at / 1000, at % 1000 * 1000);
+    let lines: String = (1000..6000).map(debug).collect();
+    std::fs::write(folder.path().join("session.log"), lines).unwrap();
+    let (reader, writer) = std::io::pipe().unwrap();
+    let mut child = command(&["watch", "file:session.log", "--json"], folder.path())
+        .stdout(writer)
+        .spawn()
+        .unwrap();
+    // A pipe holds 65,536 bytes: now it is about to be asleep for good.
+    while written(child.id()) < 65_000 {
+        std::thread::yield_now();
+    }
+    kill(Pid::from_raw(child.id().cast_signed()), Signal::SIGTERM).unwrap();
+    let deadline = std::time::Instant::now() + Duration::from_mins(1);
+    while child.try_wait().unwrap().is_none() {
+        if std::time::Instant::now() > deadline {
+            child.kill().unwrap();
+            panic!("it does not end");
+        }
+        std::thread::yield_now();
+    }
+    assert_eq!(child.wait().unwrap().code(), Some(0));
+    drop(reader);
+}
+
+/// How many bytes a process has written.
+fn written(process: u32) -> u64 {
+    let io = std::fs::read_to_string(format!("/proc/{process}/io")).unwrap();
+    io.lines().find_map(|line| line.strip_prefix("wchar: ")).unwrap().parse().unwrap()
 }
 
 /// Whether a process has a handler for a signal.

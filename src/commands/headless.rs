@@ -20,8 +20,8 @@ use std::ops::ControlFlow;
 use std::os::fd::AsFd;
 use std::time::Duration;
 
-/// How long an interface may take to be looked at.
-const OPENING: Duration = Duration::from_secs(2);
+/// How long an interface may take to be looked at, on a machine that is busy.
+const OPENING: Duration = Duration::from_secs(10);
 
 /// What ends it, beside signals.
 #[derive(Clone, Copy, Debug, Default)]
@@ -30,6 +30,8 @@ pub struct Limits {
     pub time: Option<Duration>,
     /// When standard output is closed.
     pub while_read: bool,
+    /// The exit code where a signal ends it and it cannot finish: nobody reads its output.
+    pub stuck: u8,
 }
 
 /// What became of it.
@@ -156,7 +158,7 @@ fn open_log(spec: &BusSpec) -> io::Result<File> {
 }
 
 fn endings(limits: Limits, time: Option<Duration>) -> Result<Endings, Failure> {
-    let endings = Endings::new(time).context("no signals")?;
+    let endings = Endings::new(time, limits.stuck).context("no signals")?;
     Ok(if limits.while_read { endings.or_unread() } else { endings })
 }
 

@@ -33,7 +33,7 @@ pub fn run(scan: &Scan) -> Result<u8, Failure> {
     let setup = Setup::new(&scan.session.common)?;
     let Outcome { app, now, ending } = match open::log(&buses, "scan")? {
         Some(log) => {
-            let all = (Some(Pace::AtOnce), Limits::default());
+            let all = (Some(Pace::AtOnce), Limits { stuck: INTERRUPTED, ..Limits::default() });
             headless::recorded(log, &setup, AppOptions::default(), all, |_| Ok(()))?
         }
         None => scan_live(&buses, &setup, scan)?,
@@ -54,7 +54,7 @@ pub fn run(scan: &Scan) -> Result<u8, Failure> {
 }
 
 fn scan_live(buses: &[BusSpec], setup: &Setup, scan: &Scan) -> Result<Outcome, Failure> {
-    let limits = Limits { time: Some(scan.time), ..Limits::default() };
+    let limits = Limits { time: Some(scan.time), stuck: INTERRUPTED, ..Limits::default() };
     let mut bar = Bar::new();
     headless::live(buses, setup, AppOptions::default(), limits, |session| {
         // Nobody waits for an interface to come up.

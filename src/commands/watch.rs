@@ -33,7 +33,7 @@ pub fn run(watch: &Watch) -> Result<u8, Failure> {
         report: true,
         ..AppOptions::default()
     };
-    let limits = Limits { time: watch.time, while_read: true };
+    let limits = Limits { time: watch.time, while_read: true, stuck: FINE };
     let mut teller = Teller { json: watch.json, text: Vec::new() };
     if let Some(log) = open::log(&buses, "watch")? {
         let pace = watch.session.speed.map(Pace::Timed);

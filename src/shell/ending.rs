@@ -7,11 +7,15 @@ use std::io;
 use std::os::fd::AsFd;
 use std::pin::Pin;
 use std::sync::Arc;
+use std::sync::mpsc::sync_channel;
 use std::thread;
 use std::time::Duration;
-use tokio::signal::unix::{Signal, SignalKind, signal};
+use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::Notify;
 use tokio::time::{Sleep, sleep};
+
+/// How long the end may take after a signal.
+const PATIENCE: Duration = Duration::from_secs(2);
 
 /// What ended it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,19 +30,18 @@ pub enum Ending {
 
 /// Waits for the ending. See the module's documentation.
 pub struct Endings {
-    interrupt: Signal,
-    terminate: Signal,
+    interrupted: Arc<Notify>,
     time: Option<Pin<Box<Sleep>>>,
     unread: Option<Arc<Notify>>,
 }
 
 impl Endings {
-    /// Signals, and `time` from now where it is given. From now on signals do not end the
-    /// program by themselves.
-    pub fn new(time: Option<Duration>) -> io::Result<Self> {
+    /// Signals, and `time` from now where it is given. From now on a signal does not end the
+    /// program by itself; but where it is not over soon after one, as it writes and nobody
+    /// reads, it is ended with the exit code `stuck`.
+    pub fn new(time: Option<Duration>, stuck: u8) -> io::Result<Self> {
         Ok(Self {
-            interrupt: signal(SignalKind::interrupt())?,
-            terminate: signal(SignalKind::terminate())?,
+            interrupted: interrupted(stuck)?,
             time: time.map(|time| Box::pin(sleep(time))),
             unread: None,
         })
@@ -77,10 +80,37 @@ impl Endings {
         };
         tokio::select! {
             biased;
-            _ = self.interrupt.recv() => Ending::Interrupted,
-            _ = self.terminate.recv() => Ending::Interrupted,
+            () = self.interrupted.notified() => Ending::Interrupted,
             () = unread => Ending::Unread,
             () = time => Ending::TimeUp,
         }
     }
+}
+
+/// Notifies of SIGINT and SIGTERM, from a thread that waits for nothing else.
+fn interrupted(stuck: u8) -> io::Result<Arc<Notify>> {
+    let notify = Arc::new(Notify::new());
+    let told = Arc::clone(&notify);
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let (ready, is_ready) = sync_channel(1);
+    thread::Builder::new().name("signals".into()).spawn(move || {
+        runtime.block_on(async {
+            let signals = signal(SignalKind::interrupt())
+                .and_then(|interrupt| Ok((interrupt, signal(SignalKind::terminate())?)));
+            let (mut interrupt, mut terminate) = match signals {
+                Ok(signals) => signals,
+                Err(error) => return ready.send(Err(error)).unwrap_or_default(),
+            };
+            let _ = ready.send(Ok(()));
+            tokio::select! {
+                _ = interrupt.recv() => {}
+                _ = terminate.recv() => {}
+            }
+            told.notify_one();
+            sleep(PATIENCE).await;
+            std::process::exit(stuck.into());
+        });
+    })?;
+    is_ready.recv().map_err(io::Error::other)??;
+    Ok(notify)
 }
