@@ -153,7 +153,14 @@ impl Engine {
                 if self.waiting >= MAX_WAITING || !self.outbox.has_budget() {
                     return;
                 }
+                let shared = request == Request::Services && self.collisions.is_open_at(address);
                 let Some(device) = self.roster.current_device_mut(address) else { continue };
+                // Two that answer in several frames at once destroy each other's: what is known
+                // must do until one of them is gone.
+                if shared && device.services.is_some() {
+                    device.services_query.due = None;
+                    continue;
+                }
                 let (working, framing) = (device.working, device.framing);
                 // While it resolves its address, the mode it takes next is not known.
                 let undecided = device.is_resolving && !working;

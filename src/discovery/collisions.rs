@@ -173,9 +173,9 @@ impl Collisions {
         let Some(before) = before.filter(|before| before != name) else { return };
         let kind = FindingKind::OneAddressTwoNames;
         let weight = if returned.is_some() { Weight::Strong } else { Weight::Weak };
-        let what = if returned.is_some() { "the first name again" } else { "another name" };
-        self.report(now, kind, address, Some(name), frame, what, weight);
-        self.concern(kind, address, &before);
+        let what = if returned.is_some() { "the other name again" } else { "another name" };
+        self.report(now, kind, address, Some(&before), frame, what, weight);
+        self.concern(kind, address, name);
         if returned.is_some() {
             self.supersede(now, FindingKind::SameNameSameAddress, kind, address);
         }
@@ -240,14 +240,15 @@ impl Collisions {
             FindingKind::OneAddressTwoIdentities
         };
         let alternation = match (uid_returned, mode_returned) {
-            (Some(_), _) => Some(("the first UID again", "another UID")),
+            (Some(_), _) => Some(("the other UID again", "another UID")),
             (None, Some(returns)) if returns >= 2 && twice => {
-                Some(("the first U bit again", "another U bit"))
+                Some(("the other U bit again", "another U bit"))
             }
             _ => None,
         };
         if let Some((again, other)) = alternation {
-            if let Some(previous) = previous {
+            // Later, the one before is the one that was told before.
+            if let Some(previous) = previous.filter(|_| !self.is_open(identity, address)) {
                 self.report(now, identity, address, name, &previous, other, Weight::Weak);
             }
             self.report(now, identity, address, name, frame, again, Weight::Strong);

@@ -159,19 +159,15 @@ impl Engine {
 
     /// The node at this row has another UID than before, or one for the first time.
     fn uid_learnt(&mut self, now: Instant, index: usize, first: bool) {
-        if !first {
-            // Another board may lay its answers into frames in another way, and have other
-            // services; those it is asked for once it is clear that it is alone.
+        if !first && !self.collisions.is_open_at(self.roster.get(index).address) {
+            // Another board, perhaps, which may lay its answers into frames in another way: ask
+            // who it is. For its services once it is clear that it is alone: two boards that
+            // answer in several frames at once destroy each other's.
             let later = now + self.config.profile.heartbeat.period() * 6;
             let device = self.roster.get_mut(index);
             device.framing = None;
+            device.name_query.renew(now);
             device.services_query.renew(later);
-            self.wake_at(later);
-        }
-        if !first && !self.collisions.is_open_at(self.roster.get(index).address) {
-            // Another board, perhaps: ask who it is. Not for its services yet: two boards that
-            // answer in several frames at once destroy each other's.
-            self.roster.get_mut(index).name_query.renew(now);
             self.wake_at(now);
         }
         self.find_move_to(index);
