@@ -153,10 +153,12 @@ impl Engine {
                 if self.waiting >= MAX_WAITING || !self.outbox.has_budget() {
                     return;
                 }
-                let shared = request == Request::Services && self.collisions.is_open_at(address);
+                let shared = request == Request::Services
+                    && self.collisions.is_open_at(address)
+                    && !self.errors.is_suspect(address);
                 let Some(device) = self.roster.current_device_mut(address) else { continue };
                 // Two that answer in several frames at once destroy each other's: what is known
-                // must do until one of them is gone.
+                // must do until one of them is gone, unless that is just what is looked into.
                 if shared && device.services.is_some() {
                     device.services_query.due = None;
                     continue;

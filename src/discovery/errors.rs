@@ -349,6 +349,11 @@ impl Errors {
         open.any(|suspect| suspect.weight > 0 && suspect.ask_at.is_some())
     }
 
+    /// Whether errors followed `address`, so that asking it shows more.
+    pub fn is_suspect(&self, address: Address) -> bool {
+        self.suspects.iter().any(|suspect| suspect.address == address)
+    }
+
     /// `address` is about to be asked, and may answer until `until`. When it is to be asked
     /// instead, where that is not now: of two that are looked into each is asked alone, or it
     /// would never be known whose frames break.
