@@ -19,7 +19,7 @@ use crate::time::{Duration, Instant};
 use crate::wire::des::Request;
 use crate::wire::framing::{Framing, strip_raw_padding};
 use crate::wire::id::Address;
-use crate::wire::isotp::Pci;
+use crate::wire::isotp::{Pci, TransferFault};
 use crate::wire::node::Uid;
 
 /// How many findings a bus may have.
@@ -260,7 +260,8 @@ impl Collisions {
             self.report(now, kind, address, name, frame, what, Weight::Weak);
         } else if phases {
             let kind = FindingKind::SameNameSameAddress;
-            let since = self.watches[address.index()].beats.front().map(|beat| beat.time);
+            // By the third of them both had begun to beat.
+            let since = self.watches[address.index()].beats.get(2).map(|beat| beat.time);
             if let Some(previous) = previous {
                 let what = "heartbeat in one phase";
                 self.report(now, kind, address, name, &previous, what, Weight::Weak);
@@ -337,6 +338,32 @@ impl Collisions {
                 wording::who(address, &self.findings[at].names)
             );
         }
+    }
+
+    /// An answer in several frames broke off where it did before. Three times in a row it may
+    /// still be bad luck; then it is the device.
+    pub fn see_broken_answer(
+        &mut self,
+        now: Instant,
+        address: Address,
+        name: Option<&Name>,
+        fault: TransferFault,
+        frame: &Frame,
+    ) {
+        let kind = FindingKind::MalformedAnswer;
+        let weight = if self.is_open(kind, address) { Weight::Proof } else { Weight::Weak };
+        let what = "the last frame of an answer that broke off";
+        if let Some(at) = self.report(now, kind, address, name, frame, what, weight) {
+            self.findings[at].text = format!(
+                "{} breaks its answer off each time: {fault}.",
+                wording::who(address, &self.findings[at].names)
+            );
+        }
+    }
+
+    /// Whether questions seem to reach devices twice, or all frames us.
+    pub fn asks_twice(&self, now: Instant) -> bool {
+        self.doubling.asks_twice(now)
     }
 
     /// A whole answer came: what was malformed before is past.
@@ -479,7 +506,7 @@ impl Collisions {
 
     /// Within which what takes turns must be back. Who only listens waits for others to ask.
     fn turn(&self) -> Duration {
-        if self.passive { self.memory() } else { self.period * 4 }
+        if self.passive { self.memory() } else { self.period * 3 }
     }
 
     fn find(&self, kind: FindingKind, address: Address) -> Option<usize> {

@@ -4,7 +4,7 @@ use super::collisions::Answer;
 use super::device::{QueryFault, QueryState, Quirk, ServiceEntry};
 use super::memory::Asking;
 use super::transfers::{Continued, Started};
-use super::{Engine, EventKind, Presence, station};
+use super::{Device, Engine, EventKind, Presence, station};
 use crate::frame::{Frame, FrameKind};
 use crate::text::Name;
 use crate::time::{Duration, Instant};
@@ -242,7 +242,10 @@ impl Engine {
                     && device.framing.is_none_or(|it| it == framing)
             });
             awaited |= u128::from(may_answer) << address.index();
-            if known.is_none_or(|device| device.working != header.to_not_working) {
+            let fits = |device: &Device| {
+                device.working != header.to_not_working || device.is_resolving
+            };
+            if known.is_none_or(fits) {
                 self.collisions.see_question(now, address, request, framing, asking);
             }
         }
@@ -451,8 +454,17 @@ impl Engine {
         self.counters.transfers_failed += 1;
         let Some(request) = request else { return };
         let device = self.roster.get(index);
-        if device.query(request).fault == Some(QueryFault::Transfer(fault)) {
-            self.malformed(now, index, &fault, frame);
+        let again = device.query(request).fault == Some(QueryFault::Transfer(fault));
+        // Where frames come twice or late, or answers to several have one identifier, it is not
+        // the device that breaks them off.
+        let excused = self.collisions.asks_twice(now)
+            || self.lateness.is_common()
+            || device.quirks.contains(&Quirk::RspDstEcho);
+        if again && !excused {
+            self.counters.malformed += 1;
+            let (address, name) = (device.address, device.name.clone());
+            self.collisions.see_broken_answer(now, address, name.as_ref(), fault, frame);
+            self.wake_at(now);
         }
         self.answer_failed(index, request, fault.into());
     }

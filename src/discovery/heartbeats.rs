@@ -35,7 +35,7 @@ impl Lateness {
         }
     }
 
-    fn is_common(&self) -> bool {
+    pub(super) fn is_common(&self) -> bool {
         (self.late[0] | self.late[1]).count_ones() >= LATE_TOGETHER
     }
 }

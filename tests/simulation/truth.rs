@@ -1,7 +1,7 @@
 //! How it really was: who held which address together with whom, and who shared a UID, looked up
 //! in the simulator while it runs.
 
-use descan::sim::{DeviceId, DeviceSpec, Fault, Sim};
+use descan::sim::{AddressChoice, DeviceId, DeviceSpec, Fault, Sim};
 use descan::time::{Duration, Instant};
 use descan::wire::id::Address;
 use std::collections::BTreeMap;
@@ -33,7 +33,7 @@ pub struct Truth {
     sampled: Option<Instant>,
     /// Until when both of a pair were switched on, where neither ever gives way: they come back to
     /// their address however often they silence each other.
-    both_on: BTreeMap<Clash, Instant>,
+    both_on: BTreeMap<Clash, Span>,
 }
 
 impl Truth {
@@ -70,25 +70,24 @@ impl Truth {
             }
         }
         self.sampled = Some(now);
-        let stubborn = |it: usize| {
-            let on = sim.device_state(devices[it]).mode.is_some();
-            on && specs[it].faults.has(Fault::NeverGivesWay)
-        };
-        for &clash in self.spans.keys() {
-            if let Clash::Address(_, one, other) = clash
-                && stubborn(one)
-                && stubborn(other)
+        let mut stubborn: BTreeMap<Address, Vec<usize>> = BTreeMap::new();
+        for (index, spec) in specs.iter().enumerate() {
+            if let AddressChoice::Fixed(address) = spec.address
+                && spec.faults.has(Fault::NeverGivesWay)
+                && sim.device_state(devices[index]).mode.is_some()
             {
-                self.both_on.insert(clash, now);
+                stubborn.entry(address).or_default().push(index);
             }
         }
-    }
-
-    /// When it was over for good.
-    pub fn over(&self, clash: Clash) -> Instant {
-        let last = self.spans.get(&clash).and_then(|spans| spans.last()).map(|span| span.until);
-        let both_on = self.both_on.get(&clash).copied();
-        last.max(both_on).unwrap_or(Instant::ZERO)
+        for (address, here) in stubborn {
+            for (place, &one) in here.iter().enumerate() {
+                for &other in &here[place + 1..] {
+                    let clash = Clash::Address(address, one, other);
+                    let span = Span { from: now, until: now };
+                    self.both_on.entry(clash).or_insert(span).until = now;
+                }
+            }
+        }
     }
 
     fn see(&mut self, now: Instant, clash: Clash) {
@@ -97,6 +96,18 @@ impl Truth {
             Some(span) if Some(span.until) == self.sampled => span.until = now,
             _ => spans.push(Span { from: now, until: now }),
         }
+    }
+
+    /// When both of a pair that never gives way were on.
+    pub fn both_on(&self) -> impl Iterator<Item = (Clash, Span)> + '_ {
+        self.both_on.iter().map(|(clash, span)| (*clash, *span))
+    }
+
+    /// When it was over for good.
+    pub fn over(&self, clash: Clash) -> Instant {
+        let last = self.spans.get(&clash).and_then(|spans| spans.last()).map(|span| span.until);
+        let both_on = self.both_on.get(&clash).map(|span| span.until);
+        last.max(both_on).unwrap_or(Instant::ZERO)
     }
 
     /// Everything that was one too many, and when.

@@ -114,21 +114,12 @@ impl Case<'_> {
     }
 
     fn is_justified(&self, course: &Course, at: Instant, clashes: &[(Clash, Span)]) -> bool {
-        // Whoever never gives way is guilty even where both fall silent in between, because they
-        // destroyed each other's frames; of others it must have lasted.
         let going_on = |clash: &Clash, span: &Span| {
-            let stubborn = match *clash {
-                Clash::Address(_, one, other) => {
-                    let never = |it| self.spec(it).faults.has(Fault::NeverGivesWay);
-                    never(one) && never(other)
-                }
-                Clash::Uid(..) => true,
-            };
-            let until = if stubborn { self.run.truth.over(*clash) } else { span.until };
             course.addresses.iter().any(|&address| clash.concerns(address))
                 && span.from <= at
-                && at.since(until) < TEN_SECONDS
-                && (stubborn || span.until.min(at).since(span.from) >= PERIOD.mul_f64(4.0))
+                && at.since(span.until) < TEN_SECONDS
+                && (matches!(clash, Clash::Uid(..))
+                    || span.until.min(at).since(span.from) >= PERIOD.mul_f64(4.0))
         };
         let config = &self.run.world.inspectors[self.number].config;
         let names = |one: usize, other: usize| {
@@ -136,8 +127,12 @@ impl Case<'_> {
             name(one) != name(other)
         };
         let uid = |at: usize| self.run.sim.device_state(self.run.devices[at]).uid;
+        // Whoever never gives way is guilty even where both fall silent in between, because they
+        // destroyed each other's frames.
+        let both_on: Vec<_> = self.run.truth.both_on().collect();
         let any = |fits: &dyn Fn(&Clash) -> bool| {
-            clashes.iter().any(|(clash, span)| going_on(clash, span) && fits(clash))
+            let mut clashes = clashes.iter().chain(&both_on);
+            clashes.any(|(clash, span)| going_on(clash, span) && fits(clash))
         };
         match course.kind {
             FindingKind::OneAddressTwoNames => {
@@ -287,6 +282,7 @@ impl Case<'_> {
                 .run
                 .truth
                 .clashes()
+                .chain(self.run.truth.both_on())
                 .filter(|(clash, _)| course.addresses.iter().any(|&it| clash.concerns(it)))
                 .map(|(clash, _)| self.run.truth.over(clash))
                 .max()
@@ -504,8 +500,8 @@ fn addresses_of_inspectors(run: &Run, wrong: &mut Vec<String>) {
             continue;
         }
         let OwnAddress::Held(address) = it.engine.own_address() else {
-            // Its own controller cut it off: it begins anew each time.
-            if !it.cut_off.is_empty() {
+            // Its own controller cut it off, and it begins anew each time; or there is none left.
+            if !it.cut_off.is_empty() || run.devices.len() > 120 {
                 continue;
             }
             wrong.push(format!("inspector {number} has no address: {:?}", it.engine.own_address()));
