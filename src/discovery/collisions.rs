@@ -11,7 +11,7 @@
 
 use super::doubling::Doubling;
 use super::finding::{Confidence, Evidence, Finding, FindingKey, FindingKind};
-use super::memory::{Alternation, Asking, BEATS, Beat, Watch};
+use super::memory::{Alternation, Asking, Rhythm, Watch};
 use super::wording;
 use crate::frame::{BusIndex, Frame};
 use crate::text::Name;
@@ -61,7 +61,8 @@ enum Weight {
 
 #[derive(Debug)]
 struct Case {
-    began: Instant,
+    /// Since when there are two, as far as evidence that is more than a hint shows.
+    began: Option<Instant>,
     strong: u32,
     strong_at: Option<Instant>,
     follow_ups: u32,
@@ -215,24 +216,15 @@ impl Collisions {
     ) {
         let (turn, period) = (self.turn(), self.period);
         let watch = &mut self.watches[address.index()];
-        if watch.beats.len() == BEATS {
-            watch.beats.pop_front();
+        if !watch.beat(now, frame, period) {
+            return;
         }
-        watch.beats.push_back(Beat { time: now, frame: *frame });
+        let previous = watch.beats.iter().rev().nth(1).map(|beat| beat.frame);
         let uid = uid.filter(|uid| !uid.is_blank());
         let uid_returned = uid.and_then(|uid| watch.uids.see(now, &uid, turn));
         let mode_returned = watch.working.see(now, &working, period * 2);
-        let (twice, phases) = watch.rhythm(period);
-        watch.twice_for = if twice { watch.twice_for + 1 } else { 0 };
-        let twice_for = watch.twice_for;
-        let previous = watch.beats.iter().rev().nth(1).map(|beat| beat.frame);
-        // A device that keeps to another period is looked into, and then left in peace; what is
-        // confirmed by other means goes on as long as they come too often.
-        let confirmed = self
-            .find(FindingKind::SameNameSameAddress, address)
-            .is_some_and(|at| self.findings[at].confidence == Confidence::Confirmed);
-        let odd_rate = twice && (twice_for <= ODD_RATE_BEATS || confirmed);
-        let another_name = self.had_another_name(now, address);
+        let rhythm = watch.rhythm(period);
+        watch.twice_for = if rhythm.twice { watch.twice_for + 1 } else { 0 };
 
         let identity = if address == Address::DEBUG {
             FindingKind::TwoDebugDevices
@@ -241,7 +233,7 @@ impl Collisions {
         };
         let alternation = match (uid_returned, mode_returned) {
             (Some(_), _) => Some(("the other UID again", "another UID")),
-            (None, Some(returns)) if returns >= 2 && twice => {
+            (None, Some(returns)) if returns >= 2 && rhythm.twice => {
                 Some(("the other U bit again", "another U bit"))
             }
             _ => None,
@@ -252,36 +244,48 @@ impl Collisions {
                 self.report(now, identity, address, name, &previous, other, Weight::Weak);
             }
             self.report(now, identity, address, name, frame, again, Weight::Strong);
-        } else if self.is_open(identity, address) {
-            // Told already, by what tells the two apart.
-        } else if (phases || odd_rate) && another_name {
-            let kind = FindingKind::OneAddressTwoNames;
-            let what = "heartbeats at twice the rate";
-            self.report(now, kind, address, name, frame, what, Weight::Weak);
-        } else if phases {
-            let kind = FindingKind::SameNameSameAddress;
-            // By the third of them both had begun to beat.
-            let since = self.watches[address.index()].beats.get(2).map(|beat| beat.time);
+        } else if !self.is_open(identity, address) {
+            self.see_rhythm(now, address, name, frame, previous.as_ref(), rhythm);
+        }
+    }
+
+    /// Heartbeats that nothing but their rhythm tells apart.
+    fn see_rhythm(
+        &mut self,
+        now: Instant,
+        address: Address,
+        name: Option<&Name>,
+        frame: &Frame,
+        previous: Option<&Frame>,
+        rhythm: Rhythm,
+    ) {
+        let same = FindingKind::SameNameSameAddress;
+        // A device that keeps to another period is looked into, and then left in peace; what is
+        // confirmed by other means goes on as long as they come too often.
+        let confirmed = self
+            .find(same, address)
+            .is_some_and(|at| self.findings[at].confidence == Confidence::Confirmed);
+        let twice_for = self.watches[address.index()].twice_for;
+        let odd_rate = rhythm.twice && (twice_for <= ODD_RATE_BEATS || confirmed);
+        let too_often = "heartbeats at twice the rate";
+        let at = if (rhythm.phases || odd_rate) && self.had_another_name(now, address) {
+            let two_names = FindingKind::OneAddressTwoNames;
+            self.report(now, two_names, address, name, frame, too_often, Weight::Weak)
+        } else if rhythm.phases {
             if let Some(previous) = previous {
                 let what = "heartbeat in one phase";
-                self.report(now, kind, address, name, &previous, what, Weight::Weak);
+                self.report(now, same, address, name, previous, what, Weight::Weak);
             }
             let what = "heartbeat in another phase, within one period";
-            let at = self.report(now, kind, address, name, frame, what, Weight::Strong);
-            if let (Some(at), Some(since)) = (at, since) {
-                self.cases[at].began = self.cases[at].began.min(since);
-            }
+            self.report(now, same, address, name, frame, what, Weight::Strong)
         } else if odd_rate {
-            let kind = FindingKind::SameNameSameAddress;
-            self.report(
-                now,
-                kind,
-                address,
-                name,
-                frame,
-                "heartbeats at twice the rate",
-                Weight::Weak,
-            );
+            self.report(now, same, address, name, frame, too_often, Weight::Weak)
+        } else {
+            None
+        };
+        if let (Some(at), Some(since)) = (at, rhythm.since) {
+            let began = &mut self.cases[at].began;
+            *began = Some(began.map_or(since, |began| began.min(since)));
         }
     }
 
@@ -521,7 +525,7 @@ impl Collisions {
     /// The finding with that key, opened (again) where it is not open.
     fn open(&mut self, now: Instant, key: FindingKey) -> Option<usize> {
         let case = Case {
-            began: now,
+            began: None,
             strong: 0,
             strong_at: None,
             follow_ups: 0,
@@ -567,6 +571,9 @@ impl Collisions {
         let case = &mut self.cases[at];
         // Evidence counts once in half a period: it must go on, not come in a burst.
         let apart = case.strong_at.is_none_or(|last| now.since(last) >= self.period / 2);
+        if weight != Weight::Weak {
+            case.began.get_or_insert(now);
+        }
         if weight != Weight::Weak && apart {
             case.strong += 1;
             case.strong_at = Some(now);
@@ -590,7 +597,8 @@ impl Collisions {
     /// Confirms a finding whose evidence is strong and went on for long enough.
     fn weigh(&mut self, now: Instant, at: usize) {
         let case = &self.cases[at];
-        if case.strong >= STRONG_CONFIRM && now.since(case.began) >= self.period * 5 {
+        let lasts = case.began.is_some_and(|began| now.since(began) >= self.period * 5);
+        if case.strong >= STRONG_CONFIRM && lasts {
             self.set(now, at, Confidence::Confirmed);
         }
     }
@@ -624,7 +632,8 @@ impl Collisions {
             return;
         };
         if self.findings[old].confidence != Confidence::Cleared {
-            self.cases[new].began = self.cases[new].began.min(self.cases[old].began);
+            let (before, began) = (self.cases[old].began, self.cases[new].began);
+            self.cases[new].began = before.into_iter().chain(began).min();
             self.cases[new].strong += self.cases[old].strong;
             self.set(now, old, Confidence::Cleared);
             self.weigh(now, new);

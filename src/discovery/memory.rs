@@ -15,6 +15,9 @@ use std::collections::VecDeque;
 /// Answers later than this after a question are not set against it.
 const ANSWER_WINDOW: Duration = Duration::from_secs(2);
 
+/// A heartbeat that comes again within this was repeated by something on its way.
+const REPEATED_WITHIN: Duration = Duration::from_millis(100);
+
 /// Something that takes turns between two values: A, B, A, B.
 #[derive(Debug)]
 pub(super) struct Alternation<T> {
@@ -147,6 +150,17 @@ pub(super) struct Beat {
     pub frame: Frame,
 }
 
+/// How heartbeats from one address follow each other.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Rhythm {
+    /// They come at twice the rate.
+    pub twice: bool,
+    /// They come in two clear phases.
+    pub phases: bool,
+    /// Since when there are two, if one of both is so.
+    pub since: Option<Instant>,
+}
+
 /// What is remembered of one address.
 #[derive(Debug, Default)]
 pub(super) struct Watch {
@@ -173,23 +187,48 @@ fn takes_turns(gaps: &[f64]) -> bool {
 }
 
 /// Heartbeats kept per address: six intervals and one more.
-pub(super) const BEATS: usize = 8;
+const BEATS: usize = 8;
 
 impl Watch {
     pub fn tally(&mut self, request: Request, framing: Framing) -> &mut Tally {
         &mut self.tallies[request as usize][framing as usize]
     }
 
-    /// Whether heartbeats come at twice the rate, and whether in two clear phases.
-    pub fn rhythm(&self, period: Duration) -> (bool, bool) {
-        let Some(last) = self.beats.back() else { return (false, false) };
+    /// Takes a heartbeat; false where it only repeats the one before: RND7 and all, at once, from
+    /// a sender that draws a new RND7 each time.
+    pub fn beat(&mut self, now: Instant, frame: &Frame, period: Duration) -> bool {
+        if let Some(last) = self.beats.back()
+            && last.frame.same_on_wire(frame)
+            && now.since(last.time) <= REPEATED_WITHIN
+        {
+            let mut older = self.beats.iter().rev().skip(1);
+            let constant = older.any(|beat| {
+                beat.frame.same_on_wire(frame) && now.since(beat.time) > period / 2
+            });
+            if !constant {
+                return false;
+            }
+        }
+        if self.beats.len() == BEATS {
+            self.beats.pop_front();
+        }
+        self.beats.push_back(Beat { time: now, frame: *frame });
+        true
+    }
+
+    /// How heartbeats follow each other.
+    pub fn rhythm(&self, period: Duration) -> Rhythm {
+        let Some(last) = self.beats.back() else { return Rhythm::default() };
         let recent = self.beats.iter().filter(|beat| last.time.since(beat.time) < period * 4);
         // The newest itself must have come too soon, or it is over already.
         let before = self.beats.iter().rev().nth(1);
         let soon = before.is_some_and(|beat| last.time.since(beat.time) < period.mul_f64(0.85));
         let twice = soon && recent.count() >= 7;
+        // So many in so little time are two's for most of it.
+        let since = last.time.as_micros().saturating_sub((period * 5 / 2).as_micros() as u64);
+        let rate = Rhythm { twice, phases: false, since: Some(Instant::from_micros(since)) };
         if self.beats.len() < BEATS - 1 {
-            return (twice, false);
+            return rate;
         }
         let period = period.as_secs_f64();
         let mut gaps = [0.0; BEATS - 1];
@@ -202,6 +241,10 @@ impl Watch {
         let gaps = &gaps[..count];
         let whole = gaps.windows(2).all(|two| (0.85..=1.15).contains(&(two[0] + two[1])));
         let apart = gaps.windows(2).all(|two| (two[0] - two[1]).abs() > 0.15);
-        (twice, whole && (apart || takes_turns(gaps)))
+        if whole && (apart || takes_turns(gaps)) {
+            // By the third of them both had begun.
+            return Rhythm { phases: true, since: self.beats.get(2).map(|beat| beat.time), ..rate };
+        }
+        rate
     }
 }

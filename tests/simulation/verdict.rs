@@ -392,7 +392,8 @@ impl Case<'_> {
             let unheard = quiet && config.round_period.is_zero();
             // Equal names and no UID: boards that change places are the same to everybody.
             let alike = truth.name == b"TWIN" && truth.uid.is_blank();
-            if config.listen_only || mute || unheard || alike {
+            let asks = matches!(self.it.engine.own_address(), OwnAddress::Held(_));
+            if !asks || config.listen_only || mute || unheard || alike {
                 continue;
             }
             if !device.is_named(truth.name) {
