@@ -505,7 +505,7 @@ impl Collisions {
 
     /// Evidence older than this is past: the cause is gone.
     fn memory(&self) -> Duration {
-        if self.passive { self.period * 8 } else { self.period * 5 }
+        if self.passive { self.period.mul_f64(7.5) } else { self.period * 5 }
     }
 
     /// Within which what takes turns must be back. Who only listens waits for others to ask.

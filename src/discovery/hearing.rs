@@ -242,9 +242,8 @@ impl Engine {
                     && device.framing.is_none_or(|it| it == framing)
             });
             awaited |= u128::from(may_answer) << address.index();
-            let fits = |device: &Device| {
-                device.working != header.to_not_working || device.is_resolving
-            };
+            let fits =
+                |device: &Device| device.working != header.to_not_working || device.is_resolving;
             if known.is_none_or(fits) {
                 self.collisions.see_question(now, address, request, framing, asking);
             }

@@ -15,6 +15,8 @@ use std::collections::VecDeque;
 /// Answers later than this after a question are not set against it.
 const ANSWER_WINDOW: Duration = Duration::from_secs(2);
 
+/// Two answers to one question come within this of each other.
+const TOGETHER: Duration = Duration::from_millis(500);
 /// A heartbeat that comes again within this was repeated by something on its way.
 const REPEATED_WITHIN: Duration = Duration::from_millis(100);
 
@@ -133,9 +135,11 @@ impl Tally {
         };
         let Some(open) = open else { return (false, None) };
         open.answered += 1;
-        let first = *open.first_answer.get_or_insert(*frame);
+        let first = *open.first_answer.get_or_insert(frame.at(now));
         let targeted = open.asking.targeted;
-        if open.answered <= open.asked {
+        // One that comes much later answers a question that we missed.
+        let together = now.since(first.time) <= TOGETHER;
+        if open.answered <= open.asked || !together {
             return (!targeted, None);
         }
         // Said once: one answer too many is not one too many for the next question as well.
@@ -202,9 +206,8 @@ impl Watch {
             && now.since(last.time) <= REPEATED_WITHIN
         {
             let mut older = self.beats.iter().rev().skip(1);
-            let constant = older.any(|beat| {
-                beat.frame.same_on_wire(frame) && now.since(beat.time) > period / 2
-            });
+            let constant = older
+                .any(|beat| beat.frame.same_on_wire(frame) && now.since(beat.time) > period / 2);
             if !constant {
                 return false;
             }
@@ -224,8 +227,8 @@ impl Watch {
         let before = self.beats.iter().rev().nth(1);
         let soon = before.is_some_and(|beat| last.time.since(beat.time) < period.mul_f64(0.85));
         let twice = soon && recent.count() >= 7;
-        // So many in so little time are two's for most of it.
-        let since = last.time.as_micros().saturating_sub((period * 5 / 2).as_micros() as u64);
+        // So many in so little time are two's for a period at least.
+        let since = last.time.as_micros().saturating_sub(period.as_micros() as u64);
         let rate = Rhythm { twice, phases: false, since: Some(Instant::from_micros(since)) };
         if self.beats.len() < BEATS - 1 {
             return rate;
