@@ -329,6 +329,7 @@ impl App {
         if change != Change::Broken {
             self.save_pending();
         }
+        self.quit_if_saved();
         self.refresh();
         self.dirty = true;
     }
