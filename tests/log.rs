@@ -70,7 +70,7 @@ fn a_file_is_replayed_as_it_was_timed() {
     assert_eq!(
         status.message.as_deref(),
         Some(
-            "end of log: 3 frames; line 3 cannot be read: it does not begin with \
+            "3 frames; line 3 cannot be read: it does not begin with \
              (SECONDS.FRACTION)"
         )
     );

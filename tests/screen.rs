@@ -546,6 +546,58 @@ fn quitting_goes_on_once_everything_is_saved() {
     assert!(stage.screen().contains("disk full"), "{}", stage.screen());
 }
 
+// ---- buses that are not there any more, or not yet ------------------------------------------
+
+impl Stage {
+    /// Lets time pass, but no frame come, until `seconds` after the start or until nothing is due.
+    fn wait_until(&mut self, seconds: f64) -> &mut Self {
+        let end = Instant::ZERO + Duration::from_secs_f64(seconds);
+        while let Some(at) = self.app.poll_timeout().filter(|at| *at <= end) {
+            self.app.handle_timeout(at);
+            self.drain(at);
+        }
+        self
+    }
+
+    fn link(&mut self, link: Link) -> &mut Self {
+        let status = BusStatus { link, ..BusStatus::default() };
+        self.app.handle_bus(self.app.now(), BusIndex(0), status);
+        self
+    }
+}
+
+#[test]
+fn a_log_that_is_over_shows_what_was_there_at_its_end() {
+    let config = Config { seed: 7, listen_only: true, ..Config::default() };
+    let mut stage = Stage::with(&Scenario::builtin("boiler").unwrap(), Some(BOILER), config);
+    stage.until(24.0).link(Link::Ended).wait_until(24.5);
+    stage.app.handle_file(stage.app.now(), FileReading::Content(stage.file.clone()));
+    let before = stage.screen();
+    assert!(before.contains("end of log") && before.contains("9 here"), "{before}");
+    stage.wait_until(600.0).app.handle_resize(80, 24);
+    assert_eq!(stage.screen(), before);
+    // An edit beside it long afterwards changes no device either.
+    let at = Instant::ZERO + Duration::from_secs_f64(600.0);
+    stage.app.handle_file(at, FileReading::Content(Some(b"[]".to_vec())));
+    let screen = stage.screen();
+    assert!(screen.contains("9 here") && screen.contains("online 23s"), "{screen}");
+    assert_eq!(stage.app.poll_timeout(), None, "nothing is due any more");
+}
+
+#[test]
+fn that_nobody_acknowledges_is_not_said_of_a_bus_that_is_not_there() {
+    for link in [Link::Missing, Link::Down, Link::NoKernel] {
+        let config = Config { seed: 7, echo: true, ..Config::default() };
+        let mut stage = Stage::with(&Scenario::builtin("boiler").unwrap(), None, config);
+        stage.link(link).wait_until(20.0).keys("3");
+        let screen = stage.screen();
+        assert!(!screen.contains("acknowledges"), "{screen}");
+        stage.link(Link::Up).wait_until(40.0).keys("3");
+        let screen = stage.screen();
+        assert!(screen.contains("nobody acknowledges our frames"), "{screen}");
+    }
+}
+
 // ---- looking ------------------------------------------------------------------------------
 
 #[test]
