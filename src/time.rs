@@ -91,9 +91,9 @@ impl Epoch {
         self.unix_micros(at) as f64 / 1e6
     }
 
-    /// The moment of a Unix time in microseconds; times before the start are the start.
-    pub const fn at_unix_micros(self, micros: u64) -> Instant {
-        Instant(micros.saturating_sub(self.unix_micros))
+    /// Microseconds from the start to a Unix time in microseconds; below zero before the start.
+    pub fn since_start(self, micros: u64) -> i128 {
+        i128::from(micros) - i128::from(self.unix_micros)
     }
 }
 
@@ -111,6 +111,6 @@ mod tests {
         let at = Instant::from_micros(5);
         assert_eq!(at - Duration::from_secs(1), Instant::ZERO);
         assert_eq!(at.since(Instant::from_micros(9)), Duration::ZERO);
-        assert_eq!(Epoch::from_unix_micros(100).at_unix_micros(7), Instant::ZERO);
+        assert_eq!(Epoch::from_unix_micros(100).since_start(7), -93);
     }
 }

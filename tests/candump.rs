@@ -157,7 +157,8 @@ proptest! {
         write_line(&mut line, epoch, "can0", &frame).unwrap();
         let read = parse_line(&line).unwrap().expect("a frame");
         prop_assert_eq!(read.interface, "can0");
-        prop_assert_eq!(read.frame.at(epoch.at_unix_micros(read.unix_micros)), frame);
+        prop_assert_eq!(read.unix_micros, epoch.unix_micros(frame.time));
+        prop_assert_eq!(read.frame.at(frame.time), frame);
     }
 
     #[test]

@@ -70,7 +70,7 @@ fn a_file_is_replayed_as_it_was_timed() {
     assert_eq!(
         status.message.as_deref(),
         Some(
-            "end of log: 3 frames; line 3 cannot be read: it does not begin with \
+            "3 frames; line 3 cannot be read: it does not begin with \
              (SECONDS.FRACTION)"
         )
     );
@@ -146,4 +146,23 @@ fn a_log_is_read_at_once_by_its_own_clock() {
     );
     assert_eq!(reader.tally().last, Instant::from_micros(400_000));
     assert_eq!(reader.tally().epoch, Some(Epoch::from_unix_micros(100_000_000)));
+}
+
+#[test]
+fn a_clock_that_was_set_back_goes_on_from_the_last_moment() {
+    let (_folder, spec) = log_file(
+        "(7300.0) can0 123#\n(7301.0) can0 123#\n(3701.5) can0 123#\n(3702.5) can0 123#\n",
+    );
+    let BusSpec::File(path) = &spec else { unreachable!() };
+    let mut reader = LogReader::new(BufReader::new(bus::open_log(path).unwrap()));
+    let frames = reader.by_ref().map(Result::unwrap);
+    let moments: Vec<_> = frames.map(|frame| frame.time.as_micros() / 1_000).collect();
+    assert_eq!(moments, [0, 1000, 1000, 2000]);
+    assert_eq!(reader.tally().to_string(), "4 frames; time runs backwards 1 time");
+    // What is told of the last frame is later by the hour, not in the past.
+    assert_eq!(reader.tally().epoch.unwrap().unix_micros(reader.tally().last), 7_302_000_000);
+
+    let port = open(&spec, Clock::replaying(Epoch::from_unix_micros(7_300_000_000), 1000.0));
+    let frames = drain(&port);
+    assert_eq!(frames[3].time.since(frames[0].time), Duration::from_secs(2));
 }

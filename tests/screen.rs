@@ -24,6 +24,8 @@ struct Stage {
     station: Station,
     file: Option<Vec<u8>>,
     effects: Vec<Effect>,
+    /// Saves whose end has not been told yet, where the disk is slow.
+    unfinished: Option<Vec<SaveOutcome>>,
     size: (u16, u16),
 }
 
@@ -67,6 +69,7 @@ impl Stage {
             station,
             file: file.map(|text| text.as_bytes().to_vec()),
             effects: Vec::new(),
+            unfinished: None,
             size: (80, 24),
         };
         stage.size(80, 24);
@@ -118,10 +121,27 @@ impl Stage {
                 } else {
                     SaveOutcome::Changed(self.file.clone())
                 };
-                self.app.handle_saved(now, outcome);
+                match &mut self.unfinished {
+                    Some(unfinished) => unfinished.push(outcome),
+                    None => self.app.handle_saved(now, outcome),
+                }
             }
             self.effects.push(effect);
         }
+    }
+
+    /// From now on the end of a save is told by [`Self::finish_saves`].
+    fn slow_disk(&mut self) -> &mut Self {
+        self.unfinished = Some(Vec::new());
+        self
+    }
+
+    fn finish_saves(&mut self) -> &mut Self {
+        for outcome in std::mem::take(self.unfinished.as_mut().unwrap()) {
+            self.app.handle_saved(self.app.now(), outcome);
+        }
+        self.drain(self.app.now());
+        self
     }
 
     /// Presses keys, written as in keys.toml, with blanks between.
@@ -493,6 +513,89 @@ fn quitting_asks_while_edits_are_not_saved() {
     assert!(stage.screen().contains("1 edit is not saved. Quit all the same?"));
     stage.keys("n q y");
     assert!(stage.effects.contains(&Effect::Quit));
+}
+
+#[test]
+fn quitting_goes_on_once_everything_is_saved() {
+    // Two edits, of which the second waits for the first: quitting waits for both.
+    let mut stage = Stage::boiler();
+    stage.slow_disk().until(24.0).keys("e").text("47").keys("Enter R").text("X").keys("Enter q");
+    assert!(stage.screen().contains("2 edits are being saved"), "{}", stage.screen());
+    stage.finish_saves();
+    assert!(stage.screen().contains("1 edit is being saved"), "{}", stage.screen());
+    assert!(!stage.effects.contains(&Effect::Quit));
+    stage.finish_saves();
+    assert!(stage.effects.contains(&Effect::Quit));
+    assert!(!stage.screen().contains("Quit"), "{}", stage.screen());
+
+    // No is no, whatever is saved afterwards.
+    let mut stage = Stage::boiler();
+    stage.slow_disk().until(24.0).keys("e").text("47").keys("Enter q n");
+    stage.finish_saves();
+    assert!(!stage.effects.contains(&Effect::Quit));
+
+    // A save that fails is a reason to ask, not to go.
+    let mut stage = Stage::boiler();
+    stage.slow_disk().until(24.0).keys("e").text("47").keys("Enter q");
+    stage.unfinished = Some(vec![SaveOutcome::Failed("disk full".to_owned())]);
+    stage.finish_saves();
+    assert!(!stage.effects.contains(&Effect::Quit));
+    let screen = stage.screen();
+    assert!(screen.contains("1 edit is not saved. Quit all the same?"), "{screen}");
+    stage.keys("n");
+    assert!(stage.screen().contains("disk full"), "{}", stage.screen());
+}
+
+// ---- buses that are not there any more, or not yet ------------------------------------------
+
+impl Stage {
+    /// Lets time pass, but no frame come, until `seconds` after the start or until nothing is due.
+    fn wait_until(&mut self, seconds: f64) -> &mut Self {
+        let end = Instant::ZERO + Duration::from_secs_f64(seconds);
+        while let Some(at) = self.app.poll_timeout().filter(|at| *at <= end) {
+            self.app.handle_timeout(at);
+            self.drain(at);
+        }
+        self
+    }
+
+    fn link(&mut self, link: Link) -> &mut Self {
+        let status = BusStatus { link, ..BusStatus::default() };
+        self.app.handle_bus(self.app.now(), BusIndex(0), status);
+        self
+    }
+}
+
+#[test]
+fn a_log_that_is_over_shows_what_was_there_at_its_end() {
+    let config = Config { seed: 7, listen_only: true, ..Config::default() };
+    let mut stage = Stage::with(&Scenario::builtin("boiler").unwrap(), Some(BOILER), config);
+    stage.until(24.0).link(Link::Ended).wait_until(24.5);
+    stage.app.handle_file(stage.app.now(), FileReading::Content(stage.file.clone()));
+    let before = stage.screen();
+    assert!(before.contains("end of log") && before.contains("9 here"), "{before}");
+    stage.wait_until(600.0).app.handle_resize(80, 24);
+    assert_eq!(stage.screen(), before);
+    // An edit beside it long afterwards changes no device either.
+    let at = Instant::ZERO + Duration::from_secs_f64(600.0);
+    stage.app.handle_file(at, FileReading::Content(Some(b"[]".to_vec())));
+    let screen = stage.screen();
+    assert!(screen.contains("9 here") && screen.contains("online 23s"), "{screen}");
+    assert_eq!(stage.app.poll_timeout(), None, "nothing is due any more");
+}
+
+#[test]
+fn that_nobody_acknowledges_is_not_said_of_a_bus_that_is_not_there() {
+    for link in [Link::Missing, Link::Down, Link::NoKernel] {
+        let config = Config { seed: 7, echo: true, ..Config::default() };
+        let mut stage = Stage::with(&Scenario::builtin("boiler").unwrap(), None, config);
+        stage.link(link).wait_until(20.0).keys("3");
+        let screen = stage.screen();
+        assert!(!screen.contains("acknowledges"), "{screen}");
+        stage.link(Link::Up).wait_until(40.0).keys("3");
+        let screen = stage.screen();
+        assert!(screen.contains("nobody acknowledges our frames"), "{screen}");
+    }
 }
 
 // ---- looking ------------------------------------------------------------------------------

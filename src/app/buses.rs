@@ -20,18 +20,30 @@ pub struct Bus {
     pub status: BusStatus,
     /// How busy it is.
     pub meter: Meter,
+    /// When its log ended. What was there then is there for good: no time passes any more.
+    pub ended: Option<Instant>,
 }
 
 impl Bus {
     /// A bus that starts now.
     pub fn new(now: Instant, name: String, config: Config) -> Self {
         let status = BusStatus { bitrate: config.bitrate, ..BusStatus::default() };
-        Self { name, engine: Engine::new(now, config), status, meter: Meter::new(now) }
+        Self { name, engine: Engine::new(now, config), status, meter: Meter::new(now), ended: None }
     }
 
     /// The bit rate to reckon with.
     pub fn bits_per_second(&self) -> u32 {
         self.status.bitrate.unwrap_or_else(|| self.engine.config().bits_per_second())
+    }
+
+    /// When its engine is to be called at the latest.
+    pub(super) fn poll_timeout(&self) -> Option<Instant> {
+        self.engine.poll_timeout().filter(|_| self.ended.is_none())
+    }
+
+    /// Whether there is no way to the bus at all, so that nothing can be sent.
+    pub(super) fn is_away(&self) -> bool {
+        !matches!(self.status.link, Link::Opening | Link::Up)
     }
 
     /// Whether frames can come in and go out.

@@ -305,11 +305,17 @@ impl App {
     pub fn question(&self) -> Option<String> {
         let Overlay::Question(question) = &self.overlay else { return None };
         Some(match question {
-            Question::Quit => match self.file.unsaved() {
-                0 => "Quit?".to_owned(),
-                1 => "1 edit is not saved. Quit all the same?".to_owned(),
-                many => format!("{many} edits are not saved. Quit all the same?"),
-            },
+            Question::Quit => {
+                let edits = match self.file.unsaved() {
+                    1 => "1 edit is".to_owned(),
+                    many => format!("{many} edits are"),
+                };
+                if self.file.is_saving() {
+                    format!("{edits} being saved, then it quits. Quit without waiting?")
+                } else {
+                    format!("{edits} not saved. Quit all the same?")
+                }
+            }
             Question::Delete(key) => {
                 let at = key.address.map(|address| format!(" at {address}")).unwrap_or_default();
                 format!("Delete the entry {}{at} from {}?", Escaped(&key.name), self.file.name())
@@ -357,11 +363,21 @@ impl App {
         }
     }
 
-    /// Command: quit, but ask first while edits are not saved.
+    /// Command: quit, but ask first while edits are not saved. Quitting goes on by itself once they
+    /// are.
     pub fn ask_quit(&mut self, _now: Instant) {
         if self.file.unsaved() > 0 {
             self.overlay = Overlay::Question(Question::Quit);
         } else {
+            self.quit();
+        }
+    }
+
+    /// Where the user is being asked whether to quit all the same, and everything is saved by now,
+    /// there is nothing left to ask.
+    pub(super) fn quit_if_saved(&mut self) {
+        if matches!(self.overlay, Overlay::Question(Question::Quit)) && self.file.unsaved() == 0 {
+            self.overlay = Overlay::None;
             self.quit();
         }
     }

@@ -258,6 +258,9 @@ impl App {
         if bus.status.bitrate != status.bitrate {
             bus.engine.set_bitrate(status.bitrate);
         }
+        if status.link == Link::Ended {
+            bus.ended.get_or_insert(now);
+        }
         bus.status = status;
         let is_news = !changes.is_empty();
         for (kind, text) in changes {
@@ -329,6 +332,7 @@ impl App {
         if change != Change::Broken {
             self.save_pending();
         }
+        self.quit_if_saved();
         self.refresh();
         self.dirty = true;
     }

@@ -289,6 +289,8 @@ impl App {
         for frame in frames {
             let Some(bus) = self.buses.get_mut(usize::from(frame.bus.0)) else { continue };
             bus.engine.handle_frame(frame);
+            // The end may be told before the last frames come.
+            bus.ended = bus.ended.map(|ended| ended.max(frame.time));
             let (bitrate, data_bitrate) = (bus.bits_per_second(), bus.status.data_bitrate);
             bus.meter.add(frame, bitrate, data_bitrate);
             self.capture.push(frame);
@@ -303,7 +305,7 @@ impl App {
     pub fn handle_timeout(&mut self, now: Instant) {
         self.now = self.now.max(now);
         for bus in &mut self.buses {
-            if bus.engine.poll_timeout().is_some_and(|at| at <= now) {
+            if bus.poll_timeout().is_some_and(|at| at <= now) {
                 bus.engine.handle_timeout(now);
             }
         }
@@ -401,6 +403,10 @@ impl App {
             return Some(frame);
         }
         self.buses.iter_mut().enumerate().find_map(|(index, bus)| {
+            if bus.is_away() {
+                // It would be late when the bus is back, and that nobody takes it says nothing.
+                bus.engine.drop_unsent();
+            }
             bus.engine.poll_transmit(now).map(|frame| frame.on(BusIndex(index as u8)))
         })
     }
@@ -417,7 +423,7 @@ impl App {
 
     /// When [`App::handle_timeout`] is to be called at the latest.
     pub fn poll_timeout(&self) -> Option<Instant> {
-        let engines = self.buses.iter().filter_map(|bus| bus.engine.poll_timeout());
+        let engines = self.buses.iter().filter_map(Bus::poll_timeout);
         let message = self.message.as_ref().map(|message| message.until);
         let calm = self.dirty_at.filter(|_| !self.dirty);
         let second = (!self.is_at_rest()).then_some(self.next_second);
@@ -444,6 +450,13 @@ impl App {
     /// The latest moment that was told.
     pub fn now(&self) -> Instant {
         self.now
+    }
+
+    /// The moment that ages are counted to: now, or, where nothing more will come, the end of
+    /// the log.
+    pub fn looked_at(&self) -> Instant {
+        let ended = self.buses.iter().map(|bus| bus.ended).collect::<Option<Vec<_>>>();
+        ended.and_then(|ended| ended.into_iter().max()).unwrap_or(self.now)
     }
 
     /// Which Unix time the start was.
@@ -557,7 +570,9 @@ impl App {
 
     /// Nothing on the screen counts seconds.
     fn is_at_rest(&self) -> bool {
-        let quiet = |bus: &Bus| bus.meter.is_idle() && bus.engine.devices().is_empty();
+        let quiet = |bus: &Bus| {
+            bus.ended.is_some() || bus.meter.is_idle() && bus.engine.devices().is_empty()
+        };
         let waits = (0..self.buses.len()).any(|at| !self.has_looked(BusIndex(at as u8)));
         self.buses.iter().all(quiet) && !(waits && self.file.is_there())
     }

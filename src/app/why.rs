@@ -23,7 +23,7 @@ impl App {
         let Some(bus) = self.bus(bus) else { return false };
         let progress = bus.engine.progress();
         let listened = self.now.since(self.started) >= LISTEN;
-        progress.settled || progress.rounds >= 2 || listened
+        progress.settled || progress.rounds >= 2 || listened || bus.ended.is_some()
     }
 
     /// Whether an entry that no device matches can be said to be missing: every bus it is for was
@@ -105,7 +105,7 @@ impl App {
     }
 
     fn was_at(&self, device: &Device) -> String {
-        let ago = spell(self.now.since(device.last_seen));
+        let ago = spell(self.looked_at().since(device.last_seen));
         format!("it was at {} and was last heard {ago} ago", device.address)
     }
 
@@ -137,7 +137,7 @@ impl App {
                 }
                 (None, true) => reasons.extend(self.why_unnamed(other)),
                 (_, false) => {
-                    let ago = spell(self.now.since(other.last_seen));
+                    let ago = spell(self.looked_at().since(other.last_seen));
                     gone =
                         Some(format!("only {} was at {address}, last heard {ago} ago", who(other)));
                 }

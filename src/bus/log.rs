@@ -2,15 +2,27 @@
 //!
 //! Lines that cannot be read are counted, never an error: a log is evidence, and half of it is
 //! better than none. Knows nothing of the session's clock: replaying is `bus::replay`.
+//!
+//! Lines a little out of order are taken in the order in which they stand. Where the clock was
+//! set back, or a second log follows in the same file, time goes on from the last moment: what
+//! is dated before stays as it is written, what is dated after is late by as much as the clock
+//! was set back.
 
 use super::candump::{LineFault, LogLine, MAX_LINE, parse_line};
 use crate::frame::{BusIndex, Frame};
-use crate::time::{Epoch, Instant};
+use crate::time::{Duration, Epoch, Instant};
 use std::fmt;
 use std::io::{self, BufRead, BufReader, Read};
 
-/// The frames of a log. The first is at the start; times that run backwards stand still, and
-/// are counted.
+/// Lines that are so much out of order count as of the moment of the one before; beyond it, the
+/// clock was set back.
+const DISORDER: Duration = Duration::from_secs(1);
+/// A gap after which a clock that was set back may be back at its earlier time.
+const GAP: Duration = Duration::from_secs(10);
+
+/// The frames of a log. The first is at the start. Times never run backwards: up to a second
+/// they stand still, and where the log goes back by more, they go on from there. Both are
+/// counted.
 #[derive(Debug)]
 pub struct LogReader<R> {
     source: R,
@@ -30,7 +42,8 @@ pub struct Tally {
     pub unreadable: u64,
     /// The first of them: its number, counted from 1, and what is wrong with it.
     pub first_unreadable: Option<(u64, LineFault)>,
-    /// Frames dated earlier than the one before them.
+    /// Frames dated earlier than the one before them: those that are clamped, and each step back
+    /// of the clock once.
     pub backwards: u64,
     /// The interfaces by order of appearance: the names of bus 0, 1, ….
     pub interfaces: Vec<String>,
@@ -38,6 +51,11 @@ pub struct Tally {
     pub epoch: Option<Epoch>,
     /// The moment of the last frame.
     pub last: Instant,
+    /// What is added to the times as they are written, because the clock was set back.
+    ahead: Duration,
+    /// What was added before the clock was set the last time. It may be set to and fro, and two
+    /// interfaces may each have a clock of their own.
+    ahead_before: Duration,
 }
 
 impl<R: BufRead> LogReader<R> {
@@ -138,12 +156,28 @@ impl Tally {
     fn place(&mut self, line: LogLine<'_>) -> Result<Frame, LineFault> {
         let bus = self.bus_of(line.interface).ok_or(LineFault::TooManyInterfaces)?;
         let epoch = *self.epoch.get_or_insert(Epoch::from_unix_micros(line.unix_micros));
-        if line.unix_micros < epoch.unix_micros(self.last) {
-            self.backwards += 1;
-        }
-        self.last = self.last.max(epoch.at_unix_micros(line.unix_micros));
+        self.last = self.moment(epoch.since_start(line.unix_micros));
         self.frames += 1;
         Ok(line.frame.at(self.last).on(bus))
+    }
+
+    /// The moment of a line dated `written` microseconds after the first one.
+    fn moment(&mut self, written: i128) -> Instant {
+        let micros = |duration: Duration| duration.as_micros().cast_signed();
+        let last = i128::from(self.last.as_micros());
+        let late = |ahead| written + micros(ahead) - last;
+        let goes_on = |ahead| (-micros(DISORDER)..=micros(GAP)).contains(&late(ahead));
+        if !goes_on(self.ahead) && goes_on(self.ahead_before) {
+            std::mem::swap(&mut self.ahead, &mut self.ahead_before);
+        }
+        let late_by = late(self.ahead);
+        self.backwards += u64::from(late_by < 0);
+        if late_by < -micros(DISORDER) {
+            let set_back = u64::try_from(-late_by).unwrap_or(u64::MAX);
+            self.ahead_before = self.ahead;
+            self.ahead = self.ahead.saturating_add(Duration::from_micros(set_back));
+        }
+        self.last + Duration::from_micros(u64::try_from(late_by).unwrap_or(0))
     }
 
     fn bus_of(&mut self, interface: &str) -> Option<BusIndex> {
@@ -228,6 +262,48 @@ not a line
         assert_eq!(reader.next_buffered(), None);
         assert_eq!(reader.next_frame().unwrap().unwrap().id, CanId::Standard(0x125));
         assert_eq!(reader.next_buffered(), None);
+    }
+
+    /// The moments of lines with these times, in milliseconds, and how many ran backwards.
+    fn moments(written: &[u64]) -> (Vec<u64>, u64) {
+        let line = |&millis: &u64| format!("({}.{:03}) can0 123#\n", millis / 1000, millis % 1000);
+        let (frames, tally) = read(&written.iter().map(line).collect::<String>(), 4096);
+        let moments = frames.iter().map(|frame| frame.time.as_micros() / 1000).collect();
+        (moments, tally.backwards)
+    }
+
+    #[test]
+    fn a_little_disorder_stands_still() {
+        let (moments, backwards) = moments(&[5000, 6000, 5000, 5900, 6100]);
+        assert_eq!((moments, backwards), (vec![0, 1000, 1000, 1000, 1100], 2));
+    }
+
+    #[test]
+    fn a_clock_that_is_set_back_goes_on_from_the_last_moment() {
+        let hour = 3_600_000;
+        let told = moments(&[hour + 5000, hour + 6000, 5999, 6999, 6899, 60_999, 61_999]);
+        assert_eq!(told, (vec![0, 1000, 1000, 2000, 2000, 56_000, 57_000], 2));
+        // Before the first line, and again, and by little more than a second.
+        let told = moments(&[9000, 10_000, 0, 1000, 0, 1000, 2000, 998, 2998]);
+        assert_eq!(told, (vec![0, 1000, 1000, 2000, 2000, 2000, 3000, 3000, 5000], 3));
+    }
+
+    #[test]
+    fn a_clock_that_is_set_to_and_fro_makes_no_gaps() {
+        // One stray line; then two interfaces, each with a clock of its own.
+        let told = moments(&[100_000, 101_000, 3, 102_000, 103_000]);
+        assert_eq!(told, (vec![0, 1000, 1000, 2000, 3000], 1));
+        let told = moments(&[7_000_000, 7_000_100, 300, 7_000_200, 400, 7_000_400, 450, 600]);
+        assert_eq!(told, (vec![0, 100, 100, 200, 200, 400, 400, 400], 2));
+        // One that is set forward is believed: nobody can tell it from silence.
+        assert_eq!(moments(&[0, 1000, 8_000_000]), (vec![0, 1000, 8_000_000], 0));
+    }
+
+    #[test]
+    fn times_beyond_measure_stay_in_order() {
+        let text = "(18446744073709.551615) can0 123#\n(0.0) can0 123#\n".repeat(20);
+        let (frames, _) = read(&text, 4096);
+        assert!(frames.is_sorted_by_key(|frame| frame.time));
     }
 
     #[test]

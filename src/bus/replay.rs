@@ -23,14 +23,17 @@ const FULL_QUEUE_NAP: Duration = Duration::from_millis(5);
 /// Opens a log whose first interface is bus `index`, its second the next, and so on.
 pub(super) fn open(name: &str, log: File, index: BusIndex, clock: Clock) -> io::Result<Port> {
     let line = Arc::new(Line::new()?);
-    line.queue.update_status(|status| status.link = Link::Up);
+    line.queue.update_status(|status| {
+        status.link = Link::Up;
+        status.listen_only = true;
+    });
     let mut port = Port::new(name, Arc::clone(&line), true);
     port.serve(move |line| {
         let source = Interruptible { log, line: Arc::clone(line) };
         let mut reader = LogReader::new(BufReader::with_capacity(1 << 16, source));
         let outcome = replay(&mut reader, line, index, clock);
         match outcome {
-            Ok(()) => line.queue.finish(Link::Ended, format!("end of log: {}", reader.tally())),
+            Ok(()) => line.queue.finish(Link::Ended, reader.tally().to_string()),
             Err(error) => line.queue.finish(Link::Failed, format!("cannot read the log: {error}")),
         }
     })?;

@@ -282,8 +282,8 @@ impl Engine {
         }
         let open = self.transfers.is_open(header);
         // Who repeats the question's DST may happen to name another asker.
-        let echoes = self.roster.get(index).quirks.contains(&Quirk::RspDstEcho);
-        let to = (!echoes).then_some(header.destination);
+        let repeats = self.roster.get(index).quirks.contains(&Quirk::RspDstEcho);
+        let to = (!repeats).then_some(header.destination);
         match classify_answer(frame.data(), frame.fd, open) {
             Some(Framing::Raw) => {
                 let message = strip_raw_padding(frame.data());

@@ -243,6 +243,12 @@ impl Engine {
         Some(frame.on(self.config.bus))
     }
 
+    /// Forgets what was to be sent, and what was sent and not taken yet: there is no bus to take
+    /// it.
+    pub fn drop_unsent(&mut self) {
+        self.outbox.clear();
+    }
+
     /// The next thing that happened.
     pub fn poll_event(&mut self) -> Option<Event> {
         self.events.pop_front()

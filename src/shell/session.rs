@@ -158,7 +158,12 @@ impl Session {
         for (port_at, port) in self.ports.iter().enumerate() {
             let index = BusIndex(port_at as u8);
             if let Some(status) = port.queue().take_status() {
-                self.app.handle_bus(now, index, status);
+                // The further interfaces of a log are as their log is.
+                for further in 0..self.named[port_at].max(1) {
+                    let Ok(further) = u8::try_from(further) else { break };
+                    let bus = BusIndex(index.0.saturating_add(further));
+                    self.app.handle_bus(now, bus, status.clone());
+                }
             }
             self.batch.clear();
             port.queue().drain(&mut self.batch, BATCH);
@@ -172,6 +177,7 @@ impl Session {
                 } else if let Some(first) = self.app.bus(index) {
                     let config = first.engine.config().clone();
                     self.app.add_bus(now, name, config);
+                    self.app.handle_bus(now, bus, port.queue().status());
                 }
                 self.named[port_at] = at + 1;
             }

@@ -62,7 +62,7 @@ impl<'a> Details<'_, 'a> {
     }
 
     fn ago(&self, at: crate::time::Instant) -> Duration {
-        self.app().now().since(at)
+        self.app().looked_at().since(at)
     }
 
     fn blank(&mut self) {

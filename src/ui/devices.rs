@@ -221,7 +221,7 @@ fn cell(
         },
         C::Age => match device {
             None => (Role::Muted, String::new()),
-            Some(device) => (plain, age(brush.app.now().since(device.last_seen))),
+            Some(device) => (plain, age(brush.app.looked_at().since(device.last_seen))),
         },
         C::File => match row.file {
             FileWord::Nothing => (Role::Muted, String::new()),

@@ -153,7 +153,7 @@ impl Details<'_, '_> {
         let (app, head) = (self.brush.app, self.problem.head());
         let (sign, role, _) = roles(&self.problem);
         let since = self.problem.since();
-        let (at, ago) = (clock(app, since), spell(app.now().since(since)));
+        let (at, ago) = (clock(app, since), spell(app.looked_at().since(since)));
         let word = match head.confidence {
             Confidence::Cleared => "over ",
             Confidence::Suspected => "suspected ",
