@@ -232,6 +232,17 @@ impl Case<'_> {
         Instant::ZERO + self.run.world.inspectors[self.number].from
     }
 
+    /// Whether two were at `address` for a while of which one took the other's place unseen.
+    fn is_same_to_all(&self, clash: Clash, address: Address) -> bool {
+        match clash {
+            Clash::Address(at, one, other) => {
+                let (one, other) = (self.spec(one), self.spec(other));
+                at == address && one.name == other.name && one.uid == other.uid
+            }
+            Clash::Uid(..) => false,
+        }
+    }
+
     fn beats(&self, clash: Clash) -> bool {
         match clash {
             Clash::Address(_, one, other) => {
@@ -372,7 +383,7 @@ impl Case<'_> {
             }
             let quiet = spec.faults.has(Fault::NoHeartbeat);
             let Some(device) = self.it.engine.device_at(address) else {
-                if !(quiet && config.listen_only) {
+                if !(quiet && (config.listen_only || config.round_period.is_zero())) {
                     wrong.push(format!("{truth:?} is not known"));
                 }
                 continue;
@@ -389,9 +400,10 @@ impl Case<'_> {
                     && *fault != Fault::NoHeartbeat
             });
             // Who never speaks unasked and is not asked again may have become another.
-            let unheard = quiet && config.round_period.is_zero();
+            let unheard = (quiet || truth.uid.is_blank()) && config.round_period.is_zero();
             // Equal names and no UID: boards that change places are the same to everybody.
-            let alike = truth.name == b"TWIN" && truth.uid.is_blank();
+            let alike = truth.name == b"TWIN" && truth.uid.is_blank()
+                || clashes.iter().any(|(clash, _)| self.is_same_to_all(*clash, address));
             let asks = matches!(self.it.engine.own_address(), OwnAddress::Held(_));
             if !asks || config.listen_only || mute || unheard || alike {
                 continue;
