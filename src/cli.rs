@@ -71,7 +71,7 @@ pub enum Command {
         #[arg(long, default_value = "boiler", value_name = "SCENARIO")]
         scenario: String,
         /// End after this many seconds
-        #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+        #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
         time: Option<Duration>,
     },
     /// Print the completions for a shell
@@ -105,7 +105,7 @@ pub struct Scan {
     #[arg(long, value_name = "FILE")]
     pub write: Option<PathBuf>,
     /// End at the latest after this many seconds
-    #[arg(long, value_name = "SECONDS", default_value = "15", value_parser = seconds)]
+    #[arg(long, value_name = "SECONDS", default_value = "15", value_parser = seconds, allow_negative_numbers = true)]
     pub time: Duration,
 }
 
@@ -132,7 +132,7 @@ pub struct Watch {
     #[arg(long)]
     pub json: bool,
     /// End after this many seconds; those of a log file are its own
-    #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub time: Option<Duration>,
 }
 
@@ -143,7 +143,7 @@ pub struct Session {
     #[arg(value_name = "BUS")]
     pub buses: Vec<BusSpec>,
     /// How fast a log is replayed: 1 as it was timed, 10 ten times faster
-    #[arg(long, value_name = "N", value_parser = speed)]
+    #[arg(long, value_name = "N", value_parser = speed, allow_negative_numbers = true)]
     pub speed: Option<f64>,
     /// What concerns every session.
     #[command(flatten)]
@@ -153,7 +153,7 @@ pub struct Session {
 /// What concerns every session.
 #[derive(Debug, Args, Clone)]
 pub struct Common {
-    /// The list of devices and static addresses [default: ./des.json]
+    /// The list of devices and static addresses [default: ./des.json; demo: one of its own]
     #[arg(long, value_name = "FILE")]
     pub file: Option<PathBuf>,
     /// What the protocol leaves open: service numbers, framing, heartbeat layout (TOML)
@@ -166,9 +166,9 @@ pub struct Common {
     #[arg(long)]
     pub no_scan: bool,
     /// Our own address, 0 to 127 [default: 0, or a free one]
-    #[arg(long, value_name = "N", value_parser = address)]
+    #[arg(long, value_name = "N", value_parser = address, allow_negative_numbers = true)]
     pub address: Option<Address>,
-    /// terminal | dark | light | high-contrast | mono, or one of your own
+    /// Of the terminal UI: terminal | dark | light | high-contrast | mono, or one of your own
     #[arg(long, value_name = "NAME")]
     pub theme: Option<String>,
 }
@@ -227,7 +227,8 @@ fn one_line(error: &clap::Error) -> String {
         .map(str::trim)
         .take_while(|line| !line.starts_with("Usage:"))
         .filter(|line| !line.is_empty() && !line.starts_with("For more information"))
-        .map(|line| line.trim_start_matches("error: ").trim_start_matches("tip: "));
+        .map(|line| line.trim_start_matches("error: ").trim_start_matches("tip: "))
+        .map(|line| line.trim_end_matches(':'));
     let first = parts.next().unwrap_or("wrong arguments").to_owned();
     let rest: Vec<&str> = parts.collect();
     if rest.is_empty() {

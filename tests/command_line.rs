@@ -441,3 +441,31 @@ fn frames_are_printed_as_candump_does() {
     write_line(&mut line, Epoch::from_unix_micros(1_436_509_052_249_713), "can0", &frame).unwrap();
     assert_eq!(text(&line), "(1436509052.249713) can0 02015402#0444\n");
 }
+
+#[test]
+fn a_file_that_is_no_log_cannot_be_used_and_is_not_a_silent_bus() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("notes.txt"), "hello\nworld\n").unwrap();
+    std::fs::write(folder.path().join("silent.log"), "").unwrap();
+    for command in ["scan", "watch"] {
+        let output = descan(&[command, "file:notes.txt"], folder.path());
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(3), "{command}: {said}");
+        assert!(said.contains("2 lines cannot be read") && said.contains("candump -L"), "{said}");
+        let output = descan(&[command, "file:silent.log"], folder.path());
+        assert_eq!(output.status.code(), Some(0), "{command}: {}", text(&output.stderr));
+    }
+}
+
+#[test]
+fn what_a_log_does_not_say_is_left_out_and_what_is_over_needs_no_remedy() {
+    let folder = tempfile::tempdir().unwrap();
+    // A spare ACT comes at 28 s and is gone at 50 s.
+    let scenario = Scenario::builtin("boiler").unwrap();
+    std::fs::write(folder.path().join("session.log"), log(&scenario, 75)).unwrap();
+    let output = descan(&["scan", "file:session.log"], folder.path());
+    let table = text(&output.stdout);
+    assert!(table.starts_with("can0: bit rate unknown, ") && !table.contains("unknown, unknown"));
+    assert!(table.contains("\ncleared ") && table.contains("It is over."), "{table}");
+    assert!(!table.contains("Switch one of them off"), "{table}");
+}

@@ -598,6 +598,74 @@ fn that_nobody_acknowledges_is_not_said_of_a_bus_that_is_not_there() {
     }
 }
 
+#[test]
+fn where_a_bus_cannot_be_seen_it_is_not_said_that_nothing_is_wrong() {
+    let mut stage = Stage::boiler();
+    let status = BusStatus {
+        link: Link::Down,
+        message: Some(
+            "can0 is down, and its bit rate is not set: sudo ip link set can0 up type can bitrate \
+             125000"
+                .to_owned(),
+        ),
+        ..BusStatus::default()
+    };
+    stage.app.handle_file(stage.app.now(), FileReading::Content(None));
+    stage.app.handle_bus(Instant::ZERO, BusIndex(0), status);
+    for (page, says) in [("1", "no device: no bus is up"), ("4", "no problem was seen so far")] {
+        let screen = stage.keys(page).screen();
+        assert!(screen.contains(says), "{screen}");
+        assert!(!screen.contains("nothing is wrong"), "{screen}");
+        // The way out, on several lines where one is too short.
+        let words = screen.split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>();
+        assert!(words.join(" ").contains("can bitrate 125000"), "{screen}");
+    }
+    stage.link(Link::Up);
+    let screen = stage.keys("4").screen();
+    assert!(screen.contains("nothing is wrong, as far as can be seen"), "{screen}");
+}
+
+#[test]
+fn a_device_that_never_came_is_not_said_to_be_seen() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("4 /").text("missing").keys("Enter");
+    let screen = stage.screen();
+    assert!(screen.contains("kind missing") && !screen.contains("first 12:"), "{screen}");
+}
+
+#[test]
+fn escape_leads_from_the_frames_of_a_line_back_to_it() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("3 k k");
+    let timeline = stage.screen();
+    stage.keys("Enter");
+    assert_eq!(stage.app.view().page, Page::Traffic);
+    assert!(stage.screen().contains("Esc back"), "{}", stage.screen());
+    stage.keys("Enter").keys("/").text("HR").keys("Enter Esc");
+    assert_eq!(stage.app.view().page, Page::Traffic, "the details and the filter are left first");
+    stage.keys("Esc Esc");
+    assert_eq!(stage.screen(), timeline);
+    // Whoever went somewhere else is not led back.
+    stage.keys("Enter 1 2 Esc");
+    assert_eq!(stage.app.view().page, Page::Traffic);
+}
+
+#[test]
+fn a_line_being_typed_is_shown_whole_where_there_is_room() {
+    let mut stage = Stage::boiler();
+    stage.until(3.0).keys("w");
+    assert!(stage.screen().contains("save frames to: descan-20261121-"), "{}", stage.screen());
+}
+
+#[test]
+fn that_an_address_is_pinned_already_is_said() {
+    let mut stage = Stage::boiler();
+    stage.until(3.0).keys("g e");
+    assert!(stage.screen().contains("10, as it is pinned already"), "{}", stage.screen());
+    stage.keys("Backspace").text("1");
+    assert!(stage.screen().contains("Enter pins it to 11"), "{}", stage.screen());
+}
+
 // ---- looking ------------------------------------------------------------------------------
 
 #[test]

@@ -292,7 +292,13 @@ impl App {
             Change::None => return,
             Change::Saved => None,
             Change::First if !self.file.is_there() => {
-                Some((Kind::File, "not there yet: it begins with the first edit".to_owned()))
+                // Without a screen nobody edits it.
+                let text = if self.report {
+                    "not there: devices are not compared with it"
+                } else {
+                    "not there yet: it begins with the first edit"
+                };
+                Some((Kind::File, text.to_owned()))
             }
             Change::First => {
                 let path = self.file.path().map(|path| path.as_os_str().as_encoded_bytes());
@@ -301,7 +307,12 @@ impl App {
                 Some((Kind::File, format!("{listed}{where_it_is}")))
             }
             Change::Content if !self.file.is_there() => {
-                Some((Kind::File, "gone: the next edit begins a new one".to_owned()))
+                let text = if self.report {
+                    "gone: devices are not compared with it any more"
+                } else {
+                    "gone: the next edit begins a new one"
+                };
+                Some((Kind::File, text.to_owned()))
             }
             Change::Content => Some((Kind::File, format!("changed on disk: {listed}"))),
             Change::Rebased => Some((

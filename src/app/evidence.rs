@@ -84,7 +84,7 @@ impl App {
         if pieces.is_empty() {
             return self.complain(match kind {
                 FindingKind::FramesLost => "nobody has the frames that were lost",
-                _ => "no frames to show: this comes of comparing the bus with des.json",
+                _ => "no frames to show: this comes from comparing the bus with des.json",
             });
         }
         // What is left again is this one, whichever is the first meanwhile.

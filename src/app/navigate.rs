@@ -226,6 +226,7 @@ impl App {
     /// Command: another page.
     pub fn show_page(&mut self, page: Page) {
         self.close_evidence();
+        self.view.from_timeline = false;
         self.view.page = page;
         self.filter_frames();
         self.view.focus = Focus::List;
@@ -293,6 +294,7 @@ impl App {
         self.view.set_filter(Page::Traffic, String::new());
         self.view.traffic = Some(number);
         self.view.traffic_line = self.screen().list_rows() / 2;
+        self.view.from_timeline = true;
     }
 
     /// Command: sorts the rows by the next column.
@@ -355,6 +357,9 @@ impl App {
         } else if !self.view.filter(page).is_empty() {
             self.view.set_filter(page, String::new());
             self.refresh();
+        } else if self.view.from_timeline {
+            self.show_page(Page::Timeline);
+            self.view.traffic = None;
         } else {
             self.view.traffic = None;
             self.view.timeline.release();

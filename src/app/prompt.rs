@@ -276,8 +276,14 @@ impl App {
             RowKey::Device(own) => *own == id,
             RowKey::Entry(_) => false,
         };
-        self.held_by_another(address, bus, own)
-            .unwrap_or_else(|| Verdict::Fine(format!("Enter pins it to {address}")))
+        let is_pinned = entry.is_some_and(|it| it.is_static && it.address == Some(address));
+        self.held_by_another(address, bus, own).unwrap_or_else(|| {
+            Verdict::Fine(if is_pinned {
+                format!("{address}, as it is pinned already")
+            } else {
+                format!("Enter pins it to {address}")
+            })
+        })
     }
 
     fn pinned_elsewhere(

@@ -169,6 +169,8 @@ pub struct View {
     pub focus: Focus,
     /// Whether the details of a frame are open.
     pub frame_details: bool,
+    /// Traffic was opened from a line of the timeline: that is where one goes back to.
+    pub from_timeline: bool,
     /// How far the details are scrolled.
     pub details_scroll: u16,
     /// The rows of the Devices page are sorted by this.

@@ -48,8 +48,13 @@ pub enum BusError {
     #[error("{0}")]
     Scenario(String),
     /// A kind of bus that is yet to come.
-    #[error("{0}: this kind of bus is not supported yet")]
-    NotSupported(String),
+    #[error("{name}: descan does not open this kind of bus yet; {instead}")]
+    NotSupported {
+        /// The bus.
+        name: String,
+        /// The way out.
+        instead: String,
+    },
     /// No thread or no pipe.
     #[error("cannot open {name}: {cause}")]
     Resources {
@@ -91,8 +96,14 @@ pub fn open(
             let scenario = scenario(system)?;
             sim::open(&name, &scenario, index, clock, options.listen_only)
         }
-        BusSpec::Slcan { .. } | BusSpec::Udp(_) | BusSpec::Socketcand(_) => {
-            return Err(BusError::NotSupported(name));
+        BusSpec::Slcan { device, .. } => {
+            let instead =
+                format!("make it an interface: {}", spec::slcand(&device.to_string_lossy()));
+            return Err(BusError::NotSupported { name, instead });
+        }
+        BusSpec::Udp(_) | BusSpec::Socketcand(_) => {
+            let instead = "where the bus is: ssh board candump -L can0 | descan -".to_owned();
+            return Err(BusError::NotSupported { name, instead });
         }
     };
     port.map_err(|cause| BusError::Resources { name, cause })

@@ -55,8 +55,11 @@ pub enum SpecError {
     )]
     UnknownKind(String),
     /// A path, most likely of a log.
-    #[error("{0} is no interface name; for a log say file:{0}, for a serial adapter slcan:{0}")]
+    #[error("{0} is no interface name; for a log say file:{0}")]
     LooksLikePath(String),
+    /// A device file, most likely of a serial adapter.
+    #[error("{0} is no CAN interface; make it one: {way}", way = slcand(.0))]
+    DeviceFile(String),
     /// Longer than interface names can be.
     #[error("{0} is too long for an interface name (15 bytes)")]
     NameTooLong(String),
@@ -119,6 +122,7 @@ fn interface_name(text: &str) -> Result<String, SpecError> {
     match text {
         "" => Err(SpecError::Empty),
         "." | ".." => Err(SpecError::BadName(text.to_owned())),
+        _ if text.starts_with("/dev/") => Err(SpecError::DeviceFile(text.to_owned())),
         _ if looks_like_path => Err(SpecError::LooksLikePath(text.to_owned())),
         _ if text.len() > MAX_INTERFACE_NAME => Err(SpecError::NameTooLong(text.to_owned())),
         _ if text.contains(|c: char| c.is_whitespace() || c.is_control()) => {
@@ -144,6 +148,14 @@ impl fmt::Display for BusSpec {
             BusSpec::Socketcand(rest) => write!(f, "socketcand://{rest}"),
         }
     }
+}
+
+/// How a serial adapter becomes an interface.
+pub(super) fn slcand(device: &str) -> String {
+    format!(
+        "sudo slcand -o -s4 {device} can0 (-s4: 125 kbit/s, -s6: 500 kbit/s), sudo ip link set \
+         can0 up, descan can0"
+    )
 }
 
 #[cfg(test)]
@@ -180,7 +192,7 @@ mod tests {
             ("slcan:/dev/ttyACM0@fast", "slcan:/dev/ttyACM0@500000"),
             ("socketcand:host/can0", "socketcand://host"),
             ("session.log", "file:session.log"),
-            ("/dev/ttyACM0", "slcan:/dev/ttyACM0"),
+            ("/dev/ttyACM0", "slcand -o -s4 /dev/ttyACM0 can0"),
             ("./a:b", "file:./a:b"),
             ("pcan:1", "SocketCAN"),
             ("can0123456789abc", "15 bytes"),

@@ -105,7 +105,7 @@ pub fn recorded(
             }
         };
         let (app, tally) = recording.finish();
-        tell_unreadable(spec, tally);
+        tell_unreadable(spec, tally)?;
         let now = app.now();
         Ok(Outcome { app, now, ending })
     })
@@ -142,12 +142,18 @@ pub fn tell_hindrance(app: &App, index: BusIndex) {
     }
 }
 
-fn tell_unreadable(spec: &BusSpec, tally: Option<Tally>) {
-    if let Some(tally) = tally
-        && (tally.unreadable > 0 || tally.frames == 0)
-    {
+/// Says which lines could not be read. Where that is all of them, it is no log.
+fn tell_unreadable(spec: &BusSpec, tally: Option<Tally>) -> Result<(), Failure> {
+    let Some(tally) = tally else { return Ok(()) };
+    if tally.frames == 0 && tally.unreadable > 0 {
+        return Err(Failure::Unusable(format!(
+            "{spec}: {tally}; is it a log as candump -L writes them?"
+        )));
+    }
+    if tally.unreadable > 0 || tally.frames == 0 {
         let _ = writeln!(io::stderr(), "descan: {spec}: {tally}");
     }
+    Ok(())
 }
 
 fn open_log(spec: &BusSpec) -> io::Result<File> {

@@ -154,22 +154,30 @@ impl Report {
             let rate = bus.bitrate.map_or("bit rate unknown".to_owned(), |rate| {
                 format!("{} kbit/s", f64::from(rate) / 1000.0)
             });
+            // Nobody says how the controller of a virtual interface or of a log is.
+            let state = match bus.state {
+                "unknown" => String::new(),
+                state => format!("{state}, "),
+            };
             let load =
                 bus.load.map_or(String::new(), |load| format!("load {:.0} %, ", load * 100.0));
+            let (frames, errors) = (counted(bus.frames, "frame"), counted(bus.errors, "error"));
             let _ = writeln!(
                 text,
-                "{}: {rate}, {}, {} frames, {load}{} errors, {} lost",
-                bus.name, bus.state, bus.frames, bus.errors, bus.lost
+                "{}: {rate}, {state}{frames}, {load}{errors}, {} lost",
+                bus.name, bus.lost
             );
         }
         text.push('\n');
         text.push_str(&self.device_table());
         for finding in &self.findings {
-            let _ = write!(
-                text,
-                "\n{} {}: {}\n  {}\n",
-                finding.confidence, finding.kind, finding.text, finding.remedy
-            );
+            let _ = writeln!(text, "\n{} {}: {}", finding.confidence, finding.kind, finding.text);
+            let over = Confidence::Cleared.name() == finding.confidence;
+            if over {
+                text.push_str("  It is over.\n");
+            } else if !finding.remedy.is_empty() {
+                let _ = writeln!(text, "  {}", finding.remedy);
+            }
         }
         if let Some(error) = &self.file.error {
             let _ = writeln!(text, "\n{}: {error}", self.file.path);
@@ -229,6 +237,11 @@ impl Report {
         }
         text
     }
+}
+
+/// `1 frame`, `2 frames`.
+fn counted(count: u64, what: &str) -> String {
+    format!("{count} {what}{}", if count == 1 { "" } else { "s" })
 }
 
 pub(super) fn of_bus(bus: &Bus, now: Instant) -> BusReport {

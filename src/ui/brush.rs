@@ -2,7 +2,9 @@
 //!
 //! Knows how wide text is, not what it says.
 
-use crate::app::{App, Screen};
+use crate::app::{App, Bus, Screen};
+use crate::status::Link;
+use crate::text::Escaped;
 use crate::theme::{Role, Theme};
 use ratatui::buffer::Buffer;
 use ratatui::layout::{Position, Rect};
@@ -86,6 +88,27 @@ impl Brush<'_> {
         let text = format!("  {what}; {key} clears it");
         let line = Line::from(self.span(Role::Muted, text));
         self.line(area, 1, &line);
+    }
+
+    /// Says why a list is empty, and what keeps us from seeing a bus.
+    pub fn nothing(&mut self, list: Rect, why: &str) {
+        let mut lines = vec![Line::from(self.span(Role::Muted, format!("   {why}")))];
+        for bus in self.app.buses().iter().filter(|bus| is_hidden(bus)) {
+            let name = Escaped(bus.name.as_bytes());
+            let text = match &bus.status.message {
+                Some(message) => Escaped(message.as_bytes()).to_string(),
+                None => format!("{name} is not up"),
+            };
+            lines.push(Line::default());
+            lines.extend(labelled(self, "   ", Role::Warning, &text, list.width));
+        }
+        let below = Rect { y: list.y + 1, height: list.height.saturating_sub(1), ..list };
+        self.lines(below, &lines, 0);
+    }
+
+    /// Whether there is a bus that nothing can be seen of.
+    pub fn is_blind(&self) -> bool {
+        self.app.buses().iter().any(is_hidden)
     }
 
     /// Draws a horizontal rule.
@@ -189,6 +212,11 @@ pub fn labelled(
             Line::from(vec![brush.span(Role::Muted, label), brush.span(role, part)])
         })
         .collect()
+}
+
+/// Whether nothing can be seen of a bus, and that is not because its log is over.
+fn is_hidden(bus: &Bus) -> bool {
+    !bus.is_up() && bus.ended.is_none() && bus.status.link != Link::Opening
 }
 
 #[cfg(test)]

@@ -158,14 +158,19 @@ fn draw_header(brush: &mut Brush, area: Rect, columns: &Columns) {
 
 fn draw_nothing(brush: &mut Brush, list: Rect) {
     let app = brush.app;
-    let text = if app.view().filter(crate::app::Page::Devices).is_empty() {
-        let listening = app.buses().iter().any(crate::app::Bus::is_up);
-        if listening { "no device was heard yet" } else { "no device: no bus is up" }
-    } else {
+    if !app.view().filter(crate::app::Page::Devices).is_empty() {
         return brush.filtered(list, "no device fits the filter");
-    };
-    let line = Line::from(brush.span(Role::Muted, format!("   {text}")));
-    brush.line(list, 1, &line);
+    }
+    let is_over = !app.buses().is_empty() && app.buses().iter().all(|bus| bus.ended.is_some());
+    let is_listening = app.buses().iter().any(crate::app::Bus::is_up);
+    brush.nothing(
+        list,
+        match (is_over, is_listening) {
+            (true, _) => "the log tells of no device",
+            (_, true) => "no device was heard yet",
+            _ => "no device: no bus is up",
+        },
+    );
 }
 
 fn row_line(brush: &Brush, row: &Row, columns: &Columns, selected: bool) -> Line<'static> {

@@ -58,11 +58,13 @@ fn draw_prompt(brush: &mut Brush, area: Rect) {
     }
     let left = area.width.saturating_sub(label_width);
     let said_width = (sign.width() + said.width()) as u16 + 2;
+    let text_width = prompt.input.value().width() as u16;
     let least = match prompt.kind {
         PromptKind::Address(_) => 6,
         _ => 12,
     };
-    let wanted = (prompt.input.value().width() as u16 + 1).max(24);
+    // With room for the cursor behind the text, and for scrolling to begin after that.
+    let wanted = (text_width + 2).max(24);
     let width = wanted.min(left.saturating_sub(said_width).max(least)).min(left);
     brush.line(area, 0, &line);
     let at = Rect { x: area.x + label_width, width, ..area };
@@ -110,6 +112,9 @@ fn hint_line(brush: &Brush, mode: Mode, width: usize) -> Vec<Span<'static>> {
         (Mode::Browse, Page::Traffic, _) if view.evidence.is_some() => {
             &["help", "quit", "details", "cancel", "freeze", "save-capture"]
         }
+        (Mode::Browse, Page::Traffic, _) if view.from_timeline => {
+            &["help", "quit", "details", "cancel", "filter", "freeze", "save-capture"]
+        }
         (Mode::Browse, Page::Traffic, _) => &[
             "help",
             "quit",
@@ -123,7 +128,10 @@ fn hint_line(brush: &Brush, mode: Mode, width: usize) -> Vec<Span<'static>> {
         (Mode::Browse, Page::Timeline, _) => {
             &["help", "quit", "details", "filter", "freeze", "problem", "save-capture"]
         }
-        (Mode::Browse, ..) => {
+        (Mode::Browse, Page::Devices, Focus::Details) => {
+            &["help", "quit", "cancel", "edit-address", "add", "problem", "rescan"]
+        }
+        (Mode::Browse, Page::Problems, _) => {
             &["help", "quit", "details", "mute", "filter", "problem", "edit-address", "rescan"]
         }
     };

@@ -46,13 +46,16 @@ fn draw_list(brush: &mut Brush) {
     let app = brush.app;
     let problems = app.problems_shown();
     if problems.is_empty() {
-        let text = if app.view().filter(Page::Problems).is_empty() {
-            "nothing is wrong, as far as can be seen"
-        } else {
+        if !app.view().filter(Page::Problems).is_empty() {
             return brush.filtered(list, "no problem fits the filter");
+        }
+        // Where a bus cannot be seen, nothing may be said of it.
+        let text = if brush.is_blind() {
+            "no problem was seen so far"
+        } else {
+            "nothing is wrong, as far as can be seen"
         };
-        let line = Line::from(brush.span(Role::Muted, format!("   {text}")));
-        return brush.line(list, 1, &line);
+        return brush.nothing(list, text);
     }
     let selected = app.view().problems.index(problems.iter().map(|problem| &problem.key));
     let height = usize::from(list.height);
@@ -234,13 +237,19 @@ impl Details<'_, '_> {
         let names: Vec<String> = problem.names().iter().map(ToString::to_string).collect();
         let bus = problem.bus().filter(|_| app.buses().len() > 1).and_then(|bus| app.bus(bus));
         let buses: Vec<String> = bus.iter().map(|bus| bus.name.clone()).collect();
-        let (first, last) = (clock(app, problem.first()), clock(app, problem.last()));
+        // What comes from comparing with the file was not seen at any moment.
+        let seen = if problem.evidence().is_empty() {
+            Vec::new()
+        } else {
+            let (first, last) = (clock(app, problem.first()), clock(app, problem.last()));
+            vec![format!("first {first}, last {last}")]
+        };
         self.lines.push(Line::default());
         for (one, several, all) in [
             ("bus", "", buses),
             ("address", "addresses", addresses),
             ("name", "names", names),
-            ("seen", "", vec![format!("first {first}, last {last}")]),
+            ("seen", "", seen),
         ] {
             let label = if all.len() > 1 { several } else { one };
             self.add(&fit(label, 10), Role::Muted, &all.join(", "));
