@@ -447,14 +447,9 @@ impl Case<'_> {
                 .map(|device| format!("{:?} {}", device.name, device.presence))
                 .collect();
             if here.len() > usize::from(occupied[address.index()]) {
-                let rounds = !config.listen_only && !config.round_period.is_zero();
-                let all_beat = self
-                    .it
-                    .engine
-                    .devices()
-                    .iter()
-                    .all(|device| device.address != address || device.heartbeat.last.is_some());
-                if rounds || all_beat {
+                // Who has no heartbeat is lost after three rounds, if there are rounds.
+                let mut rows = self.it.engine.devices().iter();
+                if rows.all(|it| it.address != address || it.heartbeat.count > 1) {
                     wrong.push(format!("{address}: {here:?} are here"));
                 }
             }
