@@ -21,7 +21,9 @@ impl Engine {
     /// Learns from a frame at `self.now`.
     pub(super) fn hear(&mut self, frame: &Frame) {
         let now = self.now;
-        self.errors.see_frame(now, self.counters.frames);
+        if self.errors.see_frame(now, self.counters.frames) {
+            self.wake_at(now);
+        }
         self.counters.frames += 1;
         if frame.kind == FrameKind::Error {
             self.counters.errors += 1;
