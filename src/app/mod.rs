@@ -346,7 +346,9 @@ impl App {
     /// Takes the size of the screen.
     pub fn handle_resize(&mut self, columns: u16, rows: u16) {
         self.view.size = (columns, rows);
-        self.has_screen = true;
+        if !std::mem::replace(&mut self.has_screen, true) {
+            self.settle_problems();
+        }
         self.dirty = true;
         self.refresh_rows();
     }
@@ -603,7 +605,10 @@ impl App {
     fn refresh(&mut self) {
         self.outdated = false;
         self.refresh_problems(self.now);
-        self.refresh_rows();
+        if self.has_screen {
+            self.settle_problems();
+            self.refresh_rows();
+        }
     }
 }
 
