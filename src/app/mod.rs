@@ -306,6 +306,9 @@ impl App {
         self.now = self.now.max(now);
         for bus in &mut self.buses {
             if bus.poll_timeout().is_some_and(|at| at <= now) {
+                if bus.is_away() {
+                    bus.engine.wait_for_bus(now);
+                }
                 bus.engine.handle_timeout(now);
             }
         }
@@ -407,7 +410,7 @@ impl App {
         self.buses.iter_mut().enumerate().find_map(|(index, bus)| {
             if bus.is_away() {
                 // It would be late when the bus is back, and that nobody takes it says nothing.
-                bus.engine.drop_unsent();
+                bus.engine.wait_for_bus(now);
             }
             bus.engine.poll_transmit(now).map(|frame| frame.on(BusIndex(index as u8)))
         })
