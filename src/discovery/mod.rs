@@ -423,8 +423,8 @@ impl Engine {
         if let Some(device) = self.roster.current_device_mut(address)
             && device.is_here()
         {
-            device.name_query.renew(now);
-            device.services_query.renew(now);
+            device.name_query.start_over(now);
+            device.services_query.start_over(now);
             self.wake_at(now);
         }
     }
