@@ -94,6 +94,25 @@ fn a_clock_that_was_set_meanwhile_takes_no_time() {
 }
 
 #[test]
+fn a_controller_that_is_off_the_bus_for_years_takes_no_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = "(1.0) can0 07180001#8AFA6C9724110400\n\
+               (1.5) can0 20000040#0000000000000000\n\
+               (1780000000.0) can0 07180401#8AFA6C9724110400\n\
+               (1780000029.0) can0 07180801#8AFA6C9724110400\n";
+    let bus_errors = |log: &str| {
+        std::fs::write(folder.path().join("session.log"), log).unwrap();
+        let report = json(&descan(&["scan", "file:session.log", "--json"], folder.path()));
+        let finding = &report["findings"][0];
+        assert_eq!(finding["kind"], "bus-errors");
+        finding["confidence"].clone()
+    };
+    assert_eq!(bus_errors(log), "confirmed", "it may be off again in a moment");
+    let quiet = format!("{log}(1780000031.0) can0 07180C01#8AFA6C9724110400\n");
+    assert_eq!(bus_errors(&quiet), "cleared", "it took part for half a minute");
+}
+
+#[test]
 fn a_device_that_left_before_the_logs_end_is_lost() {
     let scenario = two_devices().at(Duration::from_secs(4), "SENS", Action::Leave);
     let folder = tempfile::tempdir().unwrap();

@@ -592,8 +592,10 @@ fn that_nobody_acknowledges_is_not_said_of_a_bus_that_is_not_there() {
         stage.link(link).wait_until(20.0).keys("3");
         let screen = stage.screen();
         assert!(!screen.contains("acknowledges"), "{screen}");
+        assert!(!screen.contains("we are at"), "{screen}");
         stage.link(Link::Up).wait_until(40.0).keys("3");
         let screen = stage.screen();
+        assert!(screen.contains("we are at 0"), "{screen}");
         assert!(screen.contains("nobody acknowledges our frames"), "{screen}");
     }
 }

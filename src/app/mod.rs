@@ -306,6 +306,9 @@ impl App {
         self.now = self.now.max(now);
         for bus in &mut self.buses {
             if bus.poll_timeout().is_some_and(|at| at <= now) {
+                if bus.is_away() {
+                    bus.engine.wait_for_bus(now);
+                }
                 bus.engine.handle_timeout(now);
             }
         }
@@ -346,7 +349,9 @@ impl App {
     /// Takes the size of the screen.
     pub fn handle_resize(&mut self, columns: u16, rows: u16) {
         self.view.size = (columns, rows);
-        self.has_screen = true;
+        if !std::mem::replace(&mut self.has_screen, true) {
+            self.settle_problems();
+        }
         self.dirty = true;
         self.refresh_rows();
     }
@@ -405,7 +410,7 @@ impl App {
         self.buses.iter_mut().enumerate().find_map(|(index, bus)| {
             if bus.is_away() {
                 // It would be late when the bus is back, and that nobody takes it says nothing.
-                bus.engine.drop_unsent();
+                bus.engine.wait_for_bus(now);
             }
             bus.engine.poll_transmit(now).map(|frame| frame.on(BusIndex(index as u8)))
         })
@@ -603,7 +608,10 @@ impl App {
     fn refresh(&mut self) {
         self.outdated = false;
         self.refresh_problems(self.now);
-        self.refresh_rows();
+        if self.has_screen {
+            self.settle_problems();
+            self.refresh_rows();
+        }
     }
 }
 

@@ -58,7 +58,6 @@ impl App {
         }
         let before = std::mem::replace(&mut self.file_findings, found);
         self.report_differences(&before, now);
-        self.settle_problems();
     }
 }
 

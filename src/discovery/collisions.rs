@@ -46,6 +46,8 @@ pub(super) struct Answer {
     pub to: Option<Address>,
     pub request: Request,
     pub framing: Framing,
+    /// Whether a node in a working mode sends it.
+    pub working: bool,
 }
 
 /// How much a piece of evidence weighs.
@@ -65,6 +67,8 @@ struct Case {
     began: Option<Instant>,
     strong: u32,
     strong_at: Option<Instant>,
+    /// Whether answers gave it away, not heartbeats alone.
+    answers: bool,
     follow_ups: u32,
     next_check: Option<Instant>,
     /// When it was followed up last.
@@ -135,7 +139,9 @@ impl Collisions {
         framing: Framing,
         asking: Asking,
     ) {
-        self.watches[address.index()].tally(request, framing).ask(now, asking);
+        let watch = &mut self.watches[address.index()];
+        watch.asked.get_or_insert(now);
+        watch.tally(request, framing).ask(now, asking);
         if !asking.targeted {
             self.doubling.see_broadcast(now);
         }
@@ -143,7 +149,7 @@ impl Collisions {
 
     /// An answer begins.
     pub fn see_answer(&mut self, now: Instant, answer: Answer, name: Option<&Name>, frame: &Frame) {
-        let Answer { from: address, to, request, framing } = answer;
+        let Answer { from: address, to, request, framing, working } = answer;
         let tally = self.watches[address.index()].tally(request, framing);
         let (to_all, extra) = tally.answer(now, to, frame);
         if to_all {
@@ -151,7 +157,11 @@ impl Collisions {
         }
         let Some(extra) = extra.filter(|_| !self.doubling.asks_twice(now)) else { return };
         let first = extra.first;
-        let weight = if extra.targeted { Weight::Strong } else { Weight::Weak };
+        // Who is in no working mode may answer the question to the one kind of nodes and that to
+        // the other; long after the first, it is the answer to a question that we did not hear.
+        let together = now.since(extra.first.time) < self.period / 8;
+        let strong = together && (extra.targeted || working);
+        let weight = if strong { Weight::Strong } else { Weight::Weak };
         let differ = message(&first, framing) != message(frame, framing);
         let (kind, weight) = match request {
             Request::Name if differ => (FindingKind::OneAddressTwoNames, weight),
@@ -162,7 +172,9 @@ impl Collisions {
             _ => (FindingKind::SameNameSameAddress, weight),
         };
         self.report(now, kind, address, name, &first, "first answer to one request", Weight::Weak);
-        self.report(now, kind, address, name, frame, "second answer to one request", weight);
+        let at =
+            self.report(now, kind, address, name, frame, "second answer to one request", weight);
+        self.told_by_answers(at, address);
     }
 
     /// A whole name answer came from `address`.
@@ -175,7 +187,8 @@ impl Collisions {
         let kind = FindingKind::OneAddressTwoNames;
         let weight = if returned.is_some() { Weight::Strong } else { Weight::Weak };
         let what = if returned.is_some() { "the other name again" } else { "another name" };
-        self.report(now, kind, address, Some(&before), frame, what, weight);
+        let at = self.report(now, kind, address, Some(&before), frame, what, weight);
+        self.told_by_answers(at, address);
         self.concern(kind, address, name);
         if returned.is_some() {
             self.supersede(now, FindingKind::SameNameSameAddress, kind, address);
@@ -192,7 +205,9 @@ impl Collisions {
         frame: &Frame,
     ) {
         let turn = self.turn();
-        let returned = self.watches[address.index()].services.see(now, &digest, turn);
+        let services = &mut self.watches[address.index()].services;
+        let returned = services.see(now, &digest, turn);
+        let since = services.since;
         if returned.is_none() || self.has_two_names(address) {
             return;
         }
@@ -201,7 +216,9 @@ impl Collisions {
         } else {
             (FindingKind::SameNameSameAddress, Weight::Strong)
         };
-        self.report(now, kind, address, name, frame, "service lists alternate", weight);
+        let at = self.report(now, kind, address, name, frame, "service lists alternate", weight);
+        self.told_by_answers(at, address);
+        self.began(now, at, since);
     }
 
     /// A heartbeat came from `address`.
@@ -214,17 +231,18 @@ impl Collisions {
         name: Option<&Name>,
         frame: &Frame,
     ) {
-        let (turn, period) = (self.turn(), self.period);
+        let period = self.period;
         let watch = &mut self.watches[address.index()];
         if !watch.beat(now, frame, period) {
             return;
         }
         let previous = watch.beats.iter().rev().nth(1).map(|beat| beat.frame);
         let uid = uid.filter(|uid| !uid.is_blank());
-        let uid_returned = uid.and_then(|uid| watch.uids.see(now, &uid, turn));
+        let uid_returned = uid.and_then(|uid| watch.uids.see(now, &uid, period * 3));
         let mode_returned = watch.working.see(now, &working, period * 2);
         let rhythm = watch.rhythm(period);
         watch.twice_for = if rhythm.twice { watch.twice_for + 1 } else { 0 };
+        let (uids_since, modes_since) = (watch.uids.since, watch.working.since);
 
         let identity = if address == Address::DEBUG {
             FindingKind::TwoDebugDevices
@@ -232,18 +250,19 @@ impl Collisions {
             FindingKind::OneAddressTwoIdentities
         };
         let alternation = match (uid_returned, mode_returned) {
-            (Some(_), _) => Some(("the other UID again", "another UID")),
+            (Some(_), _) => Some(("the other UID again", "another UID", uids_since)),
             (None, Some(returns)) if returns >= 2 && rhythm.twice => {
-                Some(("the other U bit again", "another U bit"))
+                Some(("the other U bit again", "another U bit", modes_since))
             }
             _ => None,
         };
-        if let Some((again, other)) = alternation {
+        if let Some((again, other, since)) = alternation {
             // Later, the one before is the one that was told before.
             if let Some(previous) = previous.filter(|_| !self.is_open(identity, address)) {
                 self.report(now, identity, address, name, &previous, other, Weight::Weak);
             }
-            self.report(now, identity, address, name, frame, again, Weight::Strong);
+            let at = self.report(now, identity, address, name, frame, again, Weight::Strong);
+            self.began(now, at, since);
         } else if !self.is_open(identity, address) {
             self.see_rhythm(now, address, name, frame, previous.as_ref(), rhythm);
         }
@@ -283,9 +302,8 @@ impl Collisions {
         } else {
             None
         };
-        if let (Some(at), Some(since)) = (at, rhythm.since) {
-            let began = &mut self.cases[at].began;
-            *began = Some(began.map_or(since, |began| began.min(since)));
+        if let Some(since) = rhythm.since {
+            self.began(now, at, since);
         }
     }
 
@@ -303,18 +321,27 @@ impl Collisions {
         self.doubling.is_copy(now, frame)
     }
 
-    /// Two addresses beat with one UID, each since the other's last heartbeat.
-    pub fn see_same_uid(&mut self, now: Instant, address: Address, other: Address, frame: &Frame) {
+    /// Two addresses beat with one UID, each since the other's last heartbeat; both since `since`.
+    pub fn see_same_uid(
+        &mut self,
+        now: Instant,
+        (address, other): (Address, Address),
+        since: Instant,
+        frame: &Frame,
+    ) {
         let (low, high) = (address.min(other), address.max(other));
         let kind = FindingKind::OneUidTwoAddresses;
         let what = "heartbeat with the UID of another address";
-        if let Some(at) = self.report(now, kind, low, None, frame, what, Weight::Strong) {
-            let finding = &mut self.findings[at];
-            if !finding.addresses.contains(&high) {
-                finding.addresses.push(high);
-                finding.addresses.sort_unstable();
-            }
+        let Some(at) = self.report(now, kind, low, None, frame, what, Weight::Strong) else {
+            return;
+        };
+        let addresses = &mut self.findings[at].addresses;
+        if !addresses.contains(&high) {
+            addresses.push(high);
+            addresses.sort_unstable();
+            self.describe(at);
         }
+        self.began(now, Some(at), since);
     }
 
     /// Somebody else sent from the address we hold.
@@ -438,12 +465,12 @@ impl Collisions {
             if finding.confidence == Confidence::Cleared {
                 continue;
             }
-            if now >= finding.last + self.memory() && passes(finding) {
+            if now >= self.fades(at) && passes(finding) {
                 self.end(now, at);
                 continue;
             }
             if !self.passive && self.cases[at].next_check.is_some_and(|due| now >= due) {
-                let confirmed = finding.confidence == Confidence::Confirmed;
+                let confirmed = self.findings[at].confidence == Confidence::Confirmed;
                 if let Some(address) = finding.key.address {
                     ask(address);
                 }
@@ -463,11 +490,12 @@ impl Collisions {
         self.findings
             .iter()
             .zip(&self.cases)
-            .filter(|(finding, _)| finding.confidence != Confidence::Cleared)
-            .filter(|(finding, _)| passes(finding))
-            .flat_map(|(finding, case)| {
+            .enumerate()
+            .filter(|(_, (finding, _))| finding.confidence != Confidence::Cleared)
+            .filter(|(_, (finding, _))| passes(finding))
+            .flat_map(|(at, (_, case))| {
                 let check = if self.passive { None } else { case.next_check };
-                [Some(finding.last + self.memory()), check]
+                [Some(self.fades(at)), check]
             })
             .flatten()
             .min()
@@ -508,9 +536,46 @@ impl Collisions {
         if self.passive { self.period.mul_f64(7.5) } else { self.period * 5 }
     }
 
-    /// Within which what takes turns must be back. Who only listens waits for others to ask.
+    /// The same where nobody asked since, when only answers would tell. Who only listens waits for
+    /// others to ask, who may do so every ten periods.
+    fn longest_memory(&self) -> Duration {
+        if self.passive { self.period * 12 } else { self.memory() }
+    }
+
+    /// Within which answers that take turns must be back.
     fn turn(&self) -> Duration {
-        if self.passive { self.memory() } else { self.period * 3 }
+        if self.passive { self.longest_memory() } else { self.period * 3 }
+    }
+
+    /// When a finding is over, if no more evidence comes.
+    fn fades(&self, at: usize) -> Instant {
+        let finding = &self.findings[at];
+        let asked = finding.key.address.map(|address| self.watches[address.index()].asked);
+        let usual = finding.last + self.memory();
+        match asked {
+            Some(None) if self.cases[at].answers => finding.last + self.longest_memory(),
+            // Give it time to answer.
+            Some(Some(asked)) if self.cases[at].answers => usual.max(asked + self.period),
+            _ => usual,
+        }
+    }
+
+    /// What was reported just now of `address` is what answers tell: more is to be expected when
+    /// somebody asks.
+    fn told_by_answers(&mut self, at: Option<usize>, address: Address) {
+        if let Some(at) = at {
+            self.cases[at].answers = true;
+            self.watches[address.index()].asked = None;
+        }
+    }
+
+    /// What was reported just now has been so since then.
+    fn began(&mut self, now: Instant, at: Option<usize>, since: Instant) {
+        if let Some(at) = at {
+            let began = &mut self.cases[at].began;
+            *began = Some(began.map_or(since, |began| began.min(since)));
+            self.weigh(now, at);
+        }
     }
 
     fn find(&self, kind: FindingKind, address: Address) -> Option<usize> {
@@ -528,6 +593,7 @@ impl Collisions {
             began: None,
             strong: 0,
             strong_at: None,
+            answers: false,
             follow_ups: 0,
             checked_at: now,
             next_check: key.kind.is_collision().then(|| now + Duration::from_secs(1)),
@@ -649,7 +715,9 @@ impl Collisions {
     /// The evidence of a finding stopped.
     fn end(&mut self, now: Instant, at: usize) {
         let was_suspected = self.findings[at].confidence == Confidence::Suspected;
-        let gave_way = was_suspected && self.cases[at].strong > 0;
+        // One answer too many, or one beat in between, is no contest.
+        let least = u32::from(self.findings[at].key.kind == FindingKind::SameNameSameAddress);
+        let gave_way = was_suspected && self.cases[at].strong > least;
         self.set(now, at, Confidence::Cleared);
         let (kind, address) = (self.findings[at].key.kind, self.findings[at].key.address);
         let (true, true, Some(address)) = (gave_way, kind.is_collision(), address) else { return };

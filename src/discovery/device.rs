@@ -169,6 +169,13 @@ impl Query {
         }
     }
 
+    /// The same where something has changed since it was asked: the attempt under way is the
+    /// first, not the last before it is given up.
+    pub(super) fn start_over(&mut self, at: Instant) {
+        self.attempts = self.attempts.min(1);
+        self.renew(at);
+    }
+
     /// Gives up until `again`.
     pub(super) fn give_up(&mut self, again: Instant) {
         self.state = QueryState::Unanswered;

@@ -84,8 +84,9 @@ pub(super) struct ErrorRate {
 }
 
 impl ErrorRate {
-    /// Takes note that `frames` were heard before now. Called with every frame.
-    pub fn see_frame(&mut self, now: Instant, frames: u64) {
+    /// Takes note that `frames` were heard before now. Called with every frame. Whether it is the
+    /// first that is heard since the controller left the bus.
+    pub fn see_frame(&mut self, now: Instant, frames: u64) -> bool {
         if now >= self.next_second {
             self.next_second = Instant::from_micros((second_of(now) + 1) * 1_000_000);
             if self.heard.len() as u64 == MEMORY {
@@ -93,11 +94,18 @@ impl ErrorRate {
             }
             self.heard.push_back((now, frames));
         }
+        let is_back = self.bus_off == Some(frames);
+        if is_back {
+            // Nothing is heard off the bus: only from now on it can be quiet.
+            self.last = now;
+        }
+        is_back
     }
 
     /// Takes a report in; `broken` frames broke, of `frames` heard in all, errors included.
     /// Whether it is an error at all.
     pub fn see(&mut self, now: Instant, report: &ErrorReport, broken: u64, frames: u64) -> bool {
+        self.forget(now);
         if report.is_recovery() {
             // Where there was nothing else, it is over.
             self.over = self.bus_off.take().is_some() && self.count() < SUSPECT;
@@ -180,11 +188,14 @@ impl ErrorRate {
         self.seconds.retain(|second| second.broken + second.no_acknowledge > 0);
     }
 
-    /// When [`handle_timeout`](Self::handle_timeout) is to be called.
-    pub fn poll_timeout(&self) -> Option<Instant> {
+    /// When [`handle_timeout`](Self::handle_timeout) is to be called; `frames` were heard in all.
+    pub fn poll_timeout(&self, frames: u64) -> Option<Instant> {
         let told = self.told?;
         if self.over {
             return Some(self.last);
+        }
+        if self.bus_off.is_some_and(|heard| heard >= frames) {
+            return None;
         }
         let quiet = match told {
             Confidence::Confirmed => QUIET_CONFIRMED,
@@ -195,12 +206,7 @@ impl ErrorRate {
 
     /// Whether it was quiet long enough.
     pub fn handle_timeout(&mut self, now: Instant, frames: u64) -> bool {
-        if self.poll_timeout().is_none_or(|due| now < due) {
-            return false;
-        }
-        if self.bus_off.is_some_and(|heard| heard >= frames) {
-            // Nothing is heard off the bus.
-            self.last = now;
+        if self.poll_timeout(frames).is_none_or(|due| now < due) {
             return false;
         }
         self.told = None;
@@ -215,11 +221,16 @@ impl ErrorRate {
         self.bus_off = None;
     }
 
-    fn second(&mut self, now: Instant) -> &mut Second {
+    /// Forgets the errors that are past.
+    fn forget(&mut self, now: Instant) {
         let number = second_of(now);
         while self.seconds.front().is_some_and(|second| second.number + MEMORY <= number) {
             self.seconds.pop_front();
         }
+    }
+
+    fn second(&mut self, now: Instant) -> &mut Second {
+        let number = second_of(now);
         if self.seconds.back().is_none_or(|last| last.number != number) {
             self.seconds.push_back(Second { number, ..Second::default() });
         }

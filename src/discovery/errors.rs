@@ -257,9 +257,10 @@ pub(super) struct Errors {
 }
 
 impl Errors {
-    /// A frame comes; `frames` came before it.
-    pub fn see_frame(&mut self, now: Instant, frames: u64) {
-        self.rate.see_frame(now, frames);
+    /// A frame comes; `frames` came before it. Whether that changes when
+    /// [`handle_timeout`](Self::handle_timeout) is due.
+    pub fn see_frame(&mut self, now: Instant, frames: u64) -> bool {
+        self.rate.see_frame(now, frames)
     }
 
     /// A question to `address` passed by; its answer is awaited until `ends`.
@@ -627,12 +628,12 @@ impl Errors {
         }
     }
 
-    fn poll_timeout(&self) -> Option<Instant> {
+    fn poll_timeout(&self, frames: u64) -> Option<Instant> {
         let windows = self.windows.iter().map(|window| window.ends);
         let suspects =
             self.suspects.iter().flat_map(|suspect| [Some(suspect.ends()), suspect.ask_at]);
         let words = self.outdated.then(|| self.worded + WORDS);
-        windows.chain(suspects.flatten()).chain(self.rate.poll_timeout()).chain(words).min()
+        windows.chain(suspects.flatten()).chain(self.rate.poll_timeout(frames)).chain(words).min()
     }
 
     /// Closes what is over. Who is to be asked once more comes back through `ask`, with when it
@@ -735,6 +736,7 @@ impl Engine {
             there
         });
         if self.errors.rate.handle_timeout(now, frames) {
+            self.errors.outdated = false;
             self.collisions.judge_errors(now, None, Confidence::Cleared);
         } else if self.errors.outdated && now >= self.errors.worded + WORDS {
             self.word_bus();
@@ -771,7 +773,7 @@ impl Engine {
     }
 
     pub(super) fn errors_timeout(&self) -> Option<Instant> {
-        self.errors.poll_timeout()
+        self.errors.poll_timeout(self.counters.frames)
     }
 }
 

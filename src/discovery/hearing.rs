@@ -21,7 +21,9 @@ impl Engine {
     /// Learns from a frame at `self.now`.
     pub(super) fn hear(&mut self, frame: &Frame) {
         let now = self.now;
-        self.errors.see_frame(now, self.counters.frames);
+        if self.errors.see_frame(now, self.counters.frames) {
+            self.wake_at(now);
+        }
         self.counters.frames += 1;
         if frame.kind == FrameKind::Error {
             self.counters.errors += 1;
@@ -190,10 +192,10 @@ impl Engine {
 
     fn hear_question(&mut self, now: Instant, header: Header, frame: &Frame) {
         self.note_question(now, header, frame, false);
+        self.wake_at(now);
         let profile = &self.config.profile;
         if !self.config.listen_only {
             self.station.handle_question(now, header, frame, profile, &mut self.outbox);
-            self.wake_at(now);
         }
     }
 
@@ -327,7 +329,7 @@ impl Engine {
         self.rounds.note_answer(now);
         let device = self.roster.get(index);
         let (address, name) = (device.address, device.name.clone());
-        let answer = Answer { from: address, to, request, framing };
+        let answer = Answer { from: address, to, request, framing, working: device.working };
         self.collisions.see_answer(now, answer, name.as_ref(), frame);
     }
 

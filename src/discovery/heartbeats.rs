@@ -186,13 +186,16 @@ impl Engine {
         if uid.is_blank() || now.since(previous) < period / 2 {
             return;
         }
-        let other = self.roster.devices().iter().find(|other| {
-            other.uid == Some(uid)
-                && other.address != address
-                && other.heartbeat.last.is_some_and(|last| last > previous)
+        // A row that another one has replaced says nothing any more.
+        let rows = self.roster.devices().iter().enumerate();
+        let mut current = rows.filter(|(at, _)| self.roster.is_current(*at));
+        let other = current.find_map(|(_, other)| {
+            let last = other.heartbeat.last.filter(|last| *last > previous)?;
+            let same = other.uid == Some(uid) && other.address != address;
+            same.then_some((other.address, last))
         });
-        if let Some(other) = other.map(|other| other.address) {
-            self.collisions.see_same_uid(now, address, other, frame);
+        if let Some((other, since)) = other {
+            self.collisions.see_same_uid(now, (address, other), since, frame);
             self.wake_at(now);
         }
     }

@@ -27,11 +27,13 @@ pub(super) struct Alternation<T> {
     pub before: Option<T>,
     pub returns: u32,
     pub changed: Instant,
+    /// When the second of the two was seen first.
+    pub since: Instant,
 }
 
 impl<T> Default for Alternation<T> {
     fn default() -> Self {
-        Self { now: None, before: None, returns: 0, changed: Instant::ZERO }
+        Self { now: None, before: None, returns: 0, changed: Instant::ZERO, since: Instant::ZERO }
     }
 }
 
@@ -50,6 +52,7 @@ impl<T: PartialEq + Clone> Alternation<T> {
             self.returns += 1;
         } else {
             self.returns = 0;
+            self.since = now;
         }
         let returned = self.before.as_ref() == Some(value);
         self.before = self.now.replace(value.clone());
@@ -173,6 +176,8 @@ pub(super) struct Watch {
     pub services: Alternation<u64>,
     pub working: Alternation<bool>,
     pub tallies: [[Tally; 2]; 2],
+    /// When it was asked the first time since answers told of a second device.
+    pub asked: Option<Instant>,
     pub beats: VecDeque<Beat>,
     /// For how many heartbeats in a row they came at twice the rate.
     pub twice_for: u32,

@@ -243,10 +243,13 @@ impl Engine {
         Some(frame.on(self.config.bus))
     }
 
-    /// Forgets what was to be sent, and what was sent and not taken yet: there is no bus to take
-    /// it.
-    pub fn drop_unsent(&mut self) {
+    /// There is no bus at the moment: forgets what was to be sent, and what was sent and not
+    /// taken yet, and takes no address before it has listened again.
+    pub fn wait_for_bus(&mut self, now: Instant) {
         self.outbox.clear();
+        if !self.config.listen_only {
+            self.station.listen(now);
+        }
     }
 
     /// The next thing that happened.
@@ -420,8 +423,8 @@ impl Engine {
         if let Some(device) = self.roster.current_device_mut(address)
             && device.is_here()
         {
-            device.name_query.renew(now);
-            device.services_query.renew(now);
+            device.name_query.start_over(now);
+            device.services_query.start_over(now);
             self.wake_at(now);
         }
     }

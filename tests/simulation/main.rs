@@ -29,24 +29,24 @@ const SAMPLE: Duration = Duration::from_millis(100);
 const RESTART: Duration = Duration::from_millis(300);
 
 /// An inspector at work.
-pub(crate) struct Inspector {
-    pub(crate) engine: Engine,
+struct Inspector {
+    engine: Engine,
     /// What it told, by the bus's time.
-    pub(crate) events: Vec<(Instant, Event)>,
+    events: Vec<(Instant, Event)>,
     /// Every frame it was given.
-    pub(crate) frames: Vec<Frame>,
+    frames: Vec<Frame>,
     /// When it was cut off from the bus by its own controller.
-    pub(crate) cut_off: Vec<Instant>,
+    cut_off: Vec<Instant>,
     station: Station,
     seen: Seen,
 }
 
-pub(crate) struct Run {
-    pub(crate) world: World,
-    pub(crate) sim: Sim,
-    pub(crate) devices: Vec<DeviceId>,
-    pub(crate) truth: Truth,
-    pub(crate) inspectors: Vec<Inspector>,
+struct Run {
+    world: World,
+    sim: Sim,
+    devices: Vec<DeviceId>,
+    truth: Truth,
+    inspectors: Vec<Inspector>,
 }
 
 fn instant(at: Duration) -> Instant {

@@ -2,7 +2,7 @@
 //! in the simulator while it runs.
 
 use descan::sim::{AddressChoice, DeviceId, DeviceSpec, Fault, Sim};
-use descan::time::{Duration, Instant};
+use descan::time::Instant;
 use descan::wire::id::Address;
 use std::collections::BTreeMap;
 
@@ -12,12 +12,6 @@ pub struct Span {
     pub from: Instant,
     /// The last moment it was seen.
     pub until: Instant,
-}
-
-impl Span {
-    pub fn lasted(&self) -> Duration {
-        self.until.since(self.from)
-    }
 }
 
 /// Two devices, by their places in the scenario, that are one too many.

@@ -78,8 +78,9 @@ struct Case<'a> {
 }
 
 impl Case<'_> {
-    fn complain(&mut self, what: String) {
-        self.wrong.push(format!("inspector {}: {what}", self.number));
+    fn complain(&mut self, wrong: Vec<String>) {
+        let number = self.number;
+        self.wrong.extend(wrong.into_iter().map(|what| format!("inspector {number}: {what}")));
     }
 
     fn clashes(&self) -> Vec<(Clash, Span)> {
@@ -110,7 +111,7 @@ impl Case<'_> {
                 }
             }
         }
-        wrong.into_iter().for_each(|it| self.complain(it));
+        self.complain(wrong);
     }
 
     fn is_justified(&self, course: &Course, at: Instant, clashes: &[(Clash, Span)]) -> bool {
@@ -225,7 +226,7 @@ impl Case<'_> {
                 }
             }
         }
-        wrong.into_iter().for_each(|it| self.complain(it));
+        self.complain(wrong);
     }
 
     fn begin(&self) -> Instant {
@@ -318,7 +319,7 @@ impl Case<'_> {
                 ));
             }
         }
-        wrong.into_iter().for_each(|it| self.complain(it));
+        self.complain(wrong);
     }
 
     // --- who gives way -------------------------------------------------------------------
@@ -357,7 +358,7 @@ impl Case<'_> {
                 wrong.push(format!("{address} was contested, and nothing says so: {course:?}"));
             }
         }
-        wrong.into_iter().for_each(|it| self.complain(it));
+        self.complain(wrong);
     }
 
     // --- what is known in the end --------------------------------------------------------
@@ -454,7 +455,7 @@ impl Case<'_> {
                 }
             }
         }
-        wrong.into_iter().for_each(|it| self.complain(it));
+        self.complain(wrong);
     }
 
     // --- nothing is made up --------------------------------------------------------------
@@ -485,7 +486,7 @@ impl Case<'_> {
                 wrong.push(format!("{at} {}, but nothing happened", describe(event)));
             }
         }
-        wrong.into_iter().for_each(|it| self.complain(it));
+        self.complain(wrong);
     }
 }
 

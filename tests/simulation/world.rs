@@ -313,7 +313,8 @@ impl Maker {
     /// One of the two leaves again, or none.
     fn leaves_perhaps(&mut self, from: Duration, label: &str, story: String) {
         if self.rng.bool() {
-            let until = from + millis(self.rng.u64(500..BUSY)).min(millis(BUSY) - from);
+            let until =
+                from + millis(self.rng.u64(500..BUSY)).min(millis(BUSY).saturating_sub(from));
             let who = if self.rng.bool() { label.to_owned() } else { format!("{label}'") };
             self.tell(format!("{story}; {until:?}: {who} leaves"));
             self.at(until, &who, Action::Leave);
@@ -377,8 +378,8 @@ impl Maker {
                 }
             }
             2 => self.swap_boards(device, at),
-            3 => self.move_away(device, at),
-            4 => self.swap_addresses(device, at),
+            3 => self.move_away(&device, at),
+            4 => self.swap_addresses(&device, at),
             5 => {
                 self.tell(format!("{at:?}: {label} answers twice for a moment"));
                 self.at(at, &label, Action::Break(Fault::AnswersTwice));
@@ -417,7 +418,7 @@ impl Maker {
         self.at(at + in_between, &format!("{label}*"), Action::Join);
     }
 
-    fn move_away(&mut self, device: DeviceSpec, at: Duration) {
+    fn move_away(&mut self, device: &DeviceSpec, at: Duration) {
         let Some(address) = self.free.pop() else { return };
         let to = DeviceSpec::new("").fixed(address).address;
         self.tell(format!("{at:?}: {} moves to {address}", device.label));
@@ -425,7 +426,7 @@ impl Maker {
     }
 
     /// At once, as by a configuration tool: each is there under the other's address.
-    fn swap_addresses(&mut self, device: DeviceSpec, at: Duration) {
+    fn swap_addresses(&mut self, device: &DeviceSpec, at: Duration) {
         let Some(other) = self.take() else { return };
         self.tell(format!("{at:?}: {} and {} swap addresses", device.label, other.label));
         let at_once = self.rng.bool();
