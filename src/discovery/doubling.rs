@@ -4,7 +4,7 @@
 //! something in between that repeats everything. It is told by its repeating *everything*: the
 //! heartbeats of several addresses, RND7 and all, each again after a moment. While that goes on,
 //! the second of two equal frames is left out before anything is learnt from it. Where devices
-//! hear questions twice, they answer twice: then most of those that are asked do.
+//! hear questions twice, they answer twice: then all of those that are asked do, or nearly all.
 //!
 //! Does not judge devices.
 
@@ -160,7 +160,7 @@ impl Doubling {
             return true;
         }
         let (once, twice) = (self.answers.once.count_ones(), self.answers.twice.count_ones());
-        twice >= 2 && twice * 2 > once
+        twice >= 2 && twice * 10 >= once * 9
     }
 }
 
@@ -216,15 +216,15 @@ mod tests {
     }
 
     #[test]
-    fn when_most_devices_answer_twice_they_were_asked_twice() {
+    fn when_all_devices_answer_twice_they_were_asked_twice() {
         let mut doubling = Doubling::new(PERIOD);
         for source in 1..=4 {
             doubling.see_answer(address(source), source == 1);
         }
         assert!(!doubling.asks_twice(at(0)), "one of four");
-        for source in 2..=3 {
+        for source in 2..=4 {
             doubling.see_answer(address(source), true);
         }
-        assert!(doubling.asks_twice(at(10)), "three of four");
+        assert!(doubling.asks_twice(at(10)), "all four");
     }
 }
