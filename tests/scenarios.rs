@@ -11,8 +11,10 @@
 //! ```
 //!
 //! and the indented lines below each are what must come of it: `>` a frame sent, `*` an event,
-//! `?` what is shown at the end. Run with `UPDATE_SCENARIOS=1` to write what comes instead of
-//! checking it; then read the difference.
+//! `?` what is shown at the end. A file called `row_…` shows a row of the table of collisions,
+//! from its first evidence to its end; `innocent_…` what only looks like one, and may never be
+//! confirmed. Run with `UPDATE_SCENARIOS=1` to write what comes instead of checking it; then read
+//! the difference.
 
 mod common;
 
