@@ -181,7 +181,10 @@ fn two_heartbeats_from_one_address() {
                         .beats(14, 0.1 + gap, seconds, 1.0, data);
                     let label = format!("{data} {gap} s apart for {seconds} s, DST {constant:?}");
                     // One that begins a whole second later is there for hardly five.
-                    if (gap, seconds) != (0.95, 6.0) {
+                    // And of two so close that draw no RND7 the first pair may be one heartbeat
+                    // that something repeated.
+                    let close = gap < 0.1 && constant.is_some();
+                    if seconds > 6.0 || (gap < 0.9 && !close) {
                         cases.push((label, log, SAME_NAME));
                     }
                 }

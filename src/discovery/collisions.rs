@@ -183,6 +183,7 @@ impl Collisions {
         let watch = &mut self.watches[address.index()];
         let before = watch.names.now.clone();
         let returned = watch.names.see(now, name, turn);
+        let since = watch.names.since;
         let Some(before) = before.filter(|before| before != name) else { return };
         let kind = FindingKind::OneAddressTwoNames;
         let weight = if returned.is_some() { Weight::Strong } else { Weight::Weak };
@@ -191,6 +192,7 @@ impl Collisions {
         self.told_by_answers(at, address);
         self.concern(kind, address, name);
         if returned.is_some() {
+            self.began(now, at, since);
             self.supersede(now, FindingKind::SameNameSameAddress, kind, address);
         }
     }
@@ -663,7 +665,9 @@ impl Collisions {
     /// Confirms a finding whose evidence is strong and went on for long enough.
     fn weigh(&mut self, now: Instant, at: usize) {
         let case = &self.cases[at];
-        let lasts = case.began.is_some_and(|began| now.since(began) >= self.period * 5);
+        // Five periods, as unsteady as heartbeats are.
+        let enough = self.period.mul_f64(4.95);
+        let lasts = case.began.is_some_and(|began| now.since(began) >= enough);
         if case.strong >= STRONG_CONFIRM && lasts {
             self.set(now, at, Confidence::Confirmed);
         }

@@ -16,7 +16,7 @@ use std::collections::VecDeque;
 const ANSWER_WINDOW: Duration = Duration::from_secs(2);
 
 /// Two answers to one question come within this of each other.
-const TOGETHER: Duration = Duration::from_millis(500);
+const TOGETHER: Duration = Duration::from_millis(250);
 /// A heartbeat that comes again within this was repeated by something on its way.
 const REPEATED_WITHIN: Duration = Duration::from_millis(100);
 
@@ -250,8 +250,12 @@ impl Watch {
         let whole = gaps.windows(2).all(|two| (0.85..=1.15).contains(&(two[0] + two[1])));
         let apart = gaps.windows(2).all(|two| (two[0] - two[1]).abs() > 0.15);
         if whole && (apart || takes_turns(gaps)) {
-            // By the third of them both had begun.
-            return Rhythm { phases: true, since: self.beats.get(2).map(|beat| beat.time), ..rate };
+            // By the second of them both had begun, unless the first gap is a whole period; then
+            // by the third.
+            let short = gaps.iter().copied().fold(f64::MAX, f64::min);
+            let alone = (gaps[0] - gaps[2]).abs() > short / 4.0;
+            let second = self.beats.get(1 + usize::from(alone));
+            return Rhythm { phases: true, since: second.map(|beat| beat.time), ..rate };
         }
         rate
     }
