@@ -250,8 +250,8 @@ impl Watch {
         let whole = gaps.windows(2).all(|two| (0.85..=1.15).contains(&(two[0] + two[1])));
         let apart = gaps.windows(2).all(|two| (two[0] - two[1]).abs() > 0.15);
         if whole && (apart || takes_turns(gaps)) {
-            // By the third of them both had begun.
-            return Rhythm { phases: true, since: self.beats.get(2).map(|beat| beat.time), ..rate };
+            // The first is one's, the second the other's.
+            return Rhythm { phases: true, since: self.beats.get(1).map(|beat| beat.time), ..rate };
         }
         rate
     }
