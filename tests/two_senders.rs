@@ -88,6 +88,18 @@ fn what_answers_proved_goes_on_while_heartbeats_come_too_often() {
 }
 
 #[test]
+fn a_burst_of_odd_answers_counts_once() {
+    let mut story = Story::default().beats(0, 24_000);
+    for at in [3250, 3350, 3450, 8700] {
+        story = story.asked(at, &[b"A", b"A"]);
+    }
+    let engine = story.heard(|at, engine| {
+        assert_ne!(confidence(engine, SAME), Some(Confidence::Confirmed), "at {at} ms");
+    });
+    assert_eq!(confidence(&engine, SAME), Some(Confidence::Cleared));
+}
+
+#[test]
 fn two_that_turn_out_to_have_two_names_stay_confirmed_meanwhile() {
     let story = Story::default().beats(0, 12_000).beats(300, 12_000);
     let story = story.asked(9000, &[b"A"]).asked(9200, &[b"B"]).asked(9400, &[b"A"]);

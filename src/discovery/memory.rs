@@ -145,8 +145,6 @@ impl Tally {
         if open.answered <= open.asked || !together {
             return (!targeted, None);
         }
-        // Said once: one answer too many is not one too many for the next question as well.
-        open.answered = open.asked;
         (!targeted, Some(Extra { first, targeted }))
     }
 }
