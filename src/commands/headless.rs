@@ -72,8 +72,8 @@ pub fn live(
     })
 }
 
-/// On one log, at this pace, or that of its kind. `turn` is called after each frame and when time passed. Lines that
-/// cannot be read are told on standard error, once.
+/// On one log, at this pace, or that of its kind. `turn` is called after each frame and when time
+/// passed. Lines that cannot be read are told on standard error, once.
 pub fn recorded(
     spec: &BusSpec,
     setup: &Setup,

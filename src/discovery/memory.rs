@@ -16,7 +16,7 @@ use std::collections::VecDeque;
 const ANSWER_WINDOW: Duration = Duration::from_secs(2);
 
 /// Two answers to one question come within this of each other.
-const TOGETHER: Duration = Duration::from_millis(250);
+const TOGETHER: Duration = Duration::from_millis(125);
 /// A heartbeat that comes again within this was repeated by something on its way.
 const REPEATED_WITHIN: Duration = Duration::from_millis(100);
 
@@ -145,8 +145,6 @@ impl Tally {
         if open.answered <= open.asked || !together {
             return (!targeted, None);
         }
-        // Said once: one answer too many is not one too many for the next question as well.
-        open.answered = open.asked;
         (!targeted, Some(Extra { first, targeted }))
     }
 }

@@ -2,8 +2,8 @@
 //!
 //! With a heartbeat: online while they come, stale after 2.5 periods, lost after 5; silent
 //! instead while other frames arrive, asleep instead of lost when its last mode was IDLE.
-//! Without one, or with none but the one that claimed its address: by rounds, unless frames arrive between them, or, where none are made, stale
-//! 30 s after the last frame.
+//! Without one, or with none but the one that claimed its address: by rounds, unless frames arrive
+//! between them, or, where none are made, stale 30 s after the last frame.
 
 use super::device::{Device, Presence};
 use crate::time::{Duration, Instant};
