@@ -14,8 +14,8 @@ use crate::wire::id::Address;
 use std::collections::VecDeque;
 use std::hash::{DefaultHasher, Hash, Hasher};
 
-/// The most that a repeated frame may be late. Two devices whose heartbeats are equal because
-/// they do not draw a RND7 are seldom so close.
+/// The most that a repeated frame may be late, of a sender that is not known to draw RND7: two
+/// devices whose heartbeats are equal because they do not are seldom so close.
 const MAX_DELAY: Duration = Duration::from_millis(100);
 /// Copies in a row from the only address that beats.
 const COPIES_OF_ONE: u32 = 3;
@@ -26,6 +26,8 @@ const MAX_OPEN: usize = 1024;
 struct Beat {
     frame: Frame,
     copied: bool,
+    /// Its sender draws a new RND7 each time.
+    varies: bool,
 }
 
 #[derive(Debug)]
@@ -107,7 +109,9 @@ impl Doubling {
         let last = &mut self.beats[address.index()];
         let copied = last.filter(|beat| !beat.copied && beat.frame.same_on_wire(frame));
         let late = copied.map(|beat| now.since(beat.frame.time));
-        if let (Some(late), Some(beat)) = (late.filter(|late| *late <= MAX_DELAY), last.as_mut()) {
+        let varies = last.is_some_and(|beat| beat.varies);
+        let most = if varies { period / 2 } else { MAX_DELAY };
+        if let (Some(late), Some(beat)) = (late.filter(|late| *late <= most), last.as_mut()) {
             beat.copied = true;
             self.copies += 1;
             self.several |= self.copied.is_some_and(|other| other != address);
@@ -119,12 +123,13 @@ impl Doubling {
             return;
         }
         // The one before had no copy in all this time.
-        if last.is_some_and(|beat| !beat.copied && now.since(beat.frame.time) > MAX_DELAY) {
+        if last.is_some_and(|beat| !beat.copied && now.since(beat.frame.time) > most) {
             self.copies = 0;
             self.several = false;
             self.copied = None;
         }
-        *last = Some(Beat { frame: frame.at(now), copied: false });
+        let other = last.is_some_and(|beat| !beat.frame.same_on_wire(frame));
+        *last = Some(Beat { frame: frame.at(now), copied: false, varies: varies || other });
     }
 
     fn is_alone(&self, now: Instant, address: Address) -> bool {

@@ -17,7 +17,8 @@ const ANSWER_WINDOW: Duration = Duration::from_secs(2);
 
 /// Two answers to one question come within this of each other.
 const TOGETHER: Duration = Duration::from_millis(125);
-/// A heartbeat that comes again within this was repeated by something on its way.
+/// A heartbeat that comes again within this was repeated by something on its way, as far as is
+/// known of a sender that may or may not draw RND7.
 const REPEATED_WITHIN: Duration = Duration::from_millis(100);
 
 /// Something that takes turns between two values: A, B, A, B.
@@ -206,12 +207,16 @@ impl Watch {
     pub fn beat(&mut self, now: Instant, frame: &Frame, period: Duration) -> bool {
         if let Some(last) = self.beats.back()
             && last.frame.same_on_wire(frame)
-            && now.since(last.time) <= REPEATED_WITHIN
         {
             let mut older = self.beats.iter().rev().skip(1);
-            let constant = older
-                .any(|beat| beat.frame.same_on_wire(frame) && now.since(beat.time) > period / 2);
-            if !constant {
+            // Whether it draws RND7 shows from one of its heartbeats to the next.
+            let next = older.find(|beat| last.time.since(beat.time) > period / 2);
+            let within = match next.map(|beat| beat.frame.same_on_wire(frame)) {
+                Some(true) => Duration::ZERO,
+                Some(false) => period / 2,
+                None => REPEATED_WITHIN,
+            };
+            if now.since(last.time) <= within {
                 return false;
             }
         }

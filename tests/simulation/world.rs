@@ -229,7 +229,7 @@ impl Maker {
         if self.one_in(12) {
             let from = if self.rng.bool() { millis(0) } else { self.moment() };
             let until = if self.rng.bool() { millis(BUSY + CALM) } else { from + millis(9000) };
-            lens.doubled = Some((from, until, Duration::from_micros(self.rng.u64(1..30_000))));
+            lens.doubled = Some((from, until, self.delay()));
         }
         if self.one_in(16) {
             lens.echo = true;
@@ -245,6 +245,12 @@ impl Maker {
             lens.jump = Some(Jump { at, by });
         }
         lens
+    }
+
+    /// By how much later everything comes again.
+    fn delay(&mut self) -> Duration {
+        let most = if self.one_in(4) { 300_000 } else { 30_000 };
+        Duration::from_micros(self.rng.u64(1..most))
     }
 
     fn tell(&mut self, story: String) {
