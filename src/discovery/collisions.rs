@@ -241,7 +241,8 @@ impl Collisions {
         let previous = watch.beats.iter().rev().nth(1).map(|beat| beat.frame);
         let uid = uid.filter(|uid| !uid.is_blank());
         let uid_returned = uid.and_then(|uid| watch.uids.see(now, &uid, period * 3));
-        let mode_returned = watch.working.see(now, &working, period * 2);
+        // Two take turns with every heartbeat; a change that stays for longer is one's own.
+        let mode_returned = watch.working.see(now, &working, period.mul_f64(1.05));
         let rhythm = watch.rhythm(period);
         watch.twice_for = if rhythm.twice { watch.twice_for + 1 } else { 0 };
         let (uids_since, modes_since) = (watch.uids.since, watch.working.since);
