@@ -11,7 +11,7 @@
 
 use super::doubling::Doubling;
 use super::finding::{Confidence, Evidence, Finding, FindingKey, FindingKind};
-use super::memory::{Alternation, Asking, Rhythm, Watch};
+use super::memory::{Alternation, Asking, Rhythm, TOGETHER, Watch};
 use super::wording;
 use crate::frame::{BusIndex, Frame};
 use crate::text::Name;
@@ -142,26 +142,27 @@ impl Collisions {
         let watch = &mut self.watches[address.index()];
         watch.asked.get_or_insert(now);
         watch.tally(request, framing).ask(now, asking);
-        if !asking.targeted {
-            self.doubling.see_broadcast(now);
-        }
+    }
+
+    /// A question to all passed by.
+    pub fn see_broadcast(&mut self, now: Instant) {
+        self.doubling.see_broadcast(now);
     }
 
     /// An answer begins.
     pub fn see_answer(&mut self, now: Instant, answer: Answer, name: Option<&Name>, frame: &Frame) {
         let Answer { from: address, to, request, framing, working } = answer;
+        let together = TOGETHER.min(self.period / 8);
         let tally = self.watches[address.index()].tally(request, framing);
-        let (to_all, extra) = tally.answer(now, to, frame);
+        let (to_all, extra) = tally.answer(now, to, together, frame);
         if to_all {
             self.doubling.see_answer(address, extra.is_some());
         }
         let Some(extra) = extra.filter(|_| !self.doubling.asks_twice(now)) else { return };
         let first = extra.first;
         // Who is in no working mode may answer the question to the one kind of nodes and that to
-        // the other; long after the first, it is the answer to a question that we did not hear.
-        let together = now.since(extra.first.time) < self.period / 8;
-        let strong = together && (extra.targeted || working);
-        let weight = if strong { Weight::Strong } else { Weight::Weak };
+        // the other.
+        let weight = if extra.targeted || working { Weight::Strong } else { Weight::Weak };
         let differ = message(&first, framing) != message(frame, framing);
         let (kind, weight) = match request {
             Request::Name if differ => (FindingKind::OneAddressTwoNames, weight),

@@ -8,15 +8,13 @@
 //!
 //! Does not judge devices.
 
+use super::memory::REPEATED_WITHIN;
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
 use std::collections::VecDeque;
 use std::hash::{DefaultHasher, Hash, Hasher};
 
-/// The most that a repeated frame may be late, of a sender that is not known to draw RND7: two
-/// devices whose heartbeats are equal because they do not are seldom so close.
-const MAX_DELAY: Duration = Duration::from_millis(100);
 /// Copies in a row from the only address that beats.
 const COPIES_OF_ONE: u32 = 3;
 /// Frames of which a copy may still come.
@@ -110,7 +108,7 @@ impl Doubling {
         let copied = last.filter(|beat| !beat.copied && beat.frame.same_on_wire(frame));
         let late = copied.map(|beat| now.since(beat.frame.time));
         let varies = last.is_some_and(|beat| beat.varies);
-        let most = if varies { period / 2 } else { MAX_DELAY };
+        let most = if varies { period / 2 } else { REPEATED_WITHIN };
         if let (Some(late), Some(beat)) = (late.filter(|late| *late <= most), last.as_mut()) {
             beat.copied = true;
             self.copies += 1;

@@ -232,6 +232,7 @@ impl Engine {
         if !ours {
             self.note_broadcast(header.destination, false);
         }
+        self.collisions.see_broadcast(now);
         let mut awaited = 0;
         for address in Address::all() {
             // Of the same question to both kinds of nodes a node answers one.

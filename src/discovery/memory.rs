@@ -15,11 +15,12 @@ use std::collections::VecDeque;
 /// Answers later than this after a question are not set against it.
 const ANSWER_WINDOW: Duration = Duration::from_secs(2);
 
-/// Two answers to one question come within this of each other.
-const TOGETHER: Duration = Duration::from_millis(125);
+/// Two answers to one question come within less than this of each other.
+pub(super) const TOGETHER: Duration = Duration::from_millis(125);
 /// A heartbeat that comes again within this was repeated by something on its way, as far as is
-/// known of a sender that may or may not draw RND7.
-const REPEATED_WITHIN: Duration = Duration::from_millis(100);
+/// known of a sender that may or may not draw RND7: two devices whose heartbeats are equal because
+/// they do not are seldom so close.
+pub(super) const REPEATED_WITHIN: Duration = Duration::from_millis(100);
 
 /// Something that takes turns between two values: A, B, A, B.
 #[derive(Debug)]
@@ -124,11 +125,13 @@ impl Tally {
     }
 
     /// Counts an answer, to whom it is where that is known; otherwise to whoever has none yet.
-    /// Comes back with whether the question went to all, and with what is one too many.
+    /// Comes back with whether the question went to all, and with what is one too many, less than
+    /// `together` after the first.
     pub fn answer(
         &mut self,
         now: Instant,
         to: Option<Address>,
+        together: Duration,
         frame: &Frame,
     ) -> (bool, Option<Extra>) {
         let fresh = |open: &&mut Open| now.since(open.asked_at) <= ANSWER_WINDOW;
@@ -142,8 +145,7 @@ impl Tally {
         let first = *open.first_answer.get_or_insert(frame.at(now));
         let targeted = open.asking.targeted;
         // One that comes much later answers a question that we missed.
-        let together = now.since(first.time) <= TOGETHER;
-        if open.answered <= open.asked || !together {
+        if open.answered <= open.asked || now.since(first.time) >= together {
             return (!targeted, None);
         }
         (!targeted, Some(Extra { first, targeted }))
@@ -236,8 +238,7 @@ impl Watch {
         let soon = before.is_some_and(|beat| last.time.since(beat.time) < period.mul_f64(0.85));
         let twice = soon && recent.count() >= 7;
         // So many in so little time are two's for a period at least.
-        let since = last.time.as_micros().saturating_sub(period.as_micros() as u64);
-        let rate = Rhythm { twice, phases: false, since: Some(Instant::from_micros(since)) };
+        let rate = Rhythm { twice, phases: false, since: Some(last.time - period) };
         if self.beats.len() < BEATS - 1 {
             return rate;
         }
