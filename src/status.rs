@@ -103,14 +103,19 @@ pub struct BusStatus {
     pub controller_overruns: u64,
     /// Frames that did not fit our queue.
     pub queue_drops: u64,
-    /// Frames that were handed to the kernel and have not been seen on the bus.
+    /// Frames that were handed to the kernel, or to an adapter, and have not been seen on the
+    /// bus.
     pub unconfirmed: u64,
-    /// Frames that the kernel would not take, or not in time.
+    /// Frames that the kernel or the adapter would not take, or not in time.
     pub transmit_failures: u64,
     /// Error reports that say nobody acknowledged.
     pub missing_acks: u64,
+    /// Messages of an adapter or a server that could not be read.
+    pub unreadable: u64,
     /// What is wrong and the way out, on one line.
     pub message: Option<String>,
+    /// What is worth knowing while nothing is wrong, on one line: what an adapter says of itself.
+    pub note: Option<String>,
 }
 
 #[cfg(test)]

@@ -386,7 +386,8 @@ fn finding_in_words(confidence: Confidence, key: &FindingKey, text: &str) -> (Ki
 
 /// What changed between two words of an adapter, in lines.
 fn changes(old: &BusStatus, status: &BusStatus) -> Vec<(Kind, String)> {
-    let message = status.message.as_ref().map(|message| Escaped(message.as_bytes()).to_string());
+    let shown = |text: &String| Escaped(text.as_bytes()).to_string();
+    let message = status.message.as_ref().map(shown);
     let mut lines = Vec::new();
     if old.link != status.link {
         lines.push(match status.link {
@@ -412,6 +413,9 @@ fn changes(old: &BusStatus, status: &BusStatus) -> Vec<(Kind, String)> {
         && let Some(bitrate) = status.bitrate
     {
         lines.push((Kind::Bus, format!("{bitrate} bit/s")));
+    }
+    if let Some(note) = status.note.as_ref().filter(|note| old.note.as_ref() != Some(note)) {
+        lines.push((Kind::Bus, shown(note)));
     }
     if lost(old) < lost(status) {
         lines.push((Kind::Error, "frames were lost on the way to us".to_owned()));

@@ -40,24 +40,33 @@ impl Bell {
         input: Option<BorrowedFd<'_>>,
         timeout: Option<Duration>,
     ) -> io::Result<bool> {
+        self.wait_for(input.map(|input| (input, PollFlags::POLLIN)), timeout)
+    }
+
+    /// The same, for other events than input: room to write in particular.
+    pub(super) fn wait_for(
+        &self,
+        events: Option<(BorrowedFd<'_>, PollFlags)>,
+        timeout: Option<Duration>,
+    ) -> io::Result<bool> {
         let timeout = timeout.map_or(PollTimeout::NONE, |timeout| {
             let millis = timeout.as_nanos().div_ceil(1_000_000);
             PollTimeout::try_from(millis).unwrap_or(PollTimeout::MAX)
         });
         let bell = PollFd::new(self.reader.as_fd(), PollFlags::POLLIN);
         let mut watched = Vec::from([bell]);
-        watched.extend(input.map(|input| PollFd::new(input, PollFlags::POLLIN)));
+        watched.extend(events.map(|(source, events)| PollFd::new(source, events)));
         match poll(&mut watched, timeout) {
             Ok(_) | Err(Errno::EINTR) => {}
             Err(error) => return Err(error.into()),
         }
         let has_event = |at: usize| watched.get(at).and_then(PollFd::any) == Some(true);
-        let (bell_heard, input_ready) = (has_event(0), has_event(1));
+        let (bell_heard, is_ready) = (has_event(0), has_event(1));
         if bell_heard {
             (&self.reader).read_exact(&mut [0])?;
             self.rung.store(false, Ordering::Release);
         }
-        Ok(input_ready)
+        Ok(is_ready)
     }
 }
 

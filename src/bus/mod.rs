@@ -5,7 +5,8 @@
 //! know what frames mean.
 //!
 //! Reading order: [`BusSpec`] (what the user typed), [`open`], [`Port`], [`Queue`],
-//! [`BusStatus`](crate::status::BusStatus), [`Clock`]; then the kinds: `socketcan`, `replay`, `sim`. A log can also be read at
+//! [`BusStatus`](crate::status::BusStatus), [`Clock`]; then the kinds:
+//! `socketcan`, `slcan` (with what it shares with others in `remote`), `replay`, `sim`. A log can also be read at
 //! once: [`log::LogReader`].
 
 mod bell;
@@ -14,8 +15,10 @@ mod clock;
 pub mod log;
 mod port;
 mod queue;
+mod remote;
 mod replay;
 mod sim;
+mod slcan;
 mod socketcan;
 mod spec;
 
@@ -96,10 +99,8 @@ pub fn open(
             let scenario = scenario(system)?;
             sim::open(&name, &scenario, index, clock, options.listen_only)
         }
-        BusSpec::Slcan { device, .. } => {
-            let instead =
-                format!("make it an interface: {}", spec::slcand(&device.to_string_lossy()));
-            return Err(BusError::NotSupported { name, instead });
+        BusSpec::Slcan { device, bitrate, data_bitrate } => {
+            slcan::open(&name, device, (*bitrate, *data_bitrate), (index, clock, options))
         }
         BusSpec::Udp(_) | BusSpec::Socketcand(_) => {
             let instead = "where the bus is: ssh board candump -L can0 | descan -".to_owned();

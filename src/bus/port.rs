@@ -7,6 +7,7 @@ use super::bell::Bell;
 use super::queue::Queue;
 use crate::frame::Frame;
 use crate::status::Link;
+use nix::poll::PollFlags;
 use std::collections::VecDeque;
 use std::io;
 use std::os::fd::BorrowedFd;
@@ -122,6 +123,22 @@ impl Line {
         timeout: Option<Duration>,
     ) -> io::Result<bool> {
         self.bell.wait(input, timeout)
+    }
+
+    /// The same for a stream that is also written to: waits for room as well, if `to_write`.
+    pub(super) fn wait_for_stream(
+        &self,
+        stream: BorrowedFd<'_>,
+        to_write: bool,
+        timeout: Option<Duration>,
+    ) -> io::Result<bool> {
+        let room = if to_write { PollFlags::POLLOUT } else { PollFlags::empty() };
+        self.bell.wait_for(Some((stream, PollFlags::POLLIN | room)), timeout)
+    }
+
+    /// Ends the wait that is under way, or the next one.
+    pub(super) fn wake(&self) {
+        self.bell.ring();
     }
 
     fn post(&self, frame: Frame) -> Result<(), TransmitError> {

@@ -3,6 +3,7 @@
 //! Opens nothing and looks at nothing: whether the interface or the file exists is learnt when
 //! it is opened.
 
+use super::slcan;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -21,12 +22,15 @@ pub enum BusSpec {
     Stdin,
     /// `sim:boiler`: a simulated bus.
     Sim(String),
-    /// `slcan:/dev/ttyACM0@500000`: a serial adapter; the bit rate, where given.
+    /// `slcan:/dev/ttyACM0@500000`: a serial adapter; the bit rate, where given, and for FD that
+    /// of the data phase (`@500000/2000000`).
     Slcan {
         /// The serial device.
         device: PathBuf,
         /// Bit/s.
         bitrate: Option<u32>,
+        /// Bit/s of the FD data phase.
+        data_bitrate: Option<u32>,
     },
     /// `udp:239.74.163.2`: python-can's multicast bus.
     Udp(String),
@@ -58,7 +62,7 @@ pub enum SpecError {
     #[error("{0} is no interface name; for a log say file:{0}")]
     LooksLikePath(String),
     /// A device file, most likely of a serial adapter.
-    #[error("{0} is no CAN interface; make it one: {way}", way = slcand(.0))]
+    #[error("{0} is no CAN interface; for an slcan adapter say slcan:{0}@500000")]
     DeviceFile(String),
     /// Longer than interface names can be.
     #[error("{0} is too long for an interface name (15 bytes)")]
@@ -69,6 +73,12 @@ pub enum SpecError {
     /// What follows the @ is no bit rate.
     #[error("{0} is no bit rate; say slcan:/dev/ttyACM0@500000")]
     BadBitrate(String),
+    /// A bit rate that slcan has no code for.
+    #[error("slcan has no {0} bit/s; there are {rates}", rates = slcan::rates())]
+    NoSuchBitrate(u32),
+    /// The same for the data phase.
+    #[error("slcan has no {0} bit/s for data; there are {rates}", rates = slcan::data_rates())]
+    NoSuchDataBitrate(u32),
 }
 
 impl FromStr for BusSpec {
@@ -87,7 +97,7 @@ impl FromStr for BusSpec {
         match kind {
             "file" => Ok(BusSpec::File(wanted("file", "file:session.log")?.into())),
             "sim" => Ok(BusSpec::Sim(wanted("sim", "sim:boiler")?.to_owned())),
-            "slcan" => slcan(wanted("slcan", "slcan:/dev/ttyACM0@500000")?),
+            "slcan" => serial_adapter(wanted("slcan", "slcan:/dev/ttyACM0@500000")?),
             "udp" => Ok(BusSpec::Udp(wanted("udp", "udp:239.74.163.2")?.to_owned())),
             "socketcand" => {
                 let incomplete = SpecError::Incomplete {
@@ -105,15 +115,24 @@ impl FromStr for BusSpec {
     }
 }
 
-fn slcan(text: &str) -> Result<BusSpec, SpecError> {
-    let Some((device, rate)) = text.rsplit_once('@') else {
-        return Ok(BusSpec::Slcan { device: text.into(), bitrate: None });
+fn serial_adapter(text: &str) -> Result<BusSpec, SpecError> {
+    let Some((device, rates)) = text.rsplit_once('@') else {
+        return Ok(BusSpec::Slcan { device: text.into(), bitrate: None, data_bitrate: None });
     };
-    let bitrate = rate.parse().ok().filter(|rate| (5_000..=1_000_000).contains(rate));
-    if bitrate.is_none() {
-        return Err(SpecError::BadBitrate(rate.to_owned()));
+    let rate = |text: &str| {
+        text.parse::<u32>().ok().ok_or_else(|| SpecError::BadBitrate(rates.to_owned()))
+    };
+    let (bitrate, data_bitrate) = match rates.split_once('/') {
+        Some((bitrate, data)) => (rate(bitrate)?, Some(rate(data)?)),
+        None => (rate(rates)?, None),
+    };
+    if slcan::rate_code(bitrate).is_none() {
+        return Err(SpecError::NoSuchBitrate(bitrate));
     }
-    Ok(BusSpec::Slcan { device: device.into(), bitrate })
+    if let Some(data) = data_bitrate.filter(|data| slcan::data_rate_code(*data).is_none()) {
+        return Err(SpecError::NoSuchDataBitrate(data));
+    }
+    Ok(BusSpec::Slcan { device: device.into(), bitrate: Some(bitrate), data_bitrate })
 }
 
 fn interface_name(text: &str) -> Result<String, SpecError> {
@@ -140,22 +159,15 @@ impl fmt::Display for BusSpec {
             BusSpec::File(path) => write!(f, "file:{}", path.display()),
             BusSpec::Stdin => f.write_str("-"),
             BusSpec::Sim(name) => write!(f, "sim:{name}"),
-            BusSpec::Slcan { device, bitrate: None } => write!(f, "slcan:{}", device.display()),
-            BusSpec::Slcan { device, bitrate: Some(rate) } => {
-                write!(f, "slcan:{}@{rate}", device.display())
+            BusSpec::Slcan { device, bitrate, data_bitrate } => {
+                write!(f, "slcan:{}", device.display())?;
+                bitrate.map_or(Ok(()), |rate| write!(f, "@{rate}"))?;
+                data_bitrate.map_or(Ok(()), |rate| write!(f, "/{rate}"))
             }
             BusSpec::Udp(group) => write!(f, "udp:{group}"),
             BusSpec::Socketcand(rest) => write!(f, "socketcand://{rest}"),
         }
     }
-}
-
-/// How a serial adapter becomes an interface.
-pub(super) fn slcand(device: &str) -> String {
-    format!(
-        "sudo slcand -o -s4 {device} can0 (-s4: 125 kbit/s, -s6: 500 kbit/s), sudo ip link set \
-         can0 up, descan can0"
-    )
 }
 
 #[cfg(test)]
@@ -173,6 +185,7 @@ mod tests {
             "sim:boiler",
             "slcan:/dev/ttyACM0",
             "slcan:/dev/ttyACM0@500000",
+            "slcan:/dev/ttyACM0@500000/2000000",
             "udp:239.74.163.2",
             "udp:ff15:7079:7468:6f6e:6465:6d6f:6d63:6173",
             "socketcand://host:29536/can0",
@@ -192,7 +205,9 @@ mod tests {
             ("slcan:/dev/ttyACM0@fast", "slcan:/dev/ttyACM0@500000"),
             ("socketcand:host/can0", "socketcand://host"),
             ("session.log", "file:session.log"),
-            ("/dev/ttyACM0", "slcand -o -s4 /dev/ttyACM0 can0"),
+            ("/dev/ttyACM0", "slcan:/dev/ttyACM0@500000"),
+            ("slcan:/dev/ttyACM0@300000", "100000, 125000, 250000"),
+            ("slcan:/dev/ttyACM0@500000/1", "2000000, 5000000"),
             ("./a:b", "file:./a:b"),
             ("pcan:1", "SocketCAN"),
             ("can0123456789abc", "15 bytes"),

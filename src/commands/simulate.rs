@@ -37,8 +37,12 @@ pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8,
         let mut interrupt = signal(SignalKind::interrupt()).context("no signals")?;
         let mut terminate = signal(SignalKind::terminate()).context("no signals")?;
         let mut heard: Vec<Frame> = Vec::new();
+        // The simulated bus begins when the other one is there.
+        let mut start = None;
         loop {
             let now = clock.now();
+            // Taken, so that it is no news any more: the loop sleeps until there is some.
+            port.queue().take_status();
             let status = port.queue().status();
             if !matches!(status.link, Link::Opening | Link::Up) {
                 let why = status.message.unwrap_or_else(|| format!("{spec} cannot be used"));
@@ -48,20 +52,25 @@ pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8,
             if time.is_some_and(|time| now.since(Instant::ZERO) >= time) {
                 return Ok(FINE);
             }
+            if status.link == Link::Up {
+                start.get_or_insert(now);
+            }
             heard.clear();
             port.queue().drain(&mut heard, usize::MAX);
             for frame in heard.iter().filter(|frame| !frame.ours && frame.kind != FrameKind::Error)
             {
                 sim.transmit(station, *frame);
             }
-            sim.advance(now);
+            if let Some(start) = start {
+                sim.advance(Instant::ZERO + now.since(start));
+            }
             while let Some(frame) = sim.poll_frame(station) {
                 if !frame.ours && frame.kind != FrameKind::Error {
                     // A full outbox is a bus that takes nothing; its status says so.
                     let _ = port.transmit(&frame);
                 }
             }
-            let next = sim.next_event().map_or(NAP, |at| at.since(now)).max(NAP);
+            let next = sim.next_event().map_or(NAP, |at| at.since(sim.now())).max(NAP);
             tokio::select! {
                 biased;
                 _ = interrupt.recv() => return Ok(FINE),

@@ -126,8 +126,13 @@ fn counters(brush: &Brush, width: u16) -> Vec<Line<'static>> {
             ("lost: kernel", status.kernel_drops, "did not fit the receive buffer"),
             ("lost: adapter", status.controller_overruns, "the controller itself was overrun"),
             ("lost: queue", status.queue_drops, "did not fit our own queue"),
-            ("not sent", status.transmit_failures, "the kernel would not take them"),
+            ("not sent", status.transmit_failures, "were not taken, or not in time"),
+            ("unreadable", status.unreadable, "messages of the adapter or server"),
         ] {
+            // Where there is nobody to misunderstand, it would only be one line more.
+            if name == "unreadable" && count == 0 {
+                continue;
+            }
             let left = format!("{name:<14}{count:>9}");
             lines.extend(two_columns(brush, (Role::Text, &left), 24, meaning, width));
         }

@@ -1,0 +1,480 @@
+//! The lines of slcan (Lawicel's ASCII protocol, as adapters speak it today) and their meaning.
+//!
+//! Pure: bytes in, values out, and back. Whatever cannot be read is `None`; nothing panics.
+
+use crate::frame::{CanId, Frame, FrameKind, fd_length};
+use crate::status::BusState;
+
+/// The longest line that is kept: an FD frame with its time stamp has 142 bytes, what adapters
+/// answer to `V` can be longer.
+const MAX_LINE: usize = 256;
+
+/// The bit rates that have a code, by code. Adapters disagree about 7: Lawicel's have 800
+/// kbit/s, others 750.
+const BITRATES: [(u8, u32); 10] = [
+    (0, 10_000),
+    (1, 20_000),
+    (2, 50_000),
+    (3, 100_000),
+    (4, 125_000),
+    (5, 250_000),
+    (6, 500_000),
+    (7, 750_000),
+    (7, 800_000),
+    (8, 1_000_000),
+];
+
+/// The bit rates of the data phase that have a code: `Y2`, `Y5`.
+const DATA_BITRATES: [u32; 2] = [2_000_000, 5_000_000];
+
+/// The digit of `S` for a bit rate.
+pub(in crate::bus) fn rate_code(bitrate: u32) -> Option<u8> {
+    BITRATES.iter().find(|(_, rate)| *rate == bitrate).map(|(code, _)| *code)
+}
+
+/// The digit of `Y` for the bit rate of the data phase.
+pub(in crate::bus) fn data_rate_code(bitrate: u32) -> Option<u8> {
+    DATA_BITRATES.contains(&bitrate).then_some((bitrate / 1_000_000) as u8)
+}
+
+/// All bit rates that have a code, for people.
+pub(in crate::bus) fn rates() -> String {
+    BITRATES.map(|(_, rate)| rate.to_string()).join(", ")
+}
+
+/// The same for the data phase.
+pub(in crate::bus) fn data_rates() -> String {
+    DATA_BITRATES.map(|rate| rate.to_string()).join(", ")
+}
+
+/// What an adapter says in a line.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Word {
+    /// A frame; its time stamp in milliseconds, where there is one.
+    Frame(Frame, Option<u16>),
+    /// Yes: to a command, or to a frame.
+    Yes,
+    /// The status flags.
+    Flags(Flags),
+    /// The controller's state and error counters.
+    State { state: BusState, tec: u16, rec: u16 },
+    /// Its version or serial number, with the letter that asked for it.
+    Name(String),
+    /// A command. Adapters say none: at the other end is a program like this one.
+    Command,
+}
+
+/// The status flags (`F`).
+///
+/// Bit 7 is of no use: on adapters with an SJA1000 it says that some frame broke since it was
+/// last asked, on those with an MCP2515 that the controller has left the bus, and nothing tells
+/// which. Both have the error-passive flag set when it comes to that.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub(super) struct Flags(pub u8);
+
+impl Flags {
+    pub fn state(self) -> BusState {
+        match self.0 {
+            bits if bits & 0x20 != 0 => BusState::ErrorPassive,
+            bits if bits & 0x04 != 0 => BusState::ErrorWarning,
+            _ => BusState::ErrorActive,
+        }
+    }
+
+    /// Whether frames were lost in the adapter: its receive queue was full, or its controller
+    /// was overrun.
+    pub fn is_overrun(self) -> bool {
+        self.0 & 0x09 != 0
+    }
+}
+
+/// Reads a line, without its end.
+pub(super) fn parse(line: &[u8]) -> Option<Word> {
+    let Some((&kind, rest)) = line.split_first() else { return Some(Word::Yes) };
+    match kind {
+        b't' | b'T' | b'r' | b'R' | b'd' | b'D' | b'b' | b'B' => frame(kind, rest),
+        b'z' | b'Z' if rest.is_empty() => Some(Word::Yes),
+        b'F' if rest.len() == 2 => Some(Word::Flags(Flags(number(rest, 16)? as u8))),
+        b's' if rest.len() == 7 => state(rest),
+        b'e' => errors(rest),
+        b'V' | b'N' | b'v' if !rest.is_empty() => name(line).map(Word::Name),
+        b'C' | b'O' | b'L' | b'V' | b'N' | b'F' if rest.is_empty() => Some(Word::Command),
+        b'S' | b'Y' | b'Z' if rest.len() == 1 && rest[0].is_ascii_digit() => Some(Word::Command),
+        _ => None,
+    }
+}
+
+/// Text that an adapter may say of itself.
+pub(super) fn name(line: &[u8]) -> Option<String> {
+    let text = std::str::from_utf8(line).ok()?;
+    let is_text = text.chars().all(|c| c == ' ' || c.is_ascii_graphic());
+    (is_text && !text.trim().is_empty()).then(|| text.trim().to_owned())
+}
+
+fn frame(kind: u8, rest: &[u8]) -> Option<Word> {
+    let is_extended = kind.is_ascii_uppercase();
+    let (id, rest) = rest.split_at_checked(if is_extended { 8 } else { 3 })?;
+    let id = number(id, 16)?;
+    let id = match is_extended {
+        true if id <= 0x1FFF_FFFF => CanId::Extended(id),
+        false if id <= 0x7FF => CanId::Standard(id as u16),
+        _ => return None,
+    };
+    let (code, rest) = rest.split_at_checked(1)?;
+    let code = number(code, 16)? as usize;
+    let kind = kind.to_ascii_lowercase();
+    let is_fd = matches!(kind, b'd' | b'b');
+    let len = match code {
+        0..=8 => code,
+        _ if is_fd => data_length(code),
+        _ => return None,
+    };
+    let digits = if kind == b'r' { 0 } else { 2 * len };
+    let (data, stamp) = rest.split_at_checked(digits)?;
+    let mut bytes = [0; Frame::MAX_DATA];
+    for (byte, digits) in bytes.iter_mut().zip(data.chunks(2)) {
+        *byte = number(digits, 16)? as u8;
+    }
+    let stamp = match stamp.len() {
+        0 => None,
+        4 => Some(number(stamp, 16)? as u16),
+        _ => return None,
+    };
+    let mut frame = match kind {
+        b'r' => Frame::remote(id, len),
+        _ => Frame::with(id, &bytes[..len]),
+    };
+    frame.fd = is_fd;
+    frame.bit_rate_switch = kind == b'b';
+    Some(Word::Frame(frame, stamp))
+}
+
+/// `sa057033`: state, receive and transmit error counter.
+fn state(rest: &[u8]) -> Option<Word> {
+    let state = match rest[0] {
+        b'a' => BusState::ErrorActive,
+        b'w' => BusState::ErrorWarning,
+        b'p' => BusState::ErrorPassive,
+        b'b' => BusState::BusOff,
+        _ => return None,
+    };
+    let rec = number(&rest[1..4], 10)? as u16;
+    let tec = number(&rest[4..7], 10)? as u16;
+    Some(Word::State { state, tec, rec })
+}
+
+/// `e1a`, `e3bcO`: how many errors, and which. As Linux makes an error frame of them.
+fn errors(rest: &[u8]) -> Option<Word> {
+    const CONTROLLER: u32 = 0x04;
+    const NO_ACKNOWLEDGE: u32 = 0x20;
+    let (count, letters) = rest.split_first()?;
+    if !count.is_ascii_digit() || letters.len() != usize::from(count - b'0') {
+        return None;
+    }
+    // Protocol violation, bus error.
+    let mut class = 0x88;
+    let mut details = [0; 8];
+    for letter in letters {
+        match letter {
+            b'a' => {
+                class |= NO_ACKNOWLEDGE;
+                details[3] = 0x19;
+            }
+            b'b' => details[2] |= 0x08,
+            b'B' => details[2] |= 0x10,
+            b'c' => {
+                details[2] |= 0x01;
+                details[3] = 0x08;
+            }
+            b'f' => details[2] |= 0x02,
+            b's' => details[2] |= 0x04,
+            b'o' => {
+                class |= CONTROLLER;
+                details[1] |= 0x01;
+            }
+            b'O' => {
+                class |= CONTROLLER;
+                details[1] |= 0x02;
+            }
+            _ => return None,
+        }
+    }
+    if letters.iter().all(|letter| matches!(letter, b'o' | b'O')) {
+        // Nothing broke on the bus.
+        class = CONTROLLER;
+    }
+    Some(Word::Frame(Frame::error(class, &details), None))
+}
+
+/// Writes a frame as a line; `None` for what slcan has no line for.
+pub(super) fn encode(frame: &Frame) -> Option<Vec<u8>> {
+    let (kind, digits) = match (frame.kind, frame.fd, frame.bit_rate_switch) {
+        (FrameKind::Error, ..) => return None,
+        (FrameKind::Remote, ..) => ('r', frame.len()),
+        (FrameKind::Data, false, _) => ('t', frame.len()),
+        (FrameKind::Data, true, false) => ('d', length_code(frame.len())?),
+        (FrameKind::Data, true, true) => ('b', length_code(frame.len())?),
+    };
+    if digits > 8 && !frame.fd {
+        return None;
+    }
+    let mut line = match frame.id {
+        CanId::Standard(id) => format!("{kind}{id:03X}{digits:X}"),
+        CanId::Extended(id) => format!("{}{id:08X}{digits:X}", kind.to_ascii_uppercase()),
+    };
+    line.extend(frame.data().iter().map(|byte| format!("{byte:02X}")));
+    line.push('\r');
+    Some(line.into_bytes())
+}
+
+/// The length of an FD frame by its code 9–15.
+fn data_length(code: usize) -> usize {
+    const LENGTHS: [usize; 7] = [12, 16, 20, 24, 32, 48, 64];
+    LENGTHS[(code - 9).min(6)]
+}
+
+fn length_code(len: usize) -> Option<usize> {
+    if len <= 8 {
+        return Some(len);
+    }
+    (9..=15).find(|code| data_length(*code) == len && fd_length(len) == len)
+}
+
+/// A number all of whose digits are there: no sign, no white space.
+fn number(digits: &[u8], radix: u32) -> Option<u32> {
+    let all_digits = digits.iter().all(|digit| char::from(*digit).is_digit(radix));
+    let text = std::str::from_utf8(digits).ok().filter(|_| all_digits)?;
+    u32::from_str_radix(text, radix).ok()
+}
+
+/// What the splitting of a stream into lines gives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Piece<'a> {
+    /// A whole line, without its end.
+    Line(&'a [u8]),
+    /// `\a`: no, to a command or a frame.
+    No,
+    /// What cannot be a line: too long, or cut off by a `\a`.
+    Unreadable,
+}
+
+/// Splits a stream into lines, however it comes; keeps no more than one line of bounded length.
+#[derive(Debug, Default)]
+pub(super) struct Splitter {
+    line: Vec<u8>,
+    too_long: bool,
+}
+
+impl Splitter {
+    /// Takes bytes, and gives every piece that they complete.
+    pub fn feed(&mut self, bytes: &[u8], mut take: impl FnMut(Piece<'_>)) {
+        for &byte in bytes {
+            match byte {
+                b'\r' | b'\x07' => {
+                    let is_no = byte == b'\x07';
+                    let is_cut = is_no && !self.line.is_empty();
+                    if std::mem::take(&mut self.too_long) || is_cut {
+                        take(Piece::Unreadable);
+                    } else if !is_no {
+                        take(Piece::Line(&self.line));
+                    }
+                    if is_no {
+                        take(Piece::No);
+                    }
+                    self.line.clear();
+                }
+                // Some end their lines with both.
+                b'\n' => {}
+                _ if self.line.len() == MAX_LINE => self.too_long = true,
+                _ => self.line.push(byte),
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn read(text: &str) -> Option<Word> {
+        parse(text.as_bytes())
+    }
+
+    fn frame_of(text: &str) -> Frame {
+        match read(text) {
+            Some(Word::Frame(frame, _)) => frame,
+            other => panic!("{text}: {other:?}"),
+        }
+    }
+
+    #[test]
+    fn frames_are_read_as_adapters_write_them() {
+        assert_eq!(frame_of("t1230"), Frame::with(CanId::Standard(0x123), &[]));
+        assert_eq!(frame_of("t4563112233"), Frame::with(CanId::Standard(0x456), &[17, 34, 51]));
+        assert_eq!(frame_of("T12abcdef2aa55"), Frame::classic(0x12AB_CDEF, &[0xAA, 0x55]));
+        assert_eq!(frame_of("r1234"), Frame::remote(CanId::Standard(0x123), 4));
+        assert_eq!(frame_of("R000001230"), Frame::remote(CanId::Extended(0x123), 0));
+        let fd = frame_of(&format!("D000001239{}", "5A".repeat(12)));
+        assert_eq!((fd.len(), fd.fd, fd.bit_rate_switch), (12, true, false));
+        assert_eq!(
+            read("T1111222281122334455667788EA5F"),
+            Some(Word::Frame(
+                Frame::classic(0x1111_2222, &[0x11, 0x22, 0x33, 0x44, 0x55, 0x66, 0x77, 0x88]),
+                Some(0xEA5F)
+            ))
+        );
+    }
+
+    #[test]
+    fn what_is_no_frame_is_refused() {
+        for text in [
+            "t",
+            "t12",
+            "t123",
+            "t8000",
+            "t1239",
+            "t12311",
+            "t123111223",
+            "t123+",
+            "t+120",
+            "T",
+            "T200000000",
+            "T123456780 ",
+            "t1230ABC",
+            "t12301",
+            "t1230ABCDE",
+            "d123",
+            "d1239AA",
+            "r12341",
+            "x1230",
+            "Hello",
+            "t123é",
+            "F1",
+            "F123",
+            "sx000000",
+            "s",
+            "e",
+            "e2a",
+            "e1x",
+            "z1",
+            "S",
+            "S66",
+        ] {
+            assert_eq!(read(text), None, "{text}");
+        }
+    }
+
+    #[test]
+    fn other_words() {
+        assert_eq!(read(""), Some(Word::Yes));
+        assert_eq!(read("z"), Some(Word::Yes));
+        assert_eq!(read("Z"), Some(Word::Yes));
+        assert_eq!(read("V1013"), Some(Word::Name("V1013".into())));
+        assert_eq!(read("S6"), Some(Word::Command));
+        assert_eq!(read("V"), Some(Word::Command));
+        let off = Word::State { state: BusState::BusOff, tec: 256, rec: 0 };
+        assert_eq!(read("sb000256"), Some(off));
+        let flags = |text| match read(text) {
+            Some(Word::Flags(flags)) => (flags.state(), flags.is_overrun()),
+            other => panic!("{other:?}"),
+        };
+        assert_eq!(flags("F00"), (BusState::ErrorActive, false));
+        assert_eq!(flags("F04"), (BusState::ErrorWarning, false));
+        assert_eq!(flags("FA4"), (BusState::ErrorPassive, false));
+        assert_eq!(flags("F08"), (BusState::ErrorActive, true));
+    }
+
+    #[test]
+    fn errors_become_error_frames() {
+        let report = |text| crate::error_report::ErrorReport::of(&frame_of(text)).unwrap();
+        assert!(report("e1a").is_missing_acknowledge());
+        assert!(report("e2bf").is_broken_frame());
+        assert!(report("e1o").is_receive_overflow());
+        assert!(!report("e1o").is_broken_frame());
+    }
+
+    #[test]
+    fn every_rate_has_its_code() {
+        assert_eq!(rate_code(500_000), Some(6));
+        assert_eq!((rate_code(750_000), rate_code(800_000)), (Some(7), Some(7)));
+        assert_eq!((rate_code(300_000), data_rate_code(3_000_000)), (None, None));
+        assert_eq!(data_rate_code(5_000_000), Some(5));
+    }
+
+    fn pieces(splitter: &mut Splitter, bytes: &[u8]) -> Vec<String> {
+        let mut seen = Vec::new();
+        splitter.feed(bytes, |piece| seen.push(format!("{piece:?}")));
+        seen
+    }
+
+    #[test]
+    fn a_stream_is_split_however_it_comes() {
+        let whole = b"t1230\r\rz\r\n\x07half\x07V1013\r";
+        let at_once = pieces(&mut Splitter::default(), whole);
+        assert_eq!(at_once.len(), 7, "{at_once:?}");
+        let mut splitter = Splitter::default();
+        let mut one_by_one = Vec::new();
+        for byte in whole {
+            one_by_one.extend(pieces(&mut splitter, &[*byte]));
+        }
+        assert_eq!(one_by_one, at_once);
+    }
+
+    #[test]
+    fn a_line_that_does_not_end_is_dropped_at_its_end() {
+        let mut splitter = Splitter::default();
+        assert_eq!(pieces(&mut splitter, &vec![b'x'; 100_000]), [""; 0]);
+        assert!(splitter.line.capacity() <= 2 * MAX_LINE);
+        assert_eq!(pieces(&mut splitter, b"\rz\r"), ["Unreadable", "Line([122])"]);
+    }
+
+    fn any_frame() -> impl Strategy<Value = Frame> {
+        let id = prop_oneof![
+            (0..0x800_u16).prop_map(CanId::Standard),
+            (0..0x2000_0000_u32).prop_map(CanId::Extended),
+        ];
+        (id, 0..16_usize, any::<[u8; 64]>(), 0..4).prop_map(|(id, code, data, kind)| {
+            let classic = code.min(8);
+            let len = if code > 8 { data_length(code) } else { code };
+            match kind {
+                0 => Frame::remote(id, classic),
+                1 => Frame::with(id, &data[..classic]),
+                _ => {
+                    let mut frame = Frame::with(id, &data[..len]);
+                    frame.fd = true;
+                    frame.bit_rate_switch = kind == 3;
+                    frame
+                }
+            }
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn frames_come_back_as_they_were_written(frame in any_frame()) {
+            let line = encode(&frame).unwrap();
+            let (end, line) = line.split_last().unwrap();
+            prop_assert_eq!(*end, b'\r');
+            prop_assert_eq!(parse(line), Some(Word::Frame(frame, None)));
+        }
+
+        #[test]
+        fn any_bytes_are_taken(bytes in prop::collection::vec(any::<u8>(), 0..600)) {
+            let mut splitter = Splitter::default();
+            splitter.feed(&bytes, |piece| {
+                if let Piece::Line(line) = piece
+                    && let Some(Word::Frame(frame, _)) = parse(line)
+                {
+                    assert!(frame.len() <= Frame::MAX_DATA);
+                }
+            });
+            prop_assert!(splitter.line.len() <= MAX_LINE);
+        }
+
+        #[test]
+        fn lines_like_frames_are_taken(text in "[tTrRdDbBseFVz][0-9A-Fa-f]{0,150}") {
+            let _ = parse(text.as_bytes());
+        }
+    }
+}

@@ -1,0 +1,183 @@
+//! slcan: a CAN adapter at a serial port, spoken to in lines of ASCII.
+//!
+//! This opens the port; `dialogue` is what is said there, `line` is what the lines mean. A port
+//! that is not there, is in use, or goes away is a status, and is waited for.
+
+mod dialogue;
+mod line;
+
+pub(super) use line::{data_rate_code, data_rates, rate_code, rates};
+
+use super::Options;
+use super::clock::Clock;
+use super::port::Port;
+use super::remote::Backoff;
+use super::remote::stream::{self, Away, Endpoint};
+use crate::frame::BusIndex;
+use crate::status::{BusStatus, Link};
+use dialogue::{Settings, Slcan};
+use nix::errno::Errno;
+use nix::fcntl::{Flock, FlockArg, OFlag};
+use nix::sys::termios::{
+    BaudRate, ControlFlags, FlushArg, SetArg, cfgetospeed, cfmakeraw, cfsetspeed, tcflush,
+    tcgetattr, tcsetattr,
+};
+use nix::unistd::{Gid, Group};
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Read, Write};
+use std::os::fd::{AsFd, BorrowedFd};
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// How often to look for a port that is not there. Looking costs next to nothing.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
+/// What most adapters with a real UART use, python-can too. USB adapters ignore it.
+const BAUD_RATE: BaudRate = BaudRate::B115200;
+
+/// Opens the adapter; the status comes when it is known.
+pub(super) fn open(
+    name: &str,
+    device: &Path,
+    (bitrate, data_bitrate): (Option<u32>, Option<u32>),
+    (index, clock, options): (BusIndex, Clock, Options),
+) -> io::Result<Port> {
+    let settings = Settings { bitrate, data_bitrate, listen_only: options.listen_only };
+    let dialogue = Slcan::new(&device.to_string_lossy(), settings);
+    let status = BusStatus { bitrate, listen_only: options.listen_only, ..BusStatus::default() };
+    let backoff = Backoff::new(LOOK_EVERY, LOOK_EVERY);
+    let serial_port = SerialPort { device: device.to_owned() };
+    stream::open(name, (serial_port, dialogue), (status, backoff), (index, clock, options))
+}
+
+struct SerialPort {
+    device: PathBuf,
+}
+
+/// A port that is ours alone.
+struct LockedPort(Flock<File>);
+
+impl Endpoint for SerialPort {
+    type Stream = LockedPort;
+
+    fn open(&self) -> Result<LockedPort, Away> {
+        let away = |link, message| Away { link, message };
+        let name = self.device.display();
+        let port = OpenOptions::new()
+            .read(true)
+            .write(true)
+            // Without waiting for a carrier, and without becoming our terminal.
+            .custom_flags((OFlag::O_NONBLOCK | OFlag::O_NOCTTY | OFlag::O_CLOEXEC).bits())
+            .open(&self.device)
+            .map_err(|error| self.cannot_open(&error))?;
+        let Ok(mut settings) = tcgetattr(&port) else {
+            return Err(away(Link::NotCan, format!("{name} is no serial port")));
+        };
+        let port = Flock::lock(port, FlockArg::LockExclusiveNonblock)
+            .map_err(|_| away(Link::Down, format!("{name} is in use by another program")))?;
+        let failed = |error: Errno| away(Link::Down, format!("cannot set up {name}: {error}"));
+        // Programs that do not look at the lock are kept out by this.
+        rustix::termios::ioctl_tiocexcl(&*port)
+            .map_err(|error| failed(Errno::from_raw(error.raw_os_error())))?;
+        cfmakeraw(&mut settings);
+        // No modem lines, no flow control, one stop bit.
+        settings.control_flags |= ControlFlags::CLOCAL | ControlFlags::CREAD;
+        settings.control_flags &= !(ControlFlags::CRTSCTS | ControlFlags::CSTOPB);
+        // 9600 is what nobody chose. Another speed was set, by stty, for a reason.
+        if cfgetospeed(&settings) == BaudRate::B9600 {
+            cfsetspeed(&mut settings, BAUD_RATE).map_err(failed)?;
+        }
+        tcsetattr(&*port, SetArg::TCSANOW, &settings).map_err(failed)?;
+        // The end of a line from before we listened is nothing to be read.
+        tcflush(&*port, FlushArg::TCIFLUSH).map_err(failed)?;
+        Ok(LockedPort(port))
+    }
+
+    fn broken_off(&self) -> Away {
+        let message =
+            format!("{} is gone: waiting for it to be plugged in again", self.device.display());
+        Away { link: Link::Unplugged, message }
+    }
+
+    fn close(&self, stream: LockedPort, stuck: bool) {
+        if stuck {
+            // Otherwise closing waits for up to half a minute until the adapter has taken it.
+            let _ = tcflush(&stream, FlushArg::TCOFLUSH);
+        }
+    }
+}
+
+impl SerialPort {
+    fn cannot_open(&self, error: &io::Error) -> Away {
+        let name = self.device.display();
+        let errno = error.raw_os_error().map_or(Errno::UnknownErrno, Errno::from_raw);
+        let (link, message) = match errno {
+            Errno::ENOENT | Errno::ENODEV | Errno::ENXIO | Errno::ENOTDIR => {
+                (Link::Missing, advice_missing(&self.device))
+            }
+            Errno::EACCES | Errno::EPERM => (Link::Down, advice_permission(&self.device)),
+            Errno::EBUSY => (Link::Down, format!("{name} is in use by another program")),
+            Errno::EISDIR => (Link::NotCan, format!("{name} is no serial port")),
+            // The other end of a pty is closed.
+            Errno::EIO => (Link::Missing, format!("nothing is at the other end of {name}")),
+            _ => (Link::Down, format!("cannot open {name}: {error}")),
+        };
+        Away { link, message }
+    }
+}
+
+fn advice_missing(device: &Path) -> String {
+    let name = device.display();
+    let others = serial_ports();
+    if others.is_empty() {
+        return format!("there is no {name}, and no other adapter's port: is it plugged in?");
+    }
+    format!("there is no {name}; there is {}", others.join(", "))
+}
+
+fn advice_permission(device: &Path) -> String {
+    let name = device.display();
+    let group = fs::metadata(device).ok().map(|it| Gid::from_raw(it.gid()));
+    let group = group.filter(|gid| gid.as_raw() != 0).and_then(|gid| Group::from_gid(gid).ok()?);
+    match group {
+        Some(group) => format!(
+            "{name} is not for you: sudo usermod -aG {} \"$USER\", then log in again",
+            group.name
+        ),
+        None => format!("{name} is not for you: sudo chmod a+rw {name}"),
+    }
+}
+
+/// The ports of this machine that adapters usually have.
+fn serial_ports() -> Vec<String> {
+    let names = fs::read_dir("/dev").into_iter().flatten();
+    let names = names.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
+    let mut ports: Vec<String> = names
+        .filter(|name| name.starts_with("ttyACM") || name.starts_with("ttyUSB"))
+        .map(|name| format!("/dev/{name}"))
+        .collect();
+    ports.sort();
+    ports
+}
+
+impl AsFd for LockedPort {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.0.as_fd()
+    }
+}
+
+impl Read for LockedPort {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        (&*self.0).read(buffer)
+    }
+}
+
+impl Write for LockedPort {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        (&*self.0).write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
