@@ -386,6 +386,107 @@ fn run(
     events
 }
 
+/// A name question to one node, and its answers.
+fn question(by: u8, to: u8) -> Frame {
+    let [by, to] = [by, to].map(|at| Address::new(at).unwrap());
+    let header = Header::request(by, to, false, Profile::default().des_service());
+    Frame::classic(header.encode(), b"\x04DES\x01")
+}
+
+fn answer(from: u8, to: u8) -> Frame {
+    let header = Header::decode(question(to, from).platform_id().unwrap());
+    let id = header.answer(Address::new(from).unwrap(), false).encode();
+    Frame::classic(id, b"\x06\x01FEED\x00")
+}
+
+/// Runs an engine that keeps what it sends, in milliseconds, as [`run`] does.
+fn sent(
+    engine: &mut Engine,
+    end: u64,
+    mut next: impl FnMut(u64) -> Vec<Frame>,
+) -> Vec<(u64, Frame)> {
+    let mut sent = Vec::new();
+    for millis in 1..end {
+        let now = Instant::from_micros(millis * 1000);
+        for frame in next(millis) {
+            engine.handle_frame(&frame.at(now));
+        }
+        engine.handle_timeout(now);
+        while let Some(frame) = engine.poll_transmit(now) {
+            sent.push((millis, frame));
+        }
+        while engine.poll_event().is_some() {}
+    }
+    sent
+}
+
+/// When `sent` asks that node for its name.
+fn asked(sent: &[(u64, Frame)], from: u8, to: u8) -> Vec<u64> {
+    let same = sent.iter().filter(|(_, frame)| frame.same_on_wire(&question(from, to)));
+    same.map(|(at, _)| *at).collect()
+}
+
+#[test]
+fn a_question_that_comes_twice_is_answered_once() {
+    let config = Config { echo: false, ..Config::default() };
+    let mut engine = Engine::new(Instant::ZERO, config);
+    // Through a bridge that sends everything again 23 ms later; then it is asked anew.
+    let questions = [3000, 3023, 3500];
+    let sent = sent(&mut engine, 4000, |millis| {
+        questions.contains(&millis).then(|| question(9, 0)).into_iter().collect()
+    });
+    let answers = sent.iter().filter(|(_, frame)| {
+        let header = Header::decode(frame.platform_id().unwrap());
+        header.response && !header.broadcast && header.service.number() == 2
+    });
+    assert_eq!(answers.map(|(at, _)| *at).collect::<Vec<_>>(), [3000, 3500]);
+}
+
+#[test]
+fn inspectors_do_not_follow_up_in_step() {
+    // What both saw at the same moment would make them ask at the same moment, and equal answers
+    // that wait behind the other's question merge.
+    let [one, other] = [1, 2].map(|seed| {
+        let config = Config { echo: false, seed, ..Config::default() };
+        let mut engine = Engine::new(Instant::ZERO, config);
+        let sent = sent(&mut engine, 12_000, |millis| match millis {
+            3000 => vec![question(9, 5), answer(5, 9)],
+            3001 | 6000 | 8000 => vec![answer(5, 9)],
+            _ => Vec::new(),
+        });
+        asked(&sent, 0, 5)
+    });
+    let [one, other]: [Vec<u64>; 2] =
+        [one, other].map(|all| all.into_iter().filter(|at| (3100..7900).contains(at)).collect());
+    assert!(one.len() >= 4 && other.len() >= 4, "{one:?} {other:?}");
+    for (a, b) in one.iter().zip(&other) {
+        assert!(a.abs_diff(*b) >= 2, "{one:?} {other:?}");
+    }
+}
+
+#[test]
+fn a_steady_heartbeat_off_its_beat_is_reason_to_ask() {
+    let mut engine = Engine::new(
+        Instant::ZERO,
+        Config { echo: false, round_period: Duration::ZERO, ..Config::default() },
+    );
+    // Another board takes the place of FEED, a tenth of a second later than FEED was due.
+    let sent = sent(&mut engine, 14_000, |millis| {
+        let due = if millis < 9000 { 0 } else { 100 };
+        let mut frames = Vec::new();
+        if millis % 1000 == due {
+            frames.push(beat(5, "FEED01"));
+        }
+        if [1600, 2100].contains(&millis) {
+            frames.push(answer(5, 0));
+        }
+        frames
+    });
+    let asked = asked(&sent, 0, 5);
+    assert!(!asked.iter().any(|at| (4000..9100).contains(at)), "{asked:?}");
+    assert!(asked.iter().any(|at| (9100..10_500).contains(at)), "{asked:?}");
+}
+
 fn confidence(engine: &Engine, kind: FindingKind) -> Option<Confidence> {
     engine.findings().iter().find(|it| it.key.kind == kind).map(|it| it.confidence)
 }

@@ -188,8 +188,10 @@ impl Engine {
                 // What does not answer in its framing any more may be another board.
                 let framing = framing.filter(|_| query.attempts < limit(request));
                 let service = self.config.profile.des_service();
+                let both = undecided
+                    || request == Request::Name && self.collisions.asks_both_kinds(now, address);
                 for to_not_working in [false, true] {
-                    if to_not_working == working && !undecided {
+                    if to_not_working == working && !both {
                         continue;
                     }
                     let header = Header::request(own, address, to_not_working, service);

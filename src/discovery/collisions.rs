@@ -24,7 +24,9 @@ use crate::wire::node::Uid;
 
 /// How many findings a bus may have.
 const MAX_FINDINGS: usize = 512;
-/// Questions that follow up a suspicion, one a second.
+/// After how long a suspicion is followed up, and again, by a question.
+const CHECK: Duration = Duration::from_secs(1);
+/// Questions that follow up a suspicion.
 const MAX_FOLLOW_UPS: u32 = 6;
 /// After how many periods without a question new evidence for a suspicion is followed up again.
 const ASK_AGAIN_PERIODS: u32 = 3;
@@ -33,6 +35,10 @@ const ASK_AGAIN_PERIODS: u32 = 3;
 const CHECK_AGAIN: Duration = Duration::from_secs(2);
 /// Heartbeats at twice the rate that are a suspicion: time enough for the follow-ups.
 const ODD_RATE_BEATS: u32 = 16;
+/// For how many periods evidence of heartbeats may pause and still go on.
+const PAUSE: f64 = 2.6;
+/// The same of answers, since somebody asked: two questions.
+const ASKED_IN_VAIN: f64 = 1.75;
 /// Observations that need no second device to explain them: one may be a stray frame.
 const PROOFS_CONFIRM: u32 = 2;
 /// Strong pieces of evidence that, lasting long enough, confirm a collision.
@@ -48,6 +54,8 @@ pub(super) struct Answer {
     pub framing: Framing,
     /// Whether a node in a working mode sends it.
     pub working: bool,
+    /// Whether one that resolves its address does: in another mode for a moment only.
+    pub resolving: bool,
 }
 
 /// How much a piece of evidence weighs.
@@ -85,12 +93,14 @@ pub(super) struct Collisions {
     cases: Vec<Case>,
     changed: Vec<(FindingKey, Confidence)>,
     doubling: Doubling,
+    rng: fastrand::Rng,
     pub refused: u64,
 }
 
 impl Collisions {
-    pub fn new(bus: BusIndex, period: Duration, passive: bool) -> Self {
+    pub fn new(bus: BusIndex, period: Duration, passive: bool, seed: u64) -> Self {
         Self {
+            rng: fastrand::Rng::with_seed(!seed),
             bus,
             period,
             passive,
@@ -128,6 +138,19 @@ impl Collisions {
         })
     }
 
+    /// Whether the question that goes to `address` now is to go to both kinds of nodes, because one
+    /// in a working mode and one in another seem to share it. Not each time: behind the second
+    /// question two answers to the first would wait, and equal ones merge.
+    pub fn asks_both_kinds(&mut self, now: Instant, address: Address) -> bool {
+        let lately =
+            |seen: &Option<Instant>| seen.is_some_and(|at| now.since(at) < self.period * 12);
+        let open = self.is_open_at(address);
+        let watch = &mut self.watches[address.index()];
+        let both = open && watch.seen.iter().all(lately) && !watch.asked_both;
+        watch.asked_both = both;
+        both
+    }
+
     // --- what was seen -------------------------------------------------------------------
 
     /// A question that reaches `address` passed by.
@@ -151,9 +174,13 @@ impl Collisions {
 
     /// An answer begins.
     pub fn see_answer(&mut self, now: Instant, answer: Answer, name: Option<&Name>, frame: &Frame) {
-        let Answer { from: address, to, request, framing, working } = answer;
+        let Answer { from: address, to, request, framing, working, resolving } = answer;
         let together = TOGETHER.min(self.period / 8);
-        let tally = self.watches[address.index()].tally(request, framing);
+        let watch = &mut self.watches[address.index()];
+        if !resolving {
+            watch.seen[usize::from(working)] = Some(now);
+        }
+        let tally = watch.tally(request, framing);
         let (to_all, extra) = tally.answer(now, to, together, frame);
         if to_all {
             self.doubling.see_answer(address, extra.is_some());
@@ -230,7 +257,7 @@ impl Collisions {
         now: Instant,
         address: Address,
         uid: Option<Uid>,
-        working: bool,
+        (working, resolving): (bool, bool),
         name: Option<&Name>,
         frame: &Frame,
     ) {
@@ -238,6 +265,9 @@ impl Collisions {
         let watch = &mut self.watches[address.index()];
         if !watch.beat(now, frame, period) {
             return;
+        }
+        if !resolving {
+            watch.seen[usize::from(working)] = Some(now);
         }
         let previous = watch.beats.iter().rev().nth(1).map(|beat| beat.frame);
         let uid = uid.filter(|uid| !uid.is_blank());
@@ -253,9 +283,10 @@ impl Collisions {
         } else {
             FindingKind::OneAddressTwoIdentities
         };
+        let confirmed = self.is_confirmed(identity, address);
         let alternation = match (uid_returned, mode_returned) {
             (Some(_), _) => Some(("the other UID again", "another UID", uids_since)),
-            (None, Some(returns)) if returns >= 2 && rhythm.twice => {
+            (None, Some(returns)) if returns >= 2 && (rhythm.twice || confirmed) => {
                 Some(("the other U bit again", "another U bit", modes_since))
             }
             _ => None,
@@ -265,8 +296,12 @@ impl Collisions {
             if let Some(previous) = previous.filter(|_| !self.is_open(identity, address)) {
                 self.report(now, identity, address, name, &previous, other, Weight::Weak);
             }
-            let at = self.report(now, identity, address, name, frame, again, Weight::Strong);
-            self.began(now, at, since);
+            // Who only claims the address may yet give way.
+            let weight = if resolving { Weight::Weak } else { Weight::Strong };
+            let at = self.report(now, identity, address, name, frame, again, weight);
+            if !resolving {
+                self.began(now, at, since);
+            }
         } else if !self.is_open(identity, address) {
             self.see_rhythm(now, address, name, frame, previous.as_ref(), rhythm);
         }
@@ -285,9 +320,7 @@ impl Collisions {
         let same = FindingKind::SameNameSameAddress;
         // A device that keeps to another period is looked into, and then left in peace; what is
         // confirmed by other means goes on as long as they come too often.
-        let confirmed = self
-            .find(same, address)
-            .is_some_and(|at| self.findings[at].confidence == Confidence::Confirmed);
+        let confirmed = self.is_confirmed(same, address);
         let twice_for = self.watches[address.index()].twice_for;
         let odd_rate = rhythm.twice && (twice_for <= ODD_RATE_BEATS || confirmed);
         let too_often = "heartbeats at twice the rate";
@@ -478,14 +511,12 @@ impl Collisions {
                 if let Some(address) = finding.key.address {
                     ask(address);
                 }
+                let next = now + self.uneven(if confirmed { CHECK_AGAIN } else { CHECK });
                 let case = &mut self.cases[at];
                 case.follow_ups += 1;
                 case.checked_at = now;
-                case.next_check = if confirmed {
-                    Some(now + CHECK_AGAIN + uneven(case.follow_ups) - Duration::from_secs(1))
-                } else {
-                    (case.follow_ups < MAX_FOLLOW_UPS).then(|| now + uneven(case.follow_ups))
-                };
+                let goes_on = confirmed || case.follow_ups < MAX_FOLLOW_UPS;
+                case.next_check = goes_on.then_some(next);
             }
         }
     }
@@ -591,8 +622,14 @@ impl Collisions {
             .is_some_and(|at| self.findings[at].confidence != Confidence::Cleared)
     }
 
+    fn is_confirmed(&self, kind: FindingKind, address: Address) -> bool {
+        self.find(kind, address)
+            .is_some_and(|at| self.findings[at].confidence == Confidence::Confirmed)
+    }
+
     /// The finding with that key, opened (again) where it is not open.
     fn open(&mut self, now: Instant, key: FindingKey) -> Option<usize> {
+        let check = now + self.uneven(CHECK);
         let case = Case {
             began: None,
             strong: 0,
@@ -600,7 +637,7 @@ impl Collisions {
             answers: false,
             follow_ups: 0,
             checked_at: now,
-            next_check: key.kind.is_collision().then(|| now + Duration::from_secs(1)),
+            next_check: key.kind.is_collision().then_some(check),
         };
         if let Some(at) = self.findings.iter().position(|finding| finding.key == key) {
             if self.findings[at].confidence == Confidence::Cleared {
@@ -636,9 +673,24 @@ impl Collisions {
         if let Some(name) = name {
             self.findings[at].concern(name);
         }
+        let last = self.findings[at].last;
         self.findings[at].add(Evidence { time: frame.time, what, frame: Some(*frame) });
         self.findings[at].last = now;
+        let soon = now + self.uneven(CHECK / 4);
         let case = &mut self.cases[at];
+        // What is seen again only after it was looked for in vain begins anew.
+        // Where answers tell, from when somebody asked.
+        let asked = self.watches[address.index()].asked;
+        let (looked, pause) = match asked {
+            _ if !case.answers => (Some(last), PAUSE),
+            Some(asked) => (Some(asked.max(last)), ASKED_IN_VAIN),
+            None => (None, PAUSE),
+        };
+        let in_vain = looked.is_some_and(|since| now.since(since) >= self.period.mul_f64(pause));
+        if in_vain && weight != Weight::Proof && case.began.is_some() {
+            case.began = None;
+            case.strong = 0;
+        }
         // Evidence counts once in half a period: it must go on, not come in a burst.
         let apart = case.strong_at.is_none_or(|last| now.since(last) >= self.period / 2);
         if weight != Weight::Weak {
@@ -654,13 +706,15 @@ impl Collisions {
             && now.since(case.checked_at) >= self.period * ASK_AGAIN_PERIODS
         {
             case.follow_ups = 0;
-            case.next_check = Some(now);
+            case.next_check = Some(soon);
         }
         self.describe(at);
         if weight == Weight::Proof && self.cases[at].strong >= PROOFS_CONFIRM {
             self.set(now, at, Confidence::Confirmed);
         }
-        self.weigh(now, at);
+        if weight != Weight::Weak {
+            self.weigh(now, at);
+        }
         Some(at)
     }
 
@@ -704,9 +758,11 @@ impl Collisions {
             return;
         };
         if self.findings[old].confidence != Confidence::Cleared {
-            let (before, began) = (self.cases[old].began, self.cases[new].began);
-            self.cases[new].began = before.into_iter().chain(began).min();
-            self.cases[new].strong += self.cases[old].strong;
+            if now.since(self.findings[old].last) < self.period.mul_f64(PAUSE) {
+                let (before, began) = (self.cases[old].began, self.cases[new].began);
+                self.cases[new].began = before.into_iter().chain(began).min();
+                self.cases[new].strong += self.cases[old].strong;
+            }
             self.set(now, old, Confidence::Cleared);
             self.weigh(now, new);
         }
@@ -755,20 +811,21 @@ impl Collisions {
         finding.confidence = confidence;
         finding.changed = now;
         self.changed.push((finding.key.clone(), confidence));
-        if confidence == Confidence::Confirmed {
-            self.cases[at].next_check = finding.key.kind.is_collision().then(|| now + CHECK_AGAIN);
+        if confidence == Confidence::Confirmed && finding.key.kind.is_collision() {
+            self.cases[at].next_check = Some(now + self.uneven(CHECK_AGAIN));
         }
+    }
+
+    /// About as long. What beats each second would otherwise hold up the two answers each time, and
+    /// so would the questions of others who inspect the bus and saw what we saw: equal answers that
+    /// wait together merge.
+    fn uneven(&mut self, wait: Duration) -> Duration {
+        wait.mul_f64(0.9 + 0.2 * self.rng.f64())
     }
 
     fn describe(&mut self, at: usize) {
         wording::describe(&mut self.findings[at]);
     }
-}
-
-/// About a second. What beats each second would otherwise hold up the two answers each time, and
-/// equal answers that wait together merge.
-fn uneven(count: u32) -> Duration {
-    Duration::from_millis(900 + u64::from(count * 3 % 5) * 50)
 }
 
 /// What the frame with which an answer begins says, without its padding.

@@ -181,8 +181,8 @@ impl Engine {
         }
         if device.presence == Presence::Lost {
             // It may have come back as something else.
-            device.name_query.renew(now);
-            device.services_query.renew(now);
+            device.name_query.start_over(now);
+            device.services_query.start_over(now);
             self.wake_at(now);
         }
         Some(index)
@@ -219,8 +219,11 @@ impl Engine {
         let asking = Asking { by: header.source, targeted: !header.broadcast };
         if !header.broadcast {
             let asked = header.destination;
-            self.collisions.see_question(now, asked, request, framing, asking);
             let known = self.roster.current_device(asked);
+            // Who works does not answer what is for others.
+            if !(header.to_not_working && known.is_some_and(|device| device.working)) {
+                self.collisions.see_question(now, asked, request, framing, asking);
+            }
             if known.is_some_and(|device| device.framing.is_none_or(|it| it == framing)) {
                 let ends = self.answer_window();
                 self.errors.see_question(asked, request, ends, frame);
@@ -330,7 +333,8 @@ impl Engine {
         self.rounds.note_answer(now);
         let device = self.roster.get(index);
         let (address, name) = (device.address, device.name.clone());
-        let answer = Answer { from: address, to, request, framing, working: device.working };
+        let (working, resolving) = (device.working, device.is_resolving);
+        let answer = Answer { from: address, to, request, framing, working, resolving };
         self.collisions.see_answer(now, answer, name.as_ref(), frame);
     }
 
@@ -366,15 +370,16 @@ impl Engine {
                 self.hear_message(now, index, Framing::Isotp, message, frame);
             }
             Ok(Pci::First { length, data }) => {
+                let told = request_of(data);
                 // With an absurd length there may be no type byte: it is what was asked for.
                 let absurd = length as usize > des::MAX_MESSAGE;
                 let asked = if absurd { self.open_request(index) } else { None };
-                let request = request_of(data).or(asked);
+                let request = told.or(asked);
                 if request.is_none() {
                     self.malformed(now, index, &AnswerFault::NotServices, frame);
                     return;
                 }
-                self.answer_begins(now, index, request, Framing::Isotp, to, frame);
+                self.answer_begins(now, index, told, Framing::Isotp, to, frame);
                 let block_size = if for_us { self.config.profile.isotp.block_size } else { 0 };
                 match self.transfers.start(now, header, frame, length, data, block_size) {
                     Started::Open => {
@@ -516,15 +521,16 @@ impl Engine {
         device.name_query.answered(now, fault.map(QueryFault::from));
         device.is_debug |= name.as_bytes() == station::NAME;
         device.last_seen = now;
-        if device.name.is_none() {
+        let news = device.name.is_none();
+        if news {
             device.name = Some(name);
-            device.services_query.renew(now);
+            device.services_query.start_over(now);
             self.roster.discoveries += 1;
             self.tell(index, EventKind::Named);
-            self.note_framing(now, index, framing);
+        }
+        self.note_framing(now, index, framing);
+        if news {
             self.find_move_to(index);
-        } else {
-            self.note_framing(now, index, framing);
         }
         self.wake_at(now);
     }

@@ -90,13 +90,22 @@ impl Engine {
         // In an early mode after a pause, or off the beat: it started anew. With another UID it is
         // rather another board.
         let paused = gap.is_some_and(|gap| gap > period.mul_f64(REBOOT_GAP));
-        let early = matches!(heartbeat.mode, Some(Mode::Init | Mode::Arslv));
-        let early = early && paused && device.mode != heartbeat.mode;
+        let early = device.is_resolving && paused && device.mode != heartbeat.mode;
+        let period = expected.unwrap_or(period);
+        let out_of_phase = gap.is_some_and(|gap| is_out_of_phase(gap, period, jitter));
         let restarted = !was_lost
             && (first || !uid_changed || device.uid_before.is_none())
-            && (early
-                || gap.is_some_and(|gap| is_out_of_phase(gap, expected.unwrap_or(period), jitter)));
-        let restarted = restarted && (early || !self.lateness.is_common());
+            && (early || out_of_phase && !self.lateness.is_common());
+        // Somebody else may beat from here too, or take its place. Who changes its mode may say so
+        // at once.
+        let off_beat = gap.is_some_and(|gap| is_off_beat(gap, period, jitter))
+            && device.mode == heartbeat.mode
+            && !self.lateness.is_common();
+        if off_beat && !self.collisions.is_open_at(address) {
+            device.name_query.renew(now + period);
+            self.wake_at(now);
+        }
+        let device = self.roster.get_mut(index);
         if let Some(mode) = heartbeat.mode {
             let fits = mode.is_working().is_none_or(|working| working == device.working);
             if fits {
@@ -116,7 +125,7 @@ impl Engine {
                 let began = matches!(from, Some(Mode::Init | Mode::Arslv));
                 let works = mode.is_working();
                 let other = works.is_some() && from.is_some_and(|from| from.is_working() != works);
-                if (began || other) && !self.collisions.is_open_at(header.source) {
+                if (began || other) && !self.collisions.is_open_at(address) {
                     device.services_query.renew(now);
                     if began {
                         device.name_query.renew(now);
@@ -129,8 +138,8 @@ impl Engine {
             self.note_reboot(now, index);
         }
         let device = self.roster.get(index);
-        let (working, name) = (device.working, device.name.clone());
-        self.collisions.see_heartbeat(now, address, heartbeat.uid, working, name.as_ref(), frame);
+        let (mode, name) = ((device.working, device.is_resolving), device.name.clone());
+        self.collisions.see_heartbeat(now, address, heartbeat.uid, mode, name.as_ref(), frame);
         self.errors.see_heartbeat(now, address, frame);
         if self.collisions.is_suspicious() {
             self.wake_at(now);
@@ -199,6 +208,15 @@ impl Engine {
             self.wake_at(now);
         }
     }
+}
+
+/// Whether a heartbeat of a steady sender comes too soon or too late: less sure a sign than
+/// [`is_out_of_phase`], and reason enough for a question.
+fn is_off_beat(gap: Duration, period: Duration, jitter: Option<Duration>) -> bool {
+    let Some(jitter) = jitter else { return false };
+    let periods = gap.as_secs_f64() / period.as_secs_f64();
+    let off = (periods - periods.round().max(1.0)).abs();
+    off > (6.0 * jitter.as_secs_f64() / period.as_secs_f64()).max(0.05)
 }
 
 /// Whether a gap between heartbeats is no whole number of periods: the sender started anew.

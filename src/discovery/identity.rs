@@ -43,13 +43,9 @@ impl Engine {
         let device = self.roster.get_mut(row);
         if known.is_none() {
             self.tell(row, EventKind::Appeared);
-        } else {
-            let lost = device.presence == Presence::Lost;
-            if lost {
-                device.services_query.renew(now);
-            }
+        } else if device.presence == Presence::Lost {
+            device.services_query.start_over(now);
         }
-        let id = self.roster.get(row).id;
         self.find_where_it_went(index);
         self.roster.index_of(id).unwrap_or(row)
     }

@@ -8,7 +8,7 @@ use crate::text::Name;
 use crate::time::{Duration, Instant};
 use crate::wire::des::Request;
 use crate::wire::framing::Framing;
-use crate::wire::id::Address;
+use crate::wire::id::{Address, Header};
 use crate::wire::node::Uid;
 use std::collections::VecDeque;
 
@@ -144,12 +144,21 @@ impl Tally {
         open.answered += 1;
         let first = *open.first_answer.get_or_insert(frame.at(now));
         let targeted = open.asking.targeted;
-        // One that comes much later answers a question that we missed.
-        if open.answered <= open.asked || now.since(first.time) >= together {
+        // Each node answers only questions to its kind; one that comes much later answers a
+        // question that we missed.
+        let more = open.answered > open.asked || is_of_another_kind(&first, frame);
+        if !more || now.since(first.time) >= together {
             return (!targeted, None);
         }
         (!targeted, Some(Extra { first, targeted }))
     }
+}
+
+/// Whether one answer comes from a node in a working mode and the other does not.
+fn is_of_another_kind(one: &Frame, other: &Frame) -> bool {
+    let not_working =
+        |frame: &Frame| frame.platform_id().map(|id| Header::decode(id).sender_not_working);
+    not_working(one) != not_working(other)
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -176,6 +185,10 @@ pub(super) struct Watch {
     pub uids: Alternation<Uid>,
     pub services: Alternation<u64>,
     pub working: Alternation<bool>,
+    /// When a node in no working mode sent something last, and when one in a working mode did.
+    pub seen: [Option<Instant>; 2],
+    /// The question before went to both kinds.
+    pub asked_both: bool,
     pub tallies: [[Tally; 2]; 2],
     /// When it was asked the first time since answers told of a second device.
     pub asked: Option<Instant>,
@@ -253,7 +266,9 @@ impl Watch {
         let gaps = &gaps[..count];
         let whole = gaps.windows(2).all(|two| (0.85..=1.15).contains(&(two[0] + two[1])));
         let apart = gaps.windows(2).all(|two| (two[0] - two[1]).abs() > 0.15);
-        if whole && (apart || takes_turns(gaps)) {
+        // Where one of both fell silent the newest gap is a whole period.
+        let goes_on = (gaps[count - 1] - gaps[count - 3]).abs() < 0.1;
+        if whole && goes_on && (apart || takes_turns(gaps)) {
             // By the second of them both had begun, unless the first gap is a whole period; then
             // by the third.
             let short = gaps.iter().copied().fold(f64::MAX, f64::min);

@@ -168,7 +168,7 @@ impl Engine {
         Self {
             station: Station::new(now, &config, &mut rng),
             outbox: Outbox::new(now, config.echo),
-            collisions: Collisions::new(config.bus, period, config.listen_only),
+            collisions: Collisions::new(config.bus, period, config.listen_only, config.seed),
             errors: Errors::default(),
             roster: Roster::new(config.bus),
             rounds: Rounds::new(),
@@ -509,9 +509,17 @@ impl Engine {
         let device = self.roster.get_mut(index);
         device.presence = presence;
         device.presence_since = self.now;
+        // Whether it still does, nobody knows.
+        device.is_resolving &= presence == Presence::Online;
         if presence == Presence::Online {
             // It may have been away for new firmware.
-            self.roster.get_mut(index).services_query.renew(self.now);
+            let suspect = self.errors.is_suspect(address);
+            let query = &mut self.roster.get_mut(index).services_query;
+            if suspect {
+                query.renew(self.now);
+            } else {
+                query.start_over(self.now);
+            }
             self.wake_at(self.now);
             self.tell(index, EventKind::Returned { was });
         } else {

@@ -12,7 +12,9 @@ const ACKNOWLEDGE_WITHIN: Duration = Duration::from_millis(500);
 /// How often a silent bus is tried again.
 const TRY_AGAIN: Duration = Duration::from_secs(5);
 /// Frames that are remembered to recognise them when something sends them back to us.
-const REMEMBERED: usize = 32;
+const REMEMBERED: usize = 256;
+/// For how long they are.
+const REMEMBERED_FOR: Duration = Duration::from_secs(1);
 
 /// A change in whether anybody acknowledges us.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,7 +40,7 @@ impl Outbox {
     pub fn new(now: Instant, echo: bool) -> Self {
         Self {
             queue: VecDeque::new(),
-            sent: VecDeque::with_capacity(REMEMBERED),
+            sent: VecDeque::new(),
             tokens: 0.0,
             refilled: now,
             echo,
@@ -90,9 +92,7 @@ impl Outbox {
 
     /// Whether we sent just this frame within the last second: then it came back to us.
     pub fn is_own_echo(&self, now: Instant, frame: &Frame) -> bool {
-        self.sent
-            .iter()
-            .any(|own| own.same_on_wire(frame) && now.since(own.time) < Duration::from_secs(1))
+        self.sent.iter().any(|own| own.same_on_wire(frame) && now.since(own.time) < REMEMBERED_FOR)
     }
 
     /// The bus took a frame of ours.

@@ -13,11 +13,17 @@ use crate::wire::id::{Address, Header};
 use crate::wire::isotp::{FlowControl, Pci, Segmenter};
 use crate::wire::node::{Heartbeat, Mode, Uid};
 use crate::wire::profile::{Announce, Profile};
+use std::collections::VecDeque;
 
 /// The name we answer with.
 pub(super) const NAME: &[u8] = b"DSCAN";
 /// How many of our services answers may wait for flow control at once.
 const MAX_ANSWERS: usize = 4;
+/// A question that comes again within this was repeated by something on its way: who answers
+/// both looks like two.
+const REPEATED_WITHIN: Duration = Duration::from_millis(200);
+/// Questions that may still come again.
+const MAX_QUESTIONS: usize = 16;
 /// An address heard within this many periods counts as used.
 const USED_FOR_PERIODS: u32 = 5;
 
@@ -60,6 +66,7 @@ pub(super) struct Station {
     heartbeat_known: bool,
     next_beat: Option<Instant>,
     answers: Vec<Answer>,
+    questions: VecDeque<Frame>,
 }
 
 impl Station {
@@ -85,6 +92,7 @@ impl Station {
             heartbeat_known: false,
             next_beat: None,
             answers: Vec::new(),
+            questions: VecDeque::new(),
         };
         if !config.listen_only {
             station.listen(now);
@@ -257,6 +265,9 @@ impl Station {
         }
         if let Some((framing, message)) = classify_request(frame.data(), frame.fd) {
             let Some(Asked::Known(request)) = Request::decode(message) else { return };
+            if self.is_repeated(now, frame) {
+                return;
+            }
             let message = match request {
                 Request::Name => des::encode_name(NAME),
                 Request::Services => des::encode_services(&[vec!["DES", "1.0"]]),
@@ -268,6 +279,19 @@ impl Station {
             self.handle_flow(now, flow_id.encode(), flow);
             self.send_answers(now, outbox);
         }
+    }
+
+    /// Whether just this question came a moment ago.
+    fn is_repeated(&mut self, now: Instant, question: &Frame) -> bool {
+        self.questions.retain(|other| now.since(other.time) < REPEATED_WITHIN);
+        if self.questions.iter().any(|other| other.same_on_wire(question)) {
+            return true;
+        }
+        if self.questions.len() == MAX_QUESTIONS {
+            self.questions.pop_front();
+        }
+        self.questions.push_back(question.at(now));
+        false
     }
 
     fn answer(

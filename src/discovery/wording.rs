@@ -29,7 +29,12 @@ pub(super) fn describe(finding: &mut Finding) {
             ),
         ),
         FindingKind::OneAddressTwoNames => (
-            format!("Two devices share address {address}: {names} both answer from it."),
+            match finding.names.as_slice() {
+                [] | [_] => format!(
+                    "Two devices share address {address}: {who} and one of another name answer from it."
+                ),
+                _ => format!("Two devices share address {address}: {names} both answer from it."),
+            },
             "Switch one of them off, then give it a free address.".to_owned(),
         ),
         FindingKind::OneAddressTwoIdentities => (

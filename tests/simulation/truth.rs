@@ -2,9 +2,12 @@
 //! in the simulator while it runs.
 
 use descan::sim::{AddressChoice, DeviceId, DeviceSpec, Fault, Sim};
-use descan::time::Instant;
+use descan::time::{Duration, Instant};
 use descan::wire::id::Address;
 use std::collections::BTreeMap;
+
+/// What pauses for less may go on.
+const PAUSE: Duration = Duration::from_secs(3);
 
 /// For how long something went on without a pause.
 #[derive(Clone, Copy, Debug)]
@@ -95,6 +98,22 @@ impl Truth {
     /// When both of a pair that never gives way were on.
     pub fn both_on(&self) -> impl Iterator<Item = (Clash, Span)> + '_ {
         self.both_on.iter().map(|(clash, span)| (*clash, *span))
+    }
+
+    /// The same, where what paused for less than three periods went on.
+    pub fn contended(&self) -> Vec<(Clash, Span)> {
+        let mut joined: Vec<(Clash, Span)> = Vec::new();
+        for (clash, span) in self.clashes() {
+            match joined.last_mut() {
+                Some((other, before))
+                    if *other == clash && span.from.since(before.until) < PAUSE =>
+                {
+                    before.until = span.until;
+                }
+                _ => joined.push((clash, span)),
+            }
+        }
+        joined
     }
 
     /// When it was over for good.

@@ -5,6 +5,7 @@ use crate::world::FAULTS;
 use crate::{Inspector, Run};
 use descan::discovery::{Confidence, EventKind, FindingKind, OwnAddress, Presence};
 use descan::sim::{AddressChoice, DeviceSpec, Fault};
+use descan::text::Name;
 use descan::time::{Duration, Instant};
 use descan::wire::id::{Address, Header};
 use descan::wire::node::Uid;
@@ -20,6 +21,7 @@ const TEN_SECONDS: Duration = Duration::from_secs(10);
 struct Course {
     kind: FindingKind,
     addresses: Vec<Address>,
+    names: Vec<Name>,
     changes: Vec<(Instant, Confidence)>,
 }
 
@@ -41,6 +43,7 @@ fn courses(it: &Inspector) -> Vec<Course> {
         let course = courses.entry(key.clone()).or_insert_with(|| Course {
             kind: key.kind,
             addresses: found.map_or_else(Vec::new, |finding| finding.addresses.clone()),
+            names: found.map_or_else(Vec::new, |finding| finding.names.clone()),
             changes: Vec::new(),
         });
         course.changes.push((*at, *confidence));
@@ -115,14 +118,18 @@ impl Case<'_> {
     }
 
     fn is_justified(&self, course: &Course, at: Instant, clashes: &[(Clash, Span)]) -> bool {
+        let inspector = &self.run.world.inspectors[self.number];
         let going_on = |clash: &Clash, span: &Span| {
+            let until = span.until.min(at);
+            // Its clock ran ahead meanwhile.
+            let ahead = inspector.lens.ahead(until).saturating_sub(inspector.lens.ahead(span.from));
             course.addresses.iter().any(|&address| clash.concerns(address))
                 && span.from <= at
                 && at.since(span.until) < TEN_SECONDS
                 && (matches!(clash, Clash::Uid(..))
-                    || span.until.min(at).since(span.from) >= PERIOD.mul_f64(4.0))
+                    || until.since(span.from) + ahead >= PERIOD.mul_f64(4.0))
         };
-        let config = &self.run.world.inspectors[self.number].config;
+        let config = &inspector.config;
         let names = |one: usize, other: usize| {
             let name = |at: usize| self.run.sim.device_state(self.run.devices[at]).name;
             name(one) != name(other)
@@ -145,15 +152,22 @@ impl Case<'_> {
                     matches!(*it, Clash::Address(_, a, b)
                         if config.listen_only
                             || self.spec(a).faults.has(Fault::NoDes)
+                            || is_unreadable(self.spec(a))
+                            || is_unreadable(self.spec(b))
                             || !names(a, b))
                 })
             }
-            FindingKind::OneAddressTwoIdentities => any(&|it| {
+            FindingKind::OneAddressTwoIdentities => {
                 // Two of one UID that keep resolving their address differ in the U bit meanwhile.
                 let stubborn = |it: usize| self.spec(it).faults.has(Fault::NeverGivesWay);
-                matches!(*it, Clash::Address(_, a, b)
-                    if uid(a) != uid(b) || stubborn(a) && stubborn(b))
-            }),
+                let fits = |it: &Clash| {
+                    matches!(*it, Clash::Address(_, a, b)
+                        if uid(a) != uid(b) || stubborn(a) && stubborn(b))
+                };
+                // Two that keep claiming an address, each after the other gave way, differ too.
+                let again = self.run.truth.contended();
+                any(&fits) || again.iter().any(|(clash, span)| going_on(clash, span) && fits(clash))
+            }
             FindingKind::OneUidTwoAddresses => any(&|it| matches!(it, Clash::Uid(..))),
             FindingKind::TwoDebugDevices
             | FindingKind::AddressContested
@@ -170,10 +184,11 @@ impl Case<'_> {
                         |(it, id)| {
                             let now = self.run.sim.device_state(*id).address;
                             faulty(it)
-                                && course
+                                && (course
                                     .addresses
                                     .iter()
                                     .any(|&address| is_fixed(it, address) || now == Some(address))
+                                    || course.names.iter().any(|name| name.as_bytes() == it.name))
                         },
                     )
             }
@@ -186,7 +201,12 @@ impl Case<'_> {
     fn detections(&mut self) {
         let mut wrong = Vec::new();
         for (clash, span) in self.clashes() {
-            let from = span.from.max(self.begin());
+            let mut from = span.from.max(self.begin());
+            if let Some((at, until)) = self.run.world.broken
+                && (from..from + TEN_SECONDS).contains(&(Instant::ZERO + at))
+            {
+                from = Instant::ZERO + until;
+            }
             if span.until.since(from) < TEN_SECONDS || !self.can_see(clash, from, span.until) {
                 continue;
             }
@@ -527,4 +547,10 @@ fn addresses_of_inspectors(run: &Run, wrong: &mut Vec<String>) {
             wrong.push(format!("inspector {number} sits at a device's address {address}"));
         }
     }
+}
+
+/// Whether nobody learns the name of that device: it takes several frames, which it gets wrong.
+fn is_unreadable(spec: &DeviceSpec) -> bool {
+    let broken = [Fault::DropFrame, Fault::WrongSequence, Fault::HugeLength];
+    spec.name.len() > 6 && broken.iter().any(|fault| spec.faults.has(*fault))
 }

@@ -19,6 +19,8 @@ pub struct World {
     pub stories: Vec<String>,
     /// Labels of devices to which something happens that shows in their presence.
     pub touched: Vec<String>,
+    /// When frames broke, for a while.
+    pub broken: Option<(Duration, Duration)>,
     /// From when nothing happens any more.
     pub calm: Duration,
     pub end: Duration,
@@ -39,6 +41,7 @@ struct Maker {
     quiet: Vec<usize>,
     stories: Vec<String>,
     touched: Vec<String>,
+    broken: Option<(Duration, Duration)>,
 }
 
 fn millis(millis: u64) -> Duration {
@@ -58,6 +61,7 @@ impl World {
             quiet: Vec::new(),
             stories: Vec::new(),
             touched: Vec::new(),
+            broken: None,
         };
         maker.populate();
         maker.disturb();
@@ -71,6 +75,7 @@ impl World {
             inspectors,
             stories: maker.stories,
             touched: maker.touched,
+            broken: maker.broken,
             calm: millis(BUSY),
             end: millis(BUSY + CALM),
         }
@@ -191,6 +196,7 @@ impl Maker {
             let quiet = self.scenario.error_rate;
             let lasts = millis(self.rng.u64(50..3000));
             self.tell(format!("{at:?}: {:.0} % of frames break for {lasts:?}", rate * 100.0));
+            self.broken = Some((at, at + lasts));
             self.at(at, "", Action::ErrorRate(rate));
             self.at(at + lasts, "", Action::ErrorRate(quiet));
         }
