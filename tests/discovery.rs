@@ -159,28 +159,7 @@ fn what_we_send_keeps_to_its_share() {
 #[test]
 fn listening_only_sends_nothing_and_learns_from_others() {
     let scenario = Scenario::crowd(250_000, 10, 2);
-    let mut sim = Sim::new(&scenario, 5);
-    let (asking, listening) = (sim.attach(), sim.attach());
-    let config = Config { bitrate: Some(250_000), ..Config::default() };
-    let mut asker = descan::discovery::Engine::new(Instant::ZERO, config.clone());
-    let silent = Config { listen_only: true, ..config };
-    let mut listener = descan::discovery::Engine::new(Instant::ZERO, silent);
-    while sim.now() < seconds(8.0) {
-        let now = sim.now();
-        for (station, engine) in [(asking, &mut asker), (listening, &mut listener)] {
-            while let Some(frame) = sim.poll_frame(station) {
-                engine.handle_frame(&frame);
-            }
-            engine.handle_timeout(now);
-        }
-        while let Some(frame) = asker.poll_transmit(now) {
-            sim.transmit(asking, frame);
-        }
-        assert!(listener.poll_transmit(now).is_none());
-        let next = [asker.poll_timeout(), listener.poll_timeout(), sim.next_event()];
-        let next = next.into_iter().flatten().min().unwrap_or(seconds(8.0));
-        sim.advance(next.max(now + Duration::from_micros(1)));
-    }
+    let [asker, listener] = common::asker_and_listener(&scenario, 5, seconds(8.0));
     let known = |engine: &descan::discovery::Engine| engine.progress().with_services;
     // The asker itself is a debug device that answers nobody here: it knows ten.
     assert_eq!((known(&asker), known(&listener)), (10, 10));

@@ -141,27 +141,8 @@ fn once_one_of_the_two_is_gone_nobody_is_named_any_more() {
 #[test]
 fn who_listens_only_names_it_by_the_questions_of_others() {
     let pair = pair(|other| other.service("VALVE", "2.1"));
-    let mut sim = Sim::new(&with_pair(Scenario::crowd(250_000, 10, 3), pair), 1);
-    let (asking, listening) = (sim.attach(), sim.attach());
-    let config = Config { bitrate: Some(250_000), ..Config::default() };
-    let mut asker = Engine::new(Instant::ZERO, config.clone());
-    let mut listener = Engine::new(Instant::ZERO, Config { listen_only: true, ..config });
-    while sim.now() < seconds(40.0) {
-        let now = sim.now();
-        for (station, engine) in [(asking, &mut asker), (listening, &mut listener)] {
-            while let Some(frame) = sim.poll_frame(station) {
-                engine.handle_frame(&frame);
-            }
-            engine.handle_timeout(now);
-        }
-        while let Some(frame) = asker.poll_transmit(now) {
-            sim.transmit(asking, frame);
-        }
-        let next = [asker.poll_timeout(), listener.poll_timeout(), sim.next_event()];
-        let next = next.into_iter().flatten().min().unwrap_or(seconds(40.0));
-        sim.advance(next.max(now + Duration::from_micros(1)));
-    }
-    for engine in [&asker, &listener] {
+    let scenario = with_pair(Scenario::crowd(250_000, 10, 3), pair);
+    for engine in common::asker_and_listener(&scenario, 1, seconds(40.0)) {
         let named = engine.findings().iter().filter(|it| it.key.kind == FindingKind::BusErrors);
         let named: Vec<_> = named.filter_map(|it| it.key.address.map(Address::number)).collect();
         assert_eq!(named, [14]);

@@ -5,25 +5,13 @@
 
 mod common;
 
-use common::{Inspection, describe};
+use common::{FAULTS, Inspection, describe};
 use descan::discovery::{Confidence, Config, FindingKind, Presence};
 use descan::sim::{AddressChoice, DeviceFraming, DeviceSpec, Fault, Scenario};
 use descan::time::{Duration, Instant};
 use descan::wire::id::Address;
 use descan::wire::node::{Mode, Uid};
 use std::fmt::Write;
-
-/// What a device does wrong without being two; one that never ends an answer leaves no room for
-/// others.
-const FAULTS: [Fault; 7] = [
-    Fault::NoHeartbeat,
-    Fault::NoDes,
-    Fault::NoServices,
-    Fault::DropFrame,
-    Fault::WrongSequence,
-    Fault::HugeLength,
-    Fault::EchoDestination,
-];
 
 fn world(seed: u64) -> Scenario {
     let mut rng = fastrand::Rng::with_seed(seed);

@@ -141,6 +141,12 @@ impl<'a> Problem<'a> {
         self.findings.iter().map(|it| it.last).max().unwrap_or(Instant::ZERO)
     }
 
+    /// Whether anything was seen of it at some moment: what comes from comparing with the file was
+    /// not.
+    pub fn was_seen(&self) -> bool {
+        self.findings.iter().any(|finding| !finding.evidence.is_empty())
+    }
+
     /// How many pieces of evidence there were; [`Self::evidence`] has the first and the last of
     /// each finding.
     pub fn count(&self) -> u64 {

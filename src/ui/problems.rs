@@ -237,13 +237,11 @@ impl Details<'_, '_> {
         let names: Vec<String> = problem.names().iter().map(ToString::to_string).collect();
         let bus = problem.bus().filter(|_| app.buses().len() > 1).and_then(|bus| app.bus(bus));
         let buses: Vec<String> = bus.iter().map(|bus| bus.name.clone()).collect();
-        // What comes from comparing with the file was not seen at any moment.
-        let seen = if problem.evidence().is_empty() {
-            Vec::new()
-        } else {
+        let mut seen = Vec::new();
+        if problem.was_seen() {
             let (first, last) = (clock(app, problem.first()), clock(app, problem.last()));
-            vec![format!("first {first}, last {last}")]
-        };
+            seen.push(format!("first {first}, last {last}"));
+        }
         self.lines.push(Line::default());
         for (one, several, all) in [
             ("bus", "", buses),

@@ -5,7 +5,7 @@
 use descan::bus::candump::write_line;
 use descan::discovery::{Config, Engine, Event, EventKind, Party};
 use descan::frame::Frame;
-use descan::sim::{Scenario, Sim, Station};
+use descan::sim::{Fault, Scenario, Sim, Station};
 use descan::time::{Duration, Epoch, Instant};
 use std::fmt::Write;
 
@@ -56,6 +56,44 @@ impl Inspection {
             self.sim.advance(next.max(now));
         }
     }
+}
+
+/// What a device may do wrong on its own.
+pub const FAULTS: [Fault; 7] = [
+    Fault::NoHeartbeat,
+    Fault::NoDes,
+    Fault::NoServices,
+    Fault::DropFrame,
+    Fault::WrongSequence,
+    Fault::HugeLength,
+    Fault::EchoDestination,
+];
+
+/// Who asks on that bus, and who only listens to it, after that time.
+pub fn asker_and_listener(scenario: &Scenario, seed: u64, until: Instant) -> [Engine; 2] {
+    let mut sim = Sim::new(scenario, seed);
+    let stations = [sim.attach(), sim.attach()];
+    let config = Config { bitrate: Some(scenario.bitrate), ..Config::default() };
+    let silent = Config { listen_only: true, ..config.clone() };
+    let mut engines = [config, silent].map(|config| Engine::new(Instant::ZERO, config));
+    while sim.now() < until {
+        let now = sim.now();
+        for (station, engine) in stations.into_iter().zip(&mut engines) {
+            while let Some(frame) = sim.poll_frame(station) {
+                engine.handle_frame(&frame);
+            }
+            engine.handle_timeout(now);
+        }
+        let [asker, listener] = &mut engines;
+        while let Some(frame) = asker.poll_transmit(now) {
+            sim.transmit(stations[0], frame);
+        }
+        assert!(listener.poll_transmit(now).is_none(), "who listens sends nothing");
+        let next = [asker.poll_timeout(), listener.poll_timeout(), sim.next_event()];
+        let next = next.into_iter().flatten().min().unwrap_or(until);
+        sim.advance(next.max(now + Duration::from_micros(1)));
+    }
+    engines
 }
 
 /// An event in words.

@@ -157,9 +157,7 @@ impl Run {
         while let Some(event) = it.engine.poll_event() {
             it.events.push((now, event));
         }
-        let due = it.engine.poll_timeout().map(|due| {
-            Instant::from_micros(due.as_micros().saturating_sub(ahead.as_micros() as u64))
-        });
+        let due = it.engine.poll_timeout().map(|due| due - ahead);
         let jump = lens.jump.map(|jump| instant(jump.at)).filter(|jump| *jump > now);
         [due, it.seen.next(), jump].into_iter().flatten().min()
     }
@@ -199,7 +197,7 @@ fn tell(run: &Run) {
                     );
                 }
             }
-            println!("{number} {} {}", event.time, verdict::describe(event));
+            println!("{number} {} {}", event.time, common::describe(event));
         }
         for finding in it.engine.findings() {
             println!("{number} ? {:?} {} {}", finding.key, finding.confidence, finding.text);

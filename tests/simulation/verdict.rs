@@ -1,7 +1,8 @@
 //! What an inspector said, held against how it really was.
 
+use crate::common::{FAULTS, describe};
 use crate::truth::{Clash, Span};
-use crate::world::FAULTS;
+
 use crate::{Inspector, Run};
 use descan::discovery::{Confidence, EventKind, FindingKind, OwnAddress, Presence};
 use descan::sim::{AddressChoice, DeviceSpec, Fault};
@@ -10,8 +11,6 @@ use descan::time::{Duration, Instant};
 use descan::wire::id::{Address, Header};
 use descan::wire::node::Uid;
 use std::collections::BTreeMap;
-
-pub use crate::common::describe;
 
 const PERIOD: Duration = Duration::from_secs(1);
 /// Within which a collision that can be seen is to be confirmed, and cleared when it is over.

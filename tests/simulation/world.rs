@@ -1,5 +1,6 @@
 //! A bus at random: its devices, what happens to them, what lies between it and the inspectors.
 
+use crate::common::FAULTS;
 use crate::lens::{Deafness, Jump, Lens};
 use descan::discovery::Config;
 use descan::sim::{Action, AddressChoice, DeviceFraming, DeviceSpec, Fault, Scenario};
@@ -467,15 +468,3 @@ fn load(device: &DeviceSpec) -> f64 {
     let chatter = device.chatter.iter().map(|it| 150.0 / it.period.as_secs_f64());
     150.0 + chatter.sum::<f64>()
 }
-
-/// What a device does wrong without being two. One that never ends an answer is not among them: it
-/// leaves no room for others.
-pub const FAULTS: [Fault; 7] = [
-    Fault::NoHeartbeat,
-    Fault::NoDes,
-    Fault::NoServices,
-    Fault::DropFrame,
-    Fault::WrongSequence,
-    Fault::HugeLength,
-    Fault::EchoDestination,
-];
