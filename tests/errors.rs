@@ -6,7 +6,7 @@ mod common;
 use common::Inspection;
 use descan::discovery::{Confidence, Config, Engine, EventKind, Finding, FindingKind};
 use descan::frame::{Frame, FrameKind};
-use descan::sim::{Action, BusState, DeviceSpec, Event, Fault, Scenario, Sim};
+use descan::sim::{Action, BusState, DeviceSpec, Event, Fault, Scenario};
 use descan::time::{Duration, Instant};
 use descan::wire::id::{Address, Header};
 use descan::wire::node::Uid;
