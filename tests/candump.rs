@@ -1,9 +1,13 @@
 //! candump's text: what others write is read, what we write is read back, and nothing a line
 //! contains does harm.
 
+#[path = "common/frames.rs"]
+mod frames;
+
 use descan::bus::candump::{LineFault, LogLine, MAX_LINE, parse_frame, parse_line, write_line};
 use descan::frame::{CanId, Frame, FrameKind};
-use descan::time::{Epoch, Instant};
+use descan::time::Epoch;
+use frames::any_frame;
 use proptest::prelude::*;
 
 fn read(line: &str) -> LogLine<'_> {
@@ -121,32 +125,6 @@ fn says_what_is_wrong() {
     let too_much = format!("(1.5) can0 123##0{}", "11".repeat(65));
     assert_eq!(fault(&too_much), LineFault::TooMuchData);
     assert_eq!(parse_line(b"(1.5) \xFF\xFE 123#11"), Err(LineFault::Interface));
-}
-
-fn any_id() -> impl Strategy<Value = CanId> {
-    prop_oneof![
-        (0_u16..0x800).prop_map(CanId::Standard),
-        (0_u32..0x2000_0000).prop_map(CanId::Extended),
-    ]
-}
-
-fn any_frame() -> impl Strategy<Value = Frame> {
-    let bytes = |most| proptest::collection::vec(any::<u8>(), 0..=most);
-    let frame = prop_oneof![
-        (any_id(), bytes(8)).prop_map(|(id, data)| Frame::with(id, &data)),
-        (any_id(), 0_usize..=8).prop_map(|(id, len)| Frame::remote(id, len)),
-        (0_u32..0x2000_0000, bytes(8)).prop_map(|(class, data)| Frame::error(class, &data)),
-        (any_id(), bytes(64), any::<(bool, bool)>()).prop_map(|(id, data, flags)| {
-            let mut frame = Frame::fd(0, &data, 0xCC);
-            frame.id = id;
-            (frame.bit_rate_switch, frame.error_state) = flags;
-            frame
-        }),
-    ];
-    (frame, any::<bool>(), 0_u64..1 << 40).prop_map(|(mut frame, ours, micros)| {
-        frame.ours = ours;
-        frame.at(Instant::from_micros(micros))
-    })
 }
 
 proptest! {

@@ -1,7 +1,8 @@
-//! Reading a candump log as fast as possible, by the log's own clock.
+//! Reading a log as fast as possible, by its own clock: candump's text, or pcapng, told apart by
+//! how it begins.
 //!
-//! Lines that cannot be read are counted, never an error: a log is evidence, and half of it is
-//! better than none. Knows nothing of the session's clock: replaying is `bus::replay`.
+//! Lines and packets that cannot be read are counted, never an error: a log is evidence, and half of
+//! it is better than none. Where a pcapng file is damaged, what stands before counts. Knows nothing of the session's clock: replaying is `bus::replay`.
 //!
 //! Lines a little out of order are taken in the order in which they stand. Where the clock was
 //! set back, or a second log follows in the same file, time goes on from the last moment: what
@@ -9,6 +10,7 @@
 //! was set back.
 
 use super::candump::{LineFault, LogLine, MAX_LINE, parse_line};
+use super::pcapng::{self, Damage, Sections};
 use crate::frame::{BusIndex, Frame};
 use crate::time::{Duration, Epoch, Instant};
 use std::fmt;
@@ -26,14 +28,30 @@ const GAP: Duration = Duration::from_secs(10);
 #[derive(Debug)]
 pub struct LogReader<R> {
     source: R,
-    /// A line that was cut by the end of the source's buffer, as far as it is here.
+    format: Format,
+    /// A line or block that was cut by the end of the source's buffer, as far as it is here.
     partial: Vec<u8>,
     tally: Tally,
+}
+
+/// What kind of log it is.
+#[derive(Debug)]
+enum Format {
+    /// What is read so far, kept as partial, is how pcapng begins.
+    Unknown,
+    Text,
+    Pcapng {
+        sections: Sections,
+        /// Bytes of a block that is too long to be read.
+        skip: u64,
+    },
 }
 
 /// What was read so far.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Tally {
+    /// It is pcapng: what is counted as lines are blocks.
+    pub is_pcapng: bool,
     /// Lines, readable or not.
     pub lines: u64,
     /// Frames.
@@ -42,6 +60,8 @@ pub struct Tally {
     pub unreadable: u64,
     /// The first of them: its number, counted from 1, and what is wrong with it.
     pub first_unreadable: Option<(u64, LineFault)>,
+    /// Why nothing more can be read although there may be more.
+    pub damage: Option<Damage>,
     /// Frames dated earlier than the one before them: those that are clamped, and each step back
     /// of the clock once.
     pub backwards: u64,
@@ -61,7 +81,7 @@ pub struct Tally {
 impl<R: BufRead> LogReader<R> {
     /// Begins at the first line.
     pub fn new(source: R) -> Self {
-        Self { source, partial: Vec::new(), tally: Tally::default() }
+        Self { source, format: Format::Unknown, partial: Vec::new(), tally: Tally::default() }
     }
 
     /// What was read so far.
@@ -80,44 +100,149 @@ impl<R: BufRead> LogReader<R> {
         }
     }
 
-    /// Reads to the end of a line or of the source's buffer.
+    /// Reads to the end of a line or block, or of the source's buffer.
     fn step(&mut self) -> io::Result<Step> {
         let buffer = match self.source.fill_buf() {
             Err(error) if error.kind() == io::ErrorKind::Interrupted => return Ok(Step::Nothing),
             buffer => buffer?,
         };
-        let (read, is_at_end) = (buffer.len(), buffer.is_empty());
-        let line_end = buffer.iter().position(|&byte| byte == b'\n');
-        let piece = &buffer[..line_end.unwrap_or(read)];
-        let frame = match line_end {
-            _ if is_at_end && self.partial.is_empty() => return Ok(Step::End),
-            Some(_) if self.partial.is_empty() => self.tally.take(piece),
-            None if !is_at_end => {
-                keep(&mut self.partial, piece);
-                None
+        let (used, step) = match &mut self.format {
+            Format::Unknown => {
+                let matched = self.partial.len();
+                match buffer.first() {
+                    None if matched == 0 => (0, Step::End),
+                    Some(&byte) if byte == pcapng::MAGIC[matched] => {
+                        self.partial.push(byte);
+                        if matched + 1 == pcapng::MAGIC.len() {
+                            self.tally.is_pcapng = true;
+                            self.format = Format::Pcapng { sections: Sections::default(), skip: 0 };
+                        }
+                        (1, Step::Nothing)
+                    }
+                    _ => {
+                        self.format = Format::Text;
+                        if matched > 0 {
+                            // That was a blank line, and perhaps what the next begins with.
+                            self.partial.remove(0);
+                            self.tally.take(b"");
+                        }
+                        (0, Step::Nothing)
+                    }
+                }
             }
-            _ => {
-                keep(&mut self.partial, piece);
-                let frame = self.tally.take(&self.partial);
-                self.partial.clear();
-                frame
+            Format::Text => read_line(buffer, &mut self.partial, &mut self.tally),
+            Format::Pcapng { sections, skip } => {
+                read_block(buffer, (sections, skip), &mut self.partial, &mut self.tally)
             }
         };
-        self.source.consume(line_end.map_or(read, |end| end + 1));
-        Ok(frame.map_or(Step::Nothing, Step::Frame))
+        self.source.consume(used);
+        Ok(step)
+    }
+}
+
+/// Reads to the end of a line or of the buffer; says how much of it that is.
+fn read_line(buffer: &[u8], partial: &mut Vec<u8>, tally: &mut Tally) -> (usize, Step) {
+    let (read, is_at_end) = (buffer.len(), buffer.is_empty());
+    let line_end = buffer.iter().position(|&byte| byte == b'\n');
+    let piece = &buffer[..line_end.unwrap_or(read)];
+    let frame = match line_end {
+        _ if is_at_end && partial.is_empty() => return (0, Step::End),
+        Some(_) if partial.is_empty() => tally.take(piece),
+        None if !is_at_end => {
+            keep(partial, piece);
+            None
+        }
+        _ => {
+            keep(partial, piece);
+            let frame = tally.take(partial);
+            partial.clear();
+            frame
+        }
+    };
+    (line_end.map_or(read, |end| end + 1), frame.map_or(Step::Nothing, Step::Frame))
+}
+
+/// Reads to the end of a block or of the buffer; says how much of it that is.
+fn read_block(
+    buffer: &[u8],
+    (sections, skip): (&mut Sections, &mut u64),
+    partial: &mut Vec<u8>,
+    tally: &mut Tally,
+) -> (usize, Step) {
+    if matches!(tally.damage, Some(damage) if damage != Damage::Cut) {
+        return (0, Step::End);
+    }
+    if buffer.is_empty() {
+        tally.damage = (*skip > 0 || !partial.is_empty()).then_some(Damage::Cut);
+        return (0, Step::End);
+    }
+    // More came than there was.
+    tally.damage = None;
+    if *skip > 0 {
+        let skipped = buffer.len().min(usize::try_from(*skip).unwrap_or(usize::MAX));
+        *skip -= skipped as u64;
+        return (skipped, Step::Nothing);
+    }
+    let mut used = 0;
+    let mut fill = |partial: &mut Vec<u8>, wanted: usize| {
+        let piece = &buffer[used..];
+        let piece = &piece[..piece.len().min(wanted.saturating_sub(partial.len()))];
+        partial.extend_from_slice(piece);
+        used += piece.len();
+        partial.len() >= wanted
+    };
+    let read = 'read: {
+        if !fill(partial, pcapng::HEAD) {
+            break 'read Ok(None);
+        }
+        let Some(head) = partial.first_chunk() else { break 'read Ok(None) };
+        let len = match sections.block_len(head) {
+            Ok(len) => len as usize,
+            Err(damage) => break 'read Err(damage),
+        };
+        if len > pcapng::MAX_BLOCK {
+            *skip = (len - partial.len()) as u64;
+            tally.take_block(sections.skip(head).map(|()| None));
+            partial.clear();
+            break 'read Ok(None);
+        }
+        if !fill(partial, len) {
+            break 'read Ok(None);
+        }
+        let taken = sections.take(partial).map(|block| tally.take_block(block));
+        partial.clear();
+        taken
+    };
+    match read {
+        Ok(frame) => (used, frame.map_or(Step::Nothing, Step::Frame)),
+        Err(damage) => {
+            tally.damage = Some(damage);
+            (used, Step::End)
+        }
     }
 }
 
 impl<R: Read> LogReader<BufReader<R>> {
     /// The next frame whose line is here already; `None` where the source would have to be read.
     pub fn next_buffered(&mut self) -> Option<Frame> {
-        while self.source.buffer().contains(&b'\n') {
+        while self.has_whole() {
             // What is buffered is not read again, so there is no error.
-            if let Ok(Step::Frame(frame)) = self.step() {
-                return Some(frame);
+            match self.step() {
+                Ok(Step::Frame(frame)) => return Some(frame),
+                Ok(Step::Nothing) => {}
+                Ok(Step::End) | Err(_) => return None,
             }
         }
         None
+    }
+
+    /// Whether the rest of a line is buffered, or anything of a block: reading that does not
+    /// wait, and less than a block is kept.
+    fn has_whole(&self) -> bool {
+        match self.format {
+            Format::Text => self.source.buffer().contains(&b'\n'),
+            Format::Unknown | Format::Pcapng { .. } => !self.source.buffer().is_empty(),
+        }
     }
 }
 
@@ -144,8 +269,19 @@ impl<R: BufRead> Iterator for LogReader<R> {
 
 impl Tally {
     fn take(&mut self, line: &[u8]) -> Option<Frame> {
+        self.take_read(parse_line(line))
+    }
+
+    fn take_block(
+        &mut self,
+        block: Result<Option<LogLine<'_>>, pcapng::PacketFault>,
+    ) -> Option<Frame> {
+        self.take_read(block.map_err(LineFault::Packet))
+    }
+
+    fn take_read(&mut self, line: Result<Option<LogLine<'_>>, LineFault>) -> Option<Frame> {
         self.lines += 1;
-        let read = parse_line(line).and_then(|line| line.map(|line| self.place(line)).transpose());
+        let read = line.and_then(|line| line.map(|line| self.place(line)).transpose());
         read.unwrap_or_else(|fault| {
             self.unreadable += 1;
             self.first_unreadable.get_or_insert((self.lines, fault));
@@ -195,12 +331,16 @@ impl fmt::Display for Tally {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let plural = |count| if count == 1 { "" } else { "s" };
         write!(f, "{} frame{}", self.frames, plural(self.frames))?;
+        let unit = if self.is_pcapng { "block" } else { "line" };
         match (self.first_unreadable, self.unreadable) {
             (None, _) => {}
-            (Some((line, fault)), 1) => write!(f, "; line {line} cannot be read: {fault}")?,
+            (Some((line, fault)), 1) => write!(f, "; {unit} {line} cannot be read: {fault}")?,
             (Some((line, fault)), count) => {
-                write!(f, "; {count} lines cannot be read, the first is line {line}: {fault}")?;
+                write!(f, "; {count} {unit}s cannot be read, the first is {unit} {line}: {fault}")?;
             }
+        }
+        if let Some(damage) = self.damage {
+            write!(f, "; {damage}")?;
         }
         match self.backwards {
             0 => Ok(()),

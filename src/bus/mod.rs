@@ -13,6 +13,7 @@ mod bell;
 pub mod candump;
 mod clock;
 pub mod log;
+pub mod pcapng;
 mod port;
 mod queue;
 mod remote;

@@ -1,0 +1,477 @@
+//! pcapng with SocketCAN packets (LINKTYPE_CAN_SOCKETCAN, 227): what Wireshark, tshark and dumpcap
+//! read and write.
+//!
+//! Writes one section with an interface per bus, times in microseconds, the direction of each
+//! frame, and how many were lost. Reads sections of either byte order with any number of
+//! interfaces; blocks and link types that are not known are skipped, and nothing is allocated by
+//! what a length says. Does not know where blocks come from: [`super::log`] cuts them out.
+
+use super::candump::LogLine;
+use crate::frame::{CanId, Frame, FrameKind};
+use std::io::{self, Write};
+
+/// The first four bytes of a file, in either byte order.
+pub const MAGIC: [u8; 4] = [0x0A, 0x0D, 0x0D, 0x0A];
+/// As much of a block must be there before its length is known.
+pub const HEAD: usize = 12;
+/// Longer blocks are not read but skipped. A frame's has 116 bytes and its options.
+pub const MAX_BLOCK: usize = 1 << 16;
+
+const SECTION: u32 = 0x0A0D_0D0A;
+const INTERFACE: u32 = 1;
+const OLD_PACKET: u32 = 2;
+const SIMPLE_PACKET: u32 = 3;
+const STATISTICS: u32 = 5;
+const PACKET: u32 = 6;
+const BYTE_ORDER: u32 = 0x1A2B_3C4D;
+
+const SOCKETCAN: u16 = 227;
+/// What stands before a packet's data: identifier, length, FD flags, two more bytes.
+const CAN_HEAD: usize = 8;
+const EXTENDED_FLAG: u32 = 0x8000_0000;
+const REMOTE_FLAG: u32 = 0x4000_0000;
+const ERROR_FLAG: u32 = 0x2000_0000;
+const EXTENDED_MASK: u32 = 0x1FFF_FFFF;
+const BIT_RATE_SWITCH: u8 = 0x01;
+const ERROR_STATE: u8 = 0x02;
+const FD_FORMAT: u8 = 0x04;
+/// Set where the length of a CAN FD frame would be: a CAN XL frame.
+const XL_FORMAT: u8 = 0x80;
+
+const NAME_OPTION: u16 = 2;
+const RESOLUTION_OPTION: u16 = 9;
+const OFFSET_OPTION: u16 = 14;
+const APPLICATION_OPTION: u16 = 4;
+const FLAGS_OPTION: u16 = 2;
+const RECEIVED_OPTION: u16 = 4;
+const DROPPED_OPTION: u16 = 5;
+const INBOUND: u32 = 1;
+const OUTBOUND: u32 = 2;
+const DIRECTION: u32 = 3;
+
+/// Interfaces of a section beyond these are not read: there are no more bus numbers.
+const MAX_INTERFACES: usize = 256;
+/// Bytes of an interface's name that are kept.
+const MAX_NAME: usize = 64;
+
+/// Why a packet cannot be read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
+pub enum PacketFault {
+    /// Not of CAN.
+    #[error("it is of link type {0}, not of CAN (227)")]
+    LinkType(u16),
+    /// Its interface was not described before it.
+    #[error("its interface is not described")]
+    Interface,
+    /// A block that says less than such a block must.
+    #[error("the block is too short")]
+    Short,
+    /// A block beyond [`MAX_BLOCK`].
+    #[error("the block is too long")]
+    Long,
+    /// A kind of packet block that has no time, or is not used any more.
+    #[error("a packet block of an old kind: editcap -F pcapng OLD NEW makes new ones")]
+    OldKind,
+    /// The captured bytes are no CAN frame.
+    #[error("its bytes are no CAN frame")]
+    NoFrame,
+    /// A CAN XL frame.
+    #[error("a CAN XL frame")]
+    Xl,
+}
+
+/// Why nothing more can be read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
+pub enum Damage {
+    /// The file ends within a block.
+    #[error("it breaks off within a block")]
+    Cut,
+    /// A block whose length cannot be: where the next begins is not known.
+    #[error("a block says that it has {0} bytes: the rest cannot be read")]
+    Length(u32),
+    /// The length behind a block is not the one before it.
+    #[error("a block's two lengths differ: the rest cannot be read")]
+    Lengths,
+    /// A section whose byte order is neither.
+    #[error("a section without a byte order: the rest cannot be read")]
+    ByteOrder,
+}
+
+/// What blocks before said that packets need: the byte order and the interfaces.
+#[derive(Clone, Debug, Default)]
+pub struct Sections {
+    big_endian: bool,
+    /// Of a version that is not known: skipped.
+    foreign: bool,
+    interfaces: Vec<Interface>,
+}
+
+#[derive(Clone, Debug)]
+struct Interface {
+    link_type: u16,
+    name: String,
+    resolution: u8,
+    offset_seconds: i64,
+}
+
+impl Sections {
+    /// The length of the block that begins with these bytes, at least [`HEAD`].
+    pub fn block_len(&self, head: &[u8; HEAD]) -> Result<u32, Damage> {
+        let big_endian = if head[..4] == MAGIC {
+            byte_order(&head[8..]).ok_or(Damage::ByteOrder)?
+        } else {
+            self.big_endian
+        };
+        let len = Fields { bytes: &head[4..], big_endian }.u32().unwrap_or(0);
+        if len < 12 || !len.is_multiple_of(4) { Err(Damage::Length(len)) } else { Ok(len) }
+    }
+
+    /// What is lost where a block that begins like this is skipped.
+    pub fn skip(&self, head: &[u8; HEAD]) -> Result<(), PacketFault> {
+        let kind = Fields { bytes: head, big_endian: self.big_endian }.u32();
+        let is_packet = matches!(kind, Some(PACKET | SIMPLE_PACKET | OLD_PACKET));
+        if is_packet && !self.foreign { Err(PacketFault::Long) } else { Ok(()) }
+    }
+
+    /// Takes a whole block; what it says of a frame, if it is a frame's.
+    pub fn take(
+        &mut self,
+        block: &[u8],
+    ) -> Result<Result<Option<LogLine<'_>>, PacketFault>, Damage> {
+        let is_section = block.starts_with(&MAGIC);
+        if is_section {
+            self.big_endian = block.get(8..).and_then(byte_order).ok_or(Damage::ByteOrder)?;
+        }
+        let mut fields = Fields { bytes: block, big_endian: self.big_endian };
+        let kind = fields.u32().unwrap_or(0);
+        let _len = fields.u32();
+        let (body, tail) = fields.bytes.split_at(fields.bytes.len().saturating_sub(4));
+        if tail != &block[4..8] {
+            return Err(Damage::Lengths);
+        }
+        let fields = Fields { bytes: body, big_endian: self.big_endian };
+        if is_section {
+            self.begin(fields);
+            return Ok(Ok(None));
+        }
+        Ok(match kind {
+            _ if self.foreign => Ok(None),
+            INTERFACE => {
+                self.add_interface(fields);
+                Ok(None)
+            }
+            PACKET => self.packet(fields).map(Some),
+            SIMPLE_PACKET | OLD_PACKET => Err(PacketFault::OldKind),
+            _ => Ok(None),
+        })
+    }
+
+    fn begin(&mut self, mut fields: Fields<'_>) {
+        self.interfaces.clear();
+        let _byte_order = fields.u32();
+        self.foreign = fields.u16() != Some(1);
+    }
+
+    fn add_interface(&mut self, mut fields: Fields<'_>) {
+        if self.interfaces.len() == MAX_INTERFACES {
+            return;
+        }
+        // One that says too little keeps its number, and is of no link type.
+        let link_type = fields.u16().unwrap_or(u16::MAX);
+        let (_reserved, _snapshot_length) = (fields.u16(), fields.u32());
+        let name = format!("if{}", self.interfaces.len());
+        let mut interface = Interface { link_type, name, resolution: 6, offset_seconds: 0 };
+        while let Some((option, value)) = fields.option() {
+            match (option, value) {
+                (NAME_OPTION, value) if !value.is_empty() => interface.name = shown_name(value),
+                (RESOLUTION_OPTION, &[resolution]) => interface.resolution = resolution,
+                (OFFSET_OPTION, value) => {
+                    let offset = Fields { bytes: value, ..fields }.u64();
+                    interface.offset_seconds = offset.unwrap_or(0).cast_signed();
+                }
+                _ => {}
+            }
+        }
+        self.interfaces.push(interface);
+    }
+
+    fn packet(&self, mut fields: Fields<'_>) -> Result<LogLine<'_>, PacketFault> {
+        let mut field = || fields.u32().ok_or(PacketFault::Short);
+        let (interface, high, low, captured, _original) =
+            (field()?, field()?, field()?, field()?, field()?);
+        let interface = self.interfaces.get(interface as usize).ok_or(PacketFault::Interface)?;
+        if interface.link_type != SOCKETCAN {
+            return Err(PacketFault::LinkType(interface.link_type));
+        }
+        let data = fields.padded(captured as usize).ok_or(PacketFault::Short)?;
+        let mut frame = decode(data)?;
+        while let Some((option, value)) = fields.option() {
+            if option == FLAGS_OPTION {
+                let flags = Fields { bytes: value, ..fields }.u32().unwrap_or(0);
+                frame.ours = flags & DIRECTION == OUTBOUND;
+            }
+        }
+        let unix_micros = interface.micros(u64::from(high) << 32 | u64::from(low));
+        Ok(LogLine { unix_micros, interface: &interface.name, frame })
+    }
+}
+
+impl Interface {
+    /// Microseconds since 1970 of a time in this interface's units.
+    fn micros(&self, time: u64) -> u64 {
+        let time = u128::from(time);
+        let micros = match self.resolution {
+            binary @ 0x80.. => (time * 1_000_000) >> (binary & 0x7F),
+            decimal @ 0..6 => time * 10_u128.pow(u32::from(6 - decimal)),
+            decimal => 10_u128.checked_pow(u32::from(decimal - 6)).map_or(0, |unit| time / unit),
+        };
+        let offset = i128::from(self.offset_seconds) * 1_000_000;
+        let micros = i128::try_from(micros).unwrap_or(i128::MAX).saturating_add(offset);
+        u64::try_from(micros.max(0)).unwrap_or(u64::MAX)
+    }
+}
+
+/// A name that may be shown, and written to a log as one word.
+fn shown_name(bytes: &[u8]) -> String {
+    let name = crate::text::printable(&bytes[..bytes.len().min(MAX_NAME)]);
+    name.replace(char::is_whitespace, "_")
+}
+
+fn byte_order(bytes: &[u8]) -> Option<bool> {
+    let bytes = *bytes.first_chunk()?;
+    match BYTE_ORDER {
+        order if order == u32::from_be_bytes(bytes) => Some(true),
+        order if order == u32::from_le_bytes(bytes) => Some(false),
+        _ => None,
+    }
+}
+
+/// Numbers in a section's byte order, one after the other.
+#[derive(Clone, Copy)]
+struct Fields<'b> {
+    bytes: &'b [u8],
+    big_endian: bool,
+}
+
+impl<'b> Fields<'b> {
+    fn u16(&mut self) -> Option<u16> {
+        let bytes = self.take()?;
+        Some(if self.big_endian { u16::from_be_bytes(bytes) } else { u16::from_le_bytes(bytes) })
+    }
+
+    fn u32(&mut self) -> Option<u32> {
+        let bytes = self.take()?;
+        Some(if self.big_endian { u32::from_be_bytes(bytes) } else { u32::from_le_bytes(bytes) })
+    }
+
+    fn u64(&mut self) -> Option<u64> {
+        let bytes = self.take()?;
+        Some(if self.big_endian { u64::from_be_bytes(bytes) } else { u64::from_le_bytes(bytes) })
+    }
+
+    /// Bytes, and what pads them to a multiple of four.
+    fn padded(&mut self, len: usize) -> Option<&'b [u8]> {
+        let value = self.bytes.get(..len)?;
+        self.bytes = self.bytes.get(len.next_multiple_of(4)..).unwrap_or_default();
+        Some(value)
+    }
+
+    /// The next option; none at their end.
+    fn option(&mut self) -> Option<(u16, &'b [u8])> {
+        let (option, len) = (self.u16()?, self.u16()?);
+        let value = self.padded(usize::from(len))?;
+        (option != 0).then_some((option, value))
+    }
+
+    fn take<const N: usize>(&mut self) -> Option<[u8; N]> {
+        let (bytes, rest) = self.bytes.split_first_chunk()?;
+        self.bytes = rest;
+        Some(*bytes)
+    }
+}
+
+/// Reads a packet: the identifier is big-endian whatever the section is.
+fn decode(packet: &[u8]) -> Result<Frame, PacketFault> {
+    let (head, data) = packet.split_at_checked(CAN_HEAD).ok_or(PacketFault::NoFrame)?;
+    let raw = u32::from_be_bytes([head[0], head[1], head[2], head[3]]);
+    let (len, flags) = (usize::from(head[4]), head[5]);
+    if head[4] & XL_FORMAT != 0 {
+        return Err(PacketFault::Xl);
+    }
+    let id = if raw & (EXTENDED_FLAG | ERROR_FLAG) != 0 {
+        CanId::Extended(raw & EXTENDED_MASK)
+    } else {
+        CanId::Standard(u16::try_from(raw & EXTENDED_MASK).map_err(|_| PacketFault::NoFrame)?)
+    };
+    if matches!(id, CanId::Standard(0x800..)) {
+        return Err(PacketFault::NoFrame);
+    }
+    // Those who wrote before there was a flag for it are known by the length alone.
+    let fd = flags & FD_FORMAT != 0 || len > Frame::MAX_CLASSIC_DATA;
+    let most = if fd { Frame::MAX_DATA } else { Frame::MAX_CLASSIC_DATA };
+    if len > most {
+        return Err(PacketFault::NoFrame);
+    }
+    if raw & ERROR_FLAG == 0 && raw & REMOTE_FLAG != 0 {
+        return Ok(Frame::remote(id, len));
+    }
+    let data = data.get(..len).ok_or(PacketFault::NoFrame)?;
+    if raw & ERROR_FLAG != 0 {
+        return Ok(Frame::error(raw & EXTENDED_MASK, data));
+    }
+    if !fd {
+        return Ok(Frame::with(id, data));
+    }
+    let mut frame = Frame::fd(0, data, 0);
+    frame.id = id;
+    frame.bit_rate_switch = flags & BIT_RATE_SWITCH != 0;
+    frame.error_state = flags & ERROR_STATE != 0;
+    Ok(frame)
+}
+
+// --- writing ------------------------------------------------------------------------------
+
+/// Begins a section: the first thing in a file.
+pub fn write_section(out: &mut impl Write) -> io::Result<()> {
+    let mut block = Block::new(SECTION);
+    block.u32(BYTE_ORDER);
+    block.u16(1);
+    block.u16(0);
+    // How long the section is nobody knows yet.
+    block.u64(u64::MAX);
+    block.option(APPLICATION_OPTION, concat!("descan ", env!("CARGO_PKG_VERSION")).as_bytes());
+    block.end_options();
+    block.write(out)
+}
+
+/// Describes the next interface; they are counted from 0.
+pub fn write_interface(out: &mut impl Write, name: &str) -> io::Result<()> {
+    let mut block = Block::new(INTERFACE);
+    block.u16(SOCKETCAN);
+    block.u16(0);
+    // No packet is cut.
+    block.u32(0);
+    block.option(NAME_OPTION, name.as_bytes());
+    block.option(RESOLUTION_OPTION, &[6]);
+    block.end_options();
+    block.write(out)
+}
+
+/// Writes a frame of an interface, at a time in microseconds since 1970.
+pub fn write_frame(
+    out: &mut impl Write,
+    interface: u32,
+    unix_micros: u64,
+    frame: &Frame,
+) -> io::Result<()> {
+    let mut block = Block::new(PACKET);
+    block.u32(interface);
+    block.time(unix_micros);
+    let len = (CAN_HEAD + frame.data().len()) as u32;
+    block.u32(len);
+    block.u32(len);
+    let id = match frame.id {
+        CanId::Extended(id) => id,
+        CanId::Standard(id) => u32::from(id),
+    };
+    let flags = match (frame.kind, frame.id) {
+        (FrameKind::Error, _) => ERROR_FLAG,
+        (FrameKind::Remote, CanId::Standard(_)) => REMOTE_FLAG,
+        (FrameKind::Remote, CanId::Extended(_)) => REMOTE_FLAG | EXTENDED_FLAG,
+        (FrameKind::Data, CanId::Standard(_)) => 0,
+        (FrameKind::Data, CanId::Extended(_)) => EXTENDED_FLAG,
+    };
+    let fd = if frame.fd {
+        FD_FORMAT
+            | if frame.bit_rate_switch { BIT_RATE_SWITCH } else { 0 }
+            | if frame.error_state { ERROR_STATE } else { 0 }
+    } else {
+        0
+    };
+    block.bytes(&(id | flags).to_be_bytes());
+    block.bytes(&[frame.len() as u8, fd, 0, 0]);
+    block.bytes(frame.data());
+    block.pad();
+    let direction = if frame.ours { OUTBOUND } else { INBOUND };
+    block.option(FLAGS_OPTION, &direction.to_le_bytes());
+    block.end_options();
+    block.write(out)
+}
+
+/// Says how many frames of an interface came and how many were lost, up to a time in microseconds
+/// since 1970.
+pub fn write_statistics(
+    out: &mut impl Write,
+    interface: u32,
+    unix_micros: u64,
+    received: u64,
+    dropped: u64,
+) -> io::Result<()> {
+    let mut block = Block::new(STATISTICS);
+    block.u32(interface);
+    block.time(unix_micros);
+    block.option(RECEIVED_OPTION, &received.to_le_bytes());
+    block.option(DROPPED_OPTION, &dropped.to_le_bytes());
+    block.end_options();
+    block.write(out)
+}
+
+/// A block that is being written, little-endian.
+struct Block {
+    bytes: Vec<u8>,
+}
+
+impl Block {
+    fn new(kind: u32) -> Self {
+        let mut block = Self { bytes: Vec::with_capacity(160) };
+        block.u32(kind);
+        // The length, once it is known.
+        block.u32(0);
+        block
+    }
+
+    fn bytes(&mut self, bytes: &[u8]) {
+        self.bytes.extend_from_slice(bytes);
+    }
+
+    fn u16(&mut self, number: u16) {
+        self.bytes(&number.to_le_bytes());
+    }
+
+    fn u32(&mut self, number: u32) {
+        self.bytes(&number.to_le_bytes());
+    }
+
+    fn u64(&mut self, number: u64) {
+        self.bytes(&number.to_le_bytes());
+    }
+
+    /// The halves of a time each have their own place.
+    fn time(&mut self, time: u64) {
+        self.u32((time >> 32) as u32);
+        self.u32(time as u32);
+    }
+
+    fn pad(&mut self) {
+        self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
+    }
+
+    fn option(&mut self, option: u16, value: &[u8]) {
+        let value = &value[..value.len().min(usize::from(u16::MAX))];
+        self.u16(option);
+        self.u16(value.len() as u16);
+        self.bytes(value);
+        self.pad();
+    }
+
+    fn end_options(&mut self) {
+        self.u32(0);
+    }
+
+    fn write(mut self, out: &mut impl Write) -> io::Result<()> {
+        let len = (self.bytes.len() + 4) as u32;
+        self.bytes[4..8].copy_from_slice(&len.to_le_bytes());
+        self.u32(len);
+        out.write_all(&self.bytes)
+    }
+}

@@ -1,0 +1,21 @@
+//! Futures for what may not be there: without it they wait for ever.
+
+use super::watch::{FileReading, Watch};
+use std::future::pending;
+use std::time::Duration;
+
+/// Waits so long.
+pub async fn sleep_for(wait: Option<Duration>) {
+    match wait {
+        Some(wait) => tokio::time::sleep(wait).await,
+        None => pending().await,
+    }
+}
+
+/// Waits until the watched file changes.
+pub async fn file_changed(watch: Option<&Watch>) -> FileReading {
+    match watch {
+        Some(watch) => watch.changed().await,
+        None => pending().await,
+    }
+}
