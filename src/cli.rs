@@ -3,6 +3,7 @@
 //! Opens nothing and reads nothing.
 
 use crate::bus::BusSpec;
+use crate::shell::recorder::{Format, Size};
 use crate::wire::id::Address;
 use clap::{Args, CommandFactory, Parser, Subcommand};
 use std::path::PathBuf;
@@ -168,6 +169,12 @@ pub struct Common {
     /// Our own address, 0 to 127 [default: 0, or a free one]
     #[arg(long, value_name = "N", value_parser = address, allow_negative_numbers = true)]
     pub address: Option<Address>,
+    /// Record all frames, into a new file: .log is candump's text, .pcapng is for Wireshark
+    #[arg(long, value_name = "FILE", value_parser = recording)]
+    pub record: Option<PathBuf>,
+    /// Begin another file (FILE_00002, …) before one grows beyond this: 500k, 100M, 2G
+    #[arg(long, value_name = "SIZE", requires = "record")]
+    pub record_size: Option<Size>,
     /// Of the terminal UI: terminal | dark | light | high-contrast | mono, or one of your own
     #[arg(long, value_name = "NAME")]
     pub theme: Option<String>,
@@ -179,6 +186,12 @@ fn address(text: &str) -> Result<Address, String> {
         None => text.parse().ok(),
     };
     number.and_then(Address::new).ok_or_else(|| "an address is a number from 0 to 127".to_owned())
+}
+
+fn recording(text: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(text);
+    Format::of(&path).map_err(|fault| fault.to_string())?;
+    Ok(path)
 }
 
 fn seconds(text: &str) -> Result<Duration, String> {

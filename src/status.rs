@@ -118,6 +118,54 @@ pub struct BusStatus {
     pub note: Option<String>,
 }
 
+/// How a recording is.
+#[derive(Clone, Debug, PartialEq, Eq, Default)]
+pub struct RecordingStatus {
+    /// The file that is written, or was written last.
+    pub path: String,
+    /// How many files there are.
+    pub files: u32,
+    /// Frames in all of them.
+    pub frames: u64,
+    /// Bytes in all of them.
+    pub bytes: u64,
+    /// Frames that came faster than they could be written.
+    pub lost: u64,
+    /// Why it is over before the session is.
+    pub failure: Option<String>,
+}
+
+/// `session.log: 5123 frames, 312 kB`.
+impl fmt::Display for RecordingStatus {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match (self.frames, self.bytes) {
+            (0, 0) => write!(f, "{}: nothing came, so there is no file", self.path)?,
+            (1, bytes) => write!(f, "{}: 1 frame, {}", self.path, size(bytes))?,
+            (frames, bytes) => write!(f, "{}: {frames} frames, {}", self.path, size(bytes))?,
+        }
+        if self.files > 1 {
+            write!(f, ", in {} files of which this is the last", self.files)?;
+        }
+        if self.lost > 0 {
+            write!(f, "; {} more could not be written in time", self.lost)?;
+        }
+        match &self.failure {
+            None => Ok(()),
+            Some(failure) => write!(f, "; it ends early: {failure}"),
+        }
+    }
+}
+
+/// A number of bytes in at most six characters: `312 kB`, `12 MB`.
+pub fn size(bytes: u64) -> String {
+    match bytes {
+        0..1_000 => format!("{bytes} B"),
+        1_000..1_000_000 => format!("{} kB", bytes / 1_000),
+        1_000_000..1_000_000_000 => format!("{} MB", bytes / 1_000_000),
+        _ => format!("{} GB", bytes / 1_000_000_000),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

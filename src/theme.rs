@@ -70,6 +70,7 @@ roles! {
     Warning "warning" "What deserves a look.",
     HintKey "hint_key" "Keys in the last line and in the help.",
     Bar "bar" "The load bars.",
+    Recording "recording" "That frames are recorded.",
     Match "match" "What the filter found, and that there is one.",
 }
 

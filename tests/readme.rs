@@ -61,7 +61,9 @@ fn its_profile_and_its_des_json_can_be_read() {
 
 #[test]
 fn its_commands_are_there() {
-    for line in block("sh", "sudo ip link").lines().filter(|line| line.starts_with("descan ")) {
+    let blocks = ["sudo ip link", "descan scan file:"].map(|begin| block("sh", begin));
+    let lines = blocks.iter().flat_map(|block| block.lines());
+    for line in lines.filter(|line| line.starts_with("descan ")) {
         let command = line.split('#').next().unwrap();
         let arguments: Vec<&str> = command.split_whitespace().collect();
         descan::cli::parse(&arguments).unwrap_or_else(|refusal| panic!("{line}: {refusal:?}"));

@@ -8,7 +8,7 @@ use descan::discovery::Config;
 use descan::frame::{BusIndex, CanId, Frame};
 use descan::keymap::Key;
 use descan::sim::{Scenario, Sim, Station};
-use descan::status::{BusState, BusStatus, Link};
+use descan::status::{BusState, BusStatus, Link, RecordingStatus};
 use descan::theme::{BUILT_IN, Role, Theme};
 use descan::time::{Duration, Epoch, Instant};
 use descan::ui;
@@ -728,6 +728,34 @@ fn an_address_of_ours_that_another_uses_is_named_as_the_cause() {
     let lines: Vec<_> = stage.app.timeline().entries().map(|line| line.text.as_str()).collect();
     let ours: Vec<_> = lines.iter().filter(|line| line.contains("our address")).collect();
     assert_eq!(ours, [&"somebody else uses our address 12: we ask nobody until it is free"]);
+}
+
+#[test]
+fn a_recording_is_seen_on_every_screen_and_so_is_its_end() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0);
+    let mut status = RecordingStatus {
+        path: "session.log".to_owned(),
+        files: 1,
+        frames: 5_123,
+        bytes: 312_456,
+        ..RecordingStatus::default()
+    };
+    let now = stage.app.now();
+    stage.app.handle_recording(now, status.clone());
+    for (columns, rows) in [(80, 24), (120, 40), (160, 40), (40, 10), (60, 12)] {
+        let text = stage.size(columns, rows).screen();
+        assert!(text.contains("● rec 312 kB"), "{columns}×{rows}\n{text}");
+    }
+    assert!(stage.size(80, 24).keys("3").screen().contains("recording to session.log"));
+    (status.bytes, status.lost) = (12_345_678, 34);
+    stage.app.handle_recording(now, status.clone());
+    assert!(stage.screen().contains("● rec 12 MB lost 34"), "{}", stage.screen());
+    status.failure = Some("the disk is full".to_owned());
+    stage.app.handle_recording(now, status);
+    let text = stage.screen();
+    assert!(text.contains("✗ rec over"), "{text}");
+    assert_eq!(text.matches("recording to session.log is over: the disk is full").count(), 2);
 }
 
 #[test]

@@ -7,6 +7,7 @@ use can::{PATIENCE, Peer, Vcan, controllers, listeners, run, wait_for_listeners}
 use descan::bus::candump::{parse_frame, parse_line};
 use descan::bus::{self, BusSpec, Clock, Options, Port, TransmitError};
 use descan::frame::{BusIndex, CanId, Frame, FrameKind};
+use descan::shell::recorder::{Recorder, Target};
 use descan::status::{BusState, BusStatus, Link};
 use descan::time::{Duration, Instant};
 use descan::wire::isotp::{FlowControl, FlowStatus, Pci, Progress, Reassembly, Segmenter};
@@ -153,6 +154,39 @@ fn sends_what_candump_reads() {
         assert!(dated.abs_diff(seen.unix_micros) < 1_000_000, "{dated} {}", seen.unix_micros);
     }
     bus.wait_until("confirmation", |bus| bus.status().unconfirmed == 0);
+}
+
+#[test]
+fn canplayer_plays_what_we_record() {
+    let Some(vcan) = Vcan::new("ds-plays") else { return };
+    let mut fd = Frame::fd(0x1ABC_DEF0, &[0x5A; 32], 0);
+    fd.error_state = true;
+    let frames = [
+        Frame::classic(0x0201_5402, &[4, 0x44, 0x45, 0x53, 1]).ours(),
+        Frame::with(CanId::Standard(0x123), &[1, 2, 3]),
+        Frame::remote(CanId::Extended(0x123), 5),
+        fd,
+    ];
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.log");
+    let recorder = Recorder::create(&Target { path: path.clone(), max_bytes: None }).unwrap();
+    recorder.set_epoch(Clock::start().epoch());
+    recorder.name_bus(BusIndex(0), "can7");
+    recorder.record(&frames);
+    assert_eq!(recorder.finish().frames, 4);
+    let candump = Peer::start("candump", &["-L", "-n", "4", vcan.name()]);
+    wait_for_listeners(vcan.name(), "raw", 1);
+    let mapping = format!("{}=can7", vcan.name());
+    run("canplayer", &["-I", path.to_str().unwrap(), &mapping]);
+    let seen = candump.finish();
+    let seen: Vec<_> =
+        seen.lines().map(|line| parse_line(line.as_bytes()).unwrap().unwrap().frame).collect();
+    // What was sent then is a stranger's now.
+    let played = frames.map(|mut frame| {
+        frame.ours = false;
+        frame
+    });
+    assert_eq!(seen, played);
 }
 
 #[test]

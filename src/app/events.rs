@@ -11,7 +11,7 @@ use crate::discovery::{
     Confidence, DeviceId, Event, EventKind, Finding, FindingKey, Party, Presence,
 };
 use crate::frame::BusIndex;
-use crate::status::{BusState, BusStatus, Link};
+use crate::status::{BusState, BusStatus, Link, RecordingStatus};
 use crate::text::{Escaped, Name};
 use crate::time::Instant;
 use crate::wire::node::{Mode, Uid};
@@ -281,6 +281,31 @@ impl App {
         self.take_events();
         self.refresh();
         self.dirty_soon();
+    }
+
+    /// The recording began, grew, lost frames, or is over.
+    pub(super) fn recording_changed(&mut self, status: RecordingStatus) {
+        let before = self.recording.replace(status.clone());
+        let had_failed = before.as_ref().is_some_and(|before| before.failure.is_some());
+        let had_lost = before.as_ref().is_some_and(|before| before.lost > 0);
+        let is_another = before.is_none_or(|before| before.path != status.path);
+        let (kind, text) = match status.failure {
+            Some(_) if had_failed => return,
+            Some(why) => (Kind::Error, format!("recording to {} is over: {why}", status.path)),
+            None if status.lost > 0 && !had_lost => {
+                (Kind::Error, "frames come faster than they can be recorded".to_owned())
+            }
+            None if is_another => (Kind::File, format!("recording to {}", status.path)),
+            None => return self.dirty_soon(),
+        };
+        if kind == Kind::Error {
+            self.complain(text.clone());
+        }
+        let mut line = Entry::new(self.now, kind, text);
+        line.name = Some("recording".into());
+        self.report_line(&line);
+        self.timeline.push(line);
+        self.dirty = true;
     }
 
     /// des.json changed, or what is known of it.

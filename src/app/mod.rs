@@ -63,7 +63,7 @@ pub use why::spell;
 use crate::discovery::{Config, DeviceId, Finding, OwnAddress};
 use crate::frame::{BusIndex, Frame};
 use crate::keymap::{Key, Keymap, Mode};
-use crate::status::BusStatus;
+use crate::status::{BusStatus, RecordingStatus};
 use crate::time::{Duration, Epoch, Instant};
 use crate::wire::id::Address;
 use std::collections::{BTreeSet, VecDeque};
@@ -187,6 +187,7 @@ pub struct App {
     /// The line being typed when a conflict came up; it goes on afterwards.
     set_aside: Option<Prompt>,
     message: Option<Message>,
+    recording: Option<RecordingStatus>,
     keymap: Keymap,
     theme: String,
     themes: Vec<String>,
@@ -239,6 +240,7 @@ impl App {
             overlay: Overlay::None,
             set_aside: None,
             message: None,
+            recording: None,
             keymap: options.keymap,
             theme: options.theme,
             themes: options.themes,
@@ -400,6 +402,12 @@ impl App {
         self.bus_changed(index, status);
     }
 
+    /// Takes how the recording is.
+    pub fn handle_recording(&mut self, now: Instant, status: RecordingStatus) {
+        self.now = self.now.max(now);
+        self.recording_changed(status);
+    }
+
     // ---- poll_*: what is to be done outside, and when -------------------------------------
 
     /// The next frame to send; `frame.bus` says where.
@@ -513,6 +521,11 @@ impl App {
     /// The word to the user.
     pub fn message(&self) -> Option<&Message> {
         self.message.as_ref()
+    }
+
+    /// How the recording is, where there is one.
+    pub fn recording(&self) -> Option<&RecordingStatus> {
+        self.recording.as_ref()
     }
 
     /// Which key does what.

@@ -11,7 +11,7 @@ use crate::frame::BusIndex;
 use crate::shell::ending::{Ending, Endings};
 use crate::shell::recording::{Pace, Recording};
 use crate::shell::session::Session;
-use crate::status::Link;
+use crate::status::{Link, RecordingStatus};
 use crate::time::Instant;
 use anyhow::Context;
 use std::fs::File;
@@ -56,6 +56,7 @@ pub fn live(
         let clock = open::clock(buses, 1.0)?;
         let mut session = open::session(buses, setup, clock, options)?;
         let mut endings = endings(limits, limits.time)?;
+        let mut failure = RecordingFailure::default();
         let ending = loop {
             session.settle();
             if turn(&mut session)?.is_break() {
@@ -66,8 +67,10 @@ pub fn live(
                 ending = endings.next() => break Some(ending),
                 wake = session.next() => session.take(wake),
             }
+            failure.tell(session.app.recording());
         };
         let now = session.now();
+        open::tell_recorded(session.finish_recording());
         Ok(Outcome { app: session.app, now, ending })
     })
 }
@@ -93,6 +96,10 @@ pub fn recorded(
         let with = (options, setup.config.clone());
         let mut recording =
             Recording::new(log, pace, own, with, &setup.file).context("no thread")?;
+        if let Some(recorder) = setup.recorder()? {
+            recording.record(recorder);
+        }
+        let mut failure = RecordingFailure::default();
         let ending = loop {
             let wake = tokio::select! {
                 biased;
@@ -103,12 +110,30 @@ pub fn recorded(
             if recording.take(wake, &mut turn)?.is_break() {
                 break None;
             }
+            failure.tell(recording.take_recording_status().as_ref());
         };
+        open::tell_recorded(recording.finish_recording());
         let (app, tally) = recording.finish();
         tell_unreadable(spec, tally)?;
         let now = app.now();
         Ok(Outcome { app, now, ending })
     })
+}
+
+/// Says on standard error that recording is over before the session is, once.
+#[derive(Default)]
+struct RecordingFailure {
+    was_told: bool,
+}
+
+impl RecordingFailure {
+    fn tell(&mut self, status: Option<&RecordingStatus>) {
+        let failure = status.and_then(|status| Some((&status.path, status.failure.as_ref()?)));
+        if let Some((path, why)) = failure.filter(|_| !self.was_told) {
+            self.was_told = true;
+            let _ = writeln!(io::stderr(), "descan: recording to {path} is over: {why}");
+        }
+    }
 }
 
 /// Why a bus cannot be used now, where nobody waits for it to come up.
@@ -145,12 +170,13 @@ pub fn tell_hindrance(app: &App, index: BusIndex) {
 /// Says which lines could not be read. Where that is all of them, it is no log.
 fn tell_unreadable(spec: &BusSpec, tally: Option<Tally>) -> Result<(), Failure> {
     let Some(tally) = tally else { return Ok(()) };
-    if tally.frames == 0 && tally.unreadable > 0 {
+    let is_damaged = tally.unreadable > 0 || tally.damage.is_some();
+    if tally.frames == 0 && is_damaged {
         return Err(Failure::Unusable(format!(
-            "{spec}: {tally}; is it a log as candump -L writes them?"
+            "{spec}: {tally}; is it a log as candump -L writes them, or pcapng?"
         )));
     }
-    if tally.unreadable > 0 || tally.frames == 0 {
+    if is_damaged || tally.frames == 0 {
         let _ = writeln!(io::stderr(), "descan: {spec}: {tally}");
     }
     Ok(())

@@ -91,9 +91,10 @@ fn show(buses: &[BusSpec], setup: &Setup, clock: Clock) -> Result<u8, Failure> {
         .context("no event loop")?;
     let ending = runtime.block_on(async {
         let mut session = open::session(buses, setup, clock, options)?;
-        let ending = screen::run(&mut session, &mut themes).await.context("the terminal")?;
+        let ending = screen::run(&mut session, &mut themes).await.context("the terminal");
         session.finish_work().await;
-        Ok::<Ending, Failure>(ending)
+        open::tell_recorded(session.finish_recording());
+        Ok::<Ending, Failure>(ending?)
     })?;
     Ok(match ending {
         Ending::Quit => FINE,

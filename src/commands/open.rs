@@ -8,8 +8,10 @@ use crate::discovery::Config;
 use crate::frame::BusIndex;
 use crate::keymap::Keymap;
 use crate::shell::config::{Folder, Settings, read_text};
+use crate::shell::recorder::{Recorder, Size, Target};
 use crate::shell::session::Session;
 use crate::shell::store::Store;
+use crate::status::RecordingStatus;
 use crate::time::Epoch;
 use crate::wire::profile::Profile;
 use std::io::{self, BufReader, Write};
@@ -29,6 +31,8 @@ pub struct Setup {
     pub config: Config,
     /// Where des.json is.
     pub file: PathBuf,
+    /// Where all frames are recorded.
+    pub record: Option<Target>,
     /// The theme's name, where one is chosen.
     pub theme: Option<String>,
     /// It was chosen on the command line: one that cannot be used is an error.
@@ -63,7 +67,15 @@ impl Setup {
         let file = common.file.clone().unwrap_or_else(|| PathBuf::from(DEFAULT_FILE));
         let theme = common.theme.clone().or(settings.theme);
         let theme_is_asked_for = common.theme.is_some();
-        Ok(Self { folder, keymap, config, file, theme, theme_is_asked_for, warnings })
+        let max_bytes = common.record_size.map(|Size(bytes)| bytes);
+        let record = common.record.clone().map(|path| Target { path, max_bytes });
+        Ok(Self { folder, keymap, config, file, record, theme, theme_is_asked_for, warnings })
+    }
+
+    /// Begins the recording, where one is asked for: when all else is open.
+    pub fn recorder(&self) -> Result<Option<Recorder>, Failure> {
+        let recorder = self.record.as_ref().map(Recorder::create).transpose();
+        recorder.map_err(|error| Failure::Unusable(error.to_string()))
     }
 }
 
@@ -181,7 +193,18 @@ pub fn session(
         ..options
     };
     let app = App::new(clock.now(), options);
-    Ok(Session::new(app, clock, ports, Some(Store::new(&setup.file))))
+    let mut session = Session::new(app, clock, ports, Some(Store::new(&setup.file)));
+    if let Some(recorder) = setup.recorder()? {
+        session.record(recorder);
+    }
+    Ok(session)
+}
+
+/// Says on standard error what was recorded.
+pub fn tell_recorded(status: Option<RecordingStatus>) {
+    if let Some(status) = status {
+        let _ = writeln!(io::stderr(), "descan: recorded {status}");
+    }
 }
 
 /// How far the wall clock is ahead of UTC; 0 where the system does not say. To be asked before

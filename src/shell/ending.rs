@@ -1,5 +1,7 @@
-//! What ends a program that has no screen: a signal, its time, a reader that has enough.
+//! What ends a program that has no screen: a signal, a connection that is lost, its time, a reader
+//! that has enough.
 
+use futures_util::future::select_all;
 use nix::errno::Errno;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use std::future::pending;
@@ -10,7 +12,7 @@ use std::sync::Arc;
 use std::sync::mpsc::sync_channel;
 use std::thread;
 use std::time::Duration;
-use tokio::signal::unix::{SignalKind, signal};
+use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::Notify;
 use tokio::time::{Sleep, sleep};
 
@@ -20,7 +22,7 @@ const PATIENCE: Duration = Duration::from_secs(2);
 /// What ended it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ending {
-    /// SIGINT or SIGTERM.
+    /// SIGINT or SIGTERM; SIGHUP, unless it was ignored when we began, as under nohup.
     Interrupted,
     /// Its time is up.
     TimeUp,
@@ -87,7 +89,15 @@ impl Endings {
     }
 }
 
-/// Notifies of SIGINT and SIGTERM, from a thread that waits for nothing else.
+/// Whether we were started to survive the connection, as by nohup.
+fn ignores_hangup() -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let ignored = ignored.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    ignored.unwrap_or(0) & 1 << (nix::libc::SIGHUP - 1) != 0
+}
+
+/// Notifies of SIGINT, SIGTERM and SIGHUP, from a thread that waits for nothing else.
 fn interrupted(stuck: u8) -> io::Result<Arc<Notify>> {
     let notify = Arc::new(Notify::new());
     let told = Arc::clone(&notify);
@@ -95,17 +105,16 @@ fn interrupted(stuck: u8) -> io::Result<Arc<Notify>> {
     let (ready, is_ready) = sync_channel(1);
     thread::Builder::new().name("signals".into()).spawn(move || {
         runtime.block_on(async {
-            let signals = signal(SignalKind::interrupt())
-                .and_then(|interrupt| Ok((interrupt, signal(SignalKind::terminate())?)));
-            let (mut interrupt, mut terminate) = match signals {
+            let kinds = [SignalKind::interrupt(), SignalKind::terminate(), SignalKind::hangup()];
+            let wanted = if ignores_hangup() { &kinds[..2] } else { &kinds[..] };
+            let signals: io::Result<Vec<Signal>> =
+                wanted.iter().map(|kind| signal(*kind)).collect();
+            let mut signals = match signals {
                 Ok(signals) => signals,
                 Err(error) => return ready.send(Err(error)).unwrap_or_default(),
             };
             let _ = ready.send(Ok(()));
-            tokio::select! {
-                _ = interrupt.recv() => {}
-                _ = terminate.recv() => {}
-            }
+            select_all(signals.iter_mut().map(|signal| Box::pin(signal.recv()))).await;
             told.notify_one();
             sleep(PATIENCE).await;
             std::process::exit(stuck.into());

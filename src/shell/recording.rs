@@ -4,17 +4,18 @@
 //! on a thread of its own, a few batches ahead. Everything happens at the log's times, however
 //! fast it is read.
 
+use super::recorder::Recorder;
 use super::store::Store;
+use super::waiting::{file_changed, sleep_for};
 use super::watch::{FileReading, Watch};
 use crate::app::{App, AppOptions};
 use crate::bus::log::{LogReader, Tally};
 use crate::discovery::Config;
 use crate::frame::{BusIndex, Frame};
-use crate::status::{BusStatus, Link};
+use crate::status::{BusStatus, Link, RecordingStatus};
 use crate::time::{Epoch, Instant};
 use std::collections::VecDeque;
 use std::fs::File;
-use std::future::pending;
 use std::io::{self, BufReader};
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -81,6 +82,9 @@ pub struct Recording {
     /// Frames that were read and are not due yet.
     waiting: VecDeque<Frame>,
     tally: Option<Tally>,
+    recorder: Option<Recorder>,
+    /// Frames that were taken and not recorded yet.
+    unrecorded: Vec<Frame>,
     pace: Pace,
     until: Option<Instant>,
     /// A moment of ours, and of the log: where its clock is reckoned from.
@@ -114,28 +118,33 @@ impl Recording {
             interfaces: Vec::new(),
             waiting: VecDeque::new(),
             tally: None,
+            recorder: None,
+            unrecorded: Vec::new(),
             pace,
             until: until.map(|until| Instant::ZERO + until),
             anchor: None,
         })
     }
 
+    /// Records all frames from now on.
+    pub fn record(&mut self, recorder: Recorder) {
+        self.recorder = Some(recorder);
+    }
+
+    /// Ends the recording, where there is one; says what it came to.
+    pub fn finish_recording(&mut self) -> Option<RecordingStatus> {
+        self.recorder.take().map(Recorder::finish)
+    }
+
+    /// How the recording is, if that has changed since it was asked last.
+    pub fn take_recording_status(&self) -> Option<RecordingStatus> {
+        self.recorder.as_ref().and_then(Recorder::take_status)
+    }
+
     /// Waits for the next reason to do something. May be dropped while waiting.
     pub async fn next(&mut self) -> io::Result<Wake> {
-        let wait = self.due().map(|at| self.wait_until(at));
-        let due = async {
-            match wait {
-                Some(wait) => tokio::time::sleep(wait).await,
-                None => pending().await,
-            }
-        };
-        let watch = self.watch.as_ref();
-        let file = async {
-            match watch {
-                Some(watch) => watch.changed().await,
-                None => pending().await,
-            }
-        };
+        let due = sleep_for(self.due().map(|at| self.wait_until(at)));
+        let file = file_changed(self.watch.as_ref());
         let may_read = self.waiting.is_empty() && self.tally.is_none();
         tokio::select! {
             biased;
@@ -190,13 +199,29 @@ impl Recording {
                 }
             }
         }
-        self.advance(turn)
+        let flow = self.advance(turn);
+        self.record_taken();
+        flow
     }
 
     /// All state, and what was read, where it was read to its end.
     pub fn finish(mut self) -> (App, Option<Tally>) {
         let app = self.app.take().unwrap_or_else(|| self.new_app(Epoch::default()));
         (app, self.tally)
+    }
+
+    fn record_taken(&mut self) {
+        if let Some(recorder) = &self.recorder {
+            for (at, name) in self.interfaces.iter().enumerate().take(256) {
+                recorder.name_bus(BusIndex(at as u8), name);
+            }
+            // A file can wait until all is written; who sends lines now may not.
+            match self.pace {
+                Pace::AtOnce => recorder.record_all(&self.unrecorded),
+                Pace::Timed(_) | Pace::Live => recorder.record(&self.unrecorded),
+            }
+        }
+        self.unrecorded.clear();
     }
 
     /// The app is there from the first line on: before, nobody knows what time it is.
@@ -208,6 +233,9 @@ impl Recording {
 
     fn new_app(&mut self, epoch: Epoch) -> App {
         let options = AppOptions { epoch, ..std::mem::take(&mut self.options) };
+        if let Some(recorder) = &self.recorder {
+            recorder.set_epoch(epoch);
+        }
         let mut app = App::new(Instant::ZERO, options);
         let reading = self.store.read().map_err(|error| error.to_string());
         if self.pace == Pace::Live {
@@ -257,6 +285,9 @@ impl Recording {
             match self.waiting.front().copied() {
                 Some(frame) if frame.time <= now.min(until) => {
                     self.waiting.pop_front();
+                    if self.recorder.is_some() {
+                        self.unrecorded.push(frame);
+                    }
                     take_frame(app, frame, &self.interfaces, &self.config);
                     turn(app)?;
                 }

@@ -4,11 +4,14 @@
 //! same session. Everything is bounded: a batch of frames a turn, the newest reading of the
 //! file, one save at a time.
 
+use super::recorder::Recorder;
 use super::store::{SaveError, Store};
+use super::waiting::{file_changed, sleep_for};
 use super::watch::Watch;
 use crate::app::{App, Effect, SaveOutcome};
 use crate::bus::{Clock, Port};
 use crate::frame::{BusIndex, Frame};
+use crate::status::RecordingStatus;
 use crate::time::Instant;
 use futures_util::future::select_all;
 use std::future::{Future, pending};
@@ -30,6 +33,8 @@ pub enum Wake {
     File(Result<Option<Vec<u8>>, String>),
     /// Work on files is done.
     Done(Finished),
+    /// The recording is longer, or over.
+    Recording,
 }
 
 /// What work on files came to.
@@ -52,6 +57,7 @@ pub struct Session {
     store: Option<Store>,
     watch: Option<Watch>,
     work: Vec<JoinHandle<Finished>>,
+    recorder: Option<Recorder>,
     batch: Vec<Frame>,
 }
 
@@ -66,10 +72,23 @@ impl Session {
             store,
             watch: None,
             work: Vec::new(),
+            recorder: None,
             batch: Vec::with_capacity(BATCH),
         };
         session.open_file();
         session
+    }
+
+    /// Records all frames from now on.
+    pub fn record(&mut self, recorder: Recorder) {
+        recorder.set_epoch(self.clock.epoch());
+        self.app.handle_recording(self.clock.now(), recorder.status());
+        self.recorder = Some(recorder);
+    }
+
+    /// Ends the recording, where there is one; says what it came to.
+    pub fn finish_recording(&mut self) -> Option<RecordingStatus> {
+        self.recorder.take().map(Recorder::finish)
     }
 
     fn open_file(&mut self) {
@@ -87,16 +106,12 @@ impl Session {
     /// Waits for the next reason to do something. May be dropped while waiting.
     pub async fn next(&mut self) -> Wake {
         let deadline = self.app.poll_timeout().map(|at| self.clock.until(at));
-        let due = async {
-            match deadline {
-                Some(wait) => tokio::time::sleep(wait).await,
-                None => pending().await,
-            }
-        };
-        let watch = self.watch.as_ref();
-        let file = async {
-            match watch {
-                Some(watch) => watch.changed().await,
+        let due = sleep_for(deadline);
+        let file = file_changed(self.watch.as_ref());
+        let recorder = self.recorder.as_ref();
+        let recording = async {
+            match recorder {
+                Some(recorder) => recorder.changed().await,
                 None => pending().await,
             }
         };
@@ -131,6 +146,7 @@ impl Session {
                     }
                 }
             }
+            () = recording => Wake::Recording,
             () = buses => Wake::Buses,
         }
     }
@@ -141,6 +157,11 @@ impl Session {
         match wake {
             Wake::Due => {}
             Wake::Buses => self.take_buses(now),
+            Wake::Recording => {
+                if let Some(status) = self.recorder.as_ref().and_then(Recorder::take_status) {
+                    self.app.handle_recording(now, status);
+                }
+            }
             Wake::File(reading) => self.app.handle_file(now, reading.into()),
             Wake::Done(Finished::Saved(outcome, content)) => {
                 if let (SaveOutcome::Saved, Some(watch)) = (&outcome, &self.watch) {
@@ -180,6 +201,14 @@ impl Session {
                     self.app.handle_bus(now, bus, port.queue().status());
                 }
                 self.named[port_at] = at + 1;
+            }
+            if let Some(recorder) = &self.recorder {
+                for (at, bus) in self.app.buses().iter().enumerate() {
+                    let Ok(at) = u8::try_from(at) else { break };
+                    recorder.name_bus(BusIndex(at), &bus.name);
+                    recorder.note_lost(BusIndex(at), bus.lost());
+                }
+                recorder.record(&self.batch);
             }
             self.app.handle_frames(now, &self.batch);
         }

@@ -6,7 +6,7 @@ use crate::theme::Role;
 use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
 
-const SIGNS: [(Role, &str, &str); 19] = [
+const SIGNS: [(Role, &str, &str); 20] = [
     (Role::Online, "● online", "its heartbeats come"),
     (Role::Stale, "◐ stale", "the last heartbeat is late"),
     (Role::Silent, "◌ silent", "frames come, but no heartbeats"),
@@ -29,6 +29,7 @@ const SIGNS: [(Role, &str, &str); 19] = [
         "service numbers and layouts are assumed: no --profile is given",
     ),
     (Role::Warning, "listen-only, acks", "we send nothing, but the controller acknowledges frames"),
+    (Role::Recording, "● rec 12 MB", "all frames are recorded: so much there is (--record)"),
     (Role::Warning, "HELD", "rows are held still, until the same key is pressed again"),
 ];
 

@@ -6,7 +6,7 @@ use super::brush::{Brush, fit};
 use crate::app::{Bus, FileProblem, Meter};
 use crate::discovery::OwnAddress;
 use crate::frame::BusIndex;
-use crate::status::{BusState, Link};
+use crate::status::{BusState, Link, size};
 use crate::theme::Role;
 use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
@@ -24,6 +24,7 @@ pub fn draw(brush: &mut Brush) {
             let mut right: Parts = assumed(brush).into_iter().collect();
             right.extend(file(brush, false));
             right.extend(counts(brush));
+            right.extend(recording(brush));
             add_muted(brush, area, &left, &mut right);
             pair(brush, area, 0, left, right);
         }
@@ -44,6 +45,7 @@ pub fn draw(brush: &mut Brush) {
             let mut left = file(brush, true);
             left.extend(assumed(brush));
             let mut right = counts(brush);
+            right.extend(recording(brush));
             add_muted(brush, area, &left, &mut right);
             pair(brush, area, lines - 1, left, right);
         }
@@ -281,6 +283,22 @@ fn counts(brush: &Brush) -> Parts {
         parts.push(one(Role::Suspected, "?", counts.suspected, ""));
     }
     parts
+}
+
+/// That all is recorded, or not any more; at the place that is given up last.
+fn recording(brush: &Brush) -> Option<Vec<Span<'static>>> {
+    let status = brush.app.recording()?;
+    if status.failure.is_some() {
+        return Some(vec![brush.span(Role::Error, "✗ rec over")]);
+    }
+    let mut spans = vec![
+        brush.span(Role::Recording, "● rec"),
+        brush.span(Role::Text, format!(" {}", size(status.bytes))),
+    ];
+    if status.lost > 0 {
+        spans.push(brush.span(Role::Error, format!(" lost {}", short(status.lost))));
+    }
+    Some(spans)
 }
 
 fn file(brush: &Brush, whole: bool) -> Parts {
