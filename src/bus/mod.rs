@@ -6,7 +6,7 @@
 //!
 //! Reading order: [`BusSpec`] (what the user typed), [`open`], [`Port`], [`Queue`],
 //! [`BusStatus`](crate::status::BusStatus), [`Clock`]; then the kinds:
-//! `socketcan`, `slcan` (with what it shares with others in `remote`), `replay`, `sim`. A log can also be read at
+//! `socketcan`, `slcan` and `socketcand` (what they share is in `remote`), `replay`, `sim`. A log can also be read at
 //! once: [`log::LogReader`].
 
 mod bell;
@@ -21,6 +21,7 @@ mod replay;
 mod sim;
 mod slcan;
 mod socketcan;
+mod socketcand;
 mod spec;
 
 pub use clock::{Clock, Dating};
@@ -103,7 +104,10 @@ pub fn open(
         BusSpec::Slcan { device, bitrate, data_bitrate } => {
             slcan::open(&name, device, (*bitrate, *data_bitrate), (index, clock, options))
         }
-        BusSpec::Udp(_) | BusSpec::Socketcand(_) => {
+        BusSpec::Socketcand { host, port, interface } => {
+            socketcand::open(&name, (host, *port), interface, (index, clock, options))
+        }
+        BusSpec::Udp(_) => {
             let instead = "where the bus is: ssh board candump -L can0 | descan -".to_owned();
             return Err(BusError::NotSupported { name, instead });
         }

@@ -11,6 +11,9 @@ use std::str::FromStr;
 /// The longest name Linux gives an interface, in bytes.
 const MAX_INTERFACE_NAME: usize = 15;
 
+/// The longest name that socketcand takes.
+const MAX_REMOTE_NAME: usize = 16;
+
 /// One BUS argument.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum BusSpec {
@@ -35,7 +38,14 @@ pub enum BusSpec {
     /// `udp:239.74.163.2`: python-can's multicast bus.
     Udp(String),
     /// `socketcand://host:29536/can0`: a bus of another machine.
-    Socketcand(String),
+    Socketcand {
+        /// Its name or address; IPv6 without brackets.
+        host: String,
+        /// The port, where it is not the usual one.
+        port: Option<u16>,
+        /// What the bus is called there.
+        interface: String,
+    },
 }
 
 /// Why a BUS argument means nothing.
@@ -54,8 +64,8 @@ pub enum SpecError {
     },
     /// Not a kind of bus we know.
     #[error(
-        "{0}: is no kind of bus; there are can0 (SocketCAN), file:LOG, sim:boiler and - (a log from \
-         standard input)"
+        "{0}: is no kind of bus; there are can0 (SocketCAN), slcan:/dev/ttyACM0@500000, \
+         socketcand://host/can0, file:LOG, sim:boiler and - (a log from standard input)"
     )]
     UnknownKind(String),
     /// A path, most likely of a log.
@@ -73,6 +83,12 @@ pub enum SpecError {
     /// What follows the @ is no bit rate.
     #[error("{0} is no bit rate; say slcan:/dev/ttyACM0@500000")]
     BadBitrate(String),
+    /// No server and bus as socketcand has them.
+    #[error(
+        "{0} is no server with a bus; say socketcand://host:29536/can0 or \
+             socketcand://[fe80::1%eth0]/can0"
+    )]
+    BadServer(String),
     /// A bit rate that slcan has no code for.
     #[error("slcan has no {0} bit/s; there are {rates}", rates = slcan::rates())]
     NoSuchBitrate(u32),
@@ -104,8 +120,9 @@ impl FromStr for BusSpec {
                     kind: "socketcand",
                     example: "socketcand://host:29536/can0",
                 };
-                match rest.strip_prefix("//").filter(|rest| !rest.is_empty()) {
-                    Some(rest) => Ok(BusSpec::Socketcand(rest.to_owned())),
+                let rest = rest.strip_prefix("//").and_then(|rest| rest.split_once('/'));
+                match rest.filter(|(server, bus)| !server.is_empty() && !bus.is_empty()) {
+                    Some((server, bus)) => other_machine(text, server, bus),
                     None => Err(incomplete),
                 }
             }
@@ -133,6 +150,32 @@ fn serial_adapter(text: &str) -> Result<BusSpec, SpecError> {
         return Err(SpecError::NoSuchDataBitrate(data));
     }
     Ok(BusSpec::Slcan { device: device.into(), bitrate: Some(bitrate), data_bitrate })
+}
+
+fn other_machine(text: &str, server: &str, interface: &str) -> Result<BusSpec, SpecError> {
+    let bad = || SpecError::BadServer(text.to_owned());
+    let (host, port) = match server.strip_prefix('[') {
+        Some(rest) => {
+            let (host, rest) = rest.split_once(']').ok_or_else(bad)?;
+            let port =
+                if rest.is_empty() { None } else { Some(rest.strip_prefix(':').ok_or_else(bad)?) };
+            (host, port)
+        }
+        None => match server.rsplit_once(':') {
+            Some((host, port)) => (host, Some(port)),
+            None => (server, None),
+        },
+    };
+    let port = port.map(|port| port.parse().ok().filter(|port| *port > 0).ok_or_else(bad));
+    let port = port.transpose()?;
+    let is_ipv6 = server.starts_with('[');
+    let is_odd = |c: char| c.is_whitespace() || c.is_control() || c == '<' || c == '>' || c == '/';
+    // It stands between the brackets of a message.
+    let is_name = interface.len() <= MAX_REMOTE_NAME && !interface.contains(is_odd);
+    if host.is_empty() || host.contains(is_odd) || host.contains(':') && !is_ipv6 || !is_name {
+        return Err(bad());
+    }
+    Ok(BusSpec::Socketcand { host: host.to_owned(), port, interface: interface.to_owned() })
 }
 
 fn interface_name(text: &str) -> Result<String, SpecError> {
@@ -165,7 +208,13 @@ impl fmt::Display for BusSpec {
                 data_bitrate.map_or(Ok(()), |rate| write!(f, "/{rate}"))
             }
             BusSpec::Udp(group) => write!(f, "udp:{group}"),
-            BusSpec::Socketcand(rest) => write!(f, "socketcand://{rest}"),
+            BusSpec::Socketcand { host, port, interface } => {
+                let is_ipv6 = host.contains(':');
+                let (open, close) = if is_ipv6 { ("[", "]") } else { ("", "") };
+                write!(f, "socketcand://{open}{host}{close}")?;
+                port.map_or(Ok(()), |port| write!(f, ":{port}"))?;
+                write!(f, "/{interface}")
+            }
         }
     }
 }
@@ -189,6 +238,9 @@ mod tests {
             "udp:239.74.163.2",
             "udp:ff15:7079:7468:6f6e:6465:6d6f:6d63:6173",
             "socketcand://host:29536/can0",
+            "socketcand://192.168.1.7/vcan0",
+            "socketcand://[::1]/can0",
+            "socketcand://[fe80::1%eth0]:5000/can0",
         ] {
             let spec: BusSpec = text.parse().unwrap_or_else(|error| panic!("{text}: {error}"));
             assert_eq!(spec.to_string(), text);
@@ -204,6 +256,13 @@ mod tests {
             ("sim:", "sim:boiler"),
             ("slcan:/dev/ttyACM0@fast", "slcan:/dev/ttyACM0@500000"),
             ("socketcand:host/can0", "socketcand://host"),
+            ("socketcand://host", "socketcand://host:29536/can0"),
+            ("socketcand://host:0/can0", "no server with a bus"),
+            ("socketcand://host:port/can0", "no server with a bus"),
+            ("socketcand://::1/can0", "no server with a bus"),
+            ("socketcand://[::1/can0", "no server with a bus"),
+            ("socketcand://host/can0 >< send", "no server with a bus"),
+            ("socketcand://host/can0>", "no server with a bus"),
             ("session.log", "file:session.log"),
             ("/dev/ttyACM0", "slcan:/dev/ttyACM0@500000"),
             ("slcan:/dev/ttyACM0@300000", "100000, 125000, 250000"),

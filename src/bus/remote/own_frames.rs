@@ -91,6 +91,17 @@ impl OwnFrames {
         Some(frame.ours().at(now))
     }
 
+    /// Whether a frame that was heard is the oldest of ours that is equal to it: then it is
+    /// confirmed by that.
+    pub fn confirm_equal(&mut self, heard: &Frame) -> bool {
+        let position = self.written.iter().position(|(own, _)| own.same_on_wire(heard));
+        if let Some(position) = position {
+            self.confirmation = Confirmation::Given;
+            self.written.remove(position);
+        }
+        position.is_some()
+    }
+
     /// The oldest one was refused.
     pub fn refuse_oldest(&mut self) -> bool {
         if self.confirmation == Confirmation::Unknown {
@@ -180,6 +191,15 @@ mod tests {
         assert_eq!(own.confirm_oldest(at(7)), Some(frame(2).ours().at(at(7))));
         assert!(own.refuse_oldest());
         assert_eq!(own.confirm_oldest(at(7)), None);
+    }
+
+    #[test]
+    fn one_that_comes_back_is_confirmed_by_that() {
+        let mut own = three_written();
+        assert!(!own.confirm_equal(&frame(4)));
+        assert!(own.confirm_equal(&frame(2)));
+        assert!(!own.confirm_equal(&frame(2)));
+        assert_eq!((own.count(), own.confirmation()), (2, Confirmation::Given));
     }
 
     #[test]

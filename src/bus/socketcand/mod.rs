@@ -1,0 +1,112 @@
+//! socketcand: a bus of another machine, over TCP.
+//!
+//! This makes the connection; `dialogue` is what is said over it, `message` is what the messages
+//! mean. A server that is not there or goes away is a status, and is tried again, less and less
+//! often.
+
+mod dialogue;
+mod message;
+
+use super::Options;
+use super::clock::Clock;
+use super::port::Port;
+use super::remote::Backoff;
+use super::remote::stream::{self, Away, Endpoint};
+use crate::frame::BusIndex;
+use crate::status::{BusStatus, Link};
+use dialogue::Socketcand;
+use nix::sys::socket::{setsockopt, sockopt};
+use std::io::{self, ErrorKind};
+use std::net::{TcpStream, ToSocketAddrs};
+use std::time::Duration;
+
+/// The port that socketcand has where nothing else is said.
+const USUAL_PORT: u16 = 29_536;
+/// How long a connection may take, for each address of the server.
+const CONNECT_WITHIN: Duration = Duration::from_secs(3);
+/// The pause before the first new attempt, and the longest.
+const FIRST_PAUSE: Duration = Duration::from_secs(1);
+const LONGEST_PAUSE: Duration = Duration::from_secs(8);
+/// The send buffer that is asked for: what is in it counts as sent, so it is kept small.
+const SEND_BUFFER: usize = 4_096;
+
+/// Opens the bus; the status comes when it is known.
+pub(super) fn open(
+    name: &str,
+    (host, port): (&str, Option<u16>),
+    interface: &str,
+    (index, clock, options): (BusIndex, Clock, Options),
+) -> io::Result<Port> {
+    let server = Server { host: host.to_owned(), port: port.unwrap_or(USUAL_PORT) };
+    let dialogue = Socketcand::new(&server.name(), interface);
+    let backoff = Backoff::new(FIRST_PAUSE, LONGEST_PAUSE);
+    let status = BusStatus::default();
+    stream::open(name, (server, dialogue), (status, backoff), (index, clock, options))
+}
+
+struct Server {
+    host: String,
+    port: u16,
+}
+
+impl Server {
+    fn name(&self) -> String {
+        let Self { host, port } = self;
+        if host.contains(':') { format!("[{host}]:{port}") } else { format!("{host}:{port}") }
+    }
+
+    fn connect(&self) -> io::Result<TcpStream> {
+        let mut last = io::Error::from(ErrorKind::NotFound);
+        for address in (self.host.as_str(), self.port).to_socket_addrs()? {
+            match TcpStream::connect_timeout(&address, CONNECT_WITHIN) {
+                Ok(stream) => return Ok(stream),
+                Err(error) => last = error,
+            }
+        }
+        Err(last)
+    }
+
+    fn cannot_connect(&self, error: &io::Error) -> Away {
+        let name = self.name();
+        let (link, message) = match error.kind() {
+            ErrorKind::ConnectionRefused => (
+                Link::Down,
+                format!("{name} refuses the connection: is socketcand running there (-i, -l)?"),
+            ),
+            ErrorKind::TimedOut => {
+                (Link::Down, format!("{name} does not answer: is it switched on, and reachable?"))
+            }
+            ErrorKind::HostUnreachable | ErrorKind::NetworkUnreachable => {
+                (Link::Down, format!("there is no way to {name}: is the network up?"))
+            }
+            // The resolver's errors have no number.
+            _ if error.raw_os_error().is_none() => {
+                (Link::Missing, format!("nobody knows a machine called {}: {error}", self.host))
+            }
+            _ => (Link::Down, format!("cannot connect to {name}: {error}")),
+        };
+        Away { link, message }
+    }
+}
+
+impl Endpoint for Server {
+    type Stream = TcpStream;
+
+    fn open(&self) -> Result<TcpStream, Away> {
+        let stream = self.connect().map_err(|error| self.cannot_connect(&error))?;
+        let set_up = stream
+            .set_nonblocking(true)
+            // Older daemons hang up when a command comes in two pieces.
+            .and_then(|()| stream.set_nodelay(true))
+            .and_then(|()| Ok(setsockopt(&stream, sockopt::SndBuf, &SEND_BUFFER)?));
+        set_up.map_err(|error| self.cannot_connect(&error))?;
+        Ok(stream)
+    }
+
+    fn broken_off(&self) -> Away {
+        let message = format!("the connection to {} is gone: trying to get it back", self.name());
+        Away { link: Link::Unplugged, message }
+    }
+
+    fn close(&self, _: TcpStream, _: bool) {}
+}
