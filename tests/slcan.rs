@@ -39,7 +39,9 @@ impl Adapter {
 
     /// Waits for the next line that is said to it.
     fn hear(&mut self) -> String {
-        let line = self.pty.read_line().expect("a line");
+        let Some(line) = self.pty.read_line() else {
+            panic!("nothing more is said after {:?}", self.heard);
+        };
         self.heard.push(line.clone());
         line
     }

@@ -54,8 +54,9 @@ pub fn live(
 ) -> Result<Outcome, Failure> {
     runtime()?.block_on(async {
         let clock = open::clock(buses, 1.0)?;
-        let mut session = open::session(buses, setup, clock, options)?;
+        // First: an adapter that was opened is closed again, however soon a signal comes.
         let mut endings = endings(limits, limits.time)?;
+        let mut session = open::session(buses, setup, clock, options)?;
         let mut failure = RecordingFailure::default();
         let ending = loop {
             session.settle();

@@ -24,11 +24,8 @@ pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8,
     }
     let scenario = bus::scenario(scenario).map_err(|error| Failure::Unusable(error.to_string()))?;
     let clock = Clock::start();
-    let port = bus::open(spec, BusIndex(0), clock, Options { listen_only: false })
-        .map_err(|error| Failure::Unusable(error.to_string()))?;
     let mut sim = Sim::from_scenario(&scenario);
     let station = sim.attach();
-    let _ = writeln!(io::stderr(), "{} devices on {spec}; Ctrl-C ends", scenario.devices.len());
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()
@@ -36,6 +33,11 @@ pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8,
     runtime.block_on(async {
         let mut interrupt = signal(SignalKind::interrupt()).context("no signals")?;
         let mut terminate = signal(SignalKind::terminate()).context("no signals")?;
+        // After the signals: an adapter that was opened is closed again, however soon one comes.
+        let port = bus::open(spec, BusIndex(0), clock, Options { listen_only: false })
+            .map_err(|error| Failure::Unusable(error.to_string()))?;
+        let devices = scenario.devices.len();
+        let _ = writeln!(io::stderr(), "{devices} devices on {spec}; Ctrl-C ends");
         let mut heard: Vec<Frame> = Vec::new();
         // The simulated bus begins when the other one is there.
         let mut start = None;
