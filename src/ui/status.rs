@@ -120,7 +120,7 @@ fn bus_parts(brush: &Brush, index: BusIndex) -> Parts {
     };
     let text = |text: String| vec![brush.span(Role::Text, text)];
     let mut parts: Parts = Vec::new();
-    let mut name = vec![brush.span(Role::Title, bus.name.clone())];
+    let mut name = vec![brush.span(Role::Title, without_rates(bus))];
     if let Some(bitrate) = bus.status.bitrate {
         name.push(brush.span(Role::Text, format!(" {}", rate(bitrate))));
         if let Some(data) = bus.status.data_bitrate {
@@ -160,6 +160,16 @@ fn bus_parts(brush: &Brush, index: BusIndex) -> Parts {
     parts.push(counter(brush, "lost", lost, Role::Error));
     parts.extend(own_address(brush, bus));
     parts
+}
+
+/// The name of a bus without the bit rates that stand beside it anyway:
+/// `slcan:/dev/ttyACM0@500000`.
+fn without_rates(bus: &Bus) -> String {
+    let status = &bus.status;
+    let data = status.data_bitrate.map_or_else(String::new, |rate| format!("/{rate}"));
+    let rates = status.bitrate.map(|rate| format!("@{rate}{data}"));
+    let name = rates.and_then(|rates| bus.name.strip_suffix(&rates));
+    name.unwrap_or(&bus.name).to_owned()
 }
 
 fn counter(brush: &Brush, label: &str, count: u64, bad: Role) -> Vec<Span<'static>> {

@@ -6,15 +6,18 @@
 //! * `own_frames`: frames of ours until they are put back among those heard, as SocketCAN's echo
 //!   does.
 //! * `stamps`: the other end's time stamps on our clock.
+//! * `delivery`: frames and status into the queue.
 //! * `backoff`: how long to wait before the next attempt.
 //!
 //! Does not know what the messages are.
 
 mod backoff;
+mod delivery;
 pub(super) mod own_frames;
 mod stamps;
 pub(super) mod stream;
 
 pub(super) use backoff::Backoff;
+pub(super) use delivery::Delivery;
 pub(super) use own_frames::OwnFrames;
 pub(super) use stamps::RemoteClock;

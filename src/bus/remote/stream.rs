@@ -5,11 +5,10 @@
 //! answer is a status, and is tried again. Nothing here waits without a limit: what is to be
 //! written has a bounded place to wait in, and frames that find no room there in time are counted.
 
-use super::Backoff;
+use super::{Backoff, Delivery};
 use crate::bus::Options;
 use crate::bus::clock::Clock;
 use crate::bus::port::{Line, Port};
-use crate::error_report::ErrorReport;
 use crate::frame::{BusIndex, Frame};
 use crate::status::{BusState, BusStatus, Link};
 use crate::time::Instant;
@@ -131,13 +130,12 @@ pub(in crate::bus) fn open<E: Endpoint, D: Dialogue>(
     line.queue.update_status(|told| *told = status.clone());
     let mut port = Port::new(name, Arc::clone(&line), options.listen_only);
     let mut carrier = Carrier {
+        delivery: Delivery::new(Arc::clone(&line), bus),
         line,
         endpoint: Arc::new(endpoint),
         dialogue,
         exchange: Exchange { status, ..Exchange::default() },
-        bus,
         clock,
-        last: Instant::ZERO,
         waiting: None,
         was_open: false,
     };
@@ -155,10 +153,8 @@ struct Carrier<E, D> {
     endpoint: Arc<E>,
     dialogue: D,
     exchange: Exchange,
-    bus: BusIndex,
+    delivery: Delivery,
     clock: Clock,
-    /// The date of the last frame: none is dated before it.
-    last: Instant,
     /// A frame for which there was no room yet, and since when it waits.
     waiting: Option<(Frame, Monotonic)>,
     /// Whether it was ever open: then its absence means that it went away.
@@ -325,34 +321,11 @@ impl<E: Endpoint, D: Dialogue> Carrier<E, D> {
         let waiting = self.waiting.take().into_iter().count() as u64;
         let posted = std::iter::from_fn(|| self.line.next_posted()).count() as u64;
         self.exchange.status.transmit_failures += waiting + posted;
-        self.tell();
+        self.delivery.tell(&self.exchange.status);
     }
 
-    /// The status first, so that nobody sees frames newer than it.
     fn deliver(&mut self) {
-        for frame in &mut self.exchange.frames {
-            self.last = self.last.max(frame.time);
-            frame.time = self.last;
-            frame.bus = self.bus;
-            if let Some(report) = ErrorReport::of(frame) {
-                let status = &mut self.exchange.status;
-                status.missing_acks += u64::from(report.is_missing_acknowledge());
-                status.controller_overruns += u64::from(report.is_receive_overflow());
-            }
-        }
-        self.tell();
-        if !self.exchange.frames.is_empty() {
-            self.line.queue.push(&self.exchange.frames);
-            self.exchange.frames.clear();
-        }
-    }
-
-    fn tell(&self) {
-        self.line.queue.update_status(|told| {
-            let queue_drops = told.queue_drops;
-            told.clone_from(&self.exchange.status);
-            told.queue_drops = queue_drops;
-        });
+        self.delivery.deliver(&mut self.exchange.frames, &mut self.exchange.status);
     }
 
     fn tell_away(&mut self, away: Away) {

@@ -1,0 +1,84 @@
+//! What came of a bus, put into its queue: frames with the bus's number and in the order of
+//! their times, the status, and what error reports say of losses.
+
+use crate::bus::port::Line;
+use crate::error_report::ErrorReport;
+use crate::frame::{BusIndex, Frame};
+use crate::status::BusStatus;
+use crate::time::Instant;
+use std::sync::Arc;
+
+/// The way from a bus's thread into its queue.
+#[derive(Debug)]
+pub(in crate::bus) struct Delivery {
+    line: Arc<Line>,
+    bus: BusIndex,
+    /// The time of the last frame: none is dated before it.
+    last: Instant,
+}
+
+impl Delivery {
+    /// For the frames of bus `bus`.
+    pub fn new(line: Arc<Line>, bus: BusIndex) -> Self {
+        Self { line, bus, last: Instant::ZERO }
+    }
+
+    /// Delivers frames, and leaves `frames` empty; what error reports among them say is counted
+    /// in the status. The status goes first, so that nobody sees frames newer than it.
+    pub fn deliver(&mut self, frames: &mut Vec<Frame>, status: &mut BusStatus) {
+        for frame in frames.iter_mut() {
+            self.last = self.last.max(frame.time);
+            frame.time = self.last;
+            frame.bus = self.bus;
+            if let Some(report) = ErrorReport::of(frame) {
+                status.missing_acks += u64::from(report.is_missing_acknowledge());
+                status.controller_overruns += u64::from(report.is_receive_overflow());
+            }
+        }
+        self.tell(status);
+        if !frames.is_empty() {
+            self.line.queue.push(frames);
+            frames.clear();
+        }
+    }
+
+    /// Says how the bus is. What the queue itself had no room for, it counts itself.
+    pub fn tell(&self, status: &BusStatus) {
+        self.line.queue.update_status(|told| {
+            let queue_drops = told.queue_drops;
+            told.clone_from(status);
+            told.queue_drops = queue_drops;
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_are_numbered_ordered_and_counted() {
+        let line = Arc::new(Line::new().unwrap());
+        let mut delivery = Delivery::new(Arc::clone(&line), BusIndex(2));
+        let at = |micros| Frame::classic(1, &[]).at(Instant::from_micros(micros));
+        let mut status = BusStatus::default();
+        let mut frames = vec![at(5), at(3), Frame::error(0x20, &[])];
+        delivery.deliver(&mut frames, &mut status);
+        delivery.deliver(&mut vec![at(4), at(9)], &mut status);
+        assert_eq!((frames.len(), status.missing_acks), (0, 1));
+        let mut seen = Vec::new();
+        line.queue.drain(&mut seen, 10);
+        let times: Vec<_> = seen.iter().map(|frame| frame.time.as_micros()).collect();
+        assert_eq!(times, [5, 5, 5, 5, 9]);
+        assert!(seen.iter().all(|frame| frame.bus == BusIndex(2)));
+        assert_eq!(line.queue.status().missing_acks, 1);
+    }
+
+    #[test]
+    fn what_the_queue_has_lost_stays_counted() {
+        let line = Arc::new(Line::new().unwrap());
+        line.queue.update_status(|status| status.queue_drops = 7);
+        Delivery::new(Arc::clone(&line), BusIndex(0)).tell(&BusStatus::default());
+        assert_eq!(line.queue.status().queue_drops, 7);
+    }
+}
