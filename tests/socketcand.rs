@@ -8,9 +8,11 @@ mod open_bus;
 use descan::bus::TransmitError;
 use descan::frame::{BusIndex, CanId, Frame, FrameKind};
 use descan::status::{BusState, Link};
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use open_bus::{OpenBus, PATIENCE};
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::os::fd::AsFd;
 use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::{Sender, channel};
 use std::sync::{Arc, Mutex};
@@ -41,6 +43,10 @@ impl Server {
     }
 
     fn accept(&mut self) {
+        // A client that never comes is a failure, and no test that does not end.
+        let coming = &mut [PollFd::new(self.listener.as_fd(), PollFlags::POLLIN)];
+        let time = PollTimeout::try_from(PATIENCE).expect("milliseconds");
+        assert!(poll(coming, time).unwrap() > 0, "nobody calls");
         let (client, _) = self.listener.accept().unwrap();
         client.set_read_timeout(Some(PATIENCE)).unwrap();
         client.set_nodelay(true).unwrap();
