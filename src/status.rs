@@ -112,10 +112,44 @@ pub struct BusStatus {
     pub missing_acks: u64,
     /// Messages of an adapter or a server that could not be read.
     pub unreadable: u64,
+    /// How much of a log is read, in percent, where its size is known.
+    pub percent: Option<u8>,
     /// What is wrong and the way out, on one line.
     pub message: Option<String>,
-    /// What is worth knowing while nothing is wrong, on one line: what an adapter says of itself.
+    /// What is worth knowing while nothing is wrong, on one line: what an adapter says of itself,
+    /// how a log goes on.
     pub note: Option<String>,
+}
+
+/// How logs are played.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Playback {
+    /// So many times as fast as they were recorded.
+    pub speed: f64,
+    /// Time stands still because the user wants it to.
+    pub is_paused: bool,
+    /// Time stands still because all logs are at their end.
+    pub is_ended: bool,
+}
+
+impl Playback {
+    /// Whether time stands still.
+    pub fn is_standing(&self) -> bool {
+        self.is_paused || self.is_ended
+    }
+}
+
+/// What can be done to the playing of logs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PlaybackCommand {
+    /// Stop the time, or let it go on.
+    Pause,
+    /// Stop the time at the next frame.
+    Step,
+    /// Twice as fast.
+    Faster,
+    /// Half as fast.
+    Slower,
 }
 
 /// How a recording is.

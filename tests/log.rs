@@ -1,11 +1,12 @@
 //! Logs from outside: a file replayed as a port, and a log piped in while it is written.
 
 use descan::bus::log::LogReader;
+use descan::bus::pcapng::{write_frame, write_interface, write_section};
 use descan::bus::{self, BusError, BusSpec, Clock, Options, Port, TransmitError};
 use descan::frame::{BusIndex, CanId, Frame};
-use descan::status::Link;
+use descan::status::{Link, PlaybackCommand};
 use descan::time::{Duration, Epoch, Instant};
-use std::fs::File;
+use std::fs::{self, File};
 use std::io::{BufReader, Write};
 use std::time::Instant as Monotonic;
 
@@ -128,7 +129,7 @@ fn a_log_that_cannot_be_opened_is_an_error_that_names_it() {
     let clock = Clock::start();
     for path in ["/nowhere/session.log", "/"] {
         let spec = BusSpec::File(path.into());
-        let error = bus::open(&spec, BusIndex(0), clock, Options::default()).unwrap_err();
+        let error = bus::open(&spec, BusIndex(0), clock.clone(), Options::default()).unwrap_err();
         assert!(matches!(error, BusError::Log { .. }));
         assert!(error.to_string().starts_with(&format!("cannot read file:{path}: ")), "{error}");
     }
@@ -165,4 +166,119 @@ fn a_clock_that_was_set_back_goes_on_from_the_last_moment() {
     let port = open(&spec, Clock::replaying(Epoch::from_unix_micros(7_300_000_000), 1000.0));
     let frames = drain(&port);
     assert_eq!(frames[3].time.since(frames[0].time), Duration::from_secs(2));
+}
+
+/// Takes frames until there are so many in all; meanwhile `nudge` is called again and again.
+fn take_with(port: &Port, frames: &mut Vec<Frame>, count: usize, nudge: impl Fn()) {
+    let deadline = Monotonic::now() + PATIENCE;
+    while frames.len() < count {
+        assert!(Monotonic::now() < deadline, "{frames:?}");
+        nudge();
+        port.queue().drain(frames, 1000);
+        std::thread::yield_now();
+    }
+    assert_eq!(frames.len(), count, "no more than that");
+}
+
+#[test]
+fn a_log_stops_goes_from_frame_to_frame_and_goes_on() {
+    let day = Duration::from_hours(24);
+    let (_folder, spec) = log_file(
+        "(000000.0) can0 00000001#\n(086400.0) can0 00000002#\n(172800.0) can0 00000003#\n\
+         (172800.0) can0 00000004#\n(172800.1) can0 00000005#\n",
+    );
+    let clock = Clock::replaying(Epoch::from_unix_micros(0), 1.0);
+    clock.control(PlaybackCommand::Pause);
+    let port = open(&spec, clock.clone());
+    // What comes next may not be read yet.
+    let step_to = |at: Instant| {
+        if clock.now() < at {
+            clock.control(PlaybackCommand::Step);
+            port.wake();
+        }
+    };
+    let start = Instant::ZERO;
+    let mut frames = Vec::new();
+    // The first is at the start.
+    take_with(&port, &mut frames, 1, || {});
+    take_with(&port, &mut frames, 2, || step_to(start + day));
+    assert_eq!(clock.now(), start + day, "that is where it stands");
+    // Two of one moment come with one step.
+    take_with(&port, &mut frames, 4, || step_to(start + day * 2));
+    assert_eq!(clock.now(), start + day * 2);
+    clock.control(PlaybackCommand::Pause);
+    port.wake();
+    take_with(&port, &mut frames, 5, || {});
+    // At its end time stands, exactly where it is.
+    drain(&port);
+    assert_eq!(port.queue().status().percent, Some(100));
+    let end = clock.now();
+    assert!(end >= start + day * 2 + Duration::from_millis(100));
+    assert_eq!(clock.now(), end);
+    assert_eq!(clock.playback().map(|it| it.is_ended), Some(true));
+}
+
+#[test]
+fn a_file_that_grows_is_followed_with_its_own_dates() {
+    let (_folder, spec) = log_file("(1000.0) can0 00000001#\n(1000.5) can0 00000002#\n(1001");
+    let BusSpec::File(path) = &spec else { unreachable!() };
+    let clock = Clock::replaying(Epoch::from_unix_micros(1_000_000_000), 1000.0);
+    let port = open(&spec, clock.clone());
+    let mut frames = drain(&port);
+    let status = port.queue().status();
+    assert_eq!(status.message.as_deref(), Some("2 frames; the last line has no end yet"));
+    let append = |text: &str| {
+        File::options().append(true).open(path).unwrap().write_all(text.as_bytes()).unwrap();
+    };
+    // An hour later by the log, and at once by our clock.
+    append(".25) can0 00000003#\n(4600.0) can0 00000004#\n(4600.1) can0 00000005#\n");
+    take_with(&port, &mut frames, 5, || {});
+    let millis: Vec<_> = frames.iter().map(|it| it.time.as_micros() / 1000).collect();
+    assert_eq!(millis, [0, 500, 1_250, 3_600_000, 3_600_100], "dated as it is written");
+    assert_eq!(clock.playback().map(|it| it.speed), Some(1.0), "it is live now");
+    assert_eq!(port.queue().status().link, Link::Up);
+}
+
+#[test]
+fn a_file_that_is_cut_short_or_replaced_is_read_anew() {
+    let (folder, spec) = log_file("(1000.0) can0 00000001#\n(1000.1) can0 00000002#\n");
+    let BusSpec::File(path) = &spec else { unreachable!() };
+    let port = open(&spec, Clock::replaying(Epoch::from_unix_micros(1_000_000_000), 1000.0));
+    let mut frames = drain(&port);
+    let note = || port.queue().status().note.unwrap_or_default();
+
+    fs::write(path, "(2000.0) can0 00000003#\n").unwrap();
+    take_with(&port, &mut frames, 3, || {});
+    assert_eq!(note(), "the log was cut short: it is read anew");
+
+    let next = folder.path().join("next");
+    // A log of the other kind, in two pieces.
+    let mut pcapng = Vec::new();
+    write_section(&mut pcapng).unwrap();
+    write_interface(&mut pcapng, "can0").unwrap();
+    write_frame(&mut pcapng, 0, 3_000_000_000, &Frame::classic(4, &[])).unwrap();
+    let first = pcapng.len() - 7;
+    fs::write(&next, &pcapng[..first]).unwrap();
+    fs::rename(&next, path).unwrap();
+    let deadline = Monotonic::now() + PATIENCE;
+    while note() != "another log took its place: that is read now" {
+        assert!(Monotonic::now() < deadline, "{}", note());
+        std::thread::yield_now();
+    }
+    File::options().append(true).open(path).unwrap().write_all(&pcapng[first..]).unwrap();
+    take_with(&port, &mut frames, 4, || {});
+    let told: Vec<_> = frames.iter().map(|it| it.platform_id().unwrap()).collect();
+    assert_eq!(told, [1, 2, 3, 4]);
+    assert!(frames.is_sorted_by_key(|frame| frame.time));
+}
+
+#[test]
+fn a_last_line_without_an_end_is_taken_where_nobody_writes_it() {
+    let (_folder, spec) = log_file("(1000.0) can0 00000001#\n(1000.1) can0 00000002#");
+    let BusSpec::File(path) = &spec else { unreachable!() };
+    let long_ago = std::time::SystemTime::now() - Duration::from_mins(1);
+    File::options().append(true).open(path).unwrap().set_modified(long_ago).unwrap();
+    let port = open(&spec, Clock::replaying(Epoch::from_unix_micros(1_000_000_000), 1000.0));
+    assert_eq!(drain(&port).len(), 2);
+    assert_eq!(port.queue().status().message.as_deref(), Some("2 frames"));
 }

@@ -8,7 +8,7 @@ use descan::discovery::Config;
 use descan::frame::{BusIndex, CanId, Frame};
 use descan::keymap::Key;
 use descan::sim::{Scenario, Sim, Station};
-use descan::status::{BusState, BusStatus, Link, RecordingStatus};
+use descan::status::{BusState, BusStatus, Link, Playback, PlaybackCommand, RecordingStatus};
 use descan::theme::{BUILT_IN, Role, Theme};
 use descan::time::{Duration, Epoch, Instant};
 use descan::ui;
@@ -731,6 +731,34 @@ fn an_address_of_ours_that_another_uses_is_named_as_the_cause() {
 }
 
 #[test]
+fn a_log_is_played_by_keys_and_a_bus_is_not() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("P");
+    assert!(stage.screen().contains("there is no log"), "{}", stage.screen());
+    let mut playback = Playback { speed: 1.0, is_paused: false, is_ended: false };
+    let now = stage.app.now();
+    stage.app.handle_playback(now, playback);
+    stage.effects.clear();
+    let asked = [
+        PlaybackCommand::Pause,
+        PlaybackCommand::Step,
+        PlaybackCommand::Slower,
+        PlaybackCommand::Faster,
+    ];
+    stage.keys("P > [ ]");
+    assert_eq!(stage.effects, asked.map(Effect::Playback));
+    (playback.speed, playback.is_paused) = (0.5, true);
+    stage.app.handle_playback(now, playback);
+    assert!(stage.screen().contains("PAUSED 0:24 ×0.5"), "{}", stage.screen());
+    // While time stands, what a step brings is drawn at once.
+    stage.app.take_dirty();
+    let heartbeat = Frame::classic(0x07B4_3C01, &[0x8A, 0xFA, 0x6C, 0x97, 0x24, 0x12, 4, 0]);
+    stage.app.handle_frames(now, &[heartbeat.at(now)]);
+    stage.app.handle_timeout(now);
+    assert!(stage.app.is_dirty());
+}
+
+#[test]
 fn a_recording_is_seen_on_every_screen_and_so_is_its_end() {
     let mut stage = Stage::boiler();
     stage.until(45.0);
@@ -826,7 +854,11 @@ fn the_timeline_leads_to_the_frames() {
 #[test]
 fn every_action_is_in_the_help() {
     let mut stage = Stage::boiler();
-    let screen = stage.size(80, 200).keys("?").screen();
+    assert!(!stage.size(80, 200).keys("?").screen().contains("The log"), "there is none");
+    let now = stage.app.now();
+    let playback = Playback { speed: 1.0, is_paused: false, is_ended: false };
+    stage.app.handle_playback(now, playback);
+    let screen = stage.screen();
     for action in descan::keymap::ACTIONS {
         let words: Vec<&str> = action.doc.split(' ').take(3).collect();
         assert!(screen.contains(&words.join(" ")), "{}: {}", action.name, action.doc);

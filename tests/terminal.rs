@@ -318,3 +318,42 @@ fn a_log_is_shown_as_it_was_timed_and_its_end_is_no_exit() {
     pty.send("q");
     assert_eq!(pty.wait(), 0);
 }
+
+#[test]
+fn a_log_is_stopped_stepped_and_followed_with_keys() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("session.log");
+    let mut log = String::new();
+    for beat in 0..100 {
+        let second = 1_436_509_052 + beat * 60;
+        writeln!(log, "({second}.100000) can7 07183C01#8AFA6C9724110400").unwrap();
+    }
+    std::fs::write(&path, &log).unwrap();
+    let mut pty = Pty::start(&["file:session.log"], folder.path(), SMALL);
+    pty.wait_for("can7  open  0:0");
+    pty.send("P");
+    pty.wait_for("PAUSED 0:0");
+    pty.send(">");
+    pty.wait_for("PAUSED 1:00");
+    pty.send(">");
+    pty.wait_for("PAUSED 2:00 3%");
+    // What was due between two frames happened between them.
+    pty.wait_for("06:18:37 ○ ? @12        lost");
+    pty.send("]]]]]]]]]]]]");
+    pty.wait_for("PAUSED 2:00 3% ×4096");
+    pty.send("[P");
+    pty.wait_for("end of log  1:39:00 100% ×2048");
+    // The end is no exit, and only for now.
+    let mut file = std::fs::File::options().append(true).open(&path).unwrap();
+    let second = 1_436_509_052 + 100 * 60;
+    let line = format!("({second}.100000) can7 07283C01#8AFA6C9724120400\n");
+    std::io::Write::write_all(&mut file, line.as_bytes()).unwrap();
+    pty.wait_for("can7  open  1:40:0");
+    pty.wait_for("20 ?");
+    pty.send("?");
+    pty.wait_for("Help");
+    pty.send("q");
+    pty.wait_for("1 Devices");
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}

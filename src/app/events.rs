@@ -253,13 +253,17 @@ impl App {
             return;
         }
         let changes = changes(&bus.status, &status);
-        let came_back = is_up(&status) && !is_up(&bus.status) && bus.status.link != Link::Opening;
+        let was_there = matches!(bus.status.link, Link::Opening | Link::Ended);
+        let came_back = is_up(&status) && !is_up(&bus.status) && !was_there;
         let newly_lost = lost(&status).saturating_sub(lost(&bus.status));
         if bus.status.bitrate != status.bitrate {
             bus.engine.set_bitrate(status.bitrate);
         }
-        if status.link == Link::Ended {
-            bus.ended.get_or_insert(now);
+        match status.link {
+            Link::Ended => {
+                bus.ended.get_or_insert(now);
+            }
+            _ => bus.ended = None,
         }
         bus.status = status;
         let is_news = !changes.is_empty();
@@ -417,6 +421,7 @@ fn changes(old: &BusStatus, status: &BusStatus) -> Vec<(Kind, String)> {
     if old.link != status.link {
         lines.push(match status.link {
             Link::Opening => (Kind::Bus, "being opened".to_owned()),
+            Link::Up if old.link == Link::Ended => (Kind::Bus, "the log goes on".to_owned()),
             Link::Up => (Kind::Bus, "open".to_owned()),
             Link::Ended => (Kind::Bus, "the log is at its end".to_owned()),
             _ => (Kind::Error, message.unwrap_or_else(|| "down".to_owned())),

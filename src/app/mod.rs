@@ -63,7 +63,7 @@ pub use why::spell;
 use crate::discovery::{Config, DeviceId, Finding, OwnAddress};
 use crate::frame::{BusIndex, Frame};
 use crate::keymap::{Key, Keymap, Mode};
-use crate::status::{BusStatus, RecordingStatus};
+use crate::status::{BusStatus, Playback, PlaybackCommand, RecordingStatus};
 use crate::time::{Duration, Epoch, Instant};
 use crate::wire::id::Address;
 use std::collections::{BTreeSet, VecDeque};
@@ -114,6 +114,8 @@ pub enum Effect {
     Copy(String),
     /// Draw with this theme from now on; then call [`App::handle_theme`].
     UseTheme(String),
+    /// Do this to the playing of logs; then call [`App::handle_playback`].
+    Playback(PlaybackCommand),
     /// Ring.
     Bell,
     /// Draw everything anew.
@@ -188,6 +190,7 @@ pub struct App {
     set_aside: Option<Prompt>,
     message: Option<Message>,
     recording: Option<RecordingStatus>,
+    playback: Option<Playback>,
     keymap: Keymap,
     theme: String,
     themes: Vec<String>,
@@ -241,6 +244,7 @@ impl App {
             set_aside: None,
             message: None,
             recording: None,
+            playback: None,
             keymap: options.keymap,
             theme: options.theme,
             themes: options.themes,
@@ -329,6 +333,20 @@ impl App {
         }
     }
 
+    /// Lets everything happen on the buses that is due until `until`, each at its time, as where
+    /// time leaps from one line of a log to the next.
+    pub fn pass_time(&mut self, until: Instant) {
+        // Not what only the screen waits for: there may be years of seconds where the clock was
+        // set while the log was written.
+        let next = |app: &App| app.buses.iter().filter_map(Bus::poll_timeout).min();
+        while let Some(due) = next(self).filter(|due| *due <= until) {
+            self.handle_timeout(due);
+        }
+        if self.poll_timeout().is_some_and(|due| due <= until) {
+            self.handle_timeout(until);
+        }
+    }
+
     /// Takes a key: a prompt's, or an action's.
     pub fn handle_key(&mut self, now: Instant, key: Key) {
         self.now = self.now.max(now);
@@ -406,6 +424,16 @@ impl App {
     pub fn handle_recording(&mut self, now: Instant, status: RecordingStatus) {
         self.now = self.now.max(now);
         self.recording_changed(status);
+    }
+
+    /// Takes how logs are played, where there are nothing but logs.
+    pub fn handle_playback(&mut self, now: Instant, playback: Playback) {
+        self.now = self.now.max(now);
+        if self.playback.replace(playback) != Some(playback) {
+            // While time stands, nothing else becomes due.
+            self.catch_up();
+            self.dirty = true;
+        }
     }
 
     // ---- poll_*: what is to be done outside, and when -------------------------------------
@@ -523,6 +551,11 @@ impl App {
         self.message.as_ref()
     }
 
+    /// How logs are played, where there are nothing but logs.
+    pub fn playback(&self) -> Option<Playback> {
+        self.playback
+    }
+
     /// How the recording is, where there is one.
     pub fn recording(&self) -> Option<&RecordingStatus> {
         self.recording.as_ref()
@@ -581,8 +614,14 @@ impl App {
 
     /// The bus changed something: to be seen soon, but not at the bus's pace.
     fn dirty_soon(&mut self) {
+        // Of a log's time, which may be faster or stand still.
+        let calm = match self.playback {
+            Some(playback) if playback.is_standing() => Duration::ZERO,
+            Some(playback) => CALM.mul_f64(playback.speed),
+            None => CALM,
+        };
         if self.dirty_at.is_none() {
-            self.dirty_at = Some((self.last_calm_draw + CALM).max(self.now));
+            self.dirty_at = Some((self.last_calm_draw + calm).max(self.now));
         }
     }
 

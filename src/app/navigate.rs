@@ -5,6 +5,7 @@ use super::prompt::PromptKind;
 use super::view::{Focus, Frozen, Page};
 use super::{App, Decoded, Effect, Filter, Overlay, Problem, Row, RowKey, tabs};
 use crate::frame::BusIndex;
+use crate::status::PlaybackCommand;
 use crate::text::Name;
 use crate::time::Instant;
 use crate::wire::id::Address;
@@ -111,6 +112,15 @@ impl App {
                     (self.view.traffic, self.view.traffic_line) = (Some(number), line);
                 }
             }
+        }
+    }
+
+    /// Command: stops a log, lets it go on, or changes its pace.
+    pub fn control_playback(&mut self, command: PlaybackCommand) {
+        if self.playback.is_some() {
+            self.effects.push_back(Effect::Playback(command));
+        } else {
+            self.complain("there is no log: a bus cannot be stopped");
         }
     }
 

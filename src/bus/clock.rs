@@ -1,35 +1,74 @@
-//! The session's clock, and the dating of frames that the kernel stamped with the wall clock.
+//! The session's clock, that of logs being one that can be stopped, and the dating of frames that the kernel stamped with the wall clock.
 //!
 //! Does not know what happens at a moment, only which moment it is.
 
+use crate::frame::BusIndex;
+use crate::status::{Playback, PlaybackCommand};
 use crate::time::{Duration, Epoch, Instant};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Instant as Monotonic, SystemTime, UNIX_EPOCH};
 
-/// Counts from a start; every port and the loop share one.
-#[derive(Clone, Copy, Debug)]
+/// How slow and how fast a log can be played.
+const SLOWEST: f64 = 0.001;
+const FASTEST: f64 = 100_000.0;
+
+/// Counts from a start; every port and the loop share one. The clock of a session of logs can be
+/// stopped, go on from frame to frame, and run faster and slower.
+#[derive(Clone, Debug)]
 pub struct Clock {
-    start: Monotonic,
     epoch: Epoch,
+    is_replaying: bool,
+    pace: Arc<Mutex<Pace>>,
+}
+
+#[derive(Debug)]
+struct Pace {
+    /// It was this moment then, and runs at this pace since.
+    since: Monotonic,
+    from: Instant,
     speed: f64,
+    is_paused: bool,
+    /// The logs, by bus.
+    logs: BTreeMap<BusIndex, LogPlace>,
+}
+
+/// Where the replay of a log is.
+#[derive(Clone, Copy, Debug)]
+enum LogPlace {
+    /// Its next frame is of this moment, or, where that is not read yet, not of an earlier one:
+    /// time does not go beyond it before the frame is taken.
+    Next(Instant),
+    /// Its lines come as they are written: time goes on meanwhile. The moment of the next one,
+    /// where it is there.
+    Live(Option<Instant>),
+    /// At its end, for now.
+    Ended,
 }
 
 impl Clock {
     /// Starts now.
     pub fn start() -> Self {
-        Self::replaying(Epoch::from_unix_micros(wall_micros()), 1.0)
+        Self::with(Epoch::from_unix_micros(wall_micros()), 1.0, false)
     }
 
     /// Starts now, but calls this moment `epoch` and runs `speed` times as fast: everything
     /// that is timed by it, ages and time-outs included, keeps the pace of the recording.
     /// A speed that is not a positive number counts as 1.
     pub fn replaying(epoch: Epoch, speed: f64) -> Self {
-        let speed = if speed.is_finite() && speed > 0.0 { speed } else { 1.0 };
-        Self { start: Monotonic::now(), epoch, speed }
+        Self::with(epoch, if speed.is_finite() && speed > 0.0 { speed } else { 1.0 }, true)
+    }
+
+    fn with(epoch: Epoch, speed: f64, is_replaying: bool) -> Self {
+        let logs = BTreeMap::new();
+        let (since, from) = (Monotonic::now(), Instant::ZERO);
+        let pace = Pace { since, from, speed, is_paused: false, logs };
+        Self { epoch, is_replaying, pace: Arc::new(Mutex::new(pace)) }
     }
 
     /// The moment it is.
     pub fn now(&self) -> Instant {
-        Instant::ZERO + self.run_in(self.start.elapsed())
+        self.pace().now()
     }
 
     /// Which Unix time the start was.
@@ -39,12 +78,123 @@ impl Clock {
 
     /// How far this clock runs in a real `duration`.
     pub fn run_in(&self, duration: Duration) -> Duration {
-        duration.mul_f64(self.speed)
+        duration.mul_f64(self.pace().speed)
     }
 
-    /// How long to sleep until `at`; zero if it has passed.
+    /// How long to sleep until `at`; zero if it has passed, for ever while the clock stands.
     pub fn until(&self, at: Instant) -> Duration {
-        at.since(self.now()).div_f64(self.speed)
+        let pace = self.pace();
+        let left = at.since(pace.now());
+        if pace.is_standing() && !left.is_zero() { Duration::MAX } else { left.div_f64(pace.speed) }
+    }
+
+    /// How a session of logs is played; none where there are other buses.
+    pub fn playback(&self) -> Option<Playback> {
+        let pace = self.pace();
+        let is_ended = pace.is_ended();
+        self.is_replaying.then_some(Playback {
+            speed: pace.speed,
+            is_paused: pace.is_paused,
+            is_ended,
+        })
+    }
+
+    /// Stops it, lets it go on, or changes its pace, where logs alone are played. Those who sleep
+    /// by it are to be woken.
+    pub fn control(&self, command: PlaybackCommand) {
+        if !self.is_replaying {
+            return;
+        }
+        self.change(|pace| match command {
+            PlaybackCommand::Pause => pace.is_paused = !pace.is_paused,
+            PlaybackCommand::Step => {
+                pace.is_paused = true;
+                let next = pace.logs.values().filter_map(|place| match place {
+                    LogPlace::Next(at) => Some(*at),
+                    LogPlace::Live(next) => *next,
+                    LogPlace::Ended => None,
+                });
+                pace.from = next.min().map_or(pace.from, |next| next.max(pace.from));
+            }
+            PlaybackCommand::Faster => pace.speed = (pace.speed * 2.0).min(FASTEST),
+            PlaybackCommand::Slower => pace.speed = (pace.speed / 2.0).max(SLOWEST),
+        });
+    }
+
+    /// A log that is there, or one that comes line by line, is played by this clock.
+    pub(super) fn log_opens(&self, log: BusIndex, is_live: bool) {
+        self.change(|pace| {
+            let place = if is_live { LogPlace::Live(None) } else { LogPlace::Next(pace.from) };
+            pace.logs.insert(log, place);
+        });
+    }
+
+    /// Says of which moment a log's next frame is.
+    pub(super) fn log_waits(&self, log: BusIndex, next: Instant) {
+        self.change(|pace| {
+            let place = match pace.logs.get(&log) {
+                Some(LogPlace::Live(_)) => LogPlace::Live(Some(next)),
+                _ => LogPlace::Next(next),
+            };
+            pace.logs.insert(log, place);
+        });
+    }
+
+    /// Says that a log is at its end: once all are, the clock stands.
+    pub(super) fn log_ends(&self, log: BusIndex) {
+        self.change(|pace| {
+            pace.logs.insert(log, LogPlace::Ended);
+        });
+    }
+
+    /// A log that was at its end goes on with a frame of this moment: it is now, unless other logs
+    /// go by this clock too, or it is later already.
+    pub(super) fn log_goes_on(&self, log: BusIndex, next: Instant) {
+        self.change(|pace| {
+            pace.logs.insert(log, LogPlace::Live(None));
+            // From now on lines come as they are written.
+            pace.speed = 1.0;
+            if pace.logs.len() == 1 {
+                pace.from = pace.from.max(next);
+            }
+        });
+    }
+
+    /// Changes the pace from now on.
+    fn change(&self, change: impl FnOnce(&mut Pace)) {
+        let mut pace = self.pace();
+        pace.from = pace.now();
+        pace.since = Monotonic::now();
+        change(&mut pace);
+    }
+
+    // A panic of another thread leaves nothing half-done in here, so its poison is ignored.
+    fn pace(&self) -> MutexGuard<'_, Pace> {
+        self.pace.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Pace {
+    fn now(&self) -> Instant {
+        if self.is_standing() {
+            return self.from;
+        }
+        let next = self.logs.values().filter_map(|place| match place {
+            LogPlace::Next(at) => Some(*at),
+            LogPlace::Live(_) | LogPlace::Ended => None,
+        });
+        let now = self.from + self.since.elapsed().mul_f64(self.speed);
+        // A moment that passed stays so.
+        next.min().map_or(now, |next| now.min(next)).max(self.from)
+    }
+
+    fn is_standing(&self) -> bool {
+        self.is_paused || self.is_ended()
+    }
+
+    fn is_ended(&self) -> bool {
+        let ended = |place: &LogPlace| matches!(place, LogPlace::Ended);
+        !self.logs.is_empty() && self.logs.values().all(ended)
     }
 }
 
@@ -123,5 +273,51 @@ mod tests {
         let at = clock.now() + Duration::from_secs(1_000);
         let wait = clock.until(at);
         assert!(wait <= Duration::from_secs(1) && wait > Duration::from_millis(900), "{wait:?}");
+    }
+
+    #[test]
+    fn a_clock_of_logs_stops_and_steps_and_stands_at_their_end() {
+        let clock = Clock::replaying(Epoch::default(), 1e6);
+        let (first, second) = (BusIndex(0), BusIndex(1));
+        clock.log_opens(first, false);
+        clock.log_opens(second, true);
+        clock.control(PlaybackCommand::Pause);
+        let stopped = clock.now();
+        let at = |seconds| stopped + Duration::from_secs(seconds);
+        clock.log_waits(first, at(7_000_000));
+        clock.log_waits(second, at(8_000_000));
+        assert_eq!(clock.until(at(1)), Duration::MAX);
+        assert_eq!(clock.until(stopped), Duration::ZERO);
+        assert_eq!(clock.now(), stopped);
+        clock.control(PlaybackCommand::Step);
+        assert_eq!(clock.now(), at(7_000_000));
+        clock.log_waits(first, at(9_000_000));
+        clock.control(PlaybackCommand::Step);
+        assert_eq!(clock.now(), at(8_000_000));
+        // It runs, but not beyond a frame that is not taken.
+        clock.log_waits(first, at(8_000_000));
+        clock.control(PlaybackCommand::Pause);
+        assert!(clock.playback().is_some_and(|it| !it.is_paused));
+        assert_eq!(clock.now(), at(8_000_000));
+        clock.log_ends(first);
+        clock.log_ends(second);
+        let end = clock.now();
+        assert_eq!(clock.playback().map(|it| it.is_ended), Some(true));
+        assert_eq!(clock.now(), end);
+        // It does not leap where another log goes by it.
+        clock.log_goes_on(first, end + Duration::from_hours(5));
+        assert!(clock.now() < end + Duration::from_hours(1));
+        assert_eq!(
+            clock.playback(),
+            Some(Playback { speed: 1.0, is_paused: false, is_ended: false })
+        );
+    }
+
+    #[test]
+    fn a_clock_of_buses_goes_on() {
+        let clock = Clock::start();
+        clock.control(PlaybackCommand::Pause);
+        assert_eq!(clock.playback(), None);
+        assert!(clock.until(clock.now() + Duration::from_secs(9)) < Duration::from_secs(10));
     }
 }

@@ -29,6 +29,8 @@ const GAP: Duration = Duration::from_secs(10);
 pub struct LogReader<R> {
     source: R,
     format: Format,
+    /// A last line without an end is not read yet.
+    keeps_unfinished: bool,
     /// A line or block that was cut by the end of the source's buffer, as far as it is here.
     partial: Vec<u8>,
     tally: Tally,
@@ -81,7 +83,49 @@ pub struct Tally {
 impl<R: BufRead> LogReader<R> {
     /// Begins at the first line.
     pub fn new(source: R) -> Self {
-        Self { source, format: Format::Unknown, partial: Vec::new(), tally: Tally::default() }
+        Self {
+            source,
+            format: Format::Unknown,
+            keeps_unfinished: false,
+            partial: Vec::new(),
+            tally: Tally::default(),
+        }
+    }
+
+    /// From now on a last line without an end is kept, for it may be in the middle of being
+    /// written: at the end of the source, try again later.
+    pub fn keep_unfinished(&mut self) {
+        self.keeps_unfinished = true;
+    }
+
+    /// Whether the last line has no end, or the last block is cut.
+    pub fn has_unfinished(&self) -> bool {
+        !self.partial.is_empty()
+    }
+
+    /// Takes the last line as it is, though it has no end.
+    pub fn take_unfinished(&mut self) -> Option<Frame> {
+        if !matches!(self.format, Format::Text) || self.partial.is_empty() {
+            return None;
+        }
+        let frame = self.tally.take(&self.partial);
+        self.partial.clear();
+        frame
+    }
+
+    /// Whether the rest cannot be read, even if there is more of it.
+    pub fn is_damaged(&self) -> bool {
+        self.tally.damage.is_some_and(|damage| damage != Damage::Cut)
+    }
+
+    /// Where it reads from.
+    pub fn source(&self) -> &R {
+        &self.source
+    }
+
+    /// The same, to have it read from elsewhere.
+    pub fn source_mut(&mut self) -> &mut R {
+        &mut self.source
     }
 
     /// What was read so far.
@@ -130,6 +174,7 @@ impl<R: BufRead> LogReader<R> {
                     }
                 }
             }
+            Format::Text if buffer.is_empty() && self.keeps_unfinished => (0, Step::End),
             Format::Text => read_line(buffer, &mut self.partial, &mut self.tally),
             Format::Pcapng { sections, skip } => {
                 read_block(buffer, (sections, skip), &mut self.partial, &mut self.tally)
@@ -169,7 +214,7 @@ fn read_block(
     partial: &mut Vec<u8>,
     tally: &mut Tally,
 ) -> (usize, Step) {
-    if matches!(tally.damage, Some(damage) if damage != Damage::Cut) {
+    if tally.damage.is_some_and(|damage| damage != Damage::Cut) {
         return (0, Step::End);
     }
     if buffer.is_empty() {
@@ -223,6 +268,16 @@ fn read_block(
 }
 
 impl<R: Read> LogReader<BufReader<R>> {
+    /// Another log goes on in the place of this one: what comes is the beginning of a file. What
+    /// was read stays counted.
+    pub fn begin_anew(&mut self) {
+        let left = self.source.buffer().len();
+        self.source.consume(left);
+        self.partial.clear();
+        self.format = Format::Unknown;
+        (self.tally.is_pcapng, self.tally.damage) = (false, None);
+    }
+
     /// The next frame whose line is here already; `None` where the source would have to be read.
     pub fn next_buffered(&mut self) -> Option<Frame> {
         while self.has_whole() {

@@ -91,12 +91,12 @@ pub fn open(
         BusSpec::File(path) => {
             let log =
                 open_log(path).map_err(|cause| BusError::Log { path: name.clone(), cause })?;
-            replay::open(&name, log, index, clock)
+            replay::open(&name, log, Some(path), index, clock)
         }
         BusSpec::Stdin => io::stdin()
             .as_fd()
             .try_clone_to_owned()
-            .and_then(|log| replay::open(&name, File::from(log), index, clock)),
+            .and_then(|log| replay::open(&name, File::from(log), None, index, clock)),
         BusSpec::Sim(system) => {
             let scenario = scenario(system)?;
             sim::open(&name, &scenario, index, clock, options.listen_only)

@@ -87,6 +87,11 @@ impl Queue {
         self.news.notify_one();
     }
 
+    /// Whether there are frames to take.
+    pub fn has_frames(&self) -> bool {
+        !self.contents().frames.is_empty()
+    }
+
     /// How many frames would still fit: for sources that can wait.
     pub fn room(&self) -> usize {
         self.capacity - self.contents().frames.len()

@@ -1,94 +1,297 @@
-//! A candump log as a port: its frames come as they were timed.
+//! A log as a port: its frames come as they were timed.
 //!
-//! The pace is the clock's: [`Clock::replaying`] makes it faster. Frames that were sent when
-//! the log was made are still marked as ours.
+//! The pace is the clock's: [`Clock::replaying`] makes it faster, and it can be stopped. Frames that
+//! were sent when the log was made are still marked as ours.
+//!
+//! The end of a file is an end for now: where it grows, what is new comes as it is written; where it
+//! was cut short or replaced, the new one is read from its beginning.
 
 use super::clock::Clock;
 use super::log::LogReader;
 use super::port::{Line, Port};
-use crate::frame::BusIndex;
+use crate::frame::{BusIndex, Frame};
 use crate::status::Link;
 use crate::time::{Duration, Instant};
-use std::fs::File;
-use std::io::{self, BufReader, Read};
+use std::fs::{self, File, Metadata};
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::os::fd::AsFd;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Instant as Monotonic;
 
 /// How late a frame may be before the rest of the log is shifted with it. A live log
 /// (`ssh board candump -L can0 | descan -`) is always a little late.
 const MAX_LATENESS: Duration = Duration::from_millis(250);
 /// How long to wait for the consumer when the queue is full.
 const FULL_QUEUE_NAP: Duration = Duration::from_millis(5);
+/// How often to look whether a file that was read to its end has grown.
+const LOOK_EVERY: Duration = Duration::from_millis(300);
+/// How long a file that grew may rest before it is at its end again: writers that gather what they
+/// write let it rest.
+const REST: Duration = Duration::from_secs(5);
+/// After so long nobody is in the middle of writing a line.
+const UNFINISHED: Duration = Duration::from_secs(10);
 
-/// Opens a log whose first interface is bus `index`, its second the next, and so on.
-pub(super) fn open(name: &str, log: File, index: BusIndex, clock: Clock) -> io::Result<Port> {
+/// Opens a log whose first interface is bus `index`, its second the next, and so on. At its end it
+/// is looked for again at `path`, if that is given.
+pub(super) fn open(
+    name: &str,
+    log: File,
+    path: Option<&Path>,
+    index: BusIndex,
+    clock: Clock,
+) -> io::Result<Port> {
     let line = Arc::new(Line::new()?);
     line.queue.update_status(|status| {
         status.link = Link::Up;
         status.listen_only = true;
     });
+    let metadata = log.metadata()?;
+    let (is_file, size) = (metadata.is_file(), metadata.len());
+    clock.log_opens(index, !is_file);
     let mut port = Port::new(name, Arc::clone(&line), true);
+    let path = path.filter(|_| is_file).map(Path::to_owned);
     port.serve(move |line| {
-        let source = Interruptible { log, line: Arc::clone(line) };
-        let mut reader = LogReader::new(BufReader::with_capacity(1 << 16, source));
-        let outcome = replay(&mut reader, line, index, clock);
-        match outcome {
-            Ok(()) => line.queue.finish(Link::Ended, reader.tally().to_string()),
-            Err(error) => line.queue.finish(Link::Failed, format!("cannot read the log: {error}")),
+        let source = Source { log, line: Arc::clone(line), is_file, read: 0, size };
+        let mut replay = Replay {
+            reader: LogReader::new(BufReader::with_capacity(1 << 16, source)),
+            line: Arc::clone(line),
+            path,
+            index,
+            clock,
+            anchor: None,
+            named: 0,
+            follows: false,
+            percent: None,
+        };
+        if let Err(error) = replay.run() {
+            line.queue.finish(Link::Failed, format!("cannot read the log: {error}"));
         }
     })?;
     Ok(port)
 }
 
-fn replay(
-    reader: &mut LogReader<BufReader<Interruptible>>,
-    line: &Line,
+struct Replay {
+    reader: LogReader<BufReader<Source>>,
+    line: Arc<Line>,
+    /// Where the log is looked for again, where it may go on after its end.
+    path: Option<PathBuf>,
     index: BusIndex,
     clock: Clock,
-) -> io::Result<()> {
-    // The moment of the session that is the log's start.
-    let mut start = None;
-    let mut names = 0;
-    while let Some(frame) = reader.next_frame()? {
-        for name in &reader.tally().interfaces[names..] {
-            line.queue.add_name(name);
-            names += 1;
+    /// A moment of the log, and of the session: where the others are reckoned from.
+    anchor: Option<(Instant, Instant)>,
+    /// How many of its interfaces were named.
+    named: usize,
+    /// It went on after its end before: what comes is taken as it is written.
+    follows: bool,
+    percent: Option<u8>,
+}
+
+/// How a log goes on after its end.
+enum More {
+    /// It grew.
+    Grown,
+    /// It is another one now; in words, why.
+    Anew(&'static str),
+}
+
+impl Replay {
+    fn run(&mut self) -> io::Result<()> {
+        if self.path.is_some() {
+            self.reader.keep_unfinished();
         }
-        let age = frame.time.since(Instant::ZERO);
-        let now = clock.now();
-        let start = start.get_or_insert(now);
-        *start = (*start).max(now - clock.run_in(MAX_LATENESS) - age);
-        let due = *start + age;
         loop {
-            if line.is_stopped() {
-                return Ok(());
+            while let Some(frame) = self.next_frame()? {
+                if !self.play(frame)? {
+                    return Ok(());
+                }
             }
-            let is_full = line.queue.room() == 0;
-            if clock.now() >= due && !is_full {
+            let Some(more) = self.wait_for_more()? else { return Ok(()) };
+            self.follows = true;
+            let note = match more {
+                More::Grown => None,
+                More::Anew(why) => {
+                    self.reader.begin_anew();
+                    Some(why.to_owned())
+                }
+            };
+            self.line.queue.update_status(|status| {
+                (status.link, status.message) = (Link::Up, None);
+                // The word of how it went on before stays.
+                status.note = note.or_else(|| status.note.take());
+            });
+        }
+    }
+
+    fn next_frame(&mut self) -> io::Result<Option<Frame>> {
+        let frame = self.reader.next_frame()?;
+        if frame.is_some() || self.path.is_none() {
+            return Ok(frame);
+        }
+        // The last line may have no end because it is being written.
+        let written = self.reader.source().get_ref().log.metadata()?.modified()?;
+        let is_left = written.elapsed().is_ok_and(|age| age >= UNFINISHED);
+        Ok(if is_left { self.reader.take_unfinished() } else { None })
+    }
+
+    /// Hands a frame over when it is due, or, after the end, when it is there. Whether to go on.
+    fn play(&mut self, frame: Frame) -> io::Result<bool> {
+        for name in &self.reader.tally().interfaces[self.named..] {
+            self.line.queue.add_name(name);
+            self.named += 1;
+        }
+        let tally = self.reader.tally();
+        let (from, to) = *self.anchor.get_or_insert_with(|| {
+            // The session begins with the log, if its dates are the log's.
+            let is_own = tally.epoch == Some(self.clock.epoch());
+            (frame.time, if is_own { Instant::ZERO } else { self.clock.now() })
+        });
+        let mut due = to + frame.time.since(from);
+        self.clock.log_waits(self.index, due);
+        if self.follows {
+            let is_paused = || self.clock.playback().is_some_and(|it| it.is_paused);
+            while is_paused() && self.clock.now() < due && !self.line.is_stopped() {
+                self.line.wait(None, None)?;
+            }
+            self.clock.log_goes_on(self.index, due);
+        }
+        let now = self.clock.now();
+        let earliest = now - self.clock.run_in(MAX_LATENESS);
+        let latest = if self.follows { now } else { due };
+        let moved = due.min(latest).max(earliest);
+        if moved != due {
+            due = moved;
+            self.anchor = Some((frame.time, due));
+            self.clock.log_waits(self.index, due);
+        }
+        loop {
+            if self.line.is_stopped() {
+                return Ok(false);
+            }
+            let is_full = self.line.queue.room() == 0;
+            if self.clock.now() >= due && !is_full {
                 break;
             }
-            let nap = if is_full { FULL_QUEUE_NAP } else { Duration::ZERO };
-            line.wait(None, Some(clock.until(due).max(nap)))?;
+            let nap = if is_full { FULL_QUEUE_NAP } else { self.clock.until(due) };
+            self.line.wait(None, Some(nap))?;
         }
-        let bus = BusIndex(index.0.saturating_add(frame.bus.0));
-        line.queue.push(&[frame.at(due).on(bus)]);
+        self.tell_place();
+        let bus = BusIndex(self.index.0.saturating_add(frame.bus.0));
+        self.line.queue.push(&[frame.at(due).on(bus)]);
+        Ok(true)
     }
-    Ok(())
+
+    /// How much is read, where that can be known.
+    fn tell_place(&mut self) {
+        let source = self.reader.source();
+        let percent = source.get_ref().percent(source.buffer().len());
+        if percent != self.percent {
+            self.percent = percent;
+            self.line.queue.update_status(|status| status.percent = percent);
+        }
+    }
+
+    /// Waits at the end until there is more; `None` where there will be none.
+    fn wait_for_more(&mut self) -> io::Result<Option<More>> {
+        let Some(path) = self.path.clone() else {
+            self.end();
+            return Ok(None);
+        };
+        let since = Monotonic::now();
+        let mut is_told = false;
+        while !self.line.is_stopped() {
+            // At first nobody knows that it grows: what is there is judged at the last line.
+            if !is_told && (!self.follows || since.elapsed() >= REST) {
+                self.end();
+                is_told = true;
+            }
+            let is_damaged = self.reader.is_damaged();
+            if let Some(more) = self.reader.source_mut().get_mut().look(&path, is_damaged)? {
+                return Ok(Some(more));
+            }
+            self.line.wait(None, Some(LOOK_EVERY))?;
+        }
+        Ok(None)
+    }
+
+    /// It is at its end, for now.
+    fn end(&mut self) {
+        self.tell_place();
+        let mut message = self.reader.tally().to_string();
+        if self.reader.has_unfinished() && self.reader.tally().damage.is_none() {
+            message.push_str("; the last line has no end yet");
+        }
+        self.clock.log_ends(self.index);
+        self.line.queue.update_status(|status| {
+            (status.link, status.message) = (Link::Ended, Some(message));
+        });
+    }
+}
+
+impl Drop for Replay {
+    /// However it ends, nobody's time waits for it.
+    fn drop(&mut self) {
+        self.clock.log_ends(self.index);
+    }
 }
 
 /// A log that ends when the port is dropped, even while the next line is waited for.
-struct Interruptible {
+struct Source {
     log: File,
     line: Arc<Line>,
+    is_file: bool,
+    /// Bytes that were read of it.
+    read: u64,
+    /// Bytes that it had when it was looked at.
+    size: u64,
 }
 
-impl Read for Interruptible {
+impl Source {
+    /// How much is read, without what is still buffered.
+    fn percent(&self, buffered: usize) -> Option<u8> {
+        let read = self.read.saturating_sub(buffered as u64);
+        let percent = (read * 100).checked_div(self.size.max(self.read))?;
+        self.is_file.then(|| percent.min(100) as u8)
+    }
+
+    /// Looks whether there is more than was read.
+    fn look(&mut self, path: &Path, is_damaged: bool) -> io::Result<Option<More>> {
+        let own = self.log.metadata()?;
+        self.size = own.len();
+        if own.len() < self.read {
+            self.log.seek(SeekFrom::Start(0))?;
+            self.read = 0;
+            return Ok(Some(More::Anew("the log was cut short: it is read anew")));
+        }
+        if own.len() > self.read {
+            if !is_damaged {
+                return Ok(Some(More::Grown));
+            }
+            // Nothing of that can be read; but it may still be cut short.
+            self.read = own.len();
+        }
+        let is_other = |there: &Metadata| (there.dev(), there.ino()) != (own.dev(), own.ino());
+        if fs::metadata(path).is_ok_and(|there| there.is_file() && is_other(&there))
+            && let Ok(log) = File::open(path)
+        {
+            self.size = log.metadata()?.len();
+            (self.log, self.read) = (log, 0);
+            return Ok(Some(More::Anew("another log took its place: that is read now")));
+        }
+        Ok(None)
+    }
+}
+
+impl Read for Source {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         while !self.line.wait(Some(self.log.as_fd()), None)? {
             if self.line.is_stopped() {
                 return Ok(0);
             }
         }
-        self.log.read(buffer)
+        let read = self.log.read(buffer)?;
+        self.read += read as u64;
+        Ok(read)
     }
 }

@@ -32,11 +32,11 @@ pub(super) fn open(
         status.link = Link::Up;
         status.bitrate = Some(scenario.bitrate);
     });
-    port.serve(move |line| run(&mut sim, station, line, index, clock))?;
+    port.serve(move |line| run(&mut sim, station, line, index, &clock))?;
     Ok(port)
 }
 
-fn run(sim: &mut Sim, station: Station, line: &Line, index: BusIndex, clock: Clock) {
+fn run(sim: &mut Sim, station: Station, line: &Line, index: BusIndex, clock: &Clock) {
     // The simulation begins at its own zero, whenever that is for the clock.
     let start = clock.now();
     let mut batch: Vec<Frame> = Vec::new();

@@ -133,11 +133,15 @@ pub fn clock(buses: &[BusSpec], speed: f64) -> Result<Clock, Failure> {
         BusSpec::File(path) => Some(path),
         _ => None,
     });
+    // Beside a bus that is there a log runs as that does, now.
+    if !buses.iter().all(is_log) {
+        return Ok(Clock::start());
+    }
     let epoch = match log {
         Some(path) => epoch_of(path)?,
         None => Clock::start().epoch(),
     };
-    Ok(Clock::replaying(epoch, if buses.iter().any(is_log) { speed } else { 1.0 }))
+    Ok(Clock::replaying(epoch, speed))
 }
 
 /// The log among the buses, where there is one: then it is the only one.
@@ -181,7 +185,7 @@ pub fn session(
     for (index, spec) in buses.iter().enumerate() {
         let listen_only = setup.config.listen_only || is_log(spec);
         let index = BusIndex(index as u8);
-        let port = bus::open(spec, index, clock, Options { listen_only })
+        let port = bus::open(spec, index, clock.clone(), Options { listen_only })
             .map_err(|error| Failure::Unusable(error.to_string()))?;
         named.push((port.name().to_owned(), Config { listen_only, ..setup.config.clone() }));
         ports.push(port);

@@ -4,6 +4,7 @@
 //! does is [`App`]'s; nothing that transmits beyond discovery happens without a confirmation.
 
 use crate::app::{App, Page};
+use crate::status::PlaybackCommand;
 use crate::time::Instant;
 use std::fmt;
 
@@ -44,6 +45,7 @@ pub enum Mode {
 pub enum Group {
     Look,
     Bus,
+    Log,
     File,
     Program,
     Answer,
@@ -51,14 +53,15 @@ pub enum Group {
 
 impl Group {
     /// In the order of the help.
-    pub const ALL: [Group; 5] =
-        [Group::Look, Group::Bus, Group::File, Group::Program, Group::Answer];
+    pub const ALL: [Group; 6] =
+        [Group::Look, Group::Bus, Group::Log, Group::File, Group::Program, Group::Answer];
 
     /// Its heading.
     pub const fn title(self) -> &'static str {
         match self {
             Group::Look => "Looking",
             Group::Bus => "The bus",
+            Group::Log => "The log",
             Group::File => "des.json",
             Group::Program => "The program",
             Group::Answer => "Questions",
@@ -130,6 +133,14 @@ actions! {
             => |app, now| app.ask_identify(now);
         "save-capture" "Save the captured frames as a candump log" "save log" ["w"]
             => |app, now| app.ask_capture_path(now);
+    }
+    Browse Log: {
+        "pause" "Stop the log where it is; let it go on" "" ["P"]
+            => |app, _| app.control_playback(PlaybackCommand::Pause);
+        "step" "Stop it at the next frame" "" [">"]
+            => |app, _| app.control_playback(PlaybackCommand::Step);
+        "slower" "Half as fast" "" ["["] => |app, _| app.control_playback(PlaybackCommand::Slower);
+        "faster" "Twice as fast" "" ["]"] => |app, _| app.control_playback(PlaybackCommand::Faster);
     }
     Browse File: {
         "edit-address" "Edit the static address in the row" "edit address" ["e"]

@@ -333,18 +333,10 @@ fn link(app: &mut App, now: Instant, at: usize, link: Link) {
     app.handle_bus(now, BusIndex(at as u8), status);
 }
 
-/// Lets everything happen that is due until `now`, each at its time.
+/// Lets everything happen that is due until `now`; without a screen nobody asks for anything.
 fn pass_time(app: &mut App, now: Instant) {
-    // The buses' deadlines only: nobody watches the seconds pass, and there may be years of them
-    // where the clock was set while the log was written.
-    let next = |app: &App| app.buses().iter().filter_map(|bus| bus.engine.poll_timeout()).min();
-    while let Some(due) = next(app).filter(|due| *due <= now) {
-        app.handle_timeout(due.max(app.now()));
-        while app.poll_effect().is_some() {}
-    }
-    if app.poll_timeout().is_some_and(|due| due <= now) {
-        app.handle_timeout(now);
-    }
+    app.pass_time(now);
+    while app.poll_effect().is_some() {}
 }
 
 /// Reads the log and hands over what is there, before more of it is waited for.

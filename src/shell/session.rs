@@ -75,6 +75,7 @@ impl Session {
             recorder: None,
             batch: Vec::with_capacity(BATCH),
         };
+        session.tell_playback();
         session.open_file();
         session
     }
@@ -175,6 +176,12 @@ impl Session {
         }
     }
 
+    fn tell_playback(&mut self) {
+        if let Some(playback) = self.clock.playback() {
+            self.app.handle_playback(self.clock.now(), playback);
+        }
+    }
+
     fn take_buses(&mut self, now: Instant) {
         for (port_at, port) in self.ports.iter().enumerate() {
             let index = BusIndex(port_at as u8);
@@ -210,14 +217,31 @@ impl Session {
                 }
                 recorder.record(&self.batch);
             }
-            self.app.handle_frames(now, &self.batch);
+            if self.clock.playback().is_none() {
+                self.app.handle_frames(now, &self.batch);
+                continue;
+            }
+            // Time may have leapt: what was due between two frames happens between them.
+            for frame in &self.batch {
+                self.app.pass_time(frame.time);
+                self.app.handle_frames(frame.time, std::slice::from_ref(frame));
+            }
         }
+        // At the end of all logs time stands.
+        self.tell_playback();
     }
 
     /// Does what is due, sends what is to be sent, starts what is to be saved. What concerns
     /// the screen or the program itself comes back.
     pub fn settle(&mut self) -> Vec<Effect> {
-        let now = self.clock.now();
+        let mut now = self.clock.now();
+        if self.clock.playback().is_some() {
+            // Where frames of a log wait, it is not later than they are.
+            if self.ports.iter().any(|port| port.queue().has_frames()) {
+                now = now.min(self.app.now());
+            }
+            self.app.pass_time(now);
+        }
         // Bounded: what is due can make something else due, but not for ever at one moment.
         for _ in 0..8 {
             if self.app.poll_timeout().is_none_or(|at| at > now) {
@@ -240,6 +264,11 @@ impl Session {
                         let result = write_new(path.clone(), &bytes);
                         Finished::Written(path, result)
                     }));
+                }
+                Effect::Playback(command) => {
+                    self.clock.control(command);
+                    self.ports.iter().for_each(Port::wake);
+                    self.tell_playback();
                 }
                 other => rest.push(other),
             }

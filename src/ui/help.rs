@@ -65,7 +65,9 @@ pub fn draw(brush: &mut Brush, scroll: u16) {
 /// Every action with its keys, by groups.
 fn keys(brush: &Brush, width: u16) -> Vec<Line<'static>> {
     let mut lines = Vec::new();
-    for group in Group::ALL {
+    // Where there is no log, nothing of it is said.
+    let is_here = |group: &Group| *group != Group::Log || brush.app.playback().is_some();
+    for group in Group::ALL.into_iter().filter(is_here) {
         if !lines.is_empty() {
             lines.push(Line::default());
         }

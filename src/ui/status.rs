@@ -10,6 +10,7 @@ use crate::status::{BusState, Link, size};
 use crate::theme::Role;
 use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
+use std::fmt::Write;
 
 /// Text that is left out, from the end, where it does not fit.
 type Parts = Vec<Vec<Span<'static>>>;
@@ -137,6 +138,7 @@ fn bus_parts(brush: &Brush, index: BusIndex) -> Parts {
         name.push(state(brush, bus));
         parts.push(name);
     }
+    parts.extend(place_in_log(brush, bus));
     if brush.app.view().frozen.is_some() {
         parts.insert(1, vec![brush.span(Role::Warning, "HELD")]);
     }
@@ -170,6 +172,29 @@ fn without_rates(bus: &Bus) -> String {
     let rates = status.bitrate.map(|rate| format!("@{rate}{data}"));
     let name = rates.and_then(|rates| bus.name.strip_suffix(&rates));
     name.unwrap_or(&bus.name).to_owned()
+}
+
+/// How far a log is played, and how.
+fn place_in_log(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
+    let playback = brush.app.playback()?;
+    let mut spans = Vec::new();
+    if playback.is_paused {
+        spans.push(brush.span(Role::Warning, "PAUSED "));
+    }
+    let seconds = brush.app.looked_at().as_micros() / 1_000_000;
+    let (hours, minutes, seconds) = (seconds / 3600, seconds / 60 % 60, seconds % 60);
+    let mut text = match hours {
+        0 => format!("{minutes}:{seconds:02}"),
+        _ => format!("{hours}:{minutes:02}:{seconds:02}"),
+    };
+    if let Some(percent) = bus.status.percent {
+        let _ = write!(text, " {percent}%");
+    }
+    if (playback.speed - 1.0).abs() > f64::EPSILON {
+        let _ = write!(text, " ×{}", playback.speed);
+    }
+    spans.push(brush.span(Role::Text, text));
+    Some(spans)
 }
 
 fn counter(brush: &Brush, label: &str, count: u64, bad: Role) -> Vec<Span<'static>> {

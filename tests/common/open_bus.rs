@@ -29,7 +29,7 @@ impl OpenBus {
     fn open_with(spec: &str, options: Options) -> Self {
         let clock = Clock::start();
         let spec: BusSpec = spec.parse().expect("a bus");
-        let port = bus::open(&spec, BusIndex(3), clock, options).expect("a port");
+        let port = bus::open(&spec, BusIndex(3), clock.clone(), options).expect("a port");
         let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();
         Self { port, clock, frames: Vec::new(), runtime }
     }
