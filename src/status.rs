@@ -97,6 +97,14 @@ pub struct BusStatus {
     pub fd: bool,
     /// Whether the *controller* only listens, and does not even acknowledge.
     pub listen_only: bool,
+    /// What the interface is called now, where that is not what it was opened as.
+    pub renamed: Option<String>,
+    /// Times that the bus went away, down or unplugged, and came back, however short it was.
+    pub outages: u64,
+    /// Times that the controller left the bus by itself.
+    pub bus_offs: u64,
+    /// Bytes of the kernel's receive buffer, as the kernel counts them.
+    pub receive_buffer: Option<u32>,
     /// Frames that did not fit the kernel's receive buffer.
     pub kernel_drops: u64,
     /// Times the controller itself was overrun.

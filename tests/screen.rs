@@ -628,6 +628,44 @@ fn where_a_bus_cannot_be_seen_it_is_not_said_that_nothing_is_wrong() {
 }
 
 #[test]
+fn what_an_interface_is_called_now_and_where_frames_were_lost_is_shown() {
+    let mut stage = Stage::boiler();
+    let status = BusStatus {
+        link: Link::Up,
+        renamed: Some("front".to_owned()),
+        kernel_drops: 9,
+        queue_drops: 3,
+        receive_buffer: Some(425_984),
+        note: Some("there is\u{1b}more to know".to_owned()),
+        ..BusStatus::default()
+    };
+    stage.app.handle_bus(Instant::ZERO, BusIndex(0), status);
+    let screen = stage.screen();
+    assert!(screen.contains("can0 (now front)") && screen.contains("lost 12"), "{screen}");
+    let screen = stage.size(120, 60).screen();
+    assert!(screen.contains("lost 12 (9 kernel, 3 queue)"), "{screen}");
+    let screen = stage.size(120, 200).keys("?").screen();
+    assert!(screen.contains("receive buffer 425 kB, some 532 frames"), "{screen}");
+    assert!(screen.contains("there is\\x1Bmore to know"), "{screen}");
+}
+
+#[test]
+fn what_is_broken_takes_the_bus_too() {
+    let config = Config { seed: 7, listen_only: true, ..Config::default() };
+    let mut stage = Stage::with(&Scenario::new(125_000), None, config);
+    stage.link(Link::Up);
+    // A stuff error a millisecond, each at least 17 bits; that the state changed is no frame.
+    for millis in 0..1000 {
+        let at = Instant::ZERO + Duration::from_millis(millis);
+        let stuff = Frame::error(0x88, &[0, 0, 4, 0, 0, 0, 0, 0]).at(at);
+        let passive = Frame::error(0x04, &[0, 4, 0, 0, 0, 0, 0, 96]).at(at);
+        stage.app.handle_frames(at, &[stuff, passive]);
+    }
+    let screen = stage.wait_until(1.5).screen();
+    assert!(screen.contains("load  14%"), "{screen}");
+}
+
+#[test]
 fn a_device_that_never_came_is_not_said_to_be_seen() {
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("4 /").text("missing").keys("Enter");

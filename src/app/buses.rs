@@ -3,6 +3,7 @@
 //! Does not know how frames come in; the adapter's words arrive as a [`BusStatus`].
 
 use crate::discovery::{Config, Engine};
+use crate::error_report::ErrorReport;
 use crate::frame::{Frame, FrameKind};
 use crate::sim::bits::FrameBits;
 use crate::status::{BusState, BusStatus, Link};
@@ -44,6 +45,7 @@ impl Bus {
     /// Whether there is no way to the bus at all, so that nothing can be sent.
     pub(super) fn is_away(&self) -> bool {
         !matches!(self.status.link, Link::Opening | Link::Up)
+            || matches!(self.status.state, BusState::BusOff | BusState::Stopped)
     }
 
     /// Whether frames can come in and go out.
@@ -154,8 +156,16 @@ pub(super) fn lost(status: &BusStatus) -> u64 {
     status.kernel_drops + status.queue_drops + status.controller_overruns
 }
 
+/// The least that a broken frame takes of the bus, in bits: the error flag, its delimiter, the
+/// intermission. How much of the frame went before it, no report says.
+const BROKEN_FRAME_BITS: u64 = 6 + 8 + 3;
+
 /// How many bit times at the nominal rate a frame takes of the bus.
 fn bit_times(frame: &Frame, bitrate: u32, data_bitrate: Option<u32>) -> u64 {
+    if frame.kind == FrameKind::Error {
+        let is_broken = ErrorReport::of(frame).is_some_and(|report| report.is_broken_frame());
+        return if is_broken { BROKEN_FRAME_BITS } else { 0 };
+    }
     let bits = FrameBits::of(frame);
     let (data, bitrate) = (u64::from(bits.data), u64::from(bitrate.max(1)));
     let data_bitrate = data_bitrate.map_or(bitrate, u64::from).max(1);

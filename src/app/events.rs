@@ -254,7 +254,11 @@ impl App {
         }
         let changes = changes(&bus.status, &status);
         let was_there = matches!(bus.status.link, Link::Opening | Link::Ended);
-        let came_back = is_up(&status) && !is_up(&bus.status) && !was_there;
+        // It may have been away and be back before anybody was told.
+        let was_away = !is_up(&bus.status)
+            || bus.status.outages < status.outages
+            || bus.status.bus_offs < status.bus_offs;
+        let came_back = is_up(&status) && was_away && !was_there;
         let newly_lost = lost(&status).saturating_sub(lost(&bus.status));
         if bus.status.bitrate != status.bitrate {
             bus.engine.set_bitrate(status.bitrate);
@@ -427,6 +431,22 @@ fn changes(old: &BusStatus, status: &BusStatus) -> Vec<(Kind, String)> {
             _ => (Kind::Error, message.unwrap_or_else(|| "down".to_owned())),
         });
     }
+    let stays_up = old.link == Link::Up && status.link == Link::Up;
+    if stays_up && old.outages < status.outages {
+        lines.push((Kind::Error, "was down for a moment".to_owned()));
+    }
+    let was_off = old.state == BusState::BusOff || status.state == BusState::BusOff;
+    if stays_up && old.bus_offs < status.bus_offs && !was_off {
+        lines.push((Kind::Error, "was bus-off for a moment".to_owned()));
+    }
+    if old.renamed != status.renamed {
+        let text = match &status.renamed {
+            Some(name) => format!("renamed: it is called {} now", shown(name)),
+            None if status.link == Link::Up => "has its old name again".to_owned(),
+            None => "the renamed interface is gone".to_owned(),
+        };
+        lines.push((Kind::Bus, text));
+    }
     if old.state != status.state && status.state != BusState::Unknown {
         let kind = match status.state {
             BusState::ErrorActive => Kind::Bus,
@@ -447,8 +467,14 @@ fn changes(old: &BusStatus, status: &BusStatus) -> Vec<(Kind, String)> {
     if let Some(note) = status.note.as_ref().filter(|note| old.note.as_ref() != Some(note)) {
         lines.push((Kind::Bus, shown(note)));
     }
-    if lost(old) < lost(status) {
-        lines.push((Kind::Error, "frames were lost on the way to us".to_owned()));
+    for (before, now, why) in [
+        (old.kernel_drops, status.kernel_drops, "the kernel's receive buffer was full"),
+        (old.queue_drops, status.queue_drops, "we were too slow"),
+        (old.controller_overruns, status.controller_overruns, "the controller was overrun"),
+    ] {
+        if before < now {
+            lines.push((Kind::Error, format!("frames were lost: {why}")));
+        }
     }
     lines
 }

@@ -32,6 +32,16 @@ pub(super) struct BusReport {
     lost: u64,
     load: Option<f64>,
     address: Option<u8>,
+    lost_where: LostReport,
+    not_sent: u64,
+}
+
+/// Where frames were lost; the sum is `lost`.
+#[derive(Debug, Serialize)]
+struct LostReport {
+    kernel: u64,
+    queue: u64,
+    adapter: u64,
 }
 
 #[derive(Debug, Serialize)]
@@ -262,6 +272,12 @@ pub(super) fn of_bus(bus: &Bus, now: Instant) -> BusReport {
             OwnAddress::Held(address) => Some(address.number()),
             _ => None,
         },
+        lost_where: LostReport {
+            kernel: bus.status.kernel_drops,
+            queue: bus.status.queue_drops,
+            adapter: bus.status.controller_overruns,
+        },
+        not_sent: bus.status.transmit_failures,
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::brush::{Brush, fit, wrap};
 use crate::keymap::{ACTIONS, Action, Group};
+use crate::status::size;
 use crate::theme::Role;
 use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
@@ -109,6 +110,9 @@ fn signs(brush: &Brush, width: u16) -> Vec<Line<'static>> {
     lines
 }
 
+/// What the kernel reckons for a frame that waits to be read, about.
+const KERNEL_BYTES_PER_FRAME: u32 = 800;
+
 /// Everything that is counted, of each bus: what is lost is never lost unseen.
 fn counters(brush: &Brush, width: u16) -> Vec<Line<'static>> {
     let mut lines = Vec::new();
@@ -138,6 +142,19 @@ fn counters(brush: &Brush, width: u16) -> Vec<Line<'static>> {
             }
             let left = format!("{name:<14}{count:>9}");
             lines.extend(two_columns(brush, (Role::Text, &left), 24, meaning, width));
+        }
+        let buffer = status.receive_buffer.map(|bytes| {
+            let held = bytes / KERNEL_BYTES_PER_FRAME;
+            format!("receive buffer {}, some {held} frames", size(u64::from(bytes)))
+        });
+        for text in buffer.into_iter().chain(status.note.clone()) {
+            let text = crate::text::Escaped(text.as_bytes()).to_string();
+            let room = usize::from(width).saturating_sub(4);
+            lines.extend(
+                wrap(&text, room)
+                    .into_iter()
+                    .map(|part| Line::from(vec![Span::raw("  "), brush.span(Role::Muted, part)])),
+            );
         }
     }
     lines

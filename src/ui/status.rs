@@ -122,6 +122,10 @@ fn bus_parts(brush: &Brush, index: BusIndex) -> Parts {
     let text = |text: String| vec![brush.span(Role::Text, text)];
     let mut parts: Parts = Vec::new();
     let mut name = vec![brush.span(Role::Title, without_rates(bus))];
+    if let Some(now) = &bus.status.renamed {
+        let now = crate::text::Escaped(now.as_bytes());
+        name.push(brush.span(Role::Warning, format!(" (now {now})")));
+    }
     if let Some(bitrate) = bus.status.bitrate {
         name.push(brush.span(Role::Text, format!(" {}", rate(bitrate))));
         if let Some(data) = bus.status.data_bitrate {
@@ -159,7 +163,11 @@ fn bus_parts(brush: &Brush, index: BusIndex) -> Parts {
     ]);
     parts.push(text(format!("{frames:>4} f/s")));
     parts.push(counter(brush, "err", errors, Role::Warning));
-    parts.push(counter(brush, "lost", lost, Role::Error));
+    let mut lost = counter(brush, "lost", lost, Role::Error);
+    if brush.screen.whole.width >= 100 {
+        lost.extend(lost_where(brush, bus));
+    }
+    parts.push(lost);
     parts.extend(own_address(brush, bus));
     parts
 }
@@ -200,6 +208,18 @@ fn place_in_log(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
 fn counter(brush: &Brush, label: &str, count: u64, bad: Role) -> Vec<Span<'static>> {
     let role = if count > 0 { bad } else { Role::Text };
     vec![brush.span(Role::Muted, format!("{label} ")), brush.span(role, short(count))]
+}
+
+/// Where frames were lost: `(9 kernel, 3 queue)`.
+fn lost_where(brush: &Brush, bus: &Bus) -> Option<Span<'static>> {
+    let places = [
+        (bus.status.kernel_drops, "kernel"),
+        (bus.status.queue_drops, "queue"),
+        (bus.status.controller_overruns, "adapter"),
+    ];
+    let some = places.iter().filter(|(count, _)| *count > 0);
+    let some: Vec<String> = some.map(|(count, at)| format!("{} {at}", short(*count))).collect();
+    (!some.is_empty()).then(|| brush.span(Role::Muted, format!(" ({})", some.join(", "))))
 }
 
 /// A count in at most five characters.

@@ -55,6 +55,11 @@ impl Vcan {
         ip(&["link", "del", &self.name]).expect("the interface was there");
     }
 
+    /// Gives it another name; it must be down.
+    pub fn rename(&self, name: &str) {
+        ip(&["link", "set", &self.name, "name", name]).expect("the interface is there");
+    }
+
     pub fn up(&self) {
         ip(&["link", "set", &self.name, "up"]).expect("the interface is there");
     }

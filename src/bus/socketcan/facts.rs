@@ -57,6 +57,8 @@ pub(super) fn is_can(name: &str) -> bool {
 /// What netlink says of one interface.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Facts {
+    /// What it is called now.
+    pub(super) name: Option<String>,
     pub(super) up: bool,
     pub(super) fd: bool,
     pub(super) state: BusState,
@@ -66,6 +68,8 @@ pub(super) struct Facts {
     pub(super) rec: Option<u16>,
     pub(super) restart_ms: Option<u32>,
     pub(super) listen_only: bool,
+    /// The controller could report each bus error, and is not set to.
+    pub(super) hides_errors: bool,
 }
 
 impl Facts {
@@ -83,7 +87,12 @@ impl Facts {
             Some(CanState::Stopped | CanState::Sleeping) => BusState::Stopped,
             None => BusState::Unknown,
         };
+        let has = |mode| can.ctrl_mode.is_some_and(|modes| modes.has_mode(mode));
+        let can_report = can
+            .ctrl_mode_supported
+            .is_some_and(|modes| modes & CanCtrlMode::BerrReporting.mask() != 0);
         Ok(Self {
+            name: details.name,
             up: details.is_up,
             fd: details.mtu == Some(Mtu::Fd),
             state,
@@ -92,7 +101,18 @@ impl Facts {
             tec: can.berr_counter.map(|counter| counter.txerr),
             rec: can.berr_counter.map(|counter| counter.rxerr),
             restart_ms: can.restart_ms,
-            listen_only: can.ctrl_mode.is_some_and(|modes| modes.has_mode(CanCtrlMode::ListenOnly)),
+            listen_only: has(CanCtrlMode::ListenOnly),
+            hides_errors: can_report && !has(CanCtrlMode::BerrReporting),
+        })
+    }
+
+    /// What is worth knowing of `name` while nothing is wrong.
+    pub(super) fn note(&self, name: &str) -> Option<String> {
+        self.hides_errors.then(|| {
+            format!(
+                "{name} does not report bus errors, which collisions cause; for that: sudo ip link \
+                 set {name} down && sudo ip link set {name} up type can berr-reporting on"
+            )
         })
     }
 
@@ -164,6 +184,15 @@ mod tests {
     fn nothing_to_say_of_a_healthy_bus() {
         assert_eq!(up(BusState::ErrorActive).advice("can0"), None);
         assert_eq!(up(BusState::Unknown).advice("vcan0"), None);
+    }
+
+    #[test]
+    fn what_the_controller_could_report_is_noted_with_the_command_for_it() {
+        assert_eq!(up(BusState::ErrorActive).note("can0"), None);
+        let hides = Facts { hides_errors: true, ..up(BusState::ErrorActive) };
+        let note = hides.note("can0").unwrap();
+        assert!(note.ends_with("ip link set can0 up type can berr-reporting on"), "{note}");
+        assert_eq!(hides.advice("can0"), None);
     }
 
     #[test]

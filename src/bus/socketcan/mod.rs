@@ -55,11 +55,12 @@ pub(super) fn open(
         bus: index,
         dating: Dating::new(clock),
         drops_before: 0,
+        told: (0, 0),
         was_there: false,
         waiting: None,
     };
     let socket = reader.find();
-    watch.look(&line);
+    watch.look(&line, Noticed::default());
     let mut port = Port::new(name, line, options.listen_only);
     port.serve(move |line| {
         let _release = ObserverRelease(Arc::clone(&reader.watch));
@@ -86,6 +87,17 @@ struct Watch {
 struct Nudge {
     look: bool,
     stop: bool,
+    noticed: Noticed,
+}
+
+/// What the reader noticed, and is to be told together with how the interface is then: it may be
+/// over by the time somebody looks.
+#[derive(Debug, Default)]
+struct Noticed {
+    /// The interface went down, or away.
+    outage: bool,
+    /// The controller left the bus.
+    bus_offs: u64,
 }
 
 impl Watch {
@@ -103,9 +115,12 @@ impl Watch {
                 .wait_timeout_while(nudge, LOOK_EVERY, |nudge| !nudge.look && !nudge.stop)
                 .unwrap_or_else(PoisonError::into_inner);
             nudge.look = false;
+            let noticed = std::mem::take(&mut nudge.noticed);
             drop(nudge);
-            self.look(line);
+            let untold = self.look(line, noticed);
             nudge = self.nudge.lock().unwrap_or_else(PoisonError::into_inner);
+            nudge.noticed.outage |= untold.outage;
+            nudge.noticed.bus_offs += untold.bus_offs;
             (nudge, _) = self
                 .nudged
                 .wait_timeout_while(nudge, LOOK_AT_MOST_EVERY, |nudge| !nudge.stop)
@@ -113,22 +128,36 @@ impl Watch {
         }
     }
 
-    /// Looks once, and says in the status what there is.
-    fn look(&self, line: &Line) {
+    /// Looks once, and says in the status what there is, and what was noticed; gives back what
+    /// could not be said yet.
+    fn look(&self, line: &Line, mut noticed: Noticed) -> Noticed {
         let ifindex = self.ifindex.load(Ordering::Acquire);
         if ifindex == 0 {
-            return;
+            return noticed;
         }
-        let Ok(facts) = Facts::of(ifindex) else { return };
-        let message = facts.advice(&self.name);
+        let Ok(facts) = Facts::of(ifindex) else { return noticed };
+        // Renamed, it is the same wire with the same devices: commands need the name of now.
+        let name = facts.name.as_deref().unwrap_or(&self.name);
+        let (message, note) = (facts.advice(name), facts.note(name));
+        let renamed = (name != self.name).then(|| name.to_owned());
         line.queue.update_status(|status| {
             // The reader may have lost the interface while we asked.
-            if self.ifindex.load(Ordering::Acquire) == ifindex {
-                status.link = if facts.up { Link::Up } else { Link::Down };
-                status.set_facts(&facts);
-                status.message = message;
+            if self.ifindex.load(Ordering::Acquire) != ifindex {
+                return;
             }
+            if facts.up {
+                let was_down = matches!(status.link, Link::Down | Link::Unplugged);
+                status.outages += u64::from(was_down || noticed.outage);
+                noticed.outage = false;
+            }
+            status.bus_offs += std::mem::take(&mut noticed.bus_offs);
+            status.link = if facts.up { Link::Up } else { Link::Down };
+            status.set_facts(&facts);
+            status.renamed = renamed;
+            status.message = message;
+            status.note = note;
         });
+        noticed
     }
 }
 
@@ -163,6 +192,8 @@ struct Reader {
     dating: Dating,
     /// Kernel drops of sockets that were closed since.
     drops_before: u64,
+    /// The kernel drops and the frames under way that the status has.
+    told: (u64, u64),
     /// Whether the interface was ever there: then its absence means unplugged.
     was_there: bool,
     /// A frame that the kernel had no room for, and until when it is offered again.
@@ -201,7 +232,13 @@ impl Reader {
         };
         match opened {
             Ok((ifindex, socket)) => {
+                if self.was_there {
+                    // It may be back before anybody was told that it was gone.
+                    self.watch.nudge(|nudge| nudge.noticed.outage = true);
+                }
                 self.was_there = true;
+                let buffer = socket.receive_buffer();
+                self.line.queue.update_status(|status| status.receive_buffer = buffer);
                 self.watch.ifindex.store(ifindex, Ordering::Release);
                 Some(socket)
             }
@@ -210,6 +247,7 @@ impl Reader {
                     status.link = link;
                     status.set_facts(&Facts { state: BusState::Down, ..Facts::default() });
                     status.unconfirmed = 0;
+                    status.renamed = None;
                     status.message = Some(message);
                 });
                 None
@@ -241,7 +279,10 @@ impl Reader {
                 match errno(&error) {
                     Errno::ENETDOWN => {
                         socket.forget_unconfirmed();
-                        self.watch.nudge(|nudge| nudge.look = true);
+                        self.watch.nudge(|nudge| {
+                            nudge.look = true;
+                            nudge.noticed.outage = true;
+                        });
                     }
                     Errno::ENODEV | Errno::ENXIO => break,
                     Errno::EINTR => {}
@@ -260,6 +301,7 @@ impl Reader {
                 }
             }
         }
+        socket.ask_for_drops();
         self.drops_before += socket.drops();
         self.watch.ifindex.store(0, Ordering::Release);
         Ok(())
@@ -276,19 +318,23 @@ impl Reader {
             reports.note(&frame);
             frames.push(frame);
         }
-        let drops = self.drops_before + socket.drops();
-        let unconfirmed = socket.unconfirmed();
-        self.line.queue.update_status(|status| {
-            status.kernel_drops = drops;
-            status.unconfirmed = unconfirmed;
-            status.missing_acks += reports.missing_acks;
-            status.controller_overruns += reports.overruns;
-        });
+        let told = (self.drops_before + socket.drops(), socket.unconfirmed());
+        if told != self.told || reports.total > 0 {
+            self.told = told;
+            self.line.queue.update_status(|status| {
+                (status.kernel_drops, status.unconfirmed) = told;
+                status.missing_acks += reports.missing_acks;
+                status.controller_overruns += reports.overruns;
+            });
+        }
         if !frames.is_empty() {
             self.line.queue.push(frames);
         }
         if reports.total > 0 {
-            self.watch.nudge(|nudge| nudge.look = true);
+            self.watch.nudge(|nudge| {
+                nudge.look = true;
+                nudge.noticed.bus_offs += reports.bus_offs;
+            });
         }
     }
 
@@ -335,6 +381,7 @@ struct Reports {
     total: u64,
     missing_acks: u64,
     overruns: u64,
+    bus_offs: u64,
 }
 
 impl Reports {
@@ -343,6 +390,7 @@ impl Reports {
         self.total += 1;
         self.missing_acks += u64::from(report.is_missing_acknowledge());
         self.overruns += u64::from(report.is_receive_overflow());
+        self.bus_offs += u64::from(report.is_bus_off());
     }
 }
 

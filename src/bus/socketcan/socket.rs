@@ -18,6 +18,14 @@ const BATCH: usize = 64;
 /// grants less to users who may not force it.)
 const RECEIVE_BUFFER: i32 = 8 << 20;
 
+/// Reads how much memory a socket takes, and how much it dropped (linux/socket.h, sock_diag.h).
+const SO_MEMINFO: i32 = 55;
+const MEMINFO_LEN: usize = 36;
+const MEMINFO_DROPS: usize = 32;
+/// The smallest receive buffer holds more frames than that, so nothing is dropped unless as many
+/// wait to be read.
+const FEWER_THAN_A_FLOOD: usize = 64;
+
 const CLASSIC_LEN: usize = 16;
 const FD_LEN: usize = 72;
 const DATA_AT: usize = 8;
@@ -43,6 +51,9 @@ pub(super) struct Received {
 pub(super) struct RawSocket {
     socket: CanFdSocket,
     drops: Drops,
+    /// Frames read since the kernel was asked for drops.
+    unasked: usize,
+    receive_buffer: Option<u32>,
     unconfirmed: u64,
 }
 
@@ -59,7 +70,14 @@ impl RawSocket {
         socket
             .set_socket_option_int(SOL_SOCKET, SO_RCVBUFFORCE, RECEIVE_BUFFER)
             .or_else(|_| socket.set_socket_option_int(SOL_SOCKET, SO_RCVBUF, RECEIVE_BUFFER))?;
-        Ok(Self { socket, drops: Drops::default(), unconfirmed: 0 })
+        let receive_buffer = socket.get_socket_option_int(SOL_SOCKET, SO_RCVBUF);
+        Ok(Self {
+            socket,
+            drops: Drops::default(),
+            unasked: 0,
+            receive_buffer: receive_buffer.ok().and_then(|bytes| u32::try_from(bytes).ok()),
+            unconfirmed: 0,
+        })
     }
 
     /// Appends what has arrived, as far as one batch takes it; nothing if nothing has.
@@ -78,9 +96,26 @@ impl RawSocket {
                 break outcome;
             }
         };
+        self.unasked += frames.len() - before;
         match outcome {
-            Err(error) if error.kind() == ErrorKind::WouldBlock => Ok(()),
+            Err(error) if error.kind() == ErrorKind::WouldBlock => {
+                if self.unasked >= FEWER_THAN_A_FLOOD {
+                    self.ask_for_drops();
+                }
+                Ok(())
+            }
             outcome => outcome,
+        }
+    }
+
+    /// A frame tells of the drops before it; of those after the last frame only the socket itself
+    /// does. Kernels before 4.12 do not.
+    pub(super) fn ask_for_drops(&mut self) {
+        self.unasked = 0;
+        let mut info = [0; MEMINFO_LEN];
+        let read = self.socket.get_socket_option_bytes(SOL_SOCKET, SO_MEMINFO, &mut info);
+        if let (Ok(MEMINFO_LEN), Some(count)) = (read, info[MEMINFO_DROPS..].first_chunk()) {
+            self.drops.note(u32::from_ne_bytes(*count));
         }
     }
 
@@ -139,10 +174,15 @@ impl RawSocket {
         self.unconfirmed = 0;
     }
 
-    /// Frames that found the receive buffer full. The kernel tells with the next frame that
-    /// gets through.
+    /// Frames that found the receive buffer full, as far as is known: see
+    /// [`ask_for_drops`](Self::ask_for_drops).
     pub(super) fn drops(&self) -> u64 {
         self.drops.total
+    }
+
+    /// Bytes of the receive buffer, as the kernel counts them.
+    pub(super) fn receive_buffer(&self) -> Option<u32> {
+        self.receive_buffer
     }
 }
 
@@ -170,13 +210,22 @@ impl Drops {
                     stamp = u64::try_from(seconds * 1_000_000 + nanos / 1_000).ok();
                 }
                 ControlMessageOwned::RxqOvfl(count) => {
-                    self.total += u64::from(count.wrapping_sub(self.last));
-                    self.last = count;
+                    self.note(count);
                 }
                 _ => {}
             }
         }
         stamp
+    }
+
+    /// The kernel counts as far as `count` now. A frame that waited tells an earlier count than
+    /// the socket did: that is no news.
+    fn note(&mut self, count: u32) {
+        let more = count.wrapping_sub(self.last);
+        if more < u32::MAX / 2 {
+            self.total += u64::from(more);
+            self.last = count;
+        }
     }
 }
 
@@ -251,6 +300,15 @@ mod tests {
             let (bytes, len) = encode(&frame);
             assert_eq!(decode(&bytes[..len]), Some(frame));
         }
+    }
+
+    #[test]
+    fn the_drop_counter_wraps_and_an_earlier_count_is_no_news() {
+        let mut drops = Drops::default();
+        for count in [0, 5, 5, 3, 0x7000_0000, 0xC000_0000, 0xFFFF_FFFF, 2, 0xFFFF_FFFF] {
+            drops.note(count);
+        }
+        assert_eq!(drops.total, 0x1_0000_0002);
     }
 
     #[test]

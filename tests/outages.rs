@@ -1,0 +1,185 @@
+//! A bus that goes away and comes back: what is sent meanwhile and afterwards, and what is told.
+
+use descan::app::{App, AppOptions};
+use descan::discovery::{Config, OwnAddress};
+use descan::frame::{BusIndex, Frame};
+use descan::sim::{DeviceSpec, Scenario, Sim, Station};
+use descan::status::{BusState, BusStatus, Link};
+use descan::time::{Duration, Instant};
+use descan::wire::id::{Address, Header};
+
+const CAN0: BusIndex = BusIndex(0);
+
+/// The program on a simulated bus with two devices, and all that it sent.
+struct Stage {
+    app: App,
+    sim: Sim,
+    station: Station,
+    status: BusStatus,
+    sent: Vec<Frame>,
+}
+
+impl Stage {
+    /// Discovery has found what there is.
+    fn settled() -> Self {
+        let scenario = Scenario::new(250_000)
+            .with(DeviceSpec::new("FEED").fixed(12).settled())
+            .with(DeviceSpec::new("SENS").fixed(13).settled());
+        let mut sim = Sim::new(&scenario, 1);
+        let station = sim.attach();
+        let options = AppOptions {
+            buses: vec![("can0".to_owned(), Config::default())],
+            ..AppOptions::default()
+        };
+        let app = App::new(Instant::ZERO, options);
+        let status = BusStatus {
+            link: Link::Up,
+            state: BusState::ErrorActive,
+            bitrate: Some(250_000),
+            ..BusStatus::default()
+        };
+        let mut stage = Self { app, sim, station, status, sent: Vec::new() };
+        stage.becomes(|_| {});
+        stage.run(8.0);
+        assert!(stage.app.buses()[0].engine.progress().settled);
+        stage.sent.clear();
+        stage
+    }
+
+    /// Time passes, for so many seconds.
+    fn run(&mut self, seconds: f64) {
+        let end = self.app.now() + Duration::from_secs_f64(seconds);
+        while self.app.now() < end {
+            let now = self.app.now() + Duration::from_millis(1);
+            self.sim.advance(now);
+            while let Some(frame) = self.sim.poll_frame(self.station) {
+                self.app.handle_frames(now, &[frame]);
+            }
+            self.app.handle_timeout(now);
+            while let Some(frame) = self.app.poll_transmit(now) {
+                self.sent.push(frame.at(now));
+                self.sim.transmit(self.station, frame);
+            }
+        }
+    }
+
+    /// The adapter says something else.
+    fn becomes(&mut self, change: impl FnOnce(&mut BusStatus)) {
+        change(&mut self.status);
+        let hears = self.status.link == Link::Up && self.status.state != BusState::BusOff;
+        self.sim.set_link(self.station, hears);
+        self.app.handle_bus(self.app.now(), CAN0, self.status.clone());
+    }
+
+    fn own_address(&self) -> OwnAddress {
+        self.app.buses()[0].engine.own_address()
+    }
+
+    /// Whether everybody was asked who is there.
+    fn has_asked_everybody(&self) -> bool {
+        let asks = |frame: &Frame| {
+            let header = frame.platform_id().map(Header::decode);
+            header.is_some_and(|header| header.broadcast && !header.response)
+                && frame.data().ends_with(b"DES\x01")
+        };
+        self.sent.iter().any(asks)
+    }
+
+    fn is_told(&self, text: &str) -> bool {
+        self.app.timeline().entries().any(|line| line.text.starts_with(text))
+    }
+
+    /// It listens before it takes its address again, and asks everybody at once, not when the next
+    /// round is due.
+    fn begins_anew(&mut self) {
+        assert_eq!(self.own_address(), OwnAddress::Listening);
+        let back = self.app.now();
+        self.run(4.0);
+        assert_eq!(self.own_address(), OwnAddress::Held(Address::DEBUG));
+        assert!(self.has_asked_everybody(), "{:?}", self.sent);
+        let first = self.sent[0].time;
+        assert!(first.since(back) > Duration::from_millis(500), "{first} is too soon after {back}");
+        let here = self.app.buses()[0].engine.devices().iter().filter(|it| it.is_here()).count();
+        assert_eq!(here, 2);
+    }
+}
+
+#[test]
+fn after_bus_off_discovery_begins_anew() {
+    let mut stage = Stage::settled();
+    stage.becomes(|status| (status.state, status.bus_offs) = (BusState::BusOff, 1));
+    stage.run(15.0);
+    assert_eq!(stage.sent, [], "nothing can be sent");
+    assert!(stage.is_told("bus-off"));
+    stage.becomes(|status| status.state = BusState::ErrorActive);
+    stage.begins_anew();
+    assert!(stage.is_told("error-active"));
+    assert!(!stage.is_told("was bus-off"));
+}
+
+#[test]
+fn after_a_bus_off_that_is_over_when_it_is_told_discovery_begins_anew() {
+    let mut stage = Stage::settled();
+    stage.becomes(|status| status.bus_offs += 1);
+    stage.begins_anew();
+    assert!(stage.is_told("was bus-off for a moment"));
+}
+
+#[test]
+fn after_it_was_down_or_unplugged_discovery_begins_anew() {
+    for (link, told) in [(Link::Down, "can0 is away"), (Link::Unplugged, "can0 is away")] {
+        let mut stage = Stage::settled();
+        stage.becomes(|status| {
+            (status.link, status.state) = (link, BusState::Down);
+            status.message = Some("can0 is away".to_owned());
+        });
+        stage.run(15.0);
+        assert_eq!(stage.sent, [], "nothing can be sent");
+        assert!(stage.is_told(told));
+        stage.becomes(|status| {
+            (status.link, status.state) = (Link::Up, BusState::ErrorActive);
+            (status.message, status.outages) = (None, 1);
+        });
+        stage.begins_anew();
+        assert!(stage.is_told("open") && !stage.is_told("was down"));
+    }
+}
+
+#[test]
+fn after_an_outage_that_is_over_when_it_is_told_discovery_begins_anew() {
+    let mut stage = Stage::settled();
+    stage.becomes(|status| status.outages += 1);
+    stage.begins_anew();
+    assert!(stage.is_told("was down for a moment"));
+}
+
+#[test]
+fn what_else_the_adapter_says_disturbs_nothing() {
+    let mut stage = Stage::settled();
+    let before = stage.own_address();
+    stage.becomes(|status| status.state = BusState::ErrorWarning);
+    stage.becomes(|status| status.renamed = Some("front".to_owned()));
+    assert!(stage.is_told("renamed: it is called front now"));
+    stage.becomes(|status| status.renamed = None);
+    assert!(stage.is_told("has its old name again"));
+    stage.becomes(|status| status.note = Some("worth knowing".to_owned()));
+    assert!(stage.is_told("worth knowing"));
+    assert_eq!(stage.own_address(), before);
+    for (what, told) in [
+        (0, "frames were lost: the kernel's receive buffer was full"),
+        (1, "frames were lost: we were too slow"),
+        (2, "frames were lost: the controller was overrun"),
+    ] {
+        assert!(!stage.is_told(told));
+        stage.becomes(|status| {
+            let counters = [
+                &mut status.kernel_drops,
+                &mut status.queue_drops,
+                &mut status.controller_overruns,
+            ];
+            *counters.into_iter().nth(what).unwrap() += 3;
+        });
+        assert!(stage.is_told(told));
+    }
+    assert_eq!(stage.app.buses()[0].lost(), 9);
+}
