@@ -323,9 +323,11 @@ impl Case<'_> {
             let calm = Instant::ZERO + self.run.world.calm;
             // What was suspected without a cause may have begun with the last thing that happened.
             let over = if course.at(over).is_none() { over.max(calm) } else { over };
-            // Where questions are missed, answers to them seem to be one too many for a while.
+            // Where questions are missed, answers to them seem to be one too many for a while; and
+            // who only listens waits for somebody to ask, which happens every ten seconds.
             let missed = self.run.world.scenario.observer_loss > 0.0;
-            let due = over + TEN_SECONDS + PERIOD * if missed { 3 } else { 0 };
+            let waits = self.run.world.inspectors[self.number].config.listen_only;
+            let due = over + TEN_SECONDS + PERIOD * if missed || waits { 3 } else { 0 };
             if due < end && last_word != Some(Confidence::Cleared) {
                 wrong.push(format!(
                     "{} at {:?} is still {last_word:?}, though over at {over}",
