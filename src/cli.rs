@@ -75,6 +75,8 @@ pub enum Command {
         #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
         time: Option<Duration>,
     },
+    /// Find the bit rate of a bus, listening only
+    Speed(Speed),
     /// Print the completions for a shell
     Completions {
         /// For which shell
@@ -137,6 +139,37 @@ pub struct Watch {
     pub time: Option<Duration>,
 }
 
+/// `descan speed`.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Listens at 125, 250, 500 and 1000 kbit/s, from the rate that is set, 1.5 s at each, until a frame
+arrives whole; then the interface keeps that rate. Otherwise it is put back to how it was. Only root
+may set an interface.
+
+A device that is alone on the bus is not heard by who only listens: nobody acknowledges its frames.
+--active takes part while it tries, which at a wrong rate destroys the frames of others.
+
+Exit code: 0 found, 1 not found, 2 wrong usage, 3 interface not usable, 130 interrupted.
+
+Examples:
+  sudo descan speed can0
+  sudo descan speed can0 --first 500000 --json | jq .bitrate
+  descan speed slcan:/dev/ttyACM0")]
+pub struct Speed {
+    /// can0 | slcan:/dev/ttyACM0
+    #[arg(value_name = "BUS")]
+    pub bus: BusSpec,
+    /// The rate to begin with, in bit/s [default: the one that is set]
+    #[arg(long, value_name = "BITRATE", value_parser = bitrate, allow_negative_numbers = true)]
+    pub first: Option<u32>,
+    /// Take part in the bus at each rate, without asking
+    #[arg(long)]
+    pub active: bool,
+    /// Print one JSON object
+    #[arg(long)]
+    pub json: bool,
+}
+
 /// Buses, and what concerns them.
 #[derive(Debug, Args, Clone)]
 pub struct Session {
@@ -193,6 +226,11 @@ fn recording(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
     Format::of(&path).map_err(|fault| fault.to_string())?;
     Ok(path)
+}
+
+fn bitrate(text: &str) -> Result<u32, String> {
+    let bitrate = text.parse().ok().filter(|rate| (10_000..=1_000_000).contains(rate));
+    bitrate.ok_or_else(|| "a bit rate from 10000 to 1000000".to_owned())
 }
 
 fn seconds(text: &str) -> Result<Duration, String> {

@@ -8,7 +8,7 @@
 //! * [`wire`]: what bytes on the bus mean.
 //! * [`discovery`]: the engine that finds devices and collisions on one bus.
 //! * [`sim`]: a simulated bus, timed to the bit, with devices on it.
-//! * [`status`]: how a bus is, in plain values.
+//! * [`status`]: how a bus is, in plain values; [`speed`]: the search for its bit rate.
 //! * [`document`]: des.json, read, edited in place and merged.
 //! * [`app`]: all state of the program; [`keymap`]: its actions and their keys.
 //! * [`theme`], [`ui`]: how it is drawn.
@@ -27,6 +27,7 @@ pub mod frame;
 pub mod keymap;
 pub mod shell;
 pub mod sim;
+pub mod speed;
 pub mod status;
 pub mod text;
 pub mod theme;

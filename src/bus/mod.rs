@@ -23,12 +23,14 @@ mod slcan;
 mod socketcan;
 mod socketcand;
 mod spec;
+mod tuner;
 
 pub use clock::{Clock, Dating};
 pub use port::{Port, TransmitError};
 pub use queue::Queue;
 pub use socketcan::{Interface, interfaces};
 pub use spec::{BusSpec, SpecError};
+pub use tuner::{TuneError, Tuner};
 
 use crate::frame::BusIndex;
 use crate::sim::Scenario;

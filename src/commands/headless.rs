@@ -195,7 +195,8 @@ fn endings(limits: Limits, time: Option<Duration>) -> Result<Endings, Failure> {
     Ok(if limits.while_read { endings.or_unread() } else { endings })
 }
 
-fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
+/// The event loop.
+pub fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     Ok(runtime.context("no event loop")?)
 }

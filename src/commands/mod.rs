@@ -9,6 +9,7 @@ mod open;
 mod report;
 mod scan;
 mod simulate;
+mod speed;
 mod watch;
 
 use crate::cli::{self, Cli, Command};
@@ -61,6 +62,7 @@ pub fn run(cli: Cli) -> ExitCode {
         Some(Command::Scan(scan)) => scan::run(&scan),
         Some(Command::Watch(watch)) => watch::run(&watch),
         Some(Command::Sim { bus, scenario, time }) => simulate::run(&bus, &scenario, time),
+        Some(Command::Speed(speed)) => speed::run(&speed),
         Some(Command::Completions { shell }) => print(&cli::completions(shell)),
         Some(Command::Man) => cli::manual().map_err(Failure::from).and_then(|text| print(&text)),
         Some(Command::Schema) => print(crate::document::SCHEMA.as_bytes()),

@@ -18,6 +18,7 @@ pub mod recorder;
 pub mod recording;
 pub mod screen;
 pub mod session;
+pub mod speed;
 pub mod store;
 pub mod terminal;
 mod waiting;

@@ -5,6 +5,7 @@
 //! can take long while somebody configures another one. An interface that is down, missing or
 //! unplugged is a status, and is waited for.
 
+pub(super) mod controller;
 mod facts;
 mod socket;
 

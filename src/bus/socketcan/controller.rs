@@ -1,0 +1,154 @@
+//! Sets a CAN controller by netlink: bit rate, listen-only, down and up. Needs CAP_NET_ADMIN.
+//!
+//! Does not know what it is done for.
+
+use super::facts::{advice_missing, is_can};
+use nix::net::if_::if_nametoindex;
+use nix::unistd::geteuid;
+use socketcan::nl::{CanBitTiming, CanCtrlModes, InterfaceCanParams};
+use socketcan::{CanCtrlMode, CanInterface, Error};
+use std::io::{self, ErrorKind};
+
+/// Why it cannot be set.
+#[derive(Debug)]
+pub(in crate::bus) enum Refusal {
+    /// There is no such interface: this is what there is.
+    NotThere(String),
+    /// The interface has no controller: vcan.
+    NoController,
+    /// Only root may.
+    NotPermitted,
+    /// It cannot only listen.
+    NoListening,
+    /// It cannot have this bit rate.
+    NotThisRate,
+    /// Anything else.
+    Failed(io::Error),
+}
+
+/// A controller, and how it was when we came.
+#[derive(Debug)]
+pub(in crate::bus) struct Controller {
+    name: String,
+    interface: CanInterface,
+    was_up: bool,
+    timing: Option<CanBitTiming>,
+    listened_only: bool,
+    touched: bool,
+}
+
+impl Controller {
+    /// Looks at it; changes nothing.
+    pub(in crate::bus) fn of(name: &str) -> Result<Self, Refusal> {
+        let ifindex = if_nametoindex(name).map_err(|_| Refusal::NotThere(advice_missing(name)))?;
+        if !is_can(name) {
+            return Err(Refusal::NotThere(format!("{name} is no CAN interface")));
+        }
+        let interface = CanInterface::open_iface(ifindex);
+        let details = interface.details().map_err(refusal)?;
+        // Every controller tells its clock; virtual interfaces have none.
+        if details.can.clock.is_none() {
+            return Err(Refusal::NoController);
+        }
+        let modes = details.can.ctrl_mode;
+        Ok(Self {
+            name: name.to_owned(),
+            interface,
+            was_up: details.is_up,
+            timing: details.can.bit_timing.filter(|timing| timing.bitrate > 0),
+            listened_only: modes.is_some_and(|modes| modes.has_mode(CanCtrlMode::ListenOnly)),
+            touched: false,
+        })
+    }
+
+    pub(in crate::bus) fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The bit rate it had, in bit/s.
+    pub(in crate::bus) fn bitrate(&self) -> Option<u32> {
+        self.timing.map(|timing| timing.bitrate)
+    }
+
+    /// Switches it off, sets it, and switches it on again.
+    pub(in crate::bus) fn set(&mut self, bitrate: u32, listen_only: bool) -> Result<(), Refusal> {
+        self.touched = true;
+        self.down()?;
+        let timing = CanBitTiming { bitrate, ..CanBitTiming::default() };
+        // One at a time: which of both is refused matters.
+        self.change(Some(timing), None).map_err(|refusal| match refusal {
+            Refusal::Failed(_) => Refusal::NotThisRate,
+            other => other,
+        })?;
+        self.change(None, Some(listen_only)).map_err(|refusal| match refusal {
+            Refusal::Failed(_) if listen_only => Refusal::NoListening,
+            other => other,
+        })?;
+        self.up()
+    }
+
+    /// What is set now stays.
+    pub(in crate::bus) fn keep(&mut self) {
+        self.touched = false;
+    }
+
+    /// Puts back how it was when we came; a bit rate that it did not have before stays.
+    pub(in crate::bus) fn restore(&mut self) -> Result<(), Refusal> {
+        if !std::mem::take(&mut self.touched) {
+            return Ok(());
+        }
+        self.down()?;
+        if let Some(timing) = self.timing {
+            // With its segments, as they were; the rate follows from them. Controllers whose rates
+            // are a list take the rate alone.
+            let segments = CanBitTiming { bitrate: 0, ..timing };
+            let rate = CanBitTiming { bitrate: timing.bitrate, ..CanBitTiming::default() };
+            self.change(Some(segments), None).or_else(|_| self.change(Some(rate), None))?;
+        }
+        self.change(None, Some(self.listened_only))?;
+        if self.was_up { self.up() } else { Ok(()) }
+    }
+
+    fn down(&self) -> Result<(), Refusal> {
+        self.interface.bring_down().map_err(refusal)
+    }
+
+    fn up(&self) -> Result<(), Refusal> {
+        self.interface.bring_up().map_err(refusal)
+    }
+
+    fn change(
+        &self,
+        bit_timing: Option<CanBitTiming>,
+        listen_only: Option<bool>,
+    ) -> Result<(), Refusal> {
+        let ctrl_mode = listen_only.map(|on| CanCtrlModes::from_mode(CanCtrlMode::ListenOnly, on));
+        let parameters =
+            InterfaceCanParams { bit_timing, ctrl_mode, ..InterfaceCanParams::default() };
+        self.interface.set_can_params(&parameters).map_err(refusal)
+    }
+}
+
+impl Drop for Controller {
+    fn drop(&mut self) {
+        // Whoever wanted to know whether it can be put back has called it.
+        let _ = self.restore();
+    }
+}
+
+fn refusal(error: Error) -> Refusal {
+    let cause = match error {
+        Error::Io(cause) => cause,
+        Error::Nl(error) => match error.errno() {
+            Some(errno) => io::Error::from_raw_os_error(errno),
+            None => io::Error::other(error),
+        },
+        other @ Error::Can(_) => io::Error::other(other),
+    };
+    // Whoever may not is not always told so.
+    if cause.kind() == ErrorKind::PermissionDenied || !geteuid().is_root() {
+        Refusal::NotPermitted
+    } else {
+        Refusal::Failed(cause)
+    }
+}

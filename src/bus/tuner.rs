@@ -1,0 +1,138 @@
+//! Sets a bus to one bit rate after the other, while it is looked for: an interface by netlink, an
+//! adapter by how it is opened. What was found is put back, unless it is told to keep what is set.
+//!
+//! Does not know which rate is the right one.
+
+use super::BusSpec;
+use super::socketcan::controller::{Controller, Refusal};
+use crate::speed::Manner;
+use std::io;
+use std::path::PathBuf;
+
+/// Why a bus cannot be set to a bit rate.
+#[derive(Debug, thiserror::Error)]
+pub enum TuneError {
+    /// A kind of bus that has no bit rate of its own, or whose rate others set.
+    #[error("{0} has no bit rate that could be set; say the interface of a controller, like can0")]
+    NoRate(String),
+    /// Only root may.
+    #[error(
+        "{name} cannot be set: only root may; run sudo descan speed {name}, or try a rate by hand: \
+         sudo ip link set {name} down && sudo ip link set {name} up type can bitrate {bitrate} \
+         listen-only on, then descan watch {name} --listen-only"
+    )]
+    NotPermitted {
+        /// The interface.
+        name: String,
+        /// The rate that was to be set, in bit/s.
+        bitrate: u32,
+    },
+    /// The controller cannot only listen.
+    #[error(
+        "{0} cannot listen without taking part: its controller or driver has no listen-only mode; \
+         descan speed {0} --active does without, which destroys frames at wrong rates"
+    )]
+    NoListening(String),
+    /// The controller cannot have this rate; others may do.
+    #[error("{name} cannot have {bitrate} bit/s")]
+    NotThisRate {
+        /// The interface.
+        name: String,
+        /// In bit/s.
+        bitrate: u32,
+    },
+    /// There is no such interface, or it is none of a controller.
+    #[error("{0}")]
+    NotThere(String),
+    /// The system did not do as it should.
+    #[error("{name} cannot be set: {cause}")]
+    Failed {
+        /// The interface.
+        name: String,
+        /// What the system said.
+        cause: io::Error,
+    },
+}
+
+/// A bus whose bit rate can be set. When it is dropped, what was found is put back.
+#[derive(Debug)]
+pub struct Tuner(Kind);
+
+#[derive(Debug)]
+enum Kind {
+    Interface(Controller),
+    Adapter { device: PathBuf, bitrate: Option<u32> },
+}
+
+impl Tuner {
+    /// The bus as it is. Changes nothing yet.
+    pub fn of(bus: &BusSpec) -> Result<Self, TuneError> {
+        match bus {
+            BusSpec::SocketCan(name) => match Controller::of(name) {
+                Ok(controller) => Ok(Self(Kind::Interface(controller))),
+                Err(refusal) => Err(explain(refusal, name, 0)),
+            },
+            BusSpec::Slcan { device, bitrate, .. } => {
+                Ok(Self(Kind::Adapter { device: device.clone(), bitrate: *bitrate }))
+            }
+            other => Err(TuneError::NoRate(other.to_string())),
+        }
+    }
+
+    /// The rate it had, in bit/s, where that is known.
+    pub fn found_at(&self) -> Option<u32> {
+        match &self.0 {
+            Kind::Interface(controller) => controller.bitrate(),
+            Kind::Adapter { bitrate, .. } => *bitrate,
+        }
+    }
+
+    /// Sets it to `bitrate`. Comes back with the bus to be opened.
+    pub fn set(&mut self, bitrate: u32, manner: Manner) -> Result<BusSpec, TuneError> {
+        match &mut self.0 {
+            Kind::Interface(controller) => {
+                let done = controller.set(bitrate, manner == Manner::Listening);
+                let name = controller.name().to_owned();
+                done.map_err(|refusal| explain(refusal, &name, bitrate))?;
+                Ok(BusSpec::SocketCan(name))
+            }
+            Kind::Adapter { device, .. } => Ok(BusSpec::Slcan {
+                device: device.clone(),
+                bitrate: Some(bitrate),
+                data_bitrate: None,
+            }),
+        }
+    }
+
+    /// Leaves it at `bitrate`, taking part.
+    pub fn keep(mut self, bitrate: u32) -> Result<(), TuneError> {
+        self.set(bitrate, Manner::TakingPart)?;
+        if let Kind::Interface(controller) = &mut self.0 {
+            controller.keep();
+        }
+        Ok(())
+    }
+
+    /// Puts back what was found. Dropping it does the same, and says nothing where that fails.
+    pub fn restore(mut self) -> Result<(), TuneError> {
+        match &mut self.0 {
+            Kind::Interface(controller) => {
+                let done = controller.restore();
+                done.map_err(|refusal| explain(refusal, controller.name(), 0))
+            }
+            Kind::Adapter { .. } => Ok(()),
+        }
+    }
+}
+
+fn explain(refusal: Refusal, name: &str, bitrate: u32) -> TuneError {
+    let name = name.to_owned();
+    match refusal {
+        Refusal::NotThere(why) => TuneError::NotThere(why),
+        Refusal::NoController => TuneError::NoRate(name),
+        Refusal::NotPermitted => TuneError::NotPermitted { name, bitrate },
+        Refusal::NoListening => TuneError::NoListening(name),
+        Refusal::NotThisRate => TuneError::NotThisRate { name, bitrate },
+        Refusal::Failed(cause) => TuneError::Failed { name, cause },
+    }
+}

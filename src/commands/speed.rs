@@ -1,0 +1,154 @@
+//! `descan speed`: finds the bit rate of a bus. Listens first; whether to take part, which disturbs
+//! a bus of another rate, is for the user to say.
+
+use super::{FINDINGS, FINE, Failure, INTERRUPTED, headless};
+use crate::bus::{BusSpec, TuneError};
+use crate::cli::Speed;
+use crate::shell::ending::Endings;
+use crate::shell::speed::{Plan, Progress, Report, find};
+use crate::speed::{Manner, Outcome};
+use crate::wire::profile::Profile;
+use anyhow::Context;
+use serde::Serialize;
+use std::io::{self, IsTerminal, Write};
+
+/// Runs it.
+pub fn run(speed: &Speed) -> Result<u8, Failure> {
+    let runtime = headless::runtime()?;
+    let result = runtime.block_on(async {
+        let mut endings = Endings::new(None, INTERRUPTED).context("no signals")?;
+        tokio::select! {
+            biased;
+            // What was set is put back when the search is dropped.
+            _ = endings.next() => Ok(INTERRUPTED),
+            done = search(speed) => done,
+        }
+    });
+    // A question that nobody answered may still wait for its line.
+    runtime.shutdown_background();
+    result
+}
+
+async fn search(speed: &Speed) -> Result<u8, Failure> {
+    let bus = &speed.bus;
+    let manner = if speed.active { Manner::TakingPart } else { Manner::Listening };
+    let mut report = attempt(speed, manner).await?;
+    if manner == Manner::Listening && !matches!(report.outcome, Outcome::Found(_)) {
+        say(&nothing_heard(bus, report.outcome));
+        if may_ask(speed) && wants_to_take_part(bus).await {
+            report = attempt(speed, Manner::TakingPart).await?;
+        } else {
+            print(speed, &report)?;
+            say(&format!("to take part: descan speed {bus} --active"));
+            return Ok(FINDINGS);
+        }
+    }
+    print(speed, &report)?;
+    if let Outcome::Found(rate) = report.outcome {
+        say(&match bus {
+            BusSpec::Slcan { device, .. } => {
+                format!("open it so: descan slcan:{}@{rate}", device.display())
+            }
+            _ => format!("{bus} is set to it and takes part; now: descan {bus}"),
+        });
+        return Ok(FINE);
+    }
+    say("nobody was heard at any rate: is a device on, and are CAN_H, CAN_L and ground connected?");
+    Ok(FINDINGS)
+}
+
+async fn attempt(speed: &Speed, manner: Manner) -> Result<Report, Failure> {
+    let period = Profile::default().heartbeat.period();
+    let plan = Plan { first: speed.first, manner, period };
+    let bus = &speed.bus;
+    let what = match manner {
+        Manner::Listening => "listening",
+        Manner::TakingPart => "taking part",
+    };
+    let report = find(bus, plan, |progress| match progress {
+        Progress::Trying(rate) => say(&format!("{bus} at {} kbit/s: {what} …", rate / 1000)),
+        Progress::Heard(rate, heard) => say(&format!(
+            "{bus} at {} kbit/s: no whole frame, {} broken",
+            rate / 1000,
+            heard.broken
+        )),
+        Progress::Skipped(rate) => {
+            say(&format!("{bus} at {} kbit/s: its controller cannot", rate / 1000));
+        }
+    });
+    report.await.map_err(|error| match error {
+        TuneError::NoRate(_) => Failure::Usage(error.to_string()),
+        error => Failure::Unusable(error.to_string()),
+    })
+}
+
+fn nothing_heard(bus: &BusSpec, outcome: Outcome) -> String {
+    let what = match outcome {
+        Outcome::OnlyBroken => "frames broke, and none arrived whole",
+        _ => "nothing was heard at any rate",
+    };
+    format!(
+        "{bus}: {what}. While we only listen, a device that is alone on the bus is not heard: \
+         nobody acknowledges its frames."
+    )
+}
+
+fn may_ask(speed: &Speed) -> bool {
+    !speed.json && io::stdin().is_terminal() && io::stderr().is_terminal()
+}
+
+/// Asks on the terminal; anything but a yes is a no.
+async fn wants_to_take_part(bus: &BusSpec) -> bool {
+    let _ = write!(
+        io::stderr(),
+        "Try each rate taking part in {bus}? At a wrong rate that destroys the frames of others. \
+         [y/N] "
+    );
+    let line = tokio::task::spawn_blocking(|| {
+        let mut line = String::new();
+        io::stdin().read_line(&mut line).map(|_| line)
+    });
+    let line = line.await.ok().and_then(Result::ok).unwrap_or_default();
+    matches!(line.trim(), "y" | "Y" | "yes")
+}
+
+#[derive(Serialize)]
+struct Told<'a> {
+    bus: String,
+    bitrate: Option<u32>,
+    tried: &'a [Tried],
+}
+
+#[derive(Serialize)]
+struct Tried {
+    bitrate: u32,
+    frames: u64,
+    broken: u64,
+}
+
+fn print(speed: &Speed, report: &Report) -> Result<(), Failure> {
+    let bus = speed.bus.to_string();
+    let bitrate = match report.outcome {
+        Outcome::Found(rate) => Some(rate),
+        Outcome::OnlyBroken | Outcome::Silence => None,
+    };
+    let mut out = io::stdout().lock();
+    if speed.json {
+        let tried = report.tried.iter().map(|(bitrate, heard)| Tried {
+            bitrate: *bitrate,
+            frames: heard.frames,
+            broken: heard.broken,
+        });
+        let tried: Vec<Tried> = tried.collect();
+        let told = Told { bus, bitrate, tried: &tried };
+        writeln!(out, "{}", serde_json::to_string(&told).context("JSON")?)?;
+    } else if let Some(bitrate) = bitrate {
+        writeln!(out, "{bus}: {bitrate} bit/s")?;
+    }
+    out.flush()?;
+    Ok(())
+}
+
+fn say(line: &str) {
+    let _ = writeln!(io::stderr(), "{line}");
+}
