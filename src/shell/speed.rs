@@ -68,7 +68,7 @@ pub async fn find(
         };
         told(Progress::Trying(rate));
         let options = Options { listen_only: plan.manner == Manner::Listening };
-        let port = bus::open(&bus, BusIndex(0), clock, options)
+        let port = bus::open(&bus, BusIndex(0), clock.clone(), options)
             .map_err(|error| TuneError::NotThere(error.to_string()))?;
         let opened = clock.now();
         loop {
