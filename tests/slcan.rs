@@ -357,6 +357,25 @@ fn garbage_is_counted_and_the_next_line_is_read() {
 }
 
 #[test]
+fn a_flood_is_taken_whole_and_in_order() {
+    const COUNT: usize = 50_000;
+    let (mut adapter, mut bus) = open("@1000000");
+    let flood = std::thread::spawn(move || {
+        for chunk in 0..COUNT / 100 {
+            let lines =
+                (0..100).map(|at| format!("T{:08X}8{}\r", chunk * 100 + at, "5A".repeat(8)));
+            adapter.say(&lines.collect::<Vec<_>>().concat());
+        }
+        adapter
+    });
+    let frames = bus.wait_for_frames(COUNT);
+    assert!(frames.iter().zip(0..).all(|(frame, id)| frame.platform_id() == Some(id)));
+    let status = bus.status();
+    assert_eq!((status.unreadable, status.queue_drops, status.link), (0, 0, Link::Up));
+    flood.join().unwrap();
+}
+
+#[test]
 fn what_is_no_slcan_at_all_is_said() {
     let (mut adapter, mut bus) = open_mute("@500000");
     for line in 0..20 {
