@@ -76,8 +76,9 @@ impl Endpoint for SerialPort {
         let port = Flock::lock(port, FlockArg::LockExclusiveNonblock)
             .map_err(|_| away(Link::Down, format!("{name} is in use by another program")))?;
         let failed = |error: Errno| away(Link::Down, format!("cannot set up {name}: {error}"));
+        let port = LockedPort(port);
         // Programs that do not look at the lock are kept out by this.
-        rustix::termios::ioctl_tiocexcl(&*port)
+        rustix::termios::ioctl_tiocexcl(&port)
             .map_err(|error| failed(Errno::from_raw(error.raw_os_error())))?;
         cfmakeraw(&mut settings);
         // No modem lines, no flow control, one stop bit.
@@ -87,10 +88,10 @@ impl Endpoint for SerialPort {
         if cfgetospeed(&settings) == BaudRate::B9600 {
             cfsetspeed(&mut settings, BAUD_RATE).map_err(failed)?;
         }
-        tcsetattr(&*port, SetArg::TCSANOW, &settings).map_err(failed)?;
+        tcsetattr(&port, SetArg::TCSANOW, &settings).map_err(failed)?;
         // The end of a line from before we listened is nothing to be read.
-        tcflush(&*port, FlushArg::TCIFLUSH).map_err(failed)?;
-        Ok(LockedPort(port))
+        tcflush(&port, FlushArg::TCIFLUSH).map_err(failed)?;
+        Ok(port)
     }
 
     fn broken_off(&self) -> Away {
@@ -158,6 +159,13 @@ fn serial_ports() -> Vec<String> {
         .collect();
     ports.sort();
     ports
+}
+
+/// A pty whose other end stays open would be kept out of reach for good.
+impl Drop for LockedPort {
+    fn drop(&mut self) {
+        let _ = rustix::termios::ioctl_tiocnxcl(&*self.0);
+    }
 }
 
 impl AsFd for LockedPort {
