@@ -648,6 +648,26 @@ mod tests {
     }
 
     #[test]
+    fn late_answers_to_the_knocking_are_not_taken_for_answers_to_what_follows() {
+        let settings = Settings { bitrate: Some(500_000), ..Settings::default() };
+        let mut talk = Talk::begin(settings);
+        talk.said();
+        assert_eq!(talk.pass(500), "C.V.C.V.");
+        talk.hear(550, b"\x07V1013\r");
+        assert_eq!(talk.pass(600), "");
+        talk.hear(600, b"\x07V1013\r\x07");
+        assert_eq!(talk.pass(700), "");
+        talk.hear(700, b"V1013\r");
+        assert_eq!(talk.pass(700), "N.");
+        // The last of them may stay out.
+        let mut talk = Talk::begin(settings);
+        talk.said();
+        talk.hear(5, b"\x07");
+        assert_eq!(talk.pass(254), "");
+        assert_eq!(talk.pass(255), "N.");
+    }
+
+    #[test]
     fn one_who_says_nothing_is_open_after_a_while() {
         let settings =
             Settings { bitrate: Some(125_000), listen_only: true, ..Settings::default() };
