@@ -34,6 +34,17 @@ pub struct Heard {
     pub broken: u64,
 }
 
+/// What is going on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Progress {
+    /// At this rate, in bit/s, we listen now.
+    Trying(u32),
+    /// This was heard there, and no frame that arrived whole.
+    Heard(u32, Heard),
+    /// The controller cannot have this rate.
+    Skipped(u32),
+}
+
 /// How it ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {

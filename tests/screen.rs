@@ -1006,6 +1006,48 @@ fn errors_that_follow_an_address_belong_to_its_problem() {
 }
 
 #[test]
+fn where_frames_only_break_another_bit_rate_is_offered() {
+    use descan::speed::{Heard, Outcome, Progress};
+    let mut stage = Stage::new(&Scenario::new(125_000), None);
+    let broken = Frame::error(0x88, &[0, 0, 4, 0, 0, 0, 0, 0]);
+    for millis in 1..4500 {
+        let now = Instant::from_micros(millis * 1000);
+        if millis % 10 == 0 {
+            stage.app.handle_frames(now, &[broken.at(now)]);
+        }
+        stage.app.handle_timeout(now);
+        stage.drain(now);
+    }
+    snapshot!("only_broken_frames", stage);
+    stage.effects.clear();
+    stage.keys("b");
+    assert!(stage.screen().contains("Find the bit rate of can0? It is switched off and on"));
+    stage.keys("n");
+    assert!(!stage.effects.contains(&Effect::FindBitrate(BusIndex(0))), "asked, and refused");
+    stage.keys("b y");
+    assert!(stage.effects.contains(&Effect::FindBitrate(BusIndex(0))));
+    stage.keys("b");
+    assert!(stage.screen().contains("the bit rate of can0 is being looked for"), "not twice");
+
+    let (now, can0) = (stage.app.now(), BusIndex(0));
+    let mut told = |progress| stage.app.handle_bitrate_search(now, can0, progress);
+    told(Progress::Trying(125_000));
+    told(Progress::Heard(125_000, Heard { frames: 0, broken: 64 }));
+    told(Progress::Heard(250_000, Heard::default()));
+    told(Progress::Trying(500_000));
+    assert!(stage.screen().contains("can0: listening at 500 kbit/s"), "{}", stage.screen());
+    stage.app.handle_bitrate(now, can0, Ok(Outcome::Found(500_000)));
+    snapshot!("bit_rate_found", stage.keys("3"));
+    stage.keys("b y").app.handle_bitrate(now, can0, Ok(Outcome::Silence));
+    assert!(stage.screen().contains("no frame arrived whole at any bit rate"));
+    // A whole frame, and nothing is offered any more.
+    let heartbeat = Frame::classic(0x0718_0001, &[0, 0, 0, 0, 0, 0, 4, 0]);
+    stage.app.handle_frames(now, &[heartbeat.at(now)]);
+    stage.wait_until(6.0);
+    assert!(!stage.screen().contains("another bit rate"), "{}", stage.screen());
+}
+
+#[test]
 fn a_muted_problem_does_not_count_and_stays_muted() {
     let mut stage = Stage::boiler();
     stage.until(30.5).keys("4 G m");

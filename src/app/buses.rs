@@ -53,11 +53,23 @@ impl Bus {
         is_up(&self.status)
     }
 
+    /// Whether many frames broke in the last seconds and none arrived whole: most likely the bit
+    /// rate is another one.
+    pub fn hears_only_errors(&self) -> bool {
+        let recent = || self.meter.seconds().rev().take(3);
+        self.is_up()
+            && recent().all(|second| second.frames == second.errors)
+            && recent().map(|second| second.errors).sum::<u32>() >= ONLY_ERRORS
+    }
+
     /// Frames that were lost on the way to us.
     pub fn lost(&self) -> u64 {
         lost(&self.status)
     }
 }
+
+/// Broken frames in three seconds that are no accident.
+const ONLY_ERRORS: u32 = 64;
 
 /// Frames and bus time in each of the last seconds.
 #[derive(Debug)]

@@ -334,6 +334,10 @@ impl App {
                 let service = self.profile(id.bus).commands.identify;
                 format!("Send identify (service {service:03X}) to {name} at {address}?")
             }
+            Question::FindBitrate(bus) => {
+                let name = self.bus(*bus).map_or("the bus", |bus| bus.name.as_str());
+                format!("Find the bit rate of {name}? It is switched off and on; we only listen.")
+            }
         })
     }
 
@@ -345,6 +349,7 @@ impl App {
         }
         match question {
             Question::Quit => self.quit(),
+            Question::FindBitrate(bus) => self.find_bitrate(bus),
             Question::Delete(key) => self.edit(&[Operation::Remove { entry: key }]),
             Question::Identify(id) => match self.identify_frame(id) {
                 Ok(frame) => {

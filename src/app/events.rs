@@ -133,7 +133,7 @@ impl App {
         }
     }
 
-    fn report_line(&mut self, line: &Entry) {
+    pub(super) fn report_line(&mut self, line: &Entry) {
         if self.report {
             self.report(Happening::Line(line.clone()));
         }

@@ -23,6 +23,7 @@
 //! prompt    lines being typed                navigate the commands that only look
 //! ```
 
+mod bitrate;
 mod buses;
 mod capture;
 mod devices;
@@ -63,6 +64,7 @@ pub use why::spell;
 use crate::discovery::{Config, DeviceId, Finding, OwnAddress};
 use crate::frame::{BusIndex, Frame};
 use crate::keymap::{Key, Keymap, Mode};
+use crate::speed::{Outcome, Progress};
 use crate::status::{BusStatus, Playback, PlaybackCommand, RecordingStatus};
 use crate::time::{Duration, Epoch, Instant};
 use crate::wire::id::Address;
@@ -114,6 +116,9 @@ pub enum Effect {
     Copy(String),
     /// Draw with this theme from now on; then call [`App::handle_theme`].
     UseTheme(String),
+    /// Look for the bit rate of this bus, listening only; meanwhile call
+    /// [`App::handle_bitrate_search`], then [`App::handle_bitrate`].
+    FindBitrate(BusIndex),
     /// Do this to the playing of logs; then call [`App::handle_playback`].
     Playback(PlaybackCommand),
     /// Ring.
@@ -145,6 +150,8 @@ pub enum Question {
     Delete(crate::document::EntryKey),
     /// Send the identify command to this device?
     Identify(DeviceId),
+    /// Look for the bit rate of this bus?
+    FindBitrate(BusIndex),
 }
 
 /// What is open over the page.
@@ -191,6 +198,8 @@ pub struct App {
     message: Option<Message>,
     recording: Option<RecordingStatus>,
     playback: Option<Playback>,
+    /// The bus whose bit rate is being looked for.
+    searched: Option<BusIndex>,
     keymap: Keymap,
     theme: String,
     themes: Vec<String>,
@@ -245,6 +254,7 @@ impl App {
             message: None,
             recording: None,
             playback: None,
+            searched: None,
             keymap: options.keymap,
             theme: options.theme,
             themes: options.themes,
@@ -424,6 +434,18 @@ impl App {
     pub fn handle_recording(&mut self, now: Instant, status: RecordingStatus) {
         self.now = self.now.max(now);
         self.recording_changed(status);
+    }
+
+    /// Takes how far the search for a bus's bit rate has come.
+    pub fn handle_bitrate_search(&mut self, now: Instant, bus: BusIndex, progress: Progress) {
+        self.now = self.now.max(now);
+        self.tell_bitrate_search(bus, progress);
+    }
+
+    /// Takes what the search for a bus's bit rate came to.
+    pub fn handle_bitrate(&mut self, now: Instant, bus: BusIndex, result: Result<Outcome, String>) {
+        self.now = self.now.max(now);
+        self.bitrate_found(bus, result);
     }
 
     /// Takes how logs are played, where there are nothing but logs.

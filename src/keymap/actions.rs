@@ -131,6 +131,8 @@ actions! {
             => |app, now| app.clear_lost(now);
         "identify" "Let the device blink or beep (asks; needs a profile)" "identify" ["i"]
             => |app, now| app.ask_identify(now);
+        "bit-rate" "Find the bit rate of the bus, listening only (asks; only root may)" "bit rate" ["b"]
+            => |app, _| app.ask_bitrate();
         "save-capture" "Save the captured frames as a candump log" "save log" ["w"]
             => |app, now| app.ask_capture_path(now);
     }

@@ -60,7 +60,10 @@ pub async fn run(session: &mut Session, themes: &mut Themes) -> io::Result<Endin
                     let result = themes.choose(&name);
                     session.app.handle_theme(session.now(), result);
                 }
-                Effect::Save { .. } | Effect::WriteFile { .. } | Effect::Playback(_) => {}
+                Effect::Save { .. }
+                | Effect::WriteFile { .. }
+                | Effect::Playback(_)
+                | Effect::FindBitrate(_) => {}
             }
         }
         let draw_at = last_draw.map_or_else(Instant::now, |last| last + pace);

@@ -5,6 +5,7 @@
 //! file, one save at a time.
 
 use super::recorder::Recorder;
+use super::speed::{News, Searching};
 use super::store::{SaveError, Store};
 use super::waiting::{file_changed, sleep_for};
 use super::watch::Watch;
@@ -35,6 +36,8 @@ pub enum Wake {
     Done(Finished),
     /// The recording is longer, or over.
     Recording,
+    /// The search for a bit rate has come further.
+    Search(News),
 }
 
 /// What work on files came to.
@@ -58,6 +61,7 @@ pub struct Session {
     watch: Option<Watch>,
     work: Vec<JoinHandle<Finished>>,
     recorder: Option<Recorder>,
+    searching: Option<Searching>,
     batch: Vec<Frame>,
 }
 
@@ -73,6 +77,7 @@ impl Session {
             watch: None,
             work: Vec::new(),
             recorder: None,
+            searching: None,
             batch: Vec::with_capacity(BATCH),
         };
         session.tell_playback();
@@ -116,6 +121,13 @@ impl Session {
                 None => pending().await,
             }
         };
+        let searching = &mut self.searching;
+        let search = async {
+            match searching {
+                Some(searching) => searching.next().await,
+                None => pending().await,
+            }
+        };
         let ports = &self.ports;
         let buses = async {
             let ready: Vec<Pin<Box<dyn Future<Output = ()> + '_>>> =
@@ -148,6 +160,7 @@ impl Session {
                 }
             }
             () = recording => Wake::Recording,
+            news = search => Wake::Search(news),
             () = buses => Wake::Buses,
         }
     }
@@ -163,6 +176,7 @@ impl Session {
                     self.app.handle_recording(now, status);
                 }
             }
+            Wake::Search(news) => self.take_search(now, news),
             Wake::File(reading) => self.app.handle_file(now, reading.into()),
             Wake::Done(Finished::Saved(outcome, content)) => {
                 if let (SaveOutcome::Saved, Some(watch)) = (&outcome, &self.watch) {
@@ -172,6 +186,17 @@ impl Session {
             }
             Wake::Done(Finished::Written(path, result)) => {
                 self.app.handle_written(now, &path, result);
+            }
+        }
+    }
+
+    fn take_search(&mut self, now: Instant, news: News) {
+        let Some(bus) = self.searching.as_ref().map(|searching| searching.bus) else { return };
+        match news {
+            News::Progress(progress) => self.app.handle_bitrate_search(now, bus, progress),
+            News::Over(result) => {
+                self.searching = None;
+                self.app.handle_bitrate(now, bus, result);
             }
         }
     }
@@ -264,6 +289,11 @@ impl Session {
                         let result = write_new(path.clone(), &bytes);
                         Finished::Written(path, result)
                     }));
+                }
+                Effect::FindBitrate(index) => {
+                    let Some(bus) = self.app.bus(index) else { continue };
+                    let period = bus.engine.config().profile.heartbeat.period();
+                    self.searching = Some(Searching::begin(index, &bus.name, period));
                 }
                 Effect::Playback(command) => {
                     self.clock.control(command);

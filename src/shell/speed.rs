@@ -1,27 +1,21 @@
-//! Finds a bus's bit rate: sets one after the other, and listens.
+//! Finds a bus's bit rate: sets one after the other, and listens. Alone, or beside a session.
 //!
 //! When it is given up half-way, the bus is as it was before.
 
 use crate::bus::{self, BusSpec, Clock, Options, TuneError, Tuner};
 use crate::frame::{BusIndex, Frame};
-use crate::speed::{Heard, Manner, Outcome, RATES, Search};
+use crate::speed::{Heard, Manner, Outcome, Progress, RATES, Search};
 use crate::status::Link;
 use crate::time::Duration;
+use tokio::sync::mpsc;
+use tokio::task::JoinHandle;
 use tokio::time::sleep;
 
 /// How long a bus may take from when it was set to when it is open.
 const OPENING: Duration = Duration::from_secs(3);
 
-/// What is going on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Progress {
-    /// At this rate, in bit/s, we listen now.
-    Trying(u32),
-    /// This was heard there, and no frame that arrived whole.
-    Heard(u32, Heard),
-    /// The controller cannot have this rate.
-    Skipped(u32),
-}
+/// What waits to be told: two for each rate, and the end.
+const MAX_NEWS: usize = 16;
 
 /// What was found, and what was heard at each rate.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -107,4 +101,61 @@ pub async fn find(
         Outcome::OnlyBroken | Outcome::Silence => tuner.restore()?,
     }
     Ok(Report { outcome, tried: search.tried().to_vec() })
+}
+
+/// What a search beside a session tells.
+#[derive(Debug)]
+pub enum News {
+    /// It goes on.
+    Progress(Progress),
+    /// It is over.
+    Over(Result<Outcome, String>),
+}
+
+/// A search beside a session. Dropping it gives it up.
+#[derive(Debug)]
+pub struct Searching {
+    /// The bus, as the session counts them.
+    pub bus: BusIndex,
+    news: mpsc::Receiver<News>,
+    task: JoinHandle<()>,
+}
+
+impl Searching {
+    /// Begins. Needs the runtime of the session.
+    pub fn begin(bus: BusIndex, name: &str, period: Duration) -> Self {
+        let (told, news) = mpsc::channel(MAX_NEWS);
+        let spec = name.parse::<BusSpec>();
+        let task = tokio::spawn(async move {
+            let result = match spec {
+                Ok(BusSpec::Slcan { device, .. }) => Err(format!(
+                    "end descan first, the adapter is in use: descan speed slcan:{}",
+                    device.display()
+                )),
+                Ok(bus) => {
+                    let plan = Plan { first: None, manner: Manner::Listening, period };
+                    let report = find(&bus, plan, |progress| {
+                        // More than wait there can be no rates to tell of.
+                        let _ = told.try_send(News::Progress(progress));
+                    });
+                    report.await.map(|report| report.outcome).map_err(|error| error.to_string())
+                }
+                Err(error) => Err(error.to_string()),
+            };
+            let _ = told.send(News::Over(result)).await;
+        });
+        Self { bus, news, task }
+    }
+
+    /// Waits for news. May be dropped while waiting.
+    pub async fn next(&mut self) -> News {
+        let broken = || News::Over(Err("the search for the bit rate broke off".to_owned()));
+        self.news.recv().await.unwrap_or_else(broken)
+    }
+}
+
+impl Drop for Searching {
+    fn drop(&mut self) {
+        self.task.abort();
+    }
 }

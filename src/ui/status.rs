@@ -6,6 +6,7 @@ use super::brush::{Brush, fit};
 use crate::app::{Bus, FileProblem, Meter};
 use crate::discovery::OwnAddress;
 use crate::frame::BusIndex;
+use crate::keymap::action;
 use crate::status::{BusState, Link, size};
 use crate::theme::Role;
 use ratatui::layout::Rect;
@@ -261,6 +262,13 @@ fn state(brush: &Brush, bus: &Bus) -> Span<'static> {
 
 /// What keeps us from asking.
 fn warning(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
+    if bus.hears_only_errors() {
+        let keymap = brush.app.keymap();
+        let key = action("bit-rate").and_then(|action| keymap.keys_of(action).next());
+        let key = key.map(|key| format!(" ({key})")).unwrap_or_default();
+        let text = format!("only broken frames: another bit rate?{key}");
+        return Some(vec![brush.span(Role::Error, text)]);
+    }
     if bus.engine.config().listen_only {
         // Without its own listen-only mode our controller still acknowledges frames.
         let acks = if bus.status.listen_only { "" } else { ", acks" };
