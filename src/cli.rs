@@ -173,8 +173,8 @@ pub struct Speed {
 /// Buses, and what concerns them.
 #[derive(Debug, Args, Clone)]
 pub struct Session {
-    /// can0 | slcan:DEVICE@RATE | socketcand://HOST/BUS | file:LOG | - | sim:boiler | sim:drone |
-    /// sim:FILE (several: one view over all)
+    /// can0 | slcan:DEVICE@RATE | socketcand://HOST/BUS | udp:GROUP | file:LOG | - | sim:boiler |
+    /// sim:drone | sim:FILE (several: one view over all)
     #[arg(value_name = "BUS")]
     pub buses: Vec<BusSpec>,
     /// How fast a log is replayed: 1 as it was timed, 10 ten times faster

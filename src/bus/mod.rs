@@ -6,7 +6,7 @@
 //!
 //! Reading order: [`BusSpec`] (what the user typed), [`open`], [`Port`], [`Queue`],
 //! [`BusStatus`](crate::status::BusStatus), [`Clock`]; then the kinds:
-//! `socketcan`, `slcan` and `socketcand` (what they share is in `remote`), `replay`, `sim`. A log can also be read at
+//! `socketcan`, `slcan`, `socketcand` and `udp` (what they share is in `remote`), `replay`, `sim`. A log can also be read at
 //! once: [`log::LogReader`].
 
 mod bell;
@@ -24,6 +24,7 @@ mod socketcan;
 mod socketcand;
 mod spec;
 mod tuner;
+mod udp;
 
 pub use clock::{Clock, Dating};
 pub use port::{Port, TransmitError};
@@ -54,14 +55,6 @@ pub enum BusError {
     /// The scenario of a simulated bus cannot be used.
     #[error("{0}")]
     Scenario(String),
-    /// A kind of bus that is yet to come.
-    #[error("{name}: descan does not open this kind of bus yet; {instead}")]
-    NotSupported {
-        /// The bus.
-        name: String,
-        /// The way out.
-        instead: String,
-    },
     /// No thread or no pipe.
     #[error("cannot open {name}: {cause}")]
     Resources {
@@ -109,9 +102,9 @@ pub fn open(
         BusSpec::Socketcand { host, port, interface } => {
             socketcand::open(&name, (host, *port), interface, (index, clock, options))
         }
-        BusSpec::Udp(_) => {
-            let instead = "where the bus is: ssh board candump -L can0 | descan -".to_owned();
-            return Err(BusError::NotSupported { name, instead });
+        BusSpec::Udp { group, interface, port } => {
+            let group = (*group, interface.as_deref(), *port);
+            udp::open(&name, group, (index, clock, options))
         }
     };
     port.map_err(|cause| BusError::Resources { name, cause })

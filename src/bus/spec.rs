@@ -5,6 +5,7 @@
 
 use super::slcan;
 use std::fmt;
+use std::net::{IpAddr, Ipv6Addr};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -13,6 +14,10 @@ const MAX_INTERFACE_NAME: usize = 15;
 
 /// The longest name that socketcand takes.
 const MAX_REMOTE_NAME: usize = 16;
+
+/// The group that python-can has where none is named.
+const DEFAULT_GROUP: IpAddr =
+    IpAddr::V6(Ipv6Addr::new(0xFF15, 0x7079, 0x7468, 0x6F6E, 0x6465, 0x6D6F, 0x6D63, 0x6173));
 
 /// One BUS argument.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -35,8 +40,15 @@ pub enum BusSpec {
         /// Bit/s of the FD data phase.
         data_bitrate: Option<u32>,
     },
-    /// `udp:239.74.163.2`: python-can's multicast bus.
-    Udp(String),
+    /// `udp:239.74.163.2%eth0@43113`: python-can's multicast bus.
+    Udp {
+        /// The multicast group.
+        group: IpAddr,
+        /// The interface, where one is named.
+        interface: Option<String>,
+        /// The port, where it is not the usual one.
+        port: Option<u16>,
+    },
     /// `socketcand://host:29536/can0`: a bus of another machine.
     Socketcand {
         /// Its name or address; IPv6 without brackets.
@@ -65,7 +77,7 @@ pub enum SpecError {
     /// Not a kind of bus we know.
     #[error(
         "{0}: is no kind of bus; there are can0 (SocketCAN), slcan:/dev/ttyACM0@500000, \
-         socketcand://host/can0, file:LOG, sim:boiler and - (a log from standard input)"
+         socketcand://host/can0, udp:239.74.163.2, file:LOG, sim:boiler and - (a log from standard input)"
     )]
     UnknownKind(String),
     /// A path, most likely of a log.
@@ -89,6 +101,12 @@ pub enum SpecError {
              socketcand://[fe80::1%eth0]/can0"
     )]
     BadServer(String),
+    /// No multicast group.
+    #[error(
+        "{0} is no multicast group; say udp:239.74.163.2, udp:ff15::1%eth0@43113, or udp: for \
+         python-can's own"
+    )]
+    BadGroup(String),
     /// A bit rate that slcan has no code for.
     #[error("slcan has no {0} bit/s; there are {rates}", rates = slcan::rates())]
     NoSuchBitrate(u32),
@@ -114,7 +132,7 @@ impl FromStr for BusSpec {
             "file" => Ok(BusSpec::File(wanted("file", "file:session.log")?.into())),
             "sim" => Ok(BusSpec::Sim(wanted("sim", "sim:boiler")?.to_owned())),
             "slcan" => serial_adapter(wanted("slcan", "slcan:/dev/ttyACM0@500000")?),
-            "udp" => Ok(BusSpec::Udp(wanted("udp", "udp:239.74.163.2")?.to_owned())),
+            "udp" => multicast_group(rest),
             "socketcand" => {
                 let incomplete = SpecError::Incomplete {
                     kind: "socketcand",
@@ -150,6 +168,26 @@ fn serial_adapter(text: &str) -> Result<BusSpec, SpecError> {
         return Err(SpecError::NoSuchDataBitrate(data));
     }
     Ok(BusSpec::Slcan { device: device.into(), bitrate: Some(bitrate), data_bitrate })
+}
+
+fn multicast_group(text: &str) -> Result<BusSpec, SpecError> {
+    let bad = || SpecError::BadGroup(text.to_owned());
+    let (place, port) = match text.rsplit_once('@') {
+        Some((place, port)) => {
+            let port = port.parse().ok().filter(|port| *port > 0).ok_or_else(bad)?;
+            (place, Some(port))
+        }
+        None => (text, None),
+    };
+    let (group, interface) = match place.split_once('%') {
+        Some((group, interface)) => (group, Some(interface_name(interface).map_err(|_| bad())?)),
+        None => (place, None),
+    };
+    let group = if group.is_empty() { DEFAULT_GROUP } else { group.parse().map_err(|_| bad())? };
+    if !group.is_multicast() {
+        return Err(bad());
+    }
+    Ok(BusSpec::Udp { group, interface, port })
 }
 
 fn other_machine(text: &str, server: &str, interface: &str) -> Result<BusSpec, SpecError> {
@@ -207,7 +245,13 @@ impl fmt::Display for BusSpec {
                 bitrate.map_or(Ok(()), |rate| write!(f, "@{rate}"))?;
                 data_bitrate.map_or(Ok(()), |rate| write!(f, "/{rate}"))
             }
-            BusSpec::Udp(group) => write!(f, "udp:{group}"),
+            BusSpec::Udp { group, interface, port } => {
+                write!(f, "udp:{group}")?;
+                if let Some(interface) = interface {
+                    write!(f, "%{interface}")?;
+                }
+                port.map_or(Ok(()), |port| write!(f, "@{port}"))
+            }
             BusSpec::Socketcand { host, port, interface } => {
                 let is_ipv6 = host.contains(':');
                 let (open, close) = if is_ipv6 { ("[", "]") } else { ("", "") };
@@ -237,6 +281,8 @@ mod tests {
             "slcan:/dev/ttyACM0@500000/2000000",
             "udp:239.74.163.2",
             "udp:ff15:7079:7468:6f6e:6465:6d6f:6d63:6173",
+            "udp:239.74.163.2%lo@4000",
+            "udp:ff15::1%eth0",
             "socketcand://host:29536/can0",
             "socketcand://192.168.1.7/vcan0",
             "socketcand://[::1]/can0",
@@ -269,6 +315,10 @@ mod tests {
             ("slcan:/dev/ttyACM0@500000/1", "2000000, 5000000"),
             ("./a:b", "file:./a:b"),
             ("pcan:1", "SocketCAN"),
+            ("udp:192.168.1.1", "no multicast group"),
+            ("udp:239.74.163.2@0", "no multicast group"),
+            ("udp:239.74.163.2%a/b", "no multicast group"),
+            ("udp:nonsense", "udp:239.74.163.2"),
             ("can0123456789abc", "15 bytes"),
             ("can 0", "no interface name"),
         ] {

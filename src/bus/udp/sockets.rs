@@ -1,0 +1,198 @@
+//! The sockets of a multicast group: one hears it, the other speaks to it.
+//!
+//! A sender hears its own datagrams. Ours are known by where they come from: the socket that speaks
+//! has a port that no other program on this machine has, and an address that no other machine
+//! has. (python-can sends from the port that all listen on.) Does not know what is in datagrams.
+
+use nix::cmsg_space;
+use nix::net::if_::if_nametoindex;
+use nix::sys::socket::{
+    ControlMessageOwned, MsgFlags, RecvMsg, SockaddrStorage, recvmsg, setsockopt, sockopt,
+};
+use nix::sys::time::TimeSpec;
+use socket2::{Domain, InterfaceIndexOrAddress, Protocol, SockAddr, Socket, Type};
+use std::io::{self, ErrorKind, IoSliceMut};
+use std::net::{IpAddr, SocketAddr};
+use std::os::fd::{AsFd, AsRawFd, BorrowedFd};
+
+/// The receive buffer asked for; users who may not force it are granted less.
+const RECEIVE_BUFFER: usize = 4 << 20;
+
+/// A group, and how it is reached.
+#[derive(Clone, Debug)]
+pub(super) struct Group {
+    pub(super) address: IpAddr,
+    pub(super) port: u16,
+    /// The interface; without one, the one that the system's routes lead to.
+    pub(super) interface: Option<String>,
+}
+
+/// A datagram that came.
+pub(super) struct Received {
+    /// How many bytes there are.
+    pub(super) len: usize,
+    /// It was longer than there was room.
+    pub(super) is_cut: bool,
+    /// We sent it.
+    pub(super) ours: bool,
+    /// When the kernel got it, in Unix microseconds.
+    pub(super) stamp_micros: Option<u64>,
+}
+
+/// The open sockets.
+#[derive(Debug)]
+pub(super) struct Sockets {
+    listener: Socket,
+    speaker: Option<Socket>,
+    /// Where our datagrams come from.
+    own: Option<SocketAddr>,
+    last_drops: u32,
+    drops: u64,
+}
+
+impl Group {
+    fn index(&self) -> io::Result<u32> {
+        self.interface.as_deref().map_or(Ok(0), |name| Ok(if_nametoindex(name)?))
+    }
+
+    fn domain(&self) -> Domain {
+        if self.address.is_ipv4() { Domain::IPV4 } else { Domain::IPV6 }
+    }
+
+    fn socket(&self) -> io::Result<Socket> {
+        let socket = Socket::new(self.domain(), Type::DGRAM, Some(Protocol::UDP))?;
+        socket.set_nonblocking(true)?;
+        Ok(socket)
+    }
+
+    /// A socket that is connected to the group: where its datagrams would go from is known.
+    fn speaker(&self) -> io::Result<Socket> {
+        let socket = self.socket()?;
+        let index = self.index()?;
+        match self.address {
+            IpAddr::V4(_) => {
+                socket.set_multicast_ttl_v4(1)?;
+                if let Some(name) = &self.interface {
+                    socket.bind_device(Some(name.as_bytes()))?;
+                }
+            }
+            IpAddr::V6(_) => {
+                socket.set_multicast_hops_v6(1)?;
+                if index > 0 {
+                    socket.set_multicast_if_v6(index)?;
+                }
+            }
+        }
+        socket.connect(&SockAddr::from(SocketAddr::new(self.address, self.port)))?;
+        Ok(socket)
+    }
+
+    fn listener(&self) -> io::Result<Socket> {
+        let socket = self.socket()?;
+        // Or python-can, and another descan, cannot start beside us.
+        socket.set_reuse_address(true)?;
+        socket.set_reuse_port(true)?;
+        setsockopt(&socket, sockopt::ReceiveTimestampns, &true)?;
+        setsockopt(&socket, sockopt::RxqOvfl, &1)?;
+        setsockopt(&socket, sockopt::RcvBufForce, &RECEIVE_BUFFER)
+            .or_else(|_| setsockopt(&socket, sockopt::RcvBuf, &RECEIVE_BUFFER))?;
+        // Bound to the group, it hears nothing else that comes to this port.
+        socket.bind(&SockAddr::from(SocketAddr::new(self.address, self.port)))?;
+        let index = self.index()?;
+        match &self.address {
+            IpAddr::V4(address) => {
+                socket.set_multicast_all_v4(false)?;
+                socket.join_multicast_v4_n(address, &InterfaceIndexOrAddress::Index(index))?;
+            }
+            IpAddr::V6(address) => socket.join_multicast_v6(address, index)?,
+        }
+        Ok(socket)
+    }
+}
+
+impl Sockets {
+    /// Joins the group; speaks to it where `speaks`.
+    pub(super) fn open(group: &Group, speaks: bool) -> io::Result<Self> {
+        let speaker = group.speaker()?;
+        let own = speaker.local_addr()?.as_socket();
+        let listener = group.listener()?;
+        let speaker = speaks.then_some(speaker);
+        Ok(Self { listener, own: own.filter(|_| speaks), speaker, last_drops: 0, drops: 0 })
+    }
+
+    /// Whether the group is still reached, and from the same address.
+    pub(super) fn check(&self, group: &Group) -> io::Result<()> {
+        let now = group.speaker()?.local_addr()?.as_socket().map(|it| it.ip());
+        match self.own.map(|it| it.ip()) {
+            Some(own) if now != Some(own) => Err(ErrorKind::AddrNotAvailable.into()),
+            _ => Ok(()),
+        }
+    }
+
+    /// Sends a datagram to the group.
+    pub(super) fn send(&self, datagram: &[u8]) -> io::Result<()> {
+        match &self.speaker {
+            Some(speaker) => speaker.send(datagram).map(|_| ()),
+            None => Err(ErrorKind::PermissionDenied.into()),
+        }
+    }
+
+    /// The next datagram that is here; `None` where none is.
+    pub(super) fn receive(&mut self, buffer: &mut [u8]) -> io::Result<Option<Received>> {
+        let mut control = cmsg_space!(TimeSpec, u32);
+        let mut slices = [IoSliceMut::new(buffer)];
+        let fd = self.listener.as_raw_fd();
+        let flags = MsgFlags::MSG_DONTWAIT;
+        let message = match recvmsg::<SockaddrStorage>(fd, &mut slices, Some(&mut control), flags) {
+            Ok(message) => message,
+            Err(error) => {
+                let error = io::Error::from(error);
+                return if error.kind() == ErrorKind::WouldBlock { Ok(None) } else { Err(error) };
+            }
+        };
+        let stamp_micros = self.read_control(&message);
+        let from = message.address.as_ref().and_then(address);
+        Ok(Some(Received {
+            len: message.bytes,
+            is_cut: message.flags.contains(MsgFlags::MSG_TRUNC),
+            ours: from.is_some() && from == self.own.map(|own| (own.ip(), own.port())),
+            stamp_micros,
+        }))
+    }
+
+    /// Datagrams that found the receive buffer full, as far as the kernel has told.
+    pub(super) fn drops(&self) -> u64 {
+        self.drops
+    }
+
+    fn read_control(&mut self, message: &RecvMsg<'_, '_, SockaddrStorage>) -> Option<u64> {
+        let mut stamp = None;
+        for control in message.cmsgs().into_iter().flatten() {
+            match control {
+                ControlMessageOwned::ScmTimestampns(time) => {
+                    let micros = time.tv_sec() * 1_000_000 + time.tv_nsec() / 1_000;
+                    stamp = u64::try_from(micros).ok();
+                }
+                ControlMessageOwned::RxqOvfl(count) => {
+                    self.drops += u64::from(count.wrapping_sub(self.last_drops));
+                    self.last_drops = count;
+                }
+                _ => {}
+            }
+        }
+        stamp
+    }
+}
+
+impl AsFd for Sockets {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.listener.as_fd()
+    }
+}
+
+fn address(from: &SockaddrStorage) -> Option<(IpAddr, u16)> {
+    if let Some(from) = from.as_sockaddr_in() {
+        return Some((IpAddr::V4(from.ip()), from.port()));
+    }
+    from.as_sockaddr_in6().map(|from| (IpAddr::V6(from.ip()), from.port()))
+}
