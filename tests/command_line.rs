@@ -39,6 +39,28 @@ fn two_devices() -> Scenario {
 }
 
 #[test]
+fn a_device_on_two_buses_says_where_else_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut others = two_devices();
+    others.devices[1] = DeviceSpec::new("SENS").fixed(14).settled().service("LOG", "0.1");
+    let mut lines: Vec<String> = log(&two_devices(), 12).lines().map(str::to_owned).collect();
+    lines.extend(log(&others, 12).lines().map(|line| line.replace(" can0 ", " can1 ")));
+    lines.sort_by_key(|line| line.split(' ').next().map(str::to_owned));
+    std::fs::write(folder.path().join("both.log"), lines.join("\n")).unwrap();
+    let report = json(&descan(&["scan", "file:both.log", "--json"], folder.path()));
+    let devices = report["devices"].as_array().unwrap();
+    let also = |bus: &str, name: &str| {
+        let device = devices.iter().find(|it| it["bus"] == bus && it["name"] == name).unwrap();
+        assert_eq!(device["also"].as_array().unwrap().len(), 1, "{device}");
+        let also = &device["also"][0];
+        format!("{} {} {}", also["bus"], also["address"], also["redundant"])
+    };
+    assert_eq!(also("can0", "FEED"), r#""can1" 12 true"#);
+    assert_eq!(also("can1", "FEED"), r#""can0" 12 true"#);
+    assert_eq!(also("can0", "SENS"), r#""can1" 14 false"#);
+}
+
+#[test]
 fn a_log_is_scanned_by_its_own_clock() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("session.log"), log(&two_devices(), 12)).unwrap();

@@ -7,7 +7,7 @@ use descan::app::{
 use descan::discovery::Config;
 use descan::frame::{BusIndex, CanId, Frame};
 use descan::keymap::Key;
-use descan::sim::{Scenario, Sim, Station};
+use descan::sim::{Action, Scenario, Sim, Station};
 use descan::status::{BusState, BusStatus, Link, Playback, PlaybackCommand, RecordingStatus};
 use descan::theme::{BUILT_IN, Role, Theme};
 use descan::time::{Duration, Epoch, Instant};
@@ -1410,53 +1410,106 @@ fn frames_alone_do_not_make_the_devices_page_dirty() {
     assert!(draws <= 12, "{draws} draws in ten quiet seconds");
 }
 
-#[test]
-fn two_buses_are_one_view() {
-    let mut app = App::new(
-        Instant::ZERO,
-        AppOptions {
-            buses: vec![
-                ("can0".to_owned(), Config::default()),
-                ("can1".to_owned(), Config::default()),
-            ],
-            ..AppOptions::default()
-        },
-    );
-    let mut sims: Vec<(Sim, Station)> = [("boiler", 1), ("drone", 2)]
-        .map(|(name, seed)| {
-            let mut sim = Sim::new(&Scenario::builtin(name).unwrap(), seed);
+/// Two simulated buses under one view.
+struct Pair {
+    app: App,
+    sims: [(Sim, Station); 2],
+}
+
+impl Pair {
+    fn new(scenarios: [&Scenario; 2]) -> Self {
+        let buses = ["can0", "can1"].map(|name| (name.to_owned(), Config::default()));
+        let options = AppOptions { buses: buses.to_vec(), ..AppOptions::default() };
+        let mut app = App::new(Instant::ZERO, options);
+        let mut seed = 0;
+        let sims = scenarios.map(|scenario| {
+            let index = BusIndex(seed as u8);
+            seed += 1;
+            let bitrate = Some(scenario.bitrate);
+            let status = BusStatus { link: Link::Up, bitrate, ..BusStatus::default() };
+            app.handle_bus(Instant::ZERO, index, status);
+            let mut sim = Sim::new(scenario, seed);
             let station = sim.attach();
             (sim, station)
-        })
-        .into();
-    for (index, bitrate) in [(0, Some(125_000)), (1, Some(1_000_000))] {
-        let status = BusStatus { link: Link::Up, bitrate, ..BusStatus::default() };
-        app.handle_bus(Instant::ZERO, BusIndex(index), status);
+        });
+        Self { app, sims }
     }
-    let mut run = |app: &mut App, seconds: std::ops::Range<u64>| {
+
+    fn run(&mut self, seconds: std::ops::Range<u64>) -> &mut Self {
         for millis in seconds.start * 1000 + 1..=seconds.end * 1000 {
             let now = Instant::from_micros(millis * 1000);
-            for (index, (sim, station)) in sims.iter_mut().enumerate() {
+            for (index, (sim, station)) in self.sims.iter_mut().enumerate() {
                 sim.advance(now);
                 while let Some(frame) = sim.poll_frame(*station) {
-                    app.handle_frames(now, &[frame.on(BusIndex(index as u8))]);
+                    self.app.handle_frames(now, &[frame.on(BusIndex(index as u8))]);
                 }
             }
-            app.handle_timeout(now);
-            while let Some(frame) = app.poll_transmit(now) {
-                let (sim, station) = &mut sims[usize::from(frame.bus.0)];
+            self.app.handle_timeout(now);
+            while let Some(frame) = self.app.poll_transmit(now) {
+                let (sim, station) = &mut self.sims[usize::from(frame.bus.0)];
                 sim.transmit(*station, frame);
             }
         }
+        self
+    }
+
+    fn keys(&mut self, keys: &str) -> &mut Self {
+        for key in keys.split(' ') {
+            self.app.handle_key(self.app.now(), Key::parse(key).unwrap());
+        }
+        self
+    }
+
+    fn screen(&mut self, width: u16, height: u16) -> String {
+        self.app.handle_resize(width, height);
+        let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
+        let theme = Theme::built_in("dark").unwrap();
+        terminal.draw(|frame| ui::draw(&self.app, &theme, frame)).unwrap();
+        text_of(terminal.backend().buffer())
+    }
+}
+
+#[test]
+fn two_buses_are_one_view() {
+    let scenarios = ["boiler", "drone"].map(|name| Scenario::builtin(name).unwrap());
+    let mut pair = Pair::new([&scenarios[0], &scenarios[1]]);
+    insta::assert_snapshot!("two_buses", pair.run(0..20).screen(100, 30));
+    insta::assert_snapshot!("two_buses_problems", pair.run(20..36).keys("4").screen(100, 30));
+}
+
+#[test]
+fn a_device_on_two_buses_is_one_row_where_they_are_redundant() {
+    use descan::sim::DeviceSpec;
+    let device = |name: &str, address: u8, uid: u8, service: &str| {
+        let mut device = DeviceSpec::new(name).fixed(address).settled();
+        device.uid = descan::wire::node::Uid([uid, 2, 3, 4, 5, 6]);
+        device.service(service, "1.0")
     };
-    run(&mut app, 0..20);
-    app.handle_resize(100, 30);
-    let mut terminal = Terminal::new(TestBackend::new(100, 30)).unwrap();
-    let theme = Theme::built_in("dark").unwrap();
-    terminal.draw(|frame| ui::draw(&app, &theme, frame)).unwrap();
-    insta::assert_snapshot!("two_buses", text_of(terminal.backend().buffer()));
-    run(&mut app, 20..36);
-    app.handle_key(app.now(), Key::char('4'));
-    terminal.draw(|frame| ui::draw(&app, &theme, frame)).unwrap();
-    insta::assert_snapshot!("two_buses_problems", text_of(terminal.backend().buffer()));
+    let one = Scenario::new(125_000)
+        .with(device("FEED", 10, 1, "AUGER"))
+        .with(device("SENS", 12, 2, "TEMP"))
+        .with(device("PUMP", 20, 3, "FLOW"));
+    // FEED has another address there, SENS other services, and PUMP is another PUMP.
+    let other = Scenario::new(500_000)
+        .with(device("FEED", 11, 1, "AUGER"))
+        .with(device("SENS", 12, 2, "LOG"))
+        .with(device("PUMP", 20, 4, "FLOW"))
+        .at(Duration::from_secs(8), "FEED", Action::Leave)
+        .at(Duration::from_secs(20), "FEED", Action::Join);
+    let mut pair = Pair::new([&one, &other]);
+    let screen = pair.run(0..6).screen(100, 24);
+    insta::assert_snapshot!("redundant_100x24", screen);
+    assert!(screen.contains("● 5 here"), "{screen}");
+    insta::assert_snapshot!("redundant_80x24", pair.screen(80, 24));
+    // The other address and the other bus find it too.
+    assert!(pair.keys("/ 1 1 Enter").screen(100, 24).contains("FEED"));
+    let screen = pair.keys("Esc / b u s : c a n 1 Enter").screen(100, 24);
+    assert!(screen.contains("FEED"), "{screen}");
+    insta::assert_snapshot!("two_networks", pair.keys("Esc j").screen(100, 24));
+
+    let screen = pair.run(6..16).keys("g").screen(100, 24);
+    assert!(screen.contains("partly"), "{screen}");
+    assert!(screen.contains("@11 lost"), "{screen}");
+    assert!(screen.contains("● 5 here"), "one of two is here: {screen}");
+    insta::assert_snapshot!("redundant_timeline", pair.run(16..24).keys("3").screen(100, 24));
 }

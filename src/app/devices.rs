@@ -8,6 +8,7 @@ use super::buses::Bus;
 use super::filter::Filter;
 use super::groups::Problem;
 use super::matching::is_for;
+use super::siblings::Sibling;
 use crate::discovery::{Confidence, Device, DeviceId, Finding, Presence};
 use crate::document::{Entry, EntryKey};
 use crate::frame::BusIndex;
@@ -41,6 +42,8 @@ pub struct Row {
     pub suspected: bool,
     /// Another device of this name is there.
     pub twin: bool,
+    /// The same device on other buses that are redundant to this one.
+    pub also: Vec<DeviceId>,
     /// What the file says of it.
     pub file: FileWord,
     /// The place of its entry.
@@ -56,6 +59,8 @@ pub enum State {
     Missing,
     /// As the engine judges.
     Lost,
+    /// On several redundant buses, and not there on all of them.
+    Partly,
     /// As the engine judges.
     Stale,
     /// As the engine judges.
@@ -75,6 +80,7 @@ impl State {
             State::Clash => "CLASH",
             State::Missing => "missing",
             State::Lost => "lost",
+            State::Partly => "partly",
             State::Stale => "stale",
             State::Silent => "silent",
             State::Asleep => "asleep",
@@ -178,6 +184,27 @@ impl App {
         }
     }
 
+    /// The devices of a row: more than one where several buses are redundant.
+    pub fn devices_of<'a>(&'a self, row: &'a Row) -> impl Iterator<Item = &'a Device> {
+        let also = row.also.iter().filter_map(|id| self.device(*id));
+        self.device_of(row).into_iter().chain(also)
+    }
+
+    /// The same device on other buses.
+    pub fn siblings(&self, id: DeviceId) -> &[Sibling] {
+        self.siblings.of(id)
+    }
+
+    /// Whether a row is of that bus, or of any.
+    pub(super) fn is_on(&self, row: &Row, bus: BusIndex) -> bool {
+        row.bus.is_none_or(|own| own == bus) || row.also.iter().any(|id| id.bus == bus)
+    }
+
+    /// Whether a row has that address, on one of its buses.
+    pub(super) fn is_at(&self, row: &Row, address: Address) -> bool {
+        row.address == Some(address) || self.devices_of(row).any(|device| device.address == address)
+    }
+
     /// The entry of a row.
     pub fn entry_of(&self, row: &Row) -> Option<&Entry> {
         self.file.document().entries().get(row.entry?)
@@ -246,7 +273,11 @@ impl App {
         let entries = self.file.document().entries();
         let mut rows = Vec::new();
         for bus in &self.buses {
-            rows.extend(bus.engine.devices().iter().map(|device| self.device_row(bus, device)));
+            let devices = bus.engine.devices().iter();
+            // Where buses are redundant, the first has the row.
+            let own =
+                devices.filter(|it| self.siblings.redundant(it.id).all(|other| other > it.id));
+            rows.extend(own.map(|device| self.joined_row(bus, device)));
         }
         for entry in entries {
             if self.matching.devices_of(entry.index).is_empty() {
@@ -254,6 +285,31 @@ impl App {
             }
         }
         rows
+    }
+
+    /// The row of a device and of the same on redundant buses.
+    fn joined_row(&self, bus: &Bus, device: &Device) -> Row {
+        let mut row = self.device_row(bus, device);
+        for id in self.siblings.redundant(device.id) {
+            let (Some(bus), Some(other)) = (self.bus(id.bus), self.device(id)) else { continue };
+            let other = self.device_row(bus, other);
+            let here = |row: &Row| row.state != State::Lost;
+            row.state = match (row.state, other.state) {
+                (State::Clash, _) | (_, State::Clash) => State::Clash,
+                _ if here(&row) != here(&other) => State::Partly,
+                (one, another) => one.min(another),
+            };
+            row.suspected |= other.suspected;
+            row.twin |= other.twin;
+            let says_more = matches!(other.file, FileWord::Differs(_))
+                || matches!(row.file, FileWord::New | FileWord::Nothing);
+            if says_more {
+                row.file = other.file;
+            }
+            row.entry = row.entry.or(other.entry);
+            row.also.push(id);
+        }
+        row
     }
 
     fn device_row(&self, bus: &Bus, device: &Device) -> Row {
@@ -281,6 +337,7 @@ impl App {
             },
             suspected: findings().any(|it| it.confidence == Confidence::Suspected),
             twin,
+            also: Vec::new(),
             file: self.file_word(device, entry.map(|at| &self.file.document().entries()[at])),
             entry,
         }
@@ -316,6 +373,7 @@ impl App {
             state: if awaited { State::Awaited } else { State::Missing },
             suspected: false,
             twin: false,
+            also: Vec::new(),
             file: match entry.address {
                 Some(address) if entry.is_static && awaited => FileWord::Pinned(address),
                 Some(address) if entry.is_static => FileWord::Differs(address),

@@ -191,8 +191,21 @@ impl App {
                 (Kind::Late, "silent: frames, but no heartbeats".to_owned())
             }
             EventKind::Presence(Presence::Asleep) => (Kind::Late, "asleep".to_owned()),
-            EventKind::Presence(Presence::Lost) => (Kind::Lost, "lost".to_owned()),
-            EventKind::Returned { was } => (Kind::Good, format!("returned, was {was}")),
+            EventKind::Presence(Presence::Lost) => {
+                let still = event.device.map_or_else(Vec::new, |id| self.still_on(id));
+                let own = self.bus(bus).map_or("", |bus| &bus.name);
+                let text = match still.is_empty() {
+                    true => "lost".to_owned(),
+                    false => format!("lost on {own}, still on {}", still.join(" and ")),
+                };
+                (Kind::Lost, text)
+            }
+            EventKind::Returned { was } => {
+                let elsewhere = event.device.is_some_and(|id| !self.still_on(id).is_empty());
+                let own = self.bus(bus).filter(|_| elsewhere);
+                let place = own.map_or(String::new(), |bus| format!(" on {}", bus.name));
+                (Kind::Good, format!("returned{place}, was {was}"))
+            }
             EventKind::Finding { key, confidence } => {
                 let found = self.engine_finding(bus, key);
                 let text = found.map_or("", |finding| finding.text.as_str());

@@ -121,8 +121,14 @@ impl Filter {
             return true;
         }
         let name = row.name.as_ref().map(ToString::to_string).unwrap_or_default().to_lowercase();
-        let address = row.address.map(|address| address.to_string()).unwrap_or_default();
-        let bus = row.bus.and_then(|bus| app.bus(bus)).map_or("", |bus| &bus.name).to_lowercase();
+        let is_at = |word: &str| {
+            let own = row.address.into_iter();
+            let also = app.devices_of(row).map(|device| device.address);
+            own.chain(also).any(|address| address.to_string() == word)
+        };
+        let buses = row.bus.into_iter().chain(row.also.iter().map(|id| id.bus));
+        let buses = buses.filter_map(|bus| Some(app.bus(bus)?.name.to_lowercase()));
+        let buses: Vec<String> = buses.collect();
         let device = app.device_of(row);
         let mode = device.and_then(|device| device.mode).map_or("", |mode| mode.name());
         let services = device.and_then(|device| device.services.as_deref()).unwrap_or_default();
@@ -133,21 +139,21 @@ impl Filter {
         self.all(|what| match what {
             What::Word(word) => {
                 name.contains(word)
-                    || address == *word
+                    || is_at(word)
                     || row.state.word().eq_ignore_ascii_case(word)
                     || mode.eq_ignore_ascii_case(word)
-                    || bus == *word
+                    || buses.contains(word)
                     || service(word)
                     || (word == "new" && row.file == super::FileWord::New)
                     || (word == "twin" && row.twin)
             }
             What::Field(Field::Source | Field::Destination | Field::Device, value) => {
-                name.contains(value) || address == *value
+                name.contains(value) || is_at(value)
             }
-            What::Field(Field::Address, value) => address == *value,
+            What::Field(Field::Address, value) => is_at(value),
             What::Field(Field::Name, value) => name.contains(value),
             What::Field(Field::Service, value) => service(value),
-            What::Field(Field::Bus, value) => bus.contains(value),
+            What::Field(Field::Bus, value) => buses.iter().any(|bus| bus.contains(value)),
             What::Field(Field::State, value) => {
                 has(row.state.word(), value)
                     || (row.suspected && starts("suspected", value))

@@ -38,6 +38,7 @@ mod navigate;
 mod problems;
 mod prompt;
 mod screen;
+mod siblings;
 mod timeline;
 mod traffic;
 mod view;
@@ -56,6 +57,7 @@ pub use navigate::{Mouse, MouseKind};
 pub use problems::{Scope, same_services};
 pub use prompt::{Prompt, PromptKind, Verdict};
 pub use screen::{SPLIT_WIDTH, Screen, tabs};
+pub use siblings::{Kinship, Sibling};
 pub use timeline::{Entry as TimelineEntry, Kind as TimelineKind, Timeline};
 pub use traffic::{Decoded, clock, clock_millis, hex};
 pub use view::{Cursor, Focus, Frozen, Page, View};
@@ -198,6 +200,7 @@ pub struct App {
     message: Option<Message>,
     recording: Option<RecordingStatus>,
     playback: Option<Playback>,
+    siblings: siblings::Siblings,
     /// The bus whose bit rate is being looked for.
     searched: Option<BusIndex>,
     keymap: Keymap,
@@ -254,6 +257,7 @@ impl App {
             message: None,
             recording: None,
             playback: None,
+            siblings: siblings::Siblings::default(),
             searched: None,
             keymap: options.keymap,
             theme: options.theme,
@@ -681,6 +685,7 @@ impl App {
 
     fn refresh(&mut self) {
         self.outdated = false;
+        self.refresh_siblings();
         self.refresh_problems(self.now);
         if self.has_screen {
             self.settle_problems();

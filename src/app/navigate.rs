@@ -467,23 +467,24 @@ impl App {
     /// Goes to the row that the selection is about; where there is none, says so with `otherwise`.
     fn find_row(&mut self, otherwise: &str) -> bool {
         let (bus, address, name) = self.subject();
-        let on_bus = |row: &&Row| bus.is_none() || row.bus.is_none() || row.bus == bus;
-        let fits = |row: &Row| {
+        let on_bus = |app: &Self, row: &Row| bus.is_none_or(|bus| app.is_on(row, bus));
+        let fits = |app: &Self, row: &Row| {
             let named = name.is_some() && row.name == name;
-            let there = address.is_some() && row.address == address;
+            let there = address.is_some_and(|address| app.is_at(row, address));
             (named && there, named, there && name.is_none())
         };
-        let best = |rows: &[Row]| {
-            let best = rows.iter().filter(on_bus).max_by_key(|row| fits(row));
-            best.filter(|row| fits(row) > (false, false, false)).map(|row| row.key.clone())
+        let best = |app: &Self| {
+            let best =
+                app.rows.iter().filter(|row| on_bus(app, row)).max_by_key(|row| fits(app, row));
+            best.filter(|row| fits(app, row) > (false, false, false)).map(|row| row.key.clone())
         };
-        let mut found = best(&self.rows);
+        let mut found = best(self);
         if found.is_none() && !self.view.filter(Page::Devices).is_empty() {
             // It may be there, and not fit the filter.
             let filter = self.view.filter(Page::Devices).to_owned();
             self.view.set_filter(Page::Devices, String::new());
             self.refresh_rows();
-            found = best(&self.rows);
+            found = best(self);
             if found.is_none() {
                 self.view.set_filter(Page::Devices, filter);
                 self.refresh_rows();

@@ -2,7 +2,7 @@
 //!
 //! The JSON's names, types and meanings are relied on by scripts. What is not known is null.
 
-use crate::app::{App, Bus};
+use crate::app::{App, Bus, Kinship, Sibling};
 use crate::discovery::{Confidence, Device, Evidence, Finding, OwnAddress, ServiceEntry};
 use crate::frame::Frame;
 use crate::status::Link;
@@ -59,9 +59,19 @@ struct DeviceReport {
     services_known: bool,
     heartbeat: HeartbeatReport,
     file: EntryReport,
+    also: Vec<SiblingReport>,
     quirks: Vec<&'static str>,
     #[serde(skip)]
     clash: bool,
+}
+
+/// The same device on another bus.
+#[derive(Debug, Serialize)]
+struct SiblingReport {
+    bus: String,
+    address: u8,
+    /// Whether its services are the same there; null where they are not known on both.
+    redundant: Option<bool>,
 }
 
 #[derive(Debug, Serialize)]
@@ -281,6 +291,22 @@ pub(super) fn of_bus(bus: &Bus, now: Instant) -> BusReport {
     }
 }
 
+fn of_siblings(app: &App, device: &Device) -> Vec<SiblingReport> {
+    let siblings = app.siblings(device.id).iter();
+    let of_sibling = |sibling: &Sibling| {
+        Some(SiblingReport {
+            bus: app.bus(sibling.id.bus)?.name.clone(),
+            address: app.device(sibling.id)?.address.number(),
+            redundant: match sibling.kinship {
+                Kinship::Redundant => Some(true),
+                Kinship::TwoNetworks => Some(false),
+                Kinship::Open => None,
+            },
+        })
+    };
+    siblings.filter_map(of_sibling).collect()
+}
+
 fn of_device(app: &App, bus: &Bus, device: &Device) -> DeviceReport {
     let millis = |duration: Duration| (duration.as_secs_f64() * 1e4).round() / 10.0;
     let alphabet = &bus.engine.config().profile.uid;
@@ -309,6 +335,7 @@ fn of_device(app: &App, bus: &Bus, device: &Device) -> DeviceReport {
             missed: device.heartbeat.missed,
         },
         file: of_entry(app, device),
+        also: of_siblings(app, device),
         quirks: device.quirks.iter().map(|quirk| quirk.name()).collect(),
         clash,
     }

@@ -3,7 +3,7 @@
 
 use super::brush::{Brush, fit, labelled, wrap};
 use super::devices::state_role;
-use crate::app::{App, FileWord, Row, State, clock, concerns, spell};
+use crate::app::{App, FileWord, Kinship, Row, State, clock, concerns, spell};
 use crate::discovery::{Confidence, Device, Finding, FindingKind, Query, QueryState, ServiceEntry};
 use crate::theme::Role;
 use crate::time::Duration;
@@ -85,7 +85,9 @@ impl<'a> Details<'_, 'a> {
             _ => row.state.word().to_owned(),
         };
         let bus = match row.bus.and_then(|bus| self.app().bus(bus)) {
-            Some(bus) if self.app().buses().len() > 1 => format!(" on {}", bus.name),
+            Some(bus) if self.app().buses().len() > 1 && row.also.is_empty() => {
+                format!(" on {}", bus.name)
+            }
             _ => String::new(),
         };
         let mut line = Line::from(self.brush.span(state_role(row.state), word));
@@ -95,6 +97,7 @@ impl<'a> Details<'_, 'a> {
             let text = format!("last heard {} ago", spell(self.ago(device.last_seen)));
             self.add("", Role::Text, &text);
         }
+        self.other_buses(device);
         if row.twin
             && let Some(device) = device
         {
@@ -104,6 +107,33 @@ impl<'a> Details<'_, 'a> {
                 .map(|it| it.address.to_string())
                 .collect();
             self.add("", Role::Text, &format!("² a twin: the same name at {}", twins.join(", ")));
+        }
+    }
+
+    /// The same device on other buses.
+    fn other_buses(&mut self, device: Option<&Device>) {
+        let Some(device) = device else { return };
+        let app = self.app();
+        if !self.row.also.is_empty() {
+            self.add("", Role::Text, "redundant: the same services on each bus");
+            for device in app.devices_of(self.row) {
+                let Some(bus) = app.bus(device.id.bus) else { continue };
+                let (presence, since) = (device.presence, spell(self.ago(device.presence_since)));
+                let text = format!("@{} {presence} {since}", device.address);
+                self.add(&bus.name, state_role(presence.into()), &text);
+            }
+        }
+        for sibling in app.siblings(device.id) {
+            let (Some(other), Some(bus)) = (app.device(sibling.id), app.bus(sibling.id.bus)) else {
+                continue;
+            };
+            let what = match sibling.kinship {
+                Kinship::Redundant => continue,
+                Kinship::TwoNetworks => "with different services: two networks",
+                Kinship::Open => "its services are not known on both",
+            };
+            let text = format!("also on {} @{}, {what}", bus.name, other.address);
+            self.add("", Role::Text, &text);
         }
     }
 

@@ -1,13 +1,14 @@
 //! The table of devices. Columns give way, least important first, where the screen is narrow.
 
 use super::brush::{Brush, fit, fit_right};
-use crate::app::{FileWord, PromptKind, Row, SortBy, State};
+use crate::app::{App, FileWord, PromptKind, Row, SortBy, State};
 use crate::discovery::{Device, QueryState};
 use crate::theme::Role;
 use crate::time::Duration;
 use ratatui::layout::{Position, Rect};
 use ratatui::style::Modifier;
 use ratatui::text::{Line, Span};
+use unicode_width::UnicodeWidthStr;
 
 /// A column: its heading, its width, and how early it gives way (0: never).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -80,11 +81,16 @@ struct Columns {
 const SIGNS: usize = 3;
 
 impl Columns {
-    fn new(width: usize, buses: usize) -> Self {
+    /// `address` is what the addresses take.
+    fn new(width: usize, buses: usize, address: usize) -> Self {
+        let own = |column: Column| match column {
+            C::Address => column.width().max(address),
+            other => other.width(),
+        };
         let mut shown = Column::ALL.to_vec();
         shown.retain(|&column| column != C::Bus || buses > 1);
         let least = |shown: &[Column], gap: usize| {
-            let columns: usize = shown.iter().map(|column| column.width()).sum();
+            let columns: usize = shown.iter().map(|&column| own(column)).sum();
             SIGNS + columns - C::Name.width()
                 + Column::NAME_WIDTH.start()
                 + gap * shown.len().saturating_sub(1)
@@ -104,7 +110,7 @@ impl Columns {
         }
         let spare = width.saturating_sub(least(&shown, gap));
         let name = (Column::NAME_WIDTH.start() + spare).min(*Column::NAME_WIDTH.end());
-        let width = |column: Column| if column == C::Name { name } else { column.width() };
+        let width = |column: Column| if column == C::Name { name } else { own(column) };
         let shown = shown.into_iter().map(|column| (column, width(column))).collect();
         Self { shown, gap }
     }
@@ -118,10 +124,11 @@ impl Columns {
 
 pub fn draw(brush: &mut Brush) {
     let (header, list) = (brush.screen.header, brush.screen.list);
-    let columns = Columns::new(usize::from(list.width), brush.app.buses().len());
-    draw_header(brush, header, &columns);
     let app = brush.app;
     let rows = app.rows();
+    let address = rows.iter().map(|row| addresses(app, row).width()).max().unwrap_or(0);
+    let columns = Columns::new(usize::from(list.width), app.buses().len(), address);
+    draw_header(brush, header, &columns);
     if rows.is_empty() {
         return draw_nothing(brush, list);
     }
@@ -197,13 +204,12 @@ fn cell(
     let plain = if gone { Role::Muted } else { Role::Text };
     let (role, text) = match column {
         C::Bus => {
-            let name = row.bus.and_then(|bus| brush.app.bus(bus)).map_or("any", |bus| &bus.name);
-            (Role::Muted, name.to_owned())
+            let names = row.bus.into_iter().chain(row.also.iter().map(|id| id.bus));
+            let names: Vec<&str> =
+                names.filter_map(|bus| Some(brush.app.bus(bus)?.name.as_str())).collect();
+            (Role::Muted, together(&names, width))
         }
-        C::Address => {
-            let address = row.address.map_or("–".to_owned(), |address| address.to_string());
-            (plain, address)
-        }
+        C::Address => (plain, addresses(brush.app, row)),
         C::Name => match &row.name {
             Some(name) if row.twin => (plain, twin_name(&name.to_string(), width)),
             Some(name) => (plain, name.to_string()),
@@ -243,6 +249,32 @@ fn cell(
     brush.span(role, text)
 }
 
+/// Its address; where it has others on redundant buses, all of them.
+fn addresses(app: &App, row: &Row) -> String {
+    let mut all: Vec<String> =
+        app.devices_of(row).map(|device| device.address.to_string()).collect();
+    all.dedup();
+    if all.is_empty() {
+        return row.address.map_or("–".to_owned(), |address| address.to_string());
+    }
+    all.join("/")
+}
+
+/// The names of redundant buses in few cells: `can0+1`.
+fn together(names: &[&str], width: usize) -> String {
+    let Some((first, others)) = names.split_first() else { return "any".to_owned() };
+    let stem = first.trim_end_matches(|c: char| c.is_ascii_digit());
+    let mut text = (*first).to_owned();
+    for other in others {
+        let short = other.strip_prefix(stem).filter(|rest| !rest.is_empty());
+        text = format!("{text}+{}", short.unwrap_or(other));
+    }
+    if text.len() > width && !others.is_empty() {
+        text = format!("{} buses", names.len());
+    }
+    text
+}
+
 /// The name with the sign of a twin behind it.
 fn twin_name(name: &str, width: usize) -> String {
     let name = fit(name, width.saturating_sub(1));
@@ -257,6 +289,7 @@ fn sign(row: &Row) -> (&'static str, Role) {
         _ if row.suspected => ("?", Role::Suspected),
         State::Missing => ("○", Role::Missing),
         State::Lost => ("○", Role::Lost),
+        State::Partly => ("◑", Role::Stale),
         State::Awaited => ("·", Role::Muted),
         State::Stale => ("◐", Role::Stale),
         State::Silent => ("◌", Role::Silent),
@@ -270,6 +303,7 @@ pub(super) fn state_role(state: State) -> Role {
         State::Clash => Role::Collision,
         State::Missing => Role::Missing,
         State::Lost => Role::Lost,
+        State::Partly => Role::Stale,
         State::Stale => Role::Stale,
         State::Silent => Role::Silent,
         State::Asleep => Role::Asleep,
@@ -319,7 +353,7 @@ mod tests {
     #[test]
     fn columns_give_way_in_order() {
         let titles = |width: usize| -> Vec<&str> {
-            let columns = Columns::new(width, 1);
+            let columns = Columns::new(width, 1, 3);
             let end = columns.start(C::File) + 6;
             assert!(end <= width || width < 31, "{width}: {end}");
             columns.shown.iter().map(|(column, _)| column.title()).collect()
