@@ -50,6 +50,13 @@ pub struct Row {
     pub entry: Option<usize>,
 }
 
+impl Row {
+    /// Whether it is of that bus, or of any.
+    pub(super) fn is_on(&self, bus: BusIndex) -> bool {
+        self.bus.is_none_or(|own| own == bus) || self.also.iter().any(|id| id.bus == bus)
+    }
+}
+
 /// The word in the STATE column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum State {
@@ -193,11 +200,6 @@ impl App {
     /// The same device on other buses.
     pub fn siblings(&self, id: DeviceId) -> &[Sibling] {
         self.siblings.of(id)
-    }
-
-    /// Whether a row is of that bus, or of any.
-    pub(super) fn is_on(&self, row: &Row, bus: BusIndex) -> bool {
-        row.bus.is_none_or(|own| own == bus) || row.also.iter().any(|id| id.bus == bus)
     }
 
     /// Whether a row has that address, on one of its buses.

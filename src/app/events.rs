@@ -194,9 +194,10 @@ impl App {
             EventKind::Presence(Presence::Lost) => {
                 let still = event.device.map_or_else(Vec::new, |id| self.still_on(id));
                 let own = self.bus(bus).map_or("", |bus| &bus.name);
-                let text = match still.is_empty() {
-                    true => "lost".to_owned(),
-                    false => format!("lost on {own}, still on {}", still.join(" and ")),
+                let text = if still.is_empty() {
+                    "lost".to_owned()
+                } else {
+                    format!("lost on {own}, still on {}", still.join(" and "))
                 };
                 (Kind::Lost, text)
             }

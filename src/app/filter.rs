@@ -121,7 +121,7 @@ impl Filter {
             return true;
         }
         let name = row.name.as_ref().map(ToString::to_string).unwrap_or_default().to_lowercase();
-        let is_at = |word: &str| {
+        let has_address = |word: &str| {
             let own = row.address.into_iter();
             let also = app.devices_of(row).map(|device| device.address);
             own.chain(also).any(|address| address.to_string() == word)
@@ -139,7 +139,7 @@ impl Filter {
         self.all(|what| match what {
             What::Word(word) => {
                 name.contains(word)
-                    || is_at(word)
+                    || has_address(word)
                     || row.state.word().eq_ignore_ascii_case(word)
                     || mode.eq_ignore_ascii_case(word)
                     || buses.contains(word)
@@ -148,9 +148,9 @@ impl Filter {
                     || (word == "twin" && row.twin)
             }
             What::Field(Field::Source | Field::Destination | Field::Device, value) => {
-                name.contains(value) || is_at(value)
+                name.contains(value) || has_address(value)
             }
-            What::Field(Field::Address, value) => is_at(value),
+            What::Field(Field::Address, value) => has_address(value),
             What::Field(Field::Name, value) => name.contains(value),
             What::Field(Field::Service, value) => service(value),
             What::Field(Field::Bus, value) => buses.iter().any(|bus| bus.contains(value)),

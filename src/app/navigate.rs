@@ -467,15 +467,14 @@ impl App {
     /// Goes to the row that the selection is about; where there is none, says so with `otherwise`.
     fn find_row(&mut self, otherwise: &str) -> bool {
         let (bus, address, name) = self.subject();
-        let on_bus = |app: &Self, row: &Row| bus.is_none_or(|bus| app.is_on(row, bus));
+        let on_bus = |row: &&Row| bus.is_none_or(|bus| row.is_on(bus));
         let fits = |app: &Self, row: &Row| {
             let named = name.is_some() && row.name == name;
             let there = address.is_some_and(|address| app.is_at(row, address));
             (named && there, named, there && name.is_none())
         };
         let best = |app: &Self| {
-            let best =
-                app.rows.iter().filter(|row| on_bus(app, row)).max_by_key(|row| fits(app, row));
+            let best = app.rows.iter().filter(on_bus).max_by_key(|row| fits(app, row));
             best.filter(|row| fits(app, row) > (false, false, false)).map(|row| row.key.clone())
         };
         let mut found = best(self);
