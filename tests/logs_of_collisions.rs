@@ -429,7 +429,9 @@ fn a_scenario_is_told_of_its_log_as_it_was_of_the_bus() {
         let name = path.file_stem().unwrap().to_string_lossy().into_owned();
         let scenario = std::fs::read_to_string(&path).unwrap();
         let mut settings = scenario.lines().filter(|line| line.starts_with("set "));
-        let is_heard = settings.all(|setting| setting == "set listen-only");
+        // Who asks on its own hears other things than a log tells.
+        let asks = scenario.lines().any(|line| line.starts_with(' ') && line.contains(" > "));
+        let is_heard = !asks && settings.all(|setting| setting == "set listen-only");
         if !is_heard || !(name.starts_with("row_") || name.starts_with("innocent_")) {
             continue;
         }
