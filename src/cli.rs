@@ -119,12 +119,20 @@ A log is read as fast as it can be, with its own times, unless --speed is given;
 standard input are told as they come. What goes down or is unplugged is waited for, once it was
 open.
 
+--filter takes the words and fields of the screen's filter line, all of which must fit: at:12,14
+name:FEED is:confirmed bus:can1 lost !debug. What is about a whole bus (its state, frames lost,
+our own address) and what goes wrong with us is told all the same. With at: and --listen-only,
+frames of other addresses are not even read from a SocketCAN interface: other devices are not
+discovered then, and the bus load is not known. Without --listen-only everything is read, for
+our own address needs it, and so it is with --record.
+
 Exit code: 0 ended by a signal, by --time or by the log's end, 2 wrong usage, 3 bus or file not
 usable.
 
 Examples:
   descan watch can0
   descan watch can0 can1 --json --time 60 | jq -c 'select(.event == \"finding\")'
+  descan watch can0 --filter at:12 --listen-only
   descan watch file:session.log
   ssh board candump -L can0 | descan watch -")]
 pub struct Watch {
@@ -134,6 +142,9 @@ pub struct Watch {
     /// Print one JSON object a line
     #[arg(long)]
     pub json: bool,
+    /// Tell only what fits: at:12,14 | name:FEED | is:confirmed | word | !word ...
+    #[arg(long, value_name = "EXPR")]
+    pub filter: Option<String>,
     /// End after this many seconds; those of a log file are its own
     #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub time: Option<Duration>,

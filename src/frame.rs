@@ -34,6 +34,22 @@ impl fmt::Display for CanId {
     }
 }
 
+/// Which 29-bit identifiers: those equal to `id` in the bits that `mask` has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct IdPattern {
+    /// What the bits are.
+    pub id: u32,
+    /// Which bits count.
+    pub mask: u32,
+}
+
+impl IdPattern {
+    /// Whether a 29-bit identifier is one of these.
+    pub const fn fits(self, id: u32) -> bool {
+        (id ^ self.id) & self.mask == 0
+    }
+}
+
 /// What a frame is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
 pub enum FrameKind {

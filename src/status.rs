@@ -103,6 +103,9 @@ pub struct BusStatus {
     pub outages: u64,
     /// Times that the controller left the bus by itself.
     pub bus_offs: u64,
+    /// Whether frames that are of no interest are left out, by
+    /// [`Options::only`](crate::bus::Options::only): what is heard is not all that passes.
+    pub filtered: bool,
     /// Bytes of the kernel's receive buffer, as the kernel counts them.
     pub receive_buffer: Option<u32>,
     /// Frames that did not fit the kernel's receive buffer.

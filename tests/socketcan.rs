@@ -390,7 +390,7 @@ fn waits_for_an_interface_that_is_plugged_in_later_and_again() {
 #[test]
 fn listening_only_sends_nothing() {
     let Some(vcan) = Vcan::new("ds-listen") else { return };
-    let mut bus = Bus::open_with(vcan.name(), Options { listen_only: true });
+    let mut bus = Bus::open_with(vcan.name(), Options { listen_only: true, ..Options::default() });
     let refused = bus.port.transmit(&Frame::classic(1, &[]));
     assert_eq!(refused, Err(TransmitError::ListenOnly));
     run("cansend", &[vcan.name(), "123#01"]);

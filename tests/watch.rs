@@ -5,9 +5,11 @@ mod common;
 mod watching;
 
 use common::log;
-use descan::app::{App, AppOptions, FileReading, Happening};
+use descan::app::{App, AppOptions, FileReading, Filter, Happening};
 use descan::discovery::{Confidence, Config, FindingKind};
+use descan::frame::BusIndex;
 use descan::sim::{DeviceSpec, Fault, Scenario, Sim};
+use descan::status::{BusStatus, Link};
 use descan::time::Instant;
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
@@ -386,6 +388,98 @@ fn collisions_are_told_as_scan_reports_them() {
     }
     let times: Vec<f64> = told.iter().map(|it| it["time"].as_f64().unwrap()).collect();
     assert!(times.is_sorted(), "{times:?}");
+}
+
+/// The log, and another device at 14 all the while, which says hello and is wrong about nothing.
+fn two_devices() -> String {
+    let mut log = String::new();
+    for line in LOG.lines() {
+        log += line;
+        log.push('\n');
+        if let Some((time, heartbeat)) = line.split_once(" can0 0718") {
+            // The same heartbeat from 14, with another UID.
+            let (rnd7, _) = heartbeat.split_once('#').unwrap();
+            let beat = format!("{time} can0 071C{rnd7}#9BFA6C9724110400\n");
+            log += &beat;
+        }
+    }
+    log
+}
+
+#[test]
+fn only_what_fits_is_told() {
+    let folder = folder();
+    std::fs::write(folder.path().join("two.log"), two_devices()).unwrap();
+    let told = |filter: &str| {
+        let output = watch(&["file:two.log", "--filter", filter], folder.path());
+        assert_eq!(output.status.code(), Some(0));
+        text(&output.stdout).to_owned()
+    };
+    let all = told("");
+    let lines_with = |text: &str, part: &str| text.lines().filter(|it| it.contains(part)).count();
+    assert!(lines_with(&all, "  14 ?") > 0 && lines_with(&all, " des.json ") > 0, "{all}");
+
+    let feed = told("at:12");
+    assert_eq!(lines_with(&feed, "  14 "), 0, "{feed}");
+    assert_eq!(lines_with(&feed, " des.json "), 0, "{feed}");
+    assert_eq!(lines_with(&feed, "  12 "), lines_with(&all, "  12 "), "{feed}");
+    // That it moved away concerns the address it leaves.
+    assert_eq!(lines_with(&feed, "moved here from 12"), 1, "{feed}");
+    // What is about the bus is told always.
+    assert_eq!(lines_with(&feed, " can0 "), lines_with(&all, " can0 "), "{feed}");
+
+    let both = told("at:12,14");
+    let devices = lines_with(&all, "  12 ") + lines_with(&all, "  14 ");
+    assert_eq!(lines_with(&both, "  12 ") + lines_with(&both, "  14 "), devices, "{both}");
+    let rest = told("!at:12,31");
+    assert_eq!(lines_with(&rest, "  14 "), lines_with(&all, "  14 "), "{rest}");
+    assert_eq!(lines_with(&rest, "  12 "), 0, "{rest}");
+    let named = told("name:fee debug");
+    assert_eq!(lines_with(&named, "  12 FEED"), 1, "{named}");
+    assert!(named.contains("debug message 02A 01 FE"), "{named}");
+
+    let output = watch(&["file:two.log", "--json", "--filter", "at:14"], folder.path());
+    for value in values(&output.stdout) {
+        let is_bus = value["event"] == "bus";
+        assert!(is_bus || value["address"] == 14, "{value}");
+    }
+    let output = watch(&["file:two.log", "--json", "--filter", "at:12"], folder.path());
+    let moved = values(&output.stdout).into_iter().find(|it| it["event"] == "moved").unwrap();
+    assert_eq!((&moved["from"], &moved["address"]), (&12.into(), &31.into()));
+}
+
+#[test]
+fn no_filter_hides_that_frames_were_lost_or_what_becomes_of_a_bus() {
+    let bus = ("can0".to_owned(), Config::default());
+    let options = AppOptions {
+        buses: vec![bus],
+        report: true,
+        interest: Filter::parse("at:12 name:feed"),
+        ..AppOptions::default()
+    };
+    let mut app = App::new(Instant::ZERO, options);
+    let mut status = BusStatus { link: Link::Up, ..BusStatus::default() };
+    let mut told = |status: &BusStatus| {
+        app.handle_bus(Instant::ZERO, BusIndex(0), status.clone());
+        let (mut lines, mut values) = (Vec::new(), Vec::new());
+        while let Some(happening) = app.poll_happening() {
+            match happening {
+                Happening::Line(line) => lines.push(line.text),
+                Happening::Finding(_, finding) => values.push(finding.key.kind.name()),
+                Happening::Bus(..) => values.push("bus"),
+                _ => {}
+            }
+        }
+        (lines.join("; "), values)
+    };
+    assert_eq!(told(&status), ("open".to_owned(), vec!["bus"]));
+    status.kernel_drops = 1;
+    let (lines, values) = told(&status);
+    assert!(lines.contains("frames were lost: the kernel's"), "{lines}");
+    assert!(lines.contains("confirmed"), "{lines}");
+    assert_eq!(values[..2], ["bus", "frames-lost"]);
+    (status.link, status.message) = (Link::Down, Some("can0 is down".to_owned()));
+    assert_eq!(told(&status), ("can0 is down".to_owned(), vec!["bus"]));
 }
 
 #[test]

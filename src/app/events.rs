@@ -14,6 +14,7 @@ use crate::frame::BusIndex;
 use crate::status::{BusState, BusStatus, Link, RecordingStatus};
 use crate::text::{Escaped, Name};
 use crate::time::Instant;
+use crate::wire::id::Address;
 use crate::wire::node::{Mode, Uid};
 
 /// Something that happened, for those who watch without a screen.
@@ -33,6 +34,12 @@ pub enum Happening {
     File(Instant),
 }
 
+/// A line that is about to be told, or to become part of one.
+struct Line {
+    entry: Entry,
+    is_told: bool,
+}
+
 impl App {
     /// Takes the engines' events.
     pub(super) fn take_events(&mut self) {
@@ -44,8 +51,8 @@ impl App {
                 any = true;
                 self.take_event(BusIndex(index as u8), event, &mut lines);
             }
-            for line in lines {
-                self.report(Happening::Line(line));
+            for line in lines.into_iter().filter(|line| line.is_told) {
+                self.report(Happening::Line(line.entry));
             }
         }
         if any {
@@ -57,10 +64,11 @@ impl App {
         }
     }
 
-    fn take_event(&mut self, bus: BusIndex, event: Event, lines: &mut Vec<Entry>) {
+    fn take_event(&mut self, bus: BusIndex, event: Event, lines: &mut Vec<Line>) {
         if let (EventKind::Joined { was, before }, Some(device)) = (&event.kind, event.device) {
             self.timeline.rejoin(*was, *before, device);
         }
+        let is_told = self.report && self.is_event_of_interest(bus, &event);
         if let Some((kind, text)) = self.describe(bus, &event) {
             let collision = matches!(&event.kind, EventKind::Finding { key, .. }
                 if key.kind.is_collision()
@@ -74,19 +82,22 @@ impl App {
             let amended = if may_join { self.timeline.amend(&entry, one_line) } else { None };
             if let Some((before, amended)) = amended {
                 let is_it = |line: &Entry| line.text == before && line.address == amended.address;
-                if let Some(at) = lines.iter().rposition(is_it) {
-                    lines.remove(at);
-                    lines.push(amended);
+                if let Some(at) = lines.iter().rposition(|line| is_it(&line.entry)) {
+                    let is_told = lines.remove(at).is_told || is_told;
+                    lines.push(Line { entry: amended, is_told });
                 }
             } else {
                 if self.report {
-                    lines.push(entry.clone());
+                    lines.push(Line { entry: entry.clone(), is_told });
                 }
                 self.timeline.push(entry);
             }
             if collision {
                 self.effects.push_back(Effect::Bell);
             }
+        }
+        if !is_told {
+            return;
         }
         if let EventKind::Finding { key, confidence } = &event.kind {
             let mut finding = self
@@ -98,6 +109,36 @@ impl App {
         } else {
             self.report(Happening::Event(bus, event));
         }
+    }
+
+    /// Whether an event is told to those who watch.
+    fn is_event_of_interest(&self, bus: BusIndex, event: &Event) -> bool {
+        if self.interest.is_empty() {
+            return true;
+        }
+        let (kind, text) = self.describe(bus, event).unwrap_or((Kind::Change, String::new()));
+        let mut line = Entry::new(event.time, kind, text).on(bus);
+        (line.device, line.address) = (event.device, event.address);
+        line.name.clone_from(&event.name);
+        let others: &[Address] = match &event.kind {
+            EventKind::Moved { from } => &[*from],
+            EventKind::Finding { key, .. } => {
+                self.engine_finding(bus, key).map_or(&[], |finding| &finding.addresses)
+            }
+            _ => &[],
+        };
+        self.is_of_interest(&line, others)
+    }
+
+    /// Whether a line is told to those who watch: it fits what they asked for, at its own address or
+    /// at one of `others`. What is about a whole bus, and what went wrong with us, always is: who
+    /// asks for one device must still learn that frames were lost.
+    fn is_of_interest(&self, line: &Entry, others: &[Address]) -> bool {
+        let is_of_device = line.address.is_some() || line.device.is_some();
+        let is_of_bus = line.bus.is_some() && line.name.is_none();
+        self.interest.is_empty()
+            || (!is_of_device && (is_of_bus || line.kind == Kind::Error))
+            || self.interest.matches_entry_of(self, line, others)
     }
 
     fn engine_finding(&self, bus: BusIndex, key: &FindingKey) -> Option<&Finding> {
@@ -128,13 +169,15 @@ impl App {
             line.bus = finding.key.bus;
             line.address = finding.key.address;
             line.name.clone_from(&finding.key.name);
-            self.report_line(&line);
-            self.report(Happening::Finding(now, Box::new(finding)));
+            if self.is_of_interest(&line, &finding.addresses) {
+                self.report(Happening::Line(line));
+                self.report(Happening::Finding(now, Box::new(finding)));
+            }
         }
     }
 
     pub(super) fn report_line(&mut self, line: &Entry) {
-        if self.report {
+        if self.report && self.is_of_interest(line, &[]) {
             self.report(Happening::Line(line.clone()));
         }
     }
@@ -381,12 +424,16 @@ impl App {
             let findings = self.file.document().findings().iter();
             lines.extend(findings.map(|finding| (Kind::File, finding.to_string())));
         }
+        let mut is_told = self.interest.is_empty();
         for (kind, text) in lines {
             let line = Entry::new(self.now, kind, text);
+            is_told |= self.is_of_interest(&line, &[]);
             self.report_line(&line);
             self.timeline.push(line);
         }
-        self.report(Happening::File(self.now));
+        if is_told {
+            self.report(Happening::File(self.now));
+        }
         if change != Change::Broken {
             self.save_pending();
         }
@@ -444,6 +491,9 @@ fn changes(old: &BusStatus, status: &BusStatus) -> Vec<(Kind, String)> {
             Link::Ended => (Kind::Bus, "the log is at its end".to_owned()),
             _ => (Kind::Error, message.unwrap_or_else(|| "down".to_owned())),
         });
+    }
+    if status.filtered && !old.filtered {
+        lines.push((Kind::Bus, "only frames of interest are read".to_owned()));
     }
     let stays_up = old.link == Link::Up && status.link == Link::Up;
     if stays_up && old.outages < status.outages {

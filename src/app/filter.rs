@@ -4,7 +4,8 @@
 //! feed            the row shows "feed" somewhere
 //! src:feed        the sender's name or address; dst: the receiver's; dev: either, or the device's
 //! srv:des         the service's name or number (srv:2, srv:0x002)
-//! at:12           the address: of either side, of the device, of what the problem is about
+//! at:12           the address: of either side, of the device, of what the problem is about;
+//!                 at:12,14 either of them
 //! name:feed       the same by a part of the name
 //! type:rsp        the message type begins so; id:0201 the identifier's digits
 //! kind:two        the problem's kind, in its short or in its long words
@@ -106,6 +107,16 @@ impl Filter {
         }
     }
 
+    /// The only addresses that anything that fits can be at; none where it could be at all.
+    pub fn addresses(&self) -> Option<Vec<Address>> {
+        self.terms.iter().find_map(|term| match &term.what {
+            What::Field(Field::Address, value) if !term.not => {
+                Some(Address::all().filter(|it| is_one_of(*it, value)).collect())
+            }
+            _ => None,
+        })
+    }
+
     /// Whether everything fits.
     pub fn is_empty(&self) -> bool {
         self.terms.is_empty()
@@ -124,7 +135,7 @@ impl Filter {
         let has_address = |word: &str| {
             let own = row.address.into_iter();
             let also = app.devices_of(row).map(|device| device.address);
-            own.chain(also).any(|address| address.to_string() == word)
+            own.chain(also).any(|address| is_one_of(address, word))
         };
         let buses = row.bus.into_iter().chain(row.also.iter().map(|id| id.bus));
         let buses = buses.filter_map(|bus| Some(app.bus(bus)?.name.to_lowercase()));
@@ -167,13 +178,25 @@ impl Filter {
 
     /// Whether a line of the timeline fits.
     pub fn matches_entry(&self, app: &App, entry: &timeline::Entry) -> bool {
+        self.matches_entry_of(app, entry, &[])
+    }
+
+    /// The same of a line that is about `others` beside its own address.
+    pub(super) fn matches_entry_of(
+        &self,
+        app: &App,
+        entry: &timeline::Entry,
+        others: &[Address],
+    ) -> bool {
         let name = || app.name_on_line(entry).map(ToString::to_string).unwrap_or_default();
         let address = || entry.address.map(|address| address.to_string()).unwrap_or_default();
         let bus = || entry.bus.and_then(|bus| app.bus(bus)).map_or("", |bus| &bus.name);
         self.all(|what| match what {
             What::Word(word) => has(&entry.text, word) || has(&name(), word) || address() == *word,
             What::Field(Field::Bus, value) => has(bus(), value),
-            What::Field(Field::Address, value) => address() == *value,
+            What::Field(Field::Address, value) => {
+                others.iter().chain(&entry.address).any(|it| is_one_of(*it, value))
+            }
             What::Field(Field::Name, value) => has(&name(), value),
             What::Field(Field::State, value) => match entry.kind {
                 timeline::Kind::Suspected => starts("suspected", value),
@@ -195,7 +218,7 @@ impl Filter {
         }
         let bus = || problem.bus().and_then(|bus| app.bus(bus)).map_or("", |bus| &bus.name);
         let confidence = problem.confidence();
-        let at = |word: &str| problem.addresses().iter().any(|it| it.to_string() == word);
+        let at = |word: &str| problem.addresses().iter().any(|it| is_one_of(*it, word));
         let named = |word: &str| problem.names().iter().any(|it| has(&it.to_string(), word));
         let kind = |word: &str| {
             has(problem.headline(), word)
@@ -249,7 +272,7 @@ impl Filter {
                 app.bus(frame.bus).is_some_and(|bus| has(&bus.name, value))
             }
             What::Field(Field::Address, value) => decoded.header.is_some_and(|header| {
-                let is_it = |address: Address| address.to_string() == *value;
+                let is_it = |address: Address| is_one_of(address, value);
                 is_it(header.source) || (!header.broadcast && is_it(header.destination))
             }),
             What::Field(Field::Name, value) => {
@@ -263,6 +286,11 @@ impl Filter {
             What::Ours => frame.ours,
         })
     }
+}
+
+/// Whether `address` is one of those in `list`: `12`, `12,14`.
+fn is_one_of(address: Address, list: &str) -> bool {
+    list.split(',').any(|one| one.parse() == Ok(address.number()))
 }
 
 /// Whether `text` has `word` (which is in lower case) in it.

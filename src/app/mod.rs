@@ -95,6 +95,8 @@ pub struct AppOptions {
     pub warnings: Vec<String>,
     /// Keep happenings for [`App::poll_happening`].
     pub report: bool,
+    /// Of these only what fits, and what is about a whole bus or about us.
+    pub interest: Filter,
 }
 
 /// What is to be done outside.
@@ -209,6 +211,7 @@ pub struct App {
     outbox: VecDeque<Frame>,
     effects: VecDeque<Effect>,
     report: bool,
+    interest: Filter,
     happenings: VecDeque<Happening>,
     /// A screen's size was told. Without one nothing waits until it is to be seen.
     has_screen: bool,
@@ -265,6 +268,7 @@ impl App {
             outbox: VecDeque::new(),
             effects: VecDeque::new(),
             report: options.report,
+            interest: options.interest,
             happenings: VecDeque::new(),
             has_screen: false,
             outdated: false,

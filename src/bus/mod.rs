@@ -33,7 +33,7 @@ pub use socketcan::{Interface, interfaces};
 pub use spec::{BusSpec, SpecError};
 pub use tuner::{TuneError, Tuner};
 
-use crate::frame::BusIndex;
+use crate::frame::{BusIndex, IdPattern};
 use crate::sim::Scenario;
 use std::fs::File;
 use std::io;
@@ -66,10 +66,13 @@ pub enum BusError {
 }
 
 /// How to open a bus.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Options {
     /// Send nothing. (Whether the controller acknowledges is its own setting.)
     pub listen_only: bool,
+    /// Only frames of these identifiers, and error reports, are of interest: a bus that can leave
+    /// the others out at no cost does so, and its status says it. Empty: all are.
+    pub only: Vec<IdPattern>,
 }
 
 /// Opens a bus whose frames are to be of bus `index`. A log of several interfaces takes the

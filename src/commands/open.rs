@@ -5,7 +5,7 @@ use crate::app::{App, AppOptions};
 use crate::bus::{self, BusSpec, Clock, Options, Port};
 use crate::cli::{Common, Session as Arguments};
 use crate::discovery::Config;
-use crate::frame::BusIndex;
+use crate::frame::{BusIndex, IdPattern};
 use crate::keymap::Keymap;
 use crate::shell::config::{Folder, Settings, read_text};
 use crate::shell::recorder::{Recorder, Size, Target};
@@ -33,6 +33,8 @@ pub struct Setup {
     pub file: PathBuf,
     /// Where all frames are recorded.
     pub record: Option<Target>,
+    /// The only frames of interest; none: all are.
+    pub only: Vec<IdPattern>,
     /// The theme's name, where one is chosen.
     pub theme: Option<String>,
     /// It was chosen on the command line: one that cannot be used is an error.
@@ -69,7 +71,8 @@ impl Setup {
         let theme_is_asked_for = common.theme.is_some();
         let max_bytes = common.record_size.map(|Size(bytes)| bytes);
         let record = common.record.clone().map(|path| Target { path, max_bytes });
-        Ok(Self { folder, keymap, config, file, record, theme, theme_is_asked_for, warnings })
+        let only = Vec::new();
+        Ok(Self { folder, keymap, config, file, record, only, theme, theme_is_asked_for, warnings })
     }
 
     /// Begins the recording, where one is asked for: when all else is open.
@@ -185,7 +188,8 @@ pub fn session(
     for (index, spec) in buses.iter().enumerate() {
         let listen_only = setup.config.listen_only || is_log(spec);
         let index = BusIndex(index as u8);
-        let port = bus::open(spec, index, clock.clone(), Options { listen_only })
+        let options = Options { listen_only, only: setup.only.clone() };
+        let port = bus::open(spec, index, clock.clone(), options)
             .map_err(|error| Failure::Unusable(error.to_string()))?;
         named.push((port.name().to_owned(), Config { listen_only, ..setup.config.clone() }));
         ports.push(port);

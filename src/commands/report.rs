@@ -266,7 +266,8 @@ fn counted(count: u64, what: &str) -> String {
 
 pub(super) fn of_bus(bus: &Bus, now: Instant) -> BusReport {
     let counters = bus.engine.counters();
-    let load = bus.status.bitrate.map(|bitrate| bus.meter.mean_load(now, bitrate));
+    let bitrate = bus.status.bitrate.filter(|_| !bus.status.filtered);
+    let load = bitrate.map(|bitrate| bus.meter.mean_load(now, bitrate));
     BusReport {
         name: bus.name.clone(),
         bitrate: bus.status.bitrate,

@@ -34,7 +34,7 @@ pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8,
         let mut interrupt = signal(SignalKind::interrupt()).context("no signals")?;
         let mut terminate = signal(SignalKind::terminate()).context("no signals")?;
         // After the signals: an adapter that was opened is closed again, however soon one comes.
-        let port = bus::open(spec, BusIndex(0), clock.clone(), Options { listen_only: false })
+        let port = bus::open(spec, BusIndex(0), clock.clone(), Options::default())
             .map_err(|error| Failure::Unusable(error.to_string()))?;
         let devices = scenario.devices.len();
         let _ = writeln!(io::stderr(), "{devices} devices on {spec}; Ctrl-C ends");

@@ -9,15 +9,15 @@ use super::report::{
     BusReport, FileReport, FindingReport, ServiceReport, of_bus, of_file, of_finding, of_services,
 };
 use super::{FINE, Failure};
-use crate::app::{App, AppOptions, Happening, TimelineEntry, clock_millis, hex};
+use crate::app::{App, AppOptions, Filter, Happening, TimelineEntry, clock_millis, hex};
 use crate::cli::Watch;
 use crate::discovery::{Event, EventKind, Finding, Presence};
-use crate::frame::BusIndex;
+use crate::frame::{BusIndex, IdPattern};
 use crate::shell::recording::Pace;
 use crate::shell::session::Session;
 use crate::status::Link;
 use crate::time::Instant;
-use crate::wire::id::Address;
+use crate::wire::id::{Address, Header};
 use crate::wire::node::Mode;
 use serde::Serialize;
 use std::io::{self, Write};
@@ -27,10 +27,13 @@ use unicode_width::UnicodeWidthStr;
 /// Runs it.
 pub fn run(watch: &Watch) -> Result<u8, Failure> {
     let buses = open::buses(&watch.session)?;
-    let setup = Setup::new(&watch.session.common)?;
+    let mut setup = Setup::new(&watch.session.common)?;
+    let interest = watch.filter.as_deref().map(Filter::parse).unwrap_or_default();
+    setup.only = frames_of_interest(&interest, &setup);
     let options = AppOptions {
         utc_offset_seconds: open::utc_offset_seconds(),
         report: true,
+        interest,
         ..AppOptions::default()
     };
     let limits = Limits { time: watch.time, while_read: true, stuck: FINE };
@@ -49,6 +52,22 @@ pub fn run(watch: &Watch) -> Result<u8, Failure> {
         })?;
     }
     Ok(FINE)
+}
+
+/// Which frames have to be read for what is of interest; empty: all. Whoever takes part in the bus
+/// must hear everybody, and so must a recording.
+fn frames_of_interest(interest: &Filter, setup: &Setup) -> Vec<IdPattern> {
+    let hears_all = !setup.config.listen_only || setup.record.is_some();
+    let addresses = interest.addresses().filter(|_| !hears_all).unwrap_or_default();
+    let service = setup.config.profile.des_service();
+    let patterns = addresses.into_iter().flat_map(|it| Header::patterns_of(it, service));
+    let mut only: Vec<IdPattern> = Vec::new();
+    for pattern in patterns {
+        if !only.contains(&pattern) {
+            only.push(pattern);
+        }
+    }
+    only
 }
 
 /// A bus must be usable at first; later it is waited for.

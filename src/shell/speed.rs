@@ -61,7 +61,8 @@ pub async fn find(
             Err(error) => return Err(error),
         };
         told(Progress::Trying(rate));
-        let options = Options { listen_only: plan.manner == Manner::Listening };
+        let options =
+            Options { listen_only: plan.manner == Manner::Listening, ..Options::default() };
         let port = bus::open(&bus, BusIndex(0), clock.clone(), options)
             .map_err(|error| TuneError::NotThere(error.to_string()))?;
         let opened = clock.now();

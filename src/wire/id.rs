@@ -2,6 +2,7 @@
 //!
 //! Does not know what a service number or the data mean.
 
+use crate::frame::IdPattern;
 use std::fmt;
 
 /// A node's address, 0–127. 0 is reserved for a debug device; nodes use 1–127.
@@ -139,6 +140,19 @@ impl Header {
             | (self.source.0 as u32) << 17
             | (self.destination.0 as u32) << 10
             | self.service.0 as u32
+    }
+
+    /// The identifiers of all that concerns one address: what it sends, what is sent to it, and the
+    /// requests of this service to all, which it answers like everybody.
+    pub const fn patterns_of(address: Address, service: Service) -> [IdPattern; 3] {
+        let (broadcast, response) = (1 << 25, 1 << 26);
+        let (source, destination) = (0x7F << 17, 0x7F << 10);
+        let address = address.0 as u32;
+        [
+            IdPattern { id: address << 17, mask: source },
+            IdPattern { id: address << 10, mask: destination | broadcast },
+            IdPattern { id: broadcast | service.0 as u32, mask: broadcast | response | 0x3FF },
+        ]
     }
 
     /// A request of a working node to one node; `to_not_working` chooses REQ_CU.
@@ -283,5 +297,31 @@ impl MessageType {
 impl fmt::Display for MessageType {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.pad(self.name())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_patterns_of_an_address_are_all_that_concerns_it() {
+        let (us, other, third) =
+            (Address::from_bits(12), Address::from_bits(14), Address::from_bits(99));
+        let (des, data) = (Service::from_bits(2), Service::from_bits(0x155));
+        let patterns = Header::patterns_of(us, des);
+        let fits = |header: Header| patterns.iter().any(|it| it.fits(header.encode()));
+        let request = Header::request(other, us, true, data);
+        assert!(fits(request) && fits(request.answer(us, false)));
+        assert!(fits(Header::request(us, other, false, des)));
+        assert!(fits(Header::broadcast(us, 5, false, data)));
+        assert!(fits(Header::unsolicited(us, 5, true, data)));
+        // Everybody answers a question to all.
+        assert!(fits(Header::broadcast(other, 5, true, des)));
+        // Others among each other, also where the random DST of a broadcast is the address.
+        assert!(!fits(Header::request(other, third, false, des)));
+        assert!(!fits(Header::request(other, third, false, des).answer(third, false)));
+        assert!(!fits(Header::broadcast(other, 12, false, data)));
+        assert!(!fits(Header::unsolicited(other, 12, false, des)));
     }
 }

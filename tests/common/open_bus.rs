@@ -23,7 +23,7 @@ impl OpenBus {
     }
 
     pub fn listen(spec: &str) -> Self {
-        Self::open_with(spec, Options { listen_only: true })
+        Self::open_with(spec, Options { listen_only: true, ..Options::default() })
     }
 
     fn open_with(spec: &str, options: Options) -> Self {

@@ -15,7 +15,7 @@ use super::Options;
 use super::clock::{Clock, Dating};
 use super::port::{Line, Port};
 use crate::error_report::ErrorReport;
-use crate::frame::{BusIndex, Frame};
+use crate::frame::{BusIndex, Frame, IdPattern};
 use crate::status::{BusState, BusStatus, Link};
 use facts::{Facts, advice_missing, is_can};
 use nix::errno::Errno;
@@ -49,6 +49,7 @@ pub(super) fn open(
 ) -> io::Result<Port> {
     let line = Arc::new(Line::new()?);
     line.queue.add_name(name);
+    line.queue.update_status(|status| status.filtered = !options.only.is_empty());
     let watch = Arc::new(Watch { name: name.to_owned(), ..Watch::default() });
     let mut reader = Reader {
         line: Arc::clone(&line),
@@ -58,6 +59,7 @@ pub(super) fn open(
         drops_before: 0,
         told: (0, 0),
         was_there: false,
+        only: options.only,
         waiting: None,
     };
     let socket = reader.find();
@@ -197,6 +199,8 @@ struct Reader {
     told: (u64, u64),
     /// Whether the interface was ever there: then its absence means unplugged.
     was_there: bool,
+    /// The only identifiers of interest; none: all.
+    only: Vec<IdPattern>,
     /// A frame that the kernel had no room for, and until when it is offered again.
     waiting: Option<(Frame, Monotonic)>,
 }
@@ -221,7 +225,7 @@ impl Reader {
         let name = &self.watch.name;
         let opened = match if_nametoindex(name.as_str()) {
             Ok(_) if !is_can(name) => Err((Link::NotCan, format!("{name} is no CAN interface"))),
-            Ok(ifindex) => match RawSocket::open(ifindex) {
+            Ok(ifindex) => match RawSocket::open(ifindex, &self.only) {
                 Ok(socket) => Ok((ifindex, socket)),
                 Err(error) => Err(self.cannot_open(&error)),
             },

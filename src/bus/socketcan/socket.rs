@@ -2,12 +2,12 @@
 //!
 //! Does not know what state the interface is in, nor what is to be done about it.
 
-use crate::frame::{CanId, Frame, FrameKind};
+use crate::frame::{CanId, Frame, FrameKind, IdPattern};
 use nix::cmsg_space;
 use nix::libc::{MSG_DONTWAIT, MSG_PEEK, SO_RCVBUF, SO_RCVBUFFORCE, SO_RXQ_OVFL, SOL_SOCKET};
 use nix::sys::socket::{ControlMessageOwned, MsgFlags, MultiHeaders, RecvMsg, recvmmsg, recvmsg};
 use nix::sys::time::TimeSpec;
-use socketcan::{CanFdSocket, Socket, SocketOptions};
+use socketcan::{CanFdSocket, CanFilter, Socket, SocketOptions};
 use std::io::{self, ErrorKind, IoSliceMut};
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd};
 
@@ -59,9 +59,18 @@ pub(super) struct RawSocket {
 
 impl RawSocket {
     /// Opens, on the interface of this index, a socket that hears everything: FD frames, error
-    /// reports, and our own frames once they are on the bus.
-    pub(super) fn open(ifindex: u32) -> io::Result<Self> {
+    /// reports, and our own frames once they are on the bus; where patterns are given, of data
+    /// frames only those that fit one of them.
+    pub(super) fn open(ifindex: u32, only: &[IdPattern]) -> io::Result<Self> {
         let socket = CanFdSocket::open_iface(ifindex)?;
+        if !only.is_empty() {
+            // The flags say extended, and no remote request.
+            let filters = only.iter().map(|pattern| {
+                let mask = pattern.mask | EXTENDED_FLAG | REMOTE_FLAG;
+                CanFilter::new(pattern.id | EXTENDED_FLAG, mask)
+            });
+            socket.set_filters(&filters.collect::<Vec<_>>())?;
+        }
         socket.set_nonblocking(true)?;
         socket.set_recv_own_msgs(true)?;
         socket.set_error_filter_accept_all()?;
