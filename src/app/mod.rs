@@ -660,8 +660,9 @@ impl App {
         let quiet = |bus: &Bus| {
             bus.ended.is_some() || bus.meter.is_idle() && bus.engine.devices().is_empty()
         };
-        let waits = (0..self.buses.len()).any(|at| !self.has_looked(BusIndex(at as u8)));
-        self.buses.iter().all(quiet) && !(waits && self.file.is_there())
+        // What costs most comes last: this is asked at every turn.
+        let waits = || (0..self.buses.len()).any(|at| !self.has_looked(BusIndex(at as u8)));
+        self.buses.iter().all(quiet) && !(self.file.is_there() && waits())
     }
 
     /// A second is over: rates and ages change.

@@ -5,6 +5,7 @@
 
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
+use crate::wire::id::Header;
 use std::collections::VecDeque;
 
 /// How long a frame may stay without the bus having taken it before nothing more is sent.
@@ -27,6 +28,8 @@ pub(super) enum Acknowledgement {
 pub(super) struct Outbox {
     queue: VecDeque<Frame>,
     sent: VecDeque<Frame>,
+    /// The addresses that we sent from, a bit each.
+    senders: u128,
     tokens: f64,
     refilled: Instant,
     echo: bool,
@@ -41,6 +44,7 @@ impl Outbox {
         Self {
             queue: VecDeque::new(),
             sent: VecDeque::new(),
+            senders: 0,
             tokens: 0.0,
             refilled: now,
             echo,
@@ -81,6 +85,7 @@ impl Outbox {
             self.sent.pop_front();
         }
         self.sent.push_back(frame.at(now));
+        self.senders |= sender_bit(&frame);
         if self.echo {
             if self.unconfirmed == 0 {
                 self.unconfirmed_since = now;
@@ -92,7 +97,12 @@ impl Outbox {
 
     /// Whether we sent just this frame within the last second: then it came back to us.
     pub fn is_own_echo(&self, now: Instant, frame: &Frame) -> bool {
-        self.sent.iter().any(|own| own.same_on_wire(frame) && now.since(own.time) < REMEMBERED_FOR)
+        // Asked of every frame: hardly any is from our address.
+        self.senders & sender_bit(frame) != 0
+            && self
+                .sent
+                .iter()
+                .any(|own| own.same_on_wire(frame) && now.since(own.time) < REMEMBERED_FOR)
     }
 
     /// The bus took a frame of ours.
@@ -165,6 +175,11 @@ impl Outbox {
         self.held_until = None;
         self.missing = false;
     }
+}
+
+/// The address that a frame says it is from, as a bit.
+fn sender_bit(frame: &Frame) -> u128 {
+    frame.platform_id().map_or(0, |id| 1 << Header::decode(id).source.index())
 }
 
 /// About how many bits a frame takes, with an allowance for stuffing: for the budget alone.
