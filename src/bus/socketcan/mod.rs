@@ -31,10 +31,8 @@ use std::time::{Duration, Instant as Monotonic};
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 /// The least time between two looks: error reports can come by the thousand.
 const LOOK_AT_MOST_EVERY: Duration = Duration::from_millis(100);
-/// The longest nap between two batches. Wake-ups are what reading costs, not system calls.
-const LONGEST_NAP: Duration = Duration::from_millis(5);
-/// Frames that may gather during a nap: a quarter of what the smallest receive buffer holds.
-const FRAMES_PER_NAP: u32 = 64;
+/// The longest nap while frames gather. Wake-ups are what reading costs, not system calls.
+const LONGEST_NAP: Duration = Duration::from_millis(10);
 /// How long to wait before a frame is offered again that the kernel had no room for, and for
 /// how long to do so. A full 125 kbit/s bus moves a frame on each millisecond.
 const RETRY_EVERY: Duration = Duration::from_millis(2);
@@ -277,9 +275,11 @@ impl Reader {
         let mut batch = Vec::new();
         let mut frames = Vec::new();
         let mut last_arrival = Monotonic::now();
+        // A quarter of what the receive buffer holds may gather.
+        let room = socket.capacity() / 4;
         while !self.line.is_stopped() {
-            self.send_posted(&mut socket);
             batch.clear();
+            let mut is_gone = false;
             if let Err(error) = socket.read(&mut batch) {
                 match errno(&error) {
                     Errno::ENETDOWN => {
@@ -289,17 +289,23 @@ impl Reader {
                             nudge.noticed.outage = true;
                         });
                     }
-                    Errno::ENODEV | Errno::ENXIO => break,
+                    Errno::ENODEV | Errno::ENXIO => is_gone = true,
                     Errno::EINTR => {}
                     _ => return Err(error),
                 }
             }
             self.deliver(&batch, &mut frames, &socket);
+            if is_gone {
+                break;
+            }
+            // After reading: what comes while frames of ours are under way is read one by one.
+            self.send_posted(&mut socket);
             if batch.is_empty() {
                 self.line.wait(Some(socket.as_fd()), self.retry_wait())?;
             } else {
-                let nap = nap(last_arrival.elapsed(), batch.len() as u32);
-                last_arrival = Monotonic::now();
+                let now = Monotonic::now();
+                let nap = nap(now - last_arrival, batch.len() as u32, room);
+                last_arrival = now;
                 if let Some(nap) = nap {
                     self.line
                         .wait(None, Some(self.retry_wait().map_or(nap, |wait| wait.min(nap))))?;
@@ -316,7 +322,9 @@ impl Reader {
     fn deliver(&mut self, batch: &[Received], frames: &mut Vec<Frame>, socket: &RawSocket) {
         let mut reports = Reports::default();
         frames.clear();
-        self.dating.read_clocks();
+        if !batch.is_empty() {
+            self.dating.read_clocks();
+        }
         for received in batch {
             let time = self.dating.date(received.stamp_micros);
             let frame = received.frame.at(time).on(self.bus);
@@ -345,13 +353,13 @@ impl Reader {
 
     fn send_posted(&mut self, socket: &mut RawSocket) {
         loop {
-            let now = Monotonic::now();
             let next = self.waiting.take();
-            let next = next.or_else(|| Some((self.line.next_posted()?, now + RETRY_FOR)));
+            let next =
+                next.or_else(|| Some((self.line.next_posted()?, Monotonic::now() + RETRY_FOR)));
             let Some((frame, give_up)) = next else { return };
             let Err(error) = socket.send(&frame) else { continue };
             let has_no_room = matches!(errno(&error), Errno::ENOBUFS | Errno::EAGAIN);
-            if has_no_room && now < give_up {
+            if has_no_room && Monotonic::now() < give_up {
                 self.waiting = Some((frame, give_up));
                 return;
             }
@@ -371,12 +379,12 @@ impl Reader {
 }
 
 /// How long to let frames gather: none if the bus is quiet (the next frame wakes us), shorter
-/// the faster they come.
-fn nap(since_last: Duration, count: u32) -> Option<Duration> {
+/// the faster they come, so that at most `room` do.
+fn nap(since_last: Duration, count: u32, room: u32) -> Option<Duration> {
     if since_last > LONGEST_NAP && count < 2 {
         return None;
     }
-    let nap = LONGEST_NAP.min(since_last * FRAMES_PER_NAP / count.max(1));
+    let nap = LONGEST_NAP.min(since_last.saturating_mul(room) / count.max(1));
     (nap >= Duration::from_millis(1)).then_some(nap)
 }
 

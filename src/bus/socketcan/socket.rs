@@ -13,6 +13,12 @@ use std::os::fd::{AsFd, AsRawFd, BorrowedFd};
 
 /// Frames per system call.
 const BATCH: usize = 64;
+/// Frames that are read before anything else is looked after.
+const MOST: usize = 1024;
+/// What the kernel reckons for a frame that waits in the receive buffer, about.
+const BYTES_PER_FRAME: u32 = 800;
+/// What the kernel gives at least where nobody changed its settings.
+const USUAL_BUFFER: u32 = 212_992;
 /// The receive buffer asked for. The kernel counts some 800 bytes for each frame, so the usual
 /// 212,992 hold under 300; this holds a second of a full 1 Mbit/s bus. (It doubles it, and
 /// grants less to users who may not force it.)
@@ -89,7 +95,7 @@ impl RawSocket {
         })
     }
 
-    /// Appends what has arrived, as far as one batch takes it; nothing if nothing has.
+    /// Appends what has arrived, at most [`MOST`] or a batch more; nothing if nothing has.
     ///
     /// Whether a frame is ours the kernel says in a message flag (`MSG_CONFIRM`) that the safe
     /// wrapper of recvmmsg does not pass on. So while frames of ours are under way we read one
@@ -97,11 +103,10 @@ impl RawSocket {
     pub(super) fn read(&mut self, frames: &mut Vec<Received>) -> io::Result<()> {
         let before = frames.len();
         let outcome = loop {
-            if self.unconfirmed == 0 {
-                break self.read_batch(frames);
-            }
-            let outcome = self.read_one(frames);
-            if outcome.is_err() || frames.len() - before >= BATCH {
+            let outcome =
+                if self.unconfirmed == 0 { self.read_batch(frames) } else { self.read_one(frames) };
+            // A batch that is not full has emptied the buffer.
+            if !matches!(outcome, Ok(true)) || frames.len() - before >= MOST {
                 break outcome;
             }
         };
@@ -113,7 +118,7 @@ impl RawSocket {
                 }
                 Ok(())
             }
-            outcome => outcome,
+            outcome => outcome.map(|_| ()),
         }
     }
 
@@ -128,7 +133,8 @@ impl RawSocket {
         }
     }
 
-    fn read_one(&mut self, frames: &mut Vec<Received>) -> io::Result<()> {
+    /// Says whether there may be more.
+    fn read_one(&mut self, frames: &mut Vec<Received>) -> io::Result<bool> {
         let peeked = self.socket.as_raw_socket();
         let (_, flags) = peeked.recv_vectored_with_flags(&mut [], MSG_PEEK | MSG_DONTWAIT)?;
         let mut bytes = [0; FD_LEN];
@@ -138,16 +144,17 @@ impl RawSocket {
         let message = recvmsg::<()>(fd, &mut slices, Some(&mut control), MsgFlags::MSG_DONTWAIT)?;
         let stamp_micros = self.drops.read_control(&message);
         let len = message.bytes;
-        let Some(mut frame) = decode(&bytes[..len.min(FD_LEN)]) else { return Ok(()) };
+        let Some(mut frame) = decode(&bytes[..len.min(FD_LEN)]) else { return Ok(true) };
         if flags.is_confirm() {
             frame.ours = true;
             self.unconfirmed = self.unconfirmed.saturating_sub(1);
         }
         frames.push(Received { frame, stamp_micros });
-        Ok(())
+        Ok(true)
     }
 
-    fn read_batch(&mut self, frames: &mut Vec<Received>) -> io::Result<()> {
+    /// Says whether there may be more.
+    fn read_batch(&mut self, frames: &mut Vec<Received>) -> io::Result<bool> {
         let mut buffers = [[0; FD_LEN]; BATCH];
         let mut slices: Vec<_> =
             buffers.iter_mut().map(|buffer| [IoSliceMut::new(buffer)]).collect();
@@ -156,13 +163,15 @@ impl RawSocket {
         let mut headers = MultiHeaders::<()>::preallocate(BATCH, Some(cmsg_space!(TimeSpec, u32)));
         let fd = self.socket.as_raw_fd();
         let messages = recvmmsg(fd, &mut headers, slices.iter_mut(), MsgFlags::MSG_DONTWAIT, None)?;
+        let mut count = 0;
         for message in messages {
+            count += 1;
             let stamp_micros = self.drops.read_control(&message);
             if let Some(frame) = message.iovs().next().and_then(decode) {
                 frames.push(Received { frame, stamp_micros });
             }
         }
-        Ok(())
+        Ok(count == BATCH)
     }
 
     /// Hands a frame to the kernel, or says at once why it does not take it.
@@ -187,6 +196,11 @@ impl RawSocket {
     /// [`ask_for_drops`](Self::ask_for_drops).
     pub(super) fn drops(&self) -> u64 {
         self.drops.total
+    }
+
+    /// How many frames may wait to be read, about.
+    pub(super) fn capacity(&self) -> u32 {
+        self.receive_buffer.unwrap_or(USUAL_BUFFER) / BYTES_PER_FRAME
     }
 
     /// Bytes of the receive buffer, as the kernel counts them.
