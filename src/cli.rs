@@ -38,6 +38,7 @@ Examples:
   descan demo                   a simulated pellet boiler, to look around
   descan scan can0              who is there, as a table
   descan scan can0 --json       the same for scripts
+  descan check can0             is the bus what des.json says?
   descan watch can0             what happens, as it happens, a line each
   descan scan can0 --write des.json
                                 begin a des.json with what is there
@@ -61,6 +62,8 @@ pub enum Command {
     },
     /// One enumeration, printed as a table
     Scan(Scan),
+    /// Whether a bus is what des.json says, a line for each difference
+    Check(Check),
     /// What happens, as it happens, a line each
     Watch(Watch),
     /// Simulated devices on a bus, from a scenario
@@ -107,6 +110,33 @@ pub struct Scan {
     /// Write what was found to this file; an existing one is not touched
     #[arg(long, value_name = "FILE")]
     pub write: Option<PathBuf>,
+    /// End at the latest after this many seconds
+    #[arg(long, value_name = "SECONDS", default_value = "15", value_parser = seconds, allow_negative_numbers = true)]
+    pub time: Duration,
+}
+
+/// `descan check`.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Compares what is on the bus with des.json: entries that are missing, devices at another address than
+the pinned one, or not listed, services and versions where the file lists them; and collisions.
+
+Exit code: 0 no difference, 1 one or more, 2 wrong usage, 3 bus or file not usable, 130 interrupted.
+
+Examples:
+  descan check can0
+  descan check can0 --file line7.json --wait-for-all --time 60
+  descan check file:session.log --json | jq -r '.findings[].text'")]
+pub struct Check {
+    /// The buses and how to treat them.
+    #[command(flatten)]
+    pub session: Session,
+    /// Print one JSON object instead of lines
+    #[arg(long)]
+    pub json: bool,
+    /// Wait until every entry is there, at most for the --time
+    #[arg(long)]
+    pub wait_for_all: bool,
     /// End at the latest after this many seconds
     #[arg(long, value_name = "SECONDS", default_value = "15", value_parser = seconds, allow_negative_numbers = true)]
     pub time: Duration,

@@ -105,7 +105,7 @@ impl Comparison<'_> {
         let name = Escaped(&entry.name);
         let pinned = entry.address.filter(|_| entry.is_static).and_then(Address::new);
         if devices.is_empty() {
-            self.missing(entry);
+            self.missing(entry, scope);
         }
         for device in &devices {
             if let Some(pinned) = pinned.filter(|pinned| *pinned != device.address) {
@@ -153,11 +153,11 @@ impl Comparison<'_> {
         }
     }
 
-    fn missing(&mut self, entry: &Entry) {
+    fn missing(&mut self, entry: &Entry, scope: Scope) {
         let app = self.app;
         let bus = app.buses.iter().position(|bus| is_for(entry, &bus.name));
         let Some(bus) = bus.map(|at| BusIndex(at as u8)) else { return };
-        if !app.is_missing(entry) {
+        if scope == Scope::Screen && !app.is_missing(entry) {
             return;
         }
         let address = entry.address.and_then(Address::new);
@@ -176,9 +176,10 @@ impl Comparison<'_> {
             return;
         }
         let text = format!(
-            "{} at {} has other services than the file lists.",
+            "{} at {} has other services than the file lists: {}.",
             Escaped(&entry.name),
-            device.address
+            device.address,
+            differences(listed, own)
         );
         let remedy = "Take them into the file, or look at the firmware.".to_owned();
         let (bus, name) = (Some(device.id.bus), device.name.clone());
@@ -231,6 +232,50 @@ pub fn same_services(
             && (listed.version.is_empty() || as_listed(&own.version) == listed.version)
     };
     listed.len() == own.len() && listed.iter().zip(own).all(|(listed, own)| same(listed, own))
+}
+
+/// Differences that are spelt out; of more only their number.
+const SPELT: usize = 4;
+
+/// How what the file lists of services differs from what a device says, in words.
+fn differences(
+    listed: &[document::ServiceEntry],
+    own: &[crate::discovery::ServiceEntry],
+) -> String {
+    let show = |text: &str| Escaped(text.as_bytes()).to_string();
+    let mut words = Vec::new();
+    for entry in listed {
+        let mut same_name = own.iter().filter(|it| as_listed(&it.name) == entry.name);
+        let is_there = same_name
+            .clone()
+            .any(|it| entry.version.is_empty() || as_listed(&it.version) == entry.version);
+        match same_name.next() {
+            _ if is_there => {}
+            Some(other) => words.push(format!(
+                "{} is {}, not {}",
+                show(&entry.name),
+                show(&as_listed(&other.version)),
+                show(&entry.version)
+            )),
+            None => words.push(format!("{} is not there", show(&entry.name))),
+        }
+    }
+    for service in own {
+        let name = as_listed(&service.name);
+        if !listed.iter().any(|entry| entry.name == name) {
+            let version = as_listed(&service.version);
+            words.push(format!("{} is not listed", show(&format!("{name} {version}"))));
+        }
+    }
+    if words.is_empty() {
+        return "in another order, or more than once".to_owned();
+    }
+    let more = words.len().saturating_sub(SPELT);
+    words.truncate(SPELT);
+    if more > 0 {
+        words.push(format!("and {more} more"));
+    }
+    words.join("; ")
 }
 
 /// A device's string as the file lists it: the text itself where it is UTF-8.

@@ -3,6 +3,7 @@
 //! Each returns the exit code that scripts rely on; what cannot be done is an error whose text
 //! names the cause and the way out.
 
+mod check;
 mod headless;
 mod look;
 mod open;
@@ -60,6 +61,7 @@ pub fn run(cli: Cli) -> ExitCode {
         None => look::ui(&cli.session),
         Some(Command::Demo { system, session }) => look::demo(&system, &session),
         Some(Command::Scan(scan)) => scan::run(&scan),
+        Some(Command::Check(check)) => check::run(&check),
         Some(Command::Watch(watch)) => watch::run(&watch),
         Some(Command::Sim { bus, scenario, time }) => simulate::run(&bus, &scenario, time),
         Some(Command::Speed(speed)) => speed::run(&speed),

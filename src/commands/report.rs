@@ -2,8 +2,10 @@
 //!
 //! The JSON's names, types and meanings are relied on by scripts. What is not known is null.
 
-use crate::app::{App, Bus, Kinship, Sibling};
-use crate::discovery::{Confidence, Device, Evidence, Finding, OwnAddress, ServiceEntry};
+use crate::app::{App, Bus, Kinship, Scope, Sibling};
+use crate::discovery::{
+    Confidence, Device, Evidence, Finding, FindingKind, OwnAddress, ServiceEntry,
+};
 use crate::frame::Frame;
 use crate::status::Link;
 use crate::text::Name;
@@ -131,8 +133,9 @@ pub(super) struct FileReport {
 }
 
 impl Report {
-    /// What the app knows at `now`; the load of a bus is that of the whole session.
-    pub fn new(app: &App, now: Instant) -> Self {
+    /// What the app knows at `now`, and as much of the differences from the file as `scope` says;
+    /// the load of a bus is that of the whole session.
+    pub fn new(app: &App, now: Instant, scope: Scope) -> Self {
         let epoch = app.epoch();
         let mut devices: Vec<DeviceReport> = app
             .buses()
@@ -140,14 +143,21 @@ impl Report {
             .flat_map(|bus| bus.engine.devices().iter().map(|device| of_device(app, bus, device)))
             .collect();
         devices.sort_by(|a, b| (&a.bus, a.address, &a.name).cmp(&(&b.bus, b.address, &b.name)));
-        let mut findings: Vec<&Finding> = app.findings().collect();
+        let compared = if scope == Scope::Check { app.compare(now, scope) } else { Vec::new() };
+        let mut findings: Vec<&Finding> = match scope {
+            Scope::Screen => app.findings().collect(),
+            Scope::Check => {
+                let engines = app.buses().iter().flat_map(|bus| bus.engine.findings());
+                engines.chain(&compared).collect()
+            }
+        };
         // By time, and of what was seen at one moment what matters most first.
         findings.sort_by_key(|finding| {
             let confidence = Reverse(finding.confidence);
             let weight = Reverse(finding.key.kind.weight());
             (finding.first, confidence, weight, finding.key.clone())
         });
-        let findings = findings.iter().map(|finding| of_finding(app, epoch, finding)).collect();
+        let findings = findings.iter().map(|it| of_finding(app, epoch, it, scope)).collect();
         Self {
             descan: env!("CARGO_PKG_VERSION"),
             buses: app.buses().iter().map(|bus| of_bus(bus, now)).collect(),
@@ -157,7 +167,7 @@ impl Report {
         }
     }
 
-    /// Whether a finding that counts for `scan` is confirmed.
+    /// Whether a finding that counts for the exit code is confirmed.
     pub fn has_findings(&self) -> bool {
         self.findings.iter().any(|finding| finding.counts)
     }
@@ -364,7 +374,12 @@ fn of_entry(app: &App, device: &Device) -> EntryReport {
     }
 }
 
-pub(super) fn of_finding(app: &App, epoch: Epoch, finding: &Finding) -> FindingReport {
+pub(super) fn of_finding(
+    app: &App,
+    epoch: Epoch,
+    finding: &Finding,
+    scope: Scope,
+) -> FindingReport {
     let bus = finding.key.bus.and_then(|index| app.bus(index));
     FindingReport {
         kind: finding.key.kind.name(),
@@ -377,8 +392,24 @@ pub(super) fn of_finding(app: &App, epoch: Epoch, finding: &Finding) -> FindingR
         evidence: finding.evidence.iter().map(|piece| of_evidence(epoch, piece)).collect(),
         text: finding.text.clone(),
         remedy: finding.remedy.clone(),
-        counts: finding.confidence == Confidence::Confirmed && finding.key.kind.is_collision(),
+        counts: finding.confidence == Confidence::Confirmed
+            && (finding.key.kind.is_collision()
+                || scope == Scope::Check && is_difference(finding.key.kind)),
     }
+}
+
+/// Whether bus and file differ, or the file from itself.
+fn is_difference(kind: FindingKind) -> bool {
+    matches!(
+        kind,
+        FindingKind::Missing
+            | FindingKind::Unlisted
+            | FindingKind::WrongAddress
+            | FindingKind::StaticAddressTaken
+            | FindingKind::ServicesDiffer
+            | FindingKind::FileDuplicateAddress
+            | FindingKind::FileDuplicateEntry
+    )
 }
 
 fn of_evidence(epoch: Epoch, piece: &Evidence) -> EvidenceReport {

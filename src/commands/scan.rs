@@ -5,7 +5,7 @@ use super::headless::{self, Limits, Outcome, tell_hindrance, why_unusable};
 use super::open::{self, Setup};
 use super::report::Report;
 use super::{FINDINGS, FINE, Failure, INTERRUPTED};
-use crate::app::{App, AppOptions};
+use crate::app::{App, AppOptions, Scope};
 use crate::bus::BusSpec;
 use crate::cli::Scan;
 use crate::discovery::Progress;
@@ -18,6 +18,7 @@ use crate::time::Instant;
 use std::io::{self, IsTerminal, Write};
 use std::ops::ControlFlow;
 use std::path::Path;
+use std::time::Duration;
 
 /// Runs it.
 pub fn run(scan: &Scan) -> Result<u8, Failure> {
@@ -36,13 +37,13 @@ pub fn run(scan: &Scan) -> Result<u8, Failure> {
             let all = (Some(Pace::AtOnce), Limits { stuck: INTERRUPTED, ..Limits::default() });
             headless::recorded(log, &setup, AppOptions::default(), all, |_| Ok(()))?
         }
-        None => scan_live(&buses, &setup, scan)?,
+        None => look(&buses, &setup, scan.time, |_, _| Ok(true))?,
     };
     if ending == Some(Ending::Interrupted) {
         return Ok(INTERRUPTED);
     }
     (0..app.buses().len()).for_each(|at| tell_hindrance(&app, BusIndex(at as u8)));
-    let report = Report::new(&app, now);
+    let report = Report::new(&app, now, Scope::Screen);
     let text = if scan.json { report.json() } else { report.tables() };
     let mut out = io::stdout().lock();
     out.write_all(text.as_bytes())?;
@@ -53,8 +54,15 @@ pub fn run(scan: &Scan) -> Result<u8, Failure> {
     Ok(if report.has_findings() { FINDINGS } else { FINE })
 }
 
-fn scan_live(buses: &[BusSpec], setup: &Setup, scan: &Scan) -> Result<Outcome, Failure> {
-    let limits = Limits { time: Some(scan.time), stuck: INTERRUPTED, ..Limits::default() };
+/// One enumeration of live buses, until everything is known and `enough` says so, at most for
+/// `time`.
+pub fn look(
+    buses: &[BusSpec],
+    setup: &Setup,
+    time: Duration,
+    mut enough: impl FnMut(&App, Instant) -> Result<bool, Failure>,
+) -> Result<Outcome, Failure> {
+    let limits = Limits { time: Some(time), stuck: INTERRUPTED, ..Limits::default() };
     let mut bar = Bar::new();
     headless::live(buses, setup, AppOptions::default(), limits, |session| {
         // Nobody waits for an interface to come up.
@@ -62,8 +70,8 @@ fn scan_live(buses: &[BusSpec], setup: &Setup, scan: &Scan) -> Result<Outcome, F
         if let Some(why) = buses.find_map(|bus| why_unusable(bus, session.now())) {
             return Err(Failure::Unusable(why));
         }
-        bar.show(&session.app, session.now(), scan.time);
-        let is_done = is_settled(&session.app);
+        bar.show(&session.app, session.now(), time);
+        let is_done = enough(&session.app, session.now())? && is_settled(&session.app);
         Ok(if is_done { ControlFlow::Break(()) } else { ControlFlow::Continue(()) })
     })
 }
@@ -83,7 +91,7 @@ impl Bar {
         Self { shown: io::stderr().is_terminal(), last: String::new() }
     }
 
-    fn show(&mut self, app: &App, now: Instant, limit: std::time::Duration) {
+    fn show(&mut self, app: &App, now: Instant, limit: Duration) {
         const WIDTH: usize = 20;
         if !self.shown {
             return;

@@ -9,7 +9,7 @@ use super::report::{
     BusReport, FileReport, FindingReport, ServiceReport, of_bus, of_file, of_finding, of_services,
 };
 use super::{FINE, Failure};
-use crate::app::{App, AppOptions, Filter, Happening, TimelineEntry, clock_millis, hex};
+use crate::app::{App, AppOptions, Filter, Happening, Scope, TimelineEntry, clock_millis, hex};
 use crate::cli::Watch;
 use crate::discovery::{Event, EventKind, Finding, Presence};
 use crate::frame::{BusIndex, IdPattern};
@@ -285,7 +285,7 @@ fn what_finding(app: &App, finding: &Finding) -> What {
         bus: finding.key.bus.and_then(|index| app.bus(index)).map(|bus| bus.name.clone()),
         address: finding.key.address.map(Address::number),
         name,
-        finding: of_finding(app, app.epoch(), finding),
+        finding: of_finding(app, app.epoch(), finding, Scope::Screen),
     }
 }
 

@@ -1,0 +1,135 @@
+//! `descan check`: whether a bus is what des.json says. Looks as `scan` does, and prints the
+//! differences.
+
+use super::headless::{self, Limits, Outcome, tell_hindrance};
+use super::open::{self, Setup};
+use super::report::Report;
+use super::scan::look;
+use super::{FINDINGS, FINE, Failure, INTERRUPTED};
+use crate::app::{App, AppOptions, Scope};
+use crate::cli::Check;
+use crate::discovery::{Confidence, Finding, FindingKind};
+use crate::shell::ending::Ending;
+use crate::shell::recording::Pace;
+use crate::time::Instant;
+use std::fmt::Write as _;
+use std::io::{self, Write};
+
+/// Runs it.
+pub fn run(check: &Check) -> Result<u8, Failure> {
+    let buses = open::buses(&check.session)?;
+    let setup = Setup::new(&check.session.common)?;
+    let Outcome { app, now, ending } = match open::log(&buses, "check")? {
+        Some(log) => {
+            let all = (Some(Pace::AtOnce), Limits { stuck: INTERRUPTED, ..Limits::default() });
+            headless::recorded(log, &setup, AppOptions::default(), all, |app| has_file(app))?
+        }
+        None => look(&buses, &setup, check.time, |app, now| {
+            has_file(app)?;
+            Ok(!check.wait_for_all || is_complete(app, now))
+        })?,
+    };
+    has_file(&app)?;
+    if ending == Some(Ending::Interrupted) {
+        return Ok(INTERRUPTED);
+    }
+    for at in 0..app.buses().len() {
+        tell_hindrance(&app, crate::frame::BusIndex(at as u8));
+    }
+    let report = Report::new(&app, now, Scope::Check);
+    let text = if check.json { report.json() } else { differences(&app, now) };
+    let mut out = io::stdout().lock();
+    out.write_all(text.as_bytes())?;
+    out.flush()?;
+    Ok(if report.has_findings() { FINDINGS } else { FINE })
+}
+
+/// Without a file there is nothing to compare with.
+fn has_file(app: &App) -> Result<(), Failure> {
+    let file = app.file();
+    let path = || file.path().map_or(String::new(), |path| path.display().to_string());
+    if let Some(problem) = file.problem() {
+        return Err(Failure::Unusable(format!("{}: {problem}", path())));
+    }
+    if !file.is_there() {
+        return Err(Failure::Unusable(format!(
+            "{}: there is no such file; begin one with: descan scan BUS --write {}",
+            path(),
+            path()
+        )));
+    }
+    Ok(())
+}
+
+/// Whether every entry has its device, and what the file lists of its services is known.
+fn is_complete(app: &App, now: Instant) -> bool {
+    let missing =
+        app.compare(now, Scope::Check).iter().any(|it| it.key.kind == FindingKind::Missing);
+    let unknown = app.file().document().entries().iter().any(|entry| {
+        let lists = entry.services.as_ref().is_some_and(|services| !services.is_empty());
+        let mut devices = app.matching().devices_of(entry.index).iter();
+        lists && devices.any(|id| app.device(*id).is_some_and(|it| it.services.is_none()))
+    });
+    !missing && !unknown
+}
+
+/// What the kinds of differences are called, the gravest first.
+const GROUPS: [(&str, &[FindingKind]); 7] = [
+    (
+        "collisions",
+        &[
+            FindingKind::SameNameSameAddress,
+            FindingKind::OneAddressTwoNames,
+            FindingKind::OneAddressTwoIdentities,
+            FindingKind::OneUidTwoAddresses,
+            FindingKind::TwoDebugDevices,
+        ],
+    ),
+    ("missing", &[FindingKind::Missing]),
+    ("at another address", &[FindingKind::WrongAddress]),
+    ("static address taken", &[FindingKind::StaticAddressTaken]),
+    ("not in the file", &[FindingKind::Unlisted]),
+    ("other services", &[FindingKind::ServicesDiffer]),
+    ("in the file itself", &[FindingKind::FileDuplicateAddress, FindingKind::FileDuplicateEntry]),
+];
+
+/// For people: a line for each difference, in groups, and a summary.
+fn differences(app: &App, now: Instant) -> String {
+    let compared = app.compare(now, Scope::Check);
+    let engines = app.buses().iter().flat_map(|bus| bus.engine.findings());
+    let found: Vec<&Finding> =
+        engines.chain(&compared).filter(|it| it.confidence == Confidence::Confirmed).collect();
+    let mut text = String::new();
+    let mut sums = Vec::new();
+    for (title, kinds) in GROUPS {
+        let group: Vec<_> = found.iter().filter(|it| kinds.contains(&it.key.kind)).collect();
+        if group.is_empty() {
+            continue;
+        }
+        let _ = writeln!(text, "{title}:");
+        for finding in &group {
+            let bus = finding.key.bus.and_then(|bus| app.bus(bus));
+            let bus = bus.filter(|_| app.buses().len() > 1);
+            let bus = bus.map_or(String::new(), |bus| format!("{}: ", bus.name));
+            let _ = writeln!(text, "  {bus}{}", finding.text);
+        }
+        sums.push(format!("{} {title}", group.len()));
+    }
+    let here = |bus: &crate::app::Bus| {
+        bus.engine.devices().iter().filter(|it| it.is_here() && !it.is_debug).count()
+    };
+    let buses: Vec<String> = app
+        .buses()
+        .iter()
+        .map(|bus| format!("{} on {}", many(here(bus), "device", "devices"), bus.name))
+        .collect();
+    let file = app.file();
+    let entries = many(file.document().entries().len(), "entry", "entries");
+    let verdict = if sums.is_empty() { "no difference".to_owned() } else { sums.join(", ") };
+    let _ = writeln!(text, "{}: {entries}, {}: {verdict}", file.name(), buses.join(", "));
+    text
+}
+
+fn many(count: usize, one: &str, several: &str) -> String {
+    format!("{count} {}", if count == 1 { one } else { several })
+}

@@ -1,0 +1,197 @@
+//! `descan check`, from outside: bus against des.json, what it prints, and the exit codes.
+
+mod common;
+
+use common::log;
+use descan::sim::{DeviceSpec, Fault, Scenario};
+use descan::time::Duration;
+use serde_json::Value;
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+/// FEED at 12 and SENS at 13.
+fn bus() -> Scenario {
+    Scenario::new(125_000)
+        .with(DeviceSpec::new("FEED").fixed(12).settled().service("AUGER", "2.1"))
+        .with(DeviceSpec::new("SENS").fixed(13).settled().service("TEMP", "1.7"))
+}
+
+const AGREES: &str = r#"{ "devices": [
+  { "name": "FEED", "address": 12, "static": true, "services": [
+    { "name": "DES", "version": "1.0" }, { "name": "AUGER", "version": "2.1" } ] },
+  { "name": "SENS", "address": 13, "static": true }
+] }"#;
+
+struct Folder(tempfile::TempDir);
+
+impl Folder {
+    fn with(scenario: &Scenario, file: Option<&str>) -> Self {
+        let folder = Self(tempfile::tempdir().unwrap());
+        folder.write("session.log", &log(scenario, 12));
+        if let Some(file) = file {
+            folder.write("des.json", file);
+        }
+        folder
+    }
+
+    fn path(&self) -> &Path {
+        self.0.path()
+    }
+
+    fn write(&self, name: &str, text: &str) {
+        std::fs::write(self.path().join(name), text).unwrap();
+    }
+
+    fn check(&self, arguments: &[&str]) -> Output {
+        Command::new(env!("CARGO_BIN_EXE_descan"))
+            .arg("check")
+            .args(arguments)
+            .current_dir(self.path())
+            .env("XDG_CONFIG_HOME", self.path().join("config"))
+            .stdin(Stdio::null())
+            .output()
+            .expect("the program starts")
+    }
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8(bytes.to_vec()).expect("output is UTF-8")
+}
+
+/// Exit code and standard output for this file against [`bus`].
+fn checked(file: &str) -> (i32, String) {
+    let output = Folder::with(&bus(), Some(file)).check(&["file:session.log"]);
+    assert_eq!(text(&output.stderr), "");
+    (output.status.code().unwrap(), text(&output.stdout))
+}
+
+/// Kinds and addresses of what counts, as JSON has them.
+fn kinds(file: &str) -> Vec<(String, Option<u64>)> {
+    let output = Folder::with(&bus(), Some(file)).check(&["file:session.log", "--json"]);
+    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let findings = report["findings"].as_array().unwrap().iter();
+    let findings: Vec<_> = findings
+        .map(|it| (it["kind"].as_str().unwrap().to_owned(), it["address"].as_u64()))
+        .collect();
+    assert_eq!(output.status.code(), Some(i32::from(!findings.is_empty())), "{report:#}");
+    findings
+}
+
+#[test]
+fn what_agrees_is_one_line_and_fine() {
+    let (code, said) = checked(AGREES);
+    assert_eq!(said, "des.json: 2 entries, 2 devices on can0: no difference\n");
+    assert_eq!(code, 0);
+    assert_eq!(kinds(AGREES), []);
+}
+
+#[test]
+fn each_difference_is_a_line_in_its_group() {
+    let (code, said) = checked(
+        r#"{ "devices": [
+          { "name": "FEED", "address": 16, "static": true, "services": [
+            { "name": "DES", "version": "1.0" }, { "name": "AUGER", "version": "2.0" },
+            { "name": "JAM", "version": "1.0" } ] },
+          { "name": "PUMP", "address": 44, "static": true },
+          { "name": "FAN", "address": 13, "static": true }
+        ] }"#,
+    );
+    assert_eq!(
+        said,
+        "\
+missing:
+  PUMP (at 44) is listed and not there: in this log nothing was ever heard from address 44.
+  FAN (at 13) is listed and not there: SENS sits on its address 13.
+at another address:
+  FEED is at 12, and the file pins it to 16.
+static address taken:
+  13 is the static address of FAN, and a device that calls itself SENS is there.
+not in the file:
+  SENS at 13 is not in the file.
+other services:
+  FEED at 12 has other services than the file lists: AUGER is 2.1, not 2.0; JAM is not there.
+des.json: 3 entries, 2 devices on can0: 2 missing, 1 at another address, 1 static address taken, \
+1 not in the file, 1 other services
+"
+    );
+    assert_eq!(code, 1);
+}
+
+#[test]
+fn kinds_are_those_that_scripts_rely_on() {
+    let kind = |kind: &str, address: u64| (kind.to_owned(), Some(address));
+    let feed = r#"{ "name": "FEED", "address": 12, "static": true }"#;
+    let sens = r#"{ "name": "SENS", "address": 13 }"#;
+    let file = |entries: &[&str]| format!("{{ \"devices\": [ {} ] }}", entries.join(", "));
+    assert_eq!(kinds(&file(&[feed])), [kind("unlisted", 13)]);
+    assert_eq!(kinds(&file(&[feed, sens])), []);
+    // Not static: it may be anywhere.
+    assert_eq!(kinds(&file(&[feed, r#"{ "name": "SENS", "address": 99 }"#])), []);
+    let pump = r#"{ "name": "PUMP", "address": 44, "static": true }"#;
+    assert_eq!(kinds(&file(&[feed, sens, pump])), [kind("missing", 44)]);
+    let listed = r#"{ "name": "SENS", "services": [ { "name": "DES", "version": "1.0" } ] }"#;
+    assert_eq!(kinds(&file(&[feed, listed])), [kind("services-differ", 13)]);
+    let twice = kinds(&file(&[feed, sens, sens]));
+    assert!(twice.iter().any(|it| it.0 == "file-duplicate-entry"), "{twice:?}");
+}
+
+#[test]
+fn a_collision_is_a_difference_too() {
+    // Slow enough not to destroy each other's answers.
+    let stubborn = |name: &str, millis: u64| {
+        let mut device = DeviceSpec::new(name).fixed(14).settled().fault(Fault::NeverGivesWay);
+        device.delay = (Duration::from_millis(millis), Duration::from_millis(millis));
+        device
+    };
+    let scenario = Scenario::new(125_000).with(stubborn("ACT", 1)).with(stubborn("FAN", 9));
+    let file = r#"[ { "name": "ACT", "address": 14, "static": true } ]"#;
+    let folder = Folder::with(&scenario, Some(file));
+    let output = folder.check(&["file:session.log"]);
+    let said = text(&output.stdout);
+    assert!(said.starts_with("collisions:\n  Two devices"), "{said}");
+    assert_eq!(output.status.code(), Some(1));
+}
+
+#[test]
+fn without_a_file_that_can_be_read_nothing_can_be_said() {
+    let folder = Folder::with(&bus(), None);
+    let missing = folder.check(&["file:session.log"]);
+    assert_eq!(missing.status.code(), Some(3));
+    assert!(text(&missing.stderr).contains("des.json: there is no such file"));
+    folder.write("des.json", "{ \"devices\": [\n  { \"name\": \"FEED\" \"address\": 12 }\n] }");
+    for arguments in [&["file:session.log"][..], &["file:session.log", "--json"]] {
+        let broken = folder.check(arguments);
+        assert_eq!(broken.status.code(), Some(3));
+        assert!(text(&broken.stderr).contains("line 2, column 20"), "{}", text(&broken.stderr));
+        assert_eq!(text(&broken.stdout), "");
+    }
+}
+
+#[test]
+fn a_line_waits_until_all_are_there() {
+    let folder = Folder::with(&bus(), Some(AGREES));
+    folder.write(
+        "line.toml",
+        r#"
+bitrate = 125000
+[[device]]
+name = "FEED"
+settled = true
+address = { fixed = 12 }
+services = [["DES", "1.0"], ["AUGER", "2.1"]]
+[[device]]
+name = "SENS"
+address = { fixed = 13 }
+power_on = 7.0
+"#,
+    );
+    let soon = folder.check(&["sim:line.toml"]);
+    assert_eq!(soon.status.code(), Some(1), "{}", text(&soon.stdout));
+    assert!(text(&soon.stdout).contains("SENS (at 13) is listed and not there"));
+    let waited = folder.check(&["sim:line.toml", "--wait-for-all", "--time", "30"]);
+    assert_eq!(waited.status.code(), Some(0), "{}", text(&waited.stdout));
+    // What never comes is missing when the time is up.
+    folder.write("des.json", r#"[ { "name": "PUMP", "address": 44 } ]"#);
+    let never = folder.check(&["sim:line.toml", "--wait-for-all", "--time", "4"]);
+    assert_eq!(never.status.code(), Some(1), "{}", text(&never.stdout));
+}
