@@ -284,8 +284,11 @@ impl Recording {
     }
 
     fn boiler(folder: &Path, name: &str) -> Self {
-        let arguments = ["watch", "sim:boiler", "--record", name];
-        Self::start(&mut command(&arguments, folder), folder.join(name))
+        // Whoever runs the tests may ignore SIGHUP, as under nohup, and children would too.
+        let mut command = Command::new("env");
+        command.args(["--default-signal=HUP", env!("CARGO_BIN_EXE_descan")]);
+        command.args(["watch", "sim:boiler", "--record", name]).current_dir(folder);
+        Self::start(command.stdin(Stdio::null()), folder.join(name))
     }
 
     /// Waits until so many bytes are in the file.
