@@ -1021,7 +1021,7 @@ fn where_frames_only_break_another_bit_rate_is_offered() {
     snapshot!("only_broken_frames", stage);
     stage.effects.clear();
     stage.keys("b");
-    assert!(stage.screen().contains("Find the bit rate of can0? It is switched off and on"));
+    assert!(stage.screen().contains("Find can0's bit rate, listening? It is switched off and on."));
     stage.keys("n");
     assert!(!stage.effects.contains(&Effect::FindBitrate(BusIndex(0))), "asked, and refused");
     stage.keys("b y");

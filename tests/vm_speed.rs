@@ -41,20 +41,30 @@ fn as_before() {
     set(&["up", "type", "can", "bitrate", "125000", "listen-only", "off"]);
 }
 
+/// Looks for the rate from `first` on while can1 sends.
+fn found(first: &str) -> (Output, String) {
+    let mut chatter = Command::new("cangen").args(["can1", "-g", "50"]).spawn().unwrap();
+    let done = speed(&["can0", "--first", first, "--json"]);
+    chatter.kill().unwrap();
+    chatter.wait().unwrap();
+    (done, settings().join(" "))
+}
+
 #[test]
 fn a_rate_at_which_frames_come_is_kept() {
     let Some(_taken) = controllers() else { return };
-    set(&["up", "type", "can", "bitrate", "250000", "listen-only", "on"]);
-    let mut chatter = Command::new("cangen").args(["can1", "-g", "50"]).spawn().unwrap();
-    let done = speed(&["can0", "--first", "500000", "--json"]);
-    chatter.kill().unwrap();
-    chatter.wait().unwrap();
+    as_before();
+    let (done, after) = found("500000");
     let told: Value = serde_json::from_slice(&done.stdout).unwrap();
     assert_eq!((told["bus"].as_str(), told["bitrate"].as_u64()), (Some("can0"), Some(500_000)));
     assert_eq!(done.status.code(), Some(0), "{}", text(&done.stderr));
-    let after = settings().join(" ");
     assert!(after.contains("bitrate 500000") && after.contains("up: true"), "{after}");
-    assert!(!after.contains("LISTEN-ONLY"), "it takes part: {after}");
+    assert!(!after.contains("LISTEN-ONLY"), "it takes part again: {after}");
+    // What only listened goes on so.
+    set(&["up", "type", "can", "bitrate", "250000", "listen-only", "on"]);
+    let (done, after) = found("1000000");
+    assert_eq!(done.status.code(), Some(0), "{}", text(&done.stderr));
+    assert!(after.contains("bitrate 1000000") && after.contains("LISTEN-ONLY"), "{after}");
     as_before();
 }
 

@@ -336,7 +336,7 @@ impl App {
             }
             Question::FindBitrate(bus) => {
                 let name = self.bus(*bus).map_or("the bus", |bus| bus.name.as_str());
-                format!("Find the bit rate of {name}? It is switched off and on; we only listen.")
+                format!("Find {name}'s bit rate, listening? It is switched off and on.")
             }
         })
     }

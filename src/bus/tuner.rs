@@ -104,10 +104,11 @@ impl Tuner {
         }
     }
 
-    /// Leaves it at `bitrate`, taking part.
+    /// Leaves it at `bitrate`; whether it takes part is as it was.
     pub fn keep(mut self, bitrate: u32) -> Result<(), TuneError> {
-        self.set(bitrate, Manner::TakingPart)?;
         if let Kind::Interface(controller) = &mut self.0 {
+            let done = controller.set(bitrate, controller.listened_only());
+            done.map_err(|refusal| explain(refusal, controller.name(), bitrate))?;
             controller.keep();
         }
         Ok(())

@@ -49,7 +49,7 @@ async fn search(speed: &Speed) -> Result<u8, Failure> {
             BusSpec::Slcan { device, .. } => {
                 format!("open it so: descan slcan:{}@{rate}", device.display())
             }
-            _ => format!("{bus} is set to it and takes part; now: descan {bus}"),
+            _ => format!("{bus} is set to it; now: descan {bus}"),
         });
         return Ok(FINE);
     }

@@ -37,8 +37,7 @@ pub struct Plan {
     pub period: Duration,
 }
 
-/// Looks for the rate. Where it is found the bus keeps it and takes part; otherwise it is put back
-/// to how it was. May be dropped while waiting.
+/// Looks for the rate. Where it is found the bus keeps it; whatever else was set is put back. May be dropped while waiting.
 pub async fn find(
     bus: &BusSpec,
     plan: Plan,

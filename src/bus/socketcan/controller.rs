@@ -70,6 +70,11 @@ impl Controller {
         self.timing.map(|timing| timing.bitrate)
     }
 
+    /// Whether it did not take part in the bus.
+    pub(in crate::bus) fn listened_only(&self) -> bool {
+        self.listened_only
+    }
+
     /// Switches it off, sets it, and switches it on again.
     pub(in crate::bus) fn set(&mut self, bitrate: u32, listen_only: bool) -> Result<(), Refusal> {
         self.touched = true;
