@@ -8,7 +8,7 @@
 //! What it deliberately does not know: what is in the file.
 
 use std::ffi::{OsStr, OsString};
-use std::fs::{self, File, Permissions};
+use std::fs::{self, File, Permissions, TryLockError};
 use std::io::{self, Read as _, Write as _};
 use std::os::unix::ffi::OsStrExt as _;
 use std::os::unix::fs::{MetadataExt as _, OpenOptionsExt as _, PermissionsExt as _};
@@ -17,7 +17,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use nix::errno::Errno;
-use nix::fcntl::{Flock, FlockArg, OFlag};
+use nix::fcntl::OFlag;
 use nix::unistd::{AccessFlags, Gid, Uid, access, fchown};
 
 use crate::text::printable;
@@ -158,10 +158,13 @@ impl Store {
         let places = Places::of(&self.path).map_err(|cause| self.write_error(cause))?;
         let (folder, target) = (&places.folder, &places.target);
         let open = File::open(folder).map_err(|cause| self.write_error(cause))?;
-        let lock = lock(&open, folder)?;
+        let lock = lock(folder)?;
         let old = fs::metadata(target).ok();
         if old.is_some() && access(target, AccessFlags::W_OK) == Err(Errno::EACCES) {
             return Err(SaveError::Protected { path: shown(target) });
+        }
+        if lock.is_some() {
+            remove_leftovers(target, folder);
         }
         let temporary = write_beside(target, folder, old.as_ref(), new);
         let temporary = temporary.map_err(|cause| self.write_error(cause))?;
@@ -262,20 +265,46 @@ fn components(path: &Path) -> Vec<OsString> {
     path.components().rev().filter_map(name).map(OsStr::to_owned).collect()
 }
 
-/// A lock on the folder, which leaves no file behind; none where the file system has no locks.
-fn lock(folder: &File, path: &Path) -> Result<Option<Flock<File>>, SaveError> {
+/// A lock on the folder, which leaves no file behind, and is given back when dropped; none where
+/// the file system has no locks.
+fn lock(folder: &Path) -> Result<Option<File>, SaveError> {
     let deadline = Instant::now() + LOCK_PATIENCE;
-    let Ok(mut folder) = folder.try_clone() else { return Ok(None) };
+    let Ok(open) = File::open(folder) else { return Ok(None) };
     loop {
-        match Flock::lock(folder, FlockArg::LockExclusiveNonblock) {
-            Ok(lock) => return Ok(Some(lock)),
-            Err((again, Errno::EWOULDBLOCK)) if Instant::now() < deadline => folder = again,
-            Err((_, Errno::EWOULDBLOCK)) => {
-                return Err(SaveError::Locked { folder: shown(path) });
+        match open.try_lock() {
+            Ok(()) => return Ok(Some(open)),
+            Err(TryLockError::WouldBlock) if Instant::now() < deadline => {}
+            Err(TryLockError::WouldBlock) => {
+                return Err(SaveError::Locked { folder: shown(folder) });
             }
-            Err(_) => return Ok(None),
+            Err(TryLockError::Error(_)) => return Ok(None),
         }
         thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// What the name of a file beside the target begins with; characters that no other has follow.
+fn temporary_prefix(target: &Path) -> OsString {
+    let mut prefix = OsString::from(".");
+    prefix.push(target.file_name().unwrap_or_default());
+    prefix.push(".descan-");
+    prefix
+}
+
+const TEMPORARY_SUFFIX: &str = ".tmp";
+
+/// Removes what saves that were killed left beside the target. Only to be called under the lock:
+/// whoever else saves would lose its file.
+fn remove_leftovers(target: &Path, folder: &Path) {
+    let prefix = temporary_prefix(target);
+    for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
+        let name = entry.file_name();
+        let rest = name.as_bytes().strip_prefix(prefix.as_bytes());
+        let is_ours = rest.is_some_and(|rest| rest.ends_with(TEMPORARY_SUFFIX.as_bytes()));
+        if is_ours && entry.file_type().is_ok_and(|kind| kind.is_file()) {
+            // Where it cannot be removed it does no harm.
+            let _ = fs::remove_file(entry.path());
+        }
     }
 }
 
@@ -286,14 +315,11 @@ fn write_beside(
     old: Option<&fs::Metadata>,
     new: &[u8],
 ) -> io::Result<tempfile::NamedTempFile> {
-    let mut prefix = OsString::from(".");
-    prefix.push(target.file_name().unwrap_or_default());
-    prefix.push(".");
     // A new file's mode is the user's own choice, by umask.
     let mode = if old.is_some() { 0o600 } else { 0o666 };
     let mut temporary = tempfile::Builder::new()
-        .prefix(&prefix)
-        .suffix(".tmp")
+        .prefix(&temporary_prefix(target))
+        .suffix(TEMPORARY_SUFFIX)
         .permissions(Permissions::from_mode(mode))
         .tempfile_in(folder)?;
     temporary.write_all(new)?;
