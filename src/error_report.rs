@@ -38,6 +38,41 @@ const WHILE_SENDING: u8 = 0x80;
 
 /// The acknowledge slot, as a place in the frame, in byte 3.
 const ACKNOWLEDGE_SLOT: u8 = 0x19;
+/// Places in the frame, in byte 3, in the order in which they are sent.
+const PLACES: [(u8, &str); 19] = [
+    (0x03, "start of frame"),
+    (0x02, "identifier bits 28-21"),
+    (0x06, "identifier bits 20-18"),
+    (0x04, "SRTR bit"),
+    (0x05, "IDE bit"),
+    (0x07, "identifier bits 17-13"),
+    (0x0F, "identifier bits 12-5"),
+    (0x0E, "identifier bits 4-0"),
+    (0x0C, "RTR bit"),
+    (0x0D, "reserved bit 1"),
+    (0x09, "reserved bit 0"),
+    (0x0B, "length code"),
+    (0x0A, "data"),
+    (0x08, "CRC"),
+    (0x18, "CRC delimiter"),
+    (ACKNOWLEDGE_SLOT, "acknowledge slot"),
+    (0x1B, "acknowledge delimiter"),
+    (0x1A, "end of frame"),
+    (0x12, "intermission"),
+];
+
+/// Faults of the wires, in byte 4: CANH in the low digit, CANL in the high one.
+const WIRES: [(u8, u8, &str); 9] = [
+    (0x0F, 0x04, "CANH not connected"),
+    (0x0F, 0x05, "CANH shorted to the battery"),
+    (0x0F, 0x06, "CANH shorted to VCC"),
+    (0x0F, 0x07, "CANH shorted to ground"),
+    (0xF0, 0x40, "CANL not connected"),
+    (0xF0, 0x50, "CANL shorted to the battery"),
+    (0xF0, 0x60, "CANL shorted to VCC"),
+    (0xF0, 0x70, "CANL shorted to ground"),
+    (0xF0, 0x80, "CANL shorted to CANH"),
+];
 
 /// An error frame, read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -120,6 +155,25 @@ impl ErrorReport {
         self.is(CONTROLLER) && self.details[1] & RECEIVE_OVERFLOW != 0
     }
 
+    /// Where in the frame it broke, where the driver says it.
+    pub fn place(&self) -> Option<&'static str> {
+        let place = PLACES.iter().find(|(code, _)| self.is(PROTOCOL) && *code == self.details[3]);
+        place.map(|(_, name)| *name)
+    }
+
+    /// At which bit of the arbitration we lost to another sender, where the driver says it.
+    pub fn arbitration_bit(&self) -> Option<u8> {
+        (self.is(LOST_ARBITRATION) && self.details[0] > 0).then_some(self.details[0])
+    }
+
+    /// What the transceiver says of the wires.
+    pub fn wires(&self) -> impl Iterator<Item = &'static str> {
+        let wires = self.details[4];
+        let said = self.is(TRANSCEIVER);
+        let fits = move |&&(mask, code, _): &&(u8, u8, &str)| said && wires & mask == code;
+        WIRES.iter().filter(fits).map(|(_, _, fault)| *fault)
+    }
+
     /// Whether the transceiver reports a fault of the wires.
     pub fn is_transceiver_fault(&self) -> bool {
         self.is(TRANSCEIVER)
@@ -141,7 +195,7 @@ impl ErrorReport {
 /// All that it says, in words.
 impl fmt::Display for ErrorReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        const CLASSES: [(u32, &str); 10] = [
+        const CLASSES: [(u32, &str); 9] = [
             (TRANSMISSION_TIMEOUT, "transmission timed out"),
             (LOST_ARBITRATION, "arbitration lost"),
             (CONTROLLER, "controller"),
@@ -151,7 +205,6 @@ impl fmt::Display for ErrorReport {
             (BUS_OFF, "bus-off"),
             (BUS_ERROR, "bus error"),
             (RESTARTED, "controller restarted"),
-            (COUNTERS, "error counters"),
         ];
         const STATES: [(u8, &str); 7] = [
             (RECEIVE_OVERFLOW, "receive overflow"),
@@ -178,8 +231,20 @@ impl fmt::Display for ErrorReport {
             VIOLATIONS.iter().filter(|(bit, _)| self.is(PROTOCOL) && self.details[2] & bit != 0);
         let details = states.chain(violations).map(|(_, word)| *word);
         let mut between = "";
-        for word in classes.chain(details) {
+        for word in classes.chain(details).chain(self.wires()) {
             write!(f, "{between}{word}")?;
+            between = ", ";
+        }
+        if let Some(place) = self.place() {
+            write!(f, "{between}in the {place}")?;
+            between = ", ";
+        }
+        if let Some(bit) = self.arbitration_bit() {
+            write!(f, "{between}at bit {bit}")?;
+            between = ", ";
+        }
+        if let Some((transmit, receive)) = self.counters() {
+            write!(f, "{between}error counters tx {transmit}, rx {receive}")?;
             between = ", ";
         }
         if between.is_empty() { f.write_str("error frame") } else { Ok(()) }
@@ -204,6 +269,35 @@ mod tests {
         assert!(!broken(PROTOCOL | BUS_ERROR, [0, 0, OVERLOAD, 0, 0, 0, 0, 0]));
         assert!(!broken(LOST_ARBITRATION, [5, 0, 0, 0, 0, 0, 0, 0]));
         assert!(!broken(CONTROLLER, [0, RECEIVE_WARNING, 0, 0, 0, 0, 0, 96]));
+    }
+
+    #[test]
+    fn all_that_a_report_says_is_in_its_words() {
+        for (class, details, words) in [
+            (
+                PROTOCOL | BUS_ERROR | COUNTERS,
+                [0, 0, STUFF | WHILE_SENDING, 0x0A, 0, 0, 8, 0],
+                "protocol violation, bus error, stuff, while we sent, in the data, error counters \
+                 tx 8, rx 0",
+            ),
+            (LOST_ARBITRATION, [12, 0, 0, 0, 0, 0, 0, 0], "arbitration lost, at bit 12"),
+            (LOST_ARBITRATION, [0; 8], "arbitration lost"),
+            (
+                TRANSCEIVER,
+                [0, 0, 0, 0, 0x74, 0, 0, 0],
+                "transceiver, CANH not connected, CANL shorted to ground",
+            ),
+            (
+                BUS_OFF | COUNTERS,
+                [0, 0, 0, 0, 0, 0, 255, 3],
+                "bus-off, error counters tx 255, rx 3",
+            ),
+            (RESTARTED, [0; 8], "controller restarted"),
+            (NO_ACKNOWLEDGE | BUS_ERROR, [0; 8], "nobody acknowledged, bus error"),
+            (0, [0; 8], "error frame"),
+        ] {
+            assert_eq!(report(class, details).to_string(), words);
+        }
     }
 
     #[test]

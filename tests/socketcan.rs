@@ -353,6 +353,32 @@ fn errors_that_the_controller_could_report_are_noted_with_the_command() {
 }
 
 #[test]
+fn what_somebody_sets_while_we_run_is_seen() {
+    let Some(_taken) = controllers() else { return };
+    let mut bus = Bus::open("can0");
+    assert_eq!((bus.status().bitrate, bus.status().restart_ms), (Some(125_000), Some(0)));
+    let set = |bitrate: &str, restart_ms: &str, listen_only: &str| {
+        let settings = ["bitrate", bitrate, "restart-ms", restart_ms, "listen-only", listen_only];
+        run("ip", &["link", "set", "can0", "down"]);
+        run("ip", &[&["link", "set", "can0", "up", "type", "can"], &settings[..]].concat());
+    };
+    set("250000", "100", "on");
+    bus.wait_until("the new settings", |bus| {
+        let status = bus.status();
+        (status.link, status.bitrate, status.restart_ms, status.listen_only)
+            == (Link::Up, Some(250_000), Some(100), true)
+    });
+    set("125000", "0", "off");
+    bus.wait_until("the old settings", |bus| {
+        let status = bus.status();
+        (status.link, status.bitrate, status.restart_ms, status.listen_only)
+            == (Link::Up, Some(125_000), Some(0), false)
+    });
+    run("cansend", &["can1", "123#01"]);
+    bus.wait_for_frames(1);
+}
+
+#[test]
 fn the_receive_buffer_is_as_large_as_it_may_be() {
     let Some(vcan) = Vcan::new("ds-buffer") else { return };
     // The kernel doubles what is asked for; root gets all of it.
