@@ -3,8 +3,8 @@
 //!
 //! Needs root and CAN in the kernel: tests/vm/measure runs it in the virtual machine. Time there is
 //! not to be relied on, so what counts is the ratios of one run. Arguments: seconds a slice of the
-//! CPU measure takes (10), slices of each (3), seconds of each measure of losses (60). With
-//! `send RATE SECONDS` it only sends, to ds-measure: for a profiler.
+//! CPU measure takes, slices of each, seconds of each measure of losses; without them it measures
+//! nothing. With `send RATE SECONDS` it only sends, to ds-measure: for a profiler.
 
 #[path = "../common/pty.rs"]
 mod pty;
@@ -43,15 +43,13 @@ fn main() {
         send(rate, Duration::from_secs(seconds.into()));
         return;
     }
-    let number = |text: Option<String>, otherwise| text.map_or(otherwise, |it| it.parse().unwrap());
-    let seconds = number(first, 10);
-    let slices = number(arguments.next(), 3);
-    let loss_seconds = number(arguments.next(), 60);
-    let _ = ip(&["link", "del", BUS]);
-    if !ip(&["link", "add", BUS, "type", "vcan"]) {
-        println!("not measured: interfaces cannot be made here (tests/vm/measure runs it)");
+    let numbers = first.into_iter().chain(arguments).map(|it| it.parse().expect("a number"));
+    let [seconds, slices, loss_seconds] = numbers.collect::<Vec<u64>>()[..] else {
+        println!("SocketCAN: tests/vm/measure measures it");
         return;
-    }
+    };
+    let _ = ip(&["link", "del", BUS]);
+    assert!(ip(&["link", "add", BUS, "type", "vcan"]), "interfaces can be made");
     ip(&["link", "set", BUS, "up", "mtu", "72"]);
     let folder = tempfile::tempdir().expect("a temporary folder");
     cost(folder.path(), seconds, slices as usize);
