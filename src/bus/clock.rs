@@ -29,6 +29,8 @@ struct Pace {
     from: Instant,
     speed: f64,
     is_paused: bool,
+    /// It is that of logs, and none is open yet.
+    awaits_log: bool,
     /// The logs, by bus.
     logs: BTreeMap<BusIndex, LogPlace>,
 }
@@ -52,7 +54,7 @@ impl Clock {
         Self::with(Epoch::from_unix_micros(wall_micros()), 1.0, false)
     }
 
-    /// Starts now, but calls this moment `epoch` and runs `speed` times as fast: everything
+    /// Starts when the first log opens, but calls that moment `epoch` and runs `speed` times as fast: everything
     /// that is timed by it, ages and time-outs included, keeps the pace of the recording.
     /// A speed that is not a positive number counts as 1.
     pub fn replaying(epoch: Epoch, speed: f64) -> Self {
@@ -62,7 +64,7 @@ impl Clock {
     fn with(epoch: Epoch, speed: f64, is_replaying: bool) -> Self {
         let logs = BTreeMap::new();
         let (since, from) = (Monotonic::now(), Instant::ZERO);
-        let pace = Pace { since, from, speed, is_paused: false, logs };
+        let pace = Pace { since, from, speed, is_paused: false, awaits_log: is_replaying, logs };
         Self { epoch, is_replaying, pace: Arc::new(Mutex::new(pace)) }
     }
 
@@ -125,6 +127,7 @@ impl Clock {
     pub(super) fn log_opens(&self, log: BusIndex, is_live: bool) {
         self.change(|pace| {
             let place = if is_live { LogPlace::Live(None) } else { LogPlace::Next(pace.from) };
+            pace.awaits_log = false;
             pace.logs.insert(log, place);
         });
     }
@@ -189,7 +192,7 @@ impl Pace {
     }
 
     fn is_standing(&self) -> bool {
-        self.is_paused || self.is_ended()
+        self.is_paused || self.awaits_log || self.is_ended()
     }
 
     fn is_ended(&self) -> bool {
@@ -270,6 +273,8 @@ mod tests {
     fn a_replaying_clock_is_as_fast_as_asked() {
         let clock = Clock::replaying(Epoch::from_unix_micros(7), 1_000.0);
         assert_eq!(clock.epoch().unix_micros(Instant::ZERO), 7);
+        assert_eq!(clock.until(Instant::from_micros(1)), Duration::MAX, "no log is open");
+        clock.log_opens(BusIndex(0), true);
         let at = clock.now() + Duration::from_secs(1_000);
         let wait = clock.until(at);
         assert!(wait <= Duration::from_secs(1) && wait > Duration::from_millis(900), "{wait:?}");

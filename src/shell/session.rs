@@ -88,7 +88,7 @@ impl Session {
     /// Records all frames from now on.
     pub fn record(&mut self, recorder: Recorder) {
         recorder.set_epoch(self.clock.epoch());
-        self.app.handle_recording(self.clock.now(), recorder.status());
+        self.app.handle_recording(self.now(), recorder.status());
         self.recorder = Some(recorder);
     }
 
@@ -101,12 +101,15 @@ impl Session {
         let Some(store) = &self.store else { return };
         let reading = store.read().map_err(|error| error.to_string());
         self.watch = Some(Watch::spawn(store.clone(), reading.clone()));
-        self.app.handle_file(self.clock.now(), reading.into());
+        self.app.handle_file(self.now(), reading.into());
     }
 
-    /// The moment it is.
+    /// The moment it is. Where frames of a log wait to be taken, it is not later than they are.
     pub fn now(&self) -> Instant {
-        self.clock.now()
+        // In this order: a frame may come in between.
+        let now = self.clock.now();
+        let waits = || self.ports.iter().any(|port| port.queue().has_frames());
+        if self.clock.playback().is_some() && waits() { now.min(self.app.now()) } else { now }
     }
 
     /// Waits for the next reason to do something. May be dropped while waiting.
@@ -167,7 +170,7 @@ impl Session {
 
     /// Takes in what a wake brought.
     pub fn take(&mut self, wake: Wake) {
-        let now = self.clock.now();
+        let now = self.now();
         match wake {
             Wake::Due => {}
             Wake::Buses => self.take_buses(now),
@@ -203,7 +206,7 @@ impl Session {
 
     fn tell_playback(&mut self) {
         if let Some(playback) = self.clock.playback() {
-            self.app.handle_playback(self.clock.now(), playback);
+            self.app.handle_playback(self.now(), playback);
         }
     }
 
@@ -259,12 +262,8 @@ impl Session {
     /// Does what is due, sends what is to be sent, starts what is to be saved. What concerns
     /// the screen or the program itself comes back.
     pub fn settle(&mut self) -> Vec<Effect> {
-        let mut now = self.clock.now();
+        let now = self.now();
         if self.clock.playback().is_some() {
-            // Where frames of a log wait, it is not later than they are.
-            if self.ports.iter().any(|port| port.queue().has_frames()) {
-                now = now.min(self.app.now());
-            }
             self.app.pass_time(now);
         }
         // Bounded: what is due can make something else due, but not for ever at one moment.
