@@ -1036,10 +1036,19 @@ fn where_frames_only_break_another_bit_rate_is_offered() {
     told(Progress::Heard(250_000, Heard::default()));
     told(Progress::Trying(500_000));
     assert!(stage.screen().contains("can0: listening at 500 kbit/s"), "{}", stage.screen());
+    // Meanwhile it goes down and up, which is nothing to act on.
+    stage.link(Link::Down);
+    assert!(stage.screen().contains("its bit rate is looked for"), "{}", stage.screen());
+    assert!(!stage.screen().contains("DOWN") && !stage.screen().contains("can0 down"));
+    stage.link(Link::Up);
     stage.app.handle_bitrate(now, can0, Ok(Outcome::Found(500_000)));
     snapshot!("bit_rate_found", stage.keys("3"));
     stage.keys("b y").app.handle_bitrate(now, can0, Ok(Outcome::Silence));
-    assert!(stage.screen().contains("no frame arrived whole at any bit rate"));
+    assert!(
+        stage.screen().contains("a lone device needs: descan speed can0"),
+        "{}",
+        stage.screen()
+    );
     // A whole frame, and nothing is offered any more.
     let heartbeat = Frame::classic(0x0718_0001, &[0, 0, 0, 0, 0, 0, 4, 0]);
     stage.app.handle_frames(now, &[heartbeat.at(now)]);
@@ -1419,8 +1428,10 @@ struct Pair {
 impl Pair {
     fn new(scenarios: [&Scenario; 2]) -> Self {
         let buses = ["can0", "can1"].map(|name| (name.to_owned(), Config::default()));
-        let options = AppOptions { buses: buses.to_vec(), ..AppOptions::default() };
+        let file_path = Some("des.json".into());
+        let options = AppOptions { buses: buses.to_vec(), file_path, ..AppOptions::default() };
         let mut app = App::new(Instant::ZERO, options);
+        app.handle_file(Instant::ZERO, FileReading::Content(None));
         let mut seed = 0;
         let sims = scenarios.map(|scenario| {
             let index = BusIndex(seed as u8);
@@ -1506,6 +1517,17 @@ fn a_device_on_two_buses_is_one_row_where_they_are_redundant() {
     let screen = pair.keys("Esc / b u s : c a n 1 Enter").screen(100, 24);
     assert!(screen.contains("FEED"), "{screen}");
     insta::assert_snapshot!("two_networks", pair.keys("Esc j").screen(100, 24));
+
+    // Each bus has an address of its own to pin, and is taken into the file.
+    let screen = pair.keys("g e").screen(100, 24);
+    assert!(screen.contains("static address on can0 (Tab: the next): "), "{screen}");
+    let screen = pair.keys("Tab").screen(100, 24);
+    assert!(screen.contains("static address on can1 (Tab: the next): "), "{screen}");
+    pair.keys("Esc a");
+    let entries = pair.app.file().document().entries();
+    let taken: Vec<_> = entries.iter().map(|it| (it.bus.as_deref(), it.address)).collect();
+    assert_eq!(taken, [(Some("can0"), Some(10)), (Some("can1"), Some(11))]);
+    pair.keys("u");
 
     let screen = pair.run(6..16).keys("g").screen(100, 24);
     assert!(screen.contains("partly"), "{screen}");

@@ -26,6 +26,12 @@ impl App {
         self.dirty = true;
     }
 
+    /// Whether the bit rate of that bus is being looked for.
+    pub fn searches_bitrate_of(&self, bus: &super::Bus) -> bool {
+        let searched = self.searched.and_then(|searched| self.bus(searched));
+        searched.is_some_and(|searched| std::ptr::eq(searched, bus))
+    }
+
     pub(super) fn find_bitrate(&mut self, bus: BusIndex) {
         self.searched = Some(bus);
         self.effects.push_back(Effect::FindBitrate(bus));
@@ -62,7 +68,7 @@ impl App {
                 let text = "no frame arrived whole at any bit rate; set back as it was";
                 self.tell_of_bus(bus, Kind::Error, text.to_owned());
                 self.complain(format!(
-                    "{name}: {text}. A device that is alone is not heard: descan speed {name}"
+                    "{name}: no whole frame at any rate; a lone device needs: descan speed {name}"
                 ));
             }
             Err(why) => {

@@ -51,6 +51,11 @@ pub struct Row {
 }
 
 impl Row {
+    /// Whether it is the row of that device, or one of several.
+    pub fn has(&self, id: DeviceId) -> bool {
+        self.key == RowKey::Device(id) || self.also.contains(&id)
+    }
+
     /// Whether it is of that bus, or of any.
     pub(super) fn is_on(&self, bus: BusIndex) -> bool {
         self.bus.is_none_or(|own| own == bus) || self.also.iter().any(|id| id.bus == bus)

@@ -42,15 +42,18 @@ impl App {
         if !self.may_edit() || !self.go_to_row() {
             return;
         }
-        let Some(device) = self.selected_row().and_then(|row| self.device_of(row)) else {
+        let Some(row) = self.selected_row().filter(|row| self.device_of(row).is_some()) else {
             return self.complain("no device is selected");
         };
-        if device.name.is_none() || device.is_debug {
+        if self.devices_of(row).any(|device| device.name.is_none() || device.is_debug) {
             return self.complain("only devices with a known name are listed in the file");
         }
-        match self.taking(device) {
-            Some(operation) => self.edit(&[operation]),
-            None => self.say("the file says the same already"),
+        // Where buses are redundant, on each of them.
+        let operations: Vec<Operation> =
+            self.devices_of(row).filter_map(|device| self.taking(device)).collect();
+        match operations.len() {
+            0 => self.say("the file says the same already"),
+            _ => self.edit(&operations),
         }
     }
 

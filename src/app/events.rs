@@ -327,6 +327,8 @@ impl App {
             _ => bus.ended = None,
         }
         bus.status = status;
+        // While its bit rate is looked for it goes down and up all the time.
+        let changes = if self.searched == Some(index) { Vec::new() } else { changes };
         let is_news = !changes.is_empty();
         for (kind, text) in changes {
             let line = Entry::new(now, kind, text).on(index);

@@ -6,6 +6,7 @@
 
 use super::matching::is_for;
 use super::{App, Effect, Overlay, Page, RowKey};
+use crate::discovery::DeviceId;
 use crate::document::{Entry, EntryKey, NewEntry, Operation};
 use crate::keymap::{Key, KeyCode, Mode};
 use crate::text::{Escaped, is_printable};
@@ -127,12 +128,44 @@ impl App {
         match key.code {
             KeyCode::Enter => self.finish_prompt(),
             KeyCode::Esc => self.leave_prompt(),
+            KeyCode::Tab => self.edit_on_next_bus(),
             _ => {
                 if let Some(request) = request(key) {
                     self.change_input(&[request]);
                 }
             }
         }
+    }
+
+    /// The address on the next of a device's redundant buses is edited instead; what was typed is
+    /// dropped.
+    fn edit_on_next_bus(&mut self) {
+        let Some(PromptKind::Address(RowKey::Device(now))) = self.prompt().map(|it| &it.kind)
+        else {
+            return;
+        };
+        let row = self.rows.iter().find(|row| row.has(*now));
+        let all: Vec<DeviceId> =
+            row.map(|row| self.devices_of(row).map(|it| it.id).collect()).unwrap_or_default();
+        let at = all.iter().position(|id| id == now).map_or(0, |at| at + 1);
+        let next = all.get(at).or(all.first()).copied().filter(|next| next != now);
+        if let Some(next) = next {
+            let key = RowKey::Device(next);
+            let text = self.pinned_text(&key);
+            self.open_prompt(PromptKind::Address(key), text);
+        }
+    }
+
+    /// What stands before the line being typed.
+    pub fn prompt_label(&self) -> Option<String> {
+        let prompt = self.prompt()?;
+        let label = prompt.kind.label();
+        let PromptKind::Address(RowKey::Device(id)) = prompt.kind else {
+            return Some(label.to_owned());
+        };
+        let joined = self.rows.iter().any(|row| row.has(id) && !row.also.is_empty());
+        let bus = self.bus(id.bus).filter(|_| joined);
+        Some(bus.map_or(label.to_owned(), |bus| format!("{label} on {} (Tab: the next)", bus.name)))
     }
 
     pub(super) fn paste(&mut self, text: &str) {

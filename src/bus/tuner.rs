@@ -17,9 +17,9 @@ pub enum TuneError {
     NoRate(String),
     /// Only root may.
     #[error(
-        "{name} cannot be set: only root may; run sudo descan speed {name}, or try a rate by hand: \
-         sudo ip link set {name} down && sudo ip link set {name} up type can bitrate {bitrate} \
-         listen-only on, then descan watch {name} --listen-only"
+        "only root may set {name}: sudo descan speed {name}; or try a rate by hand: sudo ip link set \
+         {name} down && sudo ip link set {name} up type can bitrate {bitrate} listen-only on, then \
+         descan watch {name} --listen-only"
     )]
     NotPermitted {
         /// The interface.

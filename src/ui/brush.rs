@@ -170,6 +170,18 @@ pub fn fit_right(text: &str, width: usize) -> String {
     if own < width { format!("{}{text}", " ".repeat(width - own)) } else { fit(text, width) }
 }
 
+/// `text`, or its end behind a `…` where it does not fit: for names that differ at their end.
+pub fn end_of(text: &str, width: usize) -> String {
+    if text.width() <= width || width == 0 {
+        return cut(text, width).to_owned();
+    }
+    let mut rest = text.chars();
+    while rest.as_str().width() >= width {
+        rest.next();
+    }
+    format!("…{}", rest.as_str())
+}
+
 /// Breaks `text` into lines of at most `width` cells, at blanks where there are any.
 pub fn wrap(text: &str, width: usize) -> Vec<String> {
     let width = width.max(4);

@@ -1,7 +1,7 @@
 //! The table of devices. Columns give way, least important first, where the screen is narrow.
 
-use super::brush::{Brush, fit, fit_right};
-use crate::app::{App, FileWord, PromptKind, Row, SortBy, State};
+use super::brush::{Brush, end_of, fit, fit_right};
+use crate::app::{App, FileWord, PromptKind, Row, RowKey, SortBy, State};
 use crate::discovery::{Device, QueryState};
 use crate::theme::Role;
 use crate::time::Duration;
@@ -81,9 +81,10 @@ struct Columns {
 const SIGNS: usize = 3;
 
 impl Columns {
-    /// `address` is what the addresses take.
-    fn new(width: usize, buses: usize, address: usize) -> Self {
+    /// `bus` and `address` are what these take.
+    fn new(width: usize, buses: usize, (bus, address): (usize, usize)) -> Self {
         let own = |column: Column| match column {
+            C::Bus => column.width().max(bus),
             C::Address => column.width().max(address),
             other => other.width(),
         };
@@ -127,7 +128,10 @@ pub fn draw(brush: &mut Brush) {
     let app = brush.app;
     let rows = app.rows();
     let address = rows.iter().map(|row| addresses(app, row).width()).max().unwrap_or(0);
-    let columns = Columns::new(usize::from(list.width), app.buses().len(), address);
+    // Half as wide again where there is room: names of buses can be long.
+    let most = if list.width < 60 { 6 } else { 14 };
+    let bus = rows.iter().map(|row| buses(app, row, most).width()).max().unwrap_or(0);
+    let columns = Columns::new(usize::from(list.width), app.buses().len(), (bus, address));
     draw_header(brush, header, &columns);
     if rows.is_empty() {
         return draw_nothing(brush, list);
@@ -203,12 +207,7 @@ fn cell(
     let gone = matches!(row.state, State::Lost | State::Missing | State::Awaited);
     let plain = if gone { Role::Muted } else { Role::Text };
     let (role, text) = match column {
-        C::Bus => {
-            let names = row.bus.into_iter().chain(row.also.iter().map(|id| id.bus));
-            let names: Vec<&str> =
-                names.filter_map(|bus| Some(brush.app.bus(bus)?.name.as_str())).collect();
-            (Role::Muted, together(&names, width))
-        }
+        C::Bus => (Role::Muted, buses(brush.app, row, width)),
         C::Address => (plain, addresses(brush.app, row)),
         C::Name => match &row.name {
             Some(name) if row.twin => (plain, twin_name(&name.to_string(), width)),
@@ -260,6 +259,13 @@ fn addresses(app: &App, row: &Row) -> String {
     all.join("/")
 }
 
+/// The bus of a row; where there are redundant ones, all of them.
+fn buses(app: &App, row: &Row, width: usize) -> String {
+    let all = row.bus.into_iter().chain(row.also.iter().map(|id| id.bus));
+    let names: Vec<&str> = all.filter_map(|bus| Some(app.bus(bus)?.name.as_str())).collect();
+    together(&names, width)
+}
+
 /// The names of redundant buses in few cells: `can0+1`.
 fn together(names: &[&str], width: usize) -> String {
     let Some((first, others)) = names.split_first() else { return "any".to_owned() };
@@ -269,10 +275,11 @@ fn together(names: &[&str], width: usize) -> String {
         let short = other.strip_prefix(stem).filter(|rest| !rest.is_empty());
         text = format!("{text}+{}", short.unwrap_or(other));
     }
-    if text.len() > width && !others.is_empty() {
-        text = format!("{} buses", names.len());
+    if text.width() > width && !others.is_empty() {
+        text = format!("{} bus", names.len());
     }
-    text
+    // What tells two long names apart is at their end.
+    end_of(&text, width)
 }
 
 /// The name with the sign of a twin behind it.
@@ -324,7 +331,11 @@ fn age(duration: Duration) -> String {
 /// The address being typed stands where the file's word is.
 fn draw_editor(brush: &mut Brush, list: Rect, line: u16, row: &Row, columns: &Columns) {
     let Some(prompt) = brush.app.prompt() else { return };
-    if !matches!(&prompt.kind, PromptKind::Address(key) if *key == row.key) {
+    let is_here = |key: &RowKey| match key {
+        RowKey::Device(id) => row.has(*id),
+        RowKey::Entry(_) => *key == row.key,
+    };
+    if !matches!(&prompt.kind, PromptKind::Address(key) if is_here(key)) {
         return;
     }
     let start = columns.start(C::File) as u16;
@@ -352,7 +363,7 @@ mod tests {
     #[test]
     fn columns_give_way_in_order() {
         let titles = |width: usize| -> Vec<&str> {
-            let columns = Columns::new(width, 1, 3);
+            let columns = Columns::new(width, 1, (6, 3));
             let end = columns.start(C::File) + 6;
             assert!(end <= width || width < 31, "{width}: {end}");
             columns.shown.iter().map(|(column, _)| column.title()).collect()

@@ -46,7 +46,7 @@ fn draw_prompt(brush: &mut Brush, area: Rect) {
         Verdict::Blocks(text) => ("✗ ", Role::Error, text),
     };
     let in_row = brush.cursor.is_some();
-    let label = format!(" {}: ", prompt.kind.label());
+    let label = format!(" {}: ", app.prompt_label().unwrap_or_default());
     let label_width = label.width() as u16;
     let mut line = Line::from(brush.span(Role::Title, label));
     if in_row {

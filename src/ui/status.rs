@@ -147,7 +147,9 @@ fn bus_parts(brush: &Brush, index: BusIndex) -> Parts {
     if brush.app.view().frozen.is_some() {
         parts.insert(1, vec![brush.span(Role::Warning, "HELD")]);
     }
-    if let Some(message) = bus.status.message.as_ref().filter(|_| !bus.is_up()) {
+    let is_searched = brush.app.searches_bitrate_of(bus);
+    let message = bus.status.message.as_ref().filter(|_| !bus.is_up() && !is_searched);
+    if let Some(message) = message {
         let message = crate::text::Escaped(message.as_bytes()).to_string();
         parts.push(vec![brush.span(Role::Error, message)]);
         return parts;
@@ -257,6 +259,9 @@ fn state(brush: &Brush, bus: &Bus) -> Span<'static> {
         (Link::Up, BusState::BusOff) => ("BUS-OFF", Role::Error),
         (Link::Up, BusState::Stopped) => ("STOPPED", Role::Error),
     };
+    if brush.app.searches_bitrate_of(bus) {
+        return brush.span(Role::Warning, "its bit rate is looked for");
+    }
     brush.span(role, word)
 }
 

@@ -1,6 +1,6 @@
 //! The timeline: as a page, and its latest lines below the devices.
 
-use super::brush::{Brush, cut, fit};
+use super::brush::{Brush, cut, end_of, fit};
 use crate::app::{Page, TimelineEntry, TimelineKind, clock};
 use crate::theme::Role;
 use ratatui::text::Line;
@@ -8,7 +8,8 @@ use unicode_width::UnicodeWidthStr;
 
 pub fn draw(brush: &mut Brush) {
     let (header, list) = (brush.screen.header, brush.screen.list);
-    let title = format!("  {:8}   {:12} WHAT", "TIME", "WHO");
+    let bus = if shows_bus(brush) { "BUS    " } else { "" };
+    let title = format!("  {:8}   {bus}{:12} WHAT", "TIME", "WHO");
     let line = Line::from(brush.span(Role::Header, title));
     brush.line(header, 0, &line);
     let app = brush.app;
@@ -83,13 +84,27 @@ fn entry_line(brush: &Brush, entry: &TimelineEntry, who_width: usize) -> Line<'s
     let text_role = if calm { Role::Text } else { role };
     let who = who(brush, entry, who_width);
     let times = if entry.times > 1 { format!(" ×{}", entry.times) } else { String::new() };
-    Line::from(vec![
+    let mut spans = vec![
         brush.span(Role::Muted, format!(" {} ", clock(brush.app, entry.time))),
         brush.span(role, format!("{sign} ")),
+    ];
+    if shows_bus(brush) {
+        // A line about the bus itself has its name beside it.
+        let bus = entry.bus.filter(|_| entry.address.is_some());
+        let bus = bus.and_then(|bus| brush.app.bus(bus)).map_or("", |bus| &bus.name);
+        spans.push(brush.span(Role::Muted, format!("{} ", fit(&end_of(bus, 6), 6))));
+    }
+    spans.extend([
         brush.span(Role::Text, format!("{} ", fit(&who, who_width))),
         brush.span(text_role, entry.text.clone()),
         brush.span(Role::Muted, times),
-    ])
+    ]);
+    Line::from(spans)
+}
+
+/// Whether lines say on which bus something happened.
+fn shows_bus(brush: &Brush) -> bool {
+    brush.app.buses().len() > 1 && brush.screen.whole.width >= 60
 }
 
 /// The device's name and address, else the bus, else the file.
@@ -110,7 +125,7 @@ fn who(brush: &Brush, entry: &TimelineEntry, width: usize) -> String {
         (None, Some(address)) => format!("? @{address}"),
         (Some(name), None) if entry.bus.is_none() => name.to_string(),
         _ => match entry.bus.and_then(|bus| app.bus(bus)) {
-            Some(bus) => bus.name.clone(),
+            Some(bus) => end_of(&bus.name, width),
             None => app.file().name(),
         },
     }

@@ -1,6 +1,6 @@
 //! Traffic: frames in words, newest last; or a row per identifier with its rate.
 
-use super::brush::{Brush, fit, fit_right, labelled};
+use super::brush::{Brush, end_of, fit, fit_right, labelled};
 use super::details::inner;
 use crate::app::{Decoded, Focus, IdentifierKind, IdentifierStats, Page, clock_millis, hex};
 use crate::frame::{Frame, FrameKind};
@@ -94,7 +94,7 @@ fn frame_line(
     ];
     if room.bus {
         let bus = brush.app.bus(frame.bus).map_or("", |bus| &bus.name);
-        spans.push(text(Role::Muted, format!("{} ", fit(bus, 6))));
+        spans.push(text(Role::Muted, format!("{} ", fit(&end_of(bus, 6), 6))));
     }
     spans.extend(route(brush, frame, &decoded, plain));
     if room.kind {
@@ -302,7 +302,9 @@ fn describe_id(frame: &Frame, decoded: &Decoded) -> String {
 
 fn draw_identifiers(brush: &mut Brush) {
     let (header, list) = (brush.screen.header, brush.screen.list);
-    let title = format!("  {:8}  {:>4}  {:>7}    FROM TO     SRV  LAST", "ID", "f/s", "COUNT");
+    let several = brush.app.buses().len() > 1;
+    let bus = if several { "BUS    " } else { "" };
+    let title = format!("  {bus}{:8}  {:>4}  {:>7}    FROM TO     SRV  LAST", "ID", "f/s", "COUNT");
     let line = Line::from(brush.span(Role::Header, title));
     brush.line(header, 0, &line);
     let app = brush.app;
@@ -339,12 +341,16 @@ fn identifier_line(
         IdentifierKind::Data => row.key.id.to_string(),
     };
     let rate = if row.rate == 0 { Role::Muted } else { Role::Text };
-    let mut spans = vec![
-        brush.span(Role::Text, if selected { "▸ " } else { "  " }),
+    let mut spans = vec![brush.span(Role::Text, if selected { "▸ " } else { "  " })];
+    if brush.app.buses().len() > 1 {
+        let bus = brush.app.bus(row.key.bus).map_or("", |bus| &bus.name);
+        spans.push(brush.span(Role::Muted, format!("{} ", fit(&end_of(bus, 6), 6))));
+    }
+    spans.extend([
         brush.span(Role::Text, fit(&id, 8)),
         brush.span(rate, format!("  {:>4}", row.rate)),
         brush.span(Role::Muted, format!("  {:>7}  ", row.count)),
-    ];
+    ]);
     if decoded.header.is_some() {
         spans.push(brush.span(Role::Text, fit_right(&decoded.source, NAME)));
         spans.push(brush.span(Role::Muted, "→"));
