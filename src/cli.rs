@@ -67,8 +67,13 @@ pub enum Command {
     /// What happens, as it happens, a line each
     Watch(Watch),
     /// Simulated devices on a bus, from a scenario
+    #[command(after_help = "\
+Examples:
+  descan sim vcan0
+  descan sim udp:239.74.163.2 --scenario drone
+  descan sim slcan:/dev/ttyACM0@500000 --scenario line.toml --time 60")]
     Sim {
-        /// The bus they are put on
+        /// The bus they are put on: can0 | slcan:DEVICE@RATE | udp:GROUP | socketcand://HOST/BUS
         #[arg(value_name = "BUS")]
         bus: BusSpec,
         /// boiler, drone, or a scenario file (TOML)

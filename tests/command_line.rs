@@ -58,6 +58,14 @@ fn a_device_on_two_buses_says_where_else_it_is() {
     assert_eq!(also("can0", "FEED"), r#""can1" 12 true"#);
     assert_eq!(also("can1", "FEED"), r#""can0" 12 true"#);
     assert_eq!(also("can0", "SENS"), r#""can1" 14 false"#);
+    let table = text(&descan(&["scan", "file:both.log"], folder.path()).stdout);
+    assert!(
+        table.contains("FEED is on can0 @12 and can1 @12, with the same services: redundant\n"),
+        "{table}"
+    );
+    assert!(
+        table.contains("SENS is on can0 @13 and can1 @14, with different services: two networks")
+    );
 }
 
 #[test]

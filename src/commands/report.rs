@@ -200,6 +200,7 @@ impl Report {
         }
         text.push('\n');
         text.push_str(&self.device_table());
+        text.push_str(&self.on_several_buses());
         for finding in &self.findings {
             let _ = writeln!(text, "\n{} {}: {}", finding.confidence, finding.kind, finding.text);
             let over = Confidence::Cleared.name() == finding.confidence;
@@ -213,6 +214,30 @@ impl Report {
             let _ = writeln!(text, "\n{}: {error}", self.file.path);
         }
         text
+    }
+
+    /// A line for each device that is on two buses.
+    fn on_several_buses(&self) -> String {
+        let mut text = String::new();
+        for device in &self.devices {
+            for other in device.also.iter().filter(|other| other.bus > device.bus) {
+                let what = match other.redundant {
+                    Some(true) => "with the same services: redundant",
+                    Some(false) => "with different services: two networks",
+                    None => "its services are not known on both",
+                };
+                let _ = writeln!(
+                    text,
+                    "{} is on {} @{} and {} @{}, {what}",
+                    device.name.as_deref().unwrap_or("?"),
+                    device.bus,
+                    device.address,
+                    other.bus,
+                    other.address
+                );
+            }
+        }
+        if text.is_empty() { text } else { format!("\n{text}") }
     }
 
     fn device_table(&self) -> String {
