@@ -418,3 +418,27 @@ fn a_server_that_is_not_there_ends_a_scan_with_the_way_out() {
     assert_eq!(scan.0.wait().unwrap().code(), Some(3));
     assert!(err.contains("refuses the connection: is socketcand running there"), "{err}");
 }
+
+#[test]
+fn a_server_that_never_opens_the_bus_is_no_bus_without_devices() {
+    for (words, cause) in [("", "nobody answers"), ("HTTP/1.1 400 <>< what ><", "cannot be read")] {
+        for command in ["scan", "check"] {
+            let mut server = Server::new();
+            let spec = server.spec();
+            let folder = tempfile::tempdir().unwrap();
+            let file = folder.path().join("des.json");
+            std::fs::write(&file, "[]").unwrap();
+            let file = file.to_str().unwrap();
+            let arguments = [command, &spec, "--time", "1", "--json", "--file", file];
+            let mut program = Program::start(&arguments);
+            server.accept();
+            server.say(words);
+            let out = read(program.0.stdout.as_mut().unwrap());
+            let err = read(program.0.stderr.as_mut().unwrap());
+            assert_eq!((program.0.wait().unwrap().code(), &*out), (Some(3), ""), "{err}");
+            assert!(err.contains(&format!("{spec} is still not open")), "{err}");
+            assert!(err.contains(cause), "{err}");
+            assert_eq!(err.lines().count(), 1, "{err}");
+        }
+    }
+}

@@ -144,8 +144,32 @@ pub fn why_unusable(bus: &Bus, now: Instant) -> Option<String> {
         Link::Opening => now.since(Instant::ZERO) > OPENING,
         _ => true,
     };
-    let why = || bus.status.message.clone();
-    is_dead.then(|| why().unwrap_or_else(|| format!("{} cannot be opened", bus.name)))
+    is_dead.then(|| cause(bus))
+}
+
+/// Why a bus cannot be used, where it is still not open and nobody waits any longer.
+pub fn why_not_open(bus: &Bus) -> Option<String> {
+    (bus.status.link == Link::Opening).then(|| cause(bus))
+}
+
+fn cause(bus: &Bus) -> String {
+    if let Some(message) = &bus.status.message {
+        return message.clone();
+    }
+    let name = &bus.name;
+    match (bus.status.link, bus.status.unreadable) {
+        (Link::Opening, 0) => {
+            format!(
+                "{name} is still not open: nobody answers; is it there, or is --time too short?"
+            )
+        }
+        (Link::Opening, _) => {
+            format!(
+                "{name} is still not open: what it says cannot be read; is it a bus of that kind?"
+            )
+        }
+        _ => format!("{name} cannot be opened"),
+    }
 }
 
 /// Says on standard error what keeps us from asking on a bus: nobody acknowledges, or we have no

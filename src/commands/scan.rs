@@ -1,7 +1,7 @@
 //! `descan scan`: one enumeration, printed. On a live bus it ends when everything is known; a
 //! log is read to its end as fast as it can be, by its own clock.
 
-use super::headless::{self, Limits, Outcome, tell_hindrance, why_unusable};
+use super::headless::{self, Limits, Outcome, tell_hindrance, why_not_open, why_unusable};
 use super::open::{self, Setup};
 use super::report::Report;
 use super::{FINDINGS, FINE, Failure, INTERRUPTED};
@@ -14,6 +14,7 @@ use crate::frame::BusIndex;
 use crate::shell::ending::Ending;
 use crate::shell::recording::Pace;
 use crate::shell::store::Store;
+use crate::status::Link;
 use crate::time::Instant;
 use std::io::{self, IsTerminal, Write};
 use std::ops::ControlFlow;
@@ -64,7 +65,7 @@ pub fn look(
 ) -> Result<Outcome, Failure> {
     let limits = Limits { time: Some(time), stuck: INTERRUPTED, ..Limits::default() };
     let mut bar = Bar::new();
-    headless::live(buses, setup, AppOptions::default(), limits, |session| {
+    let outcome = headless::live(buses, setup, AppOptions::default(), limits, |session| {
         // Nobody waits for an interface to come up.
         let mut buses = session.app.buses().iter();
         if let Some(why) = buses.find_map(|bus| why_unusable(bus, session.now())) {
@@ -73,11 +74,17 @@ pub fn look(
         bar.show(&session.app, session.now(), time);
         let is_done = enough(&session.app, session.now())? && is_settled(&session.app);
         Ok(if is_done { ControlFlow::Break(()) } else { ControlFlow::Continue(()) })
-    })
+    })?;
+    // What was never open has not been looked at: that there is nothing on it would be a lie.
+    let closed = outcome.app.buses().iter().find_map(why_not_open);
+    match closed.filter(|_| outcome.ending != Some(Ending::Interrupted)) {
+        Some(why) => Err(Failure::Unusable(why)),
+        None => Ok(outcome),
+    }
 }
 
 fn is_settled(app: &App) -> bool {
-    app.buses().iter().all(|bus| bus.engine.progress().settled)
+    app.buses().iter().all(|bus| bus.status.link != Link::Opening && bus.engine.progress().settled)
 }
 
 /// A line on standard error while scanning, where that is a terminal.
