@@ -123,6 +123,9 @@ pub struct BusStatus {
     pub missing_acks: u64,
     /// Messages of an adapter or a server that could not be read.
     pub unreadable: u64,
+    /// Whether an adapter has said nothing yet that could be read, though it was told to open
+    /// the bus: whether there is a bus at all is not known.
+    pub unanswered: bool,
     /// How much of a log is read, in percent, where its size is known.
     pub percent: Option<u8>,
     /// What is wrong and the way out, on one line.

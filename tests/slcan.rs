@@ -609,6 +609,31 @@ fn an_adapter_that_is_not_there_ends_a_scan_with_the_way_out() {
 }
 
 #[test]
+fn an_adapter_that_says_nothing_at_all_is_no_bus_that_is_alive() {
+    let adapter = Pty::new();
+    let spec = format!("slcan:{}@500000", adapter.path().display());
+    for json in [false, true] {
+        let mut arguments = vec!["scan", &spec, "--time", "4", "--file", "/nowhere/des.json"];
+        arguments.extend(json.then_some("--json"));
+        let (code, out, err) = Program::start(&arguments).finish();
+        assert_eq!(code, Some(0), "{out} {err}");
+        let said = format!(
+            "{spec}: the adapter answered none of our commands: is it slcan, is the baud rate \
+             right?"
+        );
+        assert!(err.contains(&said), "{err}");
+        assert_eq!(err.lines().count(), 1, "{err}");
+        if json {
+            let report: serde_json::Value = serde_json::from_str(&out).expect("JSON");
+            let bus = &report["buses"][0];
+            assert_eq!((&bus["frames"], bus["address"].is_null()), (&0.into(), true), "{bus}");
+        } else {
+            assert!(out.contains(", 0 frames, "), "{out}");
+        }
+    }
+}
+
+#[test]
 fn the_adapters_port_never_becomes_our_terminal() {
     let mut adapter = Adapter::new();
     // The leader of a session without a terminal gets the first one that it opens.

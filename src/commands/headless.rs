@@ -172,14 +172,16 @@ fn cause(bus: &Bus) -> String {
     }
 }
 
-/// Says on standard error what keeps us from asking on a bus: nobody acknowledges, or we have no
-/// address.
+/// Says on standard error what keeps us from asking on a bus: its adapter does not answer, nobody
+/// acknowledges, or we have no address.
 pub fn tell_hindrance(app: &App, index: BusIndex) {
     let Some(bus) = app.bus(index) else { return };
     let say = |why: &str| {
         let _ = writeln!(io::stderr(), "descan: {}: {why}", bus.name);
     };
-    if bus.is_up() && bus.engine.is_unacknowledged() {
+    if bus.is_up() && bus.status.unanswered {
+        say("the adapter answered none of our commands: is it slcan, is the baud rate right?");
+    } else if bus.is_up() && bus.engine.is_unacknowledged() {
         say(
             "nobody acknowledges our frames; is another node on, at the same bit rate, and are both \
              ends terminated?",

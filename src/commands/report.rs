@@ -303,6 +303,12 @@ pub(super) fn of_bus(bus: &Bus, now: Instant) -> BusReport {
     let counters = bus.engine.counters();
     let bitrate = bus.status.bitrate.filter(|_| !bus.status.filtered);
     let load = bitrate.map(|bitrate| bus.meter.mean_load(now, bitrate));
+    // What we wrote to an adapter that says nothing was perhaps never on a bus.
+    let (frames, load, address) = match bus.engine.own_address() {
+        _ if bus.status.unanswered => (0, None, None),
+        OwnAddress::Held(address) => (counters.frames, load, Some(address.number())),
+        _ => (counters.frames, load, None),
+    };
     BusReport {
         name: bus.name.clone(),
         bitrate: bus.status.bitrate,
@@ -310,14 +316,11 @@ pub(super) fn of_bus(bus: &Bus, now: Instant) -> BusReport {
             Link::Down | Link::Missing | Link::Unplugged | Link::NotCan | Link::NoKernel => "down",
             _ => bus.status.state.name(),
         },
-        frames: counters.frames,
+        frames,
         errors: counters.errors,
         lost: bus.lost(),
         load: load.map(|load| (load * 1000.0).round() / 1000.0),
-        address: match bus.engine.own_address() {
-            OwnAddress::Held(address) => Some(address.number()),
-            _ => None,
-        },
+        address,
         lost_where: LostReport {
             kernel: bus.status.kernel_drops,
             queue: bus.status.queue_drops,

@@ -239,6 +239,7 @@ impl Slcan {
         status.fd = self.takes_fd;
         status.data_bitrate = self.settings.data_bitrate.filter(|_| self.takes_fd);
         status.listen_only = self.settings.listen_only;
+        status.unanswered = self.readable == 0;
         status.note = Some(self.about());
     }
 
@@ -266,6 +267,7 @@ impl Slcan {
 
     fn hear(&mut self, now: Instant, word: Word, exchange: &mut Exchange) {
         self.readable += 1;
+        exchange.status.unanswered = false;
         match word {
             Word::Frame(frame, stamp) => {
                 let time = stamp.map_or(now, |stamp| self.stamps.date(stamp, now));
