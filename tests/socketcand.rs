@@ -442,3 +442,27 @@ fn a_server_that_never_opens_the_bus_is_no_bus_without_devices() {
         }
     }
 }
+
+#[test]
+fn what_cannot_be_read_is_told_and_reported() {
+    let bad = "< frame 123 1.0 112233445566778899 >< frame 123 x.0 11 >< frame 123 1.0 11 >";
+    for command in ["scan", "scan --json", "watch"] {
+        let mut server = Server::new();
+        let spec = server.spec();
+        let mut arguments: Vec<&str> = command.split(' ').collect();
+        arguments.extend([&spec, "--time", "2", "--listen-only", "--file", "/nowhere/des.json"]);
+        let mut program = Program::start(&arguments);
+        server.be_opened();
+        server.say(bad);
+        let out = read(program.0.stdout.as_mut().unwrap());
+        assert_eq!(program.0.wait().unwrap().code(), Some(0), "{out}");
+        match command {
+            "scan" => assert!(out.contains(", 0 lost, 2 messages unreadable\n"), "{out}"),
+            "watch" => assert_eq!(out.matches("cannot be read").count(), 1, "{out}"),
+            _ => {
+                let report: serde_json::Value = serde_json::from_str(&out).expect("JSON");
+                assert_eq!(report["buses"][0]["unreadable"], 2, "{out}");
+            }
+        }
+    }
+}

@@ -36,6 +36,8 @@ pub(super) struct BusReport {
     address: Option<u8>,
     lost_where: LostReport,
     not_sent: u64,
+    /// Messages of an adapter or a server that could not be read.
+    unreadable: u64,
 }
 
 /// Where frames were lost; the sum is `lost`.
@@ -192,9 +194,13 @@ impl Report {
             let load =
                 bus.load.map_or(String::new(), |load| format!("load {:.0} %, ", load * 100.0));
             let (frames, errors) = (counted(bus.frames, "frame"), counted(bus.errors, "error"));
+            let unreadable = match bus.unreadable {
+                0 => String::new(),
+                count => format!(", {} unreadable", counted(count, "message")),
+            };
             let _ = writeln!(
                 text,
-                "{}: {rate}, {state}{frames}, {load}{errors}, {} lost",
+                "{}: {rate}, {state}{frames}, {load}{errors}, {} lost{unreadable}",
                 bus.name, bus.lost
             );
         }
@@ -327,6 +333,7 @@ pub(super) fn of_bus(bus: &Bus, now: Instant) -> BusReport {
             adapter: bus.status.controller_overruns,
         },
         not_sent: bus.status.transmit_failures,
+        unreadable: bus.status.unreadable,
     }
 }
 
