@@ -173,7 +173,7 @@ pub struct RecordingStatus {
     pub path: String,
     /// How many files there are.
     pub files: u32,
-    /// Frames in all of them.
+    /// Frames in all of them, as far as they are flushed.
     pub frames: u64,
     /// Bytes in all of them.
     pub bytes: u64,
@@ -187,7 +187,9 @@ pub struct RecordingStatus {
 impl fmt::Display for RecordingStatus {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match (self.frames, self.bytes) {
-            (0, 0) => write!(f, "{}: nothing came, so there is no file", self.path)?,
+            (0, 0) if self.failure.is_none() => {
+                write!(f, "{}: nothing came, so there is no file", self.path)?;
+            }
             (1, bytes) => write!(f, "{}: 1 frame, {}", self.path, size(bytes))?,
             (frames, bytes) => write!(f, "{}: {frames} frames, {}", self.path, size(bytes))?,
         }

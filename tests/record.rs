@@ -390,6 +390,26 @@ fn where_the_disk_is_full_recording_is_over_and_the_rest_goes_on() {
     assert!(words.contains("it ends early"), "{words}");
     let (frames, tally) = read(&path);
     assert!(frames.len() > 10 && tally.unreadable == 0, "no half line stays behind: {tally:?}");
+    assert!(words.contains(&format!("recorded a.log: {} frames, ", frames.len())), "{words}");
+}
+
+#[test]
+fn what_a_full_disk_took_nothing_of_is_not_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    write_log(&folder.path().join("long.log"));
+    for (name, told) in [("a.pcapng", "0 frames, 48 B"), ("a.log", "0 frames, 0 B")] {
+        // One block of 512 bytes takes the head of the file, and not all that is flushed at once.
+        let script = format!(
+            "trap '' XFSZ; ulimit -f 1; exec {} scan file:long.log --record {name}",
+            env!("CARGO_BIN_EXE_descan")
+        );
+        let mut command = Command::new("sh");
+        command.args(["-c", &script]).current_dir(folder.path()).stdin(Stdio::null());
+        let words = words(&command.output().unwrap());
+        let told = format!("recorded {name}: {told}; it ends early: the file may not grow");
+        assert!(words.contains(&told), "{words}");
+        assert_eq!(read(&folder.path().join(name)).0, []);
+    }
 }
 
 #[test]

@@ -184,7 +184,7 @@ impl Recorder {
             target: target.clone(),
             output: file,
             files: 1,
-            frames: 0,
+            frames_before: 0,
             bytes_before: 0,
         };
         let thread = thread::Builder::new()
@@ -312,7 +312,8 @@ struct Writer {
     target: Target,
     output: Output,
     files: u32,
-    frames: u64,
+    /// Frames in the files before this one.
+    frames_before: u64,
     /// Bytes in the files before this one.
     bytes_before: u64,
 }
@@ -370,7 +371,9 @@ impl Writer {
 
     /// Nothing came, and nothing was lost: such a file would only be in the way.
     fn is_empty(&self, taken: &Taken) -> bool {
-        self.frames == 0 && taken.lost.iter().all(|lost| *lost == 0)
+        self.frames_before == 0
+            && self.output.frames == 0
+            && taken.lost.iter().all(|lost| *lost == 0)
     }
 
     /// Waits until it is time to write or to stop, at most `until_flush`, and takes what is there.
@@ -412,14 +415,12 @@ impl Writer {
                 // A file holds at least one frame, whatever size was asked for.
                 self.output.write(frame, taken, u64::MAX)?;
             }
-            self.frames += 1;
         }
         Ok(())
     }
 
     fn rotate(&mut self, taken: &Taken) -> io::Result<()> {
         self.output.finish(taken)?;
-        self.bytes_before += self.output.len();
         // One that was put there meanwhile is left alone.
         let number = self.output.number.max(SECOND_FILE - 1) + 1;
         for number in number..=LAST_FILE {
@@ -427,6 +428,8 @@ impl Writer {
                 Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
                 Err(error) => return Err(error),
                 Ok(next) => {
+                    self.frames_before += self.output.flushed_frames;
+                    self.bytes_before += self.output.flushed;
                     let lost_before = taken.lost.clone();
                     self.output = Output { number, lost_before, ..next };
                     self.files += 1;
@@ -447,7 +450,7 @@ impl Writer {
         let mut state = self.shared.state();
         let status = RecordingStatus {
             files: self.files,
-            frames: self.frames,
+            frames: self.frames_before + self.output.flushed_frames,
             bytes: self.bytes_before + self.output.flushed,
             lost: state.status.lost,
             failure,
@@ -460,8 +463,6 @@ impl Writer {
             state.status = status;
             state.status_is_new = true;
             self.shared.news.notify_one();
-        } else {
-            state.status.frames = status.frames;
         }
     }
 }
@@ -487,6 +488,10 @@ struct Output {
     written: u64,
     /// Bytes in the file that end with a whole line or block and were told.
     flushed: u64,
+    /// Frames that were written, or are to be.
+    frames: u64,
+    /// Those of them that are among the flushed bytes: what there is, whatever fails later.
+    flushed_frames: u64,
     /// 0: the first.
     number: u32,
     interfaces: Vec<Interface>,
@@ -512,6 +517,8 @@ impl Output {
             gathered: Vec::with_capacity(GATHERED + 4096),
             written: 0,
             flushed: 0,
+            frames: 0,
+            flushed_frames: 0,
             number: 0,
             interfaces: Vec::new(),
             last_micros: 0,
@@ -547,6 +554,7 @@ impl Output {
             self.interfaces.truncate(interfaces);
             return Ok(false);
         }
+        self.frames += 1;
         self.last_micros = micros;
         if let Some(interface) = self.interfaces.iter_mut().find(|it| it.bus == frame.bus) {
             interface.frames += 1;
@@ -578,6 +586,7 @@ impl Output {
     fn flush(&mut self) -> io::Result<()> {
         self.pass_on()?;
         self.flushed = self.written;
+        self.flushed_frames = self.frames;
         Ok(())
     }
 
