@@ -289,6 +289,32 @@ fn a_network_that_goes_away() {
     let mut bus = OpenBus::open(&format!("udp:{V4}%eth7"));
     let status = bus.wait_for_link(Link::Down);
     assert!(status.message.unwrap().contains("there is no interface eth7"));
+    // A group of each link by itself.
+    let mut bus = OpenBus::open("udp:ff02::1");
+    let message = bus.wait_for_link(Link::Down).message.unwrap();
+    assert!(message.contains("udp:ff02::1%eth0"), "{message}");
+}
+
+#[test]
+fn where_datagrams_do_not_come_back_routes_are_asked_after() {
+    in_namespace("datagrams_do_not_come_back");
+}
+
+#[test]
+#[ignore = "run by another test"]
+fn datagrams_do_not_come_back() {
+    check_namespace();
+    // The group is joined at lo, and what is sent to it goes elsewhere.
+    let elsewhere = "ip link add descan0 type veth peer name descan1 && ip link set descan1 up && \
+                     ip link set descan0 up multicast on && ip addr add 10.77.0.1/24 dev descan0 && \
+                     ip rule add to 239.0.0.0/8 ipproto udp lookup 77 && \
+                     ip route add 239.0.0.0/8 dev descan0 table 77";
+    assert!(Command::new("sh").args(["-c", elsewhere]).status().unwrap().success());
+    let arguments = ["scan", "udp:239.74.163.2", "--time", "4", "--file", "/nowhere/des.json"];
+    let output = Command::new(env!("CARGO_BIN_EXE_descan")).args(arguments).output().unwrap();
+    let words = String::from_utf8(output.stderr).unwrap();
+    assert!(words.contains("does a route lead to 239.74.163.2"), "{words}");
+    assert!(!words.contains("terminated"), "{words}");
 }
 
 // --- the program ----------------------------------------------------------------------------

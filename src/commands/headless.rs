@@ -182,10 +182,17 @@ pub fn tell_hindrance(app: &App, index: BusIndex) {
     if bus.is_up() && bus.status.unanswered {
         say("the adapter answered none of our commands: is it slcan, is the baud rate right?");
     } else if bus.is_up() && bus.engine.is_unacknowledged() {
-        say(
-            "nobody acknowledges our frames; is another node on, at the same bit rate, and are both \
-             ends terminated?",
-        );
+        match bus.name.parse() {
+            // There is no cable that could be wrong.
+            Ok(BusSpec::Udp { group, .. }) => say(&format!(
+                "our datagrams do not come back to us; does a route lead to {group} (ip route get \
+                 {group}), and does its interface have multicast?"
+            )),
+            _ => say(
+                "nobody acknowledges our frames; is another node on, at the same bit rate, and are \
+                 both ends terminated?",
+            ),
+        }
     }
     if let OwnAddress::Blocked(wanted) = bus.engine.own_address()
         && let Some(why) = app.why_no_address(index, wanted)

@@ -134,6 +134,9 @@ impl Multicast {
             (Errno::EADDRINUSE, _) => {
                 format!("port {} is taken by a program that does not share it", self.group.port)
             }
+            (Errno::EINVAL, None) if address.is_ipv6() => {
+                format!("{address} needs an interface to be told from others: udp:{address}%eth0")
+            }
             (Errno::EPERM | Errno::EACCES, _) => {
                 format!("{address} is not allowed: {error} (a firewall?)")
             }
