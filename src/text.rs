@@ -54,6 +54,17 @@ pub fn printable(bytes: &[u8]) -> String {
     Escaped(bytes).to_string()
 }
 
+/// A message on one line: TOML's errors draw the place on several, of which the first says where and
+/// the last says what.
+pub fn on_one_line(message: &str) -> String {
+    let lines: Vec<&str> = message.lines().filter(|line| !line.trim().is_empty()).collect();
+    match lines[..] {
+        [] => "it cannot be read".to_owned(),
+        [only] => printable(only.as_bytes()),
+        [first, .., last] => printable(format!("{first}: {last}").as_bytes()),
+    }
+}
+
 fn hex_escapes(f: &mut fmt::Formatter<'_>, bytes: &[u8]) -> fmt::Result {
     bytes.iter().try_for_each(|byte| write!(f, "\\x{byte:02X}"))
 }

@@ -445,6 +445,7 @@ fn wrong_arguments_are_one_line_that_says_what_would_be_right() {
 #[test]
 fn what_cannot_be_used_is_named_and_exits_with_3() {
     let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("odd.toml"), "bitrate = 125000\nnoise = 1\n").unwrap();
     std::fs::write(folder.path().join("bad.toml"), "framing = \"morse\"").unwrap();
     for (arguments, hint) in [
         (&["scan", "file:nothing.log"][..], "nothing.log"),
@@ -452,10 +453,13 @@ fn what_cannot_be_used_is_named_and_exits_with_3() {
         (&["scan", "sim:nothing"], "boiler"),
         (&["scan", "sim:boiler", "--profile", "nothing.toml"], "there is no such file"),
         (&["scan", "sim:boiler", "--profile", "bad.toml"], "morse"),
+        (&["scan", "sim:odd.toml"], "line 2, column 1: unknown field `noise`"),
+        (&["sim", "udp:", "--scenario", "odd.toml"], "odd.toml: TOML parse error at line 2"),
     ] {
         let output = descan(arguments, folder.path());
         let said = text(&output.stderr);
         assert_eq!(output.status.code(), Some(3), "{arguments:?}: {said}");
+        assert_eq!(said.lines().count(), 1, "{said}");
         assert!(said.contains(hint), "{arguments:?}: {said}");
     }
 }

@@ -35,6 +35,7 @@ pub use tuner::{TuneError, Tuner};
 
 use crate::frame::{BusIndex, IdPattern};
 use crate::sim::Scenario;
+use crate::text::on_one_line;
 use std::fs::File;
 use std::io;
 use std::os::fd::AsFd;
@@ -121,7 +122,8 @@ pub fn scenario(name: &str) -> Result<Scenario, BusError> {
     let text = std::fs::read_to_string(name).map_err(|cause| {
         BusError::Scenario(format!("{name}: {cause}; there are boiler, drone, and files (TOML)"))
     })?;
-    Scenario::parse(&text).map_err(|error| BusError::Scenario(format!("{name}: {error}")))
+    Scenario::parse(&text)
+        .map_err(|error| BusError::Scenario(format!("{name}: {}", on_one_line(&error.to_string()))))
 }
 
 /// Opens a candump log.

@@ -12,6 +12,7 @@ use crate::shell::recorder::{Recorder, Size, Target};
 use crate::shell::session::Session;
 use crate::shell::store::Store;
 use crate::status::RecordingStatus;
+use crate::text::on_one_line;
 use crate::time::Epoch;
 use crate::wire::profile::Profile;
 use std::io::{self, BufReader, Write};
@@ -94,16 +95,7 @@ fn profile(path: Option<&Path>) -> Result<Profile, Failure> {
     let unusable = |why: String| Failure::Unusable(format!("{}: {why}", path.display()));
     let text = read_text(path).map_err(|error| unusable(error.to_string()))?;
     let text = text.ok_or_else(|| unusable("there is no such file".to_owned()))?;
-    Profile::parse(&text).map_err(|error| {
-        // TOML's errors draw the line; here one line has to do.
-        let message = error.to_string();
-        let lines: Vec<&str> = message.lines().filter(|line| !line.trim().is_empty()).collect();
-        match lines[..] {
-            [] => unusable("it cannot be read".to_owned()),
-            [only] => unusable(only.to_owned()),
-            [first, .., last] => unusable(format!("{first}: {last}")),
-        }
-    })
+    Profile::parse(&text).map_err(|error| unusable(on_one_line(&error.to_string())))
 }
 
 /// The buses of the arguments; where none is given, the one CAN interface there is.
