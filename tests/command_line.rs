@@ -429,6 +429,8 @@ fn wrong_arguments_are_one_line_that_says_what_would_be_right() {
         (&["--address", "200"], "0 to 127"),
         (&["demo", "submarine"], "boiler"),
         (&["scan", "-", "-"], "only once"),
+        (&["scan", "can0", "can0"], "can0 is the same bus as can0"),
+        (&["scan", "slcan:/dev/ttyS0@125000", "slcan:/dev/ttyS0"], "the same bus"),
         (&["sim", "sim:boiler"], "descan demo"),
         (&[], "descan scan, descan watch"),
         (&["demo"], "descan scan, descan watch"),

@@ -104,6 +104,11 @@ pub fn buses(arguments: &Arguments) -> Result<Vec<BusSpec>, Failure> {
     if stdins > 1 {
         return Err(Failure::Usage("standard input (-) can be read only once".to_owned()));
     }
+    for (at, bus) in arguments.buses.iter().enumerate() {
+        if let Some(other) = arguments.buses[..at].iter().find(|other| is_same(bus, other)) {
+            return Err(Failure::Usage(format!("{bus} is the same bus as {other}; name it once")));
+        }
+    }
     if !arguments.buses.is_empty() {
         return Ok(arguments.buses.clone());
     }
@@ -119,6 +124,18 @@ pub fn buses(arguments: &Arguments) -> Result<Vec<BusSpec>, Failure> {
             let names: Vec<&str> = several.iter().map(|it| it.name.as_str()).collect();
             Err(Failure::Usage(format!("which bus? There are {}", names.join(", "))))
         }
+    }
+}
+
+/// Whether two arguments mean one bus: every device would be there twice, and we would talk to
+/// ourselves.
+fn is_same(bus: &BusSpec, other: &BusSpec) -> bool {
+    match (bus, other) {
+        // However fast, there is one adapter.
+        (BusSpec::Slcan { device, .. }, BusSpec::Slcan { device: other, .. }) => device == other,
+        // Each is simulated by itself.
+        (BusSpec::Sim(_), _) => false,
+        _ => bus == other,
     }
 }
 
