@@ -208,6 +208,9 @@ pub struct Speed {
     /// The rate to begin with, in bit/s [default: the one that is set]
     #[arg(long, value_name = "BITRATE", value_parser = bitrate, allow_negative_numbers = true)]
     pub first: Option<u32>,
+    /// What the protocol leaves open: here BUS_CFG_HR_TIME, of which each rate gets 1.5 (TOML)
+    #[arg(long, value_name = "FILE")]
+    pub profile: Option<PathBuf>,
     /// Take part in the bus at each rate, without asking
     #[arg(long)]
     pub active: bool,

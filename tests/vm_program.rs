@@ -87,6 +87,20 @@ fn devices_of_a_second_descan_are_found_with_their_services() {
     }
 }
 
+#[test]
+fn simulated_devices_wait_for_a_bus_that_is_down_too() {
+    let Some(vcan) = Vcan::new("dsp-sim") else { return };
+    let mut sim = program().args(["sim", vcan.name()]).stderr(Stdio::piped()).spawn().unwrap();
+    let mut said = BufReader::new(sim.stderr.take().unwrap()).lines();
+    let _sim = Running(sim);
+    assert!(said.next().unwrap().unwrap().contains("devices on"));
+    vcan.down();
+    assert!(said.next().unwrap().unwrap().contains("dsp-sim is down"));
+    vcan.up();
+    let report = report(&scan(vcan.name()));
+    assert_eq!(device(&report, "FEED")["presence"], "online");
+}
+
 /// A device made of candump, cansend and the kernel's ISO-TP: it answers who-is-there, and one
 /// services request.
 fn answer_as_device(bus: &str) -> std::thread::JoinHandle<()> {

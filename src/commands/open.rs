@@ -90,7 +90,8 @@ pub fn warn<T: Default>(warnings: &mut Vec<String>, why: String) -> T {
     T::default()
 }
 
-fn profile(path: Option<&Path>) -> Result<Profile, Failure> {
+/// The profile of that file; without one, what is assumed.
+pub fn profile(path: Option<&Path>) -> Result<Profile, Failure> {
     let Some(path) = path else { return Ok(Profile::default()) };
     let unusable = |why: String| Failure::Unusable(format!("{}: {why}", path.display()));
     let text = read_text(path).map_err(|error| unusable(error.to_string()))?;

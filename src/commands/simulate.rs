@@ -36,26 +36,32 @@ pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8,
         // After the signals: an adapter that was opened is closed again, however soon one comes.
         let port = bus::open(spec, BusIndex(0), clock.clone(), Options::default())
             .map_err(|error| Failure::Unusable(error.to_string()))?;
-        let devices = scenario.devices.len();
-        let _ = writeln!(io::stderr(), "{devices} devices on {spec}; Ctrl-C ends");
         let mut heard: Vec<Frame> = Vec::new();
         // The simulated bus begins when the other one is there.
         let mut start = None;
+        let mut told = None;
         loop {
             let now = clock.now();
             // Taken, so that it is no news any more: the loop sleeps until there is some.
             port.queue().take_status();
             let status = port.queue().status();
-            if !matches!(status.link, Link::Opening | Link::Up) {
+            let is_away = !matches!(status.link, Link::Opening | Link::Up);
+            if is_away && told != Some(status.link) {
                 let why = status.message.unwrap_or_else(|| format!("{spec} cannot be used"));
                 let _ = writeln!(io::stderr(), "descan: {why}");
-                return Ok(UNUSABLE);
+                // What was there once is waited for.
+                if start.is_none() || status.link.is_final() {
+                    return Ok(UNUSABLE);
+                }
             }
+            told = is_away.then_some(status.link);
             if time.is_some_and(|time| now.since(Instant::ZERO) >= time) {
                 return Ok(FINE);
             }
-            if status.link == Link::Up {
-                start.get_or_insert(now);
+            if status.link == Link::Up && start.is_none() {
+                let devices = scenario.devices.len();
+                let _ = writeln!(io::stderr(), "{devices} devices on {spec}; Ctrl-C ends");
+                start = Some(now);
             }
             heard.clear();
             port.queue().drain(&mut heard, usize::MAX);

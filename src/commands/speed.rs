@@ -1,13 +1,13 @@
 //! `descan speed`: finds the bit rate of a bus. Listens first; whether to take part, which disturbs
 //! a bus of another rate, is for the user to say.
 
+use super::open::profile;
 use super::{FINDINGS, FINE, Failure, INTERRUPTED, headless};
 use crate::bus::{BusSpec, TuneError};
 use crate::cli::Speed;
 use crate::shell::ending::Endings;
 use crate::shell::speed::{Plan, Report, find};
 use crate::speed::{Manner, Outcome, Progress};
-use crate::wire::profile::Profile;
 use anyhow::Context;
 use serde::Serialize;
 use std::io::{self, IsTerminal, Write};
@@ -58,7 +58,7 @@ async fn search(speed: &Speed) -> Result<u8, Failure> {
 }
 
 async fn attempt(speed: &Speed, manner: Manner) -> Result<Report, Failure> {
-    let period = Profile::default().heartbeat.period();
+    let period = profile(speed.profile.as_deref())?.heartbeat.period();
     let plan = Plan { first: speed.first, manner, period };
     let bus = &speed.bus;
     let what = match manner {

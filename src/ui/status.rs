@@ -202,7 +202,10 @@ fn place_in_log(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
         let _ = write!(text, " {percent}%");
     }
     if (playback.speed - 1.0).abs() > f64::EPSILON {
-        let _ = write!(text, " ×{}", playback.speed);
+        let _ = match playback.speed {
+            speed if speed < 0.995 => write!(text, " ×1/{:.0}", 1.0 / speed),
+            speed => write!(text, " ×{speed}"),
+        };
     }
     spans.push(brush.span(Role::Text, text));
     Some(spans)
