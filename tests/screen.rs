@@ -650,6 +650,19 @@ fn what_an_interface_is_called_now_and_where_frames_were_lost_is_shown() {
 }
 
 #[test]
+fn what_cannot_be_read_is_a_line_of_the_timeline_once_whatever_came_with_it() {
+    let mut stage = Stage::boiler();
+    for unreadable in [0, 3, 4, 700] {
+        let note = (unreadable > 0).then(|| "the adapter says V1013".to_owned());
+        let status = BusStatus { link: Link::Up, unreadable, note, ..BusStatus::default() };
+        stage.app.handle_bus(stage.app.now(), BusIndex(0), status);
+    }
+    let screen = stage.keys("3").screen();
+    assert_eq!(screen.matches("says things that cannot be read").count(), 1, "{screen}");
+    assert_eq!(screen.matches("the adapter says V1013").count(), 1, "{screen}");
+}
+
+#[test]
 fn what_is_broken_takes_the_bus_too() {
     let config = Config { seed: 7, listen_only: true, ..Config::default() };
     let mut stage = Stage::with(&Scenario::new(125_000), None, config);

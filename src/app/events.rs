@@ -530,12 +530,11 @@ fn changes(old: &BusStatus, status: &BusStatus) -> Vec<(Kind, String)> {
     {
         lines.push((Kind::Bus, format!("{bitrate} bit/s")));
     }
-    let note = status.note.as_ref().filter(|note| old.note.as_ref() != Some(note));
-    if let Some(note) = note {
+    if let Some(note) = status.note.as_ref().filter(|note| old.note.as_ref() != Some(note)) {
         lines.push((Kind::Bus, shown(note)));
     }
-    // Once: whoever sends such things sends many. Some adapters have words of their own for it.
-    if old.unreadable == 0 && status.unreadable > 0 && note.is_none() {
+    // Once: whoever sends such things sends many.
+    if old.unreadable == 0 && status.unreadable > 0 {
         lines.push((Kind::Error, "says things that cannot be read: they are counted".to_owned()));
     }
     for (before, now, why) in [
