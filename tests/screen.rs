@@ -473,6 +473,62 @@ fn a_failed_save_is_tried_again_when_asked() {
 }
 
 #[test]
+fn a_failed_save_is_tried_again_after_a_while_and_told_once() {
+    let mut stage = Stage::boiler();
+    let refused = || SaveOutcome::Failed("no space left on the disk".to_owned());
+    stage.slow_disk().until(24.0).keys("e").text("47").keys("Enter");
+    for failures in 1..=3 {
+        stage.file = Some(BOILER.as_bytes().to_vec());
+        stage.unfinished = Some(vec![refused()]);
+        stage.finish_saves();
+        let entries = stage.app.timeline().entries();
+        let told = entries.filter(|entry| entry.text.contains("no space left")).count();
+        assert_eq!(told, 1, "after {failures}");
+        let message = stage.app.message().is_some_and(|message| message.is_error);
+        assert_eq!(message, failures == 1);
+        let seconds = 24.0 + 11.0 * f64::from(failures);
+        stage.unfinished = Some(Vec::new());
+        stage.until(seconds);
+        assert_eq!(stage.unfinished.as_ref().unwrap().len(), 1, "tried once more");
+        assert!(stage.screen().contains("not saved: no space left"), "{}", stage.screen());
+    }
+    stage.finish_saves();
+    assert_eq!(stage.file(), BOILER.replace("10", "47"));
+    assert!(stage.screen().contains("saved at last"), "{}", stage.screen());
+    stage.unfinished = Some(Vec::new());
+    stage.until(90.0);
+    assert!(stage.unfinished.unwrap().is_empty(), "and not again");
+}
+
+#[test]
+fn a_copy_is_saved_elsewhere() {
+    let mut stage = Stage::boiler();
+    stage.slow_disk().until(24.0).keys("e").text("47").keys("Enter");
+    stage.unfinished = Some(vec![SaveOutcome::Failed("disk full".to_owned())]);
+    stage.finish_saves().until(31.0);
+    assert!(stage.screen().contains("Ctrl-s save again  W save a copy"), "{}", stage.screen());
+    stage.keys("W");
+    assert!(stage.screen().contains("save a copy as: des-20261121-120031.json"));
+    stage.keys("Ctrl-u").text("/else/b.json").keys("Enter");
+    let path = std::path::PathBuf::from("/else/b.json");
+    let bytes = BOILER.replace("10", "47").into_bytes();
+    assert_eq!(stage.effects.last(), Some(&Effect::WriteFile { path: path.clone(), bytes }));
+    stage.app.handle_written(stage.app.now(), &path, Err("no such folder".to_owned()));
+    assert!(stage.keys("q").screen().contains("1 edit is not saved. Quit all the same?"));
+    stage.keys("n W Ctrl-u").text("/else/b.json").keys("Enter");
+    stage.app.handle_written(stage.app.now(), &path, Ok(()));
+    assert!(stage.screen().contains("a copy with all edits: /else/b.json"));
+    assert!(
+        stage.keys("q").screen().contains("1 edit is only in /else/b.json. Quit all the same?")
+    );
+    // What was edited since is not in it.
+    stage.keys("n R").text("X").keys("Enter");
+    stage.unfinished = Some(vec![SaveOutcome::Failed("disk full".to_owned())]);
+    stage.finish_saves().keys("q");
+    assert!(stage.screen().contains("2 edits are not saved. Quit all the same?"));
+}
+
+#[test]
 fn a_broken_file_is_shown_and_never_written() {
     let mut stage = Stage::boiler();
     let broken = BOILER.replace("\"SENS\",", "\"SENS\"");

@@ -129,6 +129,16 @@ impl App {
         }
     }
 
+    /// Command: ask where a copy of the file with all edits is to be written, as where the file
+    /// itself cannot be.
+    pub fn ask_copy_path(&mut self, now: Instant) {
+        if !self.file.is_there() {
+            return self.complain("there is nothing to save yet");
+        }
+        let path = format!("des-{}.json", stamp(self.wall_seconds(now)));
+        self.open_prompt(PromptKind::CopyPath, path);
+    }
+
     /// Shows both values; a line being typed waits until that is decided.
     pub(super) fn show_conflict(&mut self) {
         if let Overlay::Prompt(prompt) = std::mem::replace(&mut self.overlay, Overlay::Conflict) {
@@ -313,7 +323,11 @@ impl App {
                     1 => "1 edit is".to_owned(),
                     many => format!("{many} edits are"),
                 };
-                if self.file.is_saving() {
+                let copy = self.copied.as_ref().filter(|(_, copy)| copy == self.file.document());
+                if let Some((path, _)) = copy {
+                    let path = Escaped(path.as_os_str().as_encoded_bytes());
+                    format!("{edits} only in {path}. Quit all the same?")
+                } else if self.file.is_saving() {
                     format!("{edits} being saved, then it quits. Quit without waiting?")
                 } else {
                     format!("{edits} not saved. Quit all the same?")

@@ -47,6 +47,13 @@ pub enum FileProblem {
     NotSaved(String),
 }
 
+impl FileProblem {
+    /// The last save failed.
+    pub const fn is_not_saved(&self) -> bool {
+        matches!(self, FileProblem::NotSaved(_))
+    }
+}
+
 impl std::fmt::Display for FileProblem {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
@@ -391,7 +398,7 @@ impl FileState {
         }
         self.is_on_disk = true;
         self.pending.drain(..saving.operations.min(self.pending.len()));
-        if self.problem.as_ref().is_some_and(|it| matches!(it, FileProblem::NotSaved(_))) {
+        if self.problem.as_ref().is_some_and(FileProblem::is_not_saved) {
             self.problem = None;
         }
     }

@@ -64,6 +64,7 @@ pub use view::{Cursor, Focus, Frozen, Page, View};
 pub use why::spell;
 
 use crate::discovery::{Config, DeviceId, Finding, OwnAddress};
+use crate::document::Document;
 use crate::frame::{BusIndex, Frame};
 use crate::keymap::{Key, Keymap, Mode};
 use crate::speed::{Outcome, Progress};
@@ -184,6 +185,13 @@ pub struct App {
     utc_offset_seconds: i32,
     buses: Vec<Bus>,
     file: FileState,
+    /// When a save that failed is tried again.
+    save_again_at: Option<Instant>,
+    /// It is being tried again, unasked.
+    is_saving_again: bool,
+    /// The copies of des.json with our edits: the one being written, and the last that is.
+    copying: Option<(PathBuf, Document)>,
+    copied: Option<(PathBuf, Document)>,
     capture: Capture,
     matches: Matches,
     timeline: Timeline,
@@ -228,6 +236,8 @@ pub struct App {
 
 /// What the bus changes is drawn at most this often, however much the devices chatter.
 const CALM: Duration = Duration::from_millis(250);
+/// How long after a save failed it is tried again: there may be room on the disk by then.
+const SAVE_AGAIN_AFTER: Duration = Duration::from_secs(10);
 const MESSAGE_FOR: Duration = Duration::from_secs(6);
 const SECOND: Duration = Duration::from_secs(1);
 
@@ -249,6 +259,10 @@ impl App {
             matches: Matches::default(),
             timeline: Timeline::default(),
             matching: Matching::default(),
+            save_again_at: None,
+            is_saving_again: false,
+            copying: None,
+            copied: None,
             file_findings: Vec::new(),
             muted: BTreeSet::new(),
             problem_order: Vec::new(),
@@ -345,6 +359,11 @@ impl App {
             self.message = None;
             self.dirty = true;
         }
+        if self.save_again_at.is_some_and(|at| at <= now) {
+            self.save_again_at = None;
+            self.is_saving_again = true;
+            self.save_pending();
+        }
         if self.dirty_at.is_some_and(|at| at <= now) {
             self.dirty = true;
             self.catch_up();
@@ -404,7 +423,20 @@ impl App {
     /// Takes what became of an [`Effect::Save`].
     pub fn handle_saved(&mut self, now: Instant, outcome: SaveOutcome) {
         self.now = self.now.max(now);
+        let before = self.file.problem().filter(|it| it.is_not_saved()).cloned();
+        let is_retry = std::mem::take(&mut self.is_saving_again);
         let change = self.file.handle_saved(outcome);
+        let problem = self.file.problem().filter(|it| it.is_not_saved());
+        self.save_again_at = problem.map(|_| self.now + SAVE_AGAIN_AFTER);
+        if is_retry && before.is_some() && before.as_ref() == problem {
+            // It was told when it failed first.
+            self.dirty = true;
+            return;
+        }
+        if change == Change::Saved && before.is_some() {
+            self.timeline.push(TimelineEntry::new(self.now, TimelineKind::File, "saved at last"));
+            self.say("saved at last");
+        }
         self.file_changed(change);
     }
 
@@ -416,8 +448,16 @@ impl App {
         result: Result<(), String>,
     ) {
         self.now = self.now.max(now);
+        let is_copy = |copying: &mut (PathBuf, Document)| copying.0 == path;
+        let copy = self.copying.take_if(is_copy);
         let path = crate::text::printable(path.as_os_str().as_encoded_bytes());
         match result {
+            Ok(()) if copy.is_some() => {
+                self.copied = copy;
+                let line = format!("a copy with all edits: {path}");
+                self.say(&line);
+                self.timeline.push(TimelineEntry::new(self.now, TimelineKind::File, line));
+            }
             Ok(()) => self.say(format!("written: {path}")),
             Err(why) => self.complain(format!("{path}: {why}")),
         }
@@ -498,7 +538,8 @@ impl App {
         let message = self.message.as_ref().map(|message| message.until);
         let calm = self.dirty_at.filter(|_| !self.dirty);
         let second = (!self.is_at_rest()).then_some(self.next_second);
-        engines.chain(message).chain(calm).chain(second).min()
+        let again = self.save_again_at;
+        engines.chain(message).chain(calm).chain(second).chain(again).min()
     }
 
     /// Whether the screen is not what it should be.

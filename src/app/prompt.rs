@@ -41,6 +41,8 @@ pub enum PromptKind {
     NewEntry,
     /// Where to save the captured frames.
     CapturePath,
+    /// Where to write a copy of des.json with all edits.
+    CopyPath,
 }
 
 impl PromptKind {
@@ -52,6 +54,7 @@ impl PromptKind {
             PromptKind::Rename(_) => "name",
             PromptKind::NewEntry => "new entry: name address",
             PromptKind::CapturePath => "save frames to",
+            PromptKind::CopyPath => "save a copy as",
         }
     }
 
@@ -105,13 +108,17 @@ impl App {
             },
             PromptKind::Rename(_) => judge_name(text),
             PromptKind::NewEntry => self.judge_new_entry(text),
-            PromptKind::CapturePath if text.is_empty() => {
+            PromptKind::CapturePath | PromptKind::CopyPath if text.is_empty() => {
                 Verdict::Blocks("a path is needed".to_owned())
             }
             PromptKind::CapturePath => {
                 let frames = self.capture.end() - self.capture.first();
                 Verdict::Fine(format!("{frames} frames, as candump writes them"))
             }
+            PromptKind::CopyPath => match self.file.document().entries().len() {
+                1 => Verdict::Fine("1 entry".to_owned()),
+                entries => Verdict::Fine(format!("{entries} entries")),
+            },
         })
     }
 
@@ -237,6 +244,12 @@ impl App {
             }
             PromptKind::CapturePath => {
                 let (path, bytes) = (PathBuf::from(text), self.candump_log().into_bytes());
+                self.effects.push_back(Effect::WriteFile { path, bytes });
+            }
+            PromptKind::CopyPath => {
+                let (path, document) = (PathBuf::from(text), self.file.document().clone());
+                let bytes = document.source().to_vec();
+                self.copying = Some((path.clone(), document));
                 self.effects.push_back(Effect::WriteFile { path, bytes });
             }
         }

@@ -154,7 +154,10 @@ actions! {
         "delete-entry" "Delete the entry (asks)" "" ["D"] => |app, now| app.ask_delete(now);
         "undo" "Take the last edit back" "undo" ["u"] => |app, now| app.undo(now);
         "redo" "Make it again" "" ["Ctrl-r"] => |app, now| app.redo(now);
-        "save" "Save again what could not be saved" "" ["Ctrl-s"] => |app, now| app.save(now);
+        "save" "Save again what could not be saved" "save again" ["Ctrl-s"]
+            => |app, now| app.save(now);
+        "save-copy" "Save a copy of des.json, with all edits" "save a copy" ["W"]
+            => |app, now| app.ask_copy_path(now);
     }
     Browse Program: {
         "help" "All keys, what the signs mean, all counters" "help" ["?" "F1"] => |app, _| app.show_help();

@@ -19,6 +19,7 @@ use std::time::{Duration, Instant};
 use nix::errno::Errno;
 use nix::fcntl::OFlag;
 use nix::unistd::{AccessFlags, Gid, Uid, access, fchown};
+use tempfile::{NamedTempFile, TempPath};
 
 use crate::text::printable;
 
@@ -78,7 +79,7 @@ pub enum SaveError {
     #[error(transparent)]
     Unreadable(#[from] StoreError),
     /// The file is write-protected. Replacing it would go around that.
-    #[error("{path} is write-protected: chmod u+w {path}, or save elsewhere with --file")]
+    #[error("{path} is write-protected: chmod u+w {path}, or save a copy elsewhere")]
     Protected {
         /// Which.
         path: String,
@@ -314,20 +315,32 @@ fn write_beside(
     folder: &Path,
     old: Option<&fs::Metadata>,
     new: &[u8],
-) -> io::Result<tempfile::NamedTempFile> {
+) -> io::Result<NamedTempFile> {
     // A new file's mode is the user's own choice, by umask.
     let mode = if old.is_some() { 0o600 } else { 0o666 };
-    let mut temporary = tempfile::Builder::new()
-        .prefix(&temporary_prefix(target))
-        .suffix(TEMPORARY_SUFFIX)
-        .permissions(Permissions::from_mode(mode))
-        .tempfile_in(folder)?;
-    temporary.write_all(new)?;
+    let mut temporary = create_beside(target, folder, mode)?;
+    temporary.as_file_mut().write_all(new)?;
     if let Some(old) = old {
         keep_owner(temporary.as_file(), old)?;
     }
     temporary.as_file().sync_all()?;
     Ok(temporary)
+}
+
+/// A new file beside the target. Not by tempfile's own means: they wrap the system's errors into
+/// such as name the temporary path, and know no cause.
+fn create_beside(target: &Path, folder: &Path, mode: u32) -> io::Result<NamedTempFile> {
+    loop {
+        let mut name = temporary_prefix(target);
+        name.push((0..6).map(|_| fastrand::alphanumeric()).collect::<String>());
+        name.push(TEMPORARY_SUFFIX);
+        let path = folder.join(name);
+        match File::options().read(true).write(true).create_new(true).mode(mode).open(&path) {
+            Ok(file) => return Ok(NamedTempFile::from_parts(file, TempPath::try_from_path(path)?)),
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
+            Err(error) => return Err(error),
+        }
+    }
 }
 
 /// Gives the file the owner, group and mode of the old one. Only root can give files away, and

@@ -1,7 +1,7 @@
 //! The last line: a question, the line being typed, a message, or which keys do what here.
 
 use super::brush::{Brush, cut, fit};
-use crate::app::{Focus, Page, PromptKind, Verdict};
+use crate::app::{FileProblem, Focus, Page, PromptKind, Verdict};
 use crate::keymap::{Key, Mode};
 use crate::theme::Role;
 use ratatui::layout::{Position, Rect};
@@ -135,6 +135,10 @@ fn hint_line(brush: &Brush, mode: Mode, width: usize) -> Vec<Span<'static>> {
             &["help", "quit", "details", "mute", "filter", "problem", "edit-address", "rescan"]
         }
     };
+    let is_not_saved = app.file().problem().is_some_and(FileProblem::is_not_saved);
+    let first: &[&str] =
+        if is_not_saved && mode == Mode::Browse { &["save", "save-copy"] } else { &[] };
+    let names = &[first, names].concat();
     let mut spans = vec![Span::raw(" ")];
     spans.extend(hints(brush, names, width.saturating_sub(1)));
     spans
