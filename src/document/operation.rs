@@ -100,8 +100,9 @@ impl EntryKey {
 
     /// Is this an entry that the key may mean, `occurrence` aside?
     pub(super) fn fits(&self, entry: &Entry) -> bool {
-        self.name == entry.name
-            && self.address == entry.address
+        // What is compared fastest comes first: it is asked for each pair of entries.
+        self.address == entry.address
+            && self.name == entry.name
             && self.bus == entry.bus
             && self.uid == entry.uid
     }
