@@ -3,8 +3,8 @@
 //!
 //! Needs root and CAN in the kernel: tests/vm/measure runs it in the virtual machine. Time there is
 //! not to be relied on, so what counts is the ratios of one run. Arguments: seconds a slice of the
-//! CPU measure takes, slices of each, seconds of each measure of losses; without them it measures
-//! nothing. With `send RATE SECONDS` it only sends, to ds-measure: for a profiler.
+//! CPU measure takes, slices of each, seconds of each measure of losses (0: none), rates; without
+//! them it measures nothing. With `send RATE SECONDS` it only sends, to ds-measure: for a profiler.
 
 #[path = "../common/pty.rs"]
 mod pty;
@@ -28,7 +28,6 @@ use std::time::{Duration, Instant};
 
 const BUS: &str = "ds-measure";
 const DESCAN: &str = env!("CARGO_BIN_EXE_descan");
-const RATES: [u32; 3] = [2_000, 7_000, 15_000];
 
 fn main() {
     let mut arguments = std::env::args().skip(1).filter(|it| it != "--bench");
@@ -44,16 +43,19 @@ fn main() {
         return;
     }
     let numbers = first.into_iter().chain(arguments).map(|it| it.parse().expect("a number"));
-    let [seconds, slices, loss_seconds] = numbers.collect::<Vec<u64>>()[..] else {
+    let [seconds, slices, loss_seconds, rates @ ..] = &numbers.collect::<Vec<u64>>()[..] else {
         println!("SocketCAN: tests/vm/measure measures it");
         return;
     };
+    let rates: Vec<u32> = rates.iter().map(|rate| *rate as u32).collect();
     let _ = ip(&["link", "del", BUS]);
     assert!(ip(&["link", "add", BUS, "type", "vcan"]), "interfaces can be made");
     ip(&["link", "set", BUS, "up", "mtu", "72"]);
     let folder = tempfile::tempdir().expect("a temporary folder");
-    cost(folder.path(), seconds, slices as usize);
-    losses(folder.path(), loss_seconds);
+    cost(folder.path(), *seconds, *slices as usize, &rates);
+    if *loss_seconds > 0 {
+        losses(folder.path(), *loss_seconds, &rates);
+    }
     ip(&["link", "del", BUS]);
 }
 
@@ -77,15 +79,16 @@ const ALL: [(Who, &str); 4] = [
 
 /// CPU seconds of each reader per million frames, in turns, so that what else the machine does
 /// falls on all of them.
-fn cost(folder: &Path, seconds: u64, slices: usize) {
+fn cost(folder: &Path, seconds: u64, slices: usize, rates: &[u32]) {
     println!("CPU seconds per million frames, median of {slices} × {seconds} s, by candump's:");
-    println!("{:<18}{:>16}{:>16}{:>16}", "frames/s", RATES[0], RATES[1], RATES[2]);
-    let mut table = vec![[0.0; RATES.len()]; ALL.len()];
-    for (column, rate) in RATES.into_iter().enumerate() {
+    let heads = rates.iter().map(|rate| format!("{rate:>16}"));
+    println!("{:<18}{}", "frames/s", heads.collect::<String>());
+    let mut table = vec![vec![0.0; rates.len()]; ALL.len()];
+    for (column, rate) in rates.iter().enumerate() {
         let mut costs = vec![Vec::new(); ALL.len()];
         for _ in 0..slices {
             for (row, (who, _)) in ALL.iter().enumerate() {
-                costs[row].push(slice(*who, folder, rate, seconds));
+                costs[row].push(slice(*who, folder, *rate, seconds));
             }
         }
         for (row, mut costs) in costs.into_iter().enumerate() {
@@ -95,7 +98,7 @@ fn cost(folder: &Path, seconds: u64, slices: usize) {
     }
     for (row, (_, name)) in ALL.iter().enumerate() {
         print!("{name:<18}");
-        for (cost, candump) in table[row].iter().zip(table[0]) {
+        for (cost, candump) in table[row].iter().zip(&table[0]) {
             print!("{cost:>9.1} ({:>4.2})", cost / candump);
         }
         println!();
@@ -206,12 +209,12 @@ fn read_only(interface: &str) {
 // --- what is lost -----------------------------------------------------------------------------
 
 /// Whether what `watch` tells of frames heard and lost is what was sent.
-fn losses(folder: &Path, seconds: u64) {
+fn losses(folder: &Path, seconds: u64, rates: &[u32]) {
     println!();
     println!("Frames in {seconds} s, as descan watch tells them:");
     let columns = ["sent", "heard", "lost by kernel", "lost in queue"];
     println!("{:<26}{:>12}{:>12}{:>16}{:>16}", "", columns[0], columns[1], columns[2], columns[3]);
-    for rate in &RATES[1..] {
+    for rate in rates {
         told(folder, &format!("{rate} frames/s"), || {
             send(*rate, Duration::from_secs(seconds));
         });

@@ -17,6 +17,7 @@ use super::port::{Line, Port};
 use crate::error_report::ErrorReport;
 use crate::frame::{BusIndex, Frame, IdPattern};
 use crate::status::{BusState, BusStatus, Link};
+use crate::time::Instant;
 use facts::{Facts, advice_missing, is_can};
 use nix::errno::Errno;
 use nix::net::if_::if_nametoindex;
@@ -32,6 +33,7 @@ const LOOK_EVERY: Duration = Duration::from_secs(1);
 /// The least time between two looks: error reports can come by the thousand.
 const LOOK_AT_MOST_EVERY: Duration = Duration::from_millis(100);
 /// The longest nap while frames gather. Wake-ups are what reading costs, not system calls.
+/// Short beside what anybody waits for here: answers are collected for 60 ms at the least.
 const LONGEST_NAP: Duration = Duration::from_millis(10);
 /// How long to wait before a frame is offered again that the kernel had no room for, and for
 /// how long to do so. A full 125 kbit/s bus moves a frame on each millisecond.
@@ -274,7 +276,7 @@ impl Reader {
     fn serve(&mut self, mut socket: RawSocket) -> io::Result<()> {
         let mut batch = Vec::new();
         let mut frames = Vec::new();
-        let mut last_arrival = Monotonic::now();
+        let mut last_arrival = Instant::ZERO;
         // A quarter of what the receive buffer holds may gather.
         let room = socket.capacity() / 4;
         while !self.line.is_stopped() {
@@ -294,18 +296,22 @@ impl Reader {
                     _ => return Err(error),
                 }
             }
+            // As soon as the buffer is empty: what is read before a frame of ours comes back is read
+            // one by one.
+            if !is_gone {
+                self.send_posted(&mut socket);
+            }
             self.deliver(&batch, &mut frames, &socket);
             if is_gone {
                 break;
             }
-            // After reading: what comes while frames of ours are under way is read one by one.
-            self.send_posted(&mut socket);
             if batch.is_empty() {
                 self.line.wait(Some(socket.as_fd()), self.retry_wait())?;
             } else {
-                let now = Monotonic::now();
-                let nap = nap(now - last_arrival, batch.len() as u32, room);
-                last_arrival = now;
+                // By the frames' own times: clocks are not read more often than needed.
+                let newest = frames.last().map_or(last_arrival, |frame| frame.time);
+                let nap = nap(newest.since(last_arrival), batch.len() as u32, room);
+                last_arrival = newest;
                 if let Some(nap) = nap {
                     self.line
                         .wait(None, Some(self.retry_wait().map_or(nap, |wait| wait.min(nap))))?;
