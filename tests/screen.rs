@@ -856,7 +856,7 @@ fn a_log_is_played_by_keys_and_a_bus_is_not() {
     assert_eq!(stage.effects, asked.map(Effect::Playback));
     (playback.speed, playback.is_paused) = (0.5, true);
     stage.app.handle_playback(now, playback);
-    assert!(stage.screen().contains("PAUSED 0:24 ×0.5"), "{}", stage.screen());
+    assert!(stage.screen().contains("PAUSED 0:24 ×1/2"), "{}", stage.screen());
     // While time stands, what a step brings is drawn at once.
     stage.app.take_dirty();
     let heartbeat = Frame::classic(0x07B4_3C01, &[0x8A, 0xFA, 0x6C, 0x97, 0x24, 0x12, 4, 0]);
