@@ -195,3 +195,13 @@ power_on = 7.0
     let never = folder.check(&["sim:line.toml", "--wait-for-all", "--time", "4"]);
     assert_eq!(never.status.code(), Some(1), "{}", text(&never.stdout));
 }
+
+#[test]
+fn a_wrong_value_in_the_file_is_a_difference_with_its_place() {
+    let (code, text) = checked(r#"[{"name":"A","address":1e2}]"#);
+    assert_eq!(code, 1, "{text}");
+    let place = "`address` is 1e2; it must be a whole number from 1 to 127 (line 1, column 24)";
+    assert!(text.contains(place), "{text}");
+    let found = kinds(r#"[{"name":"A","address":1e2}]"#);
+    assert!(found.iter().any(|(kind, _)| kind == "file-shape"), "{found:?}");
+}

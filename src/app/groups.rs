@@ -238,6 +238,7 @@ fn headline(kind: FindingKind) -> &'static str {
         FindingKind::AddressContested => "two devices met here",
         FindingKind::FileDuplicateAddress => "two entries, one address",
         FindingKind::FileDuplicateEntry => "the same entry twice",
+        FindingKind::FileShape => "a wrong value in the file",
         FindingKind::Missing => "missing",
         FindingKind::Unlisted => "not in the file",
         FindingKind::ServicesDiffer => "other services than listed",

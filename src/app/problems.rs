@@ -77,7 +77,7 @@ impl Comparison<'_> {
                 document::FindingKind::DuplicateEntry => {
                     (FindingKind::FileDuplicateEntry, "Delete one of them from the file.")
                 }
-                _ => continue,
+                _ => (FindingKind::FileShape, "Correct it in the file."),
             };
             let entries = finding.entries.iter().filter_map(|&at| document.entries().get(at));
             let names: Vec<Name> = entries.clone().map(|entry| Name::new(&entry.name)).collect();

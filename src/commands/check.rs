@@ -90,7 +90,14 @@ const GROUPS: [(&str, &[FindingKind]); 7] = [
     ("static address taken", &[FindingKind::StaticAddressTaken]),
     ("not in the file", &[FindingKind::Unlisted]),
     ("other services", &[FindingKind::ServicesDiffer]),
-    ("in the file itself", &[FindingKind::FileDuplicateAddress, FindingKind::FileDuplicateEntry]),
+    (
+        "in the file itself",
+        &[
+            FindingKind::FileDuplicateAddress,
+            FindingKind::FileDuplicateEntry,
+            FindingKind::FileShape,
+        ],
+    ),
 ];
 
 /// For people: a line for each difference, in groups, and a summary.

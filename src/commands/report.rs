@@ -444,6 +444,7 @@ fn is_difference(kind: FindingKind) -> bool {
             | FindingKind::ServicesDiffer
             | FindingKind::FileDuplicateAddress
             | FindingKind::FileDuplicateEntry
+            | FindingKind::FileShape
     )
 }
 
