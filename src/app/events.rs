@@ -16,6 +16,7 @@ use crate::text::{Escaped, Name};
 use crate::time::Instant;
 use crate::wire::id::Address;
 use crate::wire::node::{Mode, Uid};
+use std::collections::BTreeMap;
 
 /// Something that happened, for those who watch without a screen.
 #[derive(Clone, Debug)]
@@ -150,18 +151,16 @@ impl App {
         if !self.report {
             return;
         }
-        let confidence_in = |findings: &[Finding], key: &FindingKey| {
-            findings.iter().find(|finding| finding.key == *key).map(|finding| finding.confidence)
+        let confidences = |findings: &[Finding]| -> BTreeMap<FindingKey, Confidence> {
+            findings.iter().map(|finding| (finding.key.clone(), finding.confidence)).collect()
         };
+        let (was, is) = (confidences(before), confidences(&self.file_findings));
         let mut told = Vec::new();
-        for mut finding in before.iter().cloned() {
-            if confidence_in(&self.file_findings, &finding.key).is_none() {
-                (finding.confidence, finding.changed) = (Confidence::Cleared, now);
-                told.push(finding);
-            }
+        for mut finding in before.iter().filter(|it| !is.contains_key(&it.key)).cloned() {
+            (finding.confidence, finding.changed) = (Confidence::Cleared, now);
+            told.push(finding);
         }
-        let is_news =
-            |found: &&Finding| confidence_in(before, &found.key) != Some(found.confidence);
+        let is_news = |found: &&Finding| was.get(&found.key) != Some(&found.confidence);
         told.extend(self.file_findings.iter().filter(is_news).cloned());
         for finding in told {
             let (kind, text) = finding_in_words(finding.confidence, &finding.key, &finding.text);

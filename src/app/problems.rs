@@ -11,6 +11,7 @@ use crate::frame::BusIndex;
 use crate::text::{Escaped, Name};
 use crate::time::Instant;
 use crate::wire::id::Address;
+use std::collections::BTreeMap;
 
 /// How much is compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -48,8 +49,10 @@ impl App {
     pub(super) fn refresh_problems(&mut self, now: Instant) {
         self.matching = Matching::new(self.file.document().entries(), &self.buses);
         let mut found = self.compare(now, Scope::Screen);
+        let known: BTreeMap<&FindingKey, &Finding> =
+            self.file_findings.iter().map(|finding| (&finding.key, finding)).collect();
         for finding in &mut found {
-            if let Some(old) = self.file_findings.iter().find(|old| old.key == finding.key) {
+            if let Some(old) = known.get(&finding.key) {
                 finding.first = old.first;
                 if old.confidence == finding.confidence {
                     finding.changed = old.changed;

@@ -35,6 +35,7 @@ mod syntax;
 mod text;
 
 use std::fmt;
+use std::collections::HashMap;
 use std::sync::Arc;
 
 pub use edit::EditError;
@@ -49,6 +50,16 @@ use finding::Findings;
 use position::Positions;
 use scan::Span;
 use syntax::{BOM, Kind};
+
+/// Of each entry, how many before it have its key.
+fn occurrences(entries: &[Entry]) -> Vec<usize> {
+    let mut seen = HashMap::with_capacity(entries.len());
+    let count = |entry: &Entry| {
+        let count: &mut usize = seen.entry(EntryKey::of(entry)).or_default();
+        std::mem::replace(count, *count + 1)
+    };
+    entries.iter().map(count).collect()
+}
 
 /// The JSON Schema (2020-12) of the file.
 pub const SCHEMA: &str = include_str!("des.schema.json");
@@ -69,6 +80,8 @@ struct Inner {
     /// The elements of the list of devices, whether or not they are entries.
     elements: Vec<Span>,
     entries: Vec<Entry>,
+    /// Of each entry, how many before it have its key.
+    occurrences: Vec<usize>,
     findings: Vec<DocumentFinding>,
 }
 
@@ -115,14 +128,18 @@ impl Document {
         let mut findings = findings.found;
         findings.extend(finding::collisions(&entries));
         findings.sort_by(|a, b| (a.position, &a.message).cmp(&(b.position, &b.message)));
-        Ok(Self { inner: Arc::new(Inner { source, root, elements, entries, findings }) })
+        let occurrences = occurrences(&entries);
+        let inner = Inner { source, root, elements, entries, occurrences, findings };
+        Ok(Self { inner: Arc::new(inner) })
     }
 
     /// The document of a file that is missing or empty.
     pub fn empty() -> Self {
         let (source, root) = (String::new(), Root::Blank);
         let (elements, entries, findings) = (Vec::new(), Vec::new(), Vec::new());
-        Self { inner: Arc::new(Inner { source, root, elements, entries, findings }) }
+        let occurrences = Vec::new();
+        let inner = Inner { source, root, elements, entries, occurrences, findings };
+        Self { inner: Arc::new(inner) }
     }
 
     /// The bytes of the file.
@@ -145,8 +162,7 @@ impl Document {
     /// # Panics
     /// When `index` is not one of [`Document::entries`].
     pub fn key(&self, index: usize) -> EntryKey {
-        let (earlier, rest) = self.entries().split_at(index);
-        EntryKey::among(&rest[0], earlier)
+        EntryKey { occurrence: self.inner.occurrences[index], ..EntryKey::of(&self.entries()[index]) }
     }
 
     /// The place in [`Document::entries`] of the entry that has exactly this key.
