@@ -34,8 +34,8 @@ mod scan;
 mod syntax;
 mod text;
 
-use std::fmt;
 use std::collections::HashMap;
+use std::fmt;
 use std::sync::Arc;
 
 pub use edit::EditError;
@@ -162,7 +162,10 @@ impl Document {
     /// # Panics
     /// When `index` is not one of [`Document::entries`].
     pub fn key(&self, index: usize) -> EntryKey {
-        EntryKey { occurrence: self.inner.occurrences[index], ..EntryKey::of(&self.entries()[index]) }
+        EntryKey {
+            occurrence: self.inner.occurrences[index],
+            ..EntryKey::of(&self.entries()[index])
+        }
     }
 
     /// The place in [`Document::entries`] of the entry that has exactly this key.
