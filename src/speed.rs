@@ -15,6 +15,11 @@ pub const RATES: [u32; 4] = [125_000, 250_000, 500_000, 1_000_000];
 /// that nobody acknowledges breaks its first sixteen itself, at the right rate too.
 const BROKEN_ENOUGH: u64 = 64;
 
+/// A bit rate as it is written for people.
+pub fn kbit(rate: u32) -> String {
+    format!("{} kbit/s", f64::from(rate) / 1000.0)
+}
+
 /// Whether we take part in the bus while we try.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Manner {

@@ -5,7 +5,7 @@
 use super::timeline::{Entry, Kind};
 use super::{App, Effect, Overlay, Question};
 use crate::frame::BusIndex;
-use crate::speed::{Outcome, Progress};
+use crate::speed::{Outcome, Progress, kbit};
 
 impl App {
     /// Command: ask whether to look for the bit rate of the selected row's bus, or of the one where
@@ -80,12 +80,6 @@ impl App {
     }
 
     fn tell_of_bus(&mut self, bus: BusIndex, kind: Kind, text: String) {
-        let line = Entry::new(self.now, kind, text).on(bus);
-        self.report_line(&line);
-        self.timeline.push(line);
+        self.tell_line(Entry::new(self.now, kind, text).on(bus));
     }
-}
-
-fn kbit(rate: u32) -> String {
-    format!("{} kbit/s", f64::from(rate) / 1000.0)
 }

@@ -175,10 +175,12 @@ impl App {
         }
     }
 
-    pub(super) fn report_line(&mut self, line: &Entry) {
-        if self.report && self.is_of_interest(line, &[]) {
+    /// A line of the timeline, which `watch` tells too.
+    pub(super) fn tell_line(&mut self, line: Entry) {
+        if self.report && self.is_of_interest(&line, &[]) {
             self.report(Happening::Line(line.clone()));
         }
+        self.timeline.push(line);
     }
 
     fn report(&mut self, happening: Happening) {
@@ -331,8 +333,7 @@ impl App {
         let is_news = !changes.is_empty();
         for (kind, text) in changes {
             let line = Entry::new(now, kind, text).on(index);
-            self.report_line(&line);
-            self.timeline.push(line);
+            self.tell_line(line);
         }
         if is_news {
             self.report(Happening::Bus(index, now));
@@ -369,8 +370,7 @@ impl App {
         }
         let mut line = Entry::new(self.now, kind, text);
         line.name = Some("recording".into());
-        self.report_line(&line);
-        self.timeline.push(line);
+        self.tell_line(line);
         self.dirty = true;
     }
 
@@ -429,8 +429,7 @@ impl App {
         for (kind, text) in lines {
             let line = Entry::new(self.now, kind, text);
             is_told |= self.is_of_interest(&line, &[]);
-            self.report_line(&line);
-            self.timeline.push(line);
+            self.tell_line(line);
         }
         if is_told {
             self.report(Happening::File(self.now));

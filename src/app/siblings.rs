@@ -22,6 +22,17 @@ pub enum Kinship {
     Open,
 }
 
+impl Kinship {
+    /// What it is, for people.
+    pub const fn words(self) -> &'static str {
+        match self {
+            Kinship::Redundant => "with the same services: redundant",
+            Kinship::TwoNetworks => "with different services: two networks",
+            Kinship::Open => "its services are not known on both",
+        }
+    }
+}
+
 /// The same device on another bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Sibling {
@@ -107,8 +118,7 @@ impl App {
                 line.address = Some(device.address);
                 line.name.clone_from(&device.name);
             }
-            self.report_line(&line);
-            self.timeline.push(line);
+            self.tell_line(line);
         }
     }
 

@@ -7,6 +7,7 @@ use crate::discovery::{
     Confidence, Device, Evidence, Finding, FindingKind, OwnAddress, ServiceEntry,
 };
 use crate::frame::Frame;
+use crate::speed::kbit;
 use crate::status::Link;
 use crate::text::Name;
 use crate::time::{Duration, Epoch, Instant};
@@ -76,6 +77,8 @@ struct SiblingReport {
     address: u8,
     /// Whether its services are the same there; null where they are not known on both.
     redundant: Option<bool>,
+    #[serde(skip)]
+    kinship: Kinship,
 }
 
 #[derive(Debug, Serialize)]
@@ -183,9 +186,7 @@ impl Report {
     pub fn tables(&self) -> String {
         let mut text = String::new();
         for bus in &self.buses {
-            let rate = bus.bitrate.map_or("bit rate unknown".to_owned(), |rate| {
-                format!("{} kbit/s", f64::from(rate) / 1000.0)
-            });
+            let rate = bus.bitrate.map_or("bit rate unknown".to_owned(), kbit);
             // Nobody says how the controller of a virtual interface or of a log is.
             let state = match bus.state {
                 "unknown" => String::new(),
@@ -227,19 +228,15 @@ impl Report {
         let mut text = String::new();
         for device in &self.devices {
             for other in device.also.iter().filter(|other| other.bus > device.bus) {
-                let what = match other.redundant {
-                    Some(true) => "with the same services: redundant",
-                    Some(false) => "with different services: two networks",
-                    None => "its services are not known on both",
-                };
                 let _ = writeln!(
                     text,
-                    "{} is on {} @{} and {} @{}, {what}",
+                    "{} is on {} @{} and {} @{}, {}",
                     device.name.as_deref().unwrap_or("?"),
                     device.bus,
                     device.address,
                     other.bus,
-                    other.address
+                    other.address,
+                    other.kinship.words()
                 );
             }
         }
@@ -348,6 +345,7 @@ fn of_siblings(app: &App, device: &Device) -> Vec<SiblingReport> {
                 Kinship::TwoNetworks => Some(false),
                 Kinship::Open => None,
             },
+            kinship: sibling.kinship,
         })
     };
     siblings.filter_map(of_sibling).collect()

@@ -1,7 +1,7 @@
 //! `descan sim`: simulated devices on a bus. Their bus is simulated too; what they send there
 //! goes out to the real one, and what is heard there comes in.
 
-use super::{FINE, Failure, UNUSABLE};
+use super::{FINE, Failure, UNUSABLE, headless};
 use crate::bus::{self, BusSpec, Clock, Options};
 use crate::frame::{BusIndex, Frame, FrameKind};
 use crate::sim::Sim;
@@ -26,11 +26,7 @@ pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8,
     let clock = Clock::start();
     let mut sim = Sim::from_scenario(&scenario);
     let station = sim.attach();
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .context("no event loop")?;
-    runtime.block_on(async {
+    headless::runtime()?.block_on(async {
         let mut interrupt = signal(SignalKind::interrupt()).context("no signals")?;
         let mut terminate = signal(SignalKind::terminate()).context("no signals")?;
         // After the signals: an adapter that was opened is closed again, however soon one comes.

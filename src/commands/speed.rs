@@ -7,7 +7,7 @@ use crate::bus::{BusSpec, TuneError};
 use crate::cli::Speed;
 use crate::shell::ending::Endings;
 use crate::shell::speed::{Plan, Report, find};
-use crate::speed::{Manner, Outcome, Progress};
+use crate::speed::{Manner, Outcome, Progress, kbit};
 use anyhow::Context;
 use serde::Serialize;
 use std::io::{self, IsTerminal, Write};
@@ -66,14 +66,12 @@ async fn attempt(speed: &Speed, manner: Manner) -> Result<Report, Failure> {
         Manner::TakingPart => "taking part",
     };
     let report = find(bus, plan, |progress| match progress {
-        Progress::Trying(rate) => say(&format!("{bus} at {} kbit/s: {what} …", rate / 1000)),
-        Progress::Heard(rate, heard) => say(&format!(
-            "{bus} at {} kbit/s: no whole frame, {} broken",
-            rate / 1000,
-            heard.broken
-        )),
+        Progress::Trying(rate) => say(&format!("{bus} at {}: {what} …", kbit(rate))),
+        Progress::Heard(rate, heard) => {
+            say(&format!("{bus} at {}: no whole frame, {} broken", kbit(rate), heard.broken));
+        }
         Progress::Skipped(rate) => {
-            say(&format!("{bus} at {} kbit/s: its controller cannot", rate / 1000));
+            say(&format!("{bus} at {}: its controller cannot", kbit(rate)));
         }
     });
     report.await.map_err(|error| match error {

@@ -127,11 +127,10 @@ impl<'a> Details<'_, 'a> {
             let (Some(other), Some(bus)) = (app.device(sibling.id), app.bus(sibling.id.bus)) else {
                 continue;
             };
-            let what = match sibling.kinship {
-                Kinship::Redundant => continue,
-                Kinship::TwoNetworks => "with different services: two networks",
-                Kinship::Open => "its services are not known on both",
-            };
+            if sibling.kinship == Kinship::Redundant {
+                continue;
+            }
+            let what = sibling.kinship.words();
             let text = format!("also on {} @{}, {what}", bus.name, other.address);
             self.add("", Role::Text, &text);
         }
