@@ -27,7 +27,7 @@ const MAX_FINDINGS: usize = 512;
 /// After how long a suspicion is followed up, and again, by a question.
 const CHECK: Duration = Duration::from_secs(1);
 /// Questions that follow up a suspicion.
-const MAX_FOLLOW_UPS: u32 = 6;
+const MAX_FOLLOW_UPS: u32 = 8;
 /// After how many periods without a question new evidence for a suspicion is followed up again.
 const ASK_AGAIN_PERIODS: u32 = 3;
 /// How often a collision that is confirmed is looked at again: often enough that it does not
@@ -139,14 +139,15 @@ impl Collisions {
     }
 
     /// Whether the question that goes to `address` now is to go to both kinds of nodes, because one
-    /// in a working mode and one in another seem to share it. Not each time: behind the second
-    /// question two answers to the first would wait, and equal ones merge.
+    /// in a working mode and one in another seem to share it. Not each time where their answers may
+    /// be equal: those to the first question would wait behind the second one, and merge.
     pub fn asks_both_kinds(&mut self, now: Instant, address: Address) -> bool {
         let lately =
             |seen: &Option<Instant>| seen.is_some_and(|at| now.since(at) < self.period * 12);
         let open = self.is_open_at(address);
+        let differ = self.is_open(FindingKind::OneAddressTwoNames, address);
         let watch = &mut self.watches[address.index()];
-        let both = open && watch.seen.iter().all(lately) && !watch.asked_both;
+        let both = open && watch.seen.iter().all(lately) && (differ || !watch.asked_both);
         watch.asked_both = both;
         both
     }

@@ -16,6 +16,9 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 
 /// How long answers to a broadcast are matched with its RND7.
 const BROADCAST_OPEN: Duration = Duration::from_secs(3);
+/// For how long whoever asked and left may still be sent answers: each of several that wait for
+/// flow control is given up only after a second.
+const ASKED_LATELY: Duration = Duration::from_secs(10);
 
 impl Engine {
     /// Learns from a frame at `self.now`.
@@ -128,8 +131,10 @@ impl Engine {
         if header.destination == header.source {
             return true;
         }
+        let asked = self.asked_at[header.destination.index()];
         if self.station.held() == Some(header.destination)
             || self.roster.current(header.destination).is_some()
+            || asked.is_some_and(|at| now.since(at) < ASKED_LATELY)
         {
             return false;
         }
@@ -164,6 +169,7 @@ impl Engine {
         // In a DEBUG message U says nothing of the sender's mode.
         let says_mode = header.message_type() != MessageType::Debug;
         let working = !(header.sender_not_working && says_mode);
+        let period = self.config.profile.heartbeat.period();
         let Some(index) = self.roster.current(header.source) else {
             let index = self.roster.appear(now, header.source, working)?;
             self.roster.get_mut(index).frames = 1;
@@ -176,6 +182,13 @@ impl Engine {
         device.last_seen = now;
         device.frames += 1;
         device.rounds_missed = 0;
+        // Without heartbeats this is all that tells of another mode, in which it may have other
+        // services, or of another board.
+        let changed = says_mode && device.working != working;
+        let beats = device.heartbeat.last.is_some_and(|last| now.since(last) < period * 3);
+        if changed && !beats && device.services.is_some() {
+            device.services_query.renew(now);
+        }
         if says_mode {
             device.working = working;
         }
@@ -217,6 +230,7 @@ impl Engine {
         let Some((framing, message)) = classify_request(frame.data(), frame.fd) else { return };
         let Some(Asked::Known(request)) = Request::decode(message) else { return };
         let asking = Asking { by: header.source, targeted: !header.broadcast };
+        self.asked_at[header.source.index()] = Some(now);
         if !header.broadcast {
             let asked = header.destination;
             let known = self.roster.current_device(asked);
@@ -543,6 +557,10 @@ impl Engine {
         }
         let device = self.roster.get_mut(index);
         device.services_query.answered(now, fault.map(QueryFault::from));
+        // Who answers one question answers the other, which was given up too early.
+        if device.name_query.state == QueryState::Unanswered {
+            device.name_query.renew(now);
+        }
         if fault.is_some_and(|fault| fault != AnswerFault::Truncated) {
             device.services_query.state = QueryState::Unanswered;
             self.wake_at(now);

@@ -101,8 +101,10 @@ impl Engine {
         let off_beat = gap.is_some_and(|gap| is_off_beat(gap, period, jitter))
             && device.mode == heartbeat.mode
             && !self.lateness.is_common();
-        if off_beat && !self.collisions.is_open_at(address) {
+        let claimed_by_another = sender.is_another && sender.claims;
+        if (off_beat || claimed_by_another) && !self.collisions.is_open_at(address) {
             device.name_query.renew(now + period);
+            device.services_query.renew(now + period * 6);
             self.wake_at(now);
         }
         let device = self.roster.get_mut(index);
@@ -168,15 +170,18 @@ impl Engine {
 
     /// The node at this row has another UID than before, or one for the first time.
     fn uid_learnt(&mut self, now: Instant, index: usize, first: bool) {
-        if !first && !self.collisions.is_open_at(self.roster.get(index).address) {
+        let period = self.config.profile.heartbeat.period();
+        let device = self.roster.get(index);
+        // Who is known for longer had no heartbeat until now.
+        let known = !first || device.name.is_some() && now.since(device.first_seen) > period * 3;
+        if known && !self.collisions.is_open_at(device.address) {
             // Another board, perhaps, which may lay its answers into frames in another way: ask
             // who it is. For its services once it is clear that it is alone: two boards that
             // answer in several frames at once destroy each other's.
-            let later = now + self.config.profile.heartbeat.period() * 6;
             let device = self.roster.get_mut(index);
             device.framing = None;
-            device.name_query.renew(now);
-            device.services_query.renew(later);
+            device.name_query.start_over(now);
+            device.services_query.renew(now + period * 6);
             self.wake_at(now);
         }
         self.find_move_to(index);
@@ -221,11 +226,10 @@ fn is_off_beat(gap: Duration, period: Duration, jitter: Option<Duration>) -> boo
 
 /// Whether a gap between heartbeats is no whole number of periods: the sender started anew.
 fn is_out_of_phase(gap: Duration, period: Duration, jitter: Option<Duration>) -> bool {
+    // Who has no rhythm yet has no phase.
+    let Some(jitter) = jitter else { return false };
     let periods = gap.as_secs_f64() / period.as_secs_f64();
-    if !(REBOOT_GAP..=30.0).contains(&periods) {
-        return false;
-    }
     let off = (periods - periods.round()).abs();
-    let noise = jitter.map_or(0.0, |jitter| jitter.as_secs_f64() / period.as_secs_f64());
-    off > (4.0 * noise).max(0.15)
+    let noise = jitter.as_secs_f64() / period.as_secs_f64();
+    (REBOOT_GAP..=30.0).contains(&periods) && off > (4.0 * noise).max(0.15)
 }

@@ -134,8 +134,7 @@ impl Engine {
         name: &Name,
         gone: impl Fn(&Device) -> bool,
     ) -> Option<usize> {
-        let blank_or = |uid: Option<Uid>| uid.filter(|uid| !uid.is_blank());
-        let own_uid = blank_or(self.roster.get(index).uid);
+        let own_uid = self.roster.get(index).uid;
         let mut others = self
             .roster
             .devices()
@@ -143,8 +142,8 @@ impl Engine {
             .enumerate()
             .filter(|(at, other)| *at != index && other.name.as_ref() == Some(name));
         let (at, other) = others.next()?;
-        let contradicts = matches!((own_uid, blank_or(other.uid)), (Some(a), Some(b)) if a != b);
-        (others.next().is_none() && !contradicts && gone(other)).then_some(at)
+        let fits = !contradict(own_uid, other.uid) && gone(other);
+        (others.next().is_none() && fits).then_some(at)
     }
 
     /// A lost device may have turned up elsewhere before it was lost here.
@@ -152,7 +151,7 @@ impl Engine {
         let device = self.roster.get(index);
         let (id, address, last_seen, name) =
             (device.id, device.address, device.last_seen, device.name.clone());
-        let uid = self.uid_of_row(index);
+        let (uid, own_uid) = (self.uid_of_row(index), device.uid);
         let candidate = self.roster.devices().iter().position(|other| {
             other.id != id
                 && other.address != address
@@ -171,8 +170,7 @@ impl Engine {
                 .filter(|(_, other)| other.id != id && other.name.as_ref() == Some(name))
                 .filter(|(_, other)| other.address != address);
             let (at, other) = same.next()?;
-            let contradicts =
-                matches!((uid, other.uid.filter(|u| !u.is_blank())), (Some(a), Some(b)) if a != b);
+            let contradicts = contradict(uid.or(own_uid), other.uid);
             let fits = other.is_here() && other.first_seen >= last_seen && !contradicts;
             (same.next().is_none() && fits).then_some(at)
         });
@@ -200,4 +198,11 @@ impl Engine {
         }
         self.wake_at(now);
     }
+}
+
+/// Whether two heartbeats are not one device's: who has a UID says it each time, and who has none
+/// never does.
+fn contradict(one: Option<Uid>, other: Option<Uid>) -> bool {
+    let known = |uid: Uid| (!uid.is_blank()).then_some(uid);
+    one.zip(other).is_some_and(|(one, other)| known(one) != known(other))
 }

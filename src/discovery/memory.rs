@@ -78,14 +78,19 @@ pub(super) struct Tally {
 
 /// Askers whose questions to one node are told apart.
 const ASKERS: usize = 4;
+/// Questions of one asker that wait for an answer at the same time.
+const MAX_WAITING: usize = 16;
 
 /// Questions of one asker that answers may still come to.
-#[derive(Clone, Copy, Debug)]
+#[derive(Debug)]
 struct Open {
-    asking: Asking,
-    asked: u32,
-    answered: u32,
+    by: Address,
+    /// Whether none of them went to all.
+    targeted: bool,
+    /// When those were asked that have no answer yet.
+    waiting: VecDeque<Instant>,
     asked_at: Instant,
+    /// The first answer since the last of them.
     first_answer: Option<Frame>,
 }
 
@@ -98,30 +103,38 @@ pub(super) struct Extra {
     pub targeted: bool,
 }
 
+impl Open {
+    fn new(by: Address) -> Self {
+        let asked_at = Instant::ZERO;
+        Self { by, targeted: true, waiting: VecDeque::new(), asked_at, first_answer: None }
+    }
+
+    fn ask(&mut self, now: Instant, targeted: bool) {
+        // A question that was not answered in time, perhaps because nobody was there yet, must not
+        // excuse a second answer to a later one.
+        self.waiting.retain(|asked_at| now.since(*asked_at) <= ANSWER_WINDOW);
+        self.targeted = targeted && (self.waiting.is_empty() || self.targeted);
+        if self.waiting.len() == MAX_WAITING {
+            self.waiting.pop_front();
+        }
+        self.waiting.push_back(now);
+        self.asked_at = now;
+        self.first_answer = None;
+    }
+}
+
 impl Tally {
     pub fn ask(&mut self, now: Instant, asking: Asking) {
-        let fresh = Open { asking, asked: 0, answered: 0, asked_at: now, first_answer: None };
-        let by = asking.by;
-        let at = self.open.iter().position(|it| it.is_some_and(|open| open.asking.by == by));
-        let at = at.unwrap_or_else(|| {
+        let by = |open: &Option<Open>| open.as_ref().is_some_and(|open| open.by == asking.by);
+        let at = self.open.iter().position(by).unwrap_or_else(|| {
             // The oldest makes room.
-            let oldest = (0..ASKERS).min_by_key(|&at| self.open[at].map(|open| open.asked_at));
-            oldest.unwrap_or(0)
+            let asked_at = |at: &usize| self.open[*at].as_ref().map(|open| open.asked_at);
+            let oldest = (0..ASKERS).min_by_key(asked_at).unwrap_or(0);
+            self.open[oldest] = None;
+            oldest
         });
-        let open = self.open[at].filter(|open| {
-            open.asking.by == by
-                && open.answered < open.asked
-                && now.since(open.asked_at) <= ANSWER_WINDOW
-        });
-        let open = open.unwrap_or(fresh);
-        let targeted = asking.targeted && (open.asked == 0 || open.asking.targeted);
-        self.open[at] = Some(Open {
-            asking: Asking { targeted, ..asking },
-            asked: open.asked + 1,
-            asked_at: now,
-            first_answer: None,
-            ..open
-        });
+        let open = self.open[at].get_or_insert_with(|| Open::new(asking.by));
+        open.ask(now, asking.targeted);
     }
 
     /// Counts an answer, to whom it is where that is known; otherwise to whoever has none yet.
@@ -137,16 +150,17 @@ impl Tally {
         let fresh = |open: &&mut Open| now.since(open.asked_at) <= ANSWER_WINDOW;
         let mut open = self.open.iter_mut().flatten().filter(fresh);
         let open = match to {
-            Some(to) => open.find(|open| open.asking.by == to),
-            None => open.min_by_key(|open| (open.answered >= open.asked, open.asked_at)),
+            Some(to) => open.find(|open| open.by == to),
+            None => open.min_by_key(|open| (open.waiting.is_empty(), open.asked_at)),
         };
         let Some(open) = open else { return (false, None) };
-        open.answered += 1;
+        // Of several the newest is rather answered than one that has waited for long.
+        let awaited = open.waiting.pop_back().is_some();
         let first = *open.first_answer.get_or_insert(frame.at(now));
-        let targeted = open.asking.targeted;
+        let targeted = open.targeted;
         // Each node answers only questions to its kind; one that comes much later answers a
         // question that we missed.
-        let more = open.answered > open.asked || is_of_another_kind(&first, frame);
+        let more = !awaited || is_of_another_kind(&first, frame);
         if !more || now.since(first.time) >= together {
             return (!targeted, None);
         }

@@ -145,6 +145,8 @@ pub struct Engine {
     outbox: Outbox,
     lateness: Lateness,
     broadcasts: VecDeque<Broadcast>,
+    /// When each address asked something last.
+    asked_at: [Option<Instant>; Address::COUNT],
     events: VecDeque<Event>,
     counters: Counters,
     /// Questions that await an answer, counted anew whenever anybody is to be asked.
@@ -176,6 +178,7 @@ impl Engine {
             lateness: Lateness::default(),
             claims: Claims::new(period),
             broadcasts: VecDeque::new(),
+            asked_at: [None; Address::COUNT],
             events: VecDeque::new(),
             counters: Counters::default(),
             waiting: 0,

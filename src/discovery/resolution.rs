@@ -32,7 +32,7 @@ pub(super) struct Sender {
     pub mode_before: Option<Mode>,
     /// Whether the row at the address is somebody else's.
     pub is_another: bool,
-    claims: bool,
+    pub(super) claims: bool,
     holder: Option<Party>,
 }
 

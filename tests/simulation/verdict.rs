@@ -15,6 +15,8 @@ use std::collections::BTreeMap;
 const PERIOD: Duration = Duration::from_secs(1);
 /// Within which a collision that can be seen is to be confirmed, and cleared when it is over.
 const TEN_SECONDS: Duration = Duration::from_secs(10);
+/// How exactly it is known since when something is so.
+const SAMPLED: Duration = Duration::from_millis(100);
 
 /// The confidence of one finding over time.
 struct Course {
@@ -27,6 +29,20 @@ struct Course {
 impl Course {
     fn at(&self, time: Instant) -> Option<Confidence> {
         self.changes.iter().take_while(|(at, _)| *at <= time).last().map(|(_, it)| *it)
+    }
+
+    /// When it was suspected last, having been nothing before.
+    fn opened_last(&self) -> Instant {
+        let mut opened = Instant::ZERO;
+        let mut open = false;
+        for &(at, confidence) in &self.changes {
+            let opens = confidence != Confidence::Cleared;
+            if opens && !open {
+                opened = at;
+            }
+            open = opens;
+        }
+        opened
     }
 
     fn concerns(&self, address: Address) -> bool {
@@ -126,7 +142,7 @@ impl Case<'_> {
                 && span.from <= at
                 && at.since(span.until) < TEN_SECONDS
                 && (matches!(clash, Clash::Uid(..))
-                    || until.since(span.from) + ahead >= PERIOD.mul_f64(4.0))
+                    || until.since(span.from) + ahead + SAMPLED >= PERIOD.mul_f64(4.0))
         };
         let config = &inspector.config;
         let names = |one: usize, other: usize| {
@@ -211,6 +227,9 @@ impl Case<'_> {
             }
             // Who has no heartbeat is heard only when it is asked, which it is in each round.
             let due = from + if self.beats(clash) { TEN_SECONDS } else { PERIOD * 25 };
+            // Where frames are missed, or come late, evidence pauses and has to begin anew.
+            let lossy = self.run.world.scenario.observer_loss > 0.0;
+            let due = due + PERIOD * if lossy || self.run.world.is_crowded() { 5 } else { 0 };
             if span.until < due {
                 continue;
             }
@@ -296,7 +315,13 @@ impl Case<'_> {
         let both = |fault| !one.faults.has(fault) && !other.faults.has(fault);
         let beat = both(Fault::NoHeartbeat);
         let rounds = beat || !inspector.config.round_period.is_zero();
-        let answer = both(Fault::NoDes) && !inspector.config.listen_only && rounds;
+        // Who says an absurd length does not even say what it answers.
+        let mumbles = |it: &DeviceSpec| it.faults.has(Fault::HugeLength) && is_unreadable(it);
+        let answer = both(Fault::NoDes)
+            && !inspector.config.listen_only
+            && rounds
+            && !mumbles(one)
+            && !mumbles(other);
         let uids = !one.uid.is_blank() && !other.uid.is_blank() && one.uid != other.uid;
         // Answers to all often wait for the bus together, and equal ones merge then.
         beat && uids
@@ -320,15 +345,19 @@ impl Case<'_> {
                 .unwrap_or(Instant::ZERO)
                 .max(self.begin());
             let last_word = course.at(end);
+            // What is suspected anew later has another cause, or none.
+            let opened = course.opened_last();
             let calm = Instant::ZERO + self.run.world.calm;
             // What was suspected without a cause may have begun with the last thing that happened.
             let over = if course.at(over).is_none() { over.max(calm) } else { over };
             // Where questions are missed, answers to them seem to be one too many for a while; and
-            // who only listens waits for somebody to ask, which happens every ten seconds.
+            // who only listens waits for somebody to ask, which happens every ten seconds, and
+            // cannot make sure.
             let missed = self.run.world.scenario.observer_loss > 0.0;
             let waits = self.run.world.inspectors[self.number].config.listen_only;
-            let due = over + TEN_SECONDS + PERIOD * if missed || waits { 3 } else { 0 };
-            if due < end && last_word != Some(Confidence::Cleared) {
+            let more = if waits { 8 } else { 3 * u32::from(missed) };
+            let due = over + TEN_SECONDS + PERIOD * more;
+            if due < end && opened < due && last_word != Some(Confidence::Cleared) {
                 wrong.push(format!(
                     "{} at {:?} is still {last_word:?}, though over at {over}",
                     course.kind, course.addresses
@@ -391,9 +420,22 @@ impl Case<'_> {
         let lossy = self.run.world.scenario.observer_loss > 0.0;
         let end = Instant::ZERO + self.run.world.end;
         let clashes = self.clashes();
+        // Two that cut each other off and begin anew, over and over, are never there together.
+        let both_on: Vec<_> = self.run.truth.both_on().collect();
         let clashing = |address: Address| {
-            clashes.iter().any(|(clash, span)| {
+            clashes.iter().chain(&both_on).any(|(clash, span)| {
                 clash.concerns(address) && end.since(span.until) < TEN_SECONDS * 2
+            })
+        };
+        if self.run.world.is_overfull() {
+            return;
+        }
+        // Who is still on its way at the end.
+        let moving = |address: Address| {
+            self.it.events.iter().any(|(at, event)| {
+                let moves =
+                    matches!(event.kind, EventKind::Claimed { .. } | EventKind::Moved { .. });
+                moves && event.address == Some(address) && end.since(*at) < TEN_SECONDS
             })
         };
         let mut wrong = Vec::new();
@@ -463,7 +505,7 @@ impl Case<'_> {
                 _ => None,
             })
             .collect();
-        for address in Address::nodes().filter(|&address| !clashing(address)) {
+        for address in Address::nodes().filter(|&at| !clashing(at) && !moving(at)) {
             let rows = self.it.engine.devices().iter();
             let here: Vec<String> = rows
                 .filter(|device| device.address == address && device.is_here() && !device.is_debug)
@@ -486,6 +528,9 @@ impl Case<'_> {
     fn quiet(&mut self) {
         let world = &self.run.world;
         let mut wrong = Vec::new();
+        // Several who begin at once contend for an address; answers to those that left it wait for
+        // a flow control that nobody sends, and come together later.
+        let contended = world.inspectors.len() > 2;
         for (at, event) in self.it.events.iter().filter(|_| self.is_clear()) {
             let Some(address) = event.address else { continue };
             let owners = world.scenario.devices.iter().filter(|spec| is_fixed(spec, address));
@@ -496,12 +541,12 @@ impl Case<'_> {
                 continue;
             }
             let odd = match &event.kind {
-                EventKind::Moved { .. }
-                | EventKind::Presence(_)
-                | EventKind::Returned { .. }
-                | EventKind::Rebooted => true,
+                EventKind::Moved { from } => !self.may_have_moved(*from, address),
+                EventKind::Presence(_) | EventKind::Returned { .. } | EventKind::Rebooted => true,
                 EventKind::Finding { key, .. } => {
-                    key.kind.is_collision() && key.kind != FindingKind::OneUidTwoAddresses
+                    let excused = key.kind == FindingKind::OneUidTwoAddresses
+                        || contended && key.kind == FindingKind::SameNameSameAddress;
+                    key.kind.is_collision() && !excused
                 }
                 _ => false,
             };
@@ -510,6 +555,22 @@ impl Case<'_> {
             }
         }
         self.complain(wrong);
+    }
+}
+
+impl Case<'_> {
+    /// Whether the device at `to` cannot be told from one that was at `from`: of one name, and
+    /// without UIDs that differ.
+    fn may_have_moved(&self, from: Address, to: Address) -> bool {
+        let at = |address| {
+            self.run.world.scenario.devices.iter().filter(move |it| is_fixed(it, address))
+        };
+        at(from).any(|one| {
+            at(to).any(|other| {
+                let mute = [one, other].iter().any(|it| it.faults.has(Fault::NoHeartbeat));
+                one.name == other.name && (mute || one.uid == other.uid)
+            })
+        })
     }
 }
 

@@ -82,13 +82,28 @@ impl World {
         }
     }
 
+    /// How much of the bus the devices use by themselves, as a share of all.
+    fn load(&self) -> f64 {
+        let load: f64 = self.scenario.devices.iter().map(load).sum();
+        load / f64::from(self.scenario.bitrate)
+    }
+
+    /// Whether devices alone want to send more than the bus can carry: the frames of those that
+    /// have the least right of way never come.
+    pub fn is_overfull(&self) -> bool {
+        self.load() > 0.95
+    }
+
+    /// Whether questions to all, and what follows, keep the bus busy for seconds.
+    pub fn is_crowded(&self) -> bool {
+        self.scenario.devices.len() * self.inspectors.len() > 100
+    }
+
     /// Whether the inspector sees all of the bus, as it is.
     pub fn is_clear(&self, inspector: usize) -> bool {
-        let load: f64 = self.scenario.devices.iter().map(load).sum();
-        let crowd = self.scenario.devices.len() * self.inspectors.len();
         // A bus that is full delays everything.
-        load / f64::from(self.scenario.bitrate) < 0.8
-            && crowd < 200
+        self.load() < 0.8
+            && self.scenario.devices.len() * self.inspectors.len() < 200
             && self.scenario.observer_loss == 0.0
             && self.scenario.error_rate == 0.0
             && self.scenario.timetable.iter().all(|entry| !entry.device.is_empty())
