@@ -2,7 +2,7 @@
 //! it can be taken back, and both sides of a merge survive.
 
 use descan::document::{
-    Document, Entry, FindingKind, Merge, NewEntry, Operation, Prefer, ServiceEntry, merge,
+    Document, Entry, EntryKey, FindingKind, Merge, NewEntry, Operation, Prefer, ServiceEntry, merge,
 };
 use proptest::collection::vec;
 use proptest::option::of as maybe;
@@ -323,6 +323,17 @@ fn has_in_order<'p>(mut text: &str, pieces: impl Iterator<Item = &'p str>) -> bo
     true
 }
 
+/// Does a document say of its bytes what one says that was read from them anew?
+fn is_as_read(document: &Document) -> bool {
+    let read = Document::parse(document.source()).unwrap();
+    let keys = |document: &Document| -> Vec<EntryKey> {
+        (0..document.entries().len()).map(|index| document.key(index)).collect()
+    };
+    read.entries() == document.entries()
+        && read.findings() == document.findings()
+        && keys(&read) == keys(document)
+}
+
 /// Two services of one name in an object are read, but not edited.
 fn may_be_refused(document: &Document) -> bool {
     document.findings().iter().any(|finding| finding.kind == FindingKind::DuplicateMember)
@@ -339,6 +350,7 @@ proptest! {
         prop_assume!(!may_be_refused(&before));
         let after = before.apply(&edit.operation(&before, index)).unwrap();
         prop_assert_eq!(meaning(&after), edit.meant(&meaning(&before), index));
+        prop_assert!(is_as_read(&after));
 
         let mut expected = source.clone();
         match &edit {
@@ -404,6 +416,7 @@ proptest! {
             let operation = edit.operation(before, index.index(before.entries().len()));
             inverses.push(operation.inverse(before).unwrap());
             let after = before.apply(&operation).unwrap();
+            prop_assert!(is_as_read(&after));
             documents.push(after);
         }
         let mut document = documents.pop().unwrap();
@@ -411,6 +424,7 @@ proptest! {
             let redo = inverse.inverse(&document).unwrap();
             let undone = document.apply(&inverse).unwrap();
             prop_assert_eq!(text(&undone), text(&before));
+            prop_assert!(is_as_read(&undone));
             prop_assert_eq!(meaning(&undone.apply(&redo).unwrap()), meaning(&document));
             document = before;
         }

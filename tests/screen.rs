@@ -5,6 +5,7 @@ use descan::app::{
     SaveOutcome,
 };
 use descan::discovery::Config;
+use descan::document::Document;
 use descan::frame::{BusIndex, CanId, Frame};
 use descan::keymap::Key;
 use descan::sim::{Action, Scenario, Sim, Station};
@@ -115,8 +116,9 @@ impl Stage {
         }
         while let Some(effect) = self.app.poll_effect() {
             if let Effect::Save { expected, content } = &effect {
-                let outcome = if *expected == self.file {
-                    self.file = Some(content.clone());
+                let expected = expected.as_ref().map(Document::source);
+                let outcome = if expected == self.file.as_deref() {
+                    self.file = Some(content.source().to_vec());
                     SaveOutcome::Saved
                 } else {
                     SaveOutcome::Changed(self.file.clone())

@@ -329,7 +329,7 @@ fn our_own_saves_are_not_reported() {
         for round in 0..10 {
             let (old, new) = (round.to_string(), (round + 1).to_string());
             store.save(Some(old.as_bytes()), new.as_bytes()).unwrap();
-            watch.saved(new.as_bytes());
+            watch.saved(new.clone().into_bytes());
         }
         // Touched, but not changed; and something else in the folder.
         fs::write(folder.path().join("other"), "x").unwrap();
@@ -355,9 +355,27 @@ fn a_reading_from_before_a_save_is_dropped() {
         replace(&path, "theirs again");
         let Err(SaveError::Changed(_)) = store.save(Some(b"theirs"), b"ours") else { panic!() };
         store.save(Some(b"theirs again"), b"ours").unwrap();
-        watch.saved(b"ours");
+        watch.saved(b"ours".to_vec());
         replace(&path, "last");
         assert_eq!(next_content(&watch).await.as_deref(), Some("last"));
+    });
+}
+
+/// What others wrote after a save, and the watch saw before it was told of that save.
+#[test]
+fn a_reading_from_after_a_save_is_not_lost() {
+    run(async {
+        let folder = folder();
+        let path = folder.path().join("des.json");
+        fs::write(&path, "theirs").unwrap();
+        for round in 0..200 {
+            let known = Ok(Some(b"before".to_vec()));
+            let watch = Watch::polling(Store::new(&path), known, Duration::from_hours(1));
+            // Some are told before the watch has looked, some after.
+            (0..round).for_each(|_| std::thread::yield_now());
+            watch.saved(b"ours".to_vec());
+            assert_eq!(next_content(&watch).await.as_deref(), Some("theirs"));
+        }
     });
 }
 

@@ -438,8 +438,11 @@ impl App {
             self.save_pending();
         }
         self.quit_if_saved();
-        self.refresh();
         self.dirty = true;
+        // What is saved was in force before.
+        if change != Change::Saved {
+            self.refresh();
+        }
     }
 
     /// Begins to save what is not saved yet.

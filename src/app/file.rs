@@ -82,13 +82,13 @@ pub enum Change {
     Conflict,
 }
 
-/// Bytes that are being saved.
+/// What is being saved.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Saving {
     /// What is to be on disk for the save to be made; `None`: no file.
-    pub expected: Option<Vec<u8>>,
+    pub expected: Option<Document>,
     /// What is to be there afterwards.
-    pub content: Vec<u8>,
+    pub content: Document,
     /// How many of the pending edits are in it.
     operations: usize,
 }
@@ -113,6 +113,9 @@ pub struct FileState {
     document: Document,
     pending: Vec<Operation>,
     saving: Option<Saving>,
+    /// What was found on disk while a save was on its way. Whether that is what we wrote, or what
+    /// somebody made of it, or what was there before, is known when the save is over.
+    waiting: Option<FileReading>,
     problem: Option<FileProblem>,
     conflict: Option<(Conflict, Document)>,
     undo: Vec<Step>,
@@ -152,6 +155,7 @@ impl FileState {
             document: Document::empty(),
             pending: Vec::new(),
             saving: None,
+            waiting: None,
             problem: None,
             conflict: None,
             undo: Vec::new(),
@@ -205,8 +209,13 @@ impl FileState {
         self.saving.is_some()
     }
 
-    /// Takes what was found on disk.
+    /// Takes what was found on disk. While a save is on its way that waits for
+    /// [`Self::read_waiting`].
     pub fn read(&mut self, reading: FileReading) -> Change {
+        if self.saving.is_some() {
+            self.waiting = Some(reading);
+            return Change::None;
+        }
         let content = match reading {
             FileReading::Content(content) => content,
             FileReading::Error(why) => {
@@ -216,12 +225,6 @@ impl FileState {
                 return change;
             }
         };
-        if let Some(saving) = &self.saving
-            && content.as_ref() == Some(&saving.content)
-        {
-            self.saved();
-            return Change::Saved;
-        }
         let theirs = match content.as_deref().map_or_else(|| Ok(Document::empty()), Document::parse)
         {
             Ok(document) => document,
@@ -250,6 +253,11 @@ impl FileState {
             return if is_first { Change::First } else { Change::Content };
         }
         self.rebase(theirs, Prefer::Neither)
+    }
+
+    /// Takes what was found on disk while a save was on its way, now that it is over.
+    pub fn read_waiting(&mut self) -> Change {
+        self.waiting.take().map_or(Change::None, |reading| self.read(reading))
     }
 
     /// Makes our edits again on newer content.
@@ -363,15 +371,15 @@ impl FileState {
         }
         let expected = self.disk.as_ref().filter(|_| self.is_on_disk);
         let saving = Saving {
-            expected: expected.map(|disk| disk.source().to_vec()),
-            content: self.document.source().to_vec(),
+            expected: expected.cloned(),
+            content: self.document.clone(),
             operations: self.pending.len(),
         };
         self.saving = Some(saving.clone());
         Some(saving)
     }
 
-    /// Takes what became of a save.
+    /// Takes what became of a save; [`Self::read_waiting`] comes next.
     pub fn handle_saved(&mut self, outcome: SaveOutcome) -> Change {
         match outcome {
             SaveOutcome::Saved => {
@@ -393,9 +401,7 @@ impl FileState {
     /// What was being saved is on disk.
     fn saved(&mut self) {
         let Some(saving) = self.saving.take() else { return };
-        if let Ok(document) = Document::parse(&saving.content) {
-            self.disk = Some(document);
-        }
+        self.disk = Some(saving.content);
         self.is_on_disk = true;
         self.pending.drain(..saving.operations.min(self.pending.len()));
         if self.problem.as_ref().is_some_and(FileProblem::is_not_saved) {
@@ -444,8 +450,8 @@ mod tests {
         let name = file.edit(&[set_address(&file, 16)]).unwrap();
         assert_eq!(name, "address of the entry FEED: 12 → 16");
         let saving = file.start_saving().unwrap();
-        assert_eq!(saving.expected.as_deref(), Some(FILE.as_bytes()));
-        assert_eq!(saving.content, FILE.replace("12", "16").as_bytes());
+        assert_eq!(saving.expected.unwrap().source(), FILE.as_bytes());
+        assert_eq!(saving.content.source(), FILE.replace("12", "16").as_bytes());
         assert_eq!(file.handle_saved(SaveOutcome::Saved), Change::Saved);
         assert_eq!((file.unsaved(), file.start_saving()), (0, None));
         file.undo().unwrap();
@@ -465,8 +471,32 @@ mod tests {
         let outcome = SaveOutcome::Changed(Some(theirs.clone().into_bytes()));
         assert_eq!(file.handle_saved(outcome), Change::Rebased);
         let saving = file.start_saving().unwrap();
-        assert_eq!(saving.expected.unwrap(), theirs.as_bytes());
-        assert_eq!(saving.content, theirs.replace("12", "16").as_bytes());
+        assert_eq!(saving.expected.unwrap().source(), theirs.as_bytes());
+        assert_eq!(saving.content.source(), theirs.replace("12", "16").as_bytes());
+    }
+
+    /// On a slow disk the new content is seen long before the save is over.
+    #[test]
+    fn what_is_found_during_a_save_is_looked_at_when_it_is_over() {
+        let ours = FILE.replace("12", "16");
+        let theirs = ours.replace("true", "true, \"note\":1");
+        for (found, change) in [(ours, Change::None), (theirs, Change::Rebased)] {
+            let mut file = opened();
+            file.edit(&[set_address(&file, 16)]).unwrap();
+            file.start_saving().unwrap();
+            file.edit(&[set_address(&file, 17)]).unwrap();
+            assert_eq!(file.read(content(&found)), Change::None);
+            assert_eq!((file.unsaved(), file.start_saving()), (2, None));
+            assert_eq!(file.handle_saved(SaveOutcome::Saved), Change::Saved);
+            assert_eq!(file.read_waiting(), change);
+            assert_eq!(file.unsaved(), 1);
+            let saving = file.start_saving().unwrap();
+            assert_eq!(saving.expected.unwrap().source(), found.as_bytes());
+            assert_eq!(saving.content.source(), found.replace("16", "17").as_bytes());
+            // The disk fails: it is still an edit that is not saved.
+            file.handle_saved(SaveOutcome::Failed("no room".into()));
+            assert_eq!(file.unsaved(), 1);
+        }
     }
 
     #[test]

@@ -106,9 +106,9 @@ pub enum Effect {
     /// Write des.json, if what is on disk is what is expected; then call [`App::handle_saved`].
     Save {
         /// What is to be on disk; `None`: no file.
-        expected: Option<Vec<u8>>,
+        expected: Option<Document>,
         /// What is to be there afterwards.
-        content: Vec<u8>,
+        content: Document,
     },
     /// Write a new file; then call [`App::handle_written`].
     WriteFile {
@@ -426,18 +426,20 @@ impl App {
         let before = self.file.problem().filter(|it| it.is_not_saved()).cloned();
         let is_retry = std::mem::take(&mut self.is_saving_again);
         let change = self.file.handle_saved(outcome);
+        let later = self.file.read_waiting();
         let problem = self.file.problem().filter(|it| it.is_not_saved());
         self.save_again_at = problem.map(|_| self.now + SAVE_AGAIN_AFTER);
         if is_retry && before.is_some() && before.as_ref() == problem {
             // It was told when it failed first.
             self.dirty = true;
-            return;
+            return self.file_changed(later);
         }
         if change == Change::Saved && before.is_some() {
             self.timeline.push(TimelineEntry::new(self.now, TimelineKind::File, "saved at last"));
             self.say("saved at last");
         }
         self.file_changed(change);
+        self.file_changed(later);
     }
 
     /// Takes what became of an [`Effect::WriteFile`].

@@ -3,6 +3,7 @@
 use super::entry::{Entry, Member};
 use super::layout::{self, EntryStyle, Layout, Members, ServicesStyle, newline, spliced};
 use super::operation::{NewEntry, Operation, RemovedEntry};
+use super::patch::Patch;
 use super::position::{Position, Positions};
 use super::scan::{self, Container, Item, Span};
 use super::syntax::{BOM, Kind};
@@ -58,7 +59,7 @@ impl Document {
         self.check_path()?;
         let mut meant: Vec<&Entry> = self.entries().iter().collect();
         let changed;
-        let body = match operation {
+        let edited = match operation {
             Operation::Add { entry } => {
                 check_address(entry.address)?;
                 changed = entry.meant();
@@ -72,7 +73,7 @@ impl Document {
             Operation::Remove { entry } => {
                 let index = self.require(entry)?;
                 meant.remove(index);
-                self.without_element(self.entries()[index].element)
+                Edited::Element(self.without_element(self.entries()[index].element))
             }
             Operation::SetAddress { entry, .. }
             | Operation::ClearAddress { entry, .. }
@@ -87,18 +88,26 @@ impl Document {
                 operation.change(&mut entry);
                 changed = entry;
                 meant[index] = &changed;
-                self.with_changed(index, operation)?
+                Edited::Element(self.with_changed(index, operation)?)
             }
         };
-        self.verified(body, &meant)
+        self.verified(edited, &meant)
     }
 
-    /// Reads the new text and makes sure that it says what was meant, about every entry.
-    fn verified(&self, body: String, meant: &[&Entry]) -> Result<Self, EditError> {
+    /// Reads what is new and makes sure that the whole says what was meant, about every entry.
+    fn verified(&self, edited: Edited, meant: &[&Entry]) -> Result<Self, EditError> {
         let unfaithful = |reason: String| EditError::Unfaithful { reason };
-        let source = if self.has_bom() { [BOM, &body].concat() } else { body };
-        let edited =
-            Self::parse(source.as_bytes()).map_err(|error| unfaithful(error.to_string()))?;
+        let read = |body: &str| {
+            let source = [if self.has_bom() { BOM } else { "" }, body].concat();
+            Self::parse(source.as_bytes()).map_err(|error| unfaithful(error.to_string()))
+        };
+        let edited = match edited {
+            Edited::Element(patch) => match self.patched(&patch) {
+                Some(edited) => edited,
+                None => read(&spliced(self.body(), patch.cut, &patch.text))?,
+            },
+            Edited::Whole(body) => read(&body)?,
+        };
         if edited.entries().len() != meant.len() {
             return Err(unfaithful(format!("{} entries", edited.entries().len())));
         }
@@ -112,7 +121,7 @@ impl Document {
 
     // ---- members of an entry ----
 
-    fn with_changed(&self, index: usize, operation: &Operation) -> Result<String, EditError> {
+    fn with_changed(&self, index: usize, operation: &Operation) -> Result<Patch, EditError> {
         let span = self.entry_span(index);
         self.check_entry(index, operation)?;
         let mut text = self.body()[span.clone()].to_owned();
@@ -126,7 +135,9 @@ impl Document {
                 None => members.without(member.key()),
             };
         }
-        Ok(spliced(self.body(), span, &text))
+        let element = self.entries()[index].element;
+        let new = Some(0..text.len());
+        Ok(Patch { cut: span, text, elements: element..element + 1, new })
     }
 
     /// The members that are to be written, and what; none: the member is to go.
@@ -189,8 +200,8 @@ impl Document {
 
     /// The last entry, or the last that has a member: what is new is to look like it.
     fn sample(&self, with: Option<Member>) -> Option<usize> {
-        let has = |index: &usize| with.is_none_or(|member| self.member(*index, member).is_some());
-        (0..self.entries().len()).rev().find(has)
+        let has = |entry: &Entry| with.is_none_or(|member| entry.present.has(member));
+        self.entries().iter().rposition(has)
     }
 
     fn member(&self, index: usize, member: Member) -> Option<&str> {
@@ -199,7 +210,7 @@ impl Document {
 
     // ---- elements of the list ----
 
-    fn with_new(&self, entry: &NewEntry) -> String {
+    fn with_new(&self, entry: &NewEntry) -> Edited {
         let with_services = (!entry.services.is_empty()).then_some(Member::Services);
         let sample = self.sample(with_services).or_else(|| self.sample(None));
         let style = sample.and_then(|index| EntryStyle::of(self.entry_text(index)));
@@ -214,7 +225,7 @@ impl Document {
         self.with_element(end, &text, gap, None)
     }
 
-    fn with_removed(&self, removed: &RemovedEntry) -> String {
+    fn with_removed(&self, removed: &RemovedEntry) -> Edited {
         let index = removed.entry.element.min(self.elements().len());
         self.with_element(index, &removed.text, Some(&removed.before), Some(&removed.after))
     }
@@ -227,7 +238,7 @@ impl Document {
         text: &str,
         before: Option<&str>,
         after: Option<&str>,
-    ) -> String {
+    ) -> Edited {
         let body = self.body();
         let separator = |wish: Option<&str>| match wish {
             Some(wish) if wish.contains(',') => wish.to_owned(),
@@ -236,23 +247,28 @@ impl Document {
         match (self.elements(), index) {
             ([], _) => match before.zip(after) {
                 Some((before, after)) if !before.contains(',') && !after.contains(',') => {
-                    self.with_only_element(before, text, after)
+                    Edited::Whole(self.with_only_element(before, text, after))
                 }
                 _ => {
                     let newline = newline(body);
                     let indent = self.element_indent();
                     let outer = &indent[..self.list_indent().len()];
                     let before = format!("{newline}{indent}");
-                    self.with_only_element(&before, text, &format!("{newline}{outer}"))
+                    let after = format!("{newline}{outer}");
+                    Edited::Whole(self.with_only_element(&before, text, &after))
                 }
             },
             ([first, ..], 0) => {
-                let at = first.start;
-                spliced(body, at..at, &format!("{text}{}", separator(after)))
+                let (cut, new) = (first.start..first.start, Some(0..text.len()));
+                let text = format!("{text}{}", separator(after));
+                Edited::Element(Patch { cut, text, elements: 0..0, new })
             }
             (elements, index) => {
                 let at = elements[index - 1].end;
-                spliced(body, at..at, &format!("{}{text}", separator(before)))
+                let before = separator(before);
+                let new = Some(before.len()..before.len() + text.len());
+                let text = before + text;
+                Edited::Element(Patch { cut: at..at, text, elements: index..index, new })
             }
         }
     }
@@ -265,7 +281,7 @@ impl Document {
             Root::List(span) | Root::Object { devices: Some(span), .. } => {
                 spliced(body, span.clone(), &list)
             }
-            Root::Object { span, devices: None } => {
+            Root::Object { span, devices: None, .. } => {
                 let members = Members::of(&body[span.clone()]);
                 let object = match members.as_ref().and_then(|it| it.last_key().zip(Some(it))) {
                     Some((last_key, members)) => members.with("devices", &list, &[&last_key]),
@@ -280,9 +296,12 @@ impl Document {
         }
     }
 
-    fn without_element(&self, element: usize) -> String {
-        let Some((inside, items)) = self.list() else { return self.body().to_owned() };
-        layout::without_item(self.body(), &Container { inside, items }, element)
+    fn without_element(&self, element: usize) -> Patch {
+        let cut = match self.list() {
+            Some((inside, items)) => layout::cut(&Container { inside, items }, element),
+            None => self.elements()[element].clone(),
+        };
+        Patch { cut, text: String::new(), elements: element..element + 1, new: None }
     }
 
     /// What is needed to put an entry back.
@@ -334,7 +353,7 @@ impl Document {
         let body = self.body();
         let at = match self.root() {
             Root::List(span) | Root::Object { devices: Some(span), .. } => span.start,
-            Root::Object { span, devices: None } => {
+            Root::Object { span, devices: None, .. } => {
                 let first =
                     scan::container(body, span).and_then(|it| Some(it.items.first()?.key.start));
                 match first {
@@ -361,19 +380,13 @@ impl Document {
     fn check_path(&self) -> Result<(), EditError> {
         match self.root() {
             Root::Other(span) => Err(self.not_devices(span)),
-            Root::Object { span, devices } => {
-                let members = Members::of(&self.body()[span.clone()]);
-                if let Some(at) = members.and_then(|members| members.duplicate("devices")) {
-                    return Err(self.duplicate("devices", span.start + at));
-                }
-                match devices {
-                    Some(devices) if !self.body()[devices.clone()].starts_with('[') => {
-                        Err(self.not_devices(devices))
-                    }
-                    _ => Ok(()),
-                }
+            Root::Object { again: Some(again), .. } => Err(self.duplicate("devices", *again)),
+            Root::Object { devices: Some(devices), .. }
+                if !self.body()[devices.clone()].starts_with('[') =>
+            {
+                Err(self.not_devices(devices))
             }
-            Root::Blank | Root::List(_) => Ok(()),
+            Root::Object { .. } | Root::Blank | Root::List(_) => Ok(()),
         }
     }
 
@@ -428,6 +441,14 @@ impl Document {
         let found = Kind(&self.body()[span.clone()]).to_string();
         EditError::NotDevices { position: Positions::new(self.body()).at(span.start), found }
     }
+}
+
+/// What an edit comes to.
+enum Edited {
+    /// One element of the list is changed, new or gone.
+    Element(Patch),
+    /// The list is begun: the whole body.
+    Whole(String),
 }
 
 fn check_address(address: Option<u8>) -> Result<(), EditError> {

@@ -36,6 +36,8 @@ pub struct Entry {
     pub index: usize,
     /// Its place in the file's list, where elements that are no entries have places too.
     pub(super) element: usize,
+    /// The members it has, of whatever value.
+    pub(super) present: Present,
 }
 
 impl Entry {
@@ -111,14 +113,39 @@ impl Member {
     }
 }
 
+/// A set of members.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Present(u8);
+
+impl Present {
+    pub fn has(self, member: Member) -> bool {
+        self.0 & 1 << member as u8 != 0
+    }
+
+    fn add(&mut self, member: Member) {
+        self.0 |= 1 << member as u8;
+    }
+}
+
 /// Reads the elements of the list of devices. An element without a name is no entry.
 pub(super) fn read_all(body: &str, elements: &[Span], findings: &mut Findings) -> Vec<Entry> {
     let mut entries: Vec<Entry> = Vec::with_capacity(elements.len());
     for (element, span) in elements.iter().enumerate() {
-        let reader = Reader { body, findings, index: entries.len(), element, is_entry: false };
-        entries.extend(reader.read(span));
+        entries.extend(read(body, span, entries.len(), element, findings));
     }
     entries
+}
+
+/// Reads one element, the entry of this index if it is one.
+pub(super) fn read(
+    body: &str,
+    span: &Span,
+    index: usize,
+    element: usize,
+    findings: &mut Findings,
+) -> Option<Entry> {
+    let present = Present::default();
+    Reader { body, findings, index, element, is_entry: false, present }.read(span)
 }
 
 /// A service's name and version as the file has them, from an item of `services` in either shape;
@@ -167,6 +194,7 @@ struct Reader<'r, 'f> {
     element: usize,
     /// Whether the element has a name, so that findings can refer to its entry.
     is_entry: bool,
+    present: Present,
 }
 
 impl Reader<'_, '_> {
@@ -203,6 +231,7 @@ impl Reader<'_, '_> {
             address_position: address.map(|at| self.findings.positions.start_of(at)),
             index: self.index,
             element: self.element,
+            present: self.present,
         })
     }
 
@@ -213,6 +242,7 @@ impl Reader<'_, '_> {
         let container = scan::container(self.body, span);
         for item in container.into_iter().flat_map(|container| container.items) {
             let Some(member) = Member::of(&self.body[item.key.clone()]) else { continue };
+            self.present.add(member);
             match found.iter_mut().find(|(earlier, _)| *earlier == member) {
                 Some(earlier) => {
                     duplicates.push((member, item.key.start));

@@ -54,6 +54,16 @@ impl FindingKind {
             _ => "file-shape",
         }
     }
+
+    /// Is it found in one element of the list, or in how entries stand to each other?
+    pub(super) fn is_of_one_element(self) -> bool {
+        !matches!(self, Self::DuplicateAddress | Self::DuplicateEntry)
+    }
+
+    /// Does the message say which element of the list it is?
+    pub(super) fn counts_elements(self) -> bool {
+        matches!(self, Self::NotAnEntry | Self::MissingName)
+    }
 }
 
 impl fmt::Display for DocumentFinding {

@@ -96,17 +96,16 @@ pub(super) fn newline(text: &str) -> &'static str {
     if text.contains("\r\n") { "\r\n" } else { "\n" }
 }
 
-/// Takes an item out, with the comma and blanks that it no longer needs.
-pub(super) fn without_item(text: &str, container: &Container, index: usize) -> String {
+/// An item, with the comma and blanks that are no longer needed when it is taken out.
+pub(super) fn cut(container: &Container, index: usize) -> scan::Span {
     let items = &container.items;
-    let cut = if items.len() == 1 {
+    if items.len() == 1 {
         container.inside.clone()
     } else if index == 0 {
         items[0].span().start..items[1].span().start
     } else {
         items[index - 1].value.end..items[index].value.end
-    };
-    spliced(text, cut, "")
+    }
 }
 
 /// The text with `span` replaced.
@@ -182,7 +181,7 @@ impl<'t> Members<'t> {
     /// The object without a member.
     pub fn without(&self, key: &str) -> String {
         match self.position(key) {
-            Some(index) => without_item(self.text, &self.container, index),
+            Some(index) => spliced(self.text, cut(&self.container, index), ""),
             None => self.text.to_owned(),
         }
     }

@@ -18,6 +18,7 @@
 //! finding    what is wrong with them
 //! operation  edits as values, their keys, names and inverses
 //! edit       edits carried out
+//! patch      the document that an edit makes, without reading all of it again
 //! layout     the file's own style
 //! merge      edits on newer content
 //! text       names: JSON, hexadecimal
@@ -29,6 +30,7 @@ mod finding;
 mod layout;
 mod merge;
 mod operation;
+mod patch;
 mod position;
 mod scan;
 mod syntax;
@@ -50,16 +52,6 @@ use finding::Findings;
 use position::Positions;
 use scan::Span;
 use syntax::{BOM, Kind};
-
-/// Of each entry, how many before it have its key.
-fn occurrences(entries: &[Entry]) -> Vec<usize> {
-    let mut seen = HashMap::with_capacity(entries.len());
-    let count = |entry: &Entry| {
-        let count: &mut usize = seen.entry(EntryKey::of(entry)).or_default();
-        std::mem::replace(count, *count + 1)
-    };
-    entries.iter().map(count).collect()
-}
 
 /// The JSON Schema (2020-12) of the file.
 pub const SCHEMA: &str = include_str!("des.schema.json");
@@ -92,8 +84,9 @@ enum Root {
     Blank,
     /// A bare list of devices.
     List(Span),
-    /// An object, and the value of `devices`, unless that is null.
-    Object { span: Span, devices: Option<Span> },
+    /// An object, the value of `devices`, unless that is null, and where `devices` is for the
+    /// second time.
+    Object { span: Span, devices: Option<Span>, again: Option<usize> },
     /// Something else.
     Other(Span),
 }
@@ -105,6 +98,11 @@ impl Root {
             Self::List(span) | Self::Object { devices: Some(span), .. } => Some(span),
             Self::Blank | Self::Object { devices: None, .. } | Self::Other(_) => None,
         }
+    }
+
+    /// In how many brackets the elements of the list are.
+    fn brackets(&self) -> usize {
+        if matches!(self, Self::Object { .. }) { 2 } else { 1 }
     }
 }
 
@@ -125,21 +123,28 @@ impl Document {
         let items = list.map(|list| list.items).unwrap_or_default();
         let elements: Vec<Span> = items.into_iter().map(|item| item.value).collect();
         let entries = entry::read_all(body, &elements, &mut findings);
-        let mut findings = findings.found;
+        let findings = findings.found;
+        Ok(Self::of(source, root, elements, entries, findings))
+    }
+
+    /// Of what was read, with the findings about single elements.
+    fn of(
+        source: String,
+        root: Root,
+        elements: Vec<Span>,
+        entries: Vec<Entry>,
+        mut findings: Vec<DocumentFinding>,
+    ) -> Self {
         findings.extend(finding::collisions(&entries));
         findings.sort_by(|a, b| (a.position, &a.message).cmp(&(b.position, &b.message)));
         let occurrences = occurrences(&entries);
         let inner = Inner { source, root, elements, entries, occurrences, findings };
-        Ok(Self { inner: Arc::new(inner) })
+        Self { inner: Arc::new(inner) }
     }
 
     /// The document of a file that is missing or empty.
     pub fn empty() -> Self {
-        let (source, root) = (String::new(), Root::Blank);
-        let (elements, entries, findings) = (Vec::new(), Vec::new(), Vec::new());
-        let occurrences = Vec::new();
-        let inner = Inner { source, root, elements, entries, occurrences, findings };
-        Self { inner: Arc::new(inner) }
+        Self::of(String::new(), Root::Blank, Vec::new(), Vec::new(), Vec::new())
     }
 
     /// The bytes of the file.
@@ -211,11 +216,13 @@ fn read_root(body: &str, findings: &mut Findings) -> Root {
         return Root::Other(span);
     }
     let mut devices: Option<Span> = None;
+    let mut again = None;
     for item in scan::container(body, &span).into_iter().flat_map(|object| object.items) {
         if text::from_json(&body[item.key.clone()]).as_deref() != Some("devices") {
             continue;
         }
         if devices.replace(item.value).is_some() {
+            again = again.or(Some(item.key.start));
             findings.duplicate("devices", item.key.start, None);
         }
     }
@@ -226,7 +233,19 @@ fn read_root(body: &str, findings: &mut Findings) -> Root {
         let message = format!("`devices` is {}; it must be a list", Kind(&body[devices.clone()]));
         findings.add(FindingKind::NotDevices, devices.start, message, None);
     }
-    Root::Object { span, devices }
+    Root::Object { span, devices, again }
+}
+
+/// Of each entry, how many before it have its key.
+fn occurrences(entries: &[Entry]) -> Vec<usize> {
+    let mut seen = HashMap::with_capacity(entries.len());
+    let mut occurrences = Vec::with_capacity(entries.len());
+    for Entry { bus, name, address, uid, .. } in entries {
+        let count = seen.entry((address, name, bus, uid)).or_insert(0);
+        occurrences.push(*count);
+        *count += 1;
+    }
+    occurrences
 }
 
 impl PartialEq for Document {

@@ -150,10 +150,11 @@ impl NewEntry {
             bus: self.bus.clone(),
             uid: self.uid.clone(),
             services: (!self.services.is_empty()).then(|| self.services.clone()),
-            position: super::Position { line: 1, column: 1 },
+            position: super::Position::START,
             address_position: None,
             index: 0,
             element: 0,
+            present: super::entry::Present::default(),
         }
     }
 }

@@ -13,6 +13,11 @@ pub struct Position {
     pub column: usize,
 }
 
+impl Position {
+    /// Where every file begins.
+    pub(super) const START: Self = Self { line: 1, column: 1 };
+}
+
 impl fmt::Display for Position {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "line {}, column {}", self.line, self.column)
@@ -31,8 +36,12 @@ const BLOCK_BYTES: usize = 1024;
 
 impl<'a> Positions<'a> {
     pub fn new(text: &'a str) -> Self {
+        Self::starting(text, Position::START)
+    }
+
+    /// Those of a text that begins at this position of a longer one.
+    pub fn starting(text: &'a str, mut position: Position) -> Self {
         let text = text.as_bytes();
-        let mut position = Position { line: 1, column: 1 };
         let mut blocks = Vec::with_capacity(text.len() / BLOCK_BYTES + 1);
         for block in text.chunks(BLOCK_BYTES) {
             blocks.push(position);
@@ -52,7 +61,8 @@ impl<'a> Positions<'a> {
     }
 }
 
-fn advance(from: Position, text: &[u8]) -> Position {
+/// The position behind a text that begins at this one.
+pub(super) fn advance(from: Position, text: &[u8]) -> Position {
     match text.iter().rposition(|&byte| byte == b'\n') {
         None => Position { column: from.column + characters(text), ..from },
         Some(last) => Position {
@@ -75,7 +85,7 @@ mod tests {
     fn positions_count_characters_across_blocks() {
         let text = "abc\nдef\r\n".repeat(700) + &"ж".repeat(3000);
         let positions = Positions::new(&text);
-        let mut expected = Position { line: 1, column: 1 };
+        let mut expected = Position::START;
         for (offset, c) in text.char_indices() {
             assert_eq!(positions.at(offset), expected);
             if c == '\n' {

@@ -55,6 +55,13 @@ pub(super) fn check(source: &[u8]) -> Result<&str, ParseError> {
     }
 }
 
+/// Is this one JSON value, without blanks around it, that may stand inside so many brackets?
+pub(super) fn is_value(text: &str, brackets: usize) -> bool {
+    scan::root(text).is_some_and(|span| span.len() == text.len())
+        && serde_json::from_str::<IgnoredAny>(text).is_ok()
+        && scan::deeper_than(text, DEPTH.saturating_sub(brackets)).is_none()
+}
+
 /// serde_json's error, which counts bytes and names the last one it read, and puts line and column
 /// into its text.
 fn syntax_error(body: &str, error: &serde_json::Error) -> ParseError {

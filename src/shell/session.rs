@@ -11,6 +11,7 @@ use super::waiting::{file_changed, sleep_for};
 use super::watch::Watch;
 use crate::app::{App, Effect, SaveOutcome};
 use crate::bus::{Clock, Port};
+use crate::document::Document;
 use crate::frame::{BusIndex, Frame};
 use crate::status::RecordingStatus;
 use crate::time::Instant;
@@ -183,7 +184,7 @@ impl Session {
             Wake::File(reading) => self.app.handle_file(now, reading.into()),
             Wake::Done(Finished::Saved(outcome, content)) => {
                 if let (SaveOutcome::Saved, Some(watch)) = (&outcome, &self.watch) {
-                    watch.saved(&content);
+                    watch.saved(content);
                 }
                 self.app.handle_saved(now, outcome);
             }
@@ -306,15 +307,16 @@ impl Session {
     }
 
     /// fsync may take long on a network file system: not on the thread that draws.
-    fn start_save(&mut self, expected: Option<Vec<u8>>, content: Vec<u8>) {
+    fn start_save(&mut self, expected: Option<Document>, content: Document) {
         let Some(store) = self.store.clone() else { return };
         self.work.push(spawn_blocking(move || {
-            let outcome = match store.save(expected.as_deref(), &content) {
+            let expected = expected.as_ref().map(Document::source);
+            let outcome = match store.save(expected, content.source()) {
                 Ok(()) => SaveOutcome::Saved,
                 Err(SaveError::Changed(there)) => SaveOutcome::Changed(there),
                 Err(error) => SaveOutcome::Failed(error.to_string()),
             };
-            Finished::Saved(outcome, content)
+            Finished::Saved(outcome, content.source().to_vec())
         }));
     }
 

@@ -68,13 +68,15 @@ impl Watch {
         }
     }
 
-    /// To be told when [`Store::save`] has saved this: it counts as known, so it is not reported,
-    /// and neither is a reading from before that has not been fetched yet.
-    pub fn saved(&self, content: &[u8]) {
+    /// To be told when [`Store::save`] has saved this: it counts as known, so it is not reported.
+    /// A reading that has not been fetched yet may be older or newer than that: it is looked again.
+    pub fn saved(&self, content: Vec<u8>) {
         let mut state = self.shared.lock();
-        state.known = Ok(Some(content.to_owned()));
+        state.known = Ok(Some(content));
         state.is_news = false;
         state.saves += 1;
+        drop(state);
+        let _ = self.wake.try_send(());
     }
 
     fn start(
