@@ -239,6 +239,19 @@ impl Claims {
         others.any(|node| now.since(node.last) < holds)
     }
 
+    /// Whether somebody else than that row beats from `address` now, and only who has a row elsewhere.
+    pub fn are_others_known(&self, now: Instant, address: Address, row: DeviceId) -> bool {
+        let pause = self.period.mul_f64(PAUSE);
+        let mut others = self.nodes.iter().filter(|node| {
+            node.address == address && node.device != row && now.since(node.last) < pause
+        });
+        let mut any = false;
+        others.all(|node| {
+            any = true;
+            !node.is_rowless
+        }) && any
+    }
+
     /// Notes that `address` was claimed while somebody else beat from it.
     pub fn note_claimed_over(&mut self, now: Instant, address: Address) {
         self.claimed_over[address.index()] = Some(now);

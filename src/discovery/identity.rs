@@ -86,10 +86,16 @@ impl Engine {
             })
         });
         let old = by_uid.or_else(|| self.only_other_of_name(index, name.as_ref()?, gone));
-        let Some(old) = old else { return };
-        let known_as = self.roster.get(old).name.as_ref();
-        if name.is_some() && known_as.is_some() && known_as != name.as_ref() {
-            // Known by its UID: the row here is somebody else's, whose place it took.
+        if let Some(old) = old {
+            self.take_place(old, index);
+        }
+    }
+
+    /// The device of the row `old` is at the address of the row `index` now. Known by its UID, that
+    /// row may be somebody else's, whose place it took.
+    pub(super) fn take_place(&mut self, old: usize, index: usize) {
+        let name = |at: usize| self.roster.get(at).name.as_ref();
+        if name(old).zip(name(index)).is_some_and(|(old, here)| old != here) {
             self.move_onto(old, index);
         } else {
             self.move_row(old, index);

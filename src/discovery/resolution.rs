@@ -113,7 +113,7 @@ impl Engine {
                 (self.row_left(left, &heard), self.roster.current(address))
             && old != new
         {
-            self.move_row(old, new);
+            self.take_place(old, new);
         }
         let row = self.row_of_sender(address, sender);
         let mut device = row;
@@ -169,7 +169,8 @@ impl Engine {
     fn row_left(&self, left: Address, heard: &Heard) -> Option<usize> {
         let index = self.roster.index_of(heard.device)?;
         let row = self.roster.get(index);
-        let silent = self.now.since(row.last_seen) > self.pause();
+        let silent = self.now.since(row.last_seen) > self.pause()
+            || self.claims.are_others_known(self.now, left, heard.device);
         (row.address == left && (silent || !self.roster.is_current(index))).then_some(index)
     }
 
