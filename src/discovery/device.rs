@@ -82,7 +82,12 @@ pub struct HeartbeatStats {
     intervals: u64,
     mean_us: f64,
     variance_us: f64,
+    /// The last heartbeat before one that was out of phase.
+    in_phase: Option<Instant>,
 }
+
+/// A gap of this many periods between heartbeats may be a reboot.
+pub(super) const SILENT_PERIODS: f64 = 1.4;
 
 impl HeartbeatStats {
     /// The mean interval between heartbeats, without gaps; `None` before there is one.
@@ -113,6 +118,37 @@ impl HeartbeatStats {
             }
         }
         gap
+    }
+
+    /// Another sender's phase is no shift of this one's.
+    pub(super) fn forget_phase(&mut self) {
+        self.in_phase = None;
+    }
+
+    /// Whether the heartbeat that came at `now` shows that its sender started anew: the one before
+    /// was no whole number of periods after those before it, and this one keeps to the new phase.
+    /// One that the bus held up is followed by one in the old phase.
+    pub(super) fn has_shifted(
+        &mut self,
+        now: Instant,
+        before: Option<Instant>,
+        period: Duration,
+        jitter: Option<Duration>,
+    ) -> bool {
+        // Who has no rhythm yet has no phase.
+        let (Some(before), Some(jitter)) = (before, jitter) else { return false };
+        let noise = jitter.as_secs_f64() / period.as_secs_f64();
+        let off = |since: Instant| {
+            let periods = now.since(since).as_secs_f64() / period.as_secs_f64();
+            let known = (SILENT_PERIODS..=30.0).contains(&periods);
+            known && (periods - periods.round()).abs() > (4.0 * noise).max(0.15)
+        };
+        let follows = now.since(before) < period.mul_f64(SILENT_PERIODS);
+        let shifted = follows && self.in_phase.take().is_some_and(off);
+        if !follows {
+            self.in_phase = off(before).then_some(before);
+        }
+        shifted
     }
 }
 

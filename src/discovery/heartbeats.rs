@@ -1,6 +1,6 @@
 //! What heartbeats tell: mode, UID, reboots, and who else beats with the same UID.
 
-use super::device::{ModeChange, Quirk};
+use super::device::{ModeChange, Query, Quirk, SILENT_PERIODS};
 use super::resolution::Claim;
 use super::{Engine, EventKind, Presence};
 use crate::frame::Frame;
@@ -8,8 +8,6 @@ use crate::time::{Duration, Instant};
 use crate::wire::id::{Address, Header};
 use crate::wire::node::{Heartbeat, Mode, Uid};
 
-/// A gap of this many periods between heartbeats may be a reboot.
-const REBOOT_GAP: f64 = 1.4;
 /// A heartbeat that is off the beat by more than this part of a period came late.
 const LATE: f64 = 0.1;
 /// So many late ones within a few periods are the bus's doing, not their senders'.
@@ -89,13 +87,17 @@ impl Engine {
         device.is_beaten_for = sender.is_another;
         // In an early mode after a pause, or off the beat: it started anew. With another UID it is
         // rather another board.
-        let paused = gap.is_some_and(|gap| gap > period.mul_f64(REBOOT_GAP));
+        let paused = gap.is_some_and(|gap| gap > period.mul_f64(SILENT_PERIODS));
         let early = device.is_resolving && paused && device.mode != heartbeat.mode;
         let period = expected.unwrap_or(period);
-        let out_of_phase = gap.is_some_and(|gap| is_out_of_phase(gap, period, jitter));
+        let same = !uid_changed && !was_lost;
+        if !same {
+            device.heartbeat.forget_phase();
+        }
+        let shifted = same && device.heartbeat.has_shifted(now, previous_beat, period, jitter);
         let restarted = !was_lost
             && (first || !uid_changed || device.uid_before.is_none())
-            && (early || out_of_phase && !self.lateness.is_common());
+            && (early || shifted && !self.lateness.is_common());
         // Somebody else may beat from here too, or take its place. Who changes its mode may say so
         // at once.
         let off_beat = gap.is_some_and(|gap| is_off_beat(gap, period, jitter))
@@ -158,12 +160,16 @@ impl Engine {
     }
 
     fn note_reboot(&mut self, now: Instant, index: usize) {
+        let address = self.roster.get(index).address;
+        // Two whose answers destroy each other start anew each time they are asked.
+        let shared = self.errors.is_suspect(address) || self.collisions.is_open_at(address);
+        let ask = if shared { Query::renew } else { Query::start_over };
         let device = self.roster.get_mut(index);
         device.reboots += 1;
         device.rebooted_at = Some(now);
         // It may have new firmware.
-        device.services_query.renew(now);
-        device.name_query.renew(now);
+        ask(&mut device.services_query, now);
+        ask(&mut device.name_query, now);
         self.tell(index, EventKind::Rebooted);
         self.wake_at(now);
     }
@@ -222,14 +228,4 @@ fn is_off_beat(gap: Duration, period: Duration, jitter: Option<Duration>) -> boo
     let periods = gap.as_secs_f64() / period.as_secs_f64();
     let off = (periods - periods.round().max(1.0)).abs();
     off > (6.0 * jitter.as_secs_f64() / period.as_secs_f64()).max(0.05)
-}
-
-/// Whether a gap between heartbeats is no whole number of periods: the sender started anew.
-fn is_out_of_phase(gap: Duration, period: Duration, jitter: Option<Duration>) -> bool {
-    // Who has no rhythm yet has no phase.
-    let Some(jitter) = jitter else { return false };
-    let periods = gap.as_secs_f64() / period.as_secs_f64();
-    let off = (periods - periods.round()).abs();
-    let noise = jitter.as_secs_f64() / period.as_secs_f64();
-    (REBOOT_GAP..=30.0).contains(&periods) && off > (4.0 * noise).max(0.15)
 }

@@ -323,9 +323,26 @@ impl Case<'_> {
             && !mumbles(one)
             && !mumbles(other);
         let uids = !one.uid.is_blank() && !other.uid.is_blank() && one.uid != other.uid;
+        // Where all answer twice they seem to be asked twice.
+        let twice = self.all_are_shared();
         // Answers to all often wait for the bus together, and equal ones merge then.
         beat && uids
-            || answer && (one.name != other.name || beat && lens.doubled.is_none() && !lens.echo)
+            || answer
+                && (one.name != other.name
+                    || beat && lens.doubled.is_none() && !lens.echo && !twice)
+    }
+
+    /// Whether there are two at each of several addresses.
+    fn all_are_shared(&self) -> bool {
+        let clashes = self.clashes();
+        let shared = |spec: &DeviceSpec| {
+            clashes.iter().any(|(clash, _)| match *clash {
+                Clash::Address(address, ..) => is_fixed(spec, address),
+                Clash::Uid(..) => false,
+            })
+        };
+        let devices = &self.run.world.scenario.devices;
+        devices.len() > 2 && devices.iter().all(shared)
     }
 
     // --- what is past is cleared ---------------------------------------------------------
