@@ -162,7 +162,13 @@ fn without_a_file_that_can_be_read_nothing_can_be_said() {
     for arguments in [&["file:session.log"][..], &["file:session.log", "--json"]] {
         let broken = folder.check(arguments);
         assert_eq!(broken.status.code(), Some(3));
-        assert!(text(&broken.stderr).contains("line 2, column 20"), "{}", text(&broken.stderr));
+        let said = text(&broken.stderr);
+        let (line, excerpt) = said.split_once('\n').unwrap();
+        assert!(line.ends_with("des.json: line 2, column 20: expected `,` or `}`"), "{said}");
+        assert_eq!(
+            excerpt,
+            "      { \"name\": \"FEED\" \"address\": 12 }\n                       ^\n"
+        );
         assert_eq!(text(&broken.stdout), "");
     }
 }
@@ -194,6 +200,54 @@ power_on = 7.0
     folder.write("des.json", r#"[ { "name": "PUMP", "address": 44 } ]"#);
     let never = folder.check(&["sim:line.toml", "--wait-for-all", "--time", "4"]);
     assert_eq!(never.status.code(), Some(1), "{}", text(&never.stdout));
+}
+
+/// Whatever is in the file: one message, at once, and the file stays as it is.
+#[test]
+fn what_nobody_should_write_is_told_where_it_is() {
+    let deep = format!("{{\"devices\": {}{}}}", "[".repeat(10_000), "]".repeat(10_000));
+    for (file, said) in [
+        (&deep[..], "line 1, column 140: nested deeper than 128 levels"),
+        ("[{\"name\":\"A\",\"address\":012}]", "line 1, column 25: invalid number"),
+        ("[{\"name\":\"A\",\"address\":1.}]", "line 1, column 26: invalid number"),
+        ("[{\"name\":\"\x1b[2J\"}]", "line 1, column 11: control character"),
+        ("{\"devices\":[]}\0", "line 1, column 15: trailing characters"),
+    ] {
+        let folder = Folder::with(&bus(), Some(file));
+        let output = folder.check(&["file:session.log"]);
+        assert_eq!(output.status.code(), Some(3), "{file:.80}");
+        let stderr = text(&output.stderr);
+        assert!(stderr.contains(said), "{stderr}");
+        let is_plain = |c: char| c == '\n' || !c.is_control();
+        assert!(stderr.chars().all(is_plain) && stderr.len() < 1000, "{stderr:?}");
+        let now = std::fs::read_to_string(folder.path().join("des.json")).unwrap();
+        assert_eq!(now, file);
+    }
+}
+
+/// Nobody reads a gigabyte to find that it is no des.json.
+#[test]
+fn a_file_of_a_gigabyte_is_refused_at_once() {
+    let folder = Folder::with(&bus(), Some("["));
+    let file = std::fs::File::options().write(true).open(folder.path().join("des.json")).unwrap();
+    file.set_len(1 << 30).unwrap();
+    let output = folder.check(&["file:session.log"]);
+    assert_eq!(output.status.code(), Some(3));
+    let stderr = text(&output.stderr);
+    assert!(stderr.contains("des.json is larger than 64 MiB: is it the right file?"), "{stderr}");
+}
+
+#[test]
+fn members_that_are_there_twice_are_told_and_the_last_counts() {
+    let file = r#"[{"name":"FEED","address":12,"static":true,"services":{"DES":"1.0","AUGER":"2.1"}},
+      {"name":"SENS","address":99,"static":true,"address":13}]"#;
+    let (code, said) = checked(file);
+    assert_eq!(
+        said,
+        "in the file itself:\n  `address` is there twice; the last one counts (line 2, column 49)\n\
+         des.json: 2 entries, 2 devices on can0: 1 in the file itself\n"
+    );
+    assert_eq!(code, 1);
 }
 
 #[test]

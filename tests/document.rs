@@ -202,6 +202,24 @@ fn what_is_not_json_is_refused_with_its_place() {
 }
 
 #[test]
+fn the_caret_is_below_the_place() {
+    for (source, line, caret) in [
+        ("[1 , ]", "[1 , ]", "     ^"),
+        ("[\"Ж漢\" x", "[\"Ж漢\" x", "       ^"),
+        ("[\n\t1 2]", " 1 2]", "   ^"),
+    ] {
+        let error = Document::parse(source.as_bytes()).unwrap_err();
+        assert_eq!(error.excerpt(), Some([line.to_owned(), caret.to_owned()]));
+    }
+    let long = format!("[\"{}\" x \"{}\"]", "a".repeat(1000), "b".repeat(1000));
+    let [line, caret] = Document::parse(long.as_bytes()).unwrap_err().excerpt().unwrap();
+    assert_eq!((line.len(), caret.len()), (72, 37));
+    assert_eq!(&line[34..39], "\" x \"");
+    // What stands there cannot be shown.
+    assert_eq!(Document::parse(b"\xff\xfe[\0").unwrap_err().excerpt(), None);
+}
+
+#[test]
 fn deep_nesting_overflows_no_stack() {
     let deep = "[".repeat(1_000_000);
     assert!(Document::parse(deep.as_bytes()).is_err());
@@ -815,6 +833,10 @@ fn both_sides_survive() {
 #[test]
 fn the_same_value_is_a_conflict() {
     let base = parsed(BASE);
+    let services_of_new =
+        vec![ServiceEntry { name: "DES".into(), version: "2".into(), ..ServiceEntry::default() }];
+    let with_services =
+        Operation::Add { entry: NewEntry { services: services_of_new, ..device("NEW", 9) } };
     for (operation, theirs, conflict, with_ours) in [
         (
             set(&base, "FEED", 16),
@@ -855,14 +877,49 @@ fn the_same_value_is_a_conflict() {
         (
             add("NEW", 9),
             r#"[{"name":"NEW","address":9,"uid":"X"}]"#,
-            "static, UID none | not static, UID X",
-            "[\n  { \"name\": \"NEW\", \"address\": 9, \"static\": true }\n]",
+            "address 9, static | address 9, not static",
+            r#"[{"name":"NEW","address":9,"static":true,"uid":"X"}]"#,
+        ),
+        // They brought the device too, at another address: as when a folder comes back that was
+        // away.
+        (
+            add("NEW", 9),
+            r#"[{"name":"NEW","address":11,"note":"mine","services":{"DES":"1"}}]"#,
+            "address 9, static | address 11, not static",
+            r#"[{"name":"NEW","address":9,"static":true,"note":"mine","services":{"DES":"1"}}]"#,
+        ),
+        (
+            with_services.clone(),
+            r#"[{"name":"NEW","address":11,"services":{"DES":"1"}}]"#,
+            "address 9, static, services DES 2 | address 11, not static, services DES 1",
+            r#"[{"name":"NEW","address":9,"static":true,"services":{"DES":"2"}}]"#,
         ),
     ] {
         let operations = [operation];
         assert_eq!(merged(&operations, theirs, Prefer::Neither).unwrap_err(), conflict);
         assert_eq!(merged(&operations, theirs, Prefer::Theirs).as_deref(), Ok(theirs));
         assert_eq!(merged(&operations, theirs, Prefer::Ours).as_deref(), Ok(with_ours));
+    }
+}
+
+#[test]
+fn a_device_that_both_brought_stands_there_once_and_a_twin_twice() {
+    let seen = |entry: NewEntry| Operation::Add { entry: NewEntry { is_static: false, ..entry } };
+    let uid = |uid: &str| NewEntry { uid: Some(uid.into()), ..device("NEW", 9) };
+    for (operation, theirs, entries) in [
+        // Where we saw it is no reason to doubt where they have it.
+        (seen(device("NEW", 9)), r#"[{"name":"NEW","address":11,"static":true}]"#, 1),
+        (seen(device("NEW", 9)), r#"[{"name":"NEW"}]"#, 1),
+        (seen(uid("X")), r#"[{"name":"NEW","address":11,"uid":"X"}]"#, 1),
+        (seen(uid("X")), r#"[{"name":"NEW","address":11,"uid":"Y"}]"#, 2),
+        (seen(device("NEW", 9)), r#"[{"name":"NEW","address":11,"bus":"can1"}]"#, 2),
+        // Which of them it is cannot be told.
+        (add("NEW", 9), r#"[{"name":"NEW","address":11},{"name":"NEW","address":12}]"#, 3),
+        // They left as it was what we wanted a second one of.
+        (add("FEED", 9), r#"[{"name":"FEED","address":12,"static":true}]"#, 2),
+    ] {
+        let merged = merged(&[operation], theirs, Prefer::Neither).unwrap();
+        assert_eq!(parsed(&merged).entries().len(), entries, "{merged}");
     }
 }
 

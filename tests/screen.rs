@@ -8,7 +8,7 @@ use descan::discovery::Config;
 use descan::document::Document;
 use descan::frame::{BusIndex, CanId, Frame};
 use descan::keymap::Key;
-use descan::sim::{Action, Scenario, Sim, Station};
+use descan::sim::{Action, DeviceSpec, Scenario, Sim, Station};
 use descan::status::{BusState, BusStatus, Link, Playback, PlaybackCommand, RecordingStatus};
 use descan::theme::{BUILT_IN, Role, Theme};
 use descan::time::{Duration, Epoch, Instant};
@@ -541,6 +541,72 @@ fn a_broken_file_is_shown_and_never_written() {
     stage.keys("A");
     assert_eq!(stage.file(), broken);
     assert!(stage.screen().contains("✓ 10"), "the last good content stays in force");
+    for page in ["3", "4"] {
+        let screen = stage.keys(page).screen();
+        let lines: Vec<&str> = screen.lines().collect();
+        let at = lines
+            .iter()
+            .position(|line| line.contains("{ \"name\": \"SENS\" \"address\""))
+            .unwrap();
+        let place = |line: &str, what: &str| line.split(what).next().unwrap().chars().count();
+        assert_eq!(place(lines[at], "\"address\""), place(lines[at + 1], "^"), "{screen}");
+        assert!(lines[at - 2..at].concat().contains("line 5, column 22"), "{screen}");
+    }
+}
+
+#[test]
+fn changed_services_are_taken_over_and_given_back() {
+    const FILE: &str = r#"[
+  { "name": "FEED", "address": 12, "static": true,
+    "services": [ { "name": "DES", "version": "1.0" }, { "version": "2.1", "name": "AUGER", "ok":1 } ] },
+  { "name": "SENS", "services": {"DES":"1.0" , "TEMP":"1.7"}, "address": 13 },
+  { "name": "FAN", "address": 14 }
+]"#;
+    let services = |services: [(&str, &str); 2]| -> Vec<Vec<Vec<u8>>> {
+        services.map(|(name, version)| vec![name.into(), version.into()]).to_vec()
+    };
+    let updated = |own: (&str, &str)| Action::Reboot {
+        services: Some(services([("DES", "1.0"), (own.0, own.1)])),
+    };
+    let scenario = Scenario::new(125_000)
+        .with(DeviceSpec::new("FEED").fixed(12).settled().service("AUGER", "2.1"))
+        .with(DeviceSpec::new("SENS").fixed(13).settled().service("TEMP", "1.7"))
+        .with(DeviceSpec::new("FAN").fixed(14).settled().service("BLOW", "3"))
+        .at(Duration::from_secs(10), "FEED", updated(("AUGER", "2.2")))
+        .at(Duration::from_secs(10), "SENS", updated(("TEMP", "1.8")));
+    let mut stage = Stage::new(&scenario, Some(FILE));
+    stage.until(8.0).keys("g a A");
+    assert_eq!(stage.file(), FILE);
+    stage.until(20.0).keys("g a");
+    let one = FILE.replace("2.1", "2.2");
+    assert_eq!(stage.file(), one);
+    let said = "services of the entry FEED: 2 listed";
+    assert!(stage.keys("3").screen().contains(said), "{}", stage.screen());
+    assert_eq!(stage.keys("1 u").file(), FILE);
+    assert_eq!(stage.keys("Ctrl-r").file(), one);
+    assert_eq!(stage.keys("u A").file(), one.replace("1.7", "1.8"));
+    assert!(stage.screen().contains("services of 2 entries"), "{}", stage.screen());
+    assert_eq!(stage.keys("u").file(), FILE);
+    // Asked for one, services are listed where there were none.
+    assert!(stage.keys("G a").file().contains("\"BLOW\""), "{}", stage.file());
+}
+
+#[test]
+fn a_wrong_value_leads_to_its_row() {
+    let file = BOILER.replace("16, \"static\": true", "16, \"static\": 1").replace("\"PUMP\"", "7");
+    let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some(&file));
+    stage.until(24.0).keys("4 /").text("wrong").keys("Enter G");
+    assert!(stage.screen().contains("`static` is a number"), "{}", stage.screen());
+    assert!(stage.screen().contains("Enter its row"), "{}", stage.screen());
+    stage.keys("Enter");
+    let name = stage.app.selected_row().and_then(|row| row.name.clone()).unwrap().to_string();
+    assert_eq!((stage.app.view().page, name), (Page::Devices, "ACT".to_owned()));
+    // What is no entry has no row.
+    stage.keys("4 g");
+    assert!(stage.screen().contains("has no `name`"), "{}", stage.screen());
+    stage.keys("Enter");
+    assert_eq!(stage.app.view().page, Page::Problems);
+    assert!(stage.screen().contains("about the file as a whole"), "{}", stage.screen());
 }
 
 #[test]
@@ -1293,7 +1359,7 @@ fn small_screens_show_what_is_wrong_before_the_frames() {
     stage.keys("Esc Esc");
     assert!(stage.screen().contains("Two devices answer as ACT"), "{}", stage.screen());
     stage.keys("Esc j j j Enter Enter");
-    assert!(stage.screen().contains("no frames to show"), "{}", stage.screen());
+    assert!(stage.screen().contains("▸○   44 PUMP"), "{}", stage.screen());
 }
 
 #[test]

@@ -8,7 +8,7 @@ use super::prompt::PromptKind;
 use super::timeline::{Entry as Line, Kind};
 use super::{App, Effect, Overlay, Question, RowKey};
 use crate::discovery::{Device, DeviceId, OwnAddress};
-use crate::document::{NewEntry, Operation, ServiceEntry};
+use crate::document::{Entry, NewEntry, Operation, ServiceEntry};
 use crate::frame::{BusIndex, Frame};
 use crate::text::Escaped;
 use crate::time::Instant;
@@ -57,20 +57,25 @@ impl App {
         }
     }
 
-    /// Command: take all devices that are there into the file.
+    /// Command: take all devices that are there into the file, and where it lists other services than
+    /// they have, theirs.
     pub fn add_all(&mut self, _now: Instant) {
         if !self.may_edit() {
             return;
         }
         let devices = self.buses.iter().flat_map(|bus| bus.engine.devices());
-        let unlisted = devices.filter(|device| {
-            let listed = self.matching.entry_of(device.id).is_some();
-            device.is_here() && !device.is_debug && device.name.is_some() && !listed
+        let wanted = devices.filter(|device| {
+            // Where it lists none, that is how its author wants it.
+            let entry =
+                self.matching.entry_of(device.id).map(|at| &self.file.document().entries()[at]);
+            let lists_services =
+                |entry: &Entry| entry.services.as_ref().is_some_and(|it| !it.is_empty());
+            let is_known = device.is_here() && !device.is_debug && device.name.is_some();
+            is_known && entry.is_none_or(lists_services)
         });
-        let operations: Vec<Operation> =
-            unlisted.filter_map(|device| self.taking(device)).collect();
+        let operations: Vec<Operation> = wanted.filter_map(|device| self.taking(device)).collect();
         match operations.len() {
-            0 => self.say("every device with a known name is listed already"),
+            0 => self.say("every device with a known name is listed already, as it is"),
             _ => self.edit(&operations),
         }
     }

@@ -431,6 +431,14 @@ impl App {
             is_told |= self.is_of_interest(&line, &[]);
             self.tell_line(line);
         }
+        if let Some(excerpt) = self.file.problem().filter(|_| change == Change::Broken)
+            && let Some(lines) = excerpt.excerpt()
+        {
+            // To be looked at, one below the other; no events.
+            for text in lines {
+                self.timeline.push(Entry::new(self.now, Kind::Error, text));
+            }
+        }
         if is_told {
             self.report(Happening::File(self.now));
         }

@@ -76,16 +76,19 @@ impl App {
         }
     }
 
-    /// Goes to the frames that prove the selected problem.
+    /// Goes to the frames that prove the selected problem; where it comes from des.json, to the row
+    /// that it is about.
     pub(super) fn open_evidence(&mut self) {
         let Some(problem) = self.selected_problem() else { return };
         let (key, title) = (problem.key.clone(), problem.title());
         let (kind, pieces, count) = (problem.head().key.kind, problem.evidence(), problem.count());
         if pieces.is_empty() {
-            return self.complain(match kind {
-                FindingKind::FramesLost => "nobody has the frames that were lost",
-                _ => "no frames to show: this comes from comparing the bus with des.json",
-            });
+            if kind == FindingKind::FramesLost {
+                return self.complain("nobody has the frames that were lost");
+            }
+            // It comes from des.json: its row is what there is to see.
+            self.find_row("no frames to show, and no row: this is about the file as a whole");
+            return;
         }
         // What is left again is this one, whichever is the first meanwhile.
         self.view.problems.select(key.clone());

@@ -52,6 +52,14 @@ impl FileProblem {
     pub const fn is_not_saved(&self) -> bool {
         matches!(self, FileProblem::NotSaved(_))
     }
+
+    /// The line that is not JSON, and below it a caret that points at the place.
+    pub fn excerpt(&self) -> Option<[String; 2]> {
+        match self {
+            FileProblem::Syntax(error) => error.excerpt(),
+            FileProblem::Unreadable(_) | FileProblem::NotSaved(_) => None,
+        }
+    }
 }
 
 impl std::fmt::Display for FileProblem {
@@ -308,10 +316,7 @@ impl FileState {
         self.check()?;
         let name = match operations {
             [only] => only.to_string(),
-            many if many.iter().all(|it| matches!(it, Operation::Add { .. })) => {
-                format!("{} new entries", many.len())
-            }
-            many => format!("{} edits", many.len()),
+            many => name_of(many),
         };
         let undo = self.make(operations, name.clone())?;
         push_bounded(&mut self.undo, undo);
@@ -408,6 +413,25 @@ impl FileState {
             self.problem = None;
         }
     }
+}
+
+/// Several operations that are one edit, in words.
+fn name_of(operations: &[Operation]) -> String {
+    let count = |is: fn(&Operation) -> bool| operations.iter().filter(|it| is(it)).count();
+    let added = count(|it| matches!(it, Operation::Add { .. }));
+    let services = count(|it| matches!(it, Operation::SetServices { .. }));
+    let entries = |count| if count == 1 { "entry" } else { "entries" };
+    let mut words = Vec::new();
+    if added > 0 {
+        words.push(format!("{added} new {}", entries(added)));
+    }
+    if services > 0 {
+        words.push(format!("services of {services} {}", entries(services)));
+    }
+    if added + services < operations.len() {
+        words = vec![format!("{} edits", operations.len())];
+    }
+    words.join(", ")
 }
 
 fn push_bounded(steps: &mut Vec<Step>, step: Step) {

@@ -465,7 +465,7 @@ impl App {
     }
 
     /// Goes to the row that the selection is about; where there is none, says so with `otherwise`.
-    fn find_row(&mut self, otherwise: &str) -> bool {
+    pub(super) fn find_row(&mut self, otherwise: &str) -> bool {
         let (bus, address, name) = self.subject();
         let on_bus = |row: &&Row| bus.is_none_or(|bus| row.is_on(bus));
         let fits = |app: &Self, row: &Row| {

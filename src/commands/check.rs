@@ -49,7 +49,11 @@ fn has_file(app: &App) -> Result<(), Failure> {
     let file = app.file();
     let path = || file.path().map_or(String::new(), |path| path.display().to_string());
     if let Some(problem) = file.problem() {
-        return Err(Failure::Unusable(format!("{}: {problem}", path())));
+        let mut text = format!("{}: {problem}", path());
+        for line in problem.excerpt().into_iter().flatten() {
+            let _ = write!(text, "\n    {line}");
+        }
+        return Err(Failure::Unusable(text));
     }
     if !file.is_there() {
         return Err(Failure::Unusable(format!(

@@ -55,7 +55,8 @@ impl From<io::Error> for Failure {
     }
 }
 
-/// Does what the arguments ask for. Errors go to standard error as one line.
+/// Does what the arguments ask for. Errors go to standard error as one line; where a file is not
+/// what it should be, followed by the line that is not.
 pub fn run(cli: Cli) -> ExitCode {
     let result = match cli.command {
         None => look::ui(&cli.session),

@@ -154,11 +154,16 @@ fn step_new(operation: &Operation, base: &Document, theirs: &Document) -> Step {
         (&other.bus, &other.name, other.address) == (&entry.bus, &entry.name, entry.address)
     };
     let known = base.entries().iter().filter(is_same).count();
-    let Some(found) = theirs.entries().iter().filter(is_same).nth(known) else {
+    let same = theirs.entries().iter().filter(is_same).nth(known);
+    let is_new = matches!(operation, Operation::Add { .. });
+    let Some(found) = same.or_else(|| namesake(&entry, base, theirs).filter(|_| is_new)) else {
         return Step::Make(operation.clone());
     };
     if found.meaning() == entry.meaning() {
         return Step::Done;
+    }
+    if is_new && let Some(step) = step_known(&entry, found, theirs) {
+        return step;
     }
     let removal = Operation::Remove { entry: theirs.key(found.index) };
     Step::Conflict {
@@ -166,6 +171,49 @@ fn step_new(operation: &Operation, base: &Document, theirs: &Document) -> Step {
         theirs: differences(&entry, found),
         insist: vec![removal, operation.clone()],
     }
+}
+
+/// The entry that they brought of the same device, as far as can be told: where each side brought
+/// only one of its name.
+fn namesake<'d>(entry: &Entry, base: &Document, theirs: &'d Document) -> Option<&'d Entry> {
+    let is_namesake = |other: &&Entry| (&other.bus, &other.name) == (&entry.bus, &entry.name);
+    if base.entries().iter().any(|other| is_namesake(&other)) {
+        return None;
+    }
+    let mut found = theirs.entries().iter().filter(is_namesake);
+    let only = found.next().filter(|_| found.next().is_none())?;
+    let is_other = only.uid.is_some() && entry.uid.is_some() && only.uid != entry.uid;
+    (!is_other).then_some(only)
+}
+
+/// For a new entry of ours whose device theirs has too: what ours says is set in theirs, all else
+/// stays. None where that is not enough.
+fn step_known(entry: &Entry, found: &Entry, theirs: &Document) -> Option<Step> {
+    if found.uid.is_some() && entry.uid.is_some() && found.uid != entry.uid {
+        return None;
+    }
+    let mut members = Vec::new();
+    let mut insist = Vec::new();
+    let key = theirs.key(found.index);
+    // An address that is not pinned is only where it was seen.
+    if entry.is_static && (entry.address, true) != (found.address, found.is_static) {
+        members.extend([Member::Address, Member::Static]);
+        insist.push(Operation::SetAddress { entry: key, from: found.address, to: entry.address? });
+    }
+    // Where it lists none, that is how its author wants it.
+    let lists_others = found.services.as_ref().is_some_and(|it| !it.is_empty())
+        && entry.services != found.services;
+    if let Some(services) = entry.services.clone().filter(|_| lists_others) {
+        members.push(Member::Services);
+        let entry = theirs.key(found.index);
+        // Before the address, which is part of the key.
+        insist.insert(0, Operation::SetServices { entry, services });
+    }
+    if members.is_empty() {
+        return Some(Step::Done);
+    }
+    let (ours, theirs) = (describe(&members, entry), describe(&members, found));
+    Some(Step::Conflict { ours, theirs, insist })
 }
 
 /// For each entry of the base, the entry of theirs that it has become.

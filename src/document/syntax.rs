@@ -3,6 +3,7 @@
 use std::fmt;
 
 use serde::de::IgnoredAny;
+use unicode_width::UnicodeWidthChar;
 
 use super::position::Positions;
 use super::scan;
@@ -29,6 +30,16 @@ pub struct ParseError {
     pub line_text: String,
     /// Which character of `line_text`, from 0, the error is at; it may be just behind its end.
     pub caret: usize,
+}
+
+impl ParseError {
+    /// The line, and below it a caret that points at the place; none where there is nothing to see.
+    pub fn excerpt(&self) -> Option<[String; 2]> {
+        let before = self.line_text.chars().take(self.caret);
+        let cells: usize = before.filter_map(UnicodeWidthChar::width).sum();
+        let is_visible = !self.line_text.trim().is_empty();
+        is_visible.then(|| [self.line_text.clone(), format!("{}^", " ".repeat(cells))])
+    }
 }
 
 /// The source as text, once it is sure to be JSON or blank.

@@ -150,7 +150,10 @@ fn hint(brush: &Brush, name: &str) -> Option<(Key, &'static str)> {
     let view = brush.app.view();
     let here = match (name, view.page, &view.evidence) {
         ("details", Page::Timeline, _) => "frames",
-        ("details", Page::Problems, _) if brush.screen.details.height > 0 => "frames",
+        ("details", Page::Problems, _) if brush.screen.details.height > 0 => {
+            let is_seen = brush.app.selected_problem().is_none_or(|problem| problem.was_seen());
+            if is_seen { "frames" } else { "its row" }
+        }
         ("details", Page::Traffic, Some(evidence)) if evidence.around => "only evidence",
         ("details", Page::Traffic, Some(_)) => "all around it",
         ("problem", Page::Problems, _) => "its device",

@@ -43,9 +43,13 @@ fn draw_list(brush: &mut Brush) {
     let title = format!("    {} {time}WHAT", fit("WHERE", bus_width(brush) + ADDRESS));
     let line = Line::from(brush.span(Role::Header, title));
     brush.line(header, 0, &line);
+    let list = draw_file_problem(brush, list);
     let app = brush.app;
     let problems = app.problems_shown();
     if problems.is_empty() {
+        if app.file().problem().is_some() && app.problems().is_empty() {
+            return;
+        }
         if !app.view().filter(Page::Problems).is_empty() {
             return brush.filtered(list, "no problem fits the filter");
         }
@@ -68,6 +72,22 @@ fn draw_list(brush: &mut Brush) {
             brush.select(list, row as u16);
         }
     }
+}
+
+/// Why des.json cannot be used as it is, below the list; the area that is left for the problems.
+fn draw_file_problem(brush: &mut Brush, list: Rect) -> Rect {
+    let file = brush.app.file();
+    let Some(problem) = file.problem() else { return list };
+    let mut lines = vec![Line::default()];
+    let text = format!("{}: {problem}", file.name());
+    lines.extend(labelled(brush, "  ✗ ", Role::Error, &text, list.width));
+    for text in problem.excerpt().into_iter().flatten() {
+        lines.push(Line::from(brush.span(Role::Text, format!("  {text}"))));
+    }
+    let height = list.height.min(lines.len() as u16);
+    let left = Rect { height: list.height - height, ..list };
+    brush.lines(Rect { y: left.bottom(), height, ..list }, &lines, 0);
+    left
 }
 
 fn problem_line(brush: &Brush, problem: &Problem, list: Rect, selected: bool) -> Line<'static> {
