@@ -53,8 +53,8 @@ const TOLD: &str = r#"{"time":1436509052.1,"event":"file","file":{"path":"des.js
 {"time":1436509052.7,"event":"services","bus":"can0","address":12,"name":"FEED","services":[{"index":0,"name":"DES","version":"1.0","extra":[]}],"changed":false}
 {"time":1436509054.100001,"event":"mode","bus":"can0","address":12,"name":"FEED","mode":"UFUNC","from":"WORK"}
 {"time":1436509055.1,"event":"mode","bus":"can0","address":12,"name":"FEED","mode":"WORK","from":"UFUNC"}
-{"time":1436509058.45,"event":"rebooted","bus":"can0","address":12,"name":"FEED"}
 {"time":1436509058.5,"event":"debug","bus":"can0","address":12,"name":"FEED","code":42,"data":"01FE"}
+{"time":1436509059.45,"event":"rebooted","bus":"can0","address":12,"name":"FEED"}
 {"time":1436509062.95,"event":"stale","bus":"can0","address":12,"name":"FEED"}
 {"time":1436509063.45,"event":"returned","bus":"can0","address":12,"name":"FEED","was":"stale"}
 {"time":1436509065.95,"event":"stale","bus":"can0","address":12,"name":"FEED"}
@@ -81,8 +81,8 @@ const IN_WORDS: &str = "\
 06:17:32.700  12 FEED         1 service
 06:17:34.100  12 FEED         WORK → UFUNC
 06:17:35.100  12 FEED         UFUNC → WORK
-06:17:38.450  12 FEED         rebooted
 06:17:38.500  12 FEED         debug message 02A 01 FE
+06:17:39.450  12 FEED         rebooted
 06:17:42.950  12 FEED         stale: its heartbeat is late
 ";
 

@@ -139,6 +139,7 @@ impl Engine {
             }
         }
         if restarted {
+            self.roster.get_mut(index).heartbeat.forget_phase();
             self.note_reboot(now, index);
         }
         let device = self.roster.get(index);

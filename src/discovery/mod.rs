@@ -407,9 +407,8 @@ impl Engine {
 
     fn tell_findings(&mut self) {
         while let Some((key, confidence)) = self.collisions.poll_changed() {
-            if let (true, Confidence::Cleared, Some(address)) =
-                (key.kind.is_collision(), confidence, key.address)
-            {
+            let shared = key.kind.is_collision() || key.kind == FindingKind::BusErrors;
+            if let (true, Confidence::Cleared, Some(address)) = (shared, confidence, key.address) {
                 self.ask_anew(address);
             }
             let at = key.address.and_then(|address| self.roster.current(address));
