@@ -163,7 +163,10 @@ impl Stage {
     fn draw(&mut self) {
         let (columns, rows) = self.size;
         let mut terminal = Terminal::new(TestBackend::new(columns, rows)).unwrap();
-        terminal.draw(|frame| descan::ui::draw(&self.app, &self.theme, frame)).unwrap();
+        let mut scrolled = None;
+        let (app, theme) = (&self.app, &self.theme);
+        terminal.draw(|frame| scrolled = descan::ui::draw(app, theme, frame)).unwrap();
+        self.app.handle_drawn(scrolled);
         for cell in terminal.backend().buffer().content() {
             assert!(
                 cell.symbol().chars().all(descan::text::is_printable),

@@ -182,8 +182,22 @@ impl Stage {
     fn buffer(&self, theme: &str) -> Buffer {
         let mut terminal = Terminal::new(TestBackend::new(self.size.0, self.size.1)).unwrap();
         let theme = Theme::built_in(theme).unwrap();
-        terminal.draw(|frame| ui::draw(&self.app, &theme, frame)).unwrap();
+        terminal
+            .draw(|frame| {
+                ui::draw(&self.app, &theme, frame);
+            })
+            .unwrap();
         terminal.backend().buffer().clone()
+    }
+
+    /// Draws, and tells the app how far its text could be scrolled.
+    fn drawn(&mut self) -> &mut Self {
+        let mut terminal = Terminal::new(TestBackend::new(self.size.0, self.size.1)).unwrap();
+        let theme = Theme::built_in("terminal").unwrap();
+        let mut scrolled = None;
+        terminal.draw(|frame| scrolled = ui::draw(&self.app, &theme, frame)).unwrap();
+        self.app.handle_drawn(scrolled);
+        self
     }
 
     /// The screen as text.
@@ -1127,6 +1141,24 @@ fn a_collision_is_one_problem_whatever_shows_it() {
 }
 
 #[test]
+fn text_that_was_scrolled_past_its_end_comes_back_at_once() {
+    let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), None);
+    stage.until(12.0).size(80, 24).keys("?");
+    let top = stage.screen();
+    let end = stage.keys("G").drawn().screen();
+    assert_ne!(end, top);
+    assert!(!end.contains("more"), "{end}");
+    assert_eq!(stage.keys("Down Down PgDn").drawn().screen(), end, "there is no more");
+    assert_ne!(stage.keys("Up").drawn().screen(), end);
+    assert_eq!(stage.keys("g").drawn().screen(), top);
+    assert!(stage.keys("PgDn PgUp").drawn().screen() == top, "a screenful down and up");
+    let details = stage.keys("Esc Right").drawn().screen();
+    let end = stage.keys("G Down Down").drawn().screen();
+    assert_ne!(end, details);
+    assert_ne!(stage.keys("Up").drawn().screen(), end);
+}
+
+#[test]
 fn errors_that_follow_an_address_belong_to_its_problem() {
     use descan::sim::{DeviceSpec, Fault};
     let act = |label: &str, service: &str| {
@@ -1612,7 +1644,11 @@ impl Pair {
         self.app.handle_resize(width, height);
         let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
         let theme = Theme::built_in("dark").unwrap();
-        terminal.draw(|frame| ui::draw(&self.app, &theme, frame)).unwrap();
+        terminal
+            .draw(|frame| {
+                ui::draw(&self.app, &theme, frame);
+            })
+            .unwrap();
         text_of(terminal.backend().buffer())
     }
 }

@@ -164,8 +164,17 @@ impl App {
 
     fn scroll_details(&mut self, delta: isize) {
         let scroll = usize::from(self.view.details_scroll).saturating_add_signed(delta);
-        // Where the text ends is only known when it is drawn; drawing does not go past it.
-        self.view.details_scroll = u16::try_from(scroll).unwrap_or(u16::MAX).min(999);
+        // Where the text ends is only known when it is drawn, and told back then.
+        self.view.details_scroll = u16::try_from(scroll).unwrap_or(u16::MAX);
+    }
+
+    /// Takes how far the text that scrolls was scrolled as it was drawn: not past its end.
+    pub fn handle_drawn(&mut self, scrolled: Option<u16>) {
+        let Some(scrolled) = scrolled else { return };
+        match &mut self.overlay {
+            Overlay::Help(at) => *at = scrolled,
+            _ => self.view.details_scroll = scrolled,
+        }
     }
 
     fn move_list(&mut self, delta: isize) {
@@ -381,11 +390,18 @@ impl App {
         self.overlay = Overlay::Help(0);
     }
 
-    /// Command: scrolls the help.
+    /// Command: scrolls the help by lines.
     pub fn scroll_help(&mut self, by: i16) {
         if let Overlay::Help(at) = &mut self.overlay {
-            *at = at.saturating_add_signed(by).min(999);
+            *at = at.saturating_add_signed(by);
         }
+    }
+
+    /// Command: scrolls the help by screenfuls.
+    pub fn page_help(&mut self, pages: i16) {
+        let screen = self.screen();
+        let height = screen.footer.y.saturating_sub(screen.tabs.bottom()).max(3) - 2;
+        self.scroll_help(pages.saturating_mul(height.cast_signed()));
     }
 
     /// Command: the next theme.

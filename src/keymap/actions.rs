@@ -169,10 +169,13 @@ actions! {
     }
     Help Answer: {
         "help-up" "Scroll the help up" "" ["Up" "k"] => |app, _| app.scroll_help(-1);
-        "help-down" "Scroll the help down" "scroll" ["Down" "j" "Space"]
+        "help-down" "Scroll the help down" "scroll" ["Down" "j"]
             => |app, _| app.scroll_help(1);
-        "help-page-up" "A screenful up" "" ["PgUp" "Ctrl-b"] => |app, _| app.scroll_help(-10);
-        "help-page-down" "A screenful down" "" ["PgDn" "Ctrl-f"] => |app, _| app.scroll_help(10);
+        "help-page-up" "A screenful up" "" ["PgUp" "Ctrl-b"] => |app, _| app.page_help(-1);
+        "help-page-down" "A screenful down" "" ["PgDn" "Ctrl-f" "Space"]
+            => |app, _| app.page_help(1);
+        "help-first" "To the first line" "" ["g" "Home"] => |app, _| app.scroll_help(i16::MIN);
+        "help-last" "To the last line" "" ["G" "End"] => |app, _| app.scroll_help(i16::MAX);
         "help-close" "Close the help" "close" ["Esc" "?" "q" "Enter" "F1"]
             => |app, _| app.cancel();
     }

@@ -90,7 +90,7 @@ pub async fn run(session: &mut Session, themes: &mut Themes) -> io::Result<Endin
             },
             () = sleep_until(draw_at), if session.app.is_dirty() => {
                 session.app.take_dirty();
-                terminal.draw(&session.app, &themes.current)?;
+                terminal.draw(&mut session.app, &themes.current)?;
                 last_draw = Some(Instant::now());
                 pace = PACE;
             }

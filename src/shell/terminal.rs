@@ -41,11 +41,13 @@ impl Terminal {
         self.screen.size().map(|size| (size.width, size.height))
     }
 
-    /// Draws `app`.
-    pub fn draw(&mut self, app: &crate::app::App, theme: &Theme) -> io::Result<()> {
+    /// Draws `app`, and tells it how far its text could be scrolled.
+    pub fn draw(&mut self, app: &mut crate::app::App, theme: &Theme) -> io::Result<()> {
         self.screen.backend_mut().write_all(SYNC_BEGIN)?;
-        self.screen.draw(|frame| crate::ui::draw(app, theme, frame))?;
+        let mut scrolled = None;
+        self.screen.draw(|frame| scrolled = crate::ui::draw(app, theme, frame))?;
         self.screen.backend_mut().write_all(SYNC_END)?;
+        app.handle_drawn(scrolled);
         Write::flush(self.screen.backend_mut())
     }
 

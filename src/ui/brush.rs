@@ -20,6 +20,8 @@ pub struct Brush<'a> {
     pub buffer: &'a mut Buffer,
     /// Where the terminal's cursor is to stand, where something is typed.
     pub cursor: Option<Position>,
+    /// How far the text that scrolls is scrolled, where there is one.
+    pub scrolled: Option<u16>,
 }
 
 impl Brush<'_> {
@@ -70,6 +72,7 @@ impl Brush<'_> {
         let height = usize::from(area.height);
         let hidden = lines.len().saturating_sub(height);
         let scroll = usize::from(scroll).min(hidden);
+        self.scrolled = self.scrolled.max(u16::try_from(scroll).ok());
         let is_more = hidden > scroll && height > 0;
         let height = height - usize::from(is_more);
         for (row, line) in lines.iter().skip(scroll).take(height).enumerate() {

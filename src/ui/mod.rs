@@ -36,15 +36,17 @@ use crate::theme::{Role, Theme};
 use brush::Brush;
 use ratatui::Frame;
 
-/// Draws all of it.
-pub fn draw(app: &App, theme: &Theme, frame: &mut Frame) {
+/// Draws all of it. Comes back with how far the text that scrolls (details, help) is scrolled,
+/// where there is one: not past its end, which is known only here.
+pub fn draw(app: &App, theme: &Theme, frame: &mut Frame) -> Option<u16> {
     let area = frame.area();
     let mut screen = app.screen();
     if screen.whole != area {
         // The terminal was resized and the app was not told yet: the next draw will fit.
         screen = crate::app::Screen::default();
     }
-    let mut brush = Brush { app, theme, screen, buffer: frame.buffer_mut(), cursor: None };
+    let mut brush =
+        Brush { app, theme, screen, buffer: frame.buffer_mut(), cursor: None, scrolled: None };
     brush.buffer.set_style(area, theme.style(Role::Text));
     status::draw(&mut brush);
     match app.overlay() {
@@ -53,9 +55,11 @@ pub fn draw(app: &App, theme: &Theme, frame: &mut Frame) {
         _ => page(&mut brush),
     }
     footer::draw(&mut brush);
-    if let Some(cursor) = brush.cursor {
+    let (cursor, scrolled) = (brush.cursor, brush.scrolled);
+    if let Some(cursor) = cursor {
         frame.set_cursor_position(cursor);
     }
+    scrolled
 }
 
 fn page(brush: &mut Brush) {

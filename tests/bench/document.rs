@@ -63,7 +63,11 @@ fn main() {
     for page in ["1", "4"] {
         timed("a key that turns the page", || app.handle_key(app.now(), Key::parse(page).unwrap()));
         timed("drawn", || {
-            terminal.draw(|frame| ui::draw(&app, &theme, frame)).unwrap();
+            terminal
+                .draw(|frame| {
+                    ui::draw(&app, &theme, frame);
+                })
+                .unwrap();
         });
     }
     app.handle_key(app.now(), Key::parse("1").unwrap());
