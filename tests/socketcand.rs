@@ -422,7 +422,7 @@ fn a_server_that_is_not_there_ends_a_scan_with_the_way_out() {
 #[test]
 fn a_server_that_never_opens_the_bus_is_no_bus_without_devices() {
     for (words, cause) in [("", "nobody answers"), ("HTTP/1.1 400 <>< what ><", "cannot be read")] {
-        for command in ["scan", "check"] {
+        for command in ["scan", "check", "watch"] {
             let mut server = Server::new();
             let spec = server.spec();
             let folder = tempfile::tempdir().unwrap();

@@ -3,7 +3,7 @@
 //!
 //! The JSON's names, types and meanings are relied on by scripts.
 
-use super::headless::{self, Limits, why_unusable};
+use super::headless::{self, Limits, why_not_open, why_unusable};
 use super::open::{self, Setup};
 use super::report::{
     BusReport, FileReport, FindingReport, ServiceReport, of_bus, of_file, of_finding, of_services,
@@ -13,6 +13,7 @@ use crate::app::{App, AppOptions, Filter, Happening, Scope, TimelineEntry, clock
 use crate::cli::Watch;
 use crate::discovery::{Event, EventKind, Finding, Presence};
 use crate::frame::{BusIndex, IdPattern};
+use crate::shell::ending::Ending;
 use crate::shell::recording::Pace;
 use crate::shell::session::Session;
 use crate::status::Link;
@@ -43,13 +44,18 @@ pub fn run(watch: &Watch) -> Result<u8, Failure> {
         headless::recorded(log, &setup, options, (pace, limits), |app| teller.tell(app))?;
     } else {
         let mut patience = Patience::default();
-        headless::live(&buses, &setup, options, limits, |session| {
+        let outcome = headless::live(&buses, &setup, options, limits, |session| {
             // What cannot be used from the start is told as that, and nothing else.
             if patience.check(session)? {
                 teller.tell(&mut session.app)?;
             }
             Ok(ControlFlow::Continue(()))
         })?;
+        if outcome.ending != Some(Ending::Interrupted)
+            && let Some(why) = patience.why_never_open(&outcome.app)
+        {
+            return Err(Failure::Unusable(why));
+        }
     }
     Ok(FINE)
 }
@@ -90,6 +96,12 @@ impl Patience {
             }
         }
         Ok(self.was_open.iter().all(|was_open| *was_open))
+    }
+
+    /// Why one of the buses was not open in all this time.
+    fn why_never_open(&self, app: &App) -> Option<String> {
+        let buses = app.buses().iter().zip(&self.was_open);
+        buses.filter(|(_, was_open)| !**was_open).find_map(|(bus, _)| why_not_open(bus))
     }
 }
 
