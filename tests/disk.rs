@@ -151,6 +151,32 @@ fn a_file_that_is_a_mount_point() {
     disk.is_saved_at_last();
 }
 
+/// A network file system may take its time, or all the time there is.
+#[test]
+fn a_disk_that_does_not_come_to_an_end() {
+    if !may_mount() {
+        return;
+    }
+    let mut disk = Disk::new(
+        "printf '#include <unistd.h>\nint fsync(int file) { for (;;) pause(); }\n' >../never.c \
+         && cc -shared -fPIC -o ../never.so ../never.c && as=\"env LD_PRELOAD=$PWD/../never.so\"",
+    );
+    disk.pty.send("ge\x1547\r");
+    disk.pty.wait_for("… saving 1");
+    // It is worked with meanwhile.
+    disk.pty.send("R\x15PUMP\r");
+    disk.pty.wait_for("… saving 2");
+    disk.pty.send("3");
+    disk.pty.wait_for("entry FEED renamed to PUMP");
+    disk.pty.send("q");
+    disk.pty.wait_for("2 edits are being saved, then it quits. Quit without waiting?");
+    disk.pty.send("y");
+    assert_eq!(disk.pty.wait(), 0);
+    disk.pty.assert_given_back();
+    let content = fs::read_to_string(disk.folder.path().join("disk/des.json")).unwrap();
+    assert_eq!(content, BEFORE);
+}
+
 #[test]
 fn a_folder_that_others_own() {
     if !may_mount() {

@@ -205,7 +205,7 @@ impl Case<'_> {
             Ok(document) => document,
             Err(error) => {
                 self.tally.broken += 1;
-                let lines = source.iter().filter(|byte| **byte == b'\n').count() + 1;
+                let lines = source.split(|byte| *byte == b'\n').count();
                 assert!((1..=lines).contains(&error.line) && error.column >= 1, "{error}");
                 assert!(error.line_text.chars().count() < 1000, "{error:?}");
                 let shown =

@@ -101,10 +101,12 @@ pub struct Saving {
     operations: usize,
 }
 
-/// An edit that can be taken back (or made again): operations on the document they were made for.
+/// An edit that can be taken back (or made again).
 #[derive(Clone, Debug)]
 struct Step {
-    on: Document,
+    /// The document that the operations are for; none where it is what the step above comes to: a
+    /// document may be megabytes, and there may be many steps.
+    on: Option<Document>,
     operations: Vec<Operation>,
     /// The edit's name.
     name: String,
@@ -318,8 +320,9 @@ impl FileState {
             [only] => only.to_string(),
             many => name_of(many),
         };
+        let before = self.document.clone();
         let undo = self.make(operations, name.clone())?;
-        push_bounded(&mut self.undo, undo);
+        push(&mut self.undo, undo, &before);
         self.redo.clear();
         Ok(name)
     }
@@ -327,27 +330,30 @@ impl FileState {
     /// Takes the last edit back; its name. On a conflict nothing is done and it is told.
     pub fn undo(&mut self) -> Result<String, Refusal> {
         self.check()?;
-        let step = self.undo.pop().ok_or(Refusal::NothingToUndo)?;
-        let name = step.name.clone();
+        let step = pop(&mut self.undo).ok_or(Refusal::NothingToUndo)?;
+        let (name, before) = (step.name.clone(), self.document.clone());
         let redo = self.take_step(step)?;
-        push_bounded(&mut self.redo, redo);
+        push(&mut self.redo, redo, &before);
         Ok(name)
     }
 
     /// Makes it again; its name.
     pub fn redo(&mut self) -> Result<String, Refusal> {
         self.check()?;
-        let step = self.redo.pop().ok_or(Refusal::NothingToRedo)?;
-        let name = step.name.clone();
+        let step = pop(&mut self.redo).ok_or(Refusal::NothingToRedo)?;
+        let (name, before) = (step.name.clone(), self.document.clone());
         let undo = self.take_step(step)?;
-        push_bounded(&mut self.undo, undo);
+        push(&mut self.undo, undo, &before);
         Ok(name)
     }
 
     /// Makes a step's operations on what is there now. Where somebody else changed the same value
     /// since, theirs stands: taking back is no reason to overwrite it.
     fn take_step(&mut self, step: Step) -> Result<Step, Refusal> {
-        match merge(&step.on, &step.operations, &self.document, Prefer::Theirs)? {
+        let Some(on) = step.on.filter(|on| *on != self.document) else {
+            return self.make(&step.operations, step.name);
+        };
+        match merge(&on, &step.operations, &self.document, Prefer::Theirs)? {
             Merge::Rebased { operations, .. } => self.make(&operations, step.name),
             Merge::Conflict(_) => Err(Refusal::Conflict),
         }
@@ -365,7 +371,7 @@ impl FileState {
         inverses.reverse();
         self.pending.extend_from_slice(operations);
         self.document = document.clone();
-        Ok(Step { on: document, operations: inverses, name })
+        Ok(Step { on: Some(document), operations: inverses, name })
     }
 
     /// What is to be saved now, if anything; the save counts as on its way.
@@ -434,11 +440,32 @@ fn name_of(operations: &[Operation]) -> String {
     words.join(", ")
 }
 
-fn push_bounded(steps: &mut Vec<Step>, step: Step) {
+/// Puts a step on top, which leads back to `before`.
+fn push(steps: &mut Vec<Step>, step: Step, before: &Document) {
     if steps.len() == FileState::STEPS {
         steps.remove(0);
     }
+    if let Some(below) = steps.last_mut()
+        && below.on.as_ref() == Some(before)
+    {
+        below.on = None;
+    }
     steps.push(step);
+}
+
+/// Takes the step on top off.
+fn pop(steps: &mut Vec<Step>) -> Option<Step> {
+    let step = steps.pop()?;
+    let on = step.on.as_ref()?;
+    if steps.last().is_some_and(|below| below.on.is_none()) {
+        let back = step.operations.iter().try_fold(on.clone(), |on, it| on.apply(it));
+        match (back, steps.last_mut()) {
+            (Ok(back), Some(below)) => below.on = Some(back),
+            // They cannot be told what they are for any more.
+            _ => steps.clear(),
+        }
+    }
+    Some(step)
 }
 
 #[cfg(test)]
@@ -497,6 +524,34 @@ mod tests {
         let saving = file.start_saving().unwrap();
         assert_eq!(saving.expected.unwrap().source(), theirs.as_bytes());
         assert_eq!(saving.content.source(), theirs.replace("12", "16").as_bytes());
+    }
+
+    #[test]
+    fn edits_are_taken_back_across_what_others_wrote_and_few_documents_are_kept() {
+        let mut file = opened();
+        let kept = |file: &FileState| file.undo.iter().filter(|step| step.on.is_some()).count();
+        let saved = |file: &mut FileState| {
+            file.start_saving().unwrap();
+            file.handle_saved(SaveOutcome::Saved);
+        };
+        for to in 13..=20 {
+            file.edit(&[set_address(&file, to)]).unwrap();
+            saved(&mut file);
+        }
+        assert_eq!(kept(&file), 1);
+        let noted = |address: &str| FILE.replace("12", address).replace("true", "true, \"x\":1");
+        assert_eq!(file.read(content(&noted("20"))), Change::Content);
+        for to in 21..=25 {
+            file.edit(&[set_address(&file, to)]).unwrap();
+        }
+        assert_eq!(kept(&file), 2);
+        while file.undo().is_ok() {}
+        assert_eq!(source(&file), noted("12"));
+        while file.redo().is_ok() {}
+        assert_eq!(source(&file), noted("25"));
+        assert!(kept(&file) <= 2);
+        (0..9).for_each(|_| drop(file.undo().unwrap()));
+        assert_eq!(source(&file), noted("16"));
     }
 
     /// On a slow disk the new content is seen long before the save is over.

@@ -89,14 +89,18 @@ fn show(buses: &[BusSpec], setup: &Setup, clock: Clock) -> Result<u8, Failure> {
         .enable_all()
         .build()
         .context("no event loop")?;
-    let ending = runtime.block_on(async {
+    let result = runtime.block_on(async {
         let mut session = open::session(buses, setup, clock, options)?;
         let ending = screen::run(&mut session, &mut themes).await.context("the terminal");
-        session.finish_work().await;
+        // With edits that are not saved only who does not want to wait for them quits.
+        let gives_up = matches!(ending, Ok(Ending::Quit)) && session.app.file().unsaved() > 0;
+        session.finish_work(!gives_up).await;
         open::tell_recorded(session.finish_recording());
         Ok::<Ending, Failure>(ending?)
-    })?;
-    Ok(match ending {
+    });
+    // Not dropped: that would wait for what was not to be waited for.
+    runtime.shutdown_background();
+    Ok(match result? {
         Ending::Quit => FINE,
         Ending::Terminated | Ending::Hangup => INTERRUPTED,
     })

@@ -50,6 +50,13 @@ pub enum Finished {
     Written(PathBuf, Result<(), String>),
 }
 
+/// Work on files, on a thread of its own.
+struct Work {
+    handle: JoinHandle<Finished>,
+    /// Of des.json, not of another file.
+    is_save: bool,
+}
+
 /// See the module's documentation.
 pub struct Session {
     /// All state.
@@ -60,7 +67,7 @@ pub struct Session {
     named: Vec<usize>,
     store: Option<Store>,
     watch: Option<Watch>,
-    work: Vec<JoinHandle<Finished>>,
+    work: Vec<Work>,
     recorder: Option<Recorder>,
     searching: Option<Searching>,
     batch: Vec<Frame>,
@@ -146,7 +153,7 @@ impl Session {
             if work.is_empty() {
                 return pending().await;
             }
-            let (result, at, _) = select_all(work.iter_mut()).await;
+            let (result, at, _) = select_all(work.iter_mut().map(|it| &mut it.handle)).await;
             (result, at)
         };
         tokio::select! {
@@ -285,10 +292,11 @@ impl Session {
             match effect {
                 Effect::Save { expected, content } => self.start_save(expected, content),
                 Effect::WriteFile { path, bytes } => {
-                    self.work.push(spawn_blocking(move || {
+                    let handle = spawn_blocking(move || {
                         let result = write_new(path.clone(), &bytes);
                         Finished::Written(path, result)
-                    }));
+                    });
+                    self.work.push(Work { handle, is_save: false });
                 }
                 Effect::FindBitrate(index) => {
                     let Some(bus) = self.app.bus(index) else { continue };
@@ -309,7 +317,7 @@ impl Session {
     /// fsync may take long on a network file system: not on the thread that draws.
     fn start_save(&mut self, expected: Option<Document>, content: Document) {
         let Some(store) = self.store.clone() else { return };
-        self.work.push(spawn_blocking(move || {
+        let handle = spawn_blocking(move || {
             let expected = expected.as_ref().map(Document::source);
             let outcome = match store.save(expected, content.source()) {
                 Ok(()) => SaveOutcome::Saved,
@@ -317,13 +325,20 @@ impl Session {
                 Err(error) => SaveOutcome::Failed(error.to_string()),
             };
             Finished::Saved(outcome, content.source().to_vec())
-        }));
+        });
+        self.work.push(Work { handle, is_save: true });
     }
 
-    /// Waits for work on files that has begun: nothing half-written is left behind.
-    pub async fn finish_work(&mut self) {
-        for work in std::mem::take(&mut self.work) {
-            let _ = work.await;
+    /// Waits for work on files that has begun, unless it is ended by Ctrl-C: nothing half-written is
+    /// left behind. For the save of des.json only where that is wanted: whenever it breaks off, the
+    /// file is whole, and as it was or as it was to be.
+    pub async fn finish_work(&mut self, waits_for_save: bool) {
+        let wanted = |work: &Work| waits_for_save || !work.is_save;
+        for work in std::mem::take(&mut self.work).into_iter().filter(wanted) {
+            tokio::select! {
+                _ = work.handle => {}
+                _ = tokio::signal::ctrl_c() => return,
+            }
         }
     }
 }

@@ -79,6 +79,16 @@ fn main() {
         while !matches!(app.poll_effect().expect("a save"), Effect::Save { .. }) {}
     });
     timed("after it was written", || app.handle_saved(app.now(), SaveOutcome::Saved));
+    timed("taken back, until written", || {
+        app.handle_key(app.now(), Key::parse("u").unwrap());
+        while !matches!(app.poll_effect().expect("a save"), Effect::Save { .. }) {}
+    });
+    app.handle_saved(app.now(), SaveOutcome::Saved);
+    app.handle_key(app.now(), Key::parse("D").unwrap());
+    timed("an entry deleted, the same", || {
+        app.handle_key(app.now(), Key::parse("y").unwrap());
+        while !matches!(app.poll_effect().expect("a save"), Effect::Save { .. }) {}
+    });
 }
 
 /// Entries with services and members of others, 500 bytes each.
