@@ -684,15 +684,15 @@ fn edits_are_refused_where_readers_would_disagree() {
     for (source, expected) in [
         (
             r#"{"devices":[{"name":"A"}],"devices":[{"name":"A"}]}"#,
-            "line 1, column 27: `devices` is there twice: remove one of them, then edit again",
+            "line 1, column 27: `devices` is there twice: remove one of them first",
         ),
         (
             r#"[{"name":"A","address":1,"addr\u0065ss":2}]"#,
-            "line 1, column 26: `address` is there twice: remove one of them, then edit again",
+            "line 1, column 26: `address` is there twice: remove one of them first",
         ),
         (
             r#"[{"name":"A","static":true,"static":true}]"#,
-            "line 1, column 28: `static` is there twice: remove one of them, then edit again",
+            "line 1, column 28: `static` is there twice: remove one of them first",
         ),
     ] {
         let document = parsed(source);
@@ -710,7 +710,7 @@ fn edits_are_refused_where_readers_would_disagree() {
     let error = document.apply(&services(&document, "A", &[("B", "3")])).unwrap_err();
     assert_eq!(
         error.to_string(),
-        "line 1, column 34: `B` is there twice: remove one of them, then edit again"
+        "line 1, column 34: `B` is there twice: remove one of them first"
     );
 }
 

@@ -615,6 +615,10 @@ fn a_wrong_value_leads_to_its_row() {
     stage.keys("Enter");
     let name = stage.app.selected_row().and_then(|row| row.name.clone()).unwrap().to_string();
     assert_eq!((stage.app.view().page, name), (Page::Devices, "ACT".to_owned()));
+    // And the row says it.
+    let screen = stage.size(120, 40).screen();
+    assert!(screen.contains("  16!"), "{screen}");
+    assert!(screen.contains("! `static` is a number; it must"), "{screen}");
     // What is no entry has no row.
     stage.keys("4 g");
     assert!(stage.screen().contains("has no `name`"), "{}", stage.screen());

@@ -48,6 +48,9 @@ pub struct Row {
     pub file: FileWord,
     /// The place of its entry.
     pub entry: Option<usize>,
+    /// Something is wrong with its entry: a value that cannot be used, or another entry that says
+    /// the same.
+    pub is_flawed: bool,
 }
 
 impl Row {
@@ -314,6 +317,7 @@ impl App {
                 row.file = other.file;
             }
             row.entry = row.entry.or(other.entry);
+            row.is_flawed |= other.is_flawed;
             row.also.push(id);
         }
         row
@@ -346,6 +350,7 @@ impl App {
             twin,
             also: Vec::new(),
             file: self.file_word(device, entry.map(|at| &self.file.document().entries()[at])),
+            is_flawed: entry.is_some_and(|at| self.file.document().is_flawed(at)),
             entry,
         }
     }
@@ -386,6 +391,7 @@ impl App {
                 Some(address) if entry.is_static => FileWord::Differs(address),
                 address => FileWord::Listed(address),
             },
+            is_flawed: self.file.document().is_flawed(entry.index),
             entry: Some(entry.index),
         })
     }

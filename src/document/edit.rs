@@ -27,7 +27,7 @@ pub enum EditError {
         address: u8,
     },
     /// Two members of one key, on the way to the value: readers disagree which one counts.
-    #[error("{position}: `{key}` is there twice: remove one of them, then edit again")]
+    #[error("{position}: `{key}` is there twice: remove one of them first")]
     DuplicateMember {
         /// The key.
         key: String,

@@ -75,6 +75,8 @@ struct Inner {
     /// Of each entry, how many before it have its key.
     occurrences: Vec<usize>,
     findings: Vec<DocumentFinding>,
+    /// Of each entry, whether there is a finding about it.
+    is_flawed: Vec<bool>,
 }
 
 /// What the file's one value is, in spans of the body: the source without a byte order mark.
@@ -138,7 +140,11 @@ impl Document {
         findings.extend(finding::collisions(&entries));
         findings.sort_by(|a, b| (a.position, &a.message).cmp(&(b.position, &b.message)));
         let occurrences = occurrences(&entries);
-        let inner = Inner { source, root, elements, entries, occurrences, findings };
+        let mut is_flawed = vec![false; entries.len()];
+        for &index in findings.iter().flat_map(|finding| &finding.entries) {
+            is_flawed[index] = true;
+        }
+        let inner = Inner { source, root, elements, entries, occurrences, findings, is_flawed };
         Self { inner: Arc::new(inner) }
     }
 
@@ -177,6 +183,17 @@ impl Document {
     pub fn find(&self, key: &EntryKey) -> Option<usize> {
         let mut fitting = self.entries().iter().filter(|entry| key.fits(entry));
         fitting.nth(key.occurrence).map(|entry| entry.index)
+    }
+
+    /// What is wrong with the entry at this place.
+    pub fn findings_of(&self, index: usize) -> impl Iterator<Item = &DocumentFinding> {
+        let findings = if self.is_flawed(index) { self.findings() } else { &[] };
+        findings.iter().filter(move |finding| finding.entries.contains(&index))
+    }
+
+    /// Is there a finding about the entry at this place?
+    pub fn is_flawed(&self, index: usize) -> bool {
+        self.inner.is_flawed.get(index) == Some(&true)
     }
 
     fn body(&self) -> &str {

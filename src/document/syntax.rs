@@ -91,7 +91,13 @@ fn syntax_error(body: &str, error: &serde_json::Error) -> ParseError {
     }
     let is_closing = body[at..].starts_with([']', '}']);
     let after_comma = body[..at].trim_end_matches(scan::BLANKS).ends_with(',');
-    let message = if is_closing && after_comma { "a comma before the bracket" } else { message };
+    let is_padded =
+        body[..at].ends_with('0') && body[at..].starts_with(|c: char| c.is_ascii_digit());
+    let message = match message {
+        _ if is_closing && after_comma => "a comma before the bracket",
+        "invalid number" if is_padded => "a number must not begin with 0",
+        message => message,
+    };
     error_at(body, at, message.to_owned())
 }
 

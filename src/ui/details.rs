@@ -320,6 +320,10 @@ impl<'a> Details<'_, 'a> {
         self.add(&label, role, &text);
         if let Some(entry) = app.entry_of(self.row) {
             self.add(" ", Role::Muted, &entry.position.to_string());
+            for finding in app.file().document().findings_of(entry.index) {
+                let text = format!("! {} ({})", finding.message, finding.position);
+                self.add(" ", Role::Warning, &text);
+            }
             if device.is_none() {
                 for service in entry.services.iter().flatten() {
                     let (name, version) = (printable(&service.name), printable(&service.version));

@@ -233,19 +233,25 @@ fn cell(
             None => (Role::Muted, String::new()),
             Some(device) => (plain, age(brush.app.looked_at().since(device.last_seen))),
         },
-        C::File => match row.file {
-            FileWord::Nothing => (Role::Muted, String::new()),
-            FileWord::New => (Role::New, "+ new".to_owned()),
-            FileWord::Listed(None) => (Role::Muted, "  –".to_owned()),
-            FileWord::Listed(Some(address)) | FileWord::Pinned(address) => {
-                (Role::Muted, format!("  {address}"))
-            }
-            FileWord::Agrees(address) => (Role::FileOk, format!("✓ {address}")),
-            FileWord::Differs(address) => (Role::FileDiffers, format!("✗ {address}")),
-        },
+        C::File if row.is_flawed => (Role::Warning, file_word(row).1 + "!"),
+        C::File => file_word(row),
     };
     let text = if column.is_number() { fit_right(&text, width) } else { fit(&text, width) };
     brush.span(role, text)
+}
+
+/// What the file says, and the role of that.
+fn file_word(row: &Row) -> (Role, String) {
+    match row.file {
+        FileWord::Nothing => (Role::Muted, String::new()),
+        FileWord::New => (Role::New, "+ new".to_owned()),
+        FileWord::Listed(None) => (Role::Muted, "  –".to_owned()),
+        FileWord::Listed(Some(address)) | FileWord::Pinned(address) => {
+            (Role::Muted, format!("  {address}"))
+        }
+        FileWord::Agrees(address) => (Role::FileOk, format!("✓ {address}")),
+        FileWord::Differs(address) => (Role::FileDiffers, format!("✗ {address}")),
+    }
 }
 
 /// Its address; where it has others on redundant buses, all of them.

@@ -7,7 +7,7 @@ use crate::theme::Role;
 use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
 
-const SIGNS: [(Role, &str, &str); 20] = [
+const SIGNS: [(Role, &str, &str); 21] = [
     (Role::Online, "● online", "its heartbeats come"),
     (Role::Stale, "◐ stale", "the last heartbeat is late"),
     (Role::Silent, "◌ silent", "frames come, but no heartbeats"),
@@ -24,6 +24,7 @@ const SIGNS: [(Role, &str, &str); 20] = [
     (Role::FileDiffers, "✗ 16", "the file pins it to 16, and it is not there"),
     (Role::Muted, "  12", "listed, not pinned; last at 12"),
     (Role::New, "+ new", "not in the file"),
+    (Role::Warning, "  12!", "something is wrong with its entry: the details say what"),
     (
         Role::Suspected,
         "≈ assumed",
