@@ -154,7 +154,7 @@ impl Engine {
                     return;
                 }
                 let shared = request == Request::Services
-                    && self.collisions.is_open_at(address)
+                    && self.collisions.cases().is_open_at(address)
                     && !self.errors.is_suspect(address);
                 let Some(device) = self.roster.current_device_mut(address) else { continue };
                 // Two that answer in several frames at once destroy each other's: what is known

@@ -696,7 +696,9 @@ impl Engine {
     fn judge_bus(&mut self, frame: &Frame) {
         let (now, frames) = (self.now, self.counters.frames);
         let Some(confidence) = self.errors.rate.confidence(frames) else { return };
-        let Some(finding) = self.collisions.judge_errors(now, None, confidence) else { return };
+        let Some(finding) = self.collisions.cases_mut().judge_errors(now, None, confidence) else {
+            return;
+        };
         finding.add(Evidence { time: frame.time, what: "error frame", frame: Some(*frame) });
         if finding.changed == now || finding.text.is_empty() {
             self.word_bus();
@@ -710,7 +712,7 @@ impl Engine {
         self.errors.outdated = false;
         self.errors.worded = now;
         let Some(confidence) = self.errors.rate.confidence(frames) else { return };
-        if let Some(finding) = self.collisions.judge_errors(now, None, confidence) {
+        if let Some(finding) = self.collisions.cases_mut().judge_errors(now, None, confidence) {
             let summary = self.errors.rate.summary(now, frames);
             (finding.text, finding.remedy) = wording::bus_errors(&summary);
         }
@@ -737,7 +739,7 @@ impl Engine {
         });
         if self.errors.rate.handle_timeout(now, frames) {
             self.errors.outdated = false;
-            self.collisions.judge_errors(now, None, Confidence::Cleared);
+            self.collisions.cases_mut().judge_errors(now, None, Confidence::Cleared);
         } else if self.errors.outdated && now >= self.errors.worded + WORDS {
             self.word_bus();
         }
@@ -751,14 +753,20 @@ impl Engine {
             let (address, due, evidence) = match verdict {
                 Verdict::Named(address, due, evidence) => (address, due, evidence),
                 Verdict::Cleared(address) => {
-                    self.collisions.judge_errors(now, Some(address), Confidence::Cleared);
+                    self.collisions.cases_mut().judge_errors(
+                        now,
+                        Some(address),
+                        Confidence::Cleared,
+                    );
                     continue;
                 }
             };
             let name: Option<Name> =
                 self.roster.current_device(address).and_then(|device| device.name.clone());
             let suspected = Confidence::Suspected;
-            let Some(finding) = self.collisions.judge_errors(now, Some(address), suspected) else {
+            let Some(finding) =
+                self.collisions.cases_mut().judge_errors(now, Some(address), suspected)
+            else {
                 continue;
             };
             if let Some(name) = &name {

@@ -104,7 +104,7 @@ impl Engine {
             && device.mode == heartbeat.mode
             && !self.lateness.is_common();
         let claimed_by_another = sender.is_another && sender.claims;
-        if (off_beat || claimed_by_another) && !self.collisions.is_open_at(address) {
+        if (off_beat || claimed_by_another) && !self.collisions.cases().is_open_at(address) {
             device.name_query.renew(now + period);
             device.services_query.renew(now + period * 6);
             self.wake_at(now);
@@ -129,7 +129,7 @@ impl Engine {
                 let began = matches!(from, Some(Mode::Init | Mode::Arslv));
                 let works = mode.is_working();
                 let other = works.is_some() && from.is_some_and(|from| from.is_working() != works);
-                if (began || other) && !self.collisions.is_open_at(address) {
+                if (began || other) && !self.collisions.cases().is_open_at(address) {
                     device.services_query.renew(now);
                     if began {
                         device.name_query.renew(now);
@@ -146,7 +146,7 @@ impl Engine {
         let (mode, name) = ((device.working, device.is_resolving), device.name.clone());
         self.collisions.see_heartbeat(now, address, heartbeat.uid, mode, name.as_ref(), frame);
         self.errors.see_heartbeat(now, address, frame);
-        if self.collisions.is_suspicious() {
+        if self.collisions.cases().is_suspicious() {
             self.wake_at(now);
         }
         self.tell_gave_way(address, &sender);
@@ -163,7 +163,7 @@ impl Engine {
     fn note_reboot(&mut self, now: Instant, index: usize) {
         let address = self.roster.get(index).address;
         // Two whose answers destroy each other start anew each time they are asked.
-        let shared = self.errors.is_suspect(address) || self.collisions.is_open_at(address);
+        let shared = self.errors.is_suspect(address) || self.collisions.cases().is_open_at(address);
         let ask = if shared { Query::renew } else { Query::start_over };
         let device = self.roster.get_mut(index);
         device.reboots += 1;
@@ -181,7 +181,7 @@ impl Engine {
         let device = self.roster.get(index);
         // Who is known for longer had no heartbeat until now.
         let known = !first || device.name.is_some() && now.since(device.first_seen) > period * 3;
-        if known && !self.collisions.is_open_at(device.address) {
+        if known && !self.collisions.cases().is_open_at(device.address) {
             // Another board, perhaps, which may lay its answers into frames in another way: ask
             // who it is. For its services once it is clear that it is alone: two boards that
             // answer in several frames at once destroy each other's.

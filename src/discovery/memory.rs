@@ -204,8 +204,6 @@ pub(super) struct Watch {
     /// The question before went to both kinds.
     pub asked_both: bool,
     pub tallies: [[Tally; 2]; 2],
-    /// When it was asked the first time since answers told of a second device.
-    pub asked: Option<Instant>,
     pub beats: VecDeque<Beat>,
     /// For how many heartbeats in a row they came at twice the rate.
     pub twice_for: u32,

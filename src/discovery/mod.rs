@@ -25,6 +25,7 @@
 //! where frames come from.
 
 mod asking;
+mod cases;
 mod claims;
 mod collisions;
 mod config;
@@ -195,7 +196,7 @@ impl Engine {
         self.advance(frame.time);
         self.hear(frame);
         self.tell_errors();
-        if self.collisions.has_changed() {
+        if self.collisions.cases().has_changed() {
             self.tell_findings();
         }
     }
@@ -203,7 +204,7 @@ impl Engine {
     /// Takes note that `count` frames were lost before they could be read.
     pub fn handle_lost(&mut self, now: Instant, count: u64) {
         self.advance(now);
-        self.collisions.see_loss(self.now, count);
+        self.collisions.cases_mut().see_loss(self.now, count);
         self.errors.see_loss();
         self.tell_findings();
         self.wake_at(self.now);
@@ -320,7 +321,7 @@ impl Engine {
 
     /// All findings, by the time of their first evidence, cleared ones included.
     pub fn findings(&self) -> &[Finding] {
-        self.collisions.findings()
+        self.collisions.cases().findings()
     }
 
     /// What we are on the bus.
@@ -348,14 +349,17 @@ impl Engine {
             && !self.rounds.is_starting()
             && !self.rounds.is_collecting()
             && progress.open_questions == 0
-            && !self.collisions.is_suspicious()
+            && !self.collisions.cases().is_suspicious()
             && !self.errors.is_looking();
         progress
     }
 
     /// The named counters.
     pub fn counters(&self) -> Counters {
-        Counters { refused: self.counters.refused + self.collisions.refused, ..self.counters }
+        Counters {
+            refused: self.counters.refused + self.collisions.cases().refused,
+            ..self.counters
+        }
     }
 
     /// The settings it runs with.
@@ -406,7 +410,7 @@ impl Engine {
     }
 
     fn tell_findings(&mut self) {
-        while let Some((key, confidence)) = self.collisions.poll_changed() {
+        while let Some((key, confidence)) = self.collisions.cases_mut().poll_changed() {
             let shared = key.kind.is_collision() || key.kind == FindingKind::BusErrors;
             if let (true, Confidence::Cleared, Some(address)) = (shared, confidence, key.address) {
                 self.ask_anew(address);
@@ -474,7 +478,7 @@ impl Engine {
     fn check_suspicions(&mut self) {
         let now = self.now;
         let roster = &mut self.roster;
-        self.collisions.handle_timeout(now, |address| {
+        self.collisions.cases_mut().handle_timeout(now, |address| {
             if let Some(device) = roster.current_device_mut(address)
                 && device.is_here()
             {
@@ -541,7 +545,7 @@ impl Engine {
         if matches!(device.presence, Presence::Lost | Presence::Asleep) {
             return device.presence;
         }
-        let patience = if self.collisions.is_open_at(device.address) { 8 } else { 4 };
+        let patience = if self.collisions.cases().is_open_at(device.address) { 8 } else { 4 };
         let answered = device.name_query.answered_at.max(device.replaced_at);
         let answered = answered.unwrap_or(device.last_seen);
         let period = self.config.profile.heartbeat.period();
@@ -566,7 +570,7 @@ impl Engine {
         at(self.asking_timeout());
         at(self.station.poll_timeout());
         at(self.transfers.poll_timeout());
-        at(self.collisions.poll_timeout());
+        at(self.collisions.cases().poll_timeout());
         at(self.errors_timeout());
         at(self.outbox.poll_timeout());
         wake
