@@ -279,6 +279,12 @@ impl Claims {
         self.nodes.iter().find(|node| node.uid == uid)?.mode
     }
 
+    /// Since when that node beats from `address`.
+    pub fn since(&self, uid: Uid, address: Address) -> Option<Instant> {
+        let node = self.nodes.iter().find(|node| node.uid == uid && node.address == address)?;
+        Some(node.since)
+    }
+
     /// When whoever beats from `address` besides that node began to.
     pub fn came_after(&self, address: Address, uid: Uid) -> Option<Instant> {
         let others = self.nodes.iter().filter(|it| it.uid != uid && it.address == address);

@@ -20,8 +20,14 @@ impl Engine {
             .devices()
             .iter()
             .position(|device| device.address == address && device.name.as_ref() == Some(name));
-        let live = self.roster.get(index).clone();
+        let mut live = self.roster.get(index).clone();
         self.put_aside(index);
+        // A UID that beat here before the old name was said again is the old one's.
+        let said = live.name_query.answered_at;
+        let since = live.uid.and_then(|uid| self.claims.since(uid, address));
+        if since.zip(said).is_some_and(|(since, said)| since <= said) {
+            live.uid = None;
+        }
         let row = match known {
             Some(row) => row,
             None => match self.roster.appear(now, address, working) {
