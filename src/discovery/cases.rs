@@ -65,7 +65,7 @@ pub(super) struct Cases {
     period: Duration,
     passive: bool,
     findings: Vec<Finding>,
-    cases: Vec<Case>,
+    courses: Vec<Case>,
     changed: Vec<(FindingKey, Confidence)>,
     /// When each address was asked the first time since answers told of a second device there.
     asked: [Option<Instant>; Address::COUNT],
@@ -80,7 +80,7 @@ impl Cases {
             period,
             passive,
             findings: Vec::new(),
-            cases: Vec::new(),
+            courses: Vec::new(),
             changed: Vec::new(),
             asked: [None; Address::COUNT],
             rng: fastrand::Rng::with_seed(!seed),
@@ -129,7 +129,7 @@ impl Cases {
     /// somebody asks.
     pub fn told_by_answers(&mut self, at: Option<usize>, address: Address) {
         if let Some(at) = at {
-            self.cases[at].answers = true;
+            self.courses[at].answers = true;
             self.asked[address.index()] = None;
         }
     }
@@ -183,13 +183,13 @@ impl Cases {
                 self.end(now, at);
                 continue;
             }
-            if !self.passive && self.cases[at].next_check.is_some_and(|due| now >= due) {
+            if !self.passive && self.courses[at].next_check.is_some_and(|due| now >= due) {
                 let confirmed = self.findings[at].confidence == Confidence::Confirmed;
                 if let Some(address) = finding.key.address {
                     ask(address);
                 }
                 let next = now + self.uneven(if confirmed { CHECK_AGAIN } else { CHECK });
-                let case = &mut self.cases[at];
+                let case = &mut self.courses[at];
                 case.follow_ups += 1;
                 case.checked_at = now;
                 let goes_on = confirmed || case.follow_ups < MAX_FOLLOW_UPS;
@@ -201,7 +201,7 @@ impl Cases {
     pub fn poll_timeout(&self) -> Option<Instant> {
         self.findings
             .iter()
-            .zip(&self.cases)
+            .zip(&self.courses)
             .enumerate()
             .filter(|(_, (finding, _))| finding.confidence != Confidence::Cleared)
             .filter(|(_, (finding, _))| passes(finding))
@@ -247,9 +247,9 @@ impl Cases {
         let asked = finding.key.address.map(|address| self.asked[address.index()]);
         let usual = finding.last + self.memory();
         match asked {
-            Some(None) if self.cases[at].answers => finding.last + self.longest_memory(),
+            Some(None) if self.courses[at].answers => finding.last + self.longest_memory(),
             // Give it time to answer.
-            Some(Some(asked)) if self.cases[at].answers => usual.max(asked + self.period),
+            Some(Some(asked)) if self.courses[at].answers => usual.max(asked + self.period),
             _ => usual,
         }
     }
@@ -257,7 +257,7 @@ impl Cases {
     /// What was reported just now has been so since then.
     pub fn began(&mut self, now: Instant, at: Option<usize>, since: Instant) {
         if let Some(at) = at {
-            let began = &mut self.cases[at].began;
+            let began = &mut self.courses[at].began;
             *began = Some(began.map_or(since, |began| began.min(since)));
             self.weigh(now, at);
         }
@@ -291,7 +291,7 @@ impl Cases {
         };
         if let Some(at) = self.findings.iter().position(|finding| finding.key == key) {
             if self.findings[at].confidence == Confidence::Cleared {
-                self.cases[at] = case;
+                self.courses[at] = case;
                 self.findings[at].evidence.clear();
                 self.set(now, at, Confidence::Suspected);
             }
@@ -303,7 +303,7 @@ impl Cases {
         }
         self.changed.push((key.clone(), Confidence::Suspected));
         self.findings.push(Finding::new(key, now));
-        self.cases.push(case);
+        self.courses.push(case);
         Some(self.findings.len() - 1)
     }
 
@@ -327,7 +327,7 @@ impl Cases {
         self.findings[at].add(Evidence { time: frame.time, what, frame: Some(*frame) });
         self.findings[at].last = now;
         let soon = now + self.uneven(CHECK / 4);
-        let case = &mut self.cases[at];
+        let case = &mut self.courses[at];
         // What is seen again only after it was looked for in vain begins anew.
         // Where answers tell, from when somebody asked.
         let asked = self.asked[address.index()];
@@ -359,7 +359,7 @@ impl Cases {
             case.next_check = Some(soon);
         }
         self.describe(at);
-        if weight == Weight::Proof && self.cases[at].strong >= PROOFS_CONFIRM {
+        if weight == Weight::Proof && self.courses[at].strong >= PROOFS_CONFIRM {
             self.set(now, at, Confidence::Confirmed);
         }
         if weight != Weight::Weak {
@@ -370,7 +370,7 @@ impl Cases {
 
     /// Confirms a finding whose evidence is strong and went on for long enough.
     fn weigh(&mut self, now: Instant, at: usize) {
-        let case = &self.cases[at];
+        let case = &self.courses[at];
         // Five periods, as unsteady as heartbeats are.
         let enough = self.period.mul_f64(4.95);
         let lasts = case.began.is_some_and(|began| now.since(began) >= enough);
@@ -400,7 +400,7 @@ impl Cases {
     /// Whether there is an open finding with evidence that is more than a hint.
     pub fn has_strong(&self, kind: FindingKind, address: Address) -> bool {
         self.find(kind, address).is_some_and(|at| {
-            self.findings[at].confidence != Confidence::Cleared && self.cases[at].strong > 0
+            self.findings[at].confidence != Confidence::Cleared && self.courses[at].strong > 0
         })
     }
 
@@ -424,9 +424,9 @@ impl Cases {
         };
         if self.findings[old].confidence != Confidence::Cleared {
             if now.since(self.findings[old].last) < self.period.mul_f64(PAUSE) {
-                let (before, began) = (self.cases[old].began, self.cases[new].began);
-                self.cases[new].began = before.into_iter().chain(began).min();
-                self.cases[new].strong += self.cases[old].strong;
+                let (before, began) = (self.courses[old].began, self.courses[new].began);
+                self.courses[new].began = before.into_iter().chain(began).min();
+                self.courses[new].strong += self.courses[old].strong;
             }
             self.set(now, old, Confidence::Cleared);
             self.weigh(now, new);
@@ -444,7 +444,7 @@ impl Cases {
         let was_suspected = self.findings[at].confidence == Confidence::Suspected;
         // One answer too many, or one beat in between, is no contest.
         let least = u32::from(self.findings[at].key.kind == FindingKind::SameNameSameAddress);
-        let gave_way = was_suspected && self.cases[at].strong > least;
+        let gave_way = was_suspected && self.courses[at].strong > least;
         self.set(now, at, Confidence::Cleared);
         let (kind, address) = (self.findings[at].key.kind, self.findings[at].key.address);
         let (true, true, Some(address)) = (gave_way, kind.is_collision(), address) else { return };
@@ -477,7 +477,7 @@ impl Cases {
         finding.changed = now;
         self.changed.push((finding.key.clone(), confidence));
         if confidence == Confidence::Confirmed && finding.key.kind.is_collision() {
-            self.cases[at].next_check = Some(now + self.uneven(CHECK_AGAIN));
+            self.courses[at].next_check = Some(now + self.uneven(CHECK_AGAIN));
         }
     }
 

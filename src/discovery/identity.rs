@@ -24,7 +24,8 @@ impl Engine {
         self.put_aside(index);
         // A UID that beat here before the old name was said again is the old one's.
         let said = live.name_query.answered_at;
-        let since = live.uid.and_then(|uid| self.claims.since(uid, address));
+        let own = live.uid.filter(|uid| self.claims.row_of(*uid) == Some(live.id));
+        let since = own.and_then(|uid| self.claims.since(uid, address));
         if since.zip(said).is_some_and(|(since, said)| since <= said) {
             live.uid = None;
         }
