@@ -1,5 +1,5 @@
 //! The editors people use change des.json while an address is being typed in the real program:
-//! their edit and ours both survive.
+//! their edit and ours both survive; and two such programs.
 //!
 //! An editor that is not installed is left out, and that is said; in CI all must be there.
 
@@ -89,6 +89,46 @@ fn their_edit_and_ours_survive() {
     wait_for_content(&mut pty, &path, &first, "taken back");
     pty.send("q");
     assert_eq!(pty.wait(), 0);
+}
+
+#[test]
+fn two_programs_edit_one_file_and_lose_nothing() {
+    const FILE: &str =
+        "[ {\"name\":\"FEED\",\"address\":9},\n\t{\"name\":\"SENS\",\"address\":12} ]\n";
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("des.json");
+    fs::write(&path, FILE).unwrap();
+    let start = || {
+        let mut pty = Pty::start(&["sim:boiler"], folder.path(), (120, 40));
+        // Their rows stay where the devices are.
+        for device in ["10  FEED ", "12  SENS "] {
+            pty.wait_until(device, |screen| {
+                let contents = screen.contents();
+                contents.lines().any(|line| line.contains(device) && line.contains("online"))
+            });
+        }
+        pty
+    };
+    let (mut first, mut second) = (start(), start());
+    // At once, and on: neither waits for the other.
+    for address in 30..40 {
+        first.send(&format!("ge\x15{address}\r"));
+        second.send(&format!("gje\x15{}\r", address + 50));
+    }
+    let ours = FILE.replace(":9}", ":39,\"static\":true}");
+    let both = ours.replace(":12}", ":89,\"static\":true}");
+    wait_for_content(&mut first, &path, &both, "both");
+    // Each takes back what it did itself.
+    first.send("uuuuuuuuuu");
+    let theirs = FILE.replace(":12}", ":89,\"static\":true}");
+    wait_for_content(&mut first, &path, &theirs, "the first's taken back");
+    second.send("uuuuuuuuuu");
+    wait_for_content(&mut second, &path, FILE, "the second's taken back");
+    for pty in [&mut first, &mut second] {
+        pty.wait_for("✓ 2 entries");
+        pty.send("q");
+        assert_eq!(pty.wait(), 0);
+    }
 }
 
 fn is_there(program: &str) -> bool {

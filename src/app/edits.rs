@@ -73,7 +73,10 @@ impl App {
             let is_known = device.is_here() && !device.is_debug && device.name.is_some();
             is_known && entry.is_none_or(lists_services)
         });
-        let operations: Vec<Operation> = wanted.filter_map(|device| self.taking(device)).collect();
+        let mut wanted: Vec<&Device> = wanted.collect();
+        wanted.sort_by_key(|device| (device.id.bus, device.address));
+        let operations: Vec<Operation> =
+            wanted.into_iter().filter_map(|device| self.taking(device)).collect();
         match operations.len() {
             0 => self.say("every device with a known name is listed already, as it is"),
             _ => self.edit(&operations),
