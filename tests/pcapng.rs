@@ -4,8 +4,7 @@
 #[path = "common/frames.rs"]
 mod frames;
 
-use descan::bus::candump::LineFault;
-use descan::bus::log::{LogReader, Tally};
+use descan::bus::log::{EntryFault, LogReader, Tally};
 use descan::bus::pcapng::{
     Damage, PacketFault, write_frame, write_interface, write_section, write_statistics,
 };
@@ -149,7 +148,7 @@ fn sections_of_either_byte_order_with_times_in_any_unit_are_read() {
     assert_eq!(told, [(0, 1, 0), (1, 2, 376_544), (2, 4, 876_544), (0, 5, 1_376_544)], "{tally:?}");
     assert_eq!(tally.epoch.unwrap().unix_micros(Instant::ZERO), 1_700_000_000_123_456);
     assert_eq!((tally.unreadable, tally.damage), (2, None));
-    let eth = LineFault::Packet(PacketFault::LinkType(1));
+    let eth = EntryFault::Packet(PacketFault::LinkType(1));
     assert_eq!(tally.first_unreadable, Some((7, eth)));
     assert_eq!(
         tally.to_string(),
@@ -247,7 +246,7 @@ fn lengths_that_lie_end_it_or_are_skipped_and_take_no_room() {
     body.extend([u32::MAX.to_le_bytes(); 2].concat());
     inner.block(6, &body);
     let (_, tally) = read(&inner.bytes);
-    assert_eq!(tally.first_unreadable, Some((3, LineFault::Packet(PacketFault::Short))));
+    assert_eq!(tally.first_unreadable, Some((3, EntryFault::Packet(PacketFault::Short))));
 }
 
 #[test]

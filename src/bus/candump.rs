@@ -4,7 +4,6 @@
 //! from strangers, so whatever does not fit is a [`LineFault`] and nothing is allocated. Does
 //! not know where lines come from: that is [`super::log`].
 
-use super::pcapng::PacketFault;
 use crate::frame::{CanId, Frame};
 use crate::time::Epoch;
 use std::io::{self, Write};
@@ -63,12 +62,6 @@ pub enum LineFault {
     /// Something after the frame that is neither R nor T.
     #[error("something after the frame that is neither R nor T")]
     Trailing,
-    /// More interface names than there are bus numbers.
-    #[error("more than 256 interface names in one log")]
-    TooManyInterfaces,
-    /// It is no line, but a packet of a pcapng file.
-    #[error("{0}")]
-    Packet(PacketFault),
 }
 
 /// Reads one line, with or without its line end; `None` where it is blank.

@@ -10,7 +10,7 @@
 //! was set back.
 
 use super::candump::{LineFault, LogLine, MAX_LINE, parse_line};
-use super::pcapng::{self, Damage, Sections};
+use super::pcapng::{self, Damage, PacketFault, Sections};
 use crate::frame::{BusIndex, Frame};
 use crate::time::{Duration, Epoch, Instant};
 use std::fmt;
@@ -49,6 +49,20 @@ enum Format {
     },
 }
 
+/// Why an entry of a log cannot be read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
+pub enum EntryFault {
+    /// A line of text.
+    #[error(transparent)]
+    Line(#[from] LineFault),
+    /// A packet of a pcapng file.
+    #[error(transparent)]
+    Packet(#[from] PacketFault),
+    /// More interface names than there are bus numbers.
+    #[error("more than 256 interface names in one log")]
+    TooManyInterfaces,
+}
+
 /// What was read so far.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Tally {
@@ -61,7 +75,7 @@ pub struct Tally {
     /// Lines that could not be read.
     pub unreadable: u64,
     /// The first of them: its number, counted from 1, and what is wrong with it.
-    pub first_unreadable: Option<(u64, LineFault)>,
+    pub first_unreadable: Option<(u64, EntryFault)>,
     /// Why nothing more can be read although there may be more.
     pub damage: Option<Damage>,
     /// Frames dated earlier than the one before them: those that are clamped, and each step back
@@ -324,17 +338,14 @@ impl<R: BufRead> Iterator for LogReader<R> {
 
 impl Tally {
     fn take(&mut self, line: &[u8]) -> Option<Frame> {
-        self.take_read(parse_line(line))
+        self.take_read(parse_line(line).map_err(EntryFault::from))
     }
 
-    fn take_block(
-        &mut self,
-        block: Result<Option<LogLine<'_>>, pcapng::PacketFault>,
-    ) -> Option<Frame> {
-        self.take_read(block.map_err(LineFault::Packet))
+    fn take_block(&mut self, block: Result<Option<LogLine<'_>>, PacketFault>) -> Option<Frame> {
+        self.take_read(block.map_err(EntryFault::from))
     }
 
-    fn take_read(&mut self, line: Result<Option<LogLine<'_>>, LineFault>) -> Option<Frame> {
+    fn take_read(&mut self, line: Result<Option<LogLine<'_>>, EntryFault>) -> Option<Frame> {
         self.lines += 1;
         let read = line.and_then(|line| line.map(|line| self.place(line)).transpose());
         read.unwrap_or_else(|fault| {
@@ -344,8 +355,8 @@ impl Tally {
         })
     }
 
-    fn place(&mut self, line: LogLine<'_>) -> Result<Frame, LineFault> {
-        let bus = self.bus_of(line.interface).ok_or(LineFault::TooManyInterfaces)?;
+    fn place(&mut self, line: LogLine<'_>) -> Result<Frame, EntryFault> {
+        let bus = self.bus_of(line.interface).ok_or(EntryFault::TooManyInterfaces)?;
         let epoch = *self.epoch.get_or_insert(Epoch::from_unix_micros(line.unix_micros));
         self.last = self.moment(epoch.since_start(line.unix_micros));
         self.frames += 1;
@@ -433,7 +444,7 @@ not a line
         assert_eq!(tally.interfaces, ["can0", "can1"]);
         assert_eq!(tally.epoch.unwrap().unix_micros(tally.last), 1_436_509_053_000_000);
         assert_eq!((tally.lines, tally.frames, tally.unreadable, tally.backwards), (6, 4, 1, 1));
-        assert_eq!(tally.first_unreadable, Some((4, LineFault::Time)));
+        assert_eq!(tally.first_unreadable, Some((4, LineFault::Time.into())));
         for buffer in 1..60 {
             assert_eq!(read(LOG, buffer), (frames.clone(), tally.clone()));
         }
@@ -507,7 +518,7 @@ not a line
         for buffer in [64, 8192, 2_000_000] {
             let (frames, tally) = read(&text, buffer);
             assert_eq!(frames.len(), 1);
-            assert_eq!(tally.first_unreadable, Some((1, LineFault::TooLong)));
+            assert_eq!(tally.first_unreadable, Some((1, LineFault::TooLong.into())));
         }
     }
 
@@ -516,7 +527,7 @@ not a line
         let lines: Vec<_> = (0..300).map(|n| format!("(0.1) bus{n} 123#")).collect();
         let (frames, tally) = read(&lines.join("\n"), 8192);
         assert_eq!((frames.len(), tally.unreadable), (256, 44));
-        assert_eq!(tally.first_unreadable, Some((257, LineFault::TooManyInterfaces)));
+        assert_eq!(tally.first_unreadable, Some((257, EntryFault::TooManyInterfaces)));
     }
 
     #[test]

@@ -24,6 +24,11 @@ pub struct Brush<'a> {
     pub scrolled: Option<u16>,
 }
 
+/// An area without a blank column at either side.
+pub fn inner(area: Rect) -> Rect {
+    Rect { x: area.x + 1, width: area.width.saturating_sub(2), ..area }
+}
+
 impl Brush<'_> {
     pub fn style(&self, role: Role) -> Style {
         self.theme.style(role)

@@ -1,18 +1,18 @@
 //! The details of the selected device: who it is, what it says, what is wrong with it, and why
 //! it is not there where it should be.
 
-use super::brush::{Brush, fit, labelled, wrap};
+use super::brush::{Brush, fit, inner, labelled, wrap};
 use super::devices::state_role;
+use super::signs;
 use crate::app::{App, FileWord, Kinship, Row, State, clock, concerns, spell};
 use crate::discovery::{Confidence, Device, Finding, FindingKind, Query, QueryState, ServiceEntry};
 use crate::theme::Role;
 use crate::time::Duration;
-use ratatui::layout::Rect;
 use ratatui::text::Line;
 use unicode_width::UnicodeWidthStr;
 
 pub fn draw(brush: &mut Brush) {
-    let area = inner(brush.screen.details, brush.screen.details_alone());
+    let area = inner(brush.screen.details);
     if area.height == 0 {
         return;
     }
@@ -22,11 +22,6 @@ pub fn draw(brush: &mut Brush) {
     };
     let scroll = brush.app.view().details_scroll;
     brush.lines(area, &lines, scroll);
-}
-
-/// A blank column at either side.
-pub(super) fn inner(area: Rect, _alone: bool) -> Rect {
-    Rect { x: area.x + 1, width: area.width.saturating_sub(2), ..area }
 }
 
 struct Details<'b, 'a> {
@@ -151,7 +146,7 @@ impl<'a> Details<'_, 'a> {
         for problem in self.app().problems() {
             for finding in problem.findings.iter().filter(|finding| about(finding)) {
                 any = true;
-                let (sign, role) = super::problems::sign(finding.confidence);
+                let (sign, role) = signs::of_confidence(finding.confidence);
                 let sure = finding.confidence == Confidence::Confirmed && !problem.is_muted;
                 let text = if finding.text.is_empty() {
                     problem.headline()

@@ -26,6 +26,7 @@ mod devices;
 mod footer;
 mod help;
 mod problems;
+mod signs;
 mod status;
 mod tabs;
 mod timeline;

@@ -1,7 +1,7 @@
 //! Problems: what is wrong, how sure that is, the frames that prove it, and what to do.
 
-use super::brush::{Brush, fit, labelled};
-use super::details::inner;
+use super::brush::{Brush, fit, inner, labelled};
+use super::signs;
 use super::traffic::in_words;
 use crate::app::{Page, Problem, clock, clock_millis, spell};
 use crate::discovery::Confidence;
@@ -15,18 +15,9 @@ pub fn draw(brush: &mut Brush) {
     draw_details(brush);
 }
 
-/// The sign and the role of a confidence.
-pub(super) fn sign(confidence: Confidence) -> (&'static str, Role) {
-    match confidence {
-        Confidence::Confirmed => ("⚠", Role::Collision),
-        Confidence::Suspected => ("?", Role::Suspected),
-        Confidence::Cleared => ("✓", Role::Muted),
-    }
-}
-
 /// The sign of a problem, and the role of its text.
 fn roles(problem: &Problem) -> (&'static str, Role, Role) {
-    let (sign, role) = sign(problem.confidence());
+    let (sign, role) = signs::of_confidence(problem.confidence());
     match problem.confidence() {
         _ if problem.is_muted => (sign, Role::Muted, Role::Muted),
         Confidence::Cleared => (sign, role, Role::Muted),
@@ -138,7 +129,7 @@ fn place(brush: &Brush, problem: &Problem) -> String {
 }
 
 fn draw_details(brush: &mut Brush) {
-    let area = inner(brush.screen.details, brush.screen.details_alone());
+    let area = inner(brush.screen.details);
     if area.height == 0 {
         return;
     }
@@ -214,7 +205,7 @@ impl Details<'_, '_> {
         }
         for at in 1..self.problem.findings.len() {
             let finding = self.problem.findings[at];
-            let (sign, _) = sign(finding.confidence);
+            let (sign, _) = signs::of_confidence(finding.confidence);
             let sure = finding.confidence == Confidence::Confirmed;
             self.add(
                 &format!("{sign} "),

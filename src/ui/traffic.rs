@@ -1,7 +1,6 @@
 //! Traffic: frames in words, newest last; or a row per identifier with its rate.
 
-use super::brush::{Brush, end_of, fit, fit_right, labelled};
-use super::details::inner;
+use super::brush::{Brush, end_of, fit, fit_right, inner, labelled};
 use crate::app::{Decoded, Focus, IdentifierKind, IdentifierStats, Page, clock_millis, hex};
 use crate::frame::{Frame, FrameKind};
 use crate::theme::Role;
@@ -208,7 +207,7 @@ fn first_bytes(data: &[u8]) -> String {
 }
 
 fn draw_details(brush: &mut Brush) {
-    let area = inner(brush.screen.details, brush.screen.details_alone());
+    let area = inner(brush.screen.details);
     if area.height == 0 {
         return;
     }
