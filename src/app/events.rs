@@ -412,7 +412,7 @@ impl App {
             )),
             Change::Broken => {
                 let problem = self.file.problem().map(ToString::to_string).unwrap_or_default();
-                self.complain(format!("{name}: {problem}"));
+                self.complain(self.file.problem_text().unwrap_or_default());
                 Some((Kind::Error, problem))
             }
             Change::Conflict => {

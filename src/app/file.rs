@@ -204,6 +204,16 @@ impl FileState {
         self.problem.as_ref()
     }
 
+    /// The same in words, with the file's name.
+    pub fn problem_text(&self) -> Option<String> {
+        let problem = self.problem.as_ref()?;
+        Some(match problem {
+            FileProblem::Syntax(error) => format!("{}: {error}", self.name()),
+            // These name it.
+            FileProblem::Unreadable(why) | FileProblem::NotSaved(why) => why.clone(),
+        })
+    }
+
     /// The conflict that waits for a decision.
     pub fn conflict(&self) -> Option<&Conflict> {
         self.conflict.as_ref().map(|(conflict, _)| conflict)

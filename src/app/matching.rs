@@ -30,14 +30,20 @@ impl Matching {
             for here in [true, false] {
                 let devices = || bus.engine.devices().iter().filter(|it| it.is_here() == here);
                 let alphabet = &bus.engine.config().profile.uid;
-                open.pair(devices, |entry, device| {
+                let same_uid = |entry: &Entry, device: &Device| {
                     let listed = entry.uid.as_deref().map_or("", str::trim);
                     let own = device.uid.filter(|uid| !uid.is_blank());
                     !listed.is_empty() && own.is_some_and(|uid| uid.text(alphabet) == listed)
-                });
-                open.pair(devices, |entry, device| {
+                };
+                let same_place = |entry: &Entry, device: &Device| {
                     device.is_named(&entry.name) && entry.address == Some(device.address.number())
+                };
+                // Where several have one UID, which they should not, each has its own entry.
+                open.pair(devices, |entry, device| {
+                    same_uid(entry, device) && same_place(entry, device)
                 });
+                open.pair(devices, same_uid);
+                open.pair(devices, same_place);
                 open.pair_only_ones(devices);
             }
         }

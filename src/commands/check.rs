@@ -6,7 +6,7 @@ use super::open::{self, Setup};
 use super::report::Report;
 use super::scan::look;
 use super::{FINDINGS, FINE, Failure, INTERRUPTED};
-use crate::app::{App, AppOptions, Scope};
+use crate::app::{App, AppOptions, FileProblem, Scope};
 use crate::cli::Check;
 use crate::discovery::{Confidence, Finding, FindingKind};
 use crate::shell::ending::Ending;
@@ -47,9 +47,16 @@ pub fn run(check: &Check) -> Result<u8, Failure> {
 /// Without a file there is nothing to compare with.
 fn has_file(app: &App) -> Result<(), Failure> {
     let file = app.file();
-    let path = || file.path().map_or(String::new(), |path| path.display().to_string());
+    let path = || {
+        let path = file.path().map(|path| path.as_os_str().as_encoded_bytes());
+        crate::text::printable(path.unwrap_or_default())
+    };
     if let Some(problem) = file.problem() {
-        let mut text = format!("{}: {problem}", path());
+        let mut text = match problem {
+            FileProblem::Syntax(error) => format!("{}: {error}", path()),
+            // These name it.
+            FileProblem::Unreadable(why) | FileProblem::NotSaved(why) => why.clone(),
+        };
         for line in problem.excerpt().into_iter().flatten() {
             let _ = write!(text, "\n    {line}");
         }
