@@ -19,7 +19,7 @@ const MAX_FINDINGS: usize = 512;
 /// After how long a suspicion is followed up, and again, by a question.
 const CHECK: Duration = Duration::from_secs(1);
 /// Questions that follow up a suspicion.
-const MAX_FOLLOW_UPS: u32 = 8;
+const MAX_FOLLOW_UPS: u32 = 6;
 /// After how many periods without a question new evidence for a suspicion is followed up again.
 const ASK_AGAIN_PERIODS: u32 = 3;
 /// How often a collision that is confirmed is looked at again: often enough that it does not
