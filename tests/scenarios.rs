@@ -7,7 +7,7 @@
 //! set listen-only            (or: announce, no-scan, address 5)
 //! 1.200 05180002#0601464545440000   a frame heard at that time
 //! 2.500                      time passes until then
-//! 3.000 rescan               a command
+//! 3.000 rescan               a command; or suspend, restart, clear-lost, show
 //! ```
 //!
 //! and the indented lines below each are what must come of it: `>` a frame sent, `*` an event,
@@ -153,6 +153,7 @@ fn play(scenario: &str) -> String {
         match words[1..] {
             [] => {}
             ["rescan"] => stage.engine.rescan(at),
+            ["suspend"] => stage.engine.suspend(at),
             ["restart"] => stage.engine.restart(at),
             ["clear-lost"] => stage.engine.clear_lost(),
             ["show"] => stage.show_devices(),

@@ -53,6 +53,11 @@ impl Bus {
         is_up(&self.status)
     }
 
+    /// Whether nothing can be seen of it, and that is not because its log is over.
+    pub fn is_hidden(&self) -> bool {
+        !self.is_up() && self.ended.is_none() && self.status.link != Link::Opening
+    }
+
     /// Whether many frames broke in the last seconds and none arrived whole: most likely the bit
     /// rate is another one.
     pub fn hears_only_errors(&self) -> bool {

@@ -74,8 +74,10 @@ pub enum State {
     Missing,
     /// As the engine judges.
     Lost,
-    /// On several redundant buses, and not there on all of them.
+    /// On several redundant buses, and not there, or not to be seen, on all of them.
     Partly,
+    /// It was there when its bus went down: nobody knows whether it still is.
+    Unseen,
     /// As the engine judges.
     Stale,
     /// As the engine judges.
@@ -96,6 +98,7 @@ impl State {
             State::Missing => "missing",
             State::Lost => "lost",
             State::Partly => "partly",
+            State::Unseen => "unseen",
             State::Stale => "stale",
             State::Silent => "silent",
             State::Asleep => "asleep",
@@ -173,6 +176,7 @@ impl SortBy {
 #[allow(missing_docs)]
 pub struct Counts {
     pub here: usize,
+    pub unseen: usize,
     pub missing: usize,
     pub lost: usize,
     pub confirmed: usize,
@@ -303,7 +307,7 @@ impl App {
         for id in self.siblings.redundant(device.id) {
             let (Some(bus), Some(other)) = (self.bus(id.bus), self.device(id)) else { continue };
             let other = self.device_row(bus, other);
-            let here = |row: &Row| row.state != State::Lost;
+            let here = |row: &Row| !matches!(row.state, State::Lost | State::Unseen);
             row.state = match (row.state, other.state) {
                 (State::Clash, _) | (_, State::Clash) => State::Clash,
                 _ if here(&row) != here(&other) => State::Partly,
@@ -341,10 +345,11 @@ impl App {
             bus: Some(device.id.bus),
             address: Some(device.address),
             name: device.name.clone(),
-            state: if confirmed && device.is_here() {
-                State::Clash
-            } else {
-                device.presence.into()
+            state: match device.presence {
+                presence if !device.is_here() => presence.into(),
+                _ if bus.is_hidden() => State::Unseen,
+                _ if confirmed => State::Clash,
+                presence => presence.into(),
             },
             suspected: findings().any(|it| it.confidence == Confidence::Suspected),
             twin,
@@ -405,7 +410,11 @@ impl App {
         };
         let open = |it: &&Problem| it.is_muted && it.confidence() != Confidence::Cleared;
         Counts {
-            here: with(&|state| !matches!(state, State::Missing | State::Awaited | State::Lost)),
+            here: with(&|state| {
+                let gone = [State::Missing, State::Awaited, State::Lost, State::Unseen];
+                !gone.contains(&state)
+            }),
+            unseen: with(&|state| state == State::Unseen),
             missing: with(&|state| state == State::Missing),
             lost: with(&|state| state == State::Lost),
             confirmed: sure(Confidence::Confirmed),

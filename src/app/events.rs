@@ -316,7 +316,8 @@ impl App {
         let was_away = !is_up(&bus.status)
             || bus.status.outages < status.outages
             || bus.status.bus_offs < status.bus_offs;
-        let came_back = is_up(&status) && was_away && !was_there;
+        let came_back = is_up(&status) && (was_away && !was_there || bus.engine.is_suspended());
+        let goes_down = is_up(&bus.status) && !is_up(&status) && status.link != Link::Ended;
         let newly_lost = lost(&status).saturating_sub(lost(&bus.status));
         if bus.status.bitrate != status.bitrate {
             bus.engine.set_bitrate(status.bitrate);
@@ -339,6 +340,9 @@ impl App {
             self.report(Happening::Bus(index, now));
         }
         let Some(bus) = self.buses.get_mut(usize::from(index.0)) else { return };
+        if goes_down {
+            bus.engine.suspend(now);
+        }
         if came_back {
             bus.engine.restart(now);
         }

@@ -151,8 +151,8 @@ impl App {
     /// What keeps a device from being whole: no heartbeats, no name, no services.
     pub fn why_incomplete(&self, device: &Device) -> Vec<String> {
         let mut reasons = Vec::new();
-        if !device.is_here()
-            && let Some(bus) = self.bus(device.id.bus)
+        if let Some(bus) = self.bus(device.id.bus)
+            && (!device.is_here() || bus.is_hidden())
         {
             why_bus(bus, &mut reasons);
         }

@@ -65,7 +65,7 @@ use collisions::Collisions;
 use errors::Errors;
 use heartbeats::Lateness;
 use outbox::{Acknowledgement, Outbox};
-use presence::Measure;
+use presence::{Measure, Outages};
 use roster::Roster;
 use rounds::Rounds;
 use station::{AddressChange, Station};
@@ -145,6 +145,7 @@ pub struct Engine {
     station: Station,
     outbox: Outbox,
     lateness: Lateness,
+    outages: Outages,
     broadcasts: VecDeque<Broadcast>,
     /// When each address asked something last.
     asked_at: [Option<Instant>; Address::COUNT],
@@ -178,6 +179,7 @@ impl Engine {
             transfers: Transfers::new(),
             lateness: Lateness::default(),
             claims: Claims::new(period),
+            outages: Outages::default(),
             broadcasts: VecDeque::new(),
             asked_at: [None; Address::COUNT],
             events: VecDeque::new(),
@@ -285,10 +287,25 @@ impl Engine {
         self.roster.clear_lost();
     }
 
+    /// No frame can reach us from now on, because the bus is down: who is there cannot be judged
+    /// until [`restart`](Self::restart).
+    pub fn suspend(&mut self, now: Instant) {
+        self.advance(now);
+        self.outages.begin(self.now);
+    }
+
+    /// Whether [`suspend`](Self::suspend) still holds.
+    pub fn is_suspended(&self) -> bool {
+        self.outages.is_on()
+    }
+
     /// Command: begin anew with our address and rounds, as after bus-off or when the interface
     /// came back. What is known stays.
     pub fn restart(&mut self, now: Instant) {
         self.advance(now);
+        if self.outages.end(self.now) {
+            self.roster.devices_mut().iter_mut().for_each(|device| device.rounds_missed = 0);
+        }
         self.outbox.clear();
         self.transfers.clear();
         self.errors.restart();
@@ -377,8 +394,9 @@ impl Engine {
         self.wake = self.wake.min(at);
     }
 
-    fn measure(&self) -> Measure {
+    fn measure(&self) -> Measure<'_> {
         Measure {
+            outages: &self.outages,
             period: self.config.profile.heartbeat.period(),
             rounds: !self.config.listen_only
                 && self.config.scan
@@ -489,6 +507,9 @@ impl Engine {
 
     /// Sets the presence of every row, and tells what changed.
     fn judge_presence(&mut self) {
+        if self.outages.is_on() {
+            return;
+        }
         // A row that turns out to have moved takes another one's place: the number changes.
         let mut index = 0;
         while index < self.roster.devices().len() {
@@ -560,7 +581,8 @@ impl Engine {
         let measure = self.measure();
         let mut wake = NEVER;
         let mut at = |due: Option<Instant>| wake = wake.min(due.unwrap_or(NEVER));
-        for (index, device) in self.roster.devices().iter().enumerate() {
+        let seen = !self.outages.is_on();
+        for (index, device) in self.roster.devices().iter().enumerate().filter(|_| seen) {
             if self.roster.is_current(index) {
                 at(measure.judge(device, self.now).1);
             } else if !matches!(device.presence, Presence::Lost | Presence::Asleep) {

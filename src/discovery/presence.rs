@@ -3,11 +3,13 @@
 //! With a heartbeat: online while they come, stale after 2.5 periods, lost after 5; silent
 //! instead while other frames arrive, asleep instead of lost when its last mode was IDLE.
 //! Without one, or with none but the one that claimed its address: by rounds, unless frames arrive
-//! between them, or, where none are made, stale 30 s after the last frame.
+//! between them, or, where none are made, stale 30 s after the last frame. Time in which no frame
+//! could reach us, because the bus was down, does not count.
 
 use super::device::{Device, Presence};
 use crate::time::{Duration, Instant};
 use crate::wire::node::Mode;
+use std::collections::VecDeque;
 
 /// Rounds without an answer until a device without heartbeats is lost.
 const LOST_AFTER_ROUNDS: u32 = 3;
@@ -22,16 +24,57 @@ pub(super) fn beats_no_more(device: &Device, period: Duration) -> bool {
     claim.is_some_and(|claim| device.last_seen.since(claim) >= period * 5)
 }
 
+/// How many outages are remembered: older ones matter to nobody who is still here.
+const MAX_OUTAGES: usize = 8;
+
+/// When no frame could reach us.
+#[derive(Debug, Default)]
+pub(super) struct Outages {
+    since: Option<Instant>,
+    past: VecDeque<(Instant, Instant)>,
+}
+
+impl Outages {
+    pub fn begin(&mut self, now: Instant) {
+        self.since.get_or_insert(now);
+    }
+
+    /// Whether there was one until now.
+    pub fn end(&mut self, now: Instant) -> bool {
+        let Some(since) = self.since.take() else { return false };
+        if self.past.len() == MAX_OUTAGES {
+            self.past.pop_front();
+        }
+        self.past.push_back((since, now));
+        true
+    }
+
+    pub fn is_on(&self) -> bool {
+        self.since.is_some()
+    }
+
+    /// How much of the time since then it was impossible to hear anything.
+    fn since(&self, then: Instant) -> Duration {
+        self.past.iter().map(|(from, until)| until.since(then.max(*from))).sum()
+    }
+}
+
 /// What a device's presence is judged by.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Measure {
+pub(super) struct Measure<'a> {
     /// BUS_CFG_HR_TIME.
     pub period: Duration,
     /// Whether we make rounds.
     pub rounds: bool,
+    pub outages: &'a Outages,
 }
 
-impl Measure {
+impl Measure<'_> {
+    /// That moment, later by all the time since in which nothing could be heard.
+    fn heard(&self, at: Instant) -> Instant {
+        at + self.outages.since(at)
+    }
+
     /// The device's presence at `now`, and when it may change if nothing more is heard.
     pub fn judge(&self, device: &Device, now: Instant) -> (Presence, Option<Instant>) {
         let stale_after = self.period.mul_f64(2.5);
@@ -40,12 +83,14 @@ impl Measure {
         else {
             return self.judge_without_heartbeat(device, now);
         };
+        let last_beat = self.heard(last_beat);
+        let last_seen = self.heard(device.last_seen);
         let age = now.since(last_beat);
         if age < stale_after {
             return (Presence::Online, Some(last_beat + stale_after));
         }
-        if device.last_seen > last_beat && now.since(device.last_seen) < lost_after {
-            return (Presence::Silent, Some(device.last_seen + lost_after));
+        if last_seen > last_beat && now.since(last_seen) < lost_after {
+            return (Presence::Silent, Some(last_seen + lost_after));
         }
         if age < lost_after {
             return (Presence::Stale, Some(last_beat + lost_after));
@@ -64,14 +109,14 @@ impl Measure {
                 return (Presence::Online, None);
             }
             // The rounds at start follow each other fast.
-            let lost_at = device.last_seen + self.period * 5;
+            let lost_at = self.heard(device.last_seen) + self.period * 5;
             return if now < lost_at {
                 (Presence::Online, Some(lost_at))
             } else {
                 (Presence::Lost, None)
             };
         }
-        let stale_at = device.last_seen + STALE_WITHOUT_ROUNDS;
+        let stale_at = self.heard(device.last_seen) + STALE_WITHOUT_ROUNDS;
         if now < stale_at { (Presence::Online, Some(stale_at)) } else { (Presence::Stale, None) }
     }
 }

@@ -3,7 +3,6 @@
 //! Knows how wide text is, not what it says.
 
 use crate::app::{App, Bus, Screen};
-use crate::status::Link;
 use crate::text::Escaped;
 use crate::theme::{Role, Theme};
 use ratatui::buffer::Buffer;
@@ -101,7 +100,7 @@ impl Brush<'_> {
     /// Says why a list is empty, and what keeps us from seeing a bus.
     pub fn nothing(&mut self, list: Rect, why: &str) {
         let mut lines = vec![Line::from(self.span(Role::Muted, format!("   {why}")))];
-        for bus in self.app.buses().iter().filter(|bus| is_hidden(bus)) {
+        for bus in self.app.buses().iter().filter(|bus| bus.is_hidden()) {
             let name = Escaped(bus.name.as_bytes());
             let text = match &bus.status.message {
                 Some(message) => Escaped(message.as_bytes()).to_string(),
@@ -116,7 +115,7 @@ impl Brush<'_> {
 
     /// Whether there is a bus that nothing can be seen of.
     pub fn is_blind(&self) -> bool {
-        self.app.buses().iter().any(is_hidden)
+        self.app.buses().iter().any(Bus::is_hidden)
     }
 
     /// Draws a horizontal rule.
@@ -232,11 +231,6 @@ pub fn labelled(
             Line::from(vec![brush.span(Role::Muted, label), brush.span(role, part)])
         })
         .collect()
-}
-
-/// Whether nothing can be seen of a bus, and that is not because its log is over.
-fn is_hidden(bus: &Bus) -> bool {
-    !bus.is_up() && bus.ended.is_none() && bus.status.link != Link::Opening
 }
 
 #[cfg(test)]

@@ -76,7 +76,9 @@ impl<'a> Details<'_, 'a> {
         let since = device
             .map_or(String::new(), |device| format!(" {}", spell(self.ago(device.presence_since))));
         let word = match (row.state, device) {
-            (State::Clash, Some(device)) => format!("CLASH · {}", device.presence),
+            (State::Clash | State::Unseen, Some(device)) => {
+                format!("{} · {}", row.state.word(), device.presence)
+            }
             _ => row.state.word().to_owned(),
         };
         let bus = match row.bus.and_then(|bus| self.app().bus(bus)) {
@@ -88,7 +90,8 @@ impl<'a> Details<'_, 'a> {
         let mut line = Line::from(self.brush.span(state_role(row.state), word));
         line.push_span(self.brush.span(Role::Text, format!("{since}{bus}")));
         self.lines.push(line);
-        if let Some(device) = device.filter(|device| !device.is_here()) {
+        let unseen = row.state == State::Unseen;
+        if let Some(device) = device.filter(|device| unseen || !device.is_here()) {
             let text = format!("last heard {} ago", spell(self.ago(device.last_seen)));
             self.add("", Role::Text, &text);
         }

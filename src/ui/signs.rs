@@ -4,11 +4,12 @@ use crate::discovery::Confidence;
 use crate::theme::Role;
 
 /// The role, the sign as it is shown, and its meaning: for the help.
-pub const SIGNS: [(Role, &str, &str); 21] = [
+pub const SIGNS: [(Role, &str, &str); 22] = [
     (Role::Online, "● online", "its heartbeats come"),
     (Role::Stale, "◐ stale", "the last heartbeat is late"),
     (Role::Silent, "◌ silent", "frames come, but no heartbeats"),
     (Role::Asleep, "◒ asleep", "no heartbeats, and its last mode was IDLE"),
+    (Role::Muted, "· unseen", "it was there when its bus went down"),
     (Role::Lost, "○ lost", "nothing for five heartbeat periods"),
     (Role::Missing, "○ missing", "listed in the file, not on the bus"),
     (Role::Collision, "⚠ CLASH", "a confirmed collision: see Problems"),

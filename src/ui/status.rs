@@ -338,6 +338,9 @@ fn counts(brush: &Brush) -> Parts {
         ]
     };
     let mut parts = vec![one(Role::Online, "●", counts.here, "here")];
+    if counts.unseen > 0 {
+        parts.push(one(Role::Muted, "·", counts.unseen, "unseen"));
+    }
     // Without their words the two look the same.
     let (missing, lost) =
         if narrow { (counts.missing + counts.lost, 0) } else { (counts.missing, counts.lost) };
