@@ -56,11 +56,11 @@ fn reading_gives_the_content_or_says_what_is_wrong() {
     assert!(matches!(error, StoreError::NotAFile { .. }), "{error}");
 
     let large = fs::File::create(at("large")).unwrap();
-    large.set_len((64 << 20) + 1).unwrap();
+    large.set_len((16 << 20) + 1).unwrap();
     let error = Store::new(at("large")).read().unwrap_err();
-    assert!(error.to_string().ends_with("is larger than 64 MiB: is it the right file?"));
-    large.set_len(64 << 20).unwrap();
-    assert_eq!(Store::new(at("large")).read().unwrap().unwrap().len(), 64 << 20);
+    assert!(error.to_string().ends_with("is larger than 16 MiB: is it the right file?"));
+    large.set_len(16 << 20).unwrap();
+    assert_eq!(Store::new(at("large")).read().unwrap().unwrap().len(), 16 << 20);
 
     symlink("circle", at("circle")).unwrap();
     let error = Store::new(at("circle")).read().unwrap_err().to_string();

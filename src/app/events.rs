@@ -426,8 +426,13 @@ impl App {
         };
         let mut lines: Vec<(Kind, String)> = line.into_iter().collect();
         if matches!(change, Change::First | Change::Content | Change::Rebased) {
-            let findings = self.file.document().findings().iter();
-            lines.extend(findings.map(|finding| (Kind::File, finding.to_string())));
+            /// Of more the page of problems tells.
+            const TOLD: usize = 20;
+            let findings = self.file.document().findings();
+            let told = findings.iter().take(TOLD).map(ToString::to_string);
+            let more = findings.len().saturating_sub(TOLD);
+            let rest = (more > 0).then(|| format!("and {more} more things are wrong in it"));
+            lines.extend(told.chain(rest).map(|text| (Kind::File, text)));
         }
         let mut is_told = self.interest.is_empty();
         for (kind, text) in lines {

@@ -158,14 +158,45 @@ fn enumerate(group: &[&Entry], describe: impl Fn(&Entry) -> String) -> String {
     out
 }
 
-/// Collects findings while the file is read.
-pub(super) struct Findings<'a> {
-    pub positions: &'a Positions<'a>,
-    pub found: Vec<DocumentFinding>,
+/// How many findings are kept: a wrong file of megabytes may have as many as it has bytes.
+pub(super) const MOST: usize = 1000;
+
+/// Keeps the first findings of many, in the order of the file; of `more` others only the number is
+/// known.
+pub(super) fn keep_first(findings: &mut Vec<DocumentFinding>, more: usize) {
+    findings.sort_by(|a, b| (a.position, &a.message).cmp(&(b.position, &b.message)));
+    let more = more + findings.len().saturating_sub(MOST);
+    findings.truncate(MOST);
+    if let Some(last) = findings.last().filter(|_| more > 0) {
+        let (kind, position) = (last.kind, last.position);
+        let message = format!("{more} more like this, or other things, from here on");
+        findings.push(DocumentFinding { kind, position, message, entries: Vec::new() });
+    }
 }
 
-impl Findings<'_> {
+/// Collects findings while the file is read.
+pub(super) struct Findings<'a> {
+    positions: &'a Positions<'a>,
+    /// The first ones.
+    pub found: Vec<DocumentFinding>,
+    /// How many others there are.
+    pub more: usize,
+}
+
+impl<'a> Findings<'a> {
+    pub fn new(positions: &'a Positions<'a>) -> Self {
+        Self { positions, found: Vec::new(), more: 0 }
+    }
+
+    pub fn position(&self, at: usize) -> Position {
+        self.positions.at(at)
+    }
+
     pub fn add(&mut self, kind: FindingKind, at: usize, message: String, entry: Option<usize>) {
+        if self.found.len() == MOST {
+            self.more += 1;
+            return;
+        }
         self.found.push(DocumentFinding {
             kind,
             position: self.positions.at(at),

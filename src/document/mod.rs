@@ -118,27 +118,27 @@ impl Document {
         let source = syntax::check(source)?.to_owned();
         let body = source.strip_prefix(BOM).unwrap_or(&source);
         let positions = Positions::new(body);
-        let mut findings = Findings { positions: &positions, found: Vec::new() };
+        let mut findings = Findings::new(&positions);
         let root = read_root(body, &mut findings);
         let list = root.list().filter(|list| body[(*list).clone()].starts_with('['));
-        let list = list.and_then(|list| scan::container(body, list));
-        let items = list.map(|list| list.items).unwrap_or_default();
-        let elements: Vec<Span> = items.into_iter().map(|item| item.value).collect();
+        let elements = list.map(|list| scan::elements(body, list)).unwrap_or_default();
         let entries = entry::read_all(body, &elements, &mut findings);
-        let findings = findings.found;
-        Ok(Self::of(source, root, elements, entries, findings))
+        let (found, more) = (findings.found, findings.more);
+        Ok(Self::of(source, root, elements, entries, found, more))
     }
 
-    /// Of what was read, with the findings about single elements.
+    /// Of what was read, with the findings about single elements, and the number of those that are
+    /// too many.
     fn of(
         source: String,
         root: Root,
         elements: Vec<Span>,
         entries: Vec<Entry>,
         mut findings: Vec<DocumentFinding>,
+        more: usize,
     ) -> Self {
         findings.extend(finding::collisions(&entries));
-        findings.sort_by(|a, b| (a.position, &a.message).cmp(&(b.position, &b.message)));
+        finding::keep_first(&mut findings, more);
         let occurrences = occurrences(&entries);
         let mut is_flawed = vec![false; entries.len()];
         for &index in findings.iter().flat_map(|finding| &finding.entries) {
@@ -150,7 +150,7 @@ impl Document {
 
     /// The document of a file that is missing or empty.
     pub fn empty() -> Self {
-        Self::of(String::new(), Root::Blank, Vec::new(), Vec::new(), Vec::new())
+        Self::of(String::new(), Root::Blank, Vec::new(), Vec::new(), Vec::new(), 0)
     }
 
     /// The bytes of the file.
@@ -163,7 +163,8 @@ impl Document {
         &self.inner.entries
     }
 
-    /// What is wrong in it, in the order of the file.
+    /// What is wrong in it, in the order of the file; of very many things the first, and then how
+    /// many more there are.
     pub fn findings(&self) -> &[DocumentFinding] {
         &self.inner.findings
     }

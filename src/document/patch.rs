@@ -6,7 +6,7 @@
 use std::ops::Range;
 
 use super::entry::{self, Entry};
-use super::finding::{DocumentFinding, Findings};
+use super::finding::{self, DocumentFinding, Findings};
 use super::position::{Position, Positions, advance};
 use super::scan::{BLANKS, Span};
 use super::syntax::{self, BOM};
@@ -70,10 +70,14 @@ impl Document {
             new_text.unwrap_or_default(),
             new_position.unwrap_or(Position::START),
         );
-        let mut found = Findings { positions: &positions, found: Vec::new() };
+        let mut found = Findings::new(&positions);
         let new_entry = new_text.and_then(|text| {
             entry::read(text, &(0..text.len()), before.len(), elements.start, &mut found)
         });
+        if self.findings().len().max(found.found.len()) > finding::MOST / 4 {
+            // Which of them are kept, only the whole can tell.
+            return None;
+        }
         let renumbered = |index: usize| index - gone + usize::from(new_entry.is_some());
 
         let mut findings = found.found;
@@ -116,7 +120,7 @@ impl Document {
         };
         let mark = if self.has_bom() { BOM } else { "" };
         let source = [mark, &body[..cut.start], text, &body[cut.end..]].concat();
-        Some(Self::of(source, root, elements, entries, findings))
+        Some(Self::of(source, root, elements, entries, findings, 0))
     }
 }
 

@@ -2,8 +2,6 @@
 
 use std::fmt;
 
-use super::scan::Span;
-
 /// A place in the file, as editors count it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Position {
@@ -54,10 +52,6 @@ impl<'a> Positions<'a> {
     pub fn at(&self, offset: usize) -> Position {
         let block = offset / BLOCK_BYTES;
         advance(self.blocks[block], &self.text[block * BLOCK_BYTES..offset])
-    }
-
-    pub fn start_of(&self, span: &Span) -> Position {
-        self.at(span.start)
     }
 }
 

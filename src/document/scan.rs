@@ -29,14 +29,26 @@ impl Item {
 
 /// The items of the list or object at `span`; `None` when a scalar is there.
 pub(super) fn container(text: &str, span: &Span) -> Option<Container> {
-    let bytes = text.as_bytes();
-    let is_object = match bytes[span.start] {
+    let is_object = match text.as_bytes()[span.start] {
         b'{' => true,
         b'[' => false,
         _ => return None,
     };
     let inside = span.start + 1..span.end - 1;
     let mut items = Vec::new();
+    walk(text, &inside, is_object, |item| items.push(item));
+    Some(Container { inside, items })
+}
+
+/// The elements of the list at `span`.
+pub(super) fn elements(text: &str, span: &Span) -> Vec<Span> {
+    let mut elements = Vec::new();
+    walk(text, &(span.start + 1..span.end - 1), false, |item| elements.push(item.value));
+    elements
+}
+
+fn walk(text: &str, inside: &Span, is_object: bool, mut found: impl FnMut(Item)) {
+    let bytes = text.as_bytes();
     let mut at = skip_blank(bytes, inside.start);
     while at < inside.end {
         let key_start = at;
@@ -46,13 +58,12 @@ pub(super) fn container(text: &str, span: &Span) -> Option<Container> {
             at = skip_blank(bytes, skip_blank(bytes, key_end) + 1);
         }
         let end = skip_value(bytes, at);
-        items.push(Item { key: key_start..key_end, value: at..end });
+        found(Item { key: key_start..key_end, value: at..end });
         at = skip_blank(bytes, end);
         if bytes[at] == b',' {
             at = skip_blank(bytes, at + 1);
         }
     }
-    Some(Container { inside, items })
 }
 
 /// The only value of the text, without the blanks around it; `None` when the text is blank.

@@ -23,8 +23,9 @@ use tempfile::{NamedTempFile, TempPath};
 
 use crate::text::printable;
 
-/// The largest file that is read, in bytes: 64 MiB.
-pub const MAX_BYTES: u64 = 64 << 20;
+/// The largest file that is read, in bytes: 16 MiB, which is some 30,000 entries. What is read takes
+/// many times its size in memory at worst.
+pub const MAX_BYTES: u64 = 16 << 20;
 
 /// How long a save waits for another instance that is saving. It is done in milliseconds.
 const LOCK_PATIENCE: Duration = Duration::from_secs(2);
@@ -54,7 +55,7 @@ pub enum StoreError {
         path: String,
     },
     /// It has more than [`MAX_BYTES`].
-    #[error("{path} is larger than 64 MiB: is it the right file?")]
+    #[error("{path} is larger than 16 MiB: is it the right file?")]
     TooLarge {
         /// Which.
         path: String,
