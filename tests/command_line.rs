@@ -393,7 +393,11 @@ fn a_broken_file_is_told_with_line_and_column() {
     let report = json(&descan(&["scan", "file:session.log", "--json"], folder.path()));
     assert_eq!(report["file"]["ok"], false);
     let error = report["file"]["error"].as_str().unwrap();
-    assert!(error.contains("line 2, column"), "{error}");
+    assert_eq!(error, "line 2, column 13: expected value");
+    let said = String::from_utf8(descan(&["scan", "file:session.log"], folder.path()).stdout);
+    let excerpt = "      { \"name\": }\n                ^\n";
+    let whole = format!("\ndes.json: {error}\n{excerpt}");
+    assert!(said.as_ref().unwrap().ends_with(&whole), "{said:?}");
 }
 
 #[test]

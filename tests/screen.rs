@@ -619,6 +619,15 @@ fn a_wrong_value_leads_to_its_row() {
     let screen = stage.size(120, 40).screen();
     assert!(screen.contains("  16!"), "{screen}");
     assert!(screen.contains("! `static` is a number; it must"), "{screen}");
+    // What readers disagree about is not edited, and that is told before anything is typed.
+    let twice = BOILER.replace("\"address\": 10", "\"address\": 9, \"address\": 10");
+    for key in ["e", "R"] {
+        let screen = stage.write(&twice).size(80, 24).keys("1 g").keys(key).screen();
+        assert!(stage.app.prompt().is_none());
+        let said = "line 3, column 37: `address` is there twice: remove one of them first";
+        assert!(screen.contains(said), "{screen}");
+    }
+    stage.write(&file).size(120, 40);
     // What is no entry has no row.
     stage.keys("4 g");
     assert!(stage.screen().contains("has no `name`"), "{}", stage.screen());

@@ -8,7 +8,7 @@ use super::prompt::PromptKind;
 use super::timeline::{Entry as Line, Kind};
 use super::{App, Effect, Overlay, Question, RowKey};
 use crate::discovery::{Device, DeviceId, OwnAddress};
-use crate::document::{Entry, NewEntry, Operation, ServiceEntry};
+use crate::document::{Entry, EntryKey, NewEntry, Operation, ServiceEntry};
 use crate::frame::{BusIndex, Frame};
 use crate::text::Escaped;
 use crate::time::Instant;
@@ -31,6 +31,10 @@ impl App {
             if device.name.is_none() {
                 return self.complain("its name is not known yet, so it cannot be listed");
             }
+        }
+        let entry = self.entry_of(row).map(|entry| self.file.document().key(entry.index));
+        if entry.is_some_and(|entry| !self.may_edit_entry(entry)) {
+            return;
         }
         let text = self.pinned_text(&key);
         self.open_prompt(PromptKind::Address(key), text);
@@ -98,6 +102,9 @@ impl App {
         let Some((at, _)) = self.selected_entry() else { return };
         let document = self.file.document();
         let (key, name) = (document.key(at), document.entries()[at].name_text.clone());
+        if !self.may_edit_entry(key.clone()) {
+            return;
+        }
         self.open_prompt(PromptKind::Rename(key), name);
     }
 
@@ -200,6 +207,19 @@ impl App {
             }
             Err(refusal) => {
                 self.complain(refusal.to_string());
+                false
+            }
+        }
+    }
+
+    /// What cannot be edited is told before anything is typed.
+    fn may_edit_entry(&mut self, entry: EntryKey) -> bool {
+        let from = entry.address;
+        let trial = self.file.document().apply(&Operation::ClearAddress { entry, from });
+        match trial {
+            Ok(_) => true,
+            Err(error) => {
+                self.complain(error.to_string());
                 false
             }
         }

@@ -416,7 +416,8 @@ impl App {
             )),
             Change::Broken => {
                 let problem = self.file.problem().map(ToString::to_string).unwrap_or_default();
-                self.complain(self.file.problem_text().unwrap_or_default());
+                let whole = self.file.problem().map(|problem| problem.of_file(&name));
+                self.complain(whole.unwrap_or_default());
                 Some((Kind::Error, problem))
             }
             Change::Conflict => {

@@ -53,6 +53,15 @@ impl FileProblem {
         matches!(self, FileProblem::NotSaved(_))
     }
 
+    /// What is wrong with the file of this name.
+    pub fn of_file(&self, name: &str) -> String {
+        match self {
+            FileProblem::Syntax(error) => format!("{name}: {error}"),
+            // These name it.
+            FileProblem::Unreadable(why) | FileProblem::NotSaved(why) => why.clone(),
+        }
+    }
+
     /// The line that is not JSON, and below it a caret that points at the place.
     pub fn excerpt(&self) -> Option<[String; 2]> {
         match self {
@@ -202,16 +211,6 @@ impl FileState {
     /// Why it cannot be used as it is.
     pub fn problem(&self) -> Option<&FileProblem> {
         self.problem.as_ref()
-    }
-
-    /// The same in words, with the file's name.
-    pub fn problem_text(&self) -> Option<String> {
-        let problem = self.problem.as_ref()?;
-        Some(match problem {
-            FileProblem::Syntax(error) => format!("{}: {error}", self.name()),
-            // These name it.
-            FileProblem::Unreadable(why) | FileProblem::NotSaved(why) => why.clone(),
-        })
     }
 
     /// The conflict that waits for a decision.

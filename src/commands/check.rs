@@ -3,10 +3,10 @@
 
 use super::headless::{self, Limits, Outcome, tell_hindrance};
 use super::open::{self, Setup};
-use super::report::Report;
+use super::report::{self, Report};
 use super::scan::look;
 use super::{FINDINGS, FINE, Failure, INTERRUPTED};
-use crate::app::{App, AppOptions, FileProblem, Scope};
+use crate::app::{App, AppOptions, Scope};
 use crate::cli::Check;
 use crate::discovery::{Confidence, Finding, FindingKind};
 use crate::shell::ending::Ending;
@@ -47,19 +47,8 @@ pub fn run(check: &Check) -> Result<u8, Failure> {
 /// Without a file there is nothing to compare with.
 fn has_file(app: &App) -> Result<(), Failure> {
     let file = app.file();
-    let path = || {
-        let path = file.path().map(|path| path.as_os_str().as_encoded_bytes());
-        crate::text::printable(path.unwrap_or_default())
-    };
-    if let Some(problem) = file.problem() {
-        let mut text = match problem {
-            FileProblem::Syntax(error) => format!("{}: {error}", path()),
-            // These name it.
-            FileProblem::Unreadable(why) | FileProblem::NotSaved(why) => why.clone(),
-        };
-        for line in problem.excerpt().into_iter().flatten() {
-            let _ = write!(text, "\n    {line}");
-        }
+    let path = || report::path_of(app);
+    if let Some(text) = report::of_file(app).problem {
         return Err(Failure::Unusable(text));
     }
     if !file.is_there() {

@@ -135,6 +135,9 @@ pub(super) struct FileReport {
     ok: Option<bool>,
     entries: Option<usize>,
     error: Option<String>,
+    /// The same for people: with the path, and the line that is wrong below.
+    #[serde(skip)]
+    pub problem: Option<String>,
 }
 
 impl Report {
@@ -217,8 +220,8 @@ impl Report {
                 let _ = writeln!(text, "  {}", finding.remedy);
             }
         }
-        if let Some(error) = &self.file.error {
-            let _ = writeln!(text, "\n{}: {error}", self.file.path);
+        if let Some(problem) = &self.file.problem {
+            let _ = writeln!(text, "\n{problem}");
         }
         text
     }
@@ -456,13 +459,23 @@ fn of_evidence(epoch: Epoch, piece: &Evidence) -> EvidenceReport {
 
 pub(super) fn of_file(app: &App) -> FileReport {
     let file = app.file();
-    let problem = file.problem().map(ToString::to_string);
+    let error = file.problem().map(ToString::to_string);
+    let path = path_of(app);
+    let problem = file.problem().map(|problem| {
+        let excerpt = problem.excerpt().into_iter().flatten();
+        excerpt.fold(problem.of_file(&path), |text, line| text + "\n    " + &line)
+    });
     FileReport {
-        path: file.path().map_or(String::new(), |path| {
-            crate::text::printable(path.as_os_str().as_encoded_bytes())
-        }),
+        path,
         ok: if problem.is_some() { Some(false) } else { file.is_there().then_some(true) },
         entries: file.is_there().then(|| file.document().entries().len()),
-        error: problem,
+        error,
+        problem,
     }
+}
+
+/// Where des.json is, safe on a terminal.
+pub(super) fn path_of(app: &App) -> String {
+    let path = app.file().path().map(|path| path.as_os_str().as_encoded_bytes());
+    crate::text::printable(path.unwrap_or_default())
 }

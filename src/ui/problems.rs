@@ -68,8 +68,9 @@ fn draw_list(brush: &mut Brush) {
 /// Why des.json cannot be used as it is, below the list; the area that is left for the problems.
 fn draw_file_problem(brush: &mut Brush, list: Rect) -> Rect {
     let file = brush.app.file();
-    let Some((problem, text)) = file.problem().zip(file.problem_text()) else { return list };
+    let Some(problem) = file.problem() else { return list };
     let mut lines = vec![Line::default()];
+    let text = problem.of_file(&file.name());
     lines.extend(labelled(brush, "  ✗ ", Role::Error, &text, list.width));
     for text in problem.excerpt().into_iter().flatten() {
         lines.push(Line::from(brush.span(Role::Text, format!("  {text}"))));
