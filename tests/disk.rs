@@ -157,10 +157,13 @@ fn a_disk_that_does_not_come_to_an_end() {
     if !may_mount() {
         return;
     }
-    let mut disk = Disk::new(
-        "printf '#include <unistd.h>\nint fsync(int file) { for (;;) pause(); }\n' >../never.c \
+    let never = || {
+        Disk::new(
+            "printf '#include <unistd.h>\nint fsync(int file) { for (;;) pause(); }\n' >../never.c \
          && cc -shared -fPIC -o ../never.so ../never.c && as=\"env LD_PRELOAD=$PWD/../never.so\"",
-    );
+        )
+    };
+    let mut disk = never();
     disk.pty.send("ge\x1547\r");
     disk.pty.wait_for("… saving 1");
     // It is worked with meanwhile.
@@ -173,8 +176,17 @@ fn a_disk_that_does_not_come_to_an_end() {
     disk.pty.send("y");
     assert_eq!(disk.pty.wait(), 0);
     disk.pty.assert_given_back();
-    let content = fs::read_to_string(disk.folder.path().join("disk/des.json")).unwrap();
-    assert_eq!(content, BEFORE);
+    let content = |disk: &Disk| fs::read_to_string(disk.folder.path().join("disk/des.json"));
+    assert_eq!(content(&disk).unwrap(), BEFORE);
+
+    // Nor does it hold up whoever shuts the machine down.
+    let mut disk = never();
+    disk.pty.send("ge\x1547\r");
+    disk.pty.wait_for("… saving 1");
+    disk.pty.signal(nix::sys::signal::Signal::SIGTERM);
+    assert_eq!(disk.pty.wait(), 130);
+    disk.pty.assert_given_back();
+    assert_eq!(content(&disk).unwrap(), BEFORE);
 }
 
 #[test]

@@ -9,6 +9,10 @@ use crate::shell::screen::{self, Ending, Themes};
 use crate::shell::terminal;
 use anyhow::Context;
 use std::io::{IsTerminal, Write};
+use std::time::Duration;
+
+/// How long a save may take after a signal, or a terminal that is gone.
+const PATIENCE: Duration = Duration::from_secs(5);
 
 /// `descan [BUS…]`.
 pub fn ui(arguments: &Arguments) -> Result<u8, Failure> {
@@ -94,7 +98,8 @@ fn show(buses: &[BusSpec], setup: &Setup, clock: Clock) -> Result<u8, Failure> {
         let ending = screen::run(&mut session, &mut themes).await.context("the terminal");
         // With edits that are not saved only who does not want to wait for them quits.
         let gives_up = matches!(ending, Ok(Ending::Quit)) && session.app.file().unsaved() > 0;
-        session.finish_work(!gives_up).await;
+        let is_asked_to_end = !matches!(ending, Ok(Ending::Quit));
+        session.finish_work(!gives_up, is_asked_to_end.then_some(PATIENCE)).await;
         open::tell_recorded(session.finish_recording());
         Ok::<Ending, Failure>(ending?)
     });

@@ -19,6 +19,7 @@ use futures_util::future::select_all;
 use std::future::{Future, pending};
 use std::path::PathBuf;
 use std::pin::Pin;
+use std::time::Duration;
 use tokio::task::{JoinHandle, spawn_blocking};
 
 /// Frames taken in one turn, so that keys and the screen get theirs.
@@ -332,12 +333,21 @@ impl Session {
     /// Waits for work on files that has begun, unless it is ended by Ctrl-C: nothing half-written is
     /// left behind. For the save of des.json only where that is wanted: whenever it breaks off, the
     /// file is whole, and as it was or as it was to be.
-    pub async fn finish_work(&mut self, waits_for_save: bool) {
+    /// Where nobody may be there to end it, it waits no longer than `patience`.
+    pub async fn finish_work(&mut self, waits_for_save: bool, patience: Option<Duration>) {
         let wanted = |work: &Work| waits_for_save || !work.is_save;
+        let deadline = patience.map(|patience| tokio::time::Instant::now() + patience);
         for work in std::mem::take(&mut self.work).into_iter().filter(wanted) {
+            let is_late = async {
+                match deadline {
+                    Some(deadline) => tokio::time::sleep_until(deadline).await,
+                    None => pending().await,
+                }
+            };
             tokio::select! {
                 _ = work.handle => {}
                 _ = tokio::signal::ctrl_c() => return,
+                () = is_late => return,
             }
         }
     }
