@@ -569,6 +569,16 @@ fn a_broken_file_is_shown_and_never_written() {
 }
 
 #[test]
+fn where_no_content_was_ever_good_none_is_said_to_stay() {
+    let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some("[{]"));
+    let screen = stage.until(9.0).size(120, 40).screen();
+    assert!(screen.contains("des.json ✗ line 1, column 3"), "{screen}");
+    assert!(!screen.contains("good content"), "{screen}");
+    stage.write("[]").write("[{]");
+    assert!(stage.screen().contains("the last good content stays"), "{}", stage.screen());
+}
+
+#[test]
 fn changed_services_are_taken_over_and_given_back() {
     const FILE: &str = r#"[
   { "name": "FEED", "address": 12, "static": true,

@@ -208,6 +208,11 @@ impl FileState {
         self.disk.is_some() || self.problem.is_some()
     }
 
+    /// Whether it could be used, once: what it said then stays in force.
+    pub fn was_good(&self) -> bool {
+        self.disk.is_some()
+    }
+
     /// Why it cannot be used as it is.
     pub fn problem(&self) -> Option<&FileProblem> {
         self.problem.as_ref()

@@ -391,7 +391,7 @@ fn file(brush: &Brush, whole: bool) -> Parts {
                 format!(" ✗ {}:{}", error.line, error.column)
             };
             parts.push(vec![name, brush.span(Role::Error, text)]);
-            if whole {
+            if whole && file.was_good() {
                 let text = format!("the last good content stays ({entries} entries)");
                 parts.push(vec![brush.span(Role::Muted, text)]);
             }
