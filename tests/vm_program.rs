@@ -228,9 +228,10 @@ fn what_happens_to_an_interface_is_watched() {
     vcan.down();
     watching.event_that("bus", is_down);
     drop(first);
-    watching.event_that("lost", is_feed);
     vcan.up();
     watching.event_that("bus", is_up);
+    // Only now can anybody tell.
+    watching.event_that("lost", is_feed);
     let second = board(vcan.name(), folder.path(), "FEED", "WATCHED");
     // Where our question reaches it before its first heartbeat, its answer is heard first.
     let was = &watching.event_that("returned", is_feed)["was"];
@@ -238,9 +239,9 @@ fn what_happens_to_an_interface_is_watched() {
     drop(second);
     vcan.remove();
     watching.event_that("bus", is_down);
-    watching.event_that("lost", is_feed);
     vcan.create().unwrap();
     watching.event_that("bus", is_up);
+    watching.event_that("lost", is_feed);
     let _third = board(vcan.name(), folder.path(), "FEED", "WATCHED");
     watching.event_that("returned", is_feed);
     watching.signal(nix::sys::signal::Signal::SIGTERM);

@@ -363,7 +363,7 @@ impl Case<'_> {
                 .max(self.begin());
             let last_word = course.at(end);
             // What is suspected anew later has another cause, or none.
-            let opened = course.opened_last();
+            let opened_for_it = course.opened_last() < over + TEN_SECONDS;
             let calm = Instant::ZERO + self.run.world.calm;
             // What was suspected without a cause may have begun with the last thing that happened.
             let over = if course.at(over).is_none() { over.max(calm) } else { over };
@@ -374,7 +374,7 @@ impl Case<'_> {
             let waits = self.run.world.inspectors[self.number].config.listen_only;
             let more = if waits { 8 } else { 3 * u32::from(missed) };
             let due = over + TEN_SECONDS + PERIOD * more;
-            if due < end && opened < due && last_word != Some(Confidence::Cleared) {
+            if due < end && opened_for_it && last_word != Some(Confidence::Cleared) {
                 wrong.push(format!(
                     "{} at {:?} is still {last_word:?}, though over at {over}",
                     course.kind, course.addresses
