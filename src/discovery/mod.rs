@@ -15,8 +15,8 @@
 //! presence    who is there                                 transfers    answers in several frames
 //! rounds      when everybody is asked                      asking       who is asked what, and when
 //! station     our own address, and our answers             outbox       our share; who acknowledges
-//! collisions  evidence and what it amounts to              memory       of an address: what takes turns
-//! doubling    bridges and echoes that repeat everything
+//! collisions  evidence, from raw frames                    cases        what it amounts to
+//! memory      of an address: what takes turns              doubling     what repeats everything
 //! errors      errors that follow one address               error_rate   those of the bus as a whole
 //! device, event, finding: what others read                 wording      findings in words
 //! ```
