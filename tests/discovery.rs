@@ -466,6 +466,25 @@ fn a_steady_heartbeat_off_its_beat_is_reason_to_ask() {
     assert!(asked.iter().any(|at| (9100..10_500).contains(at)), "{asked:?}");
 }
 
+#[test]
+fn what_could_not_be_heard_is_not_missed() {
+    let config = Config { echo: false, listen_only: true, ..Config::default() };
+    let mut engine = Engine::new(Instant::ZERO, config);
+    let beats = |engine: &mut Engine, from: u64, to: u64| {
+        for second in from..=to {
+            engine.handle_frame(&beat(5, "FEED01").at(seconds(second as f64 + 0.1)));
+        }
+    };
+    beats(&mut engine, 0, 3);
+    engine.suspend(seconds(3.6));
+    engine.restart(seconds(13.6));
+    beats(&mut engine, 14, 16);
+    let missed = |engine: &Engine| engine.devices()[0].heartbeat.missed;
+    assert_eq!(missed(&engine), 0);
+    beats(&mut engine, 19, 19);
+    assert_eq!(missed(&engine), 2);
+}
+
 fn confidence(engine: &Engine, kind: FindingKind) -> Option<Confidence> {
     engine.findings().iter().find(|it| it.key.kind == kind).map(|it| it.confidence)
 }

@@ -53,12 +53,14 @@ impl Engine {
         if let Some(last) = self.roster.get(index).heartbeat.last {
             self.lateness.see(now, header.source, now.since(last), period);
         }
+        let before = self.roster.get(index).heartbeat.last;
+        let unheard = before.map_or(Duration::ZERO, |before| self.outages.since(before));
         let device = self.roster.get_mut(index);
         let expected = device.heartbeat.period();
         let jitter = device.heartbeat.jitter();
         let first = device.heartbeat.last.is_none();
         let previous_beat = device.heartbeat.last;
-        let gap = device.heartbeat.beat(now, period);
+        let gap = device.heartbeat.beat(now, period, unheard);
         if first {
             self.wake_at(now + period * 2);
         }

@@ -54,7 +54,7 @@ impl Outages {
     }
 
     /// How much of the time since then it was impossible to hear anything.
-    fn since(&self, then: Instant) -> Duration {
+    pub fn since(&self, then: Instant) -> Duration {
         self.past.iter().map(|(from, until)| until.since(then.max(*from))).sum()
     }
 }
