@@ -27,9 +27,8 @@ impl App {
     }
 
     /// Whether the bit rate of that bus is being looked for.
-    pub fn searches_bitrate_of(&self, bus: &super::Bus) -> bool {
-        let searched = self.searched.and_then(|searched| self.bus(searched));
-        searched.is_some_and(|searched| std::ptr::eq(searched, bus))
+    pub fn searches_bitrate_of(&self, bus: BusIndex) -> bool {
+        self.searched == Some(bus)
     }
 
     pub(super) fn find_bitrate(&mut self, bus: BusIndex) {

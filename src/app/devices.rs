@@ -214,9 +214,9 @@ impl App {
         self.siblings.of(id)
     }
 
-    /// Whether a row has that address, on one of its buses.
-    pub(super) fn is_at(&self, row: &Row, address: Address) -> bool {
-        row.address == Some(address) || self.devices_of(row).any(|device| device.address == address)
+    /// The addresses of a row, on one of its buses or another; one may come twice.
+    pub(super) fn addresses_of<'a>(&'a self, row: &'a Row) -> impl Iterator<Item = Address> + 'a {
+        row.address.into_iter().chain(self.devices_of(row).map(|device| device.address))
     }
 
     /// The entry of a row.

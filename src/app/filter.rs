@@ -132,11 +132,8 @@ impl Filter {
             return true;
         }
         let name = row.name.as_ref().map(ToString::to_string).unwrap_or_default().to_lowercase();
-        let has_address = |word: &str| {
-            let own = row.address.into_iter();
-            let also = app.devices_of(row).map(|device| device.address);
-            own.chain(also).any(|address| is_one_of(address, word))
-        };
+        let has_address =
+            |word: &str| app.addresses_of(row).any(|address| is_one_of(address, word));
         let buses = row.bus.into_iter().chain(row.also.iter().map(|id| id.bus));
         let buses = buses.filter_map(|bus| Some(app.bus(bus)?.name.to_lowercase()));
         let buses: Vec<String> = buses.collect();

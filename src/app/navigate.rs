@@ -486,7 +486,8 @@ impl App {
         let on_bus = |row: &&Row| bus.is_none_or(|bus| row.is_on(bus));
         let fits = |app: &Self, row: &Row| {
             let named = name.is_some() && row.name == name;
-            let there = address.is_some_and(|address| app.is_at(row, address));
+            let there =
+                address.is_some_and(|address| app.addresses_of(row).any(|it| it == address));
             (named && there, named, there && name.is_none())
         };
         let best = |app: &Self| {

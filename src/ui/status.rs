@@ -136,18 +136,18 @@ fn bus_parts(brush: &Brush, index: BusIndex) -> Parts {
     let good = matches!(bus.status.state, BusState::ErrorActive | BusState::Unknown);
     if bus.is_up() && good {
         parts.push(name);
-        parts.push(vec![state(brush, bus)]);
+        parts.push(vec![state(brush, index, bus)]);
     } else {
         // What is wrong is never left out.
         name.push(Span::raw("  "));
-        name.push(state(brush, bus));
+        name.push(state(brush, index, bus));
         parts.push(name);
     }
     parts.extend(place_in_log(brush, bus));
     if brush.app.view().frozen.is_some() {
         parts.insert(1, vec![brush.span(Role::Warning, "HELD")]);
     }
-    let is_searched = brush.app.searches_bitrate_of(bus);
+    let is_searched = brush.app.searches_bitrate_of(index);
     let message = bus.status.message.as_ref().filter(|_| !bus.is_up() && !is_searched);
     if let Some(message) = message {
         let message = crate::text::Escaped(message.as_bytes()).to_string();
@@ -247,7 +247,7 @@ fn rate(bits: u32) -> String {
     }
 }
 
-fn state(brush: &Brush, bus: &Bus) -> Span<'static> {
+fn state(brush: &Brush, index: BusIndex, bus: &Bus) -> Span<'static> {
     let (word, role) = match (bus.status.link, bus.status.state) {
         (Link::Opening, _) => ("opening", Role::Muted),
         (Link::Down, _) | (Link::Up, BusState::Down) => ("DOWN", Role::Error),
@@ -262,7 +262,7 @@ fn state(brush: &Brush, bus: &Bus) -> Span<'static> {
         (Link::Up, BusState::BusOff) => ("BUS-OFF", Role::Error),
         (Link::Up, BusState::Stopped) => ("STOPPED", Role::Error),
     };
-    if brush.app.searches_bitrate_of(bus) {
+    if brush.app.searches_bitrate_of(index) {
         return brush.span(Role::Warning, "its bit rate is looked for");
     }
     brush.span(role, word)
