@@ -96,6 +96,43 @@ fn a_lost_connection_ends_it() {
 }
 
 #[test]
+fn edits_that_cannot_be_saved_are_kept_in_a_copy_unless_they_are_given_up() {
+    for way in ["Ctrl-C", "SIGTERM", "SIGHUP", "given up"] {
+        let folder = tempfile::tempdir().unwrap();
+        // There is no such folder, so nothing can be saved.
+        let arguments = ["sim:boiler", "--file", "gone/des.json"];
+        let mut pty = Pty::start(&arguments, folder.path(), (120, 40));
+        pty.wait_for("FEED");
+        pty.send("e77\r");
+        pty.wait_for("not saved");
+        match way {
+            "Ctrl-C" => pty.send("\x03"),
+            "SIGTERM" => pty.signal(Signal::SIGTERM),
+            "SIGHUP" => pty.hang_up(),
+            _ => {
+                pty.send("q");
+                pty.wait_for("uit");
+                pty.send("y");
+            }
+        }
+        let given_up = way == "given up";
+        let code = pty.wait();
+        assert_ne!(code == 0, !given_up, "{way}: {code}");
+        let kept = folder.path().join("state/descan");
+        let copies: Vec<_> = std::fs::read_dir(kept).into_iter().flatten().flatten().collect();
+        assert_eq!(copies.len(), usize::from(!given_up), "{way}: {copies:?}");
+        for copy in copies {
+            let text = std::fs::read_to_string(copy.path()).unwrap();
+            assert!(text.contains("77"), "{way}: {text}");
+            let name = copy.file_name().into_string().unwrap();
+            if way != "SIGHUP" {
+                assert!(pty.screen().replace('\n', "").contains(&name), "{}", pty.screen());
+            }
+        }
+    }
+}
+
+#[test]
 fn ctrl_z_gives_the_terminal_back_until_it_goes_on() {
     for key in [true, false] {
         let folder = tempfile::tempdir().unwrap();

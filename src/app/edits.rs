@@ -393,7 +393,10 @@ impl App {
             return;
         }
         match question {
-            Question::Quit => self.quit(),
+            Question::Quit => {
+                self.gave_up_edits = true;
+                self.quit();
+            }
             Question::FindBitrate(bus) => self.find_bitrate(bus),
             Question::Delete(key) => self.edit(&[Operation::Remove { entry: key }]),
             Question::Identify(id) => match self.identify_frame(id) {
@@ -430,6 +433,14 @@ impl App {
             self.overlay = Overlay::None;
             self.quit();
         }
+    }
+
+    /// Edits that would be lost if the program ended now, as a whole file, and how many: none where
+    /// they are saved, in a copy too, or the user gave them up.
+    pub fn edits_at_risk(&self) -> Option<(usize, &[u8])> {
+        let (count, document) = (self.file.unsaved(), self.file.document());
+        let is_copied = self.copied.as_ref().is_some_and(|(_, copy)| copy == document);
+        (count > 0 && !is_copied && !self.gave_up_edits).then(|| (count, document.source()))
     }
 
     /// Command: quit.

@@ -192,6 +192,8 @@ pub struct App {
     /// The copies of des.json with our edits: the one being written, and the last that is.
     copying: Option<(PathBuf, Document)>,
     copied: Option<(PathBuf, Document)>,
+    /// The user quits although edits are not saved.
+    gave_up_edits: bool,
     capture: Capture,
     matches: Matches,
     timeline: Timeline,
@@ -263,6 +265,7 @@ impl App {
             is_saving_again: false,
             copying: None,
             copied: None,
+            gave_up_edits: false,
             file_findings: Vec::new(),
             muted: BTreeSet::new(),
             problem_order: Vec::new(),

@@ -1,14 +1,15 @@
 //! The terminal UI, on real buses and on simulated ones.
 
 use super::open::{self, Setup};
-use super::{FINE, Failure, INTERRUPTED};
+use super::{FINE, Failure, INTERRUPTED, UNUSABLE};
 use crate::app::AppOptions;
 use crate::bus::{BusSpec, Clock};
 use crate::cli::{Common, Session as Arguments};
 use crate::shell::screen::{self, Ending, Themes};
-use crate::shell::terminal;
+use crate::shell::{rescue, terminal};
 use anyhow::Context;
 use std::io::{IsTerminal, Write};
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// How long a save may take after a signal, or a terminal that is gone.
@@ -101,12 +102,34 @@ fn show(buses: &[BusSpec], setup: &Setup, clock: Clock) -> Result<u8, Failure> {
         let is_asked_to_end = !matches!(ending, Ok(Ending::Quit));
         session.finish_work(!gives_up, is_asked_to_end.then_some(PATIENCE)).await;
         open::tell_recorded(session.finish_recording());
-        Ok::<Ending, Failure>(ending?)
+        let is_lost = session.app.edits_at_risk().map(|(count, content)| {
+            tell_rescued(&setup.file, count, rescue::keep(content));
+        });
+        Ok::<_, Failure>((ending?, is_lost.is_some()))
     });
     // Not dropped: that would wait for what was not to be waited for.
     runtime.shutdown_background();
     Ok(match result? {
-        Ending::Quit => FINE,
-        Ending::Terminated | Ending::Hangup => INTERRUPTED,
+        (Ending::Quit, false) => FINE,
+        (Ending::Quit, true) => UNUSABLE,
+        (Ending::Terminated | Ending::Hangup, _) => INTERRUPTED,
     })
+}
+
+/// Says on standard error what was not saved, and where a copy of it is.
+fn tell_rescued(file: &Path, count: usize, kept: std::io::Result<PathBuf>) {
+    let file = file.display();
+    let edits = if count == 1 { "1 edit".to_owned() } else { format!("{count} edits") };
+    // The terminal may be gone.
+    let _ = match kept {
+        Ok(copy) => writeln!(
+            std::io::stderr(),
+            "descan: {edits} of {file} not saved; a copy with all edits is {}",
+            copy.display()
+        ),
+        Err(why) => writeln!(
+            std::io::stderr(),
+            "descan: {edits} of {file} not saved, and a copy cannot be written: {why}"
+        ),
+    };
 }

@@ -16,6 +16,7 @@ pub mod config;
 pub mod ending;
 pub mod recorder;
 pub mod recording;
+pub mod rescue;
 pub mod screen;
 pub mod session;
 pub mod speed;

@@ -46,6 +46,7 @@ impl Pty {
         command.cwd(folder);
         command.env("TERM", "xterm-256color");
         command.env("XDG_CONFIG_HOME", folder.join("config"));
+        command.env("XDG_STATE_HOME", folder.join("state"));
         command.env("TZ", "UTC");
         command.env("RUST_BACKTRACE", "0");
         command.env_remove("NO_COLOR");
