@@ -118,6 +118,21 @@ des.json: 3 entries, 2 devices on can0: 2 missing, 1 at another address, 1 stati
 }
 
 #[test]
+fn one_that_does_not_say_its_name_is_one_difference_and_not_two() {
+    let mut scenario = Scenario::new(125_000);
+    for (name, address) in [("FEED", 12), ("SENS", 13)] {
+        let device = DeviceSpec::new(name).fixed(address).settled();
+        scenario = scenario.with(device.fault(Fault::NoDes));
+    }
+    let file = r#"[{ "name": "FEED", "address": 12 }]"#;
+    let output = Folder::with(&scenario, Some(file)).check(&["file:session.log"]);
+    let said = text(&output.stdout);
+    assert!(said.contains("FEED (at 12) is listed and not there: a heartbeat at 12"), "{said}");
+    assert!(!said.contains("at 12 is not in the file"), "{said}");
+    assert!(said.contains("A device without a name at 13 is not in the file."), "{said}");
+}
+
+#[test]
 fn kinds_are_those_that_scripts_rely_on() {
     let kind = |kind: &str, address: u64| (kind.to_owned(), Some(address));
     let feed = r#"{ "name": "FEED", "address": 12, "static": true }"#;

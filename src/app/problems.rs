@@ -196,6 +196,10 @@ impl Comparison<'_> {
                 if listed || device.is_debug || !device.is_here() {
                     continue;
                 }
+                // Most likely the listed one, of which is said why it is not known to be there.
+                if device.name.is_none() && self.is_awaited_at(device.address) {
+                    continue;
+                }
                 let who = device
                     .name
                     .as_ref()
@@ -206,6 +210,13 @@ impl Comparison<'_> {
                 self.add(FindingKind::Unlisted, bus, Some(device.address), name, text, remedy);
             }
         }
+    }
+
+    /// Whether an entry has that address whose device was not found.
+    fn is_awaited_at(&self, address: Address) -> bool {
+        let entries = self.app.file.document().entries().iter();
+        let mut here = entries.filter(|entry| entry.address == Some(address.number()));
+        here.any(|entry| self.app.matching.devices_of(entry.index).is_empty())
     }
 
     fn add(

@@ -4,7 +4,7 @@
 use super::headless::{self, Limits, Outcome, tell_hindrance};
 use super::open::{self, Setup};
 use super::report::{self, Report};
-use super::scan::look;
+use super::scan::{is_settled, look};
 use super::{FINDINGS, FINE, Failure, INTERRUPTED};
 use crate::app::{App, AppOptions, Scope};
 use crate::cli::Check;
@@ -32,6 +32,10 @@ pub fn run(check: &Check) -> Result<u8, Failure> {
     has_file(&app)?;
     if ending == Some(Ending::Interrupted) {
         return Ok(INTERRUPTED);
+    }
+    if ending == Some(Ending::TimeUp) && !is_settled(&app) {
+        let why = "time was over before everything was answered; --time gives it longer";
+        let _ = writeln!(io::stderr(), "descan: {why}");
     }
     for at in 0..app.buses().len() {
         tell_hindrance(&app, crate::frame::BusIndex(at as u8));

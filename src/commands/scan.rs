@@ -83,7 +83,8 @@ pub fn look(
     }
 }
 
-fn is_settled(app: &App) -> bool {
+/// Whether all is asked and answered, as far as it ever will be.
+pub fn is_settled(app: &App) -> bool {
     app.buses().iter().all(|bus| bus.status.link != Link::Opening && bus.engine.progress().settled)
 }
 
