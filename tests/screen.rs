@@ -483,6 +483,12 @@ fn a_failed_save_is_tried_again_when_asked() {
     stage.app.handle_saved(now, SaveOutcome::Failed("no space left on the disk".to_owned()));
     assert_eq!(stage.app.poll_effect(), None, "not again and again");
     assert!(stage.screen().contains("not saved: no space left"), "{}", stage.screen());
+    // Nor does it give way on the smallest screen, when something else is said.
+    for (columns, rows) in [(40, 10), (60, 14)] {
+        let screen = stage.keys("r").size(columns, rows).screen();
+        assert!(screen.lines().next().unwrap().contains("✗ not saved"), "{screen}");
+    }
+    stage.size(80, 24);
     stage.keys("Ctrl-s");
     assert_eq!(stage.file(), BOILER.replace("10", "47"));
     assert!(stage.screen().contains("✓ 5 entries"));

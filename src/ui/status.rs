@@ -24,9 +24,14 @@ pub fn draw(brush: &mut Brush) {
         1 => {
             let left = bus_parts(brush, selected_bus(brush));
             let mut right: Parts = assumed(brush).into_iter().collect();
-            right.extend(file(brush, false));
+            let file = file(brush, false);
+            // What is not on the disk, or cannot be read, gives way to nothing.
+            let (first, last) =
+                if is_worrying(brush) { (None, Some(file)) } else { (Some(file), None) };
+            right.extend(first.into_iter().flatten());
             right.extend(counts(brush));
             right.extend(recording(brush));
+            right.extend(last.into_iter().flatten());
             add_muted(brush, area, &left, &mut right);
             pair(brush, area, 0, left, right);
         }
@@ -52,6 +57,12 @@ pub fn draw(brush: &mut Brush) {
             pair(brush, area, lines - 1, left, right);
         }
     }
+}
+
+/// Whether edits are not on the disk, or the file there cannot be used.
+fn is_worrying(brush: &Brush) -> bool {
+    let file = brush.app.file();
+    file.unsaved() > 0 || file.problem().is_some() || file.conflict().is_some()
 }
 
 fn selected_bus(brush: &Brush) -> BusIndex {
