@@ -122,7 +122,7 @@ fn a_full_disk() {
         "cp des.json .. && mount -t tmpfs -o size=64k tmpfs . && cd ../disk && cp ../des.json . \
          && { head -c 1M /dev/zero >filling 2>/dev/null || true; }",
     );
-    disk.is_kept("No space left on device (os error 28): make room");
+    disk.is_kept("the disk is full: make room");
     fs::remove_file(disk.seen("disk/filling")).unwrap();
     disk.is_saved_at_last();
 }
@@ -133,7 +133,7 @@ fn a_disk_that_is_mounted_read_only() {
         return;
     }
     let mut disk = Disk::new("mount --bind . . && mount -o remount,ro,bind \"$PWD\"");
-    disk.is_kept("the file system is mounted read-only");
+    disk.is_kept("mounted read-only: remount it");
     let folder = disk.folder.path().join("disk");
     disk.among_its_mounts(&["mount", "-o", "remount,rw,bind", folder.to_str().unwrap()]);
     disk.is_saved_at_last();
@@ -145,7 +145,7 @@ fn a_file_that_is_a_mount_point() {
         return;
     }
     let mut disk = Disk::new("cp des.json ../real.json && mount --bind ../real.json des.json");
-    disk.is_kept("it is a mount point of its own");
+    disk.is_kept("a bind mount of its own");
     let file = disk.folder.path().join("disk/des.json");
     disk.among_its_mounts(&["umount", file.to_str().unwrap()]);
     disk.is_saved_at_last();
@@ -196,13 +196,13 @@ fn a_folder_that_others_own() {
     }
     let nobody = "as='setpriv --reuid 65534 --regid 65534 --clear-groups'";
     let mut disk = Disk::new(&format!("chmod 666 des.json && chmod 777 .. && {nobody}"));
-    disk.is_kept("get the permission");
+    disk.is_kept("no permission for its folder");
     fs::set_permissions(disk.folder.path().join("disk"), Permissions::from_mode(0o777)).unwrap();
     disk.is_saved_at_last();
 
     // And a file that is write-protected, in a folder that is not.
     let mut disk = Disk::new(&format!("chmod 444 des.json && chmod 777 . .. && {nobody}"));
-    disk.is_kept("is write-protected: chmod u+w ");
+    disk.is_kept("somebody else's, and write-protected: save a copy");
     fs::set_permissions(disk.seen("disk/des.json"), Permissions::from_mode(0o666)).unwrap();
     disk.is_saved_at_last();
 }
@@ -220,7 +220,7 @@ fn a_folder_that_is_moved_away() {
     disk.pty.wait_for("gone: the next edit begins a new one");
     disk.pty.send("7\r");
     disk.pty.wait_for("✗ not saved");
-    disk.pty.wait_for("make its folder (mkdir -p)");
+    disk.pty.wait_for("its folder is gone: make it");
     assert_eq!(fs::read_to_string(away.join("des.json")).unwrap(), BEFORE);
     fs::rename(&away, &here).unwrap();
     // The entry that we began anew is the one that went away with the folder.

@@ -20,7 +20,7 @@ pub fn keep(content: &[u8]) -> io::Result<PathBuf> {
 fn keep_in(folder: &Path, content: &[u8]) -> io::Result<PathBuf> {
     let mut file =
         tempfile::Builder::new().prefix("unsaved-").suffix(".json").tempfile_in(folder)?;
+    // Not synchronized with the disk: that could take for ever, and the program is to end.
     file.write_all(content)?;
-    file.as_file().sync_all()?;
     Ok(file.into_temp_path().keep()?)
 }

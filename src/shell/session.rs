@@ -323,7 +323,7 @@ impl Session {
             let outcome = match store.save(expected, content.source()) {
                 Ok(()) => SaveOutcome::Saved,
                 Err(SaveError::Changed(there)) => SaveOutcome::Changed(there),
-                Err(error) => SaveOutcome::Failed(error.to_string()),
+                Err(error) => SaveOutcome::Failed(error.in_short()),
             };
             Finished::Saved(outcome, content.source().to_vec())
         });

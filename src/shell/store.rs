@@ -85,6 +85,12 @@ pub enum SaveError {
         /// Which.
         path: String,
     },
+    /// The same, and it is not ours to change that.
+    #[error("{path} is somebody else's and write-protected: save a copy elsewhere, or ask for it")]
+    Foreign {
+        /// Which.
+        path: String,
+    },
     /// Another instance of descan has been saving for seconds.
     #[error("{folder} is locked by another descan: close it, then save again")]
     Locked {
@@ -99,6 +105,33 @@ pub enum SaveError {
         /// Why.
         cause: io::Error,
     },
+}
+
+impl SaveError {
+    /// The cause and the way out in few words, for a place that says already which file it is about
+    /// and that it is not saved.
+    pub fn in_short(&self) -> String {
+        let elsewhere = "or save a copy elsewhere";
+        match self {
+            Self::Protected { .. } => format!("it is write-protected: chmod u+w, {elsewhere}"),
+            Self::Foreign { .. } => {
+                "it is somebody else's, and write-protected: save a copy elsewhere".to_owned()
+            }
+            Self::Write { cause, .. } => match cause.raw_os_error().map(Errno::from_raw) {
+                Some(Errno::ENOSPC | Errno::EDQUOT) => "the disk is full: make room".to_owned(),
+                Some(Errno::EROFS) => format!("mounted read-only: remount it, {elsewhere}"),
+                Some(Errno::EACCES | Errno::EPERM) => {
+                    format!("no permission for its folder: get it, {elsewhere}")
+                }
+                Some(Errno::EBUSY) => {
+                    format!("a bind mount of its own: mount its folder instead, {elsewhere}")
+                }
+                Some(Errno::ENOENT | Errno::ENOTDIR) => "its folder is gone: make it".to_owned(),
+                _ => plain(cause),
+            },
+            other => other.to_string(),
+        }
+    }
 }
 
 impl Store {
@@ -163,7 +196,13 @@ impl Store {
         let lock = lock(folder)?;
         let old = fs::metadata(target).ok();
         if old.is_some() && access(target, AccessFlags::W_OK) == Err(Errno::EACCES) {
-            return Err(SaveError::Protected { path: shown(target) });
+            let path = shown(target);
+            let is_ours = old.is_some_and(|old| old.uid() == Uid::effective().as_raw());
+            return Err(if is_ours {
+                SaveError::Protected { path }
+            } else {
+                SaveError::Foreign { path }
+            });
         }
         if lock.is_some() {
             remove_leftovers(target, folder);
@@ -377,6 +416,12 @@ fn way_out(cause: &io::Error) -> &'static str {
         Some(Errno::EMFILE | Errno::ENFILE) => ": close other programs, or raise ulimit -n",
         _ => "",
     }
+}
+
+/// What the system says, without its number.
+fn plain(cause: &io::Error) -> String {
+    let text = cause.to_string();
+    text.split(" (os error").next().unwrap_or(&text).to_owned()
 }
 
 fn shown(path: &Path) -> String {
