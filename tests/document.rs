@@ -535,6 +535,16 @@ fn a_new_entry_looks_like_its_neighbours() {
             "[\r\n\t{\r\n\t\t\"address\":12,\r\n\t\t\"services\":{\r\n\t\t\t\"DES\":\"1.0\",\r\n\t\t\t\"AUGER\":\"2.1\"\r\n\t\t},\r\n\t\t\"note\":1,\r\n\t\t\"name\":\"FEED\"\r\n\t}\r\n]",
             "[\r\n\t{\r\n\t\t\"address\":12,\r\n\t\t\"services\":{\r\n\t\t\t\"DES\":\"1.0\",\r\n\t\t\t\"AUGER\":\"2.1\"\r\n\t\t},\r\n\t\t\"note\":1,\r\n\t\t\"name\":\"FEED\"\r\n\t},\r\n\t{\r\n\t\t\"address\":13,\r\n\t\t\"static\":true,\r\n\t\t\"services\":{\r\n\t\t\t\"DES\":\"1.0\",\r\n\t\t\t\"TEMP\":\"1.2\"\r\n\t\t},\r\n\t\t\"name\":\"SENS\"\r\n\t}\r\n]",
         ),
+        // The name after the address; another entry shows where `static` stands.
+        (
+            r#"[{"address":12,"name":"FEED","static":true},{"address":14,"name":"ACT"}]"#,
+            r#"[{"address":12,"name":"FEED","static":true},{"address":14,"name":"ACT"},{"address":13,"name":"SENS","static":true,"services":[{"name":"DES","version":"1.0"},{"name":"TEMP","version":"1.2"}]}]"#,
+        ),
+        // One service does not say what stands between two.
+        (
+            r#"[{"name":"FEED","address":12,"services":[{"name":"DES","version":"1.0"}]}]"#,
+            r#"[{"name":"FEED","address":12,"services":[{"name":"DES","version":"1.0"}]},{"name":"SENS","address":13,"static":true,"services":[{"name":"DES","version":"1.0"},{"name":"TEMP","version":"1.2"}]}]"#,
+        ),
         // The product's own example; a comma first; the last entry without services.
         (
             "[ { \"name\": \"FEED\", \"address\": 12,\n      \"services\": [ { \"name\": \"DES\", \"version\": \"1.0\" } ] }\n, { \"name\": \"ACT\" }\n]",

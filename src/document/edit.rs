@@ -204,6 +204,24 @@ impl Document {
         self.entries().iter().rposition(has)
     }
 
+    /// The last of the entries that show best how one with these members looks.
+    fn sample_of(&self, entry: &NewEntry) -> Option<usize> {
+        let wanted = [
+            (!entry.services.is_empty(), Member::Services),
+            (entry.is_static, Member::Static),
+            (entry.uid.is_some(), Member::Uid),
+            (entry.bus.is_some(), Member::Bus),
+        ];
+        let shows = |entry: &Entry| {
+            let shown =
+                |&(is_wanted, member): &(bool, Member)| is_wanted && entry.present.has(member);
+            // Services matter most: they have a layout of their own.
+            (shown(&wanted[0]), wanted.iter().filter(|it| shown(it)).count())
+        };
+        let entries = self.entries().iter().enumerate();
+        entries.max_by_key(|(_, entry)| shows(entry)).map(|(index, _)| index)
+    }
+
     fn member(&self, index: usize, member: Member) -> Option<&str> {
         Members::of(self.entry_text(index))?.value(member.key())
     }
@@ -211,8 +229,7 @@ impl Document {
     // ---- elements of the list ----
 
     fn with_new(&self, entry: &NewEntry) -> Edited {
-        let with_services = (!entry.services.is_empty()).then_some(Member::Services);
-        let sample = self.sample(with_services).or_else(|| self.sample(None));
+        let sample = self.sample_of(entry);
         let style = sample.and_then(|index| EntryStyle::of(self.entry_text(index)));
         let style = style
             .unwrap_or_else(|| EntryStyle::begun(newline(self.body()), &self.element_indent()));

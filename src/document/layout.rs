@@ -265,7 +265,9 @@ impl<'t> EntryStyle<'t> {
                 continue;
             }
             let place = |earlier| order.iter().position(|present| *present == earlier);
-            let after = members[..index].iter().rev().find_map(place);
+            let mut earlier = members[..index].iter().rev().filter_map(place);
+            // `static` belongs to the address; the rest comes after what comes before it elsewhere.
+            let after = if added.0 == Member::Static { earlier.next() } else { earlier.max() };
             order.insert(after.map_or(0, |after| after + 1), added);
         }
         let mut out = format!("{{{}", self.layout.open);
@@ -310,9 +312,13 @@ impl ServicesStyle {
             return default;
         };
         let is_object = sample.starts_with('{');
-        let Some(outer) = Layout::of(sample, &container) else {
+        let Some(mut outer) = Layout::of(sample, &container) else {
             return Self { is_object, ..default };
         };
+        // One item does not say what stands between two.
+        if container.items.len() == 1 && !outer.open.contains('\n') {
+            outer.gap = entry.inline().gap;
+        }
         let item = container.items[0].value.clone();
         let item = Members::of(&sample[item]).and_then(|members| members.layout());
         let item = item.unwrap_or(default.item);
