@@ -1,8 +1,8 @@
 //! `des.json`: what is read, what is refused, and which bytes an edit changes.
 
 use descan::document::{
-    Document, EditError, EntryKey, FindingKind, Merge, NewEntry, Operation, Prefer, SCHEMA,
-    ServiceEntry, merge,
+    Choices, Document, EditError, EntryKey, FindingKind, Merge, NewEntry, Operation, Prefer,
+    SCHEMA, ServiceEntry, merge, merge_chosen,
 };
 
 fn parsed(source: &str) -> Document {
@@ -928,6 +928,40 @@ fn the_same_value_is_a_conflict() {
         assert_eq!(merged(&operations, theirs, Prefer::Theirs).as_deref(), Ok(theirs));
         assert_eq!(merged(&operations, theirs, Prefer::Ours).as_deref(), Ok(with_ours));
     }
+}
+
+#[test]
+fn each_conflict_is_chosen_in_alone_and_one_value_is_one_conflict() {
+    let base = parsed(BASE);
+    let mut document = base.clone();
+    let mut ours = Vec::new();
+    for next in [
+        |document: &Document| set(document, "FEED", 70),
+        |document: &Document| set(document, "SENS", 71),
+        |document: &Document| set(document, "FEED", 72),
+        |document: &Document| rename(document, "ACT", b"VALVE"),
+        |document: &Document| set(document, "VALVE", 73),
+    ] {
+        let operation = next(&document);
+        document = document.apply(&operation).unwrap();
+        ours.push(operation);
+    }
+    // ACT is gone: neither its name nor its address is asked about twice.
+    let theirs = r#"[{"name":"FEED","address":100,"static":true},{"name":"SENS","address":101,"static":true}]"#;
+    let theirs = parsed(theirs);
+    let mut chosen = Vec::new();
+    for (number, asked) in [(1, "address 100, static"), (2, "address 101, static"), (3, "deleted")]
+    {
+        let choices = Choices { chosen: chosen.clone(), ..Choices::default() };
+        let merge = merge_chosen(&base, &ours, &theirs, &choices, Prefer::Neither).unwrap();
+        let Merge::Conflict(conflict) = merge else { panic!("{merge:?}") };
+        assert_eq!((conflict.number, conflict.of, &*conflict.theirs), (number, 3, asked));
+        chosen.push(if number == 2 { Prefer::Ours } else { Prefer::Theirs });
+    }
+    let choices = Choices { chosen, ..Choices::default() };
+    let merge = merge_chosen(&base, &ours, &theirs, &choices, Prefer::Neither).unwrap();
+    let Merge::Rebased { document, .. } = merge else { panic!("{merge:?}") };
+    assert_eq!(text(&document), text(&theirs).replace("101", "71"));
 }
 
 #[test]

@@ -146,6 +146,14 @@ impl Stage {
         self
     }
 
+    /// The saves that are on their way fail.
+    fn refuse_saves(&mut self) -> &mut Self {
+        for outcome in self.unfinished.as_mut().into_iter().flatten() {
+            *outcome = SaveOutcome::Failed("no space left on the disk".to_owned());
+        }
+        self.finish_saves()
+    }
+
     /// Presses keys, written as in keys.toml, with blanks between.
     fn keys(&mut self, keys: &str) -> &mut Self {
         for text in keys.split_whitespace() {
@@ -455,6 +463,56 @@ fn a_conflict_shows_both_and_lets_choose() {
     assert_eq!(stage.file(), theirs, "nothing is written before the choice");
     stage.keys("o");
     assert_eq!(stage.file(), BOILER.replace("10", "47"));
+}
+
+/// FEED to 70 and SENS to 71, which the disk does not take.
+fn with_two_unsaved_edits() -> Stage {
+    let mut stage = Stage::boiler();
+    stage.slow_disk().until(24.0).keys("e").text("70").keys("Enter j e").text("71").keys("Enter");
+    stage.file = Some(BOILER.as_bytes().to_vec());
+    stage.refuse_saves();
+    stage
+}
+
+#[test]
+fn each_of_two_conflicts_is_decided_alone() {
+    let theirs = BOILER.replace("10", "100").replace("12", "103");
+    for (keys, feed, sens, told) in [
+        (["o", "o"], "70", "71", "our 2 values were kept"),
+        (["o", "t"], "70", "103", "kept: 1 of our values, 1 of the file's"),
+        (["t", "o"], "100", "71", "kept: 1 of our values, 1 of the file's"),
+        (["t", "t"], "100", "103", "the file's 2 values were kept"),
+    ] {
+        let mut stage = with_two_unsaved_edits();
+        stage.write(&theirs);
+        let screen = stage.screen();
+        assert!(screen.contains("Conflict 1 of 2"), "{screen}");
+        assert!(screen.contains("entry FEED: 10 → 70"), "{screen}");
+        let screen = stage.keys(keys[0]).screen();
+        assert_eq!(stage.file(), theirs, "nothing is written before the last choice");
+        assert!(screen.contains("Conflict 2 of 2"), "{screen}");
+        assert!(screen.contains("entry SENS: 12 → 71"), "{screen}");
+        assert!(screen.contains("theirs     address 103, static"), "{screen}");
+        let screen = stage.keys(keys[1]).screen();
+        assert!(!screen.contains("Conflict"), "{screen}");
+        assert!(screen.contains(told), "{screen}");
+        stage.unfinished.as_mut().into_iter().for_each(Vec::clear);
+        assert_eq!(stage.file(), BOILER.replace("10", feed).replace("12", sens));
+    }
+}
+
+#[test]
+fn a_choice_is_asked_for_again_where_the_file_changed_after_it() {
+    let mut stage = with_two_unsaved_edits();
+    stage.write(&BOILER.replace("10", "100").replace("12", "103")).keys("o");
+    let theirs = BOILER.replace("10", "101").replace("12", "103");
+    let screen = stage.write(&theirs).screen();
+    assert!(screen.contains("Conflict 1 of 2"), "{screen}");
+    assert!(screen.contains("theirs     address 101, static"), "{screen}");
+    stage.keys("Esc").write(&theirs);
+    assert!(!stage.screen().contains("Conflict 1"), "the same content is no news");
+    stage.keys("Ctrl-s t t");
+    assert_eq!(stage.file(), theirs);
 }
 
 #[test]

@@ -165,13 +165,21 @@ impl App {
         self.overlay = self.set_aside.take().map_or(Overlay::None, Overlay::Prompt);
     }
 
-    /// Command: decide the conflict.
+    /// Command: decide the conflict; where there are several, the next one is shown.
     pub fn resolve(&mut self, now: Instant, ours: bool) {
         self.leave_conflict();
+        let (mut kept, mut given_up) = self.file.chosen();
+        *(if ours { &mut kept } else { &mut given_up }) += 1;
         let change = self.file.resolve(ours);
         self.file_changed(change);
         if self.file.conflict().is_none() {
-            let whose = if ours { "our value was kept" } else { "the file's value was kept" };
+            let whose = match (kept, given_up) {
+                (1, 0) => "our value was kept".to_owned(),
+                (0, 1) => "the file's value was kept".to_owned(),
+                (ours, 0) => format!("our {ours} values were kept"),
+                (0, theirs) => format!("the file's {theirs} values were kept"),
+                (ours, theirs) => format!("kept: {ours} of our values, {theirs} of the file's"),
+            };
             self.timeline.push(Line::new(now, Kind::File, format!("conflict: {whose}")));
             self.say(whose);
         }

@@ -4,7 +4,10 @@
 //! meanwhile they are made again on the newer content, and where both changed the same value a
 //! person chooses. Does not read or write anything itself, and does not know the bus.
 
-use crate::document::{Conflict, Document, EditError, Merge, Operation, ParseError, Prefer, merge};
+use crate::document::{
+    Choices, Conflict, Document, EditError, Merge, Operation, ParseError, Prefer, merge,
+    merge_chosen,
+};
 use std::path::{Path, PathBuf};
 
 /// How des.json was found.
@@ -121,6 +124,18 @@ struct Step {
     name: String,
 }
 
+/// Both changed the same value; until a person has chosen in all conflicts nothing is written.
+#[derive(Clone, Debug)]
+struct Dispute {
+    /// The one to be decided next.
+    conflict: Conflict,
+    /// What is on disk.
+    theirs: Document,
+    /// What was chosen so far, for this content alone: where the file changes again, all is asked
+    /// again.
+    choices: Choices,
+}
+
 /// The state of des.json.
 #[derive(Debug)]
 pub struct FileState {
@@ -136,7 +151,7 @@ pub struct FileState {
     /// somebody made of it, or what was there before, is known when the save is over.
     waiting: Option<FileReading>,
     problem: Option<FileProblem>,
-    conflict: Option<(Conflict, Document)>,
+    dispute: Option<Dispute>,
     undo: Vec<Step>,
     redo: Vec<Step>,
 }
@@ -176,7 +191,7 @@ impl FileState {
             saving: None,
             waiting: None,
             problem: None,
-            conflict: None,
+            dispute: None,
             undo: Vec::new(),
             redo: Vec::new(),
         }
@@ -220,7 +235,7 @@ impl FileState {
 
     /// The conflict that waits for a decision.
     pub fn conflict(&self) -> Option<&Conflict> {
-        self.conflict.as_ref().map(|(conflict, _)| conflict)
+        self.dispute.as_ref().map(|dispute| &dispute.conflict)
     }
 
     /// How many edits are not on disk.
@@ -262,8 +277,10 @@ impl FileState {
         let is_first = self.disk.is_none();
         let was_broken =
             matches!(self.problem, Some(FileProblem::Syntax(_) | FileProblem::Unreadable(_)));
-        if !is_first && self.disk.as_ref() == Some(&theirs) && self.is_on_disk == content.is_some()
-        {
+        // What it was compared with last. Where there is a conflict it may be what it was before:
+        // then there is none any more.
+        let known = self.dispute.as_ref().map(|it| &it.theirs).or(self.disk.as_ref());
+        if !is_first && known == Some(&theirs) && self.is_on_disk == content.is_some() {
             if was_broken {
                 self.problem = None;
             }
@@ -276,7 +293,8 @@ impl FileState {
             self.disk = Some(theirs);
             return if is_first { Change::First } else { Change::Content };
         }
-        self.rebase(theirs, Prefer::Neither)
+        let asks_for_new = self.dispute.take().is_some() && content.is_none();
+        self.rebase(theirs, Choices { asks_for_new, ..Choices::default() })
     }
 
     /// Takes what was found on disk while a save was on its way, now that it is over.
@@ -285,18 +303,17 @@ impl FileState {
     }
 
     /// Makes our edits again on newer content.
-    fn rebase(&mut self, theirs: Document, prefer: Prefer) -> Change {
+    fn rebase(&mut self, theirs: Document, choices: Choices) -> Change {
         let base = self.disk.clone().unwrap_or_else(Document::empty);
-        match merge(&base, &self.pending, &theirs, prefer) {
+        match merge_chosen(&base, &self.pending, &theirs, &choices, Prefer::Neither) {
             Ok(Merge::Rebased { document, operations }) => {
                 self.disk = Some(theirs);
                 self.document = document;
                 self.pending = operations;
-                self.conflict = None;
                 Change::Rebased
             }
             Ok(Merge::Conflict(conflict)) => {
-                self.conflict = Some((conflict, theirs));
+                self.dispute = Some(Dispute { conflict, theirs, choices });
                 Change::Conflict
             }
             Err(error) => {
@@ -306,10 +323,20 @@ impl FileState {
         }
     }
 
-    /// Decides the conflict.
+    /// Decides the conflict; [`Change::Conflict`] where another one is to be decided next.
     pub fn resolve(&mut self, ours: bool) -> Change {
-        let Some((_, theirs)) = self.conflict.take() else { return Change::None };
-        self.rebase(theirs, if ours { Prefer::Ours } else { Prefer::Theirs })
+        let Some(Dispute { theirs, mut choices, .. }) = self.dispute.take() else {
+            return Change::None;
+        };
+        choices.chosen.push(if ours { Prefer::Ours } else { Prefer::Theirs });
+        self.rebase(theirs, choices)
+    }
+
+    /// In how many conflicts ours was chosen so far, and in how many theirs.
+    pub fn chosen(&self) -> (usize, usize) {
+        let chosen = self.dispute.iter().flat_map(|dispute| &dispute.choices.chosen);
+        let ours = chosen.clone().filter(|it| **it == Prefer::Ours).count();
+        (ours, chosen.count() - ours)
     }
 
     /// Whether an edit can be made at all.
@@ -322,7 +349,7 @@ impl FileState {
                 Err(Refusal::Broken(problem.to_string()))
             }
             _ if self.disk.is_none() => Err(Refusal::NotRead),
-            _ if self.conflict.is_some() => Err(Refusal::Conflict),
+            _ if self.dispute.is_some() => Err(Refusal::Conflict),
             _ => Ok(()),
         }
     }
@@ -390,7 +417,7 @@ impl FileState {
 
     /// What is to be saved now, if anything; the save counts as on its way.
     pub fn start_saving(&mut self) -> Option<Saving> {
-        let waits = self.saving.is_some() || self.conflict.is_some();
+        let waits = self.saving.is_some() || self.dispute.is_some();
         if waits || self.pending.is_empty() || self.check().is_err() {
             return None;
         }

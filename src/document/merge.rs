@@ -12,6 +12,9 @@ use super::operation::{EntryKey, Operation};
 use super::text::brief;
 use super::{Document, EditError};
 
+/// What is said of an entry that one side has no more.
+const DELETED: &str = "deleted";
+
 /// What came of a merge.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Merge {
@@ -36,6 +39,10 @@ pub struct Conflict {
     pub ours: String,
     /// What it is in theirs: "address 13, static", "deleted". Safe on a terminal.
     pub theirs: String,
+    /// Which one of all conflicts of the merge it is, from 1.
+    pub number: usize,
+    /// How many there are.
+    pub of: usize,
 }
 
 /// Whose value stands where both sides changed it.
@@ -47,6 +54,17 @@ pub enum Prefer {
     Ours,
     /// Theirs: our operation is left out.
     Theirs,
+}
+
+/// What a person chose, conflict by conflict. Each choice is for one alone: nothing is overwritten
+/// or dropped that was not shown.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Choices {
+    /// For the first conflicts, in order.
+    pub chosen: Vec<Prefer>,
+    /// The file went while a choice was open: whether a new entry of ours is to begin another one
+    /// is to be chosen too.
+    pub asks_for_new: bool,
 }
 
 /// Makes our operations, which were made on `base` in this order, on `theirs`.
@@ -62,30 +80,108 @@ pub fn merge(
     theirs: &Document,
     prefer: Prefer,
 ) -> Result<Merge, EditError> {
+    merge_chosen(base, ours, theirs, &Choices::default(), prefer)
+}
+
+/// The same, where a person has chosen in some conflicts already; `rest` is for the others.
+///
+/// # Errors
+/// As in [`merge`].
+pub fn merge_chosen(
+    base: &Document,
+    ours: &[Operation],
+    theirs: &Document,
+    choices: &Choices,
+    rest: Prefer,
+) -> Result<Merge, EditError> {
     let mut base = base.clone();
     let mut document = theirs.clone();
     let mut operations = Vec::new();
+    let mut given_up = GivenUp::default();
+    let mut conflicts = 0;
+    // The first that nobody has chosen in. The others are counted.
+    let mut open: Option<Conflict> = None;
     for operation in ours {
         let next = base.apply(operation)?;
-        let steps = match step(operation, &base, &next, &document) {
+        let mut step = step(operation, &base, &next, &document);
+        if let (Step::Make(operation), true) = (&step, choices.asks_for_new)
+            && let Some(entry) = operation.brought()
+        {
+            let (ours, theirs) = (describe_all(&entry), DELETED.to_owned());
+            step = Step::Conflict { ours, theirs, insist: vec![operation.clone()] };
+        }
+        let steps = match step {
             Step::Done => Vec::new(),
             Step::Make(operation) => vec![operation],
-            Step::Conflict { ours, theirs, insist } => match prefer {
-                Prefer::Neither => {
-                    let operation = operation.clone();
-                    return Ok(Merge::Conflict(Conflict { operation, ours, theirs }));
+            Step::Conflict { .. } if given_up.has(operation) => Vec::new(),
+            Step::Conflict { ours, theirs, insist } => {
+                let choice = choices.chosen.get(conflicts).copied().unwrap_or(rest);
+                conflicts += 1;
+                if choice == Prefer::Neither && open.is_none() {
+                    let (operation, number) = (operation.clone(), conflicts);
+                    open = Some(Conflict { operation, ours, theirs, number, of: number });
                 }
-                Prefer::Ours => insist,
-                Prefer::Theirs => Vec::new(),
-            },
+                if choice == Prefer::Ours {
+                    insist
+                } else {
+                    let is_deleted = matches!(insist[..], [Operation::PutBack { .. }]);
+                    given_up.add(operation, is_deleted);
+                    Vec::new()
+                }
+            }
         };
         for step in steps {
             document = document.apply(&step)?;
             operations.push(step);
         }
+        given_up.follow(operation, &base, &next);
         base = next;
     }
-    Ok(Merge::Rebased { document, operations })
+    Ok(match open {
+        Some(conflict) => Merge::Conflict(Conflict { of: conflicts, ..conflict }),
+        None => Merge::Rebased { document, operations },
+    })
+}
+
+/// The values in which theirs stands, in entries as our operations know them. A later operation on
+/// such a value goes the same way: it is one value, and one choice.
+#[derive(Default)]
+struct GivenUp {
+    values: Vec<(EntryKey, Vec<Member>)>,
+}
+
+impl GivenUp {
+    fn add(&mut self, operation: &Operation, is_deleted: bool) {
+        if let Some(key) = operation.entry() {
+            // Of an entry that is not there no value is.
+            let members = if is_deleted { Member::ALL.to_vec() } else { operation.members() };
+            self.values.push((key.clone(), members));
+        }
+    }
+
+    fn has(&self, operation: &Operation) -> bool {
+        let members = operation.members();
+        !members.is_empty()
+            && self.values.iter().any(|(key, given_up)| {
+                Some(key) == operation.entry() && members.iter().all(|it| given_up.contains(it))
+            })
+    }
+
+    /// An operation gave an entry another key.
+    fn follow(&mut self, operation: &Operation, base: &Document, next: &Document) {
+        if operation.members().is_empty() {
+            return;
+        }
+        let Some((key, index)) = operation.entry().and_then(|key| Some((key, base.find(key)?)))
+        else {
+            return;
+        };
+        for (given_up, _) in &mut self.values {
+            if given_up == key {
+                *given_up = next.key(index);
+            }
+        }
+    }
 }
 
 /// What becomes of one operation.
@@ -117,7 +213,7 @@ fn step(operation: &Operation, base: &Document, next: &Document, theirs: &Docume
         let changed = next.removed(index);
         return Step::Conflict {
             ours: describe(&operation.members(), &changed.entry),
-            theirs: "deleted".to_owned(),
+            theirs: DELETED.to_owned(),
             insist: vec![Operation::PutBack { removed: changed }],
         };
     };
@@ -127,7 +223,7 @@ fn step(operation: &Operation, base: &Document, next: &Document, theirs: &Docume
             return Step::Make(operation);
         }
         let theirs = differences(before, found);
-        return Step::Conflict { ours: "deleted".to_owned(), theirs, insist: vec![operation] };
+        return Step::Conflict { ours: DELETED.to_owned(), theirs, insist: vec![operation] };
     }
     let members = operation.members();
     let mut wanted = found.clone();
@@ -145,11 +241,7 @@ fn step(operation: &Operation, base: &Document, next: &Document, theirs: &Docume
 
 /// For an operation that brings an entry: theirs may have brought it too.
 fn step_new(operation: &Operation, base: &Document, theirs: &Document) -> Step {
-    let entry = match operation {
-        Operation::Add { entry } => entry.meant(),
-        Operation::PutBack { removed } => (*removed.entry).clone(),
-        _ => return Step::Make(operation.clone()),
-    };
+    let Some(entry) = operation.brought() else { return Step::Make(operation.clone()) };
     let is_same = |other: &&Entry| {
         (&other.bus, &other.name, other.address) == (&entry.bus, &entry.name, entry.address)
     };
@@ -302,6 +394,13 @@ fn differences(other: &Entry, entry: &Entry) -> String {
     let members: Vec<Member> =
         Member::ALL.into_iter().filter(|member| !member.agrees(other, entry)).collect();
     if members.is_empty() { "other members changed".to_owned() } else { describe(&members, entry) }
+}
+
+/// What an entry says, its name aside, for a person.
+fn describe_all(entry: &Entry) -> String {
+    let mut members = vec![Member::Address, Member::Static];
+    members.extend(entry.services.is_some().then_some(Member::Services));
+    describe(&members, entry)
 }
 
 /// What an entry says in these members, for a person.

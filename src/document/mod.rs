@@ -43,7 +43,7 @@ use std::sync::Arc;
 pub use edit::EditError;
 pub use entry::{Entry, ServiceEntry};
 pub use finding::{DocumentFinding, FindingKind};
-pub use merge::{Conflict, Merge, Prefer, merge};
+pub use merge::{Choices, Conflict, Merge, Prefer, merge, merge_chosen};
 pub use operation::{EntryKey, FormerMembers, NewEntry, Operation, RemovedEntry};
 pub use position::Position;
 pub use syntax::ParseError;

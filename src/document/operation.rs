@@ -245,6 +245,15 @@ impl Operation {
         operation
     }
 
+    /// The entry that this brings, if it brings one.
+    pub(super) fn brought(&self) -> Option<Entry> {
+        match self {
+            Self::Add { entry } => Some(entry.meant()),
+            Self::PutBack { removed } => Some((*removed.entry).clone()),
+            _ => None,
+        }
+    }
+
     /// The members whose values this changes, in an entry that stays.
     pub(super) fn members(&self) -> Vec<Member> {
         match self {

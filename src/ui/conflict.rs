@@ -10,7 +10,12 @@ pub fn draw(brush: &mut Brush) {
     let top = brush.screen.tabs.y;
     let rule = Rect { y: top, height: brush.screen.tabs.height, ..whole };
     brush.rule(rule, Role::BorderFocus);
-    let title = Line::from(brush.span(Role::TabActive, " Conflict "));
+    let Some(conflict) = brush.app.file().conflict() else { return };
+    let title = match (conflict.number, conflict.of) {
+        (1, 1) => " Conflict ".to_owned(),
+        (number, of) => format!(" Conflict {number} of {of} "),
+    };
+    let title = Line::from(brush.span(Role::TabActive, title));
     brush.line(Rect { x: 1, width: whole.width.saturating_sub(1), ..rule }, 0, &title);
     let area = Rect {
         x: 2.min(whole.width),
@@ -18,7 +23,6 @@ pub fn draw(brush: &mut Brush) {
         width: whole.width.saturating_sub(4),
         height: brush.screen.footer.y.saturating_sub(top + rule.height),
     };
-    let Some(conflict) = brush.app.file().conflict() else { return };
     let name = brush.app.file().name();
     let mut lines = vec![Line::default()];
     let text = format!("{name} was changed by someone else, where you changed it too.");
