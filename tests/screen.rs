@@ -181,6 +181,14 @@ impl Stage {
         self
     }
 
+    /// Somebody else deletes the file.
+    fn remove(&mut self) -> &mut Self {
+        self.file = None;
+        self.app.handle_file(self.app.now(), FileReading::Content(None));
+        self.drain(self.app.now());
+        self
+    }
+
     fn size(&mut self, columns: u16, rows: u16) -> &mut Self {
         self.size = (columns, rows);
         self.app.handle_resize(columns, rows);
@@ -513,6 +521,56 @@ fn a_choice_is_asked_for_again_where_the_file_changed_after_it() {
     assert!(!stage.screen().contains("Conflict 1"), "the same content is no news");
     stage.keys("Ctrl-s t t");
     assert_eq!(stage.file(), theirs);
+}
+
+#[test]
+fn where_the_file_goes_while_a_choice_is_open_it_stays_open() {
+    for (key, after) in [("t", None), ("o", Some("\"NEW\", \"address\": 64"))] {
+        let mut stage = Stage::boiler();
+        stage.slow_disk().until(24.0).keys("n").text("NEW 64").keys("Enter");
+        stage.file = Some(BOILER.as_bytes().to_vec());
+        let theirs =
+            BOILER.replace("\"PUMP\"", "\"NEW\", \"address\": 63 },\n    { \"name\": \"PUMP\"");
+        stage.refuse_saves().write(&theirs);
+        assert!(stage.screen().contains("theirs     address 63"), "{}", stage.screen());
+        let screen = stage.remove().screen();
+        assert_eq!(stage.file, None, "nothing is written before the choice");
+        assert!(screen.contains("your edit  new entry NEW at 64"), "{screen}");
+        assert!(screen.contains("ours       address 64, static"), "{screen}");
+        assert!(screen.contains("theirs     deleted"), "{screen}");
+        stage.keys(key);
+        assert_eq!(stage.file.is_some(), after.is_some());
+        assert!(stage.file().contains(after.unwrap_or_default()), "{}", stage.file());
+        assert!(!stage.screen().contains("Conflict"), "{}", stage.screen());
+    }
+}
+
+#[test]
+fn the_page_of_a_conflict_closes_with_the_conflict() {
+    let theirs = BOILER.replace("10", "100");
+    // The change is taken back, or the file was only empty while it was being written.
+    for contents in [[&theirs, BOILER], ["", BOILER], ["", &BOILER.replace("12", "13")]] {
+        let mut stage = Stage::boiler();
+        stage.slow_disk().until(24.0).keys("e").text("70").keys("Enter");
+        stage.file = Some(BOILER.as_bytes().to_vec());
+        stage.refuse_saves().write(contents[0]);
+        assert!(stage.screen().contains("Conflict"), "{}", stage.screen());
+        let screen = stage.write(contents[1]).screen();
+        assert!(!screen.contains("Conflict"), "{screen}");
+        assert!(screen.contains("no conflict any more"), "{screen}");
+        assert_eq!(stage.file(), contents[1].replace("10", "70"));
+    }
+}
+
+#[test]
+fn nothing_is_chosen_while_the_file_is_broken() {
+    let mut stage = with_two_unsaved_edits();
+    stage.write(&BOILER.replace("10", "100")).write("{ broken").keys("o");
+    let screen = stage.screen();
+    assert!(screen.contains("Conflict"), "{screen}");
+    assert!(screen.contains("It cannot be read now: choose when it can."), "{screen}");
+    stage.write(&BOILER.replace("10", "100")).keys("t");
+    assert_eq!(stage.file(), BOILER.replace("10", "100").replace("12", "71"));
 }
 
 #[test]

@@ -6,7 +6,7 @@
 use super::problems::as_listed;
 use super::prompt::PromptKind;
 use super::timeline::{Entry as Line, Kind};
-use super::{App, Effect, Overlay, Question, RowKey};
+use super::{App, Change, Effect, Overlay, Question, RowKey};
 use crate::discovery::{Device, DeviceId, OwnAddress};
 use crate::document::{Entry, EntryKey, NewEntry, Operation, ServiceEntry};
 use crate::frame::{BusIndex, Frame};
@@ -165,8 +165,26 @@ impl App {
         self.overlay = self.set_aside.take().map_or(Overlay::None, Overlay::Prompt);
     }
 
+    /// The file changed again, and there is nothing to choose any more: the page goes, and says so.
+    pub(super) fn leave_conflict_that_is_over(&mut self, change: Change) {
+        if !matches!(self.overlay, Overlay::Conflict) || self.file.conflict().is_some() {
+            return;
+        }
+        self.leave_conflict();
+        if change != Change::Broken {
+            let text = "the file was changed again: no conflict any more, our edits are in it";
+            self.timeline.push(Line::new(self.now, Kind::File, text));
+            self.say(text);
+        }
+    }
+
     /// Command: decide the conflict; where there are several, the next one is shown.
     pub fn resolve(&mut self, now: Instant, ours: bool) {
+        // What the file says at the moment is not known: the choice would be between ours and what
+        // it said before.
+        if let Err(super::Refusal::Broken(_)) = self.file.check() {
+            return self.effects.push_back(Effect::Bell);
+        }
         self.leave_conflict();
         let (mut kept, mut given_up) = self.file.chosen();
         *(if ours { &mut kept } else { &mut given_up }) += 1;

@@ -452,6 +452,7 @@ impl App {
         if is_told {
             self.report(Happening::File(self.now));
         }
+        self.leave_conflict_that_is_over(change);
         if change != Change::Broken {
             self.save_pending();
         }

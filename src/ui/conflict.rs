@@ -34,7 +34,12 @@ pub fn draw(brush: &mut Brush) {
     lines.extend(labelled(brush, "ours       ", Role::New, &conflict.ours, area.width));
     lines.extend(labelled(brush, "theirs     ", Role::Suspected, &conflict.theirs, area.width));
     lines.push(Line::default());
-    let text = "Until you choose nothing is written; the file stays as they left it.";
+    let is_broken = brush.app.file().problem().is_some_and(|problem| !problem.is_not_saved());
+    let text = if is_broken {
+        "It cannot be read now: choose when it can."
+    } else {
+        "Until you choose nothing is written; the file stays as they left it."
+    };
     lines.extend(labelled(brush, "", Role::Muted, text, area.width));
     brush.lines(area, &lines, 0);
 }
