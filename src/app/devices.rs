@@ -8,6 +8,7 @@ use super::buses::Bus;
 use super::filter::Filter;
 use super::groups::Problem;
 use super::matching::is_for;
+use super::problems::same_services;
 use super::siblings::Sibling;
 use crate::discovery::{Confidence, Device, DeviceId, Finding, Presence};
 use crate::document::{Entry, EntryKey};
@@ -51,6 +52,8 @@ pub struct Row {
     /// Something is wrong with its entry: a value that cannot be used, or another entry that says
     /// the same.
     pub is_flawed: bool,
+    /// Whether the file lists other services than it has.
+    pub has_other_services: bool,
 }
 
 impl Row {
@@ -322,6 +325,7 @@ impl App {
             }
             row.entry = row.entry.or(other.entry);
             row.is_flawed |= other.is_flawed;
+            row.has_other_services |= other.has_other_services;
             row.also.push(id);
         }
         row
@@ -356,6 +360,12 @@ impl App {
             also: Vec::new(),
             file: self.file_word(device, entry.map(|at| &self.file.document().entries()[at])),
             is_flawed: entry.is_some_and(|at| self.file.document().is_flawed(at)),
+            has_other_services: entry.is_some_and(|at| {
+                let listed = self.file.document().entries()[at].services.as_deref();
+                let listed = listed.filter(|listed| !listed.is_empty());
+                let both = listed.zip(device.services.as_deref());
+                both.is_some_and(|(listed, own)| !same_services(listed, own))
+            }),
             entry,
         }
     }
@@ -397,6 +407,7 @@ impl App {
                 address => FileWord::Listed(address),
             },
             is_flawed: self.file.document().is_flawed(entry.index),
+            has_other_services: false,
             entry: Some(entry.index),
         })
     }

@@ -223,6 +223,9 @@ fn cell(
         C::Services => match device {
             None => (Role::Muted, String::new()),
             Some(device) => match (&device.services, device.services_query.state) {
+                (Some(services), _) if row.has_other_services => {
+                    (Role::FileDiffers, format!("{}≠", services.len()))
+                }
                 (Some(services), _) => (plain, services.len().to_string()),
                 (None, QueryState::Asked | QueryState::Receiving) => (Role::Muted, "…".to_owned()),
                 (None, QueryState::NotAsked) => (Role::Muted, "–".to_owned()),

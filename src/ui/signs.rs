@@ -4,7 +4,7 @@ use crate::discovery::Confidence;
 use crate::theme::Role;
 
 /// The role, the sign as it is shown, and its meaning: for the help.
-pub const SIGNS: [(Role, &str, &str); 22] = [
+pub const SIGNS: [(Role, &str, &str); 23] = [
     (Role::Online, "● online", "its heartbeats come"),
     (Role::Stale, "◐ stale", "the last heartbeat is late"),
     (Role::Silent, "◌ silent", "frames come, but no heartbeats"),
@@ -21,6 +21,7 @@ pub const SIGNS: [(Role, &str, &str); 22] = [
     (Role::FileOk, "✓ 12", "the file pins it to 12, and it is there"),
     (Role::FileDiffers, "✗ 16", "the file pins it to 16, and it is not there"),
     (Role::Muted, "  12", "listed, not pinned; last at 12"),
+    (Role::FileDiffers, "4≠", "its services are not those that the file lists"),
     (Role::New, "+ new", "not in the file"),
     (Role::Warning, "  12!", "something is wrong with its entry: the details say what"),
     (
