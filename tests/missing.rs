@@ -144,7 +144,7 @@ fn nothing_was_ever_heard() {
     assert_eq!(remedy, "others answer: is it powered and wired?");
     let unplaced = r#"{ "name": "PUMP" }"#;
     let stage = Stage::after_eight_seconds(&[bus()], &Config::default(), unplaced);
-    assert_eq!(stage.why(0)[0], "nobody called PUMP");
+    assert_eq!(stage.why(0)[0], "no device called itself PUMP");
     // A UID that nobody has changes nothing.
     let with_uid = r#"{ "name": "PUMP", "uid": "PUMP0001", "address": 44 }"#;
     let stage = Stage::after_eight_seconds(&[bus()], &Config::default(), with_uid);
@@ -152,7 +152,7 @@ fn nothing_was_ever_heard() {
     // Before anybody was asked, nothing can be said.
     let mut stage = Stage::new(&[bus()], &Config::default(), PUMP);
     stage.until(1.0);
-    assert_eq!(stage.why(0), ["still looking"]);
+    assert_eq!(stage.why(0), ["not looked for long enough yet"]);
 }
 
 #[test]
@@ -295,7 +295,10 @@ fn nobody_is_asked() {
         let stage = Stage::after_eight_seconds(&[bus()], &config, unplaced);
         assert_eq!(
             stage.why(0)[..2],
-            ["nobody called PUMP", "there are 2 whose names are not known: it may be one of them"]
+            [
+                "no device called itself PUMP",
+                "there are 2 whose names are not known: it may be one of them"
+            ]
         );
     }
     let config = Config { address: Address::new(12), ..Config::default() };

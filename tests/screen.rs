@@ -786,6 +786,15 @@ fn devices_are_taken_into_a_file_that_is_begun() {
 }
 
 #[test]
+fn of_two_at_one_address_no_uid_is_taken_into_the_file() {
+    let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some("[]"));
+    stage.until(40.0).keys("A");
+    let file = stage.file();
+    assert!(file.contains("ACT") && file.contains("BOILER01"), "{file}");
+    assert!(!file.contains("BOILER03") && !file.contains("SPARE01"), "{file}");
+}
+
+#[test]
 fn quitting_asks_while_edits_are_not_saved() {
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("q");

@@ -7,7 +7,7 @@ use super::problems::as_listed;
 use super::prompt::PromptKind;
 use super::timeline::{Entry as Line, Kind};
 use super::{App, Change, Effect, Overlay, Question, RowKey};
-use crate::discovery::{Device, DeviceId, OwnAddress};
+use crate::discovery::{Confidence, Device, DeviceId, OwnAddress};
 use crate::document::{Entry, EntryKey, NewEntry, Operation, ServiceEntry};
 use crate::frame::{BusIndex, Frame};
 use crate::text::Escaped;
@@ -278,8 +278,16 @@ impl App {
 
     /// What the file is to say of a device: its address as the last main one, not pinned.
     pub fn new_entry(&self, device: &Device) -> Option<NewEntry> {
-        let alphabet = &self.bus(device.id.bus)?.engine.config().profile.uid;
-        let uid = device.uid.filter(|uid| !uid.is_blank()).map(|uid| uid.text(alphabet));
+        let engine = &self.bus(device.id.bus)?.engine;
+        let alphabet = &engine.config().profile.uid;
+        // Where two share an address, what beat last may be the other one.
+        let is_shared = engine.findings().iter().any(|finding| {
+            finding.key.kind.is_collision()
+                && finding.confidence != Confidence::Cleared
+                && finding.addresses.contains(&device.address)
+        });
+        let uid = device.uid.filter(|uid| !uid.is_blank() && !is_shared);
+        let uid = uid.map(|uid| uid.text(alphabet));
         Some(NewEntry {
             name: device.name.as_ref()?.as_bytes().to_vec(),
             address: Some(device.address.number()).filter(|address| *address > 0),

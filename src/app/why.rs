@@ -94,7 +94,7 @@ impl App {
             reasons.push(format!("{name} answers at {at}{not}: which is it?"));
         }
         if reasons.is_empty() && !self.has_looked(index) {
-            reasons.push("still looking".to_owned());
+            reasons.push("not looked for long enough yet".to_owned());
         } else if reasons.is_empty() {
             why_silent(bus, entry, &mut reasons);
         }
@@ -229,7 +229,7 @@ fn why_silent(bus: &Bus, entry: &Entry, reasons: &mut Vec<String>) {
     let log = if ended { "in this log " } else { "" };
     reasons.push(match entry.address {
         Some(address) => format!("{log}nothing was ever heard from address {address}"),
-        None => format!("{log}nobody called {}", called(&entry.name)),
+        None => format!("{log}no device called itself {}", called(&entry.name)),
     });
     let config = bus.engine.config();
     let others = || bus.engine.devices().iter().filter(|it| !it.is_debug && it.is_here());
