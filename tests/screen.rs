@@ -588,6 +588,87 @@ fn a_line_being_typed_goes_on_after_a_conflict() {
 }
 
 #[test]
+fn what_somebody_else_changed_since_is_neither_taken_back_nor_made_again() {
+    let with = |address: &str| BOILER.replace("10", address);
+    let told = |stage: &Stage, start: &str| {
+        stage.app.timeline().entries().any(|line| line.text.starts_with(start))
+    };
+    let refused = |stage: &mut Stage, key: &str, why: &str| {
+        let before = stage.file().to_owned();
+        stage.keys(key);
+        let screen = stage.screen();
+        assert!(screen.contains(why), "{screen}");
+        assert_eq!(stage.file(), before);
+        assert!(!told(stage, "made again"));
+    };
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("j e").text("71").keys("Enter k e").text("100").keys("Enter");
+    stage.write(&with("101").replace("12", "71"));
+    let why = "cannot be taken back, changed by somebody else since: address 101, static";
+    refused(&mut stage, "u", why);
+    assert!(!told(&stage, "taken back"));
+    refused(&mut stage, "Ctrl-r", "there is nothing to make again");
+    // What is below it can be.
+    stage.keys("u");
+    assert_eq!(stage.file(), with("101"));
+
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("e").text("100").keys("Enter u").write(&with("11"));
+    let why = "cannot be made again, changed by somebody else since: address 11, static";
+    refused(&mut stage, "Ctrl-r", why);
+
+    // They did the same.
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("e").text("100").keys("Enter").write(BOILER);
+    refused(&mut stage, "u", "need not be taken back, it is so already: address of the entry");
+
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("n").text("NEW 64").keys("Enter");
+    let theirs = stage.file().replace("64", "65");
+    stage.write(&theirs);
+    refused(&mut stage, "u", "cannot be taken back, changed by somebody else since: address 65");
+
+    let mut stage = with_two_unsaved_edits();
+    stage.write(&BOILER.replace("10", "100").replace("12", "103")).keys("t t");
+    refused(&mut stage, "u", "cannot be taken back, changed by somebody else since: address 103");
+    refused(&mut stage, "u", "cannot be taken back, changed by somebody else since: address 100");
+    refused(&mut stage, "u", "there is nothing to take back");
+}
+
+#[test]
+fn an_unsaved_edit_that_is_taken_back_leaves_nothing_to_save() {
+    // While the disk refuses it, one of two, then both.
+    let mut stage = with_two_unsaved_edits();
+    assert_eq!(stage.app.file().unsaved(), 2);
+    stage.keys("u");
+    stage.file = Some(BOILER.as_bytes().to_vec());
+    stage.refuse_saves();
+    assert_eq!(stage.app.file().unsaved(), 1);
+    stage.keys("u").effects.clear();
+    let screen = stage.screen();
+    assert!(screen.contains("✓ 5 entries"), "{screen}");
+    stage.keys("q");
+    assert!(stage.effects.contains(&Effect::Quit), "{}", stage.screen());
+    stage.keys("Ctrl-r");
+    assert_eq!(stage.file(), BOILER.replace("10", "70"));
+
+    // While it is being saved, which then fails; it quits without asking.
+    let mut stage = Stage::boiler();
+    stage.slow_disk().until(24.0).keys("e").text("70").keys("Enter u q");
+    stage.file = Some(BOILER.as_bytes().to_vec());
+    stage.refuse_saves();
+    assert_eq!(stage.app.file().unsaved(), 0);
+    assert!(stage.effects.contains(&Effect::Quit), "{}", stage.screen());
+
+    // While it is being saved, and is: what is on disk is to be taken back too.
+    let mut stage = Stage::boiler();
+    stage.slow_disk().until(24.0).keys("e").text("70").keys("Enter u");
+    stage.finish_saves();
+    stage.finish_saves();
+    assert_eq!((stage.file(), stage.app.file().unsaved()), (BOILER, 0));
+}
+
+#[test]
 fn a_failed_save_is_tried_again_when_asked() {
     let mut stage = Stage::boiler();
     stage.until(24.0);

@@ -172,6 +172,10 @@ pub enum Refusal {
     NothingToUndo,
     #[error("there is nothing to make again")]
     NothingToRedo,
+    #[error("cannot be {done}, changed by somebody else since: {theirs}")]
+    ChangedSince { done: &'static str, theirs: String },
+    #[error("need not be {done}, it is so already: {name}")]
+    SoAlready { done: &'static str, name: String },
     #[error(transparent)]
     Edit(#[from] EditError),
 }
@@ -368,36 +372,45 @@ impl FileState {
         Ok(name)
     }
 
-    /// Takes the last edit back; its name. On a conflict nothing is done and it is told.
+    /// Takes the last edit back; its name. One that is refused is not asked for again: the next
+    /// time it is the turn of the one before.
     pub fn undo(&mut self) -> Result<String, Refusal> {
         self.check()?;
         let step = pop(&mut self.undo).ok_or(Refusal::NothingToUndo)?;
         let (name, before) = (step.name.clone(), self.document.clone());
-        let redo = self.take_step(step)?;
+        let redo = self.take_step(step, "taken back")?;
         push(&mut self.redo, redo, &before);
         Ok(name)
     }
 
-    /// Makes it again; its name.
+    /// Makes it again; its name. What is refused is as in [`Self::undo`].
     pub fn redo(&mut self) -> Result<String, Refusal> {
         self.check()?;
         let step = pop(&mut self.redo).ok_or(Refusal::NothingToRedo)?;
         let (name, before) = (step.name.clone(), self.document.clone());
-        let undo = self.take_step(step)?;
+        let undo = self.take_step(step, "made again")?;
         push(&mut self.undo, undo, &before);
         Ok(name)
     }
 
     /// Makes a step's operations on what is there now. Where somebody else changed the same value
-    /// since, theirs stands: taking back is no reason to overwrite it.
-    fn take_step(&mut self, step: Step) -> Result<Step, Refusal> {
-        let Some(on) = step.on.filter(|on| *on != self.document) else {
-            return self.make(&step.operations, step.name);
+    /// since, theirs stands and nothing is done: taking back is no reason to overwrite it.
+    fn take_step(&mut self, step: Step, done: &'static str) -> Result<Step, Refusal> {
+        let operations = match step.on.filter(|on| *on != self.document) {
+            None => step.operations,
+            Some(on) => match merge(&on, &step.operations, &self.document, Prefer::Neither)? {
+                Merge::Rebased { operations, .. } if operations.is_empty() => {
+                    return Err(Refusal::SoAlready { done, name: step.name });
+                }
+                Merge::Rebased { operations, .. } => operations,
+                Merge::Conflict(Conflict { theirs, .. }) => {
+                    return Err(Refusal::ChangedSince { done, theirs });
+                }
+            },
         };
-        match merge(&on, &step.operations, &self.document, Prefer::Theirs)? {
-            Merge::Rebased { operations, .. } => self.make(&operations, step.name),
-            Merge::Conflict(_) => Err(Refusal::Conflict),
-        }
+        let made = self.make(&operations, step.name)?;
+        self.drop_what_cancels_out(2 * operations.len());
+        Ok(made)
     }
 
     /// Makes operations on the document in force; the step that takes them back.
@@ -412,7 +425,36 @@ impl FileState {
         inverses.reverse();
         self.pending.extend_from_slice(operations);
         self.document = document.clone();
+        self.drop_what_is_on_disk();
         Ok(Step { on: Some(document), operations: inverses, name })
+    }
+
+    /// An edit and what takes it back are nothing that is to be saved, as long as neither of them is
+    /// being saved: drops the last `count` of the pending operations where without them it comes to
+    /// the same.
+    fn drop_what_cancels_out(&mut self, count: usize) {
+        let (from, being_saved) = match &self.saving {
+            Some(saving) => (Some(&saving.content), saving.operations),
+            None => (self.disk.as_ref(), 0),
+        };
+        let (Some(from), Some(keep)) = (from, self.pending.len().checked_sub(count)) else {
+            return;
+        };
+        let Some(kept) = self.pending.get(being_saved..keep) else { return };
+        let without = kept.iter().try_fold(from.clone(), |on, operation| on.apply(operation));
+        if without.is_ok_and(|without| without == self.document) {
+            self.pending.truncate(keep);
+        }
+    }
+
+    /// Where what is in force is what is on disk, nothing is to be saved.
+    fn drop_what_is_on_disk(&mut self) {
+        if self.saving.is_none() && self.disk.as_ref() == Some(&self.document) {
+            self.pending.clear();
+        }
+        if self.pending.is_empty() && self.problem.as_ref().is_some_and(FileProblem::is_not_saved) {
+            self.problem = None;
+        }
     }
 
     /// What is to be saved now, if anything; the save counts as on its way.
@@ -445,7 +487,9 @@ impl FileState {
             SaveOutcome::Failed(why) => {
                 self.saving = None;
                 self.problem = Some(FileProblem::NotSaved(why));
-                Change::Broken
+                // What was to be saved may have been taken back meanwhile.
+                self.drop_what_is_on_disk();
+                if self.pending.is_empty() { Change::None } else { Change::Broken }
             }
         }
     }
@@ -456,6 +500,7 @@ impl FileState {
         self.disk = Some(saving.content);
         self.is_on_disk = true;
         self.pending.drain(..saving.operations.min(self.pending.len()));
+        self.drop_what_is_on_disk();
         if self.problem.as_ref().is_some_and(FileProblem::is_not_saved) {
             self.problem = None;
         }

@@ -443,6 +443,9 @@ impl App {
         }
         self.file_changed(change);
         self.file_changed(later);
+        // What could not be saved may have been taken back: then that is no change of the file.
+        self.quit_if_saved();
+        self.dirty = true;
     }
 
     /// Takes what became of an [`Effect::WriteFile`].
