@@ -669,6 +669,37 @@ fn an_unsaved_edit_that_is_taken_back_leaves_nothing_to_save() {
 }
 
 #[test]
+fn a_clash_that_two_made_together_is_named_when_it_is_saved() {
+    let mut stage = Stage::boiler();
+    stage.slow_disk().until(24.0).keys("e").text("71").keys("Enter");
+    stage.file = Some(BOILER.as_bytes().to_vec());
+    let clash = "2 entries are pinned to 71: FEED, SENS";
+    // They give the address, which is still free in the file, to another.
+    let theirs = BOILER.replace("12", "71");
+    stage.refuse_saves().write(&theirs);
+    stage.file = Some(theirs.clone().into_bytes());
+    stage.refuse_saves();
+    stage.keys("Ctrl-s").finish_saves();
+    assert_eq!(stage.file(), theirs.replace("10", "71"));
+    let told = format!("saved at last, but {clash}");
+    assert!(stage.screen().contains(&told), "{}", stage.screen());
+    assert!(stage.app.timeline().entries().any(|line| line.text == told));
+
+    // Nor is it silent where it is saved at once; later saves do not tell it again.
+    let mut stage = Stage::boiler();
+    stage.slow_disk().until(24.0).keys("e").text("71").keys("Enter");
+    stage.file = Some(BOILER.as_bytes().to_vec());
+    stage.refuse_saves().write(&theirs).finish_saves();
+    assert!(stage.screen().contains(&format!("saved, but {clash}")), "{}", stage.screen());
+    stage.keys("R").text("X").keys("Enter").finish_saves();
+    assert!(stage.file().contains("\"FEEDX\""));
+    assert_eq!(
+        stage.app.timeline().entries().filter(|line| line.text.contains("but 2")).count(),
+        1
+    );
+}
+
+#[test]
 fn a_failed_save_is_tried_again_when_asked() {
     let mut stage = Stage::boiler();
     stage.until(24.0);

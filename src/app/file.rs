@@ -217,6 +217,11 @@ impl FileState {
         &self.document
     }
 
+    /// What is on disk, as it was last good.
+    pub fn on_disk(&self) -> Option<&Document> {
+        self.disk.as_ref()
+    }
+
     /// Whether there is a file, or content that will be one: rows can be listed or not.
     pub fn is_there(&self) -> bool {
         self.is_on_disk || !self.pending.is_empty()

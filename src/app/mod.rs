@@ -64,7 +64,7 @@ pub use view::{Cursor, Focus, Frozen, Page, View};
 pub use why::spell;
 
 use crate::discovery::{Config, DeviceId, Finding, OwnAddress};
-use crate::document::Document;
+use crate::document::{Document, Entry};
 use crate::frame::{BusIndex, Frame};
 use crate::keymap::{Key, Keymap, Mode};
 use crate::speed::{Outcome, Progress};
@@ -428,7 +428,20 @@ impl App {
         self.now = self.now.max(now);
         let before = self.file.problem().filter(|it| it.is_not_saved()).cloned();
         let is_retry = std::mem::take(&mut self.is_saving_again);
+        let on_disk = self.file.on_disk().cloned();
         let change = self.file.handle_saved(outcome);
+        // No edit is let through that pins a taken address, but the file may have been changed
+        // while it waited to be saved.
+        let clash = self.file.on_disk().zip(on_disk.as_ref()).filter(|_| change == Change::Saved);
+        let clash = clash.and_then(|(now, before)| {
+            let entries = now.entries();
+            let clash: Vec<&Entry> =
+                now.new_clash(before)?.entries.iter().filter_map(|&at| entries.get(at)).collect();
+            let address = clash.first()?.address?;
+            let names: Vec<&str> = clash.iter().map(|entry| &*entry.name_text).collect();
+            let (count, names) = (names.len(), names.join(", "));
+            Some(format!(", but {count} entries are pinned to {address}: {names}"))
+        });
         let later = self.file.read_waiting();
         let problem = self.file.problem().filter(|it| it.is_not_saved());
         self.save_again_at = problem.map(|_| self.now + SAVE_AGAIN_AFTER);
@@ -437,9 +450,11 @@ impl App {
             self.dirty = true;
             return self.file_changed(later);
         }
-        if change == Change::Saved && before.is_some() {
-            self.timeline.push(TimelineEntry::new(self.now, TimelineKind::File, "saved at last"));
-            self.say("saved at last");
+        if change == Change::Saved && (before.is_some() || clash.is_some()) {
+            let saved = if before.is_some() { "saved at last" } else { "saved" };
+            let text = format!("{saved}{}", clash.as_deref().unwrap_or_default());
+            self.timeline.push(TimelineEntry::new(self.now, TimelineKind::File, &text));
+            if clash.is_some() { self.complain(text) } else { self.say(text) }
         }
         self.file_changed(change);
         self.file_changed(later);

@@ -186,6 +186,19 @@ impl Document {
         fitting.nth(key.occurrence).map(|entry| entry.index)
     }
 
+    /// A static address of several entries, which it was not yet in the document before.
+    pub fn new_clash(&self, before: &Document) -> Option<&DocumentFinding> {
+        let address = |document: &Document, finding: &DocumentFinding| {
+            let first = finding.entries.first().and_then(|&index| document.entries().get(index));
+            first.and_then(|entry| entry.address)
+        };
+        let is_clash = |finding: &&DocumentFinding| finding.kind == FindingKind::DuplicateAddress;
+        self.findings().iter().filter(is_clash).find(|clash| {
+            let mut known = before.findings().iter().filter(is_clash);
+            known.all(|known| address(before, known) != address(self, clash))
+        })
+    }
+
     /// What is wrong with the entry at this place.
     pub fn findings_of(&self, index: usize) -> impl Iterator<Item = &DocumentFinding> {
         let findings = if self.is_flawed(index) { self.findings() } else { &[] };
