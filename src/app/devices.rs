@@ -8,7 +8,7 @@ use super::buses::Bus;
 use super::filter::Filter;
 use super::groups::Problem;
 use super::matching::is_for;
-use super::problems::same_services;
+use super::problems::other_services;
 use super::siblings::Sibling;
 use crate::discovery::{Confidence, Device, DeviceId, Finding, Presence};
 use crate::document::{Entry, EntryKey};
@@ -361,10 +361,7 @@ impl App {
             file: self.file_word(device, entry.map(|at| &self.file.document().entries()[at])),
             is_flawed: entry.is_some_and(|at| self.file.document().is_flawed(at)),
             has_other_services: entry.is_some_and(|at| {
-                let listed = self.file.document().entries()[at].services.as_deref();
-                let listed = listed.filter(|listed| !listed.is_empty());
-                let both = listed.zip(device.services.as_deref());
-                both.is_some_and(|(listed, own)| !same_services(listed, own))
+                other_services(&self.file.document().entries()[at], device).is_some()
             }),
             entry,
         }

@@ -8,11 +8,12 @@ use super::prompt::PromptKind;
 use super::timeline::{Entry as Line, Kind};
 use super::{App, Change, Effect, Overlay, Question, RowKey};
 use crate::discovery::{Confidence, Device, DeviceId, OwnAddress};
-use crate::document::{Entry, EntryKey, NewEntry, Operation, ServiceEntry};
+use crate::document::{EntryKey, NewEntry, Operation, ServiceEntry};
 use crate::frame::{BusIndex, Frame};
 use crate::text::Escaped;
 use crate::time::Instant;
 use crate::wire::id::{Header, Service};
+use std::path::Path;
 
 impl App {
     // ---- des.json --------------------------------------------------------------------------
@@ -72,10 +73,8 @@ impl App {
             // Where it lists none, that is how its author wants it.
             let entry =
                 self.matching.entry_of(device.id).map(|at| &self.file.document().entries()[at]);
-            let lists_services =
-                |entry: &Entry| entry.services.as_ref().is_some_and(|it| !it.is_empty());
             let is_known = device.is_here() && !device.is_debug && device.name.is_some();
-            is_known && entry.is_none_or(lists_services)
+            is_known && entry.is_none_or(|entry| entry.listed_services().is_some())
         });
         let mut wanted: Vec<&Device> = wanted.collect();
         wanted.sort_by_key(|device| (device.id.bus, device.address));
@@ -385,8 +384,7 @@ impl App {
                     1 => "1 edit is".to_owned(),
                     many => format!("{many} edits are"),
                 };
-                let copy = self.copied.as_ref().filter(|(_, copy)| copy == self.file.document());
-                if let Some((path, _)) = copy {
+                if let Some(path) = self.copy_of_edits() {
                     let path = Escaped(path.as_os_str().as_encoded_bytes());
                     format!("{edits} only in {path}. Quit all the same?")
                 } else if self.file.is_saving() {
@@ -472,9 +470,15 @@ impl App {
     /// Edits that would be lost if the program ended now, as a whole file, and how many: none where
     /// they are saved, in a copy too, or the user gave them up.
     pub fn edits_at_risk(&self) -> Option<(usize, &[u8])> {
-        let (count, document) = (self.file.unsaved(), self.file.document());
-        let is_copied = self.copied.as_ref().is_some_and(|(_, copy)| copy == document);
-        (count > 0 && !is_copied && !self.gave_up_edits).then(|| (count, document.source()))
+        let count = self.file.unsaved();
+        let is_at_risk = count > 0 && self.copy_of_edits().is_none() && !self.gave_up_edits;
+        is_at_risk.then(|| (count, self.file.document().source()))
+    }
+
+    /// Where a copy of des.json with all edits was saved.
+    fn copy_of_edits(&self) -> Option<&Path> {
+        let copy = self.copied.as_ref().filter(|(_, copy)| copy == self.file.document());
+        copy.map(|(path, _)| path.as_path())
     }
 
     /// Command: quit.

@@ -174,10 +174,7 @@ impl Comparison<'_> {
     }
 
     fn services(&mut self, entry: &Entry, device: &Device) {
-        let (Some(listed), Some(own)) = (&entry.services, &device.services) else { return };
-        if listed.is_empty() || same_services(listed, own) {
-            return;
-        }
+        let Some((listed, own)) = other_services(entry, device) else { return };
         let text = format!(
             "{} at {} has other services than the file lists: {}.",
             Escaped(&entry.name),
@@ -234,6 +231,15 @@ impl Comparison<'_> {
         finding.remedy = remedy;
         self.found.push(finding);
     }
+}
+
+/// The services that an entry lists, and those that its device says it has, where the two differ.
+pub fn other_services<'a>(
+    entry: &'a Entry,
+    device: &'a Device,
+) -> Option<(&'a [document::ServiceEntry], &'a [crate::discovery::ServiceEntry])> {
+    let both = entry.listed_services().zip(device.services.as_deref());
+    both.filter(|(listed, own)| !same_services(listed, own))
 }
 
 /// Whether the file lists what a device says of its services.

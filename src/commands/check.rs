@@ -70,9 +70,9 @@ fn is_complete(app: &App, now: Instant) -> bool {
     let missing =
         app.compare(now, Scope::Check).iter().any(|it| it.key.kind == FindingKind::Missing);
     let unknown = app.file().document().entries().iter().any(|entry| {
-        let lists = entry.services.as_ref().is_some_and(|services| !services.is_empty());
         let mut devices = app.matching().devices_of(entry.index).iter();
-        lists && devices.any(|id| app.device(*id).is_some_and(|it| it.services.is_none()))
+        entry.listed_services().is_some()
+            && devices.any(|id| app.device(*id).is_some_and(|it| it.services.is_none()))
     });
     !missing && !unknown
 }

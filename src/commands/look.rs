@@ -1,7 +1,8 @@
 //! The terminal UI, on real buses and on simulated ones.
 
 use super::open::{self, Setup};
-use super::{FINE, Failure, INTERRUPTED, UNUSABLE};
+use super::report::{counted, shown};
+use super::{FINE, Failure, INTERRUPTED, UNUSABLE, headless};
 use crate::app::AppOptions;
 use crate::bus::{BusSpec, Clock};
 use crate::cli::{Common, Session as Arguments};
@@ -90,10 +91,7 @@ fn show(buses: &[BusSpec], setup: &Setup, clock: Clock) -> Result<u8, Failure> {
         ..AppOptions::default()
     };
     terminal::restore_on_panic();
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .context("no event loop")?;
+    let runtime = headless::runtime()?;
     let result = runtime.block_on(async {
         let mut session = open::session(buses, setup, clock, options)?;
         let ending = screen::run(&mut session, &mut themes).await.context("the terminal");
@@ -118,14 +116,13 @@ fn show(buses: &[BusSpec], setup: &Setup, clock: Clock) -> Result<u8, Failure> {
 
 /// Says on standard error what was not saved, and where a copy of it is.
 fn tell_rescued(file: &Path, count: usize, kept: std::io::Result<PathBuf>) {
-    let file = file.display();
-    let edits = if count == 1 { "1 edit".to_owned() } else { format!("{count} edits") };
+    let (file, edits) = (shown(file), counted(count as u64, "edit"));
     // The terminal may be gone.
     let _ = match kept {
         Ok(copy) => writeln!(
             std::io::stderr(),
             "descan: {edits} of {file} not saved; a copy with all edits is {}",
-            copy.display()
+            shown(&copy)
         ),
         Err(why) => writeln!(
             std::io::stderr(),

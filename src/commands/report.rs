@@ -301,7 +301,7 @@ impl Report {
 }
 
 /// `1 frame`, `2 frames`.
-fn counted(count: u64, what: &str) -> String {
+pub(super) fn counted(count: u64, what: &str) -> String {
     format!("{count} {what}{}", if count == 1 { "" } else { "s" })
 }
 
@@ -476,6 +476,10 @@ pub(super) fn of_file(app: &App) -> FileReport {
 
 /// Where des.json is, safe on a terminal.
 pub(super) fn path_of(app: &App) -> String {
-    let path = app.file().path().map(|path| path.as_os_str().as_encoded_bytes());
-    crate::text::printable(path.unwrap_or_default())
+    app.file().path().map(shown).unwrap_or_default()
+}
+
+/// A path, safe on a terminal.
+pub(super) fn shown(path: &std::path::Path) -> String {
+    crate::text::printable(path.as_os_str().as_encoded_bytes())
 }

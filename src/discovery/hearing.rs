@@ -169,7 +169,6 @@ impl Engine {
         // In a DEBUG message U says nothing of the sender's mode.
         let says_mode = header.message_type() != MessageType::Debug;
         let working = !(header.sender_not_working && says_mode);
-        let period = self.config.profile.heartbeat.period();
         let Some(index) = self.roster.current(header.source) else {
             let index = self.roster.appear(now, header.source, working)?;
             self.roster.get_mut(index).frames = 1;
@@ -184,13 +183,13 @@ impl Engine {
         device.rounds_missed = 0;
         // Without heartbeats this is all that tells of another mode, in which it may have other
         // services, or of another board.
-        let changed = says_mode && device.working != working;
-        let beats = device.heartbeat.last.is_some_and(|last| now.since(last) < period * 3);
-        if changed && !beats && device.services.is_some() {
-            device.services_query.renew(now);
-        }
-        if says_mode {
+        if says_mode && device.working != working {
             device.working = working;
+            let period = self.config.profile.heartbeat.period();
+            let beats = device.heartbeat.last.is_some_and(|last| now.since(last) < period * 3);
+            if !beats && device.services.is_some() {
+                device.services_query.renew(now);
+            }
         }
         if device.presence == Presence::Lost {
             // It may have come back as something else.

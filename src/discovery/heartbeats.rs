@@ -50,16 +50,15 @@ impl Engine {
         let codes = profile.modes.codes();
         let heartbeat = Heartbeat::decode(frame.data(), &profile.heartbeat, &codes);
         let period = profile.heartbeat.period();
-        if let Some(last) = self.roster.get(index).heartbeat.last {
+        let previous_beat = self.roster.get(index).heartbeat.last;
+        let first = previous_beat.is_none();
+        if let Some(last) = previous_beat {
             self.lateness.see(now, header.source, now.since(last), period);
         }
-        let before = self.roster.get(index).heartbeat.last;
-        let unheard = before.map_or(Duration::ZERO, |before| self.outages.since(before));
+        let unheard = previous_beat.map_or(Duration::ZERO, |last| self.outages.since(last));
         let device = self.roster.get_mut(index);
         let expected = device.heartbeat.period();
         let jitter = device.heartbeat.jitter();
-        let first = device.heartbeat.last.is_none();
-        let previous_beat = device.heartbeat.last;
         let gap = device.heartbeat.beat(now, period, unheard);
         if first {
             self.wake_at(now + period * 2);

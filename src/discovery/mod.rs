@@ -581,8 +581,8 @@ impl Engine {
         let measure = self.measure();
         let mut wake = NEVER;
         let mut at = |due: Option<Instant>| wake = wake.min(due.unwrap_or(NEVER));
-        let seen = !self.outages.is_on();
-        for (index, device) in self.roster.devices().iter().enumerate().filter(|_| seen) {
+        let judged = if self.outages.is_on() { &[] } else { self.roster.devices() };
+        for (index, device) in judged.iter().enumerate() {
             if self.roster.is_current(index) {
                 at(measure.judge(device, self.now).1);
             } else if !matches!(device.presence, Presence::Lost | Presence::Asleep) {

@@ -41,6 +41,11 @@ pub struct Entry {
 }
 
 impl Entry {
+    /// Its services, where it lists any.
+    pub fn listed_services(&self) -> Option<&[ServiceEntry]> {
+        self.services.as_deref().filter(|listed| !listed.is_empty())
+    }
+
     /// All that the entry says, without where it says it.
     pub(super) fn meaning(&self) -> impl PartialEq + '_ {
         (&self.name, self.address, self.is_static, &self.bus, &self.uid, &self.services)

@@ -540,6 +540,20 @@ impl Case<'_> {
         self.complain(wrong);
     }
 
+    /// Whether the device at `to` cannot be told from one that was at `from`: of one name, and
+    /// without UIDs that differ.
+    fn may_have_moved(&self, from: Address, to: Address) -> bool {
+        let at = |address| {
+            self.run.world.scenario.devices.iter().filter(move |it| is_fixed(it, address))
+        };
+        at(from).any(|one| {
+            at(to).any(|other| {
+                let mute = [one, other].iter().any(|it| it.faults.has(Fault::NoHeartbeat));
+                one.name == other.name && (mute || one.uid == other.uid)
+            })
+        })
+    }
+
     // --- nothing is made up --------------------------------------------------------------
 
     fn quiet(&mut self) {
@@ -572,22 +586,6 @@ impl Case<'_> {
             }
         }
         self.complain(wrong);
-    }
-}
-
-impl Case<'_> {
-    /// Whether the device at `to` cannot be told from one that was at `from`: of one name, and
-    /// without UIDs that differ.
-    fn may_have_moved(&self, from: Address, to: Address) -> bool {
-        let at = |address| {
-            self.run.world.scenario.devices.iter().filter(move |it| is_fixed(it, address))
-        };
-        at(from).any(|one| {
-            at(to).any(|other| {
-                let mute = [one, other].iter().any(|it| it.faults.has(Fault::NoHeartbeat));
-                one.name == other.name && (mute || one.uid == other.uid)
-            })
-        })
     }
 }
 
