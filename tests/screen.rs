@@ -1,249 +1,25 @@
 //! Keys and simulated buses in, screens out.
 
+#[path = "common/stage.rs"]
+mod stage;
+
 use descan::app::{
     App, AppOptions, Capture, Effect, FileReading, Mouse, MouseKind, Page, Piece, Problem,
     SaveOutcome,
 };
 use descan::discovery::Config;
-use descan::document::Document;
 use descan::frame::{BusIndex, CanId, Frame};
 use descan::keymap::Key;
 use descan::sim::{Action, DeviceSpec, Scenario, Sim, Station};
 use descan::status::{BusState, BusStatus, Link, Playback, PlaybackCommand, RecordingStatus};
 use descan::theme::{BUILT_IN, Role, Theme};
-use descan::time::{Duration, Epoch, Instant};
+use descan::time::{Duration, Instant};
 use descan::ui;
 use descan::wire::id::Address;
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 use ratatui::buffer::Buffer;
-
-/// A bus, the program on it, and a file: what stands around the program elsewhere.
-struct Stage {
-    app: App,
-    sim: Sim,
-    station: Station,
-    file: Option<Vec<u8>>,
-    effects: Vec<Effect>,
-    /// Saves whose end has not been told yet, where the disk is slow.
-    unfinished: Option<Vec<SaveOutcome>>,
-    size: (u16, u16),
-}
-
-const BOILER: &str = r#"{
-  "devices": [
-    { "name": "FEED", "address": 10, "static": true,
-      "services": [ { "name": "DES", "version": "1.0" }, { "name": "AUGER", "version": "2.1" } ] },
-    { "name": "SENS", "address": 12, "static": true },
-    { "name": "ACT", "address": 16, "static": true },
-    { "name": "DISP", "address": 20 },
-    { "name": "PUMP", "address": 44, "static": true }
-  ]
-}
-"#;
-
-impl Stage {
-    fn new(scenario: &Scenario, file: Option<&str>) -> Self {
-        Self::with(scenario, file, Config { seed: 7, ..Config::default() })
-    }
-
-    fn with(scenario: &Scenario, file: Option<&str>, config: Config) -> Self {
-        let mut sim = Sim::new(scenario, 1);
-        let station = sim.attach();
-        sim.set_listen_only(station, config.listen_only);
-        // 2026-11-21 12:00:00 UTC.
-        let epoch = Epoch::from_unix_micros(1_795_262_400_000_000);
-        let app = App::new(
-            Instant::ZERO,
-            AppOptions {
-                epoch,
-                buses: vec![("can0".to_owned(), config)],
-                file_path: Some("des.json".into()),
-                theme: "terminal".to_owned(),
-                themes: BUILT_IN.iter().map(|(name, _)| (*name).to_owned()).collect(),
-                ..AppOptions::default()
-            },
-        );
-        let mut stage = Self {
-            app,
-            sim,
-            station,
-            file: file.map(|text| text.as_bytes().to_vec()),
-            effects: Vec::new(),
-            unfinished: None,
-            size: (80, 24),
-        };
-        stage.size(80, 24);
-        let bitrate = Some(scenario.bitrate);
-        let status = BusStatus {
-            link: Link::Up,
-            state: BusState::ErrorActive,
-            bitrate,
-            ..BusStatus::default()
-        };
-        stage.app.handle_bus(Instant::ZERO, BusIndex(0), status);
-        let content = stage.file.clone();
-        stage.app.handle_file(Instant::ZERO, FileReading::Content(content));
-        stage
-    }
-
-    fn boiler() -> Self {
-        Self::new(&Scenario::builtin("boiler").unwrap(), Some(BOILER))
-    }
-
-    /// Lets everything run until `seconds` after the start.
-    fn until(&mut self, seconds: f64) -> &mut Self {
-        let end = Instant::ZERO + Duration::from_secs_f64(seconds);
-        let mut now = self.app.now();
-        while now < end {
-            let next = [self.sim.next_event(), self.app.poll_timeout(), Some(end)];
-            now = next.into_iter().flatten().min().unwrap().max(now + Duration::from_micros(1));
-            self.sim.advance(now);
-            while let Some(frame) = self.sim.poll_frame(self.station) {
-                self.app.handle_frames(now, &[frame]);
-            }
-            if self.app.poll_timeout().is_some_and(|at| at <= now) {
-                self.app.handle_timeout(now);
-            }
-            self.drain(now);
-        }
-        self
-    }
-
-    fn drain(&mut self, now: Instant) {
-        while let Some(frame) = self.app.poll_transmit(now) {
-            self.sim.transmit(self.station, frame);
-        }
-        while let Some(effect) = self.app.poll_effect() {
-            if let Effect::Save { expected, content } = &effect {
-                let expected = expected.as_ref().map(Document::source);
-                let outcome = if expected == self.file.as_deref() {
-                    self.file = Some(content.source().to_vec());
-                    SaveOutcome::Saved
-                } else {
-                    SaveOutcome::Changed(self.file.clone())
-                };
-                match &mut self.unfinished {
-                    Some(unfinished) => unfinished.push(outcome),
-                    None => self.app.handle_saved(now, outcome),
-                }
-            }
-            self.effects.push(effect);
-        }
-    }
-
-    /// From now on the end of a save is told by [`Self::finish_saves`].
-    fn slow_disk(&mut self) -> &mut Self {
-        self.unfinished = Some(Vec::new());
-        self
-    }
-
-    fn finish_saves(&mut self) -> &mut Self {
-        for outcome in std::mem::take(self.unfinished.as_mut().unwrap()) {
-            self.app.handle_saved(self.app.now(), outcome);
-        }
-        self.drain(self.app.now());
-        self
-    }
-
-    /// The saves that are on their way fail.
-    fn refuse_saves(&mut self) -> &mut Self {
-        for outcome in self.unfinished.as_mut().into_iter().flatten() {
-            *outcome = SaveOutcome::Failed("no space left on the disk".to_owned());
-        }
-        self.finish_saves()
-    }
-
-    /// Presses keys, written as in keys.toml, with blanks between.
-    fn keys(&mut self, keys: &str) -> &mut Self {
-        for text in keys.split_whitespace() {
-            let key = Key::parse(text).unwrap_or_else(|| panic!("{text} is no key"));
-            self.app.handle_key(self.app.now(), key);
-            self.drain(self.app.now());
-        }
-        self
-    }
-
-    /// Types text into the line being typed.
-    fn text(&mut self, text: &str) -> &mut Self {
-        for c in text.chars() {
-            self.app.handle_key(self.app.now(), Key::char(c));
-        }
-        self
-    }
-
-    /// Somebody else writes the file.
-    fn write(&mut self, text: &str) -> &mut Self {
-        self.file = Some(text.as_bytes().to_vec());
-        let content = self.file.clone();
-        self.app.handle_file(self.app.now(), FileReading::Content(content));
-        self.drain(self.app.now());
-        self
-    }
-
-    /// Somebody else deletes the file.
-    fn remove(&mut self) -> &mut Self {
-        self.file = None;
-        self.app.handle_file(self.app.now(), FileReading::Content(None));
-        self.drain(self.app.now());
-        self
-    }
-
-    fn size(&mut self, columns: u16, rows: u16) -> &mut Self {
-        self.size = (columns, rows);
-        self.app.handle_resize(columns, rows);
-        self
-    }
-
-    fn buffer(&self, theme: &str) -> Buffer {
-        let mut terminal = Terminal::new(TestBackend::new(self.size.0, self.size.1)).unwrap();
-        let theme = Theme::built_in(theme).unwrap();
-        terminal
-            .draw(|frame| {
-                ui::draw(&self.app, &theme, frame);
-            })
-            .unwrap();
-        terminal.backend().buffer().clone()
-    }
-
-    /// Draws, and tells the app how far its text could be scrolled.
-    fn drawn(&mut self) -> &mut Self {
-        let mut terminal = Terminal::new(TestBackend::new(self.size.0, self.size.1)).unwrap();
-        let theme = Theme::built_in("terminal").unwrap();
-        let mut scrolled = None;
-        terminal.draw(|frame| scrolled = ui::draw(&self.app, &theme, frame)).unwrap();
-        self.app.handle_drawn(scrolled);
-        self
-    }
-
-    /// The screen as text.
-    fn screen(&self) -> String {
-        text_of(&self.buffer("terminal"))
-    }
-
-    /// The text of the file.
-    fn file(&self) -> &str {
-        std::str::from_utf8(self.file.as_deref().unwrap_or_default()).unwrap()
-    }
-}
-
-fn text_of(buffer: &Buffer) -> String {
-    let mut text = String::new();
-    for row in buffer.content().chunks(usize::from(buffer.area.width).max(1)) {
-        let mut line = String::new();
-        let mut skip = 0;
-        for cell in row {
-            if skip == 0 {
-                line.push_str(cell.symbol());
-                skip = unicode_width::UnicodeWidthStr::width(cell.symbol()).max(1);
-            }
-            skip -= 1;
-        }
-        text.push_str(line.trim_end());
-        text.push('\n');
-    }
-    text
-}
+use stage::{BOILER, Stage, text_of};
 
 /// A snapshot of the screen as text.
 macro_rules! snapshot {
