@@ -324,12 +324,13 @@ fn where_the_file_goes_while_a_choice_is_open_it_stays_open() {
 #[test]
 fn the_page_of_a_conflict_closes_with_the_conflict() {
     let theirs = BOILER.replace("10", "100");
-    // The change is taken back, or the file was only empty while it was being written.
+    // The change is taken back, or the file was only empty while it was being written, for longer
+    // than is waited for.
     for contents in [[&theirs, BOILER], ["", BOILER], ["", &BOILER.replace("12", "13")]] {
         let mut stage = Stage::boiler();
         stage.slow_disk().until(24.0).keys("e").text("70").keys("Enter");
         stage.file = Some(BOILER.as_bytes().to_vec());
-        stage.refuse_saves().write(contents[0]);
+        stage.refuse_saves().write(contents[0]).until(25.1);
         assert!(stage.screen().contains("Conflict"), "{}", stage.screen());
         let screen = stage.write(contents[1]).screen();
         assert!(!screen.contains("Conflict"), "{screen}");

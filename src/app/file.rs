@@ -8,6 +8,7 @@ use crate::document::{
     Choices, Conflict, Document, EditError, Merge, Operation, ParseError, Prefer, merge,
     merge_chosen,
 };
+use crate::time::Instant;
 use std::path::{Path, PathBuf};
 
 /// How des.json was found.
@@ -136,6 +137,15 @@ struct Dispute {
     choices: Choices,
 }
 
+/// The file has just become empty. Many who write a file empty it first: what it says is not known
+/// until there is something in it again, or it has stayed so for a while.
+#[derive(Debug)]
+struct Emptied {
+    since: Instant,
+    /// The blanks that are in it.
+    content: Document,
+}
+
 /// The state of des.json.
 #[derive(Debug)]
 pub struct FileState {
@@ -150,6 +160,7 @@ pub struct FileState {
     /// What was found on disk while a save was on its way. Whether that is what we wrote, or what
     /// somebody made of it, or what was there before, is known when the save is over.
     waiting: Option<FileReading>,
+    emptied: Option<Emptied>,
     problem: Option<FileProblem>,
     dispute: Option<Dispute>,
     undo: Vec<Step>,
@@ -194,6 +205,7 @@ impl FileState {
             pending: Vec::new(),
             saving: None,
             waiting: None,
+            emptied: None,
             problem: None,
             dispute: None,
             undo: Vec::new(),
@@ -257,9 +269,15 @@ impl FileState {
         self.saving.is_some()
     }
 
+    /// Since when the file is empty and perhaps being written: until [`Self::believe_empty`], or
+    /// until there is something in it, what it said before is in force, and nothing is saved.
+    pub fn emptied_since(&self) -> Option<Instant> {
+        self.emptied.as_ref().map(|emptied| emptied.since)
+    }
+
     /// Takes what was found on disk. While a save is on its way that waits for
     /// [`Self::read_waiting`].
-    pub fn read(&mut self, reading: FileReading) -> Change {
+    pub fn read(&mut self, now: Instant, reading: FileReading) -> Change {
         if self.saving.is_some() {
             self.waiting = Some(reading);
             return Change::None;
@@ -267,6 +285,7 @@ impl FileState {
         let content = match reading {
             FileReading::Content(content) => content,
             FileReading::Error(why) => {
+                self.emptied = None;
                 let problem = Some(FileProblem::Unreadable(why));
                 let change = if self.problem == problem { Change::None } else { Change::Broken };
                 self.problem = problem;
@@ -277,38 +296,58 @@ impl FileState {
         {
             Ok(document) => document,
             Err(error) => {
+                self.emptied = None;
                 let problem = Some(FileProblem::Syntax(error));
                 let change = if self.problem == problem { Change::None } else { Change::Broken };
                 self.problem = problem;
                 return change;
             }
         };
-        let is_first = self.disk.is_none();
-        let was_broken =
-            matches!(self.problem, Some(FileProblem::Syntax(_) | FileProblem::Unreadable(_)));
         // What it was compared with last. Where there is a conflict it may be what it was before:
         // then there is none any more.
         let known = self.dispute.as_ref().map(|it| &it.theirs).or(self.disk.as_ref());
-        if !is_first && known == Some(&theirs) && self.is_on_disk == content.is_some() {
+        let is_there = content.is_some();
+        let was_empty =
+            known.is_none_or(|known| self.is_on_disk && known.is_blank()) || !theirs.is_blank();
+        if is_there && !was_empty {
+            let since = self.emptied.as_ref().map_or(now, |emptied| emptied.since);
+            self.emptied = Some(Emptied { since, content: theirs });
+            return Change::None;
+        }
+        self.emptied = None;
+        if known == Some(&theirs) && self.is_on_disk == is_there {
+            let was_broken =
+                matches!(self.problem, Some(FileProblem::Syntax(_) | FileProblem::Unreadable(_)));
             if was_broken {
                 self.problem = None;
             }
             return if was_broken { Change::Content } else { Change::None };
         }
-        self.is_on_disk = content.is_some();
+        self.take(theirs, is_there)
+    }
+
+    /// The file has stayed empty: takes it as it is.
+    pub fn believe_empty(&mut self) -> Change {
+        self.emptied.take().map_or(Change::None, |emptied| self.take(emptied.content, true))
+    }
+
+    /// Takes content that is not what was known.
+    fn take(&mut self, theirs: Document, is_there: bool) -> Change {
+        let is_first = self.disk.is_none();
+        self.is_on_disk = is_there;
         self.problem = None;
         if self.pending.is_empty() {
             self.document = theirs.clone();
             self.disk = Some(theirs);
             return if is_first { Change::First } else { Change::Content };
         }
-        let asks_for_new = self.dispute.take().is_some() && content.is_none();
+        let asks_for_new = self.dispute.take().is_some() && !is_there;
         self.rebase(theirs, Choices { asks_for_new, ..Choices::default() })
     }
 
     /// Takes what was found on disk while a save was on its way, now that it is over.
-    pub fn read_waiting(&mut self) -> Change {
-        self.waiting.take().map_or(Change::None, |reading| self.read(reading))
+    pub fn read_waiting(&mut self, now: Instant) -> Change {
+        self.waiting.take().map_or(Change::None, |reading| self.read(now, reading))
     }
 
     /// Makes our edits again on newer content.
@@ -464,7 +503,7 @@ impl FileState {
 
     /// What is to be saved now, if anything; the save counts as on its way.
     pub fn start_saving(&mut self) -> Option<Saving> {
-        let waits = self.saving.is_some() || self.dispute.is_some();
+        let waits = self.saving.is_some() || self.dispute.is_some() || self.emptied.is_some();
         if waits || self.pending.is_empty() || self.check().is_err() {
             return None;
         }
@@ -479,7 +518,7 @@ impl FileState {
     }
 
     /// Takes what became of a save; [`Self::read_waiting`] comes next.
-    pub fn handle_saved(&mut self, outcome: SaveOutcome) -> Change {
+    pub fn handle_saved(&mut self, now: Instant, outcome: SaveOutcome) -> Change {
         match outcome {
             SaveOutcome::Saved => {
                 self.saved();
@@ -487,7 +526,7 @@ impl FileState {
             }
             SaveOutcome::Changed(found) => {
                 self.saving = None;
-                self.read(FileReading::Content(found))
+                self.read(now, FileReading::Content(found))
             }
             SaveOutcome::Failed(why) => {
                 self.saving = None;
@@ -564,6 +603,7 @@ mod tests {
     use super::*;
     use crate::document::EntryKey;
 
+    const NOW: Instant = Instant::ZERO;
     const FILE: &str = r#"{"devices":[{"name":"FEED","address":12,"static":true}]}"#;
 
     fn content(text: &str) -> FileReading {
@@ -572,7 +612,7 @@ mod tests {
 
     fn opened() -> FileState {
         let mut file = FileState::new(Some("des.json".into()));
-        assert_eq!(file.read(content(FILE)), Change::First);
+        assert_eq!(file.read(NOW, content(FILE)), Change::First);
         file
     }
 
@@ -594,7 +634,7 @@ mod tests {
         let saving = file.start_saving().unwrap();
         assert_eq!(saving.expected.unwrap().source(), FILE.as_bytes());
         assert_eq!(saving.content.source(), FILE.replace("12", "16").as_bytes());
-        assert_eq!(file.handle_saved(SaveOutcome::Saved), Change::Saved);
+        assert_eq!(file.handle_saved(NOW, SaveOutcome::Saved), Change::Saved);
         assert_eq!((file.unsaved(), file.start_saving()), (0, None));
         file.undo().unwrap();
         assert_eq!(source(&file), FILE);
@@ -611,7 +651,7 @@ mod tests {
         file.start_saving().unwrap();
         let theirs = FILE.replace("FEED", "FEEDX").replace("true", "true, \"note\":1");
         let outcome = SaveOutcome::Changed(Some(theirs.clone().into_bytes()));
-        assert_eq!(file.handle_saved(outcome), Change::Rebased);
+        assert_eq!(file.handle_saved(NOW, outcome), Change::Rebased);
         let saving = file.start_saving().unwrap();
         assert_eq!(saving.expected.unwrap().source(), theirs.as_bytes());
         assert_eq!(saving.content.source(), theirs.replace("12", "16").as_bytes());
@@ -623,7 +663,7 @@ mod tests {
         let kept = |file: &FileState| file.undo.iter().filter(|step| step.on.is_some()).count();
         let saved = |file: &mut FileState| {
             file.start_saving().unwrap();
-            file.handle_saved(SaveOutcome::Saved);
+            file.handle_saved(NOW, SaveOutcome::Saved);
         };
         for to in 13..=20 {
             file.edit(&[set_address(&file, to)]).unwrap();
@@ -631,7 +671,7 @@ mod tests {
         }
         assert_eq!(kept(&file), 1);
         let noted = |address: &str| FILE.replace("12", address).replace("true", "true, \"x\":1");
-        assert_eq!(file.read(content(&noted("20"))), Change::Content);
+        assert_eq!(file.read(NOW, content(&noted("20"))), Change::Content);
         for to in 21..=25 {
             file.edit(&[set_address(&file, to)]).unwrap();
         }
@@ -655,16 +695,16 @@ mod tests {
             file.edit(&[set_address(&file, 16)]).unwrap();
             file.start_saving().unwrap();
             file.edit(&[set_address(&file, 17)]).unwrap();
-            assert_eq!(file.read(content(&found)), Change::None);
+            assert_eq!(file.read(NOW, content(&found)), Change::None);
             assert_eq!((file.unsaved(), file.start_saving()), (2, None));
-            assert_eq!(file.handle_saved(SaveOutcome::Saved), Change::Saved);
-            assert_eq!(file.read_waiting(), change);
+            assert_eq!(file.handle_saved(NOW, SaveOutcome::Saved), Change::Saved);
+            assert_eq!(file.read_waiting(NOW), change);
             assert_eq!(file.unsaved(), 1);
             let saving = file.start_saving().unwrap();
             assert_eq!(saving.expected.unwrap().source(), found.as_bytes());
             assert_eq!(saving.content.source(), found.replace("16", "17").as_bytes());
             // The disk fails: it is still an edit that is not saved.
-            file.handle_saved(SaveOutcome::Failed("no room".into()));
+            file.handle_saved(NOW, SaveOutcome::Failed("no room".into()));
             assert_eq!(file.unsaved(), 1);
         }
     }
@@ -674,7 +714,7 @@ mod tests {
         for (ours, address) in [(true, "16"), (false, "13")] {
             let mut file = opened();
             file.edit(&[set_address(&file, 16)]).unwrap();
-            assert_eq!(file.read(content(&FILE.replace("12", "13"))), Change::Conflict);
+            assert_eq!(file.read(NOW, content(&FILE.replace("12", "13"))), Change::Conflict);
             assert_eq!(file.start_saving(), None);
             assert_eq!(file.edit(&[]), Err(Refusal::Conflict));
             assert_eq!(file.resolve(ours), Change::Rebased);
@@ -686,18 +726,18 @@ mod tests {
     #[test]
     fn a_broken_file_is_never_written_and_the_last_good_content_stays() {
         let mut file = opened();
-        assert_eq!(file.read(content("{\"devices\": [")), Change::Broken);
+        assert_eq!(file.read(NOW, content("{\"devices\": [")), Change::Broken);
         assert_eq!(source(&file), FILE);
         assert!(matches!(file.edit(&[set_address(&file, 16)]), Err(Refusal::Broken(_))));
         assert_eq!(file.start_saving(), None);
-        assert_eq!(file.read(content(FILE)), Change::Content);
+        assert_eq!(file.read(NOW, content(FILE)), Change::Content);
         assert!(file.problem().is_none());
     }
 
     #[test]
     fn a_missing_file_is_begun() {
         let mut file = FileState::new(Some("des.json".into()));
-        assert_eq!(file.read(FileReading::Content(None)), Change::First);
+        assert_eq!(file.read(NOW, FileReading::Content(None)), Change::First);
         let entry = crate::document::NewEntry {
             name: b"FEED".to_vec(),
             address: Some(12),

@@ -238,6 +238,8 @@ pub struct App {
 
 /// What the bus changes is drawn at most this often, however much the devices chatter.
 const CALM: Duration = Duration::from_millis(250);
+/// How long a file that has become empty is held to be one that is being written.
+const EMPTY_FOR: Duration = Duration::from_secs(1);
 /// How long after a save failed it is tried again: there may be room on the disk by then.
 const SAVE_AGAIN_AFTER: Duration = Duration::from_secs(10);
 const MESSAGE_FOR: Duration = Duration::from_secs(6);
@@ -367,6 +369,10 @@ impl App {
             self.is_saving_again = true;
             self.save_pending();
         }
+        if self.believes_empty_at().is_some_and(|at| at <= now) {
+            let change = self.file.believe_empty();
+            self.file_changed(change);
+        }
         if self.dirty_at.is_some_and(|at| at <= now) {
             self.dirty = true;
             self.catch_up();
@@ -419,8 +425,15 @@ impl App {
     /// Takes what was found at des.json's path.
     pub fn handle_file(&mut self, now: Instant, reading: FileReading) {
         self.now = self.now.max(now);
-        let change = self.file.read(reading);
+        let was_emptied = self.file.emptied_since().is_some();
+        let change = self.file.read(self.now, reading);
         self.file_changed(change);
+        let is_emptied = self.file.emptied_since().is_some();
+        self.dirty |= was_emptied || is_emptied;
+        if was_emptied && !is_emptied && change == Change::None {
+            // It is as it was: what waited is saved.
+            self.save_pending();
+        }
     }
 
     /// Takes what became of an [`Effect::Save`].
@@ -429,7 +442,7 @@ impl App {
         let before = self.file.problem().filter(|it| it.is_not_saved()).cloned();
         let is_retry = std::mem::take(&mut self.is_saving_again);
         let on_disk = self.file.on_disk().cloned();
-        let change = self.file.handle_saved(outcome);
+        let change = self.file.handle_saved(self.now, outcome);
         // No edit is let through that pins a taken address, but the file may have been changed
         // while it waited to be saved.
         let clash = self.file.on_disk().zip(on_disk.as_ref()).filter(|_| change == Change::Saved);
@@ -442,7 +455,7 @@ impl App {
             let (count, names) = (names.len(), names.join(", "));
             Some(format!(", but {count} entries are pinned to {address}: {names}"))
         });
-        let later = self.file.read_waiting();
+        let later = self.file.read_waiting(self.now);
         let problem = self.file.problem().filter(|it| it.is_not_saved());
         self.save_again_at = problem.map(|_| self.now + SAVE_AGAIN_AFTER);
         if is_retry && before.is_some() && before.as_ref() == problem {
@@ -561,8 +574,8 @@ impl App {
         let message = self.message.as_ref().map(|message| message.until);
         let calm = self.dirty_at.filter(|_| !self.dirty);
         let second = (!self.is_at_rest()).then_some(self.next_second);
-        let again = self.save_again_at;
-        engines.chain(message).chain(calm).chain(second).chain(again).min()
+        let file = self.save_again_at.into_iter().chain(self.believes_empty_at());
+        engines.chain(message).chain(calm).chain(second).chain(file).min()
     }
 
     /// Whether the screen is not what it should be.
@@ -708,15 +721,24 @@ impl App {
 
     /// The bus changed something: to be seen soon, but not at the bus's pace.
     fn dirty_soon(&mut self) {
-        // Of a log's time, which may be faster or stand still.
-        let calm = match self.playback {
-            Some(playback) if playback.is_standing() => Duration::ZERO,
-            Some(playback) => CALM.mul_f64(playback.speed),
-            None => CALM,
-        };
+        let calm = self.of_our_time(CALM);
         if self.dirty_at.is_none() {
             self.dirty_at = Some((self.last_calm_draw + calm).max(self.now));
         }
+    }
+
+    /// So much of a person's time, in that of a log, which may be faster or stand still.
+    fn of_our_time(&self, time: Duration) -> Duration {
+        match self.playback {
+            Some(playback) if playback.is_standing() => Duration::ZERO,
+            Some(playback) => time.mul_f64(playback.speed),
+            None => time,
+        }
+    }
+
+    /// When a file that has become empty is taken for an empty one.
+    fn believes_empty_at(&self) -> Option<Instant> {
+        Some(self.file.emptied_since()? + self.of_our_time(EMPTY_FOR))
     }
 
     /// Nothing on the screen counts seconds.

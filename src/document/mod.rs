@@ -158,6 +158,11 @@ impl Document {
         self.inner.source.as_bytes()
     }
 
+    /// Whether there is nothing in it but blanks.
+    pub fn is_blank(&self) -> bool {
+        matches!(self.root(), Root::Blank)
+    }
+
     /// What the file says about devices, in its order.
     pub fn entries(&self) -> &[Entry] {
         &self.inner.entries

@@ -62,7 +62,10 @@ pub fn draw(brush: &mut Brush) {
 /// Whether edits are not on the disk, or the file there cannot be used.
 fn is_worrying(brush: &Brush) -> bool {
     let file = brush.app.file();
-    file.unsaved() > 0 || file.problem().is_some() || file.conflict().is_some()
+    file.unsaved() > 0
+        || file.problem().is_some()
+        || file.conflict().is_some()
+        || file.emptied_since().is_some()
 }
 
 fn selected_bus(brush: &Brush) -> BusIndex {
@@ -426,6 +429,11 @@ fn file(brush: &Brush, whole: bool) -> Parts {
         parts.push(vec![name, brush.span(Role::Error, " ✗ conflict")]);
     } else if unsaved > 0 {
         parts.push(vec![name, brush.span(Role::Warning, format!(" … saving {unsaved}"))]);
+        if whole && file.emptied_since().is_some() {
+            parts.push(vec![brush.span(Role::Muted, "empty just now")]);
+        }
+    } else if file.emptied_since().is_some() {
+        parts.push(vec![name, brush.span(Role::Warning, " empty just now")]);
     } else if !file.is_read() {
         parts.push(vec![name, brush.span(Role::Muted, " …")]);
     } else if file.is_there() {

@@ -1,0 +1,149 @@
+//! Edits of des.json are taken back, and others empty, change or hold up the file meanwhile.
+
+#[path = "common/stage.rs"]
+mod stage;
+
+use descan::app::Effect;
+use descan::sim::Scenario;
+use descan::status::Playback;
+use stage::{BOILER, Stage};
+
+/// A disk that takes nothing, until it is mended.
+fn refusing() -> Stage {
+    let mut stage = Stage::boiler();
+    stage.refusal = Some("no space left on the disk".to_owned());
+    stage.until(24.0);
+    stage
+}
+
+fn mend(stage: &mut Stage) -> &mut Stage {
+    stage.refusal = None;
+    stage
+}
+
+// ---- a file that is empty while it is being written ----------------------------------------
+
+#[test]
+fn a_file_that_is_being_written_is_not_taken_for_an_empty_one() {
+    let theirs = BOILER.replace("12", "13");
+    for empty in ["", "\n", " \r\n\t", "\u{feff}"] {
+        // An edit of what is there no more, which would be a conflict; and a new entry, which would
+        // begin a new file.
+        for (keys, text, ours) in [
+            ("e", "70", theirs.replace("10", "70")),
+            ("n", "NEW 64", theirs.replace("44, \"static\": true }", "44, \"static\": true },\n    { \"name\": \"NEW\", \"address\": 64, \"static\": true }")),
+        ] {
+            let mut stage = refusing();
+            stage.keys(keys).text(text).keys("Enter");
+            let screen = mend(&mut stage).write(empty).until(24.9).keys("Ctrl-s").screen();
+            assert_eq!(stage.file(), empty, "nothing is written");
+            assert!(!screen.contains("Conflict"), "{screen}");
+            assert!(screen.contains("SENS"), "{screen}");
+            assert_eq!(stage.app.file().unsaved(), 1);
+            stage.write(&theirs);
+            assert_eq!(stage.file(), ours);
+            assert!(!stage.screen().contains("Conflict"), "{}", stage.screen());
+            assert!(stage.until(30.0).screen().contains("✓"), "{}", stage.screen());
+        }
+    }
+}
+
+#[test]
+fn an_edit_waits_while_the_file_is_being_written() {
+    for theirs in [BOILER.to_owned(), BOILER.replace("12", "13")] {
+        let mut stage = Stage::boiler();
+        stage.until(24.0).write("");
+        let screen = stage.screen();
+        assert!(screen.contains("des.json empty just now"), "{screen}");
+        assert!(screen.contains("✓ 10"), "{screen}");
+        let screen = stage.keys("e").text("70").keys("Enter").screen();
+        assert!(screen.contains("… saving 1  empty just now"), "{screen}");
+        assert!(stage.keys("q").screen().contains("Quit"));
+        assert!(!stage.effects.contains(&Effect::Quit));
+        assert_eq!(stage.file(), "");
+        stage.write(&theirs);
+        assert_eq!(stage.file(), theirs.replace("10", "70"));
+        assert!(stage.effects.contains(&Effect::Quit), "it quits once all is saved");
+    }
+}
+
+#[test]
+fn a_save_that_finds_the_file_emptied_is_put_off() {
+    let theirs = BOILER.replace("12", "13");
+    for keys in ["e", "n"] {
+        let mut stage = Stage::boiler();
+        stage.until(24.0);
+        // Nobody has told yet.
+        stage.file = Some(Vec::new());
+        let text = if keys == "e" { "70" } else { "NEW 64" };
+        stage.keys(keys).text(text).keys("Enter").until(24.5);
+        assert_eq!(stage.file(), "");
+        let screen = stage.screen();
+        assert!(screen.contains("… saving 1"), "{screen}");
+        assert!(!screen.contains("Conflict"), "{screen}");
+        stage.write(&theirs);
+        assert!(stage.file().contains(if keys == "e" { "70" } else { "NEW" }));
+        assert!(stage.file().contains("13"));
+    }
+    // So is one that was to make the file.
+    let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), None);
+    stage.until(24.0);
+    stage.file = Some(Vec::new());
+    stage.keys("n").text("NEW 64").keys("Enter").until(24.5);
+    assert_eq!(stage.file(), "");
+    stage.write("[]").until(24.6);
+    assert!(stage.file().starts_with("[\n  {"), "{}", stage.file());
+}
+
+#[test]
+fn a_file_that_stays_empty_is_begun() {
+    let mut stage = refusing();
+    stage.keys("n").text("NEW 64").keys("Enter");
+    mend(&mut stage).write("").until(24.6);
+    // Still being written: that it is seen again is no reason to wait longer.
+    stage.write(" ").until(24.9);
+    assert_eq!(stage.file(), " ");
+    stage.until(25.1);
+    assert!(stage.file().starts_with("{\n  \"devices\": [\n"), "{}", stage.file());
+    assert!(stage.file().contains("NEW"));
+
+    // An edit of what is there no more is for a person to decide.
+    let mut stage = refusing();
+    stage.keys("e").text("70").keys("Enter");
+    mend(&mut stage).write("").until(25.1);
+    assert!(stage.screen().contains("theirs     deleted"), "{}", stage.screen());
+
+    // And where nothing is to be saved, it is said.
+    let mut stage = Stage::boiler();
+    let screen = stage.until(24.0).write("").until(25.1).screen();
+    assert!(screen.contains("✓ 0 entries"), "{screen}");
+    assert!(stage.app.timeline().entries().any(|it| it.text == "changed on disk: 0 entries"));
+}
+
+#[test]
+fn each_time_the_file_is_emptied_is_waited_for() {
+    let mut stage = refusing();
+    stage.keys("e").text("70").keys("Enter");
+    stage.write("").until(24.8).write(BOILER).write("").until(25.6);
+    assert!(!stage.screen().contains("Conflict"), "{}", stage.screen());
+    // What is not JSON yet, gone or not readable is what it always is.
+    stage.write("{").until(26.0);
+    assert!(stage.screen().contains("✗"), "{}", stage.screen());
+    stage.write("").until(26.9);
+    assert!(!stage.screen().contains("Conflict"), "{}", stage.screen());
+    mend(&mut stage).write(BOILER);
+    assert_eq!(stage.file(), BOILER.replace("10", "70"));
+}
+
+/// At the end of a log nothing becomes due any more.
+#[test]
+fn where_time_stands_an_empty_file_is_not_waited_for() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0);
+    let playback = Playback { speed: 1.0, is_paused: true, is_ended: false };
+    stage.app.handle_playback(stage.app.now(), playback);
+    stage.write("");
+    assert!(stage.app.poll_timeout().is_some_and(|at| at <= stage.app.now()));
+    stage.app.handle_timeout(stage.app.now());
+    assert!(stage.screen().contains("✓ 0 entries"), "{}", stage.screen());
+}
