@@ -756,7 +756,7 @@ fn edits_are_refused_where_there_is_no_place() {
     let document = parsed(r#"[{"name":"A"}]"#);
     let gone = set(&parsed(r#"[{"name":"A","address":3}]"#), "A", 9);
     let error = document.apply(&gone).unwrap_err();
-    assert_eq!(error.to_string(), "the file has no such entry: A");
+    assert_eq!(error.to_string(), "the file has no such entry any more: A at 3");
     assert_eq!(gone.inverse(&document).unwrap_err(), error);
     for address in [0, 128, 255] {
         let range = EditError::AddressRange { address };

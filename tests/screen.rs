@@ -163,39 +163,6 @@ fn an_address_is_edited_in_its_row() {
 }
 
 #[test]
-fn an_edit_survives_a_change_of_the_file_under_it() {
-    let mut stage = Stage::boiler();
-    stage.until(24.0).keys("e").text("4");
-    stage.write(&BOILER.replace("\"DISP\"", "\"DISPL\"")).text("7");
-    assert!(stage.screen().contains("static address: Enter pins it to 47"), "{}", stage.screen());
-    stage.keys("Enter");
-    let meant = BOILER.replace("\"DISP\"", "\"DISPL\"").replace("10", "47");
-    assert_eq!(stage.file(), meant);
-}
-
-#[test]
-fn an_address_that_someone_else_changed_is_not_overridden_unseen() {
-    let mut stage = Stage::boiler();
-    stage.until(24.0).keys("e").text("4");
-    stage.write(&BOILER.replace("10", "11")).text("7");
-    let screen = stage.screen();
-    assert!(screen.contains("! changed to 11 by someone else; Enter overrides"), "{screen}");
-    stage.keys("Esc");
-    assert_eq!(stage.file(), BOILER.replace("10", "11"));
-}
-
-#[test]
-fn what_is_typed_waits_until_the_file_is_repaired() {
-    let mut stage = Stage::boiler();
-    stage.until(24.0).keys("e").text("47");
-    stage.write("{ broken").keys("Enter");
-    let screen = stage.screen();
-    assert!(screen.contains("✗ not edited while it is broken: line 1, column 3"), "{screen}");
-    stage.write(BOILER).keys("Enter");
-    assert_eq!(stage.file(), BOILER.replace("10", "47"));
-}
-
-#[test]
 fn a_file_that_is_deleted_is_said_to_be_gone() {
     let mut stage = Stage::boiler();
     stage.until(24.0);
@@ -224,15 +191,6 @@ fn what_blocks_and_how_to_answer_are_never_cut_off() {
     assert!(stage.screen().contains("y yes  n no"), "{}", stage.screen());
     stage.keys("n").size(80, 24).keys("n").text("PUMP 12");
     assert!(stage.screen().contains("static address of SENS (line 5)"), "{}", stage.screen());
-}
-
-#[test]
-fn empty_takes_the_pin_away_and_esc_leaves() {
-    let mut stage = Stage::boiler();
-    stage.until(24.0).keys("e Ctrl-u Esc");
-    assert_eq!(stage.file(), BOILER);
-    stage.keys("e Ctrl-u Enter");
-    assert_eq!(stage.file(), BOILER.replacen("\"static\": true", "\"static\": false", 1));
 }
 
 #[test]

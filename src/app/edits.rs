@@ -138,6 +138,8 @@ impl App {
             self.show_conflict();
         } else if self.file.unsaved() == 0 {
             self.say("everything is saved");
+        } else if let Err(super::Refusal::Broken(why)) = self.file.check() {
+            self.complain(format!("not saved while it is broken: {why}"));
         } else {
             self.save_pending();
         }

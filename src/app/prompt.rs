@@ -64,6 +64,9 @@ impl PromptKind {
     }
 }
 
+/// Said of an entry that was there when the line was opened.
+const GONE: &str = "its entry was deleted by someone else";
+
 /// What is to be said of the text so far.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Verdict {
@@ -106,6 +109,9 @@ impl App {
                 Verdict::Blocks(why) => Verdict::Blocks(why),
                 verdict => self.judge_change(key, &prompt.before).unwrap_or(verdict),
             },
+            PromptKind::Rename(key) if self.entry_of_key(key).is_none() => {
+                Verdict::Blocks(GONE.to_owned())
+            }
             PromptKind::Rename(_) => judge_name(text),
             PromptKind::NewEntry => self.judge_new_entry(text),
             PromptKind::CapturePath | PromptKind::CopyPath if text.is_empty() => {
@@ -232,6 +238,9 @@ impl App {
             PromptKind::Address(key) => self.finish_address(&key, &text),
             PromptKind::Rename(entry) => {
                 let Some(to) = unescaped(&text).filter(|to| *to != entry.name) else { return };
+                // Its address may have been changed under us.
+                let Some(at) = self.entry_of_key(&entry).map(|entry| entry.index) else { return };
+                let entry = self.file.document().key(at);
                 self.edit(&[Operation::Rename { entry, to }]);
             }
             PromptKind::NewEntry => {
@@ -257,20 +266,24 @@ impl App {
 
     // ---- the address of a row --------------------------------------------------------------
 
-    /// The entry that an address prompt edits: that of the device, or the one with that key, or
-    /// (where its address was changed under us) the only one of its name.
+    /// The entry that an address prompt edits.
     pub(super) fn entry_for(&self, key: &RowKey) -> Option<&Entry> {
-        let document = self.file.document();
         match key {
             RowKey::Device(id) => {
-                self.matching.entry_of(*id).and_then(|at| document.entries().get(at))
+                let entries = self.file.document().entries();
+                self.matching.entry_of(*id).and_then(|at| entries.get(at))
             }
-            RowKey::Entry(key) => {
-                let named = || document.entries().iter().filter(|entry| entry.name == key.name);
-                let exact = document.find(key).map(|at| &document.entries()[at]);
-                exact.or_else(|| named().next().filter(|_| named().count() == 1))
-            }
+            RowKey::Entry(key) => self.entry_of_key(key),
         }
+    }
+
+    /// The entry with this key, or (where its address was changed under us) the only one of its
+    /// name.
+    fn entry_of_key(&self, key: &EntryKey) -> Option<&Entry> {
+        let document = self.file.document();
+        let named = || document.entries().iter().filter(|entry| entry.name == key.name);
+        let exact = document.find(key).map(|at| &document.entries()[at]);
+        exact.or_else(|| named().next().filter(|_| named().count() == 1))
     }
 
     /// What the file pins a row to, as the line is opened with it.
@@ -285,6 +298,10 @@ impl App {
         if now == before {
             return None;
         }
+        if self.entry_for(key).is_none() {
+            let text = format!("{GONE}; Enter lists it again");
+            return Some(Verdict::Warns(text));
+        }
         let theirs = match now.as_str() {
             "" => "unpinned".to_owned(),
             now => format!("changed to {now}"),
@@ -294,6 +311,9 @@ impl App {
 
     fn judge_address(&self, key: &RowKey, text: &str) -> Verdict {
         let entry = self.entry_for(key);
+        if entry.is_none() && matches!(key, RowKey::Entry(_)) {
+            return Verdict::Blocks(GONE.to_owned());
+        }
         if text.is_empty() {
             return match entry {
                 Some(entry) if entry.is_static => {
@@ -381,10 +401,7 @@ impl App {
                     (entry.address, entry.is_static) = (Some(to), true);
                     Some(Operation::Add { entry })
                 }),
-                RowKey::Entry(_) => {
-                    self.complain("the entry is gone from the file");
-                    return;
-                }
+                RowKey::Entry(_) => None,
             },
             _ => None,
         };

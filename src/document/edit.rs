@@ -15,9 +15,9 @@ use crate::text::printable;
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum EditError {
     /// There is no such entry (any more).
-    #[error("the file has no such entry: {entry}")]
+    #[error("the file has no such entry any more: {entry}")]
     NotFound {
-        /// Its name.
+        /// Its name and address.
         entry: String,
     },
     /// The address is not one.

@@ -306,7 +306,10 @@ impl FormerMembers {
 impl Document {
     /// The place of the entry, or why there is none.
     pub(super) fn require(&self, key: &EntryKey) -> Result<usize, EditError> {
-        self.find(key).ok_or_else(|| EditError::NotFound { entry: key.to_string() })
+        self.find(key).ok_or_else(|| {
+            let at = key.address.map(|address| format!(" at {address}")).unwrap_or_default();
+            EditError::NotFound { entry: format!("{key}{at}") }
+        })
     }
 
     /// How many entries come before a place in the file's list.
@@ -329,6 +332,9 @@ impl fmt::Display for Operation {
         let address =
             |address: &Option<u8>| address.map_or_else(|| "none".to_owned(), |it| it.to_string());
         match self {
+            Self::SetAddress { entry, from: Some(from), to } if from == to => {
+                write!(f, "address of the entry {entry} pinned: {to}")
+            }
             Self::SetAddress { entry, from, to } => {
                 write!(f, "address of the entry {entry}: {} → {to}", address(from))
             }

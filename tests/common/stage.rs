@@ -180,8 +180,8 @@ impl Stage {
     }
 
     /// Somebody else writes the file.
-    pub fn write(&mut self, content: impl AsRef<[u8]>) -> &mut Self {
-        self.file = Some(content.as_ref().to_vec());
+    pub fn write(&mut self, text: &str) -> &mut Self {
+        self.file = Some(text.as_bytes().to_vec());
         self.notice()
     }
 
