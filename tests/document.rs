@@ -495,6 +495,51 @@ fn an_empty_file_is_begun_in_the_object_shape() {
 }
 
 #[test]
+fn the_first_entry_is_taken_back_to_the_byte() {
+    let shapes = [
+        "",
+        " \n\t",
+        "\u{feff}",
+        "{}",
+        "{ }\n",
+        "{\"devices\":null}",
+        "{\"x\":1,\"devices\" : null }",
+        "{\"x\": [1]}",
+        "[]",
+        "[\n\n]",
+        "{\"devices\": [ ] }",
+        "\u{feff}{\r\n}\r\n",
+    ];
+    for before in shapes {
+        let document = parsed(before);
+        let first = add("FEED", 12);
+        let begun = document.apply(&first).unwrap();
+        let back = first.inverse(&document).unwrap();
+        let undone = begun.apply(&back).unwrap();
+        assert_eq!(text(&undone), before);
+        assert_eq!(undone.apply(&back.inverse(&begun).unwrap()).unwrap(), begun, "made again");
+
+        // Whatever was done and taken back in between.
+        let second = add("SENS", 13);
+        let both = begun.apply(&second).unwrap();
+        let one = both.apply(&second.inverse(&begun).unwrap()).unwrap();
+        assert_eq!(text(&one.apply(&back).unwrap()), before);
+
+        // What somebody else did meanwhile stays.
+        let newer = merge(&begun, std::slice::from_ref(&back), &both, Prefer::Neither).unwrap();
+        let Merge::Rebased { document, .. } = newer else { panic!("{newer:?}") };
+        assert_eq!(document.entries().len(), 1, "{before}");
+        let newer = parsed(&(text(&begun).to_owned() + "\n\n"));
+        let merged = merge(&begun, std::slice::from_ref(&back), &newer, Prefer::Neither).unwrap();
+        let Merge::Rebased { document, .. } = merged else { panic!("{merged:?}") };
+        assert!(document.entries().is_empty() && text(&document).ends_with("\n\n"), "{before}");
+        // And what was taken out of that comes back.
+        let redone = document.apply(&back.inverse(&newer).unwrap()).unwrap();
+        says_the_same(&redone, &newer);
+    }
+}
+
+#[test]
 fn an_empty_list_is_begun_where_it_stands() {
     for (before, after) in [
         ("[]", "[\n  { \"name\": \"FEED\", \"address\": 12, \"static\": true }\n]"),

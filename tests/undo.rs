@@ -147,3 +147,52 @@ fn where_time_stands_an_empty_file_is_not_waited_for() {
     stage.app.handle_timeout(stage.app.now());
     assert!(stage.screen().contains("✓ 0 entries"), "{}", stage.screen());
 }
+
+// ---- the first entry -----------------------------------------------------------------------
+
+#[test]
+fn a_file_without_devices_is_as_it_was_when_its_first_entry_is_taken_back() {
+    let boiler = Scenario::builtin("boiler").unwrap();
+    for before in ["", "\n\n", "{}", "{ \"devices\": null }", "[ ]", "{\"x\":{}}\n"] {
+        let mut stage = Stage::new(&boiler, Some(before));
+        stage.until(24.0).keys("n").text("NEW 64").keys("Enter");
+        let with_one = stage.file().to_owned();
+        assert!(with_one.contains("NEW"), "{with_one}");
+        // Several at once, too.
+        assert_eq!(stage.keys("u A u").file(), before);
+        stage.keys("n").text("A 1").keys("Enter n").text("B 2").keys("Enter R").text("C");
+        assert_eq!(stage.keys("Enter u u u").file(), before);
+        stage.keys("n").text("NEW 64").keys("Enter");
+        assert_eq!(stage.file(), with_one);
+        // Not where somebody else added something.
+        let theirs = with_one.replace("\"NEW\"", "\"FEED\" },\n    { \"name\": \"NEW\"");
+        stage.write(&theirs).keys("u");
+        assert!(stage.file().contains("FEED") && !stage.file().contains("NEW"), "{}", stage.file());
+    }
+}
+
+#[test]
+fn no_file_is_made_of_an_edit_that_is_taken_back() {
+    let boiler = Scenario::builtin("boiler").unwrap();
+    let mut stage = Stage::new(&boiler, None);
+    stage.refusal = Some("its folder is gone".to_owned());
+    stage.until(24.0).keys("n").text("NEW 64").keys("Enter").until(30.0);
+    assert_eq!(stage.app.file().unsaved(), 1);
+    assert!(stage.keys("u").screen().contains("not there yet"), "{}", stage.screen());
+    mend(&mut stage).keys("Ctrl-s").until(60.0);
+    assert_eq!((stage.app.file().unsaved(), stage.file.as_deref()), (0, None));
+    stage.keys("Ctrl-r");
+    assert!(stage.file().contains("NEW"));
+    // What is there by now is not deleted; it is a file without devices.
+    stage.keys("u");
+    assert_eq!(stage.file(), "{\n  \"devices\": []\n}\n");
+    assert_eq!(stage.keys("Ctrl-r u").file(), "{\n  \"devices\": []\n}\n");
+
+    // While the save is on its way, which then fails.
+    let mut stage = Stage::new(&boiler, None);
+    stage.slow_disk().until(24.0).keys("n").text("NEW 64").keys("Enter u");
+    stage.file = None;
+    stage.refuse_saves();
+    assert_eq!((stage.app.file().unsaved(), stage.file.as_deref()), (0, None));
+    assert!(stage.until(60.0).unfinished.as_ref().unwrap().is_empty());
+}

@@ -123,6 +123,8 @@ struct Step {
     operations: Vec<Operation>,
     /// The edit's name.
     name: String,
+    /// Whether there was a file when the edit was made.
+    had_file: bool,
 }
 
 /// Both changed the same value; until a person has chosen in all conflicts nothing is written.
@@ -440,9 +442,14 @@ impl FileState {
     /// Makes a step's operations on what is there now. Where somebody else changed the same value
     /// since, theirs stands and nothing is done: taking back is no reason to overwrite it.
     fn take_step(&mut self, step: Step, done: &'static str) -> Result<Step, Refusal> {
+        let mut operations = step.operations;
+        if self.is_on_disk && !step.had_file {
+            // The file is not deleted, and one with nothing in it is not JSON.
+            operations = operations.into_iter().map(Operation::leaving_list).collect();
+        }
         let operations = match step.on.filter(|on| *on != self.document) {
-            None => step.operations,
-            Some(on) => match merge(&on, &step.operations, &self.document, Prefer::Neither)? {
+            None => operations,
+            Some(on) => match merge(&on, &operations, &self.document, Prefer::Neither)? {
                 Merge::Rebased { operations, .. } if operations.is_empty() => {
                     return Err(Refusal::SoAlready { done, name: step.name });
                 }
@@ -470,7 +477,8 @@ impl FileState {
         self.pending.extend_from_slice(operations);
         self.document = document.clone();
         self.drop_what_is_on_disk();
-        Ok(Step { on: Some(document), operations: inverses, name })
+        let had_file = self.is_on_disk;
+        Ok(Step { on: Some(document), operations: inverses, name, had_file })
     }
 
     /// An edit and what takes it back are nothing that is to be saved, as long as neither of them is

@@ -57,6 +57,11 @@ impl Document {
     /// [`EditError`]; nothing is edited by half.
     pub fn apply(&self, operation: &Operation) -> Result<Self, EditError> {
         self.check_path()?;
+        if let Operation::TakeOutFirst { former, .. } = operation
+            && let Some(before) = former.before(self)
+        {
+            return Ok(before.clone());
+        }
         let mut meant: Vec<&Entry> = self.entries().iter().collect();
         let changed;
         let edited = match operation {
@@ -70,7 +75,7 @@ impl Document {
                 meant.insert(self.entries_before(removed.entry.element), &removed.entry);
                 self.with_removed(removed)
             }
-            Operation::Remove { entry } => {
+            Operation::Remove { entry } | Operation::TakeOutFirst { entry, .. } => {
                 let index = self.require(entry)?;
                 meant.remove(index);
                 Edited::Element(self.without_element(self.entries()[index].element))

@@ -205,7 +205,7 @@ fn step(operation: &Operation, base: &Document, next: &Document, theirs: &Docume
         Some(counterpart) => operation.with_key(theirs.key(counterpart)),
         None => operation.clone(),
     };
-    let is_removal = matches!(operation, Operation::Remove { .. });
+    let is_removal = operation.is_removal();
     let Some(counterpart) = counterpart else {
         if is_removal {
             return Step::Done;

@@ -44,7 +44,7 @@ pub use edit::EditError;
 pub use entry::{Entry, ServiceEntry};
 pub use finding::{DocumentFinding, FindingKind};
 pub use merge::{Choices, Conflict, Merge, Prefer, merge, merge_chosen};
-pub use operation::{EntryKey, FormerMembers, NewEntry, Operation, RemovedEntry};
+pub use operation::{EntryKey, FormerContent, FormerMembers, NewEntry, Operation, RemovedEntry};
 pub use position::Position;
 pub use syntax::ParseError;
 

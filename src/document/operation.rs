@@ -69,6 +69,14 @@ pub enum Operation {
         /// What was taken out.
         removed: RemovedEntry,
     },
+    /// Takes the first entry back; made by [`Operation::inverse`]. Where nothing was changed since,
+    /// what stood in the place of the list comes back to the byte.
+    TakeOutFirst {
+        /// Which.
+        entry: EntryKey,
+        /// What was there before.
+        former: FormerContent,
+    },
 }
 
 /// How an entry is found again, wherever it has moved to in the list. See [`Document::key`].
@@ -177,6 +185,13 @@ pub struct RemovedEntry {
     pub(super) after: String,
 }
 
+/// The content of a file without devices, and what brought the first one.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FormerContent {
+    pub(super) document: Document,
+    pub(super) by: Box<Operation>,
+}
+
 impl Operation {
     /// The operation that takes this one back, as a new edit, given the document that this one is
     /// to be applied to.
@@ -193,14 +208,17 @@ impl Operation {
         let entries = before.entries();
         let key = match self {
             Self::Add { entry } => {
-                return Ok(Self::Remove { entry: EntryKey::among(&entry.meant(), entries) });
+                return Ok(self.removal(EntryKey::among(&entry.meant(), entries), before));
             }
             Self::PutBack { removed } => {
                 let earlier = &entries[..before.entries_before(removed.entry.element)];
-                let entry = EntryKey::among(&removed.entry, earlier);
-                return Ok(Self::Remove { entry });
+                return Ok(self.removal(EntryKey::among(&removed.entry, earlier), before));
+            }
+            Self::TakeOutFirst { former, .. } if former.before(before).is_some() => {
+                return Ok((*former.by).clone());
             }
             Self::Remove { entry }
+            | Self::TakeOutFirst { entry, .. }
             | Self::SetAddress { entry, .. }
             | Self::ClearAddress { entry, .. }
             | Self::Rename { entry, .. }
@@ -208,7 +226,7 @@ impl Operation {
             | Self::Restore { entry, .. } => entry,
         };
         let index = before.require(key)?;
-        if let Self::Remove { .. } = self {
+        if self.is_removal() {
             return Ok(Self::PutBack { removed: before.removed(index) });
         }
         let former = before.former(index, &self.members());
@@ -224,10 +242,35 @@ impl Operation {
             Self::SetAddress { entry, .. }
             | Self::ClearAddress { entry, .. }
             | Self::Remove { entry }
+            | Self::TakeOutFirst { entry, .. }
             | Self::Rename { entry, .. }
             | Self::SetServices { entry, .. }
             | Self::Restore { entry, .. } => Some(entry),
         }
+    }
+
+    /// The same, but that a list stays where the first entry is taken out.
+    #[must_use]
+    pub fn leaving_list(self) -> Self {
+        match self {
+            Self::TakeOutFirst { entry, .. } => Self::Remove { entry },
+            other => other,
+        }
+    }
+
+    /// What takes back an entry that this brings to `before`.
+    fn removal(&self, entry: EntryKey, before: &Document) -> Self {
+        if before.elements().is_empty() {
+            let by = Box::new(self.clone());
+            Self::TakeOutFirst { entry, former: FormerContent { document: before.clone(), by } }
+        } else {
+            Self::Remove { entry }
+        }
+    }
+
+    /// Does it take an entry out?
+    pub(super) fn is_removal(&self) -> bool {
+        matches!(self, Self::Remove { .. } | Self::TakeOutFirst { .. })
     }
 
     /// The same for another entry, or for the same one under its newer key.
@@ -238,6 +281,7 @@ impl Operation {
             Self::SetAddress { entry, .. }
             | Self::ClearAddress { entry, .. }
             | Self::Remove { entry }
+            | Self::TakeOutFirst { entry, .. }
             | Self::Rename { entry, .. }
             | Self::SetServices { entry, .. }
             | Self::Restore { entry, .. } => *entry = key,
@@ -265,7 +309,10 @@ impl Operation {
             Self::Restore { former, .. } => {
                 former.members.iter().map(|(member, _)| *member).collect()
             }
-            Self::Add { .. } | Self::PutBack { .. } | Self::Remove { .. } => Vec::new(),
+            Self::Add { .. }
+            | Self::PutBack { .. }
+            | Self::Remove { .. }
+            | Self::TakeOutFirst { .. } => Vec::new(),
         }
     }
 
@@ -284,8 +331,19 @@ impl Operation {
                     former.copy(*member, entry);
                 }
             }
-            Self::Add { .. } | Self::PutBack { .. } | Self::Remove { .. } => {}
+            Self::Add { .. }
+            | Self::PutBack { .. }
+            | Self::Remove { .. }
+            | Self::TakeOutFirst { .. } => {}
         }
+    }
+}
+
+impl FormerContent {
+    /// What was there before, if since then nothing was done but what brought the first entry.
+    pub(super) fn before(&self, after: &Document) -> Option<&Document> {
+        let begun = self.document.apply(&self.by);
+        begun.is_ok_and(|begun| begun == *after).then_some(&self.document)
     }
 }
 
@@ -348,7 +406,9 @@ impl fmt::Display for Operation {
                 write!(f, "new entry {} at {address}", brief(name))
             }
             Self::Add { entry } => write!(f, "new entry {}", brief(&entry.name)),
-            Self::Remove { entry } => write!(f, "entry {entry} removed"),
+            Self::Remove { entry } | Self::TakeOutFirst { entry, .. } => {
+                write!(f, "entry {entry} removed")
+            }
             Self::Rename { entry, to } => write!(f, "entry {entry} renamed to {}", brief(to)),
             Self::SetServices { entry, services } if services.len() == 1 => {
                 write!(f, "services of the entry {entry}: 1 listed")
