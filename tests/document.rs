@@ -352,13 +352,25 @@ fn wrong_shapes_are_findings() {
         (
             r#"[{"name": "A", "services": ["DES"]}]"#,
             WrongType,
-            "line 1, column 29: an item of `services` is a string; it must be an object of `name`, `version` and `extra`, all strings",
+            "line 1, column 29: item 1 of `services` is a string; it must be an object of `name`, `version` and `extra`, all strings",
             vec![0],
         ),
         (
             r#"[{"name": "A", "services": {"DES": 1.0}}]"#,
             WrongType,
-            "line 1, column 36: an item of `services` is a number; it must be a version, as a string",
+            "line 1, column 36: item 1 of `services` is a number; it must be a version, as a string",
+            vec![0],
+        ),
+        (
+            r#"[{"name": "A", "services": {"DES": "1", "B": "1", "D\u0045S": "2"}}]"#,
+            DuplicateMember,
+            "line 1, column 51: `DES` is there twice; the last one counts",
+            vec![0],
+        ),
+        (
+            r#"[{"name": "A", "services": [{"name": "B"}, {"name": "C", "name": "D"}]}]"#,
+            DuplicateMember,
+            "line 1, column 58: `name` is there twice; the last one counts",
             vec![0],
         ),
         (
@@ -371,6 +383,9 @@ fn wrong_shapes_are_findings() {
         assert_eq!(findings(source), [(kind, message.to_owned(), entries)]);
         assert_eq!(kind.name(), "file-shape");
     }
+    // The last one does count.
+    let twice = parsed(r#"[{"name":"A","services":{"B":"1","C":"1","B":"2"}}]"#);
+    assert_eq!(twice.entries()[0].services, Some(listed(&[("B", "2"), ("C", "1")])));
     // A name that is no string makes two findings, and no entry.
     assert_eq!(findings(r#"[{"name": 7, "address": 300}]"#).len(), 2);
     assert_eq!(parsed(r#"[1, {"name": 7}, {"name": "A"}]"#).entries().len(), 1);

@@ -588,7 +588,7 @@ fn changed_services_are_taken_over_and_given_back() {
 fn a_wrong_value_leads_to_its_row() {
     let file = BOILER.replace("16, \"static\": true", "16, \"static\": 1").replace("\"PUMP\"", "7");
     let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some(&file));
-    stage.until(24.0).keys("4 /").text("wrong").keys("Enter G");
+    stage.until(24.0).keys("4 /").text("wrong").keys("Enter g");
     assert!(stage.screen().contains("`static` is a number"), "{}", stage.screen());
     assert!(stage.screen().contains("Enter its row"), "{}", stage.screen());
     stage.keys("Enter");
@@ -608,11 +608,50 @@ fn a_wrong_value_leads_to_its_row() {
     }
     stage.write(&file).size(120, 40);
     // What is no entry has no row.
-    stage.keys("4 g");
+    stage.keys("4 g j");
     assert!(stage.screen().contains("has no `name`"), "{}", stage.screen());
     stage.keys("Enter");
     assert_eq!(stage.app.view().page, Page::Problems);
     assert!(stage.screen().contains("about the file as a whole"), "{}", stage.screen());
+}
+
+#[test]
+fn wrong_values_are_told_apart_in_their_rows() {
+    let file = BOILER
+        .replace("16, \"static\": true", "300, \"static\": 1")
+        .replace("\"address\": 20", "\"address\": 200, \"services\": [1, 2]")
+        .replace("\"address\": 44", "\"address\": 44, \"address\": 45")
+        .replace("]\n}", ", 7, {}, {}]\n}");
+    let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some(&file));
+    let screen = stage.until(24.0).keys("4 /").text("file-shape").keys("Enter").screen();
+    let rows = [
+        "line 6: `address` is 300  ACT",
+        "line 6: `static` is a number  ACT",
+        "line 7: `address` is 200  DISP",
+        "line 7: item 1 of `services` is a number  DISP",
+        "line 7: item 2 of `services` is a number  DISP",
+        "line 8: `address` is there twice  PUMP",
+        "line 9: element 6 is a number, not a device",
+        "line 9: device 7 has no `name`",
+        "line 9: device 8 has no `name`",
+    ];
+    // What is too long for its row is cut off, and what it says first is enough.
+    for (row, line) in rows.iter().zip(screen.lines().skip(4)) {
+        let shown: String = row.chars().take(31).collect();
+        assert!(line.contains(&shown), "{row}\n{screen}");
+    }
+    // What is muted is one of them, and stays it when lines are put in above.
+    let muted = |stage: &Stage| {
+        let screen = stage.screen();
+        let mut rows = screen.lines().filter(|line| line.contains("muted · line"));
+        (rows.next().map(str::to_owned), rows.count())
+    };
+    stage.keys("Ctrl-u /").keys("Ctrl-u").text("static").keys("Enter m / Ctrl-u Enter");
+    assert!(muted(&stage).0.is_some_and(|row| row.contains("line 6: `static`")));
+    stage.write(&file.replace("  \"devices\"", "\n  \"devices\""));
+    let (row, others) = muted(&stage);
+    assert!(row.is_some_and(|row| row.contains("line 7: `static`")), "{}", stage.screen());
+    assert_eq!(others, 0);
 }
 
 #[test]

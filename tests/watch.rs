@@ -500,6 +500,31 @@ fn several_buses_have_a_column() {
 }
 
 #[test]
+fn what_is_wrong_with_the_file_is_told_once_and_shown() {
+    let folder = folder();
+    let file = "[\n  {\"name\": \"ACT\", \"address\": 300, \"static\": 1}\n]\n";
+    std::fs::write(folder.path().join("des.json"), file).unwrap();
+    let output = watch(&["file:session.log"], folder.path());
+    let shown = text(&output.stdout);
+    for told in ["`address` is 300", "`static` is a number"] {
+        assert_eq!(shown.matches(told).count(), 1, "{shown}");
+    }
+    let told = values(&watch(&["file:session.log", "--json"], folder.path()).stdout);
+    let shapes = told.iter().filter(|it| it["finding"]["kind"] == "file-shape");
+    assert_eq!(shapes.count(), 2);
+
+    std::fs::write(folder.path().join("des.json"), "[\n  {\"name\" \"ACT\"}\n]\n").unwrap();
+    let output = watch(&["file:session.log"], folder.path());
+    let shown = text(&output.stdout);
+    let lines: Vec<&str> = shown.lines().collect();
+    let at = lines.iter().position(|line| line.ends_with("line 2, column 11: expected `:`"));
+    let at = at.unwrap_or_else(|| panic!("{shown}"));
+    assert!(lines[at + 1].ends_with("des.json           {\"name\" \"ACT\"}"), "{shown}");
+    assert!(lines[at + 2].ends_with("des.json                   ^"), "{shown}");
+    assert_eq!(shown.matches("column 11").count(), 1, "{shown}");
+}
+
+#[test]
 fn hostile_names_reach_no_terminal() {
     let name = b"\x1b[2J\xff\\".to_vec();
     let hostile = DeviceSpec { name, ..DeviceSpec::new("x").fixed(9).settled() };

@@ -426,7 +426,9 @@ impl App {
             }
         };
         let mut lines: Vec<(Kind, String)> = line.into_iter().collect();
-        if matches!(change, Change::First | Change::Content | Change::Rebased) {
+        // To `watch` each of them is told as what it is, a finding.
+        let is_listed = matches!(change, Change::First | Change::Content | Change::Rebased);
+        if is_listed && !self.report {
             /// Of more the page of problems tells.
             const TOLD: usize = 20;
             let findings = self.file.document().findings();
@@ -446,7 +448,11 @@ impl App {
         {
             // To be looked at, one below the other; no events.
             for text in lines {
-                self.timeline.push(Entry::new(self.now, Kind::Error, text));
+                let line = Entry::new(self.now, Kind::Error, text);
+                if is_told {
+                    self.report(Happening::Line(line.clone()));
+                }
+                self.timeline.push(line);
             }
         }
         if is_told {

@@ -20,11 +20,11 @@
 
 use super::App;
 use super::devices::Row;
-use super::groups::Problem;
+use super::groups::{Problem, headline};
 use super::timeline;
 use super::traffic::Decoded;
 use super::view::Page;
-use crate::discovery::Confidence;
+use crate::discovery::{Confidence, FindingKind};
 use crate::frame::{Frame, FrameKind};
 use crate::wire::id::Address;
 
@@ -218,8 +218,9 @@ impl Filter {
         let at = |word: &str| problem.addresses().iter().any(|it| is_one_of(*it, word));
         let named = |word: &str| problem.names().iter().any(|it| has(&it.to_string(), word));
         let kind = |word: &str| {
-            has(problem.headline(), word)
-                || problem.findings.iter().any(|finding| has(finding.key.kind.name(), word))
+            let is_of = |kind: FindingKind| has(kind.name(), word) || has(headline(kind), word);
+            has(&problem.headline(), word)
+                || problem.findings.iter().any(|finding| is_of(finding.key.kind))
         };
         self.all(|what| match what {
             What::Word(word) => {

@@ -10,6 +10,7 @@ use crate::frame::{BusIndex, Frame};
 use crate::text::Name;
 use crate::time::Instant;
 use crate::wire::id::Address;
+use std::borrow::Cow;
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
@@ -177,17 +178,21 @@ impl<'a> Problem<'a> {
     }
 
     /// What is wrong, in as few words as say it.
-    pub fn headline(&self) -> &'static str {
-        let key = &self.head().key;
-        match key.kind {
-            FindingKind::BusErrors if key.address.is_some() => "frames break when it sends",
+    pub fn headline(&self) -> Cow<'static, str> {
+        let head = self.head();
+        if let (Some((line, _)), Some(part)) = (head.place, &head.key.part) {
+            return format!("line {line}: {part}").into();
+        }
+        match head.key.kind {
+            FindingKind::BusErrors if head.key.address.is_some() => "frames break when it sends",
             kind => headline(kind),
         }
+        .into()
     }
 
     /// The same with the address.
     pub fn title(&self) -> String {
-        let words = std::iter::once(self.headline().to_owned());
+        let words = std::iter::once(self.headline().into_owned());
         let places = self.addresses().into_iter().map(|address| format!("@{address}"));
         words.chain(places).collect::<Vec<String>>().join(" ")
     }
@@ -221,12 +226,12 @@ impl<'a> Problem<'a> {
     fn rank(&self) -> impl Ord + use<> {
         let head = self.head();
         let weight = Reverse(head.key.kind.weight());
-        (self.is_muted, Reverse(head.confidence), weight, head.key.clone())
+        (self.is_muted, Reverse(head.confidence), weight, head.place, head.key.clone())
     }
 }
 
 /// A kind of finding, in as few words as say it; the address and the names stand beside them.
-fn headline(kind: FindingKind) -> &'static str {
+pub(super) fn headline(kind: FindingKind) -> &'static str {
     match kind {
         FindingKind::SameNameSameAddress => "two devices, one name",
         FindingKind::OneAddressTwoNames => "two devices, two names",

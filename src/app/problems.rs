@@ -89,6 +89,11 @@ impl Comparison<'_> {
             let name = names.first().cloned();
             self.add(kind, None, address, name, text, remedy.to_owned());
             if let Some(added) = self.found.last_mut() {
+                if kind == FindingKind::FileShape {
+                    // One entry may have several.
+                    added.key.part = Some(finding.brief().into());
+                    added.place = Some((finding.position.line, finding.position.column));
+                }
                 for name in &names {
                     added.concern(name);
                 }
@@ -225,7 +230,8 @@ impl Comparison<'_> {
         text: String,
         remedy: String,
     ) {
-        let mut finding = Finding::new(FindingKey { kind, bus, address, name }, self.now);
+        let mut finding =
+            Finding::new(FindingKey { kind, bus, address, name, part: None }, self.now);
         finding.confidence = Confidence::Confirmed;
         finding.text = text;
         finding.remedy = remedy;

@@ -143,7 +143,7 @@ impl Cases {
         confidence: Confidence,
     ) -> Option<&mut Finding> {
         let kind = FindingKind::BusErrors;
-        let key = FindingKey { kind, bus: Some(self.bus), address, name: None };
+        let key = FindingKey::at(kind, self.bus, address);
         let at = if confidence == Confidence::Cleared {
             self.findings.iter().position(|finding| finding.key == key)?
         } else {
@@ -155,12 +155,7 @@ impl Cases {
 
     /// Frames were lost before they reached us: what is missing may have been there.
     pub fn see_loss(&mut self, now: Instant, lost: u64) {
-        let key = FindingKey {
-            kind: FindingKind::FramesLost,
-            bus: Some(self.bus),
-            address: None,
-            name: None,
-        };
+        let key = FindingKey::at(FindingKind::FramesLost, self.bus, None);
         if let Some(at) = self.open(now, key) {
             self.findings[at].count += lost;
             self.findings[at].last = now;
@@ -318,7 +313,7 @@ impl Cases {
         what: &'static str,
         weight: Weight,
     ) -> Option<usize> {
-        let key = FindingKey { kind, bus: Some(self.bus), address: Some(address), name: None };
+        let key = FindingKey::at(kind, self.bus, Some(address));
         let at = self.open(now, key)?;
         if let Some(name) = name {
             self.findings[at].concern(name);
@@ -448,12 +443,7 @@ impl Cases {
         self.set(now, at, Confidence::Cleared);
         let (kind, address) = (self.findings[at].key.kind, self.findings[at].key.address);
         let (true, true, Some(address)) = (gave_way, kind.is_collision(), address) else { return };
-        let key = FindingKey {
-            kind: FindingKind::AddressContested,
-            bus: Some(self.bus),
-            address: Some(address),
-            name: None,
-        };
+        let key = FindingKey::at(FindingKind::AddressContested, self.bus, Some(address));
         let (names, evidence) =
             (self.findings[at].names.clone(), self.findings[at].evidence.clone());
         if let Some(contested) = self.open(now, key) {

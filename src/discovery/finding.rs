@@ -9,6 +9,7 @@ use crate::time::Instant;
 use crate::wire::id::Address;
 use std::collections::VecDeque;
 use std::fmt;
+use std::sync::Arc;
 
 /// What is found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -149,6 +150,15 @@ pub struct FindingKey {
     pub address: Option<Address>,
     /// The device's name, where the finding is about one of several names at one address.
     pub name: Option<Name>,
+    /// What it is about in des.json, in few words, where a name or a place may have several.
+    pub part: Option<Arc<str>>,
+}
+
+impl FindingKey {
+    /// That of the only one of its kind at an address, or on a bus.
+    pub const fn at(kind: FindingKind, bus: BusIndex, address: Option<Address>) -> Self {
+        Self { kind, bus: Some(bus), address, name: None, part: None }
+    }
 }
 
 /// Something that is wrong, or was.
@@ -172,6 +182,8 @@ pub struct Finding {
     pub count: u64,
     /// The evidence, oldest first: at most [`Finding::MAX_EVIDENCE`] pieces.
     pub evidence: VecDeque<Evidence>,
+    /// The line and column of des.json that it is about, from 1.
+    pub place: Option<(usize, usize)>,
     /// What is wrong, in a sentence.
     pub text: String,
     /// What to do about it.
@@ -194,6 +206,7 @@ impl Finding {
             changed: now,
             count: 0,
             evidence: VecDeque::new(),
+            place: None,
             text: String::new(),
             remedy: String::new(),
         }

@@ -1,6 +1,6 @@
 //! Edits carried out: one value spliced, the result read again and compared with what was meant.
 
-use super::entry::{Entry, Member};
+use super::entry::{Entry, Member, SERVICE_MEMBERS};
 use super::layout::{self, EntryStyle, Layout, Members, ServicesStyle, newline, spliced};
 use super::operation::{NewEntry, Operation, RemovedEntry};
 use super::patch::Patch;
@@ -438,7 +438,7 @@ impl Document {
                 return Err(self.duplicate(&key, item.key.start));
             }
             let Some(members) = Members::of(&self.body()[item.value.clone()]) else { continue };
-            for key in ["name", "version", "extra"] {
+            for key in SERVICE_MEMBERS {
                 if let Some(at) = members.duplicate(key) {
                     return Err(self.duplicate(key, item.value.start + at));
                 }

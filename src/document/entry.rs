@@ -1,6 +1,6 @@
 //! Entries: what the file says about a device.
 
-use std::collections::HashSet;
+use std::collections::HashMap;
 
 use super::finding::{FindingKind, Findings};
 use super::position::Position;
@@ -132,6 +132,9 @@ impl Present {
     }
 }
 
+/// The members of a service that mean something here.
+pub(super) const SERVICE_MEMBERS: [&str; 3] = ["name", "version", "extra"];
+
 /// Reads the elements of the list of devices. An element without a name is no entry.
 pub(super) fn read_all(body: &str, elements: &[Span], findings: &mut Findings) -> Vec<Entry> {
     let mut entries: Vec<Entry> = Vec::with_capacity(elements.len());
@@ -156,6 +159,15 @@ pub(super) fn read(
 /// A service's name and version as the file has them, from an item of `services` in either shape;
 /// none when it is not one.
 pub(super) fn read_service(body: &str, item: &scan::Item) -> Option<ServiceEntry> {
+    read_service_noting(body, item, &mut Vec::new())
+}
+
+/// The same; members that are there again are noted, with where they are.
+fn read_service_noting(
+    body: &str,
+    item: &scan::Item,
+    again: &mut Vec<(&'static str, usize)>,
+) -> Option<ServiceEntry> {
     let value = &body[item.value.clone()];
     if !item.key.is_empty() {
         let name = text::from_json(&body[item.key.clone()])?.into_owned();
@@ -166,9 +178,16 @@ pub(super) fn read_service(body: &str, item: &scan::Item) -> Option<ServiceEntry
     }
     let mut name = None;
     let mut service = ServiceEntry::default();
+    let mut seen = [false; SERVICE_MEMBERS.len()];
     for member in scan::container(body, &item.value)?.items {
         let value = &body[member.value.clone()];
-        match &*text::from_json(&body[member.key.clone()]).unwrap_or_default() {
+        let key = text::from_json(&body[member.key.clone()]).unwrap_or_default();
+        if let Some(at) = SERVICE_MEMBERS.iter().position(|known| *known == key)
+            && std::mem::replace(&mut seen[at], true)
+        {
+            again.push((SERVICE_MEMBERS[at], member.key.start));
+        }
+        match &*key {
             "name" => name = Some(text::from_json(value)?.into_owned()),
             "version" => service.version = version(value)?,
             "extra" if value == "null" => service.extra.clear(),
@@ -348,21 +367,31 @@ impl Reader<'_, '_> {
             self.wrong_type(Member::Services, at, "a list, or an object of names and versions");
             return None;
         };
-        let mut keys = HashSet::new();
-        let mut services = Vec::with_capacity(list.items.len());
-        for item in list.items {
-            let Some(service) = read_service(self.body, &item) else {
+        let mut places = HashMap::new();
+        let mut services: Vec<ServiceEntry> = Vec::with_capacity(list.items.len());
+        for (number, item) in (1..).zip(list.items) {
+            let mut again = Vec::new();
+            let service = read_service_noting(self.body, &item, &mut again);
+            for (member, at) in again {
+                self.findings.duplicate(member, at, self.entry());
+            }
+            let Some(service) = service else {
                 let expected = if item.key.is_empty() {
                     "an object of `name`, `version` and `extra`, all strings"
                 } else {
                     "a version, as a string"
                 };
-                self.wrong_type_in("an item of `services`", &item.value, expected);
+                self.wrong_type_in(&format!("item {number} of `services`"), &item.value, expected);
                 continue;
             };
-            if !item.key.is_empty() && !keys.insert(service.name.clone()) {
-                let name = text::brief(service.name.as_bytes());
-                self.findings.duplicate(&name, item.key.start, self.entry());
+            if !item.key.is_empty() {
+                if let Some(&place) = places.get(&service.name) {
+                    let name = text::brief(service.name.as_bytes());
+                    self.findings.duplicate(&name, item.key.start, self.entry());
+                    services[place] = service;
+                    continue;
+                }
+                places.insert(service.name.clone(), services.len());
             }
             services.push(service);
         }

@@ -66,6 +66,13 @@ impl FindingKind {
     }
 }
 
+impl DocumentFinding {
+    /// What is wrong, without how it should be.
+    pub fn brief(&self) -> &str {
+        self.message.split(';').next().unwrap_or_default()
+    }
+}
+
 impl fmt::Display for DocumentFinding {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}: {}", self.position, self.message)

@@ -151,11 +151,8 @@ impl<'a> Details<'_, 'a> {
                 any = true;
                 let (sign, role) = signs::of_confidence(finding.confidence);
                 let sure = finding.confidence == Confidence::Confirmed && !problem.is_muted;
-                let text = if finding.text.is_empty() {
-                    problem.headline()
-                } else {
-                    finding.text.as_str()
-                };
+                let headline = problem.headline();
+                let text = if finding.text.is_empty() { &*headline } else { &finding.text };
                 let text_role = if sure { Role::Text } else { Role::Muted };
                 let muted = if problem.is_muted { "muted · " } else { "" };
                 let text = format!("{muted}{text}");

@@ -186,7 +186,8 @@ impl Details<'_, '_> {
 
     fn text(&mut self) {
         let head = self.problem.head();
-        let text = if head.text.is_empty() { self.problem.headline() } else { &head.text };
+        let headline = self.problem.headline();
+        let text = if head.text.is_empty() { &*headline } else { &head.text };
         self.add("", Role::Text, text);
         if let Some(awaits) = self.problem.awaits() {
             self.lines.push(Line::default());
