@@ -146,6 +146,11 @@ fn kinds_are_those_that_scripts_rely_on() {
     assert_eq!(kinds(&file(&[feed, sens, pump])), [kind("missing", 44)]);
     let listed = r#"{ "name": "SENS", "services": [ { "name": "DES", "version": "1.0" } ] }"#;
     assert_eq!(kinds(&file(&[feed, listed])), [kind("services-differ", 13)]);
+    // An empty list says no more than none.
+    for none in ["[]", "{}", "null"] {
+        let none = format!(r#"{{ "name": "SENS", "services": {none} }}"#);
+        assert_eq!(kinds(&file(&[feed, &none])), []);
+    }
     let twice = kinds(&file(&[feed, sens, sens]));
     assert!(twice.iter().any(|it| it.0 == "file-duplicate-entry"), "{twice:?}");
 }

@@ -718,6 +718,24 @@ fn services_are_edited_in_their_shape() {
         |document| services(document, "A", &[("C", "3"), ("DES", "1.1")]),
         r#"[{"name":"A","services":{"C":"3","DES":"1.1"}}]"#,
     );
+    // What stands between those that stay is kept; a comma goes with the one before it.
+    let spread = "[{\"name\":\"A\",\"services\":{\"A\":\"1\" ,\n\n\"B\" : \"2\",   \"C\":\"3\" }}]";
+    for (listed, after) in [
+        (&[("A", "1"), ("C", "4")][..], "{\"A\":\"1\",   \"C\":\"4\" }"),
+        (&[("B", "2"), ("C", "3")], "{\"B\" : \"2\",   \"C\":\"3\" }"),
+        (&[("A", "1"), ("B", "2")], "{\"A\":\"1\" ,\n\n\"B\" : \"2\" }"),
+        (
+            &[("A", "1"), ("B", "2"), ("N", "9"), ("C", "3")],
+            "{\"A\":\"1\" ,\n\n\"B\" : \"2\" ,\n\n\"N\":\"9\",   \"C\":\"3\" }",
+        ),
+        (
+            &[("C", "3"), ("A", "1"), ("B", "2")],
+            "{\"C\":\"3\" ,\n\n\"A\":\"1\" ,\n\n\"B\" : \"2\" }",
+        ),
+    ] {
+        let after = format!("[{{\"name\":\"A\",\"services\":{after}}}]");
+        edits_and_back(spread, |document| services(document, "A", listed), &after);
+    }
     // None before; none after; the wrong thing before.
     edits_and_back(
         r#"[{"name": "A"}]"#,

@@ -69,19 +69,27 @@ impl App {
             return;
         }
         let devices = self.buses.iter().flat_map(|bus| bus.engine.devices());
-        let wanted = devices.filter(|device| {
-            // Where it lists none, that is how its author wants it.
-            let entry =
-                self.matching.entry_of(device.id).map(|at| &self.file.document().entries()[at]);
-            let is_known = device.is_here() && !device.is_debug && device.name.is_some();
-            is_known && entry.is_none_or(|entry| entry.listed_services().is_some())
+        let known =
+            devices.filter(|device| device.is_here() && !device.is_debug && device.name.is_some());
+        // Where it lists none, that is how its author wants it: left out or an empty list.
+        let (mut wanted, left): (Vec<&Device>, Vec<&Device>) = known.partition(|device| {
+            let entry = self.matching.entry_of(device.id);
+            let entry = entry.map(|at| &self.file.document().entries()[at]);
+            entry.is_none_or(|entry| entry.listed_services().is_some())
         });
-        let mut wanted: Vec<&Device> = wanted.collect();
         wanted.sort_by_key(|device| (device.id.bus, device.address));
         let operations: Vec<Operation> =
             wanted.into_iter().filter_map(|device| self.taking(device)).collect();
         match operations.len() {
-            0 => self.say("every device with a known name is listed already, as it is"),
+            0 if left.is_empty() => {
+                self.say("every device with a known name is listed already, as it is");
+            }
+            0 => {
+                let (left, key) = (left.len(), self.key_of("add"));
+                self.say(format!(
+                    "all devices with a name are listed; {left} without services ({key} adds them)"
+                ));
+            }
             _ => self.edit(&operations),
         }
     }
@@ -274,7 +282,9 @@ impl App {
         if super::same_services(listed, own) {
             return None;
         }
-        Some(Operation::SetServices { entry: document.key(at), services: listed_services(device) })
+        let mut services = listed_services(device);
+        leave_open(&mut services, listed);
+        Some(Operation::SetServices { entry: document.key(at), services })
     }
 
     /// What the file is to say of a device: its address as the last main one, not pinned.
@@ -515,6 +525,25 @@ fn listed_services(device: &Device) -> Vec<ServiceEntry> {
             extra: service.extra.iter().map(as_listed).collect(),
         })
         .collect()
+}
+
+/// A version that the file leaves open stays open, and so do the strings after it: they are no
+/// difference, and not to be taken over with one.
+fn leave_open(services: &mut [ServiceEntry], listed: &[ServiceEntry]) {
+    for place in 0..services.len() {
+        let (earlier, later) = services.split_at_mut(place);
+        let service = &mut later[0];
+        let nth = earlier.iter().filter(|it| it.name == service.name).count();
+        let Some(listed) = listed.iter().filter(|it| it.name == service.name).nth(nth) else {
+            continue;
+        };
+        if listed.version.is_empty() {
+            service.version.clear();
+        }
+        if listed.extra.is_empty() {
+            service.extra.clear();
+        }
+    }
 }
 
 /// `20261121-060036`.

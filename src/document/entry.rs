@@ -41,7 +41,7 @@ pub struct Entry {
 }
 
 impl Entry {
-    /// Its services, where it lists any.
+    /// Its services, where it lists any: an empty list says no more than none.
     pub fn listed_services(&self) -> Option<&[ServiceEntry]> {
         self.services.as_deref().filter(|listed| !listed.is_empty())
     }

@@ -7,6 +7,7 @@
 use super::entry::{Member, ServiceEntry, read_service};
 use super::scan::{self, Container};
 use super::text::{from_json, to_json};
+use std::collections::{HashMap, VecDeque};
 
 /// What stands between the parts of a list or object.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -334,56 +335,69 @@ impl ServicesStyle {
     /// The value of `services` that says this. An object cannot hold one name twice, or strings
     /// after the version; there it becomes a list.
     pub fn services(&self, services: &[ServiceEntry]) -> String {
-        self.rebuilt(services, &mut Vec::new())
-    }
-
-    /// The value `old` changed so that it says this. Services that stay keep their members and
-    /// their text.
-    pub fn edited(&self, old: &str, services: &[ServiceEntry]) -> String {
-        let Some(container) = scan::container(old, &(0..old.len())) else {
-            return self.services(services);
-        };
-        let read = |item| read_service(old, item);
-        let listed: Option<Vec<ServiceEntry>> = container.items.iter().map(read).collect();
-        let same_names = listed.is_some_and(|listed| {
-            listed.iter().map(|service| &service.name).eq(services.iter().map(|new| &new.name))
-        });
-        if same_names && (!self.is_object || fits_object(services)) {
-            let mut text = old.to_owned();
-            for (item, service) in container.items.iter().zip(services).rev() {
-                let value = edited_service(&old[item.value.clone()], service);
-                text.replace_range(item.value.clone(), &value);
-            }
-            return text;
-        }
-        let mut kept: Vec<_> = container
-            .items
-            .iter()
-            .filter_map(|item| Some((read(item)?.name, &old[item.value.clone()])))
-            .collect();
-        self.rebuilt(services, &mut kept)
-    }
-
-    /// The services from new, using what is kept of the old ones, by name.
-    fn rebuilt(&self, services: &[ServiceEntry], kept: &mut Vec<(String, &str)>) -> String {
         if self.is_object && fits_object(services) {
             let pair = |service: &ServiceEntry| to_json(&service.version);
             return self.outer.object(services.iter().map(|new| (&*new.name, pair(new))));
         }
         let outer = if self.is_object { &self.fallback } else { &self.outer };
-        let items: Vec<String> = services
-            .iter()
-            .map(|service| {
-                let old = kept
-                    .iter()
-                    .position(|(name, text)| *name == service.name && text.starts_with('{'));
-                match old {
-                    Some(old) => edited_service(kept.remove(old).1, service),
-                    None => self.service(service),
-                }
-            })
-            .collect();
+        let items: Vec<String> = services.iter().map(|service| self.service(service)).collect();
         outer.list(&items)
+    }
+
+    /// The value `old` changed so that it says this. Services that stay keep their members, their
+    /// text and, as long as they stand in the same order, what stands between them.
+    pub fn edited(&self, old: &str, services: &[ServiceEntry]) -> String {
+        let Some(container) = scan::container(old, &(0..old.len())) else {
+            return self.services(services);
+        };
+        let items = &container.items;
+        let (Some(first), Some(last)) = (items.first(), items.last()) else {
+            return self.services(services);
+        };
+        if services.is_empty() || self.is_object && !fits_object(services) {
+            return self.services(services);
+        }
+        let mut known: HashMap<String, VecDeque<usize>> = HashMap::new();
+        for (index, item) in items.iter().enumerate() {
+            if let Some(service) = read_service(old, item) {
+                known.entry(service.name).or_default().push_back(index);
+            }
+        }
+        let mut text = old[..first.span().start].to_owned();
+        // Those before it are behind us, or gone.
+        let mut next = 0;
+        for (place, service) in services.iter().enumerate() {
+            let index = known.get_mut(&service.name).and_then(VecDeque::pop_front);
+            let in_order = index.filter(|index| *index >= next);
+            if place > 0 {
+                text += match in_order {
+                    Some(index) if index > 0 => {
+                        &old[items[index - 1].value.end..items[index].span().start]
+                    }
+                    _ => &self.outer.gap,
+                };
+            }
+            match index {
+                Some(index) => {
+                    let item = &items[index];
+                    text += &old[item.span().start..item.value.start];
+                    text += &edited_service(&old[item.value.clone()], service);
+                }
+                None => text += &self.item(service),
+            }
+            next = in_order.map_or(next, |index| index + 1);
+        }
+        text + &old[last.value.end..]
+    }
+
+    /// A new item, in the shape that they have.
+    fn item(&self, service: &ServiceEntry) -> String {
+        if self.is_object {
+            let (name, version) = (to_json(&service.name), to_json(&service.version));
+            format!("{name}{}{version}", self.outer.colon)
+        } else {
+            self.service(service)
+        }
     }
 
     fn service(&self, service: &ServiceEntry) -> String {
