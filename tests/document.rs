@@ -1108,7 +1108,7 @@ fn an_edit_is_taken_back_on_newer_content() {
     let edited = base.apply(&operation).unwrap();
     let inverse = operation.inverse(&base).unwrap();
     let newer = parsed(r#"[{"name":"SENS"},{"name":"FEED","address":16,"static":true,"x":1}]"#);
-    let Ok(Merge::Rebased { document, operations }) =
+    let Ok(Merge::Rebased { document, operations, .. }) =
         merge(&edited, &[inverse], &newer, Prefer::Neither)
     else {
         panic!()

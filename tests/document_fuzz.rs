@@ -299,7 +299,7 @@ impl Case<'_> {
         for prefer in [Prefer::Neither, Prefer::Ours, Prefer::Theirs] {
             self.tally.merges += 1;
             match merge(base, ours, theirs, prefer) {
-                Ok(Merge::Rebased { document, operations }) => {
+                Ok(Merge::Rebased { document, operations, .. }) => {
                     check_reading(&document);
                     let mut again = theirs.clone();
                     for operation in &operations {

@@ -4,6 +4,7 @@
 mod stage;
 
 use descan::app::Effect;
+use descan::document::Document;
 use descan::sim::Scenario;
 use descan::status::Playback;
 use stage::{BOILER, Stage};
@@ -19,6 +20,20 @@ fn refusing() -> Stage {
 fn mend(stage: &mut Stage) -> &mut Stage {
     stage.refusal = None;
     stage
+}
+
+/// Selects the row of an entry.
+fn select<'s>(stage: &'s mut Stage, name: &str) -> &'s mut Stage {
+    stage.keys("g");
+    for _ in 0..20 {
+        let row = stage.app.selected_row().unwrap();
+        let entry = row.entry.map(|at| stage.app.file().document().entries()[at].name_text.clone());
+        if entry.is_some_and(|entry| entry == name) {
+            return stage;
+        }
+        stage.keys("j");
+    }
+    panic!("{name} has no row\n{}", stage.screen());
 }
 
 // ---- a file that is empty while it is being written ----------------------------------------
@@ -195,4 +210,162 @@ fn no_file_is_made_of_an_edit_that_is_taken_back() {
     stage.refuse_saves();
     assert_eq!((stage.app.file().unsaved(), stage.file.as_deref()), (0, None));
     assert!(stage.until(60.0).unfinished.as_ref().unwrap().is_empty());
+}
+
+// ---- ours, in a conflict -------------------------------------------------------------------
+
+#[test]
+fn ours_is_taken_back_to_theirs() {
+    let theirs = BOILER.replace("10", "11").replace("12", "13");
+    let ours = theirs.replace("11", "70");
+    let mut stage = refusing();
+    stage.keys("e").text("70").keys("Enter");
+    mend(&mut stage).write(&theirs).keys("o");
+    assert_eq!(stage.file(), ours);
+    stage.keys("u");
+    assert_eq!(stage.file(), theirs);
+    let told = "taken back: address of the entry FEED: 11 → 70";
+    assert!(stage.app.timeline().entries().any(|it| it.text == told), "{}", stage.screen());
+    assert_eq!(stage.keys("Ctrl-r").file(), ours);
+    assert_eq!(stage.keys("u").file(), theirs);
+    // What was there before theirs is not ours to bring back.
+    let screen = stage.keys("u").screen();
+    assert!(screen.contains("cannot be taken back, changed by somebody else"), "{screen}");
+    assert_eq!(stage.file(), theirs);
+
+    // Before it is saved, nothing is left to be saved.
+    let mut stage = refusing();
+    stage.keys("e").text("70").keys("Enter").write(&theirs).keys("o u");
+    assert_eq!(stage.app.file().unsaved(), 0);
+    assert!(mend(&mut stage).until(60.0).effects.iter().all(|it| !matches!(it, Effect::Quit)));
+    assert_eq!(stage.file(), theirs);
+
+    // What was edited since is taken back before it, and stays where it is not.
+    let mut stage = refusing();
+    stage.keys("e").text("70").keys("Enter R").text("X").keys("Enter");
+    mend(&mut stage).write(&theirs).keys("o");
+    select(&mut stage, "ACT").keys("e").text("33").keys("Enter");
+    let all = ours.replace("FEED", "FEEDX").replace("16", "33");
+    assert_eq!(stage.file(), all);
+    assert_eq!(stage.keys("u").file(), all.replace("33", "16"));
+    assert_eq!(stage.keys("u").file(), all.replace("33", "16").replace("70", "11"));
+    assert_eq!(stage.keys("Ctrl-r Ctrl-r").file(), all);
+}
+
+#[test]
+fn each_choice_of_ours_is_taken_back_alone() {
+    let theirs = BOILER.replace("10", "11").replace("12", "13").replace("16,", "17,");
+    for (choices, file) in [
+        ("o o o", ["14, 15, 18", "14, 15, 17", "14, 13, 17", "11, 13, 17"]),
+        ("o t o", ["14, 13, 18", "14, 13, 17", "11, 13, 17", "11, 13, 17"]),
+    ] {
+        let addresses = |stage: &Stage| {
+            let entries = stage.app.file().document().entries();
+            let addresses = entries[..3].iter().map(|it| it.address.unwrap().to_string());
+            addresses.collect::<Vec<_>>().join(", ")
+        };
+        let mut stage = refusing();
+        for (name, address) in [("FEED", "14"), ("SENS", "15"), ("ACT", "18")] {
+            select(&mut stage, name).keys("e").text(address).keys("Enter");
+        }
+        stage.write(&theirs);
+        mend(&mut stage).keys(choices);
+        assert_eq!(addresses(&stage), file[0]);
+        for after in &file[1..] {
+            stage.keys("u");
+            assert_eq!(addresses(&stage), *after);
+        }
+        stage.keys("Ctrl-r Ctrl-r Ctrl-r");
+        assert_eq!(addresses(&stage), file[0]);
+    }
+}
+
+#[test]
+fn ours_where_theirs_was_deleted_or_brought_is_taken_back_to_theirs() {
+    // They deleted what we edited.
+    let theirs =
+        BOILER.replace("    { \"name\": \"SENS\", \"address\": 12, \"static\": true },\n", "");
+    let mut stage = refusing();
+    select(&mut stage, "SENS").keys("e").text("70").keys("Enter");
+    mend(&mut stage).write(&theirs).keys("o");
+    assert!(stage.file().contains("\"SENS\", \"address\": 70"), "{}", stage.file());
+    assert_eq!(stage.keys("u").file(), theirs);
+    assert!(stage.keys("Ctrl-r").file().contains("\"SENS\", \"address\": 70"));
+
+    // They brought what we brought.
+    let theirs = BOILER.replace(
+        "\"PUMP\"",
+        "\"NEW\", \"address\": 63, \"static\": true },\n    { \"name\": \"PUMP\"",
+    );
+    let mut stage = refusing();
+    stage.keys("n").text("NEW 64").keys("Enter");
+    mend(&mut stage).write(&theirs).keys("o");
+    assert_eq!(stage.file(), theirs.replace("63", "64"));
+    assert_eq!(stage.keys("u").file(), theirs);
+    assert_eq!(stage.keys("Ctrl-r").file(), theirs.replace("63", "64"));
+}
+
+// ---- many at once --------------------------------------------------------------------------
+
+#[test]
+fn of_many_at_once_what_somebody_else_changed_since_is_left_alone() {
+    let names = |stage: &Stage| {
+        let entries = stage.app.file().document().entries();
+        entries.iter().map(|entry| entry.name_text.clone()).collect::<Vec<_>>().join(" ")
+    };
+    let told = |stage: &Stage, text: &str| {
+        let mut lines = stage.app.timeline().entries();
+        assert!(lines.any(|line| line.text == text), "{}", stage.screen());
+    };
+    let mut stage = Stage::new(&Scenario::crowd(500_000, 4, 2), Some("[]"));
+    stage.until(5.0).keys("A");
+    let all = stage.file().to_owned();
+    assert_eq!(names(&stage), "N001 N002 N003 N004");
+
+    // One is changed.
+    let address = stage.app.file().document().entries()[1].address.unwrap();
+    let changed =
+        |text: &str| text.replace(&format!("\"address\": {address},"), "\"address\": 99,");
+    stage.write(&changed(&all)).keys("u");
+    assert_eq!(names(&stage), "N002");
+    told(&stage, "taken back: 4 new entries, but not N002, changed by somebody else since");
+    // The other way it is the same.
+    stage.keys("Ctrl-r");
+    assert_eq!(names(&stage), "N001 N002 N003 N004");
+    assert!(stage.file().contains("99"));
+    told(&stage, "made again: 4 new entries, all but 1");
+    stage.keys("u");
+    told(&stage, "taken back: 4 new entries, all but 1");
+    assert_eq!(names(&stage), "N002");
+    // Of these somebody brings one.
+    let third = Document::parse(all.as_bytes()).unwrap().entries()[2].address.unwrap();
+    let brought = format!(r#"[ {{ "name": "N003", "address": {third}, "static": true }},"#);
+    let theirs = stage.file().replacen('[', &brought, 1);
+    stage.write(&theirs).keys("Ctrl-r");
+    assert_eq!(names(&stage), "N001 N003 N002 N004");
+    assert!(stage.file().contains(brought.trim_start_matches("[ ")), "{}", stage.file());
+    let but = "but not N003, changed by somebody else since";
+    told(&stage, &format!("made again: 4 new entries, all but 1, {but}"));
+    stage.keys("u");
+    assert_eq!(names(&stage), "N003 N002");
+    told(&stage, "taken back: 4 new entries, all but 2");
+
+    // All but one are changed, or all are.
+    let mut stage = Stage::new(&Scenario::crowd(500_000, 4, 2), Some("[]"));
+    stage.until(5.0).keys("A");
+    let noted = |text: &str, count: usize| {
+        text.replacen("\"name\": \"N0", "\"note\": 1, \"name\": \"N0", count)
+    };
+    let all = stage.file().to_owned();
+    stage.write(&noted(&all, 3)).keys("u");
+    assert_eq!(names(&stage), "N001 N002 N003");
+    told(
+        &stage,
+        "taken back: 4 new entries, but not N003 and 2 more, changed by somebody else since",
+    );
+    let mut stage = Stage::new(&Scenario::crowd(500_000, 4, 2), Some("[]"));
+    stage.until(5.0).keys("A").write(&noted(&all, 4)).keys("u");
+    assert_eq!(stage.file(), noted(&all, 4));
+    let screen = stage.screen();
+    assert!(screen.contains("cannot be taken back, changed by somebody else since"), "{screen}");
 }

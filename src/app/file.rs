@@ -9,6 +9,7 @@ use crate::document::{
     merge_chosen,
 };
 use crate::time::Instant;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 /// How des.json was found.
@@ -121,10 +122,27 @@ struct Step {
     /// document may be megabytes, and there may be many steps.
     on: Option<Document>,
     operations: Vec<Operation>,
-    /// The edit's name.
+    /// The edit's name, and how many operations it has as a whole: what somebody else changed since
+    /// is left out where it is taken back or made again.
     name: String,
+    whole: usize,
     /// Whether there was a file when the edit was made.
     had_file: bool,
+}
+
+impl Step {
+    /// A whole edit's.
+    fn new(on: Document, operations: Vec<Operation>, name: String, had_file: bool) -> Self {
+        let whole = operations.len();
+        Self { on: Some(on), operations, name, whole, had_file }
+    }
+
+    fn shown(&self) -> String {
+        match self.whole.saturating_sub(self.operations.len()) {
+            0 => self.name.clone(),
+            left => format!("{}, all but {left}", self.name),
+        }
+    }
 }
 
 /// Both changed the same value; until a person has chosen in all conflicts nothing is written.
@@ -356,7 +374,11 @@ impl FileState {
     fn rebase(&mut self, theirs: Document, choices: Choices) -> Change {
         let base = self.disk.clone().unwrap_or_else(Document::empty);
         match merge_chosen(&base, &self.pending, &theirs, &choices, Prefer::Neither) {
-            Ok(Merge::Rebased { document, operations }) => {
+            Ok(Merge::Rebased { document, operations, overruling }) => {
+                if let Err(error) = self.add_steps_to_theirs(&theirs, &operations, &overruling) {
+                    self.problem = Some(FileProblem::NotSaved(error.to_string()));
+                    return Change::Broken;
+                }
                 self.disk = Some(theirs);
                 self.document = document;
                 self.pending = operations;
@@ -371,6 +393,31 @@ impl FileState {
                 Change::Broken
             }
         }
+    }
+
+    /// What overrules theirs can be taken back as any other edit: to theirs.
+    fn add_steps_to_theirs(
+        &mut self,
+        theirs: &Document,
+        operations: &[Operation],
+        overruling: &[Range<usize>],
+    ) -> Result<(), EditError> {
+        let mut made = 0;
+        let mut document = theirs.clone();
+        for range in overruling {
+            for operation in &operations[made..range.start] {
+                document = document.apply(operation)?;
+            }
+            made = range.end;
+            let ours = &operations[range.clone()];
+            let name = ours.last().map(ToString::to_string).unwrap_or_default();
+            let (after, inverses) = apply_all(&document, ours)?;
+            let step = Step::new(after.clone(), inverses, name, self.is_on_disk);
+            push(&mut self.undo, step, &document);
+            self.redo.clear();
+            document = after;
+        }
+        Ok(())
     }
 
     /// Decides the conflict; [`Change::Conflict`] where another one is to be decided next.
@@ -418,67 +465,76 @@ impl FileState {
         Ok(name)
     }
 
-    /// Takes the last edit back; its name. One that is refused is not asked for again: the next
-    /// time it is the turn of the one before.
+    /// Takes the last edit back; its name, with what is left as it is, because somebody else changed
+    /// it since. One that is refused is not asked for again: the next time it is the turn of the one
+    /// before.
     pub fn undo(&mut self) -> Result<String, Refusal> {
         self.check()?;
         let step = pop(&mut self.undo).ok_or(Refusal::NothingToUndo)?;
-        let (name, before) = (step.name.clone(), self.document.clone());
-        let redo = self.take_step(step, "taken back")?;
+        let before = self.document.clone();
+        let (redo, name) = self.take_step(step, "taken back")?;
         push(&mut self.redo, redo, &before);
         Ok(name)
     }
 
-    /// Makes it again; its name. What is refused is as in [`Self::undo`].
+    /// Makes it again; its name. What is left or refused is as in [`Self::undo`].
     pub fn redo(&mut self) -> Result<String, Refusal> {
         self.check()?;
         let step = pop(&mut self.redo).ok_or(Refusal::NothingToRedo)?;
-        let (name, before) = (step.name.clone(), self.document.clone());
-        let undo = self.take_step(step, "made again")?;
+        let before = self.document.clone();
+        let (undo, name) = self.take_step(step, "made again")?;
         push(&mut self.undo, undo, &before);
         Ok(name)
     }
 
-    /// Makes a step's operations on what is there now. Where somebody else changed the same value
-    /// since, theirs stands and nothing is done: taking back is no reason to overwrite it.
-    fn take_step(&mut self, step: Step, done: &'static str) -> Result<Step, Refusal> {
-        let mut operations = step.operations;
+    /// Makes a step's operations on what is there now; the step that leads back, and what it was in
+    /// words. Where somebody else changed the same value since, theirs stands: taking back is no
+    /// reason to overwrite it.
+    fn take_step(&mut self, mut step: Step, done: &'static str) -> Result<(Step, String), Refusal> {
+        let mut told = step.shown();
         if self.is_on_disk && !step.had_file {
             // The file is not deleted, and one with nothing in it is not JSON.
-            operations = operations.into_iter().map(Operation::leaving_list).collect();
+            let operations = step.operations.into_iter();
+            step.operations = operations.map(Operation::leaving_list).collect();
         }
-        let operations = match step.on.filter(|on| *on != self.document) {
-            None => operations,
-            Some(on) => match merge(&on, &operations, &self.document, Prefer::Neither)? {
-                Merge::Rebased { operations, .. } if operations.is_empty() => {
-                    return Err(Refusal::SoAlready { done, name: step.name });
-                }
+        if let Some(on) = step.on.filter(|on| *on != self.document) {
+            let again = |prefer| merge(&on, &step.operations, &self.document, prefer);
+            let conflict = match again(Prefer::Neither)? {
+                Merge::Conflict(conflict) => Some(conflict),
+                Merge::Rebased { .. } => None,
+            };
+            let operations = match again(Prefer::Theirs)? {
                 Merge::Rebased { operations, .. } => operations,
-                Merge::Conflict(Conflict { theirs, .. }) => {
+                Merge::Conflict(_) => Vec::new(),
+            };
+            match conflict {
+                Some(Conflict { theirs, .. }) if operations.is_empty() => {
                     return Err(Refusal::ChangedSince { done, theirs });
                 }
-            },
-        };
-        let made = self.make(&operations, step.name)?;
-        self.drop_what_cancels_out(2 * operations.len());
-        Ok(made)
+                None if operations.is_empty() => {
+                    return Err(Refusal::SoAlready { done, name: told });
+                }
+                Some(Conflict { operation, of, .. }) => {
+                    let first = operation.subject();
+                    let more = if of > 1 { format!(" and {} more", of - 1) } else { String::new() };
+                    told = format!("{told}, but not {first}{more}, changed by somebody else since");
+                }
+                None => {}
+            }
+            step.operations = operations;
+        }
+        let made = self.make(&step.operations, step.name)?;
+        self.drop_what_cancels_out(2 * step.operations.len());
+        Ok((Step { whole: step.whole, ..made }, told))
     }
 
     /// Makes operations on the document in force; the step that takes them back.
     fn make(&mut self, operations: &[Operation], name: String) -> Result<Step, Refusal> {
-        let mut document = self.document.clone();
-        let mut inverses = Vec::with_capacity(operations.len());
-        for operation in operations {
-            let inverse = operation.inverse(&document)?;
-            document = document.apply(operation)?;
-            inverses.push(inverse);
-        }
-        inverses.reverse();
+        let (document, inverses) = apply_all(&self.document, operations)?;
         self.pending.extend_from_slice(operations);
         self.document = document.clone();
         self.drop_what_is_on_disk();
-        let had_file = self.is_on_disk;
-        Ok(Step { on: Some(document), operations: inverses, name, had_file })
+        Ok(Step::new(document, inverses, name, self.is_on_disk))
     }
 
     /// An edit and what takes it back are nothing that is to be saved, as long as neither of them is
@@ -557,6 +613,21 @@ impl FileState {
             self.problem = None;
         }
     }
+}
+
+/// The document with all operations made; and what takes them back, in order.
+fn apply_all(
+    on: &Document,
+    operations: &[Operation],
+) -> Result<(Document, Vec<Operation>), EditError> {
+    let mut document = on.clone();
+    let mut inverses = Vec::with_capacity(operations.len());
+    for operation in operations {
+        inverses.push(operation.inverse(&document)?);
+        document = document.apply(operation)?;
+    }
+    inverses.reverse();
+    Ok((document, inverses))
 }
 
 /// Several operations that are one edit, in words.

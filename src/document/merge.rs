@@ -6,6 +6,7 @@
 
 use std::collections::HashMap;
 use std::hash::Hash;
+use std::ops::Range;
 
 use super::entry::{Entry, Member, ServiceEntry};
 use super::operation::{EntryKey, Operation};
@@ -25,6 +26,9 @@ pub enum Merge {
         /// The operations as they were made on theirs, in order; those that theirs already had are
         /// left out.
         operations: Vec<Operation>,
+        /// Of those, for each conflict in which ours was chosen, in order, the ones that overrule
+        /// theirs.
+        overruling: Vec<Range<usize>>,
     },
     /// A person has to choose.
     Conflict(Conflict),
@@ -97,6 +101,7 @@ pub fn merge_chosen(
     let mut base = base.clone();
     let mut document = theirs.clone();
     let mut operations = Vec::new();
+    let mut overruling = Vec::new();
     let mut given_up = GivenUp::default();
     let mut conflicts = 0;
     // The first that nobody has chosen in. The others are counted.
@@ -122,6 +127,7 @@ pub fn merge_chosen(
                     open = Some(Conflict { operation, ours, theirs, number, of: number });
                 }
                 if choice == Prefer::Ours {
+                    overruling.push(operations.len()..operations.len() + insist.len());
                     insist
                 } else {
                     let is_deleted = matches!(insist[..], [Operation::PutBack { .. }]);
@@ -139,7 +145,7 @@ pub fn merge_chosen(
     }
     Ok(match open {
         Some(conflict) => Merge::Conflict(Conflict { of: conflicts, ..conflict }),
-        None => Merge::Rebased { document, operations },
+        None => Merge::Rebased { document, operations, overruling },
     })
 }
 
@@ -235,7 +241,7 @@ fn step(operation: &Operation, base: &Document, next: &Document, theirs: &Docume
         Step::Make(operation)
     } else {
         let (ours, theirs) = (describe(&members, &wanted), describe(&members, found));
-        Step::Conflict { ours, theirs, insist: vec![operation] }
+        Step::Conflict { ours, theirs, insist: vec![operation.with_former_address(found.address)] }
     }
 }
 

@@ -273,6 +273,12 @@ impl Operation {
         matches!(self, Self::Remove { .. } | Self::TakeOutFirst { .. })
     }
 
+    /// The name of the entry concerned, safe on a terminal.
+    pub fn subject(&self) -> String {
+        let brought = || self.brought().map(|entry| brief(&entry.name));
+        self.entry().map(EntryKey::to_string).or_else(brought).unwrap_or_default()
+    }
+
     /// The same for another entry, or for the same one under its newer key.
     pub(super) fn with_key(&self, key: EntryKey) -> Self {
         let mut operation = self.clone();
@@ -287,6 +293,14 @@ impl Operation {
             | Self::Restore { entry, .. } => *entry = key,
         }
         operation
+    }
+
+    /// The same where the address was another one before.
+    pub(super) fn with_former_address(mut self, address: Option<u8>) -> Self {
+        if let Self::SetAddress { from, .. } | Self::ClearAddress { from, .. } = &mut self {
+            *from = address;
+        }
+        self
     }
 
     /// The entry that this brings, if it brings one.
