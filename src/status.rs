@@ -85,6 +85,9 @@ pub struct BusStatus {
     pub state: BusState,
     /// Bit/s; FD: of the arbitration phase.
     pub bitrate: Option<u32>,
+    /// Whether there is no bit rate that could be set from here: a virtual bus, another host's,
+    /// a log.
+    pub has_no_own_rate: bool,
     /// Bit/s of the FD data phase.
     pub data_bitrate: Option<u32>,
     /// The transmit error counter.
@@ -119,6 +122,9 @@ pub struct BusStatus {
     pub unconfirmed: u64,
     /// Frames that the kernel or the adapter would not take, or not in time.
     pub transmit_failures: u64,
+    /// Whether what is to be sent finds the way out full, and does not get room in time: what
+    /// was sent before it, by whomever, does not go out either.
+    pub is_transmit_queue_full: bool,
     /// Error reports that say nobody acknowledged.
     pub missing_acks: u64,
     /// Messages of an adapter or a server that could not be read.

@@ -1266,6 +1266,51 @@ fn where_frames_only_break_another_bit_rate_is_offered() {
 }
 
 #[test]
+fn where_nobody_acknowledges_no_other_bit_rate_is_offered() {
+    let mut stage = Stage::new(&Scenario::new(125_000), None);
+    let alone = Frame::error(0xA8, &[0, 0, 0x80, 0x19, 0, 0, 128, 0]);
+    for millis in 1..4500 {
+        let now = Instant::from_micros(millis * 1000);
+        if millis % 10 == 0 {
+            stage.app.handle_frames(now, &[alone.at(now)]);
+        }
+        stage.app.handle_timeout(now);
+        stage.drain(now);
+    }
+    let screen = stage.screen();
+    assert!(screen.contains("err 4"), "{screen}");
+    assert!(!screen.contains("another bit rate"), "{screen}");
+}
+
+#[test]
+fn a_bus_without_a_rate_of_its_own_is_not_asked_about() {
+    let mut stage = Stage::boiler();
+    let status = BusStatus { link: Link::Up, has_no_own_rate: true, ..BusStatus::default() };
+    stage.app.handle_bus(Instant::ZERO, BusIndex(0), status);
+    let screen = stage.keys("b").screen();
+    assert!(screen.contains("can0 has no bit rate that could be set from here"), "{screen}");
+    assert!(!stage.effects.contains(&Effect::FindBitrate(BusIndex(0))));
+}
+
+#[test]
+fn who_cannot_ask_says_why() {
+    let mut stage = Stage::boiler();
+    stage.link(Link::Down).keys("r");
+    assert!(stage.screen().contains("no bus is up: nobody can be asked"), "{}", stage.screen());
+
+    let full = BusStatus { link: Link::Up, is_transmit_queue_full: true, ..BusStatus::default() };
+    stage.app.handle_bus(stage.app.now(), BusIndex(0), full.clone());
+    let screen = stage.keys("3").screen();
+    assert!(screen.contains(" transmit queue full "), "{screen}");
+    assert!(screen.contains("transmit queue full: frames of ours are not sent"), "{screen}");
+    let room = BusStatus { is_transmit_queue_full: false, ..full };
+    stage.app.handle_bus(stage.app.now(), BusIndex(0), room);
+    let screen = stage.screen();
+    assert!(screen.contains("the transmit queue has room again"), "{screen}");
+    assert!(!screen.contains(" transmit queue full "), "{screen}");
+}
+
+#[test]
 fn a_muted_problem_does_not_count_and_stays_muted() {
     let mut stage = Stage::boiler();
     stage.until(30.5).keys("4 G m");

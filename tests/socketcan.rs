@@ -2,6 +2,8 @@
 //! own ISO-TP.
 
 mod can;
+#[path = "common/serial.rs"]
+mod serial;
 
 use can::{PATIENCE, Peer, Vcan, controllers, listeners, run, wait_for_listeners};
 use descan::bus::candump::{parse_frame, parse_line};
@@ -476,6 +478,32 @@ fn a_full_transmit_queue_loses_nothing() {
     });
     assert!(other.frames.iter().filter_map(Frame::platform_id).is_sorted());
     assert!(!other.frames.iter().any(is_ours));
+}
+
+#[test]
+fn a_transmit_queue_that_nothing_leaves_is_told_until_it_has_room() {
+    const COUNT: u32 = 60;
+    let Some(_taken) = controllers() else { return };
+    // The kernel's own slcan, at an adapter that takes nothing: what is sent stays in its queue.
+    let mut adapter = serial::Pty::new();
+    run("slcan_attach", &["-n", "stuck0", adapter.path().to_str().unwrap()]);
+    run("ip", &["link", "set", "stuck0", "up", "txqueuelen", "5"]);
+    let mut bus = Bus::open("stuck0");
+    for id in 0..COUNT {
+        bus.transmit(&Frame::classic(id, &[]));
+    }
+    bus.wait_until("a full queue", |bus| bus.status().is_transmit_queue_full);
+    assert!(bus.status().transmit_failures > 0);
+
+    let last = format!("T{:08X}0", COUNT - 1);
+    let mut taken = 1;
+    while adapter.read_line().expect("the last frame") != last {
+        taken += 1;
+    }
+    bus.wait_until("room", |bus| !bus.status().is_transmit_queue_full);
+    let failures = bus.status().transmit_failures;
+    assert_eq!(taken + failures, u64::from(COUNT), "each is sent or counted");
+    run("slcan_attach", &["-d", adapter.path().to_str().unwrap()]);
 }
 
 #[test]

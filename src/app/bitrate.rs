@@ -19,8 +19,12 @@ impl App {
         let broken = broken.and_then(|at| u8::try_from(at).ok()).map(BusIndex);
         let selected = self.selected_row().and_then(|row| row.bus);
         let bus = broken.or(selected).unwrap_or_default();
-        if self.bus(bus).is_none() {
+        let Some(there) = self.bus(bus) else {
             return self.complain("there is no bus");
+        };
+        if there.status.has_no_own_rate {
+            let name = there.name.clone();
+            return self.complain(format!("{name} has no bit rate that could be set from here"));
         }
         self.overlay = Overlay::Question(Question::FindBitrate(bus));
         self.dirty = true;

@@ -59,18 +59,38 @@ impl Bus {
     }
 
     /// Whether many frames broke in the last seconds and none arrived whole: most likely the bit
-    /// rate is another one.
+    /// rate is another one. What nobody acknowledges did not break.
     pub fn hears_only_errors(&self) -> bool {
         let recent = || self.meter.seconds().rev().take(3);
         self.is_up()
             && recent().all(|second| second.frames == second.errors)
-            && recent().map(|second| second.errors).sum::<u32>() >= ONLY_ERRORS
+            && recent().map(|second| second.broken).sum::<u32>() >= ONLY_ERRORS
+    }
+
+    /// What keeps our frames from the bus, as far as is known.
+    pub fn hindrance(&self) -> Option<Hindrance> {
+        if !self.is_up() {
+            None
+        } else if self.status.is_transmit_queue_full {
+            Some(Hindrance::QueueFull)
+        } else {
+            self.engine.is_unacknowledged().then_some(Hindrance::Unacknowledged)
+        }
     }
 
     /// Frames that were lost on the way to us.
     pub fn lost(&self) -> u64 {
         lost(&self.status)
     }
+}
+
+/// What keeps our frames from a bus that is up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Hindrance {
+    /// What was sent before them does not go out either.
+    QueueFull,
+    /// None of them came out, or nobody acknowledged them.
+    Unacknowledged,
 }
 
 /// Broken frames in three seconds that are no accident.
@@ -93,6 +113,8 @@ pub struct Second {
     pub frames: u32,
     /// Error frames among them.
     pub errors: u32,
+    /// Frames that broke on the wire, as error frames say.
+    pub broken: u32,
     /// Bit times at the nominal rate that the bus was taken.
     pub bits: u64,
 }
@@ -111,6 +133,7 @@ impl Meter {
     pub fn add(&mut self, frame: &Frame, bitrate: u32, data_bitrate: Option<u32>) {
         self.current.frames += 1;
         self.current.errors += u32::from(frame.kind == FrameKind::Error);
+        self.current.broken += u32::from(is_broken(frame));
         let bits = bit_times(frame, bitrate, data_bitrate);
         self.current.bits += bits;
         self.bits += bits;
@@ -177,11 +200,14 @@ pub(super) fn lost(status: &BusStatus) -> u64 {
 /// intermission. How much of the frame went before it, no report says.
 const BROKEN_FRAME_BITS: u64 = 6 + 8 + 3;
 
+fn is_broken(frame: &Frame) -> bool {
+    ErrorReport::of(frame).is_some_and(|report| report.is_broken_frame())
+}
+
 /// How many bit times at the nominal rate a frame takes of the bus.
 fn bit_times(frame: &Frame, bitrate: u32, data_bitrate: Option<u32>) -> u64 {
     if frame.kind == FrameKind::Error {
-        let is_broken = ErrorReport::of(frame).is_some_and(|report| report.is_broken_frame());
-        return if is_broken { BROKEN_FRAME_BITS } else { 0 };
+        return if is_broken(frame) { BROKEN_FRAME_BITS } else { 0 };
     }
     let bits = FrameBits::of(frame);
     let (data, bitrate) = (u64::from(bits.data), u64::from(bitrate.max(1)));

@@ -3,6 +3,7 @@
 //! Every edit is an operation of [`crate::document`]; nothing is written here, and nothing that
 //! goes beyond discovery is sent without a confirmation.
 
+use super::buses::Bus;
 use super::problems::as_listed;
 use super::prompt::PromptKind;
 use super::timeline::{Entry as Line, Kind};
@@ -319,13 +320,17 @@ impl App {
 
     /// Command: ask all devices again.
     pub fn rescan(&mut self, now: Instant) {
-        let asking = self.buses.iter().filter(|bus| !bus.engine.config().listen_only).count();
+        let asks = |bus: &&Bus| !bus.engine.config().listen_only;
+        let asking = self.buses.iter().filter(asks).count();
+        let able = self.buses.iter().filter(asks).filter(|bus| bus.is_up()).count();
         for bus in &mut self.buses {
             bus.engine.rescan(now);
         }
         self.take_events();
         if asking == 0 {
             self.complain("listen-only: nobody is asked");
+        } else if able == 0 {
+            self.complain("no bus is up: nobody can be asked");
         } else {
             self.say("asking all devices again");
         }

@@ -2,7 +2,7 @@
 //!
 //! Does not judge anything: the engines did.
 
-use super::buses::{is_up, lost};
+use super::buses::{Bus, Hindrance, is_up, lost};
 use super::traffic::hex;
 
 use super::timeline::{Entry, Kind};
@@ -264,7 +264,11 @@ impl App {
                 (Kind::Error, self.why_no_address(bus, *wanted).unwrap_or_default())
             }
             EventKind::NobodyAcknowledges => {
-                (Kind::Error, "nobody acknowledges our frames: we wait".to_owned())
+                let text = match self.bus(bus).and_then(Bus::hindrance) {
+                    Some(Hindrance::QueueFull) => "none of our frames goes out: we wait",
+                    _ => "nobody acknowledges our frames: we wait",
+                };
+                (Kind::Error, text.to_owned())
             }
             EventKind::Acknowledged => (Kind::Bus, "our frames are acknowledged".to_owned()),
             EventKind::Debug { code, data } => {
@@ -558,6 +562,16 @@ fn changes(old: &BusStatus, status: &BusStatus) -> Vec<(Kind, String)> {
     }
     if let Some(note) = status.note.as_ref().filter(|note| old.note.as_ref() != Some(note)) {
         lines.push((Kind::Bus, shown(note)));
+    }
+    match (old.is_transmit_queue_full, status.is_transmit_queue_full) {
+        (false, true) => lines.push((
+            Kind::Error,
+            "transmit queue full: frames of ours are not sent".to_owned(),
+        )),
+        (true, false) if status.link == Link::Up => {
+            lines.push((Kind::Bus, "the transmit queue has room again".to_owned()));
+        }
+        _ => {}
     }
     // Once: whoever sends such things sends many.
     if old.unreadable == 0 && status.unreadable > 0 {

@@ -44,7 +44,7 @@ mod traffic;
 mod view;
 mod why;
 
-pub use buses::{Bus, Meter, Second};
+pub use buses::{Bus, Hindrance, Meter, Second};
 pub use capture::{Capture, IdentifierKey, IdentifierStats, Kind as IdentifierKind};
 pub use devices::{Counts, FileWord, Row, RowKey, SortBy, State, concerns};
 pub use events::Happening;

@@ -4,7 +4,7 @@
 //! from it is marked as a guess.
 
 use super::App;
-use super::buses::Bus;
+use super::buses::{Bus, Hindrance};
 use super::matching::is_for;
 use crate::discovery::{Device, OwnAddress, QueryState};
 use crate::document::Entry;
@@ -280,10 +280,14 @@ fn why_bus(bus: &Bus, reasons: &mut Vec<String>) {
         (_, BusState::Stopped) => reasons.push(format!("{name} is stopped")),
         _ => {}
     }
-    if bus.is_up() && bus.engine.is_unacknowledged() {
-        reasons.push(format!(
+    match bus.hindrance() {
+        Some(Hindrance::QueueFull) => reasons.push(format!(
+            "we cannot ask: the transmit queue of {name} is full, and nothing in it goes out"
+        )),
+        Some(Hindrance::Unacknowledged) => reasons.push(format!(
             "nobody on {name} acknowledges: no other device, another bit rate, or a broken wire"
-        ));
+        )),
+        None => {}
     }
 }
 

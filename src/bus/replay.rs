@@ -45,6 +45,7 @@ pub(super) fn open(
     let line = Arc::new(Line::new()?);
     line.queue.update_status(|status| {
         status.link = Link::Up;
+        status.has_no_own_rate = true;
         status.listen_only = true;
     });
     let metadata = log.metadata()?;

@@ -30,6 +30,7 @@ pub(super) fn open(
     let mut port = Port::new(name, Arc::clone(&line), listen_only);
     line.queue.update_status(|status| {
         status.link = Link::Up;
+        status.has_no_own_rate = true;
         status.bitrate = Some(scenario.bitrate);
     });
     port.serve(move |line| run(&mut sim, station, line, index, &clock))?;

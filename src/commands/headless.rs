@@ -3,7 +3,7 @@
 
 use super::Failure;
 use super::open::{self, Setup};
-use crate::app::{App, AppOptions, Bus};
+use crate::app::{App, AppOptions, Bus, Hindrance};
 use crate::bus::log::Tally;
 use crate::bus::{self, BusSpec};
 use crate::discovery::OwnAddress;
@@ -181,10 +181,15 @@ pub fn tell_hindrance(app: &App, index: BusIndex) {
     };
     if bus.is_up() && bus.status.unanswered {
         say("the adapter answered none of our commands: is it slcan, is the baud rate right?");
-    } else if bus.is_up() && bus.engine.is_unacknowledged() {
-        match bus.name.parse() {
+    } else {
+        match (bus.hindrance(), bus.name.parse()) {
+            (None, _) => {}
+            (Some(Hindrance::QueueFull), _) => say(
+                "the transmit queue is full, and nothing in it goes out: is another node on, at the \
+                 same bit rate? Does the adapter still work? See: ip -statistics link",
+            ),
             // There is no cable that could be wrong.
-            Ok(BusSpec::Udp { group, .. }) => say(&format!(
+            (_, Ok(BusSpec::Udp { group, .. })) => say(&format!(
                 "our datagrams do not come back to us; does a route lead to {group} (ip route get \
                  {group}), and does its interface have multicast?"
             )),

@@ -3,7 +3,7 @@
 //! What matters most comes first and stays longest when the screen is narrow.
 
 use super::brush::{Brush, fit};
-use crate::app::{Bus, FileProblem, Meter};
+use crate::app::{Bus, FileProblem, Hindrance, Meter};
 use crate::discovery::OwnAddress;
 use crate::frame::BusIndex;
 use crate::keymap::action;
@@ -296,8 +296,11 @@ fn warning(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
         let acks = if bus.status.listen_only { "" } else { ", acks" };
         return Some(vec![brush.span(Role::Warning, format!("listen-only{acks}"))]);
     }
-    let alone = bus.engine.is_unacknowledged();
-    alone.then(|| vec![brush.span(Role::Error, "nobody acknowledges")])
+    let why = match bus.hindrance()? {
+        Hindrance::QueueFull => "transmit queue full",
+        Hindrance::Unacknowledged => "nobody acknowledges",
+    };
+    Some(vec![brush.span(Role::Error, why)])
 }
 
 fn own_address(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {

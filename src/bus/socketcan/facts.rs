@@ -63,6 +63,8 @@ pub(super) struct Facts {
     pub(super) fd: bool,
     pub(super) state: BusState,
     pub(super) bitrate: Option<u32>,
+    /// There is no controller.
+    pub(super) is_virtual: bool,
     pub(super) data_bitrate: Option<u32>,
     pub(super) tec: Option<u16>,
     pub(super) rec: Option<u16>,
@@ -96,6 +98,7 @@ impl Facts {
             up: details.is_up,
             fd: details.mtu == Some(Mtu::Fd),
             state,
+            is_virtual: can.state.is_none(),
             bitrate: can.bit_timing.and_then(|timing| rate(timing.bitrate)),
             data_bitrate: can.data_bit_timing.and_then(|timing| rate(timing.bitrate)),
             tec: can.berr_counter.map(|counter| counter.txerr),

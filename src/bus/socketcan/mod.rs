@@ -61,6 +61,7 @@ pub(super) fn open(
         was_there: false,
         only: options.only,
         waiting: None,
+        is_full: false,
     };
     let socket = reader.find();
     watch.look(&line, Noticed::default());
@@ -169,6 +170,7 @@ impl BusStatus {
         let facts = facts.clone();
         self.state = facts.state;
         self.bitrate = facts.bitrate;
+        self.has_no_own_rate = facts.is_virtual;
         self.data_bitrate = facts.data_bitrate;
         self.tec = facts.tec;
         self.rec = facts.rec;
@@ -203,6 +205,8 @@ struct Reader {
     only: Vec<IdPattern>,
     /// A frame that the kernel had no room for, and until when it is offered again.
     waiting: Option<(Frame, Monotonic)>,
+    /// Whether one of those was given up since the last that was taken.
+    is_full: bool,
 }
 
 impl Reader {
@@ -363,13 +367,23 @@ impl Reader {
             let next =
                 next.or_else(|| Some((self.line.next_posted()?, Monotonic::now() + RETRY_FOR)));
             let Some((frame, give_up)) = next else { return };
-            let Err(error) = socket.send(&frame) else { continue };
+            let Err(error) = socket.send(&frame) else {
+                self.tell_transmit_queue(false);
+                continue;
+            };
             let has_no_room = matches!(errno(&error), Errno::ENOBUFS | Errno::EAGAIN);
             if has_no_room && Monotonic::now() < give_up {
                 self.waiting = Some((frame, give_up));
                 return;
             }
             self.line.queue.update_status(|status| status.transmit_failures += 1);
+            self.tell_transmit_queue(has_no_room);
+        }
+    }
+
+    fn tell_transmit_queue(&mut self, is_full: bool) {
+        if std::mem::replace(&mut self.is_full, is_full) != is_full {
+            self.line.queue.update_status(|status| status.is_transmit_queue_full = is_full);
         }
     }
 
@@ -378,6 +392,7 @@ impl Reader {
     }
 
     fn refuse_posted(&mut self) {
+        self.tell_transmit_queue(false);
         let waiting = self.waiting.take().into_iter().count() as u64;
         let posted = std::iter::from_fn(|| self.line.next_posted()).count() as u64;
         self.line.queue.update_status(|status| status.transmit_failures += waiting + posted);

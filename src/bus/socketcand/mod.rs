@@ -40,7 +40,7 @@ pub(super) fn open(
     let server = Server { host: host.to_owned(), port: port.unwrap_or(USUAL_PORT) };
     let dialogue = Socketcand::new(&server.name(), interface);
     let backoff = Backoff::new(FIRST_PAUSE, LONGEST_PAUSE);
-    let status = BusStatus::default();
+    let status = BusStatus { has_no_own_rate: true, ..BusStatus::default() };
     stream::open(name, (server, dialogue), (status, backoff), (index, clock, options))
 }
 

@@ -48,7 +48,7 @@ pub(super) fn open(
         line: Arc::clone(&line),
         dating: Dating::new(clock.clone()),
         clock,
-        status: BusStatus { fd: true, ..BusStatus::default() },
+        status: BusStatus { fd: true, has_no_own_rate: true, ..BusStatus::default() },
         drops_before: 0,
         was_there: false,
     };
