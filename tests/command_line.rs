@@ -424,6 +424,17 @@ fn a_bus_on_which_nobody_acknowledges_is_said_to_be_one() {
 }
 
 #[test]
+fn a_controller_that_is_bus_off_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("noise.toml"), "bitrate = 125000\nerror_rate = 1.0\n")
+        .unwrap();
+    let output = descan(&["scan", "sim:noise.toml", "--time", "3"], folder.path());
+    let said = text(&output.stderr);
+    assert!(said.contains("bus-off"), "{said}");
+    assert!(text(&output.stdout).contains("bus-off"));
+}
+
+#[test]
 fn wrong_arguments_are_one_line_that_says_what_would_be_right() {
     let folder = tempfile::tempdir().unwrap();
     for (arguments, hint) in [

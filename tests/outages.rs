@@ -154,6 +154,41 @@ fn after_an_outage_that_is_over_when_it_is_told_discovery_begins_anew() {
 }
 
 #[test]
+fn a_bus_that_is_back_before_it_is_told_counts_no_heartbeat_as_missed() {
+    let mut stage = Stage::settled();
+    stage.becomes(|status| (status.link, status.state) = (Link::Down, BusState::Down));
+    stage.run(4.0);
+    // Frames come again at once; an adapter that is asked each second says so later.
+    stage.sim.set_link(stage.station, true);
+    stage.run(1.5);
+    stage.becomes(|status| (status.link, status.state) = (Link::Up, BusState::ErrorActive));
+    stage.begins_anew();
+    for device in stage.app.buses()[0].engine.devices() {
+        assert_eq!(device.heartbeat.missed, 0, "{:?}", device.name);
+        assert!(device.is_here() && device.heartbeat.count > 10);
+    }
+}
+
+#[test]
+fn a_bus_that_goes_away_again_before_it_was_told_to_be_back_counts_nobody_out() {
+    let mut stage = Stage::settled();
+    stage.becomes(|status| (status.state, status.bus_offs) = (BusState::BusOff, 1));
+    stage.run(3.0);
+    stage.sim.set_link(stage.station, true);
+    stage.run(1.5);
+    stage.becomes(|status| status.bus_offs = 2);
+    stage.run(20.0);
+    stage.becomes(|status| (status.link, status.state) = (Link::Down, BusState::Down));
+    stage.run(20.0);
+    stage.becomes(|status| (status.link, status.state) = (Link::Up, BusState::ErrorActive));
+    stage.begins_anew();
+    for device in stage.app.buses()[0].engine.devices() {
+        assert_eq!(device.heartbeat.missed, 0, "{:?}", device.name);
+    }
+    assert!(!stage.is_told("lost") && !stage.is_told("stale"));
+}
+
+#[test]
 fn what_else_the_adapter_says_disturbs_nothing() {
     let mut stage = Stage::settled();
     let before = stage.own_address();

@@ -8,6 +8,7 @@ mod serial;
 use can::{PATIENCE, Peer, Vcan, controllers, listeners, run, wait_for_listeners};
 use descan::bus::candump::{parse_frame, parse_line};
 use descan::bus::{self, BusSpec, Clock, Options, Port, TransmitError};
+use descan::error_report::ErrorReport;
 use descan::frame::{BusIndex, CanId, Frame, FrameKind};
 use descan::shell::recorder::{Recorder, Target};
 use descan::status::{BusState, BusStatus, Link};
@@ -504,6 +505,46 @@ fn a_transmit_queue_that_nothing_leaves_is_told_until_it_has_room() {
     let failures = bus.status().transmit_failures;
     assert_eq!(taken + failures, u64::from(COUNT), "each is sent or counted");
     run("slcan_attach", &["-d", adapter.path().to_str().unwrap()]);
+}
+
+#[test]
+fn a_controller_that_leaves_the_bus_and_comes_back_is_told() {
+    let Some(_taken) = controllers() else { return };
+    let mut adapter = serial::Pty::new();
+    let path = adapter.path();
+    run("slcan_attach", &["-n", "leaves0", path.to_str().unwrap()]);
+    run("ip", &["link", "set", "leaves0", "up"]);
+    let mut bus = Bus::open("leaves0");
+    assert_eq!(bus.status().state, BusState::ErrorActive);
+    // What an adapter says of its controller's state and counters is the kernel's own state.
+    adapter.write(b"sb000255\r");
+    bus.wait_until("bus-off", |bus| bus.status().state == BusState::BusOff);
+    bus.wait_until("it counted", |bus| bus.status().bus_offs == 1);
+    let status = bus.status();
+    assert_eq!(status.link, Link::Up);
+    let message = status.message.unwrap();
+    assert!(message.contains("leaves0 is bus-off: check wiring and bit rate"), "{message}");
+    bus.wait_until("its error frame", |bus| {
+        let reports = bus.frames.iter().filter_map(ErrorReport::of);
+        reports.filter(ErrorReport::is_bus_off).count() == 1
+    });
+    let scan = std::process::Command::new(std::env::var_os("DESCAN_BIN").unwrap())
+        .args(["scan", "leaves0"])
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&scan.stderr);
+    assert_eq!(scan.status.code(), Some(3), "{said}");
+    assert!(said.contains("leaves0 is bus-off: check wiring"), "{said}");
+
+    run("ip", &["link", "set", "leaves0", "down"]);
+    run("ip", &["link", "set", "leaves0", "up"]);
+    bus.wait_until("error-active", |bus| {
+        (bus.status().link, bus.status().state) == (Link::Up, BusState::ErrorActive)
+    });
+    assert_eq!(bus.status().message, None);
+    adapter.write(b"t12310A\r");
+    bus.wait_until("a frame", |bus| bus.frames.iter().any(|frame| frame.data() == [0x0A]));
+    run("slcan_attach", &["-d", path.to_str().unwrap()]);
 }
 
 #[test]

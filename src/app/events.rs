@@ -321,7 +321,12 @@ impl App {
             || bus.status.outages < status.outages
             || bus.status.bus_offs < status.bus_offs;
         let came_back = is_up(&status) && (was_away && !was_there || bus.engine.is_suspended());
-        let goes_down = is_up(&bus.status) && !is_up(&status) && status.link != Link::Ended;
+        let is_down = !is_up(&status) && status.link != Link::Ended;
+        // Or down again, before anybody was told that it was up.
+        let goes_down = is_down
+            && (is_up(&bus.status)
+                || bus.status.bus_offs < status.bus_offs
+                || bus.status.state != status.state && !was_there);
         let newly_lost = lost(&status).saturating_sub(lost(&bus.status));
         if bus.status.bitrate != status.bitrate {
             bus.engine.set_bitrate(status.bitrate);
@@ -564,10 +569,10 @@ fn changes(old: &BusStatus, status: &BusStatus) -> Vec<(Kind, String)> {
         lines.push((Kind::Bus, shown(note)));
     }
     match (old.is_transmit_queue_full, status.is_transmit_queue_full) {
-        (false, true) => lines.push((
-            Kind::Error,
-            "transmit queue full: frames of ours are not sent".to_owned(),
-        )),
+        (false, true) => {
+            lines
+                .push((Kind::Error, "transmit queue full: frames of ours are not sent".to_owned()));
+        }
         (true, false) if status.link == Link::Up => {
             lines.push((Kind::Bus, "the transmit queue has room again".to_owned()));
         }

@@ -11,7 +11,7 @@ use crate::frame::BusIndex;
 use crate::shell::ending::{Ending, Endings};
 use crate::shell::recording::{Pace, Recording};
 use crate::shell::session::Session;
-use crate::status::{Link, RecordingStatus};
+use crate::status::{BusState, Link, RecordingStatus};
 use crate::time::Instant;
 use anyhow::Context;
 use std::fs::File;
@@ -140,11 +140,21 @@ impl RecordingFailure {
 /// Why a bus cannot be used now, where nobody waits for it to come up.
 pub fn why_unusable(bus: &Bus, now: Instant) -> Option<String> {
     let is_dead = match bus.status.link {
-        Link::Up | Link::Ended => false,
+        Link::Up => is_off_for_good(bus) && bus.engine.counters().frames == 0,
+        Link::Ended => false,
         Link::Opening => now.since(Instant::ZERO) > OPENING,
         _ => true,
     };
     is_dead.then(|| cause(bus))
+}
+
+/// Whether its controller takes no part in it, and will not by itself.
+fn is_off_for_good(bus: &Bus) -> bool {
+    match bus.status.state {
+        BusState::BusOff => bus.status.restart_ms.unwrap_or(0) == 0,
+        BusState::Stopped => true,
+        _ => false,
+    }
 }
 
 /// Why a bus cannot be used, where it is still not open and nobody waits any longer.
@@ -172,14 +182,17 @@ fn cause(bus: &Bus) -> String {
     }
 }
 
-/// Says on standard error what keeps us from asking on a bus: its adapter does not answer, nobody
-/// acknowledges, or we have no address.
+/// Says on standard error what keeps us from asking on a bus: its controller is off, its adapter
+/// does not answer, nobody acknowledges, or we have no address.
 pub fn tell_hindrance(app: &App, index: BusIndex) {
     let Some(bus) = app.bus(index) else { return };
     let say = |why: &str| {
         let _ = writeln!(io::stderr(), "descan: {}: {why}", bus.name);
     };
-    if bus.is_up() && bus.status.unanswered {
+    if bus.status.link == Link::Up && !bus.is_up() {
+        let why = bus.status.message.as_deref().unwrap_or(bus.status.state.name());
+        say(why.strip_prefix(&bus.name).map_or(why, str::trim_start));
+    } else if bus.status.unanswered && bus.is_up() {
         say("the adapter answered none of our commands: is it slcan, is the baud rate right?");
     } else {
         match (bus.hindrance(), bus.name.parse()) {

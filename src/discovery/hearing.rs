@@ -33,6 +33,9 @@ impl Engine {
             self.hear_error(frame);
             return;
         }
+        if !frame.ours && self.outages.is_disproved_by(frame.time) {
+            self.end_outage();
+        }
         let Some(id) = frame.platform_id() else {
             self.counters.foreign += 1;
             return;

@@ -288,7 +288,7 @@ impl Engine {
     }
 
     /// No frame can reach us from now on, because the bus is down: who is there cannot be judged
-    /// until [`restart`](Self::restart).
+    /// until [`restart`](Self::restart), or until somebody is heard.
     pub fn suspend(&mut self, now: Instant) {
         self.advance(now);
         self.outages.begin(self.now);
@@ -303,9 +303,7 @@ impl Engine {
     /// came back. What is known stays.
     pub fn restart(&mut self, now: Instant) {
         self.advance(now);
-        if self.outages.end(self.now) {
-            self.roster.devices_mut().iter_mut().for_each(|device| device.rounds_missed = 0);
-        }
+        self.end_outage();
         self.outbox.clear();
         self.transfers.clear();
         self.errors.restart();
@@ -314,6 +312,13 @@ impl Engine {
             self.station.listen(self.now);
         }
         self.wake_at(self.now);
+    }
+
+    fn end_outage(&mut self) {
+        if self.outages.end(self.now) {
+            self.roster.devices_mut().iter_mut().for_each(|device| device.rounds_missed = 0);
+            self.wake_at(self.now);
+        }
     }
 
     /// Tells the bit rate, once it is known.

@@ -53,6 +53,11 @@ impl Outages {
         self.since.is_some()
     }
 
+    /// Whether a frame that was heard then shows that it is over, whatever its adapter says.
+    pub fn is_disproved_by(&self, heard: Instant) -> bool {
+        self.since.is_some_and(|since| heard > since)
+    }
+
     /// How much of the time since then it was impossible to hear anything.
     pub fn since(&self, then: Instant) -> Duration {
         self.past.iter().map(|(from, until)| until.since(then.max(*from))).sum()

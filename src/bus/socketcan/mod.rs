@@ -24,7 +24,7 @@ use nix::net::if_::if_nametoindex;
 use socket::{RawSocket, Received};
 use std::io;
 use std::os::fd::AsFd;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant as Monotonic};
 
@@ -83,6 +83,8 @@ struct Watch {
     name: String,
     /// 0: not there.
     ifindex: AtomicU32,
+    /// Down, as far as is known.
+    is_down: AtomicBool,
     nudge: Mutex<Nudge>,
     nudged: Condvar,
 }
@@ -119,17 +121,25 @@ impl Watch {
                 .wait_timeout_while(nudge, LOOK_EVERY, |nudge| !nudge.look && !nudge.stop)
                 .unwrap_or_else(PoisonError::into_inner);
             nudge.look = false;
-            let noticed = std::mem::take(&mut nudge.noticed);
             drop(nudge);
-            let untold = self.look(line, noticed);
+            self.look_now(line);
             nudge = self.nudge.lock().unwrap_or_else(PoisonError::into_inner);
-            nudge.noticed.outage |= untold.outage;
-            nudge.noticed.bus_offs += untold.bus_offs;
             (nudge, _) = self
                 .nudged
                 .wait_timeout_while(nudge, LOOK_AT_MOST_EVERY, |nudge| !nudge.stop)
                 .unwrap_or_else(PoisonError::into_inner);
         }
+    }
+
+    /// Looks at once, where the observer may take up to a second.
+    fn look_now(&self, line: &Line) {
+        let mut nudge = self.nudge.lock().unwrap_or_else(PoisonError::into_inner);
+        let noticed = std::mem::take(&mut nudge.noticed);
+        drop(nudge);
+        let untold = self.look(line, noticed);
+        let mut nudge = self.nudge.lock().unwrap_or_else(PoisonError::into_inner);
+        nudge.noticed.outage |= untold.outage;
+        nudge.noticed.bus_offs += untold.bus_offs;
     }
 
     /// Looks once, and says in the status what there is, and what was noticed; gives back what
@@ -156,6 +166,7 @@ impl Watch {
             }
             status.bus_offs += std::mem::take(&mut noticed.bus_offs);
             status.link = if facts.up { Link::Up } else { Link::Down };
+            self.is_down.store(!facts.up, Ordering::Release);
             status.set_facts(&facts);
             status.renamed = renamed;
             status.message = message;
@@ -340,6 +351,9 @@ impl Reader {
             let frame = received.frame.at(time).on(self.bus);
             reports.note(&frame);
             frames.push(frame);
+        }
+        if !frames.is_empty() && self.watch.is_down.load(Ordering::Acquire) {
+            self.watch.look_now(&self.line);
         }
         let told = (self.drops_before + socket.drops(), socket.unconfirmed());
         if told != self.told || reports.total > 0 {
