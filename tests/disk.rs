@@ -170,7 +170,7 @@ fn a_disk_that_does_not_come_to_an_end() {
     disk.pty.send("R\x15PUMP\r");
     disk.pty.wait_for("… saving 2");
     disk.pty.send("3");
-    disk.pty.wait_for("entry FEED renamed to PUMP");
+    disk.pty.wait_for("entry FEED at 47 renamed to PUMP");
     disk.pty.send("q");
     disk.pty.wait_for("2 edits are being saved, then it quits. Quit without waiting?");
     disk.pty.send("y");

@@ -856,14 +856,17 @@ fn operations_have_names() {
     );
     assert_eq!(named(&clear(&document, name)), "static address 12 of FE\\x1BED cleared");
     assert_eq!(named(&add("SENS", 13)), "new entry SENS at 13");
-    assert_eq!(named(&remove(&document, name)), "entry FE\\x1BED removed");
+    assert_eq!(named(&remove(&document, name)), "entry FE\\x1BED at 12 removed");
     let back = remove(&document, name).inverse(&document).unwrap();
-    assert_eq!(named(&back), "entry FE\\x1BED put back");
+    assert_eq!(named(&back), "entry FE\\x1BED at 12 put back");
     let renamed = rename(&document, name, b"\xff");
-    assert_eq!(named(&renamed), "entry FE\\x1BED renamed to \\xFF");
-    assert_eq!(named(&renamed.inverse(&document).unwrap()), "entry \\xFF named FE\\x1BED again");
+    assert_eq!(named(&renamed), "entry FE\\x1BED at 12 renamed to \\xFF");
+    assert_eq!(
+        named(&renamed.inverse(&document).unwrap()),
+        "entry \\xFF at 12 named FE\\x1BED again"
+    );
     let listed = services(&document, name, &[("A", "1"), ("B", "1")]);
-    assert_eq!(named(&listed), "services of the entry FE\\x1BED: 2 listed");
+    assert_eq!(named(&listed), "services of the entry FE\\x1BED at 12: 2 listed");
     let long = named(&rename(&document, name, &[b'x'; 1000]));
     assert!(long.chars().count() < 100, "{long}");
 }

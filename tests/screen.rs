@@ -573,7 +573,7 @@ fn changed_services_are_taken_over_and_given_back() {
     stage.until(20.0).keys("g a");
     let one = FILE.replace("2.1", "2.2");
     assert_eq!(stage.file(), one);
-    let said = "services of the entry FEED: 2 listed";
+    let said = "services of the entry FEED at 12: 2 listed";
     assert!(stage.keys("3").screen().contains(said), "{}", stage.screen());
     assert_eq!(stage.keys("1 u").file(), FILE);
     assert_eq!(stage.keys("Ctrl-r").file(), one);

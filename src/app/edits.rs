@@ -411,8 +411,7 @@ impl App {
                 }
             }
             Question::Delete(key) => {
-                let at = key.address.map(|address| format!(" at {address}")).unwrap_or_default();
-                format!("Delete the entry {}{at} from {}?", Escaped(&key.name), self.file.name())
+                format!("Delete the entry {key:#} from {}?", self.file.name())
             }
             Question::Identify(id) => {
                 let (name, address) = match self.device(*id) {

@@ -123,9 +123,18 @@ impl EntryKey {
     }
 }
 
+/// The name, and which one of equal entries it is; `{:#}` with the address, which tells twins apart:
+/// "SENS at 13".
 impl fmt::Display for EntryKey {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&brief(&self.name))
+        f.write_str(&brief(&self.name))?;
+        if let Some(address) = self.address.filter(|_| f.alternate()) {
+            write!(f, " at {address}")?;
+        }
+        match self.occurrence {
+            0 => Ok(()),
+            earlier => write!(f, " (no. {})", earlier + 1),
+        }
     }
 }
 
@@ -378,10 +387,7 @@ impl FormerMembers {
 impl Document {
     /// The place of the entry, or why there is none.
     pub(super) fn require(&self, key: &EntryKey) -> Result<usize, EditError> {
-        self.find(key).ok_or_else(|| {
-            let at = key.address.map(|address| format!(" at {address}")).unwrap_or_default();
-            EditError::NotFound { entry: format!("{key}{at}") }
-        })
+        self.find(key).ok_or_else(|| EditError::NotFound { entry: format!("{key:#}") })
     }
 
     /// How many entries come before a place in the file's list.
@@ -421,14 +427,14 @@ impl fmt::Display for Operation {
             }
             Self::Add { entry } => write!(f, "new entry {}", brief(&entry.name)),
             Self::Remove { entry } | Self::TakeOutFirst { entry, .. } => {
-                write!(f, "entry {entry} removed")
+                write!(f, "entry {entry:#} removed")
             }
-            Self::Rename { entry, to } => write!(f, "entry {entry} renamed to {}", brief(to)),
+            Self::Rename { entry, to } => write!(f, "entry {entry:#} renamed to {}", brief(to)),
             Self::SetServices { entry, services } if services.len() == 1 => {
-                write!(f, "services of the entry {entry}: 1 listed")
+                write!(f, "services of the entry {entry:#}: 1 listed")
             }
             Self::SetServices { entry, services } => {
-                write!(f, "services of the entry {entry}: {} listed", services.len())
+                write!(f, "services of the entry {entry:#}: {} listed", services.len())
             }
             Self::Restore { entry, former } => match former.members.first() {
                 Some((Member::Address | Member::Static, _)) => write!(
@@ -438,12 +444,12 @@ impl fmt::Display for Operation {
                     if former.entry.is_static { "" } else { ", not static" }
                 ),
                 Some((Member::Name | Member::NameHex, _)) => {
-                    write!(f, "entry {entry} named {} again", brief(&former.entry.name))
+                    write!(f, "entry {entry:#} named {} again", brief(&former.entry.name))
                 }
-                _ => write!(f, "services of the entry {entry} as before"),
+                _ => write!(f, "services of the entry {entry:#} as before"),
             },
             Self::PutBack { removed } => {
-                write!(f, "entry {} put back", brief(&removed.entry.name))
+                write!(f, "entry {:#} put back", EntryKey::of(&removed.entry))
             }
         }
     }
