@@ -274,7 +274,7 @@ fn members_that_are_there_twice_are_told_and_the_last_counts() {
 fn a_wrong_value_in_the_file_is_a_difference_with_its_place() {
     let (code, text) = checked(r#"[{"name":"A","address":1e2}]"#);
     assert_eq!(code, 1, "{text}");
-    let place = "`address` is 1e2; it must be a whole number from 1 to 127 (line 1, column 24)";
+    let place = "`address` is 1e2; write it in plain digits: 100 (line 1, column 24)";
     assert!(text.contains(place), "{text}");
     let found = kinds(r#"[{"name":"A","address":1e2}]"#);
     assert!(found.iter().any(|(kind, _)| kind == "file-shape"), "{found:?}");

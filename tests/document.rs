@@ -304,13 +304,25 @@ fn wrong_shapes_are_findings() {
         (
             r#"[{"name": "A", "address": 1e2}]"#,
             AddressRange,
-            "line 1, column 27: `address` is 1e2; it must be a whole number from 1 to 127",
+            "line 1, column 27: `address` is 1e2; write it in plain digits: 100",
             vec![0],
         ),
         (
             r#"[{"name": "A", "address": 12.0}]"#,
             AddressRange,
-            "line 1, column 27: `address` is 12.0; it must be a whole number from 1 to 127",
+            "line 1, column 27: `address` is 12.0; write it in plain digits: 12",
+            vec![0],
+        ),
+        (
+            r#"[{"name": "A", "address": 12.5}]"#,
+            AddressRange,
+            "line 1, column 27: `address` is 12.5; it must be a whole number from 1 to 127",
+            vec![0],
+        ),
+        (
+            r#"[{"name": "A", "address": 1e3}]"#,
+            AddressRange,
+            "line 1, column 27: `address` is 1e3; it must be a whole number from 1 to 127",
             vec![0],
         ),
         (

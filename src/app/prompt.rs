@@ -237,14 +237,14 @@ impl App {
             PromptKind::Filter(page, _) => self.apply_filter(page, text),
             PromptKind::Address(key) => self.finish_address(&key, &text),
             PromptKind::Rename(entry) => {
-                let Some(to) = unescaped(&text).filter(|to| *to != entry.name) else { return };
+                let Some(to) = unescaped(&text).ok().filter(|to| *to != entry.name) else { return };
                 // Its address may have been changed under us.
                 let Some(at) = self.entry_of_key(&entry).map(|entry| entry.index) else { return };
                 let entry = self.file.document().key(at);
                 self.edit(&[Operation::Rename { entry, to }]);
             }
             PromptKind::NewEntry => {
-                let Some((name, address)) = split_new_entry(&text) else { return };
+                let Ok((name, address)) = split_new_entry(&text) else { return };
                 let bus = self.bus_to_name(self.selected_row().and_then(|row| row.bus));
                 let is_static = address.is_some();
                 let entry = NewEntry { name, address, is_static, bus, ..NewEntry::default() };
@@ -424,8 +424,9 @@ impl App {
     }
 
     fn judge_new_entry(&self, text: &str) -> Verdict {
-        let Some((name, address)) = split_new_entry(text) else {
-            return Verdict::Blocks("a name, and an address to pin it to".to_owned());
+        let (name, address) = match split_new_entry(text) {
+            Ok(split) => split,
+            Err(why) => return Verdict::Blocks(why.to_owned()),
         };
         let bus = self.bus_to_name(self.selected_row().and_then(|row| row.bus));
         let exists = |entry: &&Entry| entry.name == name && entry.address == address;
@@ -477,8 +478,9 @@ pub fn parse_address(text: &str) -> Option<u8> {
     (1..=127).contains(&number).then_some(number)
 }
 
-/// The bytes of a name as it is shown: `\xNN` and `\\` are what they stand for.
-fn unescaped(text: &str) -> Option<Vec<u8>> {
+/// The bytes of a name as it is shown, `\xNN` and `\\` being what they stand for; or why it is none.
+fn unescaped(text: &str) -> Result<Vec<u8>, &'static str> {
+    const UNKNOWN: &str = "write \\\\ for a backslash, \\x1B for the byte 1B";
     let mut bytes = Vec::new();
     let mut rest = text;
     while let Some(at) = rest.find('\\') {
@@ -488,37 +490,43 @@ fn unescaped(text: &str) -> Option<Vec<u8>> {
             bytes.push(b'\\');
             rest = behind;
         } else {
-            let digits = rest.strip_prefix('x')?.get(..2)?;
-            bytes.push(u8::from_str_radix(digits, 16).ok().filter(|byte| *byte != 0)?);
+            let digits = rest.strip_prefix('x').and_then(|rest| rest.get(..2));
+            let byte = digits.and_then(|digits| u8::from_str_radix(digits, 16).ok());
+            match byte.ok_or(UNKNOWN)? {
+                0 => return Err("no name has a byte 0 in it: DES ends names with it"),
+                byte => bytes.push(byte),
+            }
             rest = &rest[3..];
         }
     }
     bytes.extend_from_slice(rest.as_bytes());
-    Some(bytes)
+    Ok(bytes)
 }
 
 fn judge_name(text: &str) -> Verdict {
     match unescaped(text) {
-        None => Verdict::Blocks("after \\ comes x and two digits, or another \\".to_owned()),
-        Some(name) if name.is_empty() => Verdict::Blocks("a name is needed".to_owned()),
-        Some(name) if name.len() > 5 => {
+        Err(why) => Verdict::Blocks(why.to_owned()),
+        Ok(name) if name.is_empty() => Verdict::Blocks("a name is needed".to_owned()),
+        Ok(name) if name.len() > 5 => {
             let bytes = name.len();
             Verdict::Warns(format!("{bytes} bytes: an answer with more than 5 takes more frames"))
         }
-        Some(_) => Verdict::Fine("Enter renames the entry; the device keeps its name".to_owned()),
+        Ok(_) => Verdict::Fine("Enter renames the entry; the device keeps its name".to_owned()),
     }
 }
 
 /// `PUMP 12` → the name's bytes and the address; without a number at the end, the name alone.
-fn split_new_entry(text: &str) -> Option<(Vec<u8>, Option<u8>)> {
+fn split_new_entry(text: &str) -> Result<(Vec<u8>, Option<u8>), &'static str> {
     let split = text.rsplit_once(char::is_whitespace);
     let with_address = split.and_then(|(name, last)| Some((name.trim_end(), parse_address(last)?)));
     let (name, address) = match with_address {
         Some((name, address)) => (name, Some(address)),
         None => (text, None),
     };
-    let name = unescaped(name).filter(|name| !name.is_empty())?;
-    Some((name, address))
+    match unescaped(name)? {
+        name if name.is_empty() => Err("a name, and an address to pin it to"),
+        name => Ok((name, address)),
+    }
 }
 
 /// What a key does to the line.
@@ -559,19 +567,19 @@ mod tests {
     fn names_are_typed_as_they_are_shown() {
         for name in [&b"FEED"[..], b"a\\b", b"\x1b[2J", "Котёл".as_bytes(), b"\xff\xfe"] {
             let shown = Escaped(name).to_string();
-            assert_eq!(unescaped(&shown).as_deref(), Some(name), "{shown}");
+            assert_eq!(unescaped(&shown).as_deref(), Ok(name), "{shown}");
         }
         for wrong in ["\\", "\\x", "\\x1", "\\xzz", "\\n", "\\x00", "\\xé"] {
-            assert_eq!(unescaped(wrong), None, "{wrong}");
+            assert!(unescaped(wrong).is_err(), "{wrong}");
         }
     }
 
     #[test]
     fn a_new_entry_is_a_name_and_perhaps_an_address() {
-        assert_eq!(split_new_entry("PUMP 12"), Some((b"PUMP".to_vec(), Some(12))));
-        assert_eq!(split_new_entry("PUMP"), Some((b"PUMP".to_vec(), None)));
-        assert_eq!(split_new_entry("BIG PUMP"), Some((b"BIG PUMP".to_vec(), None)));
-        assert_eq!(split_new_entry("12"), Some((b"12".to_vec(), None)));
-        assert_eq!(split_new_entry(""), None);
+        assert_eq!(split_new_entry("PUMP 12"), Ok((b"PUMP".to_vec(), Some(12))));
+        assert_eq!(split_new_entry("PUMP"), Ok((b"PUMP".to_vec(), None)));
+        assert_eq!(split_new_entry("BIG PUMP"), Ok((b"BIG PUMP".to_vec(), None)));
+        assert_eq!(split_new_entry("12"), Ok((b"12".to_vec(), None)));
+        assert!(split_new_entry("").is_err());
     }
 }

@@ -347,8 +347,13 @@ impl Reader<'_, '_> {
         }
         let address = value.parse().ok().filter(|address| (1..=127).contains(address));
         if address.is_none() {
-            let message =
-                format!("`address` is {}; it must be {EXPECTED}", text::brief(value.as_bytes()));
+            let shown = text::brief(value.as_bytes());
+            // JSON has many spellings of one number.
+            let meant = value.parse().ok().filter(|it: &f64| it.fract() == 0.0);
+            let message = match meant.filter(|it| (1.0..=127.0).contains(it)) {
+                Some(meant) => format!("`address` is {shown}; write it in plain digits: {meant}"),
+                None => format!("`address` is {shown}; it must be {EXPECTED}"),
+            };
             self.findings.add(FindingKind::AddressRange, at.start, message, self.entry());
         }
         address
