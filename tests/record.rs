@@ -77,6 +77,27 @@ fn statistics(path: &Path) -> Vec<(u32, u64, u64)> {
 
 // --- the files ------------------------------------------------------------------------------
 
+#[test]
+fn frames_of_two_buses_are_in_order_of_time_however_their_batches_come() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["a.log", "a.pcapng"] {
+        let path = folder.path().join(name);
+        let recorder = create(&path, None);
+        let frames = numbered(40_000);
+        // A tenth of a second of the one, then of the other; at first there is only one.
+        let of = |bus: u8| move |frame: &&Frame| frame.bus == BusIndex(bus);
+        recorder.record(&frames[..1]);
+        for batch in frames[1..].chunks(100) {
+            recorder.record(&batch.iter().filter(of(1)).copied().collect::<Vec<_>>());
+            recorder.record(&batch.iter().filter(of(0)).copied().collect::<Vec<_>>());
+        }
+        assert_eq!(recorder.finish().frames, 40_000);
+        let (there, tally) = read(&path);
+        assert_eq!(tally.backwards, 0);
+        assert!(there == frames, "{name}");
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(40))]
 

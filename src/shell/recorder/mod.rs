@@ -8,6 +8,9 @@
 //! writing fails, the file ends with the last whole second and recording is over; the session
 //! goes on.
 //!
+//! Frames of several buses come in batches of one bus each: they are put in order of time, for which
+//! the last quarter of a second waits.
+//!
 //! Does not know where frames come from, nor how a file is laid out: `output` does.
 
 mod output;
@@ -17,7 +20,7 @@ pub use target::{Format, Size, Target, UnknownFormat};
 
 use crate::frame::{BusIndex, Frame};
 use crate::status::RecordingStatus;
-use crate::time::Epoch;
+use crate::time::{Duration as Span, Epoch};
 use output::Output;
 use std::collections::VecDeque;
 use std::io;
@@ -34,6 +37,9 @@ const CAPACITY: usize = 65_536;
 const WRITE_EVERY: Duration = Duration::from_millis(100);
 /// How often the file is flushed, and its size told: what a crash can cost.
 const FLUSH_EVERY: Duration = Duration::from_secs(1);
+
+/// By how much the batches of one bus may come later than another's.
+const BATCHES_APART: Span = Span::from_millis(250);
 
 /// Why a recording cannot begin.
 #[derive(Debug, thiserror::Error)]
@@ -119,6 +125,9 @@ impl Recorder {
             files: 1,
             frames_before: 0,
             bytes_before: 0,
+            first_bus: None,
+            has_several: false,
+            held: Vec::new(),
         };
         let thread = thread::Builder::new()
             .name("recorder".into())
@@ -249,6 +258,12 @@ struct Writer {
     frames_before: u64,
     /// Bytes in the files before this one.
     bytes_before: u64,
+    /// Of the first frame.
+    first_bus: Option<BusIndex>,
+    /// Whether frames of several buses came.
+    has_several: bool,
+    /// Then: those that frames of another bus may still come before.
+    held: Vec<Frame>,
 }
 
 impl Drop for Writer {
@@ -282,6 +297,7 @@ impl Writer {
         let mut flushed = Monotonic::now();
         while !taken.stopped {
             self.take(&mut taken, FLUSH_EVERY.saturating_sub(flushed.elapsed()));
+            self.put_in_order(&mut taken);
             let mut outcome = self.write(&taken);
             if outcome.is_ok() && (taken.stopped || flushed.elapsed() >= FLUSH_EVERY) {
                 flushed = Monotonic::now();
@@ -338,6 +354,30 @@ impl Writer {
         taken.stopped = state.stopped;
         drop(state);
         self.shared.room.notify_one();
+    }
+
+    /// Leaves what can be written: frames of several buses in order of time, and none that may
+    /// still come after another's. Frames of one bus stay as they came.
+    fn put_in_order(&mut self, taken: &mut Taken) {
+        let Some(first) = self.first_bus.or(taken.frames.first().map(|frame| frame.bus)) else {
+            return;
+        };
+        self.first_bus = Some(first);
+        self.has_several |= taken.frames.iter().any(|frame| frame.bus != first);
+        if !self.has_several {
+            return;
+        }
+        let nothing_came = taken.frames.is_empty();
+        self.held.append(&mut taken.frames);
+        self.held.sort_by_key(|frame| frame.time);
+        let newest = self.held.last().map(|frame| frame.time).unwrap_or_default();
+        let ready = if nothing_came || taken.stopped {
+            self.held.len()
+        } else {
+            let ready = self.held.partition_point(|it| newest.since(it.time) >= BATCHES_APART);
+            ready.max(self.held.len().saturating_sub(CAPACITY))
+        };
+        taken.frames.extend(self.held.drain(..ready));
     }
 
     fn write(&mut self, taken: &Taken) -> io::Result<()> {
