@@ -171,13 +171,20 @@ fn a_disk_that_does_not_come_to_an_end() {
     disk.pty.wait_for("… saving 2");
     disk.pty.send("3");
     disk.pty.wait_for("entry FEED at 47 renamed to PUMP");
+    // What somebody else writes is seen all the same, with ours.
+    let theirs = BEFORE.replace("9}", "9},\n  {\"name\": \"VALVE\", \"address\": 77}");
+    fs::write(disk.seen("disk/des.json"), &theirs).unwrap();
+    disk.pty.send("1");
+    disk.pty.wait_for("VALVE");
+    disk.pty.wait_for("PUMP");
+    disk.pty.wait_for("… saving 2");
     disk.pty.send("q");
     disk.pty.wait_for("2 edits are being saved, then it quits. Quit without waiting?");
     disk.pty.send("y");
     assert_eq!(disk.pty.wait(), 0);
     disk.pty.assert_given_back();
     let content = |disk: &Disk| fs::read_to_string(disk.folder.path().join("disk/des.json"));
-    assert_eq!(content(&disk).unwrap(), BEFORE);
+    assert_eq!(content(&disk).unwrap(), theirs);
 
     // Nor does it hold up whoever shuts the machine down.
     let mut disk = never();

@@ -379,6 +379,22 @@ fn a_reading_from_after_a_save_is_not_lost() {
     });
 }
 
+/// As after a save in whose course something else was reported: what is known of it is old.
+#[test]
+fn what_is_uncertain_is_reported_whatever_it_is() {
+    run(async {
+        let folder = folder();
+        let path = folder.path().join("des.json");
+        fs::write(&path, "one").unwrap();
+        let known = Ok(Some(b"one".to_vec()));
+        let watch = Watch::polling(Store::new(&path), known, Duration::from_hours(1));
+        for _ in 0..3 {
+            watch.look_again();
+            assert_eq!(next_content(&watch).await.as_deref(), Some("one"));
+        }
+    });
+}
+
 #[test]
 fn what_cannot_be_read_is_reported_once() {
     run(async {

@@ -3,7 +3,7 @@
 #[path = "common/stage.rs"]
 mod stage;
 
-use descan::app::Effect;
+use descan::app::{Effect, SaveOutcome};
 use descan::document::Document;
 use descan::sim::Scenario;
 use descan::status::Playback;
@@ -368,4 +368,76 @@ fn of_many_at_once_what_somebody_else_changed_since_is_left_alone() {
     assert_eq!(stage.file(), noted(&all, 4));
     let screen = stage.screen();
     assert!(screen.contains("cannot be taken back, changed by somebody else since"), "{screen}");
+}
+
+// ---- a save that takes long ----------------------------------------------------------------
+
+/// FEED to 70, which is being saved.
+fn saving() -> Stage {
+    let mut stage = Stage::boiler();
+    stage.slow_disk().until(24.0).keys("e").text("70").keys("Enter");
+    stage
+}
+
+#[test]
+fn what_others_write_while_a_save_hangs_is_seen() {
+    let with = |name: &str| BOILER.replace("\"DISP\"", &format!("\"{name}\""));
+    let mut stage = saving();
+    // Before ours is on disk.
+    stage.write(&with("SHOW"));
+    for name in ["SHOW", "SHOWN"] {
+        let screen = stage.write(&with(name)).screen();
+        assert!(screen.contains(name) && screen.contains("70"), "{screen}");
+        assert!(screen.contains("… saving 1"), "{screen}");
+    }
+    assert_eq!(stage.file(), with("SHOWN"));
+    // It comes to its end: it found what was there first.
+    stage.unfinished = Some(vec![SaveOutcome::Changed(Some(with("SHOW").into_bytes()))]);
+    stage.finish_saves().finish_saves();
+    assert_eq!(stage.file(), with("SHOWN").replace("10", "70"));
+    assert!(stage.screen().contains("✓ 5 entries"), "{}", stage.screen());
+
+    // After ours is on disk, which has not been told.
+    let mut stage = saving();
+    let ours = stage.file().to_owned();
+    stage.notice();
+    assert!(stage.screen().contains("… saving 1"), "it may not stay there: {}", stage.screen());
+    stage.write(&ours.replace("70", "71")).finish_saves().finish_saves();
+    assert_eq!(stage.file(), ours.replace("70", "71"), "it is not overwritten in turn");
+    assert!(stage.screen().contains("✓ 5 entries"), "{}", stage.screen());
+}
+
+#[test]
+fn a_conflict_while_a_save_hangs_is_decided_at_once() {
+    for (key, address) in [("o", "70"), ("t", "11")] {
+        let mut stage = saving();
+        stage.write(&BOILER.replace("10", "11"));
+        assert!(stage.screen().contains("Conflict"), "{}", stage.screen());
+        stage.keys(key);
+        assert!(!stage.screen().contains("Conflict"), "{}", stage.screen());
+        stage.unfinished = Some(vec![SaveOutcome::Changed(stage.file.clone())]);
+        stage.finish_saves().finish_saves();
+        assert_eq!(stage.file(), BOILER.replace("10", address));
+        assert_eq!(stage.app.file().unsaved(), 0);
+    }
+}
+
+#[test]
+fn a_save_that_hangs_and_fails_says_first_what_is_wrong_with_the_file() {
+    let mut stage = saving();
+    stage.write("{ broken");
+    assert!(stage.screen().contains("✗ line 1"), "{}", stage.screen());
+    stage.refuse_saves();
+    assert!(stage.screen().contains("✗ line 1"), "{}", stage.screen());
+    stage.write(BOILER).finish_saves();
+    assert_eq!(stage.file(), BOILER.replace("10", "70"));
+
+    // And one that finds the file emptied in its course waits.
+    let mut stage = saving();
+    stage.write("");
+    stage.unfinished = Some(vec![SaveOutcome::Changed(Some(Vec::new()))]);
+    stage.finish_saves().until(24.5);
+    assert_eq!(stage.file(), "");
+    stage.write(BOILER).finish_saves();
+    assert_eq!(stage.file(), BOILER.replace("10", "70"));
 }

@@ -113,6 +113,11 @@ pub struct Saving {
     pub content: Document,
     /// How many of the pending edits are in it.
     operations: usize,
+    /// It was seen on disk, though that it stays there has not been told yet.
+    is_there: bool,
+    /// Something else was seen on disk since, and taken in: what becomes of the save says nothing
+    /// any more about what is there.
+    is_overtaken: bool,
 }
 
 /// An edit that can be taken back (or made again).
@@ -177,9 +182,6 @@ pub struct FileState {
     document: Document,
     pending: Vec<Operation>,
     saving: Option<Saving>,
-    /// What was found on disk while a save was on its way. Whether that is what we wrote, or what
-    /// somebody made of it, or what was there before, is known when the save is over.
-    waiting: Option<FileReading>,
     emptied: Option<Emptied>,
     problem: Option<FileProblem>,
     dispute: Option<Dispute>,
@@ -224,7 +226,6 @@ impl FileState {
             document: Document::empty(),
             pending: Vec::new(),
             saving: None,
-            waiting: None,
             emptied: None,
             problem: None,
             dispute: None,
@@ -295,11 +296,16 @@ impl FileState {
         self.emptied.as_ref().map(|emptied| emptied.since)
     }
 
-    /// Takes what was found on disk. While a save is on its way that waits for
-    /// [`Self::read_waiting`].
+    /// Whether something else was found on disk since the save that is on its way began: then,
+    /// when it is over, what is there is to be read again, whatever became of it.
+    pub fn is_overtaken(&self) -> bool {
+        self.saving.as_ref().is_some_and(|saving| saving.is_overtaken)
+    }
+
+    /// Takes what was found on disk. A save that is on its way may take long, or for ever: what
+    /// somebody else writes meanwhile is taken in all the same.
     pub fn read(&mut self, now: Instant, reading: FileReading) -> Change {
-        if self.saving.is_some() {
-            self.waiting = Some(reading);
+        if self.is_what_we_write(&reading) {
             return Change::None;
         }
         let content = match reading {
@@ -365,9 +371,30 @@ impl FileState {
         self.rebase(theirs, Choices { asks_for_new, ..Choices::default() })
     }
 
-    /// Takes what was found on disk while a save was on its way, now that it is over.
-    pub fn read_waiting(&mut self, now: Instant) -> Change {
-        self.waiting.take().map_or(Change::None, |reading| self.read(now, reading))
+    /// While a save is on its way: whether what was found is only what we write. Anything else but
+    /// what was there before overtakes the save.
+    fn is_what_we_write(&mut self, reading: &FileReading) -> bool {
+        let Some(saving) = self.saving.as_mut().filter(|saving| !saving.is_overtaken) else {
+            return false;
+        };
+        if let FileReading::Content(found) = reading {
+            if found.as_deref() == Some(saving.content.source()) {
+                saving.is_there = true;
+                return true;
+            }
+            let is_as_before = found.as_deref() == saving.expected.as_ref().map(Document::source);
+            if is_as_before && !saving.is_there {
+                return false;
+            }
+        }
+        saving.is_overtaken = true;
+        if saving.is_there {
+            // They wrote over it.
+            self.disk = Some(saving.content.clone());
+            self.is_on_disk = true;
+            self.pending.drain(..saving.operations.min(self.pending.len()));
+        }
+        false
     }
 
     /// Makes our edits again on newer content.
@@ -542,8 +569,8 @@ impl FileState {
     /// the same.
     fn drop_what_cancels_out(&mut self, count: usize) {
         let (from, being_saved) = match &self.saving {
-            Some(saving) => (Some(&saving.content), saving.operations),
-            None => (self.disk.as_ref(), 0),
+            Some(saving) if !saving.is_overtaken => (Some(&saving.content), saving.operations),
+            _ => (self.disk.as_ref(), 0),
         };
         let (Some(from), Some(keep)) = (from, self.pending.len().checked_sub(count)) else {
             return;
@@ -576,41 +603,45 @@ impl FileState {
             expected: expected.cloned(),
             content: self.document.clone(),
             operations: self.pending.len(),
+            is_there: false,
+            is_overtaken: false,
         };
         self.saving = Some(saving.clone());
         Some(saving)
     }
 
-    /// Takes what became of a save; [`Self::read_waiting`] comes next.
+    /// Takes what became of a save. What came of it and was not to be saved then is to be saved
+    /// next.
     pub fn handle_saved(&mut self, now: Instant, outcome: SaveOutcome) -> Change {
+        let Some(saving) = self.saving.take() else { return Change::None };
         match outcome {
             SaveOutcome::Saved => {
-                self.saved();
+                if !saving.is_overtaken {
+                    self.disk = Some(saving.content);
+                    self.is_on_disk = true;
+                    self.pending.drain(..saving.operations.min(self.pending.len()));
+                }
+                if self.problem.as_ref().is_some_and(FileProblem::is_not_saved) {
+                    self.problem = None;
+                }
+                self.drop_what_is_on_disk();
                 Change::Saved
             }
-            SaveOutcome::Changed(found) => {
-                self.saving = None;
-                self.read(now, FileReading::Content(found))
+            // What was read since is newer, or will be read again.
+            SaveOutcome::Changed(_) if saving.is_overtaken => {
+                self.drop_what_is_on_disk();
+                Change::None
             }
+            SaveOutcome::Changed(found) => self.read(now, FileReading::Content(found)),
             SaveOutcome::Failed(why) => {
-                self.saving = None;
-                self.problem = Some(FileProblem::NotSaved(why));
+                let is_told = self.check().is_err();
+                if !is_told {
+                    self.problem = Some(FileProblem::NotSaved(why));
+                }
                 // What was to be saved may have been taken back meanwhile.
                 self.drop_what_is_on_disk();
-                if self.pending.is_empty() { Change::None } else { Change::Broken }
+                if is_told || self.pending.is_empty() { Change::None } else { Change::Broken }
             }
-        }
-    }
-
-    /// What was being saved is on disk.
-    fn saved(&mut self) {
-        let Some(saving) = self.saving.take() else { return };
-        self.disk = Some(saving.content);
-        self.is_on_disk = true;
-        self.pending.drain(..saving.operations.min(self.pending.len()));
-        self.drop_what_is_on_disk();
-        if self.problem.as_ref().is_some_and(FileProblem::is_not_saved) {
-            self.problem = None;
         }
     }
 }
@@ -766,26 +797,57 @@ mod tests {
 
     /// On a slow disk the new content is seen long before the save is over.
     #[test]
-    fn what_is_found_during_a_save_is_looked_at_when_it_is_over() {
+    fn what_is_found_during_a_save_is_taken_in_at_once() {
         let ours = FILE.replace("12", "16");
-        let theirs = ours.replace("true", "true, \"note\":1");
-        for (found, change) in [(ours, Change::None), (theirs, Change::Rebased)] {
+        for (found, change) in [
+            (ours.clone(), Change::None),
+            (ours.replace("true", "true, \"note\":1"), Change::Rebased),
+            (FILE.replace("true", "true, \"note\":1"), Change::Rebased),
+        ] {
             let mut file = opened();
             file.edit(&[set_address(&file, 16)]).unwrap();
             file.start_saving().unwrap();
             file.edit(&[set_address(&file, 17)]).unwrap();
-            assert_eq!(file.read(NOW, content(&found)), Change::None);
-            assert_eq!((file.unsaved(), file.start_saving()), (2, None));
+            assert_eq!(file.read(NOW, content(&found)), change);
+            let both = found.replace("12", "16").replace("16", "17");
+            assert_eq!(source(&file), both);
+            assert_eq!(file.start_saving(), None);
+            assert_eq!(file.is_overtaken(), found != ours);
             assert_eq!(file.handle_saved(NOW, SaveOutcome::Saved), Change::Saved);
-            assert_eq!(file.read_waiting(NOW), change);
-            assert_eq!(file.unsaved(), 1);
             let saving = file.start_saving().unwrap();
             assert_eq!(saving.expected.unwrap().source(), found.as_bytes());
-            assert_eq!(saving.content.source(), found.replace("16", "17").as_bytes());
+            assert_eq!(saving.content.source(), both.as_bytes());
             // The disk fails: it is still an edit that is not saved.
             file.handle_saved(NOW, SaveOutcome::Failed("no room".into()));
-            assert_eq!(file.unsaved(), 1);
+            assert!(file.unsaved() > 0);
         }
+    }
+
+    /// What they wrote over ours, once that was there, is not overwritten in turn.
+    #[test]
+    fn ours_that_was_seen_on_disk_counts_as_saved_when_it_is_overtaken() {
+        let mut file = opened();
+        file.edit(&[set_address(&file, 16)]).unwrap();
+        file.start_saving().unwrap();
+        assert_eq!(file.read(NOW, content(&FILE.replace("12", "16"))), Change::None);
+        assert_eq!(file.unsaved(), 1, "that it stays there is not known");
+        assert_eq!(file.read(NOW, content(&FILE.replace("12", "13"))), Change::Content);
+        assert_eq!(file.handle_saved(NOW, SaveOutcome::Saved), Change::Saved);
+        assert_eq!((file.unsaved(), source(&file)), (0, &*FILE.replace("12", "13")));
+    }
+
+    #[test]
+    fn what_a_save_found_is_older_than_what_was_read_since() {
+        let mut file = opened();
+        file.edit(&[set_address(&file, 16)]).unwrap();
+        file.start_saving().unwrap();
+        let newest = FILE.replace("true", "true, \"note\":2");
+        assert_eq!(file.read(NOW, content(&newest)), Change::Rebased);
+        let older = FILE.replace("true", "true, \"note\":1").into_bytes();
+        file.handle_saved(NOW, SaveOutcome::Changed(Some(older)));
+        let saving = file.start_saving().unwrap();
+        assert_eq!(saving.expected.unwrap().source(), newest.as_bytes());
+        assert_eq!(saving.content.source(), newest.replace("12", "16").as_bytes());
     }
 
     #[test]

@@ -455,13 +455,12 @@ impl App {
             let (count, names) = (names.len(), names.join(", "));
             Some(format!(", but {count} entries are pinned to {address}: {names}"))
         });
-        let later = self.file.read_waiting(self.now);
         let problem = self.file.problem().filter(|it| it.is_not_saved());
         self.save_again_at = problem.map(|_| self.now + SAVE_AGAIN_AFTER);
         if is_retry && before.is_some() && before.as_ref() == problem {
             // It was told when it failed first.
             self.dirty = true;
-            return self.file_changed(later);
+            return;
         }
         if change == Change::Saved && (before.is_some() || clash.is_some()) {
             let saved = if before.is_some() { "saved at last" } else { "saved" };
@@ -470,7 +469,10 @@ impl App {
             if clash.is_some() { self.complain(text) } else { self.say(text) }
         }
         self.file_changed(change);
-        self.file_changed(later);
+        if self.file.problem().is_none() {
+            // What was read meanwhile may be why it was not saved.
+            self.save_pending();
+        }
         // What could not be saved may have been taken back: then that is no change of the file.
         self.quit_if_saved();
         self.dirty = true;

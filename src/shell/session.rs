@@ -191,8 +191,12 @@ impl Session {
             Wake::Search(news) => self.take_search(now, news),
             Wake::File(reading) => self.app.handle_file(now, reading.into()),
             Wake::Done(Finished::Saved(outcome, content)) => {
-                if let (SaveOutcome::Saved, Some(watch)) = (&outcome, &self.watch) {
-                    watch.saved(content);
+                if let Some(watch) = &self.watch {
+                    if self.app.file().is_overtaken() {
+                        watch.look_again();
+                    } else if outcome == SaveOutcome::Saved {
+                        watch.saved(content);
+                    }
                 }
                 self.app.handle_saved(now, outcome);
             }

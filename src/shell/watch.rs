@@ -71,8 +71,18 @@ impl Watch {
     /// To be told when [`Store::save`] has saved this: it counts as known, so it is not reported.
     /// A reading that has not been fetched yet may be older or newer than that: it is looked again.
     pub fn saved(&self, content: Vec<u8>) {
+        self.look_from(Some(Ok(Some(content))));
+    }
+
+    /// To be told when it is not certain any more what is there, as when somebody else wrote while
+    /// we saved: it is looked again, and reported whatever it is.
+    pub fn look_again(&self) {
+        self.look_from(None);
+    }
+
+    fn look_from(&self, known: Option<FileReading>) {
         let mut state = self.shared.lock();
-        state.known = Ok(Some(content));
+        state.known = known;
         state.is_news = false;
         state.saves += 1;
         drop(state);
@@ -85,7 +95,7 @@ impl Watch {
         period: Duration,
         folders: impl FnOnce(SyncSender<()>) -> Option<Folders>,
     ) -> Self {
-        let state = State { known, is_news: false, saves: 0, is_over: false };
+        let state = State { known: Some(known), is_news: false, saves: 0, is_over: false };
         let shared = Arc::new(Shared { state: Mutex::new(state), changed: Notify::new() });
         // One waiting reason to look is as good as many.
         let (wake, woken) = sync_channel(1);
@@ -117,7 +127,8 @@ struct Shared {
 
 #[derive(Debug)]
 struct State {
-    known: FileReading,
+    /// None: not certain.
+    known: Option<FileReading>,
     /// `known` has not been fetched yet.
     is_news: bool,
     /// Counts our own saves: a reading that was begun before one is of no use.
@@ -132,7 +143,7 @@ impl Shared {
 
     fn take(&self) -> Option<FileReading> {
         let mut state = self.lock();
-        std::mem::take(&mut state.is_news).then(|| state.known.clone())
+        if std::mem::take(&mut state.is_news) { state.known.clone() } else { None }
     }
 
     /// Takes in a reading that was begun after this many saves; false if there was one since.
@@ -141,8 +152,8 @@ impl Shared {
         if state.saves != saves {
             return false;
         }
-        if state.known != reading {
-            state.known = reading;
+        if state.known.as_ref() != Some(&reading) {
+            state.known = Some(reading);
             state.is_news = true;
             self.changed.notify_one();
         }
