@@ -17,8 +17,8 @@
 //! station     our own address, and our answers             outbox       our share; who acknowledges
 //! collisions  evidence, from raw frames                    cases        what it amounts to
 //! memory      of an address: what takes turns              doubling     what repeats everything
-//! errors      errors that follow one address               error_rate   those of the bus as a whole
-//! device, event, finding: what others read                 wording      findings in words
+//! errors      errors of the bus, and of one address        wording      findings in words
+//! device, event, finding: what others read
 //! ```
 //!
 //! Call one that changes it, then drain the polls. It does not know des.json, the screen, or
@@ -31,7 +31,6 @@ mod collisions;
 mod config;
 mod device;
 mod doubling;
-mod error_rate;
 mod errors;
 mod event;
 mod finding;

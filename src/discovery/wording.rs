@@ -2,7 +2,7 @@
 //!
 //! Names no keys and no commands: `scan` prints these words as the screen shows them.
 
-use super::error_rate::{Cause, Summary};
+use super::errors::{Cause, Summary};
 use super::finding::{Finding, FindingKind};
 use crate::error_report::Violation;
 use crate::text::Name;

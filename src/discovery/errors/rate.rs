@@ -9,7 +9,7 @@
 //! * *Cleared*: none for ten seconds, thirty where it was confirmed. Bus-off: once the
 //!   controller takes part again.
 
-use super::finding::Confidence;
+use super::super::finding::Confidence;
 use crate::error_report::{ErrorReport, Violation};
 use crate::time::{Duration, Instant};
 use std::collections::VecDeque;
@@ -28,7 +28,7 @@ const QUIET_CONFIRMED: Duration = Duration::from_secs(30);
 
 /// What the errors are, as far as the reports say it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Cause {
+pub(in crate::discovery) enum Cause {
     /// Our controller has left the bus.
     BusOff,
     /// Nobody acknowledges our frames.
@@ -43,7 +43,7 @@ pub(super) enum Cause {
 
 /// What there is to say of the errors of the last ten seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Summary {
+pub(in crate::discovery) struct Summary {
     /// What most of them are.
     pub cause: Cause,
     /// Errors per second, while they come.

@@ -21,41 +21,42 @@
 //!   bus that is disturbed, at a wrong rate or badly terminated, nobody is named.
 //!
 //! Even then it is only suspected: a bad transceiver looks the same.
+//!
+//! `window` holds what broke while an address was expected to send, `background` what broke
+//! otherwise, `rate` the errors of the bus as a whole; `telling` is what the engine does with them.
 
-use super::collisions::Collisions;
-use super::error_rate::ErrorRate;
-use super::finding::{Confidence, Evidence};
-use super::{Engine, Presence, wording};
+mod background;
+mod rate;
+mod telling;
+mod window;
+
+pub(super) use rate::{Cause, Summary};
+
+use super::finding::Evidence;
 use crate::error_report::ErrorReport;
 use crate::frame::Frame;
-use crate::text::Name;
 use crate::time::{Duration, Instant};
 use crate::wire::des::Request;
 use crate::wire::id::Address;
+use background::{Background, RUN_COUNTS};
+use rate::ErrorRate;
 use std::collections::VecDeque;
+use window::{BURST, Broadcast, LONGEST_BURST, Window};
 
 /// Windows that are open at the same time; beyond that the oldest is forgotten.
 const MAX_WINDOWS: usize = 32;
 /// Addresses that are looked into at the same time; beyond that nobody new is.
 const MAX_SUSPECTS: usize = 16;
-/// Frames that break in a window until it counts: fewer is chance.
-const BURST: u64 = 3;
-/// Frames that break in a row as only two senders break them: two such windows are enough.
-const LONG_BURST: u64 = 8;
-/// More than two senders can break until both are error-passive, or off the bus.
-const LONGEST_BURST: u64 = 40;
-/// What a window with a burst counts, with a long one, and how much names an address.
-const WEIGHT: u32 = 2;
-const LONG_WEIGHT: u32 = 3;
+/// How much names an address.
 const NAMED_FROM: u32 = 6;
 /// Clean windows in a row that end a suspicion, and that clear an address that was named.
 const CLEAN: u32 = 2;
 const CLEAN_NAMED: u32 = 3;
+/// The same for heartbeats, of which there are more.
+const CLEAN_BEATS: u32 = 10;
 /// For so long after a burst a clean window says nothing: of two devices that gave up one may
 /// be back.
 const RESTART: Duration = Duration::from_secs(5);
-/// The same for heartbeats, of which there are more.
-const CLEAN_BEATS: u32 = 10;
 /// Questions to look into a suspicion, at most, and how far apart, more with each: no part of
 /// the heartbeat's period, or what happens with every heartbeat would meet every question.
 const FOLLOW_UPS: u32 = 6;
@@ -72,89 +73,14 @@ const COUNTED: u8 = 16;
 const LASTING: Duration = Duration::from_millis(2500);
 /// Bursts that are remembered.
 const MAX_BURSTS: usize = 64;
-/// How late a heartbeat is missing, in periods.
-const OVERDUE: f64 = 0.3;
-/// How long a run of broken frames counts as one thing, and how many frames it counts as.
-const RUN: Duration = Duration::from_millis(50);
-const RUN_COUNTS: f64 = 3.0;
 /// How often the finding about the bus is worded: error frames may come by the thousand.
 const WORDS: Duration = Duration::from_millis(200);
-/// How soon what happens outside of windows is forgotten by half.
-const HALF_LIFE: Duration = Duration::from_secs(10);
 
 /// What an address is expected to send.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Due {
     Answer(Request),
     Heartbeat,
-}
-
-/// A time in which an address is expected to send.
-#[derive(Debug)]
-struct Window {
-    address: Address,
-    due: Due,
-    /// The question, or the last heartbeat.
-    cause: Option<Frame>,
-    ends: Instant,
-    /// Frames that broke while nobody else was expected to send.
-    errors: u64,
-    /// And while others were.
-    shared: u64,
-    /// The number of the first and of the last frame that broke, all frames counted.
-    span: Option<(u64, u64)>,
-    first: Option<Frame>,
-    last: Option<Frame>,
-}
-
-impl Window {
-    fn note(&mut self, broken: u64, number: u64, frame: &Frame) {
-        self.errors += broken;
-        self.span = Some((self.span.map_or(number, |(first, _)| first), number));
-        self.first.get_or_insert(*frame);
-        self.last = Some(*frame);
-    }
-
-    /// What it counts, where frames broke one after the other, and not here and there.
-    fn weight(&self) -> Option<u32> {
-        let (first, last) = self.span?;
-        if self.errors > LONGEST_BURST {
-            return None;
-        }
-        let whole = (last + 1 - first).saturating_sub(self.errors);
-        // A heartbeat that is overdue was not even asked for.
-        let asked = self.due != Due::Heartbeat;
-        if asked && self.errors >= LONG_BURST && whole * 8 <= self.errors {
-            Some(LONG_WEIGHT)
-        } else {
-            (self.errors >= BURST && whole <= self.errors).then_some(WEIGHT)
-        }
-    }
-
-    fn evidence(&self, answer: Option<&Frame>) -> impl Iterator<Item = Evidence> {
-        let (cause, broken, late) = match self.due {
-            Due::Answer(_) => {
-                ("the question", "a frame broke before the answer", "the answer, late")
-            }
-            Due::Heartbeat => ("the heartbeat before", "a frame broke when the next was due", ""),
-        };
-        let last = self.last.filter(|_| self.errors > 1);
-        let pieces = [(cause, self.cause), (broken, self.first), (broken, last)];
-        let pieces = pieces.into_iter().chain([(late, answer.copied())]);
-        pieces.filter_map(|(what, frame)| {
-            frame.map(|frame| Evidence { time: frame.time, what, frame: Some(frame) })
-        })
-    }
-}
-
-/// A question to all, and who has yet to answer it.
-#[derive(Debug)]
-struct Broadcast {
-    question: Frame,
-    ends: Instant,
-    /// One bit for each address.
-    awaited: u128,
-    answered: u128,
 }
 
 /// An address in whose windows frames broke.
@@ -193,45 +119,6 @@ enum Verdict {
     Named(Address, Due, Vec<Evidence>),
     /// They do not, or no more.
     Cleared(Address),
-}
-
-/// What breaks while nobody in particular is expected to send. Decays.
-#[derive(Debug, Default)]
-struct Background {
-    broken: f64,
-    frames: f64,
-    /// Up to here frames are counted.
-    counted: u64,
-    at: Instant,
-    /// When the present run of broken frames began, its last one's number, and how much it
-    /// counts so far.
-    run: (Instant, u64, f64),
-}
-
-impl Background {
-    fn advance(&mut self, now: Instant, frames: u64) {
-        let passed = now.since(self.at).as_secs_f64() / HALF_LIFE.as_secs_f64();
-        let left = 0.5f64.powf(passed);
-        self.at = self.at.max(now);
-        self.broken *= left;
-        self.frames = self.frames * left + frames.saturating_sub(self.counted) as f64;
-        self.counted = frames;
-    }
-
-    /// Counts a frame that broke, the `number`th of all. Of those that break one after the other
-    /// only some count: it is one cause that breaks them, unless it goes on.
-    fn count(&mut self, now: Instant, broken: u64, number: u64) {
-        let (began, last, counted) = self.run;
-        let goes_on = number == last + 1 && now.since(began) < RUN;
-        let (began, counted) = if goes_on { (began, counted) } else { (now, 0.0) };
-        let more = (broken as f64).min(RUN_COUNTS - counted);
-        self.broken += more;
-        self.run = (began, number, counted + more);
-    }
-
-    fn is_clean(&self) -> bool {
-        self.broken <= 3.0 + (0.02 * self.frames).min(9.0)
-    }
 }
 
 /// What is known of the errors on a bus.
@@ -669,146 +556,4 @@ impl Errors {
             suspect.ask_at = more.then(|| now + after);
         }
     }
-}
-
-impl Engine {
-    /// Takes an error frame in.
-    pub(super) fn hear_error(&mut self, frame: &Frame) {
-        let Some(report) = ErrorReport::of(frame) else { return };
-        let (now, frames) = (self.now, self.counters.frames);
-        let errors = &mut self.errors;
-        errors.frames = frames;
-        let broken = errors.broken(&report);
-        if errors.rate.see(now, &report, broken, frames) {
-            self.judge_bus(frame);
-        }
-        if broken > 0 {
-            let (roster, collisions) = (&self.roster, &self.collisions);
-            let period = self.config.profile.heartbeat.period();
-            self.errors.attribute(now, &report, broken, frame, || {
-                beating(roster, collisions, now, period)
-            });
-        }
-        self.wake_at(now);
-    }
-
-    /// Tells what is to be told about the bus as a whole, after an error.
-    fn judge_bus(&mut self, frame: &Frame) {
-        let (now, frames) = (self.now, self.counters.frames);
-        let Some(confidence) = self.errors.rate.confidence(frames) else { return };
-        let Some(finding) = self.collisions.cases_mut().judge_errors(now, None, confidence) else {
-            return;
-        };
-        finding.add(Evidence { time: frame.time, what: "error frame", frame: Some(*frame) });
-        if finding.changed == now || finding.text.is_empty() {
-            self.word_bus();
-        } else {
-            self.errors.outdated = true;
-        }
-    }
-
-    fn word_bus(&mut self) {
-        let (now, frames) = (self.now, self.counters.frames);
-        self.errors.outdated = false;
-        self.errors.worded = now;
-        let Some(confidence) = self.errors.rate.confidence(frames) else { return };
-        if let Some(finding) = self.collisions.cases_mut().judge_errors(now, None, confidence) {
-            let summary = self.errors.rate.summary(now, frames);
-            (finding.text, finding.remedy) = wording::bus_errors(&summary);
-        }
-    }
-
-    /// How long an answer may take, on a busy and slow bus too, until its window closes.
-    pub(super) fn answer_window(&self) -> Instant {
-        self.now + Duration::from_millis(200) + self.config.bit_time(180 * 150)
-    }
-
-    /// Closes windows that are over, and asks again where that shows more.
-    pub(super) fn check_errors(&mut self) {
-        let (now, frames) = (self.now, self.counters.frames);
-        self.errors.frames = frames;
-        let (roster, asks) = (&mut self.roster, self.station.held().is_some() && self.config.scan);
-        self.errors.handle_timeout(now, |address, request, since| {
-            // After a burst devices may begin anew, and answer nothing for some seconds.
-            let Some(device) = roster.current_device_mut(address) else { return false };
-            let there = asks && device.is_here() && device.last_seen > since;
-            if there {
-                device.query_mut(request).renew(now);
-            }
-            there
-        });
-        if self.errors.rate.handle_timeout(now, frames) {
-            self.errors.outdated = false;
-            self.collisions.cases_mut().judge_errors(now, None, Confidence::Cleared);
-        } else if self.errors.outdated && now >= self.errors.worded + WORDS {
-            self.word_bus();
-        }
-        self.tell_errors();
-    }
-
-    /// Tells who is named, or no more.
-    pub(super) fn tell_errors(&mut self) {
-        let now = self.now;
-        while let Some(verdict) = self.errors.verdicts.pop_front() {
-            let (address, due, evidence) = match verdict {
-                Verdict::Named(address, due, evidence) => (address, due, evidence),
-                Verdict::Cleared(address) => {
-                    self.collisions.cases_mut().judge_errors(
-                        now,
-                        Some(address),
-                        Confidence::Cleared,
-                    );
-                    continue;
-                }
-            };
-            let name: Option<Name> =
-                self.roster.current_device(address).and_then(|device| device.name.clone());
-            let suspected = Confidence::Suspected;
-            let Some(finding) =
-                self.collisions.cases_mut().judge_errors(now, Some(address), suspected)
-            else {
-                continue;
-            };
-            if let Some(name) = &name {
-                finding.concern(name);
-            }
-            for piece in evidence {
-                finding.add(piece);
-            }
-            (finding.text, finding.remedy) =
-                wording::errors_at(address, &finding.names, due == Due::Heartbeat);
-        }
-    }
-
-    pub(super) fn errors_timeout(&self) -> Option<Instant> {
-        self.errors.poll_timeout(self.counters.frames)
-    }
-}
-
-/// The one address whose heartbeat is due now, its last one, and when the next is overdue.
-fn beating(
-    roster: &super::roster::Roster,
-    collisions: &Collisions,
-    now: Instant,
-    period: Duration,
-) -> Option<(Address, Option<Frame>, Instant)> {
-    let mut found = None;
-    for device in roster.devices() {
-        let beats = &device.heartbeat;
-        let (Some(last), Presence::Online) = (beats.last, device.presence) else { continue };
-        let period = beats.period().unwrap_or(period);
-        let jitter = beats.jitter().unwrap_or_default() * 3;
-        let due = last + period;
-        // A burst takes some milliseconds from the moment at which the heartbeat began.
-        let early = due - (jitter + Duration::from_millis(2));
-        let late = due + jitter + Duration::from_millis(30);
-        if (early..=late).contains(&now) {
-            if found.is_some() {
-                return None;
-            }
-            let overdue = due + period.mul_f64(OVERDUE);
-            found = Some((device.address, collisions.last_heartbeat(device.address), overdue));
-        }
-    }
-    found
 }
