@@ -111,24 +111,16 @@ impl SaveError {
     /// The cause and the way out in few words, for a place that says already which file it is about
     /// and that it is not saved.
     pub fn in_short(&self) -> String {
-        let elsewhere = "or save a copy elsewhere";
         match self {
-            Self::Protected { .. } => format!("it is write-protected: chmod u+w, {elsewhere}"),
+            Self::Protected { .. } => {
+                "it is write-protected: chmod u+w, or save a copy elsewhere".to_owned()
+            }
             Self::Foreign { .. } => {
                 "it is somebody else's, and write-protected: save a copy elsewhere".to_owned()
             }
-            Self::Write { cause, .. } => match cause.raw_os_error().map(Errno::from_raw) {
-                Some(Errno::ENOSPC | Errno::EDQUOT) => "the disk is full: make room".to_owned(),
-                Some(Errno::EROFS) => format!("mounted read-only: remount it, {elsewhere}"),
-                Some(Errno::EACCES | Errno::EPERM) => {
-                    format!("no permission for its folder: get it, {elsewhere}")
-                }
-                Some(Errno::EBUSY) => {
-                    format!("a bind mount of its own: mount its folder instead, {elsewhere}")
-                }
-                Some(Errno::ENOENT | Errno::ENOTDIR) => "its folder is gone: make it".to_owned(),
-                _ => plain(cause),
-            },
+            Self::Write { cause, .. } => {
+                remedy(cause).map_or_else(|| plain(cause), |(_, in_short)| in_short.to_owned())
+            }
             other => other.to_string(),
         }
     }
@@ -402,20 +394,38 @@ fn keep_owner(file: &File, old: &fs::Metadata) -> io::Result<()> {
 
 /// What the user can do about it, as the end of a sentence.
 fn way_out(cause: &io::Error) -> &'static str {
-    match cause.raw_os_error().map(Errno::from_raw) {
-        Some(Errno::EACCES | Errno::EPERM) => {
-            ": get the permission (ls -ld shows who has it), or name another file with --file"
+    remedy(cause).map_or("", |(way_out, _)| way_out)
+}
+
+/// What the user can do about it: as the end of a sentence that names the cause; and with the cause,
+/// in few words, of a file that cannot be saved.
+fn remedy(cause: &io::Error) -> Option<(&'static str, &'static str)> {
+    Some(match Errno::from_raw(cause.raw_os_error()?) {
+        Errno::EACCES | Errno::EPERM => (
+            ": get the permission (ls -ld shows who has it), or name another file with --file",
+            "no permission for its folder: get it, or save a copy elsewhere",
+        ),
+        Errno::EROFS => (
+            ": the file system is mounted read-only; remount it, or use --file",
+            "mounted read-only: remount it, or save a copy elsewhere",
+        ),
+        Errno::ENOSPC | Errno::EDQUOT => {
+            (": make room, then save again", "the disk is full: make room")
         }
-        Some(Errno::EROFS) => ": the file system is mounted read-only; remount it, or use --file",
-        Some(Errno::ENOSPC | Errno::EDQUOT) => ": make room, then save again",
-        Some(Errno::EBUSY) => {
-            ": it is a mount point of its own (a bind mount); mount its folder instead"
+        Errno::EBUSY => (
+            ": it is a mount point of its own (a bind mount); mount its folder instead",
+            "a bind mount of its own: mount its folder instead, or save a copy elsewhere",
+        ),
+        Errno::ENOENT | Errno::ENOTDIR => {
+            (": make its folder (mkdir -p), then save again", "its folder is gone: make it")
         }
-        Some(Errno::ENOENT | Errno::ENOTDIR) => ": make its folder (mkdir -p), then save again",
-        Some(Errno::ELOOP) => ": its symbolic links go in circles",
-        Some(Errno::EMFILE | Errno::ENFILE) => ": close other programs, or raise ulimit -n",
-        _ => "",
-    }
+        Errno::ELOOP => (": its symbolic links go in circles", "its symbolic links go in circles"),
+        Errno::EMFILE | Errno::ENFILE => (
+            ": close other programs, or raise ulimit -n",
+            "too many files are open: close other programs",
+        ),
+        _ => return None,
+    })
 }
 
 /// What the system says, without its number.
