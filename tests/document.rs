@@ -286,7 +286,7 @@ fn wrong_shapes_are_findings() {
         (
             r#"[{"name": "A", "name_hex": "4"}]"#,
             WrongType,
-            "line 1, column 28: `name_hex` is a string; it must be the name's bytes in hexadecimal, as \"46454544\"",
+            "line 1, column 28: `name_hex` is not hexadecimal; it must be the name's bytes in hexadecimal, as \"46454544\"",
             vec![0],
         ),
         (
@@ -352,7 +352,7 @@ fn wrong_shapes_are_findings() {
         (
             r#"[{"name": "A", "uid": "\ud800"}]"#,
             WrongType,
-            "line 1, column 23: `uid` is a string; it must be valid Unicode",
+            "line 1, column 23: `uid` is not valid Unicode",
             vec![0],
         ),
         (

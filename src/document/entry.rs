@@ -307,21 +307,26 @@ impl Reader<'_, '_> {
     fn string(&mut self, member: Member, at: &Span) -> Option<String> {
         let value = &self.body[at.clone()];
         let text = text::from_json(value);
-        if text.is_none() {
-            let expected = if value.starts_with('"') { "valid Unicode" } else { "a string" };
-            self.wrong_type(member, at, expected);
+        match text {
+            Some(_) => {}
+            None if value.starts_with('"') => {
+                let message = format!("`{}` is not valid Unicode", member.key());
+                self.findings.add(FindingKind::WrongType, at.start, message, self.entry());
+            }
+            None => self.wrong_type(member, at, "a string"),
         }
         text.map(std::borrow::Cow::into_owned)
     }
 
     fn hex(&mut self, at: &Span) -> Option<Vec<u8>> {
-        let bytes = text::from_json(&self.body[at.clone()]).and_then(|text| text::from_hex(&text));
-        if bytes.is_none() {
-            self.wrong_type(
-                Member::NameHex,
-                at,
-                "the name's bytes in hexadecimal, as \"46454544\"",
-            );
+        const EXPECTED: &str = "the name's bytes in hexadecimal, as \"46454544\"";
+        let value = &self.body[at.clone()];
+        let bytes = text::from_json(value).and_then(|text| text::from_hex(&text));
+        if bytes.is_none() && value.starts_with('"') {
+            let message = format!("`name_hex` is not hexadecimal; it must be {EXPECTED}");
+            self.findings.add(FindingKind::WrongType, at.start, message, self.entry());
+        } else if bytes.is_none() {
+            self.wrong_type(Member::NameHex, at, EXPECTED);
         }
         bytes
     }
