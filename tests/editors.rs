@@ -131,6 +131,27 @@ fn two_programs_edit_one_file_and_lose_nothing() {
     }
 }
 
+/// As in a backup that was made by `cp -al`.
+#[test]
+fn a_file_of_two_names_is_parted_and_that_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    fs::write(at("backup.json"), BEFORE).unwrap();
+    fs::hard_link(at("backup.json"), at("des.json")).unwrap();
+    let mut pty = Pty::start(&["sim:boiler"], folder.path(), (120, 40));
+    pty.wait_for("SENS");
+    pty.send("ge\x1547\r");
+    pty.wait_for("saved, but no longer a hard link: the file's other name keeps what it said");
+    let ours = BEFORE.replace("9}", "47, \"static\": true}");
+    assert_eq!(fs::read_to_string(at("des.json")).unwrap(), ours);
+    assert_eq!(fs::read_to_string(at("backup.json")).unwrap(), BEFORE);
+    // It is followed as before.
+    fs::write(at("des.json"), ours.replace("VALVE", "VALVO")).unwrap();
+    pty.wait_for("VALVO");
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}
+
 fn is_there(program: &str) -> bool {
     if Command::new(program).arg("--version").output().is_ok() {
         return true;

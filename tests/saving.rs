@@ -47,7 +47,7 @@ fn one_save(path: &Path) {
     let saved = store.save(expected, &new);
     let _ = fs::metadata(AFTER);
     let outcome = match saved {
-        Ok(()) => "saved".to_owned(),
+        Ok(_) => "saved".to_owned(),
         Err(SaveError::Changed(_)) => "changed".to_owned(),
         Err(error) => format!("not saved: {error}"),
     };

@@ -5,7 +5,7 @@ use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _, symlink};
 use std::path::Path;
 use std::time::Duration;
 
-use descan::shell::store::{SaveError, Store, StoreError};
+use descan::shell::store::{SaveError, Saved, Store, StoreError};
 use descan::shell::watch::{FileReading, Watch};
 use tempfile::TempDir;
 
@@ -129,12 +129,33 @@ fn symbolic_links_stay() {
     assert_eq!(names(folder.path()), ["des.json", "links", "real"]);
 }
 
+/// A save is whole or not at all, which writing into the file that has both names could not be.
+#[test]
+fn a_hard_link_is_parted_and_that_is_told() {
+    let folder = folder();
+    let at = |name: &str| folder.path().join(name);
+    fs::write(at("backup"), "one").unwrap();
+    fs::set_permissions(at("backup"), fs::Permissions::from_mode(0o640)).unwrap();
+    fs::hard_link(at("backup"), at("des.json")).unwrap();
+    fs::hard_link(at("backup"), at("older")).unwrap();
+    symlink("des.json", at("link")).unwrap();
+    let store = Store::new(at("link"));
+    assert_eq!(store.save(Some(b"one"), b"two").unwrap(), Saved { parted_from: 2 });
+    for (name, content) in [("backup", "one"), ("older", "one"), ("des.json", "two")] {
+        assert_eq!(fs::read_to_string(at(name)).unwrap(), content, "{name}");
+        assert_eq!(mode(&at(name)), 0o640);
+    }
+    assert!(at("link").is_symlink());
+    assert_eq!(store.save(Some(b"two"), b"three").unwrap(), Saved { parted_from: 0 });
+    assert_eq!(fs::read_to_string(at("backup")).unwrap(), "one");
+}
+
 #[test]
 fn what_others_wrote_is_not_overwritten() {
     let folder = folder();
     let path = folder.path().join("des.json");
     let store = Store::new(&path);
-    let changed = |result: Result<(), SaveError>| match result {
+    let changed = |result: Result<Saved, SaveError>| match result {
         Err(SaveError::Changed(content)) => content,
         other => panic!("{other:?}"),
     };
@@ -155,7 +176,7 @@ fn of_many_savers_one_wins() {
         let before = fs::read(&path).ok();
         let save = |thread: u8| {
             let new = [round, thread];
-            Store::new(&path).save(before.as_deref(), &new).map(|()| new)
+            Store::new(&path).save(before.as_deref(), &new).map(|_| new)
         };
         let results: Vec<_> = std::thread::scope(|scope| {
             let threads: Vec<_> = (0..8).map(|it| scope.spawn(move || save(it))).collect();

@@ -441,3 +441,22 @@ fn a_save_that_hangs_and_fails_says_first_what_is_wrong_with_the_file() {
     stage.write(BOILER).finish_saves();
     assert_eq!(stage.file(), BOILER.replace("10", "70"));
 }
+
+// ---- hard links ----------------------------------------------------------------------------
+
+#[test]
+fn that_a_save_parted_hard_links_is_told() {
+    for (names, told) in [
+        (1, "saved, but no longer a hard link: the file's other name keeps what it said"),
+        (2, "saved, but no longer a hard link: the file's 2 other names keep what it said"),
+    ] {
+        let mut stage = saving();
+        stage.unfinished = Some(vec![SaveOutcome::Parted(names)]);
+        let screen = stage.finish_saves().screen();
+        assert!(screen.contains(told), "{screen}");
+        assert!(stage.app.message().is_some_and(|it| it.is_error));
+        assert!(stage.app.timeline().entries().any(|it| it.text == told));
+        assert_eq!(stage.app.file().unsaved(), 0);
+        assert!(stage.until(40.0).screen().contains("✓ 5 entries"), "{}", stage.screen());
+    }
+}

@@ -35,10 +35,19 @@ impl From<Result<Option<Vec<u8>>, String>> for FileReading {
 pub enum SaveOutcome {
     /// It is on disk.
     Saved,
+    /// It is on disk, but so many other names of the file (hard links) keep what it said before.
+    Parted(u64),
     /// Somebody else wrote meanwhile; nothing was written. What is there now.
     Changed(Option<Vec<u8>>),
     /// It could not be written: why.
     Failed(String),
+}
+
+impl SaveOutcome {
+    /// Whether what was to be saved is on disk.
+    pub const fn is_on_disk(&self) -> bool {
+        matches!(self, SaveOutcome::Saved | SaveOutcome::Parted(_))
+    }
 }
 
 /// Why the file cannot be used as it is.
@@ -615,7 +624,7 @@ impl FileState {
     pub fn handle_saved(&mut self, now: Instant, outcome: SaveOutcome) -> Change {
         let Some(saving) = self.saving.take() else { return Change::None };
         match outcome {
-            SaveOutcome::Saved => {
+            SaveOutcome::Saved | SaveOutcome::Parted(_) => {
                 if !saving.is_overtaken {
                     self.disk = Some(saving.content);
                     self.is_on_disk = true;

@@ -442,6 +442,14 @@ impl App {
         let before = self.file.problem().filter(|it| it.is_not_saved()).cloned();
         let is_retry = std::mem::take(&mut self.is_saving_again);
         let on_disk = self.file.on_disk().cloned();
+        let parted = match &outcome {
+            SaveOutcome::Parted(1) => Some("the file's other name keeps what it said".to_owned()),
+            SaveOutcome::Parted(names) => {
+                Some(format!("the file's {names} other names keep what it said"))
+            }
+            _ => None,
+        };
+        let parted = parted.map(|others| format!(", but no longer a hard link: {others}"));
         let change = self.file.handle_saved(self.now, outcome);
         // No edit is let through that pins a taken address, but the file may have been changed
         // while it waited to be saved.
@@ -455,6 +463,7 @@ impl App {
             let (count, names) = (names.len(), names.join(", "));
             Some(format!(", but {count} entries are pinned to {address}: {names}"))
         });
+        let but: String = clash.into_iter().chain(parted).collect();
         let problem = self.file.problem().filter(|it| it.is_not_saved());
         self.save_again_at = problem.map(|_| self.now + SAVE_AGAIN_AFTER);
         if is_retry && before.is_some() && before.as_ref() == problem {
@@ -462,11 +471,11 @@ impl App {
             self.dirty = true;
             return;
         }
-        if change == Change::Saved && (before.is_some() || clash.is_some()) {
+        if change == Change::Saved && (before.is_some() || !but.is_empty()) {
             let saved = if before.is_some() { "saved at last" } else { "saved" };
-            let text = format!("{saved}{}", clash.as_deref().unwrap_or_default());
+            let text = format!("{saved}{but}");
             self.timeline.push(TimelineEntry::new(self.now, TimelineKind::File, &text));
-            if clash.is_some() { self.complain(text) } else { self.say(text) }
+            if but.is_empty() { self.say(text) } else { self.complain(text) }
         }
         self.file_changed(change);
         if self.file.problem().is_none() {

@@ -6,7 +6,7 @@
 
 use super::recorder::Recorder;
 use super::speed::{News, Searching};
-use super::store::{SaveError, Store};
+use super::store::{SaveError, Saved, Store};
 use super::waiting::{file_changed, sleep_for};
 use super::watch::Watch;
 use crate::app::{App, Effect, SaveOutcome};
@@ -194,7 +194,7 @@ impl Session {
                 if let Some(watch) = &self.watch {
                     if self.app.file().is_overtaken() {
                         watch.look_again();
-                    } else if outcome == SaveOutcome::Saved {
+                    } else if outcome.is_on_disk() {
                         watch.saved(content);
                     }
                 }
@@ -325,7 +325,8 @@ impl Session {
         let handle = spawn_blocking(move || {
             let expected = expected.as_ref().map(Document::source);
             let outcome = match store.save(expected, content.source()) {
-                Ok(()) => SaveOutcome::Saved,
+                Ok(Saved { parted_from: 0 }) => SaveOutcome::Saved,
+                Ok(Saved { parted_from }) => SaveOutcome::Parted(parted_from),
                 Err(SaveError::Changed(there)) => SaveOutcome::Changed(there),
                 Err(error) => SaveOutcome::Failed(error.in_short()),
             };
@@ -359,8 +360,9 @@ impl Session {
 
 /// Writes a file that is not there yet, whole or not at all.
 fn write_new(path: PathBuf, bytes: &[u8]) -> Result<(), String> {
-    Store::new(path).save(None, bytes).map_err(|error| match error {
+    let saved = Store::new(path).save(None, bytes).map_err(|error| match error {
         SaveError::Changed(_) => "there is a file of that name already".to_owned(),
         other => other.to_string(),
-    })
+    });
+    saved.map(drop)
 }

@@ -2,7 +2,8 @@
 //!
 //! A save goes to a temporary file beside the target, with its mode and owner, is synced, and is
 //! renamed over it, so that neither a crash nor a full disk leaves half a file, and no reader sees
-//! one. Right before the rename, under a lock that other instances of descan respect, what is on
+//! one. That is worth more than hard links, which it parts: the file's other names keep the old
+//! content, as a backup made of hard links wants it, and the caller is told. Right before the rename, under a lock that other instances of descan respect, what is on
 //! disk is compared with what the new content was made from.
 //!
 //! What it deliberately does not know: what is in the file.
@@ -68,6 +69,13 @@ pub enum StoreError {
         /// Why.
         cause: io::Error,
     },
+}
+
+/// The file was saved.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Saved {
+    /// How many other names the file had (hard links): they keep what it said before.
+    pub parted_from: u64,
 }
 
 /// The file was not saved; it is as it was. `Display` names the cause and the way out.
@@ -174,14 +182,14 @@ impl Store {
     /// made from, or none where there was no file.
     ///
     /// When this returns `Ok`, `new` has reached the disk. Symbolic links stay, and the target's
-    /// mode, owner and group, the latter two as far as the system allows. Takes as long as the disk
+    /// mode, owner and group, the latter two as far as the system allows; hard links are parted. Takes as long as the disk
     /// needs, so not to be called where the screen waits.
     ///
     /// # Errors
     /// [`SaveError`]; the file is then as it was, and nothing is left beside it. The one exception:
     /// when the disk fails in confirming the rename, the new content may or may not survive a power
     /// cut, and the next save finds either one on disk.
-    pub fn save(&self, expected: Option<&[u8]>, new: &[u8]) -> Result<(), SaveError> {
+    pub fn save(&self, expected: Option<&[u8]>, new: &[u8]) -> Result<Saved, SaveError> {
         let places = Places::of(&self.path).map_err(|cause| self.write_error(cause))?;
         let (folder, target) = (&places.folder, &places.target);
         let open = File::open(folder).map_err(|cause| self.write_error(cause))?;
@@ -189,7 +197,7 @@ impl Store {
         let old = fs::metadata(target).ok();
         if old.is_some() && access(target, AccessFlags::W_OK) == Err(Errno::EACCES) {
             let path = shown(target);
-            let is_ours = old.is_some_and(|old| old.uid() == Uid::effective().as_raw());
+            let is_ours = old.as_ref().is_some_and(|old| old.uid() == Uid::effective().as_raw());
             return Err(if is_ours {
                 SaveError::Protected { path }
             } else {
@@ -218,12 +226,13 @@ impl Store {
             return Err(self.write_error(error.error));
         }
         drop(lock);
+        let parted_from = old.map_or(0, |old| old.nlink().saturating_sub(1));
         match open.sync_all() {
             // Not all file systems can sync a folder.
             Err(cause) if cause.raw_os_error() != Some(Errno::EINVAL as i32) => {
                 Err(self.write_error(cause))
             }
-            _ => Ok(()),
+            _ => Ok(Saved { parted_from }),
         }
     }
 
