@@ -11,6 +11,7 @@ use crate::frame::BusIndex;
 use crate::text::{Escaped, Name};
 use crate::time::Instant;
 use crate::wire::id::Address;
+use crate::wire::node::Uid;
 use std::collections::BTreeMap;
 
 /// How much is compared.
@@ -23,6 +24,31 @@ pub enum Scope {
 }
 
 impl App {
+    /// Whether two devices are proven to speak from this one's address: then what is counted of
+    /// its heartbeats is of both.
+    pub fn is_shared(&self, device: &Device) -> bool {
+        self.is_proven(device, FindingKind::SameNameSameAddress)
+            || self.is_proven(device, FindingKind::OneAddressTwoNames)
+            || self.is_proven(device, FindingKind::OneAddressTwoIdentities)
+    }
+
+    /// The UID that its heartbeats say; both, where two are proven to take turns.
+    pub fn uids_of(&self, device: &Device) -> Vec<Uid> {
+        let two = self.is_proven(device, FindingKind::OneAddressTwoIdentities);
+        let other = device.uid_before().filter(|_| two);
+        device.uid.into_iter().chain(other).collect()
+    }
+
+    fn is_proven(&self, device: &Device, kind: FindingKind) -> bool {
+        self.bus(device.id.bus).is_some_and(|bus| {
+            bus.engine.findings().iter().any(|finding| {
+                finding.key.kind == kind
+                    && finding.key.address == Some(device.address)
+                    && finding.confidence == Confidence::Confirmed
+            })
+        })
+    }
+
     /// Everything that is found: bus by bus, then what comes of the file.
     pub fn findings(&self) -> impl Iterator<Item = &Finding> {
         let engines = self.buses.iter().flat_map(|bus| bus.engine.findings());

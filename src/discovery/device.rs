@@ -452,6 +452,11 @@ impl Device {
         }
     }
 
+    /// The UID its heartbeats said before the present one: where two take turns, the other's.
+    pub fn uid_before(&self) -> Option<Uid> {
+        self.uid_before
+    }
+
     /// Whether it is on the bus as far as can be told.
     pub fn is_here(&self) -> bool {
         self.presence != Presence::Lost

@@ -187,9 +187,12 @@ impl<'a> Details<'_, 'a> {
 
     fn heartbeat(&mut self, device: &Device) {
         let beats = &device.heartbeat;
+        let is_shared = self.app().is_shared(device);
         self.blank();
         let text = match (beats.period(), beats.jitter()) {
             _ if beats.count == 0 => "none heard".to_owned(),
+            // Counted together they would be those of one that is not there.
+            _ if is_shared => "of two senders, mixed".to_owned(),
             (Some(period), Some(jitter)) => {
                 let millis = jitter.as_micros() as f64 / 1000.0;
                 format!("{:.2} s ±{millis:.0} ms", period.as_secs_f64())
@@ -198,6 +201,7 @@ impl<'a> Details<'_, 'a> {
             (None, _) => "one heard".to_owned(),
         };
         let missed = match beats.missed {
+            _ if is_shared => String::new(),
             0 => String::new(),
             missed => format!(", {missed} missed"),
         };
@@ -219,13 +223,23 @@ impl<'a> Details<'_, 'a> {
 
     fn identity(&mut self, device: &Device) {
         let profile = self.app().profile(device.id.bus);
-        match device.uid {
-            Some(uid) if uid.is_blank() => self.add("UID", Role::Muted, "blank"),
-            Some(uid) => {
-                let text = crate::text::Escaped(uid.text(&profile.uid).as_bytes()).to_string();
-                self.add("UID", Role::Text, &text);
-            }
-            None => {}
+        let mut uids: Vec<String> = self
+            .app()
+            .uids_of(device)
+            .into_iter()
+            .map(|uid| {
+                if uid.is_blank() {
+                    return "blank".to_owned();
+                }
+                crate::text::Escaped(uid.text(&profile.uid).as_bytes()).to_string()
+            })
+            .collect();
+        // The last one heard changes with each heartbeat.
+        uids.sort();
+        if !uids.is_empty() {
+            let is_blank = uids == ["blank"];
+            let role = if is_blank { Role::Muted } else { Role::Text };
+            self.add("UID", role, &uids.join(" and "));
         }
         if let Some(framing) = device.framing {
             self.add("framing", Role::Text, &framing.to_string());
