@@ -20,6 +20,8 @@
 //! saves work                          it does no more
 //! saves are slow                      what is saved is on the disk at once, but not told
 //! saves end                           now it is told
+//! saves hang                          nothing comes of a save
+//! saves go on                         now it does
 //! unseen                              what others do is not noticed from here on
 //! seen                                now it is
 //! services FEED DES=1.1 AUGER=2.2     the device has other services from now on
@@ -370,6 +372,12 @@ fn play(scenario: &str) -> String {
             ("saves", "are slow") => {
                 play.stage.slow_disk();
             }
+            ("saves", "hang") => {
+                play.stage.hang();
+            }
+            ("saves", "go on") => play.act(|stage| {
+                stage.go_on();
+            }),
             ("saves", "end") => play.act(|stage| {
                 stage.finish_saves();
             }),

@@ -10,7 +10,7 @@ use descan::app::{
 use descan::discovery::Config;
 use descan::frame::{BusIndex, CanId, Frame};
 use descan::keymap::Key;
-use descan::sim::{Action, DeviceSpec, Scenario, Sim, Station};
+use descan::sim::{Action, Scenario, Sim, Station};
 use descan::status::{BusState, BusStatus, Link, Playback, PlaybackCommand, RecordingStatus};
 use descan::theme::{BUILT_IN, Role, Theme};
 use descan::time::{Duration, Instant};
@@ -545,43 +545,6 @@ fn where_no_content_was_ever_good_none_is_said_to_stay() {
     assert!(!screen.contains("good content"), "{screen}");
     stage.write("[]").write("[{]");
     assert!(stage.screen().contains("the last good content stays"), "{}", stage.screen());
-}
-
-#[test]
-fn changed_services_are_taken_over_and_given_back() {
-    const FILE: &str = r#"[
-  { "name": "FEED", "address": 12, "static": true,
-    "services": [ { "name": "DES", "version": "1.0" }, { "version": "2.1", "name": "AUGER", "ok":1 } ] },
-  { "name": "SENS", "services": {"DES":"1.0" , "TEMP":"1.7"}, "address": 13 },
-  { "name": "FAN", "address": 14 }
-]"#;
-    let services = |services: [(&str, &str); 2]| -> Vec<Vec<Vec<u8>>> {
-        services.map(|(name, version)| vec![name.into(), version.into()]).to_vec()
-    };
-    let updated = |own: (&str, &str)| Action::Reboot {
-        services: Some(services([("DES", "1.0"), (own.0, own.1)])),
-    };
-    let scenario = Scenario::new(125_000)
-        .with(DeviceSpec::new("FEED").fixed(12).settled().service("AUGER", "2.1"))
-        .with(DeviceSpec::new("SENS").fixed(13).settled().service("TEMP", "1.7"))
-        .with(DeviceSpec::new("FAN").fixed(14).settled().service("BLOW", "3"))
-        .at(Duration::from_secs(10), "FEED", updated(("AUGER", "2.2")))
-        .at(Duration::from_secs(10), "SENS", updated(("TEMP", "1.8")));
-    let mut stage = Stage::new(&scenario, Some(FILE));
-    stage.until(8.0).keys("g a A");
-    assert_eq!(stage.file(), FILE);
-    stage.until(20.0).keys("g a");
-    let one = FILE.replace("2.1", "2.2");
-    assert_eq!(stage.file(), one);
-    let said = "services of the entry FEED at 12: 2 listed";
-    assert!(stage.keys("3").screen().contains(said), "{}", stage.screen());
-    assert_eq!(stage.keys("1 u").file(), FILE);
-    assert_eq!(stage.keys("Ctrl-r").file(), one);
-    assert_eq!(stage.keys("u A").file(), one.replace("1.7", "1.8"));
-    assert!(stage.screen().contains("services of 2 entries"), "{}", stage.screen());
-    assert_eq!(stage.keys("u").file(), FILE);
-    // Asked for one, services are listed where there were none.
-    assert!(stage.keys("G a").file().contains("\"BLOW\""), "{}", stage.file());
 }
 
 #[test]

@@ -25,6 +25,8 @@ pub struct Stage {
     pub effects: Vec<Effect>,
     /// Saves whose end has not been told yet, where the disk is slow.
     pub unfinished: Option<Vec<SaveOutcome>>,
+    /// Saves that nothing has come of yet, where the disk hangs.
+    pub hanging: Option<Vec<Effect>>,
     /// Why the disk takes nothing.
     pub refusal: Option<String>,
     pub size: (u16, u16),
@@ -75,6 +77,7 @@ impl Stage {
             file,
             effects: Vec::new(),
             unfinished: None,
+            hanging: None,
             refusal: None,
             size: (80, 24),
         };
@@ -120,23 +123,46 @@ impl Stage {
             self.sim.transmit(self.station, frame);
         }
         while let Some(effect) = self.app.poll_effect() {
-            if let Effect::Save { expected, content } = &effect {
-                let expected = expected.as_ref().map(Document::source);
-                let outcome = if let Some(why) = &self.refusal {
-                    SaveOutcome::Failed(why.clone())
-                } else if expected == self.file.as_deref() {
-                    self.file = Some(content.source().to_vec());
-                    SaveOutcome::Saved
-                } else {
-                    SaveOutcome::Changed(self.file.clone())
-                };
-                match &mut self.unfinished {
-                    Some(unfinished) => unfinished.push(outcome),
-                    None => self.app.handle_saved(now, outcome),
-                }
+            if let (Effect::Save { .. }, Some(hanging)) = (&effect, &mut self.hanging) {
+                hanging.push(effect.clone());
+            } else {
+                self.save(now, &effect);
             }
             self.effects.push(effect);
         }
+    }
+
+    /// Writes the file, where that is what is to be done.
+    fn save(&mut self, now: Instant, effect: &Effect) {
+        let Effect::Save { expected, content } = effect else { return };
+        let expected = expected.as_ref().map(Document::source);
+        let outcome = if let Some(why) = &self.refusal {
+            SaveOutcome::Failed(why.clone())
+        } else if expected == self.file.as_deref() {
+            self.file = Some(content.source().to_vec());
+            SaveOutcome::Saved
+        } else {
+            SaveOutcome::Changed(self.file.clone())
+        };
+        match &mut self.unfinished {
+            Some(unfinished) => unfinished.push(outcome),
+            None => self.app.handle_saved(now, outcome),
+        }
+    }
+
+    /// From now on nothing comes of a save, until [`Self::go_on`].
+    pub fn hang(&mut self) -> &mut Self {
+        self.hanging = Some(Vec::new());
+        self
+    }
+
+    pub fn go_on(&mut self) -> &mut Self {
+        let now = self.app.now();
+        for effect in self.hanging.take().into_iter().flatten() {
+            self.save(now, &effect);
+        }
+        self.drain(now);
+        self
     }
 
     /// From now on the end of a save is told by [`Self::finish_saves`].
