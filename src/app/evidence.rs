@@ -4,7 +4,8 @@
 //! or is over, and when the capture has long forgotten the frames. Leaving gives the page back as
 //! it was.
 
-use super::view::{Cursor, Focus, Page};
+use super::cursor::Cursor;
+use super::page::{Focus, Page};
 use super::{App, Piece, ProblemKey};
 use crate::discovery::FindingKind;
 use crate::frame::Frame;

@@ -19,11 +19,11 @@
 //! Upper and lower case make no difference.
 
 use super::App;
-use super::devices::Row;
 use super::groups::{Problem, headline};
+use super::page::Page;
+use super::rows::Row;
 use super::timeline;
 use super::traffic::Decoded;
-use super::view::Page;
 use crate::discovery::{Confidence, FindingKind};
 use crate::frame::{Frame, FrameKind};
 use crate::wire::id::Address;

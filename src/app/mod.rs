@@ -14,18 +14,21 @@
 //! buses     engine, adapter's words and meter of each bus
 //! capture   the frames of the last while; statistics per identifier
 //! timeline  what happened, in lines          events   from the engines' events to those lines
-//! matching  which entry is which device      devices  the rows of the Devices page
+//! matching  which entry is which device
+//! rows      what a row of Devices is         devices  how those rows are made
 //! file      des.json, edits, undo            edits    the commands that edit it
 //! problems  findings                         groups   from them to the rows of Problems
 //! evidence  the frames of a problem          why      why a device is missing
 //! traffic   frames in words                  filter   the filter line
-//! view      page, selection, scroll          screen   where the regions are
+//! page      which page, which part of it     cursor   what is selected
+//! view      all that the user looks at       screen   where the regions are
 //! prompt    lines being typed                navigate the commands that only look
 //! ```
 
 mod bitrate;
 mod buses;
 mod capture;
+mod cursor;
 mod devices;
 mod edits;
 mod events;
@@ -35,8 +38,10 @@ mod filter;
 mod groups;
 mod matching;
 mod navigate;
+mod page;
 mod problems;
 mod prompt;
+mod rows;
 mod screen;
 mod siblings;
 mod timeline;
@@ -46,7 +51,8 @@ mod why;
 
 pub use buses::{Bus, Hindrance, Meter, Second};
 pub use capture::{Capture, IdentifierKey, IdentifierStats, Kind as IdentifierKind};
-pub use devices::{Counts, FileWord, Row, RowKey, SortBy, State, concerns};
+pub use cursor::Cursor;
+pub use devices::concerns;
 pub use events::Happening;
 pub use evidence::EvidenceView;
 pub use file::{Change, FileProblem, FileReading, FileState, Refusal, SaveOutcome};
@@ -54,13 +60,15 @@ pub use filter::Filter;
 pub use groups::{Piece, Problem, ProblemKey};
 pub use matching::Matching;
 pub use navigate::{Mouse, MouseKind};
+pub use page::{Focus, Frozen, Page};
 pub use problems::{Scope, same_services};
 pub use prompt::{Prompt, PromptKind, Verdict};
+pub use rows::{Counts, FileWord, Row, RowKey, SortBy, State};
 pub use screen::{SPLIT_WIDTH, Screen, tabs};
 pub use siblings::{Kinship, Sibling};
 pub use timeline::{Entry as TimelineEntry, Kind as TimelineKind, Timeline};
 pub use traffic::{Decoded, clock, clock_millis, hex};
-pub use view::{Cursor, Focus, Frozen, Page, View};
+pub use view::View;
 pub use why::spell;
 
 use crate::discovery::{Config, DeviceId, Finding, OwnAddress};

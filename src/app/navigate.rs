@@ -1,8 +1,8 @@
 //! The commands that only look: pages, rows, details, freezing, the mouse.
 
 use super::capture::{IdentifierKey, IdentifierStats};
+use super::page::{Focus, Frozen, Page};
 use super::prompt::PromptKind;
-use super::view::{Focus, Frozen, Page};
 use super::{App, Decoded, Effect, Filter, Overlay, Problem, Row, RowKey, tabs};
 use crate::frame::BusIndex;
 use crate::status::PlaybackCommand;

@@ -16,6 +16,7 @@
 //! position   lines and columns
 //! entry      reading entries
 //! finding    what is wrong with them
+//! duplicates entries that cannot both be right
 //! operation  edits as values, their keys, names and inverses
 //! edit       edits carried out
 //! patch      the document that an edit makes, without reading all of it again
@@ -24,6 +25,7 @@
 //! text       names: JSON, hexadecimal
 //! ```
 
+mod duplicates;
 mod edit;
 mod entry;
 mod finding;
@@ -137,7 +139,7 @@ impl Document {
         mut findings: Vec<DocumentFinding>,
         more: usize,
     ) -> Self {
-        findings.extend(finding::collisions(&entries));
+        findings.extend(duplicates::collisions(&entries));
         finding::keep_first(&mut findings, more);
         let occurrences = occurrences(&entries);
         let mut is_flawed = vec![false; entries.len()];

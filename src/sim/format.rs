@@ -159,48 +159,52 @@ enum Deed {
     ErrorRate,
 }
 
-pub(super) fn parse(text: &str) -> Result<Scenario, ScenarioError> {
-    let written: ScenarioWritten = toml::from_str(text)?;
-    let bus = Place("the bus".to_owned());
-    let defaults = Scenario::default();
-    let mut scenario = Scenario {
-        bitrate: written.bitrate,
-        data_bitrate: written
-            .data_bitrate
-            .unwrap_or_else(|| defaults.data_bitrate.max(written.bitrate)),
-        seed: written.seed.unwrap_or(defaults.seed),
-        error_rate: bus.share("error_rate", written.error_rate)?,
-        observer_loss: bus.share("observer_loss", written.observer_loss)?,
-        devices: Vec::new(),
-        timetable: Vec::new(),
-    };
-    bus.range("bitrate", scenario.bitrate, 10_000, 1_000_000, "10000 to 1000000 bit/s")?;
-    bus.range("data_bitrate", scenario.data_bitrate, 10_000, 8_000_000, "up to 8000000 bit/s")?;
-    if written.device.len() > MAX_DEVICES {
-        return Err(bus.out_of_range("device", &written.device.len(), "at most 512 devices"));
-    }
-    let mut labels = BTreeSet::new();
-    for (index, device) in written.device.into_iter().enumerate() {
-        let device = device.translate(index + 1)?;
-        if !labels.insert(device.label.clone()) {
-            return Err(ScenarioError::DuplicateLabel { label: device.label });
+impl Scenario {
+    /// Reads a scenario.
+    pub fn parse(text: &str) -> Result<Self, ScenarioError> {
+        let written: ScenarioWritten = toml::from_str(text)?;
+        let bus = Place("the bus".to_owned());
+        let defaults = Scenario::default();
+        let mut scenario = Scenario {
+            bitrate: written.bitrate,
+            data_bitrate: written
+                .data_bitrate
+                .unwrap_or_else(|| defaults.data_bitrate.max(written.bitrate)),
+            seed: written.seed.unwrap_or(defaults.seed),
+            error_rate: bus.share("error_rate", written.error_rate)?,
+            observer_loss: bus.share("observer_loss", written.observer_loss)?,
+            devices: Vec::new(),
+            timetable: Vec::new(),
+        };
+        bus.range("bitrate", scenario.bitrate, 10_000, 1_000_000, "10000 to 1000000 bit/s")?;
+        bus.range("data_bitrate", scenario.data_bitrate, 10_000, 8_000_000, "up to 8000000 bit/s")?;
+        if written.device.len() > MAX_DEVICES {
+            return Err(bus.out_of_range("device", &written.device.len(), "at most 512 devices"));
         }
-        scenario.devices.push(device);
-    }
-    for (index, event) in written.at.into_iter().enumerate() {
-        let place = Place(format!("[[at]] number {}", index + 1));
-        let event = event.translate(&place)?;
-        let for_bus = matches!(event.action, Action::ErrorRate(_));
-        if for_bus != event.device.is_empty() {
-            let problem = if for_bus { "concerns the bus, no device" } else { "needs `device`" };
-            return Err(place.incomplete(problem));
+        let mut labels = BTreeSet::new();
+        for (index, device) in written.device.into_iter().enumerate() {
+            let device = device.translate(index + 1)?;
+            if !labels.insert(device.label.clone()) {
+                return Err(ScenarioError::DuplicateLabel { label: device.label });
+            }
+            scenario.devices.push(device);
         }
-        if !for_bus && !labels.contains(&event.device) {
-            return Err(ScenarioError::UnknownDevice { place: place.0, device: event.device });
+        for (index, event) in written.at.into_iter().enumerate() {
+            let place = Place(format!("[[at]] number {}", index + 1));
+            let event = event.translate(&place)?;
+            let for_bus = matches!(event.action, Action::ErrorRate(_));
+            if for_bus != event.device.is_empty() {
+                let problem =
+                    if for_bus { "concerns the bus, no device" } else { "needs `device`" };
+                return Err(place.incomplete(problem));
+            }
+            if !for_bus && !labels.contains(&event.device) {
+                return Err(ScenarioError::UnknownDevice { place: place.0, device: event.device });
+            }
+            scenario.timetable.push(event);
         }
-        scenario.timetable.push(event);
+        Ok(scenario)
     }
-    Ok(scenario)
 }
 
 impl DeviceWritten {

@@ -65,11 +65,6 @@ impl Scenario {
         Self::parse(text)
     }
 
-    /// Reads a scenario.
-    pub fn parse(text: &str) -> Result<Self, ScenarioError> {
-        super::format::parse(text)
-    }
-
     /// The same with one more device.
     #[must_use]
     pub fn with(mut self, device: DeviceSpec) -> Self {

@@ -1,0 +1,93 @@
+//! Entries of one file that cannot both be right.
+
+use super::entry::Entry;
+use super::finding::{DocumentFinding, FindingKind};
+use super::text::brief;
+use std::collections::HashMap;
+use std::fmt::Write as _;
+
+/// Entries that cannot both be right.
+///
+/// An entry without `bus` stands for every bus. Entries of one name and one address are reported
+/// once, as duplicate entries, whether or not the address is static.
+pub(super) fn collisions(entries: &[Entry]) -> Vec<DocumentFinding> {
+    let mut same_entry: HashMap<(u8, &[u8]), Vec<&Entry>> = HashMap::new();
+    let mut same_address: HashMap<u8, Vec<&Entry>> = HashMap::new();
+    for entry in entries {
+        let Some(address) = entry.address else { continue };
+        same_entry.entry((address, &entry.name)).or_default().push(entry);
+        if entry.is_static {
+            same_address.entry(address).or_default().push(entry);
+        }
+    }
+    let mut findings = Vec::new();
+    for ((address, name), group) in same_entry {
+        for group in on_one_bus(group) {
+            let message = format!(
+                "{} at address {address} is listed {} times: {}",
+                brief(name),
+                group.len(),
+                enumerate(&group, |entry| format!("line {}", entry.position.line)),
+            );
+            findings.push(collision(FindingKind::DuplicateEntry, message, &group));
+        }
+    }
+    for (address, group) in same_address {
+        for group in on_one_bus(group) {
+            if group.iter().all(|entry| entry.name == group[0].name) {
+                continue;
+            }
+            let message = format!(
+                "{address} is the static address of {} entries: {}",
+                group.len(),
+                enumerate(&group, |entry| {
+                    format!("{} (line {})", brief(&entry.name), entry.position.line)
+                }),
+            );
+            findings.push(collision(FindingKind::DuplicateAddress, message, &group));
+        }
+    }
+    findings
+}
+
+/// The groups of two or more that share a bus.
+fn on_one_bus(group: Vec<&Entry>) -> Vec<Vec<&Entry>> {
+    if group.len() < 2 {
+        return Vec::new();
+    }
+    if group.iter().any(|entry| entry.bus.is_none()) {
+        return vec![group];
+    }
+    let mut buses: HashMap<&Option<String>, Vec<&Entry>> = HashMap::new();
+    for entry in group {
+        buses.entry(&entry.bus).or_default().push(entry);
+    }
+    buses.into_values().filter(|group| group.len() > 1).collect()
+}
+
+fn collision(kind: FindingKind, message: String, group: &[&Entry]) -> DocumentFinding {
+    DocumentFinding {
+        kind,
+        position: group[1].address_position.unwrap_or(group[1].position),
+        message,
+        entries: group.iter().map(|entry| entry.index).collect(),
+    }
+}
+
+/// "A, B and C", with a bound.
+fn enumerate(group: &[&Entry], describe: impl Fn(&Entry) -> String) -> String {
+    const SHOWN: usize = 4;
+    let mut out = String::new();
+    for (i, entry) in group.iter().enumerate().take(SHOWN) {
+        out.push_str(match i {
+            0 => "",
+            i if i + 1 == group.len() => " and ",
+            _ => ", ",
+        });
+        out.push_str(&describe(entry));
+    }
+    if group.len() > SHOWN {
+        let _ = write!(out, " and {} more", group.len() - SHOWN);
+    }
+    out
+}
