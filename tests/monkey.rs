@@ -145,7 +145,7 @@ impl Stage {
                         self.disk = Some(content.source().to_vec());
                         SaveOutcome::Saved
                     } else {
-                        SaveOutcome::Changed(self.disk.clone())
+                        SaveOutcome::Changed(FileReading::Content(self.disk.clone()))
                     };
                     self.app.handle_saved(self.now, outcome);
                 }

@@ -3,7 +3,7 @@
 #[path = "common/stage.rs"]
 mod stage;
 
-use descan::app::{Effect, SaveOutcome};
+use descan::app::{Effect, FileReading, SaveOutcome};
 use descan::document::Document;
 use descan::sim::Scenario;
 use descan::status::Playback;
@@ -379,6 +379,11 @@ fn saving() -> Stage {
     stage
 }
 
+/// The save found this.
+fn found(text: &str) -> SaveOutcome {
+    SaveOutcome::Changed(FileReading::Content(Some(text.as_bytes().to_vec())))
+}
+
 #[test]
 fn what_others_write_while_a_save_hangs_is_seen() {
     let with = |name: &str| BOILER.replace("\"DISP\"", &format!("\"{name}\""));
@@ -392,7 +397,7 @@ fn what_others_write_while_a_save_hangs_is_seen() {
     }
     assert_eq!(stage.file(), with("SHOWN"));
     // It comes to its end: it found what was there first.
-    stage.unfinished = Some(vec![SaveOutcome::Changed(Some(with("SHOW").into_bytes()))]);
+    stage.unfinished = Some(vec![found(&with("SHOW"))]);
     stage.finish_saves().finish_saves();
     assert_eq!(stage.file(), with("SHOWN").replace("10", "70"));
     assert!(stage.screen().contains("✓ 5 entries"), "{}", stage.screen());
@@ -415,7 +420,7 @@ fn a_conflict_while_a_save_hangs_is_decided_at_once() {
         assert!(stage.screen().contains("Conflict"), "{}", stage.screen());
         stage.keys(key);
         assert!(!stage.screen().contains("Conflict"), "{}", stage.screen());
-        stage.unfinished = Some(vec![SaveOutcome::Changed(stage.file.clone())]);
+        stage.unfinished = Some(vec![found(stage.file())]);
         stage.finish_saves().finish_saves();
         assert_eq!(stage.file(), BOILER.replace("10", address));
         assert_eq!(stage.app.file().unsaved(), 0);
@@ -435,7 +440,7 @@ fn a_save_that_hangs_and_fails_says_first_what_is_wrong_with_the_file() {
     // And one that finds the file emptied in its course waits.
     let mut stage = saving();
     stage.write("");
-    stage.unfinished = Some(vec![SaveOutcome::Changed(Some(Vec::new()))]);
+    stage.unfinished = Some(vec![found("")]);
     stage.finish_saves().until(24.5);
     assert_eq!(stage.file(), "");
     stage.write(BOILER).finish_saves();

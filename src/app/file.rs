@@ -17,8 +17,35 @@ use std::path::{Path, PathBuf};
 pub enum FileReading {
     /// Its content; `None` where there is no such file.
     Content(Option<Vec<u8>>),
+    /// The same, parsed: for megabytes that takes longer than a screen should wait.
+    Parsed(Result<Document, ParseError>),
     /// It cannot be read: why.
     Error(String),
+}
+
+impl FileReading {
+    /// Parses the content.
+    #[must_use]
+    pub fn parsed(self) -> Self {
+        match self {
+            FileReading::Content(Some(content)) => FileReading::Parsed(Document::parse(&content)),
+            other => other,
+        }
+    }
+
+    /// The document, none where there is no file; or what is wrong with it.
+    fn found(self) -> Result<Option<Document>, FileProblem> {
+        match self {
+            FileReading::Content(None) => Ok(None),
+            FileReading::Content(Some(content)) => match Document::parse(&content) {
+                Ok(document) => Ok(Some(document)),
+                Err(error) => Err(FileProblem::Syntax(error)),
+            },
+            FileReading::Parsed(Ok(document)) => Ok(Some(document)),
+            FileReading::Parsed(Err(error)) => Err(FileProblem::Syntax(error)),
+            FileReading::Error(why) => Err(FileProblem::Unreadable(why)),
+        }
+    }
 }
 
 impl From<Result<Option<Vec<u8>>, String>> for FileReading {
@@ -38,7 +65,7 @@ pub enum SaveOutcome {
     /// It is on disk, but so many other names of the file (hard links) keep what it said before.
     Parted(u64),
     /// Somebody else wrote meanwhile; nothing was written. What is there now.
-    Changed(Option<Vec<u8>>),
+    Changed(FileReading),
     /// It could not be written: why.
     Failed(String),
 }
@@ -314,34 +341,28 @@ impl FileState {
     /// Takes what was found on disk. A save that is on its way may take long, or for ever: what
     /// somebody else writes meanwhile is taken in all the same.
     pub fn read(&mut self, now: Instant, reading: FileReading) -> Change {
-        if self.is_what_we_write(&reading) {
+        let found = reading.found();
+        if self.is_what_we_write(&found) {
             return Change::None;
         }
-        let content = match reading {
-            FileReading::Content(content) => content,
-            FileReading::Error(why) => {
+        let found = match found {
+            Ok(found) => found,
+            Err(problem) => {
                 self.emptied = None;
-                let problem = Some(FileProblem::Unreadable(why));
-                let change = if self.problem == problem { Change::None } else { Change::Broken };
-                self.problem = problem;
+                let change = if self.problem.as_ref() == Some(&problem) {
+                    Change::None
+                } else {
+                    Change::Broken
+                };
+                self.problem = Some(problem);
                 return change;
             }
         };
-        let theirs = match content.as_deref().map_or_else(|| Ok(Document::empty()), Document::parse)
-        {
-            Ok(document) => document,
-            Err(error) => {
-                self.emptied = None;
-                let problem = Some(FileProblem::Syntax(error));
-                let change = if self.problem == problem { Change::None } else { Change::Broken };
-                self.problem = problem;
-                return change;
-            }
-        };
+        let is_there = found.is_some();
+        let theirs = found.unwrap_or_else(Document::empty);
         // What it was compared with last. Where there is a conflict it may be what it was before:
         // then there is none any more.
         let known = self.dispute.as_ref().map(|it| &it.theirs).or(self.disk.as_ref());
-        let is_there = content.is_some();
         let was_empty =
             known.is_none_or(|known| self.is_on_disk && known.is_blank()) || !theirs.is_blank();
         if is_there && !was_empty {
@@ -382,17 +403,16 @@ impl FileState {
 
     /// While a save is on its way: whether what was found is only what we write. Anything else but
     /// what was there before overtakes the save.
-    fn is_what_we_write(&mut self, reading: &FileReading) -> bool {
+    fn is_what_we_write(&mut self, found: &Result<Option<Document>, FileProblem>) -> bool {
         let Some(saving) = self.saving.as_mut().filter(|saving| !saving.is_overtaken) else {
             return false;
         };
-        if let FileReading::Content(found) = reading {
-            if found.as_deref() == Some(saving.content.source()) {
+        if let Ok(found) = found {
+            if found.as_ref() == Some(&saving.content) {
                 saving.is_there = true;
                 return true;
             }
-            let is_as_before = found.as_deref() == saving.expected.as_ref().map(Document::source);
-            if is_as_before && !saving.is_there {
+            if *found == saving.expected && !saving.is_there {
                 return false;
             }
         }
@@ -641,7 +661,7 @@ impl FileState {
                 self.drop_what_is_on_disk();
                 Change::None
             }
-            SaveOutcome::Changed(found) => self.read(now, FileReading::Content(found)),
+            SaveOutcome::Changed(found) => self.read(now, found),
             SaveOutcome::Failed(why) => {
                 let is_told = self.check().is_err();
                 if !is_told {
@@ -769,7 +789,7 @@ mod tests {
         file.edit(&[set_address(&file, 16)]).unwrap();
         file.start_saving().unwrap();
         let theirs = FILE.replace("FEED", "FEEDX").replace("true", "true, \"note\":1");
-        let outcome = SaveOutcome::Changed(Some(theirs.clone().into_bytes()));
+        let outcome = SaveOutcome::Changed(content(&theirs));
         assert_eq!(file.handle_saved(NOW, outcome), Change::Rebased);
         let saving = file.start_saving().unwrap();
         assert_eq!(saving.expected.unwrap().source(), theirs.as_bytes());
@@ -852,8 +872,8 @@ mod tests {
         file.start_saving().unwrap();
         let newest = FILE.replace("true", "true, \"note\":2");
         assert_eq!(file.read(NOW, content(&newest)), Change::Rebased);
-        let older = FILE.replace("true", "true, \"note\":1").into_bytes();
-        file.handle_saved(NOW, SaveOutcome::Changed(Some(older)));
+        let older = FILE.replace("true", "true, \"note\":1");
+        file.handle_saved(NOW, SaveOutcome::Changed(content(&older)));
         let saving = file.start_saving().unwrap();
         assert_eq!(saving.expected.unwrap().source(), newest.as_bytes());
         assert_eq!(saving.content.source(), newest.replace("12", "16").as_bytes());

@@ -9,7 +9,7 @@ use super::speed::{News, Searching};
 use super::store::{SaveError, Saved, Store};
 use super::waiting::{file_changed, sleep_for};
 use super::watch::Watch;
-use crate::app::{App, Effect, SaveOutcome};
+use crate::app::{App, Effect, FileReading, SaveOutcome};
 use crate::bus::{Clock, Port};
 use crate::document::Document;
 use crate::frame::{BusIndex, Frame};
@@ -33,7 +33,7 @@ pub enum Wake {
     /// A bus has frames, or its status changed.
     Buses,
     /// des.json was changed by somebody else.
-    File(Result<Option<Vec<u8>>, String>),
+    File(FileReading),
     /// Work on files is done.
     Done(Finished),
     /// The recording is longer, or over.
@@ -68,6 +68,8 @@ pub struct Session {
     named: Vec<usize>,
     store: Option<Store>,
     watch: Option<Watch>,
+    /// What was found is being parsed: not on the thread that draws.
+    reading: Option<JoinHandle<FileReading>>,
     work: Vec<Work>,
     recorder: Option<Recorder>,
     searching: Option<Searching>,
@@ -84,6 +86,7 @@ impl Session {
             ports,
             store,
             watch: None,
+            reading: None,
             work: Vec::new(),
             recorder: None,
             searching: None,
@@ -125,7 +128,19 @@ impl Session {
     pub async fn next(&mut self) -> Wake {
         let deadline = self.app.poll_timeout().map(|at| self.clock.until(at));
         let due = sleep_for(deadline);
-        let file = file_changed(self.watch.as_ref());
+        let (watch, reading) = (self.watch.as_ref(), &mut self.reading);
+        let file = async {
+            let parsing = if let Some(parsing) = reading {
+                parsing
+            } else {
+                let found = FileReading::from(file_changed(watch).await);
+                reading.insert(spawn_blocking(|| found.parsed()))
+            };
+            let parsed = parsing.await;
+            *reading = None;
+            parsed
+                .unwrap_or_else(|broken| FileReading::Error(format!("reading broke off: {broken}")))
+        };
         let recorder = self.recorder.as_ref();
         let recording = async {
             match recorder {
@@ -189,10 +204,12 @@ impl Session {
                 }
             }
             Wake::Search(news) => self.take_search(now, news),
-            Wake::File(reading) => self.app.handle_file(now, reading.into()),
+            Wake::File(reading) => self.app.handle_file(now, reading),
             Wake::Done(Finished::Saved(outcome, content)) => {
                 if let Some(watch) = &self.watch {
-                    if self.app.file().is_overtaken() {
+                    // What is being parsed was read before.
+                    let is_old = outcome.is_on_disk() && self.reading.take().is_some();
+                    if is_old || self.app.file().is_overtaken() {
                         watch.look_again();
                     } else if outcome.is_on_disk() {
                         watch.saved(content);
@@ -327,7 +344,9 @@ impl Session {
             let outcome = match store.save(expected, content.source()) {
                 Ok(Saved { parted_from: 0 }) => SaveOutcome::Saved,
                 Ok(Saved { parted_from }) => SaveOutcome::Parted(parted_from),
-                Err(SaveError::Changed(there)) => SaveOutcome::Changed(there),
+                Err(SaveError::Changed(there)) => {
+                    SaveOutcome::Changed(FileReading::Content(there).parsed())
+                }
                 Err(error) => SaveOutcome::Failed(error.in_short()),
             };
             Finished::Saved(outcome, content.source().to_vec())

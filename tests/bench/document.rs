@@ -44,7 +44,7 @@ fn main() {
     app.handle_resize(120, 40);
     let status = BusStatus { link: Link::Up, ..BusStatus::default() };
     app.handle_bus(Instant::ZERO, BusIndex(0), status);
-    let reading = FileReading::Content(Some(text.into_bytes()));
+    let reading = FileReading::Content(Some(text.clone().into_bytes()));
     timed("opened in the program", || app.handle_file(Instant::ZERO, reading));
     // Long enough for entries to be missing.
     let mut seconds = 0;
@@ -71,6 +71,12 @@ fn main() {
         });
     }
     app.handle_key(app.now(), Key::parse("1").unwrap());
+    let theirs = |note: &str| text.replacen("xxx", note, 1).into_bytes();
+    let reading = FileReading::Content(Some(theirs("yyy")));
+    timed("changed by others, not parsed", || app.handle_file(app.now(), reading));
+    // As the reader hands it over.
+    let reading = FileReading::Content(Some(theirs("zzz"))).parsed();
+    timed("changed by others", || app.handle_file(app.now(), reading));
     for key in ["G", "e", "Ctrl-u", "9", "8"] {
         app.handle_key(app.now(), Key::parse(key).unwrap());
     }

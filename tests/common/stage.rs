@@ -142,7 +142,7 @@ impl Stage {
             self.file = Some(content.source().to_vec());
             SaveOutcome::Saved
         } else {
-            SaveOutcome::Changed(self.file.clone())
+            SaveOutcome::Changed(FileReading::Content(self.file.clone()))
         };
         match &mut self.unfinished {
             Some(unfinished) => unfinished.push(outcome),
@@ -219,7 +219,8 @@ impl Stage {
 
     /// The program is told what is on the disk now.
     pub fn notice(&mut self) -> &mut Self {
-        self.app.handle_file(self.app.now(), FileReading::Content(self.file.clone()));
+        let reading = FileReading::Content(self.file.clone()).parsed();
+        self.app.handle_file(self.app.now(), reading);
         self.drain(self.app.now());
         self
     }
