@@ -1,11 +1,12 @@
-//! Edits of des.json are taken back, and others empty, change or hold up the file meanwhile.
+//! Edits of des.json are taken back, and others empty, change or hold up the file meanwhile; of
+//! several entries of one name the right one is edited.
 
 #[path = "common/stage.rs"]
 mod stage;
 
 use descan::app::{Effect, FileReading, SaveOutcome};
 use descan::document::Document;
-use descan::sim::Scenario;
+use descan::sim::{DeviceSpec, Scenario};
 use descan::status::Playback;
 use stage::{BOILER, Stage};
 
@@ -328,7 +329,8 @@ fn of_many_at_once_what_somebody_else_changed_since_is_left_alone() {
         |text: &str| text.replace(&format!("\"address\": {address},"), "\"address\": 99,");
     stage.write(&changed(&all)).keys("u");
     assert_eq!(names(&stage), "N002");
-    told(&stage, "taken back: 4 new entries, but not N002, changed by somebody else since");
+    let but = format!("but not N002 at {address}, changed by somebody else since");
+    told(&stage, &format!("taken back: 4 new entries, {but}"));
     // The other way it is the same.
     stage.keys("Ctrl-r");
     assert_eq!(names(&stage), "N001 N002 N003 N004");
@@ -344,7 +346,7 @@ fn of_many_at_once_what_somebody_else_changed_since_is_left_alone() {
     stage.write(&theirs).keys("Ctrl-r");
     assert_eq!(names(&stage), "N001 N003 N002 N004");
     assert!(stage.file().contains(brought.trim_start_matches("[ ")), "{}", stage.file());
-    let but = "but not N003, changed by somebody else since";
+    let but = format!("but not N003 at {third}, changed by somebody else since");
     told(&stage, &format!("made again: 4 new entries, all but 1, {but}"));
     stage.keys("u");
     assert_eq!(names(&stage), "N003 N002");
@@ -359,10 +361,8 @@ fn of_many_at_once_what_somebody_else_changed_since_is_left_alone() {
     let all = stage.file().to_owned();
     stage.write(&noted(&all, 3)).keys("u");
     assert_eq!(names(&stage), "N001 N002 N003");
-    told(
-        &stage,
-        "taken back: 4 new entries, but not N003 and 2 more, changed by somebody else since",
-    );
+    let but = format!("but not N003 at {third} and 2 more, changed by somebody else since");
+    told(&stage, &format!("taken back: 4 new entries, {but}"));
     let mut stage = Stage::new(&Scenario::crowd(500_000, 4, 2), Some("[]"));
     stage.until(5.0).keys("A").write(&noted(&all, 4)).keys("u");
     assert_eq!(stage.file(), noted(&all, 4));
@@ -463,5 +463,74 @@ fn that_a_save_parted_hard_links_is_told() {
         assert!(stage.app.timeline().entries().any(|it| it.text == told));
         assert_eq!(stage.app.file().unsaved(), 0);
         assert!(stage.until(40.0).screen().contains("✓ 5 entries"), "{}", stage.screen());
+    }
+}
+
+// ---- several entries of one name -----------------------------------------------------------
+
+/// From each problem whose text contains this, to the entry of the row that it leads to.
+fn leads_to(stage: &mut Stage, problem: &str) -> usize {
+    stage.keys("4 g");
+    for _ in 0..30 {
+        let selected = stage.app.selected_problem().unwrap();
+        if selected.findings.iter().any(|finding| finding.text.contains(problem)) {
+            stage.keys("Enter");
+            assert_eq!(stage.app.view().page, descan::app::Page::Devices, "{}", stage.screen());
+            return stage.app.selected_row().unwrap().entry.unwrap();
+        }
+        stage.keys("j");
+    }
+    panic!("no {problem}\n{}", stage.screen());
+}
+
+#[test]
+fn a_problem_leads_to_its_own_entry_among_several_of_one_name() {
+    let entries = [
+        r#"{ "name": "TWIN", "address": 40 }"#,
+        r#"{ "name": "TWIN", "address": "x" }"#,
+        r#"{ "name": "TWIN", "address": 41, "static": 1 }"#,
+        r#"{ "name": "SAME", "address": 50, "static": 2 }"#,
+        r#"{ "name": "SAME", "address": 50, "uid": 3 }"#,
+    ];
+    for turn in 0..entries.len() {
+        let mut turned = entries.to_vec();
+        turned.rotate_left(turn);
+        let at = |entry: usize| (entry + entries.len() - turn) % entries.len();
+        let file = format!("[{}]", turned.join(",\n"));
+        let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some(&file));
+        stage.until(24.0);
+        for (problem, entry) in [
+            ("TWIN (at 40) is listed and not there", 0),
+            ("TWIN is listed and not there", 1),
+            ("TWIN (at 41) is listed and not there", 2),
+            ("`address` is a string", 1),
+            (&format!("`static` is a number; it must be true or false (line {},", at(2) + 1), 2),
+            (&format!("`static` is a number; it must be true or false (line {},", at(3) + 1), 3),
+            ("`uid` is a number", 4),
+        ] {
+            assert_eq!(leads_to(&mut stage, problem), at(entry), "{problem}\n{file}");
+        }
+        // It is the one that is edited, from either page.
+        leads_to(&mut stage, "`address` is a string");
+        stage.keys("4 e Ctrl-u").text("99").keys("Enter");
+        let wanted = file.replace("\"x\"", "99, \"static\": true");
+        assert_eq!(stage.file(), wanted);
+    }
+}
+
+#[test]
+fn a_taken_address_leads_to_the_twin_that_is_pinned_to_it() {
+    let scenario = Scenario::new(125_000)
+        .with(DeviceSpec::new("FEED").fixed(20).settled())
+        .with(DeviceSpec::new("FEED").fixed(30).settled())
+        .with(DeviceSpec::new("SENS").fixed(12).settled());
+    for [first, second] in [[12, 30], [30, 12]] {
+        let entry =
+            |address| format!(r#"{{ "name": "FEED", "address": {address}, "static": true }}"#);
+        let file = format!("[{}, {}]", entry(first), entry(second));
+        let mut stage = Stage::new(&scenario, Some(&file));
+        stage.until(12.0);
+        let problem = "12 is the static address of FEED";
+        assert_eq!(leads_to(&mut stage, problem), usize::from(second == 12), "{file}");
     }
 }

@@ -483,16 +483,20 @@ impl App {
     /// Goes to the row that the selection is about; where there is none, says so with `otherwise`.
     pub(super) fn find_row(&mut self, otherwise: &str) -> bool {
         let (bus, address, name) = self.subject();
+        let problem = self.selected_problem().filter(|_| self.view.page == Page::Problems);
+        let entry = problem.and_then(|problem| self.entry_of_finding(&problem.head().key));
         let on_bus = |row: &&Row| bus.is_none_or(|bus| row.is_on(bus));
         let fits = |app: &Self, row: &Row| {
             let named = name.is_some() && row.name == name;
             let there =
                 address.is_some_and(|address| app.addresses_of(row).any(|it| it == address));
-            (named && there, named, there && name.is_none())
+            let its_own = entry.is_some() && row.entry == entry;
+            (its_own, named && there, named, there && name.is_none())
         };
         let best = |app: &Self| {
             let best = app.rows.iter().filter(on_bus).max_by_key(|row| fits(app, row));
-            best.filter(|row| fits(app, row) > (false, false, false)).map(|row| row.key.clone())
+            best.filter(|row| fits(app, row) > (false, false, false, false))
+                .map(|row| row.key.clone())
         };
         let mut found = best(self);
         if found.is_none() && !self.view.filter(Page::Devices).is_empty() {

@@ -57,10 +57,15 @@ impl App {
 
     /// How the file and the buses differ now.
     pub fn compare(&self, now: Instant, scope: Scope) -> Vec<Finding> {
+        self.comparison(now, scope).found
+    }
+
+    fn comparison(&self, now: Instant, scope: Scope) -> Comparison<'_> {
+        let entries = BTreeMap::new();
+        let mut comparison = Comparison { app: self, now, found: Vec::new(), entries };
         if !self.file.is_there() {
-            return Vec::new();
+            return comparison;
         }
-        let mut comparison = Comparison { app: self, now, found: Vec::new() };
         comparison.file_alone(self.file.document());
         for entry in self.file.document().entries() {
             comparison.entry(entry, scope);
@@ -68,13 +73,19 @@ impl App {
         if scope == Scope::Check {
             comparison.unlisted();
         }
-        comparison.found
+        comparison
+    }
+
+    /// The place of the entry that a finding of comparing file and bus is about.
+    pub(super) fn entry_of_finding(&self, key: &FindingKey) -> Option<usize> {
+        self.entries_of_findings.get(key).copied()
     }
 
     /// Compares anew; what was found before keeps its time.
     pub(super) fn refresh_problems(&mut self, now: Instant) {
         self.matching = Matching::new(self.file.document().entries(), &self.buses);
-        let mut found = self.compare(now, Scope::Screen);
+        let Comparison { mut found, entries, .. } = self.comparison(now, Scope::Screen);
+        self.entries_of_findings = entries;
         let known: BTreeMap<&FindingKey, &Finding> =
             self.file_findings.iter().map(|finding| (&finding.key, finding)).collect();
         for finding in &mut found {
@@ -94,6 +105,8 @@ struct Comparison<'a> {
     app: &'a App,
     now: Instant,
     found: Vec<Finding>,
+    /// The places of the entries that they are about: of a name there may be several.
+    entries: BTreeMap<FindingKey, usize>,
 }
 
 impl Comparison<'_> {
@@ -124,6 +137,7 @@ impl Comparison<'_> {
                     added.concern(name);
                 }
             }
+            self.is_about(finding.entries.first().copied());
         }
     }
 
@@ -152,6 +166,7 @@ impl Comparison<'_> {
                 let bus = Some(device.id.bus);
                 let named = device.name.clone();
                 self.add(FindingKind::WrongAddress, bus, Some(device.address), named, text, remedy);
+                self.is_about(Some(entry.index));
             }
             if scope == Scope::Check {
                 self.services(entry, device);
@@ -179,6 +194,7 @@ impl Comparison<'_> {
             let named = Some(Name::new(&entry.name));
             let bus = Some(BusIndex(index as u8));
             self.add(FindingKind::StaticAddressTaken, bus, Some(pinned), named, text, remedy);
+            self.is_about(Some(entry.index));
             if let (Some(found), Some(name)) = (self.found.last_mut(), &other.name) {
                 found.concern(name);
             } else if let Some(found) = self.found.last_mut() {
@@ -202,6 +218,7 @@ impl Comparison<'_> {
         let remedy = rest.join("; ");
         let name = Some(Name::new(&entry.name));
         self.add(FindingKind::Missing, Some(bus), address, name, text, remedy);
+        self.is_about(Some(entry.index));
     }
 
     fn services(&mut self, entry: &Entry, device: &Device) {
@@ -245,6 +262,13 @@ impl Comparison<'_> {
         let entries = self.app.file.document().entries().iter();
         let mut here = entries.filter(|entry| entry.address == Some(address.number()));
         here.any(|entry| self.app.matching.devices_of(entry.index).is_empty())
+    }
+
+    /// What was added last is about this entry.
+    fn is_about(&mut self, entry: Option<usize>) {
+        if let (Some(added), Some(entry)) = (self.found.last(), entry) {
+            self.entries.entry(added.key.clone()).or_insert(entry);
+        }
     }
 
     fn add(

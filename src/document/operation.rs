@@ -282,10 +282,11 @@ impl Operation {
         matches!(self, Self::Remove { .. } | Self::TakeOutFirst { .. })
     }
 
-    /// The name of the entry concerned, safe on a terminal.
+    /// The entry concerned, told from its twins: "SENS at 13". Safe on a terminal.
     pub fn subject(&self) -> String {
-        let brought = || self.brought().map(|entry| brief(&entry.name));
-        self.entry().map(EntryKey::to_string).or_else(brought).unwrap_or_default()
+        let brought = || self.brought().map(|entry| EntryKey::of(&entry));
+        let key = self.entry().cloned().or_else(brought);
+        key.map(|key| format!("{key:#}")).unwrap_or_default()
     }
 
     /// The same for another entry, or for the same one under its newer key.
