@@ -1116,6 +1116,29 @@ fn operations_on_operations_are_merged_in_order() {
     );
 }
 
+/// Of several edits of one value only the last one counts.
+#[test]
+fn it_is_no_conflict_where_theirs_says_what_ours_comes_to() {
+    let base = parsed(r#"[{"name":"A","address":1},{"name":"B","address":2}]"#);
+    let mut ours = Vec::new();
+    let mut document = base.clone();
+    for to in [3, 4, 5] {
+        let operation = Operation::SetAddress { entry: document.key(0), from: Some(1), to };
+        document = document.apply(&operation).unwrap();
+        ours.extend([operation, add("C", 10 + to)]);
+        document = document.apply(ours.last().unwrap()).unwrap();
+    }
+    let theirs = parsed(r#"[{"name":"A","address":5,"static":true},{"name":"B","address":7}]"#);
+    let merged = merge(&base, &ours, &theirs, Prefer::Neither).unwrap();
+    let Merge::Rebased { document, operations, .. } = merged else { panic!("{merged:?}") };
+    assert_eq!((document.entries()[0].address, document.entries()[1].address), (Some(5), Some(7)));
+    assert_eq!(operations.len(), 3, "the new entries");
+    // What ours came to on the way is no excuse.
+    let theirs = parsed(r#"[{"name":"A","address":4,"static":true},{"name":"B","address":7}]"#);
+    let merged = merge(&base, &ours, &theirs, Prefer::Neither).unwrap();
+    assert!(matches!(merged, Merge::Conflict(_)), "{merged:?}");
+}
+
 #[test]
 fn an_edit_is_taken_back_on_newer_content() {
     let base = parsed(BASE);

@@ -4,10 +4,12 @@
 #[path = "common/stage.rs"]
 mod stage;
 
-use descan::app::{Effect, FileReading, SaveOutcome};
-use descan::document::Document;
+use descan::app::{Effect, FileReading, FileState, SaveOutcome, Saving};
+use descan::document::{Document, Operation};
 use descan::sim::{DeviceSpec, Scenario};
 use descan::status::Playback;
+use descan::time::Instant;
+use proptest::prelude::*;
 use stage::{BOILER, Stage};
 
 /// A disk that takes nothing, until it is mended.
@@ -532,5 +534,178 @@ fn a_taken_address_leads_to_the_twin_that_is_pinned_to_it() {
         stage.until(12.0);
         let problem = "12 is the static address of FEED";
         assert_eq!(leads_to(&mut stage, problem), usize::from(second == 12), "{file}");
+    }
+}
+
+// ---- nothing is lost -----------------------------------------------------------------------
+
+/// What happens, in whatever order, to a file that we and somebody else edit.
+#[derive(Clone, Copy, Debug)]
+enum Step {
+    /// We edit one of our three entries.
+    Edit(usize),
+    Undo,
+    /// They edit one of theirs, in one go.
+    Write(usize),
+    /// They empty the file, and write it the next time.
+    Empty(usize),
+    /// We are told what is there, if it is news.
+    Look,
+    /// A save begins, compares and renames, and its end is told.
+    Begin,
+    Rename,
+    Tell,
+}
+
+fn step() -> impl Strategy<Value = Step> {
+    prop_oneof![
+        3 => (0..3_usize).prop_map(Step::Edit),
+        1 => Just(Step::Undo),
+        2 => (3..6_usize).prop_map(Step::Write),
+        2 => (3..6_usize).prop_map(Step::Empty),
+        4 => Just(Step::Look),
+        4 => Just(Step::Begin),
+        4 => Just(Step::Rename),
+        4 => Just(Step::Tell),
+    ]
+}
+
+/// The file, us, and what stands between: a disk that is slow, and a watch.
+struct Desk {
+    file: FileState,
+    disk: Vec<u8>,
+    /// What the watch saw last; none: it is uncertain.
+    known: Option<Vec<u8>>,
+    /// What is being saved; and what became of it, once it was renamed or not.
+    save: Option<(Saving, Option<SaveOutcome>)>,
+    /// What they are about to write into the file, which they have emptied.
+    in_their_hands: Option<Vec<u8>>,
+    /// The address that each entry is to have in the end.
+    wanted: [u8; 6],
+    /// Our edits: which entry, and its address before.
+    edits: Vec<(usize, u8)>,
+    next: u8,
+}
+
+impl Desk {
+    fn new() -> Self {
+        let wanted = [101, 102, 103, 104, 105, 106];
+        let disk = content(wanted);
+        let mut file = FileState::new(Some("des.json".into()));
+        file.read(Instant::ZERO, FileReading::Content(Some(disk.clone())));
+        let known = Some(disk.clone());
+        let (save, in_their_hands, edits) = (None, None, Vec::new());
+        Self { file, disk, known, save, in_their_hands, wanted, edits, next: 1 }
+    }
+
+    fn take(&mut self, step: Step) {
+        match step {
+            Step::Edit(at) => {
+                let to = self.next();
+                let entry = self.file.document().key(at);
+                let from = entry.address;
+                self.file.edit(&[Operation::SetAddress { entry, from, to }]).unwrap();
+                self.edits.push((at, self.wanted[at]));
+                self.wanted[at] = to;
+            }
+            Step::Undo => {
+                if let Some((at, before)) = self.edits.pop() {
+                    self.file.undo().unwrap();
+                    self.wanted[at] = before;
+                }
+            }
+            Step::Write(at) | Step::Empty(at) => {
+                if let Some(content) = self.in_their_hands.take() {
+                    self.disk = content;
+                    return;
+                }
+                let to = self.next();
+                let on = Document::parse(&self.disk).unwrap();
+                let entry = on.key(at);
+                let operation = Operation::SetAddress { from: entry.address, entry, to };
+                let content = on.apply(&operation).unwrap().source().to_vec();
+                self.wanted[at] = to;
+                if let Step::Write(_) = step {
+                    self.disk = content;
+                } else {
+                    self.in_their_hands = Some(content);
+                    self.disk = Vec::new();
+                }
+            }
+            Step::Look => {
+                if self.known.as_ref() != Some(&self.disk) {
+                    self.known = Some(self.disk.clone());
+                    let reading = FileReading::Content(self.known.clone());
+                    self.file.read(Instant::ZERO, reading);
+                }
+            }
+            Step::Begin => {
+                let saving = self.file.start_saving();
+                assert!(saving.is_none() || self.save.is_none(), "one at a time");
+                if let Some(saving) = saving {
+                    self.save = Some((saving, None));
+                }
+            }
+            Step::Rename => {
+                let Some((saving, outcome @ None)) = &mut self.save else { return };
+                if saving.expected.as_ref().map(Document::source) == Some(&self.disk) {
+                    assert!(self.in_their_hands.is_none(), "over what is being written");
+                    self.disk = saving.content.source().to_vec();
+                    *outcome = Some(SaveOutcome::Saved);
+                } else {
+                    let found = FileReading::Content(Some(self.disk.clone()));
+                    *outcome = Some(SaveOutcome::Changed(found));
+                }
+            }
+            Step::Tell => {
+                let Some((saving, Some(outcome))) = self.save.take_if(|(_, it)| it.is_some())
+                else {
+                    return;
+                };
+                if self.file.is_overtaken() {
+                    self.known = None;
+                } else if outcome.is_on_disk() {
+                    self.known = Some(saving.content.source().to_vec());
+                }
+                self.file.handle_saved(Instant::ZERO, outcome);
+            }
+        }
+        assert_eq!((self.file.conflict(), self.file.problem()), (None, None));
+    }
+
+    fn next(&mut self) -> u8 {
+        self.next = self.next % 100 + 1;
+        self.next
+    }
+}
+
+fn content(addresses: [u8; 6]) -> Vec<u8> {
+    let entry = |(at, address): (usize, u8)| {
+        format!("  {{ \"name\": \"N{at}\", \"address\": {address}, \"static\": true }}")
+    };
+    let entries: Vec<String> = addresses.into_iter().enumerate().map(entry).collect();
+    format!("[\n{}\n]\n", entries.join(",\n")).into_bytes()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 512, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn of_two_who_edit_one_file_neither_loses_anything(steps in prop::collection::vec(step(), 1..80)) {
+        let mut desk = Desk::new();
+        for step in steps {
+            desk.take(step);
+        }
+        if desk.in_their_hands.is_some() {
+            desk.take(Step::Write(3));
+        }
+        for _ in 0..4 {
+            for step in [Step::Look, Step::Begin, Step::Rename, Step::Tell, Step::Look] {
+                desk.take(step);
+            }
+        }
+        prop_assert_eq!(desk.file.unsaved(), 0);
+        prop_assert_eq!(String::from_utf8(desk.disk).unwrap(), String::from_utf8(content(desk.wanted)).unwrap());
+        prop_assert_eq!(desk.file.document().source(), content(desk.wanted));
     }
 }

@@ -151,9 +151,12 @@ pub struct Saving {
     operations: usize,
     /// It was seen on disk, though that it stays there has not been told yet.
     is_there: bool,
-    /// Something else was seen on disk since, and taken in: what becomes of the save says nothing
-    /// any more about what is there.
+    /// Something else was seen on disk since: what is there when the save is over is to be read
+    /// again.
     is_overtaken: bool,
+    /// And our edits were made again on that: what becomes of the save says nothing any more of what
+    /// they are made on.
+    is_left_behind: bool,
 }
 
 /// An edit that can be taken back (or made again).
@@ -371,6 +374,8 @@ impl FileState {
             return Change::None;
         }
         self.emptied = None;
+        self.leave_save_behind(&theirs);
+        let known = self.dispute.as_ref().map(|it| &it.theirs).or(self.disk.as_ref());
         if known == Some(&theirs) && self.is_on_disk == is_there {
             let was_broken =
                 matches!(self.problem, Some(FileProblem::Syntax(_) | FileProblem::Unreadable(_)));
@@ -384,7 +389,9 @@ impl FileState {
 
     /// The file has stayed empty: takes it as it is.
     pub fn believe_empty(&mut self) -> Change {
-        self.emptied.take().map_or(Change::None, |emptied| self.take(emptied.content, true))
+        let Some(Emptied { content, .. }) = self.emptied.take() else { return Change::None };
+        self.leave_save_behind(&content);
+        self.take(content, true)
     }
 
     /// Takes content that is not what was known.
@@ -404,26 +411,41 @@ impl FileState {
     /// While a save is on its way: whether what was found is only what we write. Anything else but
     /// what was there before overtakes the save.
     fn is_what_we_write(&mut self, found: &Result<Option<Document>, FileProblem>) -> bool {
-        let Some(saving) = self.saving.as_mut().filter(|saving| !saving.is_overtaken) else {
+        let Some(saving) = self.saving.as_mut().filter(|saving| !saving.is_left_behind) else {
             return false;
         };
-        if let Ok(found) = found {
-            if found.as_ref() == Some(&saving.content) {
-                saving.is_there = true;
-                return true;
-            }
-            if *found == saving.expected && !saving.is_there {
-                return false;
-            }
+        if found.as_ref().is_ok_and(|found| found.as_ref() == Some(&saving.content)) {
+            saving.is_there = true;
+            self.emptied = None;
+            return true;
         }
-        saving.is_overtaken = true;
-        if saving.is_there {
-            // They wrote over it.
+        let is_as_before = found.as_ref().is_ok_and(|found| *found == saving.expected);
+        saving.is_overtaken |= !is_as_before || saving.is_there;
+        false
+    }
+
+    /// While a save is on its way, what somebody else wrote is to be taken in. Were our edits in what
+    /// they wrote over?
+    fn leave_save_behind(&mut self, theirs: &Document) {
+        let Some(saving) = self.saving.as_mut().filter(|saving| !saving.is_left_behind) else {
+            return;
+        };
+        if !saving.is_there && saving.expected.as_ref() == Some(theirs) {
+            return;
+        }
+        saving.is_left_behind = true;
+        let ours = &self.pending[..saving.operations.min(self.pending.len())];
+        let base = self.disk.clone().unwrap_or_else(Document::empty);
+        // They were there, though unseen, where theirs has all of them.
+        let has_ours = || match merge(&base, ours, theirs, Prefer::Neither) {
+            Ok(Merge::Rebased { document, .. }) => document == *theirs,
+            _ => false,
+        };
+        if saving.is_there || has_ours() {
             self.disk = Some(saving.content.clone());
             self.is_on_disk = true;
-            self.pending.drain(..saving.operations.min(self.pending.len()));
+            self.pending.drain(..ours.len());
         }
-        false
     }
 
     /// Makes our edits again on newer content.
@@ -598,7 +620,7 @@ impl FileState {
     /// the same.
     fn drop_what_cancels_out(&mut self, count: usize) {
         let (from, being_saved) = match &self.saving {
-            Some(saving) if !saving.is_overtaken => (Some(&saving.content), saving.operations),
+            Some(saving) if !saving.is_left_behind => (Some(&saving.content), saving.operations),
             _ => (self.disk.as_ref(), 0),
         };
         let (Some(from), Some(keep)) = (from, self.pending.len().checked_sub(count)) else {
@@ -634,6 +656,7 @@ impl FileState {
             operations: self.pending.len(),
             is_there: false,
             is_overtaken: false,
+            is_left_behind: false,
         };
         self.saving = Some(saving.clone());
         Some(saving)
@@ -645,7 +668,7 @@ impl FileState {
         let Some(saving) = self.saving.take() else { return Change::None };
         match outcome {
             SaveOutcome::Saved | SaveOutcome::Parted(_) => {
-                if !saving.is_overtaken {
+                if !saving.is_left_behind {
                     self.disk = Some(saving.content);
                     self.is_on_disk = true;
                     self.pending.drain(..saving.operations.min(self.pending.len()));

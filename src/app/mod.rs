@@ -55,7 +55,7 @@ pub use cursor::Cursor;
 pub use devices::concerns;
 pub use events::Happening;
 pub use evidence::EvidenceView;
-pub use file::{Change, FileProblem, FileReading, FileState, Refusal, SaveOutcome};
+pub use file::{Change, FileProblem, FileReading, FileState, Refusal, SaveOutcome, Saving};
 pub use filter::Filter;
 pub use groups::{Piece, Problem, ProblemKey};
 pub use matching::Matching;

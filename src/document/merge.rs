@@ -106,9 +106,9 @@ pub fn merge_chosen(
     let mut conflicts = 0;
     // The first that nobody has chosen in. The others are counted.
     let mut open: Option<Conflict> = None;
-    for operation in ours {
+    for (at, operation) in ours.iter().enumerate() {
         let next = base.apply(operation)?;
-        let mut step = step(operation, &base, &next, &document);
+        let mut step = step(operation, &base, &next, &document, &ours[at + 1..]);
         if let (Step::Make(operation), true) = (&step, choices.asks_for_new)
             && let Some(entry) = operation.brought()
         {
@@ -200,8 +200,14 @@ enum Step {
     Conflict { ours: String, theirs: String, insist: Vec<Operation> },
 }
 
-/// `next` is `base` with the operation made.
-fn step(operation: &Operation, base: &Document, next: &Document, theirs: &Document) -> Step {
+/// `next` is `base` with the operation made; `later` are those that come after it.
+fn step(
+    operation: &Operation,
+    base: &Document,
+    next: &Document,
+    theirs: &Document,
+    later: &[Operation],
+) -> Step {
     let Some(index) = operation.entry().and_then(|key| base.find(key)) else {
         return step_new(operation, base, theirs);
     };
@@ -239,10 +245,30 @@ fn step(operation: &Operation, base: &Document, next: &Document, theirs: &Docume
         Step::Done
     } else if agree(found, before) {
         Step::Make(operation)
+    } else if in_the_end(next, index, later).is_some_and(|ours| agree(found, &ours)) {
+        // Theirs says already what later operations make of it.
+        Step::Done
     } else {
         let (ours, theirs) = (describe(&members, &wanted), describe(&members, found));
         Step::Conflict { ours, theirs, insist: vec![operation.with_former_address(found.address)] }
     }
+}
+
+/// What becomes of an entry by further operations; none where one takes it out.
+fn in_the_end(document: &Document, index: usize, operations: &[Operation]) -> Option<Entry> {
+    let (mut document, mut index) = (document.clone(), index);
+    for operation in operations {
+        let mut key = document.key(index);
+        document = document.apply(operation).ok()?;
+        if operation.entry() == Some(&key) {
+            if operation.is_removal() {
+                return None;
+            }
+            key = document.key(index);
+        }
+        index = document.find(&key)?;
+    }
+    Some(document.entries()[index].clone())
 }
 
 /// For an operation that brings an entry: theirs may have brought it too.
