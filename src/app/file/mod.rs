@@ -3,142 +3,21 @@
 //! The file is the user's. Edits are operations on what was read last; where the file changed
 //! meanwhile they are made again on the newer content, and where both changed the same value a
 //! person chooses. Does not read or write anything itself, and does not know the bus.
+//!
+//! `news` is what is found on disk and what becomes of it, `steps` what can be taken back.
+
+mod news;
+mod steps;
+
+pub use news::{Change, FileProblem, FileReading, Refusal, SaveOutcome};
 
 use crate::document::{
-    Choices, Conflict, Document, EditError, Merge, Operation, ParseError, Prefer, merge,
-    merge_chosen,
+    Choices, Conflict, Document, EditError, Merge, Operation, Prefer, merge, merge_chosen,
 };
 use crate::time::Instant;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-
-/// How des.json was found.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum FileReading {
-    /// Its content; `None` where there is no such file.
-    Content(Option<Vec<u8>>),
-    /// The same, parsed: for megabytes that takes longer than a screen should wait.
-    Parsed(Result<Document, ParseError>),
-    /// It cannot be read: why.
-    Error(String),
-}
-
-impl FileReading {
-    /// Parses the content.
-    #[must_use]
-    pub fn parsed(self) -> Self {
-        match self {
-            FileReading::Content(Some(content)) => FileReading::Parsed(Document::parse(&content)),
-            other => other,
-        }
-    }
-
-    /// The document, none where there is no file; or what is wrong with it.
-    fn found(self) -> Result<Option<Document>, FileProblem> {
-        match self {
-            FileReading::Content(None) => Ok(None),
-            FileReading::Content(Some(content)) => match Document::parse(&content) {
-                Ok(document) => Ok(Some(document)),
-                Err(error) => Err(FileProblem::Syntax(error)),
-            },
-            FileReading::Parsed(Ok(document)) => Ok(Some(document)),
-            FileReading::Parsed(Err(error)) => Err(FileProblem::Syntax(error)),
-            FileReading::Error(why) => Err(FileProblem::Unreadable(why)),
-        }
-    }
-}
-
-impl From<Result<Option<Vec<u8>>, String>> for FileReading {
-    fn from(reading: Result<Option<Vec<u8>>, String>) -> Self {
-        match reading {
-            Ok(content) => FileReading::Content(content),
-            Err(why) => FileReading::Error(why),
-        }
-    }
-}
-
-/// What became of a save.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum SaveOutcome {
-    /// It is on disk.
-    Saved,
-    /// It is on disk, but so many other names of the file (hard links) keep what it said before.
-    Parted(u64),
-    /// Somebody else wrote meanwhile; nothing was written. What is there now.
-    Changed(FileReading),
-    /// It could not be written: why.
-    Failed(String),
-}
-
-impl SaveOutcome {
-    /// Whether what was to be saved is on disk.
-    pub const fn is_on_disk(&self) -> bool {
-        matches!(self, SaveOutcome::Saved | SaveOutcome::Parted(_))
-    }
-}
-
-/// Why the file cannot be used as it is.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum FileProblem {
-    /// It is not JSON.
-    Syntax(ParseError),
-    /// It cannot be read.
-    Unreadable(String),
-    /// The last save failed; the edits are kept.
-    NotSaved(String),
-}
-
-impl FileProblem {
-    /// The last save failed.
-    pub const fn is_not_saved(&self) -> bool {
-        matches!(self, FileProblem::NotSaved(_))
-    }
-
-    /// What is wrong with the file of this name.
-    pub fn of_file(&self, name: &str) -> String {
-        match self {
-            FileProblem::Syntax(error) => format!("{name}: {error}"),
-            // These name it.
-            FileProblem::Unreadable(why) | FileProblem::NotSaved(why) => why.clone(),
-        }
-    }
-
-    /// The line that is not JSON, and below it a caret that points at the place.
-    pub fn excerpt(&self) -> Option<[String; 2]> {
-        match self {
-            FileProblem::Syntax(error) => error.excerpt(),
-            FileProblem::Unreadable(_) | FileProblem::NotSaved(_) => None,
-        }
-    }
-}
-
-impl std::fmt::Display for FileProblem {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            FileProblem::Syntax(error) => error.fmt(f),
-            FileProblem::Unreadable(why) | FileProblem::NotSaved(why) => f.write_str(why),
-        }
-    }
-}
-
-/// What the reading of a file changed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Change {
-    /// Nothing.
-    None,
-    /// Its content.
-    Content,
-    /// Our edits are on disk.
-    Saved,
-    /// It was read for the first time.
-    First,
-    /// Our edits were made again on newer content.
-    Rebased,
-    /// It cannot be used any more; the last good content stays in force.
-    Broken,
-    /// Both changed the same value.
-    Conflict,
-}
+use steps::{Step, Steps, apply_all, name_of};
 
 /// What is being saved.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -157,36 +36,6 @@ pub struct Saving {
     /// And our edits were made again on that: what becomes of the save says nothing any more of what
     /// they are made on.
     is_left_behind: bool,
-}
-
-/// An edit that can be taken back (or made again).
-#[derive(Clone, Debug)]
-struct Step {
-    /// The document that the operations are for; none where it is what the step above comes to: a
-    /// document may be megabytes, and there may be many steps.
-    on: Option<Document>,
-    operations: Vec<Operation>,
-    /// The edit's name, and how many operations it has as a whole: what somebody else changed since
-    /// is left out where it is taken back or made again.
-    name: String,
-    whole: usize,
-    /// Whether there was a file when the edit was made.
-    had_file: bool,
-}
-
-impl Step {
-    /// A whole edit's.
-    fn new(on: Document, operations: Vec<Operation>, name: String, had_file: bool) -> Self {
-        let whole = operations.len();
-        Self { on: Some(on), operations, name, whole, had_file }
-    }
-
-    fn shown(&self) -> String {
-        match self.whole.saturating_sub(self.operations.len()) {
-            0 => self.name.clone(),
-            left => format!("{}, all but {left}", self.name),
-        }
-    }
 }
 
 /// Both changed the same value; until a person has chosen in all conflicts nothing is written.
@@ -224,38 +73,11 @@ pub struct FileState {
     emptied: Option<Emptied>,
     problem: Option<FileProblem>,
     dispute: Option<Dispute>,
-    undo: Vec<Step>,
-    redo: Vec<Step>,
-}
-
-/// Why an edit is not made.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs)]
-pub enum Refusal {
-    #[error("no file is open: start with --file des.json")]
-    NoFile,
-    #[error("the file has not been read yet")]
-    NotRead,
-    #[error("not edited while it is broken: {0}")]
-    Broken(String),
-    #[error("first choose between your value and the one in the file")]
-    Conflict,
-    #[error("there is nothing to take back")]
-    NothingToUndo,
-    #[error("there is nothing to make again")]
-    NothingToRedo,
-    #[error("cannot be {done}, changed by somebody else since: {theirs}")]
-    ChangedSince { done: &'static str, theirs: String },
-    #[error("need not be {done}, it is so already: {name}")]
-    SoAlready { done: &'static str, name: String },
-    #[error(transparent)]
-    Edit(#[from] EditError),
+    undo: Steps,
+    redo: Steps,
 }
 
 impl FileState {
-    /// How many edits can be taken back.
-    const STEPS: usize = 200;
-
     /// The file at this path, not read yet.
     pub fn new(path: Option<PathBuf>) -> Self {
         Self {
@@ -268,8 +90,8 @@ impl FileState {
             emptied: None,
             problem: None,
             dispute: None,
-            undo: Vec::new(),
-            redo: Vec::new(),
+            undo: Steps::default(),
+            redo: Steps::default(),
         }
     }
 
@@ -491,7 +313,7 @@ impl FileState {
             let name = ours.last().map(ToString::to_string).unwrap_or_default();
             let (after, inverses) = apply_all(&document, ours)?;
             let step = Step::new(after.clone(), inverses, name, self.is_on_disk);
-            push(&mut self.undo, step, &document);
+            self.undo.push(step, &document);
             self.redo.clear();
             document = after;
         }
@@ -538,7 +360,7 @@ impl FileState {
         };
         let before = self.document.clone();
         let undo = self.make(operations, name.clone())?;
-        push(&mut self.undo, undo, &before);
+        self.undo.push(undo, &before);
         self.redo.clear();
         Ok(name)
     }
@@ -548,20 +370,20 @@ impl FileState {
     /// before.
     pub fn undo(&mut self) -> Result<String, Refusal> {
         self.check()?;
-        let step = pop(&mut self.undo).ok_or(Refusal::NothingToUndo)?;
+        let step = self.undo.pop().ok_or(Refusal::NothingToUndo)?;
         let before = self.document.clone();
         let (redo, name) = self.take_step(step, "taken back")?;
-        push(&mut self.redo, redo, &before);
+        self.redo.push(redo, &before);
         Ok(name)
     }
 
     /// Makes it again; its name. What is left or refused is as in [`Self::undo`].
     pub fn redo(&mut self) -> Result<String, Refusal> {
         self.check()?;
-        let step = pop(&mut self.redo).ok_or(Refusal::NothingToRedo)?;
+        let step = self.redo.pop().ok_or(Refusal::NothingToRedo)?;
         let before = self.document.clone();
         let (undo, name) = self.take_step(step, "made again")?;
-        push(&mut self.undo, undo, &before);
+        self.undo.push(undo, &before);
         Ok(name)
     }
 
@@ -698,68 +520,6 @@ impl FileState {
     }
 }
 
-/// The document with all operations made; and what takes them back, in order.
-fn apply_all(
-    on: &Document,
-    operations: &[Operation],
-) -> Result<(Document, Vec<Operation>), EditError> {
-    let mut document = on.clone();
-    let mut inverses = Vec::with_capacity(operations.len());
-    for operation in operations {
-        inverses.push(operation.inverse(&document)?);
-        document = document.apply(operation)?;
-    }
-    inverses.reverse();
-    Ok((document, inverses))
-}
-
-/// Several operations that are one edit, in words.
-fn name_of(operations: &[Operation]) -> String {
-    let count = |is: fn(&Operation) -> bool| operations.iter().filter(|it| is(it)).count();
-    let added = count(|it| matches!(it, Operation::Add { .. }));
-    let services = count(|it| matches!(it, Operation::SetServices { .. }));
-    let entries = |count| if count == 1 { "entry" } else { "entries" };
-    let mut words = Vec::new();
-    if added > 0 {
-        words.push(format!("{added} new {}", entries(added)));
-    }
-    if services > 0 {
-        words.push(format!("services of {services} {}", entries(services)));
-    }
-    if added + services < operations.len() {
-        words = vec![format!("{} edits", operations.len())];
-    }
-    words.join(", ")
-}
-
-/// Puts a step on top, which leads back to `before`.
-fn push(steps: &mut Vec<Step>, step: Step, before: &Document) {
-    if steps.len() == FileState::STEPS {
-        steps.remove(0);
-    }
-    if let Some(below) = steps.last_mut()
-        && below.on.as_ref() == Some(before)
-    {
-        below.on = None;
-    }
-    steps.push(step);
-}
-
-/// Takes the step on top off.
-fn pop(steps: &mut Vec<Step>) -> Option<Step> {
-    let step = steps.pop()?;
-    let on = step.on.as_ref()?;
-    if steps.last().is_some_and(|below| below.on.is_none()) {
-        let back = step.operations.iter().try_fold(on.clone(), |on, it| on.apply(it));
-        match (back, steps.last_mut()) {
-            (Ok(back), Some(below)) => below.on = Some(back),
-            // They cannot be told what they are for any more.
-            _ => steps.clear(),
-        }
-    }
-    Some(step)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -822,7 +582,7 @@ mod tests {
     #[test]
     fn edits_are_taken_back_across_what_others_wrote_and_few_documents_are_kept() {
         let mut file = opened();
-        let kept = |file: &FileState| file.undo.iter().filter(|step| step.on.is_some()).count();
+        let kept = |file: &FileState| file.undo.kept();
         let saved = |file: &mut FileState| {
             file.start_saving().unwrap();
             file.handle_saved(NOW, SaveOutcome::Saved);
