@@ -455,6 +455,18 @@ impl FileState {
         }
     }
 
+    /// There is a file now that was begun meanwhile: what took its first entry back leaves a list, for
+    /// a file with nothing in it is not JSON.
+    fn leave_list(&mut self) {
+        let Some(disk) = &self.disk else { return };
+        let operations: Vec<_> =
+            self.pending.iter().cloned().map(Operation::leaving_list).collect();
+        if let Ok((document, _)) = apply_all(disk, &operations) {
+            self.document = document;
+            self.pending = operations;
+        }
+    }
+
     /// Where what is in force is what is on disk, nothing is to be saved.
     fn drop_what_is_on_disk(&mut self) {
         if self.saving.is_none() && self.disk.as_ref() == Some(&self.document) {
@@ -494,6 +506,9 @@ impl FileState {
                     self.disk = Some(saving.content);
                     self.is_on_disk = true;
                     self.pending.drain(..saving.operations.min(self.pending.len()));
+                    if saving.expected.is_none() {
+                        self.leave_list();
+                    }
                 }
                 if self.problem.as_ref().is_some_and(FileProblem::is_not_saved) {
                     self.problem = None;
