@@ -58,7 +58,7 @@ impl App {
         let operations: Vec<Operation> =
             self.devices_of(row).filter_map(|device| self.taking(device)).collect();
         match operations.len() {
-            0 => self.say("the file says the same already"),
+            0 => self.say_of_file("the file says the same already"),
             _ => self.edit(&operations),
         }
     }
@@ -83,11 +83,11 @@ impl App {
             wanted.into_iter().filter_map(|device| self.taking(device)).collect();
         match operations.len() {
             0 if left.is_empty() => {
-                self.say("every device with a known name is listed already, as it is");
+                self.say_of_file("every device with a known name is listed already, as it is");
             }
             0 => {
                 let (left, key) = (left.len(), self.key_of("add"));
-                self.say(format!(
+                self.say_of_file(format!(
                     "all devices with a name are listed; {left} without services ({key} adds them)"
                 ));
             }
@@ -129,7 +129,7 @@ impl App {
     pub fn undo(&mut self, now: Instant) {
         match self.file.undo() {
             Ok(name) => self.edited(now, &format!("taken back: {name}")),
-            Err(refusal) => self.complain(refusal.to_string()),
+            Err(refusal) => self.complain_of_file(refusal.to_string()),
         }
     }
 
@@ -137,7 +137,7 @@ impl App {
     pub fn redo(&mut self, now: Instant) {
         match self.file.redo() {
             Ok(name) => self.edited(now, &format!("made again: {name}")),
-            Err(refusal) => self.complain(refusal.to_string()),
+            Err(refusal) => self.complain_of_file(refusal.to_string()),
         }
     }
 
@@ -146,9 +146,9 @@ impl App {
         if self.file.conflict().is_some() {
             self.show_conflict();
         } else if self.file.unsaved() == 0 {
-            self.say("everything is saved");
+            self.say_of_file("everything is saved");
         } else if let Err(super::Refusal::Broken(why)) = self.file.check() {
-            self.complain(format!("not saved while it is broken: {why}"));
+            self.complain_of_file(format!("not saved while it is broken: {why}"));
         } else {
             self.save_pending();
         }
@@ -209,7 +209,7 @@ impl App {
                 (ours, theirs) => format!("kept: {ours} of our values, {theirs} of the file's"),
             };
             self.timeline.push(Line::new(now, Kind::File, format!("conflict: {whose}")));
-            self.say(whose);
+            self.say_of_file(whose);
         }
     }
 
@@ -223,13 +223,13 @@ impl App {
     pub(super) fn edit(&mut self, operations: &[Operation]) {
         match self.file.edit(operations) {
             Ok(name) => self.edited(self.now, &name),
-            Err(refusal) => self.complain(refusal.to_string()),
+            Err(refusal) => self.complain_of_file(refusal.to_string()),
         }
     }
 
     fn edited(&mut self, now: Instant, what: &str) {
         self.timeline.push(Line::new(now, Kind::File, what));
-        self.say(what);
+        self.say_of_file(what);
         self.save_pending();
         self.refresh();
     }
@@ -242,7 +242,7 @@ impl App {
                 false
             }
             Err(refusal) => {
-                self.complain(refusal.to_string());
+                self.complain_of_file(refusal.to_string());
                 false
             }
         }
@@ -255,7 +255,7 @@ impl App {
         match trial {
             Ok(_) => true,
             Err(error) => {
-                self.complain(error.to_string());
+                self.complain_of_file(error.to_string());
                 false
             }
         }

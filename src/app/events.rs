@@ -392,6 +392,9 @@ impl App {
         let name = self.file.name();
         let entries = self.file.document().entries().len();
         let listed = format!("{entries} {}", if entries == 1 { "entry" } else { "entries" });
+        if matches!(change, Change::Content | Change::Rebased | Change::Conflict) {
+            self.unsay_of_file(change == Change::Rebased);
+        }
         let line = match change {
             Change::None => return,
             Change::Saved => None,
@@ -426,7 +429,7 @@ impl App {
             Change::Broken => {
                 let problem = self.file.problem().map(ToString::to_string).unwrap_or_default();
                 let whole = self.file.problem().map(|problem| problem.of_file(&name));
-                self.complain(whole.unwrap_or_default());
+                self.complain_of_file(whole.unwrap_or_default());
                 Some((Kind::Error, problem))
             }
             Change::Conflict => {

@@ -151,6 +151,8 @@ pub struct Message {
     pub text: String,
     /// It says that something did not work.
     pub is_error: bool,
+    /// It is about des.json: it may not hold any more when somebody else changes that.
+    is_of_file: bool,
     until: Instant,
 }
 
@@ -486,7 +488,7 @@ impl App {
             let saved = if before.is_some() { "saved at last" } else { "saved" };
             let text = format!("{saved}{but}");
             self.timeline.push(TimelineEntry::new(self.now, TimelineKind::File, &text));
-            if but.is_empty() { self.say(text) } else { self.complain(text) }
+            if but.is_empty() { self.say_of_file(text) } else { self.complain_of_file(text) }
         }
         self.file_changed(change);
         if self.file.problem().is_none() {
@@ -730,7 +732,8 @@ impl App {
 
     fn say(&mut self, text: impl Into<String>) {
         let until = self.now + MESSAGE_FOR;
-        self.message = Some(Message { text: text.into(), is_error: false, until });
+        self.message =
+            Some(Message { text: text.into(), is_error: false, is_of_file: false, until });
         self.dirty = true;
     }
 
@@ -739,6 +742,27 @@ impl App {
         if let Some(message) = &mut self.message {
             message.is_error = true;
         }
+    }
+
+    /// The same of what des.json says, or of what is wrong with it: for as long as that is so.
+    fn say_of_file(&mut self, text: impl Into<String>) {
+        self.say(text);
+        if let Some(message) = &mut self.message {
+            message.is_of_file = true;
+        }
+    }
+
+    fn complain_of_file(&mut self, text: impl Into<String>) {
+        self.complain(text);
+        if let Some(message) = &mut self.message {
+            message.is_of_file = true;
+        }
+    }
+
+    /// The file changed: what was said of it gives way, unless our edits, made again, keep it true.
+    fn unsay_of_file(&mut self, is_rebased: bool) {
+        let gives_way = |it: &mut Message| it.is_of_file && (it.is_error || !is_rebased);
+        self.message.take_if(gives_way);
     }
 
     /// The bus changed something: to be seen soon, but not at the bus's pace.

@@ -336,6 +336,7 @@ impl App {
             Some(_) => None,
             None => Some(Frozen { frames: self.capture.end(), lines: self.timeline.end() }),
         };
+        self.timeline.hold(self.view.frozen.is_some());
         self.refresh_rows();
         self.say(match self.view.frozen {
             Some(_) => "held; nothing is lost meanwhile",

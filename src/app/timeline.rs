@@ -1,7 +1,7 @@
 //! What happened, line by line: devices, the bus, the file, edits. It outlives the devices.
 //!
-//! Bounded; a line that repeats within moments is counted instead of written again. Does not
-//! know where lines are shown.
+//! Bounded; a line that repeats within moments is counted instead of written again, and stands where
+//! it was last true: what came between stays before it. Does not know where lines are shown.
 
 use crate::discovery::DeviceId;
 use crate::frame::BusIndex;
@@ -13,7 +13,7 @@ use std::collections::VecDeque;
 /// A line of the timeline.
 #[derive(Clone, Debug)]
 pub struct Entry {
-    /// Its number, from 0.
+    /// Its number, from 0: later lines have greater ones. A line that is counted again gets a new one.
     pub number: u64,
     /// When it happened first.
     pub time: Instant,
@@ -65,6 +65,8 @@ pub enum Kind {
 pub struct Timeline {
     entries: VecDeque<Entry>,
     next: u64,
+    /// Lines before this number stay as they are: somebody reads them.
+    held: u64,
 }
 
 impl Timeline {
@@ -74,18 +76,19 @@ impl Timeline {
     const REPEAT_WITHIN: Duration = Duration::from_secs(5);
     const REPEAT_LINES: usize = 8;
 
-    /// Writes a line, or counts it where it repeats one of the last.
+    /// Writes a line. Where it repeats one of the last, that goes, and is counted in it.
     pub fn push(&mut self, mut entry: Entry) {
-        let repeated = self.entries.iter_mut().rev().take(Self::REPEAT_LINES).find(|other| {
-            other.device == entry.device
+        let last = self.entries.len().saturating_sub(Self::REPEAT_LINES)..self.entries.len();
+        let repeated = last.rev().find(|&at| {
+            let other = &self.entries[at];
+            other.number >= self.held
+                && other.device == entry.device
                 && other.bus == entry.bus
                 && other.text == entry.text
                 && entry.time.since(other.last) <= Self::REPEAT_WITHIN
         });
-        if let Some(repeated) = repeated {
-            repeated.times += 1;
-            repeated.last = entry.time;
-            return;
+        if let Some(repeated) = repeated.and_then(|at| self.entries.remove(at)) {
+            entry = Entry { times: repeated.times + 1, last: entry.time, ..repeated };
         }
         if self.entries.len() == Self::ENTRIES {
             self.entries.pop_front();
@@ -134,6 +137,11 @@ impl Timeline {
         Some((before, amended))
     }
 
+    /// Lines that are there now stay as they are; `false`: they may be counted again.
+    pub fn hold(&mut self, holds: bool) {
+        self.held = if holds { self.next } else { 0 };
+    }
+
     /// What was told of `was` (before a moment) was told of `device`.
     pub fn rejoin(&mut self, was: DeviceId, before: Option<Instant>, device: DeviceId) {
         let is_before = |entry: &Entry| before.is_none_or(|before| entry.time < before);
@@ -151,8 +159,8 @@ impl Timeline {
 
     /// The line of that number.
     pub fn get(&self, number: u64) -> Option<&Entry> {
-        let first = self.entries.front()?.number;
-        self.entries.get(usize::try_from(number.checked_sub(first)?).ok()?)
+        let at = self.entries.binary_search_by_key(&number, |entry| entry.number).ok()?;
+        self.entries.get(at)
     }
 
     /// The number that the next line gets.
@@ -183,5 +191,72 @@ impl Entry {
     pub fn on(mut self, bus: BusIndex) -> Self {
         self.bus = Some(bus);
         self
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn timeline(lines: &[(u64, &str)]) -> Timeline {
+        let mut timeline = Timeline::default();
+        for &(second, text) in lines {
+            timeline.push(line(second, text));
+        }
+        timeline
+    }
+
+    fn line(second: u64, text: &str) -> Entry {
+        Entry::new(Instant::from_micros(second * 1_000_000), Kind::File, text)
+    }
+
+    fn told(timeline: &Timeline) -> Vec<(u64, &str, u32)> {
+        let seconds = |entry: &Entry| entry.last.as_micros() / 1_000_000;
+        timeline.entries().map(|it| (seconds(it), &*it.text, it.times)).collect()
+    }
+
+    #[test]
+    fn a_repeated_line_stands_behind_what_came_between() {
+        let lines = [(0, "undone"), (1, "redone"), (2, "undone"), (3, "other"), (4, "undone")];
+        let mut timeline = timeline(&lines);
+        let expected = [(1, "redone", 1), (3, "other", 1), (4, "undone", 3)];
+        assert_eq!(told(&timeline), expected);
+        // Each is still found by its number, and later ones have greater numbers.
+        let numbers: Vec<u64> = timeline.entries().map(|entry| entry.number).collect();
+        assert!(numbers.is_sorted() && numbers.last() < Some(&timeline.end()), "{numbers:?}");
+        for number in numbers {
+            assert_eq!(timeline.get(number).unwrap().number, number);
+        }
+        assert!(timeline.get(0).is_none());
+        timeline.push(line(10, "undone"));
+        assert_eq!(told(&timeline)[3], (10, "undone", 1), "that was long ago");
+    }
+
+    #[test]
+    fn what_chatters_leaves_room_for_the_rest() {
+        let mut timeline = timeline(&[(0, "first")]);
+        for second in 0..10_000 {
+            timeline.push(line(second, ["changed", "saved", "broken"][second as usize % 3]));
+        }
+        let expected = [
+            (0, "first", 1),
+            (9997, "saved", 3333),
+            (9998, "broken", 3333),
+            (9999, "changed", 3334),
+        ];
+        assert_eq!(told(&timeline), expected);
+    }
+
+    #[test]
+    fn lines_that_are_held_stay_as_they_are() {
+        let mut timeline = timeline(&[(0, "changed"), (1, "saved")]);
+        timeline.hold(true);
+        timeline.push(line(2, "changed"));
+        timeline.push(line(3, "changed"));
+        let expected = [(0, "changed", 1), (1, "saved", 1), (3, "changed", 2)];
+        assert_eq!(told(&timeline), expected);
+        timeline.hold(false);
+        timeline.push(line(4, "saved"));
+        assert_eq!(told(&timeline).last(), Some(&(4, "saved", 2)));
     }
 }

@@ -85,7 +85,7 @@ fn entry_line(brush: &Brush, entry: &TimelineEntry, who_width: usize) -> Line<'s
     let who = who(brush, entry, who_width);
     let times = if entry.times > 1 { format!(" ×{}", entry.times) } else { String::new() };
     let mut spans = vec![
-        brush.span(Role::Muted, format!(" {} ", clock(brush.app, entry.time))),
+        brush.span(Role::Muted, format!(" {} ", clock(brush.app, entry.last))),
         brush.span(role, format!("{sign} ")),
     ];
     if shows_bus(brush) {
