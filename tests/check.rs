@@ -151,8 +151,11 @@ fn kinds_are_those_that_scripts_rely_on() {
         let none = format!(r#"{{ "name": "SENS", "services": {none} }}"#);
         assert_eq!(kinds(&file(&[feed, &none])), []);
     }
-    let twice = kinds(&file(&[feed, sens, sens]));
-    assert!(twice.iter().any(|it| it.0 == "file-duplicate-entry"), "{twice:?}");
+    // The one that is too many is not missing, and nobody took its address.
+    assert_eq!(kinds(&file(&[feed, sens, sens])), [kind("file-duplicate-entry", 13)]);
+    // Who is listed at two addresses is at one of them.
+    let other = r#"{ "name": "SENS", "address": 15, "static": true }"#;
+    assert_eq!(kinds(&file(&[feed, sens, other])), [kind("missing", 15)]);
 }
 
 #[test]

@@ -159,13 +159,18 @@ impl App {
             None => None,
         };
         let bus = bus.map(|at| BusIndex(at as u8));
-        let awaited = !self.is_missing(entry);
+        let is_said_again = self.matching.is_said_again(entry.index);
+        let awaited = is_said_again || !self.is_missing(entry);
         Some(Row {
             key: RowKey::Entry(self.file.document().key(entry.index)),
             bus,
             address: entry.address.and_then(Address::new),
             name: Some(Name::new(&entry.name)),
-            state: if awaited { State::Awaited } else { State::Missing },
+            state: match awaited {
+                _ if is_said_again => State::Again,
+                true => State::Awaited,
+                false => State::Missing,
+            },
             suspected: false,
             twin: false,
             also: Vec::new(),
@@ -190,7 +195,8 @@ impl App {
         let open = |it: &&Problem| it.is_muted && it.confidence() != Confidence::Cleared;
         Counts {
             here: with(&|state| {
-                let gone = [State::Missing, State::Awaited, State::Lost, State::Unseen];
+                let gone =
+                    [State::Missing, State::Awaited, State::Again, State::Lost, State::Unseen];
                 !gone.contains(&state)
             }),
             unseen: with(&|state| state == State::Unseen),

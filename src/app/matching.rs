@@ -15,13 +15,18 @@ use std::collections::BTreeMap;
 pub struct Matching {
     entry_of: BTreeMap<DeviceId, usize>,
     devices_of: Vec<Vec<DeviceId>>,
+    /// By entry: whether it only says what another one says whose device is there.
+    said_again: Vec<bool>,
 }
 
 impl Matching {
     /// Compares entries and devices.
     pub fn new(entries: &[Entry], buses: &[Bus]) -> Self {
-        let mut matching =
-            Self { entry_of: BTreeMap::new(), devices_of: vec![Vec::new(); entries.len()] };
+        let mut matching = Self {
+            entry_of: BTreeMap::new(),
+            devices_of: vec![Vec::new(); entries.len()],
+            said_again: Vec::new(),
+        };
         for (index, bus) in buses.iter().enumerate() {
             let index = BusIndex(index as u8);
             let entries: Vec<&Entry> =
@@ -47,7 +52,31 @@ impl Matching {
                 open.pair_only_ones(devices);
             }
         }
+        matching.said_again = matching.find_said_again(entries);
         matching
+    }
+
+    fn find_said_again(&self, entries: &[Entry]) -> Vec<bool> {
+        let says = |entry: &Entry| (entry.address, entry.name.clone());
+        let matched = |entry: &&Entry| !self.devices_of(entry.index).is_empty();
+        let mut buses_of: BTreeMap<_, Vec<Option<&str>>> = BTreeMap::new();
+        for entry in entries.iter().filter(|entry| entry.address.is_some()).filter(matched) {
+            buses_of.entry(says(entry)).or_default().push(entry.bus.as_deref());
+        }
+        let is_again = |entry: &Entry| {
+            let own = entry.bus.as_deref();
+            let on_it = |other: Option<&str>| other.is_none() || own.is_none() || other == own;
+            !matched(&entry)
+                && !buses_of.is_empty()
+                && buses_of.get(&says(entry)).is_some_and(|it| it.iter().copied().any(on_it))
+        };
+        entries.iter().map(is_again).collect()
+    }
+
+    /// Whether the entry at this place only says again, by name and address, what another one says
+    /// that has a device.
+    pub fn is_said_again(&self, entry: usize) -> bool {
+        self.said_again.get(entry) == Some(&true)
     }
 
     /// The place of the device's entry.

@@ -152,6 +152,10 @@ impl Comparison<'_> {
             .collect();
         let name = Escaped(&entry.name);
         let pinned = entry.address.filter(|_| entry.is_static).and_then(Address::new);
+        if app.matching.is_said_again(entry.index) {
+            // That it stands twice is told of the file.
+            return;
+        }
         if devices.is_empty() {
             self.missing(entry, scope);
         }

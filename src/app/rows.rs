@@ -83,6 +83,8 @@ pub enum State {
     Asleep,
     /// Listed, and it is too early to say.
     Awaited,
+    /// Listed once more than it is there.
+    Again,
     /// As the engine judges.
     Online,
 }
@@ -100,6 +102,7 @@ impl State {
             State::Silent => "silent",
             State::Asleep => "asleep",
             State::Awaited => "awaited",
+            State::Again => "again",
             State::Online => "online",
         }
     }

@@ -19,15 +19,15 @@ use std::io::{self, Write};
 pub fn run(check: &Check) -> Result<u8, Failure> {
     let buses = open::buses(&check.session)?;
     let setup = Setup::new(&check.session.common)?;
-    let Outcome { app, now, ending } = match open::log(&buses, "check")? {
-        Some(log) => {
-            let all = (Some(Pace::AtOnce), Limits { stuck: INTERRUPTED, ..Limits::default() });
-            headless::recorded(log, &setup, AppOptions::default(), all, |app| has_file(app))?
-        }
-        None => look(&buses, &setup, check.time, |app, now| {
-            has_file(app)?;
-            Ok(!check.wait_for_all || is_complete(app, now))
-        })?,
+    let Outcome { app, now, ending } = if let Some(log) = open::log(&buses, "check")? {
+        let all = (Some(Pace::AtOnce), Limits { stuck: INTERRUPTED, ..Limits::default() });
+        headless::recorded(log, &setup, AppOptions::default(), all, |app| has_file(app))?
+    } else {
+        let mut patience = Patience::default();
+        look(&buses, &setup, check.time, |app, now| {
+            let usable = patience.allows(app, now)?;
+            Ok(usable && (!check.wait_for_all || is_complete(app, now)))
+        })?
     };
     has_file(&app)?;
     if ending == Some(Ending::Interrupted) {
@@ -46,6 +46,30 @@ pub fn run(check: &Check) -> Result<u8, Failure> {
     out.write_all(text.as_bytes())?;
     out.flush()?;
     Ok(if report.has_findings() { FINDINGS } else { FINE })
+}
+
+/// Others write the file while the bus is looked at, and not all of them at once: what was good is
+/// waited for, to be good again.
+#[derive(Default)]
+struct Patience {
+    had_entries: bool,
+}
+
+impl Patience {
+    /// For so long a file that is not JSON may be one that is just being written.
+    const AT_START: crate::time::Duration = crate::time::Duration::from_secs(1);
+
+    /// Whether the bus can be compared with the file now; an error where it is no use to wait.
+    fn allows(&mut self, app: &App, now: Instant) -> Result<bool, Failure> {
+        let file = app.file();
+        self.had_entries |= file.is_there() && !file.document().entries().is_empty();
+        if let Err(failure) = has_file(app) {
+            let is_new = file.problem().is_some() && now.since(Instant::ZERO) < Self::AT_START;
+            return if self.had_entries || is_new { Ok(false) } else { Err(failure) };
+        }
+        let has_entries = !file.document().entries().is_empty();
+        Ok(file.emptied_since().is_none() && (has_entries || !self.had_entries))
+    }
 }
 
 /// Without a file there is nothing to compare with.
@@ -143,4 +167,52 @@ fn differences(app: &App, now: Instant) -> String {
 
 fn many(count: usize, one: &str, several: &str) -> String {
     format!("{count} {}", if count == 1 { one } else { several })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::app::{AppOptions, FileReading};
+    use crate::time::Duration;
+
+    fn content(text: &str) -> FileReading {
+        FileReading::Content(Some(text.as_bytes().to_vec()))
+    }
+
+    /// What comes of these readings of the file, a second apart.
+    fn allowed(readings: impl IntoIterator<Item = FileReading>) -> Vec<Option<bool>> {
+        let file_path = Some("des.json".into());
+        let mut app = App::new(Instant::ZERO, AppOptions { file_path, ..AppOptions::default() });
+        let mut patience = Patience::default();
+        let mut now = Instant::ZERO;
+        let mut read = |reading| {
+            app.handle_file(now, reading);
+            app.handle_timeout(now);
+            let allowed = patience.allows(&app, now).ok();
+            now += Duration::from_millis(1500);
+            app.handle_timeout(now);
+            allowed
+        };
+        readings.into_iter().map(&mut read).collect()
+    }
+
+    #[test]
+    fn what_was_good_is_waited_for() {
+        let good = || content(r#"[{"name":"FEED","address":12}]"#);
+        let yes = Some(true);
+        for gone in [FileReading::Content(None), content("[{\"na"), content(""), content("[]")] {
+            assert_eq!(
+                allowed([good(), gone.clone(), gone, good()]),
+                [yes, Some(false), Some(false), yes]
+            );
+        }
+        assert_eq!(allowed([content("[]")]), [yes], "none is listed");
+    }
+
+    #[test]
+    fn what_was_never_good_is_an_error_soon() {
+        assert_eq!(allowed([FileReading::Content(None)]), [None]);
+        let broken = content("[{\"na");
+        assert_eq!(allowed([broken.clone(), broken]), [Some(false), None]);
+    }
 }

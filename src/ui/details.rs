@@ -177,6 +177,7 @@ impl<'a> Details<'_, 'a> {
         let reasons = match (device, app.entry_of(self.row)) {
             (Some(device), Some(entry)) if !device.is_here() => app.why_missing(entry),
             (Some(device), _) => app.why_incomplete(device),
+            (None, Some(_)) if self.row.state == State::Again => Vec::new(),
             (None, Some(entry)) => app.why_missing(entry),
             (None, None) => Vec::new(),
         };

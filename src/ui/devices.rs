@@ -204,7 +204,10 @@ fn cell(
     column: Column,
     width: usize,
 ) -> Span<'static> {
-    let gone = matches!(row.state, State::Lost | State::Unseen | State::Missing | State::Awaited);
+    let gone = matches!(
+        row.state,
+        State::Lost | State::Unseen | State::Missing | State::Awaited | State::Again
+    );
     let plain = if gone { Role::Muted } else { Role::Text };
     let (role, text) = match column {
         C::Bus => (Role::Muted, buses(brush.app, row, width)),
@@ -306,7 +309,7 @@ fn sign(row: &Row) -> (&'static str, Role) {
         State::Missing => ("○", Role::Missing),
         State::Lost => ("○", Role::Lost),
         State::Partly => ("◑", Role::Stale),
-        State::Awaited | State::Unseen => ("·", Role::Muted),
+        State::Awaited | State::Again | State::Unseen => ("·", Role::Muted),
         State::Stale => ("◐", Role::Stale),
         State::Silent => ("◌", Role::Silent),
         State::Asleep => ("◒", Role::Asleep),
@@ -322,7 +325,7 @@ pub(super) fn state_role(state: State) -> Role {
         State::Partly | State::Stale => Role::Stale,
         State::Silent => Role::Silent,
         State::Asleep => Role::Asleep,
-        State::Awaited | State::Unseen => Role::Muted,
+        State::Awaited | State::Again | State::Unseen => Role::Muted,
         State::Online => Role::Online,
     }
 }

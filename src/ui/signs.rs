@@ -4,7 +4,7 @@ use crate::discovery::Confidence;
 use crate::theme::Role;
 
 /// The role, the sign as it is shown, and its meaning: for the help.
-pub const SIGNS: [(Role, &str, &str); 23] = [
+pub const SIGNS: [(Role, &str, &str); 24] = [
     (Role::Online, "● online", "its heartbeats come"),
     (Role::Stale, "◐ stale", "the last heartbeat is late"),
     (Role::Silent, "◌ silent", "frames come, but no heartbeats"),
@@ -12,6 +12,7 @@ pub const SIGNS: [(Role, &str, &str); 23] = [
     (Role::Muted, "· unseen", "it was there when its bus went down"),
     (Role::Lost, "○ lost", "nothing for five heartbeat periods"),
     (Role::Missing, "○ missing", "listed in the file, not on the bus"),
+    (Role::Muted, "· again", "listed twice: one is too many"),
     (Role::Collision, "⚠ CLASH", "a confirmed collision: see Problems"),
     (Role::Collision, "⚠ 2", "problems that are certain"),
     (Role::Suspected, "? 1", "suspicions; they may be innocent"),
