@@ -19,8 +19,7 @@ use std::time::Duration;
                   versions, modes, collisions. Edit static addresses in des.json in place.",
     after_help = EXAMPLES,
     args_conflicts_with_subcommands = true,
-    subcommand_negates_reqs = true,
-    disable_help_subcommand = true
+    subcommand_negates_reqs = true
 )]
 pub struct Cli {
     /// What to do; without it, the terminal UI on the given buses.

@@ -100,8 +100,8 @@ fn each_difference_is_a_line_in_its_group() {
         said,
         "\
 missing:
-  PUMP (at 44) is listed and not there: in this log nothing was ever heard from address 44.
   FAN (at 13) is listed and not there: SENS sits on its address 13.
+  PUMP (at 44) is listed and not there: in this log nothing was ever heard from address 44.
 at another address:
   FEED is at 12, and the file pins it to 16.
 static address taken:

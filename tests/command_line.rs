@@ -354,6 +354,11 @@ fn what_was_found_becomes_a_des_json_and_nothing_is_overwritten() {
     let again = descan(&arguments, folder.path());
     assert_eq!(again.status.code(), Some(3));
     assert!(text(&again.stderr).contains("found.json is there already"));
+    let a_folder = descan(&["scan", "sim:drone", "--write", "."], folder.path());
+    assert_eq!(a_folder.status.code(), Some(3));
+    assert!(
+        text(&a_folder.stderr).contains("is a folder; name the file in it: --write ./des.json")
+    );
     assert_eq!(std::fs::read(folder.path().join("found.json")).unwrap(), written);
 }
 

@@ -137,10 +137,11 @@ fn differences(app: &App, now: Instant) -> String {
     let mut text = String::new();
     let mut sums = Vec::new();
     for (title, kinds) in GROUPS {
-        let group: Vec<_> = found.iter().filter(|it| kinds.contains(&it.key.kind)).collect();
+        let mut group: Vec<_> = found.iter().filter(|it| kinds.contains(&it.key.kind)).collect();
         if group.is_empty() {
             continue;
         }
+        group.sort_by_key(|it| (it.place, it.key.bus, it.key.address));
         let _ = writeln!(text, "{title}:");
         for finding in &group {
             let bus = finding.key.bus.and_then(|bus| app.bus(bus));

@@ -26,6 +26,13 @@ pub fn run(scan: &Scan) -> Result<u8, Failure> {
     if let Some(path) = &scan.write
         && path.symlink_metadata().is_ok()
     {
+        if path.is_dir() {
+            return Err(Failure::Unusable(format!(
+                "{0} is a folder; name the file in it: --write {1}",
+                path.display(),
+                path.join("des.json").display()
+            )));
+        }
         return Err(Failure::Unusable(format!(
             "{} is there already and is not touched; name another file, or edit it in: descan",
             path.display()
