@@ -122,7 +122,9 @@ impl App {
             return;
         }
         let Some((at, _)) = self.selected_entry() else { return };
-        self.overlay = Overlay::Question(Question::Delete(self.file.document().key(at)));
+        let document = self.file.document();
+        let (key, text) = (document.key(at), document.entry_text(at).to_owned());
+        self.overlay = Overlay::Question(Question::Delete(key, text));
     }
 
     /// Command: take the last edit back.
@@ -410,7 +412,7 @@ impl App {
                     format!("{edits} not saved. Quit all the same?")
                 }
             }
-            Question::Delete(key) => {
+            Question::Delete(key, _) => {
                 format!("Delete the entry {key:#} from {}?", self.file.name())
             }
             Question::Identify(id) => {
@@ -446,7 +448,7 @@ impl App {
                 self.quit();
             }
             Question::FindBitrate(bus) => self.find_bitrate(bus),
-            Question::Delete(key) => self.edit(&[Operation::Remove { entry: key }]),
+            Question::Delete(key, text) => self.delete(key, &text),
             Question::Identify(id) => match self.identify_frame(id) {
                 Ok(frame) => {
                     let mut line = Line::new(now, Kind::Bus, "asked to identify itself");
@@ -461,6 +463,20 @@ impl App {
                 }
                 Err(why) => self.complain(why),
             },
+        }
+    }
+
+    /// Deletes an entry, unless somebody else changed it since it was asked about.
+    fn delete(&mut self, entry: EntryKey, asked_about: &str) {
+        let document = self.file.document();
+        match document.find(&entry) {
+            Some(at) if document.entry_text(at) != asked_about => {
+                let key = self.key_of("delete-entry");
+                self.complain(format!(
+                    "not deleted: {entry:#} was changed by someone else since; {key} asks again"
+                ));
+            }
+            _ => self.edit(&[Operation::Remove { entry }]),
         }
     }
 

@@ -161,8 +161,8 @@ pub struct Message {
 pub enum Question {
     /// Quit although edits are not saved?
     Quit,
-    /// Delete this entry?
-    Delete(crate::document::EntryKey),
+    /// Delete this entry, while it is in these words?
+    Delete(crate::document::EntryKey, String),
     /// Send the identify command to this device?
     Identify(DeviceId),
     /// Look for the bit rate of this bus?

@@ -237,7 +237,11 @@ impl Document {
         self.elements()[self.entries()[index].element].clone()
     }
 
-    fn entry_text(&self, index: usize) -> &str {
+    /// The entry at this place as it stands in the file, to the byte.
+    ///
+    /// # Panics
+    /// When `index` is not one of [`Document::entries`].
+    pub fn entry_text(&self, index: usize) -> &str {
         &self.body()[self.entry_span(index)]
     }
 }
