@@ -288,7 +288,8 @@ impl Play {
         for finding in findings.iter().filter(|finding| !self.findings.contains(finding)) {
             writeln!(log, "  finding: {finding}").unwrap();
         }
-        if unsaved == 0 && problem.is_none() && self.is_watched && !app.file().is_saving() {
+        let is_known = self.is_watched && app.file().emptied_since().is_none();
+        if unsaved == 0 && problem.is_none() && is_known && !app.file().is_saving() {
             let on_disk = self.stage.file.as_deref().unwrap_or_default();
             assert_eq!(document.source(), on_disk, "what is in force is not what is on the disk");
         }

@@ -7,7 +7,7 @@
 use super::matching::is_for;
 use super::{App, Effect, Overlay, Page, RowKey};
 use crate::discovery::DeviceId;
-use crate::document::{Entry, EntryKey, NewEntry, Operation};
+use crate::document::{Document, Entry, EntryKey, NewEntry, Operation};
 use crate::keymap::{Key, KeyCode, Mode};
 use crate::text::{Escaped, is_printable};
 use crate::time::Instant;
@@ -26,6 +26,10 @@ pub struct Prompt {
     pub untouched: bool,
     /// The text it was opened with.
     before: String,
+    /// What the file said then.
+    on: Document,
+    /// The place in it of the entry that is edited; none where the device was not listed.
+    place: Option<usize>,
 }
 
 /// What a line is typed for.
@@ -64,8 +68,8 @@ impl PromptKind {
     }
 }
 
-/// Said of an entry that was there when the line was opened.
-const GONE: &str = "its entry was deleted by someone else";
+/// What Enter does where the whole file went while a line was typed.
+const BEGINS: &str = "Enter begins a new one";
 
 /// What is to be said of the text so far.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -81,8 +85,15 @@ pub enum Verdict {
 impl App {
     pub(super) fn open_prompt(&mut self, kind: PromptKind, text: String) {
         let untouched = matches!(kind, PromptKind::Address(_)) && !text.is_empty();
-        let (input, before) = (Input::new(text.clone()), text);
-        self.overlay = Overlay::Prompt(Prompt { kind, input, untouched, before });
+        let place = match &kind {
+            PromptKind::Address(RowKey::Device(id)) => self.matching.entry_of(*id),
+            PromptKind::Address(RowKey::Entry(key)) | PromptKind::Rename(key) => {
+                self.file.document().find(key)
+            }
+            _ => None,
+        };
+        let (input, before, on) = (Input::new(text.clone()), text, self.file.document().clone());
+        self.overlay = Overlay::Prompt(Prompt { kind, input, untouched, before, on, place });
         self.dirty = true;
     }
 
@@ -105,15 +116,16 @@ impl App {
         }
         Some(match &prompt.kind {
             PromptKind::Filter(page, _) => Verdict::Fine(super::Filter::teach(*page).to_owned()),
-            PromptKind::Address(key) => match self.judge_address(key, text) {
+            PromptKind::Address(key) => match self.judge_address(prompt, key, text) {
                 Verdict::Blocks(why) => Verdict::Blocks(why),
-                verdict => self.judge_change(key, &prompt.before).unwrap_or(verdict),
+                verdict => self.judge_change(prompt, text).unwrap_or(verdict),
             },
-            PromptKind::Rename(key) if self.entry_of_key(key).is_none() => {
-                Verdict::Blocks(GONE.to_owned())
-            }
-            PromptKind::Rename(_) => judge_name(text),
-            PromptKind::NewEntry => self.judge_new_entry(text),
+            PromptKind::Rename(key) => self.judge_rename(prompt, key, text),
+            PromptKind::NewEntry => match (self.judge_new_entry(text), self.file_gone(prompt)) {
+                (Verdict::Blocks(why), _) => Verdict::Blocks(why),
+                (_, Some(gone)) => Verdict::Warns(format!("{gone}; {BEGINS}")),
+                (verdict, None) => verdict,
+            },
             PromptKind::CapturePath | PromptKind::CopyPath if text.is_empty() => {
                 Verdict::Blocks("a path is needed".to_owned())
             }
@@ -235,13 +247,18 @@ impl App {
         let text = prompt.input.value().trim().to_owned();
         match prompt.kind {
             PromptKind::Filter(page, _) => self.apply_filter(page, text),
-            PromptKind::Address(key) => self.finish_address(&key, &text),
-            PromptKind::Rename(entry) => {
-                let Some(to) = unescaped(&text).ok().filter(|to| *to != entry.name) else { return };
-                // Its address may have been changed under us.
-                let Some(at) = self.entry_of_key(&entry).map(|entry| entry.index) else { return };
-                let entry = self.file.document().key(at);
-                self.edit(&[Operation::Rename { entry, to }]);
+            PromptKind::Address(ref key) => self.finish_address(&prompt, key, &text),
+            PromptKind::Rename(ref key) => {
+                let Ok(to) = unescaped(&text) else { return };
+                // Its address or its name may have been changed under us.
+                let Some(entry) = self.edited_entry(&prompt) else { return };
+                if entry.name != to {
+                    let entry = self.file.document().key(entry.index);
+                    self.edit(&[Operation::Rename { entry, to }]);
+                } else if key.name != to {
+                    let told = format!("{} already", renamed(entry));
+                    self.say(told);
+                }
             }
             PromptKind::NewEntry => {
                 let Ok((name, address)) = split_new_entry(&text) else { return };
@@ -266,53 +283,114 @@ impl App {
 
     // ---- the address of a row --------------------------------------------------------------
 
-    /// The entry that an address prompt edits.
-    pub(super) fn entry_for(&self, key: &RowKey) -> Option<&Entry> {
-        match key {
-            RowKey::Device(id) => {
-                let entries = self.file.document().entries();
-                self.matching.entry_of(*id).and_then(|at| entries.get(at))
-            }
-            RowKey::Entry(key) => self.entry_of_key(key),
+    /// The entry of a row.
+    fn entry_for(&self, key: &RowKey) -> Option<&Entry> {
+        let document = self.file.document();
+        let at = match key {
+            RowKey::Device(id) => self.matching.entry_of(*id),
+            RowKey::Entry(key) => document.find(key),
+        };
+        document.entries().get(at?)
+    }
+
+    /// The entry that a prompt edits, as it is now: a device's, or what the entry has become that
+    /// the line was opened on.
+    fn edited_entry(&self, prompt: &Prompt) -> Option<&Entry> {
+        if let PromptKind::Address(key @ RowKey::Device(_)) = &prompt.kind {
+            return self.entry_for(key);
+        }
+        self.successor(prompt)
+    }
+
+    /// What the entry has become that a line was opened on.
+    fn successor(&self, prompt: &Prompt) -> Option<&Entry> {
+        let document = self.file.document();
+        document.entries().get(prompt.on.counterpart(prompt.place?, document)?)
+    }
+
+    /// Where there was something in the file when the line was opened, and there is not any more:
+    /// what became of it.
+    fn file_gone(&self, prompt: &Prompt) -> Option<String> {
+        let name = self.file.name();
+        if prompt.on.is_blank() {
+            None
+        } else if !self.file.is_there() {
+            Some(format!("{name} is gone"))
+        } else {
+            self.file.document().is_blank().then(|| format!("{name} is empty now"))
         }
     }
 
-    /// The entry with this key, or (where its address was changed under us) the only one of its
-    /// name.
-    fn entry_of_key(&self, key: &EntryKey) -> Option<&Entry> {
-        let document = self.file.document();
-        let named = || document.entries().iter().filter(|entry| entry.name == key.name);
-        let exact = document.find(key).map(|at| &document.entries()[at]);
-        exact.or_else(|| named().next().filter(|_| named().count() == 1))
+    /// What became of an entry that was there when the line was opened.
+    fn entry_gone(&self, prompt: &Prompt) -> String {
+        if let Some(gone) = self.file_gone(prompt) {
+            return gone;
+        }
+        let before = prompt.place.and_then(|at| prompt.on.entries().get(at));
+        match self.successor(prompt) {
+            Some(entry) if before.is_some_and(|before| before.name != entry.name) => {
+                format!("its entry was {}", renamed(entry))
+            }
+            Some(_) => "its entry was changed by someone else, and is another's now".to_owned(),
+            None => "its entry was deleted by someone else".to_owned(),
+        }
     }
 
     /// What the file pins a row to, as the line is opened with it.
     pub(super) fn pinned_text(&self, key: &RowKey) -> String {
-        let listed = self.entry_for(key).filter(|entry| entry.is_static);
-        listed.and_then(|entry| entry.address).map(|it| it.to_string()).unwrap_or_default()
+        pinned(self.entry_for(key))
     }
 
-    /// Whether somebody else changed the pinned address while another one was typed.
-    fn judge_change(&self, key: &RowKey, before: &str) -> Option<Verdict> {
-        let now = self.pinned_text(key);
-        if now == before {
-            return None;
+    /// Whether somebody else changed the entry while its address was typed, or the whole file.
+    fn judge_change(&self, prompt: &Prompt, text: &str) -> Option<Verdict> {
+        let entry = self.edited_entry(prompt);
+        let gone = self.file_gone(prompt).map(|gone| (gone, BEGINS));
+        let unlisted = || (self.entry_gone(prompt), "Enter lists it again");
+        let gone = gone.or_else(|| prompt.place.is_some().then(unlisted));
+        if let Some((gone, what)) = gone.filter(|_| entry.is_none()) {
+            let told = if text.is_empty() { gone } else { format!("{gone}; {what}") };
+            return Some(Verdict::Warns(told));
         }
-        if self.entry_for(key).is_none() {
-            let text = format!("{GONE}; Enter lists it again");
-            return Some(Verdict::Warns(text));
-        }
+        let theirs = self.pinned_by_others(prompt)?;
+        let typed = parse_address(text).map(|it| it.to_string()).unwrap_or_default();
+        Some(if typed == pinned(entry) {
+            Verdict::Fine(format!("{theirs} already"))
+        } else {
+            Verdict::Warns(format!("{theirs}; Enter overrides that"))
+        })
+    }
+
+    /// Where somebody else pinned it elsewhere while an address was typed: what they did.
+    fn pinned_by_others(&self, prompt: &Prompt) -> Option<String> {
+        let now = pinned(self.edited_entry(prompt));
         let theirs = match now.as_str() {
+            now if now == prompt.before => return None,
             "" => "unpinned".to_owned(),
             now => format!("changed to {now}"),
         };
-        Some(Verdict::Warns(format!("{theirs} by someone else; Enter overrides that")))
+        Some(format!("{theirs} by someone else"))
     }
 
-    fn judge_address(&self, key: &RowKey, text: &str) -> Verdict {
-        let entry = self.entry_for(key);
+    fn judge_rename(&self, prompt: &Prompt, key: &EntryKey, text: &str) -> Verdict {
+        let Some(entry) = self.edited_entry(prompt) else {
+            return Verdict::Blocks(self.entry_gone(prompt));
+        };
+        let verdict = judge_name(text);
+        if entry.name == key.name || matches!(verdict, Verdict::Blocks(_)) {
+            return verdict;
+        }
+        let theirs = renamed(entry);
+        if unescaped(text).as_ref() == Ok(&entry.name) {
+            Verdict::Fine(format!("{theirs} already"))
+        } else {
+            Verdict::Warns(format!("{theirs}; Enter overrides that"))
+        }
+    }
+
+    fn judge_address(&self, prompt: &Prompt, key: &RowKey, text: &str) -> Verdict {
+        let entry = self.edited_entry(prompt);
         if entry.is_none() && matches!(key, RowKey::Entry(_)) {
-            return Verdict::Blocks(GONE.to_owned());
+            return Verdict::Blocks(self.entry_gone(prompt));
         }
         if text.is_empty() {
             return match entry {
@@ -383,8 +461,8 @@ impl App {
         Some(Verdict::Warns(format!("{who} is at {address} now; Enter pins it all the same")))
     }
 
-    fn finish_address(&mut self, key: &RowKey, text: &str) {
-        let entry = self.entry_for(key);
+    fn finish_address(&mut self, prompt: &Prompt, key: &RowKey, text: &str) {
+        let entry = self.edited_entry(prompt);
         let operation = match (parse_address(text), entry) {
             (None, Some(entry)) if entry.is_static => Some(Operation::ClearAddress {
                 entry: self.file.document().key(entry.index),
@@ -405,8 +483,14 @@ impl App {
             },
             _ => None,
         };
-        if let Some(operation) = operation {
-            self.edit(&[operation]);
+        match operation {
+            Some(operation) => self.edit(&[operation]),
+            None if entry.is_none() => {}
+            None => {
+                if let Some(theirs) = self.pinned_by_others(prompt) {
+                    self.say(format!("{theirs} already"));
+                }
+            }
         }
     }
 
@@ -465,6 +549,16 @@ impl App {
         }
         log
     }
+}
+
+/// The address that an entry is pinned to, as it is typed.
+fn pinned(entry: Option<&Entry>) -> String {
+    let listed = entry.filter(|entry| entry.is_static);
+    listed.and_then(|entry| entry.address).map(|it| it.to_string()).unwrap_or_default()
+}
+
+fn renamed(entry: &Entry) -> String {
+    format!("renamed to {} by someone else", Escaped(&entry.name))
 }
 
 /// A number from 1 to 127, decimal or hexadecimal.

@@ -340,6 +340,18 @@ fn step_known(entry: &Entry, found: &Entry, theirs: &Document) -> Option<Step> {
     Some(Step::Conflict { ours, theirs, insist })
 }
 
+impl Document {
+    /// The place in newer content of the entry that the one at this place has become, wherever it
+    /// stands, and whether its address or its name was changed; none where it was deleted, or
+    /// cannot be told.
+    pub fn counterpart(&self, index: usize, newer: &Self) -> Option<usize> {
+        if self == newer {
+            return (index < self.entries().len()).then_some(index);
+        }
+        counterparts(self, newer).get(index).copied().flatten()
+    }
+}
+
 /// For each entry of the base, the entry of theirs that it has become.
 ///
 /// Entries that are equal in bus, name, address and UID belong together, in their order. Of the
