@@ -37,6 +37,8 @@ struct Inspector {
     frames: Vec<Frame>,
     /// When it was cut off from the bus by its own controller.
     cut_off: Vec<Instant>,
+    /// Since when it is, where it is not restarted yet.
+    off_since: Option<Instant>,
     station: Station,
     seen: Seen,
 }
@@ -105,6 +107,7 @@ impl Run {
                 events: Vec::new(),
                 frames: Vec::new(),
                 cut_off: Vec::new(),
+                off_since: None,
                 seen: Seen::default(),
             });
         }
@@ -138,15 +141,15 @@ impl Run {
         {
             it.engine.handle_lost(own, std::mem::take(&mut it.seen.lost));
         }
-        if self.sim.status(it.station).state == BusState::BusOff {
-            let off = *it.cut_off.last().filter(|at| now.since(**at) <= RESTART).unwrap_or(&now);
-            if off == now {
-                it.cut_off.push(now);
-            }
-            if now.since(off) >= RESTART {
-                self.sim.set_link(it.station, true);
-                it.engine.restart(own);
-            }
+        if it.off_since.is_none() && self.sim.status(it.station).state == BusState::BusOff {
+            it.off_since = Some(now);
+            it.cut_off.push(now);
+            it.engine.suspend(own);
+        }
+        if it.off_since.is_some_and(|since| now.since(since) >= RESTART) {
+            it.off_since = None;
+            self.sim.set_link(it.station, true);
+            it.engine.restart(own);
         }
         if it.engine.poll_timeout().is_some_and(|due| due <= own) {
             it.engine.handle_timeout(own);
@@ -159,7 +162,8 @@ impl Run {
         }
         let due = it.engine.poll_timeout().map(|due| due - ahead);
         let jump = lens.jump.map(|jump| instant(jump.at)).filter(|jump| *jump > now);
-        [due, it.seen.next(), jump].into_iter().flatten().min()
+        let restart = it.off_since.map(|since| since + RESTART);
+        [due, it.seen.next(), jump, restart].into_iter().flatten().min()
     }
 }
 
@@ -187,18 +191,19 @@ fn tell(run: &Run) {
     for (number, it) in run.inspectors.iter().enumerate() {
         let mut frames = it.frames.iter().peekable();
         let quiet = std::env::var_os("FRAMES").is_none();
+        let print = |frame: &Frame| {
+            if !quiet && matches!(frame.id, CanId::Extended(_)) {
+                let ours = if frame.ours { " T" } else { "" };
+                println!("{number}   {} {frame}{ours}", frame.time);
+            }
+        };
         for (_, event) in &it.events {
             while let Some(frame) = frames.next_if(|frame| frame.time <= event.time) {
-                if !quiet && matches!(frame.id, CanId::Extended(_)) {
-                    println!(
-                        "{number}   {} {frame}{}",
-                        frame.time,
-                        if frame.ours { " T" } else { "" }
-                    );
-                }
+                print(frame);
             }
             println!("{number} {} {}", event.time, common::describe(event));
         }
+        frames.for_each(print);
         for finding in it.engine.findings() {
             println!("{number} ? {:?} {} {}", finding.key, finding.confidence, finding.text);
             for it in &finding.evidence {

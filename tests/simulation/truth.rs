@@ -4,7 +4,7 @@
 use descan::sim::{AddressChoice, DeviceId, DeviceSpec, Fault, Sim};
 use descan::time::{Duration, Instant};
 use descan::wire::id::Address;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// What pauses for less may go on.
 const PAUSE: Duration = Duration::from_secs(3);
@@ -31,6 +31,8 @@ pub struct Truth {
     /// Until when both of a pair were switched on, where neither ever gives way: they come back to
     /// their address however often they silence each other.
     both_on: BTreeMap<Clash, Span>,
+    /// Who was ever seen at each address.
+    seen_at: BTreeMap<Address, BTreeSet<usize>>,
 }
 
 impl Truth {
@@ -43,6 +45,7 @@ impl Truth {
             }
         }
         for (&address, here) in &at {
+            self.seen_at.entry(address).or_default().extend(here);
             for (place, &one) in here.iter().enumerate() {
                 for &other in &here[place + 1..] {
                     self.see(now, Clash::Address(address, one, other));
@@ -93,6 +96,11 @@ impl Truth {
             Some(span) if Some(span.until) == self.sampled => span.until = now,
             _ => spans.push(Span { from: now, until: now }),
         }
+    }
+
+    /// Who ever held that address, by their places in the scenario.
+    pub fn seen_at(&self, address: Address) -> impl Iterator<Item = usize> + '_ {
+        self.seen_at.get(&address).into_iter().flatten().copied()
     }
 
     /// When both of a pair that never gives way were on.

@@ -271,12 +271,17 @@ impl Case<'_> {
         Instant::ZERO + self.run.world.inspectors[self.number].from
     }
 
-    /// Whether two were at `address` for a while of which one took the other's place unseen.
+    /// Whether two were at `address` for a while of which one took the other's place unseen: of one
+    /// name, and of one UID, or of UIDs that nobody heard, because there was not one heartbeat, not
+    /// even to claim the address. Then the U bit alone could tell them apart.
     fn is_same_to_all(&self, clash: Clash, address: Address) -> bool {
         match clash {
             Clash::Address(at, one, other) => {
                 let (one, other) = (self.spec(one), self.spec(other));
-                at == address && one.name == other.name && one.uid == other.uid
+                let beats = self.it.engine.device_at(at).map_or(0, |row| row.heartbeat.count);
+                let works = |it: &DeviceSpec| it.mode.is_none() && !it.uid.is_blank();
+                let unheard = beats == 0 && works(one) == works(other);
+                at == address && one.name == other.name && (one.uid == other.uid || unheard)
             }
             Clash::Uid(..) => false,
         }
@@ -567,8 +572,11 @@ impl Case<'_> {
             let owners = world.scenario.devices.iter().filter(|spec| is_fixed(spec, address));
             let untouched = owners.clone().count() > 0
                 && owners.clone().all(|it| !world.touched.contains(&it.label) && is_regular(it));
+            // Who lost a contest takes any address that is free, be it that of one who is not on yet.
+            let mut guests = self.run.truth.seen_at(address);
+            let is_visited = guests.any(|it| world.touched.contains(&self.spec(it).label));
             let inspector = event.device.and_then(|it| self.it.engine.device(it));
-            if !untouched || inspector.is_none_or(|device| device.is_debug) {
+            if !untouched || is_visited || inspector.is_none_or(|device| device.is_debug) {
                 continue;
             }
             let odd = match &event.kind {
