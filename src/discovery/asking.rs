@@ -166,7 +166,9 @@ impl Engine {
                 let (working, framing) = (device.working, device.framing);
                 // While it resolves its address, the mode it takes next is not known.
                 let undecided = device.is_resolving && !working;
-                let usable = device.presence != Presence::Lost && address != own;
+                // Where one is lost another may be, who claimed its address.
+                let is_there = device.presence != Presence::Lost || device.is_beaten_for;
+                let usable = is_there && address != own;
                 let query = device.query_mut(request);
                 if query.is_waiting() || query.due.is_none_or(|due| due > now) {
                     continue;

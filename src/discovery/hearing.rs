@@ -537,6 +537,8 @@ impl Engine {
         device.name_query.answered(now, fault.map(QueryFault::from));
         device.is_debug |= name.as_bytes() == station::NAME;
         device.last_seen = now;
+        // What claimed its address in its absence is itself, under another UID.
+        device.is_beaten_for &= device.presence != Presence::Lost;
         let news = device.name.is_none();
         if news {
             device.name = Some(name);

@@ -531,12 +531,17 @@ impl Engine {
             self.judge_replaced(device)
         };
         let was = device.presence;
-        // What another one beats does not bring it back.
+        // What another one beats does not bring it back, nor is it this one that is silent then.
         let beaten_for = device.is_beaten_for && self.roster.is_current(index);
-        if presence == was || (presence == Presence::Online && beaten_for) {
+        let gone = matches!(was, Presence::Lost | Presence::Asleep);
+        let anothers = presence == Presence::Online || presence == Presence::Stale && gone;
+        if presence == Presence::Lost {
+            self.roster.get_mut(index).is_beaten_for = false;
+        }
+        if presence == was || (anothers && beaten_for) {
             return;
         }
-        let address = device.address;
+        let address = self.roster.get(index).address;
         let device = self.roster.get_mut(index);
         device.presence = presence;
         device.presence_since = self.now;
