@@ -126,15 +126,14 @@ impl Engine {
             if !sender.is_another && from != Some(mode) {
                 device.remember_mode(ModeChange { time: now, mode });
                 // Whatever was there before, this one began just now; and not all services are
-                // there in every mode.
+                // there in every mode. Where two of one UID beat, one in a working mode and one in
+                // another, this is all that is left of the first when it goes.
                 let began = matches!(from, Some(Mode::Init | Mode::Arslv));
                 let works = mode.is_working();
                 let other = works.is_some() && from.is_some_and(|from| from.is_working() != works);
                 if (began || other) && !self.collisions.cases().is_open_at(address) {
                     device.services_query.renew(now);
-                    if began {
-                        device.name_query.renew(now);
-                    }
+                    device.name_query.renew(now);
                 }
                 self.tell(index, EventKind::Mode { from, to: mode });
             }
