@@ -86,6 +86,8 @@ pub struct HeartbeatStats {
     in_phase: Option<Instant>,
 }
 
+/// Who was not heard for so many periods may not be there.
+pub(super) const STALE_PERIODS: f64 = 2.5;
 /// A gap of this many periods between heartbeats may be a reboot.
 pub(super) const SILENT_PERIODS: f64 = 1.4;
 
@@ -435,6 +437,29 @@ impl Device {
         self.working = live.working;
         self.is_resolving = live.is_resolving;
         self.last_seen = live.last_seen;
+    }
+
+    /// Takes note, before anything else of it is, that something is heard of it now: what it was
+    /// asked in vain while it was silent for far longer than it ever was before, it is asked once
+    /// more. It may not have heard us, nor we it. True where something is asked.
+    pub(super) fn ask_who_was_not_heard(&mut self, now: Instant, period: Duration) -> bool {
+        let in_vain = |query: &Query| query.state == QueryState::Unanswered;
+        if !in_vain(&self.name_query) && !in_vain(&self.services_query) {
+            return false;
+        }
+        let silence = now.since(self.last_seen);
+        let usual = self.last_seen.since(self.first_seen).mul_f64(1.0 / self.frames.max(1) as f64);
+        if silence < period.mul_f64(STALE_PERIODS) || silence < usual * 4 {
+            return false;
+        }
+        let mut asks = false;
+        for query in [&mut self.name_query, &mut self.services_query] {
+            if in_vain(query) && query.asked_at >= Some(self.last_seen) {
+                query.start_over(now);
+                asks = true;
+            }
+        }
+        asks
     }
 
     /// Adds to the modes it was in; the oldest go.

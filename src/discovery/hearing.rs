@@ -180,6 +180,11 @@ impl Engine {
             self.wake_at(now);
             return Some(index);
         };
+        let period = self.config.profile.heartbeat.period();
+        let device = self.roster.get_mut(index);
+        if device.ask_who_was_not_heard(now, period) {
+            self.wake_at(now);
+        }
         let device = self.roster.get_mut(index);
         device.last_seen = now;
         device.frames += 1;
@@ -188,7 +193,6 @@ impl Engine {
         // services, or of another board.
         if says_mode && device.working != working {
             device.working = working;
-            let period = self.config.profile.heartbeat.period();
             let beats = device.heartbeat.last.is_some_and(|last| now.since(last) < period * 3);
             if !beats && device.services.is_some() {
                 device.services_query.renew(now);

@@ -6,7 +6,7 @@
 //! between them, or, where none are made, stale 30 s after the last frame. Time in which no frame
 //! could reach us, because the bus was down, does not count.
 
-use super::device::{Device, Presence};
+use super::device::{Device, Presence, STALE_PERIODS};
 use crate::time::{Duration, Instant};
 use crate::wire::node::Mode;
 use std::collections::VecDeque;
@@ -82,7 +82,7 @@ impl Measure<'_> {
 
     /// The device's presence at `now`, and when it may change if nothing more is heard.
     pub fn judge(&self, device: &Device, now: Instant) -> (Presence, Option<Instant>) {
-        let stale_after = self.period.mul_f64(2.5);
+        let stale_after = self.period.mul_f64(STALE_PERIODS);
         let lost_after = self.period * 5;
         let Some(last_beat) = device.heartbeat.last.filter(|_| !beats_no_more(device, self.period))
         else {
