@@ -124,6 +124,33 @@ fn who_is_named_is_suspected_with_the_frames_that_show_it() {
 }
 
 #[test]
+fn of_several_that_are_looked_into_none_waits_for_the_others_for_ever() {
+    let pairs = [5, 6, 7, 8].map(|address| {
+        let label = |which: &str| format!("{which}{address}");
+        let one = stubborn(&label("one"), "ACT", address, millis(2));
+        [one, stubborn(&label("other"), "VALVE", address, millis(2))]
+    });
+    let crowd = Scenario::crowd(125_000, 4, 3);
+    let scenario = pairs.into_iter().flatten().fold(crowd, Scenario::with);
+    let end = seconds(40.0);
+    for seed in 0..8 {
+        let mut it = Inspection::new(&scenario, seed, Config::default());
+        run(&mut it, end);
+        for address in 5..=8 {
+            let asked = it.frames.iter().filter(|frame| {
+                let header = Header::decode(frame.platform_id().unwrap_or(0));
+                let targeted = !header.broadcast && header.destination.number() == address;
+                frame.ours && targeted && frame.data().ends_with(b"DES\x01")
+            });
+            let asked: Vec<Instant> = asked.map(|it| it.time).chain([end]).collect();
+            let longest = asked.windows(2).map(|two| two[1].since(two[0])).max();
+            let waits = longest.unwrap_or(Duration::MAX);
+            assert!(waits < millis(7000), "seed {seed}: {address} is not asked for {waits:?}");
+        }
+    }
+}
+
+#[test]
 fn once_one_of_the_two_is_gone_nobody_is_named_any_more() {
     let pair = pair(|other| other.service("VALVE", "2.1"));
     let scenario = with_pair(Scenario::crowd(250_000, 10, 3), pair).at(

@@ -101,6 +101,8 @@ struct Suspect {
     silent: bool,
     /// Until when it may answer our last question.
     asked_until: Option<Instant>,
+    /// Whether it was put off when it was to be asked.
+    waits: bool,
     follow_ups: u32,
     ask_at: Option<Instant>,
     named: bool,
@@ -243,17 +245,26 @@ impl Errors {
     }
 
     /// `address` is about to be asked, and may answer until `until`. When it is to be asked
-    /// instead, where that is not now: of two that are looked into each is asked alone, or it
-    /// would never be known whose frames break.
+    /// instead, where that is not now: of those that are looked into each is asked alone, or it
+    /// would never be known whose frames break. They take turns: who was asked before it and waits
+    /// comes first.
     pub fn put_off(&mut self, now: Instant, address: Address, until: Instant) -> Option<Instant> {
         let at = self.suspects.iter().position(|suspect| suspect.address == address)?;
+        let own = self.suspects[at].asked_until;
         let others = self.suspects.iter().filter(|suspect| suspect.address != address);
         let busy = others.filter_map(|suspect| suspect.asked_until).max();
-        let busy = busy.filter(|until| now < *until);
-        if busy.is_none() {
-            self.suspects[at].asked_until = Some(until);
+        let later = busy.filter(|until| now < *until).or_else(|| {
+            let before = self.suspects.iter_mut().filter(|it| it.waits && it.asked_until < own);
+            // Only once: it may not be to be asked any more.
+            before.min_by_key(|it| it.asked_until)?.waits = false;
+            Some(until)
+        });
+        let suspect = &mut self.suspects[at];
+        suspect.waits = later.is_some();
+        if later.is_none() {
+            suspect.asked_until = Some(until);
         }
-        busy
+        later
     }
 
     /// How many frames broke, as far as a report tells. Drivers that do not report each broken
@@ -479,6 +490,7 @@ impl Errors {
                 evidence: Vec::new(),
                 silent: false,
                 asked_until: None,
+                waits: false,
                 follow_ups: 0,
                 ask_at: None,
                 named: false,
