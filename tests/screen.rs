@@ -499,6 +499,7 @@ fn a_copy_is_saved_elsewhere() {
     let bytes = BOILER.replace("10", "47").into_bytes();
     assert_eq!(stage.effects.last(), Some(&Effect::WriteFile { path: path.clone(), bytes }));
     stage.app.handle_written(stage.app.now(), &path, Err("no such folder".to_owned()));
+    assert!(stage.screen().contains(" not written: no such folder"), "{}", stage.screen());
     assert!(stage.keys("q").screen().contains("1 edit is not saved. Quit all the same?"));
     stage.keys("n W Ctrl-u").text("/else/b.json").keys("Enter");
     stage.app.handle_written(stage.app.now(), &path, Ok(()));

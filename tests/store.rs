@@ -5,7 +5,7 @@ use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _, symlink};
 use std::path::Path;
 use std::time::Duration;
 
-use descan::shell::store::{SaveError, Saved, Store, StoreError};
+use descan::shell::store::{SaveError, Saved, Store, StoreError, write_new};
 use descan::shell::watch::{FileReading, Watch};
 use tempfile::TempDir;
 
@@ -27,6 +27,51 @@ fn mode(path: &Path) -> u32 {
 
 fn is_root() -> bool {
     nix::unistd::geteuid().is_root()
+}
+
+// ---- new files ----
+
+#[test]
+fn a_new_file_is_written_or_it_is_said_why_not_in_one_line() {
+    let folder = folder();
+    let at = |name: &str| folder.path().join(name);
+    let write = |path: &Path| write_new(path, Some(folder.path()), b"[]");
+    assert_eq!(write(&at("a.json")), Ok(()));
+    assert_eq!(write(Path::new("~/b.json")), Ok(()));
+    assert_eq!(names(folder.path()), ["a.json", "b.json"]);
+
+    fs::write(at("large"), vec![b' '; (16 << 20) + 1]).unwrap();
+    fs::write(at("protected"), "").unwrap();
+    fs::set_permissions(at("protected"), fs::Permissions::from_mode(0o400)).unwrap();
+    symlink("loop", at("loop")).unwrap();
+    let long = "x".repeat(300);
+    let name = folder.path().file_name().unwrap();
+    for (path, way_out) in [
+        (at("a.json"), "there is a file of that name already: choose another"),
+        (at("large"), "there is a file of that name already: choose another"),
+        (at("protected"), "there is a file of that name already: choose another"),
+        (folder.path().to_owned(), "that is a folder: name a file in it"),
+        ("~".into(), "that is a folder: name a file in it"),
+        ("/dev/null".into(), "that is not a regular file: choose another"),
+        (at("no/c.json"), "there is no such folder: make it (mkdir -p), or choose another"),
+        (at("a.json/c.json"), "what should be its folder is a file: choose another"),
+        (at(&long), "the name is too long: choose a shorter one"),
+        (at("loop"), "its symbolic links go in circles"),
+        ("~nobody/c.json".into(), "~ is not known here: write out the path"),
+    ] {
+        let why = write(&path).unwrap_err();
+        assert_eq!(why, way_out, "{}", path.display());
+        assert!(!why.contains(name.to_str().unwrap()), "{why}");
+    }
+    if !is_root() {
+        fs::create_dir(at("closed")).unwrap();
+        fs::set_permissions(at("closed"), fs::Permissions::from_mode(0o500)).unwrap();
+        let why = write(&at("closed/c.json")).unwrap_err();
+        assert_eq!(why, "no permission for that folder: choose another");
+    }
+    let why = write_new(Path::new("~/c.json"), None, b"[]").unwrap_err();
+    assert_eq!(why, "~ is not known here: write out the path");
+    assert_eq!(fs::read(at("a.json")).unwrap(), b"[]");
 }
 
 // ---- reading ----

@@ -519,7 +519,7 @@ impl App {
                 self.timeline.push(TimelineEntry::new(self.now, TimelineKind::File, line));
             }
             Ok(()) => self.say(format!("written: {path}")),
-            Err(why) => self.complain(format!("{path}: {why}")),
+            Err(why) => self.complain(format!("not written: {why}")),
         }
     }
 

@@ -6,7 +6,7 @@
 
 use super::recorder::Recorder;
 use super::speed::{News, Searching};
-use super::store::{SaveError, Saved, Store};
+use super::store::{SaveError, Saved, Store, write_new};
 use super::waiting::{file_changed, sleep_for};
 use super::watch::Watch;
 use crate::app::{App, Effect, FileReading, SaveOutcome};
@@ -315,7 +315,8 @@ impl Session {
                 Effect::Save { expected, content } => self.start_save(expected, content),
                 Effect::WriteFile { path, bytes } => {
                     let handle = spawn_blocking(move || {
-                        let result = write_new(path.clone(), &bytes);
+                        let home = std::env::var_os("HOME").map(PathBuf::from);
+                        let result = write_new(&path, home.as_deref(), &bytes);
                         Finished::Written(path, result)
                     });
                     self.work.push(Work { handle, is_save: false });
@@ -375,13 +376,4 @@ impl Session {
             }
         }
     }
-}
-
-/// Writes a file that is not there yet, whole or not at all.
-fn write_new(path: PathBuf, bytes: &[u8]) -> Result<(), String> {
-    let saved = Store::new(path).save(None, bytes).map_err(|error| match error {
-        SaveError::Changed(_) => "there is a file of that name already".to_owned(),
-        other => other.to_string(),
-    });
-    saved.map(drop)
 }

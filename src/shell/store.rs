@@ -134,6 +134,51 @@ impl SaveError {
     }
 }
 
+/// Writes a new file where the user names one while the program runs; `~/` is `home`. Otherwise says
+/// why not, and the way out, in few words that do not repeat the path: there is one line for it.
+///
+/// # Errors
+/// Where it cannot be written, and where there is a file of that name already.
+pub fn write_new(path: &Path, home: Option<&Path>, bytes: &[u8]) -> Result<(), String> {
+    let at_home = home.and_then(|home| Some(home.join(path.strip_prefix("~").ok()?)));
+    let target = at_home.as_deref().unwrap_or(path);
+    let saved = Store::new(target).save(None, bytes).map_err(|error| match error {
+        SaveError::Changed(_)
+        | SaveError::Protected { .. }
+        | SaveError::Foreign { .. }
+        | SaveError::Unreadable(StoreError::TooLarge { .. }) => {
+            "there is a file of that name already: choose another".to_owned()
+        }
+        SaveError::Unreadable(StoreError::Folder { .. }) => {
+            "that is a folder: name a file in it".to_owned()
+        }
+        SaveError::Unreadable(StoreError::NotAFile { .. }) => {
+            "that is not a regular file: choose another".to_owned()
+        }
+        SaveError::Locked { .. } => "another descan is saving there: try again".to_owned(),
+        SaveError::Unreadable(StoreError::Read { cause, .. }) | SaveError::Write { cause, .. } => {
+            remedy_of_new(target, &cause).map_or_else(|| plain(&cause), str::to_owned)
+        }
+    });
+    saved.map(drop)
+}
+
+/// What the user can do about it, with the cause, where a new file cannot be written.
+fn remedy_of_new(path: &Path, cause: &io::Error) -> Option<&'static str> {
+    Some(match Errno::from_raw(cause.raw_os_error()?) {
+        Errno::ENOENT | Errno::ENOTDIR if path.as_os_str().as_bytes().starts_with(b"~") => {
+            "~ is not known here: write out the path"
+        }
+        Errno::ENOENT => "there is no such folder: make it (mkdir -p), or choose another",
+        Errno::ENOTDIR => "what should be its folder is a file: choose another",
+        Errno::EACCES | Errno::EPERM => "no permission for that folder: choose another",
+        Errno::EROFS => "that is mounted read-only: choose another folder",
+        Errno::ENOSPC | Errno::EDQUOT => "the disk is full: make room, or choose another",
+        Errno::ENAMETOOLONG => "the name is too long: choose a shorter one",
+        _ => return remedy(cause).map(|(_, in_short)| in_short),
+    })
+}
+
 impl Store {
     /// The file at `path`, as the user names it.
     pub fn new(path: impl Into<PathBuf>) -> Self {
