@@ -180,8 +180,19 @@ fn what_is_not_json_is_refused_with_its_place() {
             3,
         ),
         (b"\xff\xfe[\0]\0", "line 1, column 1: the file is UTF-16: save it as UTF-8", "", 0),
+        (b"{// who\n}", "line 1, column 2: JSON has no comments: remove it", "{// who", 1),
+        (
+            b"[1, /* two */ 2]",
+            "line 1, column 5: JSON has no comments: remove it",
+            "[1, /* two */ 2]",
+            4,
+        ),
+        (b"[1 # one\n]", "line 1, column 4: JSON has no comments: remove it", "[1 # one", 3),
+        (b"[]\n// end", "line 2, column 1: JSON has no comments: remove it", "// end", 0),
+        (b"# des\n[]", "line 1, column 1: JSON has no comments: remove it", "# des", 0),
+        (b"[1 / 2]", "line 1, column 4: expected `,` or `]`", "[1 / 2]", 3),
         (b"{'a': 1}", "line 1, column 2: key must be a string", "{'a': 1}", 1),
-        (b"// no\n[]", "line 1, column 1: expected value", "// no", 0),
+        (b"// no\n[]", "line 1, column 1: JSON has no comments: remove it", "// no", 0),
         (
             b"[\t\"\x1b[2J\"]",
             "line 1, column 4: control character (\\u0000-\\u001F) found while parsing a string",
@@ -358,19 +369,19 @@ fn wrong_shapes_are_findings() {
         (
             r#"[{"name": "A", "services": "DES"}]"#,
             WrongType,
-            "line 1, column 28: `services` is a string; it must be a list, or an object of names and versions",
+            "line 1, column 28: `services` of A is a string; it must be a list, or an object of names and versions",
             vec![0],
         ),
         (
             r#"[{"name": "A", "services": ["DES"]}]"#,
             WrongType,
-            "line 1, column 29: item 1 of `services` is a string; it must be an object of `name`, `version` and `extra`, all strings",
+            "line 1, column 29: item 1 of `services` of A is a string; it must be an object of `name`, `version` and `extra`, all strings",
             vec![0],
         ),
         (
             r#"[{"name": "A", "services": {"DES": 1.0}}]"#,
             WrongType,
-            "line 1, column 36: item 1 of `services` is a number; it must be a version, as a string",
+            "line 1, column 36: item 1 of `services` of A is a number; it must be a version, as a string",
             vec![0],
         ),
         (

@@ -245,12 +245,12 @@ impl Reader<'_, '_> {
         let address = of(Member::Address);
         Some(Entry {
             name_text: crate::text::printable(&name),
-            name,
             address: address.and_then(|at| self.address(at)),
             is_static: of(Member::Static).is_some_and(|at| self.flag(at)),
             bus: of(Member::Bus).and_then(|at| self.string(Member::Bus, at)),
             uid: of(Member::Uid).and_then(|at| self.string(Member::Uid, at)),
-            services: of(Member::Services).and_then(|at| self.services(at)),
+            services: of(Member::Services).and_then(|at| self.services(at, &name)),
+            name,
             position: self.findings.position(span.start),
             address_position: address.map(|at| self.findings.position(at.start)),
             index: self.index,
@@ -372,9 +372,10 @@ impl Reader<'_, '_> {
         value == "true"
     }
 
-    fn services(&mut self, at: &Span) -> Option<Vec<ServiceEntry>> {
+    fn services(&mut self, at: &Span, whose: &[u8]) -> Option<Vec<ServiceEntry>> {
         let Some(list) = scan::container(self.body, at) else {
-            self.wrong_type(Member::Services, at, "a list, or an object of names and versions");
+            let what = format!("`services` of {}", text::brief(whose));
+            self.wrong_type_in(&what, at, "a list, or an object of names and versions");
             return None;
         };
         let mut places = HashMap::new();
@@ -391,7 +392,8 @@ impl Reader<'_, '_> {
                 } else {
                     "a version, as a string"
                 };
-                self.wrong_type_in(&format!("item {number} of `services`"), &item.value, expected);
+                let what = format!("item {number} of `services` of {}", text::brief(whose));
+                self.wrong_type_in(&what, &item.value, expected);
                 continue;
             };
             if !item.key.is_empty() {
