@@ -184,7 +184,7 @@ fn a_new_entry_is_selected_and_a_wrong_address_in_it_is_told() {
 fn what_blocks_and_how_to_answer_are_never_cut_off() {
     let mut stage = Stage::boiler();
     stage.until(24.0).size(40, 10).keys("n");
-    assert!(stage.screen().contains("✗ a name, and an address to pin it to"), "{}", stage.screen());
+    assert!(stage.screen().contains("✗ a name, a space, and its address"), "{}", stage.screen());
     stage.keys("Esc e").text("128");
     assert!(stage.screen().contains("✗ not an address: 1 to 127"), "{}", stage.screen());
     stage.keys("Esc D");

@@ -34,8 +34,8 @@ impl App {
                 return self.complain("its name is not known yet, so it cannot be listed");
             }
         }
-        let entry = self.entry_of(row).map(|entry| self.file.document().key(entry.index));
-        if entry.is_some_and(|entry| !self.may_edit_entry(entry)) {
+        let entry = self.entry_of(row).map(|entry| entry.index);
+        if !self.may_edit_entry(entry) {
             return;
         }
         let text = self.pinned_text(&key);
@@ -110,7 +110,7 @@ impl App {
         let Some((at, _)) = self.selected_entry() else { return };
         let document = self.file.document();
         let (key, name) = (document.key(at), document.entries()[at].name_text.clone());
-        if !self.may_edit_entry(key.clone()) {
+        if !self.may_edit_entry(Some(at)) {
             return;
         }
         self.open_prompt(PromptKind::Rename(key), name);
@@ -237,7 +237,7 @@ impl App {
     }
 
     fn may_edit(&mut self) -> bool {
-        match self.file.check() {
+        match self.file.check_edit(None) {
             Ok(()) => true,
             Err(super::Refusal::Conflict) => {
                 self.show_conflict();
@@ -251,16 +251,12 @@ impl App {
     }
 
     /// What cannot be edited is told before anything is typed.
-    fn may_edit_entry(&mut self, entry: EntryKey) -> bool {
-        let from = entry.address;
-        let trial = self.file.document().apply(&Operation::ClearAddress { entry, from });
-        match trial {
-            Ok(_) => true,
-            Err(error) => {
-                self.complain_of_file(error.to_string());
-                false
-            }
+    fn may_edit_entry(&mut self, place: Option<usize>) -> bool {
+        let checked = self.file.check_edit(place);
+        if let Err(refusal) = &checked {
+            self.complain_of_file(refusal.to_string());
         }
+        checked.is_ok()
     }
 
     /// The place and name of the selected row's entry; complains where it has none.
@@ -472,7 +468,7 @@ impl App {
         match document.find(&entry) {
             Some(at) if document.entry_text(at) != asked_about => {
                 let key = self.key_of("delete-entry");
-                self.complain(format!(
+                self.complain_of_file(format!(
                     "not deleted: {entry:#} was changed by someone else since; {key} asks again"
                 ));
             }

@@ -109,8 +109,9 @@ impl App {
     pub fn verdict(&self) -> Option<Verdict> {
         let prompt = self.prompt()?;
         let text = prompt.input.value().trim();
+        let place = || self.edited_entry(prompt).map(|entry| entry.index);
         if prompt.kind.edits()
-            && let Err(refusal) = self.file.check()
+            && let Err(refusal) = self.file.check_edit(place())
         {
             return Some(Verdict::Blocks(refusal.to_string()));
         }
@@ -153,6 +154,9 @@ impl App {
         match key.code {
             KeyCode::Enter => self.finish_prompt(),
             KeyCode::Esc => self.leave_prompt(),
+            KeyCode::Tab if self.is_in_name() => {
+                self.change_input(&[InputRequest::InsertChar(' ')]);
+            }
             KeyCode::Tab => self.edit_on_next_bus(),
             _ => {
                 if let Some(request) = request(key) {
@@ -179,6 +183,14 @@ impl App {
             let text = self.pinned_text(&key);
             self.open_prompt(PromptKind::Address(key), text);
         }
+    }
+
+    /// A new entry's name is being typed: Tab goes on to its address, as a space does.
+    fn is_in_name(&self) -> bool {
+        self.prompt().is_some_and(|prompt| {
+            let text = prompt.input.value();
+            prompt.kind == PromptKind::NewEntry && !text.is_empty() && !text.ends_with(' ')
+        })
     }
 
     /// What stands before the line being typed.
@@ -257,7 +269,7 @@ impl App {
                     self.edit(&[Operation::Rename { entry, to }]);
                 } else if key.name != to {
                     let told = format!("{} already", renamed(entry));
-                    self.say(told);
+                    self.say_of_file(told);
                 }
             }
             PromptKind::NewEntry => {
@@ -488,7 +500,7 @@ impl App {
             None if entry.is_none() => {}
             None => {
                 if let Some(theirs) = self.pinned_by_others(prompt) {
-                    self.say(format!("{theirs} already"));
+                    self.say_of_file(format!("{theirs} already"));
                 }
             }
         }
@@ -524,7 +536,7 @@ impl App {
             return if last.starts_with(|c: char| c.is_ascii_digit()) {
                 Verdict::Warns(format!("all of it is the name: {last} is no address"))
             } else {
-                Verdict::Fine(format!("{shown}, not pinned"))
+                Verdict::Fine(format!("{shown}, not pinned (space, then address)"))
             };
         };
         if let Some(blocked) = self.pinned_elsewhere(address, bus.as_deref(), None) {
@@ -618,7 +630,7 @@ fn split_new_entry(text: &str) -> Result<(Vec<u8>, Option<u8>), &'static str> {
         None => (text, None),
     };
     match unescaped(name)? {
-        name if name.is_empty() => Err("a name, and an address to pin it to"),
+        name if name.is_empty() => Err("a name, a space, and its address"),
         name => Ok((name, address)),
     }
 }

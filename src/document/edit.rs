@@ -398,6 +398,16 @@ impl Document {
 
     // ---- what is refused ----
 
+    /// Whether entries can be added at all, and this one, if one is given, be edited: so that it is
+    /// told before anything is typed. Cheap.
+    ///
+    /// # Errors
+    /// [`EditError`], as [`Document::apply`] would give it.
+    pub fn check_edit(&self, entry: Option<usize>) -> Result<(), EditError> {
+        self.check_path()?;
+        entry.map_or(Ok(()), |index| self.check_members(index))
+    }
+
     /// The way to the list must be clear.
     fn check_path(&self) -> Result<(), EditError> {
         match self.root() {
@@ -413,7 +423,7 @@ impl Document {
     }
 
     /// So must be the way to the values in the entry.
-    fn check_entry(&self, index: usize, operation: &Operation) -> Result<(), EditError> {
+    fn check_members(&self, index: usize) -> Result<(), EditError> {
         let span = self.entry_span(index);
         let Some(members) = Members::of(self.entry_text(index)) else { return Ok(()) };
         for member in Member::ALL {
@@ -421,6 +431,11 @@ impl Document {
                 return Err(self.duplicate(member.key(), span.start + at));
             }
         }
+        Ok(())
+    }
+
+    fn check_entry(&self, index: usize, operation: &Operation) -> Result<(), EditError> {
+        self.check_members(index)?;
         if let Operation::SetServices { .. } = operation
             && let Some(services) = self.services_span(index)
         {

@@ -372,6 +372,17 @@ impl FormerContent {
 }
 
 impl FormerMembers {
+    /// The address as the file had it: one that is none, too.
+    fn address(&self) -> String {
+        let written = || {
+            let is_address = |(member, _): &&(Member, _)| *member == Member::Address;
+            let (_, text) = self.members.iter().find(is_address)?;
+            text.as_ref().map(|text| brief(text.as_bytes()))
+        };
+        let address = self.entry.address.map(|address| address.to_string());
+        address.or_else(written).unwrap_or_else(|| "none".to_owned())
+    }
+
     fn copy(&self, member: Member, to: &mut Entry) {
         let from = &self.entry;
         match member {
@@ -408,14 +419,16 @@ impl Document {
 
 impl fmt::Display for Operation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let address =
-            |address: &Option<u8>| address.map_or_else(|| "none".to_owned(), |it| it.to_string());
         match self {
             Self::SetAddress { entry, from: Some(from), to } if from == to => {
                 write!(f, "address of the entry {entry} pinned: {to}")
             }
-            Self::SetAddress { entry, from, to } => {
-                write!(f, "address of the entry {entry}: {} → {to}", address(from))
+            Self::SetAddress { entry, from: Some(from), to } => {
+                write!(f, "address of the entry {entry}: {from} → {to}")
+            }
+            // There was none, or something else that is none.
+            Self::SetAddress { entry, from: None, to } => {
+                write!(f, "address of the entry {entry} set to {to}")
             }
             Self::ClearAddress { entry, from: Some(from) } => {
                 write!(f, "static address {from} of {entry} cleared")
@@ -441,7 +454,7 @@ impl fmt::Display for Operation {
                 Some((Member::Address | Member::Static, _)) => write!(
                     f,
                     "address of the entry {entry} back to {}{}",
-                    address(&former.entry.address),
+                    former.address(),
                     if former.entry.is_static { "" } else { ", not static" }
                 ),
                 Some((Member::Name | Member::NameHex, _)) => {

@@ -351,6 +351,13 @@ impl FileState {
         }
     }
 
+    /// Whether entries can be added, and the one at this place, if one is given, be edited: what
+    /// cannot is told before anything is typed.
+    pub fn check_edit(&self, entry: Option<usize>) -> Result<(), Refusal> {
+        self.check()?;
+        Ok(self.document.check_edit(entry)?)
+    }
+
     /// Makes an edit; what it did, in words.
     pub fn edit(&mut self, operations: &[Operation]) -> Result<String, Refusal> {
         self.check()?;
