@@ -180,19 +180,14 @@ fn what_is_not_json_is_refused_with_its_place() {
             3,
         ),
         (b"\xff\xfe[\0]\0", "line 1, column 1: the file is UTF-16: save it as UTF-8", "", 0),
-        (b"{// who\n}", "line 1, column 2: JSON has no comments: remove it", "{// who", 1),
-        (
-            b"[1, /* two */ 2]",
-            "line 1, column 5: JSON has no comments: remove it",
-            "[1, /* two */ 2]",
-            4,
-        ),
-        (b"[1 # one\n]", "line 1, column 4: JSON has no comments: remove it", "[1 # one", 3),
-        (b"[]\n// end", "line 2, column 1: JSON has no comments: remove it", "// end", 0),
-        (b"# des\n[]", "line 1, column 1: JSON has no comments: remove it", "# des", 0),
+        (b"{// who\n}", "line 1, column 2: JSON has no comments", "{// who", 1),
+        (b"[1, /* two */ 2]", "line 1, column 5: JSON has no comments", "[1, /* two */ 2]", 4),
+        (b"[1 # one\n]", "line 1, column 4: JSON has no comments", "[1 # one", 3),
+        (b"[]\n// end", "line 2, column 1: JSON has no comments", "// end", 0),
+        (b"# des\n[]", "line 1, column 1: JSON has no comments", "# des", 0),
         (b"[1 / 2]", "line 1, column 4: expected `,` or `]`", "[1 / 2]", 3),
         (b"{'a': 1}", "line 1, column 2: key must be a string", "{'a': 1}", 1),
-        (b"// no\n[]", "line 1, column 1: JSON has no comments: remove it", "// no", 0),
+        (b"// no\n[]", "line 1, column 1: JSON has no comments", "// no", 0),
         (
             b"[\t\"\x1b[2J\"]",
             "line 1, column 4: control character (\\u0000-\\u001F) found while parsing a string",
@@ -1148,6 +1143,25 @@ fn it_is_no_conflict_where_theirs_says_what_ours_comes_to() {
     let theirs = parsed(r#"[{"name":"A","address":4,"static":true},{"name":"B","address":7}]"#);
     let merged = merge(&base, &ours, &theirs, Prefer::Neither).unwrap();
     assert!(matches!(merged, Merge::Conflict(_)), "{merged:?}");
+}
+
+#[test]
+fn what_an_entry_has_become_is_found_in_newer_content() {
+    let base = parsed(
+        r#"[{"name":"A","address":1},{"name":"A","address":1},{"name":"B","address":2},{"name":"C"}]"#,
+    );
+    let became = |index, newer: &str| base.counterpart(index, &parsed(newer));
+    // Moved, and equal ones in their order.
+    let moved = r#"[{"name":"C"},{"name":"B","address":2},{"name":"A","address":1},{"name":"A","address":1}]"#;
+    assert_eq!([0, 1, 2, 3].map(|index| became(index, moved)), [2, 3, 1, 0].map(Some));
+    // At another address, or with another name.
+    assert_eq!(became(2, r#"[{"name":"B","address":3}]"#), Some(0));
+    assert_eq!(became(2, r#"[{"name":"X"},{"name":"D","address":2}]"#), Some(1));
+    // Deleted, or not to be told.
+    assert_eq!(became(2, r#"[{"name":"A","address":1}]"#), None);
+    assert_eq!(became(2, r#"[{"name":"D","address":2},{"name":"E","address":2}]"#), None);
+    assert_eq!(became(1, r#"[{"name":"A","address":1}]"#), None);
+    assert_eq!(became(0, ""), None);
 }
 
 #[test]

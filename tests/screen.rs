@@ -5,7 +5,7 @@ mod stage;
 
 use descan::app::{
     App, AppOptions, Capture, Effect, FileReading, Mouse, MouseKind, Page, Piece, Problem,
-    SaveOutcome,
+    SaveOutcome, Verdict,
 };
 use descan::discovery::Config;
 use descan::frame::{BusIndex, CanId, Frame};
@@ -1756,4 +1756,16 @@ fn a_device_on_two_buses_is_one_row_where_they_are_redundant() {
     assert!(screen.contains("@11 lost"), "{screen}");
     assert!(screen.contains("● 5 here"), "one of two is here: {screen}");
     insta::assert_snapshot!("redundant_timeline", pair.run(16..24).keys("3").screen(100, 24));
+}
+
+/// Which of two twins an entry is about that names neither's address is not known: nobody deleted it.
+#[test]
+fn an_entry_whose_device_gets_a_twin_while_it_is_edited_is_not_called_deleted() {
+    let file = r#"[{"name":"SENS","address":15,"static":true}]"#;
+    let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some(file));
+    stage.until(6.0).keys("/").text("SENS").keys("Enter g e").text("47");
+    assert_eq!(stage.app.verdict(), Some(Verdict::Fine("Enter pins it to 47".to_owned())));
+    stage.until(30.0);
+    let told = "its entry may be another's now; Enter lists it again";
+    assert_eq!(stage.app.verdict(), Some(Verdict::Warns(told.to_owned())), "{}", stage.screen());
 }

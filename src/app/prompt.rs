@@ -343,7 +343,8 @@ impl App {
             Some(entry) if before.is_some_and(|before| before.name != entry.name) => {
                 format!("its entry was {}", renamed(entry))
             }
-            Some(_) => "its entry was changed by someone else, and is another's now".to_owned(),
+            // A twin may have come, or what they changed fits another device better.
+            Some(_) => "its entry may be another's now".to_owned(),
             None => "its entry was deleted by someone else".to_owned(),
         }
     }

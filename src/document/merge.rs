@@ -344,11 +344,11 @@ impl Document {
     /// The place in newer content of the entry that the one at this place has become, wherever it
     /// stands, and whether its address or its name was changed; none where it was deleted, or
     /// cannot be told.
+    ///
+    /// # Panics
+    /// When `index` is not one of [`Document::entries`].
     pub fn counterpart(&self, index: usize, newer: &Self) -> Option<usize> {
-        if self == newer {
-            return (index < self.entries().len()).then_some(index);
-        }
-        counterparts(self, newer).get(index).copied().flatten()
+        newer.find(&self.key(index)).or_else(|| counterparts(self, newer)[index])
     }
 }
 

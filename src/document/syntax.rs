@@ -95,7 +95,7 @@ fn syntax_error(body: &str, error: &serde_json::Error) -> ParseError {
         body[..at].ends_with('0') && body[at..].starts_with(|c: char| c.is_ascii_digit());
     let is_comment = ["//", "/*", "#"].iter().any(|it| body[at..].starts_with(it));
     let message = match message {
-        _ if is_comment => "JSON has no comments: remove it",
+        _ if is_comment => "JSON has no comments",
         _ if is_closing && after_comma => "a comma before the bracket",
         "invalid number" if is_padded => "a number must not begin with 0",
         message => message,
