@@ -364,6 +364,14 @@ impl App {
             let told = if text.is_empty() { gone } else { format!("{gone}; {what}") };
             return Some(Verdict::Warns(told));
         }
+        let before = prompt.place.and_then(|at| prompt.on.entries().get(at));
+        if let Some((now, typed)) = entry.zip(parse_address(text))
+            && before.is_some_and(|before| before.name != now.name)
+        {
+            // It may as well be another one that somebody put in its place.
+            let told = format!("its entry was {}; Enter pins that to {typed}", renamed(now));
+            return Some(Verdict::Warns(told));
+        }
         let theirs = self.pinned_by_others(prompt)?;
         let typed = parse_address(text).map(|it| it.to_string()).unwrap_or_default();
         Some(if typed == pinned(entry) {
