@@ -443,7 +443,9 @@ impl Device {
     /// asked in vain while it was silent for far longer than it ever was before, it is asked once
     /// more. It may not have heard us, nor we it. True where something is asked.
     pub(super) fn ask_who_was_not_heard(&mut self, now: Instant, period: Duration) -> bool {
-        let in_vain = |query: &Query| query.state == QueryState::Unanswered;
+        // Or is about to be, once a round is over.
+        let waits_for_round = |it: &Query| it.state == QueryState::Asked && it.deadline.is_none();
+        let in_vain = |it: &Query| it.state == QueryState::Unanswered || waits_for_round(it);
         if !in_vain(&self.name_query) && !in_vain(&self.services_query) {
             return false;
         }
@@ -455,6 +457,9 @@ impl Device {
         let mut asks = false;
         for query in [&mut self.name_query, &mut self.services_query] {
             if in_vain(query) && query.asked_at >= Some(self.last_seen) {
+                if query.is_waiting() {
+                    query.state = QueryState::NotAsked;
+                }
                 query.start_over(now);
                 asks = true;
             }
