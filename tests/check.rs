@@ -257,7 +257,7 @@ fn a_file_of_a_gigabyte_is_refused_at_once() {
     let output = folder.check(&["file:session.log"]);
     assert_eq!(output.status.code(), Some(3));
     let stderr = text(&output.stderr);
-    assert_eq!(stderr, "descan: des.json is larger than 16 MiB: is it the right file?\n");
+    assert_eq!(stderr, "descan: des.json: it is larger than 16 MiB: is it the right file?\n");
 }
 
 #[test]

@@ -145,7 +145,7 @@ fn a_file_that_is_a_mount_point() {
         return;
     }
     let mut disk = Disk::new("cp des.json ../real.json && mount --bind ../real.json des.json");
-    disk.is_kept("a bind mount of its own");
+    disk.is_kept("a bind mount: mount its folder");
     let file = disk.folder.path().join("disk/des.json");
     disk.among_its_mounts(&["umount", file.to_str().unwrap()]);
     disk.is_saved_at_last();
@@ -209,7 +209,7 @@ fn a_folder_that_others_own() {
 
     // And a file that is write-protected, in a folder that is not.
     let mut disk = Disk::new(&format!("chmod 444 des.json && chmod 777 . .. && {nobody}"));
-    disk.is_kept("somebody else's, and write-protected: save a copy");
+    disk.is_kept("somebody else's, write-protected: save a copy");
     fs::set_permissions(disk.seen("disk/des.json"), Permissions::from_mode(0o666)).unwrap();
     disk.is_saved_at_last();
 }
@@ -227,7 +227,7 @@ fn a_folder_that_is_moved_away() {
     disk.pty.wait_for("gone: the next edit begins a new one");
     disk.pty.send("7\r");
     disk.pty.wait_for("✗ not saved");
-    disk.pty.wait_for("its folder is gone: make it");
+    disk.pty.wait_for("no such folder: mkdir -p");
     assert_eq!(fs::read_to_string(away.join("des.json")).unwrap(), BEFORE);
     fs::rename(&away, &here).unwrap();
     // The entry that we began anew is the one that went away with the folder.

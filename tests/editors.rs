@@ -141,7 +141,7 @@ fn a_file_of_two_names_is_parted_and_that_is_said() {
     let mut pty = Pty::start(&["sim:boiler"], folder.path(), (120, 40));
     pty.wait_for("SENS");
     pty.send("ge\x1547\r");
-    pty.wait_for("saved, but no longer a hard link: the file's other name keeps what it said");
+    pty.wait_for("saved; its other hard link keeps the old text");
     let ours = BEFORE.replace("9}", "47, \"static\": true}");
     assert_eq!(fs::read_to_string(at("des.json")).unwrap(), ours);
     assert_eq!(fs::read_to_string(at("backup.json")).unwrap(), BEFORE);

@@ -339,7 +339,7 @@ fn what_somebody_else_changed_since_is_neither_taken_back_nor_made_again() {
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("j e").text("71").keys("Enter k e").text("100").keys("Enter");
     stage.write(&with("101").replace("12", "71"));
-    let why = "cannot be taken back, changed by somebody else since: address 101, static";
+    let why = "not undone: address of the entry FEED: 10 → 100; theirs: address 101, static";
     refused(&mut stage, "u", why);
     assert!(!told(&stage, "taken back"));
     refused(&mut stage, "Ctrl-r", "there is nothing to make again");
@@ -349,24 +349,24 @@ fn what_somebody_else_changed_since_is_neither_taken_back_nor_made_again() {
 
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("e").text("100").keys("Enter u").write(&with("11"));
-    let why = "cannot be made again, changed by somebody else since: address 11, static";
+    let why = "not redone: address of the entry FEED: 10 → 100; theirs: address 11, static";
     refused(&mut stage, "Ctrl-r", why);
 
     // They did the same.
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("e").text("100").keys("Enter").write(BOILER);
-    refused(&mut stage, "u", "need not be taken back, it is so already: address of the entry");
+    refused(&mut stage, "u", "need not be undone, it is so already: address of the entry");
 
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("n").text("NEW 64").keys("Enter");
     let theirs = stage.file().replace("64", "65");
     stage.write(&theirs);
-    refused(&mut stage, "u", "cannot be taken back, changed by somebody else since: address 65");
+    refused(&mut stage, "u", "not undone: new entry NEW at 64; theirs: address 65");
 
     let mut stage = with_two_unsaved_edits();
     stage.write(&BOILER.replace("10", "100").replace("12", "103")).keys("t t");
-    refused(&mut stage, "u", "cannot be taken back, changed by somebody else since: address 103");
-    refused(&mut stage, "u", "cannot be taken back, changed by somebody else since: address 100");
+    refused(&mut stage, "u", "not undone: address of the entry SENS: 12 → 71; theirs: address 103");
+    refused(&mut stage, "u", "not undone: address of the entry FEED: 10 → 70; theirs: address 100");
     refused(&mut stage, "u", "there is nothing to take back");
 }
 
@@ -543,9 +543,9 @@ fn where_no_content_was_ever_good_none_is_said_to_stay() {
     let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some("[{]"));
     let screen = stage.until(9.0).size(120, 40).screen();
     assert!(screen.contains("des.json ✗ line 1, column 3"), "{screen}");
-    assert!(!screen.contains("good content"), "{screen}");
+    assert!(!screen.contains("last good"), "{screen}");
     stage.write("[]").write("[{]");
-    assert!(stage.screen().contains("the last good content stays"), "{}", stage.screen());
+    assert!(stage.screen().contains("last good: 0 entries"), "{}", stage.screen());
 }
 
 #[test]
@@ -1768,4 +1768,87 @@ fn an_entry_whose_device_gets_a_twin_while_it_is_edited_is_not_called_deleted() 
     stage.until(30.0);
     let told = "its entry may be another's now; Enter lists it again";
     assert_eq!(stage.app.verdict(), Some(Verdict::Warns(told.to_owned())), "{}", stage.screen());
+}
+
+/// What is not on the disk, and that it is not, is seen whatever the bus and the file are called.
+#[test]
+fn long_names_give_way_to_the_state_of_the_file() {
+    for (bus, short) in [("sim:../bus.toml", "s.toml"), (&*"x".repeat(58), "…xxxxx")] {
+        let mut stage = Stage::boiler();
+        stage.app.name_bus(BusIndex(0), bus.to_owned());
+        stage.until(9.0).size(40, 10);
+        let first = |stage: &Stage| stage.screen().lines().next().unwrap_or_default().to_owned();
+        let line = first(&stage);
+        assert!(line.contains("125k") && line.contains("● 5"), "{line}");
+        stage.refusal = Some("mounted read-only".to_owned());
+        stage.keys("e").text("100").keys("Enter");
+        let line = first(&stage);
+        assert!(line.contains("des.json ✗ not saved"), "{line}");
+        assert!(line.contains(&short[short.len() - 4..]), "{line}");
+        stage.write(&BOILER.replace("\"address\": 10", "\"address\": 99")).keys("Esc");
+        assert!(first(&stage).contains("✗ conflict"), "{}", stage.screen());
+        // Where there is room, nothing is left out.
+        assert!(stage.size(120, 10).screen().contains(bus));
+    }
+}
+
+/// The way out is not cut off where there are no more than 80 columns.
+#[test]
+fn the_way_out_is_read_to_its_end() {
+    let mut stage = Stage::boiler();
+    stage.until(9.0);
+    for (content, way_out) in [
+        (&b"\xff\xfe[\0]\0"[..], "line 1, column 1: it is UTF-16: save it as UTF-8"),
+        (b"[{ \"name\": \"\xff\" }]", "line 1, column 13: 0xFF is not UTF-8: save it as UTF-8"),
+    ] {
+        stage.file = Some(content.to_vec());
+        stage.notice();
+        let screen = stage.screen();
+        // In the status, in the timeline, and below; and when one wants to edit.
+        assert_eq!(screen.matches(way_out).count(), 3, "{screen}");
+        let screen = stage.keys("e").screen();
+        assert!(screen.contains(&format!("broken, mend it first: {way_out}")), "{screen}");
+    }
+    stage.write("[{\n  \"name\": 1\n  ]");
+    for columns in 80..100 {
+        let screen = stage.size(columns, 24).screen();
+        assert!(screen.contains("des.json ✗ line 3, column 3: expected `,` or `}`"), "{screen}");
+        assert_eq!(screen.contains("last good"), screen.contains("last good: 5 "), "{screen}");
+        assert!(columns < 95 || screen.contains("last good: 5 "), "{screen}");
+    }
+}
+
+#[test]
+fn a_question_and_a_path_are_read_to_their_end_on_a_narrow_screen() {
+    let mut stage = Stage::boiler();
+    stage.until(9.0).size(40, 10).keys("D");
+    assert!(stage.screen().contains("Delete FEED at 10?  y yes  n no"), "{}", stage.screen());
+    stage.keys("n W");
+    let screen = stage.screen();
+    assert!(screen.contains("copy as: des-20261121-120009.json"), "{screen}");
+    stage.keys("Esc w");
+    let screen = stage.screen();
+    assert!(screen.contains("frames to: descan-20261121-120009.log"), "{screen}");
+}
+
+#[test]
+fn a_folder_that_is_to_be_made_is_named_at_the_start() {
+    let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), None);
+    stage.app.handle_missing_folder(stage.app.now(), "../nodir");
+    let screen = stage.screen();
+    assert!(screen.contains(" des.json: no such folder yet: mkdir -p ../nodir"), "{screen}");
+    assert!(screen.contains("! des.json     no such folder yet: mkdir -p ../nodir"), "{screen}");
+}
+
+/// While there are conflicts, too: what was decided is in it as it was decided.
+#[test]
+fn a_copy_has_all_edits_as_they_were_decided() {
+    let mut stage = with_two_unsaved_edits();
+    let theirs = BOILER.replace("10", "100").replace("12", "103").replace("44", "45");
+    stage.write(&theirs).keys("t");
+    assert!(stage.screen().contains("Conflict 2 of 2"), "{}", stage.screen());
+    stage.keys("Esc W Enter");
+    let Some(Effect::WriteFile { bytes, .. }) = stage.effects.last() else { panic!() };
+    let copy = std::str::from_utf8(bytes).unwrap();
+    assert_eq!(copy, theirs.replace("103", "71"));
 }

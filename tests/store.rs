@@ -95,6 +95,8 @@ fn reading_gives_the_content_or_says_what_is_wrong() {
         format!("{path} is a folder: name the file in it, {path}/des.json")
     );
 
+    assert_eq!(error.in_short(), "it is a folder: name the file in it");
+
     // A pipe without a writer must not be waited for.
     nix::unistd::mkfifo(&at("pipe"), nix::sys::stat::Mode::S_IRWXU).unwrap();
     let error = Store::new(at("pipe")).read().unwrap_err();
@@ -243,7 +245,21 @@ fn a_save_that_fails_leaves_nothing_and_says_why() {
     let failure = |path: &Path| Store::new(path).save(None, b"new").unwrap_err().to_string();
 
     let error = failure(&at("no/des.json"));
-    assert!(error.ends_with(": make its folder (mkdir -p), then save again"), "{error}");
+    let no = at("no").display().to_string();
+    assert!(error.ends_with(&format!(": mkdir -p {no}, then save again")), "{error}");
+    // Few words for the status: which folder is to be made, also where a link leads to.
+    symlink("nowhere/x.json", at("link")).unwrap();
+    for (path, missing) in [("no/des.json", "no"), ("link", "nowhere")] {
+        let store = Store::new(at(path));
+        let missing = at(missing).display().to_string();
+        assert_eq!(store.missing_folder().as_ref(), Some(&missing));
+        let error = store.save(None, b"new").unwrap_err().in_short();
+        assert_eq!(error, format!("no such folder: mkdir -p {missing}"));
+    }
+    fs::remove_file(at("link")).unwrap();
+    assert_eq!(Store::new("../no/x.json").missing_folder().as_deref(), Some("../no"));
+    assert_eq!(Store::new(at("des.json")).missing_folder(), None);
+    assert_eq!(Store::new("des.json").missing_folder(), None);
     fs::create_dir(at("folder")).unwrap();
     let error = failure(&at("folder"));
     assert!(error.contains("is a folder: name the file in it"), "{error}");

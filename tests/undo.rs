@@ -233,7 +233,7 @@ fn ours_is_taken_back_to_theirs() {
     assert_eq!(stage.keys("u").file(), theirs);
     // What was there before theirs is not ours to bring back.
     let screen = stage.keys("u").screen();
-    assert!(screen.contains("cannot be taken back, changed by somebody else"), "{screen}");
+    assert!(screen.contains("not undone: "), "{screen}");
     assert_eq!(stage.file(), theirs);
 
     // Before it is saved, nothing is left to be saved.
@@ -369,7 +369,7 @@ fn of_many_at_once_what_somebody_else_changed_since_is_left_alone() {
     stage.until(5.0).keys("A").write(&noted(&all, 4)).keys("u");
     assert_eq!(stage.file(), noted(&all, 4));
     let screen = stage.screen();
-    assert!(screen.contains("cannot be taken back, changed by somebody else since"), "{screen}");
+    assert!(screen.contains("not undone: "), "{screen}");
 }
 
 // ---- a save that takes long ----------------------------------------------------------------
@@ -454,8 +454,8 @@ fn a_save_that_hangs_and_fails_says_first_what_is_wrong_with_the_file() {
 #[test]
 fn that_a_save_parted_hard_links_is_told() {
     for (names, told) in [
-        (1, "saved, but no longer a hard link: the file's other name keeps what it said"),
-        (2, "saved, but no longer a hard link: the file's 2 other names keep what it said"),
+        (1, "saved; its other hard link keeps the old text"),
+        (2, "saved; its 2 other hard links keep the old text"),
     ] {
         let mut stage = saving();
         stage.unfinished = Some(vec![SaveOutcome::Parted(names)]);

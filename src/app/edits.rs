@@ -9,7 +9,7 @@ use super::prompt::PromptKind;
 use super::timeline::{Entry as Line, Kind};
 use super::{App, Change, Effect, Overlay, Question, RowKey};
 use crate::discovery::{Confidence, Device, DeviceId, OwnAddress};
-use crate::document::{EntryKey, NewEntry, Operation, ServiceEntry};
+use crate::document::{Document, EntryKey, NewEntry, Operation, ServiceEntry};
 use crate::frame::{BusIndex, Frame};
 use crate::text::Escaped;
 use crate::time::Instant;
@@ -150,7 +150,7 @@ impl App {
         } else if self.file.unsaved() == 0 {
             self.say_of_file("everything is saved");
         } else if let Err(super::Refusal::Broken(why)) = self.file.check() {
-            self.complain_of_file(format!("not saved while it is broken: {why}"));
+            self.complain_of_file(format!("not saved, mend it first: {why}"));
         } else {
             self.save_pending();
         }
@@ -432,6 +432,14 @@ impl App {
         })
     }
 
+    /// The question in few words, for a narrow screen.
+    pub fn question_in_short(&self) -> Option<String> {
+        match &self.overlay {
+            Overlay::Question(Question::Delete(key, _)) => Some(format!("Delete {key:#}?")),
+            _ => self.question(),
+        }
+    }
+
     /// Command: answers the question.
     pub fn answer(&mut self, now: Instant, yes: bool) {
         let Overlay::Question(question) = std::mem::take(&mut self.overlay) else { return };
@@ -497,15 +505,15 @@ impl App {
 
     /// Edits that would be lost if the program ended now, as a whole file, and how many: none where
     /// they are saved, in a copy too, or the user gave them up.
-    pub fn edits_at_risk(&self) -> Option<(usize, &[u8])> {
+    pub fn edits_at_risk(&self) -> Option<(usize, Document)> {
         let count = self.file.unsaved();
         let is_at_risk = count > 0 && self.copy_of_edits().is_none() && !self.gave_up_edits;
-        is_at_risk.then(|| (count, self.file.document().source()))
+        is_at_risk.then(|| (count, self.file.with_all_edits()))
     }
 
     /// Where a copy of des.json with all edits was saved.
     fn copy_of_edits(&self) -> Option<&Path> {
-        let copy = self.copied.as_ref().filter(|(_, copy)| copy == self.file.document());
+        let copy = self.copied.as_ref().filter(|(_, copy)| *copy == self.file.with_all_edits());
         copy.map(|(path, _)| path.as_path())
     }
 

@@ -395,6 +395,10 @@ impl App {
         if matches!(change, Change::Content | Change::Rebased | Change::Conflict) {
             self.unsay_of_file(change == Change::Rebased);
         }
+        let by_others = match change {
+            Change::Content | Change::Rebased => self.file.changed_by_others(),
+            _ => Vec::new(),
+        };
         let line = match change {
             Change::None => return,
             Change::Saved => None,
@@ -421,11 +425,11 @@ impl App {
                 };
                 Some((Kind::File, text.to_owned()))
             }
+            Change::Content if !by_others.is_empty() => None,
             Change::Content => Some((Kind::File, format!("changed on disk: {listed}"))),
-            Change::Rebased => Some((
-                Kind::File,
-                "changed by someone else: our edits are made on the newer content".to_owned(),
-            )),
+            Change::Rebased => {
+                Some((Kind::File, "changed by others; our edits are made on that".to_owned()))
+            }
             Change::Broken => {
                 let problem = self.file.problem().map(ToString::to_string).unwrap_or_default();
                 let whole = self.file.problem().map(|problem| problem.of_file(&name));
@@ -437,7 +441,9 @@ impl App {
                 Some((Kind::Error, "someone else changed the same value".to_owned()))
             }
         };
-        let mut lines: Vec<(Kind, String)> = line.into_iter().collect();
+        let by_others = in_lines(by_others).into_iter();
+        let by_others = by_others.map(|text| (Kind::File, format!("changed on disk, {text}")));
+        let mut lines: Vec<(Kind, String)> = by_others.chain(line).collect();
         // To `watch` each of them is told as what it is, a finding.
         let is_listed = matches!(change, Change::First | Change::Content | Change::Rebased);
         if is_listed && !self.report {
@@ -505,6 +511,14 @@ fn one_line(first: &str, second: &str) -> Option<String> {
         _ if first.starts_with("moved") && !moved => Some(format!("{first}, {second}")),
         _ => None,
     }
+}
+
+/// Few changes in one line, as far as they can be read there to the end.
+fn in_lines(changes: Vec<String>) -> Vec<String> {
+    /// What a line of 80 columns has room for behind the time, the file and that it was changed.
+    const ROOM: usize = 36;
+    let joined = changes.join("; ");
+    if changes.len() > 1 && joined.chars().count() <= ROOM { vec![joined] } else { changes }
 }
 
 /// A finding as a line tells it; one without words yet by its kind.

@@ -449,6 +449,15 @@ impl App {
         }
     }
 
+    /// Takes that the folder does not exist in which des.json is to be begun; `folder` as it is to be
+    /// shown.
+    pub fn handle_missing_folder(&mut self, now: Instant, folder: &str) {
+        self.now = self.now.max(now);
+        let text = format!("no such folder yet: mkdir -p {folder}");
+        self.timeline.push(TimelineEntry::new(self.now, TimelineKind::Error, &text));
+        self.complain_of_file(format!("{}: {text}", self.file.name()));
+    }
+
     /// Takes what became of an [`Effect::Save`].
     pub fn handle_saved(&mut self, now: Instant, outcome: SaveOutcome) {
         self.now = self.now.max(now);
@@ -456,13 +465,12 @@ impl App {
         let is_retry = std::mem::take(&mut self.is_saving_again);
         let on_disk = self.file.on_disk().cloned();
         let parted = match &outcome {
-            SaveOutcome::Parted(1) => Some("the file's other name keeps what it said".to_owned()),
+            SaveOutcome::Parted(1) => Some("; its other hard link keeps the old text".to_owned()),
             SaveOutcome::Parted(names) => {
-                Some(format!("the file's {names} other names keep what it said"))
+                Some(format!("; its {names} other hard links keep the old text"))
             }
             _ => None,
         };
-        let parted = parted.map(|others| format!(", but no longer a hard link: {others}"));
         let change = self.file.handle_saved(self.now, outcome);
         // No edit is let through that pins a taken address, but the file may have been changed
         // while it waited to be saved.
@@ -479,7 +487,8 @@ impl App {
         let but: String = clash.into_iter().chain(parted).collect();
         let problem = self.file.problem().filter(|it| it.is_not_saved());
         self.save_again_at = problem.map(|_| self.now + SAVE_AGAIN_AFTER);
-        if is_retry && before.is_some() && before.as_ref() == problem {
+        let is_known = before.is_some() && before.as_ref() == problem;
+        if is_retry && is_known {
             // It was told when it failed first.
             self.dirty = true;
             return;
@@ -490,7 +499,12 @@ impl App {
             self.timeline.push(TimelineEntry::new(self.now, TimelineKind::File, &text));
             if but.is_empty() { self.say_of_file(text) } else { self.complain_of_file(text) }
         }
+        // Why it is not saved is known where the edit before was not either; what was done is news.
+        let done = self.message.take_if(|it| is_known && it.is_of_file && !it.is_error);
         self.file_changed(change);
+        if done.is_some() {
+            self.message = done;
+        }
         if self.file.problem().is_none() {
             // What was read meanwhile may be why it was not saved.
             self.save_pending();

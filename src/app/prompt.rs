@@ -62,6 +62,21 @@ impl PromptKind {
         }
     }
 
+    /// The same in few words, for a narrow screen.
+    pub const fn short_label(&self) -> &'static str {
+        match self {
+            PromptKind::NewEntry => "name address",
+            PromptKind::CapturePath => "frames to",
+            PromptKind::CopyPath => "copy as",
+            _ => self.label(),
+        }
+    }
+
+    /// It is a path, which differs from others at both ends.
+    pub const fn is_path(&self) -> bool {
+        matches!(self, PromptKind::CapturePath | PromptKind::CopyPath)
+    }
+
     /// It edits des.json.
     const fn edits(&self) -> bool {
         matches!(self, PromptKind::Address(_) | PromptKind::Rename(_) | PromptKind::NewEntry)
@@ -134,7 +149,7 @@ impl App {
                 let frames = self.capture.end() - self.capture.first();
                 Verdict::Fine(format!("{frames} frames, as candump writes them"))
             }
-            PromptKind::CopyPath => match self.file.document().entries().len() {
+            PromptKind::CopyPath => match self.file.with_all_edits().entries().len() {
                 1 => Verdict::Fine("1 entry".to_owned()),
                 entries => Verdict::Fine(format!("{entries} entries")),
             },
@@ -285,7 +300,7 @@ impl App {
                 self.effects.push_back(Effect::WriteFile { path, bytes });
             }
             PromptKind::CopyPath => {
-                let (path, document) = (PathBuf::from(text), self.file.document().clone());
+                let (path, document) = (PathBuf::from(text), self.file.with_all_edits());
                 let bytes = document.source().to_vec();
                 self.copying = Some((path.clone(), document));
                 self.effects.push_back(Effect::WriteFile { path, bytes });

@@ -100,8 +100,8 @@ fn show(buses: &[BusSpec], setup: &Setup, clock: Clock) -> Result<u8, Failure> {
         let is_asked_to_end = !matches!(ending, Ok(Ending::Quit));
         session.finish_work(!gives_up, is_asked_to_end.then_some(PATIENCE)).await;
         open::tell_recorded(session.finish_recording());
-        let is_lost = session.app.edits_at_risk().map(|(count, content)| {
-            tell_rescued(&setup.file, count, rescue::keep(content));
+        let is_lost = session.app.edits_at_risk().map(|(count, document)| {
+            tell_rescued(&setup.file, count, rescue::keep(document.source()));
         });
         Ok::<_, Failure>((ending?, is_lost.is_some()))
     });

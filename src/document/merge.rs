@@ -357,7 +357,7 @@ impl Document {
 /// Entries that are equal in bus, name, address and UID belong together, in their order. Of the
 /// others, those do that are the only ones of their UID, of their name, or of everything but their
 /// name. What is left was deleted, or cannot be told: the same thing for an edit.
-fn counterparts(base: &Document, theirs: &Document) -> Vec<Option<usize>> {
+pub(super) fn counterparts(base: &Document, theirs: &Document) -> Vec<Option<usize>> {
     let mut exact: HashMap<EntryKey, Vec<usize>> = HashMap::new();
     for entry in theirs.entries().iter().rev() {
         exact.entry(EntryKey::of(entry)).or_default().push(entry.index);

@@ -25,6 +25,7 @@
 //! text       names: JSON, hexadecimal
 //! ```
 
+mod changes;
 mod duplicates;
 mod edit;
 mod entry;
@@ -42,6 +43,7 @@ use std::collections::HashMap;
 use std::fmt;
 use std::sync::Arc;
 
+pub use changes::changes;
 pub use edit::EditError;
 pub use entry::{Entry, ServiceEntry};
 pub use finding::{DocumentFinding, FindingKind};

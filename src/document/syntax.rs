@@ -49,9 +49,9 @@ pub(super) fn check(source: &[u8]) -> Result<&str, ParseError> {
         let good = str::from_utf8(good).unwrap_or_default();
         let message = match bad {
             [0xFF, 0xFE, ..] | [0xFE, 0xFF, ..] if good.is_empty() => {
-                "the file is UTF-16: save it as UTF-8".to_owned()
+                "it is UTF-16: save it as UTF-8".to_owned()
             }
-            _ => format!("the byte 0x{:02X} is not UTF-8: save the file as UTF-8", bad[0]),
+            _ => format!("0x{:02X} is not UTF-8: save it as UTF-8", bad[0]),
         };
         error_at(good, good.len(), message)
     })?;

@@ -237,7 +237,7 @@ impl Recording {
             recorder.set_epoch(epoch);
         }
         let mut app = App::new(Instant::ZERO, options);
-        let reading = self.store.read().map_err(|error| error.to_string());
+        let reading = self.store.read().map_err(|error| error.in_short());
         if self.pace == Pace::Live {
             self.watch = Some(Watch::spawn(self.store.clone(), reading.clone()));
         }

@@ -111,9 +111,13 @@ impl Session {
 
     fn open_file(&mut self) {
         let Some(store) = &self.store else { return };
-        let reading = store.read().map_err(|error| error.to_string());
+        let reading = store.read().map_err(|error| error.in_short());
         self.watch = Some(Watch::spawn(store.clone(), reading.clone()));
+        let missing_folder = store.missing_folder();
         self.app.handle_file(self.now(), reading.into());
+        if let Some(folder) = missing_folder {
+            self.app.handle_missing_folder(self.now(), &folder);
+        }
     }
 
     /// The moment it is. Where frames of a log wait to be taken, it is not later than they are.

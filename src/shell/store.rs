@@ -99,6 +99,14 @@ pub enum SaveError {
         /// Which.
         path: String,
     },
+    /// The folder it is to be in does not exist.
+    #[error("{path} cannot be saved: no such folder: mkdir -p {folder}, then save again")]
+    NoFolder {
+        /// Which file.
+        path: String,
+        /// Which folder.
+        folder: String,
+    },
     /// Another instance of descan has been saving for seconds.
     #[error("{folder} is locked by another descan: close it, then save again")]
     Locked {
@@ -115,6 +123,26 @@ pub enum SaveError {
     },
 }
 
+impl StoreError {
+    /// The cause and the way out in few words, for a place that says already which file it is about.
+    pub fn in_short(&self) -> String {
+        match self {
+            Self::Folder { .. } => "it is a folder: name the file in it".to_owned(),
+            Self::NotAFile { .. } => "it is no regular file: name another one".to_owned(),
+            Self::TooLarge { .. } => "it is larger than 16 MiB: is it the right file?".to_owned(),
+            Self::Read { cause, .. } if cause.kind() == io::ErrorKind::PermissionDenied => {
+                "no permission to read it: get it, or name another file".to_owned()
+            }
+            Self::Read { cause, .. } => match cause.raw_os_error().map(Errno::from_raw) {
+                Some(Errno::ELOOP | Errno::EMFILE | Errno::ENFILE) => {
+                    remedy(cause).map_or_else(|| plain(cause), |(_, in_short)| in_short.to_owned())
+                }
+                _ => format!("cannot be read: {}", plain(cause)),
+            },
+        }
+    }
+}
+
 impl SaveError {
     /// The cause and the way out in few words, for a place that says already which file it is about
     /// and that it is not saved.
@@ -124,8 +152,10 @@ impl SaveError {
                 "it is write-protected: chmod u+w, or save a copy elsewhere".to_owned()
             }
             Self::Foreign { .. } => {
-                "it is somebody else's, and write-protected: save a copy elsewhere".to_owned()
+                "somebody else's, write-protected: save a copy elsewhere".to_owned()
             }
+            Self::Unreadable(error) => error.in_short(),
+            Self::NoFolder { folder, .. } => format!("no such folder: mkdir -p {folder}"),
             Self::Write { cause, .. } => {
                 remedy(cause).map_or_else(|| plain(cause), |(_, in_short)| in_short.to_owned())
             }
@@ -154,6 +184,12 @@ pub fn write_new(path: &Path, home: Option<&Path>, bytes: &[u8]) -> Result<(), S
         }
         SaveError::Unreadable(StoreError::NotAFile { .. }) => {
             "that is not a regular file: choose another".to_owned()
+        }
+        SaveError::NoFolder { .. } if path.as_os_str().as_bytes().starts_with(b"~") => {
+            "~ is not known here: write out the path".to_owned()
+        }
+        SaveError::NoFolder { .. } => {
+            "there is no such folder: make it (mkdir -p), or choose another".to_owned()
         }
         SaveError::Locked { .. } => "another descan is saving there: try again".to_owned(),
         SaveError::Unreadable(StoreError::Read { cause, .. }) | SaveError::Write { cause, .. } => {
@@ -237,7 +273,13 @@ impl Store {
     pub fn save(&self, expected: Option<&[u8]>, new: &[u8]) -> Result<Saved, SaveError> {
         let places = Places::of(&self.path).map_err(|cause| self.write_error(cause))?;
         let (folder, target) = (&places.folder, &places.target);
-        let open = File::open(folder).map_err(|cause| self.write_error(cause))?;
+        let open = File::open(folder).map_err(|cause| match cause.kind() {
+            io::ErrorKind::NotFound => SaveError::NoFolder {
+                path: shown(&self.path),
+                folder: shown(&self.folder_as_named(folder)),
+            },
+            _ => self.write_error(cause),
+        })?;
         let lock = lock(folder)?;
         let old = fs::metadata(target).ok();
         if old.is_some() && access(target, AccessFlags::W_OK) == Err(Errno::EACCES) {
@@ -279,6 +321,20 @@ impl Store {
             }
             _ => Ok(Saved { parted_from }),
         }
+    }
+
+    /// The folder that the file is to be in, where it does not exist.
+    pub fn missing_folder(&self) -> Option<String> {
+        let folder = Places::of(&self.path).ok()?.folder;
+        let is_missing = || matches!(fs::metadata(&folder), Err(error) if error.kind() == io::ErrorKind::NotFound);
+        is_missing().then(|| shown(&self.folder_as_named(&folder)))
+    }
+
+    /// The file's folder as the user names it, where no link leads to another one.
+    fn folder_as_named(&self, folder: &Path) -> PathBuf {
+        let named = self.path.parent().filter(|named| !named.as_os_str().is_empty());
+        let is_it = |named: &&Path| Places::of(named).is_ok_and(|places| places.target == folder);
+        named.filter(is_it).unwrap_or(folder).to_owned()
     }
 
     fn write_error(&self, cause: io::Error) -> SaveError {
@@ -457,7 +513,7 @@ fn remedy(cause: &io::Error) -> Option<(&'static str, &'static str)> {
     Some(match Errno::from_raw(cause.raw_os_error()?) {
         Errno::EACCES | Errno::EPERM => (
             ": get the permission (ls -ld shows who has it), or name another file with --file",
-            "no permission for its folder: get it, or save a copy elsewhere",
+            "no permission for its folder: get it, or save a copy",
         ),
         Errno::EROFS => (
             ": the file system is mounted read-only; remount it, or use --file",
@@ -468,11 +524,15 @@ fn remedy(cause: &io::Error) -> Option<(&'static str, &'static str)> {
         }
         Errno::EBUSY => (
             ": it is a mount point of its own (a bind mount); mount its folder instead",
-            "a bind mount of its own: mount its folder instead, or save a copy elsewhere",
+            "a bind mount: mount its folder, or save a copy elsewhere",
         ),
-        Errno::ENOENT | Errno::ENOTDIR => {
+        Errno::ENOENT => {
             (": make its folder (mkdir -p), then save again", "its folder is gone: make it")
         }
+        Errno::ENOTDIR => (
+            ": what should be its folder is a file",
+            "what should be its folder is a file: save a copy elsewhere",
+        ),
         Errno::ELOOP => (": its symbolic links go in circles", "its symbolic links go in circles"),
         Errno::EMFILE | Errno::ENFILE => (
             ": close other programs, or raise ulimit -n",

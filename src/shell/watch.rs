@@ -197,7 +197,7 @@ impl Watcher {
     fn look(&self) {
         loop {
             let saves = self.shared.lock().saves;
-            let reading = self.store.read().map_err(|error| error.to_string());
+            let reading = self.store.read().map_err(|error| error.in_short());
             if self.shared.report(reading, saves) {
                 return;
             }

@@ -16,11 +16,14 @@ pub fn draw(brush: &mut Brush) {
     if brush.app.prompt().is_some() {
         return draw_prompt(brush, area);
     }
-    if let Some(question) = brush.app.question() {
+    if let (Some(question), Some(in_short)) = (brush.app.question(), brush.app.question_in_short())
+    {
         // How to answer is never cut off.
         let answers = Line::from(hints(brush, &["yes", "no"], usize::MAX));
-        let own = question.width() as u16 + 3;
-        let width = own.min(area.width.saturating_sub(answers.width() as u16 + 1));
+        let room = area.width.saturating_sub(answers.width() as u16 + 1);
+        let own = |question: &str| question.width() as u16 + 3;
+        let question = if own(&question) > room { in_short } else { question };
+        let width = own(&question).min(room);
         let question = fit(&format!(" {question}"), usize::from(width.saturating_sub(2))) + "  ";
         let mut line = Line::from(brush.span(Role::Warning, question));
         line.spans.extend(answers.spans);
@@ -46,7 +49,9 @@ fn draw_prompt(brush: &mut Brush, area: Rect) {
         Verdict::Blocks(text) => ("✗ ", Role::Error, text),
     };
     let in_row = brush.cursor.is_some();
-    let label = format!(" {}: ", app.prompt_label().unwrap_or_default());
+    let narrow = area.width < 60 && !in_row;
+    let label = app.prompt_label().filter(|_| !narrow);
+    let label = format!(" {}: ", label.unwrap_or_else(|| prompt.kind.short_label().to_owned()));
     let label_width = label.width() as u16;
     let mut line = Line::from(brush.span(Role::Title, label));
     if in_row {
@@ -59,12 +64,14 @@ fn draw_prompt(brush: &mut Brush, area: Rect) {
     let left = area.width.saturating_sub(label_width);
     let said_width = (sign.width() + said.width()) as u16 + 2;
     let text_width = prompt.input.value().width() as u16;
-    let least = match prompt.kind {
-        PromptKind::Address(_) => 6,
-        _ => 12,
-    };
     // With room for the cursor behind the text, and for scrolling to begin after that.
     let wanted = (text_width + 2).max(24);
+    let least = match prompt.kind {
+        PromptKind::Address(_) => 6,
+        // What is said of a path, such as how many entries will be there, is less than the path.
+        _ if prompt.kind.is_path() && matches!(verdict, Verdict::Fine(_)) => wanted,
+        _ => 12,
+    };
     let width = wanted.min(left.saturating_sub(said_width).max(least)).min(left);
     brush.line(area, 0, &line);
     let at = Rect { x: area.x + label_width, width, ..area };

@@ -2,7 +2,7 @@
 //!
 //! What matters most comes first and stays longest when the screen is narrow.
 
-use super::brush::{Brush, fit};
+use super::brush::{Brush, end_of, fit};
 use crate::app::{Bus, FileProblem, Hindrance, Meter};
 use crate::discovery::OwnAddress;
 use crate::frame::BusIndex;
@@ -12,6 +12,9 @@ use crate::theme::Role;
 use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
 use std::fmt::Write;
+
+/// The sign of values that are assumed.
+const ASSUMED: &str = "≈";
 
 /// Text that is left out, from the end, where it does not fit.
 type Parts = Vec<Vec<Span<'static>>>;
@@ -33,6 +36,8 @@ pub fn draw(brush: &mut Brush) {
             right.extend(recording(brush));
             right.extend(last.into_iter().flatten());
             add_muted(brush, area, &left, &mut right);
+            let mut left = left;
+            make_room(area, &mut left, &mut right);
             pair(brush, area, 0, left, right);
         }
         lines => {
@@ -70,6 +75,25 @@ fn is_worrying(brush: &Brush) -> bool {
 
 fn selected_bus(brush: &Brush) -> BusIndex {
     brush.app.selected_row().and_then(|row| row.bus).unwrap_or_default()
+}
+
+/// Where the name of the bus and what stands at the right do not fit beside each other, that values
+/// are assumed gives way, then the beginning of the name, then, from the first, what stands there.
+fn make_room(area: Rect, left: &mut Parts, right: &mut Parts) {
+    /// So much of the name tells it from others.
+    const LEAST: usize = 6;
+    let width = usize::from(area.width);
+    let Some(part) = left.first_mut().filter(|part| !part.is_empty()) else { return };
+    let (name, beside) = (part[0].width(), own(&part[1..]) + 1);
+    let is_assumed = |part: &Vec<Span>| part.first().is_some_and(|span| span.content == ASSUMED);
+    while right.first().is_some_and(|part| {
+        let name = if is_assumed(part) { name } else { name.min(LEAST) };
+        name + beside + whole(right) > width
+    }) {
+        right.remove(0);
+    }
+    let room = width.saturating_sub(beside + whole(right)).max(LEAST);
+    part[0] = Span::styled(end_of(&part[0].content, room), part[0].style);
 }
 
 /// Draws parts from the left and others from the right. Where not all fit, those in the middle
@@ -341,7 +365,7 @@ fn sparkline(bus: &Bus, width: usize) -> String {
 /// The profile's values are assumed.
 fn assumed(brush: &Brush) -> Option<Vec<Span<'static>>> {
     let assumed = brush.app.buses().iter().any(|bus| !bus.engine.config().profile.given);
-    assumed.then(|| vec![brush.span(Role::Suspected, "≈"), brush.span(Role::Muted, " assumed")])
+    assumed.then(|| vec![brush.span(Role::Suspected, ASSUMED), brush.span(Role::Muted, " assumed")])
 }
 
 fn counts(brush: &Brush) -> Parts {
@@ -409,8 +433,10 @@ fn file(brush: &Brush, whole: bool) -> Parts {
             };
             parts.push(vec![name, brush.span(Role::Error, text)]);
             if whole && file.was_good() {
-                let text = format!("the last good content stays ({entries} entries)");
-                parts.push(vec![brush.span(Role::Muted, text)]);
+                // Where there is no room for the word, the number is not cut.
+                let word = if entries == 1 { " entry" } else { " entries" };
+                let text = format!("last good: {entries}");
+                parts.push(vec![brush.span(Role::Muted, text), brush.span(Role::Muted, word)]);
             }
             return parts;
         }

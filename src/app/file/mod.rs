@@ -12,7 +12,7 @@ mod steps;
 pub use news::{Change, FileProblem, FileReading, Refusal, SaveOutcome};
 
 use crate::document::{
-    Choices, Conflict, Document, EditError, Merge, Operation, Prefer, merge, merge_chosen,
+    Choices, Conflict, Document, EditError, Merge, Operation, Prefer, changes, merge, merge_chosen,
 };
 use crate::time::Instant;
 use std::ops::Range;
@@ -66,6 +66,8 @@ pub struct FileState {
     /// What is on disk, as it was last good; `None` before the first reading.
     disk: Option<Document>,
     is_on_disk: bool,
+    /// What was there before somebody else changed it last.
+    former: Option<Document>,
     /// What is in force: disk, and the edits that are not saved yet.
     document: Document,
     pending: Vec<Operation>,
@@ -84,6 +86,7 @@ impl FileState {
             path,
             disk: None,
             is_on_disk: false,
+            former: None,
             document: Document::empty(),
             pending: Vec::new(),
             saving: None,
@@ -114,6 +117,29 @@ impl FileState {
     /// What is on disk, as it was last good.
     pub fn on_disk(&self) -> Option<&Document> {
         self.disk.as_ref()
+    }
+
+    /// What somebody else changed last, entry by entry in words; empty where that are many.
+    pub fn changed_by_others(&self) -> Vec<String> {
+        /// Of so many entries one reads what became of each.
+        const FEW: usize = 3;
+        match (&self.former, &self.disk) {
+            (Some(former), Some(disk)) => changes(former, disk, FEW),
+            _ => Vec::new(),
+        }
+    }
+
+    /// The file with all our edits. While there are conflicts those that were decided are in it as
+    /// they were decided, and in the others our value stands.
+    pub fn with_all_edits(&self) -> Document {
+        let merged = self.dispute.as_ref().and_then(|Dispute { theirs, choices, .. }| {
+            let base = self.disk.clone().unwrap_or_else(Document::empty);
+            merge_chosen(&base, &self.pending, theirs, choices, Prefer::Ours).ok()
+        });
+        match merged {
+            Some(Merge::Rebased { document, .. }) => document,
+            _ => self.document.clone(),
+        }
     }
 
     /// Whether there is a file, or content that will be one: rows can be listed or not.
@@ -203,6 +229,7 @@ impl FileState {
                 matches!(self.problem, Some(FileProblem::Syntax(_) | FileProblem::Unreadable(_)));
             if was_broken {
                 self.problem = None;
+                self.former = None;
             }
             return if was_broken { Change::Content } else { Change::None };
         }
@@ -219,6 +246,7 @@ impl FileState {
     /// Takes content that is not what was known.
     fn take(&mut self, theirs: Document, is_there: bool) -> Change {
         let is_first = self.disk.is_none();
+        self.former = self.disk.clone().filter(|_| self.is_on_disk && is_there);
         self.is_on_disk = is_there;
         self.problem = None;
         if self.pending.is_empty() {
@@ -379,7 +407,7 @@ impl FileState {
         self.check()?;
         let step = self.undo.pop().ok_or(Refusal::NothingToUndo)?;
         let before = self.document.clone();
-        let (redo, name) = self.take_step(step, "taken back")?;
+        let (redo, name) = self.take_step(step, "undone")?;
         self.redo.push(redo, &before);
         Ok(name)
     }
@@ -389,7 +417,7 @@ impl FileState {
         self.check()?;
         let step = self.redo.pop().ok_or(Refusal::NothingToRedo)?;
         let before = self.document.clone();
-        let (undo, name) = self.take_step(step, "made again")?;
+        let (undo, name) = self.take_step(step, "redone")?;
         self.undo.push(undo, &before);
         Ok(name)
     }
@@ -416,7 +444,7 @@ impl FileState {
             };
             match conflict {
                 Some(Conflict { theirs, .. }) if operations.is_empty() => {
-                    return Err(Refusal::ChangedSince { done, theirs });
+                    return Err(Refusal::ChangedSince { done, name: told, theirs });
                 }
                 None if operations.is_empty() => {
                     return Err(Refusal::SoAlready { done, name: told });

@@ -88,8 +88,9 @@ impl FileProblem {
     pub fn of_file(&self, name: &str) -> String {
         match self {
             FileProblem::Syntax(error) => format!("{name}: {error}"),
-            // These name it.
-            FileProblem::Unreadable(why) | FileProblem::NotSaved(why) => why.clone(),
+            FileProblem::Unreadable(why) => format!("{name}: {why}"),
+            // To be seen while edits are made: which file is known.
+            FileProblem::NotSaved(why) => why.clone(),
         }
     }
 
@@ -138,7 +139,7 @@ pub enum Refusal {
     NoFile,
     #[error("the file has not been read yet")]
     NotRead,
-    #[error("not edited while it is broken: {0}")]
+    #[error("broken, mend it first: {0}")]
     Broken(String),
     #[error("first choose between your value and the one in the file")]
     Conflict,
@@ -146,8 +147,8 @@ pub enum Refusal {
     NothingToUndo,
     #[error("there is nothing to make again")]
     NothingToRedo,
-    #[error("cannot be {done}, changed by somebody else since: {theirs}")]
-    ChangedSince { done: &'static str, theirs: String },
+    #[error("not {done}: {name}; theirs: {theirs}")]
+    ChangedSince { done: &'static str, name: String, theirs: String },
     #[error("need not be {done}, it is so already: {name}")]
     SoAlready { done: &'static str, name: String },
     #[error(transparent)]
