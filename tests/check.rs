@@ -267,7 +267,7 @@ fn members_that_are_there_twice_are_told_and_the_last_counts() {
     let (code, said) = checked(file);
     assert_eq!(
         said,
-        "in the file itself:\n  `address` is there twice; the last one counts (line 2, column 49)\n\
+        "in the file itself:\n  SENS: `address` is there twice; the last one counts (line 2, column 49)\n\
          des.json: 2 entries, 2 devices on can0: 1 in the file itself\n"
     );
     assert_eq!(code, 1);

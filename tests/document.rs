@@ -359,19 +359,19 @@ fn wrong_shapes_are_findings() {
         (
             r#"[{"name": "A", "services": "DES"}]"#,
             WrongType,
-            "line 1, column 28: `services` of A is a string; it must be a list, or an object of names and versions",
+            "line 1, column 28: `services` is a string; it must be a list, or an object of names and versions",
             vec![0],
         ),
         (
             r#"[{"name": "A", "services": ["DES"]}]"#,
             WrongType,
-            "line 1, column 29: item 1 of `services` of A is a string; it must be an object of `name`, `version` and `extra`, all strings",
+            "line 1, column 29: `services` item 1 is a string; it must be an object of `name`, `version` and `extra`, all strings",
             vec![0],
         ),
         (
             r#"[{"name": "A", "services": {"DES": 1.0}}]"#,
             WrongType,
-            "line 1, column 36: item 1 of `services` of A is a number; it must be a version, as a string",
+            "line 1, column 36: `services` item 1 is a number; it must be a version, as a string",
             vec![0],
         ),
         (

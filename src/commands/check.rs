@@ -147,7 +147,11 @@ fn differences(app: &App, now: Instant) -> String {
             let bus = finding.key.bus.and_then(|bus| app.bus(bus));
             let bus = bus.filter(|_| app.buses().len() > 1);
             let bus = bus.map_or(String::new(), |bus| format!("{}: ", bus.name));
-            let _ = writeln!(text, "  {bus}{}", finding.text);
+            // Its text says where it is in the file, but not whose it is.
+            let whose =
+                finding.names.first().filter(|_| finding.key.kind == FindingKind::FileShape);
+            let whose = whose.map_or(String::new(), |name| format!("{name}: "));
+            let _ = writeln!(text, "  {bus}{whose}{}", finding.text);
         }
         sums.push(format!("{} {title}", group.len()));
     }

@@ -249,7 +249,7 @@ impl Reader<'_, '_> {
             is_static: of(Member::Static).is_some_and(|at| self.flag(at)),
             bus: of(Member::Bus).and_then(|at| self.string(Member::Bus, at)),
             uid: of(Member::Uid).and_then(|at| self.string(Member::Uid, at)),
-            services: of(Member::Services).and_then(|at| self.services(at, &name)),
+            services: of(Member::Services).and_then(|at| self.services(at)),
             name,
             position: self.findings.position(span.start),
             address_position: address.map(|at| self.findings.position(at.start)),
@@ -372,10 +372,9 @@ impl Reader<'_, '_> {
         value == "true"
     }
 
-    fn services(&mut self, at: &Span, whose: &[u8]) -> Option<Vec<ServiceEntry>> {
+    fn services(&mut self, at: &Span) -> Option<Vec<ServiceEntry>> {
         let Some(list) = scan::container(self.body, at) else {
-            let what = format!("`services` of {}", text::brief(whose));
-            self.wrong_type_in(&what, at, "a list, or an object of names and versions");
+            self.wrong_type(Member::Services, at, "a list, or an object of names and versions");
             return None;
         };
         let mut places = HashMap::new();
@@ -392,8 +391,7 @@ impl Reader<'_, '_> {
                 } else {
                     "a version, as a string"
                 };
-                let what = format!("item {number} of `services` of {}", text::brief(whose));
-                self.wrong_type_in(&what, &item.value, expected);
+                self.wrong_type_in(&format!("`services` item {number}"), &item.value, expected);
                 continue;
             };
             if !item.key.is_empty() {
