@@ -14,7 +14,7 @@ use crate::wire::id::{Address, Header, MessageType};
 use crate::wire::isotp::{FlowControl, FlowStatus, Pci, TransferFault};
 use std::hash::{DefaultHasher, Hash, Hasher};
 
-/// How long answers to a broadcast are matched with its RND7.
+/// How long answers that repeat the DST of our question are matched with it.
 const BROADCAST_OPEN: Duration = Duration::from_secs(3);
 /// For how long whoever asked and left may still be sent answers: each of several that wait for
 /// flow control is given up only after a second.
@@ -157,8 +157,12 @@ impl Engine {
             return false;
         }
         let device = self.roster.get(index);
-        let targeted = header.destination == header.source
-            && (device.services_query.is_waiting() || device.name_query.is_waiting());
+        // A refusal in one framing may have ended the waiting: the answer in the other comes yet.
+        let now = self.now;
+        let lately = |asked: Instant| now.since(asked) < BROADCAST_OPEN;
+        let asked = [&device.services_query, &device.name_query];
+        let asked = asked.iter().any(|query| query.asked_at.is_some_and(lately));
+        let targeted = header.destination == header.source && asked;
         targeted
             || self.broadcasts.iter().any(|broadcast| {
                 broadcast.ours
