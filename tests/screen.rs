@@ -1178,19 +1178,24 @@ fn errors_that_follow_an_address_belong_to_its_problem() {
     snapshot!("evidence_errors", stage.keys("Enter").size(100, 30));
 }
 
-#[test]
-fn where_frames_only_break_another_bit_rate_is_offered() {
-    use descan::speed::{Heard, Outcome, Progress};
+/// After some seconds on a bus on which there is only this, a hundred times a second.
+fn hearing_only(frame: Frame) -> Stage {
     let mut stage = Stage::new(&Scenario::new(125_000), None);
-    let broken = Frame::error(0x88, &[0, 0, 4, 0, 0, 0, 0, 0]);
     for millis in 1..4500 {
         let now = Instant::from_micros(millis * 1000);
         if millis % 10 == 0 {
-            stage.app.handle_frames(now, &[broken.at(now)]);
+            stage.app.handle_frames(now, &[frame.at(now)]);
         }
         stage.app.handle_timeout(now);
         stage.drain(now);
     }
+    stage
+}
+
+#[test]
+fn where_frames_only_break_another_bit_rate_is_offered() {
+    use descan::speed::{Heard, Outcome, Progress};
+    let mut stage = hearing_only(Frame::error(0x88, &[0, 0, 4, 0, 0, 0, 0, 0]));
     snapshot!("only_broken_frames", stage);
     stage.effects.clear();
     stage.keys("b");
@@ -1231,16 +1236,7 @@ fn where_frames_only_break_another_bit_rate_is_offered() {
 
 #[test]
 fn where_nobody_acknowledges_no_other_bit_rate_is_offered() {
-    let mut stage = Stage::new(&Scenario::new(125_000), None);
-    let alone = Frame::error(0xA8, &[0, 0, 0x80, 0x19, 0, 0, 128, 0]);
-    for millis in 1..4500 {
-        let now = Instant::from_micros(millis * 1000);
-        if millis % 10 == 0 {
-            stage.app.handle_frames(now, &[alone.at(now)]);
-        }
-        stage.app.handle_timeout(now);
-        stage.drain(now);
-    }
+    let mut stage = hearing_only(Frame::error(0xA8, &[0, 0, 0x80, 0x19, 0, 0, 128, 0]));
     let screen = stage.screen();
     assert!(screen.contains("err 4"), "{screen}");
     assert!(!screen.contains("another bit rate"), "{screen}");
