@@ -1236,7 +1236,7 @@ fn where_frames_only_break_another_bit_rate_is_offered() {
 
 #[test]
 fn where_nobody_acknowledges_no_other_bit_rate_is_offered() {
-    let mut stage = hearing_only(Frame::error(0xA8, &[0, 0, 0x80, 0x19, 0, 0, 128, 0]));
+    let stage = hearing_only(Frame::error(0xA8, &[0, 0, 0x80, 0x19, 0, 0, 128, 0]));
     let screen = stage.screen();
     assert!(screen.contains("err 4"), "{screen}");
     assert!(!screen.contains("another bit rate"), "{screen}");
