@@ -55,6 +55,8 @@
 
 #[path = "common/stage.rs"]
 mod stage;
+#[path = "common/texts.rs"]
+mod texts;
 
 use descan::app::{Overlay, Verdict};
 use descan::discovery::Config;
@@ -64,8 +66,8 @@ use descan::sim::{Action, DeviceSpec, Scenario};
 use stage::Stage;
 use std::fmt::Write;
 use std::iter::Peekable;
-use std::path::Path;
 use std::str::Lines;
+use texts::{are_written_anew, texts_of};
 
 /// How long the bus runs before the first key: every device has told its services.
 const SETTLED: f64 = 8.0;
@@ -434,17 +436,9 @@ fn difference(expected: &str, played: &str) -> String {
 
 #[test]
 fn editing() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/editing");
-    let update = std::env::var_os("UPDATE_SCENARIOS").is_some();
-    let mut files: Vec<_> = std::fs::read_dir(folder)
-        .unwrap()
-        .map(|entry| entry.unwrap().path())
-        .filter(|path| path.extension().is_some_and(|extension| extension == "txt"))
-        .collect();
-    files.sort();
-    assert!(!files.is_empty());
+    let update = are_written_anew();
     let mut wrong = String::new();
-    for path in files {
+    for path in texts_of("editing") {
         let name = path.file_name().unwrap().to_string_lossy().into_owned();
         let expected = std::fs::read_to_string(&path).unwrap();
         let played = match std::panic::catch_unwind(|| play(&expected)) {

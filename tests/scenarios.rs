@@ -17,6 +17,8 @@
 //! the difference.
 
 mod common;
+#[path = "common/texts.rs"]
+mod texts;
 
 use common::describe;
 use descan::discovery::{Config, Engine};
@@ -25,8 +27,8 @@ use descan::time::Instant;
 use descan::wire::id::Address;
 use descan::wire::profile::{Announce, Profile};
 use std::fmt::Write;
-use std::path::Path;
 use std::sync::Arc;
+use texts::{are_written_anew, texts_of};
 
 fn parse_time(text: &str) -> Instant {
     let (seconds, fraction) = text.split_once('.').unwrap_or((text, ""));
@@ -171,17 +173,9 @@ fn play(scenario: &str) -> String {
 
 #[test]
 fn scenarios() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/scenarios");
-    let update = std::env::var_os("UPDATE_SCENARIOS").is_some();
-    let mut files: Vec<_> = std::fs::read_dir(folder)
-        .unwrap()
-        .map(|entry| entry.unwrap().path())
-        .filter(|path| path.extension().is_some_and(|extension| extension == "txt"))
-        .collect();
-    files.sort();
-    assert!(!files.is_empty());
+    let update = are_written_anew();
     let mut wrong = String::new();
-    for path in files {
+    for path in texts_of("scenarios") {
         let expected = std::fs::read_to_string(&path).unwrap();
         let played = play(&expected);
         if played == expected {

@@ -132,9 +132,14 @@ impl Meter {
     /// Counts a frame.
     pub fn add(&mut self, frame: &Frame, bitrate: u32, data_bitrate: Option<u32>) {
         self.current.frames += 1;
-        self.current.errors += u32::from(frame.kind == FrameKind::Error);
-        self.current.broken += u32::from(is_broken(frame));
-        let bits = bit_times(frame, bitrate, data_bitrate);
+        let bits = if frame.kind == FrameKind::Error {
+            let is_broken = ErrorReport::of(frame).is_some_and(|report| report.is_broken_frame());
+            self.current.errors += 1;
+            self.current.broken += u32::from(is_broken);
+            if is_broken { BROKEN_FRAME_BITS } else { 0 }
+        } else {
+            bit_times(frame, bitrate, data_bitrate)
+        };
         self.current.bits += bits;
         self.bits += bits;
     }
@@ -200,15 +205,8 @@ pub(super) fn lost(status: &BusStatus) -> u64 {
 /// intermission. How much of the frame went before it, no report says.
 const BROKEN_FRAME_BITS: u64 = 6 + 8 + 3;
 
-fn is_broken(frame: &Frame) -> bool {
-    ErrorReport::of(frame).is_some_and(|report| report.is_broken_frame())
-}
-
-/// How many bit times at the nominal rate a frame takes of the bus.
+/// How many bit times at the nominal rate a whole frame takes of the bus.
 fn bit_times(frame: &Frame, bitrate: u32, data_bitrate: Option<u32>) -> u64 {
-    if frame.kind == FrameKind::Error {
-        return if is_broken(frame) { BROKEN_FRAME_BITS } else { 0 };
-    }
     let bits = FrameBits::of(frame);
     let (data, bitrate) = (u64::from(bits.data), u64::from(bitrate.max(1)));
     let data_bitrate = data_bitrate.map_or(bitrate, u64::from).max(1);

@@ -1,4 +1,4 @@
-//! The rows of the Devices page are built: every device, and every entry of des.json that has none.
+//! Makes the rows of the Devices page: of every device, and of every entry of des.json that has none.
 //!
 //! A row says which device and which entry it is, and what the two say of each other; what is
 //! known of the device itself stays with its engine. Does not know how rows are drawn.
