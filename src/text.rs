@@ -49,6 +49,19 @@ impl fmt::Display for Escaped<'_> {
     }
 }
 
+/// A name in a sentence: [`Escaped`], in quotes where nothing of it would be seen.
+#[derive(Clone, Copy)]
+pub struct Called<'a>(pub &'a [u8]);
+
+impl fmt::Display for Called<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let is_blank = self.0.utf8_chunks().all(|chunk| {
+            chunk.invalid().is_empty() && chunk.valid().chars().all(char::is_whitespace)
+        });
+        if is_blank { write!(f, "\"{}\"", Escaped(self.0)) } else { Escaped(self.0).fmt(f) }
+    }
+}
+
 /// [`Escaped`], as a string.
 pub fn printable(bytes: &[u8]) -> String {
     Escaped(bytes).to_string()
@@ -82,6 +95,11 @@ impl Name {
     /// Its bytes.
     pub fn as_bytes(&self) -> &[u8] {
         &self.0
+    }
+
+    /// The name in a sentence, or in a place of its own.
+    pub fn called(&self) -> Called<'_> {
+        Called(&self.0)
     }
 
     /// Its bytes as hexadecimal digits, exact.
@@ -129,5 +147,15 @@ mod tests {
         assert_eq!(shown(b"a\\b\xff"), "a\\\\b\\xFF");
         assert_eq!(shown("\u{9b}2J".as_bytes()), "\\xC2\\x9B2J");
         assert_eq!(shown("a\u{202e}b\u{2028}".as_bytes()), "a\\xE2\\x80\\xAEb\\xE2\\x80\\xA8");
+    }
+
+    #[test]
+    fn a_name_of_which_nothing_is_seen_is_quoted() {
+        let called = |name: &[u8]| Called(name).to_string();
+        assert_eq!(called(b""), "\"\"");
+        assert_eq!(called("  \u{3000}".as_bytes()), "\"  \u{3000}\"");
+        assert_eq!(called(b"\t"), "\"\\x09\"");
+        assert_eq!(called(b"A B"), "A B");
+        assert_eq!(called(b"\xff"), "\\xFF");
     }
 }

@@ -225,6 +225,21 @@ power_on = 7.0
     assert_eq!(never.status.code(), Some(1), "{}", text(&never.stdout));
 }
 
+#[test]
+fn a_name_of_which_nothing_is_seen_is_quoted() {
+    let (_, said) = checked(
+        r#"[{"name":"","address":12,"static":true},
+            {"name":" ","address":44,"static":true},{"name":"FAN","address":44,"static":true}]"#,
+    );
+    for line in [
+        "  \"\" (at 12) is listed and not there: FEED sits on its address 12.",
+        "  12 is the static address of \"\", and a device that calls itself FEED is there.",
+        "entries: \" \" (line 2) and FAN (line 2)",
+    ] {
+        assert!(said.contains(line), "{line}: {said}");
+    }
+}
+
 /// Whatever is in the file: one message, at once, and the file stays as it is.
 #[test]
 fn what_nobody_should_write_is_told_where_it_is() {

@@ -8,7 +8,7 @@ use super::matching::{Matching, is_for};
 use crate::discovery::{Confidence, Device, Finding, FindingKey, FindingKind};
 use crate::document::{self, Document, Entry};
 use crate::frame::BusIndex;
-use crate::text::{Escaped, Name};
+use crate::text::{Called, Escaped, Name};
 use crate::time::Instant;
 use crate::wire::id::Address;
 use crate::wire::node::Uid;
@@ -150,7 +150,7 @@ impl Comparison<'_> {
             .filter_map(|&id| app.device(id))
             .filter(|device| device.is_here())
             .collect();
-        let name = Escaped(&entry.name);
+        let name = Called(&entry.name);
         let pinned = entry.address.filter(|_| entry.is_static).and_then(Address::new);
         if app.matching.is_said_again(entry.index) {
             // That it stands twice is told of the file.
@@ -191,7 +191,7 @@ impl Comparison<'_> {
             };
             let who =
                 other.name.as_ref().map_or("a device without a known name".to_owned(), |it| {
-                    format!("a device that calls itself {it}")
+                    format!("a device that calls itself {}", it.called())
                 });
             let text = format!("{pinned} is the static address of {name}, and {who} is there.");
             let remedy = format!("Pin {name} to another address, or give that device one.");
@@ -218,7 +218,7 @@ impl Comparison<'_> {
         let at = address.map(|address| format!(" (at {address})")).unwrap_or_default();
         let why = app.why_missing(entry);
         let (first, rest) = why.split_first().map_or(("", &[][..]), |(it, rest)| (it, rest));
-        let text = format!("{}{at} is listed and not there: {first}.", Escaped(&entry.name));
+        let text = format!("{}{at} is listed and not there: {first}.", Called(&entry.name));
         let remedy = rest.join("; ");
         let name = Some(Name::new(&entry.name));
         self.add(FindingKind::Missing, Some(bus), address, name, text, remedy);
@@ -229,7 +229,7 @@ impl Comparison<'_> {
         let Some((listed, own)) = other_services(entry, device) else { return };
         let text = format!(
             "{} at {} has other services than the file lists: {}.",
-            Escaped(&entry.name),
+            Called(&entry.name),
             device.address,
             differences(listed, own)
         );

@@ -9,7 +9,7 @@ use super::{App, Effect, Overlay, Page, RowKey};
 use crate::discovery::DeviceId;
 use crate::document::{Document, Entry, EntryKey, NewEntry, Operation};
 use crate::keymap::{Key, KeyCode, Mode};
-use crate::text::{Escaped, is_printable};
+use crate::text::{Called, is_printable};
 use crate::time::Instant;
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -479,7 +479,7 @@ impl App {
                 && bus.is_none_or(|bus| is_for(entry, bus))
         })?;
         let line = other.position.line;
-        let name = Escaped(&other.name);
+        let name = Called(&other.name);
         Some(Verdict::Blocks(format!("{address} is the static address of {name} (line {line})")))
     }
 
@@ -555,7 +555,7 @@ impl App {
             return Verdict::Blocks(format!("this entry is there already (line {line})"));
         }
         let Some(address) = address else {
-            let shown = Escaped(&name);
+            let shown = Called(&name);
             let last = text.rsplit(char::is_whitespace).next().unwrap_or_default();
             return if last.starts_with(|c: char| c.is_ascii_digit()) {
                 Verdict::Warns(format!("all of it is the name: {last} is no address"))
@@ -568,7 +568,7 @@ impl App {
         }
         let named = |id| self.device(id).is_some_and(|device| device.is_named(&name));
         self.held_by_another(address, bus.as_deref(), named)
-            .unwrap_or_else(|| Verdict::Fine(format!("{}, pinned to {address}", Escaped(&name))))
+            .unwrap_or_else(|| Verdict::Fine(format!("{}, pinned to {address}", Called(&name))))
     }
 
     // ---- the captured frames ---------------------------------------------------------------
@@ -594,7 +594,7 @@ fn pinned(entry: Option<&Entry>) -> String {
 }
 
 fn renamed(entry: &Entry) -> String {
-    format!("renamed to {} by someone else", Escaped(&entry.name))
+    format!("renamed to {} by someone else", Called(&entry.name))
 }
 
 /// A number from 1 to 127, decimal or hexadecimal.
@@ -682,6 +682,7 @@ fn request(key: Key) -> Option<InputRequest> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::text::Escaped;
 
     #[test]
     fn addresses_are_decimal_or_hexadecimal() {

@@ -10,7 +10,7 @@ use crate::discovery::{Device, OwnAddress, QueryState};
 use crate::document::Entry;
 use crate::frame::BusIndex;
 use crate::status::{BusState, Link};
-use crate::text::Escaped;
+use crate::text::{Called, Escaped};
 use crate::time::Duration;
 use crate::wire::id::Address;
 
@@ -90,7 +90,7 @@ impl App {
         } else if !elsewhere.is_empty() {
             let at: Vec<String> = elsewhere.iter().map(ToString::to_string).collect();
             let not = entry.address.map(|own| format!(", not at {own}")).unwrap_or_default();
-            let (name, at) = (called(&entry.name), at.join(" and "));
+            let (name, at) = (Called(&entry.name), at.join(" and "));
             reasons.push(format!("{name} answers at {at}{not}: which is it?"));
         }
         if reasons.is_empty() && !self.has_looked(index) {
@@ -99,7 +99,7 @@ impl App {
             why_silent(bus, entry, &mut reasons);
         }
         reasons.extend(taken.into_iter().map(|device| {
-            format!("the {} at {} is another entry's", called(&entry.name), device.address)
+            format!("the {} at {} is another entry's", Called(&entry.name), device.address)
         }));
         reasons
     }
@@ -229,7 +229,7 @@ fn why_silent(bus: &Bus, entry: &Entry, reasons: &mut Vec<String>) {
     let log = if ended { "in this log " } else { "" };
     reasons.push(match entry.address {
         Some(address) => format!("{log}nothing was ever heard from address {address}"),
-        None => format!("{log}no device called itself {}", called(&entry.name)),
+        None => format!("{log}no device called itself {}", Called(&entry.name)),
     });
     let config = bus.engine.config();
     let others = || bus.engine.devices().iter().filter(|it| !it.is_debug && it.is_here());
@@ -251,15 +251,10 @@ fn why_silent(bus: &Bus, entry: &Entry, reasons: &mut Vec<String>) {
     });
 }
 
-/// A name as it is spoken of, an empty one too.
-fn called(name: &[u8]) -> String {
-    if name.is_empty() { "\"\"".to_owned() } else { Escaped(name).to_string() }
-}
-
 fn who(device: &Device) -> String {
     match &device.name {
         Some(name) if name.as_bytes().is_empty() => "a device with an empty name".to_owned(),
-        Some(name) => name.to_string(),
+        Some(name) => name.called().to_string(),
         None => "something without a name".to_owned(),
     }
 }

@@ -16,7 +16,8 @@ pub(super) fn describe(finding: &mut Finding) {
     let who = finding.key.address.map_or(String::new(), |address| who(address, &finding.names));
     let address = finding.key.address.map_or(0, Address::number);
     let list = finding.addresses.iter().map(ToString::to_string).collect::<Vec<_>>().join(" and ");
-    let names = finding.names.iter().map(ToString::to_string).collect::<Vec<_>>().join(" and ");
+    let called = |name: &Name| name.called().to_string();
+    let names = finding.names.iter().map(called).collect::<Vec<_>>().join(" and ");
     let (text, remedy) = match finding.key.kind {
         FindingKind::SameNameSameAddress => (
             if finding.names.is_empty() {
@@ -139,7 +140,7 @@ pub(super) fn errors_at(address: Address, names: &[Name], heartbeat: bool) -> (S
 /// "FEED at address 12", or "the device at address 12".
 pub(super) fn who(address: Address, names: &[Name]) -> String {
     match names.first() {
-        Some(name) => format!("{name} at address {address}"),
+        Some(name) => format!("{} at address {address}", name.called()),
         None => format!("the device at address {address}"),
     }
 }

@@ -213,8 +213,8 @@ fn cell(
         C::Bus => (Role::Muted, buses(brush.app, row, width)),
         C::Address => (plain, addresses(brush.app, row)),
         C::Name => match &row.name {
-            Some(name) if row.twin => (plain, twin_name(&name.to_string(), width)),
-            Some(name) => (plain, name.to_string()),
+            Some(name) if row.twin => (plain, twin_name(&name.called().to_string(), width)),
+            Some(name) => (plain, name.called().to_string()),
             None => (Role::Muted, "?".to_owned()),
         },
         C::State => (state_role(row.state), row.state.word().to_owned()),

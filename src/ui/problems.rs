@@ -96,7 +96,7 @@ fn problem_line(brush: &Brush, problem: &Problem, list: Rect, selected: bool) ->
         spans.push(brush.span(plain, "muted · "));
     }
     spans.push(brush.span(plain, problem.headline()));
-    let names: Vec<String> = problem.names().iter().map(ToString::to_string).collect();
+    let names: Vec<String> = problem.names().iter().map(|it| it.called().to_string()).collect();
     if !names.is_empty() {
         spans.push(brush.span(Role::Muted, format!("  {}", names.join(", "))));
     }
@@ -246,7 +246,7 @@ impl Details<'_, '_> {
     fn concerned(&mut self) {
         let (app, problem) = (self.brush.app, &self.problem);
         let addresses: Vec<String> = problem.addresses().iter().map(ToString::to_string).collect();
-        let names: Vec<String> = problem.names().iter().map(ToString::to_string).collect();
+        let names: Vec<String> = problem.names().iter().map(|it| it.called().to_string()).collect();
         let bus = problem.bus().filter(|_| app.buses().len() > 1).and_then(|bus| app.bus(bus));
         let buses: Vec<String> = bus.iter().map(|bus| bus.name.clone()).collect();
         let mut seen = Vec::new();
