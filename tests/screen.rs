@@ -817,7 +817,10 @@ fn what_is_broken_takes_the_bus_too() {
         stage.app.handle_frames(at, &[stuff, passive]);
     }
     let screen = stage.wait_until(1.5).screen();
-    assert!(screen.contains("load  14%"), "{screen}");
+    assert!(screen.contains("load ≈14%"), "{screen}");
+    let status = BusStatus { link: Link::Up, bitrate: Some(125_000), ..BusStatus::default() };
+    stage.app.handle_bus(stage.app.now(), BusIndex(0), status);
+    assert!(stage.screen().contains("load  14%"), "{}", stage.screen());
 }
 
 #[test]

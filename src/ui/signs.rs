@@ -4,7 +4,7 @@ use crate::discovery::Confidence;
 use crate::theme::Role;
 
 /// The role, the sign as it is shown, and its meaning: for the help.
-pub const SIGNS: [(Role, &str, &str); 24] = [
+pub const SIGNS: [(Role, &str, &str); 25] = [
     (Role::Online, "● online", "its heartbeats come"),
     (Role::Stale, "◐ stale", "the last heartbeat is late"),
     (Role::Silent, "◌ silent", "frames come, but no heartbeats"),
@@ -30,6 +30,7 @@ pub const SIGNS: [(Role, &str, &str); 24] = [
         "≈ assumed",
         "service numbers and layouts are assumed: no --profile is given",
     ),
+    (Role::Text, "load ≈3%", "the bit rate is not known: reckoned with 125 kbit/s"),
     (Role::Warning, "listen-only, acks", "we send nothing, but the controller acknowledges frames"),
     (Role::Recording, "● rec 12 MB", "all frames are recorded: so much there is (--record)"),
     (Role::Warning, "HELD", "rows are held still, until the same key is pressed again"),

@@ -194,12 +194,16 @@ fn bus_parts(brush: &Brush, index: BusIndex) -> Parts {
     }
     parts.extend(warning(brush, bus));
     let load = bus.meter.last().load(bus.bits_per_second()) * 100.0;
+    let guess = if bus.status.bitrate.is_none() { ASSUMED } else { "" };
     let frames = bus.meter.last().frames;
     let errors = bus.engine.counters().errors;
     let lost = bus.lost();
     parts.push(vec![
         brush.span(Role::Muted, "load "),
-        brush.span(if load >= 80.0 { Role::Warning } else { Role::Text }, format!("{load:>3.0}% ")),
+        brush.span(
+            if load >= 80.0 { Role::Warning } else { Role::Text },
+            format!("{:>4} ", format!("{guess}{load:.0}%")),
+        ),
         brush.span(Role::Bar, sparkline(bus, if brush.screen.whole.width < 100 { 6 } else { 20 })),
     ]);
     parts.push(text(format!("{frames:>4} f/s")));
