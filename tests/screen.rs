@@ -1791,6 +1791,24 @@ fn long_names_give_way_to_the_state_of_the_file() {
     }
 }
 
+/// Frames lost, and what to do about a bus that is away, are seen whatever it is called.
+#[test]
+fn a_long_name_of_a_bus_gives_way_to_its_numbers_and_to_what_is_wrong_with_it() {
+    let mut stage = Stage::boiler();
+    let name = "udp:ff15:7079:7468:6f6e:6465:6d6f:6d63:6173";
+    stage.app.name_bus(BusIndex(0), name.to_owned());
+    let first = |stage: &Stage| stage.screen().lines().next().unwrap_or_default().to_owned();
+    let line = first(stage.until(9.0));
+    assert!(line.contains(":6173 "), "{line}");
+    assert!(line.contains("err 0") && line.contains("lost 0"), "{line}");
+    let message = Some("127.0.0.1:29536 refuses: is socketcand running there?".to_owned());
+    let status = BusStatus { link: Link::Down, message, ..BusStatus::default() };
+    stage.app.handle_bus(stage.app.now(), BusIndex(0), status);
+    let line = first(&stage);
+    assert!(line.ends_with("is socketcand running there?"), "{line}");
+    assert!(stage.size(120, 24).screen().contains(name), "{}", stage.screen());
+}
+
 /// The way out is not cut off where there are no more than 80 columns.
 #[test]
 fn the_way_out_is_read_to_its_end() {

@@ -241,7 +241,7 @@ fn a_server_that_is_not_there_is_waited_for() {
     drop(server);
     let mut bus = OpenBus::open(&spec);
     let message = bus.wait_for_link(Link::Down).message.unwrap();
-    assert!(message.contains(&format!("{address} refuses the connection")), "{message}");
+    assert!(message.contains(&format!("{address} refuses")), "{message}");
     let mut server = Server::at(&address.to_string()).expect("the same port");
     server.be_opened();
     bus.wait_for_link(Link::Up);
@@ -267,7 +267,7 @@ fn a_server_that_hangs_up_is_called_again() {
         let status = bus.wait_for_link(Link::Unplugged);
         assert_eq!((status.state, status.unconfirmed), (BusState::Down, 0));
         let message = status.message.unwrap();
-        assert!(message.contains("is gone: trying to get it back"), "{message}");
+        assert!(message.contains("calling it again"), "{message}");
         assert_eq!(bus.frames.len(), round);
         server.be_opened();
         bus.wait_for_link(Link::Up);
@@ -416,7 +416,7 @@ fn a_server_that_is_not_there_ends_a_scan_with_the_way_out() {
     let mut scan = Program::start(&["scan", &format!("socketcand://{address}/can0")]);
     let err = read(scan.0.stderr.as_mut().unwrap());
     assert_eq!(scan.0.wait().unwrap().code(), Some(3));
-    assert!(err.contains("refuses the connection: is socketcand running there"), "{err}");
+    assert!(err.contains("refuses: is socketcand running there"), "{err}");
 }
 
 #[test]

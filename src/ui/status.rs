@@ -52,6 +52,7 @@ pub fn draw(brush: &mut Brush) {
                     let more = format!("bus {} of {buses}", index + 1);
                     parts.insert(1, vec![brush.span(Role::Muted, more)]);
                 }
+                shorten_name(area, &mut parts);
                 pair(brush, area, row as u16, parts, Vec::new());
             }
             let mut left = file(brush, true);
@@ -94,6 +95,16 @@ fn make_room(area: Rect, left: &mut Parts, right: &mut Parts) {
     }
     let room = width.saturating_sub(beside + whole(right)).max(LEAST);
     part[0] = Span::styled(end_of(&part[0].content, room), part[0].style);
+}
+
+/// Where not all fit, the beginning of a long name of the bus gives way first.
+fn shorten_name(area: Rect, parts: &mut Parts) {
+    /// So much of the name tells it from others, beside what is said of it.
+    const LEAST: usize = 12;
+    let missing = (whole(parts).saturating_sub(2)).saturating_sub(usize::from(area.width));
+    let Some(name) = parts.first_mut().and_then(|part| part.first_mut()) else { return };
+    let room = name.width().saturating_sub(missing).max(LEAST);
+    *name = Span::styled(end_of(&name.content, room), name.style);
 }
 
 /// Draws parts from the left and others from the right. Where not all fit, those in the middle

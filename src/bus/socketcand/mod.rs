@@ -69,10 +69,9 @@ impl Server {
     fn cannot_connect(&self, error: &io::Error) -> Away {
         let name = self.name();
         let (link, message) = match error.kind() {
-            ErrorKind::ConnectionRefused => (
-                Link::Down,
-                format!("{name} refuses the connection: is socketcand running there (-i, -l)?"),
-            ),
+            ErrorKind::ConnectionRefused => {
+                (Link::Down, format!("{name} refuses: is socketcand running there?"))
+            }
             ErrorKind::TimedOut => {
                 (Link::Down, format!("{name} does not answer: is it switched on, and reachable?"))
             }
@@ -104,7 +103,7 @@ impl Endpoint for Server {
     }
 
     fn broken_off(&self) -> Away {
-        let message = format!("the connection to {} is gone: trying to get it back", self.name());
+        let message = format!("lost {}: calling it again", self.name());
         Away { link: Link::Unplugged, message }
     }
 
