@@ -15,7 +15,7 @@ use crate::document::Entry;
 use crate::frame::BusIndex;
 use crate::text::Name;
 use crate::wire::id::Address;
-use std::cmp::Reverse;
+use std::cmp::{Ordering, Reverse};
 
 impl App {
     /// Builds the rows anew after something changed; the selection stays on its device.
@@ -188,7 +188,7 @@ impl App {
     fn count(&self, rows: &[Row]) -> Counts {
         let with =
             |state: &dyn Fn(State) -> bool| rows.iter().filter(|row| state(row.state)).count();
-        let problems = self.problems();
+        let problems = self.problems_unsorted();
         let sure = |confidence| {
             problems.iter().filter(|it| it.counts() && it.confidence() == confidence).count()
         };
@@ -210,11 +210,9 @@ impl App {
 
     fn sort(&self, rows: &mut [Row]) {
         rows.sort_by(|a, b| {
-            let name = |row: &Row| (row.name.is_none(), row.name.clone());
             let seen = |row: &Row| Reverse(self.device_of(row).map(|device| device.first_seen));
-            let place = |row: &Row| (row.bus, row.address, row.name.clone());
             match self.view.sort {
-                SortBy::Address => std::cmp::Ordering::Equal,
+                SortBy::Address => Ordering::Equal,
                 SortBy::Name => name(a).cmp(&name(b)),
                 SortBy::State => {
                     let urgency =
@@ -226,6 +224,16 @@ impl App {
             .then_with(|| place(a).cmp(&place(b)))
         });
     }
+}
+
+/// By name, those without one last.
+fn name(row: &Row) -> impl Ord {
+    (row.name.is_none(), row.name.as_ref())
+}
+
+/// By where it is.
+fn place(row: &Row) -> impl Ord {
+    (row.bus, row.address, row.name.as_ref())
 }
 
 /// Whether a finding of its bus is about this device.

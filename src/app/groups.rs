@@ -258,6 +258,19 @@ impl App {
     /// All that is wrong or was, what matters most first, cleared things last, and behind them
     /// what is muted. While the screen is held, rows stay where they are and new ones come last.
     pub fn problems(&self) -> Vec<Problem<'_>> {
+        let mut problems = self.problems_unsorted();
+        problems.sort_by_cached_key(Problem::rank);
+        if self.view.frozen.is_some() {
+            problems.sort_by_cached_key(|problem| {
+                let place = self.problem_order.iter().position(|key| *key == problem.key);
+                place.unwrap_or(usize::MAX)
+            });
+        }
+        problems
+    }
+
+    /// The same in any order.
+    pub(super) fn problems_unsorted(&self) -> Vec<Problem<'_>> {
         let mut groups: BTreeMap<ProblemKey, Vec<&Finding>> = BTreeMap::new();
         for finding in self.findings() {
             groups.entry(ProblemKey::of(&finding.key)).or_default().push(finding);
@@ -268,13 +281,6 @@ impl App {
                 (Reverse(it.confidence), Reverse(it.key.kind.weight()), it.key.kind)
             });
             problems.push(Problem { is_muted: self.muted.contains(&key), key, findings });
-        }
-        problems.sort_by_cached_key(Problem::rank);
-        if self.view.frozen.is_some() {
-            problems.sort_by_cached_key(|problem| {
-                let place = self.problem_order.iter().position(|key| *key == problem.key);
-                place.unwrap_or(usize::MAX)
-            });
         }
         problems
     }

@@ -71,7 +71,7 @@ pub use traffic::{Decoded, clock, clock_millis, hex};
 pub use view::View;
 pub use why::spell;
 
-use crate::discovery::{Config, DeviceId, Finding, FindingKey, OwnAddress};
+use crate::discovery::{Config, DeviceId, Finding, OwnAddress};
 use crate::document::{Document, Entry};
 use crate::frame::{BusIndex, Frame};
 use crate::keymap::{Key, Keymap, Mode};
@@ -79,7 +79,7 @@ use crate::speed::{Outcome, Progress};
 use crate::status::{BusStatus, Playback, PlaybackCommand, RecordingStatus};
 use crate::time::{Duration, Epoch, Instant};
 use crate::wire::id::Address;
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::{BTreeSet, VecDeque};
 use std::path::PathBuf;
 use traffic::Matches;
 
@@ -210,7 +210,7 @@ pub struct App {
     matching: Matching,
     file_findings: Vec<Finding>,
     /// Which entry such a finding is about.
-    entries_of_findings: BTreeMap<FindingKey, usize>,
+    entries_of_findings: Vec<Option<usize>>,
     /// The problems that are not to count, for as long as the program runs.
     muted: BTreeSet<ProblemKey>,
     /// All problems in the order in which they were shown last.
@@ -281,7 +281,7 @@ impl App {
             copied: None,
             gave_up_edits: false,
             file_findings: Vec::new(),
-            entries_of_findings: BTreeMap::new(),
+            entries_of_findings: Vec::new(),
             muted: BTreeSet::new(),
             problem_order: Vec::new(),
             rows: Vec::new(),

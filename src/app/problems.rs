@@ -12,7 +12,7 @@ use crate::text::{Called, Escaped, Name};
 use crate::time::Instant;
 use crate::wire::id::Address;
 use crate::wire::node::Uid;
-use std::collections::BTreeMap;
+use std::collections::HashMap;
 
 /// How much is compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -61,8 +61,7 @@ impl App {
     }
 
     fn comparison(&self, now: Instant, scope: Scope) -> Comparison<'_> {
-        let entries = BTreeMap::new();
-        let mut comparison = Comparison { app: self, now, found: Vec::new(), entries };
+        let mut comparison = Comparison { app: self, now, found: Vec::new(), entries: Vec::new() };
         if !self.file.is_there() {
             return comparison;
         }
@@ -78,7 +77,8 @@ impl App {
 
     /// The place of the entry that a finding of comparing file and bus is about.
     pub(super) fn entry_of_finding(&self, key: &FindingKey) -> Option<usize> {
-        self.entries_of_findings.get(key).copied()
+        let at = self.file_findings.iter().position(|finding| finding.key == *key)?;
+        self.entries_of_findings[at]
     }
 
     /// Compares anew; what was found before keeps its time.
@@ -86,7 +86,7 @@ impl App {
         self.matching = Matching::new(self.file.document().entries(), &self.buses);
         let Comparison { mut found, entries, .. } = self.comparison(now, Scope::Screen);
         self.entries_of_findings = entries;
-        let known: BTreeMap<&FindingKey, &Finding> =
+        let known: HashMap<&FindingKey, &Finding> =
             self.file_findings.iter().map(|finding| (&finding.key, finding)).collect();
         for finding in &mut found {
             if let Some(old) = known.get(&finding.key) {
@@ -105,8 +105,8 @@ struct Comparison<'a> {
     app: &'a App,
     now: Instant,
     found: Vec<Finding>,
-    /// The places of the entries that they are about: of a name there may be several.
-    entries: BTreeMap<FindingKey, usize>,
+    /// The places of the entries that they are about, in the same order.
+    entries: Vec<Option<usize>>,
 }
 
 impl Comparison<'_> {
@@ -270,8 +270,8 @@ impl Comparison<'_> {
 
     /// What was added last is about this entry.
     fn is_about(&mut self, entry: Option<usize>) {
-        if let (Some(added), Some(entry)) = (self.found.last(), entry) {
-            self.entries.entry(added.key.clone()).or_insert(entry);
+        if let Some(last) = self.entries.last_mut() {
+            *last = entry;
         }
     }
 
@@ -290,6 +290,7 @@ impl Comparison<'_> {
         finding.text = text;
         finding.remedy = remedy;
         self.found.push(finding);
+        self.entries.push(None);
     }
 }
 
