@@ -76,6 +76,18 @@ impl fmt::Display for BusState {
     }
 }
 
+/// Whether the bit rate of a bus can be looked for while it is open.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum RateSearch {
+    /// It can, beside whoever listens.
+    #[default]
+    Possible,
+    /// There is none that could be set from here: a virtual bus, another host's, a log.
+    NoRate,
+    /// Only where it is not open: an adapter that is ours alone.
+    WhenClosed,
+}
+
 /// How a bus is. Counters count from the opening of the port.
 #[derive(Clone, Debug, PartialEq, Eq, Default)]
 pub struct BusStatus {
@@ -85,9 +97,8 @@ pub struct BusStatus {
     pub state: BusState,
     /// Bit/s; FD: of the arbitration phase.
     pub bitrate: Option<u32>,
-    /// Whether there is no bit rate that could be set from here: a virtual bus, another host's,
-    /// a log.
-    pub has_no_own_rate: bool,
+    /// Whether another bit rate can be looked for while it is open.
+    pub rate_search: RateSearch,
     /// Bit/s of the FD data phase.
     pub data_bitrate: Option<u32>,
     /// The transmit error counter.

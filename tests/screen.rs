@@ -11,7 +11,9 @@ use descan::discovery::Config;
 use descan::frame::{BusIndex, CanId, Frame};
 use descan::keymap::Key;
 use descan::sim::{Action, Scenario, Sim, Station};
-use descan::status::{BusState, BusStatus, Link, Playback, PlaybackCommand, RecordingStatus};
+use descan::status::{
+    BusState, BusStatus, Link, Playback, PlaybackCommand, RateSearch, RecordingStatus,
+};
 use descan::theme::{BUILT_IN, Role, Theme};
 use descan::time::{Duration, Instant};
 use descan::ui;
@@ -1248,10 +1250,16 @@ fn where_nobody_acknowledges_no_other_bit_rate_is_offered() {
 #[test]
 fn a_bus_without_a_rate_of_its_own_is_not_asked_about() {
     let mut stage = Stage::boiler();
-    let status = BusStatus { link: Link::Up, has_no_own_rate: true, ..BusStatus::default() };
-    stage.app.handle_bus(Instant::ZERO, BusIndex(0), status);
-    let screen = stage.keys("b").screen();
-    assert!(screen.contains("can0 has no bit rate that could be set from here"), "{screen}");
+    stage.app.name_bus(BusIndex(0), "slcan:/dev/ttyACM0@125000".to_owned());
+    for (rate_search, refusal) in [
+        (RateSearch::NoRate, "ttyACM0@125000 has no bit rate that could be set from here"),
+        (RateSearch::WhenClosed, " end descan, then: descan speed slcan:/dev/ttyACM0\n"),
+    ] {
+        let status = BusStatus { link: Link::Up, rate_search, ..BusStatus::default() };
+        stage.app.handle_bus(Instant::ZERO, BusIndex(0), status);
+        let screen = stage.keys("b").screen() + "\n";
+        assert!(screen.contains(refusal), "{screen}");
+    }
     assert!(!stage.effects.contains(&Effect::FindBitrate(BusIndex(0))));
 }
 

@@ -6,6 +6,7 @@ use super::timeline::{Entry, Kind};
 use super::{App, Effect, Overlay, Question};
 use crate::frame::BusIndex;
 use crate::speed::{Outcome, Progress, kbit};
+use crate::status::RateSearch;
 
 impl App {
     /// Command: ask whether to look for the bit rate of the selected row's bus, or of the one where
@@ -22,9 +23,19 @@ impl App {
         let Some(there) = self.bus(bus) else {
             return self.complain("there is no bus");
         };
-        if there.status.has_no_own_rate {
-            let name = there.name.clone();
-            return self.complain(format!("{name} has no bit rate that could be set from here"));
+        let name = &there.name;
+        let refusal = match there.status.rate_search {
+            RateSearch::Possible => None,
+            RateSearch::NoRate => {
+                Some(format!("{name} has no bit rate that could be set from here"))
+            }
+            RateSearch::WhenClosed => {
+                let adapter = name.split_once('@').map_or(&**name, |(adapter, _)| adapter);
+                Some(format!("end descan, then: descan speed {adapter}"))
+            }
+        };
+        if let Some(refusal) = refusal {
+            return self.complain(refusal);
         }
         self.overlay = Overlay::Question(Question::FindBitrate(bus));
         self.dirty = true;

@@ -10,7 +10,7 @@ use super::clock::Clock;
 use super::log::LogReader;
 use super::port::{Line, Port};
 use crate::frame::{BusIndex, Frame};
-use crate::status::Link;
+use crate::status::{Link, RateSearch};
 use crate::time::{Duration, Instant};
 use std::fs::{self, File, Metadata};
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
@@ -45,7 +45,7 @@ pub(super) fn open(
     let line = Arc::new(Line::new()?);
     line.queue.update_status(|status| {
         status.link = Link::Up;
-        status.has_no_own_rate = true;
+        status.rate_search = RateSearch::NoRate;
         status.listen_only = true;
     });
     let metadata = log.metadata()?;

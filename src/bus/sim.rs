@@ -6,7 +6,7 @@ use super::clock::Clock;
 use super::port::{Line, Port};
 use crate::frame::{BusIndex, Frame};
 use crate::sim::{self, Scenario, Sim, Station};
-use crate::status::{BusState, Link};
+use crate::status::{BusState, Link, RateSearch};
 use crate::time::Duration;
 use std::io;
 use std::sync::Arc;
@@ -30,7 +30,7 @@ pub(super) fn open(
     let mut port = Port::new(name, Arc::clone(&line), listen_only);
     line.queue.update_status(|status| {
         status.link = Link::Up;
-        status.has_no_own_rate = true;
+        status.rate_search = RateSearch::NoRate;
         status.bitrate = Some(scenario.bitrate);
     });
     port.serve(move |line| run(&mut sim, station, line, index, &clock))?;

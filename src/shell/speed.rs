@@ -128,10 +128,6 @@ impl Searching {
         let spec = name.parse::<BusSpec>();
         let task = tokio::spawn(async move {
             let result = match spec {
-                Ok(BusSpec::Slcan { device, .. }) => Err(format!(
-                    "end descan first, the adapter is in use: descan speed slcan:{}",
-                    device.display()
-                )),
                 Ok(bus) => {
                     let plan = Plan { first: None, manner: Manner::Listening, period };
                     let report = find(&bus, plan, |progress| {

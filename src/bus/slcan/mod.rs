@@ -14,7 +14,7 @@ use super::port::Port;
 use super::remote::Backoff;
 use super::remote::stream::{self, Away, Endpoint};
 use crate::frame::BusIndex;
-use crate::status::{BusStatus, Link};
+use crate::status::{BusStatus, Link, RateSearch};
 use dialogue::{Settings, Slcan};
 use nix::errno::Errno;
 use nix::fcntl::{Flock, FlockArg, OFlag};
@@ -44,7 +44,12 @@ pub(super) fn open(
 ) -> io::Result<Port> {
     let settings = Settings { bitrate, data_bitrate, listen_only: options.listen_only };
     let dialogue = Slcan::new(&device.to_string_lossy(), settings);
-    let status = BusStatus { bitrate, listen_only: options.listen_only, ..BusStatus::default() };
+    let status = BusStatus {
+        bitrate,
+        rate_search: RateSearch::WhenClosed,
+        listen_only: options.listen_only,
+        ..BusStatus::default()
+    };
     let backoff = Backoff::new(LOOK_EVERY, LOOK_EVERY);
     let serial_port = SerialPort { device: device.to_owned() };
     stream::open(name, (serial_port, dialogue), (status, backoff), (index, clock, options))
@@ -95,8 +100,7 @@ impl Endpoint for SerialPort {
     }
 
     fn broken_off(&self) -> Away {
-        let message =
-            format!("{} is gone: waiting for it to be plugged in again", self.device.display());
+        let message = format!("{} is gone: plug it in again", self.device.display());
         Away { link: Link::Unplugged, message }
     }
 

@@ -16,7 +16,7 @@ use super::clock::{Clock, Dating};
 use super::port::{Line, Port};
 use crate::error_report::ErrorReport;
 use crate::frame::{BusIndex, Frame, IdPattern};
-use crate::status::{BusState, BusStatus, Link};
+use crate::status::{BusState, BusStatus, Link, RateSearch};
 use crate::time::Instant;
 use facts::{Facts, advice_missing, is_can};
 use nix::errno::Errno;
@@ -181,7 +181,7 @@ impl BusStatus {
         let facts = facts.clone();
         self.state = facts.state;
         self.bitrate = facts.bitrate;
-        self.has_no_own_rate = facts.is_virtual;
+        self.rate_search = if facts.is_virtual { RateSearch::NoRate } else { RateSearch::Possible };
         self.data_bitrate = facts.data_bitrate;
         self.tec = facts.tec;
         self.rec = facts.rec;
@@ -244,10 +244,9 @@ impl Reader {
                 Ok(socket) => Ok((ifindex, socket)),
                 Err(error) => Err(self.cannot_open(&error)),
             },
-            Err(_) if self.was_there => Err((
-                Link::Unplugged,
-                format!("{name} is gone: waiting for it to be plugged in again"),
-            )),
+            Err(_) if self.was_there => {
+                Err((Link::Unplugged, format!("{name} is gone: plug it in again")))
+            }
             Err(_) => Err((Link::Missing, advice_missing(name))),
         };
         match opened {

@@ -13,7 +13,7 @@ use super::port::Port;
 use super::remote::Backoff;
 use super::remote::stream::{self, Away, Endpoint};
 use crate::frame::BusIndex;
-use crate::status::{BusStatus, Link};
+use crate::status::{BusStatus, Link, RateSearch};
 use dialogue::Socketcand;
 use nix::sys::socket::{setsockopt, sockopt};
 use std::io::{self, ErrorKind};
@@ -40,7 +40,7 @@ pub(super) fn open(
     let server = Server { host: host.to_owned(), port: port.unwrap_or(USUAL_PORT) };
     let dialogue = Socketcand::new(&server.name(), interface);
     let backoff = Backoff::new(FIRST_PAUSE, LONGEST_PAUSE);
-    let status = BusStatus { has_no_own_rate: true, ..BusStatus::default() };
+    let status = BusStatus { rate_search: RateSearch::NoRate, ..BusStatus::default() };
     stream::open(name, (server, dialogue), (status, backoff), (index, clock, options))
 }
 

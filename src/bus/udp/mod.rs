@@ -11,7 +11,7 @@ use super::clock::{Clock, Dating};
 use super::port::{Line, Port};
 use super::remote::{Backoff, Delivery};
 use crate::frame::{BusIndex, Frame};
-use crate::status::{BusStatus, Link};
+use crate::status::{BusStatus, Link, RateSearch};
 use nix::errno::Errno;
 use sockets::{Group, Received, Sockets};
 use std::io::{self, ErrorKind};
@@ -48,7 +48,7 @@ pub(super) fn open(
         line: Arc::clone(&line),
         dating: Dating::new(clock.clone()),
         clock,
-        status: BusStatus { fd: true, has_no_own_rate: true, ..BusStatus::default() },
+        status: BusStatus { fd: true, rate_search: RateSearch::NoRate, ..BusStatus::default() },
         drops_before: 0,
         was_there: false,
     };
