@@ -203,7 +203,7 @@ fn bus_parts(brush: &Brush, index: BusIndex) -> Parts {
         parts.push(vec![brush.span(Role::Error, message)]);
         return parts;
     }
-    parts.extend(warning(brush, bus));
+    parts.extend(warning(brush, bus).filter(|_| !is_searched));
     let load = bus.meter.last().load(bus.bits_per_second()) * 100.0;
     let guess = if bus.status.bitrate.is_none() { ASSUMED } else { "" };
     let frames = bus.meter.last().frames;
