@@ -572,7 +572,7 @@ fn a_wrong_value_leads_to_its_row() {
         let said = "line 3, column 37: `address` is there twice: remove one of them first";
         assert!(screen.contains(said), "{screen}");
     }
-    stage.write(&file).size(120, 40);
+    stage.write(&file).size(120, 40).wait_until(60.0);
     // What is no entry has no row.
     stage.keys("4 g j");
     assert!(stage.screen().contains("has no `name`"), "{}", stage.screen());

@@ -64,7 +64,7 @@ impl App {
     }
 
     /// Command: take all devices that are there into the file, and where it lists other services than
-    /// they have, theirs.
+    /// they have, theirs. Entries that cannot be edited are left, and that is said.
     pub fn add_all(&mut self, _now: Instant) {
         if !self.may_edit() {
             return;
@@ -79,9 +79,16 @@ impl App {
             entry.is_none_or(|entry| entry.listed_services().is_some())
         });
         wanted.sort_by_key(|device| (device.id.bus, device.address));
-        let operations: Vec<Operation> =
-            wanted.into_iter().filter_map(|device| self.taking(device)).collect();
+        let (mut operations, mut refused) = (Vec::new(), Vec::new());
+        for device in wanted {
+            let Some(operation) = self.taking(device) else { continue };
+            match self.file.check_edit(self.matching.entry_of(device.id)) {
+                Ok(()) => operations.push(operation),
+                Err(refusal) => refused.push(refusal.to_string()),
+            }
+        }
         match operations.len() {
+            0 if !refused.is_empty() => {}
             0 if left.is_empty() => {
                 self.say_of_file("every device with a known name is listed already, as it is");
             }
@@ -92,6 +99,9 @@ impl App {
                 ));
             }
             _ => self.edit(&operations),
+        }
+        if let Some(refusal) = refused.first() {
+            self.complain_of_file(format!("{} left: {refusal}", refused.len()));
         }
     }
 
@@ -168,6 +178,9 @@ impl App {
 
     /// Shows both values; a line being typed waits until that is decided.
     pub(super) fn show_conflict(&mut self) {
+        if !matches!(self.overlay, Overlay::Conflict) {
+            self.note_choice();
+        }
         if let Overlay::Prompt(prompt) = std::mem::replace(&mut self.overlay, Overlay::Conflict) {
             self.set_aside = Some(prompt);
         }
@@ -202,6 +215,8 @@ impl App {
         *(if ours { &mut kept } else { &mut given_up }) += 1;
         let change = self.file.resolve(ours);
         self.file_changed(change);
+        // Who chooses already knows the page.
+        self.ahead = None;
         if self.file.conflict().is_none() {
             let whose = match (kept, given_up) {
                 (1, 0) => "our value was kept".to_owned(),

@@ -25,6 +25,7 @@
 //! prompt    lines being typed                navigate the commands that only look
 //! ```
 
+mod ahead;
 mod bitrate;
 mod buses;
 mod capture;
@@ -227,6 +228,7 @@ pub struct App {
     siblings: siblings::Siblings,
     /// The bus whose bit rate is being looked for.
     searched: Option<BusIndex>,
+    ahead: Option<ahead::Ahead>,
     keymap: Keymap,
     theme: String,
     themes: Vec<String>,
@@ -294,6 +296,7 @@ impl App {
             playback: None,
             siblings: siblings::Siblings::default(),
             searched: None,
+            ahead: None,
             keymap: options.keymap,
             theme: options.theme,
             themes: options.themes,
@@ -409,6 +412,9 @@ impl App {
     /// Takes a key: a prompt's, or an action's.
     pub fn handle_key(&mut self, now: Instant, key: Key) {
         self.now = self.now.max(now);
+        if self.is_typed_ahead(key) {
+            return;
+        }
         self.dirty = true;
         self.message = None;
         self.catch_up();
@@ -416,6 +422,7 @@ impl App {
             self.type_key(now, key);
         } else if let Some(action) = self.keymap.lookup(self.mode(), key) {
             (action.run)(self, now);
+            self.note_refused_line(action);
         }
     }
 

@@ -2,7 +2,7 @@
 
 #![allow(dead_code)]
 
-use descan::app::{App, AppOptions, Effect, FileReading, SaveOutcome};
+use descan::app::{App, AppOptions, Effect, FileReading, Overlay, SaveOutcome};
 use descan::discovery::Config;
 use descan::document::Document;
 use descan::frame::BusIndex;
@@ -187,8 +187,12 @@ impl Stage {
         self.finish_saves()
     }
 
-    /// Presses keys, written as in keys.toml, with blanks between.
+    /// Presses keys, written as in keys.toml, with blanks between; where there is something to
+    /// choose, after reading it.
     pub fn keys(&mut self, keys: &str) -> &mut Self {
+        if matches!(self.app.overlay(), Overlay::Conflict) {
+            self.until(self.app.now().as_micros() as f64 / 1e6 + 1.0);
+        }
         for text in keys.split_whitespace() {
             let key = Key::parse(text).unwrap_or_else(|| panic!("{text} is no key"));
             self.app.handle_key(self.app.now(), key);
