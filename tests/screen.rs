@@ -1816,6 +1816,15 @@ fn a_long_name_of_a_bus_gives_way_to_its_numbers_and_to_what_is_wrong_with_it() 
     let line = first(&stage);
     assert!(line.ends_with("is socketcand running there?"), "{line}");
     assert!(stage.size(120, 24).screen().contains(name), "{}", stage.screen());
+
+    stage.app.name_bus(BusIndex(0), "can0".to_owned());
+    let way_out = "check wiring, then sudo ip link set can0 type can restart";
+    let (state, message) = (BusState::BusOff, Some(format!("can0 is bus-off: {way_out}")));
+    let bitrate = Some(250_000);
+    let status = BusStatus { link: Link::Up, state, bitrate, message, ..BusStatus::default() };
+    stage.app.handle_bus(stage.app.now(), BusIndex(0), status);
+    let line = first(stage.size(80, 24));
+    assert!(line.ends_with(way_out) && line.contains("BUS-OFF"), "{line}");
 }
 
 /// The way out is not cut off where there are no more than 80 columns.

@@ -524,7 +524,12 @@ fn a_controller_that_leaves_the_bus_and_comes_back_is_told() {
     let status = bus.status();
     assert_eq!(status.link, Link::Up);
     let message = status.message.unwrap();
-    assert!(message.contains("leaves0 is bus-off: check wiring and bit rate"), "{message}");
+    assert!(
+        message.contains(
+            "leaves0 is bus-off: check wiring, then sudo ip link set leaves0 type can restart"
+        ),
+        "{message}"
+    );
     bus.wait_until("its error frame", |bus| {
         let reports = bus.frames.iter().filter_map(ErrorReport::of);
         reports.filter(ErrorReport::is_bus_off).count() == 1

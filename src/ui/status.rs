@@ -199,6 +199,9 @@ fn bus_parts(brush: &Brush, index: BusIndex) -> Parts {
     let is_searched = brush.app.searches_bitrate_of(index);
     let message = bus.status.message.as_ref().filter(|_| !bus.is_up() && !is_searched);
     if let Some(message) = message {
+        // That is said before it already.
+        let known = format!("{} is bus-off: ", bus.name);
+        let message = message.strip_prefix(&*known).unwrap_or(message);
         let message = crate::text::Escaped(message.as_bytes()).to_string();
         parts.push(vec![brush.span(Role::Error, message)]);
         return parts;

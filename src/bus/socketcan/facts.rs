@@ -125,7 +125,7 @@ impl Facts {
             _ if !self.up => Some(advice_down(name, self.bitrate)),
             BusState::BusOff => Some(match self.restart_ms {
                 Some(0) | None => format!(
-                    "{name} is bus-off: check wiring and bit rate, then sudo ip link set {name} \
+                    "{name} is bus-off: check wiring, then sudo ip link set {name} \
                      type can restart"
                 ),
                 Some(millis) => format!(
