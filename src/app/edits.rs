@@ -187,6 +187,7 @@ impl App {
     }
 
     fn leave_conflict(&mut self) {
+        self.ahead = None;
         self.overlay = self.set_aside.take().map_or(Overlay::None, Overlay::Prompt);
     }
 
