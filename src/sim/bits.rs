@@ -30,8 +30,7 @@ impl FrameBits {
         if frame.kind == FrameKind::Error {
             return Self::default();
         }
-        let content = Content::of(frame);
-        if frame.fd { content.fd_length(frame) } else { content.classic_length() }
+        if frame.fd { Content::of(frame).fd_length(frame) } else { classic_length(frame) }
     }
 
     /// All bits, whatever their rate.
@@ -142,13 +141,6 @@ impl Content {
         self.bytes[at / 8] >> (7 - at % 8) & 1
     }
 
-    fn classic_length(mut self) -> FrameBits {
-        let crc = self.crc15();
-        self.push(u32::from(crc), 15);
-        let (stuffing, _) = self.stuff_bits(self.len);
-        FrameBits { nominal: self.len as u32 + stuffing + TAIL, data: 0 }
-    }
-
     fn fd_length(&self, frame: &Frame) -> FrameBits {
         // Fixed stuff bits make this part's length independent of its value: four bits of stuff
         // count and the CRC, one stuff bit before each four of them.
@@ -165,30 +157,16 @@ impl Content {
         FrameBits { nominal, data: everything - nominal }
     }
 
-    fn crc15(&self) -> u16 {
-        let whole = self.len / 8;
-        let mut crc = 0;
-        for &byte in &self.bytes[..whole] {
-            let index = (crc >> 7) ^ u16::from(byte);
-            crc = (crc << 8 ^ CRC15[usize::from(index & 0xFF)]) & 0x7FFF;
-        }
-        for at in whole * 8..self.len {
-            crc = crc15_bit(crc, u16::from(self.bit(at)));
-        }
-        crc
-    }
-
     /// How many stuff bits the first `len` bits need, and whether one follows the last of them.
     fn stuff_bits(&self, len: usize) -> (u32, bool) {
         let (mut state, mut count, mut last) = (0u8, 0, false);
-        let body = len.saturating_sub(1) / 4 * 4;
-        for at in (0..body).step_by(4) {
-            let nibble = self.bytes[at / 8] >> (4 - at % 8) & 0x0F;
-            let (next, stuffed) = STUFFING[usize::from(state)][usize::from(nibble)];
+        let body = len.saturating_sub(1) / 8;
+        for &byte in &self.bytes[..body] {
+            let (next, stuffed) = STUFFING[usize::from(state)][usize::from(byte)];
             state = next;
             count += u32::from(stuffed);
         }
-        for at in body..len {
+        for at in body * 8..len {
             (state, last) = stuff_bit(state, self.bit(at));
             count += u32::from(last);
         }
@@ -210,6 +188,40 @@ impl Content {
             Some(bit)
         })
     }
+}
+
+/// The length of a frame that is not FD: what there is most of, so in one register.
+fn classic_length(frame: &Frame) -> FrameBits {
+    let (header, header_len) = match frame.id {
+        // Identifier, RTR, IDE, one reserved bit.
+        CanId::Standard(_) => (arbitration_field(frame) >> 20 << 2, 1 + 11 + 3),
+        // Base identifier, SRR, IDE, the rest of it, RTR, two reserved bits.
+        CanId::Extended(_) => (arbitration_field(frame), 1 + 11 + 2 + 18 + 1 + 2),
+    };
+    let reserved = if matches!(frame.id, CanId::Extended(_)) { 2 } else { 0 };
+    let mut bits = u128::from(header) << (reserved + 4) | u128::from(dlc(frame.len()));
+    let mut len: usize = header_len + 4;
+    for &byte in frame.data() {
+        bits = bits << 8 | u128::from(byte);
+        len += 8;
+    }
+    // Leading zeros change nothing of a CRC that begins with 0.
+    let crc = bits.to_be_bytes()[16 - len.div_ceil(8)..].iter().fold(0, |crc, &byte| {
+        let index = (crc >> 7) ^ u16::from(byte);
+        (crc << 8 ^ CRC15[usize::from(index & 0xFF)]) & 0x7FFF
+    });
+    bits = bits << 15 | u128::from(crc);
+    len += 15;
+    // Behind the end bits that take turns: they need no stuffing.
+    let behind = if bits & 1 == 0 { 0xAA } else { 0x55 };
+    bits = (bits << 8 | behind) << (128 - 8 - len);
+    let (mut state, mut stuffing) = (0, 0);
+    for &byte in &bits.to_be_bytes()[..len.div_ceil(8)] {
+        let (next, stuffed) = STUFFING[usize::from(state)][usize::from(byte)];
+        state = next;
+        stuffing += u32::from(stuffed);
+    }
+    FrameBits { nominal: len as u32 + stuffing + TAIL, data: 0 }
 }
 
 /// The data length code of `len` bytes.
@@ -265,22 +277,22 @@ const fn stuff_bit(state: u8, bit: u8) -> (u8, bool) {
     }
 }
 
-/// [`stuff_bit`] four bits at a time: the state after them and how many stuff bits came.
-static STUFFING: [[(u8, u8); 16]; 9] = {
-    let mut table = [[(0, 0); 16]; 9];
+/// [`stuff_bit`] eight bits at a time: the state after them and how many stuff bits came.
+static STUFFING: [[(u8, u8); 256]; 9] = {
+    let mut table = [[(0, 0); 256]; 9];
     let mut state = 0;
     while state < 9 {
-        let mut nibble = 0;
-        while nibble < 16 {
-            let (mut now, mut count, mut bit) = (state as u8, 0, 4);
+        let mut byte = 0;
+        while byte < 256 {
+            let (mut now, mut count, mut bit) = (state as u8, 0, 8);
             while bit > 0 {
                 bit -= 1;
-                let (next, stuffed) = stuff_bit(now, (nibble >> bit & 1) as u8);
+                let (next, stuffed) = stuff_bit(now, (byte >> bit & 1) as u8);
                 now = next;
                 count += stuffed as u8;
             }
-            table[state][nibble] = (now, count);
-            nibble += 1;
+            table[state][byte] = (now, count);
+            byte += 1;
         }
         state += 1;
     }
