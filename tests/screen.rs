@@ -1819,9 +1819,13 @@ fn a_long_name_of_a_bus_gives_way_to_its_numbers_and_to_what_is_wrong_with_it() 
 
     stage.app.name_bus(BusIndex(0), "can0".to_owned());
     let way_out = "check wiring, then sudo ip link set can0 type can restart";
-    let (state, message) = (BusState::BusOff, Some(format!("can0 is bus-off: {way_out}")));
-    let bitrate = Some(250_000);
-    let status = BusStatus { link: Link::Up, state, bitrate, message, ..BusStatus::default() };
+    let status = BusStatus {
+        link: Link::Up,
+        state: BusState::BusOff,
+        bitrate: Some(250_000),
+        message: Some(format!("can0 is bus-off: {way_out}")),
+        ..BusStatus::default()
+    };
     stage.app.handle_bus(stage.app.now(), BusIndex(0), status);
     let line = first(stage.size(80, 24));
     assert!(line.ends_with(way_out) && line.contains("BUS-OFF"), "{line}");
