@@ -159,13 +159,8 @@ impl Content {
 
     /// How many stuff bits the first `len` bits need, and whether one follows the last of them.
     fn stuff_bits(&self, len: usize) -> (u32, bool) {
-        let (mut state, mut count, mut last) = (0u8, 0, false);
         let body = len.saturating_sub(1) / 8;
-        for &byte in &self.bytes[..body] {
-            let (next, stuffed) = STUFFING[usize::from(state)][usize::from(byte)];
-            state = next;
-            count += u32::from(stuffed);
-        }
+        let ((mut state, mut count), mut last) = (stuff_bytes(&self.bytes[..body]), false);
         for at in body * 8..len {
             (state, last) = stuff_bit(state, self.bit(at));
             count += u32::from(last);
@@ -192,16 +187,16 @@ impl Content {
 
 /// The length of a frame that is not FD: what there is most of, so in one register.
 fn classic_length(frame: &Frame) -> FrameBits {
+    let arbitration = u128::from(arbitration_field(frame));
     let (header, header_len) = match frame.id {
         // Identifier, RTR, IDE, one reserved bit.
-        CanId::Standard(_) => (arbitration_field(frame) >> 20 << 2, 1 + 11 + 3),
+        CanId::Standard(_) => (arbitration >> 20 << 2, 1 + 11 + 3),
         // Base identifier, SRR, IDE, the rest of it, RTR, two reserved bits.
-        CanId::Extended(_) => (arbitration_field(frame), 1 + 11 + 2 + 18 + 1 + 2),
+        CanId::Extended(_) => (arbitration << 2, 1 + 11 + 2 + 18 + 1 + 2),
     };
-    let reserved = if matches!(frame.id, CanId::Extended(_)) { 2 } else { 0 };
-    let mut bits = u128::from(header) << (reserved + 4) | u128::from(dlc(frame.len()));
+    let mut bits = header << 4 | u128::from(dlc(frame.len()));
     let mut len: usize = header_len + 4;
-    for &byte in frame.data() {
+    for &byte in frame.data().iter().take(Frame::MAX_CLASSIC_DATA) {
         bits = bits << 8 | u128::from(byte);
         len += 8;
     }
@@ -215,12 +210,7 @@ fn classic_length(frame: &Frame) -> FrameBits {
     // Behind the end bits that take turns: they need no stuffing.
     let behind = if bits & 1 == 0 { 0xAA } else { 0x55 };
     bits = (bits << 8 | behind) << (128 - 8 - len);
-    let (mut state, mut stuffing) = (0, 0);
-    for &byte in &bits.to_be_bytes()[..len.div_ceil(8)] {
-        let (next, stuffed) = STUFFING[usize::from(state)][usize::from(byte)];
-        state = next;
-        stuffing += u32::from(stuffed);
-    }
+    let (_, stuffing) = stuff_bytes(&bits.to_be_bytes()[..len.div_ceil(8)]);
     FrameBits { nominal: len as u32 + stuffing + TAIL, data: 0 }
 }
 
@@ -275,6 +265,14 @@ const fn stuff_bit(state: u8, bit: u8) -> (u8, bool) {
         (run, 0) => (run, false),
         (run, _) => (run + 4, false),
     }
+}
+
+/// The state after the first bytes of a frame, and how many stuff bits they need.
+fn stuff_bytes(bytes: &[u8]) -> (u8, u32) {
+    bytes.iter().fold((0, 0), |(state, count), &byte| {
+        let (next, stuffed) = STUFFING[usize::from(state)][usize::from(byte)];
+        (next, count + u32::from(stuffed))
+    })
 }
 
 /// [`stuff_bit`] eight bits at a time: the state after them and how many stuff bits came.
@@ -378,6 +376,16 @@ mod tests {
             assert_eq!(total(&frame), naive(&frame), "{frame}");
             let remote = Frame::remote(id, len);
             assert_eq!(total(&remote), naive(&remote), "{remote}");
+        }
+    }
+
+    /// Nothing keeps a frame from having more bytes than its kind can.
+    #[test]
+    fn a_frame_that_cannot_be_has_a_length_all_the_same() {
+        for id in [CanId::Standard(0x7FF), CanId::Extended(0x1FFF_FFFF)] {
+            // The plain length of eight bytes, and no more than it can grow by stuffing.
+            let length = total(&Frame::with(id, &[0; 64]));
+            assert!((47 + 64..=160).contains(&length), "{length}");
         }
     }
 
