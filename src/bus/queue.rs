@@ -50,9 +50,14 @@ impl Queue {
         count
     }
 
-    /// The status, if it has changed since it was last taken.
+    /// The status, if it has changed since it was last taken. That the bus is over is told after
+    /// the last frame.
     pub fn take_status(&self) -> Option<BusStatus> {
         let mut contents = self.contents();
+        if contents.status.link.is_final() && !contents.frames.is_empty() {
+            let status = BusStatus { link: Link::Up, message: None, ..contents.status.clone() };
+            return contents.status_is_new.then_some(status);
+        }
         std::mem::take(&mut contents.status_is_new).then(|| contents.status.clone())
     }
 
@@ -197,9 +202,12 @@ mod tests {
         queue.finish(Link::Ended, "end of log".into());
         queue.finish(Link::Failed, "a later word does not count".into());
         assert!(!queue.is_finished());
+        let told = queue.take_status().expect("news");
+        assert_eq!((told.link, told.message), (Link::Up, None), "while there are frames to take");
         queue.drain(&mut Vec::new(), 9);
         assert!(queue.is_finished());
-        assert_eq!(queue.status().message.as_deref(), Some("end of log"));
+        let told = queue.take_status().expect("the last word");
+        assert_eq!((told.link, told.message.as_deref()), (Link::Ended, Some("end of log")));
     }
 
     #[test]

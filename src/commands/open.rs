@@ -193,6 +193,8 @@ pub fn session(
     clock: Clock,
     options: AppOptions,
 ) -> Result<Session, Failure> {
+    // A log may run for long before the last bus is open.
+    let start = clock.now();
     let mut ports: Vec<Port> = Vec::new();
     let mut named = Vec::new();
     for (index, spec) in buses.iter().enumerate() {
@@ -210,7 +212,7 @@ pub fn session(
         file_path: Some(setup.file.clone()),
         ..options
     };
-    let app = App::new(clock.now(), options);
+    let app = App::new(start, options);
     let mut session = Session::new(app, clock, ports, Some(Store::new(&setup.file)));
     if let Some(recorder) = setup.recorder()? {
         session.record(recorder);
