@@ -33,8 +33,9 @@ const LOOK_EVERY: Duration = Duration::from_secs(1);
 /// The least time between two looks: error reports can come by the thousand.
 const LOOK_AT_MOST_EVERY: Duration = Duration::from_millis(100);
 /// The longest nap while frames gather. Wake-ups are what reading costs, not system calls.
-/// Short beside what anybody waits for here: answers are collected for 60 ms at the least.
-const LONGEST_NAP: Duration = Duration::from_millis(10);
+/// Short beside what anybody waits for here: answers are collected for 60 ms at the least, and a
+/// heartbeat is missed 30 ms after its time at the soonest.
+const LONGEST_NAP: Duration = Duration::from_millis(20);
 /// How long to wait before a frame is offered again that the kernel had no room for, and for
 /// how long to do so. A full 125 kbit/s bus moves a frame on each millisecond.
 const RETRY_EVERY: Duration = Duration::from_millis(2);
