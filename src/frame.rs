@@ -1,6 +1,8 @@
-//! A CAN frame as it was seen on, or is meant for, a bus.
+//! A CAN frame as it was seen on, or is meant for, a bus; how long it is there: [`bits`].
 //!
 //! Knows nothing of what its bytes mean: that is [`crate::wire`].
+
+pub mod bits;
 
 use crate::time::Instant;
 use std::fmt;

@@ -4,8 +4,8 @@
 
 use crate::discovery::{Config, Engine};
 use crate::error_report::ErrorReport;
+use crate::frame::bits::FrameBits;
 use crate::frame::{Frame, FrameKind};
-use crate::sim::bits::FrameBits;
 use crate::status::{BusState, BusStatus, Link};
 use crate::time::Instant;
 use std::collections::VecDeque;

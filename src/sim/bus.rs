@@ -6,9 +6,9 @@
 //! the wire it leaves out propagation delay, overload frames and the difference between the bit
 //! errors of one station and of all.
 
-use super::bits::{FrameBits, INTERMISSION, bit_nanos, divergence};
 use super::controller::Controller;
 use crate::frame::Frame;
+use crate::frame::bits::{FrameBits, INTERMISSION, bit_nanos, divergence};
 
 /// Superposed error flags: 6 to 12 dominant bits.
 const ERROR_FLAGS: u32 = 8;

@@ -3,8 +3,8 @@
 //!
 //! Does not know the bus, time or other stations.
 
-use super::bits::arbitration_field;
 use crate::frame::Frame;
+use crate::frame::bits::arbitration_field;
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 

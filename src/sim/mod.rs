@@ -2,7 +2,6 @@
 //! virtual time.
 //!
 //! * [`scenario`]: which devices there are and what happens when; TOML, built in or in code.
-//! * [`bits`]: how long a frame is on the wire; also good for the load of a real bus.
 //! * [`Sim`]: all of it, running: attach a station, send, advance, poll.
 //!
 //! One deterministic state machine: the same scenario, seed and inputs give the same run to the
@@ -12,7 +11,6 @@
 //! Inside, times are nanoseconds, because a bit is 200 of them at 5 Mbit/s; outside, they are
 //! [`Instant`]s of whole microseconds.
 
-pub mod bits;
 mod bus;
 mod controller;
 mod device;

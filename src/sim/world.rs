@@ -1,13 +1,13 @@
 //! The running simulation: bus, devices, attached stations and the timetable, one event after
 //! the other.
 
-use super::bits::FrameBits;
 use super::bus::{Bus, BusError, Outcome, StationIndex, Statistics};
 use super::device::{Device, Port};
 use super::inspector::Inspector;
 use super::scenario::{Action, DeviceSpec, Scenario};
 use super::view::{DeviceId, DeviceState, Station, StationStatus};
 use crate::frame::Frame;
+use crate::frame::bits::FrameBits;
 use crate::time::{Duration, Instant};
 use crate::wire::id::{Address, Header};
 use crate::wire::profile::Profile;

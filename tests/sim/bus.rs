@@ -1,8 +1,8 @@
 //! Arbitration, merging, destruction, acknowledge, error counters.
 
 use super::{after, is_error, polled, two_stations};
+use descan::frame::bits::FrameBits;
 use descan::frame::{CanId, Frame, FrameKind};
-use descan::sim::bits::FrameBits;
 use descan::sim::{BusState, Scenario, Sim};
 use descan::time::{Duration, Instant};
 

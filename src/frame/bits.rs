@@ -4,7 +4,7 @@
 //! Allocates nothing and keeps no tables outside the program's image, so the bus load of a full
 //! bus can be computed frame by frame. Does not know bit rates' history or who sends.
 
-use crate::frame::{CanId, Frame, FrameKind};
+use super::{CanId, Frame, FrameKind};
 
 /// Recessive bits between two frames, counted in [`FrameBits`].
 pub const INTERMISSION: u32 = 3;
@@ -39,7 +39,7 @@ impl FrameBits {
     }
 
     /// Those up to and with the ACK slot.
-    pub(super) const fn until_ack(self) -> Self {
+    pub(crate) const fn until_ack(self) -> Self {
         Self { nominal: self.nominal - AFTER_ACK, data: self.data }
     }
 
@@ -50,7 +50,7 @@ impl FrameBits {
 }
 
 /// How long `bits` take at `bitrate`, in nanoseconds.
-pub(super) const fn bit_nanos(bits: u32, bitrate: u32) -> u64 {
+pub(crate) const fn bit_nanos(bits: u32, bitrate: u32) -> u64 {
     let bitrate = if bitrate == 0 { 1 } else { bitrate };
     bits as u64 * 1_000_000_000 / bitrate as u64
 }
