@@ -205,7 +205,9 @@ fn a_conflict_shows_both_and_lets_choose() {
     stage.keys("e").text("47").keys("Enter");
     snapshot!("conflict", stage);
     assert_eq!(stage.file(), theirs, "nothing is written before the choice");
-    stage.keys("o");
+    stage.keys("Esc j");
+    assert!(stage.screen().contains("✗ conflict  Ctrl-s shows it"), "{}", stage.screen());
+    stage.keys("Ctrl-s").keys("o");
     assert_eq!(stage.file(), BOILER.replace("10", "47"));
 }
 

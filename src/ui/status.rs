@@ -3,7 +3,7 @@
 //! What matters most comes first and stays longest when the screen is narrow.
 
 use super::brush::{Brush, end_of, fit};
-use crate::app::{Bus, FileProblem, Hindrance, Meter};
+use crate::app::{Bus, FileProblem, Hindrance, Meter, Overlay};
 use crate::discovery::OwnAddress;
 use crate::frame::BusIndex;
 use crate::keymap::action;
@@ -474,6 +474,10 @@ fn file(brush: &Brush, whole: bool) -> Parts {
     let unsaved = file.unsaved();
     if file.conflict().is_some() {
         parts.push(vec![name, brush.span(Role::Error, " ✗ conflict")]);
+        if whole && !matches!(brush.app.overlay(), Overlay::Conflict) {
+            let key = brush.app.key_of("save");
+            parts.push(vec![brush.span(Role::Muted, format!("{key} shows it"))]);
+        }
     } else if unsaved > 0 {
         parts.push(vec![name, brush.span(Role::Warning, format!(" … saving {unsaved}"))]);
         if whole && file.emptied_since().is_some() {
