@@ -485,6 +485,33 @@ fn what_could_not_be_heard_is_not_missed() {
     assert_eq!(missed(&engine), 2);
 }
 
+#[test]
+fn a_heartbeat_that_a_short_outage_swallowed_is_not_missed() {
+    let beats_missed = |outage: (Option<f64>, f64), next: u64| {
+        let config = Config { echo: false, listen_only: true, ..Config::default() };
+        let mut engine = Engine::new(Instant::ZERO, config);
+        let beats = |engine: &mut Engine, second: u64| {
+            engine.handle_frame(&beat(5, "FEED01").at(seconds(second as f64 + 0.1)));
+        };
+        (0..=3).for_each(|second| beats(&mut engine, second));
+        if let Some(begin) = outage.0 {
+            engine.suspend(seconds(begin));
+        }
+        engine.restart(seconds(outage.1));
+        (next..=next + 2).for_each(|second| beats(&mut engine, second));
+        engine.devices()[0].heartbeat.missed
+    };
+    // That of 4.1 s: told as it was, somewhat late, and when it was over.
+    assert_eq!(beats_missed((Some(4.08), 4.12), 5), 0);
+    assert_eq!(beats_missed((Some(4.15), 4.3), 5), 0);
+    assert_eq!(beats_missed((None, 4.15), 5), 0);
+    // The next was due when it was over, or before it began.
+    assert_eq!(beats_missed((Some(4.08), 4.12), 6), 1);
+    assert_eq!(beats_missed((Some(4.6), 4.7), 5), 1);
+    assert_eq!(beats_missed((Some(4.6), 5.0), 5), 1);
+    assert_eq!(beats_missed((Some(4.05), 6.3), 8), 1);
+}
+
 fn confidence(engine: &Engine, kind: FindingKind) -> Option<Confidence> {
     engine.findings().iter().find(|it| it.key.kind == kind).map(|it| it.confidence)
 }

@@ -102,21 +102,20 @@ impl HeartbeatStats {
         (self.intervals > 1).then(|| Duration::from_micros(self.variance_us.max(0.0).sqrt() as u64))
     }
 
-    /// Counts a heartbeat; `period` is the one expected, `unheard` the time since the one before in
-    /// which none could be heard. Returns the gap since the one before.
+    /// Counts a heartbeat; `period` is the one expected, `unheard` how many were due since the one
+    /// before while none could be heard. Returns the gap since the one before.
     pub(super) fn beat(
         &mut self,
         now: Instant,
         period: Duration,
-        unheard: Duration,
+        unheard: u64,
     ) -> Option<Duration> {
         self.count += 1;
         let gap = self.last.replace(now).map(|last| now.since(last));
         if let Some(gap) = gap {
             let ratio = gap.as_secs_f64() / period.as_secs_f64();
             if ratio > 1.5 {
-                let heard = gap.saturating_sub(unheard).as_secs_f64() / period.as_secs_f64();
-                self.missed += (heard - 0.5) as u64;
+                self.missed += ((ratio - 0.5) as u64).saturating_sub(unheard);
             } else if ratio > 0.3 {
                 self.intervals += 1;
                 let weight = 1.0 / self.intervals.min(64) as f64;

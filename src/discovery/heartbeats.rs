@@ -55,7 +55,7 @@ impl Engine {
         if let Some(last) = previous_beat {
             self.lateness.see(now, header.source, now.since(last), period);
         }
-        let unheard = previous_beat.map_or(Duration::ZERO, |last| self.outages.since(last));
+        let unheard = previous_beat.map_or(0, |last| self.outages.swallowed(last, now, period));
         let device = self.roster.get_mut(index);
         let expected = device.heartbeat.period();
         let jitter = device.heartbeat.jitter();

@@ -302,6 +302,8 @@ impl Engine {
     /// came back. What is known stays.
     pub fn restart(&mut self, now: Instant) {
         self.advance(now);
+        // It may be over before it was told.
+        self.outages.begin(self.now);
         self.end_outage();
         self.outbox.clear();
         self.transfers.clear();

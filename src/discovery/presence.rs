@@ -27,6 +27,9 @@ pub(super) fn beats_no_more(device: &Device, period: Duration) -> bool {
 /// How many outages are remembered: older ones matter to nobody who is still here.
 const MAX_OUTAGES: usize = 8;
 
+/// How far off the moments may be at which an outage was told.
+const TOLD_LATE: Duration = Duration::from_millis(200);
+
 /// When no frame could reach us.
 #[derive(Debug, Default)]
 pub(super) struct Outages {
@@ -61,6 +64,20 @@ impl Outages {
     /// How much of the time since then it was impossible to hear anything.
     pub fn since(&self, then: Instant) -> Duration {
         self.past.iter().map(|(from, until)| until.since(then.max(*from))).sum()
+    }
+
+    /// How many of the moments between `last` and `now`, in steps of `period`, lie in outages.
+    pub fn swallowed(&self, last: Instant, now: Instant, period: Duration) -> u64 {
+        let steps = |until: Instant| until.since(last).as_nanos() / period.as_nanos().max(1);
+        let most = steps(now + period / 2).saturating_sub(1);
+        let mut counted = 0;
+        let swallowed = self.past.iter().map(|(from, until)| {
+            // Where two are close, none is counted twice.
+            let before = steps(*from - TOLD_LATE).max(counted);
+            counted = steps(*until + TOLD_LATE).min(most).max(before);
+            counted - before
+        });
+        u64::try_from(swallowed.sum::<u128>()).unwrap_or(u64::MAX)
     }
 }
 
