@@ -248,8 +248,8 @@ fn what_nobody_should_write_is_told_where_it_is() {
         (&deep[..], "line 1, column 140: nested deeper than 128 levels"),
         ("[{\"name\":\"A\",\"address\":012}]", "line 1, column 25: a number must not begin with 0"),
         ("[{\"name\":\"A\",\"address\":1.}]", "line 1, column 26: invalid number"),
-        ("[{\"name\":\"\x1b[2J\"}]", "line 1, column 11: control character"),
-        ("{\"devices\":[]}\0", "line 1, column 15: trailing characters"),
+        ("[{\"name\":\"\x1b[2J\"}]", "line 1, column 11: a control character"),
+        ("{\"devices\":[]}\0", "line 1, column 15: something after the end"),
     ] {
         let folder = Folder::with(&bus(), Some(file));
         let output = folder.check(&["file:session.log"]);

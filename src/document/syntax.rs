@@ -86,8 +86,14 @@ fn syntax_error(body: &str, error: &serde_json::Error) -> ParseError {
     let at = body.floor_char_boundary((line + error.column()).saturating_sub(1));
     if message.starts_with("control character") {
         // It names the character before.
-        let control = body[at..].find(char::is_control).unwrap_or_default();
-        return error_at(body, at + control, message.to_owned());
+        let at = at + body[at..].find(char::is_control).unwrap_or_default();
+        let message = match body[at..].chars().next() {
+            Some(control) if !['\n', '\r'].contains(&control) => {
+                format!("a control character: in a string it is written \\u{:04X}", control as u32)
+            }
+            _ => "the string does not end on its line".to_owned(),
+        };
+        return error_at(body, at, message);
     }
     let is_closing = body[at..].starts_with([']', '}']);
     let after_comma = body[..at].trim_end_matches(scan::BLANKS).ends_with(',');
@@ -97,6 +103,8 @@ fn syntax_error(body: &str, error: &serde_json::Error) -> ParseError {
     let message = match message {
         _ if is_comment => "JSON has no comments",
         _ if is_closing && after_comma => "a comma before the bracket",
+        _ if body[at..].starts_with('\'') => "JSON has double quotes only",
+        "trailing characters" => "something after the end",
         "invalid number" if is_padded => "a number must not begin with 0",
         message => message,
     };
