@@ -12,6 +12,8 @@ use std::time::{Instant as Monotonic, SystemTime, UNIX_EPOCH};
 /// How slow and how fast a log can be played.
 const SLOWEST: f64 = 0.001;
 const FASTEST: f64 = 100_000.0;
+/// How far it may be behind its pace, as where frames are taken too slowly, and still catch up.
+const MAX_LAG: Duration = Duration::from_millis(250);
 
 /// Counts from a start; every port and the loop share one. The clock of a session of logs can be
 /// stopped, go on from frame to frame, and run faster and slower.
@@ -27,6 +29,8 @@ struct Pace {
     /// It was this moment then, and runs at this pace since.
     since: Monotonic,
     from: Instant,
+    /// The latest moment that it was.
+    reached: Instant,
     speed: f64,
     is_paused: bool,
     /// It is that of logs, and none is open yet.
@@ -64,7 +68,9 @@ impl Clock {
     fn with(epoch: Epoch, speed: f64, is_replaying: bool) -> Self {
         let logs = BTreeMap::new();
         let (since, from) = (Monotonic::now(), Instant::ZERO);
-        let pace = Pace { since, from, speed, is_paused: false, awaits_log: is_replaying, logs };
+        let reached = from;
+        let awaits_log = is_replaying;
+        let pace = Pace { since, from, reached, speed, is_paused: false, awaits_log, logs };
         Self { epoch, is_replaying, pace: Arc::new(Mutex::new(pace)) }
     }
 
@@ -85,7 +91,7 @@ impl Clock {
 
     /// How long to sleep until `at`; zero if it has passed, for ever while the clock stands.
     pub fn until(&self, at: Instant) -> Duration {
-        let pace = self.pace();
+        let mut pace = self.pace();
         let left = at.since(pace.now());
         if pace.is_standing() && !left.is_zero() { Duration::MAX } else { left.div_f64(pace.speed) }
     }
@@ -132,15 +138,16 @@ impl Clock {
         });
     }
 
-    /// Says of which moment a log's next frame is.
+    /// Says of which moment a log's next frame is. Frames that come closer together than they can
+    /// be waited for do not slow it down: it runs on as it began.
     pub(super) fn log_waits(&self, log: BusIndex, next: Instant) {
-        self.change(|pace| {
-            let place = match pace.logs.get(&log) {
-                Some(LogPlace::Live(_)) => LogPlace::Live(Some(next)),
-                _ => LogPlace::Next(next),
-            };
-            pace.logs.insert(log, place);
-        });
+        let mut pace = self.pace();
+        pace.forget_lag();
+        let place = match pace.logs.get(&log) {
+            Some(LogPlace::Live(_)) => LogPlace::Live(Some(next)),
+            _ => LogPlace::Next(next),
+        };
+        pace.logs.insert(log, place);
     }
 
     /// Says that a log is at its end: once all are, the clock stands.
@@ -166,8 +173,7 @@ impl Clock {
     /// Changes the pace from now on.
     fn change(&self, change: impl FnOnce(&mut Pace)) {
         let mut pace = self.pace();
-        pace.from = pace.now();
-        pace.since = Monotonic::now();
+        pace.begin_at_now();
         change(&mut pace);
     }
 
@@ -178,17 +184,42 @@ impl Clock {
 }
 
 impl Pace {
-    fn now(&self) -> Instant {
-        if self.is_standing() {
-            return self.from;
-        }
+    fn now(&mut self) -> Instant {
+        let now = if self.is_standing() {
+            self.from
+        } else {
+            self.next().map_or(self.pace(), |next| self.pace().min(next))
+        };
+        // A moment that passed stays so.
+        self.reached = self.reached.max(now);
+        self.reached
+    }
+
+    /// How far it would be if no log held it up.
+    fn pace(&self) -> Instant {
+        self.from + self.since.elapsed().mul_f64(self.speed)
+    }
+
+    /// The moment of the first frame that waits to be taken.
+    fn next(&self) -> Option<Instant> {
         let next = self.logs.values().filter_map(|place| match place {
             LogPlace::Next(at) => Some(*at),
             LogPlace::Live(_) | LogPlace::Ended => None,
         });
-        let now = self.from + self.since.elapsed().mul_f64(self.speed);
-        // A moment that passed stays so.
-        next.min().map_or(now, |next| now.min(next)).max(self.from)
+        next.min()
+    }
+
+    fn begin_at_now(&mut self) {
+        self.from = self.now();
+        self.since = Monotonic::now();
+    }
+
+    /// Goes on from the first frame that waits, where that is too late to catch up.
+    fn forget_lag(&mut self) {
+        let now = self.now();
+        if self.pace().since(now) > MAX_LAG.mul_f64(self.speed) {
+            self.begin_at_now();
+        }
     }
 
     fn is_standing(&self) -> bool {
@@ -316,6 +347,24 @@ mod tests {
             clock.playback(),
             Some(Playback { speed: 1.0, is_paused: false, is_ended: false })
         );
+    }
+
+    #[test]
+    fn a_clock_of_logs_keeps_its_pace_however_close_frames_are_but_catches_up_not_for_long() {
+        let clock = Clock::replaying(Epoch::default(), 1.0);
+        let log = BusIndex(0);
+        clock.log_opens(log, false);
+        let at = Instant::from_micros;
+        let elapses = |time| clock.pace().since -= time;
+        clock.log_waits(log, at(1_000));
+        elapses(Duration::from_millis(3));
+        assert_eq!(clock.now(), at(1_000), "not beyond the frame");
+        clock.log_waits(log, at(2_000));
+        assert_eq!(clock.now(), at(2_000), "and with that in time for the next");
+        elapses(Duration::from_secs(5));
+        clock.log_waits(log, at(3_000_000));
+        let now = clock.now();
+        assert!(now >= at(2_000) && now < at(2_000_000), "held up for long it goes on: {now}");
     }
 
     #[test]
