@@ -117,6 +117,23 @@ des.json: 3 entries, 2 devices on can0: 2 missing, 1 at another address, 1 stati
     assert_eq!(code, 1);
 }
 
+/// Members of a JSON object have no order: whatever writes them may sort them.
+#[test]
+fn the_order_of_services_counts_in_a_list_only() {
+    let file = |services: &str| {
+        format!(
+            r#"[{{"name":"FEED","address":12,"services":{services}}},{{"name":"SENS","address":13}}]"#
+        )
+    };
+    let none: Vec<(String, Option<u64>)> = Vec::new();
+    assert_eq!(kinds(&file(r#"{"AUGER":"2.1","DES":"1.0"}"#)), none);
+    assert_eq!(kinds(&file(r#"{"DES":"1.0","AUGER":null}"#)), none);
+    let list = r#"[{"name":"AUGER","version":"2.1"},{"name":"DES","version":"1.0"}]"#;
+    for other in [list, r#"{"AUGER":"2.1","DES":"1.1"}"#, r#"{"AUGER":"2.1"}"#] {
+        assert_eq!(kinds(&file(other)), [("services-differ".to_owned(), Some(12))], "{other}");
+    }
+}
+
 #[test]
 fn one_that_does_not_say_its_name_is_one_difference_and_not_two() {
     let mut scenario = Scenario::new(125_000);
@@ -296,4 +313,18 @@ fn a_wrong_value_in_the_file_is_a_difference_with_its_place() {
     assert!(text.contains(place), "{text}");
     let found = kinds(r#"[{"name":"A","address":1e2}]"#);
     assert!(found.iter().any(|(kind, _)| kind == "file-shape"), "{found:?}");
+}
+
+/// A recorder that wrote nothing is no plant in order.
+#[test]
+fn a_log_without_a_frame_is_no_bus_to_compare() {
+    for log in ["", "\n"] {
+        let folder = Folder::with(&bus(), Some(r#"[{"name":"FEED","address":10}]"#));
+        std::fs::write(folder.path().join("session.log"), log).unwrap();
+        let output = folder.check(&["file:session.log"]);
+        assert_eq!(output.status.code(), Some(3), "{log:?}");
+        let stderr = text(&output.stderr);
+        assert!(stderr.contains("file:session.log: there is no frame in it"), "{stderr}");
+        assert_eq!(text(&output.stdout), "");
+    }
 }

@@ -705,6 +705,23 @@ fn a_new_name_is_written_so_that_it_can_be_read() {
 }
 
 #[test]
+fn what_is_no_service_is_not_removed_by_setting_services() {
+    for (value, at, found) in [
+        (r#"[{"name":"DES"},"note"]"#, 41, "a string"),
+        (r#"[{"version":"1"}]"#, 26, "an object"),
+        (r#"[{"name":"DES","version":2.1}]"#, 26, "an object"),
+        (r#"{"DES":"1","TEMP":{"version":"1.7","min":3}}"#, 43, "an object"),
+    ] {
+        let document = parsed(&format!(r#"[{{"name":"A","services":{value}}}]"#));
+        let error = document.apply(&services(&document, "A", &[("DES", "1")])).unwrap_err();
+        let said = format!(
+            "line 1, column {at}: {found} stands where a service should be: correct it first"
+        );
+        assert_eq!(error.to_string(), said, "{value}");
+    }
+}
+
+#[test]
 fn services_are_edited_in_their_shape() {
     // Only a version.
     edits_and_back(
@@ -766,6 +783,12 @@ fn services_are_edited_in_their_shape() {
         r#"[{"name":"A","services":7}]"#,
         |document| services(document, "A", &[("C", "3")]),
         r#"[{"name":"A","services":[{"name":"C","version":"3"}]}]"#,
+    );
+    // A version that the file leaves open stays open.
+    edits_and_back(
+        r#"[{"name":"A","services":{"DES":null,"B":"1"}}]"#,
+        |document| services(document, "A", &[("DES", ""), ("B", "2")]),
+        r#"[{"name":"A","services":{"DES":null,"B":"2"}}]"#,
     );
     edits_and_back(
         r#"[{"name":"A","services":{"C":"2"}}]"#,

@@ -283,7 +283,11 @@ impl Case<'_> {
                     documents.push(after);
                     operations.push(operation);
                 }
-                Err(EditError::DuplicateMember { .. } | EditError::NotDevices { .. }) => {
+                Err(
+                    EditError::DuplicateMember { .. }
+                    | EditError::NotService { .. }
+                    | EditError::NotDevices { .. },
+                ) => {
                     assert_ne!(before.findings(), [], "{operation}");
                     self.tally.refused += 1;
                 }
@@ -314,7 +318,11 @@ impl Case<'_> {
                         format!("{}{}{}", conflict.operation, conflict.ours, conflict.theirs);
                     assert!(!shown.contains(char::is_control), "{shown:?}");
                 }
-                Err(EditError::DuplicateMember { .. } | EditError::NotDevices { .. }) => {}
+                Err(
+                    EditError::DuplicateMember { .. }
+                    | EditError::NotService { .. }
+                    | EditError::NotDevices { .. },
+                ) => {}
                 Err(error) => panic!("{error}\n{}\n{}\n{ours:?}", text(base), text(theirs)),
             }
         }

@@ -293,10 +293,11 @@ impl App {
             return Some(Operation::Add { entry: self.new_entry(device)? });
         };
         let own = device.services.as_ref()?;
-        let listed = document.entries()[at].services.as_deref().unwrap_or_default();
-        if super::same_services(listed, own) {
+        let entry = &document.entries()[at];
+        if super::same_services(entry, own) {
             return None;
         }
+        let listed = entry.services.as_deref().unwrap_or_default();
         let mut services = listed_services(device);
         leave_open(&mut services, listed);
         Some(Operation::SetServices { entry: document.key(at), services })

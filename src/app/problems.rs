@@ -300,19 +300,24 @@ pub fn other_services<'a>(
     device: &'a Device,
 ) -> Option<(&'a [document::ServiceEntry], &'a [crate::discovery::ServiceEntry])> {
     let both = entry.listed_services().zip(device.services.as_deref());
-    both.filter(|(listed, own)| !same_services(listed, own))
+    both.filter(|(_, own)| !same_services(entry, own))
 }
 
-/// Whether the file lists what a device says of its services.
-pub fn same_services(
-    listed: &[document::ServiceEntry],
-    own: &[crate::discovery::ServiceEntry],
-) -> bool {
+/// Whether an entry lists what a device says of its services.
+pub fn same_services(entry: &Entry, own: &[crate::discovery::ServiceEntry]) -> bool {
+    let listed = entry.services.as_deref().unwrap_or_default();
     let same = |listed: &document::ServiceEntry, own: &crate::discovery::ServiceEntry| {
         as_listed(&own.name) == listed.name
             && (listed.version.is_empty() || as_listed(&own.version) == listed.version)
     };
-    listed.len() == own.len() && listed.iter().zip(own).all(|(listed, own)| same(listed, own))
+    if listed.len() != own.len() {
+        return false;
+    }
+    if entry.has_ordered_services {
+        return listed.iter().zip(own).all(|(listed, own)| same(listed, own));
+    }
+    // No name is there twice.
+    listed.iter().all(|listed| own.iter().any(|own| same(listed, own)))
 }
 
 /// Differences that are spelt out; of more only their number.

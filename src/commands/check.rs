@@ -21,7 +21,13 @@ pub fn run(check: &Check) -> Result<u8, Failure> {
     let setup = Setup::new(&check.session.common)?;
     let Outcome { app, now, ending } = if let Some(log) = open::log(&buses, "check")? {
         let all = (Some(Pace::AtOnce), Limits { stuck: INTERRUPTED, ..Limits::default() });
-        headless::recorded(log, &setup, AppOptions::default(), all, |app| has_file(app))?
+        let outcome =
+            headless::recorded(log, &setup, AppOptions::default(), all, |app| has_file(app))?;
+        if outcome.app.buses().is_empty() {
+            let text = format!("{log}: there is no frame in it: is it the right log?");
+            return Err(Failure::Unusable(text));
+        }
+        outcome
     } else {
         let mut patience = Patience::default();
         look(&buses, &setup, check.time, |app, now| {

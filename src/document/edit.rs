@@ -1,6 +1,6 @@
 //! Edits carried out: one value spliced, the result read again and compared with what was meant.
 
-use super::entry::{Entry, Member, SERVICE_MEMBERS};
+use super::entry::{Entry, Member, SERVICE_MEMBERS, read_service};
 use super::layout::{self, EntryStyle, Layout, Members, ServicesStyle, newline, spliced};
 use super::operation::{NewEntry, Operation, RemovedEntry};
 use super::patch::Patch;
@@ -37,6 +37,14 @@ pub enum EditError {
     /// The file is JSON, but there is no list of devices in it, nor a place for one.
     #[error("{position}: {found} stands where the list of devices should be")]
     NotDevices {
+        /// Where.
+        position: Position,
+        /// What is there.
+        found: String,
+    },
+    /// Something in `services` is no service: setting them would remove it.
+    #[error("{position}: {found} stands where a service should be: correct it first")]
+    NotService {
         /// Where.
         position: Position,
         /// What is there.
@@ -452,6 +460,9 @@ impl Document {
             if !item.key.is_empty() && !keys.insert(key.clone()) {
                 return Err(self.duplicate(&key, item.key.start));
             }
+            if read_service(self.body(), &item).is_none() {
+                return Err(self.no_service(&item.value));
+            }
             let Some(members) = Members::of(&self.body()[item.value.clone()]) else { continue };
             for key in SERVICE_MEMBERS {
                 if let Some(at) = members.duplicate(key) {
@@ -460,6 +471,11 @@ impl Document {
             }
         }
         Ok(())
+    }
+
+    fn no_service(&self, span: &Span) -> EditError {
+        let found = Kind(&self.body()[span.clone()]).to_string();
+        EditError::NotService { position: Positions::new(self.body()).at(span.start), found }
     }
 
     fn services_span(&self, index: usize) -> Option<Span> {

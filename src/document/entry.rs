@@ -28,6 +28,8 @@ pub struct Entry {
     pub uid: Option<String>,
     /// The services in the file's order; none: the file does not say.
     pub services: Option<Vec<ServiceEntry>>,
+    /// They are a list: members of an object have no order.
+    pub has_ordered_services: bool,
     /// Where the entry begins.
     pub position: Position,
     /// Where the value of `address` begins, whether or not it is a good one.
@@ -198,7 +200,7 @@ fn read_service_noting(
     Some(ServiceEntry { name: name?, ..service })
 }
 
-fn version(value: &str) -> Option<String> {
+pub(super) fn version(value: &str) -> Option<String> {
     if value == "null" { Some(String::new()) } else { Some(text::from_json(value)?.into_owned()) }
 }
 
@@ -250,6 +252,8 @@ impl Reader<'_, '_> {
             bus: of(Member::Bus).and_then(|at| self.string(Member::Bus, at)),
             uid: of(Member::Uid).and_then(|at| self.string(Member::Uid, at)),
             services: of(Member::Services).and_then(|at| self.services(at)),
+            has_ordered_services: of(Member::Services)
+                .is_some_and(|at| self.body[at.clone()].starts_with('[')),
             name,
             position: self.findings.position(span.start),
             address_position: address.map(|at| self.findings.position(at.start)),

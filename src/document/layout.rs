@@ -4,7 +4,7 @@
 //! Works on the text of one list or object at a time; every function returns the new text and
 //! keeps all that it was not asked to change.
 
-use super::entry::{Member, ServiceEntry, read_service};
+use super::entry::{Member, ServiceEntry, read_service, version};
 use super::scan::{self, Container};
 use super::text::{from_json, to_json};
 use std::collections::{HashMap, VecDeque};
@@ -419,7 +419,7 @@ fn fits_object(services: &[ServiceEntry]) -> bool {
 /// An item of `services`, or a version in an object of them, that says this.
 fn edited_service(old: &str, service: &ServiceEntry) -> String {
     let Some(members) = Members::of(old) else {
-        let same = from_json(old).is_some_and(|version| version == service.version);
+        let same = version(old).is_some_and(|version| version == service.version);
         return if same { old.to_owned() } else { to_json(&service.version) };
     };
     let Some(present) = read_service(old, &scan::Item { key: 0..0, value: 0..old.len() }) else {

@@ -167,6 +167,7 @@ impl NewEntry {
             bus: self.bus.clone(),
             uid: self.uid.clone(),
             services: (!self.services.is_empty()).then(|| self.services.clone()),
+            has_ordered_services: true,
             position: super::Position::START,
             address_position: None,
             index: 0,
