@@ -177,7 +177,10 @@ fn a_new_entry_is_selected_and_a_wrong_address_in_it_is_told() {
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("n").text("PUMP 200");
     let screen = stage.screen();
-    assert!(screen.contains("! all of it is the name: 200 is no address"), "{screen}");
+    assert!(screen.contains("✗ 200 is no address: 1 to 127"), "{screen}");
+    stage.keys("Enter Ctrl-u").text("PUMP 2nd");
+    let screen = stage.screen();
+    assert!(screen.contains("! all of it is the name: 2nd is no address"), "{screen}");
     stage.keys("Ctrl-u").text("VALVE 99").keys("Enter");
     assert_eq!(stage.app.selected_row().unwrap().name.as_ref().unwrap().to_string(), "VALVE");
 }

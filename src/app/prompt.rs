@@ -557,7 +557,11 @@ impl App {
         let Some(address) = address else {
             let shown = Called(&name);
             let last = text.rsplit(char::is_whitespace).next().unwrap_or_default();
-            return if last.starts_with(|c: char| c.is_ascii_digit()) {
+            return if is_number(text.trim()) {
+                Verdict::Blocks(NEW_ENTRY.to_owned())
+            } else if is_number(last) {
+                Verdict::Blocks(format!("{last} is no address: 1 to 127"))
+            } else if last.starts_with(|c: char| c.is_ascii_digit()) {
                 Verdict::Warns(format!("all of it is the name: {last} is no address"))
             } else {
                 Verdict::Fine(format!("{shown}, not pinned (space, then address)"))
@@ -585,6 +589,17 @@ impl App {
         }
         log
     }
+}
+
+/// What is to be typed for a new entry.
+const NEW_ENTRY: &str = "a name, a space, and its address";
+
+/// Whether somebody who types this means a number.
+fn is_number(text: &str) -> bool {
+    let digits = text.trim_start_matches(['-', '+']);
+    let hex = digits.strip_prefix("0x").or_else(|| digits.strip_prefix("0X"));
+    hex.is_some_and(|hex| hex.chars().all(|c| c.is_ascii_hexdigit()))
+        || !digits.is_empty() && digits.chars().all(|c| c.is_ascii_digit())
 }
 
 /// The address that an entry is pinned to, as it is typed.
@@ -654,7 +669,7 @@ fn split_new_entry(text: &str) -> Result<(Vec<u8>, Option<u8>), &'static str> {
         None => (text, None),
     };
     match unescaped(name)? {
-        name if name.is_empty() => Err("a name, a space, and its address"),
+        name if name.is_empty() => Err(NEW_ENTRY),
         name => Ok((name, address)),
     }
 }

@@ -143,11 +143,11 @@ impl Clock {
     pub(super) fn log_waits(&self, log: BusIndex, next: Instant) {
         let mut pace = self.pace();
         pace.forget_lag();
-        let place = match pace.logs.get(&log) {
+        let waits = match pace.logs.get(&log) {
             Some(LogPlace::Live(_)) => LogPlace::Live(Some(next)),
             _ => LogPlace::Next(next),
         };
-        pace.logs.insert(log, place);
+        pace.logs.insert(log, waits);
     }
 
     /// Says that a log is at its end: once all are, the clock stands.

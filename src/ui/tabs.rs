@@ -7,6 +7,9 @@ use ratatui::layout::Rect;
 use ratatui::text::Line;
 use unicode_width::UnicodeWidthStr;
 
+/// A filter is not shown in fewer cells.
+const LEAST: usize = 8;
+
 pub fn draw(brush: &mut Brush) {
     let area = brush.screen.tabs;
     if area.height == 0 {
@@ -33,13 +36,16 @@ pub fn draw(brush: &mut Brush) {
             .map(|filter| format!(" /{filter} ")),
     };
     // Where the details have the list's place, the name of what they show is here.
-    if let Some(text) = shown.filter(|_| !screen.details_alone()) {
-        let room = if details.height > 0 && screen.divider.height > 0 {
-            screen.divider.x.saturating_sub(end)
-        } else {
-            area.width.saturating_sub(end)
-        };
-        let room_for_text = usize::from(room.saturating_sub(1));
+    let mut shown = shown.filter(|_| !screen.details_alone());
+    let room = if details.height > 0 && screen.divider.height > 0 {
+        screen.divider.x.saturating_sub(end)
+    } else {
+        area.width.saturating_sub(end)
+    };
+    let room_for_text = usize::from(room.saturating_sub(1));
+    // On narrow screens the names of the pages leave no room.
+    let is_beside = |text: &String| room_for_text >= text.width().min(LEAST);
+    if let Some(text) = shown.take_if(|text| is_beside(text)) {
         let text = if text.width() > room_for_text { fit(&text, room_for_text) } else { text };
         let line = Line::from(brush.span(Role::Match, text));
         let at = Rect { x: end + 1, width: room.saturating_sub(1), ..area };
@@ -68,8 +74,17 @@ pub fn draw(brush: &mut Brush) {
     }
     if let Some(title) = title(brush) {
         let line = Line::from(brush.span(Role::Title, format!(" {title} ")));
-        let at = Rect { x: at.x + 1, width: at.width.saturating_sub(2), ..at };
-        brush.line(at, 0, &line);
+        let name = Rect { x: at.x + 1, width: at.width.saturating_sub(2), ..at };
+        brush.line(name, 0, &line);
+        let used = name.width.min(line.width() as u16) + 1;
+        at = Rect { x: at.x + used, width: at.width.saturating_sub(used), ..at };
+    }
+    if let Some(text) = shown {
+        let room = usize::from(at.width.saturating_sub(2));
+        let text = if text.width() > room { fit(&text, room) } else { text };
+        let width = text.width() as u16;
+        let line = Line::from(brush.span(Role::Match, text));
+        brush.line(Rect { x: at.right().saturating_sub(width + 1), width, ..at }, 0, &line);
     }
 }
 

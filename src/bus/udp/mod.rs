@@ -115,7 +115,7 @@ impl Multicast {
         let errno = error.raw_os_error().map_or(Errno::UnknownErrno, Errno::from_raw);
         let message = match (errno, interface) {
             (Errno::ENODEV | Errno::ENXIO, Some(name)) => {
-                format!("there is no interface {name} with multicast: waiting for it")
+                format!("there is no interface {name} with multicast: ip -br link shows them")
             }
             (
                 Errno::ENETUNREACH
