@@ -1723,6 +1723,25 @@ fn two_buses_are_one_view() {
     insta::assert_snapshot!("two_buses_problems", pair.run(20..36).keys("4").screen(100, 30));
 }
 
+/// Adapters at one rate differ in what stands before it.
+#[test]
+fn two_adapters_at_one_rate_are_told_apart() {
+    let scenarios = ["boiler", "drone"].map(|name| Scenario::builtin(name).unwrap());
+    let mut pair = Pair::new([&scenarios[0], &scenarios[1]]);
+    for (index, name) in [(0, "slcan:/dev/ttyACM0@500000"), (1, "slcan:/dev/ttyACM1@500000")] {
+        pair.app.name_bus(BusIndex(index), name.to_owned());
+    }
+    pair.run(0..20);
+    for (page, width) in [("1", 80), ("2", 80), ("3", 80), ("3", 120)] {
+        let screen = pair.keys(page).screen(width, 40);
+        assert!(screen.contains("…yACM"), "{page}: {screen}");
+        let rows = screen.lines().skip(3);
+        assert!(rows.clone().any(|row| row.contains("CM0 ")), "{page}: {screen}");
+        assert!(rows.clone().any(|row| row.contains("CM1 ")), "{page}: {screen}");
+        assert!(!rows.clone().any(|row| row.contains("…00000")), "{page}: {screen}");
+    }
+}
+
 #[test]
 fn a_device_on_two_buses_is_one_row_where_they_are_redundant() {
     use descan::sim::DeviceSpec;

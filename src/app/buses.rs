@@ -26,6 +26,14 @@ pub struct Bus {
 }
 
 impl Bus {
+    /// The name without the bit rates that it is opened at, which say nothing of which bus it is:
+    /// `slcan:/dev/ttyACM0` of `slcan:/dev/ttyACM0@500000`.
+    pub fn name_without_rates(&self) -> &str {
+        let is_rates = |text: &str| text.chars().all(|c| c.is_ascii_digit() || c == '/');
+        let parts = self.name.rsplit_once('@').filter(|_| self.name.starts_with("slcan:"));
+        parts.filter(|(_, rates)| is_rates(rates)).map_or(&self.name, |(name, _)| name)
+    }
+
     /// A bus that starts now.
     pub fn new(now: Instant, name: String, config: Config) -> Self {
         let status = BusStatus { bitrate: config.bitrate, ..BusStatus::default() };

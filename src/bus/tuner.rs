@@ -4,6 +4,7 @@
 //! Does not know which rate is the right one.
 
 use super::BusSpec;
+use super::slcan::rate_code;
 use super::socketcan::controller::{Controller, Refusal};
 use crate::speed::Manner;
 use std::io;
@@ -96,6 +97,10 @@ impl Tuner {
                 done.map_err(|refusal| explain(refusal, &name, bitrate))?;
                 Ok(BusSpec::SocketCan(name))
             }
+            // It would stay at the rate that it had.
+            Kind::Adapter { device, .. } if rate_code(bitrate).is_none() => {
+                Err(TuneError::NotThisRate { name: device.display().to_string(), bitrate })
+            }
             Kind::Adapter { device, .. } => Ok(BusSpec::Slcan {
                 device: device.clone(),
                 bitrate: Some(bitrate),
@@ -135,5 +140,22 @@ fn explain(refusal: Refusal, name: &str, bitrate: u32) -> TuneError {
         Refusal::NoListening => TuneError::NoListening(name),
         Refusal::NotThisRate => TuneError::NotThisRate { name, bitrate },
         Refusal::Failed(cause) => TuneError::Failed { name, cause },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_adapter_is_not_opened_at_a_rate_that_it_has_no_code_for() {
+        let bus = "slcan:/dev/ttyACM0".parse().unwrap();
+        let mut tuner = Tuner::of(&bus).unwrap();
+        assert!(matches!(
+            tuner.set(300_000, Manner::Listening),
+            Err(TuneError::NotThisRate { bitrate: 300_000, .. })
+        ));
+        let there = tuner.set(250_000, Manner::Listening).unwrap();
+        assert_eq!(there.to_string(), "slcan:/dev/ttyACM0@250000");
     }
 }

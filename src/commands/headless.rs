@@ -113,8 +113,13 @@ pub fn recorded(
             }
             failure.tell(recording.take_recording_status().as_ref());
         };
-        open::tell_recorded(recording.finish_recording());
+        let recorded = recording.finish_recording();
         let (app, tally) = recording.finish();
+        // Who makes one log of another may delete the first then.
+        if let Some(status) = recorded.as_ref().filter(|status| status.failure.is_some()) {
+            return Err(Failure::Unusable(format!("recorded {status}")));
+        }
+        open::tell_recorded(recorded);
         tell_unreadable(spec, tally)?;
         let now = app.now();
         Ok(Outcome { app, now, ending })

@@ -274,7 +274,7 @@ fn addresses(app: &App, row: &Row) -> String {
 /// The bus of a row; where there are redundant ones, all of them.
 fn buses(app: &App, row: &Row, width: usize) -> String {
     let all = row.bus.into_iter().chain(row.also.iter().map(|id| id.bus));
-    let names: Vec<&str> = all.filter_map(|bus| Some(app.bus(bus)?.name.as_str())).collect();
+    let names: Vec<&str> = all.filter_map(|bus| Some(app.bus(bus)?.name_without_rates())).collect();
     together(&names, width)
 }
 

@@ -91,7 +91,7 @@ fn entry_line(brush: &Brush, entry: &TimelineEntry, who_width: usize) -> Line<'s
     if shows_bus(brush) {
         // A line about the bus itself has its name beside it.
         let bus = entry.bus.filter(|_| entry.address.is_some());
-        let bus = bus.and_then(|bus| brush.app.bus(bus)).map_or("", |bus| &bus.name);
+        let bus = bus.and_then(|bus| brush.app.bus(bus)).map_or("", |bus| bus.name_without_rates());
         spans.push(brush.span(Role::Muted, format!("{} ", fit(&end_of(bus, 6), 6))));
     }
     spans.extend([
@@ -125,7 +125,7 @@ fn who(brush: &Brush, entry: &TimelineEntry, width: usize) -> String {
         (None, Some(address)) => format!("? @{address}"),
         (Some(name), None) if entry.bus.is_none() => name.called().to_string(),
         _ => match entry.bus.and_then(|bus| app.bus(bus)) {
-            Some(bus) => end_of(&bus.name, width),
+            Some(bus) => end_of(bus.name_without_rates(), width),
             None => app.file().name(),
         },
     }

@@ -92,7 +92,7 @@ fn frame_line(
         text(Role::Muted, format!("{} ", clock_millis(brush.app, frame.time))),
     ];
     if room.bus {
-        let bus = brush.app.bus(frame.bus).map_or("", |bus| &bus.name);
+        let bus = brush.app.bus(frame.bus).map_or("", |bus| bus.name_without_rates());
         spans.push(text(Role::Muted, format!("{} ", fit(&end_of(bus, 6), 6))));
     }
     spans.extend(route(brush, frame, &decoded, plain));
@@ -182,7 +182,7 @@ fn draw_evidence(brush: &mut Brush) {
         let decoded = piece.frame.map(|frame| (frame, Decoded::of(brush.app, &frame)));
         if let Some((frame, decoded)) = &decoded {
             if room.bus {
-                let bus = brush.app.bus(frame.bus).map_or("", |bus| &bus.name);
+                let bus = brush.app.bus(frame.bus).map_or("", |bus| bus.name_without_rates());
                 spans.push(brush.span(Role::Muted, format!("{} ", fit(bus, 6))));
             }
             if with_route {
@@ -225,7 +225,7 @@ fn draw_details(brush: &mut Brush) {
     let mut add = |label: &str, role: Role, text: &str| {
         lines.extend(labelled(brush, &fit(label, 9), role, text, area.width));
     };
-    let bus = app.bus(frame.bus).map_or("", |bus| &bus.name);
+    let bus = app.bus(frame.bus).map_or("", |bus| bus.name_without_rates());
     let ours = if frame.ours { ", sent by us" } else { "" };
     add("frame", Role::Text, &format!("{} on {bus}{ours}", clock_millis(app, frame.time)));
     add("id", Role::Text, &describe_id(frame, &decoded));
@@ -342,7 +342,7 @@ fn identifier_line(
     let rate = if row.rate == 0 { Role::Muted } else { Role::Text };
     let mut spans = vec![brush.span(Role::Text, if selected { "▸ " } else { "  " })];
     if brush.app.buses().len() > 1 {
-        let bus = brush.app.bus(row.key.bus).map_or("", |bus| &bus.name);
+        let bus = brush.app.bus(row.key.bus).map_or("", |bus| bus.name_without_rates());
         spans.push(brush.span(Role::Muted, format!("{} ", fit(&end_of(bus, 6), 6))));
     }
     spans.extend([
