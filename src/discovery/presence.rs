@@ -1,7 +1,8 @@
 //! Whether a device is there, judged by the age of its heartbeats and of its other frames.
 //!
 //! With a heartbeat: online while they come, stale after 2.5 periods, lost after 5; silent
-//! instead while other frames arrive, asleep instead of lost when its last mode was IDLE.
+//! instead while other frames arrive after the next one was due, asleep instead of lost when its
+//! last mode was IDLE.
 //! Without one, or with none but the one that claimed its address: by rounds, unless frames arrive
 //! between them, or, where none are made, stale 30 s after the last frame. Time in which no frame
 //! could reach us, because the bus was down, does not count.
@@ -23,6 +24,9 @@ pub(super) fn beats_no_more(device: &Device, period: Duration) -> bool {
     let claim = device.heartbeat.last.filter(|_| device.heartbeat.count == 1);
     claim.is_some_and(|claim| device.last_seen.since(claim) >= period * 5)
 }
+
+/// Age of the last heartbeat in periods at which the next one did not come.
+const OVERDUE_PERIODS: f64 = 1.5;
 
 /// How many outages are remembered: older ones matter to nobody who is still here.
 const MAX_OUTAGES: usize = 8;
@@ -111,7 +115,9 @@ impl Measure<'_> {
         if age < stale_after {
             return (Presence::Online, Some(last_beat + stale_after));
         }
-        if last_seen > last_beat && now.since(last_seen) < lost_after {
+        // Frames that came while the heartbeat was still due say nothing of it.
+        let is_heard = last_seen > last_beat + self.period.mul_f64(OVERDUE_PERIODS);
+        if is_heard && now.since(last_seen) < lost_after {
             return (Presence::Silent, Some(last_seen + lost_after));
         }
         if age < lost_after {
