@@ -218,3 +218,46 @@ fn what_else_the_adapter_says_disturbs_nothing() {
     }
     assert_eq!(stage.app.buses()[0].lost(), 9);
 }
+
+/// Stopped and let go on, as by Ctrl-Z and fg: all that came meanwhile is read at once.
+#[test]
+fn nobody_is_judged_by_the_time_in_which_the_program_was_held_up() {
+    let mut stage = Stage::settled();
+    let since = stage.app.now();
+    let now = since + Duration::from_secs(7);
+    stage.sim.advance(now);
+    stage.app.handle_held_up(since, now);
+    let mut count = 0;
+    while let Some(frame) = stage.sim.poll_frame(stage.station) {
+        stage.app.handle_frames(now, &[frame.at(now + Duration::from_micros(count))]);
+        count += 1;
+    }
+    assert!(count > 10, "{count}");
+    stage.run(0.3);
+    stage.begins_anew();
+    stage.run(20.0);
+    assert!(stage.is_told("was held up for 7.0 s"));
+    for word in ["suspected", "confirmed", "lost", "silent", "stale", "returned", "rebooted"] {
+        assert!(!stage.is_told(word), "{word}");
+    }
+    for device in stage.app.buses()[0].engine.devices() {
+        assert_eq!(device.heartbeat.missed, 0, "{:?}", device.name);
+        assert!(device.is_here());
+    }
+}
+
+#[test]
+fn a_bus_that_goes_down_while_what_waited_is_read_is_down() {
+    let mut stage = Stage::settled();
+    let since = stage.app.now();
+    let now = since + Duration::from_secs(7);
+    stage.sim.advance(now);
+    stage.app.handle_held_up(since, now);
+    while stage.sim.poll_frame(stage.station).is_some() {}
+    stage.becomes(|status| (status.link, status.state) = (Link::Down, BusState::Down));
+    stage.run(20.0);
+    assert_eq!(stage.sent, [], "nothing can be sent");
+    stage.becomes(|status| (status.link, status.state) = (Link::Up, BusState::ErrorActive));
+    stage.begins_anew();
+    assert!(!stage.is_told("lost") && !stage.is_told("stale"));
+}

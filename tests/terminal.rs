@@ -8,6 +8,7 @@ use nix::sys::signal::Signal;
 use pty::Pty;
 use std::fmt::Write;
 use std::path::Path;
+use std::time::Duration;
 
 const SMALL: (u16, u16) = (80, 24);
 
@@ -152,6 +153,28 @@ fn ctrl_z_gives_the_terminal_back_until_it_goes_on() {
         assert_eq!(pty.wait(), 0);
         pty.assert_given_back();
     }
+}
+
+#[test]
+fn what_was_not_heard_while_it_was_stopped_is_held_against_nobody() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut pty = demo(folder.path());
+    pty.signal(Signal::SIGSTOP);
+    pty.wait_for_state('T');
+    // Nothing is drawn meanwhile; heartbeats are due.
+    assert_eq!(pty.count_for(Duration::from_secs(4)), 0);
+    pty.signal(Signal::SIGCONT);
+    pty.wait_for("descan       was held up for");
+    // It begins anew.
+    pty.wait_for("we are at 0");
+    pty.send("3");
+    pty.wait_for("▸");
+    let screen = pty.screen();
+    for word in [" suspected:", " lost\n", " silent:", " stale:", " returned,"] {
+        assert!(!screen.contains(word), "{word}: {screen}");
+    }
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
 }
 
 /// Not a test of its own: what `a_panic_gives_the_terminal_back` runs in a terminal.

@@ -23,6 +23,8 @@ pub struct Bus {
     pub meter: Meter,
     /// When its log ended. What was there then is there for good: no time passes any more.
     pub ended: Option<Instant>,
+    /// Until when its frames are not judged, because they may have waited for us.
+    rests_until: Option<Instant>,
 }
 
 impl Bus {
@@ -37,7 +39,37 @@ impl Bus {
     /// A bus that starts now.
     pub fn new(now: Instant, name: String, config: Config) -> Self {
         let status = BusStatus { bitrate: config.bitrate, ..BusStatus::default() };
-        Self { name, engine: Engine::new(now, config), status, meter: Meter::new(now), ended: None }
+        let (engine, meter) = (Engine::new(now, config), Meter::new(now));
+        Self { name, engine, status, meter, ended: None, rests_until: None }
+    }
+
+    /// Nothing was taken from it since `since`; what comes until `until` may have waited, and
+    /// its time may be that at which it was taken.
+    pub(super) fn rest(&mut self, since: Instant, until: Instant) {
+        self.engine.suspend(since);
+        self.rests_until = Some(until);
+    }
+
+    /// Whether its engine waits until the adapter says that it is back.
+    pub(super) fn waits_for_adapter(&self) -> bool {
+        self.rests_until.is_none() && self.engine.is_suspended()
+    }
+
+    /// It went down: that lasts longer.
+    pub(super) fn goes_down(&mut self, now: Instant) {
+        self.engine.suspend(now);
+        self.rests_until = None;
+    }
+
+    /// Whether what is heard at that moment is not judged; ends the rest that is over then.
+    pub(super) fn rests_at(&mut self, now: Instant) -> bool {
+        let Some(until) = self.rests_until else { return false };
+        if now < until {
+            return true;
+        }
+        self.rests_until = None;
+        self.engine.restart(until);
+        false
     }
 
     /// The bit rate to reckon with.
@@ -47,7 +79,7 @@ impl Bus {
 
     /// When its engine is to be called at the latest.
     pub(super) fn poll_timeout(&self) -> Option<Instant> {
-        self.engine.poll_timeout().filter(|_| self.ended.is_none())
+        self.rests_until.or_else(|| self.engine.poll_timeout()).filter(|_| self.ended.is_none())
     }
 
     /// Whether there is no way to the bus at all, so that nothing can be sent.

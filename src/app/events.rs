@@ -320,7 +320,7 @@ impl App {
         let was_away = !is_up(&bus.status)
             || bus.status.outages < status.outages
             || bus.status.bus_offs < status.bus_offs;
-        let came_back = is_up(&status) && (was_away && !was_there || bus.engine.is_suspended());
+        let came_back = is_up(&status) && (was_away && !was_there || bus.waits_for_adapter());
         let is_down = !is_up(&status) && status.link != Link::Ended;
         // Or down again, before anybody was told that it was up.
         let goes_down = is_down
@@ -350,7 +350,7 @@ impl App {
         }
         let Some(bus) = self.buses.get_mut(usize::from(index.0)) else { return };
         if goes_down {
-            bus.engine.suspend(now);
+            bus.goes_down(now);
         }
         if came_back {
             bus.engine.restart(now);

@@ -258,6 +258,8 @@ const EMPTY_FOR: Duration = Duration::from_secs(1);
 const SAVE_AGAIN_AFTER: Duration = Duration::from_secs(10);
 const MESSAGE_FOR: Duration = Duration::from_secs(6);
 const SECOND: Duration = Duration::from_secs(1);
+/// So long after the program was held up frames may still come that waited meanwhile.
+const BACKLOG: Duration = Duration::from_millis(250);
 
 impl App {
     /// The program at its start.
@@ -347,7 +349,9 @@ impl App {
         self.now = self.now.max(now);
         for frame in frames {
             let Some(bus) = self.buses.get_mut(usize::from(frame.bus.0)) else { continue };
-            bus.engine.handle_frame(frame);
+            if !bus.rests_at(frame.time) {
+                bus.engine.handle_frame(frame);
+            }
             // The end may be told before the last frames come.
             bus.ended = bus.ended.map(|ended| ended.max(frame.time));
             let (bitrate, data_bitrate) = (bus.bits_per_second(), bus.status.data_bitrate);
@@ -365,6 +369,9 @@ impl App {
         self.now = self.now.max(now);
         for bus in &mut self.buses {
             if bus.poll_timeout().is_some_and(|at| at <= now) {
+                if bus.rests_at(now) {
+                    continue;
+                }
                 if bus.is_away() {
                     bus.engine.wait_for_bus(now);
                 }
@@ -393,6 +400,21 @@ impl App {
             self.dirty = true;
             self.catch_up();
         }
+    }
+
+    /// Nothing could be done since `since`, as where the program was stopped: what came meanwhile
+    /// is shown, but nobody is judged by it, and nobody by his silence.
+    pub fn handle_held_up(&mut self, since: Instant, now: Instant) {
+        self.now = self.now.max(now);
+        for bus in self.buses.iter_mut().filter(|bus| !bus.is_away() && bus.ended.is_none()) {
+            bus.rest(since, now + BACKLOG);
+        }
+        let seconds = now.since(since).as_secs_f64();
+        let text = format!("was held up for {seconds:.1} s: nobody is judged by that time");
+        let mut line = TimelineEntry::new(now, TimelineKind::Error, text);
+        line.name = Some("descan".into());
+        self.tell_line(line);
+        self.dirty = true;
     }
 
     /// Lets everything happen on the buses that is due until `until`, each at its time, as where

@@ -25,6 +25,10 @@ use tokio::task::{JoinHandle, spawn_blocking};
 /// Frames taken in one turn, so that keys and the screen get theirs.
 const BATCH: usize = 1024;
 
+/// So much later than is due is no busy machine any more: the program was stopped, or could not
+/// write to its terminal.
+const HELD_UP: Duration = Duration::from_millis(1500);
+
 /// Why a session woke.
 #[derive(Debug)]
 pub enum Wake {
@@ -74,6 +78,8 @@ pub struct Session {
     recorder: Option<Recorder>,
     searching: Option<Searching>,
     batch: Vec<Frame>,
+    /// When it began, or went on after it was held up.
+    resumed: Instant,
 }
 
 impl Session {
@@ -81,6 +87,7 @@ impl Session {
     pub fn new(app: App, clock: Clock, ports: Vec<Port>, store: Option<Store>) -> Self {
         let mut session = Self {
             app,
+            resumed: clock.now(),
             clock,
             named: vec![0; ports.len()],
             ports,
@@ -196,8 +203,21 @@ impl Session {
         }
     }
 
+    /// Notices that it was not called for long.
+    fn notice_held_up(&mut self) {
+        if self.clock.playback().is_some() {
+            return;
+        }
+        let (now, due) = (self.now(), self.app.poll_timeout());
+        if let Some(due) = due.filter(|due| *due >= self.resumed && now.since(*due) >= HELD_UP) {
+            self.resumed = now;
+            self.app.handle_held_up(due, now);
+        }
+    }
+
     /// Takes in what a wake brought.
     pub fn take(&mut self, wake: Wake) {
+        self.notice_held_up();
         let now = self.now();
         match wake {
             Wake::Due => {}
@@ -296,6 +316,7 @@ impl Session {
     /// Does what is due, sends what is to be sent, starts what is to be saved. What concerns
     /// the screen or the program itself comes back.
     pub fn settle(&mut self) -> Vec<Effect> {
+        self.notice_held_up();
         let now = self.now();
         if self.clock.playback().is_some() {
             self.app.pass_time(now);
