@@ -117,6 +117,24 @@ des.json: 3 entries, 2 devices on can0: 2 missing, 1 at another address, 1 stati
     assert_eq!(code, 1);
 }
 
+#[test]
+fn another_name_than_listed_is_a_difference() {
+    let mut feed = DeviceSpec::new("FEED").fixed(12).settled();
+    feed.uid = descan::wire::node::Uid([0x8A, 0xFA, 0x6C, 0x97, 0x24, 0x11]);
+    let scenario = Scenario::new(125_000).with(feed);
+    for (name, found) in [("FEED", false), ("FEEX", true)] {
+        let file = format!(r#"[{{"name":"{name}","address":12,"uid":"BOILER01"}}]"#);
+        let output = Folder::with(&scenario, Some(&file)).check(&["file:session.log"]);
+        let said = text(&output.stdout);
+        let line = "another name:\n  FEEX at 12 calls itself FEED: it is known by its UID.\n";
+        assert_eq!(
+            (said.contains(line), output.status.code()),
+            (found, Some(found.into())),
+            "{said}"
+        );
+    }
+}
+
 /// Members of a JSON object have no order: whatever writes them may sort them.
 #[test]
 fn the_order_of_services_counts_in_a_list_only() {

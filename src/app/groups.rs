@@ -246,6 +246,7 @@ pub(super) fn headline(kind: FindingKind) -> &'static str {
         FindingKind::FileShape => "a wrong value in the file",
         FindingKind::Missing => "missing",
         FindingKind::Unlisted => "not in the file",
+        FindingKind::NameDiffers => "another name than listed",
         FindingKind::ServicesDiffer => "other services than listed",
         FindingKind::NonConforming => "odd identifiers",
         FindingKind::MalformedAnswer => "unusable answers",

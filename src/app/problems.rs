@@ -172,6 +172,7 @@ impl Comparison<'_> {
                 self.add(FindingKind::WrongAddress, bus, Some(device.address), named, text, remedy);
                 self.is_about(Some(entry.index));
             }
+            self.name(entry, device);
             if scope == Scope::Check {
                 self.services(entry, device);
             }
@@ -222,6 +223,19 @@ impl Comparison<'_> {
         let remedy = rest.join("; ");
         let name = Some(Name::new(&entry.name));
         self.add(FindingKind::Missing, Some(bus), address, name, text, remedy);
+        self.is_about(Some(entry.index));
+    }
+
+    fn name(&mut self, entry: &Entry, device: &Device) {
+        let Some(own) = device.name.as_ref().filter(|_| !device.is_named(&entry.name)) else {
+            return;
+        };
+        let (listed, own, address) = (Called(&entry.name), own.called(), device.address);
+        let text = format!("{listed} at {address} calls itself {own}: it is known by its UID.");
+        let remedy = format!("Rename the entry to {own}, or the device to {listed}.");
+        let named = Some(Name::new(&entry.name));
+        let bus = Some(device.id.bus);
+        self.add(FindingKind::NameDiffers, bus, Some(address), named, text, remedy);
         self.is_about(Some(entry.index));
     }
 

@@ -108,7 +108,7 @@ fn is_complete(app: &App, now: Instant) -> bool {
 }
 
 /// What the kinds of differences are called, the gravest first.
-const GROUPS: [(&str, &[FindingKind]); 7] = [
+const GROUPS: [(&str, &[FindingKind]); 8] = [
     (
         "collisions",
         &[
@@ -123,6 +123,7 @@ const GROUPS: [(&str, &[FindingKind]); 7] = [
     ("at another address", &[FindingKind::WrongAddress]),
     ("static address taken", &[FindingKind::StaticAddressTaken]),
     ("not in the file", &[FindingKind::Unlisted]),
+    ("another name", &[FindingKind::NameDiffers]),
     ("other services", &[FindingKind::ServicesDiffer]),
     (
         "in the file itself",

@@ -442,6 +442,7 @@ fn is_difference(kind: FindingKind) -> bool {
             | FindingKind::Unlisted
             | FindingKind::WrongAddress
             | FindingKind::StaticAddressTaken
+            | FindingKind::NameDiffers
             | FindingKind::ServicesDiffer
             | FindingKind::FileDuplicateAddress
             | FindingKind::FileDuplicateEntry
