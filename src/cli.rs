@@ -123,7 +123,8 @@ pub struct Scan {
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Compares what is on the bus with des.json: entries that are missing, devices at another address than
-the pinned one, or not listed, services and versions where the file lists them; and collisions.
+the pinned one, of another name, or not listed, services and versions where the file lists them (in
+their order where they are a list); and collisions.
 
 Exit code: 0 no difference, 1 one or more, 2 wrong usage, 3 bus or file not usable, 130 interrupted.
 

@@ -368,10 +368,7 @@ impl App {
     pub fn handle_timeout(&mut self, now: Instant) {
         self.now = self.now.max(now);
         for bus in &mut self.buses {
-            if bus.poll_timeout().is_some_and(|at| at <= now) {
-                if bus.rests_at(now) {
-                    continue;
-                }
+            if bus.poll_timeout().is_some_and(|at| at <= now) && !bus.rests_at(now) {
                 if bus.is_away() {
                     bus.engine.wait_for_bus(now);
                 }
