@@ -157,6 +157,8 @@ impl App {
     pub fn save(&mut self, _now: Instant) {
         if self.file.conflict().is_some() {
             self.show_conflict();
+            // Who asks for the page means it.
+            self.ahead = None;
         } else if self.file.unsaved() == 0 {
             self.say_of_file("everything is saved");
         } else if let Err(super::Refusal::Broken(why)) = self.file.check() {
