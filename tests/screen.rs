@@ -1744,6 +1744,18 @@ fn two_adapters_at_one_rate_are_told_apart() {
 }
 
 #[test]
+fn where_one_line_is_for_all_buses_it_is_that_of_the_one_that_is_away() {
+    let scenarios = ["boiler", "drone"].map(|name| Scenario::builtin(name).unwrap());
+    let mut pair = Pair::new([&scenarios[0], &scenarios[1]]);
+    assert!(pair.run(0..20).screen(50, 12).lines().next().unwrap().contains("can0"));
+    let message = Some("can1 is gone: plug it in again".to_owned());
+    let status = BusStatus { link: Link::Unplugged, message, ..BusStatus::default() };
+    pair.app.handle_bus(pair.app.now(), BusIndex(1), status);
+    let screen = pair.screen(50, 12);
+    assert!(screen.lines().next().unwrap().contains("can1  UNPLUGGED"), "{screen}");
+}
+
+#[test]
 fn a_device_on_two_buses_is_one_row_where_they_are_redundant() {
     use descan::sim::DeviceSpec;
     let device = |name: &str, address: u8, uid: u8, service: &str| {

@@ -25,7 +25,7 @@ pub fn draw(brush: &mut Brush) {
     match area.height {
         0 => {}
         1 => {
-            let left = bus_parts(brush, selected_bus(brush));
+            let left = bus_parts(brush, BusIndex(bus_to_show(brush, 0) as u8));
             let mut right: Parts = assumed(brush).into_iter().collect();
             let file = file(brush, false);
             // What is not on the disk, or cannot be read, gives way to nothing.
@@ -43,10 +43,8 @@ pub fn draw(brush: &mut Brush) {
         lines => {
             let shown = usize::from(lines - 1);
             for row in 0..shown.min(buses.max(1)) {
-                // Where not all fit, the last line is the selected row's bus.
                 let rest = buses > shown && row + 1 == shown;
-                let selected = usize::from(selected_bus(brush).0);
-                let index = if rest { selected.max(row) } else { row };
+                let index = if rest { bus_to_show(brush, row) } else { row };
                 let mut parts = bus_parts(brush, BusIndex(index as u8));
                 if rest {
                     let more = format!("bus {} of {buses}", index + 1);
@@ -74,8 +72,14 @@ fn is_worrying(brush: &Brush) -> bool {
         || file.emptied_since().is_some()
 }
 
-fn selected_bus(brush: &Brush) -> BusIndex {
-    brush.app.selected_row().and_then(|row| row.bus).unwrap_or_default()
+/// The place of the bus that a line is for where not all fit: the selected row's, or another where
+/// that is up and the other is not.
+fn bus_to_show(brush: &Brush, from: usize) -> usize {
+    let selected = brush.app.selected_row().and_then(|row| row.bus).unwrap_or_default();
+    let selected = usize::from(selected.0).max(from);
+    let is_hidden = |at: &usize| brush.app.buses().get(*at).is_some_and(Bus::is_hidden);
+    let others = from..brush.app.buses().len();
+    std::iter::once(selected).chain(others).find(is_hidden).unwrap_or(selected)
 }
 
 /// Where the name of the bus and what stands at the right do not fit beside each other, that values
