@@ -627,3 +627,24 @@ fn what_is_found_by_comparing_is_told_once_and_does_not_flap() {
     ];
     assert_eq!(told, expected);
 }
+
+/// A bus of which nothing is shown by mistake would look like a quiet one.
+#[test]
+fn a_filter_that_nothing_can_fit_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    for (filter, said) in [
+        ("at:abc", "at:abc: \"abc\" is no address: 0 to 127"),
+        ("feed at:12-14", "at:12-14: \"12-14\" is no address"),
+        ("at:12,128", "\"128\" is no address"),
+        ("!foo:bar", "there is no field foo:, only at: name:"),
+    ] {
+        let output = watch(&["sim:boiler", "--time", "0.1", "--filter", filter], folder.path());
+        assert_eq!(output.status.code(), Some(2), "{filter}");
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert!(stderr.contains(said), "{stderr}");
+    }
+    for filter in ["at:12,14", "12:30", "name:feed is:lost !err", "boiler"] {
+        let output = watch(&["sim:boiler", "--time", "0.1", "--filter", filter], folder.path());
+        assert_eq!(output.status.code(), Some(0), "{filter}");
+    }
+}

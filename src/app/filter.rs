@@ -97,6 +97,29 @@ impl Filter {
         Self { terms: text.split_whitespace().map(term).collect() }
     }
 
+    /// What in it is meant as a field and can fit nothing, in words: for where nobody sees the line
+    /// while it is typed.
+    pub fn mistake(&self) -> Option<String> {
+        self.terms.iter().find_map(|term| match &term.what {
+            What::Field(Field::Address, list) => {
+                let is_none = |one: &&str| !Address::all().any(|address| is_one_of(address, one));
+                let wrong = list.split(',').find(is_none)?;
+                Some(format!("at:{list}: \"{wrong}\" is no address: 0 to 127, several as at:12,14"))
+            }
+            What::Word(word) => {
+                let (field, _) = word.split_once(':')?;
+                let is_field = !field.is_empty() && field.chars().all(|c| c.is_ascii_alphabetic());
+                is_field.then(|| {
+                    format!(
+                        "{word}: there is no field {field}:, only at: name: src: dst: dev: srv: \
+                         type: kind: id: is: bus:"
+                    )
+                })
+            }
+            What::Field(..) | What::Error | What::Ours => None,
+        })
+    }
+
     /// What fields there are on a page, in a line: the syntax is one, but not every page has all.
     pub const fn teach(page: Page) -> &'static str {
         match page {

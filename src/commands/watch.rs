@@ -17,6 +17,7 @@ use crate::shell::ending::Ending;
 use crate::shell::recording::Pace;
 use crate::shell::session::Session;
 use crate::status::Link;
+use crate::text::printable;
 use crate::time::Instant;
 use crate::wire::id::{Address, Header};
 use crate::wire::node::Mode;
@@ -30,6 +31,9 @@ pub fn run(watch: &Watch) -> Result<u8, Failure> {
     let buses = open::buses(&watch.session)?;
     let mut setup = Setup::new(&watch.session.common)?;
     let interest = watch.filter.as_deref().map(Filter::parse).unwrap_or_default();
+    if let Some(mistake) = interest.mistake() {
+        return Err(Failure::Usage(format!("--filter {}", printable(mistake.as_bytes()))));
+    }
     setup.only = frames_of_interest(&interest, &setup);
     let options = AppOptions {
         utc_offset_seconds: open::utc_offset_seconds(),
