@@ -49,7 +49,7 @@ impl App {
             return;
         }
         let Some(row) = self.selected_row().filter(|row| self.device_of(row).is_some()) else {
-            return self.complain("no device is selected");
+            return self.complain("there is no device in this row to be taken into the file");
         };
         if self.devices_of(row).any(|device| device.name.is_none() || device.is_debug) {
             return self.complain("only devices with a known name are listed in the file");
@@ -283,7 +283,8 @@ impl App {
         let found = row.and_then(|row| self.entry_of(row));
         let found = found.map(|entry| (entry.index, entry.name_text.clone()));
         if found.is_none() {
-            self.complain("the row is not in the file");
+            let key = self.key_of("add");
+            self.complain(format!("the row is not in the file; {key} takes a device into it"));
         }
         found
     }
