@@ -211,7 +211,9 @@ impl Session {
         let (now, due) = (self.now(), self.app.poll_timeout());
         if let Some(due) = due.filter(|due| *due >= self.resumed && now.since(*due) >= HELD_UP) {
             self.resumed = now;
-            self.app.handle_held_up(due, now);
+            // Since it last did something, it may have been stopped.
+            let since = due.min(self.app.now());
+            self.app.handle_held_up(since, now);
         }
     }
 
