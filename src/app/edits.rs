@@ -82,7 +82,7 @@ impl App {
         let (mut operations, mut refused) = (Vec::new(), Vec::new());
         for device in wanted {
             let Some(operation) = self.taking(device) else { continue };
-            match self.file.check_edit(self.matching.entry_of(device.id)) {
+            match self.file.check_operation(&operation) {
                 Ok(()) => operations.push(operation),
                 Err(refusal) => refused.push(refusal.to_string()),
             }

@@ -1,6 +1,6 @@
 //! Edits carried out: one value spliced, the result read again and compared with what was meant.
 
-use super::entry::{Entry, Member, SERVICE_MEMBERS, read_service};
+use super::entry::{Entry, Member, read_service_noting};
 use super::layout::{self, EntryStyle, Layout, Members, ServicesStyle, newline, spliced};
 use super::operation::{NewEntry, Operation, RemovedEntry};
 use super::patch::Patch;
@@ -416,6 +416,22 @@ impl Document {
         entry.map_or(Ok(()), |index| self.check_members(index))
     }
 
+    /// Whether an edit would be refused for what stands there already. Cheap.
+    ///
+    /// # Errors
+    /// [`EditError`], as [`Document::apply`] would give it.
+    pub fn check_operation(&self, operation: &Operation) -> Result<(), EditError> {
+        self.check_path()?;
+        match operation {
+            Operation::SetAddress { entry, .. }
+            | Operation::ClearAddress { entry, .. }
+            | Operation::Rename { entry, .. }
+            | Operation::SetServices { entry, .. }
+            | Operation::Restore { entry, .. } => self.check_entry(self.require(entry)?, operation),
+            _ => Ok(()),
+        }
+    }
+
     /// The way to the list must be clear.
     fn check_path(&self) -> Result<(), EditError> {
         match self.root() {
@@ -460,14 +476,13 @@ impl Document {
             if !item.key.is_empty() && !keys.insert(key.clone()) {
                 return Err(self.duplicate(&key, item.key.start));
             }
-            if read_service(self.body(), &item).is_none() {
-                return Err(self.no_service(&item.value));
+            let mut again = Vec::new();
+            let service = read_service_noting(self.body(), &item, &mut again);
+            if let Some((key, at)) = again.first() {
+                return Err(self.duplicate(key, *at));
             }
-            let Some(members) = Members::of(&self.body()[item.value.clone()]) else { continue };
-            for key in SERVICE_MEMBERS {
-                if let Some(at) = members.duplicate(key) {
-                    return Err(self.duplicate(key, item.value.start + at));
-                }
+            if service.is_none() {
+                return Err(self.no_service(&item.value));
             }
         }
         Ok(())

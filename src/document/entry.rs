@@ -135,7 +135,7 @@ impl Present {
 }
 
 /// The members of a service that mean something here.
-pub(super) const SERVICE_MEMBERS: [&str; 3] = ["name", "version", "extra"];
+const SERVICE_MEMBERS: [&str; 3] = ["name", "version", "extra"];
 
 /// Reads the elements of the list of devices. An element without a name is no entry.
 pub(super) fn read_all(body: &str, elements: &[Span], findings: &mut Findings) -> Vec<Entry> {
@@ -165,7 +165,7 @@ pub(super) fn read_service(body: &str, item: &scan::Item) -> Option<ServiceEntry
 }
 
 /// The same; members that are there again are noted, with where they are.
-fn read_service_noting(
+pub(super) fn read_service_noting(
     body: &str,
     item: &scan::Item,
     again: &mut Vec<(&'static str, usize)>,

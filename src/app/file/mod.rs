@@ -386,6 +386,12 @@ impl FileState {
         Ok(self.document.check_edit(entry)?)
     }
 
+    /// Whether this edit would be refused for what stands there already.
+    pub fn check_operation(&self, operation: &Operation) -> Result<(), Refusal> {
+        self.check()?;
+        Ok(self.document.check_operation(operation)?)
+    }
+
     /// Makes an edit; what it did, in words.
     pub fn edit(&mut self, operations: &[Operation]) -> Result<String, Refusal> {
         self.check()?;
