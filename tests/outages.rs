@@ -63,6 +63,15 @@ impl Stage {
         }
     }
 
+    /// The program is stopped for so many seconds. What came meanwhile is not read yet.
+    fn hold_up(&mut self, seconds: u64) -> Instant {
+        let since = self.app.now();
+        let now = since + Duration::from_secs(seconds);
+        self.sim.advance(now);
+        self.app.handle_held_up(since, now);
+        now
+    }
+
     /// The adapter says something else.
     fn becomes(&mut self, change: impl FnOnce(&mut BusStatus)) {
         change(&mut self.status);
@@ -223,10 +232,7 @@ fn what_else_the_adapter_says_disturbs_nothing() {
 #[test]
 fn nobody_is_judged_by_the_time_in_which_the_program_was_held_up() {
     let mut stage = Stage::settled();
-    let since = stage.app.now();
-    let now = since + Duration::from_secs(7);
-    stage.sim.advance(now);
-    stage.app.handle_held_up(since, now);
+    let now = stage.hold_up(7);
     let mut count = 0;
     while let Some(frame) = stage.sim.poll_frame(stage.station) {
         stage.app.handle_frames(now, &[frame.at(now + Duration::from_micros(count))]);
@@ -249,10 +255,7 @@ fn nobody_is_judged_by_the_time_in_which_the_program_was_held_up() {
 #[test]
 fn a_bus_that_goes_down_while_what_waited_is_read_is_down() {
     let mut stage = Stage::settled();
-    let since = stage.app.now();
-    let now = since + Duration::from_secs(7);
-    stage.sim.advance(now);
-    stage.app.handle_held_up(since, now);
+    stage.hold_up(7);
     while stage.sim.poll_frame(stage.station).is_some() {}
     stage.becomes(|status| (status.link, status.state) = (Link::Down, BusState::Down));
     stage.run(20.0);

@@ -19,16 +19,10 @@ use std::io::{self, Write};
 pub fn run(check: &Check) -> Result<u8, Failure> {
     let buses = open::buses(&check.session)?;
     let setup = Setup::new(&check.session.common)?;
-    let Outcome { app, now, ending } = if let Some(log) = open::log(&buses, "check")? {
+    let log = open::log(&buses, "check")?;
+    let Outcome { app, now, ending } = if let Some(log) = log {
         let all = (Some(Pace::AtOnce), Limits { stuck: INTERRUPTED, ..Limits::default() });
-        let outcome =
-            headless::recorded(log, &setup, AppOptions::default(), all, |app| has_file(app))?;
-        let is_interrupted = outcome.ending == Some(Ending::Interrupted);
-        if outcome.app.buses().is_empty() && !is_interrupted {
-            let text = format!("{log}: there is no frame in it: is it the right log?");
-            return Err(Failure::Unusable(text));
-        }
-        outcome
+        headless::recorded(log, &setup, AppOptions::default(), all, |app| has_file(app))?
     } else {
         let mut patience = Patience::default();
         look(&buses, &setup, check.time, |app, now| {
@@ -39,6 +33,10 @@ pub fn run(check: &Check) -> Result<u8, Failure> {
     has_file(&app)?;
     if ending == Some(Ending::Interrupted) {
         return Ok(INTERRUPTED);
+    }
+    if let Some(log) = log.filter(|_| app.buses().is_empty()) {
+        let text = format!("{log}: there is no frame in it: is it the right log?");
+        return Err(Failure::Unusable(text));
     }
     if ending == Some(Ending::TimeUp) && !is_settled(&app) {
         let why = "time was over before everything was answered; --time gives it longer";

@@ -203,24 +203,25 @@ impl Session {
         }
     }
 
-    /// Notices that it was not called for long.
-    fn notice_held_up(&mut self) {
+    /// The moment it is; notices that it was not asked for long.
+    fn begin_turn(&mut self) -> Instant {
+        let now = self.now();
         if self.clock.playback().is_some() {
-            return;
+            return now;
         }
-        let (now, due) = (self.now(), self.app.poll_timeout());
+        let due = self.app.poll_timeout();
         if let Some(due) = due.filter(|due| *due >= self.resumed && now.since(*due) >= HELD_UP) {
             self.resumed = now;
             // Since it last did something, it may have been stopped.
             let since = due.min(self.app.now());
             self.app.handle_held_up(since, now);
         }
+        now
     }
 
     /// Takes in what a wake brought.
     pub fn take(&mut self, wake: Wake) {
-        self.notice_held_up();
-        let now = self.now();
+        let now = self.begin_turn();
         match wake {
             Wake::Due => {}
             Wake::Buses => self.take_buses(now),
@@ -318,8 +319,7 @@ impl Session {
     /// Does what is due, sends what is to be sent, starts what is to be saved. What concerns
     /// the screen or the program itself comes back.
     pub fn settle(&mut self) -> Vec<Effect> {
-        self.notice_held_up();
-        let now = self.now();
+        let now = self.begin_turn();
         if self.clock.playback().is_some() {
             self.app.pass_time(now);
         }

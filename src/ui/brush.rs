@@ -3,6 +3,7 @@
 //! Knows how wide text is, not what it says.
 
 use crate::app::{App, Bus, Screen};
+use crate::frame::BusIndex;
 use crate::text::Escaped;
 use crate::theme::{Role, Theme};
 use ratatui::buffer::Buffer;
@@ -187,6 +188,12 @@ pub fn end_of(text: &str, width: usize) -> String {
         rest.next();
     }
     format!("…{}", rest.as_str())
+}
+
+/// The bus of a line, in its narrow column.
+pub fn bus_cell(app: &App, bus: Option<BusIndex>) -> String {
+    let name = bus.and_then(|bus| app.bus(bus)).map_or("", Bus::name_without_rates);
+    format!("{} ", fit(&end_of(name, 6), 6))
 }
 
 /// Breaks `text` into lines of at most `width` cells, at blanks where there are any.

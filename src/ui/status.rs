@@ -175,7 +175,7 @@ fn bus_parts(brush: &Brush, index: BusIndex) -> Parts {
     };
     let text = |text: String| vec![brush.span(Role::Text, text)];
     let mut parts: Parts = Vec::new();
-    let mut name = vec![brush.span(Role::Title, without_rates(bus))];
+    let mut name = vec![brush.span(Role::Title, bus.name_without_rates().to_owned())];
     if let Some(now) = &bus.status.renamed {
         let now = crate::text::Escaped(now.as_bytes());
         name.push(brush.span(Role::Warning, format!(" (now {now})")));
@@ -233,16 +233,6 @@ fn bus_parts(brush: &Brush, index: BusIndex) -> Parts {
     parts.push(lost);
     parts.extend(own_address(brush, bus));
     parts
-}
-
-/// The name of a bus without the bit rates that stand beside it anyway:
-/// `slcan:/dev/ttyACM0@500000`.
-fn without_rates(bus: &Bus) -> String {
-    let status = &bus.status;
-    let data = status.data_bitrate.map_or_else(String::new, |rate| format!("/{rate}"));
-    let rates = status.bitrate.map(|rate| format!("@{rate}{data}"));
-    let name = rates.and_then(|rates| bus.name.strip_suffix(&rates));
-    name.unwrap_or(&bus.name).to_owned()
 }
 
 /// How far a log is played, and how.

@@ -1,6 +1,6 @@
 //! The timeline: as a page, and its latest lines below the devices.
 
-use super::brush::{Brush, cut, end_of, fit};
+use super::brush::{Brush, bus_cell, cut, end_of, fit};
 use crate::app::{Page, TimelineEntry, TimelineKind, clock};
 use crate::theme::Role;
 use ratatui::text::Line;
@@ -91,8 +91,7 @@ fn entry_line(brush: &Brush, entry: &TimelineEntry, who_width: usize) -> Line<'s
     if shows_bus(brush) {
         // A line about the bus itself has its name beside it.
         let bus = entry.bus.filter(|_| entry.address.is_some());
-        let bus = bus.and_then(|bus| brush.app.bus(bus)).map_or("", |bus| bus.name_without_rates());
-        spans.push(brush.span(Role::Muted, format!("{} ", fit(&end_of(bus, 6), 6))));
+        spans.push(brush.span(Role::Muted, bus_cell(brush.app, bus)));
     }
     spans.extend([
         brush.span(Role::Text, format!("{} ", fit(&who, who_width))),

@@ -1,6 +1,6 @@
 //! Traffic: frames in words, newest last; or a row per identifier with its rate.
 
-use super::brush::{Brush, end_of, fit, fit_right, inner, labelled};
+use super::brush::{Brush, bus_cell, fit, fit_right, inner, labelled};
 use crate::app::{Decoded, Focus, IdentifierKind, IdentifierStats, Page, clock_millis, hex};
 use crate::frame::{Frame, FrameKind};
 use crate::theme::Role;
@@ -92,8 +92,7 @@ fn frame_line(
         text(Role::Muted, format!("{} ", clock_millis(brush.app, frame.time))),
     ];
     if room.bus {
-        let bus = brush.app.bus(frame.bus).map_or("", |bus| bus.name_without_rates());
-        spans.push(text(Role::Muted, format!("{} ", fit(&end_of(bus, 6), 6))));
+        spans.push(text(Role::Muted, bus_cell(brush.app, Some(frame.bus))));
     }
     spans.extend(route(brush, frame, &decoded, plain));
     if room.kind {
@@ -182,8 +181,7 @@ fn draw_evidence(brush: &mut Brush) {
         let decoded = piece.frame.map(|frame| (frame, Decoded::of(brush.app, &frame)));
         if let Some((frame, decoded)) = &decoded {
             if room.bus {
-                let bus = brush.app.bus(frame.bus).map_or("", |bus| bus.name_without_rates());
-                spans.push(brush.span(Role::Muted, format!("{} ", fit(bus, 6))));
+                spans.push(brush.span(Role::Muted, bus_cell(brush.app, Some(frame.bus))));
             }
             if with_route {
                 spans.extend(route(brush, frame, decoded, Role::Text));
@@ -342,8 +340,7 @@ fn identifier_line(
     let rate = if row.rate == 0 { Role::Muted } else { Role::Text };
     let mut spans = vec![brush.span(Role::Text, if selected { "▸ " } else { "  " })];
     if brush.app.buses().len() > 1 {
-        let bus = brush.app.bus(row.key.bus).map_or("", |bus| bus.name_without_rates());
-        spans.push(brush.span(Role::Muted, format!("{} ", fit(&end_of(bus, 6), 6))));
+        spans.push(brush.span(Role::Muted, bus_cell(brush.app, Some(row.key.bus))));
     }
     spans.extend([
         brush.span(Role::Text, fit(&id, 8)),
