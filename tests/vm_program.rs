@@ -42,11 +42,11 @@ fn simulated(bus: &str, system: &str) -> Running {
     Running(child)
 }
 
-/// One board in a process of its own: it keeps address 12, whatever it hears. Without a UID it is a
-/// fresh one.
-fn board(bus: &str, folder: &Path, name: &str, uid: &str) -> Running {
+/// One board in a process of its own, with random numbers of its own: it keeps address 12, whatever
+/// it hears. Without a UID it is a fresh one.
+fn board(bus: &str, folder: &Path, (name, uid): (&str, &str), seed: u32) -> Running {
     let scenario = format!(
-        "bitrate = 125000\n[[device]]\nname = \"{name}\"\nuid = \"{uid}\"\nsettled = true\n\
+        "bitrate = 125000\nseed = {seed}\n[[device]]\nname = \"{name}\"\nuid = \"{uid}\"\nsettled = true\n\
          address = {{ fixed = 12 }}\nfaults = [\"never-gives-way\"]\n\
          services = [[\"DES\", \"1.0\"], [\"AUGER\", \"2.1\"]]\n"
     );
@@ -218,7 +218,7 @@ fn two_inspectors_on_one_bus_live_together() {
 fn what_happens_to_an_interface_is_watched() {
     let Some(vcan) = Vcan::new("dsp-watch") else { return };
     let folder = tempfile::tempdir().unwrap();
-    let first = board(vcan.name(), folder.path(), "FEED", "WATCHED");
+    let first = board(vcan.name(), folder.path(), ("FEED", "WATCHED"), 1);
     let mut watching = Watching::start(&[vcan.name(), "--json"], folder.path());
     let is_feed = |it: &Value| it["address"] == 12;
     watching.event_that("bus", |it| it["bus"]["address"] == 0);
@@ -232,7 +232,7 @@ fn what_happens_to_an_interface_is_watched() {
     watching.event_that("bus", is_up);
     // Only now can anybody tell.
     watching.event_that("lost", is_feed);
-    let second = board(vcan.name(), folder.path(), "FEED", "WATCHED");
+    let second = board(vcan.name(), folder.path(), ("FEED", "WATCHED"), 1);
     // Where our question reaches it before its first heartbeat, its answer is heard first.
     let was = &watching.event_that("returned", is_feed)["was"];
     assert!(was == "lost" || was == "silent", "{was}");
@@ -242,7 +242,7 @@ fn what_happens_to_an_interface_is_watched() {
     vcan.create().unwrap();
     watching.event_that("bus", is_up);
     watching.event_that("lost", is_feed);
-    let _third = board(vcan.name(), folder.path(), "FEED", "WATCHED");
+    let _third = board(vcan.name(), folder.path(), ("FEED", "WATCHED"), 1);
     watching.event_that("returned", is_feed);
     watching.signal(nix::sys::signal::Signal::SIGTERM);
     assert_eq!(watching.exit_code(), 0);
@@ -329,13 +329,13 @@ fn unplugged_under_load_it_comes_back_each_time_and_leaks_nothing() {
 fn collide(bus: &str, (first, second): ((&str, &str), (&str, &str))) {
     let Some(vcan) = Vcan::new(bus) else { return };
     let folder = tempfile::tempdir().unwrap();
-    let start = |(name, uid): (&str, &str), place: &str| {
-        let folder = folder.path().join(place);
+    let start = |who, seed: u32| {
+        let folder = folder.path().join(seed.to_string());
         std::fs::create_dir(&folder).unwrap();
-        board(vcan.name(), &folder, name, uid)
+        board(vcan.name(), &folder, who, seed)
     };
-    let _first = start(first, "first");
-    let second = start(second, "second");
+    let _first = start(first, 1);
+    let second = start(second, 2);
     let output = scan(vcan.name());
     let report = report(&output);
     assert_eq!(output.status.code(), Some(1), "{report:#}");

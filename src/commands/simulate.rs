@@ -61,12 +61,12 @@ pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8,
             }
             heard.clear();
             port.queue().drain(&mut heard, usize::MAX);
-            for frame in heard.iter().filter(|frame| !frame.ours && frame.kind != FrameKind::Error)
-            {
-                sim.transmit(station, *frame);
-            }
             if let Some(start) = start {
                 sim.advance(Instant::ZERO + now.since(start));
+                let is_heard = |it: &&Frame| !it.ours && it.kind != FrameKind::Error;
+                for frame in heard.iter().filter(is_heard) {
+                    sim.relay(station, *frame);
+                }
             }
             while let Some(frame) = sim.poll_frame(station) {
                 if !frame.ours && frame.kind != FrameKind::Error {

@@ -149,6 +149,13 @@ impl Sim {
         self.bus.transmit(self.now, station.0, frame, false)
     }
 
+    /// Passes on a frame that `station` heard on another bus: everybody here hears it now. It won
+    /// its arbitration there, so that nothing here contends or merges with it. The station's own
+    /// copy comes back with `ours`.
+    pub fn relay(&mut self, station: Station, frame: Frame) {
+        self.deliver(&frame.at(self.now()), &[station.0]);
+    }
+
     /// The next frame as this station sees it, dated: others' frames, its own (`ours`), error
     /// reports.
     pub fn poll_frame(&mut self, station: Station) -> Option<Frame> {
@@ -315,7 +322,10 @@ impl Sim {
     fn step_bus(&mut self) {
         match self.bus.step() {
             None => {}
-            Some(Outcome::Frame(frame)) => self.deliver(&frame),
+            Some(Outcome::Frame(frame)) => {
+                let senders = self.bus.senders().to_vec();
+                self.deliver(&frame, &senders);
+            }
             Some(Outcome::Broken(error)) => {
                 let senders = self.bus.senders().to_vec();
                 self.report_error(error, &senders, false);
@@ -327,16 +337,15 @@ impl Sim {
         }
     }
 
-    fn deliver(&mut self, frame: &Frame) {
-        self.show(frame);
-        let senders = self.bus.senders().to_vec();
-        for &sender in &senders {
+    fn deliver(&mut self, frame: &Frame, senders: &[StationIndex]) {
+        self.show(frame, senders);
+        for &sender in senders {
             if let Owner::Device(device) = self.owners[usize::from(sender)] {
                 self.with_device(device, |device, port| device.handle_sent(frame, port));
             }
         }
         if let Some(id) = frame.platform_id() {
-            self.deliver_to_devices(frame, Header::decode(id), &senders);
+            self.deliver_to_devices(frame, Header::decode(id), senders);
         }
     }
 
@@ -361,7 +370,7 @@ impl Sim {
     }
 
     /// Shows a frame to the stations from outside.
-    fn show(&mut self, frame: &Frame) {
+    fn show(&mut self, frame: &Frame, senders: &[StationIndex]) {
         for inspector in &mut self.inspectors {
             let controller = self.bus.controller(inspector.station);
             if !controller.hears() {
@@ -370,7 +379,7 @@ impl Sim {
             let counters = controller.counters();
             if controller.wrong_rate {
                 inspector.push_error(frame.time, BusError::Disturbance, false, counters);
-            } else if self.bus.senders().contains(&inspector.station) {
+            } else if senders.contains(&inspector.station) {
                 inspector.push(frame.ours());
             } else if self.observer_loss > 0.0 && self.rng.f64() < self.observer_loss {
                 inspector.missed += 1;

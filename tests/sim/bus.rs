@@ -108,6 +108,27 @@ fn error_reports_are_as_linux_makes_them() {
 }
 
 #[test]
+fn what_won_on_another_bus_neither_spoils_nor_merges_with_what_waits_here() {
+    let (mut sim, one, two) = two_stations();
+    let watcher = sim.attach();
+    for _ in 0..40 {
+        for others in [&[0x80], &[0x00]] {
+            sim.transmit(one, Frame::classic(5, &[0x00]));
+            sim.relay(two, Frame::classic(5, others));
+            let seen: Vec<_> = after(&mut sim, watcher, 10).iter().map(Frame::to_string).collect();
+            assert_eq!(seen, [format!("00000005#{:02X}", others[0]), "00000005#00".into()]);
+        }
+    }
+    let kept = polled(&mut sim, two);
+    assert_eq!(kept.iter().filter(|frame| frame.ours).count(), 80);
+    assert_eq!(kept.len(), 160);
+    for station in [one, two, watcher] {
+        let status = sim.status(station);
+        assert_eq!((status.state, status.tec, status.rec), (BusState::ErrorActive, 0, 0));
+    }
+}
+
+#[test]
 fn losing_again_and_again_leads_to_bus_off_and_restart_out_of_it() {
     let (mut sim, one, two) = two_stations();
     sim.attach();
