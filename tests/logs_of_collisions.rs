@@ -203,6 +203,32 @@ fn two_heartbeats_from_one_address() {
 }
 
 #[test]
+fn boards_with_equal_random_numbers_are_no_bridge() {
+    let mut cases: Vec<Case> = Vec::new();
+    for (seconds, every) in [(12.0, 0.7), (20.0, 1.0), (30.0, 1.9)] {
+        for uid in [BLANK, FEED] {
+            let one = Log::default().lives(14, 0.1, seconds, uid);
+            let questions = |names| Log::default().asked(seconds, every, 5, names);
+            for apart in [0.02, 0.045, 0.3, 0.44] {
+                let two = one.clone().and(&one, apart).and(&questions(&["FEED", "FEED"]), 0.0);
+                let label = format!("two of {uid} {apart} s apart, asked each {every} s");
+                cases.push((label, two, SAME_NAME));
+                let alone = one.clone().and(&questions(&["FEED"]), 0.0);
+                let mut copies = alone.clone();
+                let doubled = alone.clone().and(&copies, apart);
+                let label = format!("a bridge, {apart} s later, asked each {every} s");
+                cases.push((label, doubled, NOTHING));
+                copies.lines.retain(|(_, line)| !line.starts_with("02"));
+                let doubled = alone.and(&copies, apart);
+                let label = format!("a bridge to us, {apart} s later, asked each {every} s");
+                cases.push((label, doubled, NOTHING));
+            }
+        }
+    }
+    check(cases);
+}
+
+#[test]
 fn what_cannot_be_told_from_one_device_is_suspected_at_most() {
     let mut cases: Vec<Case> = Vec::new();
     for seconds in [6.0, 10.0, 30.0] {

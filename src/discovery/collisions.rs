@@ -116,6 +116,9 @@ impl Collisions {
         }
         let Some(extra) = extra.filter(|_| !self.doubling.asks_twice(now)) else { return };
         let first = extra.first;
+        if first.same_on_wire(frame) {
+            self.doubling.see_twice(now, extra.apart);
+        }
         // Who is in no working mode may answer the question to the one kind of nodes and that to
         // the other.
         let weight = if extra.targeted || working { Weight::Strong } else { Weight::Weak };
@@ -300,7 +303,7 @@ impl Collisions {
         if beat {
             self.doubling.see_heartbeat(now, source, frame);
         }
-        self.doubling.is_copy(now, frame)
+        self.doubling.is_copy(now, beat, frame)
     }
 
     /// Two addresses beat with one UID, each since the other's last heartbeat; both since `since`.

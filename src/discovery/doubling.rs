@@ -6,6 +6,10 @@
 //! the second of two equal frames is left out before anything is learnt from it. Where devices
 //! hear questions twice, they answer twice: then all of those that are asked do, or nearly all.
 //!
+//! Two boards whose random numbers are equal, as those of new ones may well be, draw the same RND7
+//! each time. Then the phase between their heartbeats gives them away: what sends again is not much
+//! quicker with answers than with heartbeats.
+//!
 //! Does not judge devices.
 
 use super::memory::REPEATED_WITHIN;
@@ -17,6 +21,10 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 
 /// Copies in a row from the only address that beats.
 const COPIES_OF_ONE: u32 = 3;
+/// So many answers in a row that come twice much quicker than heartbeats do, are two devices'.
+const QUICK: usize = 3;
+/// By how much quicker, at least: as unsteady as what sends again may be.
+const QUICKER_BY: Duration = Duration::from_millis(5);
 /// Frames of which a copy may still come.
 const MAX_OPEN: usize = 1024;
 
@@ -38,7 +46,11 @@ pub(super) struct Doubling {
     /// Whether copies came from several addresses.
     several: bool,
     until: Instant,
+    /// The longest that a copy of a heartbeat took, and the shortest in this row.
     delay: Duration,
+    shortest: Duration,
+    /// When the last answers came twice, and how quickly.
+    twice: VecDeque<(Instant, Duration)>,
     /// Frames that a copy may come of, by the hash of what was on the wire.
     open: VecDeque<(Instant, u64)>,
     echoed_until: Instant,
@@ -63,6 +75,8 @@ impl Doubling {
             several: false,
             until: Instant::ZERO,
             delay: Duration::ZERO,
+            shortest: Duration::MAX,
+            twice: VecDeque::new(),
             open: VecDeque::new(),
             echoed_until: Instant::ZERO,
             answers: Answers::default(),
@@ -74,8 +88,8 @@ impl Doubling {
         now < self.until
     }
 
-    /// Whether a frame is the second of two, to be left out.
-    pub fn is_copy(&mut self, now: Instant, frame: &Frame) -> bool {
+    /// Whether a frame, a heartbeat or (`beat`) not, is the second of two, to be left out.
+    pub fn is_copy(&mut self, now: Instant, beat: bool, frame: &Frame) -> bool {
         if !self.is_on(now) {
             self.open.clear();
             return false;
@@ -87,8 +101,11 @@ impl Doubling {
         let mut hasher = DefaultHasher::new();
         (frame.platform_id(), frame.data()).hash(&mut hasher);
         let hash = hasher.finish();
-        if let Some(at) = self.open.iter().position(|(_, open)| *open == hash) {
-            self.open.remove(at);
+        let at = self.open.iter().position(|(_, open)| *open == hash);
+        if let Some((first, _)) = at.and_then(|at| self.open.remove(at)) {
+            if !beat {
+                self.see_twice(now, now.since(first));
+            }
             return true;
         }
         if self.open.len() == MAX_OPEN {
@@ -103,6 +120,7 @@ impl Doubling {
         let period = self.period;
         if self.beats.iter().flatten().all(|beat| now.since(beat.frame.time) > period * 3) {
             self.several = false;
+            self.twice.clear();
         }
         let last = &mut self.beats[address.index()];
         let copied = last.filter(|beat| !beat.copied && beat.frame.same_on_wire(frame));
@@ -114,7 +132,9 @@ impl Doubling {
             self.copies += 1;
             self.several |= self.copied.is_some_and(|other| other != address);
             self.copied = Some(address);
-            if self.several || self.copies >= COPIES_OF_ONE && self.is_alone(now, address) {
+            self.shortest = self.shortest.min(late);
+            let alone = self.copies >= COPIES_OF_ONE && self.is_alone(now, address);
+            if self.several || alone && !self.are_two() {
                 self.until = now + period * 3;
                 self.delay = self.delay.max(late);
             }
@@ -125,6 +145,7 @@ impl Doubling {
             self.copies = 0;
             self.several = false;
             self.copied = None;
+            self.shortest = Duration::MAX;
         }
         let other = last.is_some_and(|beat| !beat.frame.same_on_wire(frame));
         *last = Some(Beat { frame: frame.at(now), copied: false, varies: varies || other });
@@ -133,6 +154,31 @@ impl Doubling {
     fn is_alone(&self, now: Instant, address: Address) -> bool {
         let mut beats = self.beats.iter().enumerate().filter(|(at, _)| *at != address.index());
         beats.all(|(_, beat)| beat.is_none_or(|beat| now.since(beat.frame.time) > self.period * 3))
+    }
+
+    /// An answer came that is equal to one that long before.
+    pub fn see_twice(&mut self, now: Instant, took: Duration) {
+        // What comes in one burst counts once.
+        let last = self.twice.back_mut().filter(|(at, _)| now.since(*at) < self.period / 4);
+        if let Some((_, longest)) = last {
+            *longest = took.max(*longest);
+        } else {
+            if self.twice.len() == QUICK {
+                self.twice.pop_front();
+            }
+            self.twice.push_back((now, took));
+        }
+        if !self.several && self.are_two() {
+            self.until = self.until.min(now);
+        }
+    }
+
+    /// Whether those whose heartbeats seem to come twice answer as two devices do.
+    fn are_two(&self) -> bool {
+        let quick = |(_, took): &(Instant, Duration)| {
+            *took <= self.shortest / 2 && *took + QUICKER_BY <= self.shortest
+        };
+        self.twice.len() == QUICK && self.twice.iter().all(quick)
     }
 
     /// A frame of ours came back as somebody else's: devices may have heard it twice as well.
@@ -189,7 +235,7 @@ mod tests {
     fn hear(doubling: &mut Doubling, frame: &Frame) -> bool {
         let source = (frame.platform_id().unwrap() >> 17) as u8;
         doubling.see_heartbeat(frame.time, address(source), frame);
-        doubling.is_copy(frame.time, frame)
+        doubling.is_copy(frame.time, true, frame)
     }
 
     #[test]

@@ -90,8 +90,8 @@ struct Open {
     /// When those were asked that have no answer yet.
     waiting: VecDeque<Instant>,
     asked_at: Instant,
-    /// The first answer since the last of them.
-    first_answer: Option<Frame>,
+    /// The first answer since the last of them, and when it was taken in.
+    first_answer: Option<(Instant, Frame)>,
 }
 
 /// An answer more than there were questions.
@@ -99,6 +99,8 @@ struct Open {
 pub(super) struct Extra {
     /// The first answer.
     pub first: Frame,
+    /// How long before this one it came.
+    pub apart: Duration,
     /// Whether the question went to one node alone.
     pub targeted: bool,
 }
@@ -156,15 +158,16 @@ impl Tally {
         let Some(open) = open else { return (false, None) };
         // Of several the newest is rather answered than one that has waited for long.
         let awaited = open.waiting.pop_back().is_some();
-        let first = *open.first_answer.get_or_insert(frame.at(now));
+        let (first_at, first) = *open.first_answer.get_or_insert((now, *frame));
+        let apart = now.since(first_at);
         let targeted = open.targeted;
         // Each node answers only questions to its kind; one that comes much later answers a
         // question that we missed.
         let more = !awaited || is_of_another_kind(&first, frame);
-        if !more || now.since(first.time) >= together {
+        if !more || apart >= together {
             return (!targeted, None);
         }
-        (!targeted, Some(Extra { first, targeted }))
+        (!targeted, Some(Extra { first, apart, targeted }))
     }
 }
 
