@@ -229,6 +229,21 @@ fn boards_with_equal_random_numbers_are_no_bridge() {
 }
 
 #[test]
+fn what_a_bridge_repeats_is_no_contest() {
+    let folder = tempfile::tempdir().unwrap();
+    for apart in [0.0003, 0.02, 0.045] {
+        let alone = Log::default().lives(14, 0.1, 20.0, FEED).asked(20.0, 0.7, 5, &["FEED"]);
+        let mut copies = alone.clone();
+        copies.lines.retain(|(_, line)| !line.starts_with("02"));
+        let log = alone.and(&copies, apart).text();
+        for told in [watched(folder.path(), &log), scanned(folder.path(), &log)] {
+            let mut kinds = told.iter().map(|(kind, ..)| kind);
+            assert!(kinds.all(|kind| kind != "address-contested"), "{apart} s later: {told:?}");
+        }
+    }
+}
+
+#[test]
 fn what_cannot_be_told_from_one_device_is_suspected_at_most() {
     let mut cases: Vec<Case> = Vec::new();
     for seconds in [6.0, 10.0, 30.0] {

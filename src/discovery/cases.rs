@@ -406,6 +406,16 @@ impl Cases {
         }
     }
 
+    /// What made findings of that kind suspected has another explanation.
+    pub fn discount(&mut self, kind: FindingKind) {
+        for (finding, case) in self.findings.iter().zip(&mut self.courses) {
+            if finding.key.kind == kind && finding.confidence == Confidence::Suspected {
+                case.began = None;
+                case.strong = 0;
+            }
+        }
+    }
+
     /// What looked like `old` turns out to be `new`: it began then, and is told as that alone.
     pub fn supersede(
         &mut self,

@@ -301,7 +301,11 @@ impl Collisions {
     /// sends everything twice.
     pub fn is_copy(&mut self, now: Instant, source: Address, beat: bool, frame: &Frame) -> bool {
         if beat {
+            let was_on = self.doubling.is_on(now);
             self.doubling.see_heartbeat(now, source, frame);
+            if !was_on && self.doubling.is_on(now) {
+                self.cases.discount(FindingKind::SameNameSameAddress);
+            }
         }
         self.doubling.is_copy(now, beat, frame)
     }
