@@ -314,6 +314,37 @@ fn unreadable_lines_are_named_once_on_standard_error() {
 }
 
 #[test]
+fn a_log_may_begin_with_a_byte_order_mark() {
+    let folder = tempfile::tempdir().unwrap();
+    let lines = format!("\u{feff}{}", log(&two_devices(), 3));
+    let number = lines.lines().count();
+    std::fs::write(folder.path().join("session.log"), lines).unwrap();
+    let output = descan(&["scan", "file:session.log", "--json"], folder.path());
+    assert_eq!(text(&output.stderr), "");
+    assert_eq!(json(&output)["buses"][0]["frames"], number);
+}
+
+#[test]
+fn what_cannot_be_printed_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("session.log"), log(&two_devices(), 3)).unwrap();
+    std::fs::write(folder.path().join("des.json"), "{}").unwrap();
+    let log = "file:session.log";
+    for arguments in [&["scan", log][..], &["check", log], &["watch", log], &["schema"], &["man"]] {
+        let output = Command::new(env!("CARGO_BIN_EXE_descan"))
+            .args(arguments)
+            .current_dir(folder.path())
+            .stdout(std::fs::File::options().write(true).open("/dev/full").unwrap())
+            .output()
+            .unwrap();
+        let said = text(&output.stderr);
+        let expected = "descan: cannot write to standard output: No space left on device";
+        assert!(said.lines().any(|line| line.starts_with(expected)), "{arguments:?}: {said}");
+        assert_eq!(output.status.code(), Some(3), "{arguments:?}");
+    }
+}
+
+#[test]
 fn hostile_names_reach_no_terminal() {
     let hostile =
         DeviceSpec { name: b"\x1b[2J\x07".to_vec(), ..DeviceSpec::new("x").fixed(9).settled() };

@@ -912,6 +912,21 @@ fn filters_show_less() {
 }
 
 #[test]
+fn a_filter_that_nothing_can_fit_is_explained() {
+    let mut stage = Stage::boiler();
+    stage.until(10.0).keys("/").text("at:abc").keys("Enter");
+    let screen = stage.screen();
+    assert!(screen.contains("\"abc\" is no address: 0 to 127"), "{screen}");
+    stage.keys("/").text(" nmae:feed").keys("Enter");
+    let screen = stage.screen();
+    assert!(screen.contains("at:abc"), "the first mistake is told first\n{screen}");
+    stage.keys("Esc /").text("nmae:feed").keys("Enter");
+    let screen = stage.screen();
+    assert!(screen.contains("there is no field nmae:"), "{screen}");
+    assert!(screen.contains(" is: bus:"), "to its end\n{screen}");
+}
+
+#[test]
 fn a_device_has_its_whole_story_under_its_name() {
     let mut stage = Stage::boiler();
     stage.until(170.0).size(100, 24).keys("3 /").text("heat").keys("Enter");

@@ -5,7 +5,7 @@
 //! change of the file under it.
 
 use super::matching::is_for;
-use super::{App, Effect, Overlay, Page, RowKey};
+use super::{App, Effect, Filter, Overlay, Page, RowKey};
 use crate::discovery::DeviceId;
 use crate::document::{Document, Entry, EntryKey, NewEntry, Operation};
 use crate::keymap::{Key, KeyCode, Mode};
@@ -131,7 +131,7 @@ impl App {
             return Some(Verdict::Blocks(refusal.to_string()));
         }
         Some(match &prompt.kind {
-            PromptKind::Filter(page, _) => Verdict::Fine(super::Filter::teach(*page).to_owned()),
+            PromptKind::Filter(page, _) => Verdict::Fine(Filter::teach(*page).to_owned()),
             PromptKind::Address(key) => match self.judge_address(prompt, key, text) {
                 Verdict::Blocks(why) => Verdict::Blocks(why),
                 verdict => self.judge_change(prompt, text).unwrap_or(verdict),
@@ -273,7 +273,13 @@ impl App {
         let Overlay::Prompt(prompt) = std::mem::take(&mut self.overlay) else { return };
         let text = prompt.input.value().trim().to_owned();
         match prompt.kind {
-            PromptKind::Filter(page, _) => self.apply_filter(page, text),
+            PromptKind::Filter(page, _) => {
+                let mistake = Filter::parse(&text).mistake();
+                self.apply_filter(page, text);
+                if let Some(mistake) = mistake {
+                    self.complain(mistake);
+                }
+            }
             PromptKind::Address(ref key) => self.finish_address(&prompt, key, &text),
             PromptKind::Rename(ref key) => {
                 let Ok(to) = unescaped(&text) else { return };

@@ -338,6 +338,9 @@ impl<R: BufRead> Iterator for LogReader<R> {
 
 impl Tally {
     fn take(&mut self, line: &[u8]) -> Option<Frame> {
+        // Some editors begin a file with a byte order mark.
+        let mark = b"\xEF\xBB\xBF".as_slice();
+        let line = line.strip_prefix(mark).filter(|_| self.lines == 0).unwrap_or(line);
         self.take_read(parse_line(line).map_err(EntryFault::from))
     }
 

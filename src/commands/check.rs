@@ -5,7 +5,7 @@ use super::headless::{self, Limits, Outcome, tell_hindrance};
 use super::open::{self, Setup};
 use super::report::{self, Report};
 use super::scan::{is_settled, look};
-use super::{FINDINGS, FINE, Failure, INTERRUPTED};
+use super::{FINDINGS, FINE, Failure, INTERRUPTED, print};
 use crate::app::{App, AppOptions, Scope};
 use crate::cli::Check;
 use crate::discovery::{Confidence, Finding, FindingKind};
@@ -47,9 +47,7 @@ pub fn run(check: &Check) -> Result<u8, Failure> {
     }
     let report = Report::new(&app, now, Scope::Check);
     let text = if check.json { report.json() } else { differences(&app, now) };
-    let mut out = io::stdout().lock();
-    out.write_all(text.as_bytes())?;
-    out.flush()?;
+    print(text.as_bytes())?;
     Ok(if report.has_findings() { FINDINGS } else { FINE })
 }
 

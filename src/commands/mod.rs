@@ -14,6 +14,7 @@ mod speed;
 mod watch;
 
 use crate::cli::{self, Cli, Command};
+use anyhow::Context;
 use std::io::{self, Write};
 use std::process::ExitCode;
 
@@ -45,16 +46,6 @@ pub enum Failure {
     System(#[from] anyhow::Error),
 }
 
-impl From<io::Error> for Failure {
-    fn from(error: io::Error) -> Self {
-        if error.kind() == io::ErrorKind::BrokenPipe {
-            Failure::Closed
-        } else {
-            Failure::System(error.into())
-        }
-    }
-}
-
 /// Does what the arguments ask for. Errors go to standard error as one line; where a file is not
 /// what it should be, followed by the line that is not.
 pub fn run(cli: Cli) -> ExitCode {
@@ -66,9 +57,12 @@ pub fn run(cli: Cli) -> ExitCode {
         Some(Command::Watch(watch)) => watch::run(&watch),
         Some(Command::Sim { bus, scenario, time }) => simulate::run(&bus, &scenario, time),
         Some(Command::Speed(speed)) => speed::run(&speed),
-        Some(Command::Completions { shell }) => print(&cli::completions(shell)),
-        Some(Command::Man) => cli::manual().map_err(Failure::from).and_then(|text| print(&text)),
-        Some(Command::Schema) => print(crate::document::SCHEMA.as_bytes()),
+        Some(Command::Completions { shell }) => print(&cli::completions(shell)).map(|()| FINE),
+        Some(Command::Man) => {
+            let text = cli::manual().context("cannot make the manual page");
+            text.map_err(Failure::from).and_then(|text| print(&text)).map(|()| FINE)
+        }
+        Some(Command::Schema) => print(crate::document::SCHEMA.as_bytes()).map(|()| FINE),
     };
     ExitCode::from(match result {
         Ok(code) => code,
@@ -83,9 +77,12 @@ pub fn run(cli: Cli) -> ExitCode {
     })
 }
 
-fn print(text: &[u8]) -> Result<u8, Failure> {
+/// Writes all of it to standard output, at once.
+fn print(text: &[u8]) -> Result<(), Failure> {
     let mut out = io::stdout().lock();
-    out.write_all(text)?;
-    out.flush()?;
-    Ok(FINE)
+    let printed = out.write_all(text).and_then(|()| out.flush());
+    printed.map_err(|error| match error.kind() {
+        io::ErrorKind::BrokenPipe => Failure::Closed,
+        _ => Failure::System(anyhow::Error::new(error).context("cannot write to standard output")),
+    })
 }

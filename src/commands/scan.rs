@@ -4,7 +4,7 @@
 use super::headless::{self, Limits, Outcome, tell_hindrance, why_not_open, why_unusable};
 use super::open::{self, Setup};
 use super::report::Report;
-use super::{FINDINGS, FINE, Failure, INTERRUPTED};
+use super::{FINDINGS, FINE, Failure, INTERRUPTED, print};
 use crate::app::{App, AppOptions, Scope};
 use crate::bus::BusSpec;
 use crate::cli::Scan;
@@ -53,9 +53,7 @@ pub fn run(scan: &Scan) -> Result<u8, Failure> {
     (0..app.buses().len()).for_each(|at| tell_hindrance(&app, BusIndex(at as u8)));
     let report = Report::new(&app, now, Scope::Screen);
     let text = if scan.json { report.json() } else { report.tables() };
-    let mut out = io::stdout().lock();
-    out.write_all(text.as_bytes())?;
-    out.flush()?;
+    print(text.as_bytes())?;
     if let Some(path) = &scan.write {
         write_document(&app, path)?;
     }

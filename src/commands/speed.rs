@@ -130,8 +130,7 @@ fn print(speed: &Speed, report: &Report) -> Result<(), Failure> {
         Outcome::Found(rate) => Some(rate),
         Outcome::OnlyBroken | Outcome::Silence => None,
     };
-    let mut out = io::stdout().lock();
-    if speed.json {
+    let line = if speed.json {
         let tried = report.tried.iter().map(|(bitrate, heard)| Tried {
             bitrate: *bitrate,
             frames: heard.frames,
@@ -139,12 +138,13 @@ fn print(speed: &Speed, report: &Report) -> Result<(), Failure> {
         });
         let tried: Vec<Tried> = tried.collect();
         let told = Told { bus, bitrate, tried: &tried };
-        writeln!(out, "{}", serde_json::to_string(&told).context("JSON")?)?;
+        serde_json::to_string(&told).context("JSON")?
     } else if let Some(bitrate) = bitrate {
-        writeln!(out, "{bus}: {bitrate} bit/s")?;
-    }
-    out.flush()?;
-    Ok(())
+        format!("{bus}: {bitrate} bit/s")
+    } else {
+        return Ok(());
+    };
+    super::print(format!("{line}\n").as_bytes())
 }
 
 fn say(line: &str) {

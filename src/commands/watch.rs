@@ -8,7 +8,7 @@ use super::open::{self, Setup};
 use super::report::{
     BusReport, FileReport, FindingReport, ServiceReport, of_bus, of_file, of_finding, of_services,
 };
-use super::{FINE, Failure};
+use super::{FINE, Failure, print};
 use crate::app::{App, AppOptions, Filter, Happening, Scope, TimelineEntry, clock_millis, hex};
 use crate::cli::Watch;
 use crate::discovery::{Event, EventKind, Finding, Presence};
@@ -21,8 +21,8 @@ use crate::text::printable;
 use crate::time::Instant;
 use crate::wire::id::{Address, Header};
 use crate::wire::node::Mode;
+use anyhow::Context;
 use serde::Serialize;
-use std::io::{self, Write};
 use std::ops::ControlFlow;
 use unicode_width::UnicodeWidthStr;
 
@@ -128,16 +128,14 @@ impl Teller {
                 (false, _) => {}
                 (true, _) => {
                     if let Some(told) = as_value(app, happening) {
-                        serde_json::to_writer(&mut self.text, &told).map_err(io::Error::from)?;
+                        serde_json::to_writer(&mut self.text, &told).context("JSON")?;
                         self.text.push(b'\n');
                     }
                 }
             }
         }
         if !self.text.is_empty() {
-            let mut out = io::stdout().lock();
-            out.write_all(&self.text)?;
-            out.flush()?;
+            print(&self.text)?;
         }
         Ok(())
     }

@@ -1,6 +1,6 @@
 //! The last line: a question, the line being typed, a message, or which keys do what here.
 
-use super::brush::{Brush, cut, fit};
+use super::brush::{Brush, cut, fit, wrap};
 use crate::app::{FileProblem, Focus, Page, PromptKind, Verdict};
 use crate::keymap::{Key, Mode};
 use crate::theme::Role;
@@ -32,8 +32,7 @@ pub fn draw(brush: &mut Brush) {
     let mode = brush.app.mode();
     if let Some(message) = brush.app.message().filter(|_| mode == Mode::Browse) {
         let role = if message.is_error { Role::Error } else { Role::Text };
-        let line = Line::from(brush.span(role, format!(" {}", message.text)));
-        return brush.line(area, 0, &line);
+        return draw_up(brush, area, role, &message.text);
     }
     let line = Line::from(hint_line(brush, mode, usize::from(area.width)));
     brush.line(area, 0, &line);
@@ -86,12 +85,25 @@ fn draw_prompt(brush: &mut Brush, area: Rect) {
     let is_fine = matches!(verdict, Verdict::Fine(_));
     if said_width > behind.width && !is_fine && area.y > 0 {
         // What blocks or warns is read whole: above the line, where there is no room behind it.
-        let said = fit(&format!(" {sign}{said}"), usize::from(area.width));
-        let line = Line::from(brush.span(role, said));
-        return brush.line(Rect { y: area.y - 1, ..area }, 0, &line);
+        let above = Rect { y: area.y - 1, ..area };
+        return draw_up(brush, above, role, &format!("{sign}{said}"));
     }
     let line = Line::from(brush.span(role, format!("  {sign}{said}")));
     brush.line(behind, 0, &line);
+}
+
+/// Draws a text that ends in the line `last`, and begins above it where one line is too short.
+fn draw_up(brush: &mut Brush, last: Rect, role: Role, text: &str) {
+    const LINES: usize = 3;
+    let width = usize::from(last.width);
+    let parts = wrap(text, width.saturating_sub(1));
+    let most = LINES.min(usize::from(last.y) + 1);
+    for (at, part) in parts.iter().take(most).enumerate() {
+        let above = parts.len().min(most) - 1 - at;
+        let dots = if above == 0 && parts.len() > most { " …" } else { "" };
+        let line = Line::from(brush.span(role, fit(&format!(" {part}{dots}"), width)));
+        brush.line(Rect { y: last.y - above as u16, ..last }, 0, &line);
+    }
 }
 
 fn hint_line(brush: &Brush, mode: Mode, width: usize) -> Vec<Span<'static>> {
