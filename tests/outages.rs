@@ -3,6 +3,7 @@
 use descan::app::{App, AppOptions};
 use descan::discovery::{Config, OwnAddress};
 use descan::frame::{BusIndex, Frame};
+use descan::keymap::Key;
 use descan::sim::{DeviceSpec, Scenario, Sim, Station};
 use descan::status::{BusState, BusStatus, Link};
 use descan::time::{Duration, Instant};
@@ -17,6 +18,8 @@ struct Stage {
     station: Station,
     status: BusStatus,
     sent: Vec<Frame>,
+    /// What the driver told as sent and did not send yet, because the adapter takes nothing.
+    queue: Option<Vec<Frame>>,
 }
 
 impl Stage {
@@ -38,7 +41,7 @@ impl Stage {
             bitrate: Some(250_000),
             ..BusStatus::default()
         };
-        let mut stage = Self { app, sim, station, status, sent: Vec::new() };
+        let mut stage = Self { app, sim, station, status, sent: Vec::new(), queue: None };
         stage.becomes(|_| {});
         stage.run(8.0);
         assert!(stage.app.buses()[0].engine.progress().settled);
@@ -58,7 +61,12 @@ impl Stage {
             self.app.handle_timeout(now);
             while let Some(frame) = self.app.poll_transmit(now) {
                 self.sent.push(frame.at(now));
-                self.sim.transmit(self.station, frame);
+                if let Some(queue) = &mut self.queue {
+                    queue.push(frame);
+                    self.app.handle_frames(now, &[frame.at(now).ours()]);
+                } else {
+                    self.sim.transmit(self.station, frame);
+                }
             }
         }
     }
@@ -70,6 +78,15 @@ impl Stage {
         self.sim.advance(now);
         self.app.handle_held_up(since, now);
         now
+    }
+
+    /// The adapter takes frames again: all that waited go out at once.
+    fn empty_queue(&mut self) {
+        for frame in self.queue.take().into_iter().flatten() {
+            self.sim.relay(self.station, frame);
+            let told = self.sim.poll_frame(self.station).filter(|frame| frame.ours);
+            assert!(told.is_some(), "it was told before");
+        }
     }
 
     /// The adapter says something else.
@@ -263,4 +280,23 @@ fn a_bus_that_goes_down_while_what_waited_is_read_is_down() {
     stage.becomes(|status| (status.link, status.state) = (Link::Up, BusState::ErrorActive));
     stage.begins_anew();
     assert!(!stage.is_told("lost") && !stage.is_told("stale"));
+}
+
+#[test]
+fn questions_that_waited_in_a_full_queue_accuse_nobody() {
+    for seconds in [3, 8] {
+        let mut stage = Stage::settled();
+        stage.queue = Some(Vec::new());
+        for _ in 0..seconds {
+            stage.app.handle_key(stage.app.now(), Key::parse("r").unwrap());
+            stage.run(1.0);
+            stage.becomes(|status| status.is_transmit_queue_full = true);
+        }
+        stage.empty_queue();
+        stage.becomes(|status| status.is_transmit_queue_full = false);
+        stage.run(20.0);
+        for word in ["suspected", "confirmed", "lost", "returned", "rebooted"] {
+            assert!(!stage.is_told(word), "{word} after {seconds} s");
+        }
+    }
 }

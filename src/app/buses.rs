@@ -7,7 +7,7 @@ use crate::error_report::ErrorReport;
 use crate::frame::bits::FrameBits;
 use crate::frame::{Frame, FrameKind};
 use crate::status::{BusState, BusStatus, Link};
-use crate::time::Instant;
+use crate::time::{Duration, Instant};
 use std::collections::VecDeque;
 
 /// A bus.
@@ -23,6 +23,8 @@ pub struct Bus {
     pub meter: Meter,
     /// When its log ended. What was there then is there for good: no time passes any more.
     pub ended: Option<Instant>,
+    /// Since when its transmit queue is full.
+    full_since: Option<Instant>,
     /// Until when its frames are not judged, because they may have waited for us.
     rests_until: Option<Instant>,
 }
@@ -40,7 +42,7 @@ impl Bus {
     pub fn new(now: Instant, name: String, config: Config) -> Self {
         let status = BusStatus { bitrate: config.bitrate, ..BusStatus::default() };
         let (engine, meter) = (Engine::new(now, config), Meter::new(now));
-        Self { name, engine, status, meter, ended: None, rests_until: None }
+        Self { name, engine, status, meter, ended: None, full_since: None, rests_until: None }
     }
 
     /// Nothing was taken from it since `since`; what comes until `until` may have waited, and
@@ -48,6 +50,15 @@ impl Bus {
     pub(super) fn rest(&mut self, since: Instant, until: Instant) {
         self.engine.suspend(since);
         self.rests_until = Some(until);
+    }
+
+    /// Takes note of whether the transmit queue is full.
+    pub(super) fn note_queue(&mut self, now: Instant) {
+        if self.status.is_transmit_queue_full {
+            self.full_since.get_or_insert(now);
+        } else if self.full_since.take().is_some_and(|since| now.since(since) >= WAITED_LONG) {
+            self.engine.handle_late_questions(now);
+        }
     }
 
     /// Whether its engine waits until the adapter says that it is back.
@@ -133,6 +144,8 @@ pub enum Hindrance {
     Unacknowledged,
 }
 
+/// A queue that was full for so long holds questions that are overdue.
+const WAITED_LONG: Duration = Duration::from_millis(1500);
 /// Broken frames in three seconds that are no accident.
 const ONLY_ERRORS: u32 = 64;
 

@@ -338,6 +338,7 @@ impl App {
             _ => bus.ended = None,
         }
         bus.status = status;
+        bus.note_queue(now);
         // While its bit rate is looked for it goes down and up all the time.
         let changes = if self.searched == Some(index) { Vec::new() } else { changes };
         let is_news = !changes.is_empty();

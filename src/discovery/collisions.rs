@@ -24,6 +24,9 @@ use crate::wire::node::Uid;
 /// Heartbeats at twice the rate that are a suspicion: time enough for the follow-ups.
 const ODD_RATE_BEATS: u32 = 16;
 
+/// For how many periods answers to questions that went out late may come.
+const EXCUSED_PERIODS: u32 = 5;
+
 /// An answer that begins.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Answer {
@@ -45,6 +48,8 @@ pub(super) struct Collisions {
     watches: Vec<Watch>,
     doubling: Doubling,
     cases: Cases,
+    /// Until then, an answer too many may be to a question that went out late.
+    excused_until: Instant,
 }
 
 impl Collisions {
@@ -55,6 +60,7 @@ impl Collisions {
             watches: (0..Address::COUNT).map(|_| Watch::default()).collect(),
             doubling: Doubling::new(period),
             cases: Cases::new(bus, period, passive, seed),
+            excused_until: Instant::ZERO,
         }
     }
 
@@ -114,7 +120,8 @@ impl Collisions {
         if to_all {
             self.doubling.see_answer(address, extra.is_some());
         }
-        let Some(extra) = extra.filter(|_| !self.doubling.asks_twice(now)) else { return };
+        let excused = now < self.excused_until || self.doubling.asks_twice(now);
+        let Some(extra) = extra.filter(|_| !excused) else { return };
         let first = extra.first;
         if first.same_on_wire(frame) {
             self.doubling.see_twice(now, extra.apart);
@@ -150,6 +157,11 @@ impl Collisions {
             weight,
         );
         self.cases.told_by_answers(at, address);
+    }
+
+    /// Questions that had waited for long went out all at once; devices may answer them one by one.
+    pub fn excuse_answers(&mut self, now: Instant) {
+        self.excused_until = now + self.period * EXCUSED_PERIODS;
     }
 
     /// A whole name answer came from `address`.

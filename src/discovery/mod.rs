@@ -315,6 +315,13 @@ impl Engine {
         self.wake_at(self.now);
     }
 
+    /// Questions of ours that had waited for long went out all at once: who answers more than one of
+    /// them, now or a little later, is not two.
+    pub fn handle_late_questions(&mut self, now: Instant) {
+        self.advance(now);
+        self.collisions.excuse_answers(self.now);
+    }
+
     fn end_outage(&mut self) {
         if self.outages.end(self.now) {
             self.roster.devices_mut().iter_mut().for_each(|device| device.rounds_missed = 0);
