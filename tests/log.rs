@@ -71,7 +71,7 @@ fn a_file_is_replayed_as_it_was_timed() {
     assert_eq!(
         status.message.as_deref(),
         Some(
-            "3 frames; line 3 cannot be read: it does not begin with \
+            "3 frames of 2 interfaces; line 3 cannot be read: it does not begin with \
              (SECONDS.FRACTION)"
         )
     );

@@ -152,7 +152,7 @@ fn sections_of_either_byte_order_with_times_in_any_unit_are_read() {
     assert_eq!(tally.first_unreadable, Some((7, eth)));
     assert_eq!(
         tally.to_string(),
-        "4 frames; 2 blocks cannot be read, the first is block 7: it is of link type 1, not of \
+        "4 frames of 3 interfaces; 2 blocks cannot be read, the first is block 7: it is of link type 1, not of \
          CAN (227)"
     );
     for buffer in 1..70 {

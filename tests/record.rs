@@ -262,7 +262,10 @@ fn a_damaged_file_is_read_as_far_as_it_goes_and_told() {
     let whole = fs::read(&path).unwrap();
     fs::write(&path, &whole[..whole.len() / 2]).unwrap();
     let output = descan(&["scan", "file:b.pcapng"], folder.path());
-    assert!(words(&output).contains("frames; it breaks off within a block"), "{output:?}");
+    assert!(
+        words(&output).contains("frames of 2 interfaces; it breaks off within a block"),
+        "{output:?}"
+    );
     assert_eq!(output.status.code(), Some(0));
     fs::write(&path, [b"\n\r\r\n", &[7; 40][..]].concat()).unwrap();
     let output = descan(&["scan", "file:b.pcapng"], folder.path());

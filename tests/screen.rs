@@ -1019,6 +1019,38 @@ fn freezing_holds_the_frames_and_loses_none() {
 }
 
 #[test]
+fn rows_are_sorted_by_each_column_in_turn() {
+    let file = r#"{"devices": [
+  {"name": "FEED", "services": [{"name": "OTHER"}]},
+  {"name": "SENS", "address": 12, "static": true},
+  {"name": "DISP", "address": 21, "static": true},
+  {"name": "IGNITER", "address": 17, "static": true}
+]}
+"#;
+    let mut stage =
+        Stage::with(&Scenario::builtin("boiler").unwrap(), Some(file), Config::default());
+    stage.until(36.0);
+    let first = |stage: &Stage, count: usize| -> Vec<String> {
+        let rows = stage.app.rows().iter().take(count);
+        rows.map(|row| row.name.as_ref().unwrap().to_string()).collect()
+    };
+    for (sorted, expected) in [
+        ("by name", ["ACT", "DIN", "DISP"]),
+        ("what needs attention first", ["ACT", "IGNITER", "FEED"]),
+        ("by mode", ["NEW", "FEED", "SENS"]),
+        ("newest first", ["NEW", "GSM-MODEM", "DIN"]),
+        ("what differs from the file first", ["IGNITER", "FEED", "DISP"]),
+        ("by address", ["FEED", "SENS", "SENS"]),
+    ] {
+        let screen = stage.keys("s").screen();
+        assert!(screen.contains(&format!("sorted {sorted}")), "{screen}");
+        assert_eq!(first(&stage, 3), expected, "{sorted}\n{screen}");
+        let header = screen.lines().nth(3).unwrap();
+        assert_eq!(header.contains('↓'), sorted != "by address", "{screen}");
+    }
+}
+
+#[test]
 fn rows_that_are_held_are_sorted_when_asked() {
     let mut stage = Stage::boiler();
     stage.until(20.0).keys("Space").until(24.0).keys("s");

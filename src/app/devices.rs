@@ -211,6 +211,10 @@ impl App {
     fn sort(&self, rows: &mut [Row]) {
         rows.sort_by(|a, b| {
             let seen = |row: &Row| Reverse(self.device_of(row).map(|device| device.first_seen));
+            let mode = |row: &Row| {
+                let mode = self.device_of(row).and_then(|device| device.mode);
+                (mode.is_none(), mode)
+            };
             match self.view.sort {
                 SortBy::Address => Ordering::Equal,
                 SortBy::Name => name(a).cmp(&name(b)),
@@ -219,7 +223,9 @@ impl App {
                         |row: &Row| (row.state != State::Clash, !row.suspected, row.state);
                     urgency(a).cmp(&urgency(b))
                 }
+                SortBy::Mode => mode(a).cmp(&mode(b)),
                 SortBy::Seen => seen(a).cmp(&seen(b)),
+                SortBy::File => difference(a).cmp(&difference(b)),
             }
             .then_with(|| place(a).cmp(&place(b)))
         });
@@ -229,6 +235,20 @@ impl App {
 /// By name, those without one last.
 fn name(row: &Row) -> impl Ord {
     (row.name.is_none(), row.name.as_ref())
+}
+
+/// By how much the file has to do with it; what is listed and not there differs most.
+fn difference(row: &Row) -> u8 {
+    match row.file {
+        _ if row.state == State::Missing => 0,
+        FileWord::Differs(_) => 1,
+        _ if row.is_flawed || row.has_other_services => 1,
+        FileWord::New => 2,
+        FileWord::Pinned(_) => 3,
+        FileWord::Listed(_) => 4,
+        FileWord::Agrees(_) => 5,
+        FileWord::Nothing => 6,
+    }
 }
 
 /// By where it is.

@@ -145,18 +145,22 @@ pub enum SortBy {
     Address,
     Name,
     State,
+    Mode,
     Seen,
+    File,
 }
 
 impl SortBy {
-    /// The next one.
+    /// The next one, column by column.
     #[must_use]
     pub const fn next(self) -> Self {
         match self {
             SortBy::Address => SortBy::Name,
             SortBy::Name => SortBy::State,
-            SortBy::State => SortBy::Seen,
-            SortBy::Seen => SortBy::Address,
+            SortBy::State => SortBy::Mode,
+            SortBy::Mode => SortBy::Seen,
+            SortBy::Seen => SortBy::File,
+            SortBy::File => SortBy::Address,
         }
     }
 
@@ -166,7 +170,9 @@ impl SortBy {
             SortBy::Address => "by address",
             SortBy::Name => "by name",
             SortBy::State => "what needs attention first",
+            SortBy::Mode => "by mode",
             SortBy::Seen => "newest first",
+            SortBy::File => "what differs from the file first",
         }
     }
 }

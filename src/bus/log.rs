@@ -400,6 +400,9 @@ impl fmt::Display for Tally {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let plural = |count| if count == 1 { "" } else { "s" };
         write!(f, "{} frame{}", self.frames, plural(self.frames))?;
+        if self.interfaces.len() > 1 {
+            write!(f, " of {} interfaces", self.interfaces.len())?;
+        }
         let unit = if self.is_pcapng { "block" } else { "line" };
         match (self.first_unreadable, self.unreadable) {
             (None, _) => {}
@@ -537,7 +540,7 @@ not a line
     fn sums_up_in_words() {
         assert_eq!(
             read(LOG, 4096).1.to_string(),
-            "4 frames; line 4 cannot be read: it does not begin with (SECONDS.FRACTION); time \
+            "4 frames of 2 interfaces; line 4 cannot be read: it does not begin with (SECONDS.FRACTION); time \
              runs backwards 1 time"
         );
     }

@@ -65,8 +65,10 @@ impl Column {
             C::Address => Some(SortBy::Address),
             C::Name => Some(SortBy::Name),
             C::State => Some(SortBy::State),
+            C::Mode => Some(SortBy::Mode),
             C::Age => Some(SortBy::Seen),
-            _ => None,
+            C::File => Some(SortBy::File),
+            C::Bus | C::Services => None,
         }
     }
 }
