@@ -540,8 +540,8 @@ not a line
     fn sums_up_in_words() {
         assert_eq!(
             read(LOG, 4096).1.to_string(),
-            "4 frames of 2 interfaces; line 4 cannot be read: it does not begin with (SECONDS.FRACTION); time \
-             runs backwards 1 time"
+            "4 frames of 2 interfaces; line 4 cannot be read: it does not begin with \
+             (SECONDS.FRACTION); time runs backwards 1 time"
         );
     }
 }

@@ -48,7 +48,7 @@ pub(super) struct Doubling {
     until: Instant,
     /// The longest that a copy of a heartbeat took, and the shortest in this row.
     delay: Duration,
-    shortest: Duration,
+    shortest: Option<Duration>,
     /// When the last answers came twice, and how quickly.
     twice: VecDeque<(Instant, Duration)>,
     /// Frames that a copy may come of, by the hash of what was on the wire.
@@ -75,7 +75,7 @@ impl Doubling {
             several: false,
             until: Instant::ZERO,
             delay: Duration::ZERO,
-            shortest: Duration::MAX,
+            shortest: None,
             twice: VecDeque::new(),
             open: VecDeque::new(),
             echoed_until: Instant::ZERO,
@@ -122,6 +122,7 @@ impl Doubling {
             self.several = false;
             self.twice.clear();
         }
+        let is_on = self.is_on(now);
         let last = &mut self.beats[address.index()];
         let copied = last.filter(|beat| !beat.copied && beat.frame.same_on_wire(frame));
         let late = copied.map(|beat| now.since(beat.frame.time));
@@ -132,7 +133,7 @@ impl Doubling {
             self.copies += 1;
             self.several |= self.copied.is_some_and(|other| other != address);
             self.copied = Some(address);
-            self.shortest = self.shortest.min(late);
+            self.shortest = Some(self.shortest.map_or(late, |shortest| shortest.min(late)));
             let alone = self.copies >= COPIES_OF_ONE && self.is_alone(now, address);
             if self.several || alone && !self.are_two() {
                 self.until = now + period * 3;
@@ -142,10 +143,15 @@ impl Doubling {
         }
         // The one before had no copy in all this time.
         if last.is_some_and(|beat| !beat.copied && now.since(beat.frame.time) > most) {
-            self.copies = 0;
-            self.several = false;
-            self.copied = None;
-            self.shortest = Duration::MAX;
+            if is_on {
+                // One may be lost: the next copy counts again.
+                self.copies = self.copies.min(COPIES_OF_ONE - 1);
+            } else {
+                self.copies = 0;
+                self.several = false;
+                self.copied = None;
+                self.shortest = None;
+            }
         }
         let other = last.is_some_and(|beat| !beat.frame.same_on_wire(frame));
         *last = Some(Beat { frame: frame.at(now), copied: false, varies: varies || other });
@@ -175,8 +181,9 @@ impl Doubling {
 
     /// Whether those whose heartbeats seem to come twice answer as two devices do.
     fn are_two(&self) -> bool {
+        let Some(shortest) = self.shortest else { return false };
         let quick = |(_, took): &(Instant, Duration)| {
-            *took <= self.shortest / 2 && *took + QUICKER_BY <= self.shortest
+            *took <= shortest / 2 && *took + QUICKER_BY <= shortest
         };
         self.twice.len() == QUICK && self.twice.iter().all(quick)
     }
