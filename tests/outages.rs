@@ -2,7 +2,7 @@
 
 use descan::app::{App, AppOptions};
 use descan::discovery::{Config, OwnAddress};
-use descan::frame::{BusIndex, Frame};
+use descan::frame::{BusIndex, CanId, Frame, FrameKind};
 use descan::keymap::Key;
 use descan::sim::{DeviceSpec, Scenario, Sim, Station};
 use descan::status::{BusState, BusStatus, Link};
@@ -249,6 +249,8 @@ fn what_else_the_adapter_says_disturbs_nothing() {
 #[test]
 fn nobody_is_judged_by_the_time_in_which_the_program_was_held_up() {
     let mut stage = Stage::settled();
+    let counted = |stage: &Stage| stage.app.buses()[0].engine.counters();
+    let before = counted(&stage);
     let now = stage.hold_up(7);
     let mut count = 0;
     while let Some(frame) = stage.sim.poll_frame(stage.station) {
@@ -256,6 +258,13 @@ fn nobody_is_judged_by_the_time_in_which_the_program_was_held_up() {
         count += 1;
     }
     assert!(count > 10, "{count}");
+    let mut error = Frame::with(CanId::Extended(0x88), &[0; 8]).at(now);
+    error.kind = FrameKind::Error;
+    let standard = Frame::with(CanId::Standard(5), &[]).at(now);
+    stage.app.handle_frames(now, &[error, standard]);
+    let after = counted(&stage);
+    assert_eq!(after.frames - before.frames, count + 2, "each of them is counted");
+    assert_eq!((after.errors, after.foreign), (before.errors + 1, before.foreign + 1));
     stage.run(0.3);
     stage.begins_anew();
     stage.run(20.0);

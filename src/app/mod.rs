@@ -349,7 +349,9 @@ impl App {
         self.now = self.now.max(now);
         for frame in frames {
             let Some(bus) = self.buses.get_mut(usize::from(frame.bus.0)) else { continue };
-            if !bus.rests_at(frame.time) {
+            if bus.rests_at(frame.time) {
+                bus.engine.pass_over(frame);
+            } else {
                 bus.engine.handle_frame(frame);
             }
             // The end may be told before the last frames come.

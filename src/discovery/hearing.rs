@@ -27,21 +27,16 @@ impl Engine {
         if self.errors.see_frame(now, self.counters.frames) {
             self.wake_at(now);
         }
-        self.counters.frames += 1;
+        self.counters.count(frame);
         if frame.kind == FrameKind::Error {
-            self.counters.errors += 1;
             self.hear_error(frame);
             return;
         }
         if !frame.ours && self.outages.is_disproved_by(frame.time) {
             self.end_outage();
         }
-        let Some(id) = frame.platform_id() else {
-            self.counters.foreign += 1;
-            return;
-        };
+        let Some(id) = frame.platform_id() else { return };
         if frame.ours {
-            self.counters.sent += 1;
             let back = self.outbox.confirmed(now, frame);
             self.acknowledgement(back);
             self.note_own_question(now, frame);
@@ -68,7 +63,6 @@ impl Engine {
     }
 
     fn hear_non_conforming(&mut self, now: Instant, header: Header, frame: &Frame) {
-        self.counters.non_conforming += 1;
         let Some(device) = self.roster.current_device_mut(header.source) else { return };
         device.note(Quirk::NonConforming);
         let name = device.name.clone();

@@ -55,9 +55,9 @@ pub use device::{
 pub use event::{Event, EventKind, Party};
 pub use finding::{Confidence, Evidence, Finding, FindingKey, FindingKind};
 
-use crate::frame::Frame;
+use crate::frame::{Frame, FrameKind};
 use crate::time::{Duration, Instant};
-use crate::wire::id::Address;
+use crate::wire::id::{Address, Header};
 use crate::wire::node::Mode;
 use claims::Claims;
 use collisions::Collisions;
@@ -127,6 +127,20 @@ pub struct Counters {
     pub transfers_failed: u64,
     /// Device rows, findings or transfers refused because there were too many.
     pub refused: u64,
+}
+
+impl Counters {
+    /// Counts a frame by what it is.
+    fn count(&mut self, frame: &Frame) {
+        self.frames += 1;
+        match frame.platform_id() {
+            _ if frame.kind == FrameKind::Error => self.errors += 1,
+            None => self.foreign += 1,
+            Some(_) if frame.ours => self.sent += 1,
+            Some(id) if !Header::decode(id).is_conforming() => self.non_conforming += 1,
+            Some(_) => {}
+        }
+    }
 }
 
 /// The engine of one bus. See the module's documentation.
@@ -200,6 +214,11 @@ impl Engine {
         if self.collisions.cases().has_changed() {
             self.tell_findings();
         }
+    }
+
+    /// Counts a frame that may be older than it says: nothing is learnt from it.
+    pub fn pass_over(&mut self, frame: &Frame) {
+        self.counters.count(frame);
     }
 
     /// Takes note that `count` frames were lost before they could be read.
