@@ -97,8 +97,7 @@ impl Filter {
         Self { terms: text.split_whitespace().map(term).collect() }
     }
 
-    /// What in it is meant as a field and can fit nothing, in words: for where nobody sees the line
-    /// while it is typed.
+    /// What in it is meant as a field and can fit nothing, in words.
     pub fn mistake(&self) -> Option<String> {
         self.terms.iter().find_map(|term| match &term.what {
             What::Field(Field::Address, list) => {

@@ -27,7 +27,7 @@ impl Engine {
         if self.errors.see_frame(now, self.counters.frames) {
             self.wake_at(now);
         }
-        self.counters.count(frame);
+        let header = self.counters.count(frame);
         if frame.kind == FrameKind::Error {
             self.hear_error(frame);
             return;
@@ -35,14 +35,13 @@ impl Engine {
         if !frame.ours && self.outages.is_disproved_by(frame.time) {
             self.end_outage();
         }
-        let Some(id) = frame.platform_id() else { return };
+        let Some(header) = header else { return };
         if frame.ours {
             let back = self.outbox.confirmed(now, frame);
             self.acknowledgement(back);
             self.note_own_question(now, frame);
             return;
         }
-        let header = Header::decode(id);
         let back = self.outbox.heard(now);
         self.acknowledgement(back);
         if !header.is_conforming() {

@@ -130,16 +130,21 @@ pub struct Counters {
 }
 
 impl Counters {
-    /// Counts a frame by what it is.
-    fn count(&mut self, frame: &Frame) {
+    /// Counts a frame by what it is; comes back with its header, where it is the platform's.
+    fn count(&mut self, frame: &Frame) -> Option<Header> {
         self.frames += 1;
-        match frame.platform_id() {
-            _ if frame.kind == FrameKind::Error => self.errors += 1,
+        if frame.kind == FrameKind::Error {
+            self.errors += 1;
+            return None;
+        }
+        let header = frame.platform_id().map(Header::decode);
+        match header {
             None => self.foreign += 1,
             Some(_) if frame.ours => self.sent += 1,
-            Some(id) if !Header::decode(id).is_conforming() => self.non_conforming += 1,
+            Some(header) if !header.is_conforming() => self.non_conforming += 1,
             Some(_) => {}
         }
+        header
     }
 }
 

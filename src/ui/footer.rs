@@ -97,10 +97,9 @@ fn draw_up(brush: &mut Brush, last: Rect, role: Role, text: &str) {
     const LINES: usize = 3;
     let width = usize::from(last.width);
     let parts = wrap(text, width.saturating_sub(1));
-    let most = LINES.min(usize::from(last.y) + 1);
-    for (at, part) in parts.iter().take(most).enumerate() {
-        let above = parts.len().min(most) - 1 - at;
-        let dots = if above == 0 && parts.len() > most { " …" } else { "" };
+    let shown = parts.len().min(LINES).min(usize::from(last.y) + 1);
+    for (above, part) in parts[..shown].iter().rev().enumerate() {
+        let dots = if above == 0 && parts.len() > shown { " …" } else { "" };
         let line = Line::from(brush.span(role, fit(&format!(" {part}{dots}"), width)));
         brush.line(Rect { y: last.y - above as u16, ..last }, 0, &line);
     }
