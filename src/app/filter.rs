@@ -62,6 +62,47 @@ enum Field {
     State,
 }
 
+/// A field of the filter line.
+#[derive(Debug)]
+pub struct FilterField {
+    /// Its names, the usual one first.
+    pub words: &'static [&'static str],
+    /// What it matches.
+    pub doc: &'static str,
+    field: Field,
+}
+
+macro_rules! fields {
+    ($([$($word:literal)*] $field:ident $doc:literal;)*) => {
+        /// All fields, for the guide.
+        pub const FILTER_FIELDS: &[FilterField] = &[$(FilterField {
+            words: &[$($word),*],
+            doc: $doc,
+            field: Field::$field,
+        }),*];
+    };
+}
+
+fields! {
+    ["at"] Address "address of either side of a frame, of a device, of a problem; at:12,14 either of them";
+    ["name"] Name "part of a name of either side, of a device, of a problem";
+    ["src" "from"] Source "sender of a frame, by address or part of its name";
+    ["dst" "to"] Destination "receiver of a frame, by address or part of its name";
+    ["dev"] Device "sender or receiver";
+    ["srv"] Service "service, by part of its name or by number: srv:des, srv:2, srv:0x002";
+    ["type" "kind"] Type "message type by its beginning: type:rsp; kind of a problem by any part: kind:uid";
+    ["id"] Id "digits in the identifier: id:0201";
+    ["bus"] Bus "part of the name of the bus";
+    ["is" "state"] State "state by its beginning: online, stale, lost, new, twin; suspected, confirmed, cleared, muted; error, tx";
+}
+
+/// Words with a meaning of their own, for the guide.
+pub const FILTER_WORDS: &[(&str, &str)] = &[
+    ("err", "error frames, failed and malformed responses; devices and problems in conflict"),
+    ("tx", "frames sent by descan; in the timeline edits of des.json"),
+    ("!term", "everything that the term does not match"),
+];
+
 impl Filter {
     /// Reads a filter line. Every line is one.
     pub fn parse(text: &str) -> Self {
@@ -71,25 +112,13 @@ impl Filter {
                 _ => (false, word),
             };
             let word = word.to_lowercase();
-            let field = word.split_once(':').and_then(|(field, value)| {
-                let field = match field {
-                    "src" | "from" => Field::Source,
-                    "dst" | "to" => Field::Destination,
-                    "dev" => Field::Device,
-                    "at" => Field::Address,
-                    "name" => Field::Name,
-                    "srv" => Field::Service,
-                    "type" | "kind" => Field::Type,
-                    "id" => Field::Id,
-                    "bus" => Field::Bus,
-                    "is" | "state" => Field::State,
-                    _ => return None,
-                };
-                Some(What::Field(field, value.to_owned()))
+            let field = word.split_once(':').and_then(|(name, value)| {
+                let field = FILTER_FIELDS.iter().find(|field| field.words.contains(&name))?;
+                Some(What::Field(field.field, value.to_owned()))
             });
             let what = field.unwrap_or(match word.as_str() {
                 "err" => What::Error,
-                "ours" => What::Ours,
+                "tx" | "ours" => What::Ours,
                 _ => What::Word(word),
             });
             Term { not, what }
@@ -300,7 +329,8 @@ impl Filter {
             }
             What::Field(Field::State, value) => {
                 let is_error = decoded.is_error || frame.kind == FrameKind::Error;
-                (is_error && starts("error", value)) || (frame.ours && starts("ours", value))
+                (is_error && starts("error", value))
+                    || (frame.ours && (starts("tx", value) || starts("ours", value)))
             }
             What::Error => decoded.is_error || frame.kind == FrameKind::Error,
             What::Ours => frame.ours,

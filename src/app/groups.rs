@@ -231,7 +231,7 @@ impl<'a> Problem<'a> {
 }
 
 /// A kind of finding, in as few words as say it; the address and the names stand beside them.
-pub(super) fn headline(kind: FindingKind) -> &'static str {
+pub fn headline(kind: FindingKind) -> &'static str {
     match kind {
         FindingKind::SameNameSameAddress => "two devices, one name",
         FindingKind::OneAddressTwoNames => "two devices, two names",

@@ -37,6 +37,8 @@ use crate::theme::{Role, Theme};
 use brush::Brush;
 use ratatui::Frame;
 
+pub use signs::SIGNS;
+
 /// Draws all of it. Comes back with how far the text that scrolls (details, help) is scrolled,
 /// where there is one: not past its end, which is known only here.
 pub fn draw(app: &App, theme: &Theme, frame: &mut Frame) -> Option<u16> {
