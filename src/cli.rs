@@ -18,6 +18,7 @@ use std::time::Duration;
     long_about = "Find the devices on a CAN bus with DES, the devices enumeration service: names, services, \
                   versions, modes, collisions. Edit static addresses in des.json in place.",
     after_help = EXAMPLES,
+    disable_help_subcommand = true,
     args_conflicts_with_subcommands = true,
     subcommand_negates_reqs = true
 )]
@@ -89,8 +90,18 @@ Examples:
         /// For which shell
         shell: clap_complete::Shell,
     },
-    /// Print the manual page
-    Man,
+    /// Print a manual page, in roff: descan man | man -l -
+    Man {
+        /// A command or a topic of the guide [default: descan]
+        #[arg(value_name = "NAME")]
+        name: Option<String>,
+    },
+    /// List the topics of the guide, or print one
+    Help {
+        /// A command or a topic of the guide
+        #[arg(value_name = "NAME")]
+        name: Option<String>,
+    },
     /// Print the JSON Schema of des.json
     Schema,
 }
@@ -346,9 +357,7 @@ pub fn completions(shell: clap_complete::Shell) -> Vec<u8> {
     text
 }
 
-/// The manual page, in roff.
-pub fn manual() -> std::io::Result<Vec<u8>> {
-    let mut text = Vec::new();
-    clap_mangen::Man::new(Cli::command()).render(&mut text)?;
-    Ok(text)
+/// The tree of commands, for the guide.
+pub fn program() -> clap::Command {
+    Cli::command()
 }

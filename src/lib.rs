@@ -14,6 +14,7 @@
 //! * [`theme`], [`ui`]: how it is drawn.
 //! * [`bus`]: where frames come from and go.
 //! * [`shell`]: files, watching, the terminal, the event loop.
+//! * [`guide`]: the topics of `descan help` and the manual pages.
 //! * [`cli`], [`commands`]: what the command line asks for, done with a screen or without.
 
 pub mod app;
@@ -24,6 +25,7 @@ pub mod discovery;
 pub mod document;
 pub mod error_report;
 pub mod frame;
+pub mod guide;
 pub mod keymap;
 pub mod shell;
 pub mod sim;

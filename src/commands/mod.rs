@@ -4,6 +4,7 @@
 //! names the cause and the way out.
 
 mod check;
+mod guide;
 mod headless;
 mod look;
 mod open;
@@ -14,7 +15,6 @@ mod speed;
 mod watch;
 
 use crate::cli::{self, Cli, Command};
-use anyhow::Context;
 use std::io::{self, Write};
 use std::process::ExitCode;
 
@@ -58,10 +58,8 @@ pub fn run(cli: Cli) -> ExitCode {
         Some(Command::Sim { bus, scenario, time }) => simulate::run(&bus, &scenario, time),
         Some(Command::Speed(speed)) => speed::run(&speed),
         Some(Command::Completions { shell }) => print(&cli::completions(shell)).map(|()| FINE),
-        Some(Command::Man) => {
-            let text = cli::manual().context("cannot make the manual page");
-            text.map_err(Failure::from).and_then(|text| print(&text)).map(|()| FINE)
-        }
+        Some(Command::Man { name }) => guide::man(name.as_deref()),
+        Some(Command::Help { name }) => guide::help(name.as_deref()),
         Some(Command::Schema) => print(crate::document::SCHEMA.as_bytes()).map(|()| FINE),
     };
     ExitCode::from(match result {

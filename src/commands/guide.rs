@@ -1,0 +1,38 @@
+//! `descan help` and `descan man`: a part of the guide on standard output, laid out for the
+//! terminal where it is one.
+
+use super::{FINE, Failure, print};
+use crate::cli;
+use crate::guide::{self, UnknownTopic, render::TextLayout};
+use std::io::{self, IsTerminal};
+
+/// `descan help [NAME]`.
+pub fn help(name: Option<&str>) -> Result<u8, Failure> {
+    let layout = layout();
+    let text = match name {
+        None => guide::overview(&cli::program(), layout),
+        Some(name) => guide::help(cli::program(), name, layout).map_err(unknown)?,
+    };
+    print(text.as_bytes()).map(|()| FINE)
+}
+
+/// `descan man [NAME]`.
+pub fn man(name: Option<&str>) -> Result<u8, Failure> {
+    let text = guide::manual(cli::program(), name).map_err(unknown)?;
+    print(text.as_bytes()).map(|()| FINE)
+}
+
+fn unknown(error: UnknownTopic) -> Failure {
+    Failure::Usage(error.to_string())
+}
+
+/// As wide as the terminal; plain where there is none, or none that knows styles.
+fn layout() -> TextLayout {
+    let out = io::stdout();
+    if !out.is_terminal() {
+        return TextLayout::PLAIN;
+    }
+    let columns = rustix::termios::tcgetwinsize(&out).map_or(0, |size| usize::from(size.ws_col));
+    let is_dumb = std::env::var_os("TERM").is_none_or(|term| term.is_empty() || term == "dumb");
+    TextLayout { has_styles: !is_dumb, ..TextLayout::for_terminal(columns) }
+}

@@ -1,0 +1,157 @@
+//! The tables of the guide that are made from the code: keys, symbols, findings, filter fields,
+//! theme roles. A line `<!-- table: keys -->` in a topic stands for one. Output: Markdown.
+
+use crate::app::{FILTER_FIELDS, FILTER_WORDS, headline};
+use crate::discovery::FindingKind;
+use crate::keymap::{ACTIONS, Group};
+use crate::theme::Role;
+use crate::ui::SIGNS;
+use std::fmt::Write;
+
+/// The Markdown with the tables in place of the lines that stand for them.
+pub fn expand(text: &str) -> String {
+    let mut out = String::with_capacity(text.len() * 2);
+    for line in text.lines() {
+        let name = line.strip_prefix("<!-- table: ").and_then(|rest| rest.strip_suffix(" -->"));
+        out.push_str(&name.map_or_else(|| line.to_owned(), table));
+        out.push('\n');
+    }
+    out
+}
+
+/// The table of that name; empty where there is none, which a test of the topics finds.
+fn table(name: &str) -> String {
+    match name {
+        "keys" => keys(),
+        "symbols" => symbols(),
+        "findings" => findings(),
+        "filter" => filter(),
+        "roles" => roles(),
+        _ => String::new(),
+    }
+}
+
+/// All actions with their default keys, a table for each group.
+pub fn keys() -> String {
+    let mut out = String::new();
+    for group in Group::ALL {
+        let _ = write!(
+            out,
+            "### {}\n\n| key | action | in keys.toml |\n|---|---|---|\n",
+            group.title()
+        );
+        for action in ACTIONS.iter().filter(|action| action.group == group) {
+            let keys: Vec<String> = action.keys.iter().map(|key| code(key)).collect();
+            let (keys, doc) = (keys.join(" "), escape(action.doc));
+            let _ = writeln!(out, "| {keys} | {doc} | {} |", code(action.name));
+        }
+        out.push('\n');
+    }
+    out
+}
+
+fn symbols() -> String {
+    let mut out = String::from("| on the screen | meaning |\n|---|---|\n");
+    for (_, sign, meaning) in SIGNS {
+        let _ = writeln!(out, "| {} | {} |", code(sign.trim()), escape(meaning));
+    }
+    out
+}
+
+/// All kinds of findings, as the page of problems weighs them.
+pub const KINDS: [FindingKind; 19] = [
+    FindingKind::SameNameSameAddress,
+    FindingKind::OneAddressTwoNames,
+    FindingKind::OneAddressTwoIdentities,
+    FindingKind::OneUidTwoAddresses,
+    FindingKind::TwoDebugDevices,
+    FindingKind::BusErrors,
+    FindingKind::FramesLost,
+    FindingKind::StaticAddressTaken,
+    FindingKind::WrongAddress,
+    FindingKind::AddressContested,
+    FindingKind::Missing,
+    FindingKind::FileDuplicateAddress,
+    FindingKind::FileDuplicateEntry,
+    FindingKind::FileShape,
+    FindingKind::NameDiffers,
+    FindingKind::ServicesDiffer,
+    FindingKind::MalformedAnswer,
+    FindingKind::NonConforming,
+    FindingKind::Unlisted,
+];
+
+/// Returns true if a confirmed finding of this kind is a difference for `descan check`.
+const fn counts_for_check(kind: FindingKind) -> bool {
+    match kind {
+        FindingKind::SameNameSameAddress
+        | FindingKind::OneAddressTwoNames
+        | FindingKind::OneAddressTwoIdentities
+        | FindingKind::OneUidTwoAddresses
+        | FindingKind::TwoDebugDevices
+        | FindingKind::StaticAddressTaken
+        | FindingKind::WrongAddress
+        | FindingKind::Missing
+        | FindingKind::Unlisted
+        | FindingKind::NameDiffers
+        | FindingKind::ServicesDiffer
+        | FindingKind::FileDuplicateAddress
+        | FindingKind::FileDuplicateEntry
+        | FindingKind::FileShape => true,
+        FindingKind::AddressContested
+        | FindingKind::NonConforming
+        | FindingKind::MalformedAnswer
+        | FindingKind::FramesLost
+        | FindingKind::BusErrors => false,
+    }
+}
+
+fn findings() -> String {
+    let mut out = String::from("| kind | on the screen | counts for |\n|---|---|---|\n");
+    for kind in KINDS {
+        let counts = match (kind.is_collision(), counts_for_check(kind)) {
+            (true, _) => "`scan`, `check`",
+            (false, true) => "`check`",
+            (false, false) => "",
+        };
+        let _ = writeln!(out, "| {} | {} | {counts} |", code(kind.name()), escape(headline(kind)));
+    }
+    out
+}
+
+fn filter() -> String {
+    let mut out = String::from("| term | matches |\n|---|---|\n");
+    for field in FILTER_FIELDS {
+        let words: Vec<String> = field.words.iter().map(|word| code(&format!("{word}:"))).collect();
+        let _ = writeln!(out, "| {} | {} |", words.join(" "), escape(field.doc));
+    }
+    for (word, doc) in FILTER_WORDS {
+        let _ = writeln!(out, "| {} | {} |", code(word), escape(doc));
+    }
+    out
+}
+
+fn roles() -> String {
+    let mut out = String::from("| role | used for |\n|---|---|\n");
+    for role in Role::ALL {
+        let _ = writeln!(out, "| {} | {} |", code(role.name()), escape(role.doc()));
+    }
+    out
+}
+
+/// Literal text in a cell.
+fn code(text: &str) -> String {
+    format!("`{}`", text.replace('|', "\\|"))
+}
+
+/// Prose in a cell, in which nothing is Markdown.
+fn escape(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    for c in text.chars() {
+        if "\\`*_[]<>|#".contains(c) {
+            out.push('\\');
+        }
+        out.push(c);
+    }
+    out
+}
