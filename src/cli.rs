@@ -3,9 +3,12 @@
 //! Opens nothing and reads nothing.
 
 use crate::bus::BusSpec;
+use crate::guide;
 use crate::shell::recorder::{Format, Size};
 use crate::wire::id::Address;
+use clap::builder::{PossibleValue, StringValueParser, TypedValueParser};
 use clap::{Args, CommandFactory, Parser, Subcommand};
+use std::ffi::OsStr;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -93,13 +96,13 @@ Examples:
     /// Print a manual page, in roff: descan man | man -l -
     Man {
         /// A command or a topic of the guide [default: descan]
-        #[arg(value_name = "NAME")]
+        #[arg(value_name = "NAME", value_parser = GuideName, hide_possible_values = true)]
         name: Option<String>,
     },
     /// List the topics of the guide, or print one
     Help {
         /// A command or a topic of the guide
-        #[arg(value_name = "NAME")]
+        #[arg(value_name = "NAME", value_parser = GuideName, hide_possible_values = true)]
         name: Option<String>,
     },
     /// Print the JSON Schema of des.json
@@ -355,6 +358,27 @@ pub fn completions(shell: clap_complete::Shell) -> Vec<u8> {
     let mut text = Vec::new();
     clap_complete::generate(shell, &mut Cli::command(), "descan", &mut text);
     text
+}
+
+/// The name of a command or topic. Shells complete topics; the guide rejects unknown names.
+#[derive(Clone)]
+struct GuideName;
+
+impl TypedValueParser for GuideName {
+    type Value = String;
+
+    fn parse_ref(
+        &self,
+        command: &clap::Command,
+        argument: Option<&clap::Arg>,
+        value: &OsStr,
+    ) -> Result<String, clap::Error> {
+        StringValueParser::new().parse_ref(command, argument, value)
+    }
+
+    fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
+        Some(Box::new(guide::TOPICS.iter().map(|topic| PossibleValue::new(topic.name))))
+    }
 }
 
 /// The tree of commands, for the guide.
