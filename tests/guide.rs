@@ -383,7 +383,7 @@ fn tables_of_the_code_are_complete() {
 #[test]
 fn all_profile_keys_are_described() {
     let text = topic("profile").markdown();
-    let complete = code_blocks().into_iter().filter(|(_, info, _)| info == "toml profile").last();
+    let complete = code_blocks().into_iter().rfind(|(_, info, _)| info == "toml profile");
     let (_, _, complete) = complete.expect("a profile with every key");
     let parsed = Profile::parse(&complete).unwrap();
     let built_in = Profile { given: true, ..Profile::default() };

@@ -11,18 +11,18 @@ pub fn help(name: Option<&str>) -> Result<u8, Failure> {
     let layout = layout();
     let text = match name {
         None => guide::overview(&cli::program(), layout),
-        Some(name) => guide::help(cli::program(), name, layout).map_err(unknown)?,
+        Some(name) => guide::help(cli::program(), name, layout).map_err(|error| unknown(&error))?,
     };
     print(text.as_bytes()).map(|()| FINE)
 }
 
 /// `descan man [NAME]`.
 pub fn man(name: Option<&str>) -> Result<u8, Failure> {
-    let text = guide::manual(cli::program(), name).map_err(unknown)?;
+    let text = guide::manual(cli::program(), name).map_err(|error| unknown(&error))?;
     print(text.as_bytes()).map(|()| FINE)
 }
 
-fn unknown(error: UnknownTopic) -> Failure {
+fn unknown(error: &UnknownTopic) -> Failure {
     Failure::Usage(error.to_string())
 }
 

@@ -74,7 +74,7 @@ pub enum SpanStyle {
 
 /// Reads Markdown. HTML is left out.
 pub fn parse(text: &str) -> Vec<GuideBlock> {
-    Reader { events: Parser::new_ext(text, Options::ENABLE_TABLES).peekable() }.blocks()
+    MarkdownReader { events: Parser::new_ext(text, Options::ENABLE_TABLES).peekable() }.blocks()
 }
 
 /// The text of a line without its marks.
@@ -82,11 +82,11 @@ pub fn plain(line: &[GuideSpan]) -> String {
     line.iter().map(|span| span.text.as_str()).collect()
 }
 
-struct Reader<'t> {
+struct MarkdownReader<'t> {
     events: Peekable<Parser<'t>>,
 }
 
-impl Reader<'_> {
+impl MarkdownReader<'_> {
     /// The blocks up to the end of what encloses them; that end is consumed.
     fn blocks(&mut self) -> Vec<GuideBlock> {
         let mut blocks = Vec::new();
@@ -171,12 +171,12 @@ impl Reader<'_> {
 
     /// The text up to the next block or the end of this one, which is not consumed.
     fn line(&mut self) -> GuideLine {
-        let mut line = GuideLine::new();
+        let mut spans = GuideLine::new();
         let mut strong = 0u32;
         let mut link = None;
-        let mut add = |text: &str, style, link: &Option<String>| match line.last_mut() {
+        let mut add = |text: &str, style, link: &Option<String>| match spans.last_mut() {
             Some(last) if last.style == style && last.link == *link => last.text.push_str(text),
-            _ => line.push(GuideSpan { text: text.to_owned(), style, link: link.clone() }),
+            _ => spans.push(GuideSpan { text: text.to_owned(), style, link: link.clone() }),
         };
         loop {
             match self.events.peek() {
@@ -199,7 +199,7 @@ impl Reader<'_> {
                 _ => {}
             }
         }
-        line
+        spans
     }
 }
 

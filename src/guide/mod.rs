@@ -297,7 +297,7 @@ pub fn links(blocks: &[GuideBlock]) -> Vec<String> {
                 found.extend(line.iter().filter_map(|span| span.link.clone()));
             }
             GuideBlock::List { items, .. } => {
-                items.iter().for_each(|item| found.extend(links(item)));
+                found.extend(items.iter().flat_map(|item| links(item)));
             }
             GuideBlock::Table { header, rows } => {
                 let cells = header.iter().chain(rows.iter().flatten()).flatten();

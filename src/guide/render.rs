@@ -46,7 +46,7 @@ const CELL_GAP: usize = 2;
 
 /// The blocks as text.
 pub fn render(blocks: &[GuideBlock], layout: TextLayout) -> String {
-    let mut writer = Writer { layout, text: String::new() };
+    let mut writer = TextWriter { layout, text: String::new() };
     for (at, block) in blocks.iter().enumerate() {
         // A heading that follows another one directly needs no gap.
         let follows_heading = at > 0 && matches!(blocks[at - 1], GuideBlock::Heading(..));
@@ -59,16 +59,16 @@ pub fn render(blocks: &[GuideBlock], layout: TextLayout) -> String {
 }
 
 /// A piece of a word, in one style.
-type Piece = (String, SpanStyle);
+type StyledText = (String, SpanStyle);
 /// What a line is broken between.
-type Unit = Vec<Piece>;
+type UnbrokenText = Vec<StyledText>;
 
-struct Writer {
+struct TextWriter {
     layout: TextLayout,
     text: String,
 }
 
-impl Writer {
+impl TextWriter {
     fn block(&mut self, block: &GuideBlock, indent: usize) {
         match block {
             GuideBlock::Heading(level, line) => {
@@ -89,7 +89,7 @@ impl Writer {
             GuideBlock::Code { text, .. } => {
                 for line in text.lines() {
                     let indent = if line.is_empty() { 0 } else { indent + 2 };
-                    self.line(indent, &vec![vec![(line.to_owned(), SpanStyle::Plain)]]);
+                    self.line(indent, &[vec![(line.to_owned(), SpanStyle::Plain)]]);
                 }
             }
             GuideBlock::List { first, items } => self.list(*first, items, indent),
@@ -129,7 +129,7 @@ impl Writer {
         self.layout.width.saturating_sub(indent).max(10)
     }
 
-    fn line(&mut self, indent: usize, units: &[Unit]) {
+    fn line(&mut self, indent: usize, units: &[UnbrokenText]) {
         self.text.push_str(&" ".repeat(indent));
         for (at, unit) in units.iter().enumerate() {
             if at > 0 {
@@ -150,13 +150,13 @@ impl Writer {
     }
 }
 
-fn width(unit: &[Piece]) -> usize {
+fn width(unit: &[StyledText]) -> usize {
     unit.iter().map(|(text, _)| text.width()).sum()
 }
 
 /// The words of a line, with what is not to be broken in one piece.
-fn units(line: &[GuideSpan], quote: &str) -> Vec<Unit> {
-    let mut units: Vec<Unit> = Vec::new();
+fn units(line: &[GuideSpan], quote: &str) -> Vec<UnbrokenText> {
+    let mut units: Vec<UnbrokenText> = Vec::new();
     let mut is_open = false;
     let mut add = |text: &str, style: SpanStyle, keep: bool| {
         if keep {
@@ -195,25 +195,22 @@ fn units(line: &[GuideSpan], quote: &str) -> Vec<Unit> {
     units
 }
 
-fn units_of(text: &str, style: SpanStyle) -> Vec<Unit> {
+fn units_of(text: &str, style: SpanStyle) -> Vec<UnbrokenText> {
     units(&[GuideSpan { text: text.to_owned(), style, link: None }], "")
 }
 
 /// Lines of at most `room` columns; a longer unit has a line of its own.
-fn wrap(units: &[Unit], room: usize) -> Vec<Vec<Unit>> {
-    let mut lines: Vec<Vec<Unit>> = Vec::new();
+fn wrap(units: &[UnbrokenText], room: usize) -> Vec<Vec<UnbrokenText>> {
+    let mut lines: Vec<Vec<UnbrokenText>> = Vec::new();
     let mut used = 0;
     for unit in units {
         let needed = width(unit);
-        match lines.last_mut().filter(|_| used + 1 + needed <= room) {
-            Some(line) => {
-                line.push(unit.clone());
-                used += 1 + needed;
-            }
-            None => {
-                lines.push(vec![unit.clone()]);
-                used = needed;
-            }
+        if let Some(line) = lines.last_mut().filter(|_| used + 1 + needed <= room) {
+            line.push(unit.clone());
+            used += 1 + needed;
+        } else {
+            lines.push(vec![unit.clone()]);
+            used = needed;
         }
     }
     if lines.is_empty() {
@@ -227,18 +224,20 @@ pub(super) fn table_lines(
     header: &[GuideLine],
     rows: &[Vec<GuideLine>],
     room: usize,
-) -> Vec<Vec<Unit>> {
+) -> Vec<Vec<UnbrokenText>> {
     let count = header.len();
-    let cells = |row: &[GuideLine]| -> Vec<Vec<Unit>> {
+    let cells = |row: &[GuideLine]| -> Vec<Vec<UnbrokenText>> {
         (0..count).map(|at| row.get(at).map(|cell| units(cell, "")).unwrap_or_default()).collect()
     };
-    let strong = |row: Vec<Vec<Unit>>| -> Vec<Vec<Unit>> {
-        let pieces = |unit: Unit| unit.into_iter().map(|(text, _)| (text, SpanStyle::Strong));
-        let cell =
-            |units: Vec<Unit>| units.into_iter().map(|unit| pieces(unit).collect()).collect();
+    let strong = |row: Vec<Vec<UnbrokenText>>| -> Vec<Vec<UnbrokenText>> {
+        let pieces =
+            |unit: UnbrokenText| unit.into_iter().map(|(text, _)| (text, SpanStyle::Strong));
+        let cell = |units: Vec<UnbrokenText>| {
+            units.into_iter().map(|unit| pieces(unit).collect()).collect()
+        };
         row.into_iter().map(cell).collect()
     };
-    let mut all: Vec<Vec<Vec<Unit>>> = vec![strong(cells(header))];
+    let mut all: Vec<Vec<Vec<UnbrokenText>>> = vec![strong(cells(header))];
     all.extend(rows.iter().map(|row| cells(row)));
     let widths = column_widths(&all, room);
     let mut lines = Vec::new();
@@ -250,7 +249,7 @@ pub(super) fn table_lines(
         if at == 0 && !is_empty_header {
             let rule = |width: &usize| (("-").repeat(*width), SpanStyle::Plain);
             let gap = (" ".repeat(CELL_GAP), SpanStyle::Plain);
-            let mut pieces: Unit = Vec::new();
+            let mut pieces: UnbrokenText = Vec::new();
             for width in &widths {
                 if !pieces.is_empty() {
                     pieces.push(gap.clone());
@@ -264,13 +263,14 @@ pub(super) fn table_lines(
 }
 
 /// As wide as the content, or, where that is too much, the widest columns narrowed.
-fn column_widths(rows: &[Vec<Vec<Unit>>], room: usize) -> Vec<usize> {
+fn column_widths(rows: &[Vec<Vec<UnbrokenText>>], room: usize) -> Vec<usize> {
     let count = rows.first().map_or(0, Vec::len);
-    let natural = |units: &Vec<Unit>| {
+    let natural = |units: &Vec<UnbrokenText>| {
         units.iter().map(|unit| width(unit) + 1).sum::<usize>().saturating_sub(1)
     };
-    let longest = |units: &Vec<Unit>| units.iter().map(|unit| width(unit)).max().unwrap_or(0);
-    let most = |at: usize, measure: &dyn Fn(&Vec<Unit>) -> usize| {
+    let longest =
+        |units: &Vec<UnbrokenText>| units.iter().map(|unit| width(unit)).max().unwrap_or(0);
+    let most = |at: usize, measure: &dyn Fn(&Vec<UnbrokenText>) -> usize| {
         rows.iter().map(|row| measure(&row[at])).max().unwrap_or(0).max(1)
     };
     let mut widths: Vec<usize> = (0..count).map(|at| most(at, &natural)).collect();
@@ -285,13 +285,13 @@ fn column_widths(rows: &[Vec<Vec<Unit>>], room: usize) -> Vec<usize> {
 }
 
 /// The lines of one row, each as a single unit padded to the columns.
-fn row_lines(row: &[Vec<Unit>], widths: &[usize]) -> Vec<Vec<Unit>> {
-    let wrapped: Vec<Vec<Vec<Unit>>> =
+fn row_lines(row: &[Vec<UnbrokenText>], widths: &[usize]) -> Vec<Vec<UnbrokenText>> {
+    let wrapped: Vec<Vec<Vec<UnbrokenText>>> =
         row.iter().zip(widths).map(|(cell, &width)| wrap(cell, width)).collect();
     let height = wrapped.iter().map(Vec::len).max().unwrap_or(0);
     (0..height)
         .map(|line| {
-            let mut pieces: Unit = Vec::new();
+            let mut pieces: UnbrokenText = Vec::new();
             for (at, (cell, &column)) in wrapped.iter().zip(widths).enumerate() {
                 let mut used = 0;
                 for (word, unit) in cell.get(line).into_iter().flatten().enumerate() {

@@ -115,9 +115,9 @@ impl RoffWriter<'_> {
         self.text.push_str(".fi\n");
     }
 
-    fn inline(&self, line: &[GuideSpan]) -> String {
+    fn inline(&self, spans: &[GuideSpan]) -> String {
         let mut text = String::new();
-        for span in line {
+        for span in spans {
             match span.link.as_deref() {
                 Some(link) if link.contains("://") => {
                     let _ = write!(text, "{}", styled(&span.text, span.style));
