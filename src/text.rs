@@ -72,7 +72,7 @@ pub fn printable(bytes: &[u8]) -> String {
 pub fn on_one_line(message: &str) -> String {
     let lines: Vec<&str> = message.lines().filter(|line| !line.trim().is_empty()).collect();
     match lines[..] {
-        [] => "it cannot be read".to_owned(),
+        [] => "cannot be parsed".to_owned(),
         [only] => printable(only.as_bytes()),
         [first, .., last] => printable(format!("{first}: {last}").as_bytes()),
     }

@@ -555,9 +555,9 @@ fn two_foreign_tools_at_0_are_confirmed() {
     let found = found.unwrap();
     assert_eq!(
         found.text,
-        "Two debug devices use address 0: heartbeats of two identities take turns."
+        "Two debug devices use address 0: heartbeats alternate between two UIDs."
     );
-    assert!(!found.remedy.contains("we take another"), "{}", found.remedy);
+    assert!(!found.remedy.contains("moves to another"), "{}", found.remedy);
     assert!(!events.iter().any(|it| it.contains("gave way")), "{events:#?}");
 }
 

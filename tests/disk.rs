@@ -83,7 +83,7 @@ impl Disk {
         self.pty.wait_for(cause);
         assert_eq!(self.content().as_deref(), Some(BEFORE));
         self.pty.send("q");
-        self.pty.wait_for("1 edit is not saved. Quit all the same?");
+        self.pty.wait_for("1 edit is not saved. Quit anyway?");
         self.pty.send("n");
         self.pty.wait_for("Ctrl-s save again  W save a copy");
         let copy = self.folder.path().join("copy.json");
@@ -91,7 +91,7 @@ impl Disk {
         self.pty.wait_for("a copy with all edits: ");
         assert_eq!(fs::read_to_string(&copy).unwrap(), AFTER);
         self.pty.send("q");
-        self.pty.wait_for("1 edit is only in ");
+        self.pty.wait_for("1 edit is saved only in ");
         self.pty.send("n");
         assert_eq!(self.content().as_deref(), Some(BEFORE));
     }
@@ -99,7 +99,7 @@ impl Disk {
     /// Chooses on the page of a conflict, as soon as it lets one: not before it can be read.
     fn choose(&mut self, key: &str) {
         let deadline = Instant::now() + pty::PATIENCE;
-        while self.pty.screen().contains("Conflict") {
+        while self.pty.screen().contains("Edit conflict") {
             assert!(Instant::now() < deadline, "{}", self.pty.screen());
             self.pty.send(key);
             self.pty.count_for(Duration::from_millis(400));
@@ -189,7 +189,7 @@ fn a_disk_that_does_not_come_to_an_end() {
     disk.pty.wait_for("PUMP");
     disk.pty.wait_for("… saving 2");
     disk.pty.send("q");
-    disk.pty.wait_for("2 edits are being saved, then it quits. Quit without waiting?");
+    disk.pty.wait_for("2 edits are still being saved. Quit without waiting?");
     disk.pty.send("y");
     assert_eq!(disk.pty.wait(), 0);
     disk.pty.assert_given_back();
@@ -219,7 +219,7 @@ fn a_folder_that_others_own() {
 
     // And a file that is write-protected, in a folder that is not.
     let mut disk = Disk::new(&format!("chmod 444 des.json && chmod 777 . .. && {nobody}"));
-    disk.is_kept("somebody else's, write-protected: save a copy");
+    disk.is_kept("belongs to another user: save a copy");
     fs::set_permissions(disk.seen("disk/des.json"), Permissions::from_mode(0o666)).unwrap();
     disk.is_saved_at_last();
 }
@@ -234,14 +234,14 @@ fn a_folder_that_is_moved_away() {
     // While a line is typed.
     disk.pty.send("ge\x154");
     fs::rename(&here, &away).unwrap();
-    disk.pty.wait_for("gone: the next edit begins a new one");
+    disk.pty.wait_for("deleted: the next edit creates it again");
     disk.pty.send("7\r");
     disk.pty.wait_for("✗ not saved");
     disk.pty.wait_for("no such folder: mkdir -p");
     assert_eq!(fs::read_to_string(away.join("des.json")).unwrap(), BEFORE);
     fs::rename(&away, &here).unwrap();
     // The entry that we began anew is the one that went away with the folder.
-    disk.pty.wait_for("Conflict");
+    disk.pty.wait_for("Edit conflict");
     disk.pty.wait_for("new entry FEED at 47");
     disk.pty.wait_for("address 9, not static");
     assert_eq!(disk.content().as_deref(), Some(BEFORE));
@@ -260,7 +260,7 @@ fn what_both_changed_while_it_could_not_be_saved_is_for_a_person_to_choose() {
         disk.pty.send("ge\x1547\r");
         disk.pty.wait_for("✗ not saved");
         fs::write(disk.seen("disk/des.json"), &theirs).unwrap();
-        disk.pty.wait_for("Conflict");
+        disk.pty.wait_for("Edit conflict");
         disk.pty.wait_for("address of the entry FEED: 9 → 47");
         disk.choose(key);
         if key == "t" {

@@ -157,19 +157,19 @@ fn what_is_not_json_is_refused_with_its_place() {
             "    { \"name\": \"A\" \"address\": 1 }",
             18,
         ),
-        (b"[1 , ]", "line 1, column 6: a comma before the bracket", "[1 , ]", 5),
-        (b"{\"a\":1,}", "line 1, column 8: a comma before the bracket", "{\"a\":1,}", 7),
+        (b"[1 , ]", "line 1, column 6: trailing comma", "[1 , ]", 5),
+        (b"{\"a\":1,}", "line 1, column 8: trailing comma", "{\"a\":1,}", 7),
         (b"[1", "line 1, column 3: the file ends inside a list", "[1", 2),
-        (b"{\"a\n\n", "line 1, column 4: the string does not end on its line", "{\"a", 3),
+        (b"{\"a\n\n", "line 1, column 4: unterminated string", "{\"a", 3),
         (
             b"\xef\xbb\xbf[\n\"\xd0\x96\xd0\x96\" x]",
             "line 2, column 6: expected `,` or `]`",
             "\"ЖЖ\" x]",
             5,
         ),
-        (b"[]\n[]", "line 2, column 1: something after the end", "[]", 0),
+        (b"[]\n[]", "line 2, column 1: text after the end", "[]", 0),
         (b"[\"a\xffb\"]", "line 1, column 4: 0xFF is not UTF-8: save it as UTF-8", "[\"a", 3),
-        (b"\xff\xfe[\0]\0", "line 1, column 1: it is UTF-16: save it as UTF-8", "", 0),
+        (b"\xff\xfe[\0]\0", "line 1, column 1: the file is UTF-16: save it as UTF-8", "", 0),
         (b"{// who\n}", "line 1, column 2: JSON has no comments", "{// who", 1),
         (b"[1, /* two */ 2]", "line 1, column 5: JSON has no comments", "[1, /* two */ 2]", 4),
         (b"[1 # one\n]", "line 1, column 4: JSON has no comments", "[1 # one", 3),
@@ -224,7 +224,7 @@ fn of_very_many_findings_the_first_are_kept() {
     let document = parsed(&bad(500_000));
     assert_eq!(document.findings().len(), 1001);
     let last = document.findings().last().unwrap();
-    assert_eq!(last.message, "499000 more like this, or other things, from here on");
+    assert_eq!(last.message, "499000 more errors after this one");
     assert_eq!(last.position.column, 2000);
     // It is edited as any other.
     let edited = document.apply(&set(&document, "A", 5)).unwrap();
@@ -264,7 +264,7 @@ fn wrong_shapes_are_findings() {
         (
             r#"{"devices": [], "devices": []}"#,
             DuplicateMember,
-            "line 1, column 17: `devices` is there twice; the last one counts",
+            "line 1, column 17: duplicate `devices`; the last one is used",
             vec![],
         ),
         ("[\n 7]", NotAnEntry, "line 2, column 2: element 1 is a number, not a device", vec![]),
@@ -278,7 +278,7 @@ fn wrong_shapes_are_findings() {
         (
             r#"[{"name": "A", "name_hex": "42"}]"#,
             NamesDiffer,
-            "line 1, column 28: `name_hex` stands for B, but `name` is A; `name_hex` counts",
+            "line 1, column 28: `name_hex` is B, but `name` is A; `name_hex` is used",
             vec![0],
         ),
         (
@@ -374,19 +374,19 @@ fn wrong_shapes_are_findings() {
         (
             r#"[{"name": "A", "services": {"DES": "1", "B": "1", "D\u0045S": "2"}}]"#,
             DuplicateMember,
-            "line 1, column 51: `DES` is there twice; the last one counts",
+            "line 1, column 51: duplicate `DES`; the last one is used",
             vec![0],
         ),
         (
             r#"[{"name": "A", "services": [{"name": "B"}, {"name": "C", "name": "D"}]}]"#,
             DuplicateMember,
-            "line 1, column 58: `name` is there twice; the last one counts",
+            "line 1, column 58: duplicate `name`; the last one is used",
             vec![0],
         ),
         (
             r#"[{"name": "A", "address": 1, "address": 2}]"#,
             DuplicateMember,
-            "line 1, column 30: `address` is there twice; the last one counts",
+            "line 1, column 30: duplicate `address`; the last one is used",
             vec![0],
         ),
     ] {
@@ -715,7 +715,7 @@ fn what_is_no_service_is_not_removed_by_setting_services() {
         let document = parsed(&format!(r#"[{{"name":"A","services":{value}}}]"#));
         let error = document.apply(&services(&document, "A", &[("DES", "1")])).unwrap_err();
         let said = format!(
-            "line 1, column {at}: {found} stands where a service should be: correct it first"
+            "line 1, column {at}: expected a service, found {found}: fix it first"
         );
         assert_eq!(error.to_string(), said, "{value}");
     }
@@ -823,15 +823,15 @@ fn edits_are_refused_where_readers_would_disagree() {
     for (source, expected) in [
         (
             r#"{"devices":[{"name":"A"}],"devices":[{"name":"A"}]}"#,
-            "line 1, column 27: `devices` is there twice: remove one of them first",
+            "line 1, column 27: duplicate `devices`: remove one of them first",
         ),
         (
             r#"[{"name":"A","address":1,"addr\u0065ss":2}]"#,
-            "line 1, column 26: `address` is there twice: remove one of them first",
+            "line 1, column 26: duplicate `address`: remove one of them first",
         ),
         (
             r#"[{"name":"A","static":true,"static":true}]"#,
-            "line 1, column 28: `static` is there twice: remove one of them first",
+            "line 1, column 28: duplicate `static`: remove one of them first",
         ),
     ] {
         let document = parsed(source);
@@ -849,17 +849,17 @@ fn edits_are_refused_where_readers_would_disagree() {
     let error = document.apply(&services(&document, "A", &[("B", "3")])).unwrap_err();
     assert_eq!(
         error.to_string(),
-        "line 1, column 34: `B` is there twice: remove one of them first"
+        "line 1, column 34: duplicate `B`: remove one of them first"
     );
 }
 
 #[test]
 fn edits_are_refused_where_there_is_no_place() {
     for (source, expected) in [
-        ("\n 12", "line 2, column 2: a number stands where the list of devices should be"),
+        ("\n 12", "line 2, column 2: expected a list of devices, found a number"),
         (
             r#"{"devices": {}}"#,
-            "line 1, column 13: an object stands where the list of devices should be",
+            "line 1, column 13: expected a list of devices, found an object",
         ),
     ] {
         assert_eq!(parsed(source).apply(&add("A", 1)).unwrap_err().to_string(), expected);
@@ -867,7 +867,7 @@ fn edits_are_refused_where_there_is_no_place() {
     let document = parsed(r#"[{"name":"A"}]"#);
     let gone = set(&parsed(r#"[{"name":"A","address":3}]"#), "A", 9);
     let error = document.apply(&gone).unwrap_err();
-    assert_eq!(error.to_string(), "the file has no such entry any more: A at 3");
+    assert_eq!(error.to_string(), "entry no longer in the file: A at 3");
     assert_eq!(gone.inverse(&document).unwrap_err(), error);
     for address in [0, 128, 255] {
         let range = EditError::AddressRange { address };
@@ -885,18 +885,18 @@ fn operations_have_names() {
     assert_eq!(named(&change), "address of the entry FE\\x1BED: 12 → 16");
     assert_eq!(
         named(&change.inverse(&document).unwrap()),
-        "address of the entry FE\\x1BED back to 12"
+        "address of the entry FE\\x1BED restored to 12"
     );
     assert_eq!(named(&clear(&document, name)), "static address 12 of FE\\x1BED cleared");
     assert_eq!(named(&add("SENS", 13)), "new entry SENS at 13");
     assert_eq!(named(&remove(&document, name)), "entry FE\\x1BED at 12 removed");
     let back = remove(&document, name).inverse(&document).unwrap();
-    assert_eq!(named(&back), "entry FE\\x1BED at 12 put back");
+    assert_eq!(named(&back), "entry FE\\x1BED at 12 restored");
     let renamed = rename(&document, name, b"\xff");
     assert_eq!(named(&renamed), "entry FE\\x1BED at 12 renamed to \\xFF");
     assert_eq!(
         named(&renamed.inverse(&document).unwrap()),
-        "entry \\xFF at 12 named FE\\x1BED again"
+        "entry \\xFF at 12 renamed back to FE\\x1BED"
     );
     let listed = services(&document, name, &[("A", "1"), ("B", "1")]);
     assert_eq!(named(&listed), "services of the entry FE\\x1BED at 12: 2 listed");

@@ -36,7 +36,7 @@
 //!   saved as first                    the same bytes as at the start
 //!   typed 16: Enter pins it to 16     the line being typed, and what is said of it (`warns:`, or
 //!                                     `blocks:` where Enter does nothing)
-//!   says: taken back: …               the message below (`warns:` where something did not work)
+//!   says: undid: …               the message below (`warns:` where something did not work)
 //!   asks: …                           a question, or a conflict with both values
 //!   unsaved 2                         so many edits are not on the disk
 //!   problem: line 1, column 2: …      what is wrong with the file as a whole

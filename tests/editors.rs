@@ -76,7 +76,7 @@ fn their_edit_and_ours_survive() {
     // Taken back one after the other, across all those saves; theirs stay.
     let pinned = content.clone();
     pty.send("u");
-    pty.wait_for("taken back: ");
+    pty.wait_for("undid: ");
     let deadline = Instant::now() + pty::PATIENCE;
     while fs::read_to_string(&path).unwrap() == pinned {
         assert!(Instant::now() < deadline, "{}", pty.screen());
@@ -141,7 +141,7 @@ fn a_file_of_two_names_is_parted_and_that_is_said() {
     let mut pty = Pty::start(&["sim:boiler"], folder.path(), (120, 40));
     pty.wait_for("SENS");
     pty.send("ge\x1547\r");
-    pty.wait_for("saved; its other hard link keeps the old text");
+    pty.wait_for("saved; the other hard link keeps the old content");
     let ours = BEFORE.replace("9}", "47, \"static\": true}");
     assert_eq!(fs::read_to_string(at("des.json")).unwrap(), ours);
     assert_eq!(fs::read_to_string(at("backup.json")).unwrap(), BEFORE);

@@ -267,7 +267,7 @@ fn where_nobody_acknowledges_nobody_is_named() {
     run(&mut it, seconds(30.0));
     assert_eq!(named(&it), [0; 0]);
     let bus = errors_at(&it, None).expect("the bus as a whole");
-    assert!(bus.text.starts_with("Nobody acknowledges our frames"), "{}", bus.text);
+    assert!(bus.text.starts_with("No ACK for descan's frames"), "{}", bus.text);
 }
 
 #[test]
@@ -336,8 +336,8 @@ fn how_often_frames_break_decides_what_is_said_of_the_bus() {
     // A few in each second are a fault, however many frames are sound.
     let (steady, text) = heard(7000, 30, |number| number % 3500 == 10);
     assert_eq!(steady, ["1 suspected", "2 confirmed"]);
-    assert!(text.starts_with("Frames break on the bus: 2."), "{text}");
-    assert!(text.ends_with("less than 1 % of all, most of them with stuff errors."), "{text}");
+    assert!(text.starts_with("Bus errors: 2."), "{text}");
+    assert!(text.ends_with("less than 1 % of all frames, mostly stuff errors."), "{text}");
     // Where it ends, it is over half a minute later.
     let ends = heard(100, 60, |number| number % 20 == 0 && number < 1000).0;
     assert_eq!(ends, ["0 suspected", "2 confirmed", "39 cleared"]);

@@ -34,7 +34,7 @@ fn however_fast_a_log_is_played_nothing_else_happens_in_it() {
         pty.send(keys);
         pty.wait_for("end of log");
         pty.send("3G");
-        pty.wait_for("06:18:12 · can0         the log is at its end");
+        pty.wait_for("06:18:12 · can0         end of log");
         let screen = pty.screen();
         for word in ["suspected", "rebooted", "lost", "silent", "returned"] {
             assert!(!screen.contains(&format!(" {word}")), "speed {speed}: {word}: {screen}");
@@ -59,7 +59,7 @@ fn a_log_that_runs_while_another_is_opened_is_told_from_its_beginning() {
     OpenOptions::new().write(true).open(&pipe).unwrap();
     pty.wait_for(" can0  end of log");
     pty.send("3g");
-    pty.wait_for("06:17:33 + can0   N9 @9        says its name");
+    pty.wait_for("06:17:33 + can0   N9 @9        identified as N9");
     pty.wait_for("06:17:33 + can0   N9 @9        1 service");
     let screen = pty.screen();
     assert!(!screen.contains("suspected"), "{screen}");

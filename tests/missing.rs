@@ -106,9 +106,9 @@ fn the_interface_is_down_or_bus_off() {
     stage.status(0, Link::Missing, BusState::Unknown, None);
     assert_eq!(stage.why(0), ["can0 is down"]);
     stage.status(0, Link::Opening, BusState::Unknown, None);
-    assert_eq!(stage.why(0), ["can0 is being opened"]);
+    assert_eq!(stage.why(0), ["can0 is opening"]);
     stage.status(0, Link::Up, BusState::BusOff, None);
-    assert_eq!(stage.why(0), ["the controller of can0 is bus-off: it hears nothing"]);
+    assert_eq!(stage.why(0), ["can0 is bus-off: nothing is received"]);
     stage.status(0, Link::Up, BusState::Stopped, None);
     assert_eq!(stage.why(0), ["can0 is stopped"]);
     // Of what was there before, too: the bus is why, not the device.
@@ -122,10 +122,10 @@ fn the_interface_is_down_or_bus_off() {
 #[test]
 fn nobody_acknowledges() {
     let stage = Stage::after_eight_seconds(&[Scenario::new(250_000)], &Config::default(), PUMP);
-    let why = "nobody on can0 acknowledges: no other device, another bit rate, or a broken wire";
+    let why = "no ACK on can0: no other node, wrong bit rate or broken wire";
     assert_eq!(stage.why(0), [why]);
     let (text, remedy) = stage.finding();
-    assert_eq!(text, format!("PUMP (at 44) is listed and not there: {why}."));
+    assert_eq!(text, format!("PUMP (at 44) is listed but not on the bus: {why}."));
     assert_eq!(remedy, "");
 }
 
@@ -134,25 +134,25 @@ fn nothing_was_ever_heard() {
     let stage = Stage::after_eight_seconds(&[bus()], &Config::default(), PUMP);
     assert_eq!(
         stage.why(0),
-        ["nothing was ever heard from address 44", "others answer: is it powered and wired?"]
+        ["no frame received from address 44", "other devices respond: check its power and wiring"]
     );
     let (text, remedy) = stage.finding();
     assert_eq!(
         text,
-        "PUMP (at 44) is listed and not there: nothing was ever heard from address 44."
+        "PUMP (at 44) is listed but not on the bus: no frame received from address 44."
     );
-    assert_eq!(remedy, "others answer: is it powered and wired?");
+    assert_eq!(remedy, "other devices respond: check its power and wiring");
     let unplaced = r#"{ "name": "PUMP" }"#;
     let stage = Stage::after_eight_seconds(&[bus()], &Config::default(), unplaced);
-    assert_eq!(stage.why(0)[0], "no device called itself PUMP");
+    assert_eq!(stage.why(0)[0], "no device named PUMP seen");
     // A UID that nobody has changes nothing.
     let with_uid = r#"{ "name": "PUMP", "uid": "PUMP0001", "address": 44 }"#;
     let stage = Stage::after_eight_seconds(&[bus()], &Config::default(), with_uid);
-    assert_eq!(stage.why(0)[0], "nothing was ever heard from address 44");
+    assert_eq!(stage.why(0)[0], "no frame received from address 44");
     // Before anybody was asked, nothing can be said.
     let mut stage = Stage::new(&[bus()], &Config::default(), PUMP);
     stage.until(1.0);
-    assert_eq!(stage.why(0), ["not looked for long enough yet"]);
+    assert_eq!(stage.why(0), ["search still running"]);
 }
 
 #[test]
@@ -163,8 +163,8 @@ fn a_heartbeat_and_no_des_answer() {
         stage.until(seconds);
         let why = stage.why(0);
         assert_eq!(why.len(), 1, "{why:?}");
-        let (before, after) = why[0].split_once(" (asked ").unwrap_or((&why[0], ""));
-        assert_eq!(before.trim_end_matches(" yet"), "a heartbeat at 44, but no DES answer");
+        let (before, after) = why[0].split_once(" (requested ").unwrap_or((&why[0], ""));
+        assert_eq!(before.trim_end_matches(" yet"), "a heartbeat at 44, but no DES response");
         assert!(after.ends_with(')'), "{seconds}: {why:?}");
     }
     // Who is not asked cannot be blamed for that.
@@ -174,7 +174,7 @@ fn a_heartbeat_and_no_des_answer() {
         Config { scan: false, ..Config::default() },
     ] {
         let stage = Stage::after_eight_seconds(&[bus().with(mute.clone())], &config, PUMP);
-        assert_eq!(stage.why(0), ["a heartbeat at 44; its name is not known, as we do not ask"]);
+        assert_eq!(stage.why(0), ["a heartbeat at 44; name unknown: requests are off"]);
     }
 }
 
@@ -185,17 +185,17 @@ fn a_name_and_no_services() {
     stage.until(20.0);
     let device = stage.app.buses()[0].engine.device_at(Address::new(44).unwrap()).unwrap();
     let why = stage.app.why_incomplete(device);
-    assert_eq!(why, ["it says its name, but not its services (asked 4 times)"]);
+    assert_eq!(why, ["name received, no services response (requested 4 times)"]);
 }
 
 #[test]
 fn another_device_sits_on_its_address() {
     let other = || DeviceSpec::new("VALVE").fixed(44).settled();
     let stage = Stage::after_eight_seconds(&[bus().with(other())], &Config::default(), PUMP);
-    assert_eq!(stage.why(0), ["VALVE sits on its address 44"]);
+    assert_eq!(stage.why(0), ["VALVE uses its address 44"]);
     assert_eq!(
         stage.finding().0,
-        "PUMP (at 44) is listed and not there: VALVE sits on its address 44."
+        "PUMP (at 44) is listed but not on the bus: VALVE uses its address 44."
     );
     // Not its own as long as it is not pinned there.
     let unpinned = r#"{ "name": "PUMP", "address": 44 }"#;
@@ -203,22 +203,22 @@ fn another_device_sits_on_its_address() {
     assert_eq!(stage.why(0), ["VALVE has address 44 now"]);
     let blank = DeviceSpec::new("").fixed(44).settled();
     let stage = Stage::after_eight_seconds(&[bus().with(blank)], &Config::default(), PUMP);
-    assert_eq!(stage.why(0), ["a device with an empty name sits on its address 44"]);
+    assert_eq!(stage.why(0), ["a device with an empty name uses its address 44"]);
     // Ourselves.
     let config = Config { address: Address::new(44), ..Config::default() };
     let stage = Stage::after_eight_seconds(&[bus()], &config, PUMP);
-    assert_eq!(stage.why(0), ["we use its address 44 ourselves"]);
+    assert_eq!(stage.why(0), ["descan itself uses address 44"]);
     // It was there, and is gone.
     let leaves = bus().with(other()).at(Duration::from_secs(4), "VALVE", Action::Leave);
     let mut stage = Stage::new(&[leaves], &Config::default(), PUMP);
     stage.until(20.0);
     let why = stage.why(0);
-    assert!(why[0].starts_with("only VALVE was at 44, last heard "), "{why:?}");
+    assert!(why[0].starts_with("only VALVE was at 44, last seen "), "{why:?}");
     let moves = Action::Move(descan::sim::AddressChoice::Fixed(Address::new(45).unwrap()));
     let moves = bus().with(other()).at(Duration::from_secs(4), "VALVE", moves);
     let mut stage = Stage::new(&[moves], &Config::default(), PUMP);
     stage.until(20.0);
-    assert_eq!(stage.why(0), ["VALVE was at 44 and is at 45 now"]);
+    assert_eq!(stage.why(0), ["VALVE moved from 44 to 45"]);
 }
 
 #[test]
@@ -235,14 +235,14 @@ fn it_is_there_under_another_address() {
     assert_eq!(
         texts,
         [
-            "44 is the static address of PUMP, and a device that calls itself VALVE is there.",
-            "PUMP is at 20, and the file pins it to 44.",
+            "Static address 44 of PUMP is used by a device named VALVE.",
+            "PUMP is at address 20; the file pins it to 44.",
         ]
     );
     // With several it may be either.
     let scenario = bus().with(pump(20)).with(pump(21));
     let stage = Stage::after_eight_seconds(&[scenario], &Config::default(), PUMP);
-    assert_eq!(stage.why(0), ["PUMP answers at 20 and 21, not at 44: which is it?"]);
+    assert_eq!(stage.why(0), ["PUMP found at 20 and 21, not at 44: ambiguous"]);
     // One that is another entry's is none of it.
     let entries = format!(r#"{PUMP}, {{ "name": "PUMP", "address": 20, "static": true }}"#);
     let scenario = bus().with(pump(20));
@@ -250,9 +250,9 @@ fn it_is_there_under_another_address() {
     assert_eq!(
         stage.why(0),
         [
-            "nothing was ever heard from address 44",
-            "others answer: is it powered and wired?",
-            "the PUMP at 20 is another entry's"
+            "no frame received from address 44",
+            "other devices respond: check its power and wiring",
+            "PUMP at 20 belongs to another entry"
         ]
     );
 }
@@ -264,7 +264,7 @@ fn it_was_there_before() {
     let mut stage = Stage::new(&[scenario], &Config::default(), PUMP);
     stage.until(20.0);
     let why = stage.why(0);
-    assert!(why[0].starts_with("it was at 44 and was last heard 1"), "{why:?}");
+    assert!(why[0].starts_with("last seen at 44, 1"), "{why:?}");
     assert_eq!(why.len(), 1, "{why:?}");
     // Somebody else took its place meanwhile.
     let pump = DeviceSpec::new("PUMP").fixed(44).settled();
@@ -273,8 +273,8 @@ fn it_was_there_before() {
     let mut stage = Stage::new(&[scenario], &Config::default(), PUMP);
     stage.until(25.0);
     let why = stage.why(0);
-    assert!(why[0].starts_with("it was at 44 and was last heard "), "{why:?}");
-    assert_eq!(why[1..], ["VALVE sits on its address 44"]);
+    assert!(why[0].starts_with("last seen at 44, "), "{why:?}");
+    assert_eq!(why[1..], ["VALVE uses its address 44"]);
 }
 
 #[test]
@@ -287,8 +287,8 @@ fn nobody_is_asked() {
         assert_eq!(
             stage.why(0),
             [
-                "nothing was ever heard from address 44",
-                "we do not ask: a device that says nothing is not seen"
+                "no frame received from address 44",
+                "requests are off: silent devices are not found"
             ]
         );
         let unplaced = r#"{ "name": "PUMP" }"#;
@@ -296,8 +296,8 @@ fn nobody_is_asked() {
         assert_eq!(
             stage.why(0)[..2],
             [
-                "no device called itself PUMP",
-                "there are 2 whose names are not known: it may be one of them"
+                "no device named PUMP seen",
+                "it may be one of 2 unnamed devices"
             ]
         );
     }
@@ -306,8 +306,8 @@ fn nobody_is_asked() {
     assert_eq!(
         stage.why(0),
         [
-            "nothing was ever heard from address 44",
-            "we have no address of our own: nobody was asked"
+            "no frame received from address 44",
+            "descan has no address: no requests were sent"
         ]
     );
 }
@@ -320,8 +320,8 @@ fn a_log_at_its_end() {
     assert_eq!(
         stage.why(0),
         [
-            "in this log nothing was ever heard from address 44",
-            "we do not ask: a device that says nothing is not seen"
+            "in this log no frame received from address 44",
+            "requests are off: silent devices are not found"
         ]
     );
 }
@@ -339,22 +339,22 @@ fn two_buses() {
     assert_eq!(
         stage.why(0),
         [
-            "can0: nothing was ever heard from address 44",
-            "can0: others answer: is it powered and wired?",
-            "can1: VALVE sits on its address 44"
+            "can0: no frame received from address 44",
+            "can0: other devices respond: check its power and wiring",
+            "can1: VALVE uses its address 44"
         ]
     );
     assert_eq!(
         stage.why(1),
-        ["nothing was ever heard from address 45", "others answer: is it powered and wired?"]
+        ["no frame received from address 45", "other devices respond: check its power and wiring"]
     );
-    assert_eq!(stage.why(2), ["it is on can7, which is not open here"]);
+    assert_eq!(stage.why(2), ["listed for bus can7, which is not open"]);
     stage.status(1, Link::Down, BusState::Down, None);
     assert_eq!(stage.why(1), ["can1 is down"]);
     assert_eq!(stage.why(0)[2], "can1 is down");
     let stage = Stage::after_eight_seconds(&[bus(), bus()], &Config::default(), PUMP);
     assert_eq!(
         stage.why(0),
-        ["nothing was ever heard from address 44", "others answer: is it powered and wired?"]
+        ["no frame received from address 44", "other devices respond: check its power and wiring"]
     );
 }

@@ -140,7 +140,7 @@ fn after_bus_off_discovery_begins_anew() {
     stage.becomes(|status| status.state = BusState::ErrorActive);
     stage.begins_anew();
     assert!(stage.is_told("error-active"));
-    assert!(!stage.is_told("was bus-off"));
+    assert!(!stage.is_told("was briefly bus-off"));
 }
 
 #[test]
@@ -148,7 +148,7 @@ fn after_a_bus_off_that_is_over_when_it_is_told_discovery_begins_anew() {
     let mut stage = Stage::settled();
     stage.becomes(|status| status.bus_offs += 1);
     stage.begins_anew();
-    assert!(stage.is_told("was bus-off for a moment"));
+    assert!(stage.is_told("was briefly bus-off"));
 }
 
 #[test]
@@ -167,7 +167,7 @@ fn after_it_was_down_or_unplugged_discovery_begins_anew() {
             (status.message, status.outages) = (None, 1);
         });
         stage.begins_anew();
-        assert!(stage.is_told("open") && !stage.is_told("was down"));
+        assert!(stage.is_told("open") && !stage.is_told("was briefly down"));
     }
 }
 
@@ -176,7 +176,7 @@ fn after_an_outage_that_is_over_when_it_is_told_discovery_begins_anew() {
     let mut stage = Stage::settled();
     stage.becomes(|status| status.outages += 1);
     stage.begins_anew();
-    assert!(stage.is_told("was down for a moment"));
+    assert!(stage.is_told("was briefly down"));
 }
 
 #[test]
@@ -220,16 +220,16 @@ fn what_else_the_adapter_says_disturbs_nothing() {
     let before = stage.own_address();
     stage.becomes(|status| status.state = BusState::ErrorWarning);
     stage.becomes(|status| status.renamed = Some("front".to_owned()));
-    assert!(stage.is_told("renamed: it is called front now"));
+    assert!(stage.is_told("interface renamed to front"));
     stage.becomes(|status| status.renamed = None);
-    assert!(stage.is_told("has its old name again"));
+    assert!(stage.is_told("interface has its old name again"));
     stage.becomes(|status| status.note = Some("worth knowing".to_owned()));
     assert!(stage.is_told("worth knowing"));
     assert_eq!(stage.own_address(), before);
     for (what, told) in [
-        (0, "frames were lost: the kernel's receive buffer was full"),
-        (1, "frames were lost: we were too slow"),
-        (2, "frames were lost: the controller was overrun"),
+        (0, "frames lost: the kernel's receive buffer was full"),
+        (1, "frames lost: descan's receive queue was full"),
+        (2, "frames lost: controller overrun"),
     ] {
         assert!(!stage.is_told(told));
         stage.becomes(|status| {
@@ -268,7 +268,7 @@ fn nobody_is_judged_by_the_time_in_which_the_program_was_held_up() {
     stage.run(0.3);
     stage.begins_anew();
     stage.run(20.0);
-    assert!(stage.is_told("was held up for 7.0 s"));
+    assert!(stage.is_told("descan was stopped for 7.0 s"));
     for word in ["suspected", "confirmed", "lost", "silent", "stale", "returned", "rebooted"] {
         assert!(!stage.is_told(word), "{word}");
     }

@@ -152,8 +152,8 @@ fn sections_of_either_byte_order_with_times_in_any_unit_are_read() {
     assert_eq!(tally.first_unreadable, Some((7, eth)));
     assert_eq!(
         tally.to_string(),
-        "4 frames of 3 interfaces; 2 blocks cannot be read, the first is block 7: it is of link type 1, not of \
-         CAN (227)"
+        "4 frames of 3 interfaces; 2 blocks cannot be read, the first is block 7: link type 1, expected \
+         227 (SocketCAN)"
     );
     for buffer in 1..70 {
         assert_eq!(read_with(&file, buffer), (frames.clone(), tally.clone()), "{buffer}");
@@ -212,7 +212,7 @@ fn where_a_file_breaks_off_what_stands_before_counts() {
     }
     assert_eq!(seen, frames.len());
     let (_, tally) = read(&file[..file.len() - 1]);
-    assert_eq!(tally.to_string(), "7 frames; it breaks off within a block");
+    assert_eq!(tally.to_string(), "7 frames; truncated inside a block");
 }
 
 #[test]

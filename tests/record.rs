@@ -263,7 +263,7 @@ fn a_damaged_file_is_read_as_far_as_it_goes_and_told() {
     fs::write(&path, &whole[..whole.len() / 2]).unwrap();
     let output = descan(&["scan", "file:b.pcapng"], folder.path());
     assert!(
-        words(&output).contains("frames of 2 interfaces; it breaks off within a block"),
+        words(&output).contains("frames of 2 interfaces; truncated inside a block"),
         "{output:?}"
     );
     assert_eq!(output.status.code(), Some(0));
@@ -281,8 +281,8 @@ fn what_is_wrong_with_the_arguments_is_said() {
         (&["--record", "b"], 2, ".log"),
         (&["--record-size", "1M"], 2, "--record <FILE>"),
         (&["--record", "b.log", "--record-size", "1"], 2, "100M"),
-        (&["--record", "a.log"], 3, "a.log is there already"),
-        (&["--record", "nowhere/b.log"], 3, "nowhere/b.log cannot be recorded to"),
+        (&["--record", "a.log"], 3, "a.log already exists"),
+        (&["--record", "nowhere/b.log"], 3, "cannot record to nowhere/b.log"),
     ] {
         let output = descan(&[&["scan", "file:a.log"], arguments].concat(), folder.path());
         assert!(words(&output).contains(hint), "{output:?}");
@@ -409,9 +409,9 @@ fn where_the_disk_is_full_recording_is_over_and_the_rest_goes_on() {
     let path = recording.path.clone();
     let (code, words) = recording.end();
     assert_eq!(code, Some(0), "{words}");
-    let over = "descan: recording to a.log is over: the file may not grow any more";
+    let over = "descan: recording to a.log stopped: file size limit reached";
     assert_eq!(words.matches(over).count(), 1, "{words}");
-    assert!(words.contains("it ends early"), "{words}");
+    assert!(words.contains("incomplete: "), "{words}");
     let (frames, tally) = read(&path);
     assert!(frames.len() > 10 && tally.unreadable == 0, "no half line stays behind: {tally:?}");
     assert!(words.contains(&format!("recorded a.log: {} frames, ", frames.len())), "{words}");
@@ -433,7 +433,7 @@ fn what_a_full_disk_took_nothing_of_is_not_counted() {
         // Whoever makes one log of another must not take it for done.
         assert_eq!(output.status.code(), Some(3));
         let words = words(&output);
-        let told = format!("recorded {name}: {told}; it ends early: the file may not grow");
+        let told = format!("recorded {name}: {told}; incomplete: file size limit reached");
         assert!(words.contains(&told), "{words}");
         assert_eq!(read(&folder.path().join(name)).0, []);
     }
@@ -448,7 +448,7 @@ fn a_file_that_is_deleted_is_told() {
     let mut reader = BufReader::new(recording.child.stderr.take().unwrap());
     let mut line = String::new();
     std::io::BufRead::read_line(&mut reader, &mut line).unwrap();
-    assert_eq!(line, "descan: recording to a.log is over: the file was deleted\n");
+    assert_eq!(line, "descan: recording to a.log stopped: the file was deleted\n");
     recording.signal(Signal::SIGTERM);
     assert_eq!(recording.child.wait().unwrap().code(), Some(0));
 }
@@ -489,8 +489,8 @@ fn the_screen_says_that_it_is_over() {
     let mut pty = Pty::start(&arguments, folder.path(), (80, 24));
     wait_for_recording(&mut pty);
     fs::remove_file(folder.path().join("a.log")).unwrap();
-    pty.wait_for("recording to a.log is over: the file was deleted");
-    pty.wait_for("✗ rec over");
+    pty.wait_for("recording to a.log stopped: the file was deleted");
+    pty.wait_for("✗ rec stopped");
     pty.send("q");
     assert_eq!(pty.wait(), 0);
 }

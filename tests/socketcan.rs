@@ -97,7 +97,7 @@ fn an_interface_of_another_kind_is_told_apart() {
     }
     let status = Bus::open("lo").status();
     assert_eq!(status.link, Link::NotCan);
-    assert_eq!(status.message.as_deref(), Some("lo is no CAN interface"));
+    assert_eq!(status.message.as_deref(), Some("lo is not a CAN interface"));
 }
 
 #[test]
@@ -307,7 +307,7 @@ fn a_renamed_interface_is_followed_while_it_is_there() {
     run("ip", &["link", "del", "ds-renamed"]);
     let status = bus.wait_for_link(Link::Unplugged);
     assert_eq!(status.renamed, None);
-    assert!(status.message.unwrap().contains("ds-named is gone"));
+    assert!(status.message.unwrap().contains("ds-named unplugged"));
     vcan.create().unwrap();
     bus.wait_for_link(Link::Up);
     run("cansend", &["ds-named", "123#02"]);
@@ -412,7 +412,7 @@ fn waits_for_an_interface_that_is_plugged_in_later_and_again() {
         bus.wait_for_frames(round);
         vcan.remove();
         let status = bus.wait_for_link(Link::Unplugged);
-        assert!(status.message.unwrap().contains("ds-later is gone"));
+        assert!(status.message.unwrap().contains("ds-later unplugged"));
     }
 }
 

@@ -47,17 +47,17 @@ fn a_new_file_is_written_or_it_is_said_why_not_in_one_line() {
     let long = "x".repeat(300);
     let name = folder.path().file_name().unwrap();
     for (path, way_out) in [
-        (at("a.json"), "there is a file of that name already: choose another"),
-        (at("large"), "there is a file of that name already: choose another"),
-        (at("protected"), "there is a file of that name already: choose another"),
+        (at("a.json"), "file already exists: choose another name"),
+        (at("large"), "file already exists: choose another name"),
+        (at("protected"), "file already exists: choose another name"),
         (folder.path().to_owned(), "that is a folder: name a file in it"),
         ("~".into(), "that is a folder: name a file in it"),
         ("/dev/null".into(), "that is not a regular file: choose another"),
-        (at("no/c.json"), "there is no such folder: make it (mkdir -p), or choose another"),
-        (at("a.json/c.json"), "what should be its folder is a file: choose another"),
+        (at("no/c.json"), "no such folder: create it (mkdir -p), or choose another"),
+        (at("a.json/c.json"), "parent is a file, not a folder: choose another"),
         (at(&long), "the name is too long: choose a shorter one"),
-        (at("loop"), "its symbolic links go in circles"),
-        ("~nobody/c.json".into(), "~ is not known here: write out the path"),
+        (at("loop"), "symbolic link loop"),
+        ("~nobody/c.json".into(), "~ cannot be expanded: give the full path"),
     ] {
         let why = write(&path).unwrap_err();
         assert_eq!(why, way_out, "{}", path.display());
@@ -70,7 +70,7 @@ fn a_new_file_is_written_or_it_is_said_why_not_in_one_line() {
         assert_eq!(why, "no permission for that folder: choose another");
     }
     let why = write_new(Path::new("~/c.json"), None, b"[]").unwrap_err();
-    assert_eq!(why, "~ is not known here: write out the path");
+    assert_eq!(why, "~ cannot be expanded: give the full path");
     assert_eq!(fs::read(at("a.json")).unwrap(), b"[]");
 }
 
@@ -111,7 +111,7 @@ fn reading_gives_the_content_or_says_what_is_wrong() {
 
     symlink("circle", at("circle")).unwrap();
     let error = Store::new(at("circle")).read().unwrap_err().to_string();
-    assert!(error.ends_with(": its symbolic links go in circles"), "{error}");
+    assert!(error.ends_with(": symbolic link loop"), "{error}");
 }
 
 // ---- saving ----
@@ -281,7 +281,7 @@ fn a_save_that_fails_leaves_nothing_and_says_why() {
     assert!(matches!(error, SaveError::Protected { .. }), "{error}");
     fs::set_permissions(at("folder"), fs::Permissions::from_mode(0o555)).unwrap();
     let error = failure(&at("folder/des.json"));
-    assert!(error.contains("get the permission"), "{error}");
+    assert!(error.contains("get permission"), "{error}");
 }
 
 // ---- watching ----

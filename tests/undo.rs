@@ -55,12 +55,12 @@ fn a_file_that_is_being_written_is_not_taken_for_an_empty_one() {
             stage.keys(keys).text(text).keys("Enter");
             let screen = mend(&mut stage).write(empty).until(24.9).keys("Ctrl-s").screen();
             assert_eq!(stage.file(), empty, "nothing is written");
-            assert!(!screen.contains("Conflict"), "{screen}");
+            assert!(!screen.contains("Edit conflict"), "{screen}");
             assert!(screen.contains("SENS"), "{screen}");
             assert_eq!(stage.app.file().unsaved(), 1);
             stage.write(&theirs);
             assert_eq!(stage.file(), ours);
-            assert!(!stage.screen().contains("Conflict"), "{}", stage.screen());
+            assert!(!stage.screen().contains("Edit conflict"), "{}", stage.screen());
             assert!(stage.until(30.0).screen().contains("✓"), "{}", stage.screen());
         }
     }
@@ -72,10 +72,10 @@ fn an_edit_waits_while_the_file_is_being_written() {
         let mut stage = Stage::boiler();
         stage.until(24.0).write("");
         let screen = stage.screen();
-        assert!(screen.contains("des.json empty just now"), "{screen}");
+        assert!(screen.contains("des.json empty (being written?)"), "{screen}");
         assert!(screen.contains("✓ 10"), "{screen}");
         let screen = stage.keys("e").text("70").keys("Enter").screen();
-        assert!(screen.contains("… saving 1  empty just now"), "{screen}");
+        assert!(screen.contains("… saving 1  empty (being written?)"), "{screen}");
         assert!(stage.keys("q").screen().contains("Quit"));
         assert!(!stage.effects.contains(&Effect::Quit));
         assert_eq!(stage.file(), "");
@@ -98,7 +98,7 @@ fn a_save_that_finds_the_file_emptied_is_put_off() {
         assert_eq!(stage.file(), "");
         let screen = stage.screen();
         assert!(screen.contains("… saving 1"), "{screen}");
-        assert!(!screen.contains("Conflict"), "{screen}");
+        assert!(!screen.contains("Edit conflict"), "{screen}");
         stage.write(&theirs);
         assert!(stage.file().contains(if keys == "e" { "70" } else { "NEW" }));
         assert!(stage.file().contains("13"));
@@ -143,12 +143,12 @@ fn each_time_the_file_is_emptied_is_waited_for() {
     let mut stage = refusing();
     stage.keys("e").text("70").keys("Enter");
     stage.write("").until(24.8).write(BOILER).write("").until(25.6);
-    assert!(!stage.screen().contains("Conflict"), "{}", stage.screen());
+    assert!(!stage.screen().contains("Edit conflict"), "{}", stage.screen());
     // What is not JSON yet, gone or not readable is what it always is.
     stage.write("{").until(26.0);
     assert!(stage.screen().contains("✗"), "{}", stage.screen());
     stage.write("").until(26.9);
-    assert!(!stage.screen().contains("Conflict"), "{}", stage.screen());
+    assert!(!stage.screen().contains("Edit conflict"), "{}", stage.screen());
     mend(&mut stage).write(BOILER);
     assert_eq!(stage.file(), BOILER.replace("10", "70"));
 }
@@ -196,7 +196,7 @@ fn no_file_is_made_of_an_edit_that_is_taken_back() {
     stage.refusal = Some("its folder is gone".to_owned());
     stage.until(24.0).keys("n").text("NEW 64").keys("Enter").until(30.0);
     assert_eq!(stage.app.file().unsaved(), 1);
-    assert!(stage.keys("u").screen().contains("not there yet"), "{}", stage.screen());
+    assert!(stage.keys("u").screen().contains("not found"), "{}", stage.screen());
     mend(&mut stage).keys("Ctrl-s").until(60.0);
     assert_eq!((stage.app.file().unsaved(), stage.file.as_deref()), (0, None));
     stage.keys("Ctrl-r");
@@ -227,7 +227,7 @@ fn ours_is_taken_back_to_theirs() {
     assert_eq!(stage.file(), ours);
     stage.keys("u");
     assert_eq!(stage.file(), theirs);
-    let told = "taken back: address of the entry FEED: 11 → 70";
+    let told = "undid: address of the entry FEED: 11 → 70";
     assert!(stage.app.timeline().entries().any(|it| it.text == told), "{}", stage.screen());
     assert_eq!(stage.keys("Ctrl-r").file(), ours);
     assert_eq!(stage.keys("u").file(), theirs);
@@ -331,15 +331,15 @@ fn of_many_at_once_what_somebody_else_changed_since_is_left_alone() {
         |text: &str| text.replace(&format!("\"address\": {address},"), "\"address\": 99,");
     stage.write(&changed(&all)).keys("u");
     assert_eq!(names(&stage), "N002");
-    let but = format!("but not N002 at {address}, changed by somebody else since");
-    told(&stage, &format!("taken back: 4 new entries, {but}"));
+    let but = format!("except N002 at {address} (changed on disk)");
+    told(&stage, &format!("undid: 4 new entries, {but}"));
     // The other way it is the same.
     stage.keys("Ctrl-r");
     assert_eq!(names(&stage), "N001 N002 N003 N004");
     assert!(stage.file().contains("99"));
-    told(&stage, "made again: 4 new entries, all but 1");
+    told(&stage, "redid: 4 new entries, all but 1");
     stage.keys("u");
-    told(&stage, "taken back: 4 new entries, all but 1");
+    told(&stage, "undid: 4 new entries, all but 1");
     assert_eq!(names(&stage), "N002");
     // Of these somebody brings one.
     let third = Document::parse(all.as_bytes()).unwrap().entries()[2].address.unwrap();
@@ -348,11 +348,11 @@ fn of_many_at_once_what_somebody_else_changed_since_is_left_alone() {
     stage.write(&theirs).keys("Ctrl-r");
     assert_eq!(names(&stage), "N001 N003 N002 N004");
     assert!(stage.file().contains(brought.trim_start_matches("[ ")), "{}", stage.file());
-    let but = format!("but not N003 at {third}, changed by somebody else since");
-    told(&stage, &format!("made again: 4 new entries, all but 1, {but}"));
+    let but = format!("except N003 at {third} (changed on disk)");
+    told(&stage, &format!("redid: 4 new entries, all but 1, {but}"));
     stage.keys("u");
     assert_eq!(names(&stage), "N003 N002");
-    told(&stage, "taken back: 4 new entries, all but 2");
+    told(&stage, "undid: 4 new entries, all but 2");
 
     // All but one are changed, or all are.
     let mut stage = Stage::new(&Scenario::crowd(500_000, 4, 2), Some("[]"));
@@ -363,8 +363,8 @@ fn of_many_at_once_what_somebody_else_changed_since_is_left_alone() {
     let all = stage.file().to_owned();
     stage.write(&noted(&all, 3)).keys("u");
     assert_eq!(names(&stage), "N001 N002 N003");
-    let but = format!("but not N003 at {third} and 2 more, changed by somebody else since");
-    told(&stage, &format!("taken back: 4 new entries, {but}"));
+    let but = format!("except N003 at {third} and 2 more (changed on disk)");
+    told(&stage, &format!("undid: 4 new entries, {but}"));
     let mut stage = Stage::new(&Scenario::crowd(500_000, 4, 2), Some("[]"));
     stage.until(5.0).keys("A").write(&noted(&all, 4)).keys("u");
     assert_eq!(stage.file(), noted(&all, 4));
@@ -419,9 +419,9 @@ fn a_conflict_while_a_save_hangs_is_decided_at_once() {
     for (key, address) in [("o", "70"), ("t", "11")] {
         let mut stage = saving();
         stage.write(&BOILER.replace("10", "11"));
-        assert!(stage.screen().contains("Conflict"), "{}", stage.screen());
+        assert!(stage.screen().contains("Edit conflict"), "{}", stage.screen());
         stage.keys(key);
-        assert!(!stage.screen().contains("Conflict"), "{}", stage.screen());
+        assert!(!stage.screen().contains("Edit conflict"), "{}", stage.screen());
         stage.unfinished = Some(vec![found(stage.file())]);
         stage.finish_saves().finish_saves();
         assert_eq!(stage.file(), BOILER.replace("10", address));
@@ -454,8 +454,8 @@ fn a_save_that_hangs_and_fails_says_first_what_is_wrong_with_the_file() {
 #[test]
 fn that_a_save_parted_hard_links_is_told() {
     for (names, told) in [
-        (1, "saved; its other hard link keeps the old text"),
-        (2, "saved; its 2 other hard links keep the old text"),
+        (1, "saved; the other hard link keeps the old content"),
+        (2, "saved; 2 other hard links keep the old content"),
     ] {
         let mut stage = saving();
         stage.unfinished = Some(vec![SaveOutcome::Parted(names)]);
@@ -502,9 +502,9 @@ fn a_problem_leads_to_its_own_entry_among_several_of_one_name() {
         let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some(&file));
         stage.until(24.0);
         for (problem, entry) in [
-            ("TWIN (at 40) is listed and not there", 0),
-            ("TWIN is listed and not there", 1),
-            ("TWIN (at 41) is listed and not there", 2),
+            ("TWIN (at 40) is listed but not on the bus", 0),
+            ("TWIN is listed but not on the bus", 1),
+            ("TWIN (at 41) is listed but not on the bus", 2),
             ("`address` is a string", 1),
             (&format!("`static` is a number; it must be true or false (line {},", at(2) + 1), 2),
             (&format!("`static` is a number; it must be true or false (line {},", at(3) + 1), 3),

@@ -199,12 +199,12 @@ fn two_inspectors_on_one_bus_live_together() {
     let folder = tempfile::tempdir().unwrap();
     let _devices = simulated(vcan.name(), "boiler");
     let mut first = Pty::start(&[vcan.name()], folder.path(), (100, 30));
-    first.wait_for("me 0");
+    first.wait_for("own 0");
     let mut second = Pty::start(&[vcan.name()], folder.path(), (100, 30));
     second.wait_for("FEED");
     second.wait_until("an address of its own", |screen| {
         let text = screen.contents();
-        text.contains("me ") && !text.contains("me 0 ") && !text.contains("me —")
+        text.contains("own ") && !text.contains("own 0 ") && !text.contains("own –")
     });
     second.wait_for("DSCAN");
     second.send("gj");
@@ -261,10 +261,10 @@ fn after_bus_off_the_bus_is_asked_anew() {
     let line_with = |part: &str| {
         assert!((0..20).any(|_| watching.line().contains(part)), "no {part}");
     };
-    line_with("we are at 0");
+    line_with("using address 0");
     run("cansend", &[vcan.name(), "20000040#0000000000000000"]);
-    line_with("was bus-off for a moment");
-    line_with("we are at 0");
+    line_with("was briefly bus-off");
+    line_with("using address 0");
 }
 
 #[test]
@@ -354,14 +354,14 @@ fn collide(bus: &str, (first, second): ((&str, &str), (&str, &str))) {
     let confirmed = watching.event_that("finding", |it| is_confirmed(&it["finding"]));
     let evidence = &confirmed["finding"]["evidence"];
     assert!(evidence[0]["frame"].as_str().unwrap().contains('#'), "{confirmed:#}");
-    pty.wait_for("CLASH");
+    pty.wait_for("CONFLICT");
 
     drop(second);
     let kind = &confirmed["finding"]["kind"];
     watching.event_that("finding", |it| {
         it["finding"]["kind"] == *kind && it["finding"]["confidence"] == "cleared"
     });
-    pty.wait_until("word that it is over", |screen| !screen.contents().contains("CLASH"));
+    pty.wait_until("word that it is over", |screen| !screen.contents().contains("CONFLICT"));
     pty.send("q");
     assert_eq!(pty.wait(), 0);
 }

@@ -98,7 +98,7 @@ fn an_interrupted_search_puts_back_what_was_set() {
         .spawn()
         .unwrap();
     let mut said = BufReader::new(search.stderr.take().unwrap()).lines();
-    assert!(said.next().unwrap().unwrap().contains("500 kbit/s: listening"));
+    assert!(said.next().unwrap().unwrap().contains("500 kbit/s: listen-only"));
     run("kill", &["-INT", &search.id().to_string()]);
     assert_eq!(search.wait().unwrap().code(), Some(130));
     assert_eq!(settings(), before);

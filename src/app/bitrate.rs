@@ -14,24 +14,24 @@ impl App {
     pub fn ask_bitrate(&mut self) {
         if let Some(bus) = self.searched.and_then(|bus| self.bus(bus)) {
             let name = bus.name.clone();
-            return self.complain(format!("the bit rate of {name} is being looked for"));
+            return self.complain(format!("bit rate search on {name} is already running"));
         }
         let broken = self.buses.iter().position(super::Bus::hears_only_errors);
         let broken = broken.and_then(|at| u8::try_from(at).ok()).map(BusIndex);
         let selected = self.selected_row().and_then(|row| row.bus);
         let bus = broken.or(selected).unwrap_or_default();
         let Some(there) = self.bus(bus) else {
-            return self.complain("there is no bus");
+            return self.complain("no bus is open");
         };
         let name = &there.name;
         let refusal = match there.status.rate_search {
             RateSearch::Possible => None,
             RateSearch::NoRate => {
-                Some(format!("{name} has no bit rate that could be set from here"))
+                Some(format!("{name}: bit rate cannot be set from here"))
             }
             RateSearch::WhenClosed => {
                 let adapter = name.split_once('@').map_or(&**name, |(adapter, _)| adapter);
-                Some(format!("end descan, then: descan speed {adapter}"))
+                Some(format!("quit descan, then run: descan speed {adapter}"))
             }
         };
         if let Some(refusal) = refusal {
@@ -57,13 +57,13 @@ impl App {
             Progress::Trying(rate) => self.say(format!("{name}: listening at {} …", kbit(rate))),
             Progress::Heard(rate, heard) => {
                 let text = match heard.broken {
-                    0 => format!("nothing is heard at {}", kbit(rate)),
-                    broken => format!("{broken} frames broke at {}, none came whole", kbit(rate)),
+                    0 => format!("no frames at {}", kbit(rate)),
+                    broken => format!("{broken} bus errors at {}, no valid frame", kbit(rate)),
                 };
                 self.tell_of_bus(bus, Kind::Bus, text);
             }
             Progress::Skipped(rate) => {
-                self.tell_of_bus(bus, Kind::Bus, format!("cannot have {}", kbit(rate)));
+                self.tell_of_bus(bus, Kind::Bus, format!("{} not supported by the controller", kbit(rate)));
             }
         }
         self.dirty = true;
@@ -74,15 +74,15 @@ impl App {
         let Some(name) = self.bus(bus).map(|bus| bus.name.clone()) else { return };
         match result {
             Ok(Outcome::Found(rate)) => {
-                let text = format!("frames arrive whole at {}: it stays there", kbit(rate));
+                let text = format!("valid frames at {}: bit rate kept", kbit(rate));
                 self.say(format!("{name}: {text}"));
                 self.tell_of_bus(bus, Kind::Bus, text);
             }
             Ok(Outcome::OnlyBroken | Outcome::Silence) => {
-                let text = "no frame arrived whole at any bit rate; set back as it was";
+                let text = "no valid frame at any bit rate; previous setting restored";
                 self.tell_of_bus(bus, Kind::Error, text.to_owned());
                 self.complain(format!(
-                    "{name}: no whole frame at any rate; a lone device needs: descan speed {name}"
+                    "{name}: no valid frame; if only one device is on, run: descan speed {name}"
                 ));
             }
             Err(why) => {

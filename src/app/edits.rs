@@ -28,10 +28,10 @@ impl App {
         let key = row.key.clone();
         if let Some(device) = self.device_of(row) {
             if device.is_debug {
-                return self.complain("debug devices are not listed in the file");
+                return self.complain("debug devices cannot be added to the file");
             }
             if device.name.is_none() {
-                return self.complain("its name is not known yet, so it cannot be listed");
+                return self.complain("name not known yet: cannot add the device");
             }
         }
         let entry = self.entry_of(row).map(|entry| entry.index);
@@ -49,16 +49,16 @@ impl App {
             return;
         }
         let Some(row) = self.selected_row().filter(|row| self.device_of(row).is_some()) else {
-            return self.complain("there is no device in this row to be taken into the file");
+            return self.complain("no device in this row to add");
         };
         if self.devices_of(row).any(|device| device.name.is_none() || device.is_debug) {
-            return self.complain("only devices with a known name are listed in the file");
+            return self.complain("only devices with a known name can be added");
         }
         // Where buses are redundant, on each of them.
         let operations: Vec<Operation> =
             self.devices_of(row).filter_map(|device| self.taking(device)).collect();
         match operations.len() {
-            0 => self.say_of_file("the file says the same already"),
+            0 => self.say_of_file("file already matches this device"),
             _ => self.edit(&operations),
         }
     }
@@ -90,18 +90,18 @@ impl App {
         match operations.len() {
             0 if !refused.is_empty() => {}
             0 if left.is_empty() => {
-                self.say_of_file("every device with a known name is listed already, as it is");
+                self.say_of_file("all named devices are already in the file");
             }
             0 => {
                 let (left, key) = (left.len(), self.key_of("add"));
                 self.say_of_file(format!(
-                    "all devices with a name are listed; {left} without services ({key} adds them)"
+                    "all named devices are in the file; {left} without services ({key} adds them)"
                 ));
             }
             _ => self.edit(&operations),
         }
         if let Some(refusal) = refused.first() {
-            self.complain_of_file(format!("{} left: {refusal}", refused.len()));
+            self.complain_of_file(format!("{} not added: {refusal}", refused.len()));
         }
     }
 
@@ -140,7 +140,7 @@ impl App {
     /// Command: take the last edit back.
     pub fn undo(&mut self, now: Instant) {
         match self.file.undo() {
-            Ok(name) => self.edited(now, &format!("taken back: {name}")),
+            Ok(name) => self.edited(now, &format!("undid: {name}")),
             Err(refusal) => self.complain_of_file(refusal.to_string()),
         }
     }
@@ -148,7 +148,7 @@ impl App {
     /// Command: make the edit again that was taken back last.
     pub fn redo(&mut self, now: Instant) {
         match self.file.redo() {
-            Ok(name) => self.edited(now, &format!("made again: {name}")),
+            Ok(name) => self.edited(now, &format!("redid: {name}")),
             Err(refusal) => self.complain_of_file(refusal.to_string()),
         }
     }
@@ -160,9 +160,9 @@ impl App {
             // Who asks for the page means it.
             self.ahead = None;
         } else if self.file.unsaved() == 0 {
-            self.say_of_file("everything is saved");
+            self.say_of_file("no unsaved changes");
         } else if let Err(super::Refusal::Broken(why)) = self.file.check() {
-            self.complain_of_file(format!("not saved, mend it first: {why}"));
+            self.complain_of_file(format!("not saved; fix it first: {why}"));
         } else {
             self.save_pending();
         }
@@ -172,7 +172,7 @@ impl App {
     /// itself cannot be.
     pub fn ask_copy_path(&mut self, now: Instant) {
         if !self.file.is_there() {
-            return self.complain("there is nothing to save yet");
+            return self.complain("nothing to save");
         }
         let path = format!("des-{}.json", stamp(self.wall_seconds(now)));
         self.open_prompt(PromptKind::CopyPath, path);
@@ -200,7 +200,7 @@ impl App {
         }
         self.leave_conflict();
         if change != Change::Broken {
-            let text = "the file was changed again: no conflict any more, our edits are in it";
+            let text = "file changed again: conflict resolved, your edits are included";
             self.timeline.push(Line::new(self.now, Kind::File, text));
             self.say(text);
         }
@@ -222,13 +222,13 @@ impl App {
         self.ahead = None;
         if self.file.conflict().is_none() {
             let whose = match (kept, given_up) {
-                (1, 0) => "our value was kept".to_owned(),
-                (0, 1) => "the file's value was kept".to_owned(),
-                (ours, 0) => format!("our {ours} values were kept"),
-                (0, theirs) => format!("the file's {theirs} values were kept"),
-                (ours, theirs) => format!("kept: {ours} of our values, {theirs} of the file's"),
+                (1, 0) => "kept your value".to_owned(),
+                (0, 1) => "kept the file's value".to_owned(),
+                (ours, 0) => format!("kept your {ours} values"),
+                (0, theirs) => format!("kept the file's {theirs} values"),
+                (ours, theirs) => format!("kept {ours} of your values, {theirs} of the file's"),
             };
-            self.timeline.push(Line::new(now, Kind::File, format!("conflict: {whose}")));
+            self.timeline.push(Line::new(now, Kind::File, format!("edit conflict: {whose}")));
             self.say_of_file(whose);
         }
     }
@@ -237,7 +237,7 @@ impl App {
     pub fn resolve_later(&mut self, _now: Instant) {
         self.leave_conflict();
         let key = self.key_of("save");
-        self.say(format!("the edit is not saved; {key} comes back to it"));
+        self.say(format!("edit not saved; {key} reopens the conflict"));
     }
 
     pub(super) fn edit(&mut self, operations: &[Operation]) {
@@ -284,7 +284,7 @@ impl App {
         let found = found.map(|entry| (entry.index, entry.name_text.clone()));
         if found.is_none() {
             let key = self.key_of("add");
-            self.complain(format!("the row is not in the file; {key} takes a device into it"));
+            self.complain(format!("not in file; {key} adds the device"));
         }
         found
     }
@@ -346,11 +346,11 @@ impl App {
         }
         self.take_events();
         if asking == 0 {
-            self.complain("listen-only: nobody is asked");
+            self.complain("listen-only: no requests are sent");
         } else if able == 0 {
-            self.complain("no bus is up: nobody can be asked");
+            self.complain("no bus is up: cannot send requests");
         } else {
-            self.say("asking all devices again");
+            self.say("enumeration restarted");
         }
     }
 
@@ -363,9 +363,9 @@ impl App {
         self.take_events();
         self.refresh();
         self.say(match lost {
-            0 => "no device is lost".to_owned(),
-            1 => "1 lost device forgotten".to_owned(),
-            lost => format!("{lost} lost devices forgotten"),
+            0 => "no lost devices".to_owned(),
+            1 => "1 lost device removed".to_owned(),
+            lost => format!("{lost} lost devices removed"),
         });
     }
 
@@ -387,20 +387,20 @@ impl App {
     /// The frame that lets a device blink or beep, or why it is not sent.
     fn identify_frame(&self, id: DeviceId) -> Result<Frame, &'static str> {
         let (Some(device), Some(bus)) = (self.device(id), self.bus(id.bus)) else {
-            return Err("the device is gone");
+            return Err("device is no longer on the bus");
         };
         let config = bus.engine.config();
         if config.listen_only {
-            return Err("listen-only: nothing is sent");
+            return Err("listen-only: descan does not transmit");
         }
         if !config.profile.given {
-            return Err("identify needs a profile: its service number is only assumed");
+            return Err("identify needs --profile: its service number is assumed");
         }
         if !bus.is_up() {
             return Err("the bus is not up");
         }
         let OwnAddress::Held(own) = bus.engine.own_address() else {
-            return Err("we have no address on this bus yet");
+            return Err("descan has no address on this bus yet");
         };
         let service = Service::from_bits(config.profile.commands.identify);
         let mut header = Header::request(own, device.address, !device.working, service);
@@ -421,11 +421,11 @@ impl App {
                 };
                 if let Some(path) = self.copy_of_edits() {
                     let path = Escaped(path.as_os_str().as_encoded_bytes());
-                    format!("{edits} only in {path}. Quit all the same?")
+                    format!("{edits} saved only in {path}. Quit anyway?")
                 } else if self.file.is_saving() {
-                    format!("{edits} being saved, then it quits. Quit without waiting?")
+                    format!("{edits} still being saved. Quit without waiting?")
                 } else {
-                    format!("{edits} not saved. Quit all the same?")
+                    format!("{edits} not saved. Quit anyway?")
                 }
             }
             Question::Delete(key, _) => {
@@ -440,14 +440,14 @@ impl App {
                             .map_or("the device".to_owned(), ToString::to_string);
                         (name, device.address.to_string())
                     }
-                    None => ("a device that is gone".to_owned(), "?".to_owned()),
+                    None => ("a device no longer on the bus".to_owned(), "?".to_owned()),
                 };
                 let service = self.profile(id.bus).commands.identify;
                 format!("Send identify (service {service:03X}) to {name} at {address}?")
             }
             Question::FindBitrate(bus) => {
                 let name = self.bus(*bus).map_or("the bus", |bus| bus.name.as_str());
-                format!("Find {name}'s bit rate, listening? It is switched off and on.")
+                format!("Search the bit rate of {name}, listen-only? This restarts the interface.")
             }
         })
     }
@@ -475,7 +475,7 @@ impl App {
             Question::Delete(key, text) => self.delete(key, &text),
             Question::Identify(id) => match self.identify_frame(id) {
                 Ok(frame) => {
-                    let mut line = Line::new(now, Kind::Bus, "asked to identify itself");
+                    let mut line = Line::new(now, Kind::Bus, "identify command sent");
                     if let Some(device) = self.device(id) {
                         line = line.on(id.bus);
                         (line.device, line.address) = (Some(id), Some(device.address));
@@ -483,7 +483,7 @@ impl App {
                     }
                     self.timeline.push(line);
                     self.outbox.push_back(frame);
-                    self.say("sent");
+                    self.say("identify command sent");
                 }
                 Err(why) => self.complain(why),
             },
@@ -497,7 +497,7 @@ impl App {
             Some(at) if document.entry_text(at) != asked_about => {
                 let key = self.key_of("delete-entry");
                 self.complain_of_file(format!(
-                    "not deleted: {entry:#} was changed by someone else since; {key} asks again"
+                    "not deleted: {entry:#} changed on disk; press {key} again"
                 ));
             }
             _ => self.edit(&[Operation::Remove { entry }]),
@@ -545,7 +545,7 @@ impl App {
     /// Command: ask where the captured frames are to be saved.
     pub fn ask_capture_path(&mut self, now: Instant) {
         if self.capture.end() == 0 {
-            return self.complain("no frame has been captured yet");
+            return self.complain("no frames captured yet");
         }
         let path = format!("descan-{}.log", stamp(self.wall_seconds(now)));
         self.open_prompt(PromptKind::CapturePath, path);

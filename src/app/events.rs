@@ -193,11 +193,11 @@ impl App {
     fn describe(&self, bus: BusIndex, event: &Event) -> Option<(Kind, String)> {
         Some(match &event.kind {
             EventKind::Appeared => (Kind::Good, "appeared".to_owned()),
-            EventKind::Named => (Kind::Good, "says its name".to_owned()),
+            EventKind::Named => (Kind::Good, identified(event)),
             EventKind::Services { count, changed } => {
                 let plural = if *count == 1 { "" } else { "s" };
                 let kind = if *changed { Kind::Change } else { Kind::Good };
-                let now = if *changed { ", other than before" } else { "" };
+                let now = if *changed { " (changed)" } else { "" };
                 (kind, format!("{count} service{plural}{now}"))
             }
             // The first mode of a device that appears is no news: its row says it. ARSLV is told as
@@ -206,33 +206,33 @@ impl App {
             | EventKind::Mode { to: Mode::Arslv, .. }
             | EventKind::Joined { .. } => return None,
             EventKind::Mode { from: Some(from), to } => (Kind::Change, format!("{from} → {to}")),
-            EventKind::Moved { from } => (Kind::Change, format!("moved here from {from}")),
+            EventKind::Moved { from } => (Kind::Change, format!("moved from {from}")),
             EventKind::Claimed { uid, holder, guess } => {
                 let holder = holder.as_ref().map(|holder| self.party(holder));
                 let held = match (holder, guess) {
-                    (Some(holder), false) => format!(", which {holder} holds"),
-                    (Some(holder), true) => format!(": not {holder}, it seems, but another"),
+                    (Some(holder), false) => format!(" (held by {holder})"),
+                    (Some(holder), true) => format!(" (probably not {holder})"),
                     (None, _) => String::new(),
                 };
                 let by = self.uid_of_nobody(bus, event.device, *uid);
-                (Kind::Change, format!("claimed {}{held}{by}", address(event)))
+                (Kind::Change, format!("{by}claims {}{held}", address(event)))
             }
             EventKind::GaveWay { uid, to, guess } => {
                 let to = match to {
                     Some(to) => format!(" to {}", self.party(to)),
-                    None => ": another claimed it too".to_owned(),
+                    None => " (claimed by another device)".to_owned(),
                 };
-                let guess = if *guess { ", it seems" } else { "" };
+                let guess = if *guess { " (probable)" } else { "" };
                 let by = self.uid_of_nobody(bus, event.device, *uid);
-                (Kind::Change, format!("lost {}{to}{guess}{by}", address(event)))
+                (Kind::Change, format!("{by}gave up {}{to}{guess}", address(event)))
             }
             EventKind::Rebooted => (Kind::Change, "rebooted".to_owned()),
             EventKind::Presence(Presence::Online) => (Kind::Good, "online".to_owned()),
             EventKind::Presence(Presence::Stale) => {
-                (Kind::Late, "stale: its heartbeat is late".to_owned())
+                (Kind::Late, "stale: heartbeat overdue".to_owned())
             }
             EventKind::Presence(Presence::Silent) => {
-                (Kind::Late, "silent: frames, but no heartbeats".to_owned())
+                (Kind::Late, "silent: frames but no heartbeat".to_owned())
             }
             EventKind::Presence(Presence::Asleep) => (Kind::Late, "asleep".to_owned()),
             EventKind::Presence(Presence::Lost) => {
@@ -249,28 +249,28 @@ impl App {
                 let elsewhere = event.device.is_some_and(|id| !self.still_on(id).is_empty());
                 let own = self.bus(bus).filter(|_| elsewhere);
                 let place = own.map_or(String::new(), |bus| format!(" on {}", bus.name));
-                (Kind::Good, format!("returned{place}, was {was}"))
+                (Kind::Good, format!("returned{place} (was {was})"))
             }
             EventKind::Finding { key, confidence } => {
                 let found = self.engine_finding(bus, key);
                 let text = found.map_or("", |finding| finding.text.as_str());
                 finding_in_words(*confidence, key, text)
             }
-            EventKind::OwnAddress(address) => (Kind::Bus, format!("we are at {address}")),
+            EventKind::OwnAddress(address) => (Kind::Bus, format!("using address {address}")),
             EventKind::OwnAddressLost(address) => {
-                (Kind::Bus, format!("we gave {address} up: somebody else uses it"))
+                (Kind::Bus, format!("released address {address}: used by another node"))
             }
             EventKind::NoAddress(wanted) => {
                 (Kind::Error, self.why_no_address(bus, *wanted).unwrap_or_default())
             }
             EventKind::NobodyAcknowledges => {
                 let text = match self.bus(bus).and_then(Bus::hindrance) {
-                    Some(Hindrance::QueueFull) => "none of our frames goes out: we wait",
-                    _ => "nobody acknowledges our frames: we wait",
+                    Some(Hindrance::QueueFull) => "transmit queue stuck: sending paused",
+                    _ => "no ACK on the bus: sending paused",
                 };
                 (Kind::Error, text.to_owned())
             }
-            EventKind::Acknowledged => (Kind::Bus, "our frames are acknowledged".to_owned()),
+            EventKind::Acknowledged => (Kind::Bus, "frames are acknowledged: sending resumed".to_owned()),
             EventKind::Debug { code, data } => {
                 (Kind::Change, format!("debug message {code:03X} {}", hex(data, " ")))
             }
@@ -281,7 +281,7 @@ impl App {
         let known = || self.device(party.device)?.name.as_ref();
         match (party.name.as_ref().or_else(known), party.uid) {
             (Some(name), _) => name.to_string(),
-            (None, Some(uid)) => self.uid_text(party.device.bus, uid),
+            (None, Some(uid)) => format!("UID {}", self.uid_text(party.device.bus, uid)),
             (None, None) => "another device".to_owned(),
         }
     }
@@ -290,7 +290,7 @@ impl App {
     fn uid_of_nobody(&self, bus: BusIndex, device: Option<DeviceId>, uid: Option<Uid>) -> String {
         let has_row = device.is_some_and(|id| self.device(id).is_some());
         match uid {
-            Some(uid) if !has_row => format!(" ({})", self.uid_text(bus, uid)),
+            Some(uid) if !has_row => format!("{} ", self.uid_text(bus, uid)),
             _ => String::new(),
         }
     }
@@ -298,7 +298,7 @@ impl App {
     fn uid_text(&self, bus: BusIndex, uid: Uid) -> String {
         let alphabet = self.bus(bus).map(|bus| &bus.engine.config().profile.uid);
         let text = alphabet.map_or_else(String::new, |alphabet| uid.text(alphabet));
-        format!("UID {}", Escaped(text.as_bytes()))
+        Escaped(text.as_bytes()).to_string()
     }
 
     /// The name of the device that a line is about: it may have had none yet then.
@@ -372,9 +372,9 @@ impl App {
         let is_another = before.is_none_or(|before| before.path != status.path);
         let (kind, text) = match status.failure {
             Some(_) if had_failed => return,
-            Some(why) => (Kind::Error, format!("recording to {} is over: {why}", status.path)),
+            Some(why) => (Kind::Error, format!("recording to {} stopped: {why}", status.path)),
             None if status.lost > 0 && !had_lost => {
-                (Kind::Error, "frames come faster than they can be recorded".to_owned())
+                (Kind::Error, "recorder too slow: frames missing from the file".to_owned())
             }
             None if is_another => (Kind::File, format!("recording to {}", status.path)),
             None => return self.dirty_soon(),
@@ -406,9 +406,9 @@ impl App {
             Change::First if !self.file.is_there() => {
                 // Without a screen nobody edits it.
                 let text = if self.report {
-                    "not there: devices are not compared with it"
+                    "not found: devices are not compared"
                 } else {
-                    "not there yet: it begins with the first edit"
+                    "not found: the first edit creates it"
                 };
                 Some((Kind::File, text.to_owned()))
             }
@@ -420,16 +420,16 @@ impl App {
             }
             Change::Content if !self.file.is_there() => {
                 let text = if self.report {
-                    "gone: devices are not compared with it any more"
+                    "deleted: devices are no longer compared"
                 } else {
-                    "gone: the next edit begins a new one"
+                    "deleted: the next edit creates it again"
                 };
                 Some((Kind::File, text.to_owned()))
             }
             Change::Content if !by_others.is_empty() => None,
             Change::Content => Some((Kind::File, format!("changed on disk: {listed}"))),
             Change::Rebased => {
-                Some((Kind::File, "changed by others; our edits are made on that".to_owned()))
+                Some((Kind::File, "changed on disk; your edits are reapplied".to_owned()))
             }
             Change::Broken => {
                 let problem = self.file.problem().map(ToString::to_string).unwrap_or_default();
@@ -439,7 +439,7 @@ impl App {
             }
             Change::Conflict => {
                 self.show_conflict();
-                Some((Kind::Error, "someone else changed the same value".to_owned()))
+                Some((Kind::Error, "edit conflict: same value changed on disk".to_owned()))
             }
         };
         let by_others = in_lines(by_others).into_iter();
@@ -453,7 +453,7 @@ impl App {
             let findings = self.file.document().findings();
             let told = findings.iter().take(TOLD).map(ToString::to_string);
             let more = findings.len().saturating_sub(TOLD);
-            let rest = (more > 0).then(|| format!("and {more} more things are wrong in it"));
+            let rest = (more > 0).then(|| format!("and {more} more errors in the file"));
             lines.extend(told.chain(rest).map(|text| (Kind::File, text)));
         }
         let mut is_told = self.interest.is_empty();
@@ -498,6 +498,11 @@ impl App {
     }
 }
 
+fn identified(event: &Event) -> String {
+    let named = |name: &Name| format!("identified as {name}");
+    event.name.as_ref().map_or_else(|| "identified".to_owned(), named)
+}
+
 fn address(event: &Event) -> String {
     event.address.map_or_else(String::new, |address| address.to_string())
 }
@@ -540,29 +545,29 @@ fn changes(old: &BusStatus, status: &BusStatus) -> Vec<(Kind, String)> {
     let mut lines = Vec::new();
     if old.link != status.link {
         lines.push(match status.link {
-            Link::Opening => (Kind::Bus, "being opened".to_owned()),
-            Link::Up if old.link == Link::Ended => (Kind::Bus, "the log goes on".to_owned()),
+            Link::Opening => (Kind::Bus, "opening".to_owned()),
+            Link::Up if old.link == Link::Ended => (Kind::Bus, "log has grown: replay continues".to_owned()),
             Link::Up => (Kind::Bus, "open".to_owned()),
-            Link::Ended => (Kind::Bus, "the log is at its end".to_owned()),
+            Link::Ended => (Kind::Bus, "end of log".to_owned()),
             _ => (Kind::Error, message.unwrap_or_else(|| "down".to_owned())),
         });
     }
     if status.filtered && !old.filtered {
-        lines.push((Kind::Bus, "only frames of interest are read".to_owned()));
+        lines.push((Kind::Bus, "receive filter on: only matching frames are read".to_owned()));
     }
     let stays_up = old.link == Link::Up && status.link == Link::Up;
     if stays_up && old.outages < status.outages {
-        lines.push((Kind::Error, "was down for a moment".to_owned()));
+        lines.push((Kind::Error, "was briefly down".to_owned()));
     }
     let was_off = old.state == BusState::BusOff || status.state == BusState::BusOff;
     if stays_up && old.bus_offs < status.bus_offs && !was_off {
-        lines.push((Kind::Error, "was bus-off for a moment".to_owned()));
+        lines.push((Kind::Error, "was briefly bus-off".to_owned()));
     }
     if old.renamed != status.renamed {
         let text = match &status.renamed {
-            Some(name) => format!("renamed: it is called {} now", shown(name)),
-            None if status.link == Link::Up => "has its old name again".to_owned(),
-            None => "the renamed interface is gone".to_owned(),
+            Some(name) => format!("interface renamed to {}", shown(name)),
+            None if status.link == Link::Up => "interface has its old name again".to_owned(),
+            None => "renamed interface not found".to_owned(),
         };
         lines.push((Kind::Bus, text));
     }
@@ -589,24 +594,24 @@ fn changes(old: &BusStatus, status: &BusStatus) -> Vec<(Kind, String)> {
     match (old.is_transmit_queue_full, status.is_transmit_queue_full) {
         (false, true) => {
             lines
-                .push((Kind::Error, "transmit queue full: frames of ours are not sent".to_owned()));
+                .push((Kind::Error, "transmit queue full: frames not sent".to_owned()));
         }
         (true, false) if status.link == Link::Up => {
-            lines.push((Kind::Bus, "the transmit queue has room again".to_owned()));
+            lines.push((Kind::Bus, "transmit queue no longer full".to_owned()));
         }
         _ => {}
     }
     // Once: whoever sends such things sends many.
     if old.unreadable == 0 && status.unreadable > 0 {
-        lines.push((Kind::Error, "says things that cannot be read: they are counted".to_owned()));
+        lines.push((Kind::Error, "unreadable data received (counted)".to_owned()));
     }
     for (before, now, why) in [
         (old.kernel_drops, status.kernel_drops, "the kernel's receive buffer was full"),
-        (old.queue_drops, status.queue_drops, "we were too slow"),
-        (old.controller_overruns, status.controller_overruns, "the controller was overrun"),
+        (old.queue_drops, status.queue_drops, "descan's receive queue was full"),
+        (old.controller_overruns, status.controller_overruns, "controller overrun"),
     ] {
         if before < now {
-            lines.push((Kind::Error, format!("frames were lost: {why}")));
+            lines.push((Kind::Error, format!("frames lost: {why}")));
         }
     }
     lines

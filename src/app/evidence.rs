@@ -85,10 +85,10 @@ impl App {
         let (kind, pieces, count) = (problem.head().key.kind, problem.evidence(), problem.count());
         if pieces.is_empty() {
             if kind == FindingKind::FramesLost {
-                return self.complain("nobody has the frames that were lost");
+                return self.complain("lost frames cannot be shown");
             }
             // It comes from des.json: its row is what there is to see.
-            self.find_row("no frames to show, and no row: this is about the file as a whole");
+            self.find_row("no frames: this concerns the file as a whole");
             return;
         }
         // What is left again is this one, whichever is the first meanwhile.
@@ -133,11 +133,11 @@ impl App {
                 .filter(|&number| number > self.capture.first() && number < self.capture.end()),
         };
         let Some(number) = number else {
-            return self.complain("the frames around it are not kept any more");
+            return self.complain("surrounding frames no longer in the capture");
         };
         if number >= self.traffic_end() {
             let key = self.key_of("freeze");
-            return self.complain(format!("it came after the page was held: {key} goes on"));
+            return self.complain(format!("newer than the frozen view: {key} unfreezes"));
         }
         self.view.traffic = Some(number);
         self.view.traffic_line = self.screen().list_rows() / 2;

@@ -12,7 +12,7 @@
 //! is:confirmed    how it is: suspected, cleared, muted; a device: online, stale, new, twin; a
 //!                 frame: error, ours
 //! bus:can1        the bus
-//! err  ours       error frames, failed answers and malformed ones; what we sent
+//! err  tx         error frames, failed answers and malformed ones; what we sent
 //! !word           not that
 //! ```
 //!
@@ -21,7 +21,7 @@
 use super::App;
 use super::groups::{Problem, headline};
 use super::page::Page;
-use super::rows::Row;
+use super::rows::{Row, State};
 use super::timeline;
 use super::traffic::Decoded;
 use crate::discovery::{Confidence, FindingKind};
@@ -89,7 +89,7 @@ impl Filter {
             });
             let what = field.unwrap_or(match word.as_str() {
                 "err" => What::Error,
-                "ours" => What::Ours,
+                "tx" | "ours" => What::Ours,
                 _ => What::Word(word),
             });
             Term { not, what }
@@ -103,14 +103,14 @@ impl Filter {
             What::Field(Field::Address, list) => {
                 let is_none = |one: &&str| !Address::all().any(|address| is_one_of(address, one));
                 let wrong = list.split(',').find(is_none)?;
-                Some(format!("at:{list}: \"{wrong}\" is no address: 0 to 127, several as at:12,14"))
+                Some(format!("at:{list}: \"{wrong}\" is not an address; use 0 to 127, for example at:12,14"))
             }
             What::Word(word) => {
                 let (field, _) = word.split_once(':')?;
                 let is_field = !field.is_empty() && field.chars().all(|c| c.is_ascii_alphabetic());
                 is_field.then(|| {
                     format!(
-                        "{word}: there is no field {field}:, only at: name: src: dst: dev: srv: \
+                        "{word}: unknown field {field}; use at: name: src: dst: dev: srv: \
                          type: kind: id: is: bus:"
                     )
                 })
@@ -123,7 +123,7 @@ impl Filter {
     pub const fn teach(page: Page) -> &'static str {
         match page {
             Page::Devices => "words; at: name: srv: bus: is:lost  err  !not",
-            Page::Traffic => "words; src: dst: srv: type: at: id: bus:  err  ours  !not",
+            Page::Traffic => "words; src: dst: srv: type: at: id: bus:  err  tx  !not",
             Page::Timeline => "words; at: name: bus: is:suspected  err  !not",
             Page::Problems => "words; kind: is:suspected at: name: bus:  !not",
         }
@@ -170,7 +170,7 @@ impl Filter {
             What::Word(word) => {
                 name.contains(word)
                     || has_address(word)
-                    || row.state.word().eq_ignore_ascii_case(word)
+                    || has_state(row.state, |own| own.eq_ignore_ascii_case(word))
                     || mode.eq_ignore_ascii_case(word)
                     || buses.contains(word)
                     || service(word)
@@ -185,7 +185,7 @@ impl Filter {
             What::Field(Field::Service, value) => service(value),
             What::Field(Field::Bus, value) => buses.iter().any(|bus| bus.contains(value)),
             What::Field(Field::State, value) => {
-                has(row.state.word(), value)
+                has_state(row.state, |own| has(own, value))
                     || (row.suspected && starts("suspected", value))
                     || (row.file == super::FileWord::New && starts("new", value))
                     || (row.twin && starts("twin", value))
@@ -300,7 +300,8 @@ impl Filter {
             }
             What::Field(Field::State, value) => {
                 let is_error = decoded.is_error || frame.kind == FrameKind::Error;
-                (is_error && starts("error", value)) || (frame.ours && starts("ours", value))
+                let is_tx = starts("tx", value) || starts("ours", value);
+                (is_error && starts("error", value)) || (frame.ours && is_tx)
             }
             What::Error => decoded.is_error || frame.kind == FrameKind::Error,
             What::Ours => frame.ours,
@@ -320,6 +321,19 @@ fn has(text: &str, word: &str) -> bool {
 
 fn starts(text: &str, word: &str) -> bool {
     text.to_lowercase().starts_with(word)
+}
+
+/// Returns true if `fits` accepts the shown word of a row's state or its alias.
+fn has_state(state: State, fits: impl Fn(&str) -> bool) -> bool {
+    let alias = match state {
+        State::Clash => "clash",
+        State::Partly => "partly",
+        State::Unseen => "unseen",
+        State::Awaited => "awaited",
+        State::Again => "again",
+        _ => return fits(state.word()),
+    };
+    fits(state.word()) || fits(alias)
 }
 
 #[cfg(test)]

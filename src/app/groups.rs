@@ -164,11 +164,11 @@ impl<'a> Problem<'a> {
                     && piece.time == evidence.time
             });
             match same {
-                Some(piece) if piece.what.contains(evidence.what) => {}
+                Some(piece) if piece.what.contains(&*evidence.what) => {}
                 Some(piece) => piece.what = format!("{}; {}", piece.what, evidence.what),
                 None => pieces.push(Piece {
                     time: evidence.time,
-                    what: evidence.what.to_owned(),
+                    what: evidence.what.to_string(),
                     frame: evidence.frame,
                 }),
             }
@@ -184,7 +184,7 @@ impl<'a> Problem<'a> {
             return format!("line {line}: {part}").into();
         }
         match head.key.kind {
-            FindingKind::BusErrors if head.key.address.is_some() => "frames break when it sends",
+            FindingKind::BusErrors if head.key.address.is_some() => "bus errors when it sends",
             kind => headline(kind),
         }
         .into()
@@ -204,19 +204,19 @@ impl<'a> Problem<'a> {
         }
         Some(match self.head().key.kind {
             FindingKind::AddressContested => {
-                "Never more than a suspicion: one of them gave way, and it passes."
+                "Stays suspected and clears by itself: one device gave up the address."
             }
             kind if kind.is_collision() => {
-                "Sure when it goes on for five heartbeat periods, gone when it does not: a reboot or a swapped board looks the same for a moment."
+                "Confirmed after five heartbeat periods; a reboot or a board swap looks the same at first."
             }
             FindingKind::MalformedAnswer | FindingKind::NonConforming => {
-                "Seen once: sure when it is seen again."
+                "Seen once; confirmed when seen again."
             }
             FindingKind::BusErrors if self.head().key.address.is_some() => {
-                "Never more than a suspicion: a bad transceiver looks the same."
+                "Stays suspected: a faulty transceiver looks the same."
             }
-            FindingKind::BusErrors => "Sure when more of them follow.",
-            FindingKind::StaticAddressTaken => "Sure once that device says its name.",
+            FindingKind::BusErrors => "Confirmed if more errors follow.",
+            FindingKind::StaticAddressTaken => "Confirmed when the device sends its name.",
             _ => return None,
         })
     }
@@ -233,24 +233,24 @@ impl<'a> Problem<'a> {
 /// A kind of finding, in as few words as say it; the address and the names stand beside them.
 pub(super) fn headline(kind: FindingKind) -> &'static str {
     match kind {
-        FindingKind::SameNameSameAddress => "two devices, one name",
-        FindingKind::OneAddressTwoNames => "two devices, two names",
-        FindingKind::OneAddressTwoIdentities => "two devices take turns",
-        FindingKind::OneUidTwoAddresses => "two devices, one UID",
+        FindingKind::SameNameSameAddress => "address conflict (same name)",
+        FindingKind::OneAddressTwoNames => "address conflict (different names)",
+        FindingKind::OneAddressTwoIdentities => "address conflict (alternating UIDs)",
+        FindingKind::OneUidTwoAddresses => "UID conflict",
         FindingKind::StaticAddressTaken => "static address taken",
-        FindingKind::WrongAddress => "not at its address",
+        FindingKind::WrongAddress => "wrong address",
         FindingKind::TwoDebugDevices => "two debug devices",
-        FindingKind::AddressContested => "two devices met here",
-        FindingKind::FileDuplicateAddress => "two entries, one address",
-        FindingKind::FileDuplicateEntry => "the same entry twice",
-        FindingKind::FileShape => "a wrong value in the file",
+        FindingKind::AddressContested => "address was contested",
+        FindingKind::FileDuplicateAddress => "duplicate static address in file",
+        FindingKind::FileDuplicateEntry => "duplicate entry in file",
+        FindingKind::FileShape => "invalid value in file",
         FindingKind::Missing => "missing",
         FindingKind::Unlisted => "not in the file",
-        FindingKind::NameDiffers => "another name than listed",
-        FindingKind::ServicesDiffer => "other services than listed",
-        FindingKind::NonConforming => "odd identifiers",
-        FindingKind::MalformedAnswer => "unusable answers",
-        FindingKind::FramesLost => "frames were lost",
+        FindingKind::NameDiffers => "name differs from file",
+        FindingKind::ServicesDiffer => "services differ from file",
+        FindingKind::NonConforming => "non-conforming identifiers",
+        FindingKind::MalformedAnswer => "malformed responses",
+        FindingKind::FramesLost => "frames lost",
         FindingKind::BusErrors => "bus errors",
     }
 }
@@ -329,7 +329,7 @@ impl App {
     /// Command: the selected problem does not count any more, or counts again.
     pub fn toggle_muted(&mut self) {
         if self.view.page != super::Page::Problems {
-            return self.complain("problems are muted on the page Problems");
+            return self.complain("mute works on the Problems page");
         }
         let Some(problem) = self.selected_problem() else {
             return self.complain("no problem is selected");
@@ -339,10 +339,10 @@ impl App {
         // The same key undoes it: from here on the selection stays with this one.
         self.view.problems.select(key.clone());
         if self.muted.remove(&key) {
-            self.say(format!("counts again: {title}"));
+            self.say(format!("unmuted: {title}"));
         } else {
             self.muted.insert(key);
-            self.say(format!("muted until descan ends, {undo} undoes it: {title}"));
+            self.say(format!("muted until descan quits ({undo} unmutes): {title}"));
         }
         self.refresh();
     }

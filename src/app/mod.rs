@@ -409,7 +409,7 @@ impl App {
             bus.rest(since, now + BACKLOG);
         }
         let seconds = now.since(since).as_secs_f64();
-        let text = format!("was held up for {seconds:.1} s: nobody is judged by that time");
+        let text = format!("descan was stopped for {seconds:.1} s; not counted against devices");
         let mut line = TimelineEntry::new(now, TimelineKind::Error, text);
         line.name = Some("descan".into());
         self.tell_line(line);
@@ -493,9 +493,9 @@ impl App {
         let is_retry = std::mem::take(&mut self.is_saving_again);
         let on_disk = self.file.on_disk().cloned();
         let parted = match &outcome {
-            SaveOutcome::Parted(1) => Some("; its other hard link keeps the old text".to_owned()),
+            SaveOutcome::Parted(1) => Some("; the other hard link keeps the old content".to_owned()),
             SaveOutcome::Parted(names) => {
-                Some(format!("; its {names} other hard links keep the old text"))
+                Some(format!("; {names} other hard links keep the old content"))
             }
             _ => None,
         };
@@ -510,7 +510,7 @@ impl App {
             let address = clash.first()?.address?;
             let names: Vec<&str> = clash.iter().map(|entry| &*entry.name_text).collect();
             let (count, names) = (names.len(), names.join(", "));
-            Some(format!(", but {count} entries are pinned to {address}: {names}"))
+            Some(format!("; warning: {count} entries share address {address}: {names}"))
         });
         let but: String = clash.into_iter().chain(parted).collect();
         let problem = self.file.problem().filter(|it| it.is_not_saved());
@@ -522,7 +522,7 @@ impl App {
             return;
         }
         if change == Change::Saved && (before.is_some() || !but.is_empty()) {
-            let saved = if before.is_some() { "saved at last" } else { "saved" };
+            let saved = if before.is_some() { "saved after retry" } else { "saved" };
             let text = format!("{saved}{but}");
             self.timeline.push(TimelineEntry::new(self.now, TimelineKind::File, &text));
             if but.is_empty() { self.say_of_file(text) } else { self.complain_of_file(text) }
@@ -560,8 +560,8 @@ impl App {
                 self.say(&line);
                 self.timeline.push(TimelineEntry::new(self.now, TimelineKind::File, line));
             }
-            Ok(()) => self.say(format!("written: {path}")),
-            Err(why) => self.complain(format!("not written: {why}")),
+            Ok(()) => self.say(format!("saved: {path}")),
+            Err(why) => self.complain(format!("not saved: {why}")),
         }
     }
 

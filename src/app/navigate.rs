@@ -120,7 +120,7 @@ impl App {
         if self.playback.is_some() {
             self.effects.push_back(Effect::Playback(command));
         } else {
-            self.complain("there is no log: a bus cannot be stopped");
+            self.complain("only a log can be paused");
         }
     }
 
@@ -306,7 +306,7 @@ impl App {
         if self.capture.get(number).is_none()
             || self.capture.get(self.capture.first()).is_some_and(|first| first.time > time)
         {
-            return self.complain("the frames of that moment are not kept any more");
+            return self.complain("frames no longer in the capture");
         }
         self.show_page(Page::Traffic);
         self.view.by_identifier = false;
@@ -326,7 +326,7 @@ impl App {
                 self.refresh_rows();
                 self.say(format!("sorted {}", self.view.sort.describe()));
             }
-            _ => self.complain("only devices are sorted"),
+            _ => self.complain("sort works on the Devices page"),
         }
     }
 
@@ -339,8 +339,8 @@ impl App {
         self.timeline.hold(self.view.frozen.is_some());
         self.refresh_rows();
         self.say(match self.view.frozen {
-            Some(_) => "held; nothing is lost meanwhile",
-            None => "going on",
+            Some(_) => "frozen; capture continues",
+            None => "unfrozen",
         });
     }
 
@@ -352,7 +352,7 @@ impl App {
             let (keys, height) = (self.identifier_keys(), self.screen().list_rows());
             self.view.identifiers.settle(&keys, height);
         } else {
-            self.complain("the view by identifier is on the page Traffic");
+            self.complain("identifier view works on the Traffic page");
         }
     }
 
@@ -523,14 +523,14 @@ impl App {
     /// Command: from a device to the problem it is in, from a problem to its device.
     pub fn go_to_problem(&mut self) {
         if self.view.page == Page::Problems {
-            self.find_row("no device belongs to it");
+            self.find_row("no device for this problem");
             return;
         }
         let (bus, address, name) = self.subject();
         let problems = self.problems();
         let about = |problem: &&Problem| problem.is_about(bus, address, name.as_ref());
         let Some(key) = problems.iter().find(about).map(|problem| problem.key.clone()) else {
-            return self.complain("no problem is known of it");
+            return self.complain("no problem for this device");
         };
         drop(problems);
         if !self.problem_keys().contains(&key) {

@@ -162,9 +162,9 @@ impl Comparison<'_> {
         for device in &devices {
             if let Some(pinned) = pinned.filter(|pinned| *pinned != device.address) {
                 let text =
-                    format!("{name} is at {}, and the file pins it to {pinned}.", device.address);
+                    format!("{name} is at address {}; the file pins it to {pinned}.", device.address);
                 let remedy = format!(
-                    "Give the device the address {pinned}, or pin it to {} in the file.",
+                    "Move the device to {pinned}, or change the file to {}.",
                     device.address
                 );
                 let bus = Some(device.id.bus);
@@ -191,11 +191,11 @@ impl Comparison<'_> {
                 continue;
             };
             let who =
-                other.name.as_ref().map_or("a device without a known name".to_owned(), |it| {
-                    format!("a device that calls itself {}", it.called())
+                other.name.as_ref().map_or("an unnamed device".to_owned(), |it| {
+                    format!("a device named {}", it.called())
                 });
-            let text = format!("{pinned} is the static address of {name}, and {who} is there.");
-            let remedy = format!("Pin {name} to another address, or give that device one.");
+            let text = format!("Static address {pinned} of {name} is used by {who}.");
+            let remedy = format!("Pin {name} to another address, or move the other device.");
             let named = Some(Name::new(&entry.name));
             let bus = Some(BusIndex(index as u8));
             self.add(FindingKind::StaticAddressTaken, bus, Some(pinned), named, text, remedy);
@@ -219,7 +219,7 @@ impl Comparison<'_> {
         let at = address.map(|address| format!(" (at {address})")).unwrap_or_default();
         let why = app.why_missing(entry);
         let (first, rest) = why.split_first().map_or(("", &[][..]), |(it, rest)| (it, rest));
-        let text = format!("{}{at} is listed and not there: {first}.", Called(&entry.name));
+        let text = format!("{}{at} is listed but not on the bus: {first}.", Called(&entry.name));
         let remedy = rest.join("; ");
         let name = Some(Name::new(&entry.name));
         self.add(FindingKind::Missing, Some(bus), address, name, text, remedy);
@@ -231,7 +231,7 @@ impl Comparison<'_> {
             return;
         };
         let (listed, own, address) = (Called(&entry.name), own.called(), device.address);
-        let text = format!("{listed} at {address} calls itself {own}: it is known by its UID.");
+        let text = format!("{listed} at {address} reports the name {own} (matched by UID).");
         let remedy = format!("Rename the entry to {own}, or the device to {listed}.");
         let named = Some(Name::new(&entry.name));
         let bus = Some(device.id.bus);
@@ -242,12 +242,12 @@ impl Comparison<'_> {
     fn services(&mut self, entry: &Entry, device: &Device) {
         let Some((listed, own)) = other_services(entry, device) else { return };
         let text = format!(
-            "{} at {} has other services than the file lists: {}.",
+            "{} at {}: services differ from the file: {}.",
             Called(&entry.name),
             device.address,
             differences(listed, own)
         );
-        let remedy = "Take them into the file, or look at the firmware.".to_owned();
+        let remedy = "Add them to the file, or check the firmware.".to_owned();
         let (bus, name) = (Some(device.id.bus), device.name.clone());
         self.add(FindingKind::ServicesDiffer, bus, Some(device.address), name, text, remedy);
     }
@@ -266,9 +266,9 @@ impl Comparison<'_> {
                 let who = device
                     .name
                     .as_ref()
-                    .map_or("A device without a name".to_owned(), ToString::to_string);
+                    .map_or("An unnamed device".to_owned(), ToString::to_string);
                 let text = format!("{who} at {} is not in the file.", device.address);
-                let remedy = "Take it into the file, or off the bus.".to_owned();
+                let remedy = "Add it to the file, or remove it from the bus.".to_owned();
                 let (bus, name) = (Some(device.id.bus), device.name.clone());
                 self.add(FindingKind::Unlisted, bus, Some(device.address), name, text, remedy);
             }
@@ -357,7 +357,7 @@ fn differences(
                 show(&as_listed(&other.version)),
                 show(&entry.version)
             )),
-            None => words.push(format!("{} is not there", show(&entry.name))),
+            None => words.push(format!("{} is missing", show(&entry.name))),
         }
     }
     for service in own {
@@ -368,7 +368,7 @@ fn differences(
         }
     }
     if words.is_empty() {
-        return "in another order, or more than once".to_owned();
+        return "different order or duplicates".to_owned();
     }
     let more = words.len().saturating_sub(SPELT);
     words.truncate(SPELT);

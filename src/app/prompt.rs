@@ -84,7 +84,7 @@ impl PromptKind {
 }
 
 /// What Enter does where the whole file went while a line was typed.
-const BEGINS: &str = "Enter begins a new one";
+const BEGINS: &str = "Enter creates a new file";
 
 /// What is to be said of the text so far.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -147,7 +147,7 @@ impl App {
             }
             PromptKind::CapturePath => {
                 let frames = self.capture.end() - self.capture.first();
-                Verdict::Fine(format!("{frames} frames, as candump writes them"))
+                Verdict::Fine(format!("{frames} frames, candump format"))
             }
             PromptKind::CopyPath => match self.file.with_all_edits().entries().len() {
                 1 => Verdict::Fine("1 entry".to_owned()),
@@ -217,7 +217,7 @@ impl App {
         };
         let joined = self.rows.iter().any(|row| row.has(id) && !row.also.is_empty());
         let bus = self.bus(id.bus).filter(|_| joined);
-        Some(bus.map_or(label.to_owned(), |bus| format!("{label} on {} (Tab: the next)", bus.name)))
+        Some(bus.map_or(label.to_owned(), |bus| format!("{label} on {} (Tab: next)", bus.name)))
     }
 
     pub(super) fn paste(&mut self, text: &str) {
@@ -289,7 +289,7 @@ impl App {
                     let entry = self.file.document().key(entry.index);
                     self.edit(&[Operation::Rename { entry, to }]);
                 } else if key.name != to {
-                    let told = format!("{} already", renamed(entry));
+                    let told = format!("already {}", renamed(entry));
                     self.say_of_file(told);
                 }
             }
@@ -348,7 +348,7 @@ impl App {
         if prompt.on.is_blank() {
             None
         } else if !self.file.is_there() {
-            Some(format!("{name} is gone"))
+            Some(format!("{name} was deleted"))
         } else {
             self.file.document().is_blank().then(|| format!("{name} is empty now"))
         }
@@ -362,11 +362,11 @@ impl App {
         let before = prompt.place.and_then(|at| prompt.on.entries().get(at));
         match self.successor(prompt) {
             Some(entry) if before.is_some_and(|before| before.name != entry.name) => {
-                format!("its entry was {}", renamed(entry))
+                format!("entry {}", renamed(entry))
             }
             // A twin may have come, or what they changed fits another device better.
-            Some(_) => "its entry may be another's now".to_owned(),
-            None => "its entry was deleted by someone else".to_owned(),
+            Some(_) => "entry may belong to another device now".to_owned(),
+            None => "entry deleted on disk".to_owned(),
         }
     }
 
@@ -379,7 +379,7 @@ impl App {
     fn judge_change(&self, prompt: &Prompt, text: &str) -> Option<Verdict> {
         let entry = self.edited_entry(prompt);
         let gone = self.file_gone(prompt).map(|gone| (gone, BEGINS));
-        let unlisted = || (self.entry_gone(prompt), "Enter lists it again");
+        let unlisted = || (self.entry_gone(prompt), "Enter adds it again");
         let gone = gone.or_else(|| prompt.place.is_some().then(unlisted));
         if let Some((gone, what)) = gone.filter(|_| entry.is_none()) {
             let told = if text.is_empty() { gone } else { format!("{gone}; {what}") };
@@ -390,15 +390,15 @@ impl App {
             && before.is_some_and(|before| before.name != now.name)
         {
             // It may as well be another one that somebody put in its place.
-            let told = format!("its entry was {}; Enter pins that to {typed}", renamed(now));
+            let told = format!("entry {}; Enter pins it to {typed}", renamed(now));
             return Some(Verdict::Warns(told));
         }
         let theirs = self.pinned_by_others(prompt)?;
         let typed = parse_address(text).map(|it| it.to_string()).unwrap_or_default();
         Some(if typed == pinned(entry) {
-            Verdict::Fine(format!("{theirs} already"))
+            Verdict::Fine(format!("already {theirs}"))
         } else {
-            Verdict::Warns(format!("{theirs}; Enter overrides that"))
+            Verdict::Warns(format!("{theirs}; Enter overwrites it"))
         })
     }
 
@@ -410,7 +410,7 @@ impl App {
             "" => "unpinned".to_owned(),
             now => format!("changed to {now}"),
         };
-        Some(format!("{theirs} by someone else"))
+        Some(format!("{theirs} on disk"))
     }
 
     fn judge_rename(&self, prompt: &Prompt, key: &EntryKey, text: &str) -> Verdict {
@@ -423,9 +423,9 @@ impl App {
         }
         let theirs = renamed(entry);
         if unescaped(text).as_ref() == Ok(&entry.name) {
-            Verdict::Fine(format!("{theirs} already"))
+            Verdict::Fine(format!("already {theirs}"))
         } else {
-            Verdict::Warns(format!("{theirs}; Enter overrides that"))
+            Verdict::Warns(format!("{theirs}; Enter overwrites it"))
         }
     }
 
@@ -450,7 +450,7 @@ impl App {
             RowKey::Entry(_) => None,
         };
         if device.is_some_and(|device| device.name.is_none()) {
-            return Verdict::Blocks("its name is not known yet".to_owned());
+            return Verdict::Blocks("name not known yet".to_owned());
         }
         let bus = device.and_then(|it| self.bus(it.id.bus)).map(|bus| bus.name.as_str());
         let bus = bus.or(entry.and_then(|entry| entry.bus.as_deref()));
@@ -465,7 +465,7 @@ impl App {
         let is_pinned = entry.is_some_and(|it| it.is_static && it.address == Some(address));
         self.held_by_another(address, bus, own).unwrap_or_else(|| {
             Verdict::Fine(if is_pinned {
-                format!("{address}, as it is pinned already")
+                format!("already pinned to {address}")
             } else {
                 format!("Enter pins it to {address}")
             })
@@ -500,7 +500,7 @@ impl App {
             device.address.number() == address && device.is_here() && !is_own(device.id)
         })?;
         let who = other.name.as_ref().map_or("a device".to_owned(), ToString::to_string);
-        Some(Verdict::Warns(format!("{who} is at {address} now; Enter pins it all the same")))
+        Some(Verdict::Warns(format!("{address} is used by {who}; Enter pins it anyway")))
     }
 
     fn finish_address(&mut self, prompt: &Prompt, key: &RowKey, text: &str) {
@@ -530,7 +530,7 @@ impl App {
             None if entry.is_none() => {}
             None => {
                 if let Some(theirs) = self.pinned_by_others(prompt) {
-                    self.say_of_file(format!("{theirs} already"));
+                    self.say_of_file(format!("already {theirs}"));
                 }
             }
         }
@@ -558,7 +558,7 @@ impl App {
         let exists = |entry: &&Entry| entry.name == name && entry.address == address;
         if let Some(other) = self.file.document().entries().iter().find(exists) {
             let line = other.position.line;
-            return Verdict::Blocks(format!("this entry is there already (line {line})"));
+            return Verdict::Blocks(format!("entry already exists (line {line})"));
         }
         let Some(address) = address else {
             let shown = Called(&name);
@@ -566,9 +566,9 @@ impl App {
             return if is_number(text.trim()) {
                 Verdict::Blocks(NEW_ENTRY.to_owned())
             } else if is_number(last) {
-                Verdict::Blocks(format!("{last} is no address: 1 to 127"))
+                Verdict::Blocks(format!("{last} is not an address (1 to 127)"))
             } else if last.starts_with(|c: char| c.is_ascii_digit()) {
-                Verdict::Warns(format!("all of it is the name: {last} is no address"))
+                Verdict::Warns(format!("all of it is the name: {last} is not an address"))
             } else {
                 Verdict::Fine(format!("{shown}, not pinned (space, then address)"))
             };
@@ -598,7 +598,7 @@ impl App {
 }
 
 /// What is to be typed for a new entry.
-const NEW_ENTRY: &str = "a name, a space, and its address";
+const NEW_ENTRY: &str = "name, space, address";
 
 /// Whether somebody who types this means a number.
 fn is_number(text: &str) -> bool {
@@ -615,7 +615,7 @@ fn pinned(entry: Option<&Entry>) -> String {
 }
 
 fn renamed(entry: &Entry) -> String {
-    format!("renamed to {} by someone else", Called(&entry.name))
+    format!("renamed to {} on disk", Called(&entry.name))
 }
 
 /// A number from 1 to 127, decimal or hexadecimal.
@@ -644,7 +644,7 @@ fn unescaped(text: &str) -> Result<Vec<u8>, &'static str> {
             let digits = rest.strip_prefix('x').and_then(|rest| rest.get(..2));
             let byte = digits.and_then(|digits| u8::from_str_radix(digits, 16).ok());
             match byte.ok_or(UNKNOWN)? {
-                0 => return Err("no name has a byte 0 in it: DES ends names with it"),
+                0 => return Err("a name cannot contain byte 0 (DES terminator)"),
                 byte => bytes.push(byte),
             }
             rest = &rest[3..];
@@ -660,7 +660,7 @@ fn judge_name(text: &str) -> Verdict {
         Ok(name) if name.is_empty() => Verdict::Blocks("a name is needed".to_owned()),
         Ok(name) if name.len() > 5 => {
             let bytes = name.len();
-            Verdict::Warns(format!("{bytes} bytes: an answer with more than 5 takes more frames"))
+            Verdict::Warns(format!("{bytes} bytes: over 5 needs a multi-frame response"))
         }
         Ok(_) => Verdict::Fine("Enter renames the entry; the device keeps its name".to_owned()),
     }

@@ -93,16 +93,16 @@ impl State {
     /// The word.
     pub const fn word(self) -> &'static str {
         match self {
-            State::Clash => "CLASH",
+            State::Clash => "CONFLICT",
             State::Missing => "missing",
             State::Lost => "lost",
-            State::Partly => "partly",
-            State::Unseen => "unseen",
+            State::Partly => "partial",
+            State::Unseen => "unknown",
             State::Stale => "stale",
             State::Silent => "silent",
             State::Asleep => "asleep",
-            State::Awaited => "awaited",
-            State::Again => "again",
+            State::Awaited => "pending",
+            State::Again => "dup",
             State::Online => "online",
         }
     }
@@ -169,10 +169,10 @@ impl SortBy {
         match self {
             SortBy::Address => "by address",
             SortBy::Name => "by name",
-            SortBy::State => "what needs attention first",
+            SortBy::State => "by severity",
             SortBy::Mode => "by mode",
             SortBy::Seen => "newest first",
-            SortBy::File => "what differs from the file first",
+            SortBy::File => "by difference from the file",
         }
     }
 }

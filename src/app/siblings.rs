@@ -26,9 +26,9 @@ impl Kinship {
     /// What it is, for people.
     pub const fn words(self) -> &'static str {
         match self {
-            Kinship::Redundant => "with the same services: redundant",
-            Kinship::TwoNetworks => "with different services: two networks",
-            Kinship::Open => "its services are not known on both",
+            Kinship::Redundant => "same services: redundant",
+            Kinship::TwoNetworks => "different services: separate networks",
+            Kinship::Open => "services not known on both",
         }
     }
 }
@@ -130,10 +130,10 @@ impl App {
         let (here, there) = (place(one)?, place(other)?);
         match kinship {
             Kinship::Redundant => {
-                Some(format!("is on {here} and {there} with equal services: redundant"))
+                Some(format!("on {here} and {there}, same services: redundant"))
             }
             Kinship::TwoNetworks => {
-                Some(format!("is on {here} and {there} with different services: two networks"))
+                Some(format!("on {here} and {there}, different services: separate networks"))
             }
             Kinship::Open => None,
         }

@@ -49,11 +49,11 @@ impl Decoded {
             },
             (FrameKind::Data, CanId::Extended(id)) => Self::of_platform(app, frame, id),
             (FrameKind::Remote, _) => {
-                let text = "remote request: not of this platform".to_owned();
+                let text = "remote frame (non-platform)".to_owned();
                 Self { kind: "remote", text, ..Self::default() }
             }
             _ => {
-                let text = "11-bit identifier: not of this platform".to_owned();
+                let text = "11-bit ID (non-platform)".to_owned();
                 Self { kind: "standard", text, ..Self::default() }
             }
         }
@@ -134,7 +134,7 @@ impl App {
         let named = devices.iter().filter(here).find_map(|device| device.name.as_ref());
         match named {
             Some(name) => name.to_string(),
-            None if self.is_own_address(bus, address) => "me".to_owned(),
+            None if self.is_own_address(bus, address) => "own".to_owned(),
             None => address.to_string(),
         }
     }
@@ -309,29 +309,29 @@ fn describe_data(profile: &Profile, header: Header, frame: &Frame) -> (String, b
                     Some(&TYPE_SERVICES) => "services",
                     _ => "message",
                 };
-                (format!("{what}, {length} bytes, first part"), false)
+                (format!("first frame: {what}, {length} bytes"), false)
             }
-            Ok(Pci::Consecutive { sequence, .. }) => (format!("further part {sequence:X}"), false),
+            Ok(Pci::Consecutive { sequence, .. }) => (format!("consecutive frame {sequence:X}"), false),
             Ok(Pci::Flow(flow)) => (describe_flow(flow.status).to_owned(), false),
             Err(fault) => (fault.to_string(), true),
         },
-        None => ("neither framing".to_owned(), true),
+        None => ("neither ISO-TP nor raw".to_owned(), true),
     }
 }
 
 fn describe_flow(status: FlowStatus) -> &'static str {
     match status {
-        FlowStatus::Continue => "go on",
-        FlowStatus::Wait => "wait",
-        FlowStatus::Overflow => "too long for me",
+        FlowStatus::Continue => "flow control: continue",
+        FlowStatus::Wait => "flow control: wait",
+        FlowStatus::Overflow => "flow control: overflow",
     }
 }
 
 fn describe_request(message: &[u8]) -> String {
     match Request::decode(message) {
-        Some(Asked::Known(Request::Name)) => "who is there?".to_owned(),
-        Some(Asked::Known(Request::Services)) => "which services?".to_owned(),
-        Some(Asked::Reserved(kind)) => format!("reserved request {kind:02X}"),
+        Some(Asked::Known(Request::Name)) => "name request".to_owned(),
+        Some(Asked::Known(Request::Services)) => "services request".to_owned(),
+        Some(Asked::Reserved(kind)) => format!("reserved DES request {kind:02X}"),
         None => "not a DES request".to_owned(),
     }
 }
@@ -340,7 +340,7 @@ fn describe_answer(message: &[u8]) -> (String, bool) {
     match message.first() {
         Some(&TYPE_NAME) => {
             let (name, fault) = decode_name(message);
-            let mut text = format!("I am {}", Escaped(name.unwrap_or_default()));
+            let mut text = format!("name {}", Escaped(name.unwrap_or_default()));
             if let Some(fault) = fault {
                 let _ = write!(text, " ({fault})");
             }
@@ -364,7 +364,7 @@ fn describe_answer(message: &[u8]) -> (String, bool) {
             }
             (text, answer.fault().is_some())
         }
-        _ => ("not a DES answer".to_owned(), true),
+        _ => ("not a DES response".to_owned(), true),
     }
 }
 

@@ -49,7 +49,7 @@ impl App {
             .collect();
         let Some((_, first)) = by_bus.first() else {
             let bus = entry.bus.as_deref().unwrap_or_default();
-            return vec![format!("it is on {}, which is not open here", Escaped(bus.as_bytes()))];
+            return vec![format!("listed for bus {}, which is not open", Escaped(bus.as_bytes()))];
         };
         if by_bus.iter().all(|(_, reasons)| reasons == first) {
             return by_bus.swap_remove(0).1;
@@ -86,40 +86,40 @@ impl App {
         self.why_at_its_address(bus, entry, &mut reasons);
         elsewhere.sort_unstable();
         if let [only] = elsewhere[..] {
-            reasons.push(format!("it is there under another address: {only}"));
+            reasons.push(format!("found at another address: {only}"));
         } else if !elsewhere.is_empty() {
             let at: Vec<String> = elsewhere.iter().map(ToString::to_string).collect();
             let not = entry.address.map(|own| format!(", not at {own}")).unwrap_or_default();
             let (name, at) = (Called(&entry.name), at.join(" and "));
-            reasons.push(format!("{name} answers at {at}{not}: which is it?"));
+            reasons.push(format!("{name} found at {at}{not}: ambiguous"));
         }
         if reasons.is_empty() && !self.has_looked(index) {
-            reasons.push("not looked for long enough yet".to_owned());
+            reasons.push("search still running".to_owned());
         } else if reasons.is_empty() {
             why_silent(bus, entry, &mut reasons);
         }
         reasons.extend(taken.into_iter().map(|device| {
-            format!("the {} at {} is another entry's", Called(&entry.name), device.address)
+            format!("{} at {} belongs to another entry", Called(&entry.name), device.address)
         }));
         reasons
     }
 
     fn was_at(&self, device: &Device) -> String {
         let ago = spell(self.looked_at().since(device.last_seen));
-        format!("it was at {} and was last heard {ago} ago", device.address)
+        format!("last seen at {}, {ago} ago", device.address)
     }
 
     /// Who or what is, or was, where the file has it.
     fn why_at_its_address(&self, bus: &Bus, entry: &Entry, reasons: &mut Vec<String>) {
         let Some(address) = entry.address.and_then(Address::new) else { return };
         if bus.engine.own_address() == OwnAddress::Held(address) {
-            reasons.push(format!("we use its address {address} ourselves"));
+            reasons.push(format!("descan itself uses address {address}"));
         }
         let mut gone = None;
         for other in bus.engine.devices() {
             if other.moved_from == Some(address) && other.is_here() && other.address != address {
                 gone = Some(format!(
-                    "{} was at {address} and is at {} now",
+                    "{} moved from {address} to {}",
                     who(other),
                     other.address
                 ));
@@ -130,7 +130,7 @@ impl App {
             }
             match (&other.name, other.is_here()) {
                 (Some(_), true) if entry.is_static => {
-                    reasons.push(format!("{} sits on its address {address}", who(other)));
+                    reasons.push(format!("{} uses its address {address}", who(other)));
                 }
                 (Some(_), true) => {
                     reasons.push(format!("{} has address {address} now", who(other)));
@@ -139,7 +139,7 @@ impl App {
                 (_, false) => {
                     let ago = spell(self.looked_at().since(other.last_seen));
                     gone =
-                        Some(format!("only {} was at {address}, last heard {ago} ago", who(other)));
+                        Some(format!("only {} was at {address}, last seen {ago} ago", who(other)));
                 }
             }
         }
@@ -162,17 +162,17 @@ impl App {
             let query = device.services_query;
             match query.state {
                 QueryState::Unanswered => reasons.push(format!(
-                    "it says its name, but not its services{}",
+                    "name received, no services response{}",
                     asked(query.attempts)
                 )),
                 QueryState::NotAsked if !self.asks(device.id.bus) => {
-                    reasons.push("services: we do not ask".to_owned());
+                    reasons.push("services unknown: requests are off".to_owned());
                 }
                 _ => {}
             }
         }
         for fault in [device.name_query.fault, device.services_query.fault].into_iter().flatten() {
-            reasons.push(format!("its answer was not usable: {fault}"));
+            reasons.push(format!("malformed response: {fault}"));
         }
         reasons
     }
@@ -183,20 +183,20 @@ impl App {
         let own = self.bus(device.id.bus).map(|bus| bus.engine.own_address());
         match query.state {
             QueryState::Unanswered => {
-                Some(format!("{what} at {address}, but no DES answer{}", asked(query.attempts)))
+                Some(format!("{what} at {address}, but no DES response{}", asked(query.attempts)))
             }
             QueryState::Asked if query.attempts > 0 => {
-                Some(format!("{what} at {address}, but no DES answer yet{}", asked(query.attempts)))
+                Some(format!("{what} at {address}, but no DES response yet{}", asked(query.attempts)))
             }
             QueryState::NotAsked if !self.asks(device.id.bus) => {
-                Some(format!("{what} at {address}; its name is not known, as we do not ask"))
+                Some(format!("{what} at {address}; name unknown: requests are off"))
             }
             QueryState::NotAsked => Some(match own {
                 Some(OwnAddress::Blocked(wanted)) => {
                     let why = self.why_no_address(device.id.bus, wanted).unwrap_or_default();
                     format!("{what} at {address}, but {why}")
                 }
-                _ => format!("{what} at {address}, not asked yet"),
+                _ => format!("{what} at {address}, not queried yet"),
             }),
             _ => None,
         }
@@ -206,12 +206,12 @@ impl App {
     /// else, or all are used.
     pub fn why_no_address(&self, bus: BusIndex, wanted: Option<Address>) -> Option<String> {
         let Some(wanted) = wanted else {
-            return Some("all addresses are used: we ask nobody until one is free".to_owned());
+            return Some("no free address: requests paused until one is free".to_owned());
         };
         let user = self.bus(bus)?.engine.device_at(wanted);
         let user = user.and_then(|device| device.name.as_ref());
-        let user = user.map_or_else(|| "somebody else".to_owned(), ToString::to_string);
-        Some(format!("{user} uses our address {wanted}: we ask nobody until it is free"))
+        let user = user.map_or_else(|| "another node".to_owned(), ToString::to_string);
+        Some(format!("{user} uses address {wanted}: requests paused until it is free"))
     }
 
     /// Whether discovery asks anything on a bus.
@@ -228,26 +228,26 @@ fn why_silent(bus: &Bus, entry: &Entry, reasons: &mut Vec<String>) {
     let ended = bus.status.link == Link::Ended;
     let log = if ended { "in this log " } else { "" };
     reasons.push(match entry.address {
-        Some(address) => format!("{log}nothing was ever heard from address {address}"),
-        None => format!("{log}no device called itself {}", Called(&entry.name)),
+        Some(address) => format!("{log}no frame received from address {address}"),
+        None => format!("{log}no device named {} seen", Called(&entry.name)),
     });
     let config = bus.engine.config();
     let others = || bus.engine.devices().iter().filter(|it| !it.is_debug && it.is_here());
     let nameless = others().filter(|it| it.name.is_none()).count();
     if entry.address.is_none() && nameless > 0 {
         reasons.push(match nameless {
-            1 => "there is one whose name is not known: it may be that".to_owned(),
-            count => format!("there are {count} whose names are not known: it may be one of them"),
+            1 => "it may be the one unnamed device".to_owned(),
+            count => format!("it may be one of {count} unnamed devices"),
         });
     }
     reasons.push(if ended || config.listen_only || !config.scan {
-        "we do not ask: a device that says nothing is not seen".to_owned()
+        "requests are off: silent devices are not found".to_owned()
     } else if let OwnAddress::Blocked(_) = bus.engine.own_address() {
-        "we have no address of our own: nobody was asked".to_owned()
+        "descan has no address: no requests were sent".to_owned()
     } else if others().next().is_none() {
-        "nobody at all answers: is the bit rate right, are both ends terminated?".to_owned()
+        "no device responds: check bit rate and termination".to_owned()
     } else {
-        "others answer: is it powered and wired?".to_owned()
+        "other devices respond: check its power and wiring".to_owned()
     });
 }
 
@@ -255,14 +255,14 @@ fn who(device: &Device) -> String {
     match &device.name {
         Some(name) if name.as_bytes().is_empty() => "a device with an empty name".to_owned(),
         Some(name) => name.called().to_string(),
-        None => "something without a name".to_owned(),
+        None => "an unnamed device".to_owned(),
     }
 }
 
 fn why_bus(bus: &Bus, reasons: &mut Vec<String>) {
     let name = &bus.name;
     match (bus.status.link, bus.status.state) {
-        (Link::Opening, _) => reasons.push(format!("{name} is being opened")),
+        (Link::Opening, _) => reasons.push(format!("{name} is opening")),
         (link, _) if !matches!(link, Link::Up | Link::Ended) => {
             reasons.push(match &bus.status.message {
                 Some(message) => Escaped(message.as_bytes()).to_string(),
@@ -270,24 +270,24 @@ fn why_bus(bus: &Bus, reasons: &mut Vec<String>) {
             });
         }
         (_, BusState::BusOff) => {
-            reasons.push(format!("the controller of {name} is bus-off: it hears nothing"));
+            reasons.push(format!("{name} is bus-off: nothing is received"));
         }
         (_, BusState::Stopped) => reasons.push(format!("{name} is stopped")),
         _ => {}
     }
     match bus.hindrance() {
         Some(Hindrance::QueueFull) => reasons.push(format!(
-            "we cannot ask: the transmit queue of {name} is full, and nothing in it goes out"
+            "cannot send requests: transmit queue of {name} is stuck"
         )),
         Some(Hindrance::Unacknowledged) => reasons.push(format!(
-            "nobody on {name} acknowledges: no other device, another bit rate, or a broken wire"
+            "no ACK on {name}: no other node, wrong bit rate or broken wire"
         )),
         None => {}
     }
 }
 
 fn asked(attempts: u32) -> String {
-    if attempts > 0 { format!(" (asked {})", times(attempts)) } else { String::new() }
+    if attempts > 0 { format!(" (requested {})", times(attempts)) } else { String::new() }
 }
 
 fn times(count: u32) -> String {

@@ -54,13 +54,13 @@ pub enum LineFault {
     #[error("more data than the frame can carry")]
     TooMuchData,
     /// A remote request's length, or a raw DLC.
-    #[error("a length or DLC that does not exist")]
+    #[error("invalid length or DLC")]
     Length,
     /// A CAN XL frame.
     #[error("a CAN XL frame")]
     Xl,
     /// Something after the frame that is neither R nor T.
-    #[error("something after the frame that is neither R nor T")]
+    #[error("text after the frame (only R or T allowed)")]
     Trailing,
 }
 

@@ -416,7 +416,7 @@ impl fmt::Display for Tally {
         }
         match self.backwards {
             0 => Ok(()),
-            count => write!(f, "; time runs backwards {count} time{}", plural(count)),
+            count => write!(f, "; time goes backwards {count} time{}", plural(count)),
         }
     }
 }
@@ -541,7 +541,7 @@ not a line
         assert_eq!(
             read(LOG, 4096).1.to_string(),
             "4 frames of 2 interfaces; line 4 cannot be read: it does not begin with \
-             (SECONDS.FRACTION); time runs backwards 1 time"
+             (SECONDS.FRACTION); time goes backwards 1 time"
         );
     }
 }

@@ -120,7 +120,7 @@ pub fn scenario(name: &str) -> Result<Scenario, BusError> {
         return Scenario::builtin(name).map_err(|error| BusError::Scenario(error.to_string()));
     }
     let text = std::fs::read_to_string(name).map_err(|cause| {
-        BusError::Scenario(format!("{name}: {cause}; there are boiler, drone, and files (TOML)"))
+        BusError::Scenario(format!("{name}: {cause}; use boiler, drone or a TOML file"))
     })?;
     Scenario::parse(&text)
         .map_err(|error| BusError::Scenario(format!("{name}: {}", on_one_line(&error.to_string()))))

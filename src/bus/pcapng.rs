@@ -58,10 +58,10 @@ const MAX_NAME: usize = 64;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
 pub enum PacketFault {
     /// Not of CAN.
-    #[error("it is of link type {0}, not of CAN (227)")]
+    #[error("link type {0}, expected 227 (SocketCAN)")]
     LinkType(u16),
     /// Its interface was not described before it.
-    #[error("its interface is not described")]
+    #[error("missing interface description")]
     Interface,
     /// A block that says less than such a block must.
     #[error("the block is too short")]
@@ -70,10 +70,10 @@ pub enum PacketFault {
     #[error("the block is too long")]
     Long,
     /// A kind of packet block that has no time, or is not used any more.
-    #[error("a packet block of an old kind: editcap -F pcapng OLD NEW makes new ones")]
+    #[error("obsolete packet block; convert it: editcap -F pcapng OLD NEW")]
     OldKind,
     /// The captured bytes are no CAN frame.
-    #[error("its bytes are no CAN frame")]
+    #[error("not a valid CAN frame")]
     NoFrame,
     /// A CAN XL frame.
     #[error("a CAN XL frame")]
@@ -84,16 +84,16 @@ pub enum PacketFault {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
 pub enum Damage {
     /// The file ends within a block.
-    #[error("it breaks off within a block")]
+    #[error("truncated inside a block")]
     Cut,
     /// A block whose length cannot be: where the next begins is not known.
-    #[error("a block says that it has {0} bytes: the rest cannot be read")]
+    #[error("invalid block length of {0} bytes: the rest cannot be read")]
     Length(u32),
     /// The length behind a block is not the one before it.
-    #[error("a block's two lengths differ: the rest cannot be read")]
+    #[error("the two lengths of a block differ: the rest cannot be read")]
     Lengths,
     /// A section whose byte order is neither.
-    #[error("a section without a byte order: the rest cannot be read")]
+    #[error("section without byte-order magic: the rest cannot be read")]
     ByteOrder,
 }
 

@@ -23,10 +23,10 @@ const OUTBOX_CAPACITY: usize = 256;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum TransmitError {
     /// As many wait as may wait: the bus does not take them.
-    #[error("too many frames wait to be sent")]
+    #[error("send queue full")]
     Full,
     /// Opened to listen only, or a log.
-    #[error("this bus is only listened to")]
+    #[error("bus is listen-only")]
     ListenOnly,
 }
 
@@ -173,7 +173,7 @@ struct FailureWatch {
 impl Drop for FailureWatch {
     fn drop(&mut self) {
         if thread::panicking() {
-            let message = format!("reading {} broke off: this is a bug in descan", self.name);
+            let message = format!("reader of {} stopped: this is a bug in descan", self.name);
             self.line.queue.finish(Link::Failed, message);
         }
     }

@@ -221,7 +221,7 @@ impl Replay {
         self.tell_place();
         let mut message = self.reader.tally().to_string();
         if self.reader.has_unfinished() && self.reader.tally().damage.is_none() {
-            message.push_str("; the last line has no end yet");
+            message.push_str("; last line incomplete");
         }
         self.clock.log_ends(self.index);
         self.line.queue.update_status(|status| {
@@ -263,7 +263,7 @@ impl Source {
         if own.len() < self.read {
             self.log.seek(SeekFrom::Start(0))?;
             self.read = 0;
-            return Ok(Some(More::Anew("the log was cut short: it is read anew")));
+            return Ok(Some(More::Anew("log truncated: reading from its start")));
         }
         if own.len() > self.read {
             if !is_damaged {
@@ -278,7 +278,7 @@ impl Source {
         {
             self.size = log.metadata()?.len();
             (self.log, self.read) = (log, 0);
-            return Ok(Some(More::Anew("another log took its place: that is read now")));
+            return Ok(Some(More::Anew("log replaced: reading the new one")));
         }
         Ok(None)
     }

@@ -14,12 +14,12 @@ use std::path::PathBuf;
 #[derive(Debug, thiserror::Error)]
 pub enum TuneError {
     /// A kind of bus that has no bit rate of its own, or whose rate others set.
-    #[error("{0} has no bit rate that could be set; say the interface of a controller, like can0")]
+    #[error("{0}: bit rate cannot be set; use a controller's interface, such as can0")]
     NoRate(String),
     /// Only root may.
     #[error(
-        "only root may set {name}: sudo descan speed {name}; or try a rate by hand: sudo ip link set \
-         {name} down && sudo ip link set {name} up type can bitrate {bitrate} listen-only on, then \
+        "setting {name} needs root: sudo descan speed {name}; or try a rate by hand: sudo ip link \
+         set {name} down && sudo ip link set {name} up type can bitrate {bitrate} listen-only on, then \
          descan watch {name} --listen-only"
     )]
     NotPermitted {
@@ -30,12 +30,12 @@ pub enum TuneError {
     },
     /// The controller cannot only listen.
     #[error(
-        "{0} cannot listen without taking part: its controller or driver has no listen-only mode; \
-         descan speed {0} --active does without, which destroys frames at wrong rates"
+        "{0} has no listen-only mode; \
+         descan speed {0} --active tries actively and destroys frames at wrong rates"
     )]
     NoListening(String),
     /// The controller cannot have this rate; others may do.
-    #[error("{name} cannot have {bitrate} bit/s")]
+    #[error("{name} does not support {bitrate} bit/s")]
     NotThisRate {
         /// The interface.
         name: String,
@@ -46,7 +46,7 @@ pub enum TuneError {
     #[error("{0}")]
     NotThere(String),
     /// The system did not do as it should.
-    #[error("{name} cannot be set: {cause}")]
+    #[error("cannot configure {name}: {cause}")]
     Failed {
         /// The interface.
         name: String,

@@ -35,11 +35,11 @@ pub fn run(check: &Check) -> Result<u8, Failure> {
         return Ok(INTERRUPTED);
     }
     if let Some(log) = log.filter(|_| app.buses().is_empty()) {
-        let text = format!("{log}: there is no frame in it: is it the right log?");
+        let text = format!("{log}: no frames in it: is it the right log?");
         return Err(Failure::Unusable(text));
     }
     if ending == Some(Ending::TimeUp) && !is_settled(&app) {
-        let why = "time was over before everything was answered; --time gives it longer";
+        let why = "timed out before all responses arrived; use a longer --time";
         let _ = writeln!(io::stderr(), "descan: {why}");
     }
     for at in 0..app.buses().len() {
@@ -84,7 +84,7 @@ fn has_file(app: &App) -> Result<(), Failure> {
     }
     if !file.is_there() {
         return Err(Failure::Unusable(format!(
-            "{}: there is no such file; begin one with: descan scan BUS --write {}",
+            "{}: file not found; create it with: descan scan BUS --write {}",
             path(),
             path()
         )));
@@ -107,7 +107,7 @@ fn is_complete(app: &App, now: Instant) -> bool {
 /// What the kinds of differences are called, the gravest first.
 const GROUPS: [(&str, &[FindingKind]); 8] = [
     (
-        "collisions",
+        "conflicts",
         &[
             FindingKind::SameNameSameAddress,
             FindingKind::OneAddressTwoNames,
@@ -117,13 +117,13 @@ const GROUPS: [(&str, &[FindingKind]); 8] = [
         ],
     ),
     ("missing", &[FindingKind::Missing]),
-    ("at another address", &[FindingKind::WrongAddress]),
+    ("wrong address", &[FindingKind::WrongAddress]),
     ("static address taken", &[FindingKind::StaticAddressTaken]),
-    ("not in the file", &[FindingKind::Unlisted]),
-    ("another name", &[FindingKind::NameDiffers]),
-    ("other services", &[FindingKind::ServicesDiffer]),
+    ("not in file", &[FindingKind::Unlisted]),
+    ("name differs", &[FindingKind::NameDiffers]),
+    ("services differ", &[FindingKind::ServicesDiffer]),
     (
-        "in the file itself",
+        "file errors",
         &[
             FindingKind::FileDuplicateAddress,
             FindingKind::FileDuplicateEntry,

@@ -137,7 +137,7 @@ impl RecordingFailure {
         let failure = status.and_then(|status| Some((&status.path, status.failure.as_ref()?)));
         if let Some((path, why)) = failure.filter(|_| !self.was_told) {
             self.was_told = true;
-            let _ = writeln!(io::stderr(), "descan: recording to {path} is over: {why}");
+            let _ = writeln!(io::stderr(), "descan: recording to {path} stopped: {why}");
         }
     }
 }
@@ -175,12 +175,12 @@ fn cause(bus: &Bus) -> String {
     match (bus.status.link, bus.status.unreadable) {
         (Link::Opening, 0) => {
             format!(
-                "{name} is still not open: nobody answers; is it there, or is --time too short?"
+                "{name} is not open: no response; is it connected, or is --time too short?"
             )
         }
         (Link::Opening, _) => {
             format!(
-                "{name} is still not open: what it says cannot be read; is it a bus of that kind?"
+                "{name} is not open: unreadable data; is it the right bus type?"
             )
         }
         _ => format!("{name} cannot be opened"),
@@ -198,21 +198,21 @@ pub fn tell_hindrance(app: &App, index: BusIndex) {
         let why = bus.status.message.as_deref().unwrap_or(bus.status.state.name());
         say(why.strip_prefix(&bus.name).map_or(why, str::trim_start));
     } else if bus.status.unanswered && bus.is_up() {
-        say("the adapter answered none of our commands: is it slcan, is the baud rate right?");
+        say("the adapter answered no command: is it slcan, is the baud rate right?");
     } else {
         match (bus.hindrance(), bus.name.parse()) {
             (None, _) => {}
             (Some(Hindrance::QueueFull), _) => say(
-                "the transmit queue is full, and nothing in it goes out: is another node on, at the \
+                "transmit queue stuck: is another node on, at the \
                  same bit rate? Does the adapter still work? See: ip -statistics link",
             ),
             // There is no cable that could be wrong.
             (_, Ok(BusSpec::Udp { group, .. })) => say(&format!(
-                "our datagrams do not come back to us; does a route lead to {group} (ip route get \
+                "own datagrams are not received back; does a route lead to {group} (ip route get \
                  {group}), and does its interface have multicast?"
             )),
             _ => say(
-                "nobody acknowledges our frames; is another node on, at the same bit rate, and are \
+                "no ACK on the bus; is another node on, at the same bit rate, and are \
                  both ends terminated?",
             ),
         }
@@ -230,7 +230,7 @@ fn tell_unreadable(spec: &BusSpec, tally: Option<Tally>) -> Result<(), Failure> 
     let is_damaged = tally.unreadable > 0 || tally.damage.is_some();
     if tally.frames == 0 && is_damaged {
         return Err(Failure::Unusable(format!(
-            "{spec}: {tally}; is it a log as candump -L writes them, or pcapng?"
+            "{spec}: {tally}; use a candump -L log or pcapng"
         )));
     }
     if is_damaged || tally.frames == 0 {

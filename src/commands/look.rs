@@ -62,7 +62,7 @@ fn needs_terminal() -> Result<(), Failure> {
     if std::io::stdout().is_terminal() {
         return Ok(());
     }
-    let message = "the screen needs a terminal; without one there are: descan scan, descan watch";
+    let message = "the UI needs a terminal; without one use descan scan or descan watch";
     Err(Failure::Usage(message.to_owned()))
 }
 

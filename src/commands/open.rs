@@ -95,7 +95,7 @@ pub fn profile(path: Option<&Path>) -> Result<Profile, Failure> {
     let Some(path) = path else { return Ok(Profile::default()) };
     let unusable = |why: String| Failure::Unusable(format!("{}: {why}", path.display()));
     let text = read_text(path).map_err(|error| unusable(error.to_string()))?;
-    let text = text.ok_or_else(|| unusable("there is no such file".to_owned()))?;
+    let text = text.ok_or_else(|| unusable("file not found".to_owned()))?;
     Profile::parse(&text).map_err(|error| unusable(on_one_line(&error.to_string())))
 }
 
@@ -117,13 +117,13 @@ pub fn buses(arguments: &Arguments) -> Result<Vec<BusSpec>, Failure> {
     match &there[..] {
         [only] => Ok(vec![BusSpec::SocketCan(only.name.clone())]),
         [] => Err(Failure::Usage(
-            "there is no CAN interface; name a bus (descan can0, descan file:LOG), or look around \
-             with: descan demo"
+            "no CAN interface found; name a bus (descan can0, descan file:LOG), or try \
+             it out: descan demo"
                 .to_owned(),
         )),
         several => {
             let names: Vec<&str> = several.iter().map(|it| it.name.as_str()).collect();
-            Err(Failure::Usage(format!("which bus? There are {}", names.join(", "))))
+            Err(Failure::Usage(format!("several CAN interfaces: {}; name one", names.join(", "))))
         }
     }
 }
@@ -162,7 +162,7 @@ pub fn log<'b>(buses: &'b [BusSpec], command: &str) -> Result<Option<&'b BusSpec
     match buses {
         [log] if is_log(log) => Ok(Some(log)),
         _ if buses.iter().any(is_log) => {
-            Err(Failure::Usage(format!("a log is read alone: descan {command} file:LOG")))
+            Err(Failure::Usage(format!("a log cannot be combined with other buses: descan {command} file:LOG")))
         }
         _ => Ok(None),
     }

@@ -125,7 +125,7 @@ pub(super) struct FindingReport {
 #[derive(Debug, Serialize)]
 struct EvidenceReport {
     time: f64,
-    what: &'static str,
+    what: String,
     frame: Option<String>,
 }
 
@@ -215,7 +215,7 @@ impl Report {
             let _ = writeln!(text, "\n{} {}: {}", finding.confidence, finding.kind, finding.text);
             let over = Confidence::Cleared.name() == finding.confidence;
             if over {
-                text.push_str("  It is over.\n");
+                text.push_str("  No longer present.\n");
             } else if !finding.remedy.is_empty() {
                 let _ = writeln!(text, "  {}", finding.remedy);
             }
@@ -262,8 +262,8 @@ impl Report {
                 })
                 .collect();
             let services = if device.services_known { services.join(", ") } else { "?".to_owned() };
-            let state = if device.clash { "CLASH" } else { device.presence };
-            let unknown = if device.working { "working" } else { "not working" };
+            let state = if device.clash { "CONFLICT" } else { device.presence };
+            let unknown = if device.working { "working" } else { "non-working" };
             rows.push([
                 device.bus.clone(),
                 device.address.to_string(),
@@ -453,7 +453,7 @@ fn is_difference(kind: FindingKind) -> bool {
 fn of_evidence(epoch: Epoch, piece: &Evidence) -> EvidenceReport {
     EvidenceReport {
         time: epoch.unix_secs(piece.time),
-        what: piece.what,
+        what: piece.what.to_string(),
         frame: piece.frame.as_ref().map(Frame::to_string),
     }
 }

@@ -28,13 +28,13 @@ pub fn run(scan: &Scan) -> Result<u8, Failure> {
     {
         if path.is_dir() {
             return Err(Failure::Unusable(format!(
-                "{0} is a folder; name the file in it: --write {1}",
+                "{0} is a folder; name a file in it: --write {1}",
                 path.display(),
                 path.join("des.json").display()
             )));
         }
         return Err(Failure::Unusable(format!(
-            "{} is there already and is not touched; name another file, or edit it in: descan",
+            "{} already exists; name another file, or edit it with: descan",
             path.display()
         )));
     }

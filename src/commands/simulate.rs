@@ -19,7 +19,7 @@ const NAP: Duration = Duration::from_millis(2);
 pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8, Failure> {
     if matches!(spec, BusSpec::File(_) | BusSpec::Stdin | BusSpec::Sim(_)) {
         return Err(Failure::Usage(format!(
-            "{spec} is no bus to put devices on; for a simulated one: descan demo"
+            "cannot simulate devices on {spec}; for a simulated bus: descan demo"
         )));
     }
     let scenario = bus::scenario(scenario).map_err(|error| Failure::Unusable(error.to_string()))?;
@@ -56,7 +56,7 @@ pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8,
             }
             if status.link == Link::Up && start.is_none() {
                 let devices = scenario.devices.len();
-                let _ = writeln!(io::stderr(), "{devices} devices on {spec}; Ctrl-C ends");
+                let _ = writeln!(io::stderr(), "{devices} devices on {spec}; Ctrl-C stops");
                 start = Some(now);
             }
             heard.clear();

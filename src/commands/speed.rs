@@ -39,7 +39,7 @@ async fn search(speed: &Speed) -> Result<u8, Failure> {
             report = attempt(speed, Manner::TakingPart).await?;
         } else {
             print(speed, &report)?;
-            say(&format!("to take part: descan speed {bus} --active"));
+            say(&format!("to search actively: descan speed {bus} --active"));
             return Ok(FINDINGS);
         }
     }
@@ -47,13 +47,13 @@ async fn search(speed: &Speed) -> Result<u8, Failure> {
     if let Outcome::Found(rate) = report.outcome {
         say(&match bus {
             BusSpec::Slcan { device, .. } => {
-                format!("open it so: descan slcan:{}@{rate}", device.display())
+                format!("open it with: descan slcan:{}@{rate}", device.display())
             }
-            _ => format!("{bus} is set to it; now: descan {bus}"),
+            _ => format!("{bus} keeps this bit rate; open it with: descan {bus}"),
         });
         return Ok(FINE);
     }
-    say("nobody was heard at any rate: is a device on, and are CAN_H, CAN_L and ground connected?");
+    say("no frames at any rate: is a device on, and are CAN_H, CAN_L and ground connected?");
     Ok(FINDINGS)
 }
 
@@ -62,16 +62,16 @@ async fn attempt(speed: &Speed, manner: Manner) -> Result<Report, Failure> {
     let plan = Plan { first: speed.first, manner, period };
     let bus = &speed.bus;
     let what = match manner {
-        Manner::Listening => "listening",
-        Manner::TakingPart => "taking part",
+        Manner::Listening => "listen-only",
+        Manner::TakingPart => "active",
     };
     let report = find(bus, plan, |progress| match progress {
         Progress::Trying(rate) => say(&format!("{bus} at {}: {what} …", kbit(rate))),
         Progress::Heard(rate, heard) => {
-            say(&format!("{bus} at {}: no whole frame, {} broken", kbit(rate), heard.broken));
+            say(&format!("{bus} at {}: no valid frame, {} bus errors", kbit(rate), heard.broken));
         }
         Progress::Skipped(rate) => {
-            say(&format!("{bus} at {}: its controller cannot", kbit(rate)));
+            say(&format!("{bus} at {}: not supported by the controller", kbit(rate)));
         }
     });
     report.await.map_err(|error| match error {
@@ -82,12 +82,12 @@ async fn attempt(speed: &Speed, manner: Manner) -> Result<Report, Failure> {
 
 fn nothing_heard(bus: &BusSpec, outcome: Outcome) -> String {
     let what = match outcome {
-        Outcome::OnlyBroken => "frames broke, and none arrived whole",
-        _ => "nothing was heard at any rate",
+        Outcome::OnlyBroken => "bus errors but no valid frame",
+        _ => "no frames at any rate",
     };
     format!(
-        "{bus}: {what}. While we only listen, a device that is alone on the bus is not heard: \
-         nobody acknowledges its frames."
+        "{bus}: {what}. Listen-only search cannot find a device alone on the bus: \
+         it gets no ACK."
     )
 }
 
@@ -99,7 +99,7 @@ fn may_ask(speed: &Speed) -> bool {
 async fn wants_to_take_part(bus: &BusSpec) -> bool {
     let _ = write!(
         io::stderr(),
-        "Try each rate taking part in {bus}? At a wrong rate that destroys the frames of others. \
+        "Search actively on {bus}? A wrong rate destroys other nodes' frames. \
          [y/N] "
     );
     let line = tokio::task::spawn_blocking(|| {

@@ -143,7 +143,7 @@ impl Teller {
 
 // --- in words -------------------------------------------------------------------------------
 
-/// `07:08:55.123 can0   12 FEED        says its name`: the bus where there are several.
+/// `07:08:55.123 can0   12 FEED        identified as FEED`: the bus where there are several.
 fn in_words(app: &App, line: &TimelineEntry) -> String {
     const NAME: usize = 12;
     let bus = line.bus.and_then(|index| app.bus(index)).map_or("", |bus| &bus.name);

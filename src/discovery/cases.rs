@@ -13,6 +13,7 @@ use crate::frame::{BusIndex, Frame};
 use crate::text::Name;
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
+use std::borrow::Cow;
 
 /// How many findings a bus may have.
 const MAX_FINDINGS: usize = 512;
@@ -310,7 +311,7 @@ impl Cases {
         address: Address,
         name: Option<&Name>,
         frame: &Frame,
-        what: &'static str,
+        what: impl Into<Cow<'static, str>>,
         weight: Weight,
     ) -> Option<usize> {
         let key = FindingKey::at(kind, self.bus, Some(address));
@@ -319,7 +320,7 @@ impl Cases {
             self.findings[at].concern(name);
         }
         let last = self.findings[at].last;
-        self.findings[at].add(Evidence { time: frame.time, what, frame: Some(*frame) });
+        self.findings[at].add(Evidence { time: frame.time, what: what.into(), frame: Some(*frame) });
         self.findings[at].last = now;
         let soon = now + self.uneven(CHECK / 4);
         let case = &mut self.courses[at];

@@ -13,13 +13,15 @@ use super::finding::FindingKind;
 use super::memory::{Alternation, Asking, Rhythm, TOGETHER, Watch};
 use super::wording;
 use crate::frame::{BusIndex, Frame};
-use crate::text::Name;
+use crate::text::{Escaped, Name};
 use crate::time::{Duration, Instant};
 use crate::wire::des::Request;
 use crate::wire::framing::{Framing, strip_raw_padding};
 use crate::wire::id::Address;
 use crate::wire::isotp::{Pci, TransferFault};
 use crate::wire::node::Uid;
+use crate::wire::profile::UidProfile;
+use std::borrow::Cow;
 
 /// Heartbeats at twice the rate that are a suspicion: time enough for the follow-ups.
 const ODD_RATE_BEATS: u32 = 16;
@@ -45,6 +47,8 @@ pub(super) struct Answer {
 pub(super) struct Collisions {
     period: Duration,
     passive: bool,
+    /// The characters of UIDs, for the texts of evidence.
+    alphabet: UidProfile,
     watches: Vec<Watch>,
     doubling: Doubling,
     cases: Cases,
@@ -53,10 +57,11 @@ pub(super) struct Collisions {
 }
 
 impl Collisions {
-    pub fn new(bus: BusIndex, period: Duration, passive: bool, seed: u64) -> Self {
+    pub fn new(bus: BusIndex, period: Duration, passive: bool, alphabet: UidProfile, seed: u64) -> Self {
         Self {
             period,
             passive,
+            alphabet,
             watches: (0..Address::COUNT).map(|_| Watch::default()).collect(),
             doubling: Doubling::new(period),
             cases: Cases::new(bus, period, passive, seed),
@@ -144,7 +149,7 @@ impl Collisions {
             address,
             name,
             &first,
-            "first answer to one request",
+            "first response to one request",
             Weight::Weak,
         );
         let at = self.cases.report(
@@ -153,7 +158,7 @@ impl Collisions {
             address,
             name,
             frame,
-            "second answer to one request",
+            "second response to one request",
             weight,
         );
         self.cases.told_by_answers(at, address);
@@ -174,7 +179,7 @@ impl Collisions {
         let Some(before) = before.filter(|before| before != name) else { return };
         let kind = FindingKind::OneAddressTwoNames;
         let weight = if returned.is_some() { Weight::Strong } else { Weight::Weak };
-        let what = if returned.is_some() { "the other name again" } else { "another name" };
+        let what = format!("name {}", name.called());
         let at = self.cases.report(now, kind, address, Some(&before), frame, what, weight);
         self.cases.told_by_answers(at, address);
         self.cases.concern(kind, address, name);
@@ -245,9 +250,12 @@ impl Collisions {
         };
         let confirmed = self.cases.is_confirmed(identity, address);
         let alternation = match (uid_returned, mode_returned) {
-            (Some(_), _) => Some(("the other UID again", "another UID", uids_since)),
+            (Some(_), _) => {
+                let uids = &self.watches[address.index()].uids;
+                Some((self.uid_words(uids.now), self.uid_words(uids.before), uids_since))
+            }
             (None, Some(returns)) if returns >= 2 && (rhythm.twice || confirmed) => {
-                Some(("the other U bit again", "another U bit", modes_since))
+                Some(("U bit changed back".into(), "U bit changed".into(), modes_since))
             }
             _ => None,
         };
@@ -289,10 +297,10 @@ impl Collisions {
             self.cases.report(now, two_names, address, name, frame, too_often, Weight::Weak)
         } else if rhythm.phases {
             if let Some(previous) = previous {
-                let what = "heartbeat in one phase";
+                let what = "heartbeat, phase 1";
                 self.cases.report(now, same, address, name, previous, what, Weight::Weak);
             }
-            let what = "heartbeat in another phase, within one period";
+            let what = "heartbeat, phase 2 of the same period";
             self.cases.report(now, same, address, name, frame, what, Weight::Strong)
         } else if odd_rate {
             self.cases.report(now, same, address, name, frame, too_often, Weight::Weak)
@@ -332,7 +340,7 @@ impl Collisions {
     ) {
         let (low, high) = (address.min(other), address.max(other));
         let kind = FindingKind::OneUidTwoAddresses;
-        let what = "heartbeat with the UID of another address";
+        let what = "heartbeat with a UID in use at another address";
         let Some(at) = self.cases.report(now, kind, low, None, frame, what, Weight::Strong) else {
             return;
         };
@@ -358,10 +366,10 @@ impl Collisions {
         frame: &Frame,
     ) {
         let kind = FindingKind::MalformedAnswer;
-        let what = "the answer, or its last frame";
+        let what = "response, or its last frame";
         if let Some(at) = self.cases.report(now, kind, address, name, frame, what, Weight::Proof) {
             self.cases.say(at, |who| {
-                format!("{who} answers with something that is no DES answer: {fault}.")
+                format!("{who} sends malformed DES responses: {fault}.")
             });
         }
     }
@@ -378,9 +386,9 @@ impl Collisions {
     ) {
         let kind = FindingKind::MalformedAnswer;
         let weight = if self.cases.is_open(kind, address) { Weight::Proof } else { Weight::Weak };
-        let what = "the last frame of an answer that broke off";
+        let what = "last frame of an aborted response";
         if let Some(at) = self.cases.report(now, kind, address, name, frame, what, weight) {
-            self.cases.say(at, |who| format!("{who} breaks its answer off each time: {fault}."));
+            self.cases.say(at, |who| format!("{who} aborts every multi-frame response: {fault}."));
         }
     }
 
@@ -402,7 +410,7 @@ impl Collisions {
         name: Option<&Name>,
         frame: &Frame,
     ) {
-        let what = "an identifier that is none of the nine types";
+        let what = "identifier with unknown message type";
         let kind = FindingKind::NonConforming;
         self.cases.report(now, kind, address, name, frame, what, Weight::Proof);
     }
@@ -427,6 +435,12 @@ impl Collisions {
     }
 
     // --- what is made of it ---------------------------------------------------------------
+
+    /// The text of evidence that shows a heartbeat with this UID.
+    fn uid_words(&self, uid: Option<Uid>) -> Cow<'static, str> {
+        let text = uid.map_or(String::new(), |uid| uid.text(&self.alphabet));
+        format!("UID {}", Escaped(text.as_bytes())).into()
+    }
 
     /// Within which answers that take turns must be back.
     fn turn(&self) -> Duration {

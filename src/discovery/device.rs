@@ -286,11 +286,11 @@ impl Quirk {
     /// What it means, for people.
     pub const fn describe(self) -> &'static str {
         match self {
-            Quirk::RspDstEcho => "answers carry the request's DST, not the asker's address",
-            Quirk::NonConforming => "sends identifiers that are none of the nine message types",
-            Quirk::BothFramings => "answers in both framings",
+            Quirk::RspDstEcho => "responses carry the request's DST, not the requester's address",
+            Quirk::NonConforming => "sends identifiers with an unknown message type",
+            Quirk::BothFramings => "responds in both framings",
             Quirk::ShortHeartbeat => "heartbeats shorter than the profile's layout",
-            Quirk::ModeContradictsU => "the mode in its heartbeat contradicts the U bit",
+            Quirk::ModeContradictsU => "the heartbeat's mode contradicts the U bit",
         }
     }
 }

@@ -7,6 +7,7 @@ use crate::frame::{BusIndex, Frame};
 use crate::text::Name;
 use crate::time::Instant;
 use crate::wire::id::Address;
+use std::borrow::Cow;
 use std::collections::VecDeque;
 use std::fmt;
 use std::sync::Arc;
@@ -138,7 +139,7 @@ pub struct Evidence {
     /// When it was seen.
     pub time: Instant,
     /// What it shows, in words.
-    pub what: &'static str,
+    pub what: Cow<'static, str>,
     /// The frame that shows it.
     pub frame: Option<Frame>,
 }

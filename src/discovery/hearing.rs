@@ -321,7 +321,7 @@ impl Engine {
                 // A late or lost transfer's frames are no fault of the device's.
                 let stray = matches!(frame.data().first(), Some(0x20..=0x3F));
                 if !stray {
-                    self.malformed(now, index, &"it fits neither framing", frame);
+                    self.malformed(now, index, &"neither ISO-TP nor raw", frame);
                 }
             }
         }

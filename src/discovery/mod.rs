@@ -190,7 +190,7 @@ impl Engine {
         Self {
             station: Station::new(now, &config, &mut rng),
             outbox: Outbox::new(now, config.echo),
-            collisions: Collisions::new(config.bus, period, config.listen_only, config.seed),
+            collisions: Collisions::new(config.bus, period, config.listen_only, config.profile.uid.clone(), config.seed),
             errors: Errors::default(),
             roster: Roster::new(config.bus),
             rounds: Rounds::new(),

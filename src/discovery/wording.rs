@@ -9,7 +9,7 @@ use crate::text::Name;
 use crate::wire::id::Address;
 
 /// What a frame of somebody else from our own address shows.
-pub(super) const NOT_OURS: &str = "a frame from address 0 that we did not send";
+pub(super) const NOT_OURS: &str = "frame from address 0 not sent by descan";
 
 /// Words a finding of the engine anew, after its evidence changed.
 pub(super) fn describe(finding: &mut Finding) {
@@ -21,7 +21,7 @@ pub(super) fn describe(finding: &mut Finding) {
     let (text, remedy) = match finding.key.kind {
         FindingKind::SameNameSameAddress => (
             if finding.names.is_empty() {
-                format!("Two devices send from address {address}, and nothing tells them apart.")
+                format!("Two indistinguishable devices use address {address}.")
             } else {
                 format!("Two devices answer as {who}.")
             },
@@ -32,42 +32,42 @@ pub(super) fn describe(finding: &mut Finding) {
         FindingKind::OneAddressTwoNames => (
             match finding.names.as_slice() {
                 [] | [_] => format!(
-                    "Two devices share address {address}: {who} and one of another name answer from it."
+                    "Two devices share address {address}: {who} and a device with another name respond."
                 ),
-                _ => format!("Two devices share address {address}: {names} both answer from it."),
+                _ => format!("Two devices share address {address}: {names} both respond."),
             },
             "Switch one of them off, then give it a free address.".to_owned(),
         ),
         FindingKind::OneAddressTwoIdentities => (
-            format!("Two devices share address {address}: heartbeats of two identities take turns."),
+            format!("Two devices share address {address}: heartbeats alternate between two UIDs."),
             "Switch one of them off, then give it a free address.".to_owned(),
         ),
         FindingKind::OneUidTwoAddresses => (
-            format!("Addresses {list} beat with the same DEV_CFG_UID, which must be unique on a bus."),
-            "Give one of the two boards a UID of its own.".to_owned(),
+            format!("Addresses {list} send heartbeats with the same DEV_CFG_UID (must be unique per bus)."),
+            "Give one of the two boards its own UID.".to_owned(),
         ),
         FindingKind::TwoDebugDevices if !is_about_us(finding) => (
-            "Two debug devices use address 0: heartbeats of two identities take turns.".to_owned(),
-            "End one of the two tools, or give it another address.".to_owned(),
+            "Two debug devices use address 0: heartbeats alternate between two UIDs.".to_owned(),
+            "Quit one of the two tools, or give it another address.".to_owned(),
         ),
         FindingKind::TwoDebugDevices => (
-            "Another debug device uses address 0, as we did.".to_owned(),
-            "Nothing to do: we take another address; or end the other tool.".to_owned(),
+            "Another debug device uses address 0, too.".to_owned(),
+            "No action needed: descan moves to another address. Or quit the other tool.".to_owned(),
         ),
         FindingKind::AddressContested => (
-            format!("Two devices contended for address {address}, until one gave way."),
-            "Pin addresses in des.json and in the devices, so that they do not meet at start.".to_owned(),
+            format!("Two devices claimed address {address}; one gave it up."),
+            "Pin addresses in des.json and in the devices to avoid contention at startup.".to_owned(),
         ),
         FindingKind::NonConforming => (
-            format!("{who} sends identifiers that are none of the nine message types."),
-            "Check its firmware's identifiers against section 4.3; a foreign protocol on this bus looks the same.".to_owned(),
+            format!("{who} sends identifiers with an unknown message type."),
+            "Check its firmware's identifiers against section 4.3; another protocol on this bus looks the same.".to_owned(),
         ),
         FindingKind::MalformedAnswer => {
-            (finding.text.clone(), "Check how its firmware builds DES answers.".to_owned())
+            (finding.text.clone(), "Check how its firmware builds DES responses.".to_owned())
         }
         FindingKind::FramesLost => (
-            format!("{} frames were lost before they could be read: what is missing here may be there.", finding.count),
-            "Close what else loads this machine, or watch fewer identifiers.".to_owned(),
+            format!("{} frames lost before reading: a device shown as missing may be present.", finding.count),
+            "Reduce the load on this machine, or filter fewer identifiers.".to_owned(),
         ),
         _ => return,
     };
@@ -92,30 +92,30 @@ pub(super) fn bus_errors(summary: &Summary) -> (String, String) {
     };
     let (text, remedy) = match summary.cause {
         Cause::BusOff => (
-            "Our controller has left the bus (bus-off): too many of its frames failed.".to_owned(),
-            "Check our bit rate and the wiring, then restart the interface.",
+            "The controller is bus-off: too many transmit errors.".to_owned(),
+            "Check its bit rate and the wiring, then restart the interface.",
         ),
         Cause::NoAcknowledge => (
-            format!("Nobody acknowledges our frames: {rate} attempts a second fail."),
-            "Check the plug, that another device is on, and that our bit rate is the bus's.",
+            format!("No ACK for descan's frames: {rate} failed attempts/s."),
+            "Check the plug, that another device is on, and that the bit rate matches.",
         ),
         Cause::Wires => (
-            "The transceiver reports a fault of the wires.".to_owned(),
+            "The transceiver reports a wiring fault.".to_owned(),
             "Check CAN_H and CAN_L for a break or a short, to each other, to ground and to supply.",
         ),
         Cause::OwnFrames => (
-            format!("Frames of ours break: {rate} a second, {share} of all."),
-            "Check our wiring and our bit rate; another debug device at our address does the same.",
+            format!("Bus errors while sending: {rate}/s, {share} of all frames."),
+            "Check descan's wiring and bit rate; another debug device at the same address has the same effect.",
         ),
         Cause::Broken(violation) => {
             let how = match violation {
-                Some(Violation::Bit) => ", most of them with bit errors",
-                Some(Violation::Stuff) => ", most of them with stuff errors",
-                Some(Violation::Form) => ", most of them with form errors",
+                Some(Violation::Bit) => ", mostly bit errors",
+                Some(Violation::Stuff) => ", mostly stuff errors",
+                Some(Violation::Form) => ", mostly form errors",
                 None => "",
             };
             (
-                format!("Frames break on the bus: {rate} a second, {share} of all{how}."),
+                format!("Bus errors: {rate}/s, {share} of all frames{how}."),
                 "Check the bit rate of every device, both 120 Ω terminators, and the wiring; two devices at one address cause errors too.",
             )
         }
@@ -126,13 +126,13 @@ pub(super) fn bus_errors(summary: &Summary) -> (String, String) {
 /// What is wrong at an address whose frames break, and what to do about it.
 pub(super) fn errors_at(address: Address, names: &[Name], heartbeat: bool) -> (String, String) {
     let who = who(address, names);
-    let what = if heartbeat { "should send its heartbeat" } else { "should answer" };
+    let what = if heartbeat { "should send its heartbeat" } else { "should respond" };
     (
         format!(
-            "The bus breaks frames just when {who} {what}: two devices there that send different bytes do that, or its transceiver."
+            "Bus errors occur when {who} {what}: two devices at that address, or a faulty transceiver."
         ),
         format!(
-            "Switch it off: if something still answers from {address}, give that another address. Otherwise check its transceiver and wiring."
+            "Switch it off: if {address} still responds, give that device another address. Otherwise check its transceiver and wiring."
         ),
     )
 }

@@ -339,7 +339,7 @@ impl Reader<'_, '_> {
         let printable = crate::text::printable(bytes);
         if name.as_bytes() != bytes && !name.eq_ignore_ascii_case(&printable) {
             let message = format!(
-                "`name_hex` stands for {}, but `name` is {}; `name_hex` counts",
+                "`name_hex` is {}, but `name` is {}; `name_hex` is used",
                 text::brief(bytes),
                 text::brief(name.as_bytes())
             );

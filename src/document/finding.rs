@@ -87,7 +87,7 @@ pub(super) fn keep_first(findings: &mut Vec<DocumentFinding>, more: usize) {
     findings.truncate(MOST);
     if let Some(last) = findings.last().filter(|_| more > 0) {
         let (kind, position) = (last.kind, last.position);
-        let message = format!("{more} more like this, or other things, from here on");
+        let message = format!("{more} more errors after this one");
         findings.push(DocumentFinding { kind, position, message, entries: Vec::new() });
     }
 }
@@ -124,7 +124,7 @@ impl<'a> Findings<'a> {
     }
 
     pub fn duplicate(&mut self, key: &str, at: usize, entry: Option<usize>) {
-        let message = format!("`{key}` is there twice; the last one counts");
+        let message = format!("duplicate `{key}`; the last one is used");
         self.add(FindingKind::DuplicateMember, at, message, entry);
     }
 

@@ -454,17 +454,17 @@ impl fmt::Display for Operation {
             Self::Restore { entry, former } => match former.members.first() {
                 Some((Member::Address | Member::Static, _)) => write!(
                     f,
-                    "address of the entry {entry} back to {}{}",
+                    "address of the entry {entry} restored to {}{}",
                     former.address(),
                     if former.entry.is_static { "" } else { ", not static" }
                 ),
                 Some((Member::Name | Member::NameHex, _)) => {
-                    write!(f, "entry {entry:#} named {} again", brief(&former.entry.name))
+                    write!(f, "entry {entry:#} renamed back to {}", brief(&former.entry.name))
                 }
-                _ => write!(f, "services of the entry {entry:#} as before"),
+                _ => write!(f, "services of the entry {entry:#} restored"),
             },
             Self::PutBack { removed } => {
-                write!(f, "entry {:#} put back", EntryKey::of(&removed.entry))
+                write!(f, "entry {:#} restored", EntryKey::of(&removed.entry))
             }
         }
     }

@@ -73,7 +73,7 @@ impl Keymap {
             let action = action(name.get_ref()).ok_or_else(|| {
                 let known: Vec<&str> = ACTIONS.iter().map(|action| action.name).collect();
                 let known = known.join(", ");
-                error(name.span(), format!("no action \"{}\"; there are {known}", name.get_ref()))
+                error(name.span(), format!("unknown action \"{}\"; use {known}", name.get_ref()))
             })?;
             named.push(action.name);
             let one = std::slice::from_ref(value);
@@ -91,7 +91,7 @@ impl Keymap {
                 if let Some((_, other)) = given.iter().find(same) {
                     return Err(error(
                         written.span(),
-                        format!("{key} is already given to {}", other.name),
+                        format!("{key} is already bound to {}", other.name),
                     ));
                 }
                 given.push((key, action));
@@ -163,9 +163,9 @@ mod tests {
     #[test]
     fn errors_say_where() {
         let message = |text| Keymap::parse(text).unwrap_err().to_string();
-        assert!(message("\nrescann = \"r\"").starts_with("line 2: no action \"rescann\"; there"));
+        assert!(message("\nrescann = \"r\"").starts_with("line 2: unknown action \"rescann\"; use"));
         assert!(message("rescan = 5").starts_with("line 1: a key is written like"));
-        assert_eq!(message("redo = \"x\"\nundo = \"x\""), "line 2: x is already given to redo");
+        assert_eq!(message("redo = \"x\"\nundo = \"x\""), "line 2: x is already bound to redo");
         assert!(message("rescan = ").starts_with("line 1: "));
     }
 }

@@ -149,7 +149,7 @@ impl Recording {
         tokio::select! {
             biased;
             read = self.log.recv(), if may_read => {
-                let broken = || io::Error::other("reading it broke off: this is a bug in descan");
+                let broken = || io::Error::other("reader stopped: this is a bug in descan");
                 read.unwrap_or_else(|| Err(broken())).map(Wake::Read)
             }
             reading = file => Ok(Wake::File(reading)),

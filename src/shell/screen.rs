@@ -184,7 +184,7 @@ impl Themes {
             Some(text) => self.parse(name, text)?,
             None => Theme::built_in(name)
                 .map(|theme| theme.limited(self.colours))
-                .ok_or_else(|| format!("there is none; there are {}", self.names().join(", ")))?,
+                .ok_or_else(|| format!("not found; available: {}", self.names().join(", ")))?,
         };
         self.watch = match (&self.folder, text) {
             (Some(folder), Some(text)) => {

@@ -150,7 +150,7 @@ impl Session {
             let parsed = parsing.await;
             *reading = None;
             parsed
-                .unwrap_or_else(|broken| FileReading::Error(format!("reading broke off: {broken}")))
+                .unwrap_or_else(|broken| FileReading::Error(format!("reader stopped: {broken}")))
         };
         let recorder = self.recorder.as_ref();
         let recording = async {
@@ -192,7 +192,7 @@ impl Session {
                 match result {
                     Ok(finished) => Wake::Done(finished),
                     Err(broken) => {
-                        let why = format!("saving broke off: {broken}");
+                        let why = format!("saving stopped: {broken}");
                         Wake::Done(Finished::Saved(SaveOutcome::Failed(why), Vec::new()))
                     }
                 }

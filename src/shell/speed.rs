@@ -71,7 +71,7 @@ pub async fn find(
             if search.wants_rate() && status.link == Link::Up {
                 search.begin(now);
             } else if search.wants_rate() && now.since(opened) > OPENING {
-                let why = status.message.unwrap_or_else(|| format!("{bus} does not open"));
+                let why = status.message.unwrap_or_else(|| format!("{bus} cannot be opened"));
                 return Err(TuneError::NotThere(why));
             }
             heard.clear();
@@ -145,7 +145,7 @@ impl Searching {
 
     /// Waits for news. May be dropped while waiting.
     pub async fn next(&mut self) -> News {
-        let broken = || News::Over(Err("the search for the bit rate broke off".to_owned()));
+        let broken = || News::Over(Err("the bit rate search stopped".to_owned()));
         self.news.recv().await.unwrap_or_else(broken)
     }
 }

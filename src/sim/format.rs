@@ -195,7 +195,7 @@ impl Scenario {
             let for_bus = matches!(event.action, Action::ErrorRate(_));
             if for_bus != event.device.is_empty() {
                 let problem =
-                    if for_bus { "concerns the bus, no device" } else { "needs `device`" };
+                    if for_bus { "applies to the bus, not to a device" } else { "needs `device`" };
                 return Err(place.incomplete(problem));
             }
             if !for_bus && !labels.contains(&event.device) {
@@ -304,7 +304,7 @@ impl EventWritten {
         if let Some((key, ..)) =
             given.into_iter().find(|(_, given, by)| *given && !by.contains(&self.what))
         {
-            return Err(place.incomplete(&format!("`{key}` means nothing to what it does")));
+            return Err(place.incomplete(&format!("`{key}` not allowed for this action")));
         }
         let needs = |key: &str| place.incomplete(&format!("needs `{key}`"));
         let services = self.services.map(|services| place.services(services)).transpose()?;

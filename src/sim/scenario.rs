@@ -123,7 +123,7 @@ impl TryFrom<AddressWritten> for AddressChoice {
         let address = |number| {
             Address::new(number)
                 .filter(|&address| address != Address::DEBUG)
-                .ok_or_else(|| format!("{number} is not a node's address, 1 to 127"))
+                .ok_or_else(|| format!("{number} is not a node address (1 to 127)"))
         };
         Ok(match written {
             AddressWritten::Any => Self::Any,
@@ -429,7 +429,7 @@ pub enum ScenarioError {
     #[error("{0}")]
     Syntax(#[from] toml::de::Error),
     /// No built-in scenario of that name.
-    #[error("there is no built-in scenario \"{name}\" (there are: boiler, drone)")]
+    #[error("no built-in scenario \"{name}\" (use boiler or drone)")]
     NoSuchScenario {
         /// The name.
         name: String,
@@ -461,7 +461,7 @@ pub enum ScenarioError {
         label: String,
     },
     /// The timetable names a device that is not there.
-    #[error("{place}: there is no device labelled \"{device}\"")]
+    #[error("{place}: no device labelled \"{device}\"")]
     UnknownDevice {
         /// Which entry.
         place: String,

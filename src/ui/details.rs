@@ -92,7 +92,7 @@ impl<'a> Details<'_, 'a> {
         self.lines.push(line);
         let unseen = row.state == State::Unseen;
         if let Some(device) = device.filter(|device| unseen || !device.is_here()) {
-            let text = format!("last heard {} ago", spell(self.ago(device.last_seen)));
+            let text = format!("last seen {} ago", spell(self.ago(device.last_seen)));
             self.add("", Role::Text, &text);
         }
         self.other_buses(device);
@@ -104,7 +104,7 @@ impl<'a> Details<'_, 'a> {
                 .filter(|it| it.id != device.id && it.is_here() && it.name == device.name)
                 .map(|it| it.address.to_string())
                 .collect();
-            self.add("", Role::Text, &format!("² a twin: the same name at {}", twins.join(", ")));
+            self.add("", Role::Text, &format!("² same name at {} (allowed)", twins.join(", ")));
         }
     }
 
@@ -191,15 +191,15 @@ impl<'a> Details<'_, 'a> {
         let is_shared = self.app().is_shared(device);
         self.blank();
         let text = match (beats.period(), beats.jitter()) {
-            _ if beats.count == 0 => "none heard".to_owned(),
+            _ if beats.count == 0 => "none received".to_owned(),
             // Counted together they would be those of one that is not there.
-            _ if is_shared => "of two senders, mixed".to_owned(),
+            _ if is_shared => "mixed: two senders".to_owned(),
             (Some(period), Some(jitter)) => {
                 let millis = jitter.as_micros() as f64 / 1000.0;
                 format!("{:.2} s ±{millis:.0} ms", period.as_secs_f64())
             }
             (Some(period), None) => format!("{:.2} s", period.as_secs_f64()),
-            (None, _) => "one heard".to_owned(),
+            (None, _) => "one received".to_owned(),
         };
         let missed = match beats.missed {
             _ if is_shared => String::new(),
@@ -246,7 +246,7 @@ impl<'a> Details<'_, 'a> {
             self.add("framing", Role::Text, &framing.to_string());
         }
         if device.is_debug {
-            self.add("", Role::Text, "a debug device");
+            self.add("", Role::Text, "debug device");
         }
     }
 
@@ -254,11 +254,11 @@ impl<'a> Details<'_, 'a> {
         self.blank();
         let Some(services) = &device.services else {
             let state = match device.services_query.state {
-                QueryState::NotAsked => "not asked",
-                QueryState::Asked => "asked …",
-                QueryState::Receiving => "arriving …",
-                QueryState::Answered => "not usable",
-                QueryState::Unanswered => "no answer",
+                QueryState::NotAsked => "not requested",
+                QueryState::Asked => "requested …",
+                QueryState::Receiving => "receiving …",
+                QueryState::Answered => "malformed",
+                QueryState::Unanswered => "no response",
             };
             return self.add("services", Role::Muted, state);
         };
@@ -298,7 +298,7 @@ impl<'a> Details<'_, 'a> {
             !services.iter().any(|own| own.name.to_string() == printable(&listed.name))
         });
         for listed in gone {
-            let text = format!("  ✗ {} listed, not there", printable(&listed.name));
+            let text = format!("  ✗ {} listed, missing", printable(&listed.name));
             self.lines.push(Line::from(self.brush.span(Role::FileDiffers, text)));
         }
     }
@@ -310,17 +310,17 @@ impl<'a> Details<'_, 'a> {
         let (role, text) = match (self.row.file, device) {
             (FileWord::Nothing, _) => return,
             (FileWord::New, _) => {
-                (Role::New, format!("not listed ({} takes it in)", app.key_of("add")))
+                (Role::New, format!("not in file ({} adds it)", app.key_of("add")))
             }
             (FileWord::Listed(None), _) => (Role::Text, "listed without address".to_owned()),
             (FileWord::Listed(Some(address)), _) => {
                 (Role::Text, format!("listed, last at {address}, not static"))
             }
             (FileWord::Agrees(address), _) => {
-                (Role::FileOk, format!("static {address}, as on the bus"))
+                (Role::FileOk, format!("static {address}, matches"))
             }
             (FileWord::Differs(address), Some(device)) => {
-                (Role::FileDiffers, format!("static {address}, but it is at {}", device.address))
+                (Role::FileDiffers, format!("static {address}, device at {}", device.address))
             }
             (FileWord::Differs(address) | FileWord::Pinned(address), _) => {
                 (Role::Text, format!("static {address}"))
@@ -359,7 +359,7 @@ impl<'a> Details<'_, 'a> {
             self.add(" ", Role::Text, &format!("{times} {ago} ago"));
         }
         if let Some(from) = device.moved_from {
-            self.add(" ", Role::Text, &format!("moved here from {from}"));
+            self.add(" ", Role::Text, &format!("moved from {from}"));
         }
     }
 
@@ -369,7 +369,7 @@ impl<'a> Details<'_, 'a> {
             .filter_map(|(what, query)| self.question(what, query))
             .collect();
         for (at, text) in lines.iter().enumerate() {
-            self.add(if at == 0 { "asked" } else { " " }, Role::Muted, text);
+            self.add(if at == 0 { "requests" } else { " " }, Role::Muted, text);
         }
     }
 
@@ -382,7 +382,7 @@ impl<'a> Details<'_, 'a> {
                 Some(format!("{what} {}{}", at(answered), took.unwrap_or_default()))
             }
             (None, Some(asked)) => {
-                Some(format!("{what} ×{}, last {}, no answer", query.attempts, at(asked)))
+                Some(format!("{what} ×{}, last {}, no response", query.attempts, at(asked)))
             }
             (None, None) => None,
         }
@@ -411,7 +411,7 @@ fn before(device: &Device, service: &ServiceEntry) -> Option<String> {
     match previous.iter().find(|before| before.name == service.name) {
         Some(before) if before.version == service.version => None,
         Some(before) => Some(before.version.to_string()),
-        None => Some("not there".to_owned()),
+        None => Some("missing".to_owned()),
     }
 }
 

@@ -30,7 +30,7 @@ impl Column {
         [C::Bus, C::Address, C::Name, C::State, C::Mode, C::Services, C::Age, C::File];
     /// In the order in which they give way.
     const GIVE_WAY: [Column; 4] = [C::Services, C::Mode, C::Age, C::Bus];
-    const NAME_WIDTH: std::ops::RangeInclusive<usize> = 6..=20;
+    const NAME_WIDTH: std::ops::RangeInclusive<usize> = 5..=20;
 
     const fn title(self) -> &'static str {
         match self {
@@ -51,7 +51,7 @@ impl Column {
             C::Bus | C::File => 6,
             C::Name | C::Services => 3,
             C::Address | C::Age => 4,
-            C::State => 7,
+            C::State => 8,
             C::Mode => 5,
         }
     }
@@ -172,15 +172,15 @@ fn draw_header(brush: &mut Brush, area: Rect, columns: &Columns) {
 fn draw_nothing(brush: &mut Brush, list: Rect) {
     let app = brush.app;
     if !app.view().filter(crate::app::Page::Devices).is_empty() {
-        return brush.filtered(list, "no device fits the filter");
+        return brush.filtered(list, "no device matches the filter");
     }
     let is_over = !app.buses().is_empty() && app.buses().iter().all(|bus| bus.ended.is_some());
     let is_listening = app.buses().iter().any(crate::app::Bus::is_up);
     brush.nothing(
         list,
         match (is_over, is_listening) {
-            (true, _) => "the log tells of no device",
-            (_, true) => "no device was heard yet",
+            (true, _) => "no devices in the log",
+            (_, true) => "no devices found yet",
             _ => "no device: no bus is up",
         },
     );
@@ -222,7 +222,7 @@ fn cell(
         C::State => (state_role(row.state), row.state.word().to_owned()),
         C::Mode => match device.and_then(|device| device.mode) {
             Some(mode) => (plain, mode.to_string()),
-            None if device.is_some_and(|device| !device.working) => (plain, "not w.".to_owned()),
+            None if device.is_some_and(|device| !device.working) => (plain, "!WORK".to_owned()),
             None => (Role::Muted, if device.is_some() { "?" } else { "" }.to_owned()),
         },
         C::Services => match device {

@@ -170,11 +170,11 @@ fn hint(brush: &Brush, name: &str) -> Option<(Key, &'static str)> {
         ("details", Page::Timeline, _) => "frames",
         ("details", Page::Problems, _) if brush.screen.details.height > 0 => {
             let is_seen = brush.app.selected_problem().is_none_or(|problem| problem.was_seen());
-            if is_seen { "frames" } else { "its row" }
+            if is_seen { "frames" } else { "go to row" }
         }
         ("details", Page::Traffic, Some(evidence)) if evidence.around => "only evidence",
-        ("details", Page::Traffic, Some(_)) => "all around it",
-        ("problem", Page::Problems, _) => "its device",
+        ("details", Page::Traffic, Some(_)) => "all frames",
+        ("problem", Page::Problems, _) => "go to device",
         ("cancel", ..) => "back",
         ("mute", ..) if brush.app.selected_problem().is_some_and(|it| it.is_muted) => "unmute",
         _ => word,

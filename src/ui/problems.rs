@@ -31,7 +31,7 @@ const WITH_TIME: u16 = 56;
 fn draw_list(brush: &mut Brush) {
     let (header, list) = (brush.screen.header, brush.screen.list);
     let time = if list.width >= WITH_TIME { "SINCE    " } else { "" };
-    let title = format!("    {} {time}WHAT", fit("WHERE", bus_width(brush) + ADDRESS));
+    let title = format!("    {} {time}PROBLEM", fit("WHERE", bus_width(brush) + ADDRESS));
     let line = Line::from(brush.span(Role::Header, title));
     brush.line(header, 0, &line);
     let list = draw_file_problem(brush, list);
@@ -42,13 +42,13 @@ fn draw_list(brush: &mut Brush) {
             return;
         }
         if !app.view().filter(Page::Problems).is_empty() {
-            return brush.filtered(list, "no problem fits the filter");
+            return brush.filtered(list, "no problem matches the filter");
         }
         // Where a bus cannot be seen, nothing may be said of it.
         let text = if brush.is_blind() {
-            "no problem was seen so far"
+            "no problems so far"
         } else {
-            "nothing is wrong, as far as can be seen"
+            "no problems found"
         };
         return brush.nothing(list, text);
     }
@@ -169,7 +169,7 @@ impl Details<'_, '_> {
         let since = self.problem.since();
         let (at, ago) = (clock(app, since), spell(app.looked_at().since(since)));
         let word = match head.confidence {
-            Confidence::Cleared => "over ",
+            Confidence::Cleared => "cleared ",
             Confidence::Suspected => "suspected ",
             Confidence::Confirmed if head.key.kind.is_collision() => "confirmed ",
             Confidence::Confirmed => "",
@@ -180,7 +180,7 @@ impl Details<'_, '_> {
         ]));
         if self.problem.is_muted {
             let key = app.key_of("mute");
-            self.add("", Role::Muted, &format!("muted: it does not count ({key} undoes it)"));
+            self.add("", Role::Muted, &format!("muted ({key} unmutes)"));
         }
     }
 
@@ -226,12 +226,12 @@ impl Details<'_, '_> {
         let count = self.problem.count().max(pieces.len() as u64);
         let kept = pieces.len();
         let text = match count {
-            1 => "1 piece of evidence".to_owned(),
-            _ if count > kept as u64 => format!("{count} pieces of evidence, {kept} kept"),
-            _ => format!("{count} pieces of evidence"),
+            1 => "1 event".to_owned(),
+            _ if count > kept as u64 => format!("{count} events, {kept} stored"),
+            _ => format!("{count} events"),
         };
         self.lines.push(Line::from(brush.span(Role::Title, text)));
-        self.add("", Role::Muted, &format!("{key} shows their frames"));
+        self.add("", Role::Muted, &format!("{key} shows the frames"));
         for piece in &pieces {
             let time = format!("{} ", clock_millis(brush.app, piece.time));
             self.add(&time, Role::Text, &piece.what);

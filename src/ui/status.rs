@@ -198,7 +198,7 @@ fn bus_parts(brush: &Brush, index: BusIndex) -> Parts {
     }
     parts.extend(place_in_log(brush, bus));
     if brush.app.view().frozen.is_some() {
-        parts.insert(1, vec![brush.span(Role::Warning, "HELD")]);
+        parts.insert(1, vec![brush.span(Role::Warning, "FROZEN")]);
     }
     let is_searched = brush.app.searches_bitrate_of(index);
     let message = bus.status.message.as_ref().filter(|_| !bus.is_up() && !is_searched);
@@ -313,7 +313,7 @@ fn state(brush: &Brush, index: BusIndex, bus: &Bus) -> Span<'static> {
         (Link::Up, BusState::Stopped) => ("STOPPED", Role::Error),
     };
     if brush.app.searches_bitrate_of(index) {
-        return brush.span(Role::Warning, "its bit rate is looked for");
+        return brush.span(Role::Warning, "searching bit rate");
     }
     brush.span(role, word)
 }
@@ -324,7 +324,7 @@ fn warning(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
         let keymap = brush.app.keymap();
         let key = action("bit-rate").and_then(|action| keymap.keys_of(action).next());
         let key = key.map(|key| format!(" ({key})")).unwrap_or_default();
-        let text = format!("only broken frames: another bit rate?{key}");
+        let text = format!("only bus errors: wrong bit rate?{key}");
         return Some(vec![brush.span(Role::Error, text)]);
     }
     if bus.engine.config().listen_only {
@@ -334,7 +334,7 @@ fn warning(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
     }
     let why = match bus.hindrance()? {
         Hindrance::QueueFull => "transmit queue full",
-        Hindrance::Unacknowledged => "nobody acknowledges",
+        Hindrance::Unacknowledged => "no ACK",
     };
     Some(vec![brush.span(Role::Error, why)])
 }
@@ -343,18 +343,19 @@ fn own_address(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
     if bus.engine.config().listen_only {
         return None;
     }
+    let own = if brush.screen.whole.width < 110 { "own" } else { "own addr" };
     let label = |text: String| vec![brush.span(Role::Muted, text)];
     Some(match bus.engine.own_address() {
         OwnAddress::Held(address) => {
-            vec![brush.span(Role::Muted, "me "), brush.span(Role::Text, address.to_string())]
+            vec![brush.span(Role::Muted, format!("{own} ")), brush.span(Role::Text, address.to_string())]
         }
         OwnAddress::Blocked(Some(address)) => {
-            vec![brush.span(Role::Error, format!("me {address} in use"))]
+            vec![brush.span(Role::Error, format!("{own} {address} in use"))]
         }
-        OwnAddress::Blocked(None) => vec![brush.span(Role::Error, "no address free")],
-        OwnAddress::Claiming(address) => label(format!("me {address}?")),
+        OwnAddress::Blocked(None) => vec![brush.span(Role::Error, "no free address")],
+        OwnAddress::Claiming(address) => label(format!("{own} {address}?")),
         OwnAddress::Listening => label("listening".to_owned()),
-        OwnAddress::None => label("me –".to_owned()),
+        OwnAddress::None => label(format!("{own} –")),
     })
 }
 
@@ -390,9 +391,9 @@ fn counts(brush: &Brush) -> Parts {
             brush.span(if count > 0 { role } else { Role::Muted }, word),
         ]
     };
-    let mut parts = vec![one(Role::Online, "●", counts.here, "here")];
+    let mut parts = vec![one(Role::Online, "●", counts.here, "present")];
     if counts.unseen > 0 {
-        parts.push(one(Role::Muted, "·", counts.unseen, "unseen"));
+        parts.push(one(Role::Muted, "·", counts.unseen, "unknown"));
     }
     // Without their words the two look the same.
     let (missing, lost) =
@@ -416,7 +417,7 @@ fn counts(brush: &Brush) -> Parts {
 fn recording(brush: &Brush) -> Option<Vec<Span<'static>>> {
     let status = brush.app.recording()?;
     if status.failure.is_some() {
-        return Some(vec![brush.span(Role::Error, "✗ rec over")]);
+        return Some(vec![brush.span(Role::Error, "✗ rec stopped")]);
     }
     let mut spans = vec![
         brush.span(Role::Recording, "● rec"),
@@ -445,10 +446,10 @@ fn file(brush: &Brush, whole: bool) -> Parts {
             };
             parts.push(vec![name, brush.span(Role::Error, text)]);
             if whole && file.was_good() {
-                // Where there is no room for the word, the number is not cut.
+                // Where there is no room for the number, it is left out, not cut.
                 let word = if entries == 1 { " entry" } else { " entries" };
-                let text = format!("last good: {entries}");
-                parts.push(vec![brush.span(Role::Muted, text), brush.span(Role::Muted, word)]);
+                let text = format!(": {entries}{word}");
+                parts.push(vec![brush.span(Role::Muted, "using last valid"), brush.span(Role::Muted, text)]);
             }
             return parts;
         }
@@ -470,15 +471,15 @@ fn file(brush: &Brush, whole: bool) -> Parts {
         parts.push(vec![name, brush.span(Role::Error, " ✗ conflict")]);
         if whole && !matches!(brush.app.overlay(), Overlay::Conflict) {
             let key = brush.app.key_of("save");
-            parts.push(vec![brush.span(Role::Muted, format!("{key} shows it"))]);
+            parts.push(vec![brush.span(Role::Muted, format!("{key} resolves it"))]);
         }
     } else if unsaved > 0 {
         parts.push(vec![name, brush.span(Role::Warning, format!(" … saving {unsaved}"))]);
         if whole && file.emptied_since().is_some() {
-            parts.push(vec![brush.span(Role::Muted, "empty just now")]);
+            parts.push(vec![brush.span(Role::Muted, "empty (being written?)")]);
         }
     } else if file.emptied_since().is_some() {
-        parts.push(vec![name, brush.span(Role::Warning, " empty just now")]);
+        parts.push(vec![name, brush.span(Role::Warning, " empty (being written?)")]);
     } else if !file.is_read() {
         parts.push(vec![name, brush.span(Role::Muted, " …")]);
     } else if file.is_there() {
@@ -493,7 +494,7 @@ fn file(brush: &Brush, whole: bool) -> Parts {
             parts.push(vec![brush.span(Role::Warning, format!("! {odd}"))]);
         }
     } else {
-        parts.push(vec![name, brush.span(Role::Muted, " not there yet")]);
+        parts.push(vec![name, brush.span(Role::Muted, " not found")]);
     }
     parts
 }

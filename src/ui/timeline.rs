@@ -9,16 +9,16 @@ use unicode_width::UnicodeWidthStr;
 pub fn draw(brush: &mut Brush) {
     let (header, list) = (brush.screen.header, brush.screen.list);
     let bus = if shows_bus(brush) { "BUS    " } else { "" };
-    let title = format!("  {:8}   {bus}{:12} WHAT", "TIME", "WHO");
+    let title = format!("  {:8}   {bus}{:12} EVENT", "TIME", "SOURCE");
     let line = Line::from(brush.span(Role::Header, title));
     brush.line(header, 0, &line);
     let app = brush.app;
     let numbers = app.lines_shown();
     if numbers.is_empty() {
         let text = if app.view().filter(Page::Timeline).is_empty() {
-            "nothing has happened yet"
+            "no events yet"
         } else {
-            return brush.filtered(list, "no line fits the filter");
+            return brush.filtered(list, "no event matches the filter");
         };
         let line = Line::from(brush.span(Role::Muted, format!("   {text}")));
         return brush.line(list, 1, &line);

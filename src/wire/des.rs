@@ -60,16 +60,16 @@ pub enum Asked {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
 pub enum AnswerFault {
     /// The first byte is not the type that was asked for.
-    #[error("not a name answer")]
+    #[error("not a name response")]
     NotAName,
     /// The first byte is not 02.
-    #[error("not a services answer")]
+    #[error("not a services response")]
     NotServices,
     /// The message ends inside a string or before a service's version.
     #[error("truncated")]
     Truncated,
     /// The first service's index is not 0.
-    #[error("bad index")]
+    #[error("service index out of order")]
     BadIndex,
     /// More than [`MAX_SERVICES`].
     #[error("more than 256 services")]

@@ -85,7 +85,7 @@ pub enum Pci<'a> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PciFault {
     /// No bytes at all.
-    #[error("no bytes")]
+    #[error("empty frame")]
     Empty,
     /// The length in the PCI does not fit the frame.
     #[error("a length that does not fit the frame")]
@@ -202,16 +202,16 @@ pub enum TransferFault {
     #[error("no flow control within 1 s")]
     ReceiverSilent,
     /// The message is longer than we take, or than its first frame may say.
-    #[error("a message of {0} bytes; 4095 are allowed")]
+    #[error("{0} bytes exceed the limit of 4095")]
     TooLong(u32),
     /// A first frame whose length would have fitted a single frame, or that is not filled.
-    #[error("a first frame with an impossible length")]
+    #[error("first frame with invalid length")]
     BadFirstFrame,
     /// The receiver said OVERFLOW.
-    #[error("the receiver refused the length")]
+    #[error("flow control: overflow")]
     Refused,
     /// The receiver said WAIT too often.
-    #[error("the receiver asked to wait too often")]
+    #[error("flow control: too many WAIT frames")]
     TooManyWaits,
 }
 

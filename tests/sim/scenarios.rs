@@ -160,8 +160,8 @@ fn what_is_wrong_with_a_scenario_is_named() {
         ("bitrate = 125000\nerror_rate = 2.0", "error_rate = 2 is not a share"),
         ("bitrate = 125000\n[[device]]\n", "number 1 (without a name): needs `name`"),
         (&format!("{device}[[device]]\nname = \"A\""), "two devices are labelled \"A\""),
-        (&format!("{device}address = {{ fixed = 128 }}"), "128 is not a node's address"),
-        (&format!("{device}address = {{ fixed = 0 }}"), "0 is not a node's address"),
+        (&format!("{device}address = {{ fixed = 128 }}"), "128 is not a node address"),
+        (&format!("{device}address = {{ fixed = 0 }}"), "0 is not a node address"),
         (&format!("{device}uid = \"small\""), "uid = small is not up to 8 characters"),
         (&format!("{device}name_hex = \"41\""), "both `name` and `name_hex`"),
         (&format!("{device}faults = [\"lazy\"]"), "unknown variant `lazy`"),
@@ -172,7 +172,7 @@ fn what_is_wrong_with_a_scenario_is_named() {
         (&format!("{device}chatter = [{{ service = 1024, period_ms = 1 }}]"), "service = 1024"),
         (
             &format!("{device}[[at]]\ntime = 1.0\ndevice = \"B\"\ndo = \"leave\""),
-            "[[at]] number 1: there is no device labelled \"B\"",
+            "[[at]] number 1: no device labelled \"B\"",
         ),
         (&format!("{device}[[at]]\ntime = 1.0\ndo = \"leave\""), "needs `device`"),
         (
@@ -181,7 +181,7 @@ fn what_is_wrong_with_a_scenario_is_named() {
         ),
         (
             &format!("{device}[[at]]\ntime = 1.0\ndevice = \"A\"\ndo = \"leave\"\nrate = 0.5"),
-            "`rate` means nothing",
+            "`rate` not allowed",
         ),
         (&format!("{device}[[at]]\ntime = nan\ndevice = \"A\"\ndo = \"leave\""), "time = NaN"),
     ];

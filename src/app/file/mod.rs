@@ -458,7 +458,7 @@ impl FileState {
                 Some(Conflict { operation, of, .. }) => {
                     let first = operation.subject();
                     let more = if of > 1 { format!(" and {} more", of - 1) } else { String::new() };
-                    told = format!("{told}, but not {first}{more}, changed by somebody else since");
+                    told = format!("{told}, except {first}{more} (changed on disk)");
                 }
                 None => {}
             }

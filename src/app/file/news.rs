@@ -139,17 +139,17 @@ pub enum Refusal {
     NoFile,
     #[error("the file has not been read yet")]
     NotRead,
-    #[error("broken, mend it first: {0}")]
+    #[error("file has errors, fix it first: {0}")]
     Broken(String),
-    #[error("first choose between your value and the one in the file")]
+    #[error("resolve the edit conflict first")]
     Conflict,
-    #[error("there is nothing to take back")]
+    #[error("nothing to undo")]
     NothingToUndo,
-    #[error("there is nothing to make again")]
+    #[error("nothing to redo")]
     NothingToRedo,
-    #[error("not {done}: {name}; theirs: {theirs}")]
+    #[error("not {done}: {name}; on disk: {theirs}")]
     ChangedSince { done: &'static str, name: String, theirs: String },
-    #[error("need not be {done}, it is so already: {name}")]
+    #[error("already {done}: {name}")]
     SoAlready { done: &'static str, name: String },
     #[error(transparent)]
     Edit(#[from] EditError),

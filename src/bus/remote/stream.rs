@@ -141,7 +141,7 @@ pub(in crate::bus) fn open<E: Endpoint, D: Dialogue>(
     };
     port.serve(move |line| {
         if let Err(error) = carrier.run(backoff) {
-            line.queue.finish(Link::Failed, format!("cannot go on: {error}"));
+            line.queue.finish(Link::Failed, format!("stopped: {error}"));
         }
     })?;
     Ok(port)
@@ -205,7 +205,7 @@ impl<E: Endpoint, D: Dialogue> Carrier<E, D> {
             match receiver.try_recv() {
                 Ok(opened) => return Ok(Some(opened)),
                 Err(TryRecvError::Disconnected) => {
-                    return Err(io::Error::other("opening it broke off: this is a bug in descan"));
+                    return Err(io::Error::other("opening thread stopped: this is a bug in descan"));
                 }
                 Err(TryRecvError::Empty) => {}
             }

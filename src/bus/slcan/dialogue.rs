@@ -215,12 +215,12 @@ impl Slcan {
             }
             Command::Rate(_) => {
                 let rate = self.settings.bitrate.unwrap_or_default();
-                format!("refuses {rate} bit/s ({text}): try another, or none to keep its own")
+                format!("rejects {rate} bit/s ({text}); use another rate, or none to keep the adapter's")
             }
             Command::Open if self.settings.listen_only => {
-                format!("refuses to only listen ({text})")
+                format!("rejects listen-only ({text})")
             }
-            Command::Open => format!("refuses to be opened ({text}): is a bit rate set?"),
+            Command::Open => format!("does not open ({text}); set a bit rate: @500000"),
         };
         exchange.break_with(Link::Down, format!("the adapter at {} {why}", self.device));
     }
@@ -249,16 +249,16 @@ impl Slcan {
         let names: Vec<&str> = names.into_iter().flatten().collect();
         let mut parts = Vec::new();
         if !names.is_empty() {
-            parts.push(format!("the adapter says {}", names.join(" ")));
+            parts.push(format!("adapter: {}", names.join(" ")));
         }
         if !self.answers {
-            parts.push("nothing is acknowledged: what is written counts as sent".to_owned());
+            parts.push("adapter confirms no frames: written counts as sent".to_owned());
         }
         if self.settings.bitrate.is_none() {
-            parts.push("the adapter's own bit rate is kept, which is not known".to_owned());
+            parts.push("adapter's bit rate kept (unknown)".to_owned());
         }
         if self.settings.data_bitrate.is_some() && !self.takes_fd {
-            parts.push("the adapter takes no FD frames".to_owned());
+            parts.push("adapter does not support FD frames".to_owned());
         }
         parts.join("; ")
     }
@@ -317,8 +317,8 @@ impl Slcan {
                 "is bus-off: check wiring and bit rate, then restart descan or the adapter"
             }
             BusState::ErrorPassive => {
-                "is error-passive: check bit rate, wiring and termination, and that another node \
-                 is on"
+                "is error-passive: check bit rate, wiring, termination and that another \
+                 node is on"
             }
             _ => {
                 status.message = None;
@@ -333,7 +333,7 @@ impl Slcan {
         self.unreadable += 1;
         if self.readable == 0 && self.unreadable == NO_SLCAN_AFTER {
             exchange.status.note = Some(format!(
-                "what {} says is no slcan: is it an slcan adapter, and at this baud rate?",
+                "{} does not speak slcan; check adapter and baud rate",
                 self.device
             ));
         }
@@ -385,7 +385,7 @@ impl Slcan {
             if self.flags.missing == FLAGS_MISSING && self.answers {
                 if self.flags.last.is_some() {
                     return exchange
-                        .break_with(Link::Down, format!("{} does not answer", self.device));
+                        .break_with(Link::Down, format!("no response from {}", self.device));
                 }
                 self.flags.wanted = false;
                 self.flags.asked = None;
@@ -511,7 +511,7 @@ impl Dialogue for Slcan {
             exchange.status.transmit_failures += 1;
             if frame.fd {
                 exchange.status.note = Some(
-                    "FD frames are not sent: say the bit rate of their data phase, as in \
+                    "FD frames not sent; set a data bit rate, as in \
                      @500000/2000000"
                         .to_owned(),
                 );
@@ -643,7 +643,7 @@ mod tests {
         assert_eq!(talk.hear(9, b"\r"), "O.");
         assert_eq!(talk.hear(11, b"\r"), "");
         assert_eq!(talk.exchange.status.link, Link::Up);
-        assert_eq!(talk.exchange.status.note.as_deref(), Some("the adapter says V1013 NA123"));
+        assert_eq!(talk.exchange.status.note.as_deref(), Some("adapter: V1013 NA123"));
         assert_eq!(talk.pass(11), "F.");
         talk.hear(13, b"F20\r");
         assert_eq!(talk.exchange.status.state, BusState::ErrorPassive);

@@ -76,7 +76,7 @@ impl Endpoint for SerialPort {
             .open(&self.device)
             .map_err(|error| self.cannot_open(&error))?;
         let Ok(mut settings) = tcgetattr(&port) else {
-            return Err(away(Link::NotCan, format!("{name} is no serial port")));
+            return Err(away(Link::NotCan, format!("{name} is not a serial port")));
         };
         let port = Flock::lock(port, FlockArg::LockExclusiveNonblock)
             .map_err(|_| away(Link::Down, format!("{name} is in use by another program")))?;
@@ -100,7 +100,7 @@ impl Endpoint for SerialPort {
     }
 
     fn broken_off(&self) -> Away {
-        let message = format!("{} is gone: plug it in again", self.device.display());
+        let message = format!("{} unplugged: plug it in again", self.device.display());
         Away { link: Link::Unplugged, message }
     }
 
@@ -122,9 +122,9 @@ impl SerialPort {
             }
             Errno::EACCES | Errno::EPERM => (Link::Down, advice_permission(&self.device)),
             Errno::EBUSY => (Link::Down, format!("{name} is in use by another program")),
-            Errno::EISDIR => (Link::NotCan, format!("{name} is no serial port")),
+            Errno::EISDIR => (Link::NotCan, format!("{name} is not a serial port")),
             // The other end of a pty is closed.
-            Errno::EIO => (Link::Missing, format!("nothing is at the other end of {name}")),
+            Errno::EIO => (Link::Missing, format!("{name}: no device connected")),
             _ => (Link::Down, format!("cannot open {name}: {error}")),
         };
         Away { link, message }
@@ -135,9 +135,9 @@ fn advice_missing(device: &Path) -> String {
     let name = device.display();
     let others = serial_ports();
     if others.is_empty() {
-        return format!("there is no {name}, and no other adapter's port: is it plugged in?");
+        return format!("{name} not found, nor another adapter's port: is it plugged in?");
     }
-    format!("there is no {name}; there is {}", others.join(", "))
+    format!("{name} not found; available: {}", others.join(", "))
 }
 
 fn advice_permission(device: &Path) -> String {
@@ -146,10 +146,10 @@ fn advice_permission(device: &Path) -> String {
     let group = group.filter(|gid| gid.as_raw() != 0).and_then(|gid| Group::from_gid(gid).ok()?);
     match group {
         Some(group) => format!(
-            "{name} is not for you: sudo usermod -aG {} \"$USER\", then log in again",
+            "no permission for {name}: sudo usermod -aG {} \"$USER\", then log in again",
             group.name
         ),
-        None => format!("{name} is not for you: sudo chmod a+rw {name}"),
+        None => format!("no permission for {name}: sudo chmod a+rw {name}"),
     }
 }
 

@@ -42,7 +42,7 @@ impl Controller {
     pub(in crate::bus) fn of(name: &str) -> Result<Self, Refusal> {
         let ifindex = if_nametoindex(name).map_err(|_| Refusal::NotThere(advice_missing(name)))?;
         if !is_can(name) {
-            return Err(Refusal::NotThere(format!("{name} is no CAN interface")));
+            return Err(Refusal::NotThere(format!("{name} is not a CAN interface")));
         }
         let interface = CanInterface::open_iface(ifindex);
         let details = interface.details().map_err(refusal)?;

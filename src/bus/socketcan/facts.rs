@@ -113,7 +113,7 @@ impl Facts {
     pub(super) fn note(&self, name: &str) -> Option<String> {
         self.hides_errors.then(|| {
             format!(
-                "{name} does not report bus errors, which collisions cause; for that: sudo ip link \
+                "{name} does not report bus errors; enable them: sudo ip link \
                  set {name} down && sudo ip link set {name} up type can berr-reporting on"
             )
         })
@@ -134,12 +134,12 @@ impl Facts {
                 ),
             }),
             BusState::ErrorPassive if self.tec.is_some_and(|tec| tec >= 128) => Some(format!(
-                "{name} is error-passive, nobody acknowledges: is another node on, wired, \
-                 terminated and at {}?",
+                "{name} is error-passive (no ACK): check that another node is on, wired, \
+                 terminated and at {}",
                 self.bitrate.map_or("the same bit rate".into(), |rate| format!("{rate} bit/s"))
             )),
             BusState::ErrorPassive => Some(format!(
-                "{name} is error-passive, it hears broken frames: check bit rate, wiring and \
+                "{name} is error-passive (receive errors): check bit rate, wiring and \
                  termination"
             )),
             BusState::Stopped => {
@@ -166,12 +166,12 @@ pub(super) fn advice_missing(name: &str) -> String {
     let names: Vec<_> = others.iter().map(|interface| interface.name.as_str()).collect();
     if name.starts_with("vcan") {
         format!(
-            "there is no {name}: sudo ip link add {name} type vcan && sudo ip link set {name} up"
+            "{name} not found: sudo ip link add {name} type vcan && sudo ip link set {name} up"
         )
     } else if names.is_empty() {
-        format!("there is no {name}, and no other CAN interface: is the adapter plugged in?")
+        format!("{name} not found, nor another CAN interface: is the adapter plugged in?")
     } else {
-        format!("there is no {name}; there is {}", names.join(", "))
+        format!("{name} not found; available: {}", names.join(", "))
     }
 }
 
@@ -209,9 +209,9 @@ mod tests {
         assert!(off.contains("bus-off") && off.contains("type can restart"), "{off}");
         let alone = Facts { tec: Some(128), bitrate: Some(125_000), ..up(BusState::ErrorPassive) };
         let alone = alone.advice("can0").unwrap();
-        assert!(alone.contains("nobody acknowledges") && alone.contains("125000 bit/s"), "{alone}");
+        assert!(alone.contains("no ACK") && alone.contains("125000 bit/s"), "{alone}");
         let deaf = Facts { rec: Some(128), tec: Some(0), ..up(BusState::ErrorPassive) };
-        assert!(deaf.advice("can0").unwrap().contains("hears broken frames"));
+        assert!(deaf.advice("can0").unwrap().contains("receive errors"));
         assert!(advice_missing("vcan77").contains("ip link add vcan77 type vcan"));
     }
 }

@@ -240,13 +240,13 @@ impl Reader {
     fn find(&mut self) -> Option<RawSocket> {
         let name = &self.watch.name;
         let opened = match if_nametoindex(name.as_str()) {
-            Ok(_) if !is_can(name) => Err((Link::NotCan, format!("{name} is no CAN interface"))),
+            Ok(_) if !is_can(name) => Err((Link::NotCan, format!("{name} is not a CAN interface"))),
             Ok(ifindex) => match RawSocket::open(ifindex, &self.only) {
                 Ok(socket) => Ok((ifindex, socket)),
                 Err(error) => Err(self.cannot_open(&error)),
             },
             Err(_) if self.was_there => {
-                Err((Link::Unplugged, format!("{name} is gone: plug it in again")))
+                Err((Link::Unplugged, format!("{name} unplugged: plug it in again")))
             }
             Err(_) => Err((Link::Missing, advice_missing(name))),
         };
@@ -281,7 +281,7 @@ impl Reader {
             Errno::ENODEV | Errno::ENXIO => (Link::Missing, advice_missing(name)),
             Errno::EAFNOSUPPORT | Errno::EPROTONOSUPPORT => (
                 Link::NoKernel,
-                "this kernel has no CAN: sudo modprobe can-raw, or another kernel".into(),
+                "kernel without CAN: sudo modprobe can-raw, or another kernel".into(),
             ),
             _ => (Link::Down, format!("cannot open {name}: {error}")),
         }

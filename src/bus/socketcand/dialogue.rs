@@ -83,14 +83,14 @@ impl Socketcand {
             }
             (Stage::Open, Message::Error(why)) => {
                 exchange.status.transmit_failures += 1;
-                exchange.status.note = Some(format!("{} says: {why}", self.server));
+                exchange.status.note = Some(format!("{}: {why}", self.server));
             }
             (_, Message::Error(why)) => {
                 let (server, interface) = (&self.server, &self.interface);
                 let message = match self.stage {
-                    Stage::Switching => format!("{server} has no raw mode: {why}"),
+                    Stage::Switching => format!("{server} does not support raw mode: {why}"),
                     _ => format!(
-                        "{server} does not open {interface}: {why}; is it one of its buses \
+                        "{server} rejects {interface}: {why}; is it exported \
                          (socketcand -i {interface})?"
                     ),
                 };
@@ -129,9 +129,9 @@ impl Socketcand {
     fn is_silent(&self, exchange: &mut Exchange) {
         let server = &self.server;
         let message = match self.stage {
-            Stage::Greeting => format!("{server} does not greet: is it socketcand?"),
-            Stage::Open => format!("{server} does not answer any more"),
-            _ => format!("{server} does not answer"),
+            Stage::Greeting => format!("no greeting from {server}: is it socketcand?"),
+            Stage::Open => format!("{server} stopped responding"),
+            _ => format!("no response from {server}"),
         };
         exchange.break_with(Link::Down, message);
     }
@@ -208,7 +208,7 @@ impl Dialogue for Socketcand {
         let Some(message) = encode(frame) else {
             exchange.status.transmit_failures += 1;
             if frame.fd {
-                let note = "socketcand has no FD frames: they are not sent";
+                let note = "FD frames not sent: not supported by socketcand";
                 exchange.status.note = Some(note.to_owned());
             }
             return;
@@ -289,7 +289,7 @@ mod tests {
         assert_eq!(talk.exchange.broken, None);
         talk.pass(16_000);
         let away = talk.exchange.broken.unwrap();
-        assert_eq!(away.message, "host:29536 does not answer any more");
+        assert_eq!(away.message, "host:29536 stopped responding");
     }
 
     #[test]

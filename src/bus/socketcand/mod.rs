@@ -70,17 +70,17 @@ impl Server {
         let name = self.name();
         let (link, message) = match error.kind() {
             ErrorKind::ConnectionRefused => {
-                (Link::Down, format!("{name} refuses: is socketcand running there?"))
+                (Link::Down, format!("{name}: connection refused; is socketcand running?"))
             }
             ErrorKind::TimedOut => {
-                (Link::Down, format!("{name} does not answer: is it switched on, and reachable?"))
+                (Link::Down, format!("no response from {name}: is it on and reachable?"))
             }
             ErrorKind::HostUnreachable | ErrorKind::NetworkUnreachable => {
-                (Link::Down, format!("there is no way to {name}: is the network up?"))
+                (Link::Down, format!("no route to {name}: is the network up?"))
             }
             // The resolver's errors have no number.
             _ if error.raw_os_error().is_none() => {
-                (Link::Missing, format!("nobody knows a machine called {}: {error}", self.host))
+                (Link::Missing, format!("unknown host {}: {error}", self.host))
             }
             _ => (Link::Down, format!("cannot connect to {name}: {error}")),
         };
@@ -103,7 +103,7 @@ impl Endpoint for Server {
     }
 
     fn broken_off(&self) -> Away {
-        let message = format!("lost {}: calling it again", self.name());
+        let message = format!("connection to {} lost: reconnecting", self.name());
         Away { link: Link::Unplugged, message }
     }
 

@@ -56,7 +56,7 @@ pub(super) fn open(
     let mut port = Port::new(name, line, options.listen_only);
     port.serve(move |line| {
         if let Err(error) = bus.run(opened) {
-            line.queue.finish(Link::Failed, format!("cannot hear the group: {error}"));
+            line.queue.finish(Link::Failed, format!("cannot receive from the group: {error}"));
         }
     })?;
     Ok(port)
@@ -115,7 +115,7 @@ impl Multicast {
         let errno = error.raw_os_error().map_or(Errno::UnknownErrno, Errno::from_raw);
         let message = match (errno, interface) {
             (Errno::ENODEV | Errno::ENXIO, Some(name)) => {
-                format!("there is no interface {name} with multicast: ip -br link shows them")
+                format!("{name} not found or without multicast; list interfaces: ip -br link")
             }
             (
                 Errno::ENETUNREACH
@@ -127,18 +127,18 @@ impl Multicast {
             ) => {
                 let name = interface.as_deref().unwrap_or("eth0");
                 format!(
-                    "no network leads to {address}: sudo ip route add {address} dev {name}, or \
+                    "no route to {address}: sudo ip route add {address} dev {name}, or \
                      name an interface: udp:{address}%{name}"
                 )
             }
             (Errno::EADDRINUSE, _) => {
-                format!("port {} is taken by a program that does not share it", self.group.port)
+                format!("port {} is in use by another program", self.group.port)
             }
             (Errno::EINVAL, None) if address.is_ipv6() => {
-                format!("{address} needs an interface to be told from others: udp:{address}%eth0")
+                format!("{address} needs an interface: udp:{address}%eth0")
             }
             (Errno::EPERM | Errno::EACCES, _) => {
-                format!("{address} is not allowed: {error} (a firewall?)")
+                format!("{address} is not permitted: {error} (firewall?)")
             }
             _ => format!("cannot join {address}: {error}"),
         };
@@ -189,7 +189,7 @@ impl Multicast {
             let Some(mut frame) = frame else {
                 self.status.unreadable += 1;
                 self.status.note =
-                    Some("somebody sends datagrams that are no frames of python-can's".into());
+                    Some("received datagrams that are not python-can frames".into());
                 continue;
             };
             frame.ours = ours;

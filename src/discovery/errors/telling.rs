@@ -43,7 +43,7 @@ impl Engine {
         let Some(finding) = self.collisions.cases_mut().judge_errors(now, None, confidence) else {
             return;
         };
-        finding.add(Evidence { time: frame.time, what: "error frame", frame: Some(*frame) });
+        finding.add(Evidence { time: frame.time, what: "error frame".into(), frame: Some(*frame) });
         if finding.changed == now || finding.text.is_empty() {
             self.word_bus();
         } else {

@@ -53,10 +53,10 @@ pub enum RecordError {
         fault: UnknownFormat,
     },
     /// It, or one that would come after it, is there.
-    #[error("{0} is there already and is not overwritten; name another file, or move it away")]
+    #[error("{0} already exists; name another file")]
     Exists(String),
     /// It cannot be written.
-    #[error("{path} cannot be recorded to: {cause}")]
+    #[error("cannot record to {path}: {cause}")]
     Unwritable {
         /// The file.
         path: String,
@@ -271,7 +271,7 @@ impl Drop for Writer {
     fn drop(&mut self) {
         let mut state = self.shared.state();
         if thread::panicking() {
-            state.status.failure = Some("writing broke off: this is a bug in descan".into());
+            state.status.failure = Some("recorder stopped: this is a bug in descan".into());
             state.status_is_new = true;
         }
         drop(state);
@@ -411,7 +411,7 @@ impl Writer {
                 }
             }
         }
-        Err(io::Error::other("there is no number left for the next file"))
+        Err(io::Error::other("no number left for the next file"))
     }
 
     /// Says how far it is; where it failed, what is flushed is what there is.
@@ -445,8 +445,8 @@ impl Writer {
 fn why(error: &io::Error) -> String {
     match error.kind() {
         io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => "the disk is full".into(),
-        io::ErrorKind::FileTooLarge => "the file may not grow any more".into(),
-        io::ErrorKind::ReadOnlyFilesystem => "the disk cannot be written to any more".into(),
+        io::ErrorKind::FileTooLarge => "file size limit reached".into(),
+        io::ErrorKind::ReadOnlyFilesystem => "the disk has become read-only".into(),
         _ => error.to_string(),
     }
 }

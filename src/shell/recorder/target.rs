@@ -27,7 +27,7 @@ pub enum Format {
 
 /// A file name that says nothing of its content.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("end it with .log (also .txt, .candump) for candump's text, or with .pcapng")]
+#[error("use the ending .log (also .txt, .candump) for candump text, or .pcapng")]
 pub struct UnknownFormat;
 
 impl Format {
