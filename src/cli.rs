@@ -3,7 +3,7 @@
 //! Opens nothing and reads nothing.
 
 use crate::bus::BusSpec;
-use crate::shell::recorder::{Format, Size};
+use crate::shell::recorder::{RecordFormat, Size};
 use crate::wire::id::Address;
 use clap::{Args, CommandFactory, Parser, Subcommand};
 use std::path::PathBuf;
@@ -27,7 +27,7 @@ pub struct Cli {
     pub command: Option<Command>,
     /// The buses and how to treat them.
     #[command(flatten)]
-    pub session: Session,
+    pub session: SessionArgs,
 }
 
 const EXAMPLES: &str = "\
@@ -57,14 +57,14 @@ pub enum Command {
         system: String,
         /// UI and transmit options
         #[command(flatten)]
-        session: Common,
+        session: CommonArgs,
     },
     /// Enumerate the devices once and print them as a table
-    Scan(Scan),
+    Scan(ScanArgs),
     /// Compare a bus with des.json, one line per difference
-    Check(Check),
+    Check(CheckArgs),
     /// Print events as they happen, one per line
-    Watch(Watch),
+    Watch(WatchArgs),
     /// Simulate the devices of a scenario on a bus
     #[command(after_help = "\
 Examples:
@@ -83,7 +83,7 @@ Examples:
         time: Option<Duration>,
     },
     /// Find the bit rate of a bus, listen-only
-    Speed(Speed),
+    Speed(SpeedArgs),
     /// Print the completion script of a shell
     Completions {
         /// Shell to complete for
@@ -104,10 +104,10 @@ Examples:
   descan scan can0
   descan scan can0 --json | jq '.devices[].name'
   descan scan file:session.log --json")]
-pub struct Scan {
+pub struct ScanArgs {
     /// The buses and how to treat them.
     #[command(flatten)]
-    pub session: Session,
+    pub session: SessionArgs,
     /// Print one JSON object instead of tables
     #[arg(long)]
     pub json: bool,
@@ -132,10 +132,10 @@ Examples:
   descan check can0
   descan check can0 --file line7.json --wait-for-all --time 60
   descan check file:session.log --json | jq -r '.findings[].text'")]
-pub struct Check {
+pub struct CheckArgs {
     /// The buses and how to treat them.
     #[command(flatten)]
-    pub session: Session,
+    pub session: SessionArgs,
     /// Print one JSON object instead of lines
     #[arg(long)]
     pub json: bool,
@@ -170,10 +170,10 @@ Examples:
   descan watch can0 --filter at:12 --listen-only
   descan watch file:session.log
   ssh board candump -L can0 | descan watch -")]
-pub struct Watch {
+pub struct WatchArgs {
     /// The buses and how to treat them.
     #[command(flatten)]
-    pub session: Session,
+    pub session: SessionArgs,
     /// Print one JSON object per line
     #[arg(long)]
     pub json: bool,
@@ -201,7 +201,7 @@ Examples:
   sudo descan speed can0
   sudo descan speed can0 --first 500000 --json | jq .bitrate
   descan speed slcan:/dev/ttyACM0")]
-pub struct Speed {
+pub struct SpeedArgs {
     /// can0 | slcan:/dev/ttyACM0
     #[arg(value_name = "BUS")]
     pub bus: BusSpec,
@@ -221,7 +221,7 @@ pub struct Speed {
 
 /// Buses, and what concerns them.
 #[derive(Debug, Args, Clone)]
-pub struct Session {
+pub struct SessionArgs {
     /// can0 | slcan:DEVICE@RATE | socketcand://HOST/BUS | udp:GROUP | file:LOG | - | sim:boiler |
     /// sim:drone | sim:FILE (several: one view over all)
     #[arg(value_name = "BUS")]
@@ -231,12 +231,12 @@ pub struct Session {
     pub speed: Option<f64>,
     /// What concerns every session.
     #[command(flatten)]
-    pub common: Common,
+    pub common: CommonArgs,
 }
 
 /// What concerns every session.
 #[derive(Debug, Args, Clone)]
-pub struct Common {
+pub struct CommonArgs {
     /// The des.json file [default: ./des.json; demo: a temporary file]
     #[arg(long, value_name = "FILE")]
     pub file: Option<PathBuf>,
@@ -273,7 +273,7 @@ fn address(text: &str) -> Result<Address, String> {
 
 fn recording(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
-    Format::of(&path).map_err(|fault| fault.to_string())?;
+    RecordFormat::of(&path).map_err(|fault| fault.to_string())?;
     Ok(path)
 }
 
@@ -298,22 +298,22 @@ fn speed(text: &str) -> Result<f64, String> {
 }
 
 /// Parses the arguments. What is wrong with them is one line that says what would be right.
-pub fn parse<I, T>(arguments: I) -> Result<Cli, Refusal>
+pub fn parse<I, T>(arguments: I) -> Result<Cli, CliExit>
 where
     I: IntoIterator<Item = T>,
     T: Into<std::ffi::OsString> + Clone,
 {
     Cli::try_parse_from(arguments).map_err(|error| {
         if !error.use_stderr() {
-            return Refusal::Text(error.render().to_string());
+            return CliExit::Text(error.render().to_string());
         }
-        Refusal::Usage(one_line(&error))
+        CliExit::Usage(one_line(&error))
     })
 }
 
 /// Why there are no options.
 #[derive(Debug)]
-pub enum Refusal {
+pub enum CliExit {
     /// Help or version was asked for: this is it.
     Text(String),
     /// The arguments are wrong: this is what would be right.

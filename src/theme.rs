@@ -135,7 +135,7 @@ impl Theme {
         find: &dyn Fn(&str) -> Option<String>,
         above: &[&str],
     ) -> Result<Self, ThemeError> {
-        let source = Source { text };
+        let source = ThemeText { text };
         let table = DeTable::parse(text)
             .map_err(|e| source.error(e.span().unwrap_or(0..0), e.message().to_owned()))?;
         let mut theme = Self { name: name.to_owned(), styles: [Style::new(); Role::ALL.len()] };
@@ -191,13 +191,13 @@ impl Theme {
 }
 
 /// The text of a theme, for saying where something is wrong.
-struct Source<'t> {
+struct ThemeText<'t> {
     text: &'t str,
 }
 
 type Value<'t> = Spanned<DeValue<'t>>;
 
-impl Source<'_> {
+impl ThemeText<'_> {
     fn error(&self, span: Range<usize>, message: String) -> ThemeError {
         ThemeError { line: self.text[..span.start].matches('\n').count() + 1, message }
     }
@@ -419,10 +419,14 @@ mod tests {
     #[test]
     fn errors_say_where_and_what_there_is() {
         let message = |text| parse(text).unwrap_err().to_string();
-        assert!(message("[roles]\n\nerorr = \"red\"").starts_with("line 3: unknown role \"erorr\"; "));
+        assert!(
+            message("[roles]\n\nerorr = \"red\"").starts_with("line 3: unknown role \"erorr\"; ")
+        );
         assert!(message("[roles]\ntext = \"rde\"").starts_with("line 2: expected a colour"));
         assert!(message("[roles]\ntext = 256").starts_with("line 2: expected a colour"));
-        assert!(message("[roles]\ntext = { bald = true }").starts_with("line 2: unknown key \"bald\""));
+        assert!(
+            message("[roles]\ntext = { bald = true }").starts_with("line 2: unknown key \"bald\"")
+        );
         assert_eq!(message("inherits = \"nice\""), "line 1: theme \"nice\" not found");
         assert!(message("inherits = \"ours\"").contains("inherits from itself"));
         assert!(message("text = ").starts_with("line 1: "));

@@ -162,7 +162,10 @@ fn one_that_does_not_say_its_name_is_one_difference_and_not_two() {
     let file = r#"[{ "name": "FEED", "address": 12 }]"#;
     let output = Folder::with(&scenario, Some(file)).check(&["file:session.log"]);
     let said = text(&output.stdout);
-    assert!(said.contains("FEED (at 12) is listed but not on the bus: a heartbeat at 12"), "{said}");
+    assert!(
+        said.contains("FEED (at 12) is listed but not on the bus: a heartbeat at 12"),
+        "{said}"
+    );
     assert!(!said.contains("at 12 is not in the file"), "{said}");
     assert!(said.contains("An unnamed device at 13 is not in the file."), "{said}");
 }

@@ -5,7 +5,7 @@ mod common;
 use common::log;
 use descan::bus::candump::write_line;
 use descan::frame::Frame;
-use descan::sim::{Action, DeviceSpec, Scenario};
+use descan::sim::{DeviceAction, DeviceSpec, Scenario};
 use descan::time::{Duration, Epoch};
 use serde_json::Value;
 use std::io::Write;
@@ -144,7 +144,7 @@ fn a_controller_that_is_off_the_bus_for_years_takes_no_time() {
 
 #[test]
 fn a_device_that_left_before_the_logs_end_is_lost() {
-    let scenario = two_devices().at(Duration::from_secs(4), "SENS", Action::Leave);
+    let scenario = two_devices().at(Duration::from_secs(4), "SENS", DeviceAction::Leave);
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("session.log"), log(&scenario, 12)).unwrap();
     let report = json(&descan(&["scan", "file:session.log", "--json"], folder.path()));
@@ -387,9 +387,7 @@ fn what_was_found_becomes_a_des_json_and_nothing_is_overwritten() {
     assert!(text(&again.stderr).contains("found.json already exists"));
     let a_folder = descan(&["scan", "sim:drone", "--write", "."], folder.path());
     assert_eq!(a_folder.status.code(), Some(3));
-    assert!(
-        text(&a_folder.stderr).contains("is a folder; name a file in it: --write ./des.json")
-    );
+    assert!(text(&a_folder.stderr).contains("is a folder; name a file in it: --write ./des.json"));
     assert_eq!(std::fs::read(folder.path().join("found.json")).unwrap(), written);
 }
 

@@ -1,8 +1,8 @@
 //! `des.json`: what is read, what is refused, and which bytes an edit changes.
 
 use descan::document::{
-    Choices, Document, EditError, EntryKey, FindingKind, Merge, NewEntry, Operation, Prefer,
-    SCHEMA, ServiceEntry, merge, merge_chosen,
+    Choices, Document, DocumentFindingKind, EditError, EntryKey, ListedService, Merge,
+    MergePreference, NewEntry, Operation, SCHEMA, merge, merge_chosen,
 };
 
 fn parsed(source: &str) -> Document {
@@ -41,8 +41,8 @@ fn services(document: &Document, name: &str, services: &[(&str, &str)]) -> Opera
     Operation::SetServices { entry: key(document, name), services: listed(services) }
 }
 
-fn listed(services: &[(&str, &str)]) -> Vec<ServiceEntry> {
-    let service = |&(name, version): &(&str, &str)| ServiceEntry {
+fn listed(services: &[(&str, &str)]) -> Vec<ListedService> {
+    let service = |&(name, version): &(&str, &str)| ListedService {
         name: name.to_owned(),
         version: version.to_owned(),
         extra: Vec::new(),
@@ -89,7 +89,7 @@ fn meaning(document: &Document) -> Vec<impl PartialEq + std::fmt::Debug + use<>>
     entries.map(|it| (it.name, it.address, it.is_static, it.bus, it.uid, it.services)).collect()
 }
 
-fn findings(source: &str) -> Vec<(FindingKind, String, Vec<usize>)> {
+fn findings(source: &str) -> Vec<(DocumentFindingKind, String, Vec<usize>)> {
     let document = parsed(source);
     let findings = document.findings().iter();
     findings.map(|it| (it.kind, it.to_string(), it.entries.clone())).collect()
@@ -245,7 +245,7 @@ fn deep_nesting_overflows_no_stack() {
 
 #[test]
 fn wrong_shapes_are_findings() {
-    use FindingKind::{
+    use DocumentFindingKind::{
         AddressRange, DuplicateMember, MissingName, NamesDiffer, NotAnEntry, NotDevices, WrongType,
     };
     for (source, kind, message, entries) in [
@@ -408,11 +408,11 @@ fn collisions_in_the_file_are_findings() {
     let on = |name: &str, bus: &str| {
         entry(name, &format!("\"address\": 12, \"static\": true, \"bus\": \"{bus}\""))
     };
-    let kinds = |entries: &[String]| -> Vec<(FindingKind, Vec<usize>)> {
+    let kinds = |entries: &[String]| -> Vec<(DocumentFindingKind, Vec<usize>)> {
         let found = findings(&format!("[\n{}\n]", entries.join(",\n")));
         found.into_iter().map(|(kind, _, entries)| (kind, entries)).collect()
     };
-    let address = |entries| vec![(FindingKind::DuplicateAddress, entries)];
+    let address = |entries| vec![(DocumentFindingKind::DuplicateAddress, entries)];
     assert_eq!(kinds(&[pinned("A"), pinned("B")]), address(vec![0, 1]));
     assert_eq!(kinds(&[pinned("A"), pinned("B"), pinned("C")]), address(vec![0, 1, 2]));
     assert_eq!(kinds(&[on("A", "can0"), on("B", "can1")]), []);
@@ -421,9 +421,12 @@ fn collisions_in_the_file_are_findings() {
     assert_eq!(kinds(&[pinned("A"), entry("B", "\"address\": 12")]), [], "not static");
     assert_eq!(
         kinds(&[entry("A", "\"address\": 12"), pinned("A")]),
-        [(FindingKind::DuplicateEntry, vec![0, 1])]
+        [(DocumentFindingKind::DuplicateEntry, vec![0, 1])]
     );
-    assert_eq!(kinds(&[pinned("A"), pinned("A")]), [(FindingKind::DuplicateEntry, vec![0, 1])]);
+    assert_eq!(
+        kinds(&[pinned("A"), pinned("A")]),
+        [(DocumentFindingKind::DuplicateEntry, vec![0, 1])]
+    );
     assert_eq!(kinds(&[entry("A", "\"address\": 1"), entry("A", "\"address\": 2")]), [], "twins");
 
     let messages = findings(&format!("[\n{},\n{}, {}\n]", pinned("A"), pinned("B"), pinned("B")));
@@ -435,8 +438,8 @@ fn collisions_in_the_file_are_findings() {
             "line 3, column 72: B at address 12 is listed 2 times: line 3 and line 3",
         ]
     );
-    assert_eq!(FindingKind::DuplicateAddress.name(), "file-duplicate-address");
-    assert_eq!(FindingKind::DuplicateEntry.name(), "file-duplicate-entry");
+    assert_eq!(DocumentFindingKind::DuplicateAddress.name(), "file-duplicate-address");
+    assert_eq!(DocumentFindingKind::DuplicateEntry.name(), "file-duplicate-entry");
 }
 
 // ---- editing: exact bytes ----
@@ -551,11 +554,13 @@ fn the_first_entry_is_taken_back_to_the_byte() {
         assert_eq!(text(&one.apply(&back).unwrap()), before);
 
         // What somebody else did meanwhile stays.
-        let newer = merge(&begun, std::slice::from_ref(&back), &both, Prefer::Neither).unwrap();
+        let newer =
+            merge(&begun, std::slice::from_ref(&back), &both, MergePreference::Neither).unwrap();
         let Merge::Rebased { document, .. } = newer else { panic!("{newer:?}") };
         assert_eq!(document.entries().len(), 1, "{before}");
         let newer = parsed(&(text(&begun).to_owned() + "\n\n"));
-        let merged = merge(&begun, std::slice::from_ref(&back), &newer, Prefer::Neither).unwrap();
+        let merged =
+            merge(&begun, std::slice::from_ref(&back), &newer, MergePreference::Neither).unwrap();
         let Merge::Rebased { document, .. } = merged else { panic!("{merged:?}") };
         assert!(document.entries().is_empty() && text(&document).ends_with("\n\n"), "{before}");
         // And what was taken out of that comes back.
@@ -633,7 +638,7 @@ fn a_new_entry_has_what_is_known() {
         is_static: false,
         bus: Some("can0".into()),
         uid: Some("BOILER01".into()),
-        services: vec![ServiceEntry {
+        services: vec![ListedService {
             name: "DES".into(),
             version: "1.0".into(),
             extra: vec!["a\"".into(), "b".into()],
@@ -714,9 +719,7 @@ fn what_is_no_service_is_not_removed_by_setting_services() {
     ] {
         let document = parsed(&format!(r#"[{{"name":"A","services":{value}}}]"#));
         let error = document.apply(&services(&document, "A", &[("DES", "1")])).unwrap_err();
-        let said = format!(
-            "line 1, column {at}: expected a service, found {found}: fix it first"
-        );
+        let said = format!("line 1, column {at}: expected a service, found {found}: fix it first");
         assert_eq!(error.to_string(), said, "{value}");
     }
 }
@@ -799,7 +802,7 @@ fn services_are_edited_in_their_shape() {
     let extra = |strings: &'static [&'static str]| {
         move |document: &Document| Operation::SetServices {
             entry: key(document, "A"),
-            services: vec![ServiceEntry {
+            services: vec![ListedService {
                 name: "C".into(),
                 version: "3".into(),
                 extra: strings.iter().map(|&text| text.into()).collect(),
@@ -847,20 +850,14 @@ fn edits_are_refused_where_readers_would_disagree() {
     );
     let document = parsed(r#"[{"name":"A","services":{"B":"1","B":"2"}}]"#);
     let error = document.apply(&services(&document, "A", &[("B", "3")])).unwrap_err();
-    assert_eq!(
-        error.to_string(),
-        "line 1, column 34: duplicate `B`: remove one of them first"
-    );
+    assert_eq!(error.to_string(), "line 1, column 34: duplicate `B`: remove one of them first");
 }
 
 #[test]
 fn edits_are_refused_where_there_is_no_place() {
     for (source, expected) in [
         ("\n 12", "line 2, column 2: expected a list of devices, found a number"),
-        (
-            r#"{"devices": {}}"#,
-            "line 1, column 13: expected a list of devices, found an object",
-        ),
+        (r#"{"devices": {}}"#, "line 1, column 13: expected a list of devices, found an object"),
     ] {
         assert_eq!(parsed(source).apply(&add("A", 1)).unwrap_err().to_string(), expected);
     }
@@ -913,7 +910,7 @@ const BASE: &str = r#"[
 ]"#;
 
 /// Merges our operations with their content; a conflict is "ours | theirs".
-fn merged(ours: &[Operation], theirs: &str, prefer: Prefer) -> Result<String, String> {
+fn merged(ours: &[Operation], theirs: &str, prefer: MergePreference) -> Result<String, String> {
     match merge(&parsed(BASE), ours, &parsed(theirs), prefer).unwrap() {
         Merge::Rebased { document, .. } => Ok(text(&document).to_owned()),
         Merge::Conflict(it) => Err(format!("{} | {}", it.ours, it.theirs)),
@@ -968,7 +965,7 @@ fn both_sides_survive() {
             "{\n  \"devices\": [\n    { \"name\": \"NEW\", \"address\": 9, \"static\": true }\n  ]\n}\n",
         ),
     ] {
-        assert_eq!(merged(&[operation], theirs, Prefer::Neither).as_deref(), Ok(after));
+        assert_eq!(merged(&[operation], theirs, MergePreference::Neither).as_deref(), Ok(after));
     }
 }
 
@@ -976,7 +973,7 @@ fn both_sides_survive() {
 fn the_same_value_is_a_conflict() {
     let base = parsed(BASE);
     let services_of_new =
-        vec![ServiceEntry { name: "DES".into(), version: "2".into(), ..ServiceEntry::default() }];
+        vec![ListedService { name: "DES".into(), version: "2".into(), ..ListedService::default() }];
     let with_services =
         Operation::Add { entry: NewEntry { services: services_of_new, ..device("NEW", 9) } };
     for (operation, theirs, conflict, with_ours) in [
@@ -1038,9 +1035,9 @@ fn the_same_value_is_a_conflict() {
         ),
     ] {
         let operations = [operation];
-        assert_eq!(merged(&operations, theirs, Prefer::Neither).unwrap_err(), conflict);
-        assert_eq!(merged(&operations, theirs, Prefer::Theirs).as_deref(), Ok(theirs));
-        assert_eq!(merged(&operations, theirs, Prefer::Ours).as_deref(), Ok(with_ours));
+        assert_eq!(merged(&operations, theirs, MergePreference::Neither).unwrap_err(), conflict);
+        assert_eq!(merged(&operations, theirs, MergePreference::Theirs).as_deref(), Ok(theirs));
+        assert_eq!(merged(&operations, theirs, MergePreference::Ours).as_deref(), Ok(with_ours));
     }
 }
 
@@ -1067,13 +1064,14 @@ fn each_conflict_is_chosen_in_alone_and_one_value_is_one_conflict() {
     for (number, asked) in [(1, "address 100, static"), (2, "address 101, static"), (3, "deleted")]
     {
         let choices = Choices { chosen: chosen.clone(), ..Choices::default() };
-        let merge = merge_chosen(&base, &ours, &theirs, &choices, Prefer::Neither).unwrap();
+        let merge =
+            merge_chosen(&base, &ours, &theirs, &choices, MergePreference::Neither).unwrap();
         let Merge::Conflict(conflict) = merge else { panic!("{merge:?}") };
         assert_eq!((conflict.number, conflict.of, &*conflict.theirs), (number, 3, asked));
-        chosen.push(if number == 2 { Prefer::Ours } else { Prefer::Theirs });
+        chosen.push(if number == 2 { MergePreference::Ours } else { MergePreference::Theirs });
     }
     let choices = Choices { chosen, ..Choices::default() };
-    let merge = merge_chosen(&base, &ours, &theirs, &choices, Prefer::Neither).unwrap();
+    let merge = merge_chosen(&base, &ours, &theirs, &choices, MergePreference::Neither).unwrap();
     let Merge::Rebased { document, .. } = merge else { panic!("{merge:?}") };
     assert_eq!(text(&document), text(&theirs).replace("101", "71"));
 }
@@ -1094,7 +1092,7 @@ fn a_device_that_both_brought_stands_there_once_and_a_twin_twice() {
         // They left as it was what we wanted a second one of.
         (add("FEED", 9), r#"[{"name":"FEED","address":12,"static":true}]"#, 2),
     ] {
-        let merged = merged(&[operation], theirs, Prefer::Neither).unwrap();
+        let merged = merged(&[operation], theirs, MergePreference::Neither).unwrap();
         assert_eq!(parsed(&merged).entries().len(), entries, "{merged}");
     }
 }
@@ -1104,7 +1102,7 @@ fn a_twin_is_not_taken_for_the_deleted_one() {
     let base = parsed(r#"[{"name":"FEED","address":12},{"name":"FEED","address":13}]"#);
     let theirs = parsed(r#"[{"name":"FEED","address":13}]"#);
     let operation = set(&base, "FEED", 16);
-    let merge = merge(&base, &[operation], &theirs, Prefer::Neither).unwrap();
+    let merge = merge(&base, &[operation], &theirs, MergePreference::Neither).unwrap();
     assert!(matches!(merge, Merge::Conflict(conflict) if conflict.theirs == "deleted"));
 }
 
@@ -1128,7 +1126,7 @@ fn operations_on_operations_are_merged_in_order() {
         merged(
             &ours,
             r#"[{"name":"SENS"},{"name":"FEED","address":12,"static":true,"x":1}]"#,
-            Prefer::Neither
+            MergePreference::Neither
         )
         .as_deref(),
         Ok(
@@ -1150,13 +1148,13 @@ fn it_is_no_conflict_where_theirs_says_what_ours_comes_to() {
         document = document.apply(ours.last().unwrap()).unwrap();
     }
     let theirs = parsed(r#"[{"name":"A","address":5,"static":true},{"name":"B","address":7}]"#);
-    let merged = merge(&base, &ours, &theirs, Prefer::Neither).unwrap();
+    let merged = merge(&base, &ours, &theirs, MergePreference::Neither).unwrap();
     let Merge::Rebased { document, operations, .. } = merged else { panic!("{merged:?}") };
     assert_eq!((document.entries()[0].address, document.entries()[1].address), (Some(5), Some(7)));
     assert_eq!(operations.len(), 3, "the new entries");
     // What ours came to on the way is no excuse.
     let theirs = parsed(r#"[{"name":"A","address":4,"static":true},{"name":"B","address":7}]"#);
-    let merged = merge(&base, &ours, &theirs, Prefer::Neither).unwrap();
+    let merged = merge(&base, &ours, &theirs, MergePreference::Neither).unwrap();
     assert!(matches!(merged, Merge::Conflict(_)), "{merged:?}");
 }
 
@@ -1187,7 +1185,7 @@ fn an_edit_is_taken_back_on_newer_content() {
     let inverse = operation.inverse(&base).unwrap();
     let newer = parsed(r#"[{"name":"SENS"},{"name":"FEED","address":16,"static":true,"x":1}]"#);
     let Ok(Merge::Rebased { document, operations, .. }) =
-        merge(&edited, &[inverse], &newer, Prefer::Neither)
+        merge(&edited, &[inverse], &newer, MergePreference::Neither)
     else {
         panic!()
     };

@@ -2,7 +2,7 @@
 
 use descan::bus::log::LogReader;
 use descan::bus::pcapng::{write_frame, write_interface, write_section};
-use descan::bus::{self, BusError, BusSpec, Clock, Options, Port, TransmitError};
+use descan::bus::{self, BusSpec, Clock, OpenError, Options, Port, TransmitError};
 use descan::frame::{BusIndex, CanId, Frame};
 use descan::status::{Link, PlaybackCommand};
 use descan::time::{Duration, Epoch, Instant};
@@ -62,7 +62,7 @@ fn a_file_is_replayed_as_it_was_timed() {
     let start = frames[0].time;
     let ages: Vec<_> = frames.iter().map(|frame| frame.time.since(start).as_millis()).collect();
     assert_eq!(ages, [0, 200, 400]);
-    let told: Vec<_> = frames.iter().map(|frame| (frame.bus, frame.ours)).collect();
+    let told: Vec<_> = frames.iter().map(|frame| (frame.bus, frame.is_tx)).collect();
     assert_eq!(told, [(BusIndex(2), false), (BusIndex(3), false), (BusIndex(2), true)]);
     assert_eq!(port.queue().names(), ["can0", "can1"]);
 
@@ -130,7 +130,7 @@ fn a_log_that_cannot_be_opened_is_an_error_that_names_it() {
     for path in ["/nowhere/session.log", "/"] {
         let spec = BusSpec::File(path.into());
         let error = bus::open(&spec, BusIndex(0), clock.clone(), Options::default()).unwrap_err();
-        assert!(matches!(error, BusError::Log { .. }));
+        assert!(matches!(error, OpenError::Log { .. }));
         assert!(error.to_string().starts_with(&format!("cannot read file:{path}: ")), "{error}");
     }
 }
@@ -143,7 +143,7 @@ fn a_log_is_read_at_once_by_its_own_clock() {
     let frames: Vec<_> = reader.by_ref().map(Result::unwrap).collect();
     assert_eq!(
         frames[1],
-        Frame::remote(CanId::Standard(0x123), 4).on(BusIndex(1)).at(frames[1].time)
+        Frame::remote(CanId::Standard(0x123), 4).with_bus(BusIndex(1)).with_time(frames[1].time)
     );
     assert_eq!(reader.tally().last, Instant::from_micros(400_000));
     assert_eq!(reader.tally().epoch, Some(Epoch::from_unix_micros(100_000_000)));

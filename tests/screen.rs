@@ -1,16 +1,16 @@
 //! Keys and simulated buses in, screens out.
 
-#[path = "common/stage.rs"]
-mod stage;
+#[path = "common/harness.rs"]
+mod harness;
 
 use descan::app::{
-    App, AppOptions, Capture, Effect, FileReading, Mouse, MouseKind, Page, Piece, Problem,
-    SaveOutcome, Verdict,
+    App, AppOptions, Capture, Effect, EvidenceItem, FileReading, InputCheck, Mouse, MouseKind,
+    Page, Problem, SaveOutcome,
 };
 use descan::discovery::Config;
 use descan::frame::{BusIndex, CanId, Frame};
 use descan::keymap::Key;
-use descan::sim::{Action, Scenario, Sim, Station};
+use descan::sim::{DeviceAction, Scenario, Sim, SimStation};
 use descan::status::{
     BusState, BusStatus, Link, Playback, PlaybackCommand, RateSearch, RecordingStatus,
 };
@@ -18,10 +18,10 @@ use descan::theme::{BUILT_IN, Role, Theme};
 use descan::time::{Duration, Instant};
 use descan::ui;
 use descan::wire::id::Address;
+use harness::{BOILER, Stage, text_of};
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 use ratatui::buffer::Buffer;
-use stage::{BOILER, Stage, text_of};
 
 /// A snapshot of the screen as text.
 macro_rules! snapshot {
@@ -373,8 +373,16 @@ fn what_somebody_else_changed_since_is_neither_taken_back_nor_made_again() {
 
     let mut stage = with_two_unsaved_edits();
     stage.write(&BOILER.replace("10", "100").replace("12", "103")).keys("t t");
-    refused(&mut stage, "u", "not undone: address of the entry SENS: 12 → 71; on disk: address 103");
-    refused(&mut stage, "u", "not undone: address of the entry FEED: 10 → 70; on disk: address 100");
+    refused(
+        &mut stage,
+        "u",
+        "not undone: address of the entry SENS: 12 → 71; on disk: address 103",
+    );
+    refused(
+        &mut stage,
+        "u",
+        "not undone: address of the entry FEED: 10 → 70; on disk: address 100",
+    );
     refused(&mut stage, "u", "nothing to undo");
 }
 
@@ -820,8 +828,8 @@ fn what_is_broken_takes_the_bus_too() {
     // A stuff error a millisecond, each at least 17 bits; that the state changed is no frame.
     for millis in 0..1000 {
         let at = Instant::ZERO + Duration::from_millis(millis);
-        let stuff = Frame::error(0x88, &[0, 0, 4, 0, 0, 0, 0, 0]).at(at);
-        let passive = Frame::error(0x04, &[0, 4, 0, 0, 0, 0, 0, 96]).at(at);
+        let stuff = Frame::error(0x88, &[0, 0, 4, 0, 0, 0, 0, 0]).with_time(at);
+        let passive = Frame::error(0x04, &[0, 4, 0, 0, 0, 0, 0, 96]).with_time(at);
         stage.app.handle_frames(at, &[stuff, passive]);
     }
     let screen = stage.wait_until(1.5).screen();
@@ -972,7 +980,7 @@ fn a_log_is_played_by_keys_and_a_bus_is_not() {
     // While time stands, what a step brings is drawn at once.
     stage.app.take_dirty();
     let heartbeat = Frame::classic(0x07B4_3C01, &[0x8A, 0xFA, 0x6C, 0x97, 0x24, 0x12, 4, 0]);
-    stage.app.handle_frames(now, &[heartbeat.at(now)]);
+    stage.app.handle_frames(now, &[heartbeat.with_time(now)]);
     stage.app.handle_timeout(now);
     assert!(stage.app.is_dirty());
 }
@@ -1139,7 +1147,7 @@ fn selected(stage: &Stage) -> String {
 /// So many foreign frames that the capture has room for no others.
 fn flood(stage: &mut Stage) {
     let now = stage.app.now();
-    let frame = Frame::with(CanId::Standard(0x123), &[]).at(now);
+    let frame = Frame::with(CanId::Standard(0x123), &[]).with_time(now);
     stage.app.handle_frames(now, &vec![frame; Capture::FRAMES]);
 }
 
@@ -1175,14 +1183,14 @@ fn what_is_sure_comes_before_suspicions_and_these_before_what_is_over() {
 fn a_collision_is_one_problem_whatever_shows_it() {
     let mut stage = Stage::boiler();
     stage.until(45.0).keys("4");
-    let findings = stage.app.findings().filter(|finding| finding.key.kind.is_collision()).count();
+    let findings = stage.app.findings().filter(|finding| finding.key.kind.is_conflict()).count();
     let problem = stage.app.selected_problem().unwrap();
     assert_eq!((findings, problem.findings.len()), (2, 2));
     let evidence = problem.evidence();
     assert!(evidence.is_sorted_by_key(|piece| piece.time));
     for finding in &problem.findings {
         for piece in &finding.evidence {
-            let is_it = |own: &&Piece| own.time == piece.time && own.frame == piece.frame;
+            let is_it = |own: &&EvidenceItem| own.time == piece.time && own.frame == piece.frame;
             let kept = evidence.iter().find(is_it).unwrap();
             assert!(kept.what.contains(&*piece.what), "{kept:?} is not {piece:?}");
         }
@@ -1242,7 +1250,7 @@ fn hearing_only(frame: Frame) -> Stage {
     for millis in 1..4500 {
         let now = Instant::from_micros(millis * 1000);
         if millis % 10 == 0 {
-            stage.app.handle_frames(now, &[frame.at(now)]);
+            stage.app.handle_frames(now, &[frame.with_time(now)]);
         }
         stage.app.handle_timeout(now);
         stage.drain(now);
@@ -1252,12 +1260,16 @@ fn hearing_only(frame: Frame) -> Stage {
 
 #[test]
 fn where_frames_only_break_another_bit_rate_is_offered() {
-    use descan::speed::{Heard, Outcome, Progress};
+    use descan::bitrate::{RateResult, SearchOutcome, SearchProgress};
     let mut stage = hearing_only(Frame::error(0x88, &[0, 0, 4, 0, 0, 0, 0, 0]));
     snapshot!("only_broken_frames", stage);
     stage.effects.clear();
     stage.keys("b");
-    assert!(stage.screen().contains("Search the bit rate of can0, listen-only? This restarts the interface."));
+    assert!(
+        stage
+            .screen()
+            .contains("Search the bit rate of can0, listen-only? This restarts the interface.")
+    );
     stage.keys("n");
     assert!(!stage.effects.contains(&Effect::FindBitrate(BusIndex(0))), "asked, and refused");
     stage.keys("b y");
@@ -1267,10 +1279,10 @@ fn where_frames_only_break_another_bit_rate_is_offered() {
 
     let (now, can0) = (stage.app.now(), BusIndex(0));
     let mut told = |progress| stage.app.handle_bitrate_search(now, can0, progress);
-    told(Progress::Trying(125_000));
-    told(Progress::Heard(125_000, Heard { frames: 0, broken: 64 }));
-    told(Progress::Heard(250_000, Heard::default()));
-    told(Progress::Trying(500_000));
+    told(SearchProgress::Trying(125_000));
+    told(SearchProgress::Heard(125_000, RateResult { frames: 0, broken: 64 }));
+    told(SearchProgress::Heard(250_000, RateResult::default()));
+    told(SearchProgress::Trying(500_000));
     assert!(stage.screen().contains("can0: listening at 500 kbit/s"), "{}", stage.screen());
     assert!(!stage.screen().contains("wrong bit rate"), "what is done is not offered");
     // Meanwhile it goes down and up, which is nothing to act on.
@@ -1278,9 +1290,9 @@ fn where_frames_only_break_another_bit_rate_is_offered() {
     assert!(stage.screen().contains("searching bit rate"), "{}", stage.screen());
     assert!(!stage.screen().contains("DOWN") && !stage.screen().contains("can0 down"));
     stage.link(Link::Up);
-    stage.app.handle_bitrate(now, can0, Ok(Outcome::Found(500_000)));
+    stage.app.handle_bitrate(now, can0, Ok(SearchOutcome::Found(500_000)));
     snapshot!("bit_rate_found", stage.keys("3"));
-    stage.keys("b y").app.handle_bitrate(now, can0, Ok(Outcome::Silence));
+    stage.keys("b y").app.handle_bitrate(now, can0, Ok(SearchOutcome::Silence));
     assert!(
         stage.screen().contains("if only one device is on, run: descan speed can0"),
         "{}",
@@ -1288,7 +1300,7 @@ fn where_frames_only_break_another_bit_rate_is_offered() {
     );
     // A whole frame, and nothing is offered any more.
     let heartbeat = Frame::classic(0x0718_0001, &[0, 0, 0, 0, 0, 0, 4, 0]);
-    stage.app.handle_frames(now, &[heartbeat.at(now)]);
+    stage.app.handle_frames(now, &[heartbeat.with_time(now)]);
     stage.wait_until(6.0);
     assert!(!stage.screen().contains("wrong bit rate"), "{}", stage.screen());
 }
@@ -1349,7 +1361,10 @@ fn a_muted_problem_does_not_count_and_stays_muted() {
     snapshot!("problems_muted_80x24", stage);
     snapshot!("problems_muted_40x10", stage.size(40, 10));
     stage.size(80, 24).keys("1");
-    assert!(stage.screen().contains("⚠   14 ACT         CONFLICT"), "the device says it all the same");
+    assert!(
+        stage.screen().contains("⚠   14 ACT         CONFLICT"),
+        "the device says it all the same"
+    );
     stage.keys("4 m");
     assert_eq!(stage.app.counts().confirmed, 4);
     assert_eq!(problems(&stage)[0], "confirmed address conflict (same name) @14");
@@ -1521,7 +1536,11 @@ fn from_a_device_to_its_problem_and_back() {
     stage.keys("1 g p");
     assert!(stage.screen().contains("no problem for this device"), "{}", stage.screen());
     stage.keys("3 /").text("is:suspected").keys("Enter k k p");
-    assert_eq!(selected(&stage), "address conflict (same name) @14", "from a line of the timeline, too");
+    assert_eq!(
+        selected(&stage),
+        "address conflict (same name) @14",
+        "from a line of the timeline, too"
+    );
     stage.keys("3 Esc");
     // Rows that do not fit the filter are found all the same.
     stage.keys("1 g");
@@ -1546,7 +1565,11 @@ fn the_selection_follows_its_problem() {
     assert_eq!(selected(&stage), first);
     assert_ne!(problems(&stage)[0], format!("confirmed {first}"));
     stage.keys("1").until(46.0).keys("4");
-    assert_eq!(selected(&stage), "address conflict (same name) @14", "the page opens with the first");
+    assert_eq!(
+        selected(&stage),
+        "address conflict (same name) @14",
+        "the page opens with the first"
+    );
     // While the screen is held, no row moves, and what is new comes last.
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("4 Space");
@@ -1595,7 +1618,7 @@ fn nothing_beyond_discovery_is_sent_by_one_key() {
     let mut stage = Stage::with(&scenario, Some(BOILER), config);
     stage.until(24.0);
     let sent = |stage: &Stage| {
-        let ours = stage.app.capture().iter().filter(|(_, frame)| frame.ours);
+        let ours = stage.app.capture().iter().filter(|(_, frame)| frame.is_tx);
         ours.filter(|(_, frame)| frame.platform_id().is_some_and(|id| id & 0x3FF == 0x18)).count()
     };
     stage.keys("i");
@@ -1681,7 +1704,7 @@ fn listening_only_says_what_it_does() {
     stage.until(24.0);
     assert!(stage.screen().contains("listen-only, acks"), "{}", stage.screen());
     snapshot!("listen_only", stage);
-    assert!(!stage.app.capture().iter().any(|(_, frame)| frame.ours));
+    assert!(!stage.app.capture().iter().any(|(_, frame)| frame.is_tx));
     stage.keys("r");
     assert!(stage.screen().contains("listen-only: no requests are sent"));
 }
@@ -1702,7 +1725,7 @@ fn frames_alone_do_not_make_the_devices_page_dirty() {
 /// Two simulated buses under one view.
 struct Pair {
     app: App,
-    sims: [(Sim, Station); 2],
+    sims: [(Sim, SimStation); 2],
 }
 
 impl Pair {
@@ -1732,7 +1755,7 @@ impl Pair {
             for (index, (sim, station)) in self.sims.iter_mut().enumerate() {
                 sim.advance(now);
                 while let Some(frame) = sim.poll_frame(*station) {
-                    self.app.handle_frames(now, &[frame.on(BusIndex(index as u8))]);
+                    self.app.handle_frames(now, &[frame.with_bus(BusIndex(index as u8))]);
                 }
             }
             self.app.handle_timeout(now);
@@ -1820,8 +1843,8 @@ fn a_device_on_two_buses_is_one_row_where_they_are_redundant() {
         .with(device("FEED", 11, 1, "AUGER"))
         .with(device("SENS", 12, 2, "LOG"))
         .with(device("PUMP", 20, 4, "FLOW"))
-        .at(Duration::from_secs(8), "FEED", Action::Leave)
-        .at(Duration::from_secs(20), "FEED", Action::Join);
+        .at(Duration::from_secs(8), "FEED", DeviceAction::Leave)
+        .at(Duration::from_secs(20), "FEED", DeviceAction::Join);
     let mut pair = Pair::new([&one, &other]);
     let screen = pair.run(0..6).screen(100, 24);
     insta::assert_snapshot!("redundant_100x24", screen);
@@ -1857,10 +1880,15 @@ fn an_entry_whose_device_gets_a_twin_while_it_is_edited_is_not_called_deleted() 
     let file = r#"[{"name":"SENS","address":15,"static":true}]"#;
     let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some(file));
     stage.until(6.0).keys("/").text("SENS").keys("Enter g e").text("47");
-    assert_eq!(stage.app.verdict(), Some(Verdict::Fine("Enter pins it to 47".to_owned())));
+    assert_eq!(stage.app.verdict(), Some(InputCheck::Accepted("Enter pins it to 47".to_owned())));
     stage.until(30.0);
     let told = "entry may belong to another device now; Enter adds it again";
-    assert_eq!(stage.app.verdict(), Some(Verdict::Warns(told.to_owned())), "{}", stage.screen());
+    assert_eq!(
+        stage.app.verdict(),
+        Some(InputCheck::Warning(told.to_owned())),
+        "{}",
+        stage.screen()
+    );
 }
 
 /// What is not on the disk, and that it is not, is seen whatever the bus and the file are called.
@@ -1938,7 +1966,11 @@ fn the_way_out_is_read_to_its_end() {
     for columns in 80..121 {
         let screen = stage.size(columns, 24).screen();
         assert!(screen.contains("des.json ✗ line 3, column 3: expected `,` or `}`"), "{screen}");
-        assert_eq!(screen.contains("last valid:"), screen.contains("last valid: 5 entries"), "{screen}");
+        assert_eq!(
+            screen.contains("last valid:"),
+            screen.contains("last valid: 5 entries"),
+            "{screen}"
+        );
         assert!(columns < 118 || screen.contains("last valid: 5 "), "{screen}");
     }
 }

@@ -163,7 +163,7 @@ fn frames_of_every_kind_come_in() {
     ];
     let frames = bus.wait_for_frames(expected.len());
     for (frame, expected) in frames.iter().zip(expected) {
-        assert_eq!(*frame, expected.at(frame.time).on(BusIndex(3)));
+        assert_eq!(*frame, expected.with_time(frame.time).with_bus(BusIndex(3)));
     }
     assert!(bus.frames.is_sorted_by_key(|frame| frame.time));
     assert!(bus.frames.iter().all(|frame| frame.time <= bus.clock.now()));
@@ -225,7 +225,7 @@ fn a_frame_is_ours_when_the_adapter_has_acknowledged_it() {
     bus.wait_for_frames(3);
     adapter.say("T000000060\rZ\r");
     let seen: Vec<_> =
-        bus.wait_for_frames(5).iter().map(|it| (it.platform_id(), it.ours)).collect();
+        bus.wait_for_frames(5).iter().map(|it| (it.platform_id(), it.is_tx)).collect();
     let ours = |id| (Some(id), true);
     let others = |id| (Some(id), false);
     assert_eq!(seen, [ours(1), others(5), ours(2), others(6), ours(3)]);
@@ -256,7 +256,10 @@ fn an_adapter_that_answers_nothing_is_used_all_the_same() {
     bus.send(&Frame::classic(0x123, &[1]));
     adapter.hear_until("T00000123101");
     let frame = bus.wait_for_frames(1)[0];
-    assert_eq!(frame, Frame::classic(0x123, &[1]).ours().at(frame.time).on(BusIndex(3)));
+    assert_eq!(
+        frame,
+        Frame::classic(0x123, &[1]).with_tx().with_time(frame.time).with_bus(BusIndex(3))
+    );
     adapter.say("t1230\r");
     bus.wait_for_frames(2);
 }
@@ -266,9 +269,9 @@ fn an_adapter_that_acknowledges_commands_and_no_frames_is_told_by_the_first() {
     let (mut adapter, mut bus) = open("@500000");
     bus.send(&Frame::classic(1, &[]));
     adapter.hear_frame();
-    assert!(bus.wait_for_frames(1)[0].ours);
+    assert!(bus.wait_for_frames(1)[0].is_tx);
     bus.send(&Frame::classic(2, &[]));
-    assert!(bus.wait_for_frames(2)[1].ours);
+    assert!(bus.wait_for_frames(2)[1].is_tx);
 }
 
 #[test]
@@ -331,7 +334,7 @@ fn listening_only_says_l_and_sends_nothing() {
     assert!(status.listen_only);
     assert_eq!(bus.port.transmit(&Frame::classic(1, &[])), Err(TransmitError::ListenOnly));
     adapter.say("t1230\r");
-    assert!(!bus.wait_for_frames(1)[0].ours);
+    assert!(!bus.wait_for_frames(1)[0].is_tx);
     drop(bus);
     adapter.hear_until("C");
     assert!(adapter.heard.contains(&"L".to_owned()));
@@ -700,7 +703,7 @@ fn python_can_understands_us_and_we_it() {
     ];
     let seen = bus.wait_for_frames(kinds.len()).to_vec();
     for (seen, kind) in seen.iter().zip(kinds) {
-        assert_eq!(*seen, kind.at(seen.time).on(BusIndex(3)));
+        assert_eq!(*seen, kind.with_time(seen.time).with_bus(BusIndex(3)));
     }
 
     for kind in &kinds {
@@ -726,6 +729,6 @@ fn python_can_understands_us_and_we_it() {
         ]);
         assert_eq!(serde_json::from_str::<serde_json::Value>(&peer.read_line()).unwrap(), expected);
     }
-    let ours = |bus: &OpenBus| bus.frames.iter().filter(|frame| frame.ours).count();
+    let ours = |bus: &OpenBus| bus.frames.iter().filter(|frame| frame.is_tx).count();
     bus.wait_until("ours", |bus| ours(bus) == kinds.len());
 }

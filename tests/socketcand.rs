@@ -111,7 +111,7 @@ fn frames_of_every_kind_come_in() {
     ];
     let frames = bus.wait_for_frames(expected.len());
     for (frame, expected) in frames.iter().zip(expected) {
-        assert_eq!(*frame, expected.at(frame.time).on(BusIndex(3)));
+        assert_eq!(*frame, expected.with_time(frame.time).with_bus(BusIndex(3)));
     }
     let status = bus.status();
     assert_eq!((status.missing_acks, status.unreadable, status.message), (1, 0, None));
@@ -166,7 +166,7 @@ fn frames_of_every_kind_but_fd_go_out() {
     }
     // The server gives none back.
     let ours = bus.wait_for_frames(4);
-    assert!(ours.iter().all(|frame| frame.ours));
+    assert!(ours.iter().all(|frame| frame.is_tx));
     assert_eq!(ours[3].kind, FrameKind::Remote);
 
     bus.send(&Frame::fd(1, &[0; 12], 0));

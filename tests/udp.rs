@@ -74,7 +74,7 @@ fn frames() -> [Frame; 4] {
 
 /// The same frame as it comes out of a port.
 fn heard(frame: Frame, like: &Frame) -> Frame {
-    frame.at(like.time).on(BusIndex(3))
+    frame.with_time(like.time).with_bus(BusIndex(3))
 }
 
 // --- python-can -----------------------------------------------------------------------------
@@ -145,7 +145,7 @@ fn talks_to_python_can(group: &str) {
     }
     let ours = bus.wait_for_frames(theirs.len() + 4)[theirs.len()..].to_vec();
     for (came, sent) in ours.iter().zip(frames()) {
-        assert_eq!(*came, heard(sent.ours(), came), "it comes back as ours");
+        assert_eq!(*came, heard(sent.with_tx(), came), "it comes back as ours");
     }
     assert_eq!(bus.status().unreadable, 0);
 }
@@ -197,7 +197,7 @@ fn two_on_one_machine() {
         }
         for (bus, own) in [(&mut one, 100), (&mut other, 100), (&mut quiet, 0)] {
             let frames = bus.wait_for_frames(200);
-            assert_eq!(frames.iter().filter(|frame| frame.ours).count(), own, "{spec}");
+            assert_eq!(frames.iter().filter(|frame| frame.is_tx).count(), own, "{spec}");
             assert!(frames.is_sorted_by_key(|frame| frame.time));
         }
         let frame = Frame::classic(1, &[]);
@@ -284,7 +284,7 @@ fn a_network_that_goes_away() {
         bus.wait_for_link(Link::Up);
         bus.send(&Frame::classic(2, &[]));
         let frames = bus.wait_for_frames(1);
-        assert_eq!((frames[0].platform_id(), frames[0].ours), (Some(2), true));
+        assert_eq!((frames[0].platform_id(), frames[0].is_tx), (Some(2), true));
     }
     let mut bus = OpenBus::open(&format!("udp:{V4}%eth7"));
     let status = bus.wait_for_link(Link::Down);

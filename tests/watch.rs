@@ -1,11 +1,11 @@
 //! `descan watch`, from outside: which line comes of what, when it comes, and how it ends.
 
 mod common;
-#[path = "common/watching.rs"]
-mod watching;
+#[path = "common/watch_process.rs"]
+mod watch_process;
 
 use common::log;
-use descan::app::{App, AppOptions, FileReading, Filter, Happening};
+use descan::app::{App, AppEvent, AppOptions, FileReading, Filter};
 use descan::discovery::{Confidence, Config, FindingKind};
 use descan::frame::BusIndex;
 use descan::sim::{DeviceSpec, Fault, Scenario, Sim};
@@ -18,7 +18,7 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
 use std::process::{Output, Stdio};
 use std::time::Duration;
-use watching::{Watching, command};
+use watch_process::{Watching, command};
 
 /// FEED appears at 12, is in trouble for a second, reboots, is late, is gone for a while, and
 /// turns up at 31 in the end, where the file wants it.
@@ -171,7 +171,9 @@ fn what_one_frame_gives_rise_to_is_told_in_one_line() {
     let output = watch(&["file:session.log"], folder.path());
     let of_resolution = text(&output.stdout)
         .lines()
-        .filter(|line| ["claims", "gave up", "moved", "appeared"].iter().any(|it| line.contains(it)))
+        .filter(|line| {
+            ["claims", "gave up", "moved", "appeared"].iter().any(|it| line.contains(it))
+        })
         .map(|line| {
             line.split_once(' ').unwrap().1.split_whitespace().collect::<Vec<_>>().join(" ")
         });
@@ -453,8 +455,8 @@ fn no_filter_hides_that_frames_were_lost_or_what_becomes_of_a_bus() {
     let bus = ("can0".to_owned(), Config::default());
     let options = AppOptions {
         buses: vec![bus],
-        report: true,
-        interest: Filter::parse("at:12 name:feed"),
+        emit_events: true,
+        event_filter: Filter::parse("at:12 name:feed"),
         ..AppOptions::default()
     };
     let mut app = App::new(Instant::ZERO, options);
@@ -462,11 +464,11 @@ fn no_filter_hides_that_frames_were_lost_or_what_becomes_of_a_bus() {
     let mut told = |status: &BusStatus| {
         app.handle_bus(Instant::ZERO, BusIndex(0), status.clone());
         let (mut lines, mut values) = (Vec::new(), Vec::new());
-        while let Some(happening) = app.poll_happening() {
+        while let Some(happening) = app.poll_app_event() {
             match happening {
-                Happening::Line(line) => lines.push(line.text),
-                Happening::Finding(_, finding) => values.push(finding.key.kind.name()),
-                Happening::Bus(..) => values.push("bus"),
+                AppEvent::Line(line) => lines.push(line.text),
+                AppEvent::Finding(_, finding) => values.push(finding.key.kind.name()),
+                AppEvent::Bus(..) => values.push("bus"),
                 _ => {}
             }
         }
@@ -490,10 +492,7 @@ fn several_buses_have_a_column() {
     let output = watch(&["file:session.log"], folder.path());
     let shown = text(&output.stdout);
     assert!(shown.contains("00:00:01.500 vcan-long  12 ?            appeared\n"), "{shown}");
-    assert!(
-        shown.contains("00:00:01.500 can0                       end of log\n"),
-        "{shown}"
-    );
+    assert!(shown.contains("00:00:01.500 can0                       end of log\n"), "{shown}");
     let told = values(&watch(&["file:session.log", "--json"], folder.path()).stdout);
     let appeared = told.iter().filter(|it| it["event"] == "appeared");
     assert_eq!(appeared.map(|it| &it["bus"]).collect::<Vec<_>>(), ["can0", "vcan-long"]);
@@ -577,7 +576,7 @@ fn findings(scenario: &Scenario, file: &str, seconds: u64) -> Vec<(FindingKind, 
     let options = AppOptions {
         buses,
         file_path: Some("des.json".into()),
-        report: true,
+        emit_events: true,
         ..AppOptions::default()
     };
     let mut app = App::new(Instant::ZERO, options);
@@ -595,8 +594,8 @@ fn findings(scenario: &Scenario, file: &str, seconds: u64) -> Vec<(FindingKind, 
         while let Some(frame) = app.poll_transmit(now) {
             sim.transmit(station, frame);
         }
-        while let Some(happening) = app.poll_happening() {
-            if let Happening::Finding(_, finding) = happening {
+        while let Some(happening) = app.poll_app_event() {
+            if let AppEvent::Finding(_, finding) = happening {
                 told.push((finding.key.kind, finding.confidence));
             }
         }

@@ -9,8 +9,8 @@ use crate::error_report::ErrorReport;
 use crate::frame::{BusIndex, CanId, Frame, FrameKind};
 use crate::text::Escaped;
 use crate::time::Instant;
-use crate::wire::des::{Asked, Request, ServicesAnswer, TYPE_NAME, TYPE_SERVICES, decode_name};
-use crate::wire::framing::{Framing, classify_answer, classify_request, strip_raw_padding};
+use crate::wire::des::{Asked, Request, ServicesResponse, TYPE_NAME, TYPE_SERVICES, decode_name};
+use crate::wire::framing::{Framing, classify_request, classify_response, strip_raw_padding};
 use crate::wire::id::{Address, Header, MessageType};
 use crate::wire::isotp::{FlowStatus, Pci};
 use crate::wire::node::Heartbeat;
@@ -47,7 +47,7 @@ impl Decoded {
                 is_error: true,
                 ..Self::default()
             },
-            (FrameKind::Data, CanId::Extended(id)) => Self::of_platform(app, frame, id),
+            (FrameKind::Data, CanId::Extended(id)) => Self::decode_platform(app, frame, id),
             (FrameKind::Remote, _) => {
                 let text = "remote frame (non-platform)".to_owned();
                 Self { kind: "remote", text, ..Self::default() }
@@ -59,7 +59,7 @@ impl Decoded {
         }
     }
 
-    fn of_platform(app: &App, frame: &Frame, id: u32) -> Self {
+    fn decode_platform(app: &App, frame: &Frame, id: u32) -> Self {
         let header = Header::decode(id);
         let kind = header.message_type();
         let profile = app.profile(frame.bus);
@@ -87,7 +87,7 @@ impl Decoded {
 
     pub(super) fn is_source(&self, value: &str) -> bool {
         let Some(header) = self.header else { return false };
-        is_party(&self.source, header.source, value)
+        is_endpoint(&self.source, header.source, value)
     }
 
     pub(super) fn is_destination(&self, value: &str) -> bool {
@@ -95,7 +95,7 @@ impl Decoded {
         if header.broadcast {
             return value == "*";
         }
-        is_party(&self.destination, header.destination, value)
+        is_endpoint(&self.destination, header.destination, value)
     }
 
     pub(super) fn is_service(&self, value: &str) -> bool {
@@ -108,13 +108,13 @@ impl Decoded {
     }
 }
 
-fn is_party(name: &str, address: Address, value: &str) -> bool {
+fn is_endpoint(name: &str, address: Address, value: &str) -> bool {
     name.to_lowercase() == value || address.to_string() == value
 }
 
 /// The captured frames that the filter line lets through: found once per frame, not per draw.
 #[derive(Debug, Default)]
-pub(super) struct Matches {
+pub(super) struct FilteredFrames {
     line: String,
     numbers: VecDeque<u64>,
     /// Frames before this number were looked at.
@@ -129,7 +129,7 @@ impl App {
 
     /// Whoever holds an address now: its name, else the number.
     pub fn name_at(&self, bus: BusIndex, address: Address) -> String {
-        let here = |device: &&Device| device.address == address && device.is_here();
+        let here = |device: &&Device| device.address == address && device.is_present();
         let devices = self.bus(bus).map_or(&[][..], |bus| bus.engine.devices());
         let named = devices.iter().filter(here).find_map(|device| device.name.as_ref());
         match named {
@@ -169,7 +169,7 @@ impl App {
                 .filter_map(|at| self.capture.get(at))
                 .filter(same),
         )?;
-        Some(describe_answer(&message).0)
+        Some(describe_response(&message).0)
     }
 
     /// The numbers of the frames that the filter lets through, from `number` on, oldest first.
@@ -207,7 +207,7 @@ impl App {
         }
         let mut matches = std::mem::take(&mut self.matches);
         if matches.line != line {
-            matches = Matches { line: line.to_owned(), ..Matches::default() };
+            matches = FilteredFrames { line: line.to_owned(), ..FilteredFrames::default() };
         }
         let (first, end) = (self.capture.first(), self.capture.end());
         while matches.numbers.front().is_some_and(|&number| number < first) {
@@ -299,10 +299,10 @@ fn describe_data(profile: &Profile, header: Header, frame: &Frame) -> (String, b
             },
         };
     }
-    match classify_answer(data, frame.fd, true) {
-        Some(Framing::Raw) => describe_answer(strip_raw_padding(data)),
+    match classify_response(data, frame.fd, true) {
+        Some(Framing::Raw) => describe_response(strip_raw_padding(data)),
         Some(Framing::Isotp) => match Pci::decode(data, frame.fd) {
-            Ok(Pci::Single(message)) => describe_answer(message),
+            Ok(Pci::Single(message)) => describe_response(message),
             Ok(Pci::First { length, data }) => {
                 let what = match data.first() {
                     Some(&TYPE_NAME) => "name",
@@ -311,7 +311,9 @@ fn describe_data(profile: &Profile, header: Header, frame: &Frame) -> (String, b
                 };
                 (format!("first frame: {what}, {length} bytes"), false)
             }
-            Ok(Pci::Consecutive { sequence, .. }) => (format!("consecutive frame {sequence:X}"), false),
+            Ok(Pci::Consecutive { sequence, .. }) => {
+                (format!("consecutive frame {sequence:X}"), false)
+            }
             Ok(Pci::Flow(flow)) => (describe_flow(flow.status).to_owned(), false),
             Err(fault) => (fault.to_string(), true),
         },
@@ -336,7 +338,7 @@ fn describe_request(message: &[u8]) -> String {
     }
 }
 
-fn describe_answer(message: &[u8]) -> (String, bool) {
+fn describe_response(message: &[u8]) -> (String, bool) {
     match message.first() {
         Some(&TYPE_NAME) => {
             let (name, fault) = decode_name(message);
@@ -347,7 +349,7 @@ fn describe_answer(message: &[u8]) -> (String, bool) {
             (text, fault.is_some())
         }
         Some(&TYPE_SERVICES) => {
-            let answer = ServicesAnswer::decode(message);
+            let answer = ServicesResponse::decode(message);
             let mut text = "services".to_owned();
             let mut count = 0;
             for service in answer.services() {

@@ -81,7 +81,7 @@ pub fn parse_line(line: &[u8]) -> Result<Option<LogLine<'_>>, LineFault> {
     let mut frame = parse_frame(words.next().ok_or(LineFault::Frame)?)?;
     match words.next() {
         None | Some(b"R") => {}
-        Some(b"T") => frame.ours = true,
+        Some(b"T") => frame.is_tx = true,
         Some(_) => return Err(LineFault::Trailing),
     }
     if words.next().is_some() {
@@ -99,7 +99,7 @@ pub fn write_line(
 ) -> io::Result<()> {
     let micros = epoch.unix_micros(frame.time);
     let (seconds, fraction) = (micros / 1_000_000, micros % 1_000_000);
-    let direction = if frame.ours { " T" } else { "" };
+    let direction = if frame.is_tx { " T" } else { "" };
     writeln!(out, "({seconds:010}.{fraction:06}) {interface} {frame}{direction}")
 }
 

@@ -67,7 +67,7 @@ impl FindingKind {
 
     /// Whether it is a collision: two devices where one should be. Confirmed ones make `scan`
     /// exit with 1.
-    pub const fn is_collision(self) -> bool {
+    pub const fn is_conflict(self) -> bool {
         matches!(
             self,
             Self::SameNameSameAddress
@@ -230,7 +230,7 @@ impl Finding {
     }
 
     /// Notes names concerned, each once.
-    pub fn concern(&mut self, name: &Name) {
+    pub fn add_name(&mut self, name: &Name) {
         if !self.names.contains(name) && self.names.len() < 8 {
             self.names.push(name.clone());
         }

@@ -6,7 +6,7 @@ use super::operation::{NewEntry, Operation, RemovedEntry};
 use super::patch::Patch;
 use super::position::{Position, Positions};
 use super::scan::{self, Container, Item, Span};
-use super::syntax::{BOM, Kind};
+use super::syntax::{BOM, JsonKind};
 use super::text::{from_json, to_hex, to_json};
 use super::{Document, Root};
 use crate::text::printable;
@@ -489,7 +489,7 @@ impl Document {
     }
 
     fn no_service(&self, span: &Span) -> EditError {
-        let found = Kind(&self.body()[span.clone()]).to_string();
+        let found = JsonKind(&self.body()[span.clone()]).to_string();
         EditError::NotService { position: Positions::new(self.body()).at(span.start), found }
     }
 
@@ -506,7 +506,7 @@ impl Document {
     }
 
     fn not_devices(&self, span: &Span) -> EditError {
-        let found = Kind(&self.body()[span.clone()]).to_string();
+        let found = JsonKind(&self.body()[span.clone()]).to_string();
         EditError::NotDevices { position: Positions::new(self.body()).at(span.start), found }
     }
 }

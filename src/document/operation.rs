@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::entry::{Entry, Member, ServiceEntry};
+use super::entry::{Entry, ListedService, Member};
 use super::layout::Members;
 use super::text::brief;
 use super::{Document, EditError};
@@ -55,7 +55,7 @@ pub enum Operation {
         /// Whose.
         entry: EntryKey,
         /// In the order in which they are to be listed.
-        services: Vec<ServiceEntry>,
+        services: Vec<ListedService>,
     },
     /// Takes back an edit of members; made by [`Operation::inverse`].
     Restore {
@@ -153,7 +153,7 @@ pub struct NewEntry {
     /// Written when given.
     pub uid: Option<String>,
     /// Written when there are any.
-    pub services: Vec<ServiceEntry>,
+    pub services: Vec<ListedService>,
 }
 
 impl NewEntry {

@@ -151,9 +151,9 @@ fn shown(text: &str) -> String {
 }
 
 /// Which kind of value a piece of JSON is, with its article, for messages.
-pub(super) struct Kind<'a>(pub &'a str);
+pub(super) struct JsonKind<'a>(pub &'a str);
 
-impl fmt::Display for Kind<'_> {
+impl fmt::Display for JsonKind<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self.0.as_bytes()[0] {
             b'{' => "an object",

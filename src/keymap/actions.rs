@@ -17,9 +17,9 @@ pub struct Action {
     /// The word for it in the last line of the screen; empty where it is not shown there.
     pub hint: &'static str,
     /// Where its keys count.
-    pub mode: Mode,
+    pub mode: KeyMode,
     /// Its place in the help.
-    pub group: Group,
+    pub group: ActionGroup,
     /// Its usual keys, as [`super::Key::parse`] reads them.
     pub keys: &'static [&'static str],
     /// Does it.
@@ -28,7 +28,7 @@ pub struct Action {
 
 /// What the keys mean at the moment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Mode {
+pub enum KeyMode {
     /// Looking at a page.
     Browse,
     /// A question waits for yes or no.
@@ -42,7 +42,7 @@ pub enum Mode {
 /// The parts of the help.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(missing_docs)]
-pub enum Group {
+pub enum ActionGroup {
     Look,
     Bus,
     Log,
@@ -51,20 +51,26 @@ pub enum Group {
     Answer,
 }
 
-impl Group {
+impl ActionGroup {
     /// In the order of the help.
-    pub const ALL: [Group; 6] =
-        [Group::Look, Group::Bus, Group::Log, Group::File, Group::Program, Group::Answer];
+    pub const ALL: [ActionGroup; 6] = [
+        ActionGroup::Look,
+        ActionGroup::Bus,
+        ActionGroup::Log,
+        ActionGroup::File,
+        ActionGroup::Program,
+        ActionGroup::Answer,
+    ];
 
     /// Its heading.
     pub const fn title(self) -> &'static str {
         match self {
-            Group::Look => "View",
-            Group::Bus => "The bus",
-            Group::Log => "The log",
-            Group::File => "des.json",
-            Group::Program => "The program",
-            Group::Answer => "Prompts",
+            ActionGroup::Look => "View",
+            ActionGroup::Bus => "The bus",
+            ActionGroup::Log => "The log",
+            ActionGroup::File => "des.json",
+            ActionGroup::Program => "The program",
+            ActionGroup::Answer => "Prompts",
         }
     }
 }
@@ -85,8 +91,8 @@ macro_rules! actions {
             name: $name,
             doc: $doc,
             hint: $hint,
-            mode: Mode::$mode,
-            group: Group::$group,
+            mode: KeyMode::$mode,
+            group: ActionGroup::$group,
             keys: &[$($key),*],
             run: $run,
         },)*)*];

@@ -62,7 +62,7 @@ pub enum StoreError {
         path: String,
     },
     /// The system refuses.
-    #[error("{path} cannot be read: {cause}{}", way_out(.cause))]
+    #[error("{path} cannot be read: {cause}{}", remedy_clause(.cause))]
     Read {
         /// Which.
         path: String,
@@ -75,7 +75,7 @@ pub enum StoreError {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Saved {
     /// How many other names the file had (hard links): they keep what it said before.
-    pub parted_from: u64,
+    pub broken_links: u64,
 }
 
 /// The file was not saved; it is as it was. `Display` names the cause and the way out.
@@ -114,7 +114,7 @@ pub enum SaveError {
         folder: String,
     },
     /// The system refuses.
-    #[error("{path} cannot be saved: {cause}{}", way_out(.cause))]
+    #[error("{path} cannot be saved: {cause}{}", remedy_clause(.cause))]
     Write {
         /// Which.
         path: String,
@@ -151,9 +151,7 @@ impl SaveError {
             Self::Protected { .. } => {
                 "it is write-protected: chmod u+w, or save a copy elsewhere".to_owned()
             }
-            Self::Foreign { .. } => {
-                "belongs to another user: save a copy elsewhere".to_owned()
-            }
+            Self::Foreign { .. } => "belongs to another user: save a copy elsewhere".to_owned(),
             Self::Unreadable(error) => error.in_short(),
             Self::NoFolder { folder, .. } => format!("no such folder: mkdir -p {folder}"),
             Self::Write { cause, .. } => {
@@ -319,7 +317,7 @@ impl Store {
             Err(cause) if cause.raw_os_error() != Some(Errno::EINVAL as i32) => {
                 Err(self.write_error(cause))
             }
-            _ => Ok(Saved { parted_from }),
+            _ => Ok(Saved { broken_links: parted_from }),
         }
     }
 
@@ -503,7 +501,7 @@ fn keep_owner(file: &File, old: &fs::Metadata) -> io::Result<()> {
 }
 
 /// What the user can do about it, as the end of a sentence.
-fn way_out(cause: &io::Error) -> &'static str {
+fn remedy_clause(cause: &io::Error) -> &'static str {
     remedy(cause).map_or("", |(way_out, _)| way_out)
 }
 
@@ -563,10 +561,7 @@ mod tests {
             (Errno::ENOSPC, ": make room, then save again"),
             (Errno::EDQUOT, ": make room, then save again"),
             (Errno::EROFS, ": the file system is mounted read-only; remount it, or use --file"),
-            (
-                Errno::EBUSY,
-                ": it is a bind mount; mount its folder instead",
-            ),
+            (Errno::EBUSY, ": it is a bind mount; mount its folder instead"),
             (
                 Errno::EACCES,
                 ": get permission (ls -ld shows the owner), or name another file with --file",

@@ -25,7 +25,7 @@ pub struct Scenario {
     /// The devices.
     pub devices: Vec<DeviceSpec>,
     /// What happens to them.
-    pub timetable: Vec<Event>,
+    pub timetable: Vec<TimetableEvent>,
 }
 
 impl Default for Scenario {
@@ -74,9 +74,14 @@ impl Scenario {
 
     /// The same with `action` on the device labelled `device` at `time`.
     #[must_use]
-    pub fn at(mut self, time: Duration, device: &str, action: Action) -> Self {
+    pub fn at(mut self, time: Duration, device: &str, action: DeviceAction) -> Self {
         let time = Instant::ZERO + time;
-        self.timetable.push(Event { time, every: None, device: device.to_owned(), action });
+        self.timetable.push(TimetableEvent {
+            time,
+            every: None,
+            device: device.to_owned(),
+            action,
+        });
         self
     }
 
@@ -377,7 +382,7 @@ pub(super) fn uid_of(text: &str) -> Uid {
 
 /// Something that is done to a device.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Action {
+pub enum DeviceAction {
     /// Switch it on.
     Join,
     /// Switch it off: it is gone without a word.
@@ -411,7 +416,7 @@ pub enum Action {
 
 /// An entry of the timetable.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Event {
+pub struct TimetableEvent {
     /// When.
     pub time: Instant,
     /// And again each time this has passed.
@@ -419,7 +424,7 @@ pub struct Event {
     /// To which device, by its label; empty for what concerns the bus.
     pub device: String,
     /// What.
-    pub action: Action,
+    pub action: DeviceAction,
 }
 
 /// Why a scenario cannot be used.

@@ -4,8 +4,10 @@
 use super::brush::{Brush, fit, inner, labelled, wrap};
 use super::devices::state_role;
 use super::signs;
-use crate::app::{App, FileWord, Kinship, Row, State, clock, concerns, spell};
-use crate::discovery::{Confidence, Device, Finding, FindingKind, Query, QueryState, ServiceEntry};
+use crate::app::{App, FileStatus, Redundancy, Row, RowState, clock, concerns, spell};
+use crate::discovery::{
+    Confidence, Device, DeviceService, Finding, FindingKind, Query, QueryState,
+};
 use crate::theme::Role;
 use crate::time::Duration;
 use ratatui::text::Line;
@@ -17,21 +19,21 @@ pub fn draw(brush: &mut Brush) {
         return;
     }
     let lines = match brush.app.selected_row() {
-        Some(row) => Details { brush, row, width: area.width, lines: Vec::new() }.all(),
+        Some(row) => DeviceDetails { brush, row, width: area.width, lines: Vec::new() }.all(),
         None => vec![Line::from(brush.span(Role::Muted, "nothing is selected"))],
     };
     let scroll = brush.app.view().details_scroll;
     brush.lines(area, &lines, scroll);
 }
 
-struct Details<'b, 'a> {
+struct DeviceDetails<'b, 'a> {
     brush: &'b Brush<'a>,
     row: &'a Row,
     width: u16,
     lines: Vec<Line<'static>>,
 }
 
-impl<'a> Details<'_, 'a> {
+impl<'a> DeviceDetails<'_, 'a> {
     fn all(mut self) -> Vec<Line<'static>> {
         let app = self.brush.app;
         let device = app.device_of(self.row);
@@ -57,7 +59,7 @@ impl<'a> Details<'_, 'a> {
     }
 
     fn ago(&self, at: crate::time::Instant) -> Duration {
-        self.app().looked_at().since(at)
+        self.app().display_time().since(at)
     }
 
     fn blank(&mut self) {
@@ -76,7 +78,7 @@ impl<'a> Details<'_, 'a> {
         let since = device
             .map_or(String::new(), |device| format!(" {}", spell(self.ago(device.presence_since))));
         let word = match (row.state, device) {
-            (State::Clash | State::Unseen, Some(device)) => {
+            (RowState::Conflict | RowState::Unknown, Some(device)) => {
                 format!("{} · {}", row.state.word(), device.presence)
             }
             _ => row.state.word().to_owned(),
@@ -90,8 +92,8 @@ impl<'a> Details<'_, 'a> {
         let mut line = Line::from(self.brush.span(state_role(row.state), word));
         line.push_span(self.brush.span(Role::Text, format!("{since}{bus}")));
         self.lines.push(line);
-        let unseen = row.state == State::Unseen;
-        if let Some(device) = device.filter(|device| unseen || !device.is_here()) {
+        let unseen = row.state == RowState::Unknown;
+        if let Some(device) = device.filter(|device| unseen || !device.is_present()) {
             let text = format!("last seen {} ago", spell(self.ago(device.last_seen)));
             self.add("", Role::Text, &text);
         }
@@ -101,7 +103,7 @@ impl<'a> Details<'_, 'a> {
         {
             let twins = self.app().buses()[usize::from(device.id.bus.0)].engine.devices().iter();
             let twins: Vec<String> = twins
-                .filter(|it| it.id != device.id && it.is_here() && it.name == device.name)
+                .filter(|it| it.id != device.id && it.is_present() && it.name == device.name)
                 .map(|it| it.address.to_string())
                 .collect();
             self.add("", Role::Text, &format!("² same name at {} (allowed)", twins.join(", ")));
@@ -125,7 +127,7 @@ impl<'a> Details<'_, 'a> {
             let (Some(other), Some(bus)) = (app.device(sibling.id), app.bus(sibling.id.bus)) else {
                 continue;
             };
-            if sibling.kinship == Kinship::Redundant {
+            if sibling.kinship == Redundancy::Redundant {
                 continue;
             }
             let what = sibling.kinship.words();
@@ -175,9 +177,9 @@ impl<'a> Details<'_, 'a> {
     fn why(&mut self, device: Option<&Device>) {
         let app = self.app();
         let reasons = match (device, app.entry_of(self.row)) {
-            (Some(device), Some(entry)) if !device.is_here() => app.why_missing(entry),
+            (Some(device), Some(entry)) if !device.is_present() => app.why_missing(entry),
             (Some(device), _) => app.why_incomplete(device),
-            (None, Some(_)) if self.row.state == State::Again => Vec::new(),
+            (None, Some(_)) if self.row.state == RowState::Duplicate => Vec::new(),
             (None, Some(entry)) => app.why_missing(entry),
             (None, None) => Vec::new(),
         };
@@ -308,21 +310,21 @@ impl<'a> Details<'_, 'a> {
         self.blank();
         let name = app.file().name();
         let (role, text) = match (self.row.file, device) {
-            (FileWord::Nothing, _) => return,
-            (FileWord::New, _) => {
+            (FileStatus::Nothing, _) => return,
+            (FileStatus::New, _) => {
                 (Role::New, format!("not in file ({} adds it)", app.key_of("add")))
             }
-            (FileWord::Listed(None), _) => (Role::Text, "listed without address".to_owned()),
-            (FileWord::Listed(Some(address)), _) => {
+            (FileStatus::Listed(None), _) => (Role::Text, "listed without address".to_owned()),
+            (FileStatus::Listed(Some(address)), _) => {
                 (Role::Text, format!("listed, last at {address}, not static"))
             }
-            (FileWord::Agrees(address), _) => {
+            (FileStatus::Agrees(address), _) => {
                 (Role::FileOk, format!("static {address}, matches"))
             }
-            (FileWord::Differs(address), Some(device)) => {
+            (FileStatus::Differs(address), Some(device)) => {
                 (Role::FileDiffers, format!("static {address}, device at {}", device.address))
             }
-            (FileWord::Differs(address) | FileWord::Pinned(address), _) => {
+            (FileStatus::Differs(address) | FileStatus::Pinned(address), _) => {
                 (Role::Text, format!("static {address}"))
             }
         };
@@ -406,7 +408,7 @@ fn printable(text: &str) -> String {
 }
 
 /// The version that a service had before it changed.
-fn before(device: &Device, service: &ServiceEntry) -> Option<String> {
+fn before(device: &Device, service: &DeviceService) -> Option<String> {
     let previous = device.previous_services.as_ref()?;
     match previous.iter().find(|before| before.name == service.name) {
         Some(before) if before.version == service.version => None,
@@ -422,10 +424,10 @@ enum InFile {
     Other(String),
 }
 
-fn in_file(listed: Option<&[crate::document::ServiceEntry]>, service: &ServiceEntry) -> InFile {
+fn in_file(listed: Option<&[crate::document::ListedService]>, service: &DeviceService) -> InFile {
     let Some(listed) = listed.filter(|listed| !listed.is_empty()) else { return InFile::Same };
     let own = service.name.to_string();
-    let version = |listed: &crate::document::ServiceEntry| printable(&listed.version);
+    let version = |listed: &crate::document::ListedService| printable(&listed.version);
     match listed.iter().find(|listed| printable(&listed.name) == own) {
         None => InFile::New,
         Some(listed) if listed.version.is_empty() => InFile::Same,

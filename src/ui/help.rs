@@ -2,7 +2,7 @@
 
 use super::brush::{Brush, fit, wrap};
 use super::signs::SIGNS;
-use crate::keymap::{ACTIONS, Action, Group};
+use crate::keymap::{ACTIONS, Action, ActionGroup};
 use crate::status::size;
 use crate::theme::Role;
 use ratatui::layout::Rect;
@@ -41,8 +41,9 @@ pub fn draw(brush: &mut Brush, scroll: u16) {
 fn keys(brush: &Brush, width: u16) -> Vec<Line<'static>> {
     let mut lines = Vec::new();
     // Where there is no log, nothing of it is said.
-    let is_here = |group: &Group| *group != Group::Log || brush.app.playback().is_some();
-    for group in Group::ALL.into_iter().filter(is_here) {
+    let is_here =
+        |group: &ActionGroup| *group != ActionGroup::Log || brush.app.playback().is_some();
+    for group in ActionGroup::ALL.into_iter().filter(is_here) {
         if !lines.is_empty() {
             lines.push(Line::default());
         }
@@ -99,7 +100,7 @@ fn counters(brush: &Brush, width: u16) -> Vec<Line<'static>> {
             ("frames", engine.frames, "received, own frames included"),
             ("sent", engine.sent, "own frames confirmed on the bus"),
             ("errors", engine.errors, "error frames"),
-            ("non-platform", engine.foreign, "11-bit and remote frames, not decoded"),
+            ("non-platform", engine.non_platform, "11-bit and remote frames, not decoded"),
             ("non-conforming", engine.non_conforming, "unknown message type"),
             ("malformed", engine.malformed, "responses unusable or only partly usable"),
             ("aborted", engine.transfers_failed, "multi-frame responses not completed"),

@@ -45,11 +45,7 @@ fn draw_list(brush: &mut Brush) {
             return brush.filtered(list, "no problem matches the filter");
         }
         // Where a bus cannot be seen, nothing may be said of it.
-        let text = if brush.is_blind() {
-            "no problems so far"
-        } else {
-            "no problems found"
-        };
+        let text = if brush.is_blind() { "no problems so far" } else { "no problems found" };
         return brush.nothing(list, text);
     }
     let selected = app.view().problems.index(problems.iter().map(|problem| &problem.key));
@@ -96,7 +92,7 @@ fn problem_line(brush: &Brush, problem: &Problem, list: Rect, selected: bool) ->
         spans.push(brush.span(plain, "muted · "));
     }
     spans.push(brush.span(plain, problem.headline()));
-    let names: Vec<String> = problem.names().iter().map(|it| it.called().to_string()).collect();
+    let names: Vec<String> = problem.names().iter().map(|it| it.quoted().to_string()).collect();
     if !names.is_empty() {
         spans.push(brush.span(Role::Muted, format!("  {}", names.join(", "))));
     }
@@ -134,21 +130,23 @@ fn draw_details(brush: &mut Brush) {
         return;
     }
     let lines = match brush.app.selected_problem() {
-        Some(problem) => Details { brush, problem, width: area.width, lines: Vec::new() }.all(),
+        Some(problem) => {
+            ProblemDetails { brush, problem, width: area.width, lines: Vec::new() }.all()
+        }
         None => return,
     };
     let scroll = brush.app.view().details_scroll;
     brush.lines(area, &lines, scroll);
 }
 
-struct Details<'b, 'a> {
+struct ProblemDetails<'b, 'a> {
     brush: &'b Brush<'a>,
     problem: Problem<'a>,
     width: u16,
     lines: Vec<Line<'static>>,
 }
 
-impl Details<'_, '_> {
+impl ProblemDetails<'_, '_> {
     fn all(mut self) -> Vec<Line<'static>> {
         self.certainty();
         self.text();
@@ -167,11 +165,11 @@ impl Details<'_, '_> {
         let (app, head) = (self.brush.app, self.problem.head());
         let (sign, role, _) = roles(&self.problem);
         let since = self.problem.since();
-        let (at, ago) = (clock(app, since), spell(app.looked_at().since(since)));
+        let (at, ago) = (clock(app, since), spell(app.display_time().since(since)));
         let word = match head.confidence {
             Confidence::Cleared => "cleared ",
             Confidence::Suspected => "suspected ",
-            Confidence::Confirmed if head.key.kind.is_collision() => "confirmed ",
+            Confidence::Confirmed if head.key.kind.is_conflict() => "confirmed ",
             Confidence::Confirmed => "",
         };
         self.lines.push(Line::from(vec![
@@ -189,7 +187,7 @@ impl Details<'_, '_> {
         let headline = self.problem.headline();
         let text = if head.text.is_empty() { &*headline } else { &head.text };
         self.add("", Role::Text, text);
-        if let Some(awaits) = self.problem.awaits() {
+        if let Some(awaits) = self.problem.confirmation_hint() {
             self.lines.push(Line::default());
             self.add("? ", Role::Muted, awaits);
         }
@@ -246,7 +244,7 @@ impl Details<'_, '_> {
     fn concerned(&mut self) {
         let (app, problem) = (self.brush.app, &self.problem);
         let addresses: Vec<String> = problem.addresses().iter().map(ToString::to_string).collect();
-        let names: Vec<String> = problem.names().iter().map(|it| it.called().to_string()).collect();
+        let names: Vec<String> = problem.names().iter().map(|it| it.quoted().to_string()).collect();
         let bus = problem.bus().filter(|_| app.buses().len() > 1).and_then(|bus| app.bus(bus));
         let buses: Vec<String> = bus.iter().map(|bus| bus.name.clone()).collect();
         let mut seen = Vec::new();

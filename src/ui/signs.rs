@@ -25,11 +25,7 @@ pub const SIGNS: [(Role, &str, &str); 25] = [
     (Role::FileDiffers, "4≠", "services differ from the file"),
     (Role::New, "+ new", "not in the file"),
     (Role::Warning, "  12!", "invalid entry: see the details"),
-    (
-        Role::Suspected,
-        "≈ assumed",
-        "service numbers and layouts are assumed (no --profile)",
-    ),
+    (Role::Suspected, "≈ assumed", "service numbers and layouts are assumed (no --profile)"),
     (Role::Text, "load ≈3%", "bit rate unknown: 125 kbit/s assumed"),
     (Role::Warning, "listen-only, acks", "descan does not transmit; the controller still ACKs"),
     (Role::Recording, "● rec 12 MB", "recording, size written so far (--record)"),

@@ -112,7 +112,7 @@ fn who(brush: &Brush, entry: &TimelineEntry, width: usize) -> String {
     match (app.name_on_line(entry), entry.address) {
         (Some(name), Some(address)) => {
             let address = format!(" @{address}");
-            let name = name.called().to_string();
+            let name = name.quoted().to_string();
             let room = width.saturating_sub(address.width());
             let short = if name.width() > room {
                 format!("{}…", cut(&name, room.saturating_sub(1)))
@@ -122,7 +122,7 @@ fn who(brush: &Brush, entry: &TimelineEntry, width: usize) -> String {
             short + &address
         }
         (None, Some(address)) => format!("? @{address}"),
-        (Some(name), None) if entry.bus.is_none() => name.called().to_string(),
+        (Some(name), None) if entry.bus.is_none() => name.quoted().to_string(),
         _ => match entry.bus.and_then(|bus| app.bus(bus)) {
             Some(bus) => end_of(bus.name_without_rates(), width),
             None => app.file().name(),

@@ -84,11 +84,11 @@ fn frame_line(
 ) -> Line<'static> {
     let decoded = Decoded::of(brush.app, frame);
     let proves = brush.app.piece_of(frame).is_some();
-    let plain = if frame.ours { Role::Muted } else { Role::Text };
+    let plain = if frame.is_tx { Role::Muted } else { Role::Text };
     let text = |role: Role, text: String| brush.span(role, text);
     let mut spans: Vec<Span> = vec![
         text(Role::Text, if selected { "▸" } else { " " }.to_owned()),
-        text(Role::Match, if proves { HELD } else { " " }.to_owned()),
+        text(Role::Match, if proves { IN_CAPTURE } else { " " }.to_owned()),
         text(Role::Muted, format!("{} ", clock_millis(brush.app, frame.time))),
     ];
     if room.bus {
@@ -140,8 +140,8 @@ pub(super) fn in_words(brush: &Brush, frame: &Frame) -> String {
 }
 
 /// The sign of evidence that the capture still holds, and of what only the finding has kept.
-const HELD: &str = "◆";
-const KEPT: &str = "◇";
+const IN_CAPTURE: &str = "◆";
+const STORED_ONLY: &str = "◇";
 
 /// The pieces of evidence, a row each: what they show before what they say.
 fn draw_evidence(brush: &mut Brush) {
@@ -169,8 +169,8 @@ fn draw_evidence(brush: &mut Brush) {
     for (row, piece) in evidence.pieces.iter().skip(top).take(height).enumerate() {
         let is_selected = selected == Some(top + row);
         let sign = match &piece.frame {
-            Some(frame) if brush.app.captured(frame).is_some() => HELD,
-            Some(_) => KEPT,
+            Some(frame) if brush.app.captured(frame).is_some() => IN_CAPTURE,
+            Some(_) => STORED_ONLY,
             None => " ",
         };
         let mut spans = vec![
@@ -188,7 +188,9 @@ fn draw_evidence(brush: &mut Brush) {
             }
         }
         spans.push(brush.span(Role::Text, piece.what.clone()));
-        if let Some((_, decoded)) = decoded.filter(|(_, decoded)| !decoded.text.is_empty() && decoded.text != piece.what) {
+        if let Some((_, decoded)) =
+            decoded.filter(|(_, decoded)| !decoded.text.is_empty() && decoded.text != piece.what)
+        {
             spans.push(brush.span(Role::Muted, format!(": {}", decoded.text)));
         }
         brush.line(list, row as u16, &Line::from(spans));
@@ -224,7 +226,7 @@ fn draw_details(brush: &mut Brush) {
         lines.extend(labelled(brush, &fit(label, 9), role, text, area.width));
     };
     let bus = app.bus(frame.bus).map_or("", |bus| bus.name_without_rates());
-    let ours = if frame.ours { ", sent by descan" } else { "" };
+    let ours = if frame.is_tx { ", sent by descan" } else { "" };
     add("frame", Role::Text, &format!("{} on {bus}{ours}", clock_millis(app, frame.time)));
     add("id", Role::Text, &describe_id(frame, &decoded));
     if let Some(header) = decoded.header {

@@ -217,7 +217,7 @@ pub enum TransferFault {
 
 /// What a consecutive frame did to a transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Progress {
+pub enum ReassemblyProgress {
     /// More to come.
     More,
     /// More to come, and the sender waits for flow control.
@@ -274,7 +274,7 @@ impl Reassembly {
         now: Instant,
         sequence: u8,
         data: &[u8],
-    ) -> Result<Progress, TransferFault> {
+    ) -> Result<ReassemblyProgress, TransferFault> {
         let missing = self.length - self.message.len();
         let take = missing.min(self.part);
         if sequence != self.next_sequence || data.len() < take {
@@ -284,16 +284,16 @@ impl Reassembly {
         self.next_sequence = (sequence + 1) & 0x0F;
         self.deadline = now + TIMEOUT;
         if self.message.len() == self.length {
-            return Ok(Progress::Done);
+            return Ok(ReassemblyProgress::Done);
         }
         if self.block_size > 0 {
             self.block_left -= 1;
             if self.block_left == 0 {
                 self.block_left = self.block_size;
-                return Ok(Progress::BlockEnd);
+                return Ok(ReassemblyProgress::BlockEnd);
             }
         }
-        Ok(Progress::More)
+        Ok(ReassemblyProgress::More)
     }
 
     /// The bytes so far; all of them after [`Progress::Done`].

@@ -2,7 +2,7 @@
 
 use super::{after, at_ms, beats, from};
 use descan::frame::Frame;
-use descan::sim::{Action, DeviceSpec, Scenario, ScenarioError, Sim};
+use descan::sim::{DeviceAction, DeviceSpec, Scenario, ScenarioError, Sim};
 use descan::time::{Duration, Instant};
 use descan::wire::id::Address;
 use descan::wire::node::Mode;
@@ -211,7 +211,7 @@ fn odd_scenarios_made_in_code_do_no_harm() {
     let mut scenario = Scenario::new(0).with(device.clone()).with(device);
     scenario.data_bitrate = 0;
     scenario.error_rate = f64::NAN;
-    scenario = scenario.at(Duration::MAX, "nobody", Action::Leave);
+    scenario = scenario.at(Duration::MAX, "nobody", DeviceAction::Leave);
     let mut sim = Sim::new(&scenario, 1);
     let me = sim.attach();
     sim.transmit(me, Frame::classic(0, &[]));

@@ -3,8 +3,8 @@
 //! This opens the port; `dialogue` is what is said there, `line` is what the lines mean. A port
 //! that is not there, is in use, or goes away is a status, and is waited for.
 
-mod dialogue;
 mod line;
+mod protocol;
 
 pub(super) use line::{data_rate_code, data_rates, rate_code, rates};
 
@@ -12,10 +12,9 @@ use super::Options;
 use super::clock::Clock;
 use super::port::Port;
 use super::remote::Backoff;
-use super::remote::stream::{self, Away, Endpoint};
+use super::remote::stream::{self, Endpoint, Unavailable};
 use crate::frame::BusIndex;
 use crate::status::{BusStatus, Link, RateSearch};
-use dialogue::{Settings, Slcan};
 use nix::errno::Errno;
 use nix::fcntl::{Flock, FlockArg, OFlag};
 use nix::sys::termios::{
@@ -23,6 +22,7 @@ use nix::sys::termios::{
     tcgetattr, tcsetattr,
 };
 use nix::unistd::{Gid, Group};
+use protocol::{Slcan, SlcanSettings};
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Write};
 use std::os::fd::{AsFd, BorrowedFd};
@@ -42,7 +42,7 @@ pub(super) fn open(
     (bitrate, data_bitrate): (Option<u32>, Option<u32>),
     (index, clock, options): (BusIndex, Clock, Options),
 ) -> io::Result<Port> {
-    let settings = Settings { bitrate, data_bitrate, listen_only: options.listen_only };
+    let settings = SlcanSettings { bitrate, data_bitrate, listen_only: options.listen_only };
     let dialogue = Slcan::new(&device.to_string_lossy(), settings);
     let status = BusStatus {
         bitrate,
@@ -65,8 +65,8 @@ struct LockedPort(Flock<File>);
 impl Endpoint for SerialPort {
     type Stream = LockedPort;
 
-    fn open(&self) -> Result<LockedPort, Away> {
-        let away = |link, message| Away { link, message };
+    fn open(&self) -> Result<LockedPort, Unavailable> {
+        let away = |link, message| Unavailable { link, message };
         let name = self.device.display();
         let port = OpenOptions::new()
             .read(true)
@@ -99,9 +99,9 @@ impl Endpoint for SerialPort {
         Ok(port)
     }
 
-    fn broken_off(&self) -> Away {
+    fn broken_off(&self) -> Unavailable {
         let message = format!("{} unplugged: plug it in again", self.device.display());
-        Away { link: Link::Unplugged, message }
+        Unavailable { link: Link::Unplugged, message }
     }
 
     fn close(&self, stream: LockedPort, stuck: bool) {
@@ -113,7 +113,7 @@ impl Endpoint for SerialPort {
 }
 
 impl SerialPort {
-    fn cannot_open(&self, error: &io::Error) -> Away {
+    fn cannot_open(&self, error: &io::Error) -> Unavailable {
         let name = self.device.display();
         let errno = error.raw_os_error().map_or(Errno::UnknownErrno, Errno::from_raw);
         let (link, message) = match errno {
@@ -127,7 +127,7 @@ impl SerialPort {
             Errno::EIO => (Link::Missing, format!("{name}: no device connected")),
             _ => (Link::Down, format!("cannot open {name}: {error}")),
         };
-        Away { link, message }
+        Unavailable { link, message }
     }
 }
 
