@@ -4,7 +4,7 @@
 
 use crate::bus::BusSpec;
 use crate::guide;
-use crate::shell::recorder::{Format, Size};
+use crate::shell::recorder::{RecordFormat, Size};
 use crate::wire::id::Address;
 use clap::builder::{PossibleValue, StringValueParser, TypedValueParser};
 use clap::{Args, CommandFactory, Parser, Subcommand};
@@ -17,9 +17,9 @@ use std::time::Duration;
 #[command(
     name = "descan",
     version,
-    about = "Find the devices on a CAN bus, their services, versions and collisions; edit static addresses",
+    about = "Find the devices on a CAN bus, their services, versions and address conflicts; edit static addresses",
     long_about = "Find the devices on a CAN bus with DES, the devices enumeration service: names, services, \
-                  versions, modes, collisions. Edit static addresses in des.json in place.",
+                  versions, modes, address conflicts. Edit static addresses in des.json in place.",
     after_help = EXAMPLES,
     disable_help_subcommand = true,
     args_conflicts_with_subcommands = true,
@@ -31,66 +31,66 @@ pub struct Cli {
     pub command: Option<Command>,
     /// The buses and how to treat them.
     #[command(flatten)]
-    pub session: Session,
+    pub session: SessionArgs,
 }
 
 const EXAMPLES: &str = "\
 Examples:
-  descan                        the one CAN interface there is, in the terminal UI
+  descan                        the only CAN interface, in the terminal UI
   descan can0                   can0, in the terminal UI
-  descan demo                   a simulated pellet boiler, to look around
-  descan scan can0              who is there, as a table
-  descan scan can0 --json       the same for scripts
-  descan check can0             is the bus what des.json says?
-  descan watch can0             what happens, as it happens, a line each
+  descan demo                   a simulated pellet boiler to try it out
+  descan scan can0              list the devices as a table
+  descan scan can0 --json       the same as JSON, for scripts
+  descan check can0             compare the bus with des.json
+  descan watch can0             print events as they happen, one per line
   descan scan can0 --write des.json
-                                begin a des.json with what is there
-  descan file:session.log       a candump log, as it was timed
+                                create des.json from the bus
+  descan file:session.log       replay a candump log in real time
   ssh board candump -L can0 | descan -
-                                a bus at the other end of a line
+                                a remote bus over SSH
 
-An interface that is down: sudo ip link set can0 up type can bitrate 125000";
+Bring an interface up: sudo ip link set can0 up type can bitrate 125000";
 
 /// The commands.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// The terminal UI on a simulated bus: devices that join, move, reboot, collide
+    /// Open the terminal UI on a simulated bus: devices join, move, reboot and conflict
     Demo {
-        /// Which system is simulated
+        /// System to simulate
         #[arg(default_value = "boiler", value_parser = ["boiler", "drone"])]
         system: String,
-        /// How it is shown, and whether we only listen
+        /// UI and transmit options
         #[command(flatten)]
-        session: Common,
+        session: CommonArgs,
     },
-    /// One enumeration, printed as a table
-    Scan(Scan),
-    /// Whether a bus is what des.json says, a line for each difference
-    Check(Check),
-    /// What happens, as it happens, a line each
-    Watch(Watch),
-    /// Simulated devices on a bus, from a scenario
+    /// Enumerate the devices once and print them as a table
+    Scan(ScanArgs),
+    /// Compare a bus with des.json, one line per difference
+    Check(CheckArgs),
+    /// Print events as they happen, one per line
+    Watch(WatchArgs),
+    /// Simulate the devices of a scenario on a bus
     #[command(after_help = "\
 Examples:
   descan sim vcan0
   descan sim udp:239.74.163.2 --scenario drone
   descan sim slcan:/dev/ttyACM0@500000 --scenario line.toml --time 60")]
     Sim {
-        /// The bus they are put on: can0 | slcan:DEVICE@RATE | udp:GROUP | socketcand://HOST/BUS
+        /// Bus to simulate the devices on: can0 | slcan:DEVICE@RATE | udp:GROUP | socketcand://HOST/BUS
         #[arg(value_name = "BUS")]
         bus: BusSpec,
-        /// boiler, drone, or a scenario file (TOML)
+        /// Scenario: boiler, drone or a TOML file
         #[arg(long, default_value = "boiler", value_name = "SCENARIO")]
         scenario: String,
-        /// End after this many seconds
+        /// Stop after SECONDS; without it, run until interrupted
         #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
         time: Option<Duration>,
     },
-    /// Find the bit rate of a bus, listening only
-    Speed(Speed),
-    /// Print the completions for a shell
+    /// Find the bit rate of a bus, listen-only
+    Speed(SpeedArgs),
+    /// Print the completion script of a shell
     Completions {
-        /// For which shell
+        /// Shell to complete for
         shell: clap_complete::Shell,
     },
     /// Print a manual page, in roff: descan man | man -l -
@@ -112,23 +112,23 @@ Examples:
 /// `descan scan`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Exit code: 0 no confirmed collision, 1 one or more, 2 wrong usage, 3 bus or file not usable.
+Exit code: 0 no confirmed conflict, 1 one or more, 2 wrong usage, 3 bus or file not usable.
 
 Examples:
   descan scan can0
   descan scan can0 --json | jq '.devices[].name'
   descan scan file:session.log --json")]
-pub struct Scan {
+pub struct ScanArgs {
     /// The buses and how to treat them.
     #[command(flatten)]
-    pub session: Session,
+    pub session: SessionArgs,
     /// Print one JSON object instead of tables
     #[arg(long)]
     pub json: bool,
-    /// Write what was found to this file; an existing one is not touched
+    /// Write the devices found to a new FILE; never overwrites
     #[arg(long, value_name = "FILE")]
     pub write: Option<PathBuf>,
-    /// End at the latest after this many seconds
+    /// Stop after SECONDS at the latest
     #[arg(long, value_name = "SECONDS", default_value = "15", value_parser = seconds, allow_negative_numbers = true)]
     pub time: Duration,
 }
@@ -136,9 +136,9 @@ pub struct Scan {
 /// `descan check`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Compares what is on the bus with des.json: entries that are missing, devices at another address than
-the pinned one, of another name, or not listed, services and versions where the file lists them (in
-their order where they are a list); and collisions.
+Compares the bus with des.json and prints: missing entries; devices at another address than the
+static one, with another name, or not in the file; services and versions that differ, where the file
+has them (order counts in a list); address conflicts.
 
 Exit code: 0 no difference, 1 one or more, 2 wrong usage, 3 bus or file not usable, 130 interrupted.
 
@@ -146,17 +146,17 @@ Examples:
   descan check can0
   descan check can0 --file line7.json --wait-for-all --time 60
   descan check file:session.log --json | jq -r '.findings[].text'")]
-pub struct Check {
+pub struct CheckArgs {
     /// The buses and how to treat them.
     #[command(flatten)]
-    pub session: Session,
+    pub session: SessionArgs,
     /// Print one JSON object instead of lines
     #[arg(long)]
     pub json: bool,
-    /// Wait until every entry is there, at most for the --time
+    /// Wait until every entry has its device, at most --time
     #[arg(long)]
     pub wait_for_all: bool,
-    /// End at the latest after this many seconds
+    /// Stop after SECONDS at the latest
     #[arg(long, value_name = "SECONDS", default_value = "15", value_parser = seconds, allow_negative_numbers = true)]
     pub time: Duration,
 }
@@ -164,18 +164,18 @@ pub struct Check {
 /// `descan watch`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-A log is read as fast as it can be, with its own times, unless --speed is given; lines from
-standard input are told as they come. What goes down or is unplugged is waited for, once it was
-open.
+Without --speed, a log is read at full speed; times are those of the log. Lines from standard
+input are processed as they arrive. A bus that goes down or is unplugged after it was open is
+opened again when it returns.
 
---filter takes the words and fields of the screen's filter line, all of which must fit: at:12,14
-name:FEED is:confirmed bus:can1 lost !debug. What is about a whole bus (its state, frames lost,
-our own address) and what goes wrong with us is told all the same. With at: and --listen-only,
-frames of other addresses are not even read from a SocketCAN interface: other devices are not
-discovered then, and the bus load is not known. Without --listen-only everything is read, for
-our own address needs it, and so it is with --record.
+--filter takes the words and fields of the filter line in the UI; all of them must match: at:12,14
+name:FEED is:confirmed bus:can1 lost !debug. Bus state, lost frames, descan's own address and
+descan's errors are always printed. With at: and --listen-only, frames of other addresses are
+not read from a SocketCAN interface: other devices are not found, and the bus load is unknown.
+Without --listen-only, and with --record, all frames are read: descan needs them for its own
+address, or to record them.
 
-Exit code: 0 ended by a signal, by --time or by the log's end, 2 wrong usage, 3 bus or file not
+Exit code: 0 ended by a signal, --time or the end of the log, 2 wrong usage, 3 bus or file not
 usable.
 
 Examples:
@@ -184,17 +184,17 @@ Examples:
   descan watch can0 --filter at:12 --listen-only
   descan watch file:session.log
   ssh board candump -L can0 | descan watch -")]
-pub struct Watch {
+pub struct WatchArgs {
     /// The buses and how to treat them.
     #[command(flatten)]
-    pub session: Session,
-    /// Print one JSON object a line
+    pub session: SessionArgs,
+    /// Print one JSON object per line
     #[arg(long)]
     pub json: bool,
-    /// Tell only what fits: at:12,14 | name:FEED | is:confirmed | word | !word ...
+    /// Print only matching events: at:12,14 | name:FEED | is:confirmed | word | !word ...
     #[arg(long, value_name = "EXPR")]
     pub filter: Option<String>,
-    /// End after this many seconds; those of a log file are its own
+    /// Stop after SECONDS (log time for a log file)
     #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub time: Option<Duration>,
 }
@@ -202,12 +202,12 @@ pub struct Watch {
 /// `descan speed`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Listens at 125, 250, 500 and 1000 kbit/s, from the rate that is set, 1.5 s at each, until a frame
-arrives whole; then the interface keeps that rate. Otherwise it is put back to how it was. Only root
-may set an interface.
+Listens at 125, 250, 500 and 1000 kbit/s, beginning with the current rate, 1.5 s at each, until a
+valid frame arrives; the interface then keeps that rate. Otherwise the previous settings are
+restored. Setting an interface needs root.
 
-A device that is alone on the bus is not heard by who only listens: nobody acknowledges its frames.
---active takes part while it tries, which at a wrong rate destroys the frames of others.
+A device alone on the bus gets no ACK, so listen-only search cannot find it.
+--active joins the bus at each rate, which at a wrong rate destroys other nodes' frames.
 
 Exit code: 0 found, 1 not found, 2 wrong usage, 3 interface not usable, 130 interrupted.
 
@@ -215,17 +215,17 @@ Examples:
   sudo descan speed can0
   sudo descan speed can0 --first 500000 --json | jq .bitrate
   descan speed slcan:/dev/ttyACM0")]
-pub struct Speed {
+pub struct SpeedArgs {
     /// can0 | slcan:/dev/ttyACM0
     #[arg(value_name = "BUS")]
     pub bus: BusSpec,
-    /// The rate to begin with, in bit/s [default: the one that is set]
+    /// First rate to try, in bit/s [default: the current rate]
     #[arg(long, value_name = "BITRATE", value_parser = bitrate, allow_negative_numbers = true)]
     pub first: Option<u32>,
-    /// What the protocol leaves open: here BUS_CFG_HR_TIME, of which each rate gets 1.5 (TOML)
+    /// Values the protocol leaves open (TOML): here BUS_CFG_HR_TIME; 1.5 of it per rate
     #[arg(long, value_name = "FILE")]
     pub profile: Option<PathBuf>,
-    /// Take part in the bus at each rate, without asking
+    /// Join the bus at each rate without confirmation
     #[arg(long)]
     pub active: bool,
     /// Print one JSON object
@@ -235,44 +235,44 @@ pub struct Speed {
 
 /// Buses, and what concerns them.
 #[derive(Debug, Args, Clone)]
-pub struct Session {
+pub struct SessionArgs {
     /// can0 | slcan:DEVICE@RATE | socketcand://HOST/BUS | udp:GROUP | file:LOG | - | sim:boiler |
     /// sim:drone | sim:FILE (several: one view over all)
     #[arg(value_name = "BUS")]
     pub buses: Vec<BusSpec>,
-    /// How fast a log is replayed: 1 as it was timed, 10 ten times faster
+    /// Replay speed of a log: 1 is real time, 10 is ten times as fast
     #[arg(long, value_name = "N", value_parser = speed, allow_negative_numbers = true)]
     pub speed: Option<f64>,
     /// What concerns every session.
     #[command(flatten)]
-    pub common: Common,
+    pub common: CommonArgs,
 }
 
 /// What concerns every session.
 #[derive(Debug, Args, Clone)]
-pub struct Common {
-    /// The list of devices and static addresses [default: ./des.json; demo: one of its own]
+pub struct CommonArgs {
+    /// The des.json file [default: ./des.json; demo: a temporary file]
     #[arg(long, value_name = "FILE")]
     pub file: Option<PathBuf>,
-    /// What the protocol leaves open: service numbers, framing, heartbeat layout (TOML)
+    /// Values the protocol leaves open: service numbers, framing, heartbeat layout (TOML)
     #[arg(long, value_name = "FILE")]
     pub profile: Option<PathBuf>,
-    /// Send nothing at all; learn from what others ask and answer
+    /// Never transmit; learn from other nodes' traffic
     #[arg(long)]
     pub listen_only: bool,
-    /// Do not ask devices who they are
+    /// Send no name or services requests
     #[arg(long)]
     pub no_scan: bool,
-    /// Our own address, 0 to 127 [default: 0, or a free one]
+    /// Own address, 0 to 127 [default: 0, or a free address]
     #[arg(long, value_name = "N", value_parser = address, allow_negative_numbers = true)]
     pub address: Option<Address>,
-    /// Record all frames, into a new file: .log is candump's text, .pcapng is for Wireshark
+    /// Record all frames to a new FILE: .log for candump text, .pcapng for Wireshark
     #[arg(long, value_name = "FILE", value_parser = recording)]
     pub record: Option<PathBuf>,
-    /// Begin another file (FILE_00002, …) before one grows beyond this: 500k, 100M, 2G
+    /// Start a new file (FILE_00002, …) before SIZE is reached: 500k, 100M, 2G
     #[arg(long, value_name = "SIZE", requires = "record")]
     pub record_size: Option<Size>,
-    /// Of the terminal UI: terminal | dark | light | high-contrast | mono, or one of your own
+    /// UI theme: terminal | dark | light | high-contrast | mono, or the name of your own
     #[arg(long, value_name = "NAME")]
     pub theme: Option<String>,
 }
@@ -287,7 +287,7 @@ fn address(text: &str) -> Result<Address, String> {
 
 fn recording(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
-    Format::of(&path).map_err(|fault| fault.to_string())?;
+    RecordFormat::of(&path).map_err(|fault| fault.to_string())?;
     Ok(path)
 }
 
@@ -312,22 +312,22 @@ fn speed(text: &str) -> Result<f64, String> {
 }
 
 /// Parses the arguments. What is wrong with them is one line that says what would be right.
-pub fn parse<I, T>(arguments: I) -> Result<Cli, Refusal>
+pub fn parse<I, T>(arguments: I) -> Result<Cli, CliExit>
 where
     I: IntoIterator<Item = T>,
     T: Into<std::ffi::OsString> + Clone,
 {
     Cli::try_parse_from(arguments).map_err(|error| {
         if !error.use_stderr() {
-            return Refusal::Text(error.render().to_string());
+            return CliExit::Text(error.render().to_string());
         }
-        Refusal::Usage(one_line(&error))
+        CliExit::Usage(one_line(&error))
     })
 }
 
 /// Why there are no options.
 #[derive(Debug)]
-pub enum Refusal {
+pub enum CliExit {
     /// Help or version was asked for: this is it.
     Text(String),
     /// The arguments are wrong: this is what would be right.
@@ -347,7 +347,7 @@ fn one_line(error: &clap::Error) -> String {
     let first = parts.next().unwrap_or("wrong arguments").to_owned();
     let rest: Vec<&str> = parts.collect();
     if rest.is_empty() {
-        format!("{first} (descan --help shows what there is)")
+        format!("{first} (see descan --help)")
     } else {
         format!("{first}: {}", rest.join("; "))
     }

@@ -201,7 +201,7 @@ impl fmt::Display for ErrorReport {
             (CONTROLLER, "controller"),
             (PROTOCOL, "protocol violation"),
             (TRANSCEIVER, "transceiver"),
-            (NO_ACKNOWLEDGE, "nobody acknowledged"),
+            (NO_ACKNOWLEDGE, "no ACK"),
             (BUS_OFF, "bus-off"),
             (BUS_ERROR, "bus error"),
             (RESTARTED, "controller restarted"),
@@ -222,7 +222,7 @@ impl fmt::Display for ErrorReport {
             (BIT_0, "bit 0"),
             (BIT_1, "bit 1"),
             (OVERLOAD, "overload"),
-            (WHILE_SENDING, "while we sent"),
+            (WHILE_SENDING, "while transmitting"),
         ];
         let classes = CLASSES.iter().filter(|(bit, _)| self.is(*bit)).map(|(_, word)| *word);
         let states =
@@ -277,8 +277,8 @@ mod tests {
             (
                 PROTOCOL | BUS_ERROR | COUNTERS,
                 [0, 0, STUFF | WHILE_SENDING, 0x0A, 0, 0, 8, 0],
-                "protocol violation, bus error, stuff, while we sent, in the data, error counters \
-                 tx 8, rx 0",
+                "protocol violation, bus error, stuff, while transmitting, in the data, error \
+                 counters tx 8, rx 0",
             ),
             (LOST_ARBITRATION, [12, 0, 0, 0, 0, 0, 0, 0], "arbitration lost, at bit 12"),
             (LOST_ARBITRATION, [0; 8], "arbitration lost"),
@@ -293,7 +293,7 @@ mod tests {
                 "bus-off, error counters tx 255, rx 3",
             ),
             (RESTARTED, [0; 8], "controller restarted"),
-            (NO_ACKNOWLEDGE | BUS_ERROR, [0; 8], "nobody acknowledged, bus error"),
+            (NO_ACKNOWLEDGE | BUS_ERROR, [0; 8], "no ACK, bus error"),
             (0, [0; 8], "error frame"),
         ] {
             assert_eq!(report(class, details).to_string(), words);

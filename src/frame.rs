@@ -83,7 +83,7 @@ pub struct Frame {
     /// FD: the sender was error-passive (ESI).
     pub error_state: bool,
     /// We sent it ourselves, and the bus took it.
-    pub ours: bool,
+    pub is_tx: bool,
     len: u8,
     data: [u8; Frame::MAX_DATA],
 }
@@ -125,7 +125,7 @@ impl Frame {
             fd: false,
             bit_rate_switch: false,
             error_state: false,
-            ours: false,
+            is_tx: false,
             len: len as u8,
             data: bytes,
         }
@@ -148,22 +148,22 @@ impl Frame {
 
     /// The same frame, dated.
     #[must_use]
-    pub fn at(mut self, time: Instant) -> Self {
+    pub fn with_time(mut self, time: Instant) -> Self {
         self.time = time;
         self
     }
 
     /// The same frame on another bus.
     #[must_use]
-    pub fn on(mut self, bus: BusIndex) -> Self {
+    pub fn with_bus(mut self, bus: BusIndex) -> Self {
         self.bus = bus;
         self
     }
 
     /// The same frame, marked as one that we sent.
     #[must_use]
-    pub fn ours(mut self) -> Self {
-        self.ours = true;
+    pub fn with_tx(mut self) -> Self {
+        self.is_tx = true;
         self
     }
 
@@ -229,7 +229,7 @@ impl fmt::Display for Frame {
 impl fmt::Debug for Frame {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "({}) {} {self}", self.time, self.bus.0)?;
-        if self.ours { f.write_str(" T") } else { Ok(()) }
+        if self.is_tx { f.write_str(" T") } else { Ok(()) }
     }
 }
 

@@ -18,6 +18,7 @@
 //! * [`cli`], [`commands`]: what the command line asks for, done with a screen or without.
 
 pub mod app;
+pub mod bitrate;
 pub mod bus;
 pub mod cli;
 pub mod commands;
@@ -29,7 +30,6 @@ pub mod guide;
 pub mod keymap;
 pub mod shell;
 pub mod sim;
-pub mod speed;
 pub mod status;
 pub mod text;
 pub mod theme;

@@ -1,6 +1,6 @@
 //! The command `descan`: parse, run, exit code.
 
-use descan::cli::{self, Refusal};
+use descan::cli::{self, CliExit};
 use descan::commands;
 use std::io::Write;
 use std::process::ExitCode;
@@ -8,14 +8,14 @@ use std::process::ExitCode;
 fn main() -> ExitCode {
     match cli::parse(std::env::args_os()) {
         Ok(cli) => commands::run(cli),
-        Err(Refusal::Text(text)) => {
+        Err(CliExit::Text(text)) => {
             // Nobody may be left to read it.
             let _ = std::io::stdout().write_all(text.as_bytes());
             ExitCode::SUCCESS
         }
-        Err(Refusal::Usage(line)) => {
+        Err(CliExit::Usage(line)) => {
             let _ = writeln!(std::io::stderr(), "descan: {line}");
-            ExitCode::from(commands::USAGE)
+            ExitCode::from(commands::EXIT_USAGE)
         }
     }
 }

@@ -205,7 +205,7 @@ impl fmt::Display for RecordingStatus {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match (self.frames, self.bytes) {
             (0, 0) if self.failure.is_none() => {
-                write!(f, "{}: nothing came, so there is no file", self.path)?;
+                write!(f, "{}: no frames, no file written", self.path)?;
             }
             (1, bytes) => write!(f, "{}: 1 frame, {}", self.path, size(bytes))?,
             (frames, bytes) => write!(f, "{}: {frames} frames, {}", self.path, size(bytes))?,
@@ -214,11 +214,11 @@ impl fmt::Display for RecordingStatus {
             write!(f, ", in {} files of which this is the last", self.files)?;
         }
         if self.lost > 0 {
-            write!(f, "; {} more could not be written in time", self.lost)?;
+            write!(f, "; {} lost (disk too slow)", self.lost)?;
         }
         match &self.failure {
             None => Ok(()),
-            Some(failure) => write!(f, "; it ends early: {failure}"),
+            Some(failure) => write!(f, "; incomplete: {failure}"),
         }
     }
 }

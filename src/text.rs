@@ -51,9 +51,9 @@ impl fmt::Display for Escaped<'_> {
 
 /// A name in a sentence: [`Escaped`], in quotes where nothing of it would be seen.
 #[derive(Clone, Copy)]
-pub struct Called<'a>(pub &'a [u8]);
+pub struct Quoted<'a>(pub &'a [u8]);
 
-impl fmt::Display for Called<'_> {
+impl fmt::Display for Quoted<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let is_blank = self.0.utf8_chunks().all(|chunk| {
             chunk.invalid().is_empty() && chunk.valid().chars().all(char::is_whitespace)
@@ -72,7 +72,7 @@ pub fn printable(bytes: &[u8]) -> String {
 pub fn on_one_line(message: &str) -> String {
     let lines: Vec<&str> = message.lines().filter(|line| !line.trim().is_empty()).collect();
     match lines[..] {
-        [] => "it cannot be read".to_owned(),
+        [] => "cannot be parsed".to_owned(),
         [only] => printable(only.as_bytes()),
         [first, .., last] => printable(format!("{first}: {last}").as_bytes()),
     }
@@ -98,8 +98,8 @@ impl Name {
     }
 
     /// The name in a sentence, or in a place of its own.
-    pub fn called(&self) -> Called<'_> {
-        Called(&self.0)
+    pub fn quoted(&self) -> Quoted<'_> {
+        Quoted(&self.0)
     }
 
     /// Its bytes as hexadecimal digits, exact.
@@ -151,7 +151,7 @@ mod tests {
 
     #[test]
     fn a_name_of_which_nothing_is_seen_is_quoted() {
-        let called = |name: &[u8]| Called(name).to_string();
+        let called = |name: &[u8]| Quoted(name).to_string();
         assert_eq!(called(b""), "\"\"");
         assert_eq!(called("  \u{3000}".as_bytes()), "\"  \u{3000}\"");
         assert_eq!(called(b"\t"), "\"\\x09\"");

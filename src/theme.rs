@@ -46,32 +46,32 @@ macro_rules! roles {
 
 roles! {
     Text "text" "Ordinary text.",
-    Muted "muted" "What matters less: labels, units, old things.",
+    Muted "muted" "Secondary text: labels, units, old values.",
     Title "title" "Headings and the names of panes.",
     Tab "tab" "A page that is not open.",
     TabActive "tab_active" "The page that is open.",
     Border "border" "Lines between panes.",
-    BorderFocus "border_focus" "Lines of the pane that has the keys.",
+    BorderFocus "border_focus" "Lines of the focused pane.",
     Header "header" "Column headings.",
     Selected "selected" "The selected row, laid over its other styles.",
-    Online "online" "Devices that are there.",
-    Stale "stale" "Devices whose heartbeat is late.",
+    Online "online" "Online devices.",
+    Stale "stale" "Devices with an overdue heartbeat.",
     Silent "silent" "Devices that send, but no heartbeats.",
-    Asleep "asleep" "Devices that sleep.",
-    Lost "lost" "Devices that are gone.",
-    Missing "missing" "Devices that are listed and not there.",
-    Collision "collision" "Confirmed collisions.",
-    Suspected "suspected" "Suspicions.",
-    FileOk "file_ok" "The file says what the bus says.",
-    FileDiffers "file_differs" "The file says something else.",
+    Asleep "asleep" "Sleeping devices.",
+    Lost "lost" "Lost devices.",
+    Missing "missing" "Listed devices not on the bus.",
+    Collision "collision" "Confirmed address conflicts.",
+    Suspected "suspected" "Suspected problems.",
+    FileOk "file_ok" "The entry matches the bus.",
+    FileDiffers "file_differs" "The entry differs from the bus.",
     New "new" "Devices that are not in the file.",
     Input "input" "Text being typed.",
-    Error "error" "What keeps something from working.",
-    Warning "warning" "What deserves a look.",
+    Error "error" "Errors.",
+    Warning "warning" "Warnings.",
     HintKey "hint_key" "Keys in the last line and in the help.",
     Bar "bar" "The load bars.",
-    Recording "recording" "That frames are recorded.",
-    Match "match" "What the filter found, and that there is one.",
+    Recording "recording" "The recording indicator.",
+    Match "match" "Filter matches, and the filter itself.",
 }
 
 /// A style for every role.
@@ -135,7 +135,7 @@ impl Theme {
         find: &dyn Fn(&str) -> Option<String>,
         above: &[&str],
     ) -> Result<Self, ThemeError> {
-        let source = Source { text };
+        let source = ThemeText { text };
         let table = DeTable::parse(text)
             .map_err(|e| source.error(e.span().unwrap_or(0..0), e.message().to_owned()))?;
         let mut theme = Self { name: name.to_owned(), styles: [Style::new(); Role::ALL.len()] };
@@ -152,7 +152,7 @@ impl Theme {
                 ("palette" | "roles", _) => return source.refuse(value, "a table"),
                 (other, _) => {
                     let message =
-                        format!("no \"{other}\" here; there are inherits, [palette], [roles]");
+                        format!("unknown key \"{other}\"; use inherits, [palette], [roles]");
                     return Err(source.error(key.span(), message));
                 }
             }
@@ -165,7 +165,7 @@ impl Theme {
             let Some(role) = role else {
                 let known: Vec<&str> = Role::ALL.iter().map(|role| role.name()).collect();
                 let known = known.join(", ");
-                let message = format!("no role \"{}\"; there are {known}", key.get_ref());
+                let message = format!("unknown role \"{}\"; use {known}", key.get_ref());
                 return Err(source.error(key.span(), message));
             };
             theme.styles[role] = source.style(value, palette)?;
@@ -191,13 +191,13 @@ impl Theme {
 }
 
 /// The text of a theme, for saying where something is wrong.
-struct Source<'t> {
+struct ThemeText<'t> {
     text: &'t str,
 }
 
 type Value<'t> = Spanned<DeValue<'t>>;
 
-impl Source<'_> {
+impl ThemeText<'_> {
     fn error(&self, span: Range<usize>, message: String) -> ThemeError {
         ThemeError { line: self.text[..span.start].matches('\n').count() + 1, message }
     }
@@ -226,7 +226,7 @@ impl Source<'_> {
             None if above.contains(&name) => {
                 Err(self.error(span, format!("{name} inherits from itself")))
             }
-            None => Err(self.error(span, format!("there is no theme \"{name}\""))),
+            None => Err(self.error(span, format!("theme \"{name}\" not found"))),
         }
     }
 
@@ -252,7 +252,7 @@ impl Source<'_> {
                 "reverse" => Modifier::REVERSED,
                 other => {
                     let message = format!(
-                        "no \"{other}\" in a style; there are fg, bg, bold, dim, italic, \
+                        "unknown key \"{other}\" in a style; use fg, bg, bold, dim, italic, \
                          underline, reverse"
                     );
                     return Err(self.error(key.span(), message));
@@ -419,11 +419,15 @@ mod tests {
     #[test]
     fn errors_say_where_and_what_there_is() {
         let message = |text| parse(text).unwrap_err().to_string();
-        assert!(message("[roles]\n\nerorr = \"red\"").starts_with("line 3: no role \"erorr\"; "));
+        assert!(
+            message("[roles]\n\nerorr = \"red\"").starts_with("line 3: unknown role \"erorr\"; ")
+        );
         assert!(message("[roles]\ntext = \"rde\"").starts_with("line 2: expected a colour"));
         assert!(message("[roles]\ntext = 256").starts_with("line 2: expected a colour"));
-        assert!(message("[roles]\ntext = { bald = true }").starts_with("line 2: no \"bald\""));
-        assert_eq!(message("inherits = \"nice\""), "line 1: there is no theme \"nice\"");
+        assert!(
+            message("[roles]\ntext = { bald = true }").starts_with("line 2: unknown key \"bald\"")
+        );
+        assert_eq!(message("inherits = \"nice\""), "line 1: theme \"nice\" not found");
         assert!(message("inherits = \"ours\"").contains("inherits from itself"));
         assert!(message("text = ").starts_with("line 1: "));
     }

@@ -77,7 +77,7 @@ fn is_lenient_where_others_are() {
         assert_eq!((read.unix_micros, read.frame), (1_500_000, plain), "{line:?}");
     }
     assert_eq!(read("(7) can0 123#AB").unix_micros, 7_000_000);
-    assert!(read("(1.5) can0 123#AB T").frame.ours);
+    assert!(read("(1.5) can0 123#AB T").frame.is_tx);
     for blank in ["", "\n", "\r\n", "   \t "] {
         assert_eq!(parse_line(blank.as_bytes()), Ok(None));
     }
@@ -136,7 +136,7 @@ proptest! {
         let read = parse_line(&line).unwrap().expect("a frame");
         prop_assert_eq!(read.interface, "can0");
         prop_assert_eq!(read.unix_micros, epoch.unix_micros(frame.time));
-        prop_assert_eq!(read.frame.at(frame.time), frame);
+        prop_assert_eq!(read.frame.with_time(frame.time), frame);
     }
 
     #[test]

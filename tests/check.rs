@@ -100,18 +100,18 @@ fn each_difference_is_a_line_in_its_group() {
         said,
         "\
 missing:
-  FAN (at 13) is listed and not there: SENS sits on its address 13.
-  PUMP (at 44) is listed and not there: in this log nothing was ever heard from address 44.
-at another address:
-  FEED is at 12, and the file pins it to 16.
+  FAN (at 13) is listed but not on the bus: SENS uses its address 13.
+  PUMP (at 44) is listed but not on the bus: in this log no frame received from address 44.
+wrong address:
+  FEED is at address 12; the file pins it to 16.
 static address taken:
-  13 is the static address of FAN, and a device that calls itself SENS is there.
-not in the file:
+  Static address 13 of FAN is used by a device named SENS.
+not in file:
   SENS at 13 is not in the file.
-other services:
-  FEED at 12 has other services than the file lists: AUGER is 2.1, not 2.0; JAM is not there.
-des.json: 3 entries, 2 devices on can0: 2 missing, 1 at another address, 1 static address taken, \
-1 not in the file, 1 other services
+services differ:
+  FEED at 12: services differ from the file: AUGER is 2.1, not 2.0; JAM is missing.
+des.json: 3 entries, 2 devices on can0: 2 missing, 1 wrong address, 1 static address taken, \
+1 not in file, 1 services differ
 "
     );
     assert_eq!(code, 1);
@@ -126,7 +126,7 @@ fn another_name_than_listed_is_a_difference() {
         let file = format!(r#"[{{"name":"{name}","address":12,"uid":"BOILER01"}}]"#);
         let output = Folder::with(&scenario, Some(&file)).check(&["file:session.log"]);
         let said = text(&output.stdout);
-        let line = "another name:\n  FEEX at 12 calls itself FEED: it is known by its UID.\n";
+        let line = "name differs:\n  FEEX at 12 reports the name FEED (matched by UID).\n";
         assert_eq!(
             (said.contains(line), output.status.code()),
             (found, Some(found.into())),
@@ -162,9 +162,12 @@ fn one_that_does_not_say_its_name_is_one_difference_and_not_two() {
     let file = r#"[{ "name": "FEED", "address": 12 }]"#;
     let output = Folder::with(&scenario, Some(file)).check(&["file:session.log"]);
     let said = text(&output.stdout);
-    assert!(said.contains("FEED (at 12) is listed and not there: a heartbeat at 12"), "{said}");
+    assert!(
+        said.contains("FEED (at 12) is listed but not on the bus: a heartbeat at 12"),
+        "{said}"
+    );
     assert!(!said.contains("at 12 is not in the file"), "{said}");
-    assert!(said.contains("A device without a name at 13 is not in the file."), "{said}");
+    assert!(said.contains("An unnamed device at 13 is not in the file."), "{said}");
 }
 
 #[test]
@@ -206,7 +209,7 @@ fn a_collision_is_a_difference_too() {
     let folder = Folder::with(&scenario, Some(file));
     let output = folder.check(&["file:session.log"]);
     let said = text(&output.stdout);
-    assert!(said.starts_with("collisions:\n  Two devices"), "{said}");
+    assert!(said.starts_with("conflicts:\n  Two devices"), "{said}");
     assert_eq!(output.status.code(), Some(1));
 }
 
@@ -215,7 +218,7 @@ fn without_a_file_that_can_be_read_nothing_can_be_said() {
     let folder = Folder::with(&bus(), None);
     let missing = folder.check(&["file:session.log"]);
     assert_eq!(missing.status.code(), Some(3));
-    assert!(text(&missing.stderr).contains("des.json: there is no such file"));
+    assert!(text(&missing.stderr).contains("des.json: file not found"));
     folder.write("des.json", "{ \"devices\": [\n  { \"name\": \"FEED\" \"address\": 12 }\n] }");
     for arguments in [&["file:session.log"][..], &["file:session.log", "--json"]] {
         let broken = folder.check(arguments);
@@ -251,7 +254,7 @@ power_on = 7.0
     );
     let soon = folder.check(&["sim:line.toml"]);
     assert_eq!(soon.status.code(), Some(1), "{}", text(&soon.stdout));
-    assert!(text(&soon.stdout).contains("SENS (at 13) is listed and not there"));
+    assert!(text(&soon.stdout).contains("SENS (at 13) is listed but not on the bus"));
     let waited = folder.check(&["sim:line.toml", "--wait-for-all", "--time", "30"]);
     assert_eq!(waited.status.code(), Some(0), "{}", text(&waited.stdout));
     // What never comes is missing when the time is up.
@@ -267,8 +270,8 @@ fn a_name_of_which_nothing_is_seen_is_quoted() {
             {"name":" ","address":44,"static":true},{"name":"FAN","address":44,"static":true}]"#,
     );
     for line in [
-        "  \"\" (at 12) is listed and not there: FEED sits on its address 12.",
-        "  12 is the static address of \"\", and a device that calls itself FEED is there.",
+        "  \"\" (at 12) is listed but not on the bus: FEED uses its address 12.",
+        "  Static address 12 of \"\" is used by a device named FEED.",
         "entries: \" \" (line 2) and FAN (line 2)",
     ] {
         assert!(said.contains(line), "{line}: {said}");
@@ -284,7 +287,7 @@ fn what_nobody_should_write_is_told_where_it_is() {
         ("[{\"name\":\"A\",\"address\":012}]", "line 1, column 25: a number must not begin with 0"),
         ("[{\"name\":\"A\",\"address\":1.}]", "line 1, column 26: invalid number"),
         ("[{\"name\":\"\x1b[2J\"}]", "line 1, column 11: a control character"),
-        ("{\"devices\":[]}\0", "line 1, column 15: something after the end"),
+        ("{\"devices\":[]}\0", "line 1, column 15: text after the end"),
     ] {
         let folder = Folder::with(&bus(), Some(file));
         let output = folder.check(&["file:session.log"]);
@@ -317,8 +320,8 @@ fn members_that_are_there_twice_are_told_and_the_last_counts() {
     let (code, said) = checked(file);
     assert_eq!(
         said,
-        "in the file itself:\n  SENS: `address` is there twice; the last one counts (line 2, column 49)\n\
-         des.json: 2 entries, 2 devices on can0: 1 in the file itself\n"
+        "file errors:\n  SENS: duplicate `address`; the last one is used (line 2, column 49)\n\
+         des.json: 2 entries, 2 devices on can0: 1 file errors\n"
     );
     assert_eq!(code, 1);
 }
@@ -342,7 +345,7 @@ fn a_log_without_a_frame_is_no_bus_to_compare() {
         let output = folder.check(&["file:session.log"]);
         assert_eq!(output.status.code(), Some(3), "{log:?}");
         let stderr = text(&output.stderr);
-        assert!(stderr.contains("file:session.log: there is no frame in it"), "{stderr}");
+        assert!(stderr.contains("file:session.log: no frames in it"), "{stderr}");
         assert_eq!(text(&output.stdout), "");
     }
 }

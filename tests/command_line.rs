@@ -5,7 +5,7 @@ mod common;
 use common::log;
 use descan::bus::candump::write_line;
 use descan::frame::Frame;
-use descan::sim::{Action, DeviceSpec, Scenario};
+use descan::sim::{DeviceAction, DeviceSpec, Scenario};
 use descan::time::{Duration, Epoch};
 use serde_json::Value;
 use std::io::Write;
@@ -60,11 +60,11 @@ fn a_device_on_two_buses_says_where_else_it_is() {
     assert_eq!(also("can0", "SENS"), r#""can1" 14 false"#);
     let table = text(&descan(&["scan", "file:both.log"], folder.path()).stdout);
     assert!(
-        table.contains("FEED is on can0 @12 and can1 @12, with the same services: redundant\n"),
+        table.contains("FEED is on can0 @12 and can1 @12, same services: redundant\n"),
         "{table}"
     );
     assert!(
-        table.contains("SENS is on can0 @13 and can1 @14, with different services: two networks")
+        table.contains("SENS is on can0 @13 and can1 @14, different services: separate networks")
     );
 }
 
@@ -144,7 +144,7 @@ fn a_controller_that_is_off_the_bus_for_years_takes_no_time() {
 
 #[test]
 fn a_device_that_left_before_the_logs_end_is_lost() {
-    let scenario = two_devices().at(Duration::from_secs(4), "SENS", Action::Leave);
+    let scenario = two_devices().at(Duration::from_secs(4), "SENS", DeviceAction::Leave);
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("session.log"), log(&scenario, 12)).unwrap();
     let report = json(&descan(&["scan", "file:session.log", "--json"], folder.path()));
@@ -183,7 +183,7 @@ fn a_collision_in_a_log_makes_the_exit_code_1() {
     assert!(!finding["text"].as_str().unwrap().is_empty());
     assert!(!finding["remedy"].as_str().unwrap().is_empty());
     let tables = descan(&["scan", "file:session.log"], folder.path());
-    assert!(text(&tables.stdout).contains("CLASH"), "{}", text(&tables.stdout));
+    assert!(text(&tables.stdout).contains("CONFLICT"), "{}", text(&tables.stdout));
 }
 
 /// Two boards answer as FEED and as PUMP from address 12, for as long as anybody listens; in the
@@ -384,12 +384,10 @@ fn what_was_found_becomes_a_des_json_and_nothing_is_overwritten() {
     assert_eq!(listed, [("FEED", Some(12)), ("SENS", Some(13))]);
     let again = descan(&arguments, folder.path());
     assert_eq!(again.status.code(), Some(3));
-    assert!(text(&again.stderr).contains("found.json is there already"));
+    assert!(text(&again.stderr).contains("found.json already exists"));
     let a_folder = descan(&["scan", "sim:drone", "--write", "."], folder.path());
     assert_eq!(a_folder.status.code(), Some(3));
-    assert!(
-        text(&a_folder.stderr).contains("is a folder; name the file in it: --write ./des.json")
-    );
+    assert!(text(&a_folder.stderr).contains("is a folder; name a file in it: --write ./des.json"));
     assert_eq!(std::fs::read(folder.path().join("found.json")).unwrap(), written);
 }
 
@@ -455,7 +453,7 @@ fn a_bus_on_which_nobody_acknowledges_is_said_to_be_one() {
     std::fs::write(folder.path().join("empty.toml"), "bitrate = 125000\n").unwrap();
     let output = descan(&["scan", "sim:empty.toml", "--time", "3", "--json"], folder.path());
     let said = text(&output.stderr);
-    assert!(said.contains("nobody acknowledges"), "{said}");
+    assert!(said.contains("no ACK"), "{said}");
     assert_eq!(json(&output)["devices"], serde_json::json!([]));
 }
 
@@ -483,8 +481,8 @@ fn wrong_arguments_are_one_line_that_says_what_would_be_right() {
         (&["scan", "can0", "can0"], "can0 is the same bus as can0"),
         (&["scan", "slcan:/dev/ttyS0@125000", "slcan:/dev/ttyS0"], "the same bus"),
         (&["sim", "sim:boiler"], "descan demo"),
-        (&[], "descan scan, descan watch"),
-        (&["demo"], "descan scan, descan watch"),
+        (&[], "descan scan or descan watch"),
+        (&["demo"], "descan scan or descan watch"),
     ] {
         let output = descan(arguments, folder.path());
         let said = text(&output.stderr);
@@ -504,7 +502,7 @@ fn what_cannot_be_used_is_named_and_exits_with_3() {
         (&["scan", "file:nothing.log"][..], "nothing.log"),
         (&["scan", "nocan7"], "nocan7"),
         (&["scan", "sim:nothing"], "boiler"),
-        (&["scan", "sim:boiler", "--profile", "nothing.toml"], "there is no such file"),
+        (&["scan", "sim:boiler", "--profile", "nothing.toml"], "file not found"),
         (&["scan", "sim:boiler", "--profile", "bad.toml"], "morse"),
         (&["scan", "sim:odd.toml"], "line 2, column 1: unknown field `noise`"),
         (&["sim", "udp:", "--scenario", "odd.toml"], "odd.toml: TOML parse error at line 2"),
@@ -572,6 +570,6 @@ fn what_a_log_does_not_say_is_left_out_and_what_is_over_needs_no_remedy() {
     let output = descan(&["scan", "file:session.log"], folder.path());
     let table = text(&output.stdout);
     assert!(table.starts_with("can0: bit rate unknown, ") && !table.contains("unknown, unknown"));
-    assert!(table.contains("\ncleared ") && table.contains("It is over."), "{table}");
+    assert!(table.contains("\ncleared ") && table.contains("No longer present."), "{table}");
     assert!(!table.contains("Switch one of them off"), "{table}");
 }

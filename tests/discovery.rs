@@ -9,7 +9,7 @@ use descan::discovery::{
     Quirk,
 };
 use descan::frame::Frame;
-use descan::sim::{Action, DeviceFraming, DeviceSpec, Fault, Scenario, Sim, Station};
+use descan::sim::{DeviceAction, DeviceFraming, DeviceSpec, Fault, Scenario, Sim, SimStation};
 use descan::time::{Duration, Instant};
 use descan::wire::framing::Framing;
 use descan::wire::id::{Address, Header};
@@ -85,7 +85,7 @@ fn another_profile_has_other_numbers() {
     assert!(feed.is_named(b"FEED"));
     assert_eq!(feed.mode.map(descan::wire::node::Mode::name), Some("WORK"));
     assert_eq!(feed.services.as_ref().map(Vec::len), Some(2));
-    let asked = it.frames.iter().filter(|frame| frame.ours && frame.data().starts_with(b"DES"));
+    let asked = it.frames.iter().filter(|frame| frame.is_tx && frame.data().starts_with(b"DES"));
     assert_eq!(asked.count(), 0, "asked in ISO 15765-2 alone, as the profile says");
 }
 
@@ -133,7 +133,7 @@ fn faults_are_told_and_end() {
 
 /// The share of the bus that our frames took between the first and the last of them.
 fn our_share(it: &Inspection, from: Instant, to: Instant) -> f64 {
-    let ours = it.frames.iter().filter(|it| it.ours && it.time >= from && it.time < to);
+    let ours = it.frames.iter().filter(|it| it.is_tx && it.time >= from && it.time < to);
     let taken: Duration = ours.map(|frame| it.sim.frame_duration(frame)).sum();
     taken.as_secs_f64() / to.since(from).as_secs_f64()
 }
@@ -172,7 +172,7 @@ fn without_scan_nobody_is_asked() {
     it.run_until(seconds(6.0), |_| false);
     let profile = Profile::default();
     let asked = |frame: &&Frame| {
-        frame.ours && Header::decode(frame.platform_id().unwrap()).service == profile.des_service()
+        frame.is_tx && Header::decode(frame.platform_id().unwrap()).service == profile.des_service()
     };
     assert_eq!(it.frames.iter().filter(asked).count(), 0);
     assert_eq!(it.engine.progress().here, 5, "their heartbeats make them rows");
@@ -184,7 +184,7 @@ fn new_firmware_after_a_reboot_is_noticed() {
     let scenario = Scenario::crowd(125_000, 3, 1).at(
         Duration::from_secs(6),
         "N002",
-        Action::Reboot { services: Some(services) },
+        DeviceAction::Reboot { services: Some(services) },
     );
     let mut it = Inspection::new(&scenario, 3, Config::default());
     it.run_until(seconds(14.0), |_| false);
@@ -202,7 +202,7 @@ struct Company {
 }
 
 struct Member {
-    station: Station,
+    station: SimStation,
     engine: Engine,
     events: Vec<Event>,
 }
@@ -276,7 +276,7 @@ fn assert_live_together(company: &Company, what: &str) {
         }
         let confirmed = member.events.iter().find(|event| {
             matches!(&event.kind, EventKind::Finding { key, confidence: Confidence::Confirmed }
-                if key.kind.is_collision())
+                if key.kind.is_conflict())
         });
         assert!(confirmed.is_none(), "{what}: {}", common::describe(confirmed.unwrap()));
     }
@@ -354,7 +354,7 @@ fn run(
     while now < end {
         now += Duration::from_millis(1);
         if let Some(frame) = next(now) {
-            engine.handle_frame(&frame.at(now));
+            engine.handle_frame(&frame.with_time(now));
         }
         engine.handle_timeout(now);
         while engine.poll_transmit(now).is_some() {}
@@ -374,7 +374,7 @@ fn question(by: u8, to: u8) -> Frame {
 
 fn answer(from: u8, to: u8) -> Frame {
     let header = Header::decode(question(to, from).platform_id().unwrap());
-    let id = header.answer(Address::new(from).unwrap(), false).encode();
+    let id = header.response(Address::new(from).unwrap(), false).encode();
     Frame::classic(id, b"\x06\x01FEED\x00")
 }
 
@@ -388,7 +388,7 @@ fn sent(
     for millis in 1..end {
         let now = Instant::from_micros(millis * 1000);
         for frame in next(millis) {
-            engine.handle_frame(&frame.at(now));
+            engine.handle_frame(&frame.with_time(now));
         }
         engine.handle_timeout(now);
         while let Some(frame) = engine.poll_transmit(now) {
@@ -472,7 +472,7 @@ fn what_could_not_be_heard_is_not_missed() {
     let mut engine = Engine::new(Instant::ZERO, config);
     let beats = |engine: &mut Engine, from: u64, to: u64| {
         for second in from..=to {
-            engine.handle_frame(&beat(5, "FEED01").at(seconds(second as f64 + 0.1)));
+            engine.handle_frame(&beat(5, "FEED01").with_time(seconds(second as f64 + 0.1)));
         }
     };
     beats(&mut engine, 0, 3);
@@ -491,7 +491,7 @@ fn a_heartbeat_that_a_short_outage_swallowed_is_not_missed() {
         let config = Config { echo: false, listen_only: true, ..Config::default() };
         let mut engine = Engine::new(Instant::ZERO, config);
         let beats = |engine: &mut Engine, second: u64| {
-            engine.handle_frame(&beat(5, "FEED01").at(seconds(second as f64 + 0.1)));
+            engine.handle_frame(&beat(5, "FEED01").with_time(seconds(second as f64 + 0.1)));
         };
         (0..=3).for_each(|second| beats(&mut engine, second));
         if let Some(begin) = outage.0 {
@@ -555,9 +555,9 @@ fn two_foreign_tools_at_0_are_confirmed() {
     let found = found.unwrap();
     assert_eq!(
         found.text,
-        "Two debug devices use address 0: heartbeats of two identities take turns."
+        "Two debug devices use address 0: heartbeats alternate between two UIDs."
     );
-    assert!(!found.remedy.contains("we take another"), "{}", found.remedy);
+    assert!(!found.remedy.contains("moves to another"), "{}", found.remedy);
     assert!(!events.iter().any(|it| it.contains("gave way")), "{events:#?}");
 }
 
@@ -569,7 +569,7 @@ fn a_rival_that_only_asks_is_one() {
     };
     let (mut engine, _) = alone(Config::default());
     assert_eq!(engine.own_address(), OwnAddress::Held(Address::DEBUG));
-    engine.handle_frame(&question.at(seconds(2.0)));
+    engine.handle_frame(&question.with_time(seconds(2.0)));
     assert_eq!(engine.own_address(), OwnAddress::Listening);
     assert!(engine.poll_transmit(seconds(2.0)).is_none(), "no more from an address of others");
 }
@@ -583,7 +583,7 @@ fn a_rival_between_our_claim_and_our_first_frame_silences_us() {
     let due = seconds(1.5);
     engine.handle_timeout(due);
     assert_eq!(engine.own_address(), OwnAddress::Held(Address::DEBUG));
-    engine.handle_frame(&beat(0, "TOOL").at(due));
+    engine.handle_frame(&beat(0, "TOOL").with_time(due));
     assert_eq!(engine.own_address(), OwnAddress::Listening);
     assert!(engine.poll_transmit(due).is_none(), "what was to be sent is not sent");
 }
@@ -596,14 +596,14 @@ fn who_speaks_first_from_the_address_we_chose_has_it() {
         now += Duration::from_millis(1);
         // A tool has 0, and another device takes what we chose while we wait to claim it.
         if now.as_micros() % 1_000_000 == 0 {
-            engine.handle_frame(&beat(0, "TOOL").at(now));
+            engine.handle_frame(&beat(0, "TOOL").with_time(now));
             if let Some(chosen) = chosen {
-                engine.handle_frame(&beat(chosen, "OTHER").at(now));
+                engine.handle_frame(&beat(chosen, "OTHER").with_time(now));
             }
         }
         if let (None, OwnAddress::Claiming(address)) = (chosen, engine.own_address()) {
             chosen = Some(address.number());
-            engine.handle_frame(&beat(address.number(), "OTHER").at(now));
+            engine.handle_frame(&beat(address.number(), "OTHER").with_time(now));
             assert_eq!(engine.own_address(), OwnAddress::Listening);
         }
         engine.handle_timeout(now);

@@ -1,8 +1,8 @@
 //! `des.json`: what is read, what is refused, and which bytes an edit changes.
 
 use descan::document::{
-    Choices, Document, EditError, EntryKey, FindingKind, Merge, NewEntry, Operation, Prefer,
-    SCHEMA, ServiceEntry, merge, merge_chosen,
+    Choices, Document, DocumentFindingKind, EditError, EntryKey, ListedService, Merge,
+    MergePreference, NewEntry, Operation, SCHEMA, merge, merge_chosen,
 };
 
 fn parsed(source: &str) -> Document {
@@ -41,8 +41,8 @@ fn services(document: &Document, name: &str, services: &[(&str, &str)]) -> Opera
     Operation::SetServices { entry: key(document, name), services: listed(services) }
 }
 
-fn listed(services: &[(&str, &str)]) -> Vec<ServiceEntry> {
-    let service = |&(name, version): &(&str, &str)| ServiceEntry {
+fn listed(services: &[(&str, &str)]) -> Vec<ListedService> {
+    let service = |&(name, version): &(&str, &str)| ListedService {
         name: name.to_owned(),
         version: version.to_owned(),
         extra: Vec::new(),
@@ -89,7 +89,7 @@ fn meaning(document: &Document) -> Vec<impl PartialEq + std::fmt::Debug + use<>>
     entries.map(|it| (it.name, it.address, it.is_static, it.bus, it.uid, it.services)).collect()
 }
 
-fn findings(source: &str) -> Vec<(FindingKind, String, Vec<usize>)> {
+fn findings(source: &str) -> Vec<(DocumentFindingKind, String, Vec<usize>)> {
     let document = parsed(source);
     let findings = document.findings().iter();
     findings.map(|it| (it.kind, it.to_string(), it.entries.clone())).collect()
@@ -157,19 +157,19 @@ fn what_is_not_json_is_refused_with_its_place() {
             "    { \"name\": \"A\" \"address\": 1 }",
             18,
         ),
-        (b"[1 , ]", "line 1, column 6: a comma before the bracket", "[1 , ]", 5),
-        (b"{\"a\":1,}", "line 1, column 8: a comma before the bracket", "{\"a\":1,}", 7),
+        (b"[1 , ]", "line 1, column 6: trailing comma", "[1 , ]", 5),
+        (b"{\"a\":1,}", "line 1, column 8: trailing comma", "{\"a\":1,}", 7),
         (b"[1", "line 1, column 3: the file ends inside a list", "[1", 2),
-        (b"{\"a\n\n", "line 1, column 4: the string does not end on its line", "{\"a", 3),
+        (b"{\"a\n\n", "line 1, column 4: unterminated string", "{\"a", 3),
         (
             b"\xef\xbb\xbf[\n\"\xd0\x96\xd0\x96\" x]",
             "line 2, column 6: expected `,` or `]`",
             "\"ЖЖ\" x]",
             5,
         ),
-        (b"[]\n[]", "line 2, column 1: something after the end", "[]", 0),
+        (b"[]\n[]", "line 2, column 1: text after the end", "[]", 0),
         (b"[\"a\xffb\"]", "line 1, column 4: 0xFF is not UTF-8: save it as UTF-8", "[\"a", 3),
-        (b"\xff\xfe[\0]\0", "line 1, column 1: it is UTF-16: save it as UTF-8", "", 0),
+        (b"\xff\xfe[\0]\0", "line 1, column 1: the file is UTF-16: save it as UTF-8", "", 0),
         (b"{// who\n}", "line 1, column 2: JSON has no comments", "{// who", 1),
         (b"[1, /* two */ 2]", "line 1, column 5: JSON has no comments", "[1, /* two */ 2]", 4),
         (b"[1 # one\n]", "line 1, column 4: JSON has no comments", "[1 # one", 3),
@@ -224,7 +224,7 @@ fn of_very_many_findings_the_first_are_kept() {
     let document = parsed(&bad(500_000));
     assert_eq!(document.findings().len(), 1001);
     let last = document.findings().last().unwrap();
-    assert_eq!(last.message, "499000 more like this, or other things, from here on");
+    assert_eq!(last.message, "499000 more errors after this one");
     assert_eq!(last.position.column, 2000);
     // It is edited as any other.
     let edited = document.apply(&set(&document, "A", 5)).unwrap();
@@ -245,7 +245,7 @@ fn deep_nesting_overflows_no_stack() {
 
 #[test]
 fn wrong_shapes_are_findings() {
-    use FindingKind::{
+    use DocumentFindingKind::{
         AddressRange, DuplicateMember, MissingName, NamesDiffer, NotAnEntry, NotDevices, WrongType,
     };
     for (source, kind, message, entries) in [
@@ -264,7 +264,7 @@ fn wrong_shapes_are_findings() {
         (
             r#"{"devices": [], "devices": []}"#,
             DuplicateMember,
-            "line 1, column 17: `devices` is there twice; the last one counts",
+            "line 1, column 17: duplicate `devices`; the last one is used",
             vec![],
         ),
         ("[\n 7]", NotAnEntry, "line 2, column 2: element 1 is a number, not a device", vec![]),
@@ -278,7 +278,7 @@ fn wrong_shapes_are_findings() {
         (
             r#"[{"name": "A", "name_hex": "42"}]"#,
             NamesDiffer,
-            "line 1, column 28: `name_hex` stands for B, but `name` is A; `name_hex` counts",
+            "line 1, column 28: `name_hex` is B, but `name` is A; `name_hex` is used",
             vec![0],
         ),
         (
@@ -374,19 +374,19 @@ fn wrong_shapes_are_findings() {
         (
             r#"[{"name": "A", "services": {"DES": "1", "B": "1", "D\u0045S": "2"}}]"#,
             DuplicateMember,
-            "line 1, column 51: `DES` is there twice; the last one counts",
+            "line 1, column 51: duplicate `DES`; the last one is used",
             vec![0],
         ),
         (
             r#"[{"name": "A", "services": [{"name": "B"}, {"name": "C", "name": "D"}]}]"#,
             DuplicateMember,
-            "line 1, column 58: `name` is there twice; the last one counts",
+            "line 1, column 58: duplicate `name`; the last one is used",
             vec![0],
         ),
         (
             r#"[{"name": "A", "address": 1, "address": 2}]"#,
             DuplicateMember,
-            "line 1, column 30: `address` is there twice; the last one counts",
+            "line 1, column 30: duplicate `address`; the last one is used",
             vec![0],
         ),
     ] {
@@ -408,11 +408,11 @@ fn collisions_in_the_file_are_findings() {
     let on = |name: &str, bus: &str| {
         entry(name, &format!("\"address\": 12, \"static\": true, \"bus\": \"{bus}\""))
     };
-    let kinds = |entries: &[String]| -> Vec<(FindingKind, Vec<usize>)> {
+    let kinds = |entries: &[String]| -> Vec<(DocumentFindingKind, Vec<usize>)> {
         let found = findings(&format!("[\n{}\n]", entries.join(",\n")));
         found.into_iter().map(|(kind, _, entries)| (kind, entries)).collect()
     };
-    let address = |entries| vec![(FindingKind::DuplicateAddress, entries)];
+    let address = |entries| vec![(DocumentFindingKind::DuplicateAddress, entries)];
     assert_eq!(kinds(&[pinned("A"), pinned("B")]), address(vec![0, 1]));
     assert_eq!(kinds(&[pinned("A"), pinned("B"), pinned("C")]), address(vec![0, 1, 2]));
     assert_eq!(kinds(&[on("A", "can0"), on("B", "can1")]), []);
@@ -421,9 +421,12 @@ fn collisions_in_the_file_are_findings() {
     assert_eq!(kinds(&[pinned("A"), entry("B", "\"address\": 12")]), [], "not static");
     assert_eq!(
         kinds(&[entry("A", "\"address\": 12"), pinned("A")]),
-        [(FindingKind::DuplicateEntry, vec![0, 1])]
+        [(DocumentFindingKind::DuplicateEntry, vec![0, 1])]
     );
-    assert_eq!(kinds(&[pinned("A"), pinned("A")]), [(FindingKind::DuplicateEntry, vec![0, 1])]);
+    assert_eq!(
+        kinds(&[pinned("A"), pinned("A")]),
+        [(DocumentFindingKind::DuplicateEntry, vec![0, 1])]
+    );
     assert_eq!(kinds(&[entry("A", "\"address\": 1"), entry("A", "\"address\": 2")]), [], "twins");
 
     let messages = findings(&format!("[\n{},\n{}, {}\n]", pinned("A"), pinned("B"), pinned("B")));
@@ -435,8 +438,8 @@ fn collisions_in_the_file_are_findings() {
             "line 3, column 72: B at address 12 is listed 2 times: line 3 and line 3",
         ]
     );
-    assert_eq!(FindingKind::DuplicateAddress.name(), "file-duplicate-address");
-    assert_eq!(FindingKind::DuplicateEntry.name(), "file-duplicate-entry");
+    assert_eq!(DocumentFindingKind::DuplicateAddress.name(), "file-duplicate-address");
+    assert_eq!(DocumentFindingKind::DuplicateEntry.name(), "file-duplicate-entry");
 }
 
 // ---- editing: exact bytes ----
@@ -551,11 +554,13 @@ fn the_first_entry_is_taken_back_to_the_byte() {
         assert_eq!(text(&one.apply(&back).unwrap()), before);
 
         // What somebody else did meanwhile stays.
-        let newer = merge(&begun, std::slice::from_ref(&back), &both, Prefer::Neither).unwrap();
+        let newer =
+            merge(&begun, std::slice::from_ref(&back), &both, MergePreference::Neither).unwrap();
         let Merge::Rebased { document, .. } = newer else { panic!("{newer:?}") };
         assert_eq!(document.entries().len(), 1, "{before}");
         let newer = parsed(&(text(&begun).to_owned() + "\n\n"));
-        let merged = merge(&begun, std::slice::from_ref(&back), &newer, Prefer::Neither).unwrap();
+        let merged =
+            merge(&begun, std::slice::from_ref(&back), &newer, MergePreference::Neither).unwrap();
         let Merge::Rebased { document, .. } = merged else { panic!("{merged:?}") };
         assert!(document.entries().is_empty() && text(&document).ends_with("\n\n"), "{before}");
         // And what was taken out of that comes back.
@@ -633,7 +638,7 @@ fn a_new_entry_has_what_is_known() {
         is_static: false,
         bus: Some("can0".into()),
         uid: Some("BOILER01".into()),
-        services: vec![ServiceEntry {
+        services: vec![ListedService {
             name: "DES".into(),
             version: "1.0".into(),
             extra: vec!["a\"".into(), "b".into()],
@@ -714,9 +719,7 @@ fn what_is_no_service_is_not_removed_by_setting_services() {
     ] {
         let document = parsed(&format!(r#"[{{"name":"A","services":{value}}}]"#));
         let error = document.apply(&services(&document, "A", &[("DES", "1")])).unwrap_err();
-        let said = format!(
-            "line 1, column {at}: {found} stands where a service should be: correct it first"
-        );
+        let said = format!("line 1, column {at}: expected a service, found {found}: fix it first");
         assert_eq!(error.to_string(), said, "{value}");
     }
 }
@@ -799,7 +802,7 @@ fn services_are_edited_in_their_shape() {
     let extra = |strings: &'static [&'static str]| {
         move |document: &Document| Operation::SetServices {
             entry: key(document, "A"),
-            services: vec![ServiceEntry {
+            services: vec![ListedService {
                 name: "C".into(),
                 version: "3".into(),
                 extra: strings.iter().map(|&text| text.into()).collect(),
@@ -823,15 +826,15 @@ fn edits_are_refused_where_readers_would_disagree() {
     for (source, expected) in [
         (
             r#"{"devices":[{"name":"A"}],"devices":[{"name":"A"}]}"#,
-            "line 1, column 27: `devices` is there twice: remove one of them first",
+            "line 1, column 27: duplicate `devices`: remove one of them first",
         ),
         (
             r#"[{"name":"A","address":1,"addr\u0065ss":2}]"#,
-            "line 1, column 26: `address` is there twice: remove one of them first",
+            "line 1, column 26: duplicate `address`: remove one of them first",
         ),
         (
             r#"[{"name":"A","static":true,"static":true}]"#,
-            "line 1, column 28: `static` is there twice: remove one of them first",
+            "line 1, column 28: duplicate `static`: remove one of them first",
         ),
     ] {
         let document = parsed(source);
@@ -847,27 +850,21 @@ fn edits_are_refused_where_readers_would_disagree() {
     );
     let document = parsed(r#"[{"name":"A","services":{"B":"1","B":"2"}}]"#);
     let error = document.apply(&services(&document, "A", &[("B", "3")])).unwrap_err();
-    assert_eq!(
-        error.to_string(),
-        "line 1, column 34: `B` is there twice: remove one of them first"
-    );
+    assert_eq!(error.to_string(), "line 1, column 34: duplicate `B`: remove one of them first");
 }
 
 #[test]
 fn edits_are_refused_where_there_is_no_place() {
     for (source, expected) in [
-        ("\n 12", "line 2, column 2: a number stands where the list of devices should be"),
-        (
-            r#"{"devices": {}}"#,
-            "line 1, column 13: an object stands where the list of devices should be",
-        ),
+        ("\n 12", "line 2, column 2: expected a list of devices, found a number"),
+        (r#"{"devices": {}}"#, "line 1, column 13: expected a list of devices, found an object"),
     ] {
         assert_eq!(parsed(source).apply(&add("A", 1)).unwrap_err().to_string(), expected);
     }
     let document = parsed(r#"[{"name":"A"}]"#);
     let gone = set(&parsed(r#"[{"name":"A","address":3}]"#), "A", 9);
     let error = document.apply(&gone).unwrap_err();
-    assert_eq!(error.to_string(), "the file has no such entry any more: A at 3");
+    assert_eq!(error.to_string(), "entry no longer in the file: A at 3");
     assert_eq!(gone.inverse(&document).unwrap_err(), error);
     for address in [0, 128, 255] {
         let range = EditError::AddressRange { address };
@@ -885,18 +882,18 @@ fn operations_have_names() {
     assert_eq!(named(&change), "address of the entry FE\\x1BED: 12 → 16");
     assert_eq!(
         named(&change.inverse(&document).unwrap()),
-        "address of the entry FE\\x1BED back to 12"
+        "address of the entry FE\\x1BED restored to 12"
     );
     assert_eq!(named(&clear(&document, name)), "static address 12 of FE\\x1BED cleared");
     assert_eq!(named(&add("SENS", 13)), "new entry SENS at 13");
     assert_eq!(named(&remove(&document, name)), "entry FE\\x1BED at 12 removed");
     let back = remove(&document, name).inverse(&document).unwrap();
-    assert_eq!(named(&back), "entry FE\\x1BED at 12 put back");
+    assert_eq!(named(&back), "entry FE\\x1BED at 12 restored");
     let renamed = rename(&document, name, b"\xff");
     assert_eq!(named(&renamed), "entry FE\\x1BED at 12 renamed to \\xFF");
     assert_eq!(
         named(&renamed.inverse(&document).unwrap()),
-        "entry \\xFF at 12 named FE\\x1BED again"
+        "entry \\xFF at 12 renamed back to FE\\x1BED"
     );
     let listed = services(&document, name, &[("A", "1"), ("B", "1")]);
     assert_eq!(named(&listed), "services of the entry FE\\x1BED at 12: 2 listed");
@@ -913,7 +910,7 @@ const BASE: &str = r#"[
 ]"#;
 
 /// Merges our operations with their content; a conflict is "ours | theirs".
-fn merged(ours: &[Operation], theirs: &str, prefer: Prefer) -> Result<String, String> {
+fn merged(ours: &[Operation], theirs: &str, prefer: MergePreference) -> Result<String, String> {
     match merge(&parsed(BASE), ours, &parsed(theirs), prefer).unwrap() {
         Merge::Rebased { document, .. } => Ok(text(&document).to_owned()),
         Merge::Conflict(it) => Err(format!("{} | {}", it.ours, it.theirs)),
@@ -968,7 +965,7 @@ fn both_sides_survive() {
             "{\n  \"devices\": [\n    { \"name\": \"NEW\", \"address\": 9, \"static\": true }\n  ]\n}\n",
         ),
     ] {
-        assert_eq!(merged(&[operation], theirs, Prefer::Neither).as_deref(), Ok(after));
+        assert_eq!(merged(&[operation], theirs, MergePreference::Neither).as_deref(), Ok(after));
     }
 }
 
@@ -976,7 +973,7 @@ fn both_sides_survive() {
 fn the_same_value_is_a_conflict() {
     let base = parsed(BASE);
     let services_of_new =
-        vec![ServiceEntry { name: "DES".into(), version: "2".into(), ..ServiceEntry::default() }];
+        vec![ListedService { name: "DES".into(), version: "2".into(), ..ListedService::default() }];
     let with_services =
         Operation::Add { entry: NewEntry { services: services_of_new, ..device("NEW", 9) } };
     for (operation, theirs, conflict, with_ours) in [
@@ -1038,9 +1035,9 @@ fn the_same_value_is_a_conflict() {
         ),
     ] {
         let operations = [operation];
-        assert_eq!(merged(&operations, theirs, Prefer::Neither).unwrap_err(), conflict);
-        assert_eq!(merged(&operations, theirs, Prefer::Theirs).as_deref(), Ok(theirs));
-        assert_eq!(merged(&operations, theirs, Prefer::Ours).as_deref(), Ok(with_ours));
+        assert_eq!(merged(&operations, theirs, MergePreference::Neither).unwrap_err(), conflict);
+        assert_eq!(merged(&operations, theirs, MergePreference::Theirs).as_deref(), Ok(theirs));
+        assert_eq!(merged(&operations, theirs, MergePreference::Ours).as_deref(), Ok(with_ours));
     }
 }
 
@@ -1067,13 +1064,14 @@ fn each_conflict_is_chosen_in_alone_and_one_value_is_one_conflict() {
     for (number, asked) in [(1, "address 100, static"), (2, "address 101, static"), (3, "deleted")]
     {
         let choices = Choices { chosen: chosen.clone(), ..Choices::default() };
-        let merge = merge_chosen(&base, &ours, &theirs, &choices, Prefer::Neither).unwrap();
+        let merge =
+            merge_chosen(&base, &ours, &theirs, &choices, MergePreference::Neither).unwrap();
         let Merge::Conflict(conflict) = merge else { panic!("{merge:?}") };
         assert_eq!((conflict.number, conflict.of, &*conflict.theirs), (number, 3, asked));
-        chosen.push(if number == 2 { Prefer::Ours } else { Prefer::Theirs });
+        chosen.push(if number == 2 { MergePreference::Ours } else { MergePreference::Theirs });
     }
     let choices = Choices { chosen, ..Choices::default() };
-    let merge = merge_chosen(&base, &ours, &theirs, &choices, Prefer::Neither).unwrap();
+    let merge = merge_chosen(&base, &ours, &theirs, &choices, MergePreference::Neither).unwrap();
     let Merge::Rebased { document, .. } = merge else { panic!("{merge:?}") };
     assert_eq!(text(&document), text(&theirs).replace("101", "71"));
 }
@@ -1094,7 +1092,7 @@ fn a_device_that_both_brought_stands_there_once_and_a_twin_twice() {
         // They left as it was what we wanted a second one of.
         (add("FEED", 9), r#"[{"name":"FEED","address":12,"static":true}]"#, 2),
     ] {
-        let merged = merged(&[operation], theirs, Prefer::Neither).unwrap();
+        let merged = merged(&[operation], theirs, MergePreference::Neither).unwrap();
         assert_eq!(parsed(&merged).entries().len(), entries, "{merged}");
     }
 }
@@ -1104,7 +1102,7 @@ fn a_twin_is_not_taken_for_the_deleted_one() {
     let base = parsed(r#"[{"name":"FEED","address":12},{"name":"FEED","address":13}]"#);
     let theirs = parsed(r#"[{"name":"FEED","address":13}]"#);
     let operation = set(&base, "FEED", 16);
-    let merge = merge(&base, &[operation], &theirs, Prefer::Neither).unwrap();
+    let merge = merge(&base, &[operation], &theirs, MergePreference::Neither).unwrap();
     assert!(matches!(merge, Merge::Conflict(conflict) if conflict.theirs == "deleted"));
 }
 
@@ -1128,7 +1126,7 @@ fn operations_on_operations_are_merged_in_order() {
         merged(
             &ours,
             r#"[{"name":"SENS"},{"name":"FEED","address":12,"static":true,"x":1}]"#,
-            Prefer::Neither
+            MergePreference::Neither
         )
         .as_deref(),
         Ok(
@@ -1150,13 +1148,13 @@ fn it_is_no_conflict_where_theirs_says_what_ours_comes_to() {
         document = document.apply(ours.last().unwrap()).unwrap();
     }
     let theirs = parsed(r#"[{"name":"A","address":5,"static":true},{"name":"B","address":7}]"#);
-    let merged = merge(&base, &ours, &theirs, Prefer::Neither).unwrap();
+    let merged = merge(&base, &ours, &theirs, MergePreference::Neither).unwrap();
     let Merge::Rebased { document, operations, .. } = merged else { panic!("{merged:?}") };
     assert_eq!((document.entries()[0].address, document.entries()[1].address), (Some(5), Some(7)));
     assert_eq!(operations.len(), 3, "the new entries");
     // What ours came to on the way is no excuse.
     let theirs = parsed(r#"[{"name":"A","address":4,"static":true},{"name":"B","address":7}]"#);
-    let merged = merge(&base, &ours, &theirs, Prefer::Neither).unwrap();
+    let merged = merge(&base, &ours, &theirs, MergePreference::Neither).unwrap();
     assert!(matches!(merged, Merge::Conflict(_)), "{merged:?}");
 }
 
@@ -1187,7 +1185,7 @@ fn an_edit_is_taken_back_on_newer_content() {
     let inverse = operation.inverse(&base).unwrap();
     let newer = parsed(r#"[{"name":"SENS"},{"name":"FEED","address":16,"static":true,"x":1}]"#);
     let Ok(Merge::Rebased { document, operations, .. }) =
-        merge(&edited, &[inverse], &newer, Prefer::Neither)
+        merge(&edited, &[inverse], &newer, MergePreference::Neither)
     else {
         panic!()
     };

@@ -5,7 +5,8 @@
 //! if that is set; a case that fails names its seed.
 
 use descan::document::{
-    Document, EditError, EntryKey, Merge, NewEntry, Operation, Prefer, ServiceEntry, merge,
+    Document, EditError, EntryKey, ListedService, Merge, MergePreference, NewEntry, Operation,
+    merge,
 };
 use fastrand::Rng;
 use serde::de::{Deserialize, Deserializer, IgnoredAny, MapAccess, Visitor};
@@ -242,12 +243,12 @@ impl Case<'_> {
             rng.choice(names).unwrap().to_vec()
         };
         let (to, new_name) = (name(), name());
-        let service = |rng: &mut Rng| ServiceEntry {
+        let service = |rng: &mut Rng| ListedService {
             name: rng.choice(["DES", "AUGER", "\u{1b}"]).unwrap().to_owned(),
             version: rng.choice(["", "1.0", "\"2\""]).unwrap().to_owned(),
             extra: vec!["x".to_owned(); usize::from(rng.u8(..6) == 0)],
         };
-        let services: Vec<ServiceEntry> =
+        let services: Vec<ListedService> =
             (0..self.rng.u8(..4)).map(|_| service(&mut self.rng)).collect();
         let count = document.entries().len();
         if count == 0 || self.rng.u8(..5) == 0 {
@@ -300,7 +301,7 @@ impl Case<'_> {
     // ---- merging ----
 
     fn merge(&mut self, base: &Document, ours: &[Operation], theirs: &Document) {
-        for prefer in [Prefer::Neither, Prefer::Ours, Prefer::Theirs] {
+        for prefer in [MergePreference::Neither, MergePreference::Ours, MergePreference::Theirs] {
             self.tally.merges += 1;
             match merge(base, ours, theirs, prefer) {
                 Ok(Merge::Rebased { document, operations, .. }) => {
@@ -313,7 +314,7 @@ impl Case<'_> {
                 }
                 Ok(Merge::Conflict(conflict)) => {
                     self.tally.conflicts += 1;
-                    assert_eq!(prefer, Prefer::Neither);
+                    assert_eq!(prefer, MergePreference::Neither);
                     let shown =
                         format!("{}{}{}", conflict.operation, conflict.ours, conflict.theirs);
                     assert!(!shown.contains(char::is_control), "{shown:?}");

@@ -2,7 +2,8 @@
 //! it can be taken back, and both sides of a merge survive.
 
 use descan::document::{
-    Document, Entry, EntryKey, FindingKind, Merge, NewEntry, Operation, Prefer, ServiceEntry, merge,
+    Document, DocumentFindingKind, Entry, EntryKey, ListedService, Merge, MergePreference,
+    NewEntry, Operation, merge,
 };
 use proptest::collection::vec;
 use proptest::option::of as maybe;
@@ -113,11 +114,11 @@ fn anything() -> impl Strategy<Value = String> {
     })
 }
 
-fn services() -> impl Strategy<Value = Vec<ServiceEntry>> {
+fn services() -> impl Strategy<Value = Vec<ListedService>> {
     let name = select(vec!["DES", "AUGER", "T\"", "Ж", ""]);
     let version = select(vec!["1.0", "2.1", ""]);
     let extra = vec(select(vec!["x".to_owned(), "\u{1b}".to_owned()]), 0..2);
-    let service = (name, version, extra).prop_map(|(name, version, extra)| ServiceEntry {
+    let service = (name, version, extra).prop_map(|(name, version, extra)| ListedService {
         name: name.to_owned(),
         version: version.to_owned(),
         extra,
@@ -222,7 +223,7 @@ enum Edit {
     Set(u8),
     Clear,
     Rename(Vec<u8>),
-    Services(Vec<ServiceEntry>),
+    Services(Vec<ListedService>),
     Remove,
     Add(NewEntry),
 }
@@ -299,7 +300,7 @@ impl Edit {
     }
 }
 
-type Meaning = (Vec<u8>, Option<u8>, bool, Option<String>, Option<Vec<ServiceEntry>>);
+type Meaning = (Vec<u8>, Option<u8>, bool, Option<String>, Option<Vec<ListedService>>);
 
 fn meaning(document: &Document) -> Vec<Meaning> {
     let of = |it: &Entry| {
@@ -336,7 +337,7 @@ fn is_as_read(document: &Document) -> bool {
 
 /// Two services of one name in an object are read, but not edited.
 fn may_be_refused(document: &Document) -> bool {
-    document.findings().iter().any(|finding| finding.kind == FindingKind::DuplicateMember)
+    document.findings().iter().any(|finding| finding.kind == DocumentFindingKind::DuplicateMember)
 }
 
 proptest! {
@@ -444,7 +445,7 @@ proptest! {
         let their_operation = theirs.named(b't').operation(&base, other);
         let disk = base.apply(&their_operation).unwrap();
         let mine = base.apply(&our_operation).unwrap();
-        let merged = merge(&base, std::slice::from_ref(&our_operation), &disk, Prefer::Neither).unwrap();
+        let merged = merge(&base, std::slice::from_ref(&our_operation), &disk, MergePreference::Neither).unwrap();
         let Merge::Rebased { document, .. } = merged else { panic!("{merged:?}") };
         let mut found = meaning(&document);
         let mut expected = meaning(&mine.apply(&their_operation).unwrap());

@@ -36,7 +36,7 @@
 //!   saved as first                    the same bytes as at the start
 //!   typed 16: Enter pins it to 16     the line being typed, and what is said of it (`warns:`, or
 //!                                     `blocks:` where Enter does nothing)
-//!   says: taken back: …               the message below (`warns:` where something did not work)
+//!   says: undid: …               the message below (`warns:` where something did not work)
 //!   asks: …                           a question, or a conflict with both values
 //!   unsaved 2                         so many edits are not on the disk
 //!   problem: line 1, column 2: …      what is wrong with the file as a whole
@@ -53,21 +53,21 @@
 //! Run with `UPDATE_SCENARIOS=1` to write what comes instead of checking it; then read the
 //! difference.
 
-#[path = "common/stage.rs"]
-mod stage;
-#[path = "common/texts.rs"]
-mod texts;
+#[path = "common/harness.rs"]
+mod harness;
+#[path = "common/scenario_files.rs"]
+mod scenario_files;
 
-use descan::app::{Overlay, Verdict};
+use descan::app::{InputCheck, Overlay};
 use descan::discovery::Config;
 use descan::document::Document;
 use descan::keymap::{Key, KeyCode};
-use descan::sim::{Action, DeviceSpec, Scenario};
-use stage::Stage;
+use descan::sim::{DeviceAction, DeviceSpec, Scenario};
+use harness::Stage;
+use scenario_files::{are_written_anew, texts_of};
 use std::fmt::Write;
 use std::iter::Peekable;
 use std::str::Lines;
-use texts::{are_written_anew, texts_of};
 
 /// How long the bus runs before the first key: every device has told its services.
 const SETTLED: f64 = 8.0;
@@ -244,9 +244,9 @@ impl Play {
         let mut log = String::new();
         if let (Some(prompt), Some(verdict)) = (app.prompt(), app.verdict()) {
             let (how, words) = match verdict {
-                Verdict::Fine(words) => ("", words),
-                Verdict::Warns(words) => ("warns: ", words),
-                Verdict::Blocks(words) => ("blocks: ", words),
+                InputCheck::Accepted(words) => ("", words),
+                InputCheck::Warning(words) => ("warns: ", words),
+                InputCheck::Rejected(words) => ("blocks: ", words),
             };
             writeln!(log, "  typed {}: {how}{words}", prompt.input.value()).unwrap();
         }
@@ -397,7 +397,7 @@ fn play(scenario: &str) -> String {
             }
             ("services", _) => play.act(|stage| {
                 let device = stage.sim.device(words[0]).expect("a device");
-                stage.sim.control(device, Action::Services(services(&words[1..])));
+                stage.sim.control(device, DeviceAction::Services(services(&words[1..])));
                 wait(stage.keys("r"), 6.0);
             }),
             ("wait", _) => play.act(|stage| {

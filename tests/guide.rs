@@ -287,7 +287,7 @@ fn examples_are_accepted() {
             "toml config.toml" => {
                 let folder = tempfile::tempdir().unwrap();
                 std::fs::write(folder.path().join("config.toml"), &text).unwrap();
-                let folder = descan::shell::config::Folder::at(folder.path());
+                let folder = descan::shell::config::ConfigFolder::at(folder.path());
                 let settings = folder.settings().unwrap();
                 assert!(settings.theme.is_some() && settings.steady_share.is_some());
             }

@@ -2,7 +2,7 @@
 
 use descan::bus::log::LogReader;
 use descan::bus::pcapng::{write_frame, write_interface, write_section};
-use descan::bus::{self, BusError, BusSpec, Clock, Options, Port, TransmitError};
+use descan::bus::{self, BusSpec, Clock, OpenError, Options, Port, TransmitError};
 use descan::frame::{BusIndex, CanId, Frame};
 use descan::status::{Link, PlaybackCommand};
 use descan::time::{Duration, Epoch, Instant};
@@ -62,7 +62,7 @@ fn a_file_is_replayed_as_it_was_timed() {
     let start = frames[0].time;
     let ages: Vec<_> = frames.iter().map(|frame| frame.time.since(start).as_millis()).collect();
     assert_eq!(ages, [0, 200, 400]);
-    let told: Vec<_> = frames.iter().map(|frame| (frame.bus, frame.ours)).collect();
+    let told: Vec<_> = frames.iter().map(|frame| (frame.bus, frame.is_tx)).collect();
     assert_eq!(told, [(BusIndex(2), false), (BusIndex(3), false), (BusIndex(2), true)]);
     assert_eq!(port.queue().names(), ["can0", "can1"]);
 
@@ -130,7 +130,7 @@ fn a_log_that_cannot_be_opened_is_an_error_that_names_it() {
     for path in ["/nowhere/session.log", "/"] {
         let spec = BusSpec::File(path.into());
         let error = bus::open(&spec, BusIndex(0), clock.clone(), Options::default()).unwrap_err();
-        assert!(matches!(error, BusError::Log { .. }));
+        assert!(matches!(error, OpenError::Log { .. }));
         assert!(error.to_string().starts_with(&format!("cannot read file:{path}: ")), "{error}");
     }
 }
@@ -143,7 +143,7 @@ fn a_log_is_read_at_once_by_its_own_clock() {
     let frames: Vec<_> = reader.by_ref().map(Result::unwrap).collect();
     assert_eq!(
         frames[1],
-        Frame::remote(CanId::Standard(0x123), 4).on(BusIndex(1)).at(frames[1].time)
+        Frame::remote(CanId::Standard(0x123), 4).with_bus(BusIndex(1)).with_time(frames[1].time)
     );
     assert_eq!(reader.tally().last, Instant::from_micros(400_000));
     assert_eq!(reader.tally().epoch, Some(Epoch::from_unix_micros(100_000_000)));
@@ -159,7 +159,7 @@ fn a_clock_that_was_set_back_goes_on_from_the_last_moment() {
     let frames = reader.by_ref().map(Result::unwrap);
     let moments: Vec<_> = frames.map(|frame| frame.time.as_micros() / 1_000).collect();
     assert_eq!(moments, [0, 1000, 1000, 2000]);
-    assert_eq!(reader.tally().to_string(), "4 frames; time runs backwards 1 time");
+    assert_eq!(reader.tally().to_string(), "4 frames; time goes backwards 1 time");
     // What is told of the last frame is later by the hour, not in the past.
     assert_eq!(reader.tally().epoch.unwrap().unix_micros(reader.tally().last), 7_302_000_000);
 
@@ -226,7 +226,7 @@ fn a_file_that_grows_is_followed_with_its_own_dates() {
     let port = open(&spec, clock.clone());
     let mut frames = drain(&port);
     let status = port.queue().status();
-    assert_eq!(status.message.as_deref(), Some("2 frames; the last line has no end yet"));
+    assert_eq!(status.message.as_deref(), Some("2 frames; last line incomplete"));
     let append = |text: &str| {
         File::options().append(true).open(path).unwrap().write_all(text.as_bytes()).unwrap();
     };
@@ -249,7 +249,7 @@ fn a_file_that_is_cut_short_or_replaced_is_read_anew() {
 
     fs::write(path, "(2000.0) can0 00000003#\n").unwrap();
     take_with(&port, &mut frames, 3, || {});
-    assert_eq!(note(), "the log was cut short: it is read anew");
+    assert_eq!(note(), "log truncated: reading from its start");
 
     let next = folder.path().join("next");
     // A log of the other kind, in two pieces.
@@ -261,7 +261,7 @@ fn a_file_that_is_cut_short_or_replaced_is_read_anew() {
     fs::write(&next, &pcapng[..first]).unwrap();
     fs::rename(&next, path).unwrap();
     let deadline = Monotonic::now() + PATIENCE;
-    while note() != "another log took its place: that is read now" {
+    while note() != "log replaced: reading the new one" {
         assert!(Monotonic::now() < deadline, "{}", note());
         std::thread::yield_now();
     }

@@ -4,7 +4,7 @@
 #[path = "common/frames.rs"]
 mod frames;
 
-use descan::bus::log::{EntryFault, LogReader, Tally};
+use descan::bus::log::{EntryFault, LogReader, LogSummary};
 use descan::bus::pcapng::{
     Damage, PacketFault, write_frame, write_interface, write_section, write_statistics,
 };
@@ -17,13 +17,13 @@ use std::process::Command;
 
 const START: u64 = 1_436_509_052_249_713;
 
-fn read_with(bytes: &[u8], buffer: usize) -> (Vec<Frame>, Tally) {
+fn read_with(bytes: &[u8], buffer: usize) -> (Vec<Frame>, LogSummary) {
     let mut reader = LogReader::new(BufReader::with_capacity(buffer, bytes));
     let frames = reader.by_ref().collect::<Result<_, _>>().unwrap();
     (frames, reader.tally().clone())
 }
 
-fn read(bytes: &[u8]) -> (Vec<Frame>, Tally) {
+fn read(bytes: &[u8]) -> (Vec<Frame>, LogSummary) {
     read_with(bytes, 1 << 16)
 }
 
@@ -51,14 +51,15 @@ fn one_of_each() -> Vec<Frame> {
     (plain_fd.id, plain_fd.bit_rate_switch) = (CanId::Standard(0x123), false);
     let all = [
         Frame::classic(0x0201_5402, &[4, 0x44, 0x45, 0x53, 1]),
-        Frame::with(CanId::Standard(0x7FF), &[]).ours(),
+        Frame::with(CanId::Standard(0x7FF), &[]).with_tx(),
         Frame::remote(CanId::Standard(0x123), 4),
-        Frame::remote(CanId::Extended(0x123), 0).ours(),
+        Frame::remote(CanId::Extended(0x123), 0).with_tx(),
         Frame::error(0x24, &[0, 1, 2, 3, 4, 5, 6, 7]),
         fd,
-        plain_fd.ours(),
+        plain_fd.with_tx(),
     ];
-    let dated = |(at, frame): (usize, Frame)| frame.at(Instant::from_micros(at as u64 * 1000));
+    let dated =
+        |(at, frame): (usize, Frame)| frame.with_time(Instant::from_micros(at as u64 * 1000));
     all.into_iter().enumerate().map(dated).collect()
 }
 
@@ -152,8 +153,8 @@ fn sections_of_either_byte_order_with_times_in_any_unit_are_read() {
     assert_eq!(tally.first_unreadable, Some((7, eth)));
     assert_eq!(
         tally.to_string(),
-        "4 frames of 3 interfaces; 2 blocks cannot be read, the first is block 7: it is of link type 1, not of \
-         CAN (227)"
+        "4 frames of 3 interfaces; 2 blocks cannot be read, the first is block 7: link type 1, expected \
+         227 (SocketCAN)"
     );
     for buffer in 1..70 {
         assert_eq!(read_with(&file, buffer), (frames.clone(), tally.clone()), "{buffer}");
@@ -212,7 +213,7 @@ fn where_a_file_breaks_off_what_stands_before_counts() {
     }
     assert_eq!(seen, frames.len());
     let (_, tally) = read(&file[..file.len() - 1]);
-    assert_eq!(tally.to_string(), "7 frames; it breaks off within a block");
+    assert_eq!(tally.to_string(), "7 frames; truncated inside a block");
 }
 
 #[test]
@@ -276,7 +277,7 @@ proptest! {
                 // The first is the start, and on the first bus.
                 let (gap, bus) = if at == 0 { (0, 0) } else { (gap, bus) };
                 moment += Duration::from_micros(gap);
-                frame.at(moment).on(BusIndex(bus))
+                frame.with_time(moment).with_bus(BusIndex(bus))
             })
             .collect();
         let (there, tally) = read_with(&write(&frames), buffer);
@@ -287,7 +288,7 @@ proptest! {
         for (there, frame) in there.iter().zip(&frames) {
             let name = format!("can{}", frame.bus.0);
             prop_assert_eq!(&tally.interfaces[usize::from(there.bus.0)], &name);
-            prop_assert_eq!(there.on(frame.bus), *frame);
+            prop_assert_eq!(there.with_bus(frame.bus), *frame);
         }
     }
 

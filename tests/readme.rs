@@ -1,7 +1,7 @@
 //! The README says what is so.
 
 use descan::document::Document;
-use descan::keymap::{ACTIONS, Key, Keymap, Mode};
+use descan::keymap::{ACTIONS, Key, KeyMode, Keymap};
 use descan::wire::profile::Profile;
 
 const README: &str = include_str!("../README.md");
@@ -29,7 +29,7 @@ fn every_key_of_the_table_is_bound() {
             // What stands between backticks.
             if at % 2 == 1 {
                 let key = Key::parse(text).unwrap_or_else(|| panic!("{text} is a key"));
-                assert!(keymap.lookup(Mode::Browse, key).is_some(), "{text} does something");
+                assert!(keymap.lookup(KeyMode::Browse, key).is_some(), "{text} does something");
                 count += 1;
             }
         }
@@ -39,7 +39,7 @@ fn every_key_of_the_table_is_bound() {
 
 #[test]
 fn every_letter_that_does_something_is_in_the_readme() {
-    for action in ACTIONS.iter().filter(|action| action.mode == Mode::Browse) {
+    for action in ACTIONS.iter().filter(|action| action.mode == KeyMode::Browse) {
         let letter = action
             .keys
             .iter()

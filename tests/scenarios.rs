@@ -17,8 +17,8 @@
 //! the difference.
 
 mod common;
-#[path = "common/texts.rs"]
-mod texts;
+#[path = "common/scenario_files.rs"]
+mod scenario_files;
 
 use common::describe;
 use descan::discovery::{Config, Engine};
@@ -26,9 +26,9 @@ use descan::frame::{CanId, Frame};
 use descan::time::Instant;
 use descan::wire::id::Address;
 use descan::wire::profile::{Announce, Profile};
+use scenario_files::{are_written_anew, texts_of};
 use std::fmt::Write;
 use std::sync::Arc;
-use texts::{are_written_anew, texts_of};
 
 fn parse_time(text: &str) -> Instant {
     let (seconds, fraction) = text.split_once('.').unwrap_or((text, ""));
@@ -65,7 +65,7 @@ impl Stage {
             if let Some(frame) = sent {
                 writeln!(self.log, "  {} > {frame}", self.now).unwrap();
                 if self.taken {
-                    self.engine.handle_frame(&frame.at(self.now).ours());
+                    self.engine.handle_frame(&frame.with_time(self.now).with_tx());
                 }
             }
             while let Some(event) = self.engine.poll_event() {
@@ -159,7 +159,7 @@ fn play(scenario: &str) -> String {
             ["restart"] => stage.engine.restart(at),
             ["clear-lost"] => stage.engine.clear_lost(),
             ["show"] => stage.show_devices(),
-            [frame] => stage.engine.handle_frame(&parse_frame(frame).at(at)),
+            [frame] => stage.engine.handle_frame(&parse_frame(frame).with_time(at)),
             ref other => panic!("unknown input {other:?}"),
         }
         stage.drain();

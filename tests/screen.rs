@@ -1,16 +1,16 @@
 //! Keys and simulated buses in, screens out.
 
-#[path = "common/stage.rs"]
-mod stage;
+#[path = "common/harness.rs"]
+mod harness;
 
 use descan::app::{
-    App, AppOptions, Capture, Effect, FileReading, Mouse, MouseKind, Page, Piece, Problem,
-    SaveOutcome, Verdict,
+    App, AppOptions, Capture, Effect, EvidenceItem, FileReading, InputCheck, Mouse, MouseKind,
+    Page, Problem, SaveOutcome,
 };
 use descan::discovery::Config;
 use descan::frame::{BusIndex, CanId, Frame};
 use descan::keymap::Key;
-use descan::sim::{Action, Scenario, Sim, Station};
+use descan::sim::{DeviceAction, Scenario, Sim, SimStation};
 use descan::status::{
     BusState, BusStatus, Link, Playback, PlaybackCommand, RateSearch, RecordingStatus,
 };
@@ -18,10 +18,10 @@ use descan::theme::{BUILT_IN, Role, Theme};
 use descan::time::{Duration, Instant};
 use descan::ui;
 use descan::wire::id::Address;
+use harness::{BOILER, Stage, text_of};
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 use ratatui::buffer::Buffer;
-use stage::{BOILER, Stage, text_of};
 
 /// A snapshot of the screen as text.
 macro_rules! snapshot {
@@ -123,7 +123,7 @@ fn every_state_is_readable_without_colour() {
         assert_eq!(text_of(&stage.buffer(name)), stage.screen(), "{name}");
     }
     let screen = stage.screen();
-    for words in ["● ", "⚠   14 ACT         CLASH", "missing", "✓ 10", "✗ 16", "+ new", "SENS²"]
+    for words in ["● ", "⚠   14 ACT         CONFLICT", "missing", "✓ 10", "✗ 16", "+ new", "SENS²"]
     {
         assert!(screen.contains(words), "{words}\n{screen}");
     }
@@ -169,7 +169,7 @@ fn a_file_that_is_deleted_is_said_to_be_gone() {
     let mut stage = Stage::boiler();
     stage.until(24.0);
     stage.app.handle_file(stage.app.now(), FileReading::Content(None));
-    assert!(stage.screen().contains("des.json     gone"), "{}", stage.screen());
+    assert!(stage.screen().contains("des.json     deleted"), "{}", stage.screen());
 }
 
 #[test]
@@ -177,10 +177,10 @@ fn a_new_entry_is_selected_and_a_wrong_address_in_it_is_told() {
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("n").text("PUMP 200");
     let screen = stage.screen();
-    assert!(screen.contains("✗ 200 is no address: 1 to 127"), "{screen}");
+    assert!(screen.contains("✗ 200 is not an address (1 to 127)"), "{screen}");
     stage.keys("Enter Ctrl-u").text("PUMP 2nd");
     let screen = stage.screen();
-    assert!(screen.contains("! all of it is the name: 2nd is no address"), "{screen}");
+    assert!(screen.contains("! all of it is the name: 2nd is not an address"), "{screen}");
     stage.keys("Ctrl-u").text("VALVE 99").keys("Enter");
     assert_eq!(stage.app.selected_row().unwrap().name.as_ref().unwrap().to_string(), "VALVE");
 }
@@ -189,7 +189,7 @@ fn a_new_entry_is_selected_and_a_wrong_address_in_it_is_told() {
 fn what_blocks_and_how_to_answer_are_never_cut_off() {
     let mut stage = Stage::boiler();
     stage.until(24.0).size(40, 10).keys("n");
-    assert!(stage.screen().contains("✗ a name, a space, and its address"), "{}", stage.screen());
+    assert!(stage.screen().contains("✗ name, space, address"), "{}", stage.screen());
     stage.keys("Esc e").text("128");
     assert!(stage.screen().contains("✗ not an address: 1 to 127"), "{}", stage.screen());
     stage.keys("Esc D");
@@ -209,7 +209,7 @@ fn a_conflict_shows_both_and_lets_choose() {
     snapshot!("conflict", stage);
     assert_eq!(stage.file(), theirs, "nothing is written before the choice");
     stage.keys("Esc j");
-    assert!(stage.screen().contains("✗ conflict  Ctrl-s shows it"), "{}", stage.screen());
+    assert!(stage.screen().contains("✗ conflict  Ctrl-s resolves it"), "{}", stage.screen());
     // Who asks for the page chooses as soon as he likes.
     stage.keys("Ctrl-s o");
     assert_eq!(stage.file(), BOILER.replace("10", "47"));
@@ -228,23 +228,23 @@ fn with_two_unsaved_edits() -> Stage {
 fn each_of_two_conflicts_is_decided_alone() {
     let theirs = BOILER.replace("10", "100").replace("12", "103");
     for (keys, feed, sens, told) in [
-        (["o", "o"], "70", "71", "our 2 values were kept"),
-        (["o", "t"], "70", "103", "kept: 1 of our values, 1 of the file's"),
-        (["t", "o"], "100", "71", "kept: 1 of our values, 1 of the file's"),
-        (["t", "t"], "100", "103", "the file's 2 values were kept"),
+        (["o", "o"], "70", "71", "kept your 2 values"),
+        (["o", "t"], "70", "103", "kept 1 of your values, 1 of the file's"),
+        (["t", "o"], "100", "71", "kept 1 of your values, 1 of the file's"),
+        (["t", "t"], "100", "103", "kept the file's 2 values"),
     ] {
         let mut stage = with_two_unsaved_edits();
         stage.write(&theirs);
         let screen = stage.screen();
-        assert!(screen.contains("Conflict 1 of 2"), "{screen}");
+        assert!(screen.contains("Edit conflict 1 of 2"), "{screen}");
         assert!(screen.contains("entry FEED: 10 → 70"), "{screen}");
         let screen = stage.keys(keys[0]).screen();
         assert_eq!(stage.file(), theirs, "nothing is written before the last choice");
-        assert!(screen.contains("Conflict 2 of 2"), "{screen}");
+        assert!(screen.contains("Edit conflict 2 of 2"), "{screen}");
         assert!(screen.contains("entry SENS: 12 → 71"), "{screen}");
         assert!(screen.contains("theirs     address 103, static"), "{screen}");
         let screen = stage.keys(keys[1]).screen();
-        assert!(!screen.contains("Conflict"), "{screen}");
+        assert!(!screen.contains("Edit conflict"), "{screen}");
         assert!(screen.contains(told), "{screen}");
         stage.unfinished.as_mut().into_iter().for_each(Vec::clear);
         assert_eq!(stage.file(), BOILER.replace("10", feed).replace("12", sens));
@@ -257,10 +257,10 @@ fn a_choice_is_asked_for_again_where_the_file_changed_after_it() {
     stage.write(&BOILER.replace("10", "100").replace("12", "103")).keys("o");
     let theirs = BOILER.replace("10", "101").replace("12", "103");
     let screen = stage.write(&theirs).screen();
-    assert!(screen.contains("Conflict 1 of 2"), "{screen}");
+    assert!(screen.contains("Edit conflict 1 of 2"), "{screen}");
     assert!(screen.contains("theirs     address 101, static"), "{screen}");
     stage.keys("Esc").write(&theirs);
-    assert!(!stage.screen().contains("Conflict 1"), "the same content is no news");
+    assert!(!stage.screen().contains("Edit conflict 1"), "the same content is no news");
     stage.keys("Ctrl-s t t");
     assert_eq!(stage.file(), theirs);
 }
@@ -283,7 +283,7 @@ fn where_the_file_goes_while_a_choice_is_open_it_stays_open() {
         stage.keys(key);
         assert_eq!(stage.file.is_some(), after.is_some());
         assert!(stage.file().contains(after.unwrap_or_default()), "{}", stage.file());
-        assert!(!stage.screen().contains("Conflict"), "{}", stage.screen());
+        assert!(!stage.screen().contains("Edit conflict"), "{}", stage.screen());
     }
 }
 
@@ -297,10 +297,10 @@ fn the_page_of_a_conflict_closes_with_the_conflict() {
         stage.slow_disk().until(24.0).keys("e").text("70").keys("Enter");
         stage.file = Some(BOILER.as_bytes().to_vec());
         stage.refuse_saves().write(contents[0]).until(25.1);
-        assert!(stage.screen().contains("Conflict"), "{}", stage.screen());
+        assert!(stage.screen().contains("Edit conflict"), "{}", stage.screen());
         let screen = stage.write(contents[1]).screen();
-        assert!(!screen.contains("Conflict"), "{screen}");
-        assert!(screen.contains("no conflict any more"), "{screen}");
+        assert!(!screen.contains("Edit conflict"), "{screen}");
+        assert!(screen.contains("conflict resolved"), "{screen}");
         assert_eq!(stage.file(), contents[1].replace("10", "70"));
     }
 }
@@ -310,8 +310,8 @@ fn nothing_is_chosen_while_the_file_is_broken() {
     let mut stage = with_two_unsaved_edits();
     stage.write(&BOILER.replace("10", "100")).write("{ broken").keys("o");
     let screen = stage.screen();
-    assert!(screen.contains("Conflict"), "{screen}");
-    assert!(screen.contains("It cannot be read now: choose when it can."), "{screen}");
+    assert!(screen.contains("Edit conflict"), "{screen}");
+    assert!(screen.contains("The file cannot be read now; choose later."), "{screen}");
     stage.write(&BOILER.replace("10", "100")).keys("t");
     assert_eq!(stage.file(), BOILER.replace("10", "100").replace("12", "71"));
 }
@@ -325,7 +325,7 @@ fn a_line_being_typed_goes_on_after_a_conflict() {
         stage.app.handle_key(stage.app.now(), Key::parse(key).unwrap());
     }
     stage.write(&BOILER.replace("10", "11"));
-    assert!(stage.screen().contains("Conflict"), "{}", stage.screen());
+    assert!(stage.screen().contains("Edit conflict"), "{}", stage.screen());
     stage.keys("t").text("0").keys("Enter");
     assert_eq!(stage.file(), BOILER.replace("10", "11").replace("12", "50"));
 }
@@ -342,40 +342,48 @@ fn what_somebody_else_changed_since_is_neither_taken_back_nor_made_again() {
         let screen = stage.screen();
         assert!(screen.contains(why), "{screen}");
         assert_eq!(stage.file(), before);
-        assert!(!told(stage, "made again"));
+        assert!(!told(stage, "redid"));
     };
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("j e").text("71").keys("Enter k e").text("100").keys("Enter");
     stage.write(&with("101").replace("12", "71"));
-    let why = "not undone: address of the entry FEED: 10 → 100; theirs: address 101, static";
+    let why = "not undone: address of the entry FEED: 10 → 100; on disk: address 101, static";
     refused(&mut stage, "u", why);
-    assert!(!told(&stage, "taken back"));
-    refused(&mut stage, "Ctrl-r", "there is nothing to make again");
+    assert!(!told(&stage, "undid"));
+    refused(&mut stage, "Ctrl-r", "nothing to redo");
     // What is below it can be.
     stage.keys("u");
     assert_eq!(stage.file(), with("101"));
 
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("e").text("100").keys("Enter u").write(&with("11"));
-    let why = "not redone: address of the entry FEED: 10 → 100; theirs: address 11, static";
+    let why = "not redone: address of the entry FEED: 10 → 100; on disk: address 11, static";
     refused(&mut stage, "Ctrl-r", why);
 
     // They did the same.
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("e").text("100").keys("Enter").write(BOILER);
-    refused(&mut stage, "u", "need not be undone, it is so already: address of the entry");
+    refused(&mut stage, "u", "already undone: address of the entry");
 
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("n").text("NEW 64").keys("Enter");
     let theirs = stage.file().replace("64", "65");
     stage.write(&theirs);
-    refused(&mut stage, "u", "not undone: new entry NEW at 64; theirs: address 65");
+    refused(&mut stage, "u", "not undone: new entry NEW at 64; on disk: address 65");
 
     let mut stage = with_two_unsaved_edits();
     stage.write(&BOILER.replace("10", "100").replace("12", "103")).keys("t t");
-    refused(&mut stage, "u", "not undone: address of the entry SENS: 12 → 71; theirs: address 103");
-    refused(&mut stage, "u", "not undone: address of the entry FEED: 10 → 70; theirs: address 100");
-    refused(&mut stage, "u", "there is nothing to take back");
+    refused(
+        &mut stage,
+        "u",
+        "not undone: address of the entry SENS: 12 → 71; on disk: address 103",
+    );
+    refused(
+        &mut stage,
+        "u",
+        "not undone: address of the entry FEED: 10 → 70; on disk: address 100",
+    );
+    refused(&mut stage, "u", "nothing to undo");
 }
 
 #[test]
@@ -416,7 +424,7 @@ fn a_clash_that_two_made_together_is_named_when_it_is_saved() {
     let mut stage = Stage::boiler();
     stage.slow_disk().until(24.0).keys("e").text("71").keys("Enter");
     stage.file = Some(BOILER.as_bytes().to_vec());
-    let clash = "2 entries are pinned to 71: FEED, SENS";
+    let clash = "2 entries share address 71: FEED, SENS";
     // They give the address, which is still free in the file, to another.
     let theirs = BOILER.replace("12", "71");
     stage.refuse_saves().write(&theirs);
@@ -424,7 +432,7 @@ fn a_clash_that_two_made_together_is_named_when_it_is_saved() {
     stage.refuse_saves();
     stage.keys("Ctrl-s").finish_saves();
     assert_eq!(stage.file(), theirs.replace("10", "71"));
-    let told = format!("saved at last, but {clash}");
+    let told = format!("saved after retry; warning: {clash}");
     assert!(stage.screen().contains(&told), "{}", stage.screen());
     assert!(stage.app.timeline().entries().any(|line| line.text == told));
 
@@ -433,7 +441,7 @@ fn a_clash_that_two_made_together_is_named_when_it_is_saved() {
     stage.slow_disk().until(24.0).keys("e").text("71").keys("Enter");
     stage.file = Some(BOILER.as_bytes().to_vec());
     stage.refuse_saves().write(&theirs).finish_saves();
-    assert!(stage.screen().contains(&format!("saved, but {clash}")), "{}", stage.screen());
+    assert!(stage.screen().contains(&format!("saved; warning: {clash}")), "{}", stage.screen());
     stage.keys("R").text("X").keys("Enter").finish_saves();
     assert!(stage.file().contains("\"FEEDX\""));
     assert_eq!(
@@ -487,7 +495,7 @@ fn a_failed_save_is_tried_again_after_a_while_and_told_once() {
     }
     stage.finish_saves();
     assert_eq!(stage.file(), BOILER.replace("10", "47"));
-    assert!(stage.screen().contains("saved at last"), "{}", stage.screen());
+    assert!(stage.screen().contains("saved after retry"), "{}", stage.screen());
     stage.unfinished = Some(Vec::new());
     stage.until(90.0);
     assert!(stage.unfinished.unwrap().is_empty(), "and not again");
@@ -507,19 +515,19 @@ fn a_copy_is_saved_elsewhere() {
     let bytes = BOILER.replace("10", "47").into_bytes();
     assert_eq!(stage.effects.last(), Some(&Effect::WriteFile { path: path.clone(), bytes }));
     stage.app.handle_written(stage.app.now(), &path, Err("no such folder".to_owned()));
-    assert!(stage.screen().contains(" not written: no such folder"), "{}", stage.screen());
-    assert!(stage.keys("q").screen().contains("1 edit is not saved. Quit all the same?"));
+    assert!(stage.screen().contains(" not saved: no such folder"), "{}", stage.screen());
+    assert!(stage.keys("q").screen().contains("1 edit is not saved. Quit anyway?"));
     stage.keys("n W Ctrl-u").text("/else/b.json").keys("Enter");
     stage.app.handle_written(stage.app.now(), &path, Ok(()));
     assert!(stage.screen().contains("a copy with all edits: /else/b.json"));
     assert!(
-        stage.keys("q").screen().contains("1 edit is only in /else/b.json. Quit all the same?")
+        stage.keys("q").screen().contains("1 edit is saved only in /else/b.json. Quit anyway?")
     );
     // What was edited since is not in it.
     stage.keys("n R").text("X").keys("Enter");
     stage.unfinished = Some(vec![SaveOutcome::Failed("disk full".to_owned())]);
     stage.finish_saves().keys("q");
-    assert!(stage.screen().contains("2 edits are not saved. Quit all the same?"));
+    assert!(stage.screen().contains("2 edits are not saved. Quit anyway?"));
 }
 
 #[test]
@@ -551,9 +559,9 @@ fn where_no_content_was_ever_good_none_is_said_to_stay() {
     let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some("[{]"));
     let screen = stage.until(9.0).size(120, 40).screen();
     assert!(screen.contains("des.json ✗ line 1, column 3"), "{screen}");
-    assert!(!screen.contains("last good"), "{screen}");
+    assert!(!screen.contains("last valid"), "{screen}");
     stage.write("[]").write("[{]");
-    assert!(stage.screen().contains("last good: 0 entries"), "{}", stage.screen());
+    assert!(stage.screen().contains("using last valid: 0 entries"), "{}", stage.screen());
 }
 
 #[test]
@@ -575,7 +583,7 @@ fn a_wrong_value_leads_to_its_row() {
     for key in ["e", "R"] {
         let screen = stage.write(&twice).size(80, 24).keys("1 g").keys(key).screen();
         assert!(stage.app.prompt().is_none());
-        let said = "line 3, column 37: `address` is there twice: remove one of them first";
+        let said = "line 3, column 37: duplicate `address`: remove one of them first";
         assert!(screen.contains(said), "{screen}");
     }
     stage.write(&file).size(120, 40).wait_until(60.0);
@@ -584,7 +592,7 @@ fn a_wrong_value_leads_to_its_row() {
     assert!(stage.screen().contains("has no `name`"), "{}", stage.screen());
     stage.keys("Enter");
     assert_eq!(stage.app.view().page, Page::Problems);
-    assert!(stage.screen().contains("about the file as a whole"), "{}", stage.screen());
+    assert!(stage.screen().contains("concerns the file as a whole"), "{}", stage.screen());
 }
 
 #[test]
@@ -602,7 +610,7 @@ fn wrong_values_are_told_apart_in_their_rows() {
         "line 7: `address` is 200  DISP",
         "line 7: `services` item 1 is a number  DISP",
         "line 7: `services` item 2 is a number  DISP",
-        "line 8: `address` is there twice  PUMP",
+        "line 8: duplicate `address`  PUMP",
         "line 9: element 6 is a number, not a device",
         "line 9: device 7 has no `name`",
         "line 9: device 8 has no `name`",
@@ -660,7 +668,7 @@ fn quitting_asks_while_edits_are_not_saved() {
     stage.effects.clear();
     stage.file = Some(b"{".to_vec());
     stage.keys("e").text("47").keys("Enter q");
-    assert!(stage.screen().contains("1 edit is not saved. Quit all the same?"));
+    assert!(stage.screen().contains("1 edit is not saved. Quit anyway?"));
     stage.keys("n q y");
     assert!(stage.effects.contains(&Effect::Quit));
 }
@@ -670,9 +678,9 @@ fn quitting_goes_on_once_everything_is_saved() {
     // Two edits, of which the second waits for the first: quitting waits for both.
     let mut stage = Stage::boiler();
     stage.slow_disk().until(24.0).keys("e").text("47").keys("Enter R").text("X").keys("Enter q");
-    assert!(stage.screen().contains("2 edits are being saved"), "{}", stage.screen());
+    assert!(stage.screen().contains("2 edits are still being saved"), "{}", stage.screen());
     stage.finish_saves();
-    assert!(stage.screen().contains("1 edit is being saved"), "{}", stage.screen());
+    assert!(stage.screen().contains("1 edit is still being saved"), "{}", stage.screen());
     assert!(!stage.effects.contains(&Effect::Quit));
     stage.finish_saves();
     assert!(stage.effects.contains(&Effect::Quit));
@@ -691,7 +699,7 @@ fn quitting_goes_on_once_everything_is_saved() {
     stage.finish_saves();
     assert!(!stage.effects.contains(&Effect::Quit));
     let screen = stage.screen();
-    assert!(screen.contains("1 edit is not saved. Quit all the same?"), "{screen}");
+    assert!(screen.contains("1 edit is not saved. Quit anyway?"), "{screen}");
     stage.keys("n");
     assert!(stage.screen().contains("disk full"), "{}", stage.screen());
 }
@@ -723,14 +731,14 @@ fn a_log_that_is_over_shows_what_was_there_at_its_end() {
     stage.until(24.0).link(Link::Ended).wait_until(24.5);
     stage.app.handle_file(stage.app.now(), FileReading::Content(stage.file.clone()));
     let before = stage.screen();
-    assert!(before.contains("end of log") && before.contains("9 here"), "{before}");
+    assert!(before.contains("end of log") && before.contains("9 present"), "{before}");
     stage.wait_until(600.0).app.handle_resize(80, 24);
     assert_eq!(stage.screen(), before);
     // An edit beside it long afterwards changes no device either.
     let at = Instant::ZERO + Duration::from_secs_f64(600.0);
     stage.app.handle_file(at, FileReading::Content(Some(b"[]".to_vec())));
     let screen = stage.screen();
-    assert!(screen.contains("9 here") && screen.contains("online 23s"), "{screen}");
+    assert!(screen.contains("9 present") && screen.contains("online 23s"), "{screen}");
     assert_eq!(stage.app.poll_timeout(), None, "nothing is due any more");
 }
 
@@ -741,12 +749,12 @@ fn that_nobody_acknowledges_is_not_said_of_a_bus_that_is_not_there() {
         let mut stage = Stage::with(&Scenario::builtin("boiler").unwrap(), None, config);
         stage.link(link).wait_until(20.0).keys("3");
         let screen = stage.screen();
-        assert!(!screen.contains("acknowledges"), "{screen}");
-        assert!(!screen.contains("we are at"), "{screen}");
+        assert!(!screen.contains("no ACK"), "{screen}");
+        assert!(!screen.contains("using address"), "{screen}");
         stage.link(Link::Up).wait_until(40.0).keys("3");
         let screen = stage.screen();
-        assert!(screen.contains("we are at 0"), "{screen}");
-        assert!(screen.contains("nobody acknowledges our frames"), "{screen}");
+        assert!(screen.contains("using address 0"), "{screen}");
+        assert!(screen.contains("no ACK on the bus"), "{screen}");
     }
 }
 
@@ -764,17 +772,17 @@ fn where_a_bus_cannot_be_seen_it_is_not_said_that_nothing_is_wrong() {
     };
     stage.app.handle_file(stage.app.now(), FileReading::Content(None));
     stage.app.handle_bus(Instant::ZERO, BusIndex(0), status);
-    for (page, says) in [("1", "no device: no bus is up"), ("4", "no problem was seen so far")] {
+    for (page, says) in [("1", "no device: no bus is up"), ("4", "no problems so far")] {
         let screen = stage.keys(page).screen();
         assert!(screen.contains(says), "{screen}");
-        assert!(!screen.contains("nothing is wrong"), "{screen}");
+        assert!(!screen.contains("no problems found"), "{screen}");
         // The way out, on several lines where one is too short.
         let words = screen.split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>();
         assert!(words.join(" ").contains("can bitrate 125000"), "{screen}");
     }
     stage.link(Link::Up);
     let screen = stage.keys("4").screen();
-    assert!(screen.contains("nothing is wrong, as far as can be seen"), "{screen}");
+    assert!(screen.contains("no problems found"), "{screen}");
 }
 
 #[test]
@@ -795,7 +803,7 @@ fn what_an_interface_is_called_now_and_where_frames_were_lost_is_shown() {
     let screen = stage.size(120, 60).screen();
     assert!(screen.contains("lost 12 (9 kernel, 3 queue)"), "{screen}");
     let screen = stage.size(120, 200).keys("?").screen();
-    assert!(screen.contains("receive buffer 425 kB, some 532 frames"), "{screen}");
+    assert!(screen.contains("receive buffer 425 kB, about 532 frames"), "{screen}");
     assert!(screen.contains("there is\\x1Bmore to know"), "{screen}");
 }
 
@@ -803,13 +811,13 @@ fn what_an_interface_is_called_now_and_where_frames_were_lost_is_shown() {
 fn what_cannot_be_read_is_a_line_of_the_timeline_once_whatever_came_with_it() {
     let mut stage = Stage::boiler();
     for unreadable in [0, 3, 4, 700] {
-        let note = (unreadable > 0).then(|| "the adapter says V1013".to_owned());
+        let note = (unreadable > 0).then(|| "adapter: V1013".to_owned());
         let status = BusStatus { link: Link::Up, unreadable, note, ..BusStatus::default() };
         stage.app.handle_bus(stage.app.now(), BusIndex(0), status);
     }
     let screen = stage.keys("3").screen();
     assert_eq!(screen.matches("says things that cannot be read").count(), 1, "{screen}");
-    assert_eq!(screen.matches("the adapter says V1013").count(), 1, "{screen}");
+    assert_eq!(screen.matches("adapter: V1013").count(), 1, "{screen}");
 }
 
 #[test]
@@ -820,8 +828,8 @@ fn what_is_broken_takes_the_bus_too() {
     // A stuff error a millisecond, each at least 17 bits; that the state changed is no frame.
     for millis in 0..1000 {
         let at = Instant::ZERO + Duration::from_millis(millis);
-        let stuff = Frame::error(0x88, &[0, 0, 4, 0, 0, 0, 0, 0]).at(at);
-        let passive = Frame::error(0x04, &[0, 4, 0, 0, 0, 0, 0, 96]).at(at);
+        let stuff = Frame::error(0x88, &[0, 0, 4, 0, 0, 0, 0, 0]).with_time(at);
+        let passive = Frame::error(0x04, &[0, 4, 0, 0, 0, 0, 0, 96]).with_time(at);
         stage.app.handle_frames(at, &[stuff, passive]);
     }
     let screen = stage.wait_until(1.5).screen();
@@ -867,7 +875,7 @@ fn a_line_being_typed_is_shown_whole_where_there_is_room() {
 fn that_an_address_is_pinned_already_is_said() {
     let mut stage = Stage::boiler();
     stage.until(3.0).keys("g e");
-    assert!(stage.screen().contains("10, as it is pinned already"), "{}", stage.screen());
+    assert!(stage.screen().contains("already pinned to 10"), "{}", stage.screen());
     stage.keys("Backspace").text("1");
     assert!(stage.screen().contains("Enter pins it to 11"), "{}", stage.screen());
 }
@@ -916,13 +924,13 @@ fn a_filter_that_nothing_can_fit_is_explained() {
     let mut stage = Stage::boiler();
     stage.until(10.0).keys("/").text("at:abc").keys("Enter");
     let screen = stage.screen();
-    assert!(screen.contains("\"abc\" is no address: 0 to 127"), "{screen}");
+    assert!(screen.contains("\"abc\" is not an address; use 0 to 127"), "{screen}");
     stage.keys("/").text(" nmae:feed").keys("Enter");
     let screen = stage.screen();
     assert!(screen.contains("at:abc"), "the first mistake is told first\n{screen}");
     stage.keys("Esc /").text("nmae:feed").keys("Enter");
     let screen = stage.screen();
-    assert!(screen.contains("there is no field nmae:"), "{screen}");
+    assert!(screen.contains("unknown field nmae:"), "{screen}");
     assert!(screen.contains(" is: bus:"), "to its end\n{screen}");
 }
 
@@ -945,15 +953,15 @@ fn an_address_of_ours_that_another_uses_is_named_as_the_cause() {
     snapshot!("address_in_use_80x24", stage);
     snapshot!("address_in_use_40x10", stage.size(40, 10));
     let lines: Vec<_> = stage.app.timeline().entries().map(|line| line.text.as_str()).collect();
-    let ours: Vec<_> = lines.iter().filter(|line| line.contains("our address")).collect();
-    assert_eq!(ours, [&"somebody else uses our address 12: we ask nobody until it is free"]);
+    let ours: Vec<_> = lines.iter().filter(|line| line.contains("uses address")).collect();
+    assert_eq!(ours, [&"another node uses address 12: requests paused until it is free"]);
 }
 
 #[test]
 fn a_log_is_played_by_keys_and_a_bus_is_not() {
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("P");
-    assert!(stage.screen().contains("there is no log"), "{}", stage.screen());
+    assert!(stage.screen().contains("only a log can be paused"), "{}", stage.screen());
     let mut playback = Playback { speed: 1.0, is_paused: false, is_ended: false };
     let now = stage.app.now();
     stage.app.handle_playback(now, playback);
@@ -972,7 +980,7 @@ fn a_log_is_played_by_keys_and_a_bus_is_not() {
     // While time stands, what a step brings is drawn at once.
     stage.app.take_dirty();
     let heartbeat = Frame::classic(0x07B4_3C01, &[0x8A, 0xFA, 0x6C, 0x97, 0x24, 0x12, 4, 0]);
-    stage.app.handle_frames(now, &[heartbeat.at(now)]);
+    stage.app.handle_frames(now, &[heartbeat.with_time(now)]);
     stage.app.handle_timeout(now);
     assert!(stage.app.is_dirty());
 }
@@ -1001,8 +1009,8 @@ fn a_recording_is_seen_on_every_screen_and_so_is_its_end() {
     status.failure = Some("the disk is full".to_owned());
     stage.app.handle_recording(now, status);
     let text = stage.screen();
-    assert!(text.contains("✗ rec over"), "{text}");
-    assert_eq!(text.matches("recording to session.log is over: the disk is full").count(), 2);
+    assert!(text.contains("✗ rec stopped"), "{text}");
+    assert_eq!(text.matches("recording to session.log stopped: the disk is full").count(), 2);
 }
 
 #[test]
@@ -1013,7 +1021,7 @@ fn freezing_holds_the_frames_and_loses_none() {
     let body = |screen: &str| screen.lines().skip(3).take(18).collect::<Vec<_>>().join("\n");
     stage.until(22.0);
     assert_eq!(body(&stage.screen()), body(&held));
-    assert!(stage.screen().contains("HELD"));
+    assert!(stage.screen().contains("FROZEN"));
     stage.keys("Space");
     assert!(stage.screen().contains("12:00:21.9"));
 }
@@ -1036,10 +1044,10 @@ fn rows_are_sorted_by_each_column_in_turn() {
     };
     for (sorted, expected) in [
         ("by name", ["ACT", "DIN", "DISP"]),
-        ("what needs attention first", ["ACT", "IGNITER", "FEED"]),
+        ("by severity", ["ACT", "IGNITER", "FEED"]),
         ("by mode", ["NEW", "FEED", "SENS"]),
         ("newest first", ["NEW", "GSM-MODEM", "DIN"]),
-        ("what differs from the file first", ["IGNITER", "FEED", "DISP"]),
+        ("by difference from the file", ["IGNITER", "FEED", "DISP"]),
         ("by address", ["FEED", "SENS", "SENS"]),
     ] {
         let screen = stage.keys("s").screen();
@@ -1139,7 +1147,7 @@ fn selected(stage: &Stage) -> String {
 /// So many foreign frames that the capture has room for no others.
 fn flood(stage: &mut Stage) {
     let now = stage.app.now();
-    let frame = Frame::with(CanId::Standard(0x123), &[]).at(now);
+    let frame = Frame::with(CanId::Standard(0x123), &[]).with_time(now);
     stage.app.handle_frames(now, &vec![frame; Capture::FRAMES]);
 }
 
@@ -1151,9 +1159,9 @@ fn what_is_sure_comes_before_suspicions_and_these_before_what_is_over() {
         problems(&stage),
         [
             "confirmed static address taken @16",
-            "confirmed not at its address @14",
+            "confirmed wrong address @14",
             "confirmed missing @44",
-            "suspected two devices, one name @14",
+            "suspected address conflict (same name) @14",
         ]
     );
     snapshot!("problems_suspected_120x40", stage.size(120, 40).keys("G"));
@@ -1164,7 +1172,7 @@ fn what_is_sure_comes_before_suspicions_and_these_before_what_is_over() {
     }
     assert!(stage.screen().contains(" 4 Problems ⚠3 ?1 "), "{}", stage.screen());
     stage.until(45.0);
-    assert_eq!(problems(&stage)[0], "confirmed two devices, one name @14");
+    assert_eq!(problems(&stage)[0], "confirmed address conflict (same name) @14");
     stage.until(130.0);
     let last = problems(&stage).pop().unwrap();
     assert!(last.starts_with("cleared "), "{:?}", problems(&stage));
@@ -1175,16 +1183,16 @@ fn what_is_sure_comes_before_suspicions_and_these_before_what_is_over() {
 fn a_collision_is_one_problem_whatever_shows_it() {
     let mut stage = Stage::boiler();
     stage.until(45.0).keys("4");
-    let findings = stage.app.findings().filter(|finding| finding.key.kind.is_collision()).count();
+    let findings = stage.app.findings().filter(|finding| finding.key.kind.is_conflict()).count();
     let problem = stage.app.selected_problem().unwrap();
     assert_eq!((findings, problem.findings.len()), (2, 2));
     let evidence = problem.evidence();
     assert!(evidence.is_sorted_by_key(|piece| piece.time));
     for finding in &problem.findings {
         for piece in &finding.evidence {
-            let is_it = |own: &&Piece| own.time == piece.time && own.frame == piece.frame;
+            let is_it = |own: &&EvidenceItem| own.time == piece.time && own.frame == piece.frame;
             let kept = evidence.iter().find(is_it).unwrap();
-            assert!(kept.what.contains(piece.what), "{kept:?} is not {piece:?}");
+            assert!(kept.what.contains(&*piece.what), "{kept:?} is not {piece:?}");
         }
     }
     let counts = stage.app.counts();
@@ -1192,10 +1200,10 @@ fn a_collision_is_one_problem_whatever_shows_it() {
     let screen = stage.size(80, 100).screen();
     for words in [
         "Two devices answer as ACT",
-        "heartbeats of two identities",
+        "heartbeats alternate between",
         "same-name-same-address",
         "one-address-two-identities",
-        "ACT→me DES I am ACT",
+        "ACT→own DES name ACT",
         "051C0002#050141435400",
     ] {
         assert!(screen.contains(words), "{words}\n{screen}");
@@ -1242,7 +1250,7 @@ fn hearing_only(frame: Frame) -> Stage {
     for millis in 1..4500 {
         let now = Instant::from_micros(millis * 1000);
         if millis % 10 == 0 {
-            stage.app.handle_frames(now, &[frame.at(now)]);
+            stage.app.handle_frames(now, &[frame.with_time(now)]);
         }
         stage.app.handle_timeout(now);
         stage.drain(now);
@@ -1252,45 +1260,49 @@ fn hearing_only(frame: Frame) -> Stage {
 
 #[test]
 fn where_frames_only_break_another_bit_rate_is_offered() {
-    use descan::speed::{Heard, Outcome, Progress};
+    use descan::bitrate::{RateResult, SearchOutcome, SearchProgress};
     let mut stage = hearing_only(Frame::error(0x88, &[0, 0, 4, 0, 0, 0, 0, 0]));
     snapshot!("only_broken_frames", stage);
     stage.effects.clear();
     stage.keys("b");
-    assert!(stage.screen().contains("Find can0's bit rate, listening? It is switched off and on."));
+    assert!(
+        stage
+            .screen()
+            .contains("Search the bit rate of can0, listen-only? This restarts the interface.")
+    );
     stage.keys("n");
     assert!(!stage.effects.contains(&Effect::FindBitrate(BusIndex(0))), "asked, and refused");
     stage.keys("b y");
     assert!(stage.effects.contains(&Effect::FindBitrate(BusIndex(0))));
     stage.keys("b");
-    assert!(stage.screen().contains("the bit rate of can0 is being looked for"), "not twice");
+    assert!(stage.screen().contains("bit rate search on can0 is already running"), "not twice");
 
     let (now, can0) = (stage.app.now(), BusIndex(0));
     let mut told = |progress| stage.app.handle_bitrate_search(now, can0, progress);
-    told(Progress::Trying(125_000));
-    told(Progress::Heard(125_000, Heard { frames: 0, broken: 64 }));
-    told(Progress::Heard(250_000, Heard::default()));
-    told(Progress::Trying(500_000));
+    told(SearchProgress::Trying(125_000));
+    told(SearchProgress::Heard(125_000, RateResult { frames: 0, broken: 64 }));
+    told(SearchProgress::Heard(250_000, RateResult::default()));
+    told(SearchProgress::Trying(500_000));
     assert!(stage.screen().contains("can0: listening at 500 kbit/s"), "{}", stage.screen());
-    assert!(!stage.screen().contains("another bit rate"), "what is done is not offered");
+    assert!(!stage.screen().contains("wrong bit rate"), "what is done is not offered");
     // Meanwhile it goes down and up, which is nothing to act on.
     stage.link(Link::Down);
-    assert!(stage.screen().contains("its bit rate is looked for"), "{}", stage.screen());
+    assert!(stage.screen().contains("searching bit rate"), "{}", stage.screen());
     assert!(!stage.screen().contains("DOWN") && !stage.screen().contains("can0 down"));
     stage.link(Link::Up);
-    stage.app.handle_bitrate(now, can0, Ok(Outcome::Found(500_000)));
+    stage.app.handle_bitrate(now, can0, Ok(SearchOutcome::Found(500_000)));
     snapshot!("bit_rate_found", stage.keys("3"));
-    stage.keys("b y").app.handle_bitrate(now, can0, Ok(Outcome::Silence));
+    stage.keys("b y").app.handle_bitrate(now, can0, Ok(SearchOutcome::Silence));
     assert!(
-        stage.screen().contains("a lone device needs: descan speed can0"),
+        stage.screen().contains("if only one device is on, run: descan speed can0"),
         "{}",
         stage.screen()
     );
     // A whole frame, and nothing is offered any more.
     let heartbeat = Frame::classic(0x0718_0001, &[0, 0, 0, 0, 0, 0, 4, 0]);
-    stage.app.handle_frames(now, &[heartbeat.at(now)]);
+    stage.app.handle_frames(now, &[heartbeat.with_time(now)]);
     stage.wait_until(6.0);
-    assert!(!stage.screen().contains("another bit rate"), "{}", stage.screen());
+    assert!(!stage.screen().contains("wrong bit rate"), "{}", stage.screen());
 }
 
 #[test]
@@ -1298,7 +1310,7 @@ fn where_nobody_acknowledges_no_other_bit_rate_is_offered() {
     let stage = hearing_only(Frame::error(0xA8, &[0, 0, 0x80, 0x19, 0, 0, 128, 0]));
     let screen = stage.screen();
     assert!(screen.contains("err 4"), "{screen}");
-    assert!(!screen.contains("another bit rate"), "{screen}");
+    assert!(!screen.contains("wrong bit rate"), "{screen}");
 }
 
 #[test]
@@ -1306,8 +1318,8 @@ fn a_bus_without_a_rate_of_its_own_is_not_asked_about() {
     let mut stage = Stage::boiler();
     stage.app.name_bus(BusIndex(0), "slcan:/dev/ttyACM0@125000".to_owned());
     for (rate_search, refusal) in [
-        (RateSearch::NoRate, "ttyACM0@125000 has no bit rate that could be set from here"),
-        (RateSearch::WhenClosed, " end descan, then: descan speed slcan:/dev/ttyACM0\n"),
+        (RateSearch::NoRate, "ttyACM0@125000: bit rate cannot be set from here"),
+        (RateSearch::WhenClosed, " quit descan, then run: descan speed slcan:/dev/ttyACM0\n"),
     ] {
         let status = BusStatus { link: Link::Up, rate_search, ..BusStatus::default() };
         stage.app.handle_bus(Instant::ZERO, BusIndex(0), status);
@@ -1321,17 +1333,17 @@ fn a_bus_without_a_rate_of_its_own_is_not_asked_about() {
 fn who_cannot_ask_says_why() {
     let mut stage = Stage::boiler();
     stage.link(Link::Down).keys("r");
-    assert!(stage.screen().contains("no bus is up: nobody can be asked"), "{}", stage.screen());
+    assert!(stage.screen().contains("no bus is up: cannot send requests"), "{}", stage.screen());
 
     let full = BusStatus { link: Link::Up, is_transmit_queue_full: true, ..BusStatus::default() };
     stage.app.handle_bus(stage.app.now(), BusIndex(0), full.clone());
     let screen = stage.keys("3").screen();
     assert!(screen.contains(" transmit queue full "), "{screen}");
-    assert!(screen.contains("transmit queue full: frames of ours are not sent"), "{screen}");
+    assert!(screen.contains("transmit queue full: frames not sent"), "{screen}");
     let room = BusStatus { is_transmit_queue_full: false, ..full };
     stage.app.handle_bus(stage.app.now(), BusIndex(0), room);
     let screen = stage.screen();
-    assert!(screen.contains("the transmit queue has room again"), "{screen}");
+    assert!(screen.contains("transmit queue no longer full"), "{screen}");
     assert!(!screen.contains(" transmit queue full "), "{screen}");
 }
 
@@ -1339,27 +1351,30 @@ fn who_cannot_ask_says_why() {
 fn a_muted_problem_does_not_count_and_stays_muted() {
     let mut stage = Stage::boiler();
     stage.until(30.5).keys("4 G m");
-    assert_eq!(selected(&stage), "two devices, one name @14");
+    assert_eq!(selected(&stage), "address conflict (same name) @14");
     assert!(stage.screen().contains("○ 1 missing  ⚠ 3  1 muted"), "{}", stage.screen());
     stage.effects.clear();
     stage.until(45.0);
-    assert_eq!(problems(&stage)[3], "muted confirmed two devices, one name @14");
+    assert_eq!(problems(&stage)[3], "muted confirmed address conflict (same name) @14");
     assert_eq!(stage.app.counts().confirmed, 3);
     assert!(!stage.effects.contains(&Effect::Bell), "nobody wants to hear of it");
     snapshot!("problems_muted_80x24", stage);
     snapshot!("problems_muted_40x10", stage.size(40, 10));
     stage.size(80, 24).keys("1");
-    assert!(stage.screen().contains("⚠   14 ACT         CLASH"), "the device says it all the same");
+    assert!(
+        stage.screen().contains("⚠   14 ACT         CONFLICT"),
+        "the device says it all the same"
+    );
     stage.keys("4 m");
     assert_eq!(stage.app.counts().confirmed, 4);
-    assert_eq!(problems(&stage)[0], "confirmed two devices, one name @14");
-    assert_eq!(selected(&stage), "two devices, one name @14");
+    assert_eq!(problems(&stage)[0], "confirmed address conflict (same name) @14");
+    assert_eq!(selected(&stage), "address conflict (same name) @14");
     stage.keys("1 m");
     assert_eq!(stage.app.counts().confirmed, 4, "only on the page itself");
     // Where nothing was selected by hand, too, the key undoes what it did.
     let mut stage = Stage::boiler();
     stage.until(45.0).keys("4 m");
-    assert_eq!(selected(&stage), "two devices, one name @14");
+    assert_eq!(selected(&stage), "address conflict (same name) @14");
     stage.keys("m");
     assert_eq!(stage.app.counts().confirmed, 4);
 }
@@ -1385,7 +1400,7 @@ fn problems_are_filtered_by_words_and_fields() {
         ("name:a", 3),
         ("bus:can0", 4),
         ("bus:can1", 0),
-        ("kind:two", 1),
+        ("kind:conflict", 1),
         ("kind:same-name", 1),
         ("kind:missing", 1),
         ("pump", 1),
@@ -1398,7 +1413,7 @@ fn problems_are_filtered_by_words_and_fields() {
     stage.keys("g m /").text("is:muted").keys("Enter");
     assert_eq!(problems(&stage), ["muted confirmed static address taken @16"]);
     stage.keys("m");
-    assert!(stage.screen().contains("no problem fits the filter; Esc clears it"));
+    assert!(stage.screen().contains("no problem matches the filter; Esc clears it"));
 }
 
 #[test]
@@ -1419,6 +1434,7 @@ fn the_other_pages_know_the_same_fields() {
     };
     assert_eq!(rows("1", "at:14"), 1);
     assert_eq!(rows("1", "name:sens"), 2);
+    assert_eq!(rows("1", "is:conflict"), 1);
     assert_eq!(rows("1", "is:clash"), 1);
     assert_eq!(rows("1", "is:missing"), 1);
     assert_eq!(rows("3", "is:suspected"), 2);
@@ -1436,7 +1452,7 @@ fn a_problem_leads_to_its_frames_and_back() {
     stage.size(80, 24).keys("j Enter");
     snapshot!("evidence_around", stage);
     let frame = *stage.app.selected_frame().unwrap();
-    assert_eq!(stage.app.piece_of(&frame).unwrap().what, "first answer to one request");
+    assert_eq!(stage.app.piece_of(&frame).unwrap().what, "first response to one request");
     // To the next one among all frames: the list of evidence goes with it.
     stage.keys("j");
     let next = *stage.app.selected_frame().unwrap();
@@ -1446,7 +1462,7 @@ fn a_problem_leads_to_its_frames_and_back() {
     assert!(stage.app.evidence_alone().is_some());
     stage.keys("Esc");
     assert_eq!(stage.app.view().page, Page::Problems);
-    assert_eq!(selected(&stage), "two devices, one name @14");
+    assert_eq!(selected(&stage), "address conflict (same name) @14");
     stage.keys("2");
     assert!(stage.screen().contains("following"), "the traffic is as it was before");
     assert!(!stage.screen().contains('◆'));
@@ -1456,7 +1472,7 @@ fn a_problem_leads_to_its_frames_and_back() {
 fn the_evidence_is_left_as_anything_else_is() {
     let mut stage = Stage::boiler();
     stage.until(45.0).keys("2 v /").text("srv:des").keys("Enter 4 Enter");
-    let shown = |stage: &Stage| stage.screen().contains("WHAT IT SHOWS");
+    let shown = |stage: &Stage| stage.screen().contains("EVIDENCE");
     assert!(shown(&stage), "{}", stage.screen());
     assert!(!stage.screen().contains("/srv:des"), "no filter stands before evidence");
     stage.keys("Enter Esc");
@@ -1478,11 +1494,11 @@ fn evidence_is_there_when_the_capture_has_forgotten_it() {
     snapshot!("evidence_forgotten", stage);
     stage.keys("Enter");
     let screen = stage.screen();
-    assert!(screen.contains("the frames around it are not kept any more"), "{screen}");
+    assert!(screen.contains("surrounding frames no longer in the capture"), "{screen}");
     // What was open before the frames went out of the capture stays, too.
     let mut stage = Stage::boiler();
     stage.until(28.0).keys("Space").until(45.0).keys("4 G Enter G Enter");
-    assert!(stage.screen().contains("it came after the page was held"), "{}", stage.screen());
+    assert!(stage.screen().contains("newer than the frozen view"), "{}", stage.screen());
     stage.keys("Space g Enter");
     flood(&mut stage);
     stage.keys("Enter");
@@ -1511,16 +1527,20 @@ fn from_a_device_to_its_problem_and_back() {
     assert!(stage.screen().contains("→ 4 Problems (p)"), "{}", stage.screen());
     stage.keys("4 /").text("pump").keys("Enter 1 p");
     assert_eq!(stage.app.view().page, Page::Problems);
-    assert_eq!(selected(&stage), "two devices, one name @14", "a filter does not hide it");
+    assert_eq!(selected(&stage), "address conflict (same name) @14", "a filter does not hide it");
     stage.keys("G p");
     let name = |stage: &Stage| stage.app.selected_row().unwrap().name.clone().unwrap().to_string();
     assert_eq!((stage.app.view().page, name(&stage)), (Page::Devices, "PUMP".to_owned()));
     stage.keys("p");
     assert_eq!(selected(&stage), "missing @44", "also of what is not there");
     stage.keys("1 g p");
-    assert!(stage.screen().contains("no problem is known of it"), "{}", stage.screen());
+    assert!(stage.screen().contains("no problem for this device"), "{}", stage.screen());
     stage.keys("3 /").text("is:suspected").keys("Enter k k p");
-    assert_eq!(selected(&stage), "two devices, one name @14", "from a line of the timeline, too");
+    assert_eq!(
+        selected(&stage),
+        "address conflict (same name) @14",
+        "from a line of the timeline, too"
+    );
     stage.keys("3 Esc");
     // Rows that do not fit the filter are found all the same.
     stage.keys("1 g");
@@ -1536,7 +1556,7 @@ fn the_selection_follows_its_problem() {
     stage.until(45.0);
     assert_eq!(selected(&stage), "missing @44");
     stage.keys("g").write(&BOILER.replace("44", "45"));
-    assert_eq!(selected(&stage), "two devices, one name @14");
+    assert_eq!(selected(&stage), "address conflict (same name) @14");
     // Also where it was not selected by hand: what is read is not pushed away by what comes on top.
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("4");
@@ -1545,16 +1565,20 @@ fn the_selection_follows_its_problem() {
     assert_eq!(selected(&stage), first);
     assert_ne!(problems(&stage)[0], format!("confirmed {first}"));
     stage.keys("1").until(46.0).keys("4");
-    assert_eq!(selected(&stage), "two devices, one name @14", "the page opens with the first");
+    assert_eq!(
+        selected(&stage),
+        "address conflict (same name) @14",
+        "the page opens with the first"
+    );
     // While the screen is held, no row moves, and what is new comes last.
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("4 Space");
     let before = problems(&stage);
     stage.until(45.0);
     assert_eq!(problems(&stage)[..before.len()], before);
-    assert_eq!(problems(&stage).last().unwrap(), "confirmed two devices, one name @14");
+    assert_eq!(problems(&stage).last().unwrap(), "confirmed address conflict (same name) @14");
     stage.keys("Space");
-    assert_eq!(problems(&stage)[0], "confirmed two devices, one name @14");
+    assert_eq!(problems(&stage)[0], "confirmed address conflict (same name) @14");
 }
 
 #[test]
@@ -1587,14 +1611,14 @@ fn problems_by_mouse_and_in_russian() {
 fn nothing_beyond_discovery_is_sent_by_one_key() {
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("i");
-    assert!(stage.screen().contains("identify needs a profile"), "{}", stage.screen());
+    assert!(stage.screen().contains("identify needs --profile"), "{}", stage.screen());
     let profile = descan::wire::profile::Profile { given: true, ..Default::default() };
     let config = Config { profile: profile.into(), seed: 7, ..Config::default() };
     let scenario = Scenario::builtin("boiler").unwrap();
     let mut stage = Stage::with(&scenario, Some(BOILER), config);
     stage.until(24.0);
     let sent = |stage: &Stage| {
-        let ours = stage.app.capture().iter().filter(|(_, frame)| frame.ours);
+        let ours = stage.app.capture().iter().filter(|(_, frame)| frame.is_tx);
         ours.filter(|(_, frame)| frame.platform_id().is_some_and(|id| id & 0x3FF == 0x18)).count()
     };
     stage.keys("i");
@@ -1680,9 +1704,9 @@ fn listening_only_says_what_it_does() {
     stage.until(24.0);
     assert!(stage.screen().contains("listen-only, acks"), "{}", stage.screen());
     snapshot!("listen_only", stage);
-    assert!(!stage.app.capture().iter().any(|(_, frame)| frame.ours));
+    assert!(!stage.app.capture().iter().any(|(_, frame)| frame.is_tx));
     stage.keys("r");
-    assert!(stage.screen().contains("listen-only: nobody is asked"));
+    assert!(stage.screen().contains("listen-only: no requests are sent"));
 }
 
 #[test]
@@ -1701,7 +1725,7 @@ fn frames_alone_do_not_make_the_devices_page_dirty() {
 /// Two simulated buses under one view.
 struct Pair {
     app: App,
-    sims: [(Sim, Station); 2],
+    sims: [(Sim, SimStation); 2],
 }
 
 impl Pair {
@@ -1731,7 +1755,7 @@ impl Pair {
             for (index, (sim, station)) in self.sims.iter_mut().enumerate() {
                 sim.advance(now);
                 while let Some(frame) = sim.poll_frame(*station) {
-                    self.app.handle_frames(now, &[frame.on(BusIndex(index as u8))]);
+                    self.app.handle_frames(now, &[frame.with_bus(BusIndex(index as u8))]);
                 }
             }
             self.app.handle_timeout(now);
@@ -1795,7 +1819,7 @@ fn where_one_line_is_for_all_buses_it_is_that_of_the_one_that_is_away() {
     let scenarios = ["boiler", "drone"].map(|name| Scenario::builtin(name).unwrap());
     let mut pair = Pair::new([&scenarios[0], &scenarios[1]]);
     assert!(pair.run(0..20).screen(50, 12).lines().next().unwrap().contains("can0"));
-    let message = Some("can1 is gone: plug it in again".to_owned());
+    let message = Some("can1 unplugged: plug it in again".to_owned());
     let status = BusStatus { link: Link::Unplugged, message, ..BusStatus::default() };
     pair.app.handle_bus(pair.app.now(), BusIndex(1), status);
     let screen = pair.screen(50, 12);
@@ -1819,12 +1843,12 @@ fn a_device_on_two_buses_is_one_row_where_they_are_redundant() {
         .with(device("FEED", 11, 1, "AUGER"))
         .with(device("SENS", 12, 2, "LOG"))
         .with(device("PUMP", 20, 4, "FLOW"))
-        .at(Duration::from_secs(8), "FEED", Action::Leave)
-        .at(Duration::from_secs(20), "FEED", Action::Join);
+        .at(Duration::from_secs(8), "FEED", DeviceAction::Leave)
+        .at(Duration::from_secs(20), "FEED", DeviceAction::Join);
     let mut pair = Pair::new([&one, &other]);
     let screen = pair.run(0..6).screen(100, 24);
     insta::assert_snapshot!("redundant_100x24", screen);
-    assert!(screen.contains("● 5 here"), "{screen}");
+    assert!(screen.contains("● 5 present"), "{screen}");
     insta::assert_snapshot!("redundant_80x24", pair.screen(80, 24));
     // The other address and the other bus find it too.
     assert!(pair.keys("/ 1 1 Enter").screen(100, 24).contains("FEED"));
@@ -1834,9 +1858,9 @@ fn a_device_on_two_buses_is_one_row_where_they_are_redundant() {
 
     // Each bus has an address of its own to pin, and is taken into the file.
     let screen = pair.keys("g e").screen(100, 24);
-    assert!(screen.contains("static address on can0 (Tab: the next): "), "{screen}");
+    assert!(screen.contains("static address on can0 (Tab: next): "), "{screen}");
     let screen = pair.keys("Tab").screen(100, 24);
-    assert!(screen.contains("static address on can1 (Tab: the next): "), "{screen}");
+    assert!(screen.contains("static address on can1 (Tab: next): "), "{screen}");
     pair.keys("Esc a");
     let entries = pair.app.file().document().entries();
     let taken: Vec<_> = entries.iter().map(|it| (it.bus.as_deref(), it.address)).collect();
@@ -1844,9 +1868,9 @@ fn a_device_on_two_buses_is_one_row_where_they_are_redundant() {
     pair.keys("u");
 
     let screen = pair.run(6..16).keys("g").screen(100, 24);
-    assert!(screen.contains("partly"), "{screen}");
+    assert!(screen.contains("partial"), "{screen}");
     assert!(screen.contains("@11 lost"), "{screen}");
-    assert!(screen.contains("● 5 here"), "one of two is here: {screen}");
+    assert!(screen.contains("● 5 present"), "one of two is here: {screen}");
     insta::assert_snapshot!("redundant_timeline", pair.run(16..24).keys("3").screen(100, 24));
 }
 
@@ -1856,10 +1880,15 @@ fn an_entry_whose_device_gets_a_twin_while_it_is_edited_is_not_called_deleted() 
     let file = r#"[{"name":"SENS","address":15,"static":true}]"#;
     let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some(file));
     stage.until(6.0).keys("/").text("SENS").keys("Enter g e").text("47");
-    assert_eq!(stage.app.verdict(), Some(Verdict::Fine("Enter pins it to 47".to_owned())));
+    assert_eq!(stage.app.verdict(), Some(InputCheck::Accepted("Enter pins it to 47".to_owned())));
     stage.until(30.0);
-    let told = "its entry may be another's now; Enter lists it again";
-    assert_eq!(stage.app.verdict(), Some(Verdict::Warns(told.to_owned())), "{}", stage.screen());
+    let told = "entry may belong to another device now; Enter adds it again";
+    assert_eq!(
+        stage.app.verdict(),
+        Some(InputCheck::Warning(told.to_owned())),
+        "{}",
+        stage.screen()
+    );
 }
 
 /// What is not on the disk, and that it is not, is seen whatever the bus and the file are called.
@@ -1894,11 +1923,11 @@ fn a_long_name_of_a_bus_gives_way_to_its_numbers_and_to_what_is_wrong_with_it() 
     let line = first(stage.until(9.0));
     assert!(line.contains(":6173 "), "{line}");
     assert!(line.contains("err 0") && line.contains("lost 0"), "{line}");
-    let message = Some("127.0.0.1:29536 refuses: is socketcand running there?".to_owned());
+    let message = Some("127.0.0.1:29536: connection refused; is socketcand running?".to_owned());
     let status = BusStatus { link: Link::Down, message, ..BusStatus::default() };
     stage.app.handle_bus(stage.app.now(), BusIndex(0), status);
     let line = first(&stage);
-    assert!(line.ends_with("is socketcand running there?"), "{line}");
+    assert!(line.ends_with("is socketcand running?"), "{line}");
     assert!(stage.size(120, 24).screen().contains(name), "{}", stage.screen());
 
     stage.app.name_bus(BusIndex(0), "can0".to_owned());
@@ -1921,7 +1950,7 @@ fn the_way_out_is_read_to_its_end() {
     let mut stage = Stage::boiler();
     stage.until(9.0);
     for (content, way_out) in [
-        (&b"\xff\xfe[\0]\0"[..], "line 1, column 1: it is UTF-16: save it as UTF-8"),
+        (&b"\xff\xfe[\0]\0"[..], "line 1, column 1: the file is UTF-16: save it as UTF-8"),
         (b"[{ \"name\": \"\xff\" }]", "line 1, column 13: 0xFF is not UTF-8: save it as UTF-8"),
     ] {
         stage.file = Some(content.to_vec());
@@ -1930,14 +1959,19 @@ fn the_way_out_is_read_to_its_end() {
         // In the status, in the timeline, and below; and when one wants to edit.
         assert_eq!(screen.matches(way_out).count(), 3, "{screen}");
         let screen = stage.keys("e").screen();
-        assert!(screen.contains(&format!("broken, mend it first: {way_out}")), "{screen}");
+        let words = screen.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(words.contains(&format!("file has errors, fix it first: {way_out}")), "{screen}");
     }
     stage.write("[{\n  \"name\": 1\n  ]");
-    for columns in 80..100 {
+    for columns in 80..121 {
         let screen = stage.size(columns, 24).screen();
         assert!(screen.contains("des.json ✗ line 3, column 3: expected `,` or `}`"), "{screen}");
-        assert_eq!(screen.contains("last good"), screen.contains("last good: 5 "), "{screen}");
-        assert!(columns < 95 || screen.contains("last good: 5 "), "{screen}");
+        assert_eq!(
+            screen.contains("last valid:"),
+            screen.contains("last valid: 5 entries"),
+            "{screen}"
+        );
+        assert!(columns < 118 || screen.contains("last valid: 5 "), "{screen}");
     }
 }
 
@@ -1969,7 +2003,7 @@ fn a_copy_has_all_edits_as_they_were_decided() {
     let mut stage = with_two_unsaved_edits();
     let theirs = BOILER.replace("10", "100").replace("12", "103").replace("44", "45");
     stage.write(&theirs).keys("t");
-    assert!(stage.screen().contains("Conflict 2 of 2"), "{}", stage.screen());
+    assert!(stage.screen().contains("Edit conflict 2 of 2"), "{}", stage.screen());
     stage.keys("Esc W Enter");
     let Some(Effect::WriteFile { bytes, .. }) = stage.effects.last() else { panic!() };
     let copy = std::str::from_utf8(bytes).unwrap();

@@ -10,7 +10,7 @@ mod devices;
 mod scenarios;
 
 use descan::frame::{Frame, FrameKind};
-use descan::sim::{DeviceSpec, Scenario, Sim, Station};
+use descan::sim::{DeviceSpec, Scenario, Sim, SimStation};
 use descan::time::{Duration, Instant};
 use descan::wire::id::{Address, Header, Service};
 
@@ -31,14 +31,14 @@ fn des() -> Service {
 }
 
 /// An empty bus with two stations.
-fn two_stations() -> (Sim, Station, Station) {
+fn two_stations() -> (Sim, SimStation, SimStation) {
     let mut sim = Sim::new(&Scenario::new(125_000), 1);
     let (one, two) = (sim.attach(), sim.attach());
     (sim, one, two)
 }
 
 /// A bus with these devices and a station.
-fn bus_with(devices: impl IntoIterator<Item = DeviceSpec>) -> (Sim, Station) {
+fn bus_with(devices: impl IntoIterator<Item = DeviceSpec>) -> (Sim, SimStation) {
     let mut scenario = Scenario::new(125_000);
     scenario.devices.extend(devices);
     let mut sim = Sim::new(&scenario, 7);
@@ -47,12 +47,12 @@ fn bus_with(devices: impl IntoIterator<Item = DeviceSpec>) -> (Sim, Station) {
 }
 
 /// Everything `station` has seen and not yet polled.
-fn polled(sim: &mut Sim, station: Station) -> Vec<Frame> {
+fn polled(sim: &mut Sim, station: SimStation) -> Vec<Frame> {
     std::iter::from_fn(|| sim.poll_frame(station)).collect()
 }
 
 /// Advances for `ms` and returns what `station` saw.
-fn after(sim: &mut Sim, station: Station, ms: u64) -> Vec<Frame> {
+fn after(sim: &mut Sim, station: SimStation, ms: u64) -> Vec<Frame> {
     sim.advance(sim.now() + Duration::from_millis(ms));
     polled(sim, station)
 }

@@ -128,7 +128,7 @@ fn an_adapter_is_set_up_in_order_and_closed() {
     let status = bus.wait_for_link(Link::Up);
     assert_eq!((status.bitrate, status.fd, status.listen_only), (Some(500_000), false, false));
     assert_eq!(status.message, None);
-    assert_eq!(status.note.as_deref(), Some("the adapter says V1013 NA123"));
+    assert_eq!(status.note.as_deref(), Some("adapter: V1013 NA123"));
     drop(bus);
     adapter.hear_until("C");
 }
@@ -140,7 +140,7 @@ fn without_a_bit_rate_the_adapters_own_is_kept_and_not_known() {
     let status = bus.status();
     assert_eq!(status.bitrate, None);
     let note = status.note.unwrap();
-    assert!(note.contains("bit rate is kept, which is not known"), "{note}");
+    assert!(note.contains("bit rate kept (unknown)"), "{note}");
 }
 
 #[test]
@@ -163,7 +163,7 @@ fn frames_of_every_kind_come_in() {
     ];
     let frames = bus.wait_for_frames(expected.len());
     for (frame, expected) in frames.iter().zip(expected) {
-        assert_eq!(*frame, expected.at(frame.time).on(BusIndex(3)));
+        assert_eq!(*frame, expected.with_time(frame.time).with_bus(BusIndex(3)));
     }
     assert!(bus.frames.is_sorted_by_key(|frame| frame.time));
     assert!(bus.frames.iter().all(|frame| frame.time <= bus.clock.now()));
@@ -225,7 +225,7 @@ fn a_frame_is_ours_when_the_adapter_has_acknowledged_it() {
     bus.wait_for_frames(3);
     adapter.say("T000000060\rZ\r");
     let seen: Vec<_> =
-        bus.wait_for_frames(5).iter().map(|it| (it.platform_id(), it.ours)).collect();
+        bus.wait_for_frames(5).iter().map(|it| (it.platform_id(), it.is_tx)).collect();
     let ours = |id| (Some(id), true);
     let others = |id| (Some(id), false);
     assert_eq!(seen, [ours(1), others(5), ours(2), others(6), ours(3)]);
@@ -252,11 +252,14 @@ fn an_adapter_that_answers_nothing_is_used_all_the_same() {
     let setup: Vec<_> = adapter.heard.iter().rev().take(2).collect();
     assert_eq!(setup, ["O", "S4"]);
     let note = bus.status().note.unwrap();
-    assert!(note.contains("what is written counts as sent"), "{note}");
+    assert!(note.contains("written counts as sent"), "{note}");
     bus.send(&Frame::classic(0x123, &[1]));
     adapter.hear_until("T00000123101");
     let frame = bus.wait_for_frames(1)[0];
-    assert_eq!(frame, Frame::classic(0x123, &[1]).ours().at(frame.time).on(BusIndex(3)));
+    assert_eq!(
+        frame,
+        Frame::classic(0x123, &[1]).with_tx().with_time(frame.time).with_bus(BusIndex(3))
+    );
     adapter.say("t1230\r");
     bus.wait_for_frames(2);
 }
@@ -266,9 +269,9 @@ fn an_adapter_that_acknowledges_commands_and_no_frames_is_told_by_the_first() {
     let (mut adapter, mut bus) = open("@500000");
     bus.send(&Frame::classic(1, &[]));
     adapter.hear_frame();
-    assert!(bus.wait_for_frames(1)[0].ours);
+    assert!(bus.wait_for_frames(1)[0].is_tx);
     bus.send(&Frame::classic(2, &[]));
-    assert!(bus.wait_for_frames(2)[1].ours);
+    assert!(bus.wait_for_frames(2)[1].is_tx);
 }
 
 #[test]
@@ -295,7 +298,7 @@ fn an_adapter_that_wakes_up_after_all_is_opened_again() {
     adapter.be_opened();
     assert!(adapter.heard.contains(&"S5".to_owned()), "{:?}", adapter.heard);
     bus.wait_for_status("its name", |status| {
-        status.note.as_deref() == Some("the adapter says V1013 NA123")
+        status.note.as_deref() == Some("adapter: V1013 NA123")
     });
 }
 
@@ -312,7 +315,7 @@ fn an_adapter_that_refuses_the_bit_rate_is_down_and_is_asked_again() {
     let status = bus.wait_for_link(Link::Down);
     assert_eq!(status.state, BusState::Down);
     let message = status.message.unwrap();
-    assert!(message.contains("refuses 800000 bit/s (S7)"), "{message}");
+    assert!(message.contains("rejects 800000 bit/s (S7)"), "{message}");
     assert!(!adapter.heard.contains(&"O".to_owned()));
     // What is to be sent meanwhile is not kept for later.
     bus.send(&Frame::classic(1, &[]));
@@ -331,7 +334,7 @@ fn listening_only_says_l_and_sends_nothing() {
     assert!(status.listen_only);
     assert_eq!(bus.port.transmit(&Frame::classic(1, &[])), Err(TransmitError::ListenOnly));
     adapter.say("t1230\r");
-    assert!(!bus.wait_for_frames(1)[0].ours);
+    assert!(!bus.wait_for_frames(1)[0].is_tx);
     drop(bus);
     adapter.hear_until("C");
     assert!(adapter.heard.contains(&"L".to_owned()));
@@ -383,7 +386,7 @@ fn what_is_no_slcan_at_all_is_said() {
     }
     let status = bus.wait_for_status("twenty lines", |status| status.unreadable == 20);
     let note = status.note.unwrap();
-    assert!(note.contains("is no slcan"), "{note}");
+    assert!(note.contains("does not speak slcan"), "{note}");
 }
 
 #[test]
@@ -468,7 +471,7 @@ fn an_adapter_that_is_unplugged_and_plugged_in_again_goes_on() {
         assert_eq!((status.state, status.unconfirmed), (BusState::Down, 0));
         assert_eq!(status.transmit_failures, round);
         let message = status.message.unwrap();
-        assert!(message.contains("is gone: plug it in again"), "{message}");
+        assert!(message.contains("unplugged: plug it in again"), "{message}");
         adapter.pty.plug_in();
         adapter.be_opened();
         let status = bus.wait_for_link(Link::Up);
@@ -498,7 +501,7 @@ fn a_port_that_is_not_there_is_waited_for() {
     let mut bus = OpenBus::open(&adapter.spec("@500000"));
     let status = bus.wait_for_link(Link::Missing);
     let message = status.message.unwrap();
-    assert!(message.starts_with("there is no ") && message.contains("tty"), "{message}");
+    assert!(message.contains(" not found") && message.contains("tty"), "{message}");
     adapter.pty.plug_in();
     adapter.be_opened();
     bus.wait_for_link(Link::Up);
@@ -510,7 +513,7 @@ fn what_is_no_serial_port_is_told_apart() {
     let path = file.path().display();
     let mut bus = OpenBus::open(&format!("slcan:{path}"));
     let status = bus.wait_for_link(Link::NotCan);
-    assert_eq!(status.message, Some(format!("{path} is no serial port")));
+    assert_eq!(status.message, Some(format!("{path} is not a serial port")));
 }
 
 #[test]
@@ -602,7 +605,7 @@ fn simulated_devices_at_one_end_are_found_at_the_other() {
 fn an_adapter_that_is_not_there_ends_a_scan_with_the_way_out() {
     let (code, out, err) = Program::start(&["scan", "slcan:/dev/ttyACM99@500000"]).finish();
     assert_eq!((code, out.as_str()), (Some(3), ""));
-    assert!(err.contains("there is no /dev/ttyACM99"), "{err}");
+    assert!(err.contains("/dev/ttyACM99 not found"), "{err}");
     let (code, _, err) = Program::start(&["scan", "slcan:/dev/ttyACM99@300000"]).finish();
     assert_eq!(code, Some(2));
     assert!(err.contains("125000, 250000, 500000"), "{err}");
@@ -618,7 +621,7 @@ fn an_adapter_that_says_nothing_at_all_is_no_bus_that_is_alive() {
         let (code, out, err) = Program::start(&arguments).finish();
         assert_eq!(code, Some(0), "{out} {err}");
         let said = format!(
-            "{spec}: the adapter answered none of our commands: is it slcan, is the baud rate \
+            "{spec}: the adapter answered no command: is it slcan, is the baud rate \
              right?"
         );
         assert!(err.contains(&said), "{err}");
@@ -700,7 +703,7 @@ fn python_can_understands_us_and_we_it() {
     ];
     let seen = bus.wait_for_frames(kinds.len()).to_vec();
     for (seen, kind) in seen.iter().zip(kinds) {
-        assert_eq!(*seen, kind.at(seen.time).on(BusIndex(3)));
+        assert_eq!(*seen, kind.with_time(seen.time).with_bus(BusIndex(3)));
     }
 
     for kind in &kinds {
@@ -726,6 +729,6 @@ fn python_can_understands_us_and_we_it() {
         ]);
         assert_eq!(serde_json::from_str::<serde_json::Value>(&peer.read_line()).unwrap(), expected);
     }
-    let ours = |bus: &OpenBus| bus.frames.iter().filter(|frame| frame.ours).count();
+    let ours = |bus: &OpenBus| bus.frames.iter().filter(|frame| frame.is_tx).count();
     bus.wait_until("ours", |bus| ours(bus) == kinds.len());
 }

@@ -13,7 +13,9 @@ use descan::frame::{BusIndex, CanId, Frame, FrameKind};
 use descan::shell::recorder::{Recorder, Target};
 use descan::status::{BusState, BusStatus, Link};
 use descan::time::{Duration, Instant};
-use descan::wire::isotp::{FlowControl, FlowStatus, Pci, Progress, Reassembly, Segmenter};
+use descan::wire::isotp::{
+    FlowControl, FlowStatus, Pci, Reassembly, ReassemblyProgress, Segmenter,
+};
 use std::sync::Mutex;
 use std::time::Instant as Monotonic;
 
@@ -97,7 +99,7 @@ fn an_interface_of_another_kind_is_told_apart() {
     }
     let status = Bus::open("lo").status();
     assert_eq!(status.link, Link::NotCan);
-    assert_eq!(status.message.as_deref(), Some("lo is no CAN interface"));
+    assert_eq!(status.message.as_deref(), Some("lo is not a CAN interface"));
 }
 
 #[test]
@@ -120,7 +122,8 @@ fn receives_frames_of_every_kind() {
     }
     let frames = bus.wait_for_frames(texts.len());
     for (frame, text) in frames.iter().zip(texts) {
-        let sent = parse_frame(text.as_bytes()).unwrap().at(frame.time).on(BusIndex(3));
+        let sent =
+            parse_frame(text.as_bytes()).unwrap().with_time(frame.time).with_bus(BusIndex(3));
         assert_eq!(*frame, sent);
     }
 }
@@ -152,7 +155,7 @@ fn sends_what_candump_reads() {
     // And they come back marked, dated by the same stamps that candump printed.
     let echoes = bus.wait_for_frames(frames.len()).to_vec();
     for (echo, (seen, sent)) in echoes.iter().zip(seen.iter().zip(frames)) {
-        assert_eq!(*echo, sent.ours().at(echo.time).on(BusIndex(3)));
+        assert_eq!(*echo, sent.with_tx().with_time(echo.time).with_bus(BusIndex(3)));
         let dated = bus.clock.epoch().unix_micros(echo.time);
         assert!(dated.abs_diff(seen.unix_micros) < 1_000_000, "{dated} {}", seen.unix_micros);
     }
@@ -165,7 +168,7 @@ fn canplayer_plays_what_we_record() {
     let mut fd = Frame::fd(0x1ABC_DEF0, &[0x5A; 32], 0);
     fd.error_state = true;
     let frames = [
-        Frame::classic(0x0201_5402, &[4, 0x44, 0x45, 0x53, 1]).ours(),
+        Frame::classic(0x0201_5402, &[4, 0x44, 0x45, 0x53, 1]).with_tx(),
         Frame::with(CanId::Standard(0x123), &[1, 2, 3]),
         Frame::remote(CanId::Extended(0x123), 5),
         fd,
@@ -186,7 +189,7 @@ fn canplayer_plays_what_we_record() {
         seen.lines().map(|line| parse_line(line.as_bytes()).unwrap().unwrap().frame).collect();
     // What was sent then is a stranger's now.
     let played = frames.map(|mut frame| {
-        frame.ours = false;
+        frame.is_tx = false;
         frame
     });
     assert_eq!(seen, played);
@@ -205,7 +208,7 @@ fn equal_frames_of_others_are_not_taken_for_ours() {
     cangen.finish();
     let frames = bus.wait_for_frames(2500);
     assert!(frames.iter().all(|frame| frame.same_on_wire(&frames[0])));
-    assert_eq!(count(frames, |frame| frame.ours), 500);
+    assert_eq!(count(frames, |frame| frame.is_tx), 500);
     assert_eq!(frames.len(), 2500);
 }
 
@@ -283,7 +286,7 @@ fn comes_back_when_the_interface_does() {
     run("cansend", &[vcan.name(), "123#01"]);
     bus.wait_for_frames(1);
     bus.transmit(&Frame::classic(1, &[]));
-    assert!(bus.wait_for_frames(2)[1].ours);
+    assert!(bus.wait_for_frames(2)[1].is_tx);
 }
 
 #[test]
@@ -307,7 +310,7 @@ fn a_renamed_interface_is_followed_while_it_is_there() {
     run("ip", &["link", "del", "ds-renamed"]);
     let status = bus.wait_for_link(Link::Unplugged);
     assert_eq!(status.renamed, None);
-    assert!(status.message.unwrap().contains("ds-named is gone"));
+    assert!(status.message.unwrap().contains("ds-named unplugged"));
     vcan.create().unwrap();
     bus.wait_for_link(Link::Up);
     run("cansend", &["ds-named", "123#02"]);
@@ -412,7 +415,7 @@ fn waits_for_an_interface_that_is_plugged_in_later_and_again() {
         bus.wait_for_frames(round);
         vcan.remove();
         let status = bus.wait_for_link(Link::Unplugged);
-        assert!(status.message.unwrap().contains("ds-later is gone"));
+        assert!(status.message.unwrap().contains("ds-later unplugged"));
     }
 }
 
@@ -423,7 +426,7 @@ fn listening_only_sends_nothing() {
     let refused = bus.port.transmit(&Frame::classic(1, &[]));
     assert_eq!(refused, Err(TransmitError::ListenOnly));
     run("cansend", &[vcan.name(), "123#01"]);
-    assert!(!bus.wait_for_frames(1)[0].ours);
+    assert!(!bus.wait_for_frames(1)[0].is_tx);
 }
 
 #[test]
@@ -454,7 +457,7 @@ fn netlink_tells_of_a_real_controller() {
     run("cansend", &["can1", "02015402#0444455301"]);
     let frame = bus.wait_for_frames(1)[0];
     assert!(frame.same_on_wire(&Frame::classic(0x0201_5402, &[4, 0x44, 0x45, 0x53, 1])));
-    assert!(!frame.ours);
+    assert!(!frame.is_tx);
 }
 
 #[test]
@@ -466,7 +469,7 @@ fn a_full_transmit_queue_loses_nothing() {
     for id in 0..COUNT {
         bus.transmit(&Frame::classic(id, &id.to_be_bytes()));
     }
-    let is_ours = |frame: &Frame| frame.ours;
+    let is_ours = |frame: &Frame| frame.is_tx;
     bus.wait_until("confirmation", |bus| count(&bus.frames, is_ours) == COUNT as usize);
     let ids: Vec<_> = bus.frames.iter().filter_map(Frame::platform_id).collect();
     assert_eq!(ids, (0..COUNT).collect::<Vec<_>>());
@@ -630,7 +633,7 @@ fn we_reassemble_what_the_kernel_segments() {
                         let first =
                             Reassembly::start(now, length, data, frame.len(), block_size).unwrap();
                         transfer = Some(first);
-                        Progress::BlockEnd
+                        ReassemblyProgress::BlockEnd
                     }
                     Pci::Consecutive { sequence, data } => {
                         transfer.as_mut().unwrap().push(now, sequence, data).unwrap()
@@ -638,14 +641,14 @@ fn we_reassemble_what_the_kernel_segments() {
                     other => panic!("{other:?}"),
                 };
                 match progress {
-                    Progress::BlockEnd if fd => {
+                    ReassemblyProgress::BlockEnd if fd => {
                         bus.port.transmit(&Frame::fd(US, &go_on.encode(), 0xCC)).unwrap();
                     }
-                    Progress::BlockEnd => {
+                    ReassemblyProgress::BlockEnd => {
                         bus.port.transmit(&Frame::classic(US, &go_on.encode())).unwrap();
                     }
-                    Progress::More => {}
-                    Progress::Done => done = true,
+                    ReassemblyProgress::More => {}
+                    ReassemblyProgress::Done => done = true,
                 }
             }
             seen = bus.frames.len();

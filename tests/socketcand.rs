@@ -111,7 +111,7 @@ fn frames_of_every_kind_come_in() {
     ];
     let frames = bus.wait_for_frames(expected.len());
     for (frame, expected) in frames.iter().zip(expected) {
-        assert_eq!(*frame, expected.at(frame.time).on(BusIndex(3)));
+        assert_eq!(*frame, expected.with_time(frame.time).with_bus(BusIndex(3)));
     }
     let status = bus.status();
     assert_eq!((status.missing_acks, status.unreadable, status.message), (1, 0, None));
@@ -166,7 +166,7 @@ fn frames_of_every_kind_but_fd_go_out() {
     }
     // The server gives none back.
     let ours = bus.wait_for_frames(4);
-    assert!(ours.iter().all(|frame| frame.ours));
+    assert!(ours.iter().all(|frame| frame.is_tx));
     assert_eq!(ours[3].kind, FrameKind::Remote);
 
     bus.send(&Frame::fd(1, &[0; 12], 0));
@@ -253,7 +253,7 @@ fn a_server_that_says_nothing_is_given_up() {
     let mut bus = OpenBus::open(&server.spec());
     server.accept();
     let message = bus.wait_for_link(Link::Down).message.unwrap();
-    assert!(message.contains("does not greet: is it socketcand?"), "{message}");
+    assert!(message.ends_with(": is it socketcand?"), "{message}");
     server.be_opened();
     bus.wait_for_link(Link::Up);
 }
@@ -267,7 +267,7 @@ fn a_server_that_hangs_up_is_called_again() {
         let status = bus.wait_for_link(Link::Unplugged);
         assert_eq!((status.state, status.unconfirmed), (BusState::Down, 0));
         let message = status.message.unwrap();
-        assert!(message.contains("calling it again"), "{message}");
+        assert!(message.contains("reconnecting"), "{message}");
         assert_eq!(bus.frames.len(), round);
         server.be_opened();
         bus.wait_for_link(Link::Up);
@@ -416,12 +416,12 @@ fn a_server_that_is_not_there_ends_a_scan_with_the_way_out() {
     let mut scan = Program::start(&["scan", &format!("socketcand://{address}/can0")]);
     let err = read(scan.0.stderr.as_mut().unwrap());
     assert_eq!(scan.0.wait().unwrap().code(), Some(3));
-    assert!(err.contains("refuses: is socketcand running there"), "{err}");
+    assert!(err.contains("connection refused; is socketcand running"), "{err}");
 }
 
 #[test]
 fn a_server_that_never_opens_the_bus_is_no_bus_without_devices() {
-    for (words, cause) in [("", "nobody answers"), ("HTTP/1.1 400 <>< what ><", "cannot be read")] {
+    for (words, cause) in [("", "no response"), ("HTTP/1.1 400 <>< what ><", "unreadable data")] {
         for command in ["scan", "check", "watch"] {
             let mut server = Server::new();
             let spec = server.spec();
@@ -436,7 +436,7 @@ fn a_server_that_never_opens_the_bus_is_no_bus_without_devices() {
             let out = read(program.0.stdout.as_mut().unwrap());
             let err = read(program.0.stderr.as_mut().unwrap());
             assert_eq!((program.0.wait().unwrap().code(), &*out), (Some(3), ""), "{err}");
-            assert!(err.contains(&format!("{spec} is still not open")), "{err}");
+            assert!(err.contains(&format!("{spec} is not open")), "{err}");
             assert!(err.contains(cause), "{err}");
             assert_eq!(err.lines().count(), 1, "{err}");
         }

@@ -5,8 +5,8 @@ use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _, symlink};
 use std::path::Path;
 use std::time::Duration;
 
+use descan::shell::file_watcher::{DiskContent, FileWatcher};
 use descan::shell::store::{SaveError, Saved, Store, StoreError, write_new};
-use descan::shell::watch::{FileReading, Watch};
 use tempfile::TempDir;
 
 fn folder() -> TempDir {
@@ -47,17 +47,17 @@ fn a_new_file_is_written_or_it_is_said_why_not_in_one_line() {
     let long = "x".repeat(300);
     let name = folder.path().file_name().unwrap();
     for (path, way_out) in [
-        (at("a.json"), "there is a file of that name already: choose another"),
-        (at("large"), "there is a file of that name already: choose another"),
-        (at("protected"), "there is a file of that name already: choose another"),
+        (at("a.json"), "file already exists: choose another name"),
+        (at("large"), "file already exists: choose another name"),
+        (at("protected"), "file already exists: choose another name"),
         (folder.path().to_owned(), "that is a folder: name a file in it"),
         ("~".into(), "that is a folder: name a file in it"),
         ("/dev/null".into(), "that is not a regular file: choose another"),
-        (at("no/c.json"), "there is no such folder: make it (mkdir -p), or choose another"),
-        (at("a.json/c.json"), "what should be its folder is a file: choose another"),
+        (at("no/c.json"), "no such folder: create it (mkdir -p), or choose another"),
+        (at("a.json/c.json"), "parent is a file, not a folder: choose another"),
         (at(&long), "the name is too long: choose a shorter one"),
-        (at("loop"), "its symbolic links go in circles"),
-        ("~nobody/c.json".into(), "~ is not known here: write out the path"),
+        (at("loop"), "symbolic link loop"),
+        ("~nobody/c.json".into(), "~ cannot be expanded: give the full path"),
     ] {
         let why = write(&path).unwrap_err();
         assert_eq!(why, way_out, "{}", path.display());
@@ -70,7 +70,7 @@ fn a_new_file_is_written_or_it_is_said_why_not_in_one_line() {
         assert_eq!(why, "no permission for that folder: choose another");
     }
     let why = write_new(Path::new("~/c.json"), None, b"[]").unwrap_err();
-    assert_eq!(why, "~ is not known here: write out the path");
+    assert_eq!(why, "~ cannot be expanded: give the full path");
     assert_eq!(fs::read(at("a.json")).unwrap(), b"[]");
 }
 
@@ -111,7 +111,7 @@ fn reading_gives_the_content_or_says_what_is_wrong() {
 
     symlink("circle", at("circle")).unwrap();
     let error = Store::new(at("circle")).read().unwrap_err().to_string();
-    assert!(error.ends_with(": its symbolic links go in circles"), "{error}");
+    assert!(error.ends_with(": symbolic link loop"), "{error}");
 }
 
 // ---- saving ----
@@ -187,13 +187,13 @@ fn a_hard_link_is_parted_and_that_is_told() {
     fs::hard_link(at("backup"), at("older")).unwrap();
     symlink("des.json", at("link")).unwrap();
     let store = Store::new(at("link"));
-    assert_eq!(store.save(Some(b"one"), b"two").unwrap(), Saved { parted_from: 2 });
+    assert_eq!(store.save(Some(b"one"), b"two").unwrap(), Saved { broken_links: 2 });
     for (name, content) in [("backup", "one"), ("older", "one"), ("des.json", "two")] {
         assert_eq!(fs::read_to_string(at(name)).unwrap(), content, "{name}");
         assert_eq!(mode(&at(name)), 0o640);
     }
     assert!(at("link").is_symlink());
-    assert_eq!(store.save(Some(b"two"), b"three").unwrap(), Saved { parted_from: 0 });
+    assert_eq!(store.save(Some(b"two"), b"three").unwrap(), Saved { broken_links: 0 });
     assert_eq!(fs::read_to_string(at("backup")).unwrap(), "one");
 }
 
@@ -281,22 +281,22 @@ fn a_save_that_fails_leaves_nothing_and_says_why() {
     assert!(matches!(error, SaveError::Protected { .. }), "{error}");
     fs::set_permissions(at("folder"), fs::Permissions::from_mode(0o555)).unwrap();
     let error = failure(&at("folder/des.json"));
-    assert!(error.contains("get the permission"), "{error}");
+    assert!(error.contains("get permission"), "{error}");
 }
 
 // ---- watching ----
 
 /// Waits for the next reading; a watch that says nothing fails the test.
-async fn next(watch: &Watch) -> FileReading {
+async fn next(watch: &FileWatcher) -> DiskContent {
     tokio::time::timeout(Duration::from_secs(20), watch.changed()).await.expect("no reading")
 }
 
-async fn next_content(watch: &Watch) -> Option<String> {
+async fn next_content(watch: &FileWatcher) -> Option<String> {
     next(watch).await.unwrap().map(|content| String::from_utf8(content).unwrap())
 }
 
 /// Waits until the file is reported to contain this; half-written content may come before.
-async fn until(watch: &Watch, content: Option<&str>) {
+async fn until(watch: &FileWatcher, content: Option<&str>) {
     while next_content(watch).await.as_deref() != content {}
 }
 
@@ -311,7 +311,7 @@ fn replace(path: &Path, content: &str) {
 }
 
 /// All that editors do to files, for a watch of either kind.
-async fn is_noticed(path: &Path, watch: &Watch) {
+async fn is_noticed(path: &Path, watch: &FileWatcher) {
     for round in 0..3 {
         replace(path, &format!("renamed {round}"));
         until(watch, Some(&format!("renamed {round}"))).await;
@@ -329,7 +329,7 @@ fn changes_are_noticed() {
     run(async {
         let folder = folder();
         let path = folder.path().join("des.json");
-        let watch = Watch::spawn(Store::new(&path), Ok(None));
+        let watch = FileWatcher::spawn(Store::new(&path), Ok(None));
         is_noticed(&path, &watch).await;
     });
 }
@@ -340,7 +340,7 @@ fn changes_are_noticed_by_polling() {
         let folder = folder();
         let path = folder.path().join("des.json");
         let period = Duration::from_millis(20);
-        let watch = Watch::polling(Store::new(&path), Ok(None), period);
+        let watch = FileWatcher::polling(Store::new(&path), Ok(None), period);
         is_noticed(&path, &watch).await;
     });
 }
@@ -356,7 +356,7 @@ fn changes_behind_links_are_noticed() {
         }
         symlink("a", at("now")).unwrap();
         symlink("now/des.json", at("des.json")).unwrap();
-        let watch = Watch::spawn(Store::new(at("des.json")), Ok(Some(b"a".into())));
+        let watch = FileWatcher::spawn(Store::new(at("des.json")), Ok(Some(b"a".into())));
         is_noticed(&at("a/des.json"), &watch).await;
         // The folder's link is put elsewhere.
         symlink("b", at("next")).unwrap();
@@ -377,7 +377,7 @@ fn a_folder_may_come_and_go() {
         let folder = folder();
         let deep = folder.path().join("not/yet");
         let path = deep.join("des.json");
-        let watch = Watch::spawn(Store::new(&path), Ok(None));
+        let watch = FileWatcher::spawn(Store::new(&path), Ok(None));
         for round in 0..3 {
             fs::create_dir_all(&deep).unwrap();
             fs::write(&path, format!("here {round}")).unwrap();
@@ -395,7 +395,7 @@ fn what_changed_before_the_watch_is_reported() {
         let folder = folder();
         let path = folder.path().join("des.json");
         fs::write(&path, "now").unwrap();
-        let watch = Watch::spawn(Store::new(&path), Ok(Some(b"then".into())));
+        let watch = FileWatcher::spawn(Store::new(&path), Ok(Some(b"then".into())));
         assert_eq!(next_content(&watch).await.as_deref(), Some("now"));
     });
 }
@@ -407,7 +407,7 @@ fn our_own_saves_are_not_reported() {
         let path = folder.path().join("des.json");
         let store = Store::new(&path);
         store.save(None, b"0").unwrap();
-        let watch = Watch::spawn(store.clone(), Ok(Some(b"0".into())));
+        let watch = FileWatcher::spawn(store.clone(), Ok(Some(b"0".into())));
         for round in 0..10 {
             let (old, new) = (round.to_string(), (round + 1).to_string());
             store.save(Some(old.as_bytes()), new.as_bytes()).unwrap();
@@ -431,7 +431,7 @@ fn a_reading_from_before_a_save_is_dropped() {
         let path = folder.path().join("des.json");
         fs::write(&path, "theirs").unwrap();
         let store = Store::new(&path);
-        let watch = Watch::spawn(store.clone(), Ok(None));
+        let watch = FileWatcher::spawn(store.clone(), Ok(None));
         assert_eq!(next_content(&watch).await.as_deref(), Some("theirs"));
         // Theirs again, which the watch sees or not; we learn of it by saving.
         replace(&path, "theirs again");
@@ -452,7 +452,7 @@ fn a_reading_from_after_a_save_is_not_lost() {
         fs::write(&path, "theirs").unwrap();
         for round in 0..200 {
             let known = Ok(Some(b"before".to_vec()));
-            let watch = Watch::polling(Store::new(&path), known, Duration::from_hours(1));
+            let watch = FileWatcher::polling(Store::new(&path), known, Duration::from_hours(1));
             // Some are told before the watch has looked, some after.
             (0..round).for_each(|_| std::thread::yield_now());
             watch.saved(b"ours".to_vec());
@@ -469,7 +469,7 @@ fn what_is_uncertain_is_reported_whatever_it_is() {
         let path = folder.path().join("des.json");
         fs::write(&path, "one").unwrap();
         let known = Ok(Some(b"one".to_vec()));
-        let watch = Watch::polling(Store::new(&path), known, Duration::from_hours(1));
+        let watch = FileWatcher::polling(Store::new(&path), known, Duration::from_hours(1));
         for _ in 0..3 {
             watch.look_again();
             assert_eq!(next_content(&watch).await.as_deref(), Some("one"));
@@ -482,7 +482,7 @@ fn what_cannot_be_read_is_reported_once() {
     run(async {
         let folder = folder();
         let path = folder.path().join("des.json");
-        let watch = Watch::polling(Store::new(&path), Ok(None), Duration::from_millis(10));
+        let watch = FileWatcher::polling(Store::new(&path), Ok(None), Duration::from_millis(10));
         fs::create_dir(&path).unwrap();
         let error = next(&watch).await.unwrap_err();
         assert!(error.contains("is a folder"), "{error}");

@@ -38,7 +38,7 @@ fn wrong_settings_are_told_on_the_screen_and_do_not_keep_it_from_starting() {
     pty.send("3");
     pty.wait_for("settings");
     let screen = pty.screen();
-    assert!(screen.contains("theme mine: there is none"), "{screen}");
+    assert!(screen.contains("theme mine: not found"), "{screen}");
     pty.send("q");
     assert_eq!(pty.wait(), 0);
 }
@@ -164,13 +164,13 @@ fn what_was_not_heard_while_it_was_stopped_is_held_against_nobody() {
     // Nothing is drawn meanwhile; heartbeats are due.
     assert_eq!(pty.count_for(Duration::from_secs(4)), 0);
     pty.signal(Signal::SIGCONT);
-    pty.wait_for("descan       was held up for");
+    pty.wait_for("descan       descan was stopped for");
     // It begins anew.
-    pty.wait_for("we are at 0");
+    pty.wait_for("using address 0");
     pty.send("3");
     pty.wait_for("▸");
     let screen = pty.screen();
-    for word in [" suspected:", " lost\n", " silent:", " stale:", " returned,"] {
+    for word in [" suspected:", " lost\n", " silent:", " stale:", " returned"] {
         assert!(!screen.contains(word), "{word}: {screen}");
     }
     pty.send("q");
@@ -310,7 +310,7 @@ fn an_interface_that_does_not_exist_is_waited_for() {
     pty.wait_for("nocan7");
     pty.wait_until("the cause", |screen| {
         let text = screen.contents();
-        text.contains("there is no nocan7") || text.contains("kernel")
+        text.contains("nocan7 not found") || text.contains("kernel")
     });
     pty.send("q");
     assert_eq!(pty.wait(), 0);

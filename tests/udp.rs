@@ -74,7 +74,7 @@ fn frames() -> [Frame; 4] {
 
 /// The same frame as it comes out of a port.
 fn heard(frame: Frame, like: &Frame) -> Frame {
-    frame.at(like.time).on(BusIndex(3))
+    frame.with_time(like.time).with_bus(BusIndex(3))
 }
 
 // --- python-can -----------------------------------------------------------------------------
@@ -145,7 +145,7 @@ fn talks_to_python_can(group: &str) {
     }
     let ours = bus.wait_for_frames(theirs.len() + 4)[theirs.len()..].to_vec();
     for (came, sent) in ours.iter().zip(frames()) {
-        assert_eq!(*came, heard(sent.ours(), came), "it comes back as ours");
+        assert_eq!(*came, heard(sent.with_tx(), came), "it comes back as ours");
     }
     assert_eq!(bus.status().unreadable, 0);
 }
@@ -197,7 +197,7 @@ fn two_on_one_machine() {
         }
         for (bus, own) in [(&mut one, 100), (&mut other, 100), (&mut quiet, 0)] {
             let frames = bus.wait_for_frames(200);
-            assert_eq!(frames.iter().filter(|frame| frame.ours).count(), own, "{spec}");
+            assert_eq!(frames.iter().filter(|frame| frame.is_tx).count(), own, "{spec}");
             assert!(frames.is_sorted_by_key(|frame| frame.time));
         }
         let frame = Frame::classic(1, &[]);
@@ -257,7 +257,7 @@ fn what_is_no_frame() {
     bus.send(&Frame::classic(1, &[]));
     bus.wait_for_frames(1);
     let status = bus.wait_for_status("the count", |status| status.unreadable == 7);
-    assert!(status.note.is_some_and(|note| note.contains("no frames of python-can's")));
+    assert!(status.note.is_some_and(|note| note.contains("not python-can frames")));
     assert_eq!((status.link, bus.frames.len()), (Link::Up, 1));
 }
 
@@ -277,18 +277,18 @@ fn a_network_that_goes_away() {
         Command::new("sh").args(["-c", away]).status().unwrap();
         let status = bus.wait_for_link(Link::Unplugged);
         let message = status.message.unwrap();
-        assert!(message.contains("no network leads to") && message.contains("ip route add"));
+        assert!(message.contains("no route to") && message.contains("ip route add"));
         bus.send(&Frame::classic(1, &[]));
         bus.wait_for_status("the refusal", |status| status.transmit_failures == 1);
         assert!(Command::new("sh").args(["-c", NETWORK]).status().unwrap().success());
         bus.wait_for_link(Link::Up);
         bus.send(&Frame::classic(2, &[]));
         let frames = bus.wait_for_frames(1);
-        assert_eq!((frames[0].platform_id(), frames[0].ours), (Some(2), true));
+        assert_eq!((frames[0].platform_id(), frames[0].is_tx), (Some(2), true));
     }
     let mut bus = OpenBus::open(&format!("udp:{V4}%eth7"));
     let status = bus.wait_for_link(Link::Down);
-    assert!(status.message.unwrap().contains("there is no interface eth7"));
+    assert!(status.message.unwrap().contains("eth7 not found"));
     // A group of each link by itself.
     let mut bus = OpenBus::open("udp:ff02::1");
     let message = bus.wait_for_link(Link::Down).message.unwrap();

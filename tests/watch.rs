@@ -1,11 +1,11 @@
 //! `descan watch`, from outside: which line comes of what, when it comes, and how it ends.
 
 mod common;
-#[path = "common/watching.rs"]
-mod watching;
+#[path = "common/watch_process.rs"]
+mod watch_process;
 
 use common::log;
-use descan::app::{App, AppOptions, FileReading, Filter, Happening};
+use descan::app::{App, AppEvent, AppOptions, FileReading, Filter};
 use descan::discovery::{Confidence, Config, FindingKind};
 use descan::frame::BusIndex;
 use descan::sim::{DeviceSpec, Fault, Scenario, Sim};
@@ -18,7 +18,7 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
 use std::process::{Output, Stdio};
 use std::time::Duration;
-use watching::{Watching, command};
+use watch_process::{Watching, command};
 
 /// FEED appears at 12, is in trouble for a second, reboots, is late, is gone for a while, and
 /// turns up at 31 in the end, where the file wants it.
@@ -49,7 +49,7 @@ const TOLD: &str = r#"{"time":1436509052.1,"event":"file","file":{"path":"des.js
 {"time":1436509052.1,"event":"appeared","bus":"can0","address":12,"name":null}
 {"time":1436509052.1,"event":"mode","bus":"can0","address":12,"name":null,"mode":"WORK","from":null}
 {"time":1436509052.5,"event":"named","bus":"can0","address":12,"name":"FEED"}
-{"time":1436509052.5,"event":"finding","bus":"can0","address":12,"name":"FEED","finding":{"kind":"wrong-address","confidence":"confirmed","bus":"can0","address":12,"addresses":[12],"names":["FEED"],"first":1436509052.5,"evidence":[],"text":"FEED is at 12, and the file pins it to 31.","remedy":"Give the device the address 31, or pin it to 12 in the file."}}
+{"time":1436509052.5,"event":"finding","bus":"can0","address":12,"name":"FEED","finding":{"kind":"wrong-address","confidence":"confirmed","bus":"can0","address":12,"addresses":[12],"names":["FEED"],"first":1436509052.5,"evidence":[],"text":"FEED is at address 12; the file pins it to 31.","remedy":"Move the device to 31, or change the file to 12."}}
 {"time":1436509052.7,"event":"services","bus":"can0","address":12,"name":"FEED","services":[{"index":0,"name":"DES","version":"1.0","extra":[]}],"changed":false}
 {"time":1436509054.100001,"event":"mode","bus":"can0","address":12,"name":"FEED","mode":"UFUNC","from":"WORK"}
 {"time":1436509055.1,"event":"mode","bus":"can0","address":12,"name":"FEED","mode":"WORK","from":"UFUNC"}
@@ -59,16 +59,16 @@ const TOLD: &str = r#"{"time":1436509052.1,"event":"file","file":{"path":"des.js
 {"time":1436509063.45,"event":"returned","bus":"can0","address":12,"name":"FEED","was":"stale"}
 {"time":1436509065.95,"event":"stale","bus":"can0","address":12,"name":"FEED"}
 {"time":1436509068.45,"event":"lost","bus":"can0","address":12,"name":"FEED"}
-{"time":1436509068.45,"event":"finding","bus":"can0","address":12,"name":"FEED","finding":{"kind":"wrong-address","confidence":"cleared","bus":"can0","address":12,"addresses":[12],"names":["FEED"],"first":1436509052.5,"evidence":[],"text":"FEED is at 12, and the file pins it to 31.","remedy":"Give the device the address 31, or pin it to 12 in the file."}}
-{"time":1436509068.45,"event":"finding","bus":"can0","address":31,"name":"FEED","finding":{"kind":"missing","confidence":"confirmed","bus":"can0","address":31,"addresses":[31],"names":["FEED"],"first":1436509068.45,"evidence":[],"text":"FEED (at 31) is listed and not there: it was at 12 and was last heard 5s ago.","remedy":""}}
+{"time":1436509068.45,"event":"finding","bus":"can0","address":12,"name":"FEED","finding":{"kind":"wrong-address","confidence":"cleared","bus":"can0","address":12,"addresses":[12],"names":["FEED"],"first":1436509052.5,"evidence":[],"text":"FEED is at address 12; the file pins it to 31.","remedy":"Move the device to 31, or change the file to 12."}}
+{"time":1436509068.45,"event":"finding","bus":"can0","address":31,"name":"FEED","finding":{"kind":"missing","confidence":"confirmed","bus":"can0","address":31,"addresses":[31],"names":["FEED"],"first":1436509068.45,"evidence":[],"text":"FEED (at 31) is listed but not on the bus: last seen at 12, 5s ago.","remedy":""}}
 {"time":1436509070.45,"event":"returned","bus":"can0","address":12,"name":"FEED","was":"lost"}
-{"time":1436509070.45,"event":"finding","bus":"can0","address":31,"name":"FEED","finding":{"kind":"missing","confidence":"cleared","bus":"can0","address":31,"addresses":[31],"names":["FEED"],"first":1436509068.45,"evidence":[],"text":"FEED (at 31) is listed and not there: it was at 12 and was last heard 7s ago.","remedy":""}}
-{"time":1436509070.45,"event":"finding","bus":"can0","address":12,"name":"FEED","finding":{"kind":"wrong-address","confidence":"confirmed","bus":"can0","address":12,"addresses":[12],"names":["FEED"],"first":1436509070.45,"evidence":[],"text":"FEED is at 12, and the file pins it to 31.","remedy":"Give the device the address 31, or pin it to 12 in the file."}}
+{"time":1436509070.45,"event":"finding","bus":"can0","address":31,"name":"FEED","finding":{"kind":"missing","confidence":"cleared","bus":"can0","address":31,"addresses":[31],"names":["FEED"],"first":1436509068.45,"evidence":[],"text":"FEED (at 31) is listed but not on the bus: last seen at 12, 7s ago.","remedy":""}}
+{"time":1436509070.45,"event":"finding","bus":"can0","address":12,"name":"FEED","finding":{"kind":"wrong-address","confidence":"confirmed","bus":"can0","address":12,"addresses":[12],"names":["FEED"],"first":1436509070.45,"evidence":[],"text":"FEED is at address 12; the file pins it to 31.","remedy":"Move the device to 31, or change the file to 12."}}
 {"time":1436509073.95,"event":"stale","bus":"can0","address":12,"name":"FEED"}
 {"time":1436509074.0,"event":"appeared","bus":"can0","address":31,"name":null}
 {"time":1436509074.0,"event":"mode","bus":"can0","address":31,"name":null,"mode":"WORK","from":null}
 {"time":1436509074.0,"event":"moved","bus":"can0","address":31,"name":"FEED","from":12}
-{"time":1436509074.0,"event":"finding","bus":"can0","address":12,"name":"FEED","finding":{"kind":"wrong-address","confidence":"cleared","bus":"can0","address":12,"addresses":[12],"names":["FEED"],"first":1436509070.45,"evidence":[],"text":"FEED is at 12, and the file pins it to 31.","remedy":"Give the device the address 31, or pin it to 12 in the file."}}
+{"time":1436509074.0,"event":"finding","bus":"can0","address":12,"name":"FEED","finding":{"kind":"wrong-address","confidence":"cleared","bus":"can0","address":12,"addresses":[12],"names":["FEED"],"first":1436509070.45,"evidence":[],"text":"FEED is at address 12; the file pins it to 31.","remedy":"Move the device to 31, or change the file to 12."}}
 {"time":1436509075.0,"event":"bus","bus":{"name":"can0","bitrate":null,"state":"unknown","frames":17,"errors":0,"lost":0,"load":null,"address":null,"lost_where":{"kernel":0,"queue":0,"adapter":0},"not_sent":0,"unreadable":0}}
 "#;
 
@@ -76,14 +76,14 @@ const IN_WORDS: &str = "\
 06:17:32.100 des.json         1 entry
 06:17:32.100 can0             open
 06:17:32.100  12 ?            appeared
-06:17:32.500  12 FEED         says its name
-06:17:32.500  12 FEED         confirmed: FEED is at 12, and the file pins it to 31.
+06:17:32.500  12 FEED         identified as FEED
+06:17:32.500  12 FEED         confirmed: FEED is at address 12; the file pins it to 31.
 06:17:32.700  12 FEED         1 service
 06:17:34.100  12 FEED         WORK → UFUNC
 06:17:35.100  12 FEED         UFUNC → WORK
 06:17:38.500  12 FEED         debug message 02A 01 FE
 06:17:39.450  12 FEED         rebooted
-06:17:42.950  12 FEED         stale: its heartbeat is late
+06:17:42.950  12 FEED         stale: heartbeat overdue
 ";
 
 fn watch(arguments: &[&str], folder: &Path) -> Output {
@@ -121,7 +121,7 @@ fn a_log_is_told_line_by_line() {
     assert_eq!(output.status.code(), Some(0));
     let words = text(&output.stdout);
     assert!(words.starts_with(IN_WORDS), "{words}");
-    assert!(words.ends_with("06:17:55.000 can0             the log is at its end\n"), "{words}");
+    assert!(words.ends_with("06:17:55.000 can0             end of log\n"), "{words}");
 }
 
 #[test]
@@ -171,7 +171,9 @@ fn what_one_frame_gives_rise_to_is_told_in_one_line() {
     let output = watch(&["file:session.log"], folder.path());
     let of_resolution = text(&output.stdout)
         .lines()
-        .filter(|line| ["claimed", "lost", "moved", "appeared"].iter().any(|it| line.contains(it)))
+        .filter(|line| {
+            ["claims", "gave up", "moved", "appeared"].iter().any(|it| line.contains(it))
+        })
         .map(|line| {
             line.split_once(' ').unwrap().1.split_whitespace().collect::<Vec<_>>().join(" ")
         });
@@ -179,9 +181,9 @@ fn what_one_frame_gives_rise_to_is_told_in_one_line() {
         of_resolution.collect::<Vec<_>>(),
         [
             "12 ? appeared",
-            "12 ? claimed 12, which SENS holds (UID BOILER01)",
-            "12 ? lost 12 to SENS",
-            "31 ? moved here from 12, claimed 31",
+            "12 ? BOILER01 claims 12 (held by SENS)",
+            "12 ? gave up 12 to SENS",
+            "31 ? moved from 12, claims 31",
         ]
     );
 }
@@ -424,7 +426,7 @@ fn only_what_fits_is_told() {
     assert_eq!(lines_with(&feed, " des.json "), 0, "{feed}");
     assert_eq!(lines_with(&feed, "  12 "), lines_with(&all, "  12 "), "{feed}");
     // That it moved away concerns the address it leaves.
-    assert_eq!(lines_with(&feed, "moved here from 12"), 1, "{feed}");
+    assert_eq!(lines_with(&feed, "moved from 12"), 1, "{feed}");
     // What is about the bus is told always.
     assert_eq!(lines_with(&feed, " can0 "), lines_with(&all, " can0 "), "{feed}");
 
@@ -453,8 +455,8 @@ fn no_filter_hides_that_frames_were_lost_or_what_becomes_of_a_bus() {
     let bus = ("can0".to_owned(), Config::default());
     let options = AppOptions {
         buses: vec![bus],
-        report: true,
-        interest: Filter::parse("at:12 name:feed"),
+        emit_events: true,
+        event_filter: Filter::parse("at:12 name:feed"),
         ..AppOptions::default()
     };
     let mut app = App::new(Instant::ZERO, options);
@@ -462,11 +464,11 @@ fn no_filter_hides_that_frames_were_lost_or_what_becomes_of_a_bus() {
     let mut told = |status: &BusStatus| {
         app.handle_bus(Instant::ZERO, BusIndex(0), status.clone());
         let (mut lines, mut values) = (Vec::new(), Vec::new());
-        while let Some(happening) = app.poll_happening() {
+        while let Some(happening) = app.poll_app_event() {
             match happening {
-                Happening::Line(line) => lines.push(line.text),
-                Happening::Finding(_, finding) => values.push(finding.key.kind.name()),
-                Happening::Bus(..) => values.push("bus"),
+                AppEvent::Line(line) => lines.push(line.text),
+                AppEvent::Finding(_, finding) => values.push(finding.key.kind.name()),
+                AppEvent::Bus(..) => values.push("bus"),
                 _ => {}
             }
         }
@@ -475,7 +477,7 @@ fn no_filter_hides_that_frames_were_lost_or_what_becomes_of_a_bus() {
     assert_eq!(told(&status), ("open".to_owned(), vec!["bus"]));
     status.kernel_drops = 1;
     let (lines, values) = told(&status);
-    assert!(lines.contains("frames were lost: the kernel's"), "{lines}");
+    assert!(lines.contains("frames lost: the kernel's"), "{lines}");
     assert!(lines.contains("confirmed"), "{lines}");
     assert_eq!(values[..2], ["bus", "frames-lost"]);
     (status.link, status.message) = (Link::Down, Some("can0 is down".to_owned()));
@@ -490,10 +492,7 @@ fn several_buses_have_a_column() {
     let output = watch(&["file:session.log"], folder.path());
     let shown = text(&output.stdout);
     assert!(shown.contains("00:00:01.500 vcan-long  12 ?            appeared\n"), "{shown}");
-    assert!(
-        shown.contains("00:00:01.500 can0                       the log is at its end\n"),
-        "{shown}"
-    );
+    assert!(shown.contains("00:00:01.500 can0                       end of log\n"), "{shown}");
     let told = values(&watch(&["file:session.log", "--json"], folder.path()).stdout);
     let appeared = told.iter().filter(|it| it["event"] == "appeared");
     assert_eq!(appeared.map(|it| &it["bus"]).collect::<Vec<_>>(), ["can0", "vcan-long"]);
@@ -555,7 +554,7 @@ fn what_cannot_be_watched_is_said_on_one_line() {
         (&["nocan7"], 3, "nocan7"),
         (&["file:nothing.log"], 3, "nothing.log"),
         (&["sim:nothing"], 3, "boiler"),
-        (&["sim:boiler", "--profile", "nothing.toml"], 3, "there is no such file"),
+        (&["sim:boiler", "--profile", "nothing.toml"], 3, "file not found"),
     ] {
         let output = watch(arguments, folder.path());
         let said = text(&output.stderr);
@@ -577,7 +576,7 @@ fn findings(scenario: &Scenario, file: &str, seconds: u64) -> Vec<(FindingKind, 
     let options = AppOptions {
         buses,
         file_path: Some("des.json".into()),
-        report: true,
+        emit_events: true,
         ..AppOptions::default()
     };
     let mut app = App::new(Instant::ZERO, options);
@@ -595,8 +594,8 @@ fn findings(scenario: &Scenario, file: &str, seconds: u64) -> Vec<(FindingKind, 
         while let Some(frame) = app.poll_transmit(now) {
             sim.transmit(station, frame);
         }
-        while let Some(happening) = app.poll_happening() {
-            if let Happening::Finding(_, finding) = happening {
+        while let Some(happening) = app.poll_app_event() {
+            if let AppEvent::Finding(_, finding) = happening {
                 told.push((finding.key.kind, finding.confidence));
             }
         }
@@ -633,10 +632,10 @@ fn what_is_found_by_comparing_is_told_once_and_does_not_flap() {
 fn a_filter_that_nothing_can_fit_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     for (filter, said) in [
-        ("at:abc", "at:abc: \"abc\" is no address: 0 to 127"),
-        ("feed at:12-14", "at:12-14: \"12-14\" is no address"),
-        ("at:12,128", "\"128\" is no address"),
-        ("!foo:bar", "there is no field foo:, only at: name:"),
+        ("at:abc", "at:abc: \"abc\" is not an address; use 0 to 127"),
+        ("feed at:12-14", "at:12-14: \"12-14\" is not an address"),
+        ("at:12,128", "\"128\" is not an address"),
+        ("!foo:bar", "unknown field foo:; use at: name:"),
     ] {
         let output = watch(&["sim:boiler", "--time", "0.1", "--filter", filter], folder.path());
         assert_eq!(output.status.code(), Some(2), "{filter}");

@@ -2,10 +2,12 @@
 //! UIDs and framings.
 
 use descan::time::Instant;
-use descan::wire::des::{self, ServicesAnswer};
-use descan::wire::framing::{Framing, classify_answer};
+use descan::wire::des::{self, ServicesResponse};
+use descan::wire::framing::{Framing, classify_response};
 use descan::wire::id::Header;
-use descan::wire::isotp::{FlowControl, FlowStatus, Pci, Progress, Reassembly, Segmenter};
+use descan::wire::isotp::{
+    FlowControl, FlowStatus, Pci, Reassembly, ReassemblyProgress, Segmenter,
+};
 use descan::wire::node::Uid;
 use descan::wire::profile::UidProfile;
 use serde_json::Value;
@@ -56,7 +58,8 @@ fn received(frames: &[Vec<u8>], fd: bool) -> Vec<u8> {
             }
             Pci::Consecutive { sequence, data } => {
                 let transfer = transfer.as_mut().expect("a first frame came before");
-                if transfer.push(Instant::ZERO, sequence, data).unwrap() == Progress::Done {
+                if transfer.push(Instant::ZERO, sequence, data).unwrap() == ReassemblyProgress::Done
+                {
                     return transfer.message().to_vec();
                 }
             }
@@ -104,7 +107,7 @@ fn names() {
 fn services() {
     for vector in vectors(include_str!("vectors/services.json")) {
         let message = bytes(&vector["payload"]);
-        let answer = ServicesAnswer::decode(&message);
+        let answer = ServicesResponse::decode(&message);
         let read: Vec<Vec<Vec<u8>>> =
             answer.services().map(|s| s.strings().map(<[u8]>::to_vec).collect()).collect();
         let expected: Vec<Vec<Vec<u8>>> =
@@ -149,6 +152,6 @@ fn framings() {
             other => panic!("{other}?"),
         };
         let data = bytes(&vector["data"]);
-        assert_eq!(classify_answer(&data, data.len() > 8, false), expected, "{vector}");
+        assert_eq!(classify_response(&data, data.len() > 8, false), expected, "{vector}");
     }
 }

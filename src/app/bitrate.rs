@@ -2,10 +2,10 @@
 //!
 //! Sets and hears nothing itself.
 
-use super::timeline::{Entry, Kind};
+use super::timeline::{TimelineEntry, TimelineKind};
 use super::{App, Effect, Overlay, Question};
+use crate::bitrate::{SearchOutcome, SearchProgress, kbit};
 use crate::frame::BusIndex;
-use crate::speed::{Outcome, Progress, kbit};
 use crate::status::RateSearch;
 
 impl App {
@@ -14,28 +14,26 @@ impl App {
     pub fn ask_bitrate(&mut self) {
         if let Some(bus) = self.searched.and_then(|bus| self.bus(bus)) {
             let name = bus.name.clone();
-            return self.complain(format!("the bit rate of {name} is being looked for"));
+            return self.show_error(format!("bit rate search on {name} is already running"));
         }
         let broken = self.buses.iter().position(super::Bus::hears_only_errors);
         let broken = broken.and_then(|at| u8::try_from(at).ok()).map(BusIndex);
         let selected = self.selected_row().and_then(|row| row.bus);
         let bus = broken.or(selected).unwrap_or_default();
         let Some(there) = self.bus(bus) else {
-            return self.complain("there is no bus");
+            return self.show_error("no bus is open");
         };
         let name = &there.name;
         let refusal = match there.status.rate_search {
             RateSearch::Possible => None,
-            RateSearch::NoRate => {
-                Some(format!("{name} has no bit rate that could be set from here"))
-            }
+            RateSearch::NoRate => Some(format!("{name}: bit rate cannot be set from here")),
             RateSearch::WhenClosed => {
                 let adapter = name.split_once('@').map_or(&**name, |(adapter, _)| adapter);
-                Some(format!("end descan, then: descan speed {adapter}"))
+                Some(format!("quit descan, then run: descan speed {adapter}"))
             }
         };
         if let Some(refusal) = refusal {
-            return self.complain(refusal);
+            return self.show_error(refusal);
         }
         self.overlay = Overlay::Question(Question::FindBitrate(bus));
         self.dirty = true;
@@ -51,49 +49,55 @@ impl App {
         self.effects.push_back(Effect::FindBitrate(bus));
     }
 
-    pub(super) fn tell_bitrate_search(&mut self, bus: BusIndex, progress: Progress) {
+    pub(super) fn report_bitrate_search(&mut self, bus: BusIndex, progress: SearchProgress) {
         let Some(name) = self.bus(bus).map(|bus| bus.name.clone()) else { return };
         match progress {
-            Progress::Trying(rate) => self.say(format!("{name}: listening at {} …", kbit(rate))),
-            Progress::Heard(rate, heard) => {
-                let text = match heard.broken {
-                    0 => format!("nothing is heard at {}", kbit(rate)),
-                    broken => format!("{broken} frames broke at {}, none came whole", kbit(rate)),
-                };
-                self.tell_of_bus(bus, Kind::Bus, text);
+            SearchProgress::Trying(rate) => {
+                self.show_info(format!("{name}: listening at {} …", kbit(rate)))
             }
-            Progress::Skipped(rate) => {
-                self.tell_of_bus(bus, Kind::Bus, format!("cannot have {}", kbit(rate)));
+            SearchProgress::Heard(rate, heard) => {
+                let text = match heard.broken {
+                    0 => format!("no frames at {}", kbit(rate)),
+                    broken => format!("{broken} bus errors at {}, no valid frame", kbit(rate)),
+                };
+                self.report_bus(bus, TimelineKind::Bus, text);
+            }
+            SearchProgress::Skipped(rate) => {
+                self.report_bus(
+                    bus,
+                    TimelineKind::Bus,
+                    format!("{} not supported by the controller", kbit(rate)),
+                );
             }
         }
         self.dirty = true;
     }
 
-    pub(super) fn bitrate_found(&mut self, bus: BusIndex, result: Result<Outcome, String>) {
+    pub(super) fn bitrate_found(&mut self, bus: BusIndex, result: Result<SearchOutcome, String>) {
         self.searched = None;
         let Some(name) = self.bus(bus).map(|bus| bus.name.clone()) else { return };
         match result {
-            Ok(Outcome::Found(rate)) => {
-                let text = format!("frames arrive whole at {}: it stays there", kbit(rate));
-                self.say(format!("{name}: {text}"));
-                self.tell_of_bus(bus, Kind::Bus, text);
+            Ok(SearchOutcome::Found(rate)) => {
+                let text = format!("valid frames at {}: bit rate kept", kbit(rate));
+                self.show_info(format!("{name}: {text}"));
+                self.report_bus(bus, TimelineKind::Bus, text);
             }
-            Ok(Outcome::OnlyBroken | Outcome::Silence) => {
-                let text = "no frame arrived whole at any bit rate; set back as it was";
-                self.tell_of_bus(bus, Kind::Error, text.to_owned());
-                self.complain(format!(
-                    "{name}: no whole frame at any rate; a lone device needs: descan speed {name}"
+            Ok(SearchOutcome::OnlyBroken | SearchOutcome::Silence) => {
+                let text = "no valid frame at any bit rate; previous setting restored";
+                self.report_bus(bus, TimelineKind::Error, text.to_owned());
+                self.show_error(format!(
+                    "{name}: no valid frame; if only one device is on, run: descan speed {name}"
                 ));
             }
             Err(why) => {
-                self.tell_of_bus(bus, Kind::Error, why.clone());
-                self.complain(why);
+                self.report_bus(bus, TimelineKind::Error, why.clone());
+                self.show_error(why);
             }
         }
         self.dirty = true;
     }
 
-    fn tell_of_bus(&mut self, bus: BusIndex, kind: Kind, text: String) {
-        self.tell_line(Entry::new(self.now, kind, text).on(bus));
+    fn report_bus(&mut self, bus: BusIndex, kind: TimelineKind, text: String) {
+        self.report_line(TimelineEntry::new(self.now, kind, text).on(bus));
     }
 }

@@ -20,7 +20,7 @@ pub struct Bus {
     /// What its adapter says.
     pub status: BusStatus,
     /// How busy it is.
-    pub meter: Meter,
+    pub meter: LoadMeter,
     /// When its log ended. What was there then is there for good: no time passes any more.
     pub ended: Option<Instant>,
     /// Since when its transmit queue is full.
@@ -41,13 +41,13 @@ impl Bus {
     /// A bus that starts now.
     pub fn new(now: Instant, name: String, config: Config) -> Self {
         let status = BusStatus { bitrate: config.bitrate, ..BusStatus::default() };
-        let (engine, meter) = (Engine::new(now, config), Meter::new(now));
+        let (engine, meter) = (Engine::new(now, config), LoadMeter::new(now));
         Self { name, engine, status, meter, ended: None, full_since: None, rests_until: None }
     }
 
     /// Nothing was taken from it since `since`; what comes until `until` may have waited, and
     /// its time may be that at which it was taken.
-    pub(super) fn rest(&mut self, since: Instant, until: Instant) {
+    pub(super) fn begin_quarantine(&mut self, since: Instant, until: Instant) {
         self.engine.suspend(since);
         self.rests_until = Some(until);
     }
@@ -56,8 +56,9 @@ impl Bus {
     pub(super) fn note_queue(&mut self, now: Instant) {
         if self.status.is_transmit_queue_full {
             self.full_since.get_or_insert(now);
-        } else if self.full_since.take().is_some_and(|since| now.since(since) >= WAITED_LONG) {
-            self.engine.handle_late_questions(now);
+        } else if self.full_since.take().is_some_and(|since| now.since(since) >= QUEUE_STALE_AFTER)
+        {
+            self.engine.handle_delayed_requests(now);
         }
     }
 
@@ -73,7 +74,7 @@ impl Bus {
     }
 
     /// Whether what is heard at that moment is not judged; ends the rest that is over then.
-    pub(super) fn rests_at(&mut self, now: Instant) -> bool {
+    pub(super) fn in_quarantine(&mut self, now: Instant) -> bool {
         let Some(until) = self.rests_until else { return false };
         if now < until {
             return true;
@@ -94,7 +95,7 @@ impl Bus {
     }
 
     /// Whether there is no way to the bus at all, so that nothing can be sent.
-    pub(super) fn is_away(&self) -> bool {
+    pub(super) fn is_unreachable(&self) -> bool {
         !matches!(self.status.link, Link::Opening | Link::Up)
             || matches!(self.status.state, BusState::BusOff | BusState::Stopped)
     }
@@ -105,7 +106,7 @@ impl Bus {
     }
 
     /// Whether nothing can be seen of it, and that is not because its log is over.
-    pub fn is_hidden(&self) -> bool {
+    pub fn is_blind(&self) -> bool {
         !self.is_up() && self.ended.is_none() && self.status.link != Link::Opening
     }
 
@@ -119,13 +120,13 @@ impl Bus {
     }
 
     /// What keeps our frames from the bus, as far as is known.
-    pub fn hindrance(&self) -> Option<Hindrance> {
+    pub fn tx_blocked(&self) -> Option<TxBlocked> {
         if !self.is_up() {
             None
         } else if self.status.is_transmit_queue_full {
-            Some(Hindrance::QueueFull)
+            Some(TxBlocked::QueueFull)
         } else {
-            self.engine.is_unacknowledged().then_some(Hindrance::Unacknowledged)
+            self.engine.is_unacknowledged().then_some(TxBlocked::Unacknowledged)
         }
     }
 
@@ -137,7 +138,7 @@ impl Bus {
 
 /// What keeps our frames from a bus that is up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Hindrance {
+pub enum TxBlocked {
     /// What was sent before them does not go out either.
     QueueFull,
     /// None of them came out, or nobody acknowledged them.
@@ -145,23 +146,23 @@ pub enum Hindrance {
 }
 
 /// A queue that was full for so long holds questions that are overdue.
-const WAITED_LONG: Duration = Duration::from_millis(1500);
+const QUEUE_STALE_AFTER: Duration = Duration::from_millis(1500);
 /// Broken frames in three seconds that are no accident.
 const ONLY_ERRORS: u32 = 64;
 
 /// Frames and bus time in each of the last seconds.
 #[derive(Debug)]
-pub struct Meter {
+pub struct LoadMeter {
     second: u64,
-    current: Second,
-    past: VecDeque<Second>,
+    current: LoadSecond,
+    past: VecDeque<LoadSecond>,
     started: Instant,
     bits: u64,
 }
 
 /// What passed in one second.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Second {
+pub struct LoadSecond {
     /// Frames.
     pub frames: u32,
     /// Error frames among them.
@@ -172,14 +173,14 @@ pub struct Second {
     pub bits: u64,
 }
 
-impl Meter {
+impl LoadMeter {
     /// How many seconds are kept.
     pub const SECONDS: usize = 30;
 
     fn new(now: Instant) -> Self {
         let second = now.as_micros() / 1_000_000;
         let past = VecDeque::with_capacity(Self::SECONDS);
-        Self { second, current: Second::default(), past, started: now, bits: 0 }
+        Self { second, current: LoadSecond::default(), past, started: now, bits: 0 }
     }
 
     /// Counts a frame.
@@ -221,12 +222,12 @@ impl Meter {
     }
 
     /// The last whole second.
-    pub fn last(&self) -> Second {
+    pub fn last(&self) -> LoadSecond {
         self.past.back().copied().unwrap_or_default()
     }
 
     /// The last seconds, oldest first.
-    pub fn seconds(&self) -> impl DoubleEndedIterator<Item = &Second> + ExactSizeIterator {
+    pub fn seconds(&self) -> impl DoubleEndedIterator<Item = &LoadSecond> + ExactSizeIterator {
         self.past.iter()
     }
 
@@ -236,7 +237,7 @@ impl Meter {
     }
 }
 
-impl Second {
+impl LoadSecond {
     /// The share of the bus that was taken, 0–1.
     pub fn load(self, bitrate: u32) -> f64 {
         (self.bits as f64 / f64::from(bitrate.max(1))).min(1.0)

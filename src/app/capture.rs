@@ -87,7 +87,7 @@ pub struct IdentifierKey {
     /// A standard identifier comes before all extended ones.
     pub id: CanId,
     /// Remote frames are rows of their own; error frames are one row.
-    pub kind: Kind,
+    pub kind: IdentifierKind,
     /// FD frames are rows of their own.
     pub fd: bool,
 }
@@ -95,7 +95,7 @@ pub struct IdentifierKey {
 /// [`FrameKind`], in an order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[allow(missing_docs)]
-pub enum Kind {
+pub enum IdentifierKind {
     Data,
     Remote,
     Error,
@@ -105,12 +105,12 @@ impl IdentifierKey {
     /// The row of a frame.
     pub fn of(frame: &Frame) -> Self {
         let (kind, id) = match (frame.kind, frame.id) {
-            (FrameKind::Error, _) => (Kind::Error, CanId::Extended(0)),
-            (FrameKind::Remote, id) => (Kind::Remote, id),
+            (FrameKind::Error, _) => (IdentifierKind::Error, CanId::Extended(0)),
+            (FrameKind::Remote, id) => (IdentifierKind::Remote, id),
             (FrameKind::Data, CanId::Extended(id)) if Header::decode(id).broadcast => {
-                (Kind::Data, CanId::Extended(id & !(0x7F << 10)))
+                (IdentifierKind::Data, CanId::Extended(id & !(0x7F << 10)))
             }
-            (FrameKind::Data, id) => (Kind::Data, id),
+            (FrameKind::Data, id) => (IdentifierKind::Data, id),
         };
         Self { bus: frame.bus, id, kind, fd: frame.fd }
     }
@@ -190,7 +190,7 @@ mod tests {
     fn the_ring_keeps_the_newest() {
         let mut capture = Capture::new();
         for at in 0..Capture::FRAMES as u64 + 10 {
-            capture.push(&Frame::classic(1, &[]).at(Instant::from_micros(at)));
+            capture.push(&Frame::classic(1, &[]).with_time(Instant::from_micros(at)));
         }
         assert_eq!((capture.first(), capture.end()), (10, Capture::FRAMES as u64 + 10));
         assert!(capture.get(9).is_none());

@@ -6,10 +6,10 @@
 use super::App;
 use super::buses::Bus;
 use super::filter::Filter;
-use super::groups::Problem;
 use super::matching::is_for;
+use super::problem_groups::Problem;
 use super::problems::other_services;
-use super::rows::{Counts, FileWord, Row, RowKey, SortBy, State};
+use super::rows::{Counts, FileStatus, Row, RowKey, RowState, SortBy};
 use crate::discovery::{Confidence, Device, Finding};
 use crate::document::Entry;
 use crate::frame::BusIndex;
@@ -65,7 +65,7 @@ impl App {
             // Where buses are redundant, the first has the row.
             let own =
                 devices.filter(|it| self.siblings.redundant(it.id).all(|other| other > it.id));
-            rows.extend(own.map(|device| self.joined_row(bus, device)));
+            rows.extend(own.map(|device| self.merged_row(bus, device)));
         }
         for entry in entries {
             if self.matching.devices_of(entry.index).is_empty() {
@@ -76,21 +76,21 @@ impl App {
     }
 
     /// The row of a device and of the same on redundant buses.
-    fn joined_row(&self, bus: &Bus, device: &Device) -> Row {
+    fn merged_row(&self, bus: &Bus, device: &Device) -> Row {
         let mut row = self.device_row(bus, device);
         for id in self.siblings.redundant(device.id) {
             let (Some(bus), Some(other)) = (self.bus(id.bus), self.device(id)) else { continue };
             let other = self.device_row(bus, other);
-            let here = |row: &Row| !matches!(row.state, State::Lost | State::Unseen);
+            let here = |row: &Row| !matches!(row.state, RowState::Lost | RowState::Unknown);
             row.state = match (row.state, other.state) {
-                (State::Clash, _) | (_, State::Clash) => State::Clash,
-                _ if here(&row) != here(&other) => State::Partly,
+                (RowState::Conflict, _) | (_, RowState::Conflict) => RowState::Conflict,
+                _ if here(&row) != here(&other) => RowState::Partial,
                 (one, another) => one.min(another),
             };
             row.suspected |= other.suspected;
             row.twin |= other.twin;
-            let says_more = matches!(other.file, FileWord::Differs(_))
-                || matches!(row.file, FileWord::New | FileWord::Nothing);
+            let says_more = matches!(other.file, FileStatus::Differs(_))
+                || matches!(row.file, FileStatus::New | FileStatus::Nothing);
             if says_more {
                 row.file = other.file;
             }
@@ -107,11 +107,11 @@ impl App {
         let about = |finding: &&Finding| concerns(finding, device);
         let findings = || bus.engine.findings().iter().filter(about);
         let confirmed = findings()
-            .any(|it| it.confidence == Confidence::Confirmed && it.key.kind.is_collision());
-        let twin = device.is_here()
+            .any(|it| it.confidence == Confidence::Confirmed && it.key.kind.is_conflict());
+        let twin = device.is_present()
             && bus.engine.devices().iter().any(|other| {
                 other.id != device.id
-                    && other.is_here()
+                    && other.is_present()
                     && other.name.is_some()
                     && other.name == device.name
             });
@@ -121,15 +121,15 @@ impl App {
             address: Some(device.address),
             name: device.name.clone(),
             state: match device.presence {
-                presence if !device.is_here() => presence.into(),
-                _ if bus.is_hidden() => State::Unseen,
-                _ if confirmed => State::Clash,
+                presence if !device.is_present() => presence.into(),
+                _ if bus.is_blind() => RowState::Unknown,
+                _ if confirmed => RowState::Conflict,
                 presence => presence.into(),
             },
             suspected: findings().any(|it| it.confidence == Confidence::Suspected),
             twin,
             also: Vec::new(),
-            file: self.file_word(device, entry.map(|at| &self.file.document().entries()[at])),
+            file: self.file_status(device, entry.map(|at| &self.file.document().entries()[at])),
             is_flawed: entry.is_some_and(|at| self.file.document().is_flawed(at)),
             has_other_services: entry.is_some_and(|at| {
                 other_services(&self.file.document().entries()[at], device).is_some()
@@ -138,15 +138,15 @@ impl App {
         }
     }
 
-    fn file_word(&self, device: &Device, entry: Option<&Entry>) -> FileWord {
+    fn file_status(&self, device: &Device, entry: Option<&Entry>) -> FileStatus {
         match entry {
-            None if device.is_debug || device.name.is_none() => FileWord::Nothing,
-            None if !self.file.is_there() => FileWord::Nothing,
-            None => FileWord::New,
+            None if device.is_debug || device.name.is_none() => FileStatus::Nothing,
+            None if !self.file.is_there() => FileStatus::Nothing,
+            None => FileStatus::New,
             Some(entry) => match entry.address.filter(|_| entry.is_static) {
-                None => FileWord::Listed(entry.address),
-                Some(address) if address == device.address.number() => FileWord::Agrees(address),
-                Some(address) => FileWord::Differs(address),
+                None => FileStatus::Listed(entry.address),
+                Some(address) if address == device.address.number() => FileStatus::Agrees(address),
+                Some(address) => FileStatus::Differs(address),
             },
         }
     }
@@ -159,7 +159,7 @@ impl App {
             None => None,
         };
         let bus = bus.map(|at| BusIndex(at as u8));
-        let is_said_again = self.matching.is_said_again(entry.index);
+        let is_said_again = self.matching.is_duplicate(entry.index);
         let awaited = is_said_again || !self.is_missing(entry);
         Some(Row {
             key: RowKey::Entry(self.file.document().key(entry.index)),
@@ -167,17 +167,17 @@ impl App {
             address: entry.address.and_then(Address::new),
             name: Some(Name::new(&entry.name)),
             state: match awaited {
-                _ if is_said_again => State::Again,
-                true => State::Awaited,
-                false => State::Missing,
+                _ if is_said_again => RowState::Duplicate,
+                true => RowState::Pending,
+                false => RowState::Missing,
             },
             suspected: false,
             twin: false,
             also: Vec::new(),
             file: match entry.address {
-                Some(address) if entry.is_static && awaited => FileWord::Pinned(address),
-                Some(address) if entry.is_static => FileWord::Differs(address),
-                address => FileWord::Listed(address),
+                Some(address) if entry.is_static && awaited => FileStatus::Pinned(address),
+                Some(address) if entry.is_static => FileStatus::Differs(address),
+                address => FileStatus::Listed(address),
             },
             is_flawed: self.file.document().is_flawed(entry.index),
             has_other_services: false,
@@ -187,7 +187,7 @@ impl App {
 
     fn count(&self, rows: &[Row]) -> Counts {
         let with =
-            |state: &dyn Fn(State) -> bool| rows.iter().filter(|row| state(row.state)).count();
+            |state: &dyn Fn(RowState) -> bool| rows.iter().filter(|row| state(row.state)).count();
         let problems = self.problems_unsorted();
         let sure = |confidence| {
             problems.iter().filter(|it| it.counts() && it.confidence() == confidence).count()
@@ -195,13 +195,18 @@ impl App {
         let open = |it: &&Problem| it.is_muted && it.confidence() != Confidence::Cleared;
         Counts {
             here: with(&|state| {
-                let gone =
-                    [State::Missing, State::Awaited, State::Again, State::Lost, State::Unseen];
+                let gone = [
+                    RowState::Missing,
+                    RowState::Pending,
+                    RowState::Duplicate,
+                    RowState::Lost,
+                    RowState::Unknown,
+                ];
                 !gone.contains(&state)
             }),
-            unseen: with(&|state| state == State::Unseen),
-            missing: with(&|state| state == State::Missing),
-            lost: with(&|state| state == State::Lost),
+            unseen: with(&|state| state == RowState::Unknown),
+            missing: with(&|state| state == RowState::Missing),
+            lost: with(&|state| state == RowState::Lost),
             confirmed: sure(Confidence::Confirmed),
             suspected: sure(Confidence::Suspected),
             muted: problems.iter().filter(open).count(),
@@ -220,7 +225,7 @@ impl App {
                 SortBy::Name => name(a).cmp(&name(b)),
                 SortBy::State => {
                     let urgency =
-                        |row: &Row| (row.state != State::Clash, !row.suspected, row.state);
+                        |row: &Row| (row.state != RowState::Conflict, !row.suspected, row.state);
                     urgency(a).cmp(&urgency(b))
                 }
                 SortBy::Mode => mode(a).cmp(&mode(b)),
@@ -240,14 +245,14 @@ fn name(row: &Row) -> impl Ord {
 /// By how much the file has to do with it; what is listed and not there differs most.
 fn difference(row: &Row) -> u8 {
     match row.file {
-        _ if row.state == State::Missing => 0,
-        FileWord::Differs(_) => 1,
+        _ if row.state == RowState::Missing => 0,
+        FileStatus::Differs(_) => 1,
         _ if row.is_flawed || row.has_other_services => 1,
-        FileWord::New => 2,
-        FileWord::Pinned(_) => 3,
-        FileWord::Listed(_) => 4,
-        FileWord::Agrees(_) => 5,
-        FileWord::Nothing => 6,
+        FileStatus::New => 2,
+        FileStatus::Pinned(_) => 3,
+        FileStatus::Listed(_) => 4,
+        FileStatus::Agrees(_) => 5,
+        FileStatus::Nothing => 6,
     }
 }
 

@@ -6,10 +6,10 @@
 use super::buses::Bus;
 use super::problems::as_listed;
 use super::prompt::PromptKind;
-use super::timeline::{Entry as Line, Kind};
+use super::timeline::{TimelineEntry as Line, TimelineKind};
 use super::{App, Change, Effect, Overlay, Question, RowKey};
 use crate::discovery::{Confidence, Device, DeviceId, OwnAddress};
-use crate::document::{Document, EntryKey, NewEntry, Operation, ServiceEntry};
+use crate::document::{Document, EntryKey, ListedService, NewEntry, Operation};
 use crate::frame::{BusIndex, Frame};
 use crate::text::Escaped;
 use crate::time::Instant;
@@ -24,14 +24,14 @@ impl App {
         if !self.may_edit() || !self.go_to_row() {
             return;
         }
-        let Some(row) = self.selected_row() else { return self.complain("no row is selected") };
+        let Some(row) = self.selected_row() else { return self.show_error("no row is selected") };
         let key = row.key.clone();
         if let Some(device) = self.device_of(row) {
             if device.is_debug {
-                return self.complain("debug devices are not listed in the file");
+                return self.show_error("debug devices cannot be added to the file");
             }
             if device.name.is_none() {
-                return self.complain("its name is not known yet, so it cannot be listed");
+                return self.show_error("name not known yet: cannot add the device");
             }
         }
         let entry = self.entry_of(row).map(|entry| entry.index);
@@ -49,16 +49,16 @@ impl App {
             return;
         }
         let Some(row) = self.selected_row().filter(|row| self.device_of(row).is_some()) else {
-            return self.complain("there is no device in this row to be taken into the file");
+            return self.show_error("no device in this row to add");
         };
         if self.devices_of(row).any(|device| device.name.is_none() || device.is_debug) {
-            return self.complain("only devices with a known name are listed in the file");
+            return self.show_error("only devices with a known name can be added");
         }
         // Where buses are redundant, on each of them.
         let operations: Vec<Operation> =
             self.devices_of(row).filter_map(|device| self.taking(device)).collect();
         match operations.len() {
-            0 => self.say_of_file("the file says the same already"),
+            0 => self.say_of_file("file already matches this device"),
             _ => self.edit(&operations),
         }
     }
@@ -70,8 +70,8 @@ impl App {
             return;
         }
         let devices = self.buses.iter().flat_map(|bus| bus.engine.devices());
-        let known =
-            devices.filter(|device| device.is_here() && !device.is_debug && device.name.is_some());
+        let known = devices
+            .filter(|device| device.is_present() && !device.is_debug && device.name.is_some());
         // Where it lists none, that is how its author wants it: left out or an empty list.
         let (mut wanted, left): (Vec<&Device>, Vec<&Device>) = known.partition(|device| {
             let entry = self.matching.entry_of(device.id);
@@ -90,18 +90,18 @@ impl App {
         match operations.len() {
             0 if !refused.is_empty() => {}
             0 if left.is_empty() => {
-                self.say_of_file("every device with a known name is listed already, as it is");
+                self.say_of_file("all named devices are already in the file");
             }
             0 => {
                 let (left, key) = (left.len(), self.key_of("add"));
                 self.say_of_file(format!(
-                    "all devices with a name are listed; {left} without services ({key} adds them)"
+                    "all named devices are in the file; {left} without services ({key} adds them)"
                 ));
             }
             _ => self.edit(&operations),
         }
         if let Some(refusal) = refused.first() {
-            self.complain_of_file(format!("{} left: {refusal}", refused.len()));
+            self.complain_of_file(format!("{} not added: {refusal}", refused.len()));
         }
     }
 
@@ -140,7 +140,7 @@ impl App {
     /// Command: take the last edit back.
     pub fn undo(&mut self, now: Instant) {
         match self.file.undo() {
-            Ok(name) => self.edited(now, &format!("taken back: {name}")),
+            Ok(name) => self.edited(now, &format!("undid: {name}")),
             Err(refusal) => self.complain_of_file(refusal.to_string()),
         }
     }
@@ -148,7 +148,7 @@ impl App {
     /// Command: make the edit again that was taken back last.
     pub fn redo(&mut self, now: Instant) {
         match self.file.redo() {
-            Ok(name) => self.edited(now, &format!("made again: {name}")),
+            Ok(name) => self.edited(now, &format!("redid: {name}")),
             Err(refusal) => self.complain_of_file(refusal.to_string()),
         }
     }
@@ -158,11 +158,11 @@ impl App {
         if self.file.conflict().is_some() {
             self.show_conflict();
             // Who asks for the page means it.
-            self.ahead = None;
+            self.type_ahead = None;
         } else if self.file.unsaved() == 0 {
-            self.say_of_file("everything is saved");
-        } else if let Err(super::Refusal::Broken(why)) = self.file.check() {
-            self.complain_of_file(format!("not saved, mend it first: {why}"));
+            self.say_of_file("no unsaved changes");
+        } else if let Err(super::EditRefusal::Broken(why)) = self.file.check() {
+            self.complain_of_file(format!("not saved; fix it first: {why}"));
         } else {
             self.save_pending();
         }
@@ -172,7 +172,7 @@ impl App {
     /// itself cannot be.
     pub fn ask_copy_path(&mut self, now: Instant) {
         if !self.file.is_there() {
-            return self.complain("there is nothing to save yet");
+            return self.show_error("nothing to save");
         }
         let path = format!("des-{}.json", stamp(self.wall_seconds(now)));
         self.open_prompt(PromptKind::CopyPath, path);
@@ -184,13 +184,13 @@ impl App {
             self.note_choice();
         }
         if let Overlay::Prompt(prompt) = std::mem::replace(&mut self.overlay, Overlay::Conflict) {
-            self.set_aside = Some(prompt);
+            self.suspended_prompt = Some(prompt);
         }
     }
 
     fn leave_conflict(&mut self) {
-        self.ahead = None;
-        self.overlay = self.set_aside.take().map_or(Overlay::None, Overlay::Prompt);
+        self.type_ahead = None;
+        self.overlay = self.suspended_prompt.take().map_or(Overlay::None, Overlay::Prompt);
     }
 
     /// The file changed again, and there is nothing to choose any more: the page goes, and says so.
@@ -200,9 +200,9 @@ impl App {
         }
         self.leave_conflict();
         if change != Change::Broken {
-            let text = "the file was changed again: no conflict any more, our edits are in it";
-            self.timeline.push(Line::new(self.now, Kind::File, text));
-            self.say(text);
+            let text = "file changed again: conflict resolved, your edits are included";
+            self.timeline.push(Line::new(self.now, TimelineKind::File, text));
+            self.show_info(text);
         }
     }
 
@@ -210,7 +210,7 @@ impl App {
     pub fn resolve(&mut self, now: Instant, ours: bool) {
         // What the file says at the moment is not known: the choice would be between ours and what
         // it said before.
-        if let Err(super::Refusal::Broken(_)) = self.file.check() {
+        if let Err(super::EditRefusal::Broken(_)) = self.file.check() {
             return self.effects.push_back(Effect::Bell);
         }
         self.leave_conflict();
@@ -219,16 +219,20 @@ impl App {
         let change = self.file.resolve(ours);
         self.file_changed(change);
         // Who chooses already knows the page.
-        self.ahead = None;
+        self.type_ahead = None;
         if self.file.conflict().is_none() {
             let whose = match (kept, given_up) {
-                (1, 0) => "our value was kept".to_owned(),
-                (0, 1) => "the file's value was kept".to_owned(),
-                (ours, 0) => format!("our {ours} values were kept"),
-                (0, theirs) => format!("the file's {theirs} values were kept"),
-                (ours, theirs) => format!("kept: {ours} of our values, {theirs} of the file's"),
+                (1, 0) => "kept your value".to_owned(),
+                (0, 1) => "kept the file's value".to_owned(),
+                (ours, 0) => format!("kept your {ours} values"),
+                (0, theirs) => format!("kept the file's {theirs} values"),
+                (ours, theirs) => format!("kept {ours} of your values, {theirs} of the file's"),
             };
-            self.timeline.push(Line::new(now, Kind::File, format!("conflict: {whose}")));
+            self.timeline.push(Line::new(
+                now,
+                TimelineKind::File,
+                format!("edit conflict: {whose}"),
+            ));
             self.say_of_file(whose);
         }
     }
@@ -237,7 +241,7 @@ impl App {
     pub fn resolve_later(&mut self, _now: Instant) {
         self.leave_conflict();
         let key = self.key_of("save");
-        self.say(format!("the edit is not saved; {key} comes back to it"));
+        self.show_info(format!("edit not saved; {key} reopens the conflict"));
     }
 
     pub(super) fn edit(&mut self, operations: &[Operation]) {
@@ -248,7 +252,7 @@ impl App {
     }
 
     fn edited(&mut self, now: Instant, what: &str) {
-        self.timeline.push(Line::new(now, Kind::File, what));
+        self.timeline.push(Line::new(now, TimelineKind::File, what));
         self.say_of_file(what);
         self.save_pending();
         self.refresh();
@@ -257,7 +261,7 @@ impl App {
     fn may_edit(&mut self) -> bool {
         match self.file.check_edit(None) {
             Ok(()) => true,
-            Err(super::Refusal::Conflict) => {
+            Err(super::EditRefusal::Conflict) => {
                 self.show_conflict();
                 false
             }
@@ -284,7 +288,7 @@ impl App {
         let found = found.map(|entry| (entry.index, entry.name_text.clone()));
         if found.is_none() {
             let key = self.key_of("add");
-            self.complain(format!("the row is not in the file; {key} takes a device into it"));
+            self.show_error(format!("not in file; {key} adds the device"));
         }
         found
     }
@@ -312,7 +316,7 @@ impl App {
         let alphabet = &engine.config().profile.uid;
         // Where two share an address, what beat last may be the other one.
         let is_shared = engine.findings().iter().any(|finding| {
-            finding.key.kind.is_collision()
+            finding.key.kind.is_conflict()
                 && finding.confidence != Confidence::Cleared
                 && finding.addresses.contains(&device.address)
         });
@@ -346,11 +350,11 @@ impl App {
         }
         self.take_events();
         if asking == 0 {
-            self.complain("listen-only: nobody is asked");
+            self.show_error("listen-only: no requests are sent");
         } else if able == 0 {
-            self.complain("no bus is up: nobody can be asked");
+            self.show_error("no bus is up: cannot send requests");
         } else {
-            self.say("asking all devices again");
+            self.show_info("enumeration restarted");
         }
     }
 
@@ -362,10 +366,10 @@ impl App {
         }
         self.take_events();
         self.refresh();
-        self.say(match lost {
-            0 => "no device is lost".to_owned(),
-            1 => "1 lost device forgotten".to_owned(),
-            lost => format!("{lost} lost devices forgotten"),
+        self.show_info(match lost {
+            0 => "no lost devices".to_owned(),
+            1 => "1 lost device removed".to_owned(),
+            lost => format!("{lost} lost devices removed"),
         });
     }
 
@@ -375,37 +379,37 @@ impl App {
             return;
         }
         let Some(device) = self.selected_row().and_then(|row| self.device_of(row)) else {
-            return self.complain("no device is selected");
+            return self.show_error("no device is selected");
         };
         let id = device.id;
         match self.identify_frame(id) {
             Ok(_) => self.overlay = Overlay::Question(Question::Identify(id)),
-            Err(why) => self.complain(why),
+            Err(why) => self.show_error(why),
         }
     }
 
     /// The frame that lets a device blink or beep, or why it is not sent.
     fn identify_frame(&self, id: DeviceId) -> Result<Frame, &'static str> {
         let (Some(device), Some(bus)) = (self.device(id), self.bus(id.bus)) else {
-            return Err("the device is gone");
+            return Err("device is no longer on the bus");
         };
         let config = bus.engine.config();
         if config.listen_only {
-            return Err("listen-only: nothing is sent");
+            return Err("listen-only: descan does not transmit");
         }
         if !config.profile.given {
-            return Err("identify needs a profile: its service number is only assumed");
+            return Err("identify needs --profile: its service number is assumed");
         }
         if !bus.is_up() {
             return Err("the bus is not up");
         }
         let OwnAddress::Held(own) = bus.engine.own_address() else {
-            return Err("we have no address on this bus yet");
+            return Err("descan has no address on this bus yet");
         };
         let service = Service::from_bits(config.profile.commands.identify);
         let mut header = Header::request(own, device.address, !device.working, service);
         header.no_error = config.profile.request_err;
-        Ok(Frame::classic(header.encode(), &[]).on(id.bus).at(self.now))
+        Ok(Frame::classic(header.encode(), &[]).with_bus(id.bus).with_time(self.now))
     }
 
     // ---- questions -------------------------------------------------------------------------
@@ -421,11 +425,11 @@ impl App {
                 };
                 if let Some(path) = self.copy_of_edits() {
                     let path = Escaped(path.as_os_str().as_encoded_bytes());
-                    format!("{edits} only in {path}. Quit all the same?")
+                    format!("{edits} saved only in {path}. Quit anyway?")
                 } else if self.file.is_saving() {
-                    format!("{edits} being saved, then it quits. Quit without waiting?")
+                    format!("{edits} still being saved. Quit without waiting?")
                 } else {
-                    format!("{edits} not saved. Quit all the same?")
+                    format!("{edits} not saved. Quit anyway?")
                 }
             }
             Question::Delete(key, _) => {
@@ -440,14 +444,14 @@ impl App {
                             .map_or("the device".to_owned(), ToString::to_string);
                         (name, device.address.to_string())
                     }
-                    None => ("a device that is gone".to_owned(), "?".to_owned()),
+                    None => ("a device no longer on the bus".to_owned(), "?".to_owned()),
                 };
                 let service = self.profile(id.bus).commands.identify;
                 format!("Send identify (service {service:03X}) to {name} at {address}?")
             }
             Question::FindBitrate(bus) => {
                 let name = self.bus(*bus).map_or("the bus", |bus| bus.name.as_str());
-                format!("Find {name}'s bit rate, listening? It is switched off and on.")
+                format!("Search the bit rate of {name}, listen-only? This restarts the interface.")
             }
         })
     }
@@ -468,14 +472,14 @@ impl App {
         }
         match question {
             Question::Quit => {
-                self.gave_up_edits = true;
+                self.edits_discarded = true;
                 self.quit();
             }
             Question::FindBitrate(bus) => self.find_bitrate(bus),
             Question::Delete(key, text) => self.delete(key, &text),
             Question::Identify(id) => match self.identify_frame(id) {
                 Ok(frame) => {
-                    let mut line = Line::new(now, Kind::Bus, "asked to identify itself");
+                    let mut line = Line::new(now, TimelineKind::Bus, "identify command sent");
                     if let Some(device) = self.device(id) {
                         line = line.on(id.bus);
                         (line.device, line.address) = (Some(id), Some(device.address));
@@ -483,9 +487,9 @@ impl App {
                     }
                     self.timeline.push(line);
                     self.outbox.push_back(frame);
-                    self.say("sent");
+                    self.show_info("identify command sent");
                 }
-                Err(why) => self.complain(why),
+                Err(why) => self.show_error(why),
             },
         }
     }
@@ -497,7 +501,7 @@ impl App {
             Some(at) if document.entry_text(at) != asked_about => {
                 let key = self.key_of("delete-entry");
                 self.complain_of_file(format!(
-                    "not deleted: {entry:#} was changed by someone else since; {key} asks again"
+                    "not deleted: {entry:#} changed on disk; press {key} again"
                 ));
             }
             _ => self.edit(&[Operation::Remove { entry }]),
@@ -527,13 +531,13 @@ impl App {
     /// they are saved, in a copy too, or the user gave them up.
     pub fn edits_at_risk(&self) -> Option<(usize, Document)> {
         let count = self.file.unsaved();
-        let is_at_risk = count > 0 && self.copy_of_edits().is_none() && !self.gave_up_edits;
+        let is_at_risk = count > 0 && self.copy_of_edits().is_none() && !self.edits_discarded;
         is_at_risk.then(|| (count, self.file.with_all_edits()))
     }
 
     /// Where a copy of des.json with all edits was saved.
     fn copy_of_edits(&self) -> Option<&Path> {
-        let copy = self.copied.as_ref().filter(|(_, copy)| *copy == self.file.with_all_edits());
+        let copy = self.copy_saved.as_ref().filter(|(_, copy)| *copy == self.file.with_all_edits());
         copy.map(|(path, _)| path.as_path())
     }
 
@@ -545,7 +549,7 @@ impl App {
     /// Command: ask where the captured frames are to be saved.
     pub fn ask_capture_path(&mut self, now: Instant) {
         if self.capture.end() == 0 {
-            return self.complain("no frame has been captured yet");
+            return self.show_error("no frames captured yet");
         }
         let path = format!("descan-{}.log", stamp(self.wall_seconds(now)));
         self.open_prompt(PromptKind::CapturePath, path);
@@ -560,10 +564,10 @@ impl App {
     }
 }
 
-fn listed_services(device: &Device) -> Vec<ServiceEntry> {
+fn listed_services(device: &Device) -> Vec<ListedService> {
     let services = device.services.iter().flatten();
     services
-        .map(|service| ServiceEntry {
+        .map(|service| ListedService {
             name: as_listed(&service.name),
             version: as_listed(&service.version),
             extra: service.extra.iter().map(as_listed).collect(),
@@ -573,7 +577,7 @@ fn listed_services(device: &Device) -> Vec<ServiceEntry> {
 
 /// A version that the file leaves open stays open, and so do the strings after it: they are no
 /// difference, and not to be taken over with one.
-fn leave_open(services: &mut [ServiceEntry], listed: &[ServiceEntry]) {
+fn leave_open(services: &mut [ListedService], listed: &[ListedService]) {
     for place in 0..services.len() {
         let (earlier, later) = services.split_at_mut(place);
         let service = &mut later[0];

@@ -2,13 +2,13 @@
 //!
 //! Does not judge anything: the engines did.
 
-use super::buses::{Bus, Hindrance, is_up, lost};
+use super::buses::{Bus, TxBlocked, is_up, lost};
 use super::traffic::hex;
 
-use super::timeline::{Entry, Kind};
+use super::timeline::{TimelineEntry, TimelineKind};
 use super::{App, Change, Effect, ProblemKey};
 use crate::discovery::{
-    Confidence, DeviceId, Event, EventKind, Finding, FindingKey, Party, Presence,
+    Confidence, ConflictParty, DeviceId, Event, EventKind, Finding, FindingKey, Presence,
 };
 use crate::frame::BusIndex;
 use crate::status::{BusState, BusStatus, Link, RecordingStatus};
@@ -20,10 +20,10 @@ use std::collections::BTreeMap;
 
 /// Something that happened, for those who watch without a screen.
 #[derive(Clone, Debug)]
-pub enum Happening {
+pub enum AppEvent {
     /// Anything at all, in the words of the timeline, each line as often as it happens; what
     /// it says in words comes as a value beside it.
-    Line(Entry),
+    Line(TimelineEntry),
     /// To a device or on a bus; findings come as [`Happening::Finding`].
     Event(BusIndex, Event),
     /// A finding, the engine's or one of comparing file and bus: it appeared, its confidence
@@ -36,8 +36,8 @@ pub enum Happening {
 }
 
 /// A line that is about to be told, or to become part of one.
-struct Line {
-    entry: Entry,
+struct TimelineDraft {
+    entry: TimelineEntry,
     is_told: bool,
 }
 
@@ -53,43 +53,44 @@ impl App {
                 self.take_event(BusIndex(index as u8), event, &mut lines);
             }
             for line in lines.into_iter().filter(|line| line.is_told) {
-                self.report(Happening::Line(line.entry));
+                self.report(AppEvent::Line(line.entry));
             }
         }
         if any {
             self.outdated = true;
-            self.dirty_soon();
+            self.request_redraw();
             if !self.has_screen {
                 self.catch_up();
             }
         }
     }
 
-    fn take_event(&mut self, bus: BusIndex, event: Event, lines: &mut Vec<Line>) {
+    fn take_event(&mut self, bus: BusIndex, event: Event, lines: &mut Vec<TimelineDraft>) {
         if let (EventKind::Joined { was, before }, Some(device)) = (&event.kind, event.device) {
-            self.timeline.rejoin(*was, *before, device);
+            self.timeline.reassign(*was, *before, device);
         }
         let is_told = self.report && self.is_event_of_interest(bus, &event);
         if let Some((kind, text)) = self.describe(bus, &event) {
             let collision = matches!(&event.kind, EventKind::Finding { key, .. }
-                if key.kind.is_collision()
-                    && kind == Kind::Confirmed
+                if key.kind.is_conflict()
+                    && kind == TimelineKind::Confirmed
                     && !self.muted.contains(&ProblemKey::of(key)));
-            let mut entry = Entry::new(event.time, kind, text).on(bus);
+            let mut entry = TimelineEntry::new(event.time, kind, text).on(bus);
             (entry.device, entry.address) = (event.device, event.address);
             entry.name.clone_from(&event.name);
             let may_join =
                 matches!(event.kind, EventKind::Moved { .. } | EventKind::Claimed { .. });
             let amended = if may_join { self.timeline.amend(&entry, one_line) } else { None };
             if let Some((before, amended)) = amended {
-                let is_it = |line: &Entry| line.text == before && line.address == amended.address;
+                let is_it =
+                    |line: &TimelineEntry| line.text == before && line.address == amended.address;
                 if let Some(at) = lines.iter().rposition(|line| is_it(&line.entry)) {
                     let is_told = lines.remove(at).is_told || is_told;
-                    lines.push(Line { entry: amended, is_told });
+                    lines.push(TimelineDraft { entry: amended, is_told });
                 }
             } else {
                 if self.report {
-                    lines.push(Line { entry: entry.clone(), is_told });
+                    lines.push(TimelineDraft { entry: entry.clone(), is_told });
                 }
                 self.timeline.push(entry);
             }
@@ -106,9 +107,9 @@ impl App {
                 .cloned()
                 .unwrap_or_else(|| Finding::new(key.clone(), event.time));
             finding.confidence = *confidence;
-            self.report(Happening::Finding(event.time, Box::new(finding)));
+            self.report(AppEvent::Finding(event.time, Box::new(finding)));
         } else {
-            self.report(Happening::Event(bus, event));
+            self.report(AppEvent::Event(bus, event));
         }
     }
 
@@ -117,8 +118,9 @@ impl App {
         if self.interest.is_empty() {
             return true;
         }
-        let (kind, text) = self.describe(bus, event).unwrap_or((Kind::Change, String::new()));
-        let mut line = Entry::new(event.time, kind, text).on(bus);
+        let (kind, text) =
+            self.describe(bus, event).unwrap_or((TimelineKind::Change, String::new()));
+        let mut line = TimelineEntry::new(event.time, kind, text).on(bus);
         (line.device, line.address) = (event.device, event.address);
         line.name.clone_from(&event.name);
         let others: &[Address] = match &event.kind {
@@ -134,11 +136,11 @@ impl App {
     /// Whether a line is told to those who watch: it fits what they asked for, at its own address or
     /// at one of `others`. What is about a whole bus, and what went wrong with us, always is: who
     /// asks for one device must still learn that frames were lost.
-    fn is_of_interest(&self, line: &Entry, others: &[Address]) -> bool {
+    fn is_of_interest(&self, line: &TimelineEntry, others: &[Address]) -> bool {
         let is_of_device = line.address.is_some() || line.device.is_some();
         let is_of_bus = line.bus.is_some() && line.name.is_none();
         self.interest.is_empty()
-            || (!is_of_device && (is_of_bus || line.kind == Kind::Error))
+            || (!is_of_device && (is_of_bus || line.kind == TimelineKind::Error))
             || self.interest.matches_entry_of(self, line, others)
     }
 
@@ -164,40 +166,40 @@ impl App {
         told.extend(self.file_findings.iter().filter(is_news).cloned());
         for finding in told {
             let (kind, text) = finding_in_words(finding.confidence, &finding.key, &finding.text);
-            let mut line = Entry::new(now, kind, text);
+            let mut line = TimelineEntry::new(now, kind, text);
             line.bus = finding.key.bus;
             line.address = finding.key.address;
             line.name.clone_from(&finding.key.name);
             if self.is_of_interest(&line, &finding.addresses) {
-                self.report(Happening::Line(line));
-                self.report(Happening::Finding(now, Box::new(finding)));
+                self.report(AppEvent::Line(line));
+                self.report(AppEvent::Finding(now, Box::new(finding)));
             }
         }
     }
 
     /// A line of the timeline, which `watch` tells too.
-    pub(super) fn tell_line(&mut self, line: Entry) {
+    pub(super) fn report_line(&mut self, line: TimelineEntry) {
         if self.report && self.is_of_interest(&line, &[]) {
-            self.report(Happening::Line(line.clone()));
+            self.report(AppEvent::Line(line.clone()));
         }
         self.timeline.push(line);
     }
 
-    fn report(&mut self, happening: Happening) {
+    fn report(&mut self, happening: AppEvent) {
         const MOST: usize = 65_536;
-        if self.report && self.happenings.len() < MOST {
-            self.happenings.push_back(happening);
+        if self.report && self.app_events.len() < MOST {
+            self.app_events.push_back(happening);
         }
     }
 
-    fn describe(&self, bus: BusIndex, event: &Event) -> Option<(Kind, String)> {
+    fn describe(&self, bus: BusIndex, event: &Event) -> Option<(TimelineKind, String)> {
         Some(match &event.kind {
-            EventKind::Appeared => (Kind::Good, "appeared".to_owned()),
-            EventKind::Named => (Kind::Good, "says its name".to_owned()),
+            EventKind::Appeared => (TimelineKind::Good, "appeared".to_owned()),
+            EventKind::Named => (TimelineKind::Good, identified(event)),
             EventKind::Services { count, changed } => {
                 let plural = if *count == 1 { "" } else { "s" };
-                let kind = if *changed { Kind::Change } else { Kind::Good };
-                let now = if *changed { ", other than before" } else { "" };
+                let kind = if *changed { TimelineKind::Change } else { TimelineKind::Good };
+                let now = if *changed { " (changed)" } else { "" };
                 (kind, format!("{count} service{plural}{now}"))
             }
             // The first mode of a device that appears is no news: its row says it. ARSLV is told as
@@ -205,36 +207,38 @@ impl App {
             EventKind::Mode { from: None, .. }
             | EventKind::Mode { to: Mode::Arslv, .. }
             | EventKind::Joined { .. } => return None,
-            EventKind::Mode { from: Some(from), to } => (Kind::Change, format!("{from} → {to}")),
-            EventKind::Moved { from } => (Kind::Change, format!("moved here from {from}")),
-            EventKind::Claimed { uid, holder, guess } => {
-                let holder = holder.as_ref().map(|holder| self.party(holder));
+            EventKind::Mode { from: Some(from), to } => {
+                (TimelineKind::Change, format!("{from} → {to}"))
+            }
+            EventKind::Moved { from } => (TimelineKind::Change, format!("moved from {from}")),
+            EventKind::Claimed { uid, holder, inferred: guess } => {
+                let holder = holder.as_ref().map(|holder| self.party_label(holder));
                 let held = match (holder, guess) {
-                    (Some(holder), false) => format!(", which {holder} holds"),
-                    (Some(holder), true) => format!(": not {holder}, it seems, but another"),
+                    (Some(holder), false) => format!(" (held by {holder})"),
+                    (Some(holder), true) => format!(" (probably not {holder})"),
                     (None, _) => String::new(),
                 };
-                let by = self.uid_of_nobody(bus, event.device, *uid);
-                (Kind::Change, format!("claimed {}{held}{by}", address(event)))
+                let by = self.uid_label(bus, event.device, *uid);
+                (TimelineKind::Change, format!("{by}claims {}{held}", address(event)))
             }
-            EventKind::GaveWay { uid, to, guess } => {
+            EventKind::GaveWay { uid, to, inferred: guess } => {
                 let to = match to {
-                    Some(to) => format!(" to {}", self.party(to)),
-                    None => ": another claimed it too".to_owned(),
+                    Some(to) => format!(" to {}", self.party_label(to)),
+                    None => " (claimed by another device)".to_owned(),
                 };
-                let guess = if *guess { ", it seems" } else { "" };
-                let by = self.uid_of_nobody(bus, event.device, *uid);
-                (Kind::Change, format!("lost {}{to}{guess}{by}", address(event)))
+                let guess = if *guess { " (probable)" } else { "" };
+                let by = self.uid_label(bus, event.device, *uid);
+                (TimelineKind::Change, format!("{by}gave up {}{to}{guess}", address(event)))
             }
-            EventKind::Rebooted => (Kind::Change, "rebooted".to_owned()),
-            EventKind::Presence(Presence::Online) => (Kind::Good, "online".to_owned()),
+            EventKind::Rebooted => (TimelineKind::Change, "rebooted".to_owned()),
+            EventKind::Presence(Presence::Online) => (TimelineKind::Good, "online".to_owned()),
             EventKind::Presence(Presence::Stale) => {
-                (Kind::Late, "stale: its heartbeat is late".to_owned())
+                (TimelineKind::Late, "stale: heartbeat overdue".to_owned())
             }
             EventKind::Presence(Presence::Silent) => {
-                (Kind::Late, "silent: frames, but no heartbeats".to_owned())
+                (TimelineKind::Late, "silent: frames but no heartbeat".to_owned())
             }
-            EventKind::Presence(Presence::Asleep) => (Kind::Late, "asleep".to_owned()),
+            EventKind::Presence(Presence::Asleep) => (TimelineKind::Late, "asleep".to_owned()),
             EventKind::Presence(Presence::Lost) => {
                 let still = event.device.map_or_else(Vec::new, |id| self.still_on(id));
                 let own = self.bus(bus).map_or("", |bus| &bus.name);
@@ -243,54 +247,58 @@ impl App {
                 } else {
                     format!("lost on {own}, still on {}", still.join(" and "))
                 };
-                (Kind::Lost, text)
+                (TimelineKind::Lost, text)
             }
             EventKind::Returned { was } => {
                 let elsewhere = event.device.is_some_and(|id| !self.still_on(id).is_empty());
                 let own = self.bus(bus).filter(|_| elsewhere);
                 let place = own.map_or(String::new(), |bus| format!(" on {}", bus.name));
-                (Kind::Good, format!("returned{place}, was {was}"))
+                (TimelineKind::Good, format!("returned{place} (was {was})"))
             }
             EventKind::Finding { key, confidence } => {
                 let found = self.engine_finding(bus, key);
                 let text = found.map_or("", |finding| finding.text.as_str());
                 finding_in_words(*confidence, key, text)
             }
-            EventKind::OwnAddress(address) => (Kind::Bus, format!("we are at {address}")),
+            EventKind::OwnAddress(address) => {
+                (TimelineKind::Bus, format!("using address {address}"))
+            }
             EventKind::OwnAddressLost(address) => {
-                (Kind::Bus, format!("we gave {address} up: somebody else uses it"))
+                (TimelineKind::Bus, format!("released address {address}: used by another node"))
             }
             EventKind::NoAddress(wanted) => {
-                (Kind::Error, self.why_no_address(bus, *wanted).unwrap_or_default())
+                (TimelineKind::Error, self.why_no_address(bus, *wanted).unwrap_or_default())
             }
             EventKind::NobodyAcknowledges => {
-                let text = match self.bus(bus).and_then(Bus::hindrance) {
-                    Some(Hindrance::QueueFull) => "none of our frames goes out: we wait",
-                    _ => "nobody acknowledges our frames: we wait",
+                let text = match self.bus(bus).and_then(Bus::tx_blocked) {
+                    Some(TxBlocked::QueueFull) => "transmit queue stuck: sending paused",
+                    _ => "no ACK on the bus: sending paused",
                 };
-                (Kind::Error, text.to_owned())
+                (TimelineKind::Error, text.to_owned())
             }
-            EventKind::Acknowledged => (Kind::Bus, "our frames are acknowledged".to_owned()),
+            EventKind::Acknowledged => {
+                (TimelineKind::Bus, "frames are acknowledged: sending resumed".to_owned())
+            }
             EventKind::Debug { code, data } => {
-                (Kind::Change, format!("debug message {code:03X} {}", hex(data, " ")))
+                (TimelineKind::Change, format!("debug message {code:03X} {}", hex(data, " ")))
             }
         })
     }
 
-    fn party(&self, party: &Party) -> String {
+    fn party_label(&self, party: &ConflictParty) -> String {
         let known = || self.device(party.device)?.name.as_ref();
         match (party.name.as_ref().or_else(known), party.uid) {
             (Some(name), _) => name.to_string(),
-            (None, Some(uid)) => self.uid_text(party.device.bus, uid),
+            (None, Some(uid)) => format!("UID {}", self.uid_text(party.device.bus, uid)),
             (None, None) => "another device".to_owned(),
         }
     }
 
     /// The UID of one that has no row, and so no name.
-    fn uid_of_nobody(&self, bus: BusIndex, device: Option<DeviceId>, uid: Option<Uid>) -> String {
+    fn uid_label(&self, bus: BusIndex, device: Option<DeviceId>, uid: Option<Uid>) -> String {
         let has_row = device.is_some_and(|id| self.device(id).is_some());
         match uid {
-            Some(uid) if !has_row => format!(" ({})", self.uid_text(bus, uid)),
+            Some(uid) if !has_row => format!("{} ", self.uid_text(bus, uid)),
             _ => String::new(),
         }
     }
@@ -298,11 +306,11 @@ impl App {
     fn uid_text(&self, bus: BusIndex, uid: Uid) -> String {
         let alphabet = self.bus(bus).map(|bus| &bus.engine.config().profile.uid);
         let text = alphabet.map_or_else(String::new, |alphabet| uid.text(alphabet));
-        format!("UID {}", Escaped(text.as_bytes()))
+        Escaped(text.as_bytes()).to_string()
     }
 
     /// The name of the device that a line is about: it may have had none yet then.
-    pub fn name_on_line<'a>(&'a self, entry: &'a Entry) -> Option<&'a Name> {
+    pub fn name_on_line<'a>(&'a self, entry: &'a TimelineEntry) -> Option<&'a Name> {
         let known = || self.device(entry.device?)?.name.as_ref();
         entry.name.as_ref().or_else(known)
     }
@@ -343,11 +351,11 @@ impl App {
         let changes = if self.searched == Some(index) { Vec::new() } else { changes };
         let is_news = !changes.is_empty();
         for (kind, text) in changes {
-            let line = Entry::new(now, kind, text).on(index);
-            self.tell_line(line);
+            let line = TimelineEntry::new(now, kind, text).on(index);
+            self.report_line(line);
         }
         if is_news {
-            self.report(Happening::Bus(index, now));
+            self.report(AppEvent::Bus(index, now));
         }
         let Some(bus) = self.buses.get_mut(usize::from(index.0)) else { return };
         if goes_down {
@@ -361,7 +369,7 @@ impl App {
         }
         self.take_events();
         self.refresh();
-        self.dirty_soon();
+        self.request_redraw();
     }
 
     /// The recording began, grew, lost frames, or is over.
@@ -372,19 +380,21 @@ impl App {
         let is_another = before.is_none_or(|before| before.path != status.path);
         let (kind, text) = match status.failure {
             Some(_) if had_failed => return,
-            Some(why) => (Kind::Error, format!("recording to {} is over: {why}", status.path)),
-            None if status.lost > 0 && !had_lost => {
-                (Kind::Error, "frames come faster than they can be recorded".to_owned())
+            Some(why) => {
+                (TimelineKind::Error, format!("recording to {} stopped: {why}", status.path))
             }
-            None if is_another => (Kind::File, format!("recording to {}", status.path)),
-            None => return self.dirty_soon(),
+            None if status.lost > 0 && !had_lost => {
+                (TimelineKind::Error, "recorder too slow: frames missing from the file".to_owned())
+            }
+            None if is_another => (TimelineKind::File, format!("recording to {}", status.path)),
+            None => return self.request_redraw(),
         };
-        if kind == Kind::Error {
-            self.complain(text.clone());
+        if kind == TimelineKind::Error {
+            self.show_error(text.clone());
         }
-        let mut line = Entry::new(self.now, kind, text);
+        let mut line = TimelineEntry::new(self.now, kind, text);
         line.name = Some("recording".into());
-        self.tell_line(line);
+        self.report_line(line);
         self.dirty = true;
     }
 
@@ -394,7 +404,7 @@ impl App {
         let entries = self.file.document().entries().len();
         let listed = format!("{entries} {}", if entries == 1 { "entry" } else { "entries" });
         if matches!(change, Change::Content | Change::Rebased | Change::Conflict) {
-            self.unsay_of_file(change == Change::Rebased);
+            self.clear_file_message(change == Change::Rebased);
         }
         let by_others = match change {
             Change::Content | Change::Rebased => self.file.changed_by_others(),
@@ -406,45 +416,46 @@ impl App {
             Change::First if !self.file.is_there() => {
                 // Without a screen nobody edits it.
                 let text = if self.report {
-                    "not there: devices are not compared with it"
+                    "not found: devices are not compared"
                 } else {
-                    "not there yet: it begins with the first edit"
+                    "not found: the first edit creates it"
                 };
-                Some((Kind::File, text.to_owned()))
+                Some((TimelineKind::File, text.to_owned()))
             }
             Change::First => {
                 let path = self.file.path().map(|path| path.as_os_str().as_encoded_bytes());
                 let path = crate::text::printable(path.unwrap_or_default());
                 let where_it_is = if path == name { String::new() } else { format!(", {path}") };
-                Some((Kind::File, format!("{listed}{where_it_is}")))
+                Some((TimelineKind::File, format!("{listed}{where_it_is}")))
             }
             Change::Content if !self.file.is_there() => {
                 let text = if self.report {
-                    "gone: devices are not compared with it any more"
+                    "deleted: devices are no longer compared"
                 } else {
-                    "gone: the next edit begins a new one"
+                    "deleted: the next edit creates it again"
                 };
-                Some((Kind::File, text.to_owned()))
+                Some((TimelineKind::File, text.to_owned()))
             }
             Change::Content if !by_others.is_empty() => None,
-            Change::Content => Some((Kind::File, format!("changed on disk: {listed}"))),
+            Change::Content => Some((TimelineKind::File, format!("changed on disk: {listed}"))),
             Change::Rebased => {
-                Some((Kind::File, "changed by others; our edits are made on that".to_owned()))
+                Some((TimelineKind::File, "changed on disk; your edits are reapplied".to_owned()))
             }
             Change::Broken => {
                 let problem = self.file.problem().map(ToString::to_string).unwrap_or_default();
                 let whole = self.file.problem().map(|problem| problem.of_file(&name));
                 self.complain_of_file(whole.unwrap_or_default());
-                Some((Kind::Error, problem))
+                Some((TimelineKind::Error, problem))
             }
             Change::Conflict => {
                 self.show_conflict();
-                Some((Kind::Error, "someone else changed the same value".to_owned()))
+                Some((TimelineKind::Error, "edit conflict: same value changed on disk".to_owned()))
             }
         };
-        let by_others = in_lines(by_others).into_iter();
-        let by_others = by_others.map(|text| (Kind::File, format!("changed on disk, {text}")));
-        let mut lines: Vec<(Kind, String)> = by_others.chain(line).collect();
+        let by_others = as_lines(by_others).into_iter();
+        let by_others =
+            by_others.map(|text| (TimelineKind::File, format!("changed on disk, {text}")));
+        let mut lines: Vec<(TimelineKind, String)> = by_others.chain(line).collect();
         // To `watch` each of them is told as what it is, a finding.
         let is_listed = matches!(change, Change::First | Change::Content | Change::Rebased);
         if is_listed && !self.report {
@@ -453,29 +464,29 @@ impl App {
             let findings = self.file.document().findings();
             let told = findings.iter().take(TOLD).map(ToString::to_string);
             let more = findings.len().saturating_sub(TOLD);
-            let rest = (more > 0).then(|| format!("and {more} more things are wrong in it"));
-            lines.extend(told.chain(rest).map(|text| (Kind::File, text)));
+            let rest = (more > 0).then(|| format!("and {more} more errors in the file"));
+            lines.extend(told.chain(rest).map(|text| (TimelineKind::File, text)));
         }
         let mut is_told = self.interest.is_empty();
         for (kind, text) in lines {
-            let line = Entry::new(self.now, kind, text);
+            let line = TimelineEntry::new(self.now, kind, text);
             is_told |= self.is_of_interest(&line, &[]);
-            self.tell_line(line);
+            self.report_line(line);
         }
         if let Some(excerpt) = self.file.problem().filter(|_| change == Change::Broken)
             && let Some(lines) = excerpt.excerpt()
         {
             // To be looked at, one below the other; no events.
             for text in lines {
-                let line = Entry::new(self.now, Kind::Error, text);
+                let line = TimelineEntry::new(self.now, TimelineKind::Error, text);
                 if is_told {
-                    self.report(Happening::Line(line.clone()));
+                    self.report(AppEvent::Line(line.clone()));
                 }
                 self.timeline.push(line);
             }
         }
         if is_told {
-            self.report(Happening::File(self.now));
+            self.report(AppEvent::File(self.now));
         }
         self.leave_conflict_that_is_over(change);
         if change != Change::Broken {
@@ -498,6 +509,11 @@ impl App {
     }
 }
 
+fn identified(event: &Event) -> String {
+    let named = |name: &Name| format!("identified as {name}");
+    event.name.as_ref().map_or_else(|| "identified".to_owned(), named)
+}
+
 fn address(event: &Event) -> String {
     event.address.map_or_else(String::new, |address| address.to_string())
 }
@@ -515,7 +531,7 @@ fn one_line(first: &str, second: &str) -> Option<String> {
 }
 
 /// Few changes in one line, as far as they can be read there to the end.
-fn in_lines(changes: Vec<String>) -> Vec<String> {
+fn as_lines(changes: Vec<String>) -> Vec<String> {
     /// What a line of 80 columns has room for behind the time, the file and that it was changed.
     const ROOM: usize = 36;
     let joined = changes.join("; ");
@@ -523,54 +539,63 @@ fn in_lines(changes: Vec<String>) -> Vec<String> {
 }
 
 /// A finding as a line tells it; one without words yet by its kind.
-fn finding_in_words(confidence: Confidence, key: &FindingKey, text: &str) -> (Kind, String) {
+fn finding_in_words(
+    confidence: Confidence,
+    key: &FindingKey,
+    text: &str,
+) -> (TimelineKind, String) {
     let kind = match confidence {
-        Confidence::Cleared => Kind::Cleared,
-        Confidence::Suspected => Kind::Suspected,
-        Confidence::Confirmed => Kind::Confirmed,
+        Confidence::Cleared => TimelineKind::Cleared,
+        Confidence::Suspected => TimelineKind::Suspected,
+        Confidence::Confirmed => TimelineKind::Confirmed,
     };
     let text = if text.is_empty() { key.kind.name() } else { text };
     (kind, format!("{confidence}: {text}"))
 }
 
 /// What changed between two words of an adapter, in lines.
-fn changes(old: &BusStatus, status: &BusStatus) -> Vec<(Kind, String)> {
+fn changes(old: &BusStatus, status: &BusStatus) -> Vec<(TimelineKind, String)> {
     let shown = |text: &String| Escaped(text.as_bytes()).to_string();
     let message = status.message.as_ref().map(shown);
     let mut lines = Vec::new();
     if old.link != status.link {
         lines.push(match status.link {
-            Link::Opening => (Kind::Bus, "being opened".to_owned()),
-            Link::Up if old.link == Link::Ended => (Kind::Bus, "the log goes on".to_owned()),
-            Link::Up => (Kind::Bus, "open".to_owned()),
-            Link::Ended => (Kind::Bus, "the log is at its end".to_owned()),
-            _ => (Kind::Error, message.unwrap_or_else(|| "down".to_owned())),
+            Link::Opening => (TimelineKind::Bus, "opening".to_owned()),
+            Link::Up if old.link == Link::Ended => {
+                (TimelineKind::Bus, "log has grown: replay continues".to_owned())
+            }
+            Link::Up => (TimelineKind::Bus, "open".to_owned()),
+            Link::Ended => (TimelineKind::Bus, "end of log".to_owned()),
+            _ => (TimelineKind::Error, message.unwrap_or_else(|| "down".to_owned())),
         });
     }
     if status.filtered && !old.filtered {
-        lines.push((Kind::Bus, "only frames of interest are read".to_owned()));
+        lines.push((
+            TimelineKind::Bus,
+            "receive filter on: only matching frames are read".to_owned(),
+        ));
     }
     let stays_up = old.link == Link::Up && status.link == Link::Up;
     if stays_up && old.outages < status.outages {
-        lines.push((Kind::Error, "was down for a moment".to_owned()));
+        lines.push((TimelineKind::Error, "was briefly down".to_owned()));
     }
     let was_off = old.state == BusState::BusOff || status.state == BusState::BusOff;
     if stays_up && old.bus_offs < status.bus_offs && !was_off {
-        lines.push((Kind::Error, "was bus-off for a moment".to_owned()));
+        lines.push((TimelineKind::Error, "was briefly bus-off".to_owned()));
     }
     if old.renamed != status.renamed {
         let text = match &status.renamed {
-            Some(name) => format!("renamed: it is called {} now", shown(name)),
-            None if status.link == Link::Up => "has its old name again".to_owned(),
-            None => "the renamed interface is gone".to_owned(),
+            Some(name) => format!("interface renamed to {}", shown(name)),
+            None if status.link == Link::Up => "interface has its old name again".to_owned(),
+            None => "renamed interface not found".to_owned(),
         };
-        lines.push((Kind::Bus, text));
+        lines.push((TimelineKind::Bus, text));
     }
     if old.state != status.state && status.state != BusState::Unknown {
         let kind = match status.state {
-            BusState::ErrorActive => Kind::Bus,
-            BusState::ErrorWarning => Kind::Late,
-            _ => Kind::Error,
+            BusState::ErrorActive => TimelineKind::Bus,
+            BusState::ErrorWarning => TimelineKind::Late,
+            _ => TimelineKind::Error,
         };
         let counters = match (status.tec, status.rec) {
             (Some(tec), Some(rec)) => format!(" (error counters: tx {tec}, rx {rec})"),
@@ -581,32 +606,31 @@ fn changes(old: &BusStatus, status: &BusStatus) -> Vec<(Kind, String)> {
     if old.bitrate != status.bitrate
         && let Some(bitrate) = status.bitrate
     {
-        lines.push((Kind::Bus, format!("{bitrate} bit/s")));
+        lines.push((TimelineKind::Bus, format!("{bitrate} bit/s")));
     }
     if let Some(note) = status.note.as_ref().filter(|note| old.note.as_ref() != Some(note)) {
-        lines.push((Kind::Bus, shown(note)));
+        lines.push((TimelineKind::Bus, shown(note)));
     }
     match (old.is_transmit_queue_full, status.is_transmit_queue_full) {
         (false, true) => {
-            lines
-                .push((Kind::Error, "transmit queue full: frames of ours are not sent".to_owned()));
+            lines.push((TimelineKind::Error, "transmit queue full: frames not sent".to_owned()));
         }
         (true, false) if status.link == Link::Up => {
-            lines.push((Kind::Bus, "the transmit queue has room again".to_owned()));
+            lines.push((TimelineKind::Bus, "transmit queue no longer full".to_owned()));
         }
         _ => {}
     }
     // Once: whoever sends such things sends many.
     if old.unreadable == 0 && status.unreadable > 0 {
-        lines.push((Kind::Error, "says things that cannot be read: they are counted".to_owned()));
+        lines.push((TimelineKind::Error, "unreadable data received (counted)".to_owned()));
     }
     for (before, now, why) in [
         (old.kernel_drops, status.kernel_drops, "the kernel's receive buffer was full"),
-        (old.queue_drops, status.queue_drops, "we were too slow"),
-        (old.controller_overruns, status.controller_overruns, "the controller was overrun"),
+        (old.queue_drops, status.queue_drops, "descan's receive queue was full"),
+        (old.controller_overruns, status.controller_overruns, "controller overrun"),
     ] {
         if before < now {
-            lines.push((Kind::Error, format!("frames were lost: {why}")));
+            lines.push((TimelineKind::Error, format!("frames lost: {why}")));
         }
     }
     lines

@@ -6,7 +6,7 @@
 
 use super::cursor::Cursor;
 use super::page::{Focus, Page};
-use super::{App, Piece, ProblemKey};
+use super::{App, EvidenceItem, ProblemKey};
 use crate::discovery::FindingKind;
 use crate::frame::Frame;
 
@@ -18,7 +18,7 @@ pub struct EvidenceView {
     /// What the problem is, in words.
     pub title: String,
     /// Oldest first; never empty.
-    pub pieces: Vec<Piece>,
+    pub pieces: Vec<EvidenceItem>,
     /// How many pieces there were; the first and the last are kept.
     pub count: u64,
     /// The place of the selected piece.
@@ -36,7 +36,7 @@ impl EvidenceView {
     }
 
     /// The selected piece and its place.
-    pub fn selected(&self) -> Option<(usize, &Piece)> {
+    pub fn selected(&self) -> Option<(usize, &EvidenceItem)> {
         let place = *self.cursor.selected()?;
         Some((place, self.pieces.get(place)?))
     }
@@ -64,7 +64,7 @@ impl App {
     }
 
     /// The piece of the open evidence that a captured frame is.
-    pub fn piece_of(&self, frame: &Frame) -> Option<&Piece> {
+    pub fn piece_of(&self, frame: &Frame) -> Option<&EvidenceItem> {
         let pieces = &self.view.evidence.as_ref()?.pieces;
         pieces.iter().find(|piece| piece.frame.as_ref() == Some(frame))
     }
@@ -85,17 +85,18 @@ impl App {
         let (kind, pieces, count) = (problem.head().key.kind, problem.evidence(), problem.count());
         if pieces.is_empty() {
             if kind == FindingKind::FramesLost {
-                return self.complain("nobody has the frames that were lost");
+                return self.show_error("lost frames cannot be shown");
             }
             // It comes from des.json: its row is what there is to see.
-            self.find_row("no frames to show, and no row: this is about the file as a whole");
+            self.find_row("no frames: this concerns the file as a whole");
             return;
         }
         // What is left again is this one, whichever is the first meanwhile.
         self.view.problems.select(key.clone());
         let before = (self.view.traffic, self.view.traffic_line, self.view.focus);
-        let held =
-            |piece: &Piece| piece.frame.as_ref().is_some_and(|it| self.captured(it).is_some());
+        let held = |piece: &EvidenceItem| {
+            piece.frame.as_ref().is_some_and(|it| self.captured(it).is_some())
+        };
         let first = pieces.iter().position(held).unwrap_or(0);
         let mut cursor = Cursor::default();
         cursor.select(first);
@@ -133,11 +134,11 @@ impl App {
                 .filter(|&number| number > self.capture.first() && number < self.capture.end()),
         };
         let Some(number) = number else {
-            return self.complain("the frames around it are not kept any more");
+            return self.show_error("surrounding frames no longer in the capture");
         };
         if number >= self.traffic_end() {
             let key = self.key_of("freeze");
-            return self.complain(format!("it came after the page was held: {key} goes on"));
+            return self.show_error(format!("newer than the frozen view: {key} unfreezes"));
         }
         self.view.traffic = Some(number);
         self.view.traffic_line = self.screen().list_rows() / 2;

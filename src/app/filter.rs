@@ -12,16 +12,16 @@
 //! is:confirmed    how it is: suspected, cleared, muted; a device: online, stale, new, twin; a
 //!                 frame: error, ours
 //! bus:can1        the bus
-//! err  ours       error frames, failed answers and malformed ones; what we sent
+//! err  tx         error frames, failed answers and malformed ones; what we sent
 //! !word           not that
 //! ```
 //!
 //! Upper and lower case make no difference.
 
 use super::App;
-use super::groups::{Problem, headline};
 use super::page::Page;
-use super::rows::Row;
+use super::problem_groups::{Problem, headline};
+use super::rows::{Row, RowState};
 use super::timeline;
 use super::traffic::Decoded;
 use crate::discovery::{Confidence, FindingKind};
@@ -37,11 +37,11 @@ pub struct Filter {
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Term {
     not: bool,
-    what: What,
+    what: TermTest,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
-enum What {
+enum TermTest {
     Word(String),
     Field(Field, String),
     Error,
@@ -114,12 +114,12 @@ impl Filter {
             let word = word.to_lowercase();
             let field = word.split_once(':').and_then(|(name, value)| {
                 let field = FILTER_FIELDS.iter().find(|field| field.words.contains(&name))?;
-                Some(What::Field(field.field, value.to_owned()))
+                Some(TermTest::Field(field.field, value.to_owned()))
             });
             let what = field.unwrap_or(match word.as_str() {
-                "err" => What::Error,
-                "tx" | "ours" => What::Ours,
-                _ => What::Word(word),
+                "err" => TermTest::Error,
+                "tx" | "ours" => TermTest::Ours,
+                _ => TermTest::Word(word),
             });
             Term { not, what }
         };
@@ -127,32 +127,34 @@ impl Filter {
     }
 
     /// What in it is meant as a field and can fit nothing, in words.
-    pub fn mistake(&self) -> Option<String> {
+    pub fn error(&self) -> Option<String> {
         self.terms.iter().find_map(|term| match &term.what {
-            What::Field(Field::Address, list) => {
+            TermTest::Field(Field::Address, list) => {
                 let is_none = |one: &&str| !Address::all().any(|address| is_one_of(address, one));
                 let wrong = list.split(',').find(is_none)?;
-                Some(format!("at:{list}: \"{wrong}\" is no address: 0 to 127, several as at:12,14"))
+                Some(format!(
+                    "at:{list}: \"{wrong}\" is not an address; use 0 to 127, for example at:12,14"
+                ))
             }
-            What::Word(word) => {
+            TermTest::Word(word) => {
                 let (field, _) = word.split_once(':')?;
                 let is_field = !field.is_empty() && field.chars().all(|c| c.is_ascii_alphabetic());
                 is_field.then(|| {
                     format!(
-                        "{word}: there is no field {field}:, only at: name: src: dst: dev: srv: \
+                        "{word}: unknown field {field}; use at: name: src: dst: dev: srv: \
                          type: kind: id: is: bus:"
                     )
                 })
             }
-            What::Field(..) | What::Error | What::Ours => None,
+            TermTest::Field(..) | TermTest::Error | TermTest::Ours => None,
         })
     }
 
     /// What fields there are on a page, in a line: the syntax is one, but not every page has all.
-    pub const fn teach(page: Page) -> &'static str {
+    pub const fn syntax_hint(page: Page) -> &'static str {
         match page {
             Page::Devices => "words; at: name: srv: bus: is:lost  err  !not",
-            Page::Traffic => "words; src: dst: srv: type: at: id: bus:  err  ours  !not",
+            Page::Traffic => "words; src: dst: srv: type: at: id: bus:  err  tx  !not",
             Page::Timeline => "words; at: name: bus: is:suspected  err  !not",
             Page::Problems => "words; kind: is:suspected at: name: bus:  !not",
         }
@@ -161,7 +163,7 @@ impl Filter {
     /// The only addresses that anything that fits can be at; none where it could be at all.
     pub fn addresses(&self) -> Option<Vec<Address>> {
         self.terms.iter().find_map(|term| match &term.what {
-            What::Field(Field::Address, value) if !term.not => {
+            TermTest::Field(Field::Address, value) if !term.not => {
                 Some(Address::all().filter(|it| is_one_of(*it, value)).collect())
             }
             _ => None,
@@ -173,7 +175,7 @@ impl Filter {
         self.terms.is_empty()
     }
 
-    fn all(&self, fits: impl Fn(&What) -> bool) -> bool {
+    fn all(&self, fits: impl Fn(&TermTest) -> bool) -> bool {
         self.terms.iter().all(|term| fits(&term.what) != term.not)
     }
 
@@ -192,40 +194,40 @@ impl Filter {
         let mode = device.and_then(|device| device.mode).map_or("", |mode| mode.name());
         let services = device.and_then(|device| device.services.as_deref()).unwrap_or_default();
         let service = |word: &str| {
-            let is_it = |name: &crate::text::Name| has(&name.to_string(), word);
+            let is_it = |name: &crate::text::Name| contains_word(&name.to_string(), word);
             services.iter().any(|service| is_it(&service.name))
         };
         self.all(|what| match what {
-            What::Word(word) => {
+            TermTest::Word(word) => {
                 name.contains(word)
                     || has_address(word)
-                    || row.state.word().eq_ignore_ascii_case(word)
+                    || has_state(row.state, |own| own.eq_ignore_ascii_case(word))
                     || mode.eq_ignore_ascii_case(word)
                     || buses.contains(word)
                     || service(word)
-                    || (word == "new" && row.file == super::FileWord::New)
+                    || (word == "new" && row.file == super::FileStatus::New)
                     || (word == "twin" && row.twin)
             }
-            What::Field(Field::Source | Field::Destination | Field::Device, value) => {
+            TermTest::Field(Field::Source | Field::Destination | Field::Device, value) => {
                 name.contains(value) || has_address(value)
             }
-            What::Field(Field::Address, value) => has_address(value),
-            What::Field(Field::Name, value) => name.contains(value),
-            What::Field(Field::Service, value) => service(value),
-            What::Field(Field::Bus, value) => buses.iter().any(|bus| bus.contains(value)),
-            What::Field(Field::State, value) => {
-                has(row.state.word(), value)
+            TermTest::Field(Field::Address, value) => has_address(value),
+            TermTest::Field(Field::Name, value) => name.contains(value),
+            TermTest::Field(Field::Service, value) => service(value),
+            TermTest::Field(Field::Bus, value) => buses.iter().any(|bus| bus.contains(value)),
+            TermTest::Field(Field::State, value) => {
+                has_state(row.state, |own| contains_word(own, value))
                     || (row.suspected && starts("suspected", value))
-                    || (row.file == super::FileWord::New && starts("new", value))
+                    || (row.file == super::FileStatus::New && starts("new", value))
                     || (row.twin && starts("twin", value))
             }
-            What::Field(Field::Type | Field::Id, _) | What::Ours => false,
-            What::Error => row.state == super::State::Clash || row.suspected,
+            TermTest::Field(Field::Type | Field::Id, _) | TermTest::Ours => false,
+            TermTest::Error => row.state == super::RowState::Conflict || row.suspected,
         })
     }
 
     /// Whether a line of the timeline fits.
-    pub fn matches_entry(&self, app: &App, entry: &timeline::Entry) -> bool {
+    pub fn matches_entry(&self, app: &App, entry: &timeline::TimelineEntry) -> bool {
         self.matches_entry_of(app, entry, &[])
     }
 
@@ -233,29 +235,36 @@ impl Filter {
     pub(super) fn matches_entry_of(
         &self,
         app: &App,
-        entry: &timeline::Entry,
+        entry: &timeline::TimelineEntry,
         others: &[Address],
     ) -> bool {
         let name = || app.name_on_line(entry).map(ToString::to_string).unwrap_or_default();
         let address = || entry.address.map(|address| address.to_string()).unwrap_or_default();
         let bus = || entry.bus.and_then(|bus| app.bus(bus)).map_or("", |bus| &bus.name);
         self.all(|what| match what {
-            What::Word(word) => has(&entry.text, word) || has(&name(), word) || address() == *word,
-            What::Field(Field::Bus, value) => has(bus(), value),
-            What::Field(Field::Address, value) => {
+            TermTest::Word(word) => {
+                contains_word(&entry.text, word)
+                    || contains_word(&name(), word)
+                    || address() == *word
+            }
+            TermTest::Field(Field::Bus, value) => contains_word(bus(), value),
+            TermTest::Field(Field::Address, value) => {
                 others.iter().chain(&entry.address).any(|it| is_one_of(*it, value))
             }
-            What::Field(Field::Name, value) => has(&name(), value),
-            What::Field(Field::State, value) => match entry.kind {
-                timeline::Kind::Suspected => starts("suspected", value),
-                timeline::Kind::Confirmed => starts("confirmed", value),
-                timeline::Kind::Cleared => starts("cleared", value),
-                timeline::Kind::Error => starts("error", value),
+            TermTest::Field(Field::Name, value) => contains_word(&name(), value),
+            TermTest::Field(Field::State, value) => match entry.kind {
+                timeline::TimelineKind::Suspected => starts("suspected", value),
+                timeline::TimelineKind::Confirmed => starts("confirmed", value),
+                timeline::TimelineKind::Cleared => starts("cleared", value),
+                timeline::TimelineKind::Error => starts("error", value),
                 _ => false,
             },
-            What::Field(_, value) => has(&name(), value) || address() == *value,
-            What::Error => matches!(entry.kind, timeline::Kind::Confirmed | timeline::Kind::Error),
-            What::Ours => entry.kind == timeline::Kind::File,
+            TermTest::Field(_, value) => contains_word(&name(), value) || address() == *value,
+            TermTest::Error => matches!(
+                entry.kind,
+                timeline::TimelineKind::Confirmed | timeline::TimelineKind::Error
+            ),
+            TermTest::Ours => entry.kind == timeline::TimelineKind::File,
         })
     }
 
@@ -267,31 +276,34 @@ impl Filter {
         let bus = || problem.bus().and_then(|bus| app.bus(bus)).map_or("", |bus| &bus.name);
         let confidence = problem.confidence();
         let at = |word: &str| problem.addresses().iter().any(|it| is_one_of(*it, word));
-        let named = |word: &str| problem.names().iter().any(|it| has(&it.to_string(), word));
+        let named =
+            |word: &str| problem.names().iter().any(|it| contains_word(&it.to_string(), word));
         let kind = |word: &str| {
-            let is_of = |kind: FindingKind| has(kind.name(), word) || has(headline(kind), word);
-            has(&problem.headline(), word)
+            let is_of = |kind: FindingKind| {
+                contains_word(kind.name(), word) || contains_word(headline(kind), word)
+            };
+            contains_word(&problem.headline(), word)
                 || problem.findings.iter().any(|finding| is_of(finding.key.kind))
         };
         self.all(|what| match what {
-            What::Word(word) => {
+            TermTest::Word(word) => {
                 kind(word)
-                    || problem.findings.iter().any(|finding| has(&finding.text, word))
-                    || has(confidence.name(), word)
+                    || problem.findings.iter().any(|finding| contains_word(&finding.text, word))
+                    || contains_word(confidence.name(), word)
                     || (problem.is_muted && word == "muted")
                     || named(word)
                     || at(word)
             }
-            What::Field(Field::Address, value) => at(value),
-            What::Field(Field::Name, value) => named(value),
-            What::Field(Field::Type, value) => kind(value),
-            What::Field(Field::State, value) => {
+            TermTest::Field(Field::Address, value) => at(value),
+            TermTest::Field(Field::Name, value) => named(value),
+            TermTest::Field(Field::Type, value) => kind(value),
+            TermTest::Field(Field::State, value) => {
                 starts(confidence.name(), value) || (problem.is_muted && starts("muted", value))
             }
-            What::Field(Field::Bus, value) => has(bus(), value),
-            What::Field(_, value) => named(value) || at(value),
-            What::Error => confidence == Confidence::Confirmed,
-            What::Ours => false,
+            TermTest::Field(Field::Bus, value) => contains_word(bus(), value),
+            TermTest::Field(_, value) => named(value) || at(value),
+            TermTest::Error => confidence == Confidence::Confirmed,
+            TermTest::Ours => false,
         })
     }
 
@@ -302,38 +314,38 @@ impl Filter {
         }
         let decoded = Decoded::of(app, frame);
         self.all(|what| match what {
-            What::Word(word) => {
-                has(&decoded.text, word)
-                    || has(&decoded.source, word)
-                    || has(&decoded.destination, word)
-                    || has(&decoded.service, word)
-                    || has(decoded.kind, word)
+            TermTest::Word(word) => {
+                contains_word(&decoded.text, word)
+                    || contains_word(&decoded.source, word)
+                    || contains_word(&decoded.destination, word)
+                    || contains_word(&decoded.service, word)
+                    || contains_word(decoded.kind, word)
             }
-            What::Field(Field::Source, value) => decoded.is_source(value),
-            What::Field(Field::Destination, value) => decoded.is_destination(value),
-            What::Field(Field::Device, value) => {
+            TermTest::Field(Field::Source, value) => decoded.is_source(value),
+            TermTest::Field(Field::Destination, value) => decoded.is_destination(value),
+            TermTest::Field(Field::Device, value) => {
                 decoded.is_source(value) || decoded.is_destination(value)
             }
-            What::Field(Field::Service, value) => decoded.is_service(value),
-            What::Field(Field::Type, value) => starts(decoded.kind, value),
-            What::Field(Field::Id, value) => has(&frame.id.to_string(), value),
-            What::Field(Field::Bus, value) => {
-                app.bus(frame.bus).is_some_and(|bus| has(&bus.name, value))
+            TermTest::Field(Field::Service, value) => decoded.is_service(value),
+            TermTest::Field(Field::Type, value) => starts(decoded.kind, value),
+            TermTest::Field(Field::Id, value) => contains_word(&frame.id.to_string(), value),
+            TermTest::Field(Field::Bus, value) => {
+                app.bus(frame.bus).is_some_and(|bus| contains_word(&bus.name, value))
             }
-            What::Field(Field::Address, value) => decoded.header.is_some_and(|header| {
+            TermTest::Field(Field::Address, value) => decoded.header.is_some_and(|header| {
                 let is_it = |address: Address| is_one_of(address, value);
                 is_it(header.source) || (!header.broadcast && is_it(header.destination))
             }),
-            What::Field(Field::Name, value) => {
-                has(&decoded.source, value) || has(&decoded.destination, value)
+            TermTest::Field(Field::Name, value) => {
+                contains_word(&decoded.source, value) || contains_word(&decoded.destination, value)
             }
-            What::Field(Field::State, value) => {
+            TermTest::Field(Field::State, value) => {
                 let is_error = decoded.is_error || frame.kind == FrameKind::Error;
-                (is_error && starts("error", value))
-                    || (frame.ours && (starts("tx", value) || starts("ours", value)))
+                let is_tx = starts("tx", value) || starts("ours", value);
+                (is_error && starts("error", value)) || (frame.is_tx && is_tx)
             }
-            What::Error => decoded.is_error || frame.kind == FrameKind::Error,
-            What::Ours => frame.ours,
+            TermTest::Error => decoded.is_error || frame.kind == FrameKind::Error,
+            TermTest::Ours => frame.is_tx,
         })
     }
 }
@@ -344,12 +356,25 @@ fn is_one_of(address: Address, list: &str) -> bool {
 }
 
 /// Whether `text` has `word` (which is in lower case) in it.
-fn has(text: &str, word: &str) -> bool {
+fn contains_word(text: &str, word: &str) -> bool {
     text.to_lowercase().contains(word)
 }
 
 fn starts(text: &str, word: &str) -> bool {
     text.to_lowercase().starts_with(word)
+}
+
+/// Returns true if `fits` accepts the shown word of a row's state or its alias.
+fn has_state(state: RowState, fits: impl Fn(&str) -> bool) -> bool {
+    let alias = match state {
+        RowState::Conflict => "clash",
+        RowState::Partial => "partly",
+        RowState::Unknown => "unseen",
+        RowState::Pending => "awaited",
+        RowState::Duplicate => "again",
+        _ => return fits(state.word()),
+    };
+    fits(state.word()) || fits(alias)
 }
 
 #[cfg(test)]
@@ -363,11 +388,11 @@ mod tests {
         assert_eq!(
             terms("src:FEED !err x:y"),
             [
-                Term { not: false, what: What::Field(Field::Source, "feed".to_owned()) },
-                Term { not: true, what: What::Error },
-                Term { not: false, what: What::Word("x:y".to_owned()) },
+                Term { not: false, what: TermTest::Field(Field::Source, "feed".to_owned()) },
+                Term { not: true, what: TermTest::Error },
+                Term { not: false, what: TermTest::Word("x:y".to_owned()) },
             ]
         );
-        assert_eq!(terms("!")[0].what, What::Word("!".to_owned()));
+        assert_eq!(terms("!")[0].what, TermTest::Word("!".to_owned()));
     }
 }

@@ -31,9 +31,9 @@ impl Matching {
             let index = BusIndex(index as u8);
             let entries: Vec<&Entry> =
                 entries.iter().filter(|entry| is_for(entry, &bus.name)).collect();
-            let mut open = Open { entries, matching: &mut matching, bus: index };
+            let mut open = Unmatched { entries, matching: &mut matching, bus: index };
             for here in [true, false] {
-                let devices = || bus.engine.devices().iter().filter(|it| it.is_here() == here);
+                let devices = || bus.engine.devices().iter().filter(|it| it.is_present() == here);
                 let alphabet = &bus.engine.config().profile.uid;
                 let same_uid = |entry: &Entry, device: &Device| {
                     let listed = entry.uid.as_deref().map_or("", str::trim);
@@ -49,14 +49,14 @@ impl Matching {
                 });
                 open.pair(devices, same_uid);
                 open.pair(devices, same_place);
-                open.pair_only_ones(devices);
+                open.pair_unique(devices);
             }
         }
-        matching.said_again = matching.find_said_again(entries);
+        matching.said_again = matching.find_duplicates(entries);
         matching
     }
 
-    fn find_said_again(&self, entries: &[Entry]) -> Vec<bool> {
+    fn find_duplicates(&self, entries: &[Entry]) -> Vec<bool> {
         let says = |entry: &Entry| (entry.address, entry.name.clone());
         let matched = |entry: &&Entry| !self.devices_of(entry.index).is_empty();
         let mut buses_of: BTreeMap<_, Vec<Option<&str>>> = BTreeMap::new();
@@ -75,7 +75,7 @@ impl Matching {
 
     /// Whether the entry at this place only says again, by name and address, what another one says
     /// that has a device.
-    pub fn is_said_again(&self, entry: usize) -> bool {
+    pub fn is_duplicate(&self, entry: usize) -> bool {
         self.said_again.get(entry) == Some(&true)
     }
 
@@ -96,13 +96,13 @@ pub fn is_for(entry: &Entry, bus: &str) -> bool {
 }
 
 /// What is not matched yet on one bus.
-struct Open<'e, 'm> {
+struct Unmatched<'e, 'm> {
     entries: Vec<&'e Entry>,
     matching: &'m mut Matching,
     bus: BusIndex,
 }
 
-impl Open<'_, '_> {
+impl Unmatched<'_, '_> {
     fn pair<'d, D: Iterator<Item = &'d Device>>(
         &mut self,
         devices: impl Fn() -> D,
@@ -117,7 +117,7 @@ impl Open<'_, '_> {
         }
     }
 
-    fn pair_only_ones<'d, D: Iterator<Item = &'d Device>>(&mut self, devices: impl Fn() -> D) {
+    fn pair_unique<'d, D: Iterator<Item = &'d Device>>(&mut self, devices: impl Fn() -> D) {
         for entry in std::mem::take(&mut self.entries) {
             let mut open = devices()
                 .filter(|device| self.is_open(device) && device.is_named(&entry.name))

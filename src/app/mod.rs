@@ -25,7 +25,6 @@
 //! prompt    lines being typed                navigate the commands that only look
 //! ```
 
-mod ahead;
 mod bitrate;
 mod buses;
 mod capture;
@@ -36,53 +35,54 @@ mod events;
 mod evidence;
 mod file;
 mod filter;
-mod groups;
 mod matching;
+mod missing_reason;
 mod navigate;
 mod page;
+mod problem_groups;
 mod problems;
 mod prompt;
+mod redundancy;
 mod rows;
 mod screen;
-mod siblings;
 mod timeline;
 mod traffic;
+mod type_ahead;
 mod view;
-mod why;
 
-pub use buses::{Bus, Hindrance, Meter, Second};
-pub use capture::{Capture, IdentifierKey, IdentifierStats, Kind as IdentifierKind};
+pub use buses::{Bus, LoadMeter, LoadSecond, TxBlocked};
+pub use capture::{Capture, IdentifierKey, IdentifierKind, IdentifierStats};
 pub use cursor::Cursor;
 pub use devices::concerns;
-pub use events::Happening;
+pub use events::AppEvent;
 pub use evidence::EvidenceView;
-pub use file::{Change, FileProblem, FileReading, FileState, Refusal, SaveOutcome, Saving};
+pub use file::{Change, EditRefusal, FileProblem, FileReading, FileState, SaveOutcome, Saving};
 pub use filter::{FILTER_FIELDS, FILTER_WORDS, Filter, FilterField};
-pub use groups::{Piece, Problem, ProblemKey, headline};
 pub use matching::Matching;
+pub use missing_reason::spell;
 pub use navigate::{Mouse, MouseKind};
 pub use page::{Focus, Frozen, Page};
+pub use problem_groups::{EvidenceItem, Problem, ProblemKey, headline};
 pub use problems::{Scope, same_services};
-pub use prompt::{Prompt, PromptKind, Verdict};
-pub use rows::{Counts, FileWord, Row, RowKey, SortBy, State};
+pub use prompt::{InputCheck, Prompt, PromptKind};
+pub use redundancy::{Redundancy, RedundantDevice};
+pub use rows::{Counts, FileStatus, Row, RowKey, RowState, SortBy};
 pub use screen::{SPLIT_WIDTH, Screen, tabs};
-pub use siblings::{Kinship, Sibling};
-pub use timeline::{Entry as TimelineEntry, Kind as TimelineKind, Timeline};
+pub use timeline::{Timeline, TimelineEntry, TimelineKind};
 pub use traffic::{Decoded, clock, clock_millis, hex};
 pub use view::View;
-pub use why::spell;
 
+use crate::bitrate::{SearchOutcome, SearchProgress};
 use crate::discovery::{Config, DeviceId, Finding, OwnAddress};
 use crate::document::{Document, Entry};
 use crate::frame::{BusIndex, Frame};
-use crate::keymap::{Key, Keymap, Mode};
-use crate::speed::{Outcome, Progress};
+use crate::keymap::{Key, KeyMode, Keymap};
 use crate::status::{BusStatus, Playback, PlaybackCommand, RecordingStatus};
 use crate::time::{Duration, Epoch, Instant};
 use crate::wire::id::Address;
 use std::collections::{BTreeSet, VecDeque};
 use std::path::PathBuf;
-use traffic::Matches;
+use traffic::FilteredFrames;
 
 /// What the program was started with.
 #[derive(Clone, Debug, Default)]
@@ -104,9 +104,9 @@ pub struct AppOptions {
     /// What is wrong in the user's settings.
     pub warnings: Vec<String>,
     /// Keep happenings for [`App::poll_happening`].
-    pub report: bool,
+    pub emit_events: bool,
     /// Of these only what fits, and what is about a whole bus or about us.
-    pub interest: Filter,
+    pub event_filter: Filter,
 }
 
 /// What is to be done outside.
@@ -147,7 +147,7 @@ pub enum Effect {
 
 /// A word to the user, shown in the last line for a while.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Message {
+pub struct StatusMessage {
     /// What.
     pub text: String,
     /// It says that something did not work.
@@ -201,12 +201,12 @@ pub struct App {
     /// It is being tried again, unasked.
     is_saving_again: bool,
     /// The copies of des.json with our edits: the one being written, and the last that is.
-    copying: Option<(PathBuf, Document)>,
-    copied: Option<(PathBuf, Document)>,
+    copy_pending: Option<(PathBuf, Document)>,
+    copy_saved: Option<(PathBuf, Document)>,
     /// The user quits although edits are not saved.
-    gave_up_edits: bool,
+    edits_discarded: bool,
     capture: Capture,
-    matches: Matches,
+    matches: FilteredFrames,
     timeline: Timeline,
     matching: Matching,
     file_findings: Vec<Finding>,
@@ -221,14 +221,14 @@ pub struct App {
     view: View,
     overlay: Overlay,
     /// The line being typed when a conflict came up; it goes on afterwards.
-    set_aside: Option<Prompt>,
-    message: Option<Message>,
+    suspended_prompt: Option<Prompt>,
+    message: Option<StatusMessage>,
     recording: Option<RecordingStatus>,
     playback: Option<Playback>,
-    siblings: siblings::Siblings,
+    siblings: redundancy::RedundantDevices,
     /// The bus whose bit rate is being looked for.
     searched: Option<BusIndex>,
-    ahead: Option<ahead::Ahead>,
+    type_ahead: Option<type_ahead::TypeAheadGuard>,
     keymap: Keymap,
     theme: String,
     themes: Vec<String>,
@@ -236,7 +236,7 @@ pub struct App {
     effects: VecDeque<Effect>,
     report: bool,
     interest: Filter,
-    happenings: VecDeque<Happening>,
+    app_events: VecDeque<AppEvent>,
     /// A screen's size was told. Without one nothing waits until it is to be seen.
     has_screen: bool,
     /// Something happened since bus and file were compared.
@@ -251,7 +251,7 @@ pub struct App {
 }
 
 /// What the bus changes is drawn at most this often, however much the devices chatter.
-const CALM: Duration = Duration::from_millis(250);
+const BUS_REDRAW_INTERVAL: Duration = Duration::from_millis(250);
 /// How long a file that has become empty is held to be one that is being written.
 const EMPTY_FOR: Duration = Duration::from_secs(1);
 /// How long after a save failed it is tried again: there may be room on the disk by then.
@@ -259,7 +259,7 @@ const SAVE_AGAIN_AFTER: Duration = Duration::from_secs(10);
 const MESSAGE_FOR: Duration = Duration::from_secs(6);
 const SECOND: Duration = Duration::from_secs(1);
 /// So long after the program was held up frames may still come that waited meanwhile.
-const BACKLOG: Duration = Duration::from_millis(250);
+const STALL_BACKLOG: Duration = Duration::from_millis(250);
 
 impl App {
     /// The program at its start.
@@ -276,14 +276,14 @@ impl App {
             buses: buses.collect(),
             file: FileState::new(options.file_path),
             capture: Capture::new(),
-            matches: Matches::default(),
+            matches: FilteredFrames::default(),
             timeline: Timeline::default(),
             matching: Matching::default(),
             save_again_at: None,
             is_saving_again: false,
-            copying: None,
-            copied: None,
-            gave_up_edits: false,
+            copy_pending: None,
+            copy_saved: None,
+            edits_discarded: false,
             file_findings: Vec::new(),
             entries_of_findings: Vec::new(),
             muted: BTreeSet::new(),
@@ -292,21 +292,21 @@ impl App {
             counts: Counts::default(),
             view: View { size: (80, 24), ..View::default() },
             overlay: Overlay::None,
-            set_aside: None,
+            suspended_prompt: None,
             message: None,
             recording: None,
             playback: None,
-            siblings: siblings::Siblings::default(),
+            siblings: redundancy::RedundantDevices::default(),
             searched: None,
-            ahead: None,
+            type_ahead: None,
             keymap: options.keymap,
             theme: options.theme,
             themes: options.themes,
             outbox: VecDeque::new(),
             effects: VecDeque::new(),
-            report: options.report,
-            interest: options.interest,
-            happenings: VecDeque::new(),
+            report: options.emit_events,
+            interest: options.event_filter,
+            app_events: VecDeque::new(),
             has_screen: false,
             outdated: false,
             dirty: true,
@@ -318,7 +318,7 @@ impl App {
             let mut line = TimelineEntry::new(now, TimelineKind::Error, &warning);
             line.name = Some("settings".into());
             app.timeline.push(line);
-            app.complain(warning);
+            app.show_error(warning);
         }
         app
     }
@@ -349,8 +349,8 @@ impl App {
         self.now = self.now.max(now);
         for frame in frames {
             let Some(bus) = self.buses.get_mut(usize::from(frame.bus.0)) else { continue };
-            if bus.rests_at(frame.time) {
-                bus.engine.pass_over(frame);
+            if bus.in_quarantine(frame.time) {
+                bus.engine.count_only(frame);
             } else {
                 bus.engine.handle_frame(frame);
             }
@@ -361,7 +361,7 @@ impl App {
             self.capture.push(frame);
         }
         if !frames.is_empty() && self.view.page == Page::Traffic && self.view.frozen.is_none() {
-            self.dirty_soon();
+            self.request_redraw();
         }
         self.take_events();
     }
@@ -370,8 +370,8 @@ impl App {
     pub fn handle_timeout(&mut self, now: Instant) {
         self.now = self.now.max(now);
         for bus in &mut self.buses {
-            if bus.poll_timeout().is_some_and(|at| at <= now) && !bus.rests_at(now) {
-                if bus.is_away() {
+            if bus.poll_timeout().is_some_and(|at| at <= now) && !bus.in_quarantine(now) {
+                if bus.is_unreachable() {
                     bus.engine.wait_for_bus(now);
                 }
                 bus.engine.handle_timeout(now);
@@ -392,7 +392,7 @@ impl App {
             self.save_pending();
         }
         if self.believes_empty_at().is_some_and(|at| at <= now) {
-            let change = self.file.believe_empty();
+            let change = self.file.accept_empty();
             self.file_changed(change);
         }
         if self.dirty_at.is_some_and(|at| at <= now) {
@@ -403,22 +403,23 @@ impl App {
 
     /// Nothing could be done since `since`, as where the program was stopped: what came meanwhile
     /// is shown, but nobody is judged by it, and nobody by his silence.
-    pub fn handle_held_up(&mut self, since: Instant, now: Instant) {
+    pub fn handle_stall(&mut self, since: Instant, now: Instant) {
         self.now = self.now.max(now);
-        for bus in self.buses.iter_mut().filter(|bus| !bus.is_away() && bus.ended.is_none()) {
-            bus.rest(since, now + BACKLOG);
+        for bus in self.buses.iter_mut().filter(|bus| !bus.is_unreachable() && bus.ended.is_none())
+        {
+            bus.begin_quarantine(since, now + STALL_BACKLOG);
         }
         let seconds = now.since(since).as_secs_f64();
-        let text = format!("was held up for {seconds:.1} s: nobody is judged by that time");
+        let text = format!("descan was stopped for {seconds:.1} s; not counted against devices");
         let mut line = TimelineEntry::new(now, TimelineKind::Error, text);
         line.name = Some("descan".into());
-        self.tell_line(line);
+        self.report_line(line);
         self.dirty = true;
     }
 
     /// Lets everything happen on the buses that is due until `until`, each at its time, as where
     /// time leaps from one line of a log to the next.
-    pub fn pass_time(&mut self, until: Instant) {
+    pub fn advance_to(&mut self, until: Instant) {
         // Not what only the screen waits for: there may be years of seconds where the clock was
         // set while the log was written.
         let next = |app: &App| app.buses.iter().filter_map(Bus::poll_timeout).min();
@@ -493,9 +494,11 @@ impl App {
         let is_retry = std::mem::take(&mut self.is_saving_again);
         let on_disk = self.file.on_disk().cloned();
         let parted = match &outcome {
-            SaveOutcome::Parted(1) => Some("; its other hard link keeps the old text".to_owned()),
+            SaveOutcome::Parted(1) => {
+                Some("; the other hard link keeps the old content".to_owned())
+            }
             SaveOutcome::Parted(names) => {
-                Some(format!("; its {names} other hard links keep the old text"))
+                Some(format!("; {names} other hard links keep the old content"))
             }
             _ => None,
         };
@@ -510,7 +513,7 @@ impl App {
             let address = clash.first()?.address?;
             let names: Vec<&str> = clash.iter().map(|entry| &*entry.name_text).collect();
             let (count, names) = (names.len(), names.join(", "));
-            Some(format!(", but {count} entries are pinned to {address}: {names}"))
+            Some(format!("; warning: {count} entries share address {address}: {names}"))
         });
         let but: String = clash.into_iter().chain(parted).collect();
         let problem = self.file.problem().filter(|it| it.is_not_saved());
@@ -522,7 +525,7 @@ impl App {
             return;
         }
         if change == Change::Saved && (before.is_some() || !but.is_empty()) {
-            let saved = if before.is_some() { "saved at last" } else { "saved" };
+            let saved = if before.is_some() { "saved after retry" } else { "saved" };
             let text = format!("{saved}{but}");
             self.timeline.push(TimelineEntry::new(self.now, TimelineKind::File, &text));
             if but.is_empty() { self.say_of_file(text) } else { self.complain_of_file(text) }
@@ -551,17 +554,17 @@ impl App {
     ) {
         self.now = self.now.max(now);
         let is_copy = |copying: &mut (PathBuf, Document)| copying.0 == path;
-        let copy = self.copying.take_if(is_copy);
+        let copy = self.copy_pending.take_if(is_copy);
         let path = crate::text::printable(path.as_os_str().as_encoded_bytes());
         match result {
             Ok(()) if copy.is_some() => {
-                self.copied = copy;
+                self.copy_saved = copy;
                 let line = format!("a copy with all edits: {path}");
-                self.say(&line);
+                self.show_info(&line);
                 self.timeline.push(TimelineEntry::new(self.now, TimelineKind::File, line));
             }
-            Ok(()) => self.say(format!("written: {path}")),
-            Err(why) => self.complain(format!("not written: {why}")),
+            Ok(()) => self.show_info(format!("saved: {path}")),
+            Err(why) => self.show_error(format!("not saved: {why}")),
         }
     }
 
@@ -570,7 +573,7 @@ impl App {
         self.now = self.now.max(now);
         match result {
             Ok(()) => self.dirty = true,
-            Err(why) => self.complain(format!("theme {}: {why}", self.theme)),
+            Err(why) => self.show_error(format!("theme {}: {why}", self.theme)),
         }
     }
 
@@ -587,13 +590,18 @@ impl App {
     }
 
     /// Takes how far the search for a bus's bit rate has come.
-    pub fn handle_bitrate_search(&mut self, now: Instant, bus: BusIndex, progress: Progress) {
+    pub fn handle_bitrate_search(&mut self, now: Instant, bus: BusIndex, progress: SearchProgress) {
         self.now = self.now.max(now);
-        self.tell_bitrate_search(bus, progress);
+        self.report_bitrate_search(bus, progress);
     }
 
     /// Takes what the search for a bus's bit rate came to.
-    pub fn handle_bitrate(&mut self, now: Instant, bus: BusIndex, result: Result<Outcome, String>) {
+    pub fn handle_bitrate(
+        &mut self,
+        now: Instant,
+        bus: BusIndex,
+        result: Result<SearchOutcome, String>,
+    ) {
         self.now = self.now.max(now);
         self.bitrate_found(bus, result);
     }
@@ -616,11 +624,11 @@ impl App {
             return Some(frame);
         }
         self.buses.iter_mut().enumerate().find_map(|(index, bus)| {
-            if bus.is_away() {
+            if bus.is_unreachable() {
                 // It would be late when the bus is back, and that nobody takes it says nothing.
                 bus.engine.wait_for_bus(now);
             }
-            bus.engine.poll_transmit(now).map(|frame| frame.on(BusIndex(index as u8)))
+            bus.engine.poll_transmit(now).map(|frame| frame.with_bus(BusIndex(index as u8)))
         })
     }
 
@@ -630,8 +638,8 @@ impl App {
     }
 
     /// The next thing that happened, where [`AppOptions::report`] is set.
-    pub fn poll_happening(&mut self) -> Option<Happening> {
-        self.happenings.pop_front()
+    pub fn poll_app_event(&mut self) -> Option<AppEvent> {
+        self.app_events.pop_front()
     }
 
     /// When [`App::handle_timeout`] is to be called at the latest.
@@ -639,7 +647,7 @@ impl App {
         let engines = self.buses.iter().filter_map(Bus::poll_timeout);
         let message = self.message.as_ref().map(|message| message.until);
         let calm = self.dirty_at.filter(|_| !self.dirty);
-        let second = (!self.is_at_rest()).then_some(self.next_second);
+        let second = (!self.is_idle()).then_some(self.next_second);
         let file = self.save_again_at.into_iter().chain(self.believes_empty_at());
         engines.chain(message).chain(calm).chain(second).chain(file).min()
     }
@@ -668,7 +676,7 @@ impl App {
 
     /// The moment that ages are counted to: now, or, where nothing more will come, the end of
     /// the log.
-    pub fn looked_at(&self) -> Instant {
+    pub fn display_time(&self) -> Instant {
         let ended = self.buses.iter().map(|bus| bus.ended).collect::<Option<Vec<_>>>();
         ended.and_then(|ended| ended.into_iter().max()).unwrap_or(self.now)
     }
@@ -720,7 +728,7 @@ impl App {
     }
 
     /// The word to the user.
-    pub fn message(&self) -> Option<&Message> {
+    pub fn message(&self) -> Option<&StatusMessage> {
         self.message.as_ref()
     }
 
@@ -755,12 +763,12 @@ impl App {
     }
 
     /// What keys mean at the moment; lines being typed take them before.
-    pub fn mode(&self) -> Mode {
+    pub fn mode(&self) -> KeyMode {
         match self.overlay {
-            Overlay::None | Overlay::Prompt(_) => Mode::Browse,
-            Overlay::Help(_) => Mode::Help,
-            Overlay::Question(_) => Mode::Confirm,
-            Overlay::Conflict => Mode::Conflict,
+            Overlay::None | Overlay::Prompt(_) => KeyMode::Browse,
+            Overlay::Help(_) => KeyMode::Help,
+            Overlay::Question(_) => KeyMode::Confirm,
+            Overlay::Conflict => KeyMode::Conflict,
         }
     }
 
@@ -772,15 +780,15 @@ impl App {
 
     // ---- what all parts need ---------------------------------------------------------------
 
-    fn say(&mut self, text: impl Into<String>) {
+    fn show_info(&mut self, text: impl Into<String>) {
         let until = self.now + MESSAGE_FOR;
         self.message =
-            Some(Message { text: text.into(), is_error: false, is_of_file: false, until });
+            Some(StatusMessage { text: text.into(), is_error: false, is_of_file: false, until });
         self.dirty = true;
     }
 
-    fn complain(&mut self, text: impl Into<String>) {
-        self.say(text);
+    fn show_error(&mut self, text: impl Into<String>) {
+        self.show_info(text);
         if let Some(message) = &mut self.message {
             message.is_error = true;
         }
@@ -788,35 +796,35 @@ impl App {
 
     /// The same of what des.json says, or of what is wrong with it: for as long as that is so.
     fn say_of_file(&mut self, text: impl Into<String>) {
-        self.say(text);
+        self.show_info(text);
         if let Some(message) = &mut self.message {
             message.is_of_file = true;
         }
     }
 
     fn complain_of_file(&mut self, text: impl Into<String>) {
-        self.complain(text);
+        self.show_error(text);
         if let Some(message) = &mut self.message {
             message.is_of_file = true;
         }
     }
 
     /// The file changed: what was said of it gives way, unless our edits, made again, keep it true.
-    fn unsay_of_file(&mut self, is_rebased: bool) {
-        let gives_way = |it: &mut Message| it.is_of_file && (it.is_error || !is_rebased);
+    fn clear_file_message(&mut self, is_rebased: bool) {
+        let gives_way = |it: &mut StatusMessage| it.is_of_file && (it.is_error || !is_rebased);
         self.message.take_if(gives_way);
     }
 
     /// The bus changed something: to be seen soon, but not at the bus's pace.
-    fn dirty_soon(&mut self) {
-        let calm = self.of_our_time(CALM);
+    fn request_redraw(&mut self) {
+        let calm = self.scale_to_playback(BUS_REDRAW_INTERVAL);
         if self.dirty_at.is_none() {
             self.dirty_at = Some((self.last_calm_draw + calm).max(self.now));
         }
     }
 
     /// So much of a person's time, in that of a log, which may be faster or stand still.
-    fn of_our_time(&self, time: Duration) -> Duration {
+    fn scale_to_playback(&self, time: Duration) -> Duration {
         match self.playback {
             Some(playback) if playback.is_standing() => Duration::ZERO,
             Some(playback) => time.mul_f64(playback.speed),
@@ -826,22 +834,22 @@ impl App {
 
     /// When a file that has become empty is taken for an empty one.
     fn believes_empty_at(&self) -> Option<Instant> {
-        Some(self.file.emptied_since()? + self.of_our_time(EMPTY_FOR))
+        Some(self.file.emptied_since()? + self.scale_to_playback(EMPTY_FOR))
     }
 
     /// Nothing on the screen counts seconds.
-    fn is_at_rest(&self) -> bool {
+    fn is_idle(&self) -> bool {
         let quiet = |bus: &Bus| {
             bus.ended.is_some() || bus.meter.is_idle() && bus.engine.devices().is_empty()
         };
         // What costs most comes last: this is asked at every turn.
-        let waits = || (0..self.buses.len()).any(|at| !self.has_looked(BusIndex(at as u8)));
+        let waits = || (0..self.buses.len()).any(|at| !self.is_search_complete(BusIndex(at as u8)));
         self.buses.iter().all(quiet) && !(self.file.is_there() && waits())
     }
 
     /// A second is over: rates and ages change.
     fn tick(&mut self) {
-        let at_rest = self.is_at_rest();
+        let at_rest = self.is_idle();
         for bus in &mut self.buses {
             bus.meter.advance(self.now);
         }

@@ -120,7 +120,7 @@ impl App {
         if self.playback.is_some() {
             self.effects.push_back(Effect::Playback(command));
         } else {
-            self.complain("there is no log: a bus cannot be stopped");
+            self.show_error("only a log can be paused");
         }
     }
 
@@ -306,7 +306,7 @@ impl App {
         if self.capture.get(number).is_none()
             || self.capture.get(self.capture.first()).is_some_and(|first| first.time > time)
         {
-            return self.complain("the frames of that moment are not kept any more");
+            return self.show_error("frames no longer in the capture");
         }
         self.show_page(Page::Traffic);
         self.view.by_identifier = false;
@@ -324,9 +324,9 @@ impl App {
                 // Rows that are held are in the wanted order all the same.
                 self.rows.clear();
                 self.refresh_rows();
-                self.say(format!("sorted {}", self.view.sort.describe()));
+                self.show_info(format!("sorted {}", self.view.sort.describe()));
             }
-            _ => self.complain("only devices are sorted"),
+            _ => self.show_error("sort works on the Devices page"),
         }
     }
 
@@ -336,11 +336,11 @@ impl App {
             Some(_) => None,
             None => Some(Frozen { frames: self.capture.end(), lines: self.timeline.end() }),
         };
-        self.timeline.hold(self.view.frozen.is_some());
+        self.timeline.pin_lines(self.view.frozen.is_some());
         self.refresh_rows();
-        self.say(match self.view.frozen {
-            Some(_) => "held; nothing is lost meanwhile",
-            None => "going on",
+        self.show_info(match self.view.frozen {
+            Some(_) => "frozen; capture continues",
+            None => "unfrozen",
         });
     }
 
@@ -352,7 +352,7 @@ impl App {
             let (keys, height) = (self.identifier_keys(), self.screen().list_rows());
             self.view.identifiers.settle(&keys, height);
         } else {
-            self.complain("the view by identifier is on the page Traffic");
+            self.show_error("identifier view works on the Traffic page");
         }
     }
 
@@ -410,7 +410,7 @@ impl App {
         let at = self.themes.iter().position(|name| *name == self.theme).map_or(0, |at| at + 1);
         let Some(name) = self.themes.get(at).or(self.themes.first()).cloned() else { return };
         self.theme.clone_from(&name);
-        self.say(format!("theme {name}"));
+        self.show_info(format!("theme {name}"));
         self.effects.push_back(Effect::UseTheme(name));
     }
 
@@ -445,10 +445,10 @@ impl App {
         };
         match text {
             Some(text) => {
-                self.say(format!("copied: {text}"));
+                self.show_info(format!("copied: {text}"));
                 self.effects.push_back(Effect::Copy(text));
             }
-            None => self.complain("no row is selected"),
+            None => self.show_error("no row is selected"),
         }
     }
 
@@ -512,7 +512,7 @@ impl App {
             }
         }
         let Some(key) = found else {
-            self.complain(otherwise);
+            self.show_error(otherwise);
             return false;
         };
         self.view.devices.select(key);
@@ -523,14 +523,14 @@ impl App {
     /// Command: from a device to the problem it is in, from a problem to its device.
     pub fn go_to_problem(&mut self) {
         if self.view.page == Page::Problems {
-            self.find_row("no device belongs to it");
+            self.find_row("no device for this problem");
             return;
         }
         let (bus, address, name) = self.subject();
         let problems = self.problems();
         let about = |problem: &&Problem| problem.is_about(bus, address, name.as_ref());
         let Some(key) = problems.iter().find(about).map(|problem| problem.key.clone()) else {
-            return self.complain("no problem is known of it");
+            return self.show_error("no problem for this device");
         };
         drop(problems);
         if !self.problem_keys().contains(&key) {

@@ -8,7 +8,7 @@ use super::matching::{Matching, is_for};
 use crate::discovery::{Confidence, Device, Finding, FindingKey, FindingKind};
 use crate::document::{self, Document, Entry};
 use crate::frame::BusIndex;
-use crate::text::{Called, Escaped, Name};
+use crate::text::{Escaped, Name, Quoted};
 use crate::time::Instant;
 use crate::wire::id::Address;
 use crate::wire::node::Uid;
@@ -113,10 +113,10 @@ impl Comparison<'_> {
     fn file_alone(&mut self, document: &Document) {
         for finding in document.findings() {
             let (kind, remedy) = match finding.kind {
-                document::FindingKind::DuplicateAddress => {
+                document::DocumentFindingKind::DuplicateAddress => {
                     (FindingKind::FileDuplicateAddress, "Give one of them another address.")
                 }
-                document::FindingKind::DuplicateEntry => {
+                document::DocumentFindingKind::DuplicateEntry => {
                     (FindingKind::FileDuplicateEntry, "Delete one of them from the file.")
                 }
                 _ => (FindingKind::FileShape, "Correct it in the file."),
@@ -134,7 +134,7 @@ impl Comparison<'_> {
                     added.place = Some((finding.position.line, finding.position.column));
                 }
                 for name in &names {
-                    added.concern(name);
+                    added.add_name(name);
                 }
             }
             self.is_about(finding.entries.first().copied());
@@ -148,11 +148,11 @@ impl Comparison<'_> {
             .devices_of(entry.index)
             .iter()
             .filter_map(|&id| app.device(id))
-            .filter(|device| device.is_here())
+            .filter(|device| device.is_present())
             .collect();
-        let name = Called(&entry.name);
+        let name = Quoted(&entry.name);
         let pinned = entry.address.filter(|_| entry.is_static).and_then(Address::new);
-        if app.matching.is_said_again(entry.index) {
+        if app.matching.is_duplicate(entry.index) {
             // That it stands twice is told of the file.
             return;
         }
@@ -161,10 +161,12 @@ impl Comparison<'_> {
         }
         for device in &devices {
             if let Some(pinned) = pinned.filter(|pinned| *pinned != device.address) {
-                let text =
-                    format!("{name} is at {}, and the file pins it to {pinned}.", device.address);
+                let text = format!(
+                    "{name} is at address {}; the file pins it to {pinned}.",
+                    device.address
+                );
                 let remedy = format!(
-                    "Give the device the address {pinned}, or pin it to {} in the file.",
+                    "Move the device to {pinned}, or change the file to {}.",
                     device.address
                 );
                 let bus = Some(device.id.bus);
@@ -182,7 +184,7 @@ impl Comparison<'_> {
         {
             let other = bus.engine.devices().iter().find(|device| {
                 let is_it = app.matching.devices_of(entry.index).contains(&device.id);
-                device.address == pinned && device.is_here() && !is_it
+                device.address == pinned && device.is_present() && !is_it
             });
             // Whoever has not said its name yet may be the very device.
             let Some(other) =
@@ -190,18 +192,17 @@ impl Comparison<'_> {
             else {
                 continue;
             };
-            let who =
-                other.name.as_ref().map_or("a device without a known name".to_owned(), |it| {
-                    format!("a device that calls itself {}", it.called())
-                });
-            let text = format!("{pinned} is the static address of {name}, and {who} is there.");
-            let remedy = format!("Pin {name} to another address, or give that device one.");
+            let who = other.name.as_ref().map_or("an unnamed device".to_owned(), |it| {
+                format!("a device named {}", it.quoted())
+            });
+            let text = format!("Static address {pinned} of {name} is used by {who}.");
+            let remedy = format!("Pin {name} to another address, or move the other device.");
             let named = Some(Name::new(&entry.name));
             let bus = Some(BusIndex(index as u8));
             self.add(FindingKind::StaticAddressTaken, bus, Some(pinned), named, text, remedy);
             self.is_about(Some(entry.index));
             if let (Some(found), Some(name)) = (self.found.last_mut(), &other.name) {
-                found.concern(name);
+                found.add_name(name);
             } else if let Some(found) = self.found.last_mut() {
                 found.confidence = Confidence::Suspected;
             }
@@ -219,7 +220,7 @@ impl Comparison<'_> {
         let at = address.map(|address| format!(" (at {address})")).unwrap_or_default();
         let why = app.why_missing(entry);
         let (first, rest) = why.split_first().map_or(("", &[][..]), |(it, rest)| (it, rest));
-        let text = format!("{}{at} is listed and not there: {first}.", Called(&entry.name));
+        let text = format!("{}{at} is listed but not on the bus: {first}.", Quoted(&entry.name));
         let remedy = rest.join("; ");
         let name = Some(Name::new(&entry.name));
         self.add(FindingKind::Missing, Some(bus), address, name, text, remedy);
@@ -230,8 +231,8 @@ impl Comparison<'_> {
         let Some(own) = device.name.as_ref().filter(|_| !device.is_named(&entry.name)) else {
             return;
         };
-        let (listed, own, address) = (Called(&entry.name), own.called(), device.address);
-        let text = format!("{listed} at {address} calls itself {own}: it is known by its UID.");
+        let (listed, own, address) = (Quoted(&entry.name), own.quoted(), device.address);
+        let text = format!("{listed} at {address} reports the name {own} (matched by UID).");
         let remedy = format!("Rename the entry to {own}, or the device to {listed}.");
         let named = Some(Name::new(&entry.name));
         let bus = Some(device.id.bus);
@@ -242,12 +243,12 @@ impl Comparison<'_> {
     fn services(&mut self, entry: &Entry, device: &Device) {
         let Some((listed, own)) = other_services(entry, device) else { return };
         let text = format!(
-            "{} at {} has other services than the file lists: {}.",
-            Called(&entry.name),
+            "{} at {}: services differ from the file: {}.",
+            Quoted(&entry.name),
             device.address,
             differences(listed, own)
         );
-        let remedy = "Take them into the file, or look at the firmware.".to_owned();
+        let remedy = "Add them to the file, or check the firmware.".to_owned();
         let (bus, name) = (Some(device.id.bus), device.name.clone());
         self.add(FindingKind::ServicesDiffer, bus, Some(device.address), name, text, remedy);
     }
@@ -256,7 +257,7 @@ impl Comparison<'_> {
         for bus in &self.app.buses {
             for device in bus.engine.devices() {
                 let listed = self.app.matching.entry_of(device.id).is_some();
-                if listed || device.is_debug || !device.is_here() {
+                if listed || device.is_debug || !device.is_present() {
                     continue;
                 }
                 // Most likely the listed one, of which is said why it is not known to be there.
@@ -266,9 +267,9 @@ impl Comparison<'_> {
                 let who = device
                     .name
                     .as_ref()
-                    .map_or("A device without a name".to_owned(), ToString::to_string);
+                    .map_or("An unnamed device".to_owned(), ToString::to_string);
                 let text = format!("{who} at {} is not in the file.", device.address);
-                let remedy = "Take it into the file, or off the bus.".to_owned();
+                let remedy = "Add it to the file, or remove it from the bus.".to_owned();
                 let (bus, name) = (Some(device.id.bus), device.name.clone());
                 self.add(FindingKind::Unlisted, bus, Some(device.address), name, text, remedy);
             }
@@ -312,15 +313,15 @@ impl Comparison<'_> {
 pub fn other_services<'a>(
     entry: &'a Entry,
     device: &'a Device,
-) -> Option<(&'a [document::ServiceEntry], &'a [crate::discovery::ServiceEntry])> {
+) -> Option<(&'a [document::ListedService], &'a [crate::discovery::DeviceService])> {
     let both = entry.listed_services().zip(device.services.as_deref());
     both.filter(|(_, own)| !same_services(entry, own))
 }
 
 /// Whether an entry lists what a device says of its services.
-pub fn same_services(entry: &Entry, own: &[crate::discovery::ServiceEntry]) -> bool {
+pub fn same_services(entry: &Entry, own: &[crate::discovery::DeviceService]) -> bool {
     let listed = entry.services.as_deref().unwrap_or_default();
-    let same = |listed: &document::ServiceEntry, own: &crate::discovery::ServiceEntry| {
+    let same = |listed: &document::ListedService, own: &crate::discovery::DeviceService| {
         as_listed(&own.name) == listed.name
             && (listed.version.is_empty() || as_listed(&own.version) == listed.version)
     };
@@ -339,8 +340,8 @@ const SPELT: usize = 4;
 
 /// How what the file lists of services differs from what a device says, in words.
 fn differences(
-    listed: &[document::ServiceEntry],
-    own: &[crate::discovery::ServiceEntry],
+    listed: &[document::ListedService],
+    own: &[crate::discovery::DeviceService],
 ) -> String {
     let show = |text: &str| Escaped(text.as_bytes()).to_string();
     let mut words = Vec::new();
@@ -357,7 +358,7 @@ fn differences(
                 show(&as_listed(&other.version)),
                 show(&entry.version)
             )),
-            None => words.push(format!("{} is not there", show(&entry.name))),
+            None => words.push(format!("{} is missing", show(&entry.name))),
         }
     }
     for service in own {
@@ -368,7 +369,7 @@ fn differences(
         }
     }
     if words.is_empty() {
-        return "in another order, or more than once".to_owned();
+        return "different order or duplicates".to_owned();
     }
     let more = words.len().saturating_sub(SPELT);
     words.truncate(SPELT);

@@ -8,8 +8,8 @@ use super::matching::is_for;
 use super::{App, Effect, Filter, Overlay, Page, RowKey};
 use crate::discovery::DeviceId;
 use crate::document::{Document, Entry, EntryKey, NewEntry, Operation};
-use crate::keymap::{Key, KeyCode, Mode};
-use crate::text::{Called, is_printable};
+use crate::keymap::{Key, KeyCode, KeyMode};
+use crate::text::{Quoted, is_printable};
 use crate::time::Instant;
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -84,17 +84,17 @@ impl PromptKind {
 }
 
 /// What Enter does where the whole file went while a line was typed.
-const BEGINS: &str = "Enter begins a new one";
+const BEGINS: &str = "Enter creates a new file";
 
 /// What is to be said of the text so far.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Verdict {
+pub enum InputCheck {
     /// Nothing, or what Enter will do.
-    Fine(String),
+    Accepted(String),
     /// Enter works, but look at this.
-    Warns(String),
+    Warning(String),
     /// Enter does nothing, because of this.
-    Blocks(String),
+    Rejected(String),
 }
 
 impl App {
@@ -121,37 +121,39 @@ impl App {
     }
 
     /// What is to be said of the line being typed.
-    pub fn verdict(&self) -> Option<Verdict> {
+    pub fn verdict(&self) -> Option<InputCheck> {
         let prompt = self.prompt()?;
         let text = prompt.input.value().trim();
         let place = || self.edited_entry(prompt).map(|entry| entry.index);
         if prompt.kind.edits()
             && let Err(refusal) = self.file.check_edit(place())
         {
-            return Some(Verdict::Blocks(refusal.to_string()));
+            return Some(InputCheck::Rejected(refusal.to_string()));
         }
         Some(match &prompt.kind {
-            PromptKind::Filter(page, _) => Verdict::Fine(Filter::teach(*page).to_owned()),
+            PromptKind::Filter(page, _) => {
+                InputCheck::Accepted(Filter::syntax_hint(*page).to_owned())
+            }
             PromptKind::Address(key) => match self.judge_address(prompt, key, text) {
-                Verdict::Blocks(why) => Verdict::Blocks(why),
-                verdict => self.judge_change(prompt, text).unwrap_or(verdict),
+                InputCheck::Rejected(why) => InputCheck::Rejected(why),
+                verdict => self.check_concurrent_change(prompt, text).unwrap_or(verdict),
             },
             PromptKind::Rename(key) => self.judge_rename(prompt, key, text),
             PromptKind::NewEntry => match (self.judge_new_entry(text), self.file_gone(prompt)) {
-                (Verdict::Blocks(why), _) => Verdict::Blocks(why),
-                (_, Some(gone)) => Verdict::Warns(format!("{gone}; {BEGINS}")),
+                (InputCheck::Rejected(why), _) => InputCheck::Rejected(why),
+                (_, Some(gone)) => InputCheck::Warning(format!("{gone}; {BEGINS}")),
                 (verdict, None) => verdict,
             },
             PromptKind::CapturePath | PromptKind::CopyPath if text.is_empty() => {
-                Verdict::Blocks("a path is needed".to_owned())
+                InputCheck::Rejected("a path is needed".to_owned())
             }
             PromptKind::CapturePath => {
                 let frames = self.capture.end() - self.capture.first();
-                Verdict::Fine(format!("{frames} frames, as candump writes them"))
+                InputCheck::Accepted(format!("{frames} frames, candump format"))
             }
             PromptKind::CopyPath => match self.file.with_all_edits().entries().len() {
-                1 => Verdict::Fine("1 entry".to_owned()),
-                entries => Verdict::Fine(format!("{entries} entries")),
+                1 => InputCheck::Accepted("1 entry".to_owned()),
+                entries => InputCheck::Accepted(format!("{entries} entries")),
             },
         })
     }
@@ -160,7 +162,7 @@ impl App {
     pub(super) fn type_key(&mut self, now: Instant, key: Key) {
         let always = ["quit-now", "suspend", "redraw"];
         if key.ctrl
-            && let Some(action) = self.keymap.lookup(Mode::Browse, key)
+            && let Some(action) = self.keymap.lookup(KeyMode::Browse, key)
             && always.contains(&action.name)
         {
             (action.run)(self, now);
@@ -217,7 +219,7 @@ impl App {
         };
         let joined = self.rows.iter().any(|row| row.has(id) && !row.also.is_empty());
         let bus = self.bus(id.bus).filter(|_| joined);
-        Some(bus.map_or(label.to_owned(), |bus| format!("{label} on {} (Tab: the next)", bus.name)))
+        Some(bus.map_or(label.to_owned(), |bus| format!("{label} on {} (Tab: next)", bus.name)))
     }
 
     pub(super) fn paste(&mut self, text: &str) {
@@ -261,7 +263,7 @@ impl App {
     }
 
     fn finish_prompt(&mut self) {
-        if let Some(Verdict::Blocks(_)) = self.verdict() {
+        if let Some(InputCheck::Rejected(_)) = self.verdict() {
             self.effects.push_back(Effect::Bell);
             if self.prompt().is_some_and(|prompt| prompt.kind.edits())
                 && self.file.conflict().is_some()
@@ -274,10 +276,10 @@ impl App {
         let text = prompt.input.value().trim().to_owned();
         match prompt.kind {
             PromptKind::Filter(page, _) => {
-                let mistake = Filter::parse(&text).mistake();
+                let mistake = Filter::parse(&text).error();
                 self.apply_filter(page, text);
                 if let Some(mistake) = mistake {
-                    self.complain(mistake);
+                    self.show_error(mistake);
                 }
             }
             PromptKind::Address(ref key) => self.finish_address(&prompt, key, &text),
@@ -289,7 +291,7 @@ impl App {
                     let entry = self.file.document().key(entry.index);
                     self.edit(&[Operation::Rename { entry, to }]);
                 } else if key.name != to {
-                    let told = format!("{} already", renamed(entry));
+                    let told = format!("already {}", renamed(entry));
                     self.say_of_file(told);
                 }
             }
@@ -308,7 +310,7 @@ impl App {
             PromptKind::CopyPath => {
                 let (path, document) = (PathBuf::from(text), self.file.with_all_edits());
                 let bytes = document.source().to_vec();
-                self.copying = Some((path.clone(), document));
+                self.copy_pending = Some((path.clone(), document));
                 self.effects.push_back(Effect::WriteFile { path, bytes });
             }
         }
@@ -332,11 +334,11 @@ impl App {
         if let PromptKind::Address(key @ RowKey::Device(_)) = &prompt.kind {
             return self.entry_for(key);
         }
-        self.successor(prompt)
+        self.entry_after_change(prompt)
     }
 
     /// What the entry has become that a line was opened on.
-    fn successor(&self, prompt: &Prompt) -> Option<&Entry> {
+    fn entry_after_change(&self, prompt: &Prompt) -> Option<&Entry> {
         let document = self.file.document();
         document.entries().get(prompt.on.counterpart(prompt.place?, document)?)
     }
@@ -348,7 +350,7 @@ impl App {
         if prompt.on.is_blank() {
             None
         } else if !self.file.is_there() {
-            Some(format!("{name} is gone"))
+            Some(format!("{name} was deleted"))
         } else {
             self.file.document().is_blank().then(|| format!("{name} is empty now"))
         }
@@ -360,13 +362,13 @@ impl App {
             return gone;
         }
         let before = prompt.place.and_then(|at| prompt.on.entries().get(at));
-        match self.successor(prompt) {
+        match self.entry_after_change(prompt) {
             Some(entry) if before.is_some_and(|before| before.name != entry.name) => {
-                format!("its entry was {}", renamed(entry))
+                format!("entry {}", renamed(entry))
             }
             // A twin may have come, or what they changed fits another device better.
-            Some(_) => "its entry may be another's now".to_owned(),
-            None => "its entry was deleted by someone else".to_owned(),
+            Some(_) => "entry may belong to another device now".to_owned(),
+            None => "entry deleted on disk".to_owned(),
         }
     }
 
@@ -376,29 +378,29 @@ impl App {
     }
 
     /// Whether somebody else changed the entry while its address was typed, or the whole file.
-    fn judge_change(&self, prompt: &Prompt, text: &str) -> Option<Verdict> {
+    fn check_concurrent_change(&self, prompt: &Prompt, text: &str) -> Option<InputCheck> {
         let entry = self.edited_entry(prompt);
         let gone = self.file_gone(prompt).map(|gone| (gone, BEGINS));
-        let unlisted = || (self.entry_gone(prompt), "Enter lists it again");
+        let unlisted = || (self.entry_gone(prompt), "Enter adds it again");
         let gone = gone.or_else(|| prompt.place.is_some().then(unlisted));
         if let Some((gone, what)) = gone.filter(|_| entry.is_none()) {
             let told = if text.is_empty() { gone } else { format!("{gone}; {what}") };
-            return Some(Verdict::Warns(told));
+            return Some(InputCheck::Warning(told));
         }
         let before = prompt.place.and_then(|at| prompt.on.entries().get(at));
         if let Some((now, typed)) = entry.zip(parse_address(text))
             && before.is_some_and(|before| before.name != now.name)
         {
             // It may as well be another one that somebody put in its place.
-            let told = format!("its entry was {}; Enter pins that to {typed}", renamed(now));
-            return Some(Verdict::Warns(told));
+            let told = format!("entry {}; Enter pins it to {typed}", renamed(now));
+            return Some(InputCheck::Warning(told));
         }
         let theirs = self.pinned_by_others(prompt)?;
         let typed = parse_address(text).map(|it| it.to_string()).unwrap_or_default();
         Some(if typed == pinned(entry) {
-            Verdict::Fine(format!("{theirs} already"))
+            InputCheck::Accepted(format!("already {theirs}"))
         } else {
-            Verdict::Warns(format!("{theirs}; Enter overrides that"))
+            InputCheck::Warning(format!("{theirs}; Enter overwrites it"))
         })
     }
 
@@ -410,47 +412,47 @@ impl App {
             "" => "unpinned".to_owned(),
             now => format!("changed to {now}"),
         };
-        Some(format!("{theirs} by someone else"))
+        Some(format!("{theirs} on disk"))
     }
 
-    fn judge_rename(&self, prompt: &Prompt, key: &EntryKey, text: &str) -> Verdict {
+    fn judge_rename(&self, prompt: &Prompt, key: &EntryKey, text: &str) -> InputCheck {
         let Some(entry) = self.edited_entry(prompt) else {
-            return Verdict::Blocks(self.entry_gone(prompt));
+            return InputCheck::Rejected(self.entry_gone(prompt));
         };
         let verdict = judge_name(text);
-        if entry.name == key.name || matches!(verdict, Verdict::Blocks(_)) {
+        if entry.name == key.name || matches!(verdict, InputCheck::Rejected(_)) {
             return verdict;
         }
         let theirs = renamed(entry);
         if unescaped(text).as_ref() == Ok(&entry.name) {
-            Verdict::Fine(format!("{theirs} already"))
+            InputCheck::Accepted(format!("already {theirs}"))
         } else {
-            Verdict::Warns(format!("{theirs}; Enter overrides that"))
+            InputCheck::Warning(format!("{theirs}; Enter overwrites it"))
         }
     }
 
-    fn judge_address(&self, prompt: &Prompt, key: &RowKey, text: &str) -> Verdict {
+    fn judge_address(&self, prompt: &Prompt, key: &RowKey, text: &str) -> InputCheck {
         let entry = self.edited_entry(prompt);
         if entry.is_none() && matches!(key, RowKey::Entry(_)) {
-            return Verdict::Blocks(self.entry_gone(prompt));
+            return InputCheck::Rejected(self.entry_gone(prompt));
         }
         if text.is_empty() {
             return match entry {
                 Some(entry) if entry.is_static => {
-                    Verdict::Fine("empty: Enter unpins it".to_owned())
+                    InputCheck::Accepted("empty: Enter unpins it".to_owned())
                 }
-                _ => Verdict::Fine("1 to 127, decimal or 0x…".to_owned()),
+                _ => InputCheck::Accepted("1 to 127, decimal or 0x…".to_owned()),
             };
         }
         let Some(address) = parse_address(text) else {
-            return Verdict::Blocks("not an address: 1 to 127, or 0x01 to 0x7F".to_owned());
+            return InputCheck::Rejected("not an address: 1 to 127, or 0x01 to 0x7F".to_owned());
         };
         let device = match key {
             RowKey::Device(id) => self.device(*id),
             RowKey::Entry(_) => None,
         };
         if device.is_some_and(|device| device.name.is_none()) {
-            return Verdict::Blocks("its name is not known yet".to_owned());
+            return InputCheck::Rejected("name not known yet".to_owned());
         }
         let bus = device.and_then(|it| self.bus(it.id.bus)).map(|bus| bus.name.as_str());
         let bus = bus.or(entry.and_then(|entry| entry.bus.as_deref()));
@@ -463,9 +465,9 @@ impl App {
             RowKey::Entry(_) => false,
         };
         let is_pinned = entry.is_some_and(|it| it.is_static && it.address == Some(address));
-        self.held_by_another(address, bus, own).unwrap_or_else(|| {
-            Verdict::Fine(if is_pinned {
-                format!("{address}, as it is pinned already")
+        self.address_in_use(address, bus, own).unwrap_or_else(|| {
+            InputCheck::Accepted(if is_pinned {
+                format!("already pinned to {address}")
             } else {
                 format!("Enter pins it to {address}")
             })
@@ -477,7 +479,7 @@ impl App {
         address: u8,
         bus: Option<&str>,
         own: Option<usize>,
-    ) -> Option<Verdict> {
+    ) -> Option<InputCheck> {
         let other = self.file.document().entries().iter().find(|entry| {
             Some(entry.index) != own
                 && entry.is_static
@@ -485,22 +487,24 @@ impl App {
                 && bus.is_none_or(|bus| is_for(entry, bus))
         })?;
         let line = other.position.line;
-        let name = Called(&other.name);
-        Some(Verdict::Blocks(format!("{address} is the static address of {name} (line {line})")))
+        let name = Quoted(&other.name);
+        Some(InputCheck::Rejected(format!(
+            "{address} is the static address of {name} (line {line})"
+        )))
     }
 
-    fn held_by_another(
+    fn address_in_use(
         &self,
         address: u8,
         bus: Option<&str>,
         is_own: impl Fn(crate::discovery::DeviceId) -> bool,
-    ) -> Option<Verdict> {
+    ) -> Option<InputCheck> {
         let buses = self.buses.iter().filter(|it| bus.is_none_or(|bus| it.name == bus));
         let other = buses.flat_map(|bus| bus.engine.devices()).find(|device| {
-            device.address.number() == address && device.is_here() && !is_own(device.id)
+            device.address.number() == address && device.is_present() && !is_own(device.id)
         })?;
         let who = other.name.as_ref().map_or("a device".to_owned(), ToString::to_string);
-        Some(Verdict::Warns(format!("{who} is at {address} now; Enter pins it all the same")))
+        Some(InputCheck::Warning(format!("{address} is used by {who}; Enter pins it anyway")))
     }
 
     fn finish_address(&mut self, prompt: &Prompt, key: &RowKey, text: &str) {
@@ -530,7 +534,7 @@ impl App {
             None if entry.is_none() => {}
             None => {
                 if let Some(theirs) = self.pinned_by_others(prompt) {
-                    self.say_of_file(format!("{theirs} already"));
+                    self.say_of_file(format!("already {theirs}"));
                 }
             }
         }
@@ -549,36 +553,37 @@ impl App {
         }
     }
 
-    fn judge_new_entry(&self, text: &str) -> Verdict {
+    fn judge_new_entry(&self, text: &str) -> InputCheck {
         let (name, address) = match split_new_entry(text) {
             Ok(split) => split,
-            Err(why) => return Verdict::Blocks(why.to_owned()),
+            Err(why) => return InputCheck::Rejected(why.to_owned()),
         };
         let bus = self.bus_to_name(self.selected_row().and_then(|row| row.bus));
         let exists = |entry: &&Entry| entry.name == name && entry.address == address;
         if let Some(other) = self.file.document().entries().iter().find(exists) {
             let line = other.position.line;
-            return Verdict::Blocks(format!("this entry is there already (line {line})"));
+            return InputCheck::Rejected(format!("entry already exists (line {line})"));
         }
         let Some(address) = address else {
-            let shown = Called(&name);
+            let shown = Quoted(&name);
             let last = text.rsplit(char::is_whitespace).next().unwrap_or_default();
             return if is_number(text.trim()) {
-                Verdict::Blocks(NEW_ENTRY.to_owned())
+                InputCheck::Rejected(NEW_ENTRY.to_owned())
             } else if is_number(last) {
-                Verdict::Blocks(format!("{last} is no address: 1 to 127"))
+                InputCheck::Rejected(format!("{last} is not an address (1 to 127)"))
             } else if last.starts_with(|c: char| c.is_ascii_digit()) {
-                Verdict::Warns(format!("all of it is the name: {last} is no address"))
+                InputCheck::Warning(format!("all of it is the name: {last} is not an address"))
             } else {
-                Verdict::Fine(format!("{shown}, not pinned (space, then address)"))
+                InputCheck::Accepted(format!("{shown}, not pinned (space, then address)"))
             };
         };
         if let Some(blocked) = self.pinned_elsewhere(address, bus.as_deref(), None) {
             return blocked;
         }
         let named = |id| self.device(id).is_some_and(|device| device.is_named(&name));
-        self.held_by_another(address, bus.as_deref(), named)
-            .unwrap_or_else(|| Verdict::Fine(format!("{}, pinned to {address}", Called(&name))))
+        self.address_in_use(address, bus.as_deref(), named).unwrap_or_else(|| {
+            InputCheck::Accepted(format!("{}, pinned to {address}", Quoted(&name)))
+        })
     }
 
     // ---- the captured frames ---------------------------------------------------------------
@@ -589,7 +594,7 @@ impl App {
         for (_, frame) in self.capture.iter() {
             let micros = self.epoch.unix_micros(frame.time);
             let bus = self.bus(frame.bus).map_or("can", |bus| &bus.name);
-            let sent = if frame.ours { " T" } else { "" };
+            let sent = if frame.is_tx { " T" } else { "" };
             let (seconds, rest) = (micros / 1_000_000, micros % 1_000_000);
             let _ = writeln!(log, "({seconds}.{rest:06}) {bus} {frame}{sent}");
         }
@@ -598,7 +603,7 @@ impl App {
 }
 
 /// What is to be typed for a new entry.
-const NEW_ENTRY: &str = "a name, a space, and its address";
+const NEW_ENTRY: &str = "name, space, address";
 
 /// Whether somebody who types this means a number.
 fn is_number(text: &str) -> bool {
@@ -615,7 +620,7 @@ fn pinned(entry: Option<&Entry>) -> String {
 }
 
 fn renamed(entry: &Entry) -> String {
-    format!("renamed to {} by someone else", Called(&entry.name))
+    format!("renamed to {} on disk", Quoted(&entry.name))
 }
 
 /// A number from 1 to 127, decimal or hexadecimal.
@@ -644,7 +649,7 @@ fn unescaped(text: &str) -> Result<Vec<u8>, &'static str> {
             let digits = rest.strip_prefix('x').and_then(|rest| rest.get(..2));
             let byte = digits.and_then(|digits| u8::from_str_radix(digits, 16).ok());
             match byte.ok_or(UNKNOWN)? {
-                0 => return Err("no name has a byte 0 in it: DES ends names with it"),
+                0 => return Err("a name cannot contain byte 0 (DES terminator)"),
                 byte => bytes.push(byte),
             }
             rest = &rest[3..];
@@ -654,15 +659,17 @@ fn unescaped(text: &str) -> Result<Vec<u8>, &'static str> {
     Ok(bytes)
 }
 
-fn judge_name(text: &str) -> Verdict {
+fn judge_name(text: &str) -> InputCheck {
     match unescaped(text) {
-        Err(why) => Verdict::Blocks(why.to_owned()),
-        Ok(name) if name.is_empty() => Verdict::Blocks("a name is needed".to_owned()),
+        Err(why) => InputCheck::Rejected(why.to_owned()),
+        Ok(name) if name.is_empty() => InputCheck::Rejected("a name is needed".to_owned()),
         Ok(name) if name.len() > 5 => {
             let bytes = name.len();
-            Verdict::Warns(format!("{bytes} bytes: an answer with more than 5 takes more frames"))
+            InputCheck::Warning(format!("{bytes} bytes: over 5 needs a multi-frame response"))
         }
-        Ok(_) => Verdict::Fine("Enter renames the entry; the device keeps its name".to_owned()),
+        Ok(_) => {
+            InputCheck::Accepted("Enter renames the entry; the device keeps its name".to_owned())
+        }
     }
 }
 

@@ -4,7 +4,7 @@
 
 use super::App;
 use super::buses::Bus;
-use super::siblings::Sibling;
+use super::redundancy::RedundantDevice;
 use crate::discovery::{Device, DeviceId, Presence};
 use crate::document::{Entry, EntryKey};
 use crate::frame::BusIndex;
@@ -32,7 +32,7 @@ pub struct Row {
     /// The device's name, else the entry's.
     pub name: Option<Name>,
     /// Whether it is there.
-    pub state: State,
+    pub state: RowState,
     /// A suspicion is open about it.
     pub suspected: bool,
     /// Another device of this name is there.
@@ -40,7 +40,7 @@ pub struct Row {
     /// The same device on other buses that are redundant to this one.
     pub also: Vec<DeviceId>,
     /// What the file says of it.
-    pub file: FileWord,
+    pub file: FileStatus,
     /// The place of its entry.
     pub entry: Option<usize>,
     /// Something is wrong with its entry: a value that cannot be used, or another entry that says
@@ -64,17 +64,17 @@ impl Row {
 
 /// The word in the STATE column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum State {
+pub enum RowState {
     /// A confirmed collision at its address.
-    Clash,
+    Conflict,
     /// Listed, and not there.
     Missing,
     /// As the engine judges.
     Lost,
     /// On several redundant buses, and not there, or not to be seen, on all of them.
-    Partly,
+    Partial,
     /// It was there when its bus went down: nobody knows whether it still is.
-    Unseen,
+    Unknown,
     /// As the engine judges.
     Stale,
     /// As the engine judges.
@@ -82,47 +82,47 @@ pub enum State {
     /// As the engine judges.
     Asleep,
     /// Listed, and it is too early to say.
-    Awaited,
+    Pending,
     /// Listed once more than it is there.
-    Again,
+    Duplicate,
     /// As the engine judges.
     Online,
 }
 
-impl State {
+impl RowState {
     /// The word.
     pub const fn word(self) -> &'static str {
         match self {
-            State::Clash => "CLASH",
-            State::Missing => "missing",
-            State::Lost => "lost",
-            State::Partly => "partly",
-            State::Unseen => "unseen",
-            State::Stale => "stale",
-            State::Silent => "silent",
-            State::Asleep => "asleep",
-            State::Awaited => "awaited",
-            State::Again => "again",
-            State::Online => "online",
+            RowState::Conflict => "CONFLICT",
+            RowState::Missing => "missing",
+            RowState::Lost => "lost",
+            RowState::Partial => "partial",
+            RowState::Unknown => "unknown",
+            RowState::Stale => "stale",
+            RowState::Silent => "silent",
+            RowState::Asleep => "asleep",
+            RowState::Pending => "pending",
+            RowState::Duplicate => "dup",
+            RowState::Online => "online",
         }
     }
 }
 
-impl From<Presence> for State {
+impl From<Presence> for RowState {
     fn from(presence: Presence) -> Self {
         match presence {
-            Presence::Online => State::Online,
-            Presence::Stale => State::Stale,
-            Presence::Silent => State::Silent,
-            Presence::Asleep => State::Asleep,
-            Presence::Lost => State::Lost,
+            Presence::Online => RowState::Online,
+            Presence::Stale => RowState::Stale,
+            Presence::Silent => RowState::Silent,
+            Presence::Asleep => RowState::Asleep,
+            Presence::Lost => RowState::Lost,
         }
     }
 }
 
 /// What the file says of a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum FileWord {
+pub enum FileStatus {
     /// There is no file, or the row is a debug device: nothing to say.
     Nothing,
     /// The device is not listed.
@@ -169,10 +169,10 @@ impl SortBy {
         match self {
             SortBy::Address => "by address",
             SortBy::Name => "by name",
-            SortBy::State => "what needs attention first",
+            SortBy::State => "by severity",
             SortBy::Mode => "by mode",
             SortBy::Seen => "newest first",
-            SortBy::File => "what differs from the file first",
+            SortBy::File => "by difference from the file",
         }
     }
 }
@@ -216,7 +216,7 @@ impl App {
     }
 
     /// The same device on other buses.
-    pub fn siblings(&self, id: DeviceId) -> &[Sibling] {
+    pub fn siblings(&self, id: DeviceId) -> &[RedundantDevice] {
         self.siblings.of(id)
     }
 

@@ -12,7 +12,7 @@ use std::collections::VecDeque;
 
 /// A line of the timeline.
 #[derive(Clone, Debug)]
-pub struct Entry {
+pub struct TimelineEntry {
     /// Its number, from 0: later lines have greater ones. A line that is counted again gets a new one.
     pub number: u64,
     /// When it happened first.
@@ -30,14 +30,14 @@ pub struct Entry {
     /// What happened.
     pub text: String,
     /// What sort of thing it is.
-    pub kind: Kind,
+    pub kind: TimelineKind,
     /// How often it happened.
     pub times: u32,
 }
 
 /// What sort of thing happened: chooses the sign and the colour.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub enum TimelineKind {
     /// A device came, came back, or said more of itself.
     Good,
     /// A device changed.
@@ -63,7 +63,7 @@ pub enum Kind {
 /// The lines.
 #[derive(Debug, Default)]
 pub struct Timeline {
-    entries: VecDeque<Entry>,
+    entries: VecDeque<TimelineEntry>,
     next: u64,
     /// Lines before this number stay as they are: somebody reads them.
     held: u64,
@@ -77,7 +77,7 @@ impl Timeline {
     const REPEAT_LINES: usize = 8;
 
     /// Writes a line. Where it repeats one of the last, that goes, and is counted in it.
-    pub fn push(&mut self, mut entry: Entry) {
+    pub fn push(&mut self, mut entry: TimelineEntry) {
         let last = self.entries.len().saturating_sub(Self::REPEAT_LINES)..self.entries.len();
         let repeated = last.rev().find(|&at| {
             let other = &self.entries[at];
@@ -88,7 +88,7 @@ impl Timeline {
                 && entry.time.since(other.last) <= Self::REPEAT_WITHIN
         });
         if let Some(repeated) = repeated.and_then(|at| self.entries.remove(at)) {
-            entry = Entry { times: repeated.times + 1, last: entry.time, ..repeated };
+            entry = TimelineEntry { times: repeated.times + 1, last: entry.time, ..repeated };
         }
         if self.entries.len() == Self::ENTRIES {
             self.entries.pop_front();
@@ -104,10 +104,10 @@ impl Timeline {
     /// nothing is made of the two.
     pub fn amend(
         &mut self,
-        entry: &Entry,
+        entry: &TimelineEntry,
         join: impl Fn(&str, &str) -> Option<String>,
-    ) -> Option<(String, Entry)> {
-        let same = |other: &Entry| {
+    ) -> Option<(String, TimelineEntry)> {
+        let same = |other: &TimelineEntry| {
             entry.device.is_some()
                 && other.device == entry.device
                 && other.last == entry.time
@@ -138,13 +138,13 @@ impl Timeline {
     }
 
     /// Lines that are there now stay as they are; `false`: they may be counted again.
-    pub fn hold(&mut self, holds: bool) {
+    pub fn pin_lines(&mut self, holds: bool) {
         self.held = if holds { self.next } else { 0 };
     }
 
     /// What was told of `was` (before a moment) was told of `device`.
-    pub fn rejoin(&mut self, was: DeviceId, before: Option<Instant>, device: DeviceId) {
-        let is_before = |entry: &Entry| before.is_none_or(|before| entry.time < before);
+    pub fn reassign(&mut self, was: DeviceId, before: Option<Instant>, device: DeviceId) {
+        let is_before = |entry: &TimelineEntry| before.is_none_or(|before| entry.time < before);
         for entry in self.entries.iter_mut().filter(|entry| entry.device == Some(was)) {
             if is_before(entry) {
                 entry.device = Some(device);
@@ -153,12 +153,12 @@ impl Timeline {
     }
 
     /// The lines, oldest first.
-    pub fn entries(&self) -> impl DoubleEndedIterator<Item = &Entry> + ExactSizeIterator {
+    pub fn entries(&self) -> impl DoubleEndedIterator<Item = &TimelineEntry> + ExactSizeIterator {
         self.entries.iter()
     }
 
     /// The line of that number.
-    pub fn get(&self, number: u64) -> Option<&Entry> {
+    pub fn get(&self, number: u64) -> Option<&TimelineEntry> {
         let at = self.entries.binary_search_by_key(&number, |entry| entry.number).ok()?;
         self.entries.get(at)
     }
@@ -169,9 +169,9 @@ impl Timeline {
     }
 }
 
-impl Entry {
+impl TimelineEntry {
     /// A line about the program, the file or a bus.
-    pub fn new(time: Instant, kind: Kind, text: impl Into<String>) -> Self {
+    pub fn new(time: Instant, kind: TimelineKind, text: impl Into<String>) -> Self {
         Self {
             number: 0,
             time,
@@ -206,12 +206,12 @@ mod tests {
         timeline
     }
 
-    fn line(second: u64, text: &str) -> Entry {
-        Entry::new(Instant::from_micros(second * 1_000_000), Kind::File, text)
+    fn line(second: u64, text: &str) -> TimelineEntry {
+        TimelineEntry::new(Instant::from_micros(second * 1_000_000), TimelineKind::File, text)
     }
 
     fn told(timeline: &Timeline) -> Vec<(u64, &str, u32)> {
-        let seconds = |entry: &Entry| entry.last.as_micros() / 1_000_000;
+        let seconds = |entry: &TimelineEntry| entry.last.as_micros() / 1_000_000;
         timeline.entries().map(|it| (seconds(it), &*it.text, it.times)).collect()
     }
 
@@ -250,12 +250,12 @@ mod tests {
     #[test]
     fn lines_that_are_held_stay_as_they_are() {
         let mut timeline = timeline(&[(0, "changed"), (1, "saved")]);
-        timeline.hold(true);
+        timeline.pin_lines(true);
         timeline.push(line(2, "changed"));
         timeline.push(line(3, "changed"));
         let expected = [(0, "changed", 1), (1, "saved", 1), (3, "changed", 2)];
         assert_eq!(told(&timeline), expected);
-        timeline.hold(false);
+        timeline.pin_lines(false);
         timeline.push(line(4, "saved"));
         assert_eq!(told(&timeline).last(), Some(&(4, "saved", 2)));
     }

@@ -9,8 +9,8 @@ use crate::error_report::ErrorReport;
 use crate::frame::{BusIndex, CanId, Frame, FrameKind};
 use crate::text::Escaped;
 use crate::time::Instant;
-use crate::wire::des::{Asked, Request, ServicesAnswer, TYPE_NAME, TYPE_SERVICES, decode_name};
-use crate::wire::framing::{Framing, classify_answer, classify_request, strip_raw_padding};
+use crate::wire::des::{Asked, Request, ServicesResponse, TYPE_NAME, TYPE_SERVICES, decode_name};
+use crate::wire::framing::{Framing, classify_request, classify_response, strip_raw_padding};
 use crate::wire::id::{Address, Header, MessageType};
 use crate::wire::isotp::{FlowStatus, Pci};
 use crate::wire::node::Heartbeat;
@@ -47,19 +47,19 @@ impl Decoded {
                 is_error: true,
                 ..Self::default()
             },
-            (FrameKind::Data, CanId::Extended(id)) => Self::of_platform(app, frame, id),
+            (FrameKind::Data, CanId::Extended(id)) => Self::decode_platform(app, frame, id),
             (FrameKind::Remote, _) => {
-                let text = "remote request: not of this platform".to_owned();
+                let text = "remote frame (non-platform)".to_owned();
                 Self { kind: "remote", text, ..Self::default() }
             }
             _ => {
-                let text = "11-bit identifier: not of this platform".to_owned();
+                let text = "11-bit ID (non-platform)".to_owned();
                 Self { kind: "standard", text, ..Self::default() }
             }
         }
     }
 
-    fn of_platform(app: &App, frame: &Frame, id: u32) -> Self {
+    fn decode_platform(app: &App, frame: &Frame, id: u32) -> Self {
         let header = Header::decode(id);
         let kind = header.message_type();
         let profile = app.profile(frame.bus);
@@ -87,7 +87,7 @@ impl Decoded {
 
     pub(super) fn is_source(&self, value: &str) -> bool {
         let Some(header) = self.header else { return false };
-        is_party(&self.source, header.source, value)
+        is_endpoint(&self.source, header.source, value)
     }
 
     pub(super) fn is_destination(&self, value: &str) -> bool {
@@ -95,7 +95,7 @@ impl Decoded {
         if header.broadcast {
             return value == "*";
         }
-        is_party(&self.destination, header.destination, value)
+        is_endpoint(&self.destination, header.destination, value)
     }
 
     pub(super) fn is_service(&self, value: &str) -> bool {
@@ -108,13 +108,13 @@ impl Decoded {
     }
 }
 
-fn is_party(name: &str, address: Address, value: &str) -> bool {
+fn is_endpoint(name: &str, address: Address, value: &str) -> bool {
     name.to_lowercase() == value || address.to_string() == value
 }
 
 /// The captured frames that the filter line lets through: found once per frame, not per draw.
 #[derive(Debug, Default)]
-pub(super) struct Matches {
+pub(super) struct FilteredFrames {
     line: String,
     numbers: VecDeque<u64>,
     /// Frames before this number were looked at.
@@ -129,12 +129,12 @@ impl App {
 
     /// Whoever holds an address now: its name, else the number.
     pub fn name_at(&self, bus: BusIndex, address: Address) -> String {
-        let here = |device: &&Device| device.address == address && device.is_here();
+        let here = |device: &&Device| device.address == address && device.is_present();
         let devices = self.bus(bus).map_or(&[][..], |bus| bus.engine.devices());
         let named = devices.iter().filter(here).find_map(|device| device.name.as_ref());
         match named {
             Some(name) => name.to_string(),
-            None if self.is_own_address(bus, address) => "me".to_owned(),
+            None if self.is_own_address(bus, address) => "own".to_owned(),
             None => address.to_string(),
         }
     }
@@ -169,7 +169,7 @@ impl App {
                 .filter_map(|at| self.capture.get(at))
                 .filter(same),
         )?;
-        Some(describe_answer(&message).0)
+        Some(describe_response(&message).0)
     }
 
     /// The numbers of the frames that the filter lets through, from `number` on, oldest first.
@@ -207,7 +207,7 @@ impl App {
         }
         let mut matches = std::mem::take(&mut self.matches);
         if matches.line != line {
-            matches = Matches { line: line.to_owned(), ..Matches::default() };
+            matches = FilteredFrames { line: line.to_owned(), ..FilteredFrames::default() };
         }
         let (first, end) = (self.capture.first(), self.capture.end());
         while matches.numbers.front().is_some_and(|&number| number < first) {
@@ -299,55 +299,57 @@ fn describe_data(profile: &Profile, header: Header, frame: &Frame) -> (String, b
             },
         };
     }
-    match classify_answer(data, frame.fd, true) {
-        Some(Framing::Raw) => describe_answer(strip_raw_padding(data)),
+    match classify_response(data, frame.fd, true) {
+        Some(Framing::Raw) => describe_response(strip_raw_padding(data)),
         Some(Framing::Isotp) => match Pci::decode(data, frame.fd) {
-            Ok(Pci::Single(message)) => describe_answer(message),
+            Ok(Pci::Single(message)) => describe_response(message),
             Ok(Pci::First { length, data }) => {
                 let what = match data.first() {
                     Some(&TYPE_NAME) => "name",
                     Some(&TYPE_SERVICES) => "services",
                     _ => "message",
                 };
-                (format!("{what}, {length} bytes, first part"), false)
+                (format!("first frame: {what}, {length} bytes"), false)
             }
-            Ok(Pci::Consecutive { sequence, .. }) => (format!("further part {sequence:X}"), false),
+            Ok(Pci::Consecutive { sequence, .. }) => {
+                (format!("consecutive frame {sequence:X}"), false)
+            }
             Ok(Pci::Flow(flow)) => (describe_flow(flow.status).to_owned(), false),
             Err(fault) => (fault.to_string(), true),
         },
-        None => ("neither framing".to_owned(), true),
+        None => ("neither ISO-TP nor raw".to_owned(), true),
     }
 }
 
 fn describe_flow(status: FlowStatus) -> &'static str {
     match status {
-        FlowStatus::Continue => "go on",
-        FlowStatus::Wait => "wait",
-        FlowStatus::Overflow => "too long for me",
+        FlowStatus::Continue => "flow control: continue",
+        FlowStatus::Wait => "flow control: wait",
+        FlowStatus::Overflow => "flow control: overflow",
     }
 }
 
 fn describe_request(message: &[u8]) -> String {
     match Request::decode(message) {
-        Some(Asked::Known(Request::Name)) => "who is there?".to_owned(),
-        Some(Asked::Known(Request::Services)) => "which services?".to_owned(),
-        Some(Asked::Reserved(kind)) => format!("reserved request {kind:02X}"),
+        Some(Asked::Known(Request::Name)) => "name request".to_owned(),
+        Some(Asked::Known(Request::Services)) => "services request".to_owned(),
+        Some(Asked::Reserved(kind)) => format!("reserved DES request {kind:02X}"),
         None => "not a DES request".to_owned(),
     }
 }
 
-fn describe_answer(message: &[u8]) -> (String, bool) {
+fn describe_response(message: &[u8]) -> (String, bool) {
     match message.first() {
         Some(&TYPE_NAME) => {
             let (name, fault) = decode_name(message);
-            let mut text = format!("I am {}", Escaped(name.unwrap_or_default()));
+            let mut text = format!("name {}", Escaped(name.unwrap_or_default()));
             if let Some(fault) = fault {
                 let _ = write!(text, " ({fault})");
             }
             (text, fault.is_some())
         }
         Some(&TYPE_SERVICES) => {
-            let answer = ServicesAnswer::decode(message);
+            let answer = ServicesResponse::decode(message);
             let mut text = "services".to_owned();
             let mut count = 0;
             for service in answer.services() {
@@ -364,7 +366,7 @@ fn describe_answer(message: &[u8]) -> (String, bool) {
             }
             (text, answer.fault().is_some())
         }
-        _ => ("not a DES answer".to_owned(), true),
+        _ => ("not a DES response".to_owned(), true),
     }
 }
 

@@ -3,8 +3,8 @@
 use super::capture::IdentifierKey;
 use super::cursor::Cursor;
 use super::evidence::EvidenceView;
-use super::groups::ProblemKey;
 use super::page::{Focus, Frozen, Page};
+use super::problem_groups::ProblemKey;
 use super::rows::{RowKey, SortBy};
 
 /// What the user looks at.

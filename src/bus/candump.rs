@@ -54,13 +54,13 @@ pub enum LineFault {
     #[error("more data than the frame can carry")]
     TooMuchData,
     /// A remote request's length, or a raw DLC.
-    #[error("a length or DLC that does not exist")]
+    #[error("invalid length or DLC")]
     Length,
     /// A CAN XL frame.
     #[error("a CAN XL frame")]
     Xl,
     /// Something after the frame that is neither R nor T.
-    #[error("something after the frame that is neither R nor T")]
+    #[error("text after the frame (only R or T allowed)")]
     Trailing,
 }
 
@@ -81,7 +81,7 @@ pub fn parse_line(line: &[u8]) -> Result<Option<LogLine<'_>>, LineFault> {
     let mut frame = parse_frame(words.next().ok_or(LineFault::Frame)?)?;
     match words.next() {
         None | Some(b"R") => {}
-        Some(b"T") => frame.ours = true,
+        Some(b"T") => frame.is_tx = true,
         Some(_) => return Err(LineFault::Trailing),
     }
     if words.next().is_some() {
@@ -99,7 +99,7 @@ pub fn write_line(
 ) -> io::Result<()> {
     let micros = epoch.unix_micros(frame.time);
     let (seconds, fraction) = (micros / 1_000_000, micros % 1_000_000);
-    let direction = if frame.ours { " T" } else { "" };
+    let direction = if frame.is_tx { " T" } else { "" };
     writeln!(out, "({seconds:010}.{fraction:06}) {interface} {frame}{direction}")
 }
 

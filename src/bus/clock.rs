@@ -21,11 +21,11 @@ const MAX_LAG: Duration = Duration::from_millis(250);
 pub struct Clock {
     epoch: Epoch,
     is_replaying: bool,
-    pace: Arc<Mutex<Pace>>,
+    pace: Arc<Mutex<PlaybackPace>>,
 }
 
 #[derive(Debug)]
-struct Pace {
+struct PlaybackPace {
     /// It was this moment then, and runs at this pace since.
     since: Monotonic,
     from: Instant,
@@ -70,7 +70,7 @@ impl Clock {
         let (since, from) = (Monotonic::now(), Instant::ZERO);
         let reached = from;
         let awaits_log = is_replaying;
-        let pace = Pace { since, from, reached, speed, is_paused: false, awaits_log, logs };
+        let pace = PlaybackPace { since, from, reached, speed, is_paused: false, awaits_log, logs };
         Self { epoch, is_replaying, pace: Arc::new(Mutex::new(pace)) }
     }
 
@@ -142,7 +142,7 @@ impl Clock {
     /// be waited for do not slow it down: it runs on as it began.
     pub(super) fn log_waits(&self, log: BusIndex, next: Instant) {
         let mut pace = self.pace();
-        pace.forget_lag();
+        pace.drop_lag();
         let waits = match pace.logs.get(&log) {
             Some(LogPlace::Live(_)) => LogPlace::Live(Some(next)),
             _ => LogPlace::Next(next),
@@ -159,7 +159,7 @@ impl Clock {
 
     /// A log that was at its end goes on with a frame of this moment: it is now, unless other logs
     /// go by this clock too, or it is later already.
-    pub(super) fn log_goes_on(&self, log: BusIndex, next: Instant) {
+    pub(super) fn log_resumed(&self, log: BusIndex, next: Instant) {
         self.change(|pace| {
             pace.logs.insert(log, LogPlace::Live(None));
             // From now on lines come as they are written.
@@ -171,19 +171,19 @@ impl Clock {
     }
 
     /// Changes the pace from now on.
-    fn change(&self, change: impl FnOnce(&mut Pace)) {
+    fn change(&self, change: impl FnOnce(&mut PlaybackPace)) {
         let mut pace = self.pace();
         pace.begin_at_now();
         change(&mut pace);
     }
 
     // A panic of another thread leaves nothing half-done in here, so its poison is ignored.
-    fn pace(&self) -> MutexGuard<'_, Pace> {
+    fn pace(&self) -> MutexGuard<'_, PlaybackPace> {
         self.pace.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-impl Pace {
+impl PlaybackPace {
     fn now(&mut self) -> Instant {
         let now = if self.is_standing() {
             self.from
@@ -215,7 +215,7 @@ impl Pace {
     }
 
     /// Goes on from the first frame that waits, where that is too late to catch up.
-    fn forget_lag(&mut self) {
+    fn drop_lag(&mut self) {
         let now = self.now();
         if self.pace().since(now) > MAX_LAG.mul_f64(self.speed) {
             self.begin_at_now();
@@ -238,14 +238,14 @@ impl Pace {
 /// monotonic clock. So a wall clock that somebody sets does not move what was dated before, and
 /// moments neither lie in the future nor run backwards.
 #[derive(Debug)]
-pub struct Dating {
+pub struct RxTimestamps {
     clock: Clock,
     now: Instant,
     wall_micros: u64,
     last: Instant,
 }
 
-impl Dating {
+impl RxTimestamps {
     /// Nothing dated yet.
     pub fn new(clock: Clock) -> Self {
         Self { clock, now: Instant::ZERO, wall_micros: 0, last: Instant::ZERO }
@@ -277,8 +277,8 @@ fn wall_micros() -> u64 {
 mod tests {
     use super::*;
 
-    fn dating_at(now: u64, wall: u64) -> Dating {
-        let mut dating = Dating::new(Clock::start());
+    fn dating_at(now: u64, wall: u64) -> RxTimestamps {
+        let mut dating = RxTimestamps::new(Clock::start());
         dating.set_clocks(Instant::from_micros(now), wall);
         dating
     }
@@ -341,7 +341,7 @@ mod tests {
         assert_eq!(clock.playback().map(|it| it.is_ended), Some(true));
         assert_eq!(clock.now(), end);
         // It does not leap where another log goes by it.
-        clock.log_goes_on(first, end + Duration::from_hours(5));
+        clock.log_resumed(first, end + Duration::from_hours(5));
         assert!(clock.now() < end + Duration::from_hours(1));
         assert_eq!(
             clock.playback(),

@@ -18,7 +18,7 @@ use std::io::{self, BufRead, BufReader, Read};
 
 /// Lines that are so much out of order count as of the moment of the one before; beyond it, the
 /// clock was set back.
-const DISORDER: Duration = Duration::from_secs(1);
+const MAX_REORDER: Duration = Duration::from_secs(1);
 /// A gap after which a clock that was set back may be back at its earlier time.
 const GAP: Duration = Duration::from_secs(10);
 
@@ -28,17 +28,17 @@ const GAP: Duration = Duration::from_secs(10);
 #[derive(Debug)]
 pub struct LogReader<R> {
     source: R,
-    format: Format,
+    format: LogFormat,
     /// A last line without an end is not read yet.
     keeps_unfinished: bool,
     /// A line or block that was cut by the end of the source's buffer, as far as it is here.
     partial: Vec<u8>,
-    tally: Tally,
+    tally: LogSummary,
 }
 
 /// What kind of log it is.
 #[derive(Debug)]
-enum Format {
+enum LogFormat {
     /// What is read so far, kept as partial, is how pcapng begins.
     Unknown,
     Text,
@@ -65,7 +65,7 @@ pub enum EntryFault {
 
 /// What was read so far.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Tally {
+pub struct LogSummary {
     /// It is pcapng: what is counted as lines are blocks.
     pub is_pcapng: bool,
     /// Lines, readable or not.
@@ -99,10 +99,10 @@ impl<R: BufRead> LogReader<R> {
     pub fn new(source: R) -> Self {
         Self {
             source,
-            format: Format::Unknown,
+            format: LogFormat::Unknown,
             keeps_unfinished: false,
             partial: Vec::new(),
-            tally: Tally::default(),
+            tally: LogSummary::default(),
         }
     }
 
@@ -119,7 +119,7 @@ impl<R: BufRead> LogReader<R> {
 
     /// Takes the last line as it is, though it has no end.
     pub fn take_unfinished(&mut self) -> Option<Frame> {
-        if !matches!(self.format, Format::Text) || self.partial.is_empty() {
+        if !matches!(self.format, LogFormat::Text) || self.partial.is_empty() {
             return None;
         }
         let frame = self.tally.take(&self.partial);
@@ -143,7 +143,7 @@ impl<R: BufRead> LogReader<R> {
     }
 
     /// What was read so far.
-    pub fn tally(&self) -> &Tally {
+    pub fn tally(&self) -> &LogSummary {
         &self.tally
     }
 
@@ -151,46 +151,49 @@ impl<R: BufRead> LogReader<R> {
     pub fn next_frame(&mut self) -> io::Result<Option<Frame>> {
         loop {
             match self.step()? {
-                Step::End => return Ok(None),
-                Step::Frame(frame) => return Ok(Some(frame)),
-                Step::Nothing => {}
+                ReadStep::End => return Ok(None),
+                ReadStep::Frame(frame) => return Ok(Some(frame)),
+                ReadStep::Nothing => {}
             }
         }
     }
 
     /// Reads to the end of a line or block, or of the source's buffer.
-    fn step(&mut self) -> io::Result<Step> {
+    fn step(&mut self) -> io::Result<ReadStep> {
         let buffer = match self.source.fill_buf() {
-            Err(error) if error.kind() == io::ErrorKind::Interrupted => return Ok(Step::Nothing),
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {
+                return Ok(ReadStep::Nothing);
+            }
             buffer => buffer?,
         };
         let (used, step) = match &mut self.format {
-            Format::Unknown => {
+            LogFormat::Unknown => {
                 let matched = self.partial.len();
                 match buffer.first() {
-                    None if matched == 0 => (0, Step::End),
+                    None if matched == 0 => (0, ReadStep::End),
                     Some(&byte) if byte == pcapng::MAGIC[matched] => {
                         self.partial.push(byte);
                         if matched + 1 == pcapng::MAGIC.len() {
                             self.tally.is_pcapng = true;
-                            self.format = Format::Pcapng { sections: Sections::default(), skip: 0 };
+                            self.format =
+                                LogFormat::Pcapng { sections: Sections::default(), skip: 0 };
                         }
-                        (1, Step::Nothing)
+                        (1, ReadStep::Nothing)
                     }
                     _ => {
-                        self.format = Format::Text;
+                        self.format = LogFormat::Text;
                         if matched > 0 {
                             // That was a blank line, and perhaps what the next begins with.
                             self.partial.remove(0);
                             self.tally.take(b"");
                         }
-                        (0, Step::Nothing)
+                        (0, ReadStep::Nothing)
                     }
                 }
             }
-            Format::Text if buffer.is_empty() && self.keeps_unfinished => (0, Step::End),
-            Format::Text => read_line(buffer, &mut self.partial, &mut self.tally),
-            Format::Pcapng { sections, skip } => {
+            LogFormat::Text if buffer.is_empty() && self.keeps_unfinished => (0, ReadStep::End),
+            LogFormat::Text => read_line(buffer, &mut self.partial, &mut self.tally),
+            LogFormat::Pcapng { sections, skip } => {
                 read_block(buffer, (sections, skip), &mut self.partial, &mut self.tally)
             }
         };
@@ -200,12 +203,12 @@ impl<R: BufRead> LogReader<R> {
 }
 
 /// Reads to the end of a line or of the buffer; says how much of it that is.
-fn read_line(buffer: &[u8], partial: &mut Vec<u8>, tally: &mut Tally) -> (usize, Step) {
+fn read_line(buffer: &[u8], partial: &mut Vec<u8>, tally: &mut LogSummary) -> (usize, ReadStep) {
     let (read, is_at_end) = (buffer.len(), buffer.is_empty());
     let line_end = buffer.iter().position(|&byte| byte == b'\n');
     let piece = &buffer[..line_end.unwrap_or(read)];
     let frame = match line_end {
-        _ if is_at_end && partial.is_empty() => return (0, Step::End),
+        _ if is_at_end && partial.is_empty() => return (0, ReadStep::End),
         Some(_) if partial.is_empty() => tally.take(piece),
         None if !is_at_end => {
             keep(partial, piece);
@@ -218,7 +221,7 @@ fn read_line(buffer: &[u8], partial: &mut Vec<u8>, tally: &mut Tally) -> (usize,
             frame
         }
     };
-    (line_end.map_or(read, |end| end + 1), frame.map_or(Step::Nothing, Step::Frame))
+    (line_end.map_or(read, |end| end + 1), frame.map_or(ReadStep::Nothing, ReadStep::Frame))
 }
 
 /// Reads to the end of a block or of the buffer; says how much of it that is.
@@ -226,21 +229,21 @@ fn read_block(
     buffer: &[u8],
     (sections, skip): (&mut Sections, &mut u64),
     partial: &mut Vec<u8>,
-    tally: &mut Tally,
-) -> (usize, Step) {
+    tally: &mut LogSummary,
+) -> (usize, ReadStep) {
     if tally.damage.is_some_and(|damage| damage != Damage::Cut) {
-        return (0, Step::End);
+        return (0, ReadStep::End);
     }
     if buffer.is_empty() {
         tally.damage = (*skip > 0 || !partial.is_empty()).then_some(Damage::Cut);
-        return (0, Step::End);
+        return (0, ReadStep::End);
     }
     // More came than there was.
     tally.damage = None;
     if *skip > 0 {
         let skipped = buffer.len().min(usize::try_from(*skip).unwrap_or(usize::MAX));
         *skip -= skipped as u64;
-        return (skipped, Step::Nothing);
+        return (skipped, ReadStep::Nothing);
     }
     let mut used = 0;
     let mut fill = |partial: &mut Vec<u8>, wanted: usize| {
@@ -273,10 +276,10 @@ fn read_block(
         taken
     };
     match read {
-        Ok(frame) => (used, frame.map_or(Step::Nothing, Step::Frame)),
+        Ok(frame) => (used, frame.map_or(ReadStep::Nothing, ReadStep::Frame)),
         Err(damage) => {
             tally.damage = Some(damage);
-            (used, Step::End)
+            (used, ReadStep::End)
         }
     }
 }
@@ -284,11 +287,11 @@ fn read_block(
 impl<R: Read> LogReader<BufReader<R>> {
     /// Another log goes on in the place of this one: what comes is the beginning of a file. What
     /// was read stays counted.
-    pub fn begin_anew(&mut self) {
+    pub fn restart(&mut self) {
         let left = self.source.buffer().len();
         self.source.consume(left);
         self.partial.clear();
-        self.format = Format::Unknown;
+        self.format = LogFormat::Unknown;
         (self.tally.is_pcapng, self.tally.damage) = (false, None);
     }
 
@@ -297,9 +300,9 @@ impl<R: Read> LogReader<BufReader<R>> {
         while self.has_whole() {
             // What is buffered is not read again, so there is no error.
             match self.step() {
-                Ok(Step::Frame(frame)) => return Some(frame),
-                Ok(Step::Nothing) => {}
-                Ok(Step::End) | Err(_) => return None,
+                Ok(ReadStep::Frame(frame)) => return Some(frame),
+                Ok(ReadStep::Nothing) => {}
+                Ok(ReadStep::End) | Err(_) => return None,
             }
         }
         None
@@ -309,14 +312,14 @@ impl<R: Read> LogReader<BufReader<R>> {
     /// wait, and less than a block is kept.
     fn has_whole(&self) -> bool {
         match self.format {
-            Format::Text => self.source.buffer().contains(&b'\n'),
-            Format::Unknown | Format::Pcapng { .. } => !self.source.buffer().is_empty(),
+            LogFormat::Text => self.source.buffer().contains(&b'\n'),
+            LogFormat::Unknown | LogFormat::Pcapng { .. } => !self.source.buffer().is_empty(),
         }
     }
 }
 
 /// What a step of reading came to.
-enum Step {
+enum ReadStep {
     End,
     Nothing,
     Frame(Frame),
@@ -336,7 +339,7 @@ impl<R: BufRead> Iterator for LogReader<R> {
     }
 }
 
-impl Tally {
+impl LogSummary {
     fn take(&mut self, line: &[u8]) -> Option<Frame> {
         // Some editors begin a file with a byte order mark.
         let mark = b"\xEF\xBB\xBF".as_slice();
@@ -363,7 +366,7 @@ impl Tally {
         let epoch = *self.epoch.get_or_insert(Epoch::from_unix_micros(line.unix_micros));
         self.last = self.moment(epoch.since_start(line.unix_micros));
         self.frames += 1;
-        Ok(line.frame.at(self.last).on(bus))
+        Ok(line.frame.with_time(self.last).with_bus(bus))
     }
 
     /// The moment of a line dated `written` microseconds after the first one.
@@ -371,13 +374,13 @@ impl Tally {
         let micros = |duration: Duration| duration.as_micros().cast_signed();
         let last = i128::from(self.last.as_micros());
         let late = |ahead| written + micros(ahead) - last;
-        let goes_on = |ahead| (-micros(DISORDER)..=micros(GAP)).contains(&late(ahead));
+        let goes_on = |ahead| (-micros(MAX_REORDER)..=micros(GAP)).contains(&late(ahead));
         if !goes_on(self.ahead) && goes_on(self.ahead_before) {
             std::mem::swap(&mut self.ahead, &mut self.ahead_before);
         }
         let late_by = late(self.ahead);
         self.backwards += u64::from(late_by < 0);
-        if late_by < -micros(DISORDER) {
+        if late_by < -micros(MAX_REORDER) {
             let set_back = u64::try_from(-late_by).unwrap_or(u64::MAX);
             self.ahead_before = self.ahead;
             self.ahead = self.ahead.saturating_add(Duration::from_micros(set_back));
@@ -396,7 +399,7 @@ impl Tally {
 }
 
 /// `5123 frames; 2 lines cannot be read, the first is line 17: …`.
-impl fmt::Display for Tally {
+impl fmt::Display for LogSummary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let plural = |count| if count == 1 { "" } else { "s" };
         write!(f, "{} frame{}", self.frames, plural(self.frames))?;
@@ -416,7 +419,7 @@ impl fmt::Display for Tally {
         }
         match self.backwards {
             0 => Ok(()),
-            count => write!(f, "; time runs backwards {count} time{}", plural(count)),
+            count => write!(f, "; time goes backwards {count} time{}", plural(count)),
         }
     }
 }
@@ -434,7 +437,7 @@ not a line
 (1436509052.249000) can0 02015402#05 T\r
 (1436509053.000000) can0 00000001#";
 
-    fn read(text: &str, buffer: usize) -> (Vec<Frame>, Tally) {
+    fn read(text: &str, buffer: usize) -> (Vec<Frame>, LogSummary) {
         let mut reader = LogReader::new(BufReader::with_capacity(buffer, text.as_bytes()));
         let frames = reader.by_ref().collect::<io::Result<_>>().unwrap();
         (frames, reader.tally().clone())
@@ -446,7 +449,7 @@ not a line
         let micros: Vec<_> = frames.iter().map(|frame| frame.time.as_micros()).collect();
         assert_eq!(micros, [0, 87, 87, 750_287]);
         assert_eq!(frames.iter().map(|frame| frame.bus.0).collect::<Vec<_>>(), [0, 1, 0, 0]);
-        assert!(frames[2].ours);
+        assert!(frames[2].is_tx);
         assert_eq!(tally.interfaces, ["can0", "can1"]);
         assert_eq!(tally.epoch.unwrap().unix_micros(tally.last), 1_436_509_053_000_000);
         assert_eq!((tally.lines, tally.frames, tally.unreadable, tally.backwards), (6, 4, 1, 1));
@@ -541,7 +544,7 @@ not a line
         assert_eq!(
             read(LOG, 4096).1.to_string(),
             "4 frames of 2 interfaces; line 4 cannot be read: it does not begin with \
-             (SECONDS.FRACTION); time runs backwards 1 time"
+             (SECONDS.FRACTION); time goes backwards 1 time"
         );
     }
 }

@@ -9,7 +9,6 @@
 //! `socketcan`, `slcan`, `socketcand` and `udp` (what they share is in `remote`), `replay`, `sim`. A log can also be read at
 //! once: [`log::LogReader`].
 
-mod bell;
 pub mod candump;
 mod clock;
 pub mod log;
@@ -25,13 +24,14 @@ mod socketcand;
 mod spec;
 mod tuner;
 mod udp;
+mod waker;
 
-pub use clock::{Clock, Dating};
+pub use clock::{Clock, RxTimestamps};
 pub use port::{Port, TransmitError};
 pub use queue::Queue;
-pub use socketcan::{Interface, interfaces};
+pub use socketcan::{CanInterface, interfaces};
 pub use spec::{BusSpec, SpecError};
-pub use tuner::{TuneError, Tuner};
+pub use tuner::{BitRateSetter, TuneError};
 
 use crate::frame::{BusIndex, IdPattern};
 use crate::sim::Scenario;
@@ -44,7 +44,7 @@ use std::path::Path;
 /// Why a bus cannot be opened. An interface that is down or not there yet is no reason: that
 /// is a status.
 #[derive(Debug, thiserror::Error)]
-pub enum BusError {
+pub enum OpenError {
     /// The log cannot be opened.
     #[error("cannot read {path}: {cause}")]
     Log {
@@ -83,13 +83,13 @@ pub fn open(
     index: BusIndex,
     clock: Clock,
     options: Options,
-) -> Result<Port, BusError> {
+) -> Result<Port, OpenError> {
     let name = spec.to_string();
     let port = match spec {
         BusSpec::SocketCan(interface) => socketcan::open(interface, index, clock, options),
         BusSpec::File(path) => {
             let log =
-                open_log(path).map_err(|cause| BusError::Log { path: name.clone(), cause })?;
+                open_log(path).map_err(|cause| OpenError::Log { path: name.clone(), cause })?;
             replay::open(&name, log, Some(path), index, clock)
         }
         BusSpec::Stdin => io::stdin()
@@ -111,19 +111,20 @@ pub fn open(
             udp::open(&name, group, (index, clock, options))
         }
     };
-    port.map_err(|cause| BusError::Resources { name, cause })
+    port.map_err(|cause| OpenError::Resources { name, cause })
 }
 
 /// The scenario of that name: a built-in one, or a file.
-pub fn scenario(name: &str) -> Result<Scenario, BusError> {
+pub fn scenario(name: &str) -> Result<Scenario, OpenError> {
     if Scenario::builtin_text(name).is_some() {
-        return Scenario::builtin(name).map_err(|error| BusError::Scenario(error.to_string()));
+        return Scenario::builtin(name).map_err(|error| OpenError::Scenario(error.to_string()));
     }
     let text = std::fs::read_to_string(name).map_err(|cause| {
-        BusError::Scenario(format!("{name}: {cause}; there are boiler, drone, and files (TOML)"))
+        OpenError::Scenario(format!("{name}: {cause}; use boiler, drone or a TOML file"))
     })?;
-    Scenario::parse(&text)
-        .map_err(|error| BusError::Scenario(format!("{name}: {}", on_one_line(&error.to_string()))))
+    Scenario::parse(&text).map_err(|error| {
+        OpenError::Scenario(format!("{name}: {}", on_one_line(&error.to_string())))
+    })
 }
 
 /// Opens a candump log.

@@ -58,10 +58,10 @@ const MAX_NAME: usize = 64;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
 pub enum PacketFault {
     /// Not of CAN.
-    #[error("it is of link type {0}, not of CAN (227)")]
+    #[error("link type {0}, expected 227 (SocketCAN)")]
     LinkType(u16),
     /// Its interface was not described before it.
-    #[error("its interface is not described")]
+    #[error("missing interface description")]
     Interface,
     /// A block that says less than such a block must.
     #[error("the block is too short")]
@@ -70,10 +70,10 @@ pub enum PacketFault {
     #[error("the block is too long")]
     Long,
     /// A kind of packet block that has no time, or is not used any more.
-    #[error("a packet block of an old kind: editcap -F pcapng OLD NEW makes new ones")]
+    #[error("obsolete packet block; convert it: editcap -F pcapng OLD NEW")]
     OldKind,
     /// The captured bytes are no CAN frame.
-    #[error("its bytes are no CAN frame")]
+    #[error("not a valid CAN frame")]
     NoFrame,
     /// A CAN XL frame.
     #[error("a CAN XL frame")]
@@ -84,16 +84,16 @@ pub enum PacketFault {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
 pub enum Damage {
     /// The file ends within a block.
-    #[error("it breaks off within a block")]
+    #[error("truncated inside a block")]
     Cut,
     /// A block whose length cannot be: where the next begins is not known.
-    #[error("a block says that it has {0} bytes: the rest cannot be read")]
+    #[error("invalid block length of {0} bytes: the rest cannot be read")]
     Length(u32),
     /// The length behind a block is not the one before it.
-    #[error("a block's two lengths differ: the rest cannot be read")]
+    #[error("the two lengths of a block differ: the rest cannot be read")]
     Lengths,
     /// A section whose byte order is neither.
-    #[error("a section without a byte order: the rest cannot be read")]
+    #[error("section without byte-order magic: the rest cannot be read")]
     ByteOrder,
 }
 
@@ -102,12 +102,12 @@ pub enum Damage {
 pub struct Sections {
     big_endian: bool,
     /// Of a version that is not known: skipped.
-    foreign: bool,
-    interfaces: Vec<Interface>,
+    is_unknown_version: bool,
+    interfaces: Vec<PcapInterface>,
 }
 
 #[derive(Clone, Debug)]
-struct Interface {
+struct PcapInterface {
     link_type: u16,
     name: String,
     resolution: u8,
@@ -130,7 +130,7 @@ impl Sections {
     pub fn skip(&self, head: &[u8; HEAD]) -> Result<(), PacketFault> {
         let kind = Fields { bytes: head, big_endian: self.big_endian }.u32();
         let is_packet = matches!(kind, Some(PACKET | SIMPLE_PACKET | OLD_PACKET));
-        if is_packet && !self.foreign { Err(PacketFault::Long) } else { Ok(()) }
+        if is_packet && !self.is_unknown_version { Err(PacketFault::Long) } else { Ok(()) }
     }
 
     /// Takes a whole block; what it says of a frame, if it is a frame's.
@@ -155,7 +155,7 @@ impl Sections {
             return Ok(Ok(None));
         }
         Ok(match kind {
-            _ if self.foreign => Ok(None),
+            _ if self.is_unknown_version => Ok(None),
             INTERFACE => {
                 self.add_interface(fields);
                 Ok(None)
@@ -169,7 +169,7 @@ impl Sections {
     fn begin(&mut self, mut fields: Fields<'_>) {
         self.interfaces.clear();
         let _byte_order = fields.u32();
-        self.foreign = fields.u16() != Some(1);
+        self.is_unknown_version = fields.u16() != Some(1);
     }
 
     fn add_interface(&mut self, mut fields: Fields<'_>) {
@@ -180,7 +180,7 @@ impl Sections {
         let link_type = fields.u16().unwrap_or(u16::MAX);
         let (_reserved, _snapshot_length) = (fields.u16(), fields.u32());
         let name = format!("if{}", self.interfaces.len());
-        let mut interface = Interface { link_type, name, resolution: 6, offset_seconds: 0 };
+        let mut interface = PcapInterface { link_type, name, resolution: 6, offset_seconds: 0 };
         while let Some((option, value)) = fields.option() {
             match (option, value) {
                 (NAME_OPTION, value) if !value.is_empty() => interface.name = shown_name(value),
@@ -208,7 +208,7 @@ impl Sections {
         while let Some((option, value)) = fields.option() {
             if option == FLAGS_OPTION {
                 let flags = Fields { bytes: value, ..fields }.u32().unwrap_or(0);
-                frame.ours = flags & DIRECTION == OUTBOUND;
+                frame.is_tx = flags & DIRECTION == OUTBOUND;
             }
         }
         let unix_micros = interface.micros(u64::from(high) << 32 | u64::from(low));
@@ -216,7 +216,7 @@ impl Sections {
     }
 }
 
-impl Interface {
+impl PcapInterface {
     /// Microseconds since 1970 of a time in this interface's units.
     fn micros(&self, time: u64) -> u64 {
         let time = u128::from(time);
@@ -392,7 +392,7 @@ pub fn write_frame(
     block.bytes(&[frame.len() as u8, fd, 0, 0]);
     block.bytes(frame.data());
     block.pad();
-    let direction = if frame.ours { OUTBOUND } else { INBOUND };
+    let direction = if frame.is_tx { OUTBOUND } else { INBOUND };
     block.option(FLAGS_OPTION, &direction.to_le_bytes());
     block.end_options();
     block.write(out)

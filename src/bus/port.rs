@@ -3,8 +3,8 @@
 //!
 //! Knows nothing of what kind of bus it is.
 
-use super::bell::Bell;
 use super::queue::Queue;
+use super::waker::Waker;
 use crate::frame::Frame;
 use crate::status::Link;
 use nix::poll::PollFlags;
@@ -23,10 +23,10 @@ const OUTBOX_CAPACITY: usize = 256;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum TransmitError {
     /// As many wait as may wait: the bus does not take them.
-    #[error("too many frames wait to be sent")]
+    #[error("send queue full")]
     Full,
     /// Opened to listen only, or a log.
-    #[error("this bus is only listened to")]
+    #[error("bus is listen-only")]
     ListenOnly,
 }
 
@@ -34,23 +34,23 @@ pub enum TransmitError {
 #[derive(Debug)]
 pub struct Port {
     name: String,
-    line: Arc<Line>,
+    line: Arc<PortShared>,
     listen_only: bool,
     threads: Vec<JoinHandle<()>>,
 }
 
 impl Port {
     /// A port whose threads are yet to be started.
-    pub(super) fn new(name: &str, line: Arc<Line>, listen_only: bool) -> Self {
+    pub(super) fn new(name: &str, line: Arc<PortShared>, listen_only: bool) -> Self {
         Self { name: name.to_owned(), line, listen_only, threads: Vec::new() }
     }
 
     /// Starts a thread that serves the line; should it panic, the status says so.
     pub(super) fn serve(
         &mut self,
-        work: impl FnOnce(&Arc<Line>) + Send + 'static,
+        work: impl FnOnce(&Arc<PortShared>) + Send + 'static,
     ) -> io::Result<()> {
-        let watch = FailureWatch { line: Arc::clone(&self.line), name: self.name.clone() };
+        let watch = PanicReporter { line: Arc::clone(&self.line), name: self.name.clone() };
         let name = format!("bus {}", self.name);
         self.threads.push(thread::Builder::new().name(name).spawn(move || work(&watch.line))?);
         Ok(())
@@ -68,7 +68,7 @@ impl Port {
 
     /// Ends the wait of its threads: the clock goes otherwise than they thought.
     pub fn wake(&self) {
-        self.line.bell.ring();
+        self.line.bell.wake();
     }
 
     /// Has a frame sent; never waits. What the kernel refuses later is counted in the status,
@@ -77,7 +77,7 @@ impl Port {
         if self.listen_only {
             return Err(TransmitError::ListenOnly);
         }
-        self.line.post(*frame)
+        self.line.push_tx(*frame)
     }
 }
 
@@ -93,20 +93,20 @@ impl Drop for Port {
 
 /// The thread's end of a port.
 #[derive(Debug)]
-pub(super) struct Line {
+pub(super) struct PortShared {
     pub(super) queue: Queue,
     outbox: Mutex<VecDeque<Frame>>,
     stopped: AtomicBool,
-    bell: Bell,
+    bell: Waker,
 }
 
-impl Line {
+impl PortShared {
     pub(super) fn new() -> io::Result<Self> {
         Ok(Self {
             queue: Queue::new(Queue::CAPACITY),
             outbox: Mutex::default(),
             stopped: AtomicBool::new(false),
-            bell: Bell::new()?,
+            bell: Waker::new()?,
         })
     }
 
@@ -116,7 +116,7 @@ impl Line {
     }
 
     /// The next frame to send.
-    pub(super) fn next_posted(&self) -> Option<Frame> {
+    pub(super) fn pop_tx(&self) -> Option<Frame> {
         self.outbox.lock().unwrap_or_else(PoisonError::into_inner).pop_front()
     }
 
@@ -143,37 +143,37 @@ impl Line {
 
     /// Ends the wait that is under way, or the next one.
     pub(super) fn wake(&self) {
-        self.bell.ring();
+        self.bell.wake();
     }
 
-    fn post(&self, frame: Frame) -> Result<(), TransmitError> {
+    fn push_tx(&self, frame: Frame) -> Result<(), TransmitError> {
         let mut outbox = self.outbox.lock().unwrap_or_else(PoisonError::into_inner);
         if outbox.len() == OUTBOX_CAPACITY {
             return Err(TransmitError::Full);
         }
         outbox.push_back(frame);
         drop(outbox);
-        self.bell.ring();
+        self.bell.wake();
         Ok(())
     }
 
     fn stop(&self) {
         self.stopped.store(true, Ordering::Release);
-        self.bell.ring();
+        self.bell.wake();
     }
 }
 
 /// Says in the status that a thread panicked: frames that silently stop coming look like a
 /// quiet bus.
-struct FailureWatch {
-    line: Arc<Line>,
+struct PanicReporter {
+    line: Arc<PortShared>,
     name: String,
 }
 
-impl Drop for FailureWatch {
+impl Drop for PanicReporter {
     fn drop(&mut self) {
         if thread::panicking() {
-            let message = format!("reading {} broke off: this is a bug in descan", self.name);
+            let message = format!("reader of {} stopped: this is a bug in descan", self.name);
             self.line.queue.finish(Link::Failed, message);
         }
     }
@@ -184,7 +184,7 @@ mod tests {
     use super::*;
 
     fn port(listen_only: bool) -> Port {
-        Port::new("test", Arc::new(Line::new().unwrap()), listen_only)
+        Port::new("test", Arc::new(PortShared::new().unwrap()), listen_only)
     }
 
     #[test]
@@ -194,7 +194,7 @@ mod tests {
             port.transmit(&Frame::classic(id, &[])).unwrap();
         }
         assert_eq!(port.transmit(&Frame::classic(0, &[])), Err(TransmitError::Full));
-        let sent: Vec<_> = std::iter::from_fn(|| port.line.next_posted()).collect();
+        let sent: Vec<_> = std::iter::from_fn(|| port.line.pop_tx()).collect();
         assert_eq!(sent.len(), OUTBOX_CAPACITY);
         assert_eq!(sent.last(), Some(&Frame::classic(OUTBOX_CAPACITY as u32 - 1, &[])));
     }
@@ -203,7 +203,7 @@ mod tests {
     fn a_listening_port_sends_nothing() {
         let port = port(true);
         assert_eq!(port.transmit(&Frame::classic(1, &[])), Err(TransmitError::ListenOnly));
-        assert_eq!(port.line.next_posted(), None);
+        assert_eq!(port.line.pop_tx(), None);
     }
 
     #[test]

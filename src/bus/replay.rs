@@ -8,7 +8,7 @@
 
 use super::clock::Clock;
 use super::log::LogReader;
-use super::port::{Line, Port};
+use super::port::{Port, PortShared};
 use crate::frame::{BusIndex, Frame};
 use crate::status::{Link, RateSearch};
 use crate::time::{Duration, Instant};
@@ -29,7 +29,7 @@ const FULL_QUEUE_NAP: Duration = Duration::from_millis(5);
 const LOOK_EVERY: Duration = Duration::from_millis(300);
 /// How long a file that grew may rest before it is at its end again: writers that gather what they
 /// write let it rest.
-const REST: Duration = Duration::from_secs(5);
+const IDLE_BEFORE_END: Duration = Duration::from_secs(5);
 /// After so long nobody is in the middle of writing a line.
 const UNFINISHED: Duration = Duration::from_secs(10);
 
@@ -42,7 +42,7 @@ pub(super) fn open(
     index: BusIndex,
     clock: Clock,
 ) -> io::Result<Port> {
-    let line = Arc::new(Line::new()?);
+    let line = Arc::new(PortShared::new()?);
     line.queue.update_status(|status| {
         status.link = Link::Up;
         status.rate_search = RateSearch::NoRate;
@@ -54,7 +54,7 @@ pub(super) fn open(
     let mut port = Port::new(name, Arc::clone(&line), true);
     let path = path.filter(|_| is_file).map(Path::to_owned);
     port.serve(move |line| {
-        let source = Source { log, line: Arc::clone(line), is_file, read: 0, size };
+        let source = LogSource { log, line: Arc::clone(line), is_file, read: 0, size };
         let mut replay = Replay {
             reader: LogReader::new(BufReader::with_capacity(1 << 16, source)),
             line: Arc::clone(line),
@@ -74,8 +74,8 @@ pub(super) fn open(
 }
 
 struct Replay {
-    reader: LogReader<BufReader<Source>>,
-    line: Arc<Line>,
+    reader: LogReader<BufReader<LogSource>>,
+    line: Arc<PortShared>,
     /// Where the log is looked for again, where it may go on after its end.
     path: Option<PathBuf>,
     index: BusIndex,
@@ -90,7 +90,7 @@ struct Replay {
 }
 
 /// How a log goes on after its end.
-enum More {
+enum Continuation {
     /// It grew.
     Grown,
     /// It is another one now; in words, why.
@@ -111,9 +111,9 @@ impl Replay {
             let Some(more) = self.wait_for_more()? else { return Ok(()) };
             self.follows = true;
             let note = match more {
-                More::Grown => None,
-                More::Anew(why) => {
-                    self.reader.begin_anew();
+                Continuation::Grown => None,
+                Continuation::Anew(why) => {
+                    self.reader.restart();
                     Some(why.to_owned())
                 }
             };
@@ -155,7 +155,7 @@ impl Replay {
             while is_paused() && self.clock.now() < due && !self.line.is_stopped() {
                 self.line.wait(None, None)?;
             }
-            self.clock.log_goes_on(self.index, due);
+            self.clock.log_resumed(self.index, due);
         }
         let now = self.clock.now();
         let earliest = now - self.clock.run_in(MAX_LATENESS);
@@ -177,14 +177,14 @@ impl Replay {
             let nap = if is_full { FULL_QUEUE_NAP } else { self.clock.until(due) };
             self.line.wait(None, Some(nap))?;
         }
-        self.tell_place();
+        self.report_position();
         let bus = BusIndex(self.index.0.saturating_add(frame.bus.0));
-        self.line.queue.push(&[frame.at(due).on(bus)]);
+        self.line.queue.push(&[frame.with_time(due).with_bus(bus)]);
         Ok(true)
     }
 
     /// How much is read, where that can be known.
-    fn tell_place(&mut self) {
+    fn report_position(&mut self) {
         let source = self.reader.source();
         let percent = source.get_ref().percent(source.buffer().len());
         if percent != self.percent {
@@ -194,7 +194,7 @@ impl Replay {
     }
 
     /// Waits at the end until there is more; `None` where there will be none.
-    fn wait_for_more(&mut self) -> io::Result<Option<More>> {
+    fn wait_for_more(&mut self) -> io::Result<Option<Continuation>> {
         let Some(path) = self.path.clone() else {
             self.end();
             return Ok(None);
@@ -203,12 +203,12 @@ impl Replay {
         let mut is_told = false;
         while !self.line.is_stopped() {
             // At first nobody knows that it grows: what is there is judged at the last line.
-            if !is_told && (!self.follows || since.elapsed() >= REST) {
+            if !is_told && (!self.follows || since.elapsed() >= IDLE_BEFORE_END) {
                 self.end();
                 is_told = true;
             }
             let is_damaged = self.reader.is_damaged();
-            if let Some(more) = self.reader.source_mut().get_mut().look(&path, is_damaged)? {
+            if let Some(more) = self.reader.source_mut().get_mut().check_file(&path, is_damaged)? {
                 return Ok(Some(more));
             }
             self.line.wait(None, Some(LOOK_EVERY))?;
@@ -218,10 +218,10 @@ impl Replay {
 
     /// It is at its end, for now.
     fn end(&mut self) {
-        self.tell_place();
+        self.report_position();
         let mut message = self.reader.tally().to_string();
         if self.reader.has_unfinished() && self.reader.tally().damage.is_none() {
-            message.push_str("; the last line has no end yet");
+            message.push_str("; last line incomplete");
         }
         self.clock.log_ends(self.index);
         self.line.queue.update_status(|status| {
@@ -238,9 +238,9 @@ impl Drop for Replay {
 }
 
 /// A log that ends when the port is dropped, even while the next line is waited for.
-struct Source {
+struct LogSource {
     log: File,
-    line: Arc<Line>,
+    line: Arc<PortShared>,
     is_file: bool,
     /// Bytes that were read of it.
     read: u64,
@@ -248,7 +248,7 @@ struct Source {
     size: u64,
 }
 
-impl Source {
+impl LogSource {
     /// How much is read, without what is still buffered.
     fn percent(&self, buffered: usize) -> Option<u8> {
         let read = self.read.saturating_sub(buffered as u64);
@@ -257,17 +257,17 @@ impl Source {
     }
 
     /// Looks whether there is more than was read.
-    fn look(&mut self, path: &Path, is_damaged: bool) -> io::Result<Option<More>> {
+    fn check_file(&mut self, path: &Path, is_damaged: bool) -> io::Result<Option<Continuation>> {
         let own = self.log.metadata()?;
         self.size = own.len();
         if own.len() < self.read {
             self.log.seek(SeekFrom::Start(0))?;
             self.read = 0;
-            return Ok(Some(More::Anew("the log was cut short: it is read anew")));
+            return Ok(Some(Continuation::Anew("log truncated: reading from its start")));
         }
         if own.len() > self.read {
             if !is_damaged {
-                return Ok(Some(More::Grown));
+                return Ok(Some(Continuation::Grown));
             }
             // Nothing of that can be read; but it may still be cut short.
             self.read = own.len();
@@ -278,13 +278,13 @@ impl Source {
         {
             self.size = log.metadata()?.len();
             (self.log, self.read) = (log, 0);
-            return Ok(Some(More::Anew("another log took its place: that is read now")));
+            return Ok(Some(Continuation::Anew("log replaced: reading the new one")));
         }
         Ok(None)
     }
 }
 
-impl Read for Source {
+impl Read for LogSource {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         while !self.line.wait(Some(self.log.as_fd()), None)? {
             if self.line.is_stopped() {

@@ -3,9 +3,9 @@
 //! Knows nothing of what is simulated: [`crate::sim`] does.
 
 use super::clock::Clock;
-use super::port::{Line, Port};
+use super::port::{Port, PortShared};
 use crate::frame::{BusIndex, Frame};
-use crate::sim::{self, Scenario, Sim, Station};
+use crate::sim::{self, Scenario, Sim, SimStation};
 use crate::status::{BusState, Link, RateSearch};
 use crate::time::Duration;
 use std::io;
@@ -24,7 +24,7 @@ pub(super) fn open(
     clock: Clock,
     listen_only: bool,
 ) -> io::Result<Port> {
-    let line = Arc::new(Line::new()?);
+    let line = Arc::new(PortShared::new()?);
     let mut sim = Sim::from_scenario(scenario);
     let station = sim.attach();
     let mut port = Port::new(name, Arc::clone(&line), listen_only);
@@ -37,21 +37,21 @@ pub(super) fn open(
     Ok(port)
 }
 
-fn run(sim: &mut Sim, station: Station, line: &Line, index: BusIndex, clock: &Clock) {
+fn run(sim: &mut Sim, station: SimStation, line: &PortShared, index: BusIndex, clock: &Clock) {
     // The simulation begins at its own zero, whenever that is for the clock.
     let start = clock.now();
     let mut batch: Vec<Frame> = Vec::new();
     while !line.is_stopped() {
         let now = clock.now();
         let passed = now.since(start);
-        while let Some(frame) = line.next_posted() {
+        while let Some(frame) = line.pop_tx() {
             sim.transmit(station, frame);
         }
         sim.advance(crate::time::Instant::ZERO + passed);
         batch.clear();
         while let Some(frame) = sim.poll_frame(station) {
             let time = start + frame.time.since(crate::time::Instant::ZERO);
-            batch.push(frame.at(time).on(index));
+            batch.push(frame.with_time(time).with_bus(index));
         }
         if !batch.is_empty() {
             line.queue.push(&batch);
@@ -64,7 +64,7 @@ fn run(sim: &mut Sim, station: Station, line: &Line, index: BusIndex, clock: &Cl
     }
 }
 
-fn report(sim: &Sim, station: Station, line: &Line) {
+fn report(sim: &Sim, station: SimStation, line: &PortShared) {
     let status = sim.status(station);
     line.queue.update_status(|told| {
         told.bitrate = Some(status.bitrate);
@@ -72,11 +72,11 @@ fn report(sim: &Sim, station: Station, line: &Line) {
         told.rec = Some(status.rec);
         told.queue_drops = status.overflowed;
         told.state = match status.state {
-            sim::BusState::ErrorActive => BusState::ErrorActive,
-            sim::BusState::ErrorWarning => BusState::ErrorWarning,
-            sim::BusState::ErrorPassive => BusState::ErrorPassive,
-            sim::BusState::BusOff => BusState::BusOff,
-            sim::BusState::Down => BusState::Down,
+            sim::ControllerState::ErrorActive => BusState::ErrorActive,
+            sim::ControllerState::ErrorWarning => BusState::ErrorWarning,
+            sim::ControllerState::ErrorPassive => BusState::ErrorPassive,
+            sim::ControllerState::BusOff => BusState::BusOff,
+            sim::ControllerState::Down => BusState::Down,
         };
     });
 }

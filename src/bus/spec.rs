@@ -64,10 +64,10 @@ pub enum BusSpec {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SpecError {
     /// Nothing at all.
-    #[error("an empty bus name; say can0, or file:LOG")]
+    #[error("empty bus name; use can0 or file:LOG")]
     Empty,
     /// A kind, and nothing after the colon.
-    #[error("{kind}: of what? Say {example}")]
+    #[error("{kind}: incomplete; use {example}")]
     Incomplete {
         /// What stood before the colon.
         kind: &'static str,
@@ -76,42 +76,42 @@ pub enum SpecError {
     },
     /// Not a kind of bus we know.
     #[error(
-        "{0}: is no kind of bus; there are can0 (SocketCAN), slcan:/dev/ttyACM0@500000, \
-         socketcand://host/can0, udp:239.74.163.2, file:LOG, sim:boiler and - (a log from standard input)"
+        "{0}: unknown bus type; use can0 (SocketCAN), slcan:/dev/ttyACM0@500000, \
+         socketcand://host/can0, udp:239.74.163.2, file:LOG, sim:boiler or - (a log from standard input)"
     )]
     UnknownKind(String),
     /// A path, most likely of a log.
-    #[error("{0} is no interface name; for a log say file:{0}")]
+    #[error("{0} is not an interface name; for a log use file:{0}")]
     LooksLikePath(String),
     /// A device file, most likely of a serial adapter.
-    #[error("{0} is no CAN interface; for an slcan adapter say slcan:{0}@500000")]
+    #[error("{0} is not a CAN interface; for an slcan adapter use slcan:{0}@500000")]
     DeviceFile(String),
     /// Longer than interface names can be.
     #[error("{0} is too long for an interface name (15 bytes)")]
     NameTooLong(String),
     /// White space or control characters.
-    #[error("{0:?} is no interface name")]
+    #[error("{0:?} is not an interface name")]
     BadName(String),
     /// What follows the @ is no bit rate.
-    #[error("{0} is no bit rate; say slcan:/dev/ttyACM0@500000")]
+    #[error("{0} is not a bit rate; use slcan:/dev/ttyACM0@500000")]
     BadBitrate(String),
     /// No server and bus as socketcand has them.
     #[error(
-        "{0} is no server with a bus; say socketcand://host:29536/can0 or \
+        "{0} is not HOST/BUS; use socketcand://host:29536/can0 or \
              socketcand://[fe80::1%eth0]/can0"
     )]
     BadServer(String),
     /// No multicast group.
     #[error(
-        "{0} is no multicast group; say udp:239.74.163.2, udp:ff15::1%eth0@43113, or udp: for \
-         python-can's own"
+        "{0} is not a multicast group; use udp:239.74.163.2, udp:ff15::1%eth0@43113, or udp: for \
+         python-can's default"
     )]
     BadGroup(String),
     /// A bit rate that slcan has no code for.
-    #[error("slcan has no {0} bit/s; there are {rates}", rates = slcan::rates())]
+    #[error("slcan does not support {0} bit/s; use {rates}", rates = slcan::rates())]
     NoSuchBitrate(u32),
     /// The same for the data phase.
-    #[error("slcan has no {0} bit/s for data; there are {rates}", rates = slcan::data_rates())]
+    #[error("slcan does not support {0} bit/s in the data phase; use {rates}", rates = slcan::data_rates())]
     NoSuchDataBitrate(u32),
 }
 
@@ -297,30 +297,30 @@ mod tests {
     #[test]
     fn errors_say_on_one_line_what_would_be_right() {
         for (text, hint) in [
-            ("", "say can0"),
+            ("", "use can0"),
             ("file:", "file:session.log"),
             ("sim:", "sim:boiler"),
             ("slcan:/dev/ttyACM0@fast", "slcan:/dev/ttyACM0@500000"),
             ("socketcand:host/can0", "socketcand://host"),
             ("socketcand://host", "socketcand://host:29536/can0"),
-            ("socketcand://host:0/can0", "no server with a bus"),
-            ("socketcand://host:port/can0", "no server with a bus"),
-            ("socketcand://::1/can0", "no server with a bus"),
-            ("socketcand://[::1/can0", "no server with a bus"),
-            ("socketcand://host/can0 >< send", "no server with a bus"),
-            ("socketcand://host/can0>", "no server with a bus"),
+            ("socketcand://host:0/can0", "is not HOST/BUS"),
+            ("socketcand://host:port/can0", "is not HOST/BUS"),
+            ("socketcand://::1/can0", "is not HOST/BUS"),
+            ("socketcand://[::1/can0", "is not HOST/BUS"),
+            ("socketcand://host/can0 >< send", "is not HOST/BUS"),
+            ("socketcand://host/can0>", "is not HOST/BUS"),
             ("session.log", "file:session.log"),
             ("/dev/ttyACM0", "slcan:/dev/ttyACM0@500000"),
             ("slcan:/dev/ttyACM0@300000", "100000, 125000, 250000"),
             ("slcan:/dev/ttyACM0@500000/1", "2000000, 5000000"),
             ("./a:b", "file:./a:b"),
             ("pcan:1", "SocketCAN"),
-            ("udp:192.168.1.1", "no multicast group"),
-            ("udp:239.74.163.2@0", "no multicast group"),
-            ("udp:239.74.163.2%a/b", "no multicast group"),
+            ("udp:192.168.1.1", "not a multicast group"),
+            ("udp:239.74.163.2@0", "not a multicast group"),
+            ("udp:239.74.163.2%a/b", "not a multicast group"),
             ("udp:nonsense", "udp:239.74.163.2"),
             ("can0123456789abc", "15 bytes"),
-            ("can 0", "no interface name"),
+            ("can 0", "not an interface name"),
         ] {
             let message = text.parse::<BusSpec>().expect_err(text).to_string();
             assert!(message.contains(hint), "{text}: {message}");

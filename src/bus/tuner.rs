@@ -5,8 +5,8 @@
 
 use super::BusSpec;
 use super::slcan::rate_code;
-use super::socketcan::controller::{Controller, Refusal};
-use crate::speed::Manner;
+use super::socketcan::controller::{CanController, ConfigError};
+use crate::bitrate::ListenMode;
 use std::io;
 use std::path::PathBuf;
 
@@ -14,12 +14,12 @@ use std::path::PathBuf;
 #[derive(Debug, thiserror::Error)]
 pub enum TuneError {
     /// A kind of bus that has no bit rate of its own, or whose rate others set.
-    #[error("{0} has no bit rate that could be set; say the interface of a controller, like can0")]
+    #[error("{0}: bit rate cannot be set; use a controller's interface, such as can0")]
     NoRate(String),
     /// Only root may.
     #[error(
-        "only root may set {name}: sudo descan speed {name}; or try a rate by hand: sudo ip link set \
-         {name} down && sudo ip link set {name} up type can bitrate {bitrate} listen-only on, then \
+        "setting {name} needs root: sudo descan speed {name}; or try a rate by hand: sudo ip link \
+         set {name} down && sudo ip link set {name} up type can bitrate {bitrate} listen-only on, then \
          descan watch {name} --listen-only"
     )]
     NotPermitted {
@@ -30,12 +30,12 @@ pub enum TuneError {
     },
     /// The controller cannot only listen.
     #[error(
-        "{0} cannot listen without taking part: its controller or driver has no listen-only mode; \
-         descan speed {0} --active does without, which destroys frames at wrong rates"
+        "{0} has no listen-only mode; \
+         descan speed {0} --active tries actively and destroys frames at wrong rates"
     )]
     NoListening(String),
     /// The controller cannot have this rate; others may do.
-    #[error("{name} cannot have {bitrate} bit/s")]
+    #[error("{name} does not support {bitrate} bit/s")]
     NotThisRate {
         /// The interface.
         name: String,
@@ -46,7 +46,7 @@ pub enum TuneError {
     #[error("{0}")]
     NotThere(String),
     /// The system did not do as it should.
-    #[error("{name} cannot be set: {cause}")]
+    #[error("cannot configure {name}: {cause}")]
     Failed {
         /// The interface.
         name: String,
@@ -57,24 +57,24 @@ pub enum TuneError {
 
 /// A bus whose bit rate can be set. When it is dropped, what was found is put back.
 #[derive(Debug)]
-pub struct Tuner(Kind);
+pub struct BitRateSetter(SetterTarget);
 
 #[derive(Debug)]
-enum Kind {
-    Interface(Controller),
+enum SetterTarget {
+    Interface(CanController),
     Adapter { device: PathBuf, bitrate: Option<u32> },
 }
 
-impl Tuner {
+impl BitRateSetter {
     /// The bus as it is. Changes nothing yet.
     pub fn of(bus: &BusSpec) -> Result<Self, TuneError> {
         match bus {
-            BusSpec::SocketCan(name) => match Controller::of(name) {
-                Ok(controller) => Ok(Self(Kind::Interface(controller))),
+            BusSpec::SocketCan(name) => match CanController::of(name) {
+                Ok(controller) => Ok(Self(SetterTarget::Interface(controller))),
                 Err(refusal) => Err(explain(refusal, name, 0)),
             },
             BusSpec::Slcan { device, bitrate, .. } => {
-                Ok(Self(Kind::Adapter { device: device.clone(), bitrate: *bitrate }))
+                Ok(Self(SetterTarget::Adapter { device: device.clone(), bitrate: *bitrate }))
             }
             other => Err(TuneError::NoRate(other.to_string())),
         }
@@ -83,25 +83,25 @@ impl Tuner {
     /// The rate it had, in bit/s, where that is known.
     pub fn found_at(&self) -> Option<u32> {
         match &self.0 {
-            Kind::Interface(controller) => controller.bitrate(),
-            Kind::Adapter { bitrate, .. } => *bitrate,
+            SetterTarget::Interface(controller) => controller.bitrate(),
+            SetterTarget::Adapter { bitrate, .. } => *bitrate,
         }
     }
 
     /// Sets it to `bitrate`. Comes back with the bus to be opened.
-    pub fn set(&mut self, bitrate: u32, manner: Manner) -> Result<BusSpec, TuneError> {
+    pub fn set(&mut self, bitrate: u32, manner: ListenMode) -> Result<BusSpec, TuneError> {
         match &mut self.0 {
-            Kind::Interface(controller) => {
-                let done = controller.set(bitrate, manner == Manner::Listening);
+            SetterTarget::Interface(controller) => {
+                let done = controller.set(bitrate, manner == ListenMode::Listening);
                 let name = controller.name().to_owned();
                 done.map_err(|refusal| explain(refusal, &name, bitrate))?;
                 Ok(BusSpec::SocketCan(name))
             }
             // It would stay at the rate that it had.
-            Kind::Adapter { device, .. } if rate_code(bitrate).is_none() => {
+            SetterTarget::Adapter { device, .. } if rate_code(bitrate).is_none() => {
                 Err(TuneError::NotThisRate { name: device.display().to_string(), bitrate })
             }
-            Kind::Adapter { device, .. } => Ok(BusSpec::Slcan {
+            SetterTarget::Adapter { device, .. } => Ok(BusSpec::Slcan {
                 device: device.clone(),
                 bitrate: Some(bitrate),
                 data_bitrate: None,
@@ -111,7 +111,7 @@ impl Tuner {
 
     /// Leaves it at `bitrate`; whether it takes part is as it was.
     pub fn keep(mut self, bitrate: u32) -> Result<(), TuneError> {
-        if let Kind::Interface(controller) = &mut self.0 {
+        if let SetterTarget::Interface(controller) = &mut self.0 {
             let done = controller.set(bitrate, controller.listened_only());
             done.map_err(|refusal| explain(refusal, controller.name(), bitrate))?;
             controller.keep();
@@ -122,24 +122,24 @@ impl Tuner {
     /// Puts back what was found. Dropping it does the same, and says nothing where that fails.
     pub fn restore(mut self) -> Result<(), TuneError> {
         match &mut self.0 {
-            Kind::Interface(controller) => {
+            SetterTarget::Interface(controller) => {
                 let done = controller.restore();
                 done.map_err(|refusal| explain(refusal, controller.name(), 0))
             }
-            Kind::Adapter { .. } => Ok(()),
+            SetterTarget::Adapter { .. } => Ok(()),
         }
     }
 }
 
-fn explain(refusal: Refusal, name: &str, bitrate: u32) -> TuneError {
+fn explain(refusal: ConfigError, name: &str, bitrate: u32) -> TuneError {
     let name = name.to_owned();
     match refusal {
-        Refusal::NotThere(why) => TuneError::NotThere(why),
-        Refusal::NoController => TuneError::NoRate(name),
-        Refusal::NotPermitted => TuneError::NotPermitted { name, bitrate },
-        Refusal::NoListening => TuneError::NoListening(name),
-        Refusal::NotThisRate => TuneError::NotThisRate { name, bitrate },
-        Refusal::Failed(cause) => TuneError::Failed { name, cause },
+        ConfigError::NotThere(why) => TuneError::NotThere(why),
+        ConfigError::NoController => TuneError::NoRate(name),
+        ConfigError::NotPermitted => TuneError::NotPermitted { name, bitrate },
+        ConfigError::NoListening => TuneError::NoListening(name),
+        ConfigError::NotThisRate => TuneError::NotThisRate { name, bitrate },
+        ConfigError::Failed(cause) => TuneError::Failed { name, cause },
     }
 }
 
@@ -150,12 +150,12 @@ mod tests {
     #[test]
     fn an_adapter_is_not_opened_at_a_rate_that_it_has_no_code_for() {
         let bus = "slcan:/dev/ttyACM0".parse().unwrap();
-        let mut tuner = Tuner::of(&bus).unwrap();
+        let mut tuner = BitRateSetter::of(&bus).unwrap();
         assert!(matches!(
-            tuner.set(300_000, Manner::Listening),
+            tuner.set(300_000, ListenMode::Listening),
             Err(TuneError::NotThisRate { bitrate: 300_000, .. })
         ));
-        let there = tuner.set(250_000, Manner::Listening).unwrap();
+        let there = tuner.set(250_000, ListenMode::Listening).unwrap();
         assert_eq!(there.to_string(), "slcan:/dev/ttyACM0@250000");
     }
 }

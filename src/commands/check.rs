@@ -1,64 +1,64 @@
 //! `descan check`: whether a bus is what des.json says. Looks as `scan` does, and prints the
 //! differences.
 
-use super::headless::{self, Limits, Outcome, tell_hindrance};
+use super::headless::{self, Limits, RunOutcome, warn_tx_blocked};
 use super::open::{self, Setup};
-use super::report::{self, Report};
+use super::report::{self, ScanReport};
 use super::scan::{is_settled, look};
-use super::{FINDINGS, FINE, Failure, INTERRUPTED, print};
+use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, print};
 use crate::app::{App, AppOptions, Scope};
-use crate::cli::Check;
+use crate::cli::CheckArgs;
 use crate::discovery::{Confidence, Finding, FindingKind};
-use crate::shell::ending::Ending;
-use crate::shell::recording::Pace;
+use crate::shell::log_session::LogPace;
+use crate::shell::stop::StopReason;
 use crate::time::Instant;
 use std::fmt::Write as _;
 use std::io::{self, Write};
 
 /// Runs it.
-pub fn run(check: &Check) -> Result<u8, Failure> {
+pub fn run(check: &CheckArgs) -> Result<u8, Failure> {
     let buses = open::buses(&check.session)?;
     let setup = Setup::new(&check.session.common)?;
     let log = open::log(&buses, "check")?;
-    let Outcome { app, now, ending } = if let Some(log) = log {
-        let all = (Some(Pace::AtOnce), Limits { stuck: INTERRUPTED, ..Limits::default() });
+    let RunOutcome { app, now, ending } = if let Some(log) = log {
+        let all = (Some(LogPace::AtOnce), Limits { stuck: EXIT_INTERRUPTED, ..Limits::default() });
         headless::recorded(log, &setup, AppOptions::default(), all, |app| has_file(app))?
     } else {
-        let mut patience = Patience::default();
+        let mut patience = FileGate::default();
         look(&buses, &setup, check.time, |app, now| {
             let usable = patience.allows(app, now)?;
             Ok(usable && (!check.wait_for_all || is_complete(app, now)))
         })?
     };
     has_file(&app)?;
-    if ending == Some(Ending::Interrupted) {
-        return Ok(INTERRUPTED);
+    if ending == Some(StopReason::Interrupted) {
+        return Ok(EXIT_INTERRUPTED);
     }
     if let Some(log) = log.filter(|_| app.buses().is_empty()) {
-        let text = format!("{log}: there is no frame in it: is it the right log?");
+        let text = format!("{log}: no frames in it: is it the right log?");
         return Err(Failure::Unusable(text));
     }
-    if ending == Some(Ending::TimeUp) && !is_settled(&app) {
-        let why = "time was over before everything was answered; --time gives it longer";
+    if ending == Some(StopReason::TimeUp) && !is_settled(&app) {
+        let why = "timed out before all responses arrived; use a longer --time";
         let _ = writeln!(io::stderr(), "descan: {why}");
     }
     for at in 0..app.buses().len() {
-        tell_hindrance(&app, crate::frame::BusIndex(at as u8));
+        warn_tx_blocked(&app, crate::frame::BusIndex(at as u8));
     }
-    let report = Report::new(&app, now, Scope::Check);
+    let report = ScanReport::new(&app, now, Scope::Check);
     let text = if check.json { report.json() } else { differences(&app, now) };
     print(text.as_bytes())?;
-    Ok(if report.has_findings() { FINDINGS } else { FINE })
+    Ok(if report.has_findings() { EXIT_FINDINGS } else { EXIT_OK })
 }
 
 /// Others write the file while the bus is looked at, and not all of them at once: what was good is
 /// waited for, to be good again.
 #[derive(Default)]
-struct Patience {
+struct FileGate {
     had_entries: bool,
 }
 
-impl Patience {
+impl FileGate {
     /// For so long a file that is not JSON may be one that is just being written.
     const AT_START: crate::time::Duration = crate::time::Duration::from_secs(1);
 
@@ -84,7 +84,7 @@ fn has_file(app: &App) -> Result<(), Failure> {
     }
     if !file.is_there() {
         return Err(Failure::Unusable(format!(
-            "{}: there is no such file; begin one with: descan scan BUS --write {}",
+            "{}: file not found; create it with: descan scan BUS --write {}",
             path(),
             path()
         )));
@@ -107,7 +107,7 @@ fn is_complete(app: &App, now: Instant) -> bool {
 /// What the kinds of differences are called, the gravest first.
 const GROUPS: [(&str, &[FindingKind]); 8] = [
     (
-        "collisions",
+        "conflicts",
         &[
             FindingKind::SameNameSameAddress,
             FindingKind::OneAddressTwoNames,
@@ -117,13 +117,13 @@ const GROUPS: [(&str, &[FindingKind]); 8] = [
         ],
     ),
     ("missing", &[FindingKind::Missing]),
-    ("at another address", &[FindingKind::WrongAddress]),
+    ("wrong address", &[FindingKind::WrongAddress]),
     ("static address taken", &[FindingKind::StaticAddressTaken]),
-    ("not in the file", &[FindingKind::Unlisted]),
-    ("another name", &[FindingKind::NameDiffers]),
-    ("other services", &[FindingKind::ServicesDiffer]),
+    ("not in file", &[FindingKind::Unlisted]),
+    ("name differs", &[FindingKind::NameDiffers]),
+    ("services differ", &[FindingKind::ServicesDiffer]),
     (
-        "in the file itself",
+        "file errors",
         &[
             FindingKind::FileDuplicateAddress,
             FindingKind::FileDuplicateEntry,
@@ -160,7 +160,7 @@ fn differences(app: &App, now: Instant) -> String {
         sums.push(format!("{} {title}", group.len()));
     }
     let here = |bus: &crate::app::Bus| {
-        bus.engine.devices().iter().filter(|it| it.is_here() && !it.is_debug).count()
+        bus.engine.devices().iter().filter(|it| it.is_present() && !it.is_debug).count()
     };
     let buses: Vec<String> = app
         .buses()
@@ -192,7 +192,7 @@ mod tests {
     fn allowed(readings: impl IntoIterator<Item = FileReading>) -> Vec<Option<bool>> {
         let file_path = Some("des.json".into());
         let mut app = App::new(Instant::ZERO, AppOptions { file_path, ..AppOptions::default() });
-        let mut patience = Patience::default();
+        let mut patience = FileGate::default();
         let mut now = Instant::ZERO;
         let mut read = |reading| {
             app.handle_file(now, reading);

@@ -3,14 +3,14 @@
 
 use super::Failure;
 use super::open::{self, Setup};
-use crate::app::{App, AppOptions, Bus, Hindrance};
-use crate::bus::log::Tally;
+use crate::app::{App, AppOptions, Bus, TxBlocked};
+use crate::bus::log::LogSummary;
 use crate::bus::{self, BusSpec};
 use crate::discovery::OwnAddress;
 use crate::frame::BusIndex;
-use crate::shell::ending::{Ending, Endings};
-use crate::shell::recording::{Pace, Recording};
+use crate::shell::log_session::{LogPace, LogSession};
 use crate::shell::session::Session;
+use crate::shell::stop::{StopReason, StopWaiter};
 use crate::status::{BusState, Link, RecordingStatus};
 use crate::time::Instant;
 use anyhow::Context;
@@ -35,13 +35,13 @@ pub struct Limits {
 }
 
 /// What became of it.
-pub struct Outcome {
+pub struct RunOutcome {
     /// All state.
     pub app: App,
     /// The moment it is of.
     pub now: Instant,
     /// What ended it; none where there was enough, or the log is at its end.
-    pub ending: Option<Ending>,
+    pub ending: Option<StopReason>,
 }
 
 /// On buses. `turn` is called whenever something may have changed, and breaks when there is enough.
@@ -51,7 +51,7 @@ pub fn live(
     options: AppOptions,
     limits: Limits,
     mut turn: impl FnMut(&mut Session) -> Result<ControlFlow<()>, Failure>,
-) -> Result<Outcome, Failure> {
+) -> Result<RunOutcome, Failure> {
     runtime()?.block_on(async {
         let clock = open::clock(buses, 1.0)?;
         // First: an adapter that was opened is closed again, however soon a signal comes.
@@ -59,7 +59,7 @@ pub fn live(
         let mut session = open::session(buses, setup, clock, options)?;
         let mut failure = RecordingFailure::default();
         let ending = loop {
-            session.settle();
+            session.flush_effects();
             if turn(&mut session)?.is_break() {
                 break None;
             }
@@ -71,8 +71,8 @@ pub fn live(
             failure.tell(session.app.recording());
         };
         let now = session.now();
-        open::tell_recorded(session.finish_recording());
-        Ok(Outcome { app: session.app, now, ending })
+        open::report_recording(session.finish_recording());
+        Ok(RunOutcome { app: session.app, now, ending })
     })
 }
 
@@ -82,21 +82,21 @@ pub fn recorded(
     spec: &BusSpec,
     setup: &Setup,
     options: AppOptions,
-    (pace, limits): (Option<Pace>, Limits),
+    (pace, limits): (Option<LogPace>, Limits),
     mut turn: impl FnMut(&mut App) -> Result<(), Failure>,
-) -> Result<Outcome, Failure> {
+) -> Result<RunOutcome, Failure> {
     let unusable = |error: io::Error| Failure::Unusable(format!("{spec} cannot be read: {error}"));
     let log = open_log(spec).map_err(unusable)?;
     // A file is all there; of anything else lines come as they are written.
     let is_file = log.metadata().is_ok_and(|it| it.is_file());
-    let pace = pace.unwrap_or(if is_file { Pace::AtOnce } else { Pace::Live });
+    let pace = pace.unwrap_or(if is_file { LogPace::AtOnce } else { LogPace::Live });
     runtime()?.block_on(async {
         let (real, own) =
-            if pace == Pace::Live { (limits.time, None) } else { (None, limits.time) };
+            if pace == LogPace::Live { (limits.time, None) } else { (None, limits.time) };
         let mut endings = endings(limits, real)?;
         let with = (options, setup.config.clone());
         let mut recording =
-            Recording::new(log, pace, own, with, &setup.file).context("no thread")?;
+            LogSession::new(log, pace, own, with, &setup.file).context("no thread")?;
         if let Some(recorder) = setup.recorder()? {
             recording.record(recorder);
         }
@@ -119,10 +119,10 @@ pub fn recorded(
         if let Some(status) = recorded.as_ref().filter(|status| status.failure.is_some()) {
             return Err(Failure::Unusable(format!("recorded {status}")));
         }
-        open::tell_recorded(recorded);
-        tell_unreadable(spec, tally)?;
+        open::report_recording(recorded);
+        report_unreadable(spec, tally)?;
         let now = app.now();
-        Ok(Outcome { app, now, ending })
+        Ok(RunOutcome { app, now, ending })
     })
 }
 
@@ -137,7 +137,7 @@ impl RecordingFailure {
         let failure = status.and_then(|status| Some((&status.path, status.failure.as_ref()?)));
         if let Some((path, why)) = failure.filter(|_| !self.was_told) {
             self.was_told = true;
-            let _ = writeln!(io::stderr(), "descan: recording to {path} is over: {why}");
+            let _ = writeln!(io::stderr(), "descan: recording to {path} stopped: {why}");
         }
     }
 }
@@ -174,14 +174,10 @@ fn cause(bus: &Bus) -> String {
     let name = &bus.name;
     match (bus.status.link, bus.status.unreadable) {
         (Link::Opening, 0) => {
-            format!(
-                "{name} is still not open: nobody answers; is it there, or is --time too short?"
-            )
+            format!("{name} is not open: no response; is it connected, or is --time too short?")
         }
         (Link::Opening, _) => {
-            format!(
-                "{name} is still not open: what it says cannot be read; is it a bus of that kind?"
-            )
+            format!("{name} is not open: unreadable data; is it the right bus type?")
         }
         _ => format!("{name} cannot be opened"),
     }
@@ -189,7 +185,7 @@ fn cause(bus: &Bus) -> String {
 
 /// Says on standard error what keeps us from asking on a bus: its controller is off, its adapter
 /// does not answer, nobody acknowledges, or we have no address.
-pub fn tell_hindrance(app: &App, index: BusIndex) {
+pub fn warn_tx_blocked(app: &App, index: BusIndex) {
     let Some(bus) = app.bus(index) else { return };
     let say = |why: &str| {
         let _ = writeln!(io::stderr(), "descan: {}: {why}", bus.name);
@@ -198,23 +194,21 @@ pub fn tell_hindrance(app: &App, index: BusIndex) {
         let why = bus.status.message.as_deref().unwrap_or(bus.status.state.name());
         say(why.strip_prefix(&bus.name).map_or(why, str::trim_start));
     } else if bus.status.unanswered && bus.is_up() {
-        say("the adapter answered none of our commands: is it slcan, is the baud rate right?");
+        say("the adapter answered no command: is it slcan, is the baud rate right?");
     } else {
-        match (bus.hindrance(), bus.name.parse()) {
+        match (bus.tx_blocked(), bus.name.parse()) {
             (None, _) => {}
-            (Some(Hindrance::QueueFull), _) => say(
-                "the transmit queue is full, and nothing in it goes out: is another node on, at the \
-                 same bit rate? Does the adapter still work? See: ip -statistics link",
-            ),
+            (Some(TxBlocked::QueueFull), _) => {
+                say("transmit queue stuck: is another node on, at the \
+                 same bit rate? Does the adapter still work? See: ip -statistics link")
+            }
             // There is no cable that could be wrong.
             (_, Ok(BusSpec::Udp { group, .. })) => say(&format!(
-                "our datagrams do not come back to us; does a route lead to {group} (ip route get \
+                "own datagrams are not received back; does a route lead to {group} (ip route get \
                  {group}), and does its interface have multicast?"
             )),
-            _ => say(
-                "nobody acknowledges our frames; is another node on, at the same bit rate, and are \
-                 both ends terminated?",
-            ),
+            _ => say("no ACK on the bus; is another node on, at the same bit rate, and are \
+                 both ends terminated?"),
         }
     }
     if let OwnAddress::Blocked(wanted) = bus.engine.own_address()
@@ -225,13 +219,11 @@ pub fn tell_hindrance(app: &App, index: BusIndex) {
 }
 
 /// Says which lines could not be read. Where that is all of them, it is no log.
-fn tell_unreadable(spec: &BusSpec, tally: Option<Tally>) -> Result<(), Failure> {
+fn report_unreadable(spec: &BusSpec, tally: Option<LogSummary>) -> Result<(), Failure> {
     let Some(tally) = tally else { return Ok(()) };
     let is_damaged = tally.unreadable > 0 || tally.damage.is_some();
     if tally.frames == 0 && is_damaged {
-        return Err(Failure::Unusable(format!(
-            "{spec}: {tally}; is it a log as candump -L writes them, or pcapng?"
-        )));
+        return Err(Failure::Unusable(format!("{spec}: {tally}; use a candump -L log or pcapng")));
     }
     if is_damaged || tally.frames == 0 {
         let _ = writeln!(io::stderr(), "descan: {spec}: {tally}");
@@ -246,9 +238,9 @@ fn open_log(spec: &BusSpec) -> io::Result<File> {
     }
 }
 
-fn endings(limits: Limits, time: Option<Duration>) -> Result<Endings, Failure> {
-    let endings = Endings::new(time, limits.stuck).context("no signals")?;
-    Ok(if limits.while_read { endings.or_unread() } else { endings })
+fn endings(limits: Limits, time: Option<Duration>) -> Result<StopWaiter, Failure> {
+    let endings = StopWaiter::new(time, limits.stuck).context("no signals")?;
+    Ok(if limits.while_read { endings.or_stdout_closed() } else { endings })
 }
 
 /// The event loop.

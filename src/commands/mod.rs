@@ -6,12 +6,12 @@
 mod check;
 mod guide;
 mod headless;
-mod look;
 mod open;
 mod report;
 mod scan;
 mod simulate;
 mod speed;
+mod tui;
 mod watch;
 
 use crate::cli::{self, Cli, Command};
@@ -19,15 +19,15 @@ use std::io::{self, Write};
 use std::process::ExitCode;
 
 /// Nothing found, or all done.
-pub const FINE: u8 = 0;
+pub const EXIT_OK: u8 = 0;
 /// Findings that count.
-pub const FINDINGS: u8 = 1;
+pub const EXIT_FINDINGS: u8 = 1;
 /// Wrong arguments.
-pub const USAGE: u8 = 2;
+pub const EXIT_USAGE: u8 = 2;
 /// A bus or a file cannot be used.
-pub const UNUSABLE: u8 = 3;
+pub const EXIT_UNUSABLE: u8 = 3;
 /// Ended by SIGINT or SIGTERM.
-pub const INTERRUPTED: u8 = 130;
+pub const EXIT_INTERRUPTED: u8 = 130;
 
 /// Why a command did not do its work.
 #[derive(Debug, thiserror::Error)]
@@ -50,26 +50,26 @@ pub enum Failure {
 /// what it should be, followed by the line that is not.
 pub fn run(cli: Cli) -> ExitCode {
     let result = match cli.command {
-        None => look::ui(&cli.session),
-        Some(Command::Demo { system, session }) => look::demo(&system, &session),
+        None => tui::ui(&cli.session),
+        Some(Command::Demo { system, session }) => tui::demo(&system, &session),
         Some(Command::Scan(scan)) => scan::run(&scan),
         Some(Command::Check(check)) => check::run(&check),
         Some(Command::Watch(watch)) => watch::run(&watch),
         Some(Command::Sim { bus, scenario, time }) => simulate::run(&bus, &scenario, time),
         Some(Command::Speed(speed)) => speed::run(&speed),
-        Some(Command::Completions { shell }) => print(&cli::completions(shell)).map(|()| FINE),
+        Some(Command::Completions { shell }) => print(&cli::completions(shell)).map(|()| EXIT_OK),
         Some(Command::Man { name }) => guide::man(name.as_deref()),
         Some(Command::Help { name }) => guide::help(name.as_deref()),
-        Some(Command::Schema) => print(crate::document::SCHEMA.as_bytes()).map(|()| FINE),
+        Some(Command::Schema) => print(crate::document::SCHEMA.as_bytes()).map(|()| EXIT_OK),
     };
     ExitCode::from(match result {
         Ok(code) => code,
-        Err(Failure::Closed) => FINE,
+        Err(Failure::Closed) => EXIT_OK,
         Err(failure) => {
             let _ = writeln!(io::stderr(), "descan: {failure}");
             match failure {
-                Failure::Usage(_) => USAGE,
-                _ => UNUSABLE,
+                Failure::Usage(_) => EXIT_USAGE,
+                _ => EXIT_UNUSABLE,
             }
         }
     })

@@ -3,11 +3,11 @@
 use super::Failure;
 use crate::app::{App, AppOptions};
 use crate::bus::{self, BusSpec, Clock, Options, Port};
-use crate::cli::{Common, Session as Arguments};
+use crate::cli::{CommonArgs, SessionArgs as Arguments};
 use crate::discovery::Config;
 use crate::frame::{BusIndex, IdPattern};
 use crate::keymap::Keymap;
-use crate::shell::config::{Folder, Settings, read_text};
+use crate::shell::config::{ConfigFolder, UserSettings, read_text};
 use crate::shell::recorder::{Recorder, Size, Target};
 use crate::shell::session::Session;
 use crate::shell::store::Store;
@@ -25,7 +25,7 @@ const DEFAULT_FILE: &str = "des.json";
 /// What the settings folder and the arguments say together.
 pub struct Setup {
     /// The user's settings folder.
-    pub folder: Option<Folder>,
+    pub folder: Option<ConfigFolder>,
     /// The keys.
     pub keymap: Keymap,
     /// The settings of every bus's engine.
@@ -47,12 +47,12 @@ pub struct Setup {
 impl Setup {
     /// Reads the user's settings (what is wrong in them is a warning) and the profile (what is
     /// wrong in it is an error: it was asked for).
-    pub fn new(common: &Common) -> Result<Self, Failure> {
-        let folder = Folder::of_user();
-        let settings = folder.as_ref().map_or(Ok(Settings::default()), Folder::settings);
+    pub fn new(common: &CommonArgs) -> Result<Self, Failure> {
+        let folder = ConfigFolder::of_user();
+        let settings = folder.as_ref().map_or(Ok(UserSettings::default()), ConfigFolder::settings);
         let mut warnings = Vec::new();
         let settings = settings.unwrap_or_else(|why| warn(&mut warnings, why));
-        let keymap = folder.as_ref().map_or(Ok(Keymap::default()), Folder::keymap);
+        let keymap = folder.as_ref().map_or(Ok(Keymap::default()), ConfigFolder::keymap);
         let keymap = keymap.unwrap_or_else(|why| warn(&mut warnings, why));
         let built_in = Config::default();
         let config = Config {
@@ -95,7 +95,7 @@ pub fn profile(path: Option<&Path>) -> Result<Profile, Failure> {
     let Some(path) = path else { return Ok(Profile::default()) };
     let unusable = |why: String| Failure::Unusable(format!("{}: {why}", path.display()));
     let text = read_text(path).map_err(|error| unusable(error.to_string()))?;
-    let text = text.ok_or_else(|| unusable("there is no such file".to_owned()))?;
+    let text = text.ok_or_else(|| unusable("file not found".to_owned()))?;
     Profile::parse(&text).map_err(|error| unusable(on_one_line(&error.to_string())))
 }
 
@@ -117,13 +117,13 @@ pub fn buses(arguments: &Arguments) -> Result<Vec<BusSpec>, Failure> {
     match &there[..] {
         [only] => Ok(vec![BusSpec::SocketCan(only.name.clone())]),
         [] => Err(Failure::Usage(
-            "there is no CAN interface; name a bus (descan can0, descan file:LOG), or look around \
-             with: descan demo"
+            "no CAN interface found; name a bus (descan can0, descan file:LOG), or try \
+             it out: descan demo"
                 .to_owned(),
         )),
         several => {
             let names: Vec<&str> = several.iter().map(|it| it.name.as_str()).collect();
-            Err(Failure::Usage(format!("which bus? There are {}", names.join(", "))))
+            Err(Failure::Usage(format!("several CAN interfaces: {}; name one", names.join(", "))))
         }
     }
 }
@@ -161,9 +161,9 @@ pub fn clock(buses: &[BusSpec], speed: f64) -> Result<Clock, Failure> {
 pub fn log<'b>(buses: &'b [BusSpec], command: &str) -> Result<Option<&'b BusSpec>, Failure> {
     match buses {
         [log] if is_log(log) => Ok(Some(log)),
-        _ if buses.iter().any(is_log) => {
-            Err(Failure::Usage(format!("a log is read alone: descan {command} file:LOG")))
-        }
+        _ if buses.iter().any(is_log) => Err(Failure::Usage(format!(
+            "a log cannot be combined with other buses: descan {command} file:LOG"
+        ))),
         _ => Ok(None),
     }
 }
@@ -221,7 +221,7 @@ pub fn session(
 }
 
 /// Says on standard error what was recorded.
-pub fn tell_recorded(status: Option<RecordingStatus>) {
+pub fn report_recording(status: Option<RecordingStatus>) {
     if let Some(status) = status {
         let _ = writeln!(io::stderr(), "descan: recorded {status}");
     }

@@ -2,12 +2,12 @@
 //!
 //! The JSON's names, types and meanings are relied on by scripts. What is not known is null.
 
-use crate::app::{App, Bus, Kinship, Scope, Sibling};
+use crate::app::{App, Bus, Redundancy, RedundantDevice, Scope};
+use crate::bitrate::kbit;
 use crate::discovery::{
-    Confidence, Device, Evidence, Finding, FindingKind, OwnAddress, ServiceEntry,
+    Confidence, Device, DeviceService, Evidence, Finding, FindingKind, OwnAddress,
 };
 use crate::frame::Frame;
-use crate::speed::kbit;
 use crate::status::Link;
 use crate::text::Name;
 use crate::time::{Duration, Epoch, Instant};
@@ -17,7 +17,7 @@ use std::fmt::Write as _;
 
 /// The report.
 #[derive(Debug, Serialize)]
-pub struct Report {
+pub struct ScanReport {
     descan: &'static str,
     buses: Vec<BusReport>,
     devices: Vec<DeviceReport>,
@@ -78,7 +78,7 @@ struct SiblingReport {
     /// Whether its services are the same there; null where they are not known on both.
     redundant: Option<bool>,
     #[serde(skip)]
-    kinship: Kinship,
+    kinship: Redundancy,
 }
 
 #[derive(Debug, Serialize)]
@@ -125,7 +125,7 @@ pub(super) struct FindingReport {
 #[derive(Debug, Serialize)]
 struct EvidenceReport {
     time: f64,
-    what: &'static str,
+    what: String,
     frame: Option<String>,
 }
 
@@ -140,7 +140,7 @@ pub(super) struct FileReport {
     pub problem: Option<String>,
 }
 
-impl Report {
+impl ScanReport {
     /// What the app knows at `now`, and as much of the differences from the file as `scope` says;
     /// the load of a bus is that of the whole session.
     pub fn new(app: &App, now: Instant, scope: Scope) -> Self {
@@ -215,7 +215,7 @@ impl Report {
             let _ = writeln!(text, "\n{} {}: {}", finding.confidence, finding.kind, finding.text);
             let over = Confidence::Cleared.name() == finding.confidence;
             if over {
-                text.push_str("  It is over.\n");
+                text.push_str("  No longer present.\n");
             } else if !finding.remedy.is_empty() {
                 let _ = writeln!(text, "  {}", finding.remedy);
             }
@@ -262,8 +262,8 @@ impl Report {
                 })
                 .collect();
             let services = if device.services_known { services.join(", ") } else { "?".to_owned() };
-            let state = if device.clash { "CLASH" } else { device.presence };
-            let unknown = if device.working { "working" } else { "not working" };
+            let state = if device.clash { "CONFLICT" } else { device.presence };
+            let unknown = if device.working { "working" } else { "non-working" };
             rows.push([
                 device.bus.clone(),
                 device.address.to_string(),
@@ -339,14 +339,14 @@ pub(super) fn of_bus(bus: &Bus, now: Instant) -> BusReport {
 
 fn of_siblings(app: &App, device: &Device) -> Vec<SiblingReport> {
     let siblings = app.siblings(device.id).iter();
-    let of_sibling = |sibling: &Sibling| {
+    let of_sibling = |sibling: &RedundantDevice| {
         Some(SiblingReport {
             bus: app.bus(sibling.id.bus)?.name.clone(),
             address: app.device(sibling.id)?.address.number(),
             redundant: match sibling.kinship {
-                Kinship::Redundant => Some(true),
-                Kinship::TwoNetworks => Some(false),
-                Kinship::Open => None,
+                Redundancy::Redundant => Some(true),
+                Redundancy::TwoNetworks => Some(false),
+                Redundancy::Open => None,
             },
             kinship: sibling.kinship,
         })
@@ -360,7 +360,7 @@ fn of_device(app: &App, bus: &Bus, device: &Device) -> DeviceReport {
     let services = device.services.as_deref().unwrap_or_default();
     let clash = bus.engine.findings().iter().any(|finding| {
         finding.confidence == Confidence::Confirmed
-            && finding.key.kind.is_collision()
+            && finding.key.kind.is_conflict()
             && crate::app::concerns(finding, device)
     });
     DeviceReport {
@@ -388,8 +388,8 @@ fn of_device(app: &App, bus: &Bus, device: &Device) -> DeviceReport {
     }
 }
 
-pub(super) fn of_services(services: &[ServiceEntry]) -> Vec<ServiceReport> {
-    let of_service = |service: &ServiceEntry| ServiceReport {
+pub(super) fn of_services(services: &[DeviceService]) -> Vec<ServiceReport> {
+    let of_service = |service: &DeviceService| ServiceReport {
         index: service.index,
         name: service.name.to_string(),
         version: service.version.to_string(),
@@ -429,7 +429,7 @@ pub(super) fn of_finding(
         text: finding.text.clone(),
         remedy: finding.remedy.clone(),
         counts: finding.confidence == Confidence::Confirmed
-            && (finding.key.kind.is_collision()
+            && (finding.key.kind.is_conflict()
                 || scope == Scope::Check && is_difference(finding.key.kind)),
     }
 }
@@ -453,7 +453,7 @@ fn is_difference(kind: FindingKind) -> bool {
 fn of_evidence(epoch: Epoch, piece: &Evidence) -> EvidenceReport {
     EvidenceReport {
         time: epoch.unix_secs(piece.time),
-        what: piece.what,
+        what: piece.what.to_string(),
         frame: piece.frame.as_ref().map(Frame::to_string),
     }
 }

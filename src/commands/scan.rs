@@ -1,18 +1,18 @@
 //! `descan scan`: one enumeration, printed. On a live bus it ends when everything is known; a
 //! log is read to its end as fast as it can be, by its own clock.
 
-use super::headless::{self, Limits, Outcome, tell_hindrance, why_not_open, why_unusable};
+use super::headless::{self, Limits, RunOutcome, warn_tx_blocked, why_not_open, why_unusable};
 use super::open::{self, Setup};
-use super::report::Report;
-use super::{FINDINGS, FINE, Failure, INTERRUPTED, print};
+use super::report::ScanReport;
+use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, print};
 use crate::app::{App, AppOptions, Scope};
 use crate::bus::BusSpec;
-use crate::cli::Scan;
-use crate::discovery::Progress;
+use crate::cli::ScanArgs;
+use crate::discovery::DiscoveryProgress;
 use crate::document::{Document, Operation};
 use crate::frame::BusIndex;
-use crate::shell::ending::Ending;
-use crate::shell::recording::Pace;
+use crate::shell::log_session::LogPace;
+use crate::shell::stop::StopReason;
 use crate::shell::store::Store;
 use crate::status::Link;
 use crate::time::Instant;
@@ -22,42 +22,43 @@ use std::path::Path;
 use std::time::Duration;
 
 /// Runs it.
-pub fn run(scan: &Scan) -> Result<u8, Failure> {
+pub fn run(scan: &ScanArgs) -> Result<u8, Failure> {
     if let Some(path) = &scan.write
         && path.symlink_metadata().is_ok()
     {
         if path.is_dir() {
             return Err(Failure::Unusable(format!(
-                "{0} is a folder; name the file in it: --write {1}",
+                "{0} is a folder; name a file in it: --write {1}",
                 path.display(),
                 path.join("des.json").display()
             )));
         }
         return Err(Failure::Unusable(format!(
-            "{} is there already and is not touched; name another file, or edit it in: descan",
+            "{} already exists; name another file, or edit it with: descan",
             path.display()
         )));
     }
     let buses = open::buses(&scan.session)?;
     let setup = Setup::new(&scan.session.common)?;
-    let Outcome { app, now, ending } = match open::log(&buses, "scan")? {
+    let RunOutcome { app, now, ending } = match open::log(&buses, "scan")? {
         Some(log) => {
-            let all = (Some(Pace::AtOnce), Limits { stuck: INTERRUPTED, ..Limits::default() });
+            let all =
+                (Some(LogPace::AtOnce), Limits { stuck: EXIT_INTERRUPTED, ..Limits::default() });
             headless::recorded(log, &setup, AppOptions::default(), all, |_| Ok(()))?
         }
         None => look(&buses, &setup, scan.time, |_, _| Ok(true))?,
     };
-    if ending == Some(Ending::Interrupted) {
-        return Ok(INTERRUPTED);
+    if ending == Some(StopReason::Interrupted) {
+        return Ok(EXIT_INTERRUPTED);
     }
-    (0..app.buses().len()).for_each(|at| tell_hindrance(&app, BusIndex(at as u8)));
-    let report = Report::new(&app, now, Scope::Screen);
+    (0..app.buses().len()).for_each(|at| warn_tx_blocked(&app, BusIndex(at as u8)));
+    let report = ScanReport::new(&app, now, Scope::Screen);
     let text = if scan.json { report.json() } else { report.tables() };
     print(text.as_bytes())?;
     if let Some(path) = &scan.write {
         write_document(&app, path)?;
     }
-    Ok(if report.has_findings() { FINDINGS } else { FINE })
+    Ok(if report.has_findings() { EXIT_FINDINGS } else { EXIT_OK })
 }
 
 /// One enumeration of live buses, until everything is known and `enough` says so, at most for
@@ -67,8 +68,8 @@ pub fn look(
     setup: &Setup,
     time: Duration,
     mut enough: impl FnMut(&App, Instant) -> Result<bool, Failure>,
-) -> Result<Outcome, Failure> {
-    let limits = Limits { time: Some(time), stuck: INTERRUPTED, ..Limits::default() };
+) -> Result<RunOutcome, Failure> {
+    let limits = Limits { time: Some(time), stuck: EXIT_INTERRUPTED, ..Limits::default() };
     let mut bar = Bar::new();
     let outcome = headless::live(buses, setup, AppOptions::default(), limits, |session| {
         // Nobody waits for an interface to come up.
@@ -82,7 +83,7 @@ pub fn look(
     })?;
     // What was never open has not been looked at: that there is nothing on it would be a lie.
     let closed = outcome.app.buses().iter().find_map(why_not_open);
-    match closed.filter(|_| outcome.ending != Some(Ending::Interrupted)) {
+    match closed.filter(|_| outcome.ending != Some(StopReason::Interrupted)) {
         Some(why) => Err(Failure::Unusable(why)),
         None => Ok(outcome),
     }
@@ -109,7 +110,7 @@ impl Bar {
         if !self.shown {
             return;
         }
-        let mut sum = Progress::default();
+        let mut sum = DiscoveryProgress::default();
         for bus in app.buses() {
             let progress = bus.engine.progress();
             sum.here += progress.here;
@@ -162,7 +163,7 @@ fn write_document(app: &App, path: &Path) -> Result<(), Failure> {
             .engine
             .devices()
             .iter()
-            .filter(|device| device.is_here() && !device.is_debug)
+            .filter(|device| device.is_present() && !device.is_debug)
             .collect();
         devices.sort_by_key(|device| device.address);
         for device in devices {

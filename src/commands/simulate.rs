@@ -1,7 +1,7 @@
 //! `descan sim`: simulated devices on a bus. Their bus is simulated too; what they send there
 //! goes out to the real one, and what is heard there comes in.
 
-use super::{FINE, Failure, UNUSABLE, headless};
+use super::{EXIT_OK, EXIT_UNUSABLE, Failure, headless};
 use crate::bus::{self, BusSpec, Clock, Options};
 use crate::frame::{BusIndex, Frame, FrameKind};
 use crate::sim::Sim;
@@ -19,7 +19,7 @@ const NAP: Duration = Duration::from_millis(2);
 pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8, Failure> {
     if matches!(spec, BusSpec::File(_) | BusSpec::Stdin | BusSpec::Sim(_)) {
         return Err(Failure::Usage(format!(
-            "{spec} is no bus to put devices on; for a simulated one: descan demo"
+            "cannot simulate devices on {spec}; for a simulated bus: descan demo"
         )));
     }
     let scenario = bus::scenario(scenario).map_err(|error| Failure::Unusable(error.to_string()))?;
@@ -47,29 +47,29 @@ pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8,
                 let _ = writeln!(io::stderr(), "descan: {why}");
                 // What was there once is waited for.
                 if start.is_none() || status.link.is_final() {
-                    return Ok(UNUSABLE);
+                    return Ok(EXIT_UNUSABLE);
                 }
             }
             told = is_away.then_some(status.link);
             if time.is_some_and(|time| now.since(Instant::ZERO) >= time) {
-                return Ok(FINE);
+                return Ok(EXIT_OK);
             }
             if status.link == Link::Up && start.is_none() {
                 let devices = scenario.devices.len();
-                let _ = writeln!(io::stderr(), "{devices} devices on {spec}; Ctrl-C ends");
+                let _ = writeln!(io::stderr(), "{devices} devices on {spec}; Ctrl-C stops");
                 start = Some(now);
             }
             heard.clear();
             port.queue().drain(&mut heard, usize::MAX);
             if let Some(start) = start {
                 sim.advance(Instant::ZERO + now.since(start));
-                let is_heard = |it: &&Frame| !it.ours && it.kind != FrameKind::Error;
+                let is_heard = |it: &&Frame| !it.is_tx && it.kind != FrameKind::Error;
                 for frame in heard.iter().filter(is_heard) {
                     sim.relay(station, *frame);
                 }
             }
             while let Some(frame) = sim.poll_frame(station) {
-                if !frame.ours && frame.kind != FrameKind::Error {
+                if !frame.is_tx && frame.kind != FrameKind::Error {
                     // A full outbox is a bus that takes nothing; its status says so.
                     let _ = port.transmit(&frame);
                 }
@@ -77,8 +77,8 @@ pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8,
             let next = sim.next_event().map_or(NAP, |at| at.since(sim.now())).max(NAP);
             tokio::select! {
                 biased;
-                _ = interrupt.recv() => return Ok(FINE),
-                _ = terminate.recv() => return Ok(FINE),
+                _ = interrupt.recv() => return Ok(EXIT_OK),
+                _ = terminate.recv() => return Ok(EXIT_OK),
                 () = tokio::time::sleep(next.min(Duration::from_secs(1))) => {}
                 () = port.queue().ready(), if next > NAP => {}
             }

@@ -2,25 +2,25 @@
 //! a bus of another rate, is for the user to say.
 
 use super::open::profile;
-use super::{FINDINGS, FINE, Failure, INTERRUPTED, headless};
+use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, headless};
+use crate::bitrate::{ListenMode, SearchOutcome, SearchProgress, kbit};
 use crate::bus::{BusSpec, TuneError};
-use crate::cli::Speed;
-use crate::shell::ending::Endings;
-use crate::shell::speed::{Plan, Report, find};
-use crate::speed::{Manner, Outcome, Progress, kbit};
+use crate::cli::SpeedArgs;
+use crate::shell::bitrate_search::{Plan, SearchReport, find};
+use crate::shell::stop::StopWaiter;
 use anyhow::Context;
 use serde::Serialize;
 use std::io::{self, IsTerminal, Write};
 
 /// Runs it.
-pub fn run(speed: &Speed) -> Result<u8, Failure> {
+pub fn run(speed: &SpeedArgs) -> Result<u8, Failure> {
     let runtime = headless::runtime()?;
     let result = runtime.block_on(async {
-        let mut endings = Endings::new(None, INTERRUPTED).context("no signals")?;
+        let mut endings = StopWaiter::new(None, EXIT_INTERRUPTED).context("no signals")?;
         tokio::select! {
             biased;
             // What was set is put back when the search is dropped.
-            _ = endings.next() => Ok(INTERRUPTED),
+            _ = endings.next() => Ok(EXIT_INTERRUPTED),
             done = search(speed) => done,
         }
     });
@@ -29,49 +29,49 @@ pub fn run(speed: &Speed) -> Result<u8, Failure> {
     result
 }
 
-async fn search(speed: &Speed) -> Result<u8, Failure> {
+async fn search(speed: &SpeedArgs) -> Result<u8, Failure> {
     let bus = &speed.bus;
-    let manner = if speed.active { Manner::TakingPart } else { Manner::Listening };
+    let manner = if speed.active { ListenMode::TakingPart } else { ListenMode::Listening };
     let mut report = attempt(speed, manner).await?;
-    if manner == Manner::Listening && !matches!(report.outcome, Outcome::Found(_)) {
+    if manner == ListenMode::Listening && !matches!(report.outcome, SearchOutcome::Found(_)) {
         say(&nothing_heard(bus, report.outcome));
         if may_ask(speed) && wants_to_take_part(bus).await {
-            report = attempt(speed, Manner::TakingPart).await?;
+            report = attempt(speed, ListenMode::TakingPart).await?;
         } else {
             print(speed, &report)?;
-            say(&format!("to take part: descan speed {bus} --active"));
-            return Ok(FINDINGS);
+            say(&format!("to search actively: descan speed {bus} --active"));
+            return Ok(EXIT_FINDINGS);
         }
     }
     print(speed, &report)?;
-    if let Outcome::Found(rate) = report.outcome {
+    if let SearchOutcome::Found(rate) = report.outcome {
         say(&match bus {
             BusSpec::Slcan { device, .. } => {
-                format!("open it so: descan slcan:{}@{rate}", device.display())
+                format!("open it with: descan slcan:{}@{rate}", device.display())
             }
-            _ => format!("{bus} is set to it; now: descan {bus}"),
+            _ => format!("{bus} keeps this bit rate; open it with: descan {bus}"),
         });
-        return Ok(FINE);
+        return Ok(EXIT_OK);
     }
-    say("nobody was heard at any rate: is a device on, and are CAN_H, CAN_L and ground connected?");
-    Ok(FINDINGS)
+    say("no frames at any rate: is a device on, and are CAN_H, CAN_L and ground connected?");
+    Ok(EXIT_FINDINGS)
 }
 
-async fn attempt(speed: &Speed, manner: Manner) -> Result<Report, Failure> {
+async fn attempt(speed: &SpeedArgs, manner: ListenMode) -> Result<SearchReport, Failure> {
     let period = profile(speed.profile.as_deref())?.heartbeat.period();
     let plan = Plan { first: speed.first, manner, period };
     let bus = &speed.bus;
     let what = match manner {
-        Manner::Listening => "listening",
-        Manner::TakingPart => "taking part",
+        ListenMode::Listening => "listen-only",
+        ListenMode::TakingPart => "active",
     };
     let report = find(bus, plan, |progress| match progress {
-        Progress::Trying(rate) => say(&format!("{bus} at {}: {what} …", kbit(rate))),
-        Progress::Heard(rate, heard) => {
-            say(&format!("{bus} at {}: no whole frame, {} broken", kbit(rate), heard.broken));
+        SearchProgress::Trying(rate) => say(&format!("{bus} at {}: {what} …", kbit(rate))),
+        SearchProgress::Heard(rate, heard) => {
+            say(&format!("{bus} at {}: no valid frame, {} bus errors", kbit(rate), heard.broken));
         }
-        Progress::Skipped(rate) => {
-            say(&format!("{bus} at {}: its controller cannot", kbit(rate)));
+        SearchProgress::Skipped(rate) => {
+            say(&format!("{bus} at {}: not supported by the controller", kbit(rate)));
         }
     });
     report.await.map_err(|error| match error {
@@ -80,18 +80,18 @@ async fn attempt(speed: &Speed, manner: Manner) -> Result<Report, Failure> {
     })
 }
 
-fn nothing_heard(bus: &BusSpec, outcome: Outcome) -> String {
+fn nothing_heard(bus: &BusSpec, outcome: SearchOutcome) -> String {
     let what = match outcome {
-        Outcome::OnlyBroken => "frames broke, and none arrived whole",
-        _ => "nothing was heard at any rate",
+        SearchOutcome::OnlyBroken => "bus errors but no valid frame",
+        _ => "no frames at any rate",
     };
     format!(
-        "{bus}: {what}. While we only listen, a device that is alone on the bus is not heard: \
-         nobody acknowledges its frames."
+        "{bus}: {what}. Listen-only search cannot find a device alone on the bus: \
+         it gets no ACK."
     )
 }
 
-fn may_ask(speed: &Speed) -> bool {
+fn may_ask(speed: &SpeedArgs) -> bool {
     !speed.json && io::stdin().is_terminal() && io::stderr().is_terminal()
 }
 
@@ -99,7 +99,7 @@ fn may_ask(speed: &Speed) -> bool {
 async fn wants_to_take_part(bus: &BusSpec) -> bool {
     let _ = write!(
         io::stderr(),
-        "Try each rate taking part in {bus}? At a wrong rate that destroys the frames of others. \
+        "Search actively on {bus}? A wrong rate destroys other nodes' frames. \
          [y/N] "
     );
     let line = tokio::task::spawn_blocking(|| {
@@ -111,7 +111,7 @@ async fn wants_to_take_part(bus: &BusSpec) -> bool {
 }
 
 #[derive(Serialize)]
-struct Told<'a> {
+struct SpeedOutput<'a> {
     bus: String,
     bitrate: Option<u32>,
     tried: &'a [Tried],
@@ -124,11 +124,11 @@ struct Tried {
     broken: u64,
 }
 
-fn print(speed: &Speed, report: &Report) -> Result<(), Failure> {
+fn print(speed: &SpeedArgs, report: &SearchReport) -> Result<(), Failure> {
     let bus = speed.bus.to_string();
     let bitrate = match report.outcome {
-        Outcome::Found(rate) => Some(rate),
-        Outcome::OnlyBroken | Outcome::Silence => None,
+        SearchOutcome::Found(rate) => Some(rate),
+        SearchOutcome::OnlyBroken | SearchOutcome::Silence => None,
     };
     let line = if speed.json {
         let tried = report.tried.iter().map(|(bitrate, heard)| Tried {
@@ -137,7 +137,7 @@ fn print(speed: &Speed, report: &Report) -> Result<(), Failure> {
             broken: heard.broken,
         });
         let tried: Vec<Tried> = tried.collect();
-        let told = Told { bus, bitrate, tried: &tried };
+        let told = SpeedOutput { bus, bitrate, tried: &tried };
         serde_json::to_string(&told).context("JSON")?
     } else if let Some(bitrate) = bitrate {
         format!("{bus}: {bitrate} bit/s")

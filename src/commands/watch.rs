@@ -8,14 +8,14 @@ use super::open::{self, Setup};
 use super::report::{
     BusReport, FileReport, FindingReport, ServiceReport, of_bus, of_file, of_finding, of_services,
 };
-use super::{FINE, Failure, print};
-use crate::app::{App, AppOptions, Filter, Happening, Scope, TimelineEntry, clock_millis, hex};
-use crate::cli::Watch;
+use super::{EXIT_OK, Failure, print};
+use crate::app::{App, AppEvent, AppOptions, Filter, Scope, TimelineEntry, clock_millis, hex};
+use crate::cli::WatchArgs;
 use crate::discovery::{Event, EventKind, Finding, Presence};
 use crate::frame::{BusIndex, IdPattern};
-use crate::shell::ending::Ending;
-use crate::shell::recording::Pace;
+use crate::shell::log_session::LogPace;
 use crate::shell::session::Session;
+use crate::shell::stop::StopReason;
 use crate::status::Link;
 use crate::text::printable;
 use crate::time::Instant;
@@ -27,41 +27,41 @@ use std::ops::ControlFlow;
 use unicode_width::UnicodeWidthStr;
 
 /// Runs it.
-pub fn run(watch: &Watch) -> Result<u8, Failure> {
+pub fn run(watch: &WatchArgs) -> Result<u8, Failure> {
     let buses = open::buses(&watch.session)?;
     let mut setup = Setup::new(&watch.session.common)?;
     let interest = watch.filter.as_deref().map(Filter::parse).unwrap_or_default();
-    if let Some(mistake) = interest.mistake() {
+    if let Some(mistake) = interest.error() {
         return Err(Failure::Usage(format!("--filter {}", printable(mistake.as_bytes()))));
     }
     setup.only = frames_of_interest(&interest, &setup);
     let options = AppOptions {
         utc_offset_seconds: open::utc_offset_seconds(),
-        report: true,
-        interest,
+        emit_events: true,
+        event_filter: interest,
         ..AppOptions::default()
     };
-    let limits = Limits { time: watch.time, while_read: true, stuck: FINE };
-    let mut teller = Teller { json: watch.json, text: Vec::new() };
+    let limits = Limits { time: watch.time, while_read: true, stuck: EXIT_OK };
+    let mut event_writer = EventWriter { json: watch.json, text: Vec::new() };
     if let Some(log) = open::log(&buses, "watch")? {
-        let pace = watch.session.speed.map(Pace::Timed);
-        headless::recorded(log, &setup, options, (pace, limits), |app| teller.tell(app))?;
+        let pace = watch.session.speed.map(LogPace::Timed);
+        headless::recorded(log, &setup, options, (pace, limits), |app| event_writer.tell(app))?;
     } else {
-        let mut patience = Patience::default();
+        let mut patience = StartupGate::default();
         let outcome = headless::live(&buses, &setup, options, limits, |session| {
             // What cannot be used from the start is told as that, and nothing else.
             if patience.check(session)? {
-                teller.tell(&mut session.app)?;
+                event_writer.tell(&mut session.app)?;
             }
             Ok(ControlFlow::Continue(()))
         })?;
-        if outcome.ending != Some(Ending::Interrupted)
+        if outcome.ending != Some(StopReason::Interrupted)
             && let Some(why) = patience.why_never_open(&outcome.app)
         {
             return Err(Failure::Unusable(why));
         }
     }
-    Ok(FINE)
+    Ok(EXIT_OK)
 }
 
 /// Which frames have to be read for what is of interest; empty: all. Whoever takes part in the bus
@@ -82,11 +82,11 @@ fn frames_of_interest(interest: &Filter, setup: &Setup) -> Vec<IdPattern> {
 
 /// A bus must be usable at first; later it is waited for.
 #[derive(Default)]
-struct Patience {
+struct StartupGate {
     was_open: Vec<bool>,
 }
 
-impl Patience {
+impl StartupGate {
     /// Whether all buses were open once.
     fn check(&mut self, session: &Session) -> Result<bool, Failure> {
         let buses = session.app.buses();
@@ -110,18 +110,18 @@ impl Patience {
 }
 
 /// Writes the lines.
-struct Teller {
+struct EventWriter {
     json: bool,
     text: Vec<u8>,
 }
 
-impl Teller {
+impl EventWriter {
     /// Tells what happened since it was called last.
     fn tell(&mut self, app: &mut App) -> Result<(), Failure> {
         self.text.clear();
-        while let Some(happening) = app.poll_happening() {
+        while let Some(happening) = app.poll_app_event() {
             match (self.json, &happening) {
-                (false, Happening::Line(line)) => {
+                (false, AppEvent::Line(line)) => {
                     self.text.extend_from_slice(in_words(app, line).as_bytes());
                     self.text.push(b'\n');
                 }
@@ -143,7 +143,7 @@ impl Teller {
 
 // --- in words -------------------------------------------------------------------------------
 
-/// `07:08:55.123 can0   12 FEED        says its name`: the bus where there are several.
+/// `07:08:55.123 can0   12 FEED        identified as FEED`: the bus where there are several.
 fn in_words(app: &App, line: &TimelineEntry) -> String {
     const NAME: usize = 12;
     let bus = line.bus.and_then(|index| app.bus(index)).map_or("", |bus| &bus.name);
@@ -168,23 +168,23 @@ fn in_words(app: &App, line: &TimelineEntry) -> String {
 // --- as JSON --------------------------------------------------------------------------------
 
 #[derive(Serialize)]
-struct Told {
+struct JsonEvent {
     /// Unix seconds.
     time: f64,
     event: &'static str,
     #[serde(flatten)]
-    what: What,
+    what: EventBody,
 }
 
 #[derive(Serialize)]
 #[serde(untagged)]
-enum What {
+enum EventBody {
     Device {
         bus: Option<String>,
         address: Option<u8>,
         name: Option<String>,
         #[serde(flatten)]
-        more: More,
+        more: EventDetails,
     },
     Finding {
         bus: Option<String>,
@@ -204,7 +204,7 @@ enum What {
 /// What an event of a device says beside the device.
 #[derive(Serialize)]
 #[serde(untagged)]
-enum More {
+enum EventDetails {
     Nothing {},
     Services {
         services: Vec<ServiceReport>,
@@ -228,48 +228,52 @@ enum More {
     },
 }
 
-fn as_value(app: &App, happening: Happening) -> Option<Told> {
+fn as_value(app: &App, happening: AppEvent) -> Option<JsonEvent> {
     let time = |at: Instant| app.epoch().unix_secs(at);
     Some(match happening {
-        Happening::Line(_) => return None,
-        Happening::Event(bus, event) => return of_event(app, bus, event),
-        Happening::Finding(at, finding) => {
-            Told { time: time(at), event: "finding", what: what_finding(app, &finding) }
+        AppEvent::Line(_) => return None,
+        AppEvent::Event(bus, event) => return of_event(app, bus, event),
+        AppEvent::Finding(at, finding) => {
+            JsonEvent { time: time(at), event: "finding", what: what_finding(app, &finding) }
         }
-        Happening::Bus(bus, at) => of_bus_now(app, bus, at)?,
-        Happening::File(at) => {
-            Told { time: time(at), event: "file", what: What::File { file: of_file(app) } }
-        }
+        AppEvent::Bus(bus, at) => of_bus_now(app, bus, at)?,
+        AppEvent::File(at) => JsonEvent {
+            time: time(at),
+            event: "file",
+            what: EventBody::File { file: of_file(app) },
+        },
     })
 }
 
-fn of_event(app: &App, bus: BusIndex, event: Event) -> Option<Told> {
+fn of_event(app: &App, bus: BusIndex, event: Event) -> Option<JsonEvent> {
     let (word, more) = match event.kind {
-        EventKind::Appeared => ("appeared", More::Nothing {}),
-        EventKind::Named => ("named", More::Nothing {}),
+        EventKind::Appeared => ("appeared", EventDetails::Nothing {}),
+        EventKind::Named => ("named", EventDetails::Nothing {}),
         EventKind::Services { changed, .. } => {
             let device = event.device.and_then(|id| app.device(id));
             let services = device.and_then(|device| device.services.as_deref());
             let services = of_services(services.unwrap_or_default());
-            ("services", More::Services { services, changed })
+            ("services", EventDetails::Services { services, changed })
         }
         EventKind::Mode { from, to } => {
-            ("mode", More::Mode { mode: to.name(), from: from.map(Mode::name) })
+            ("mode", EventDetails::Mode { mode: to.name(), from: from.map(Mode::name) })
         }
-        EventKind::Moved { from } => ("moved", More::Moved { from: from.number() }),
-        EventKind::Rebooted => ("rebooted", More::Nothing {}),
+        EventKind::Moved { from } => ("moved", EventDetails::Moved { from: from.number() }),
+        EventKind::Rebooted => ("rebooted", EventDetails::Nothing {}),
         EventKind::Presence(presence) if presence != Presence::Online => {
-            (presence.name(), More::Nothing {})
+            (presence.name(), EventDetails::Nothing {})
         }
-        EventKind::Returned { was } => ("returned", More::Returned { was: was.name() }),
-        EventKind::Debug { code, data } => ("debug", More::Debug { code, data: hex(&data, "") }),
+        EventKind::Returned { was } => ("returned", EventDetails::Returned { was: was.name() }),
+        EventKind::Debug { code, data } => {
+            ("debug", EventDetails::Debug { code, data: hex(&data, "") })
+        }
         // The bus says which address is ours.
         EventKind::OwnAddress(_) | EventKind::OwnAddressLost(_) => {
             return of_bus_now(app, bus, event.time);
         }
         // No event of those that scripts know; but whoever reads the words should.
         EventKind::NobodyAcknowledges | EventKind::NoAddress(_) => {
-            headless::tell_hindrance(app, bus);
+            headless::warn_tx_blocked(app, bus);
             return None;
         }
         // Findings come as values of their own, and who is online again has returned. The others are
@@ -281,21 +285,21 @@ fn of_event(app: &App, bus: BusIndex, event: Event) -> Option<Told> {
         | EventKind::Joined { .. }
         | EventKind::Acknowledged => return None,
     };
-    let what = What::Device {
+    let what = EventBody::Device {
         bus: app.bus(bus).map(|bus| bus.name.clone()),
         address: event.address.map(Address::number),
         name: event.name.as_ref().map(ToString::to_string),
         more,
     };
-    Some(Told { time: app.epoch().unix_secs(event.time), event: word, what })
+    Some(JsonEvent { time: app.epoch().unix_secs(event.time), event: word, what })
 }
 
-fn what_finding(app: &App, finding: &Finding) -> What {
+fn what_finding(app: &App, finding: &Finding) -> EventBody {
     let name = match &finding.names[..] {
         [only] => Some(only.to_string()),
         _ => None,
     };
-    What::Finding {
+    EventBody::Finding {
         bus: finding.key.bus.and_then(|index| app.bus(index)).map(|bus| bus.name.clone()),
         address: finding.key.address.map(Address::number),
         name,
@@ -303,7 +307,7 @@ fn what_finding(app: &App, finding: &Finding) -> What {
     }
 }
 
-fn of_bus_now(app: &App, bus: BusIndex, at: Instant) -> Option<Told> {
+fn of_bus_now(app: &App, bus: BusIndex, at: Instant) -> Option<JsonEvent> {
     let bus = of_bus(app.bus(bus)?, at);
-    Some(Told { time: app.epoch().unix_secs(at), event: "bus", what: What::Bus { bus } })
+    Some(JsonEvent { time: app.epoch().unix_secs(at), event: "bus", what: EventBody::Bus { bus } })
 }

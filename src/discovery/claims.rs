@@ -24,7 +24,7 @@ const GIVES_WAY_WITHIN: u32 = 5;
 
 /// A heartbeat, as far as it matters here.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Beat {
+pub(super) struct HeartbeatInput {
     pub now: Instant,
     pub address: Address,
     /// Not blank.
@@ -38,7 +38,7 @@ pub(super) struct Beat {
 
 /// What a heartbeat tells of its sender.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Heard {
+pub(super) struct ClaimUpdate {
     /// Who it is: a row, or an id that no row has while only its claim is known.
     pub device: DeviceId,
     /// Whether the row at the address is somebody else's, who beats from there too.
@@ -78,21 +78,25 @@ impl Node {
 }
 
 #[derive(Debug)]
-pub(super) struct Claims {
+pub(super) struct AddressClaims {
     period: Duration,
     nodes: Vec<Node>,
     /// When an address was claimed while somebody else beat from it.
     claimed_over: [Option<Instant>; Address::COUNT],
 }
 
-impl Claims {
+impl AddressClaims {
     pub fn new(period: Duration) -> Self {
         Self { period, nodes: Vec::new(), claimed_over: [None; Address::COUNT] }
     }
 
     /// Takes a heartbeat. `reserve` gives an id that no row will have.
-    pub fn hear(&mut self, beat: Beat, reserve: impl FnOnce() -> DeviceId) -> Heard {
-        let Beat { now, address, uid, mode, row, over } = beat;
+    pub fn hear(
+        &mut self,
+        beat: HeartbeatInput,
+        reserve: impl FnOnce() -> DeviceId,
+    ) -> ClaimUpdate {
+        let HeartbeatInput { now, address, uid, mode, row, over } = beat;
         let (period, pause) = (self.period, self.period.mul_f64(PAUSE));
         let patience = period * GIVES_WAY_WITHIN;
         // A board that was swapped for another one was silent for longer; one that is asleep, too.
@@ -120,7 +124,7 @@ impl Claims {
         });
         let node = &mut self.nodes[at];
         let silence = now.since(node.last);
-        let mut heard = Heard {
+        let mut heard = ClaimUpdate {
             device: node.device,
             is_another,
             mode_before: node.mode,
@@ -146,14 +150,14 @@ impl Claims {
         node.has_claimed |= heard.claims;
         node.mode = mode.or(node.mode);
         node.last = now;
-        self.contend(at, over, now);
+        self.note_contention(at, over, now);
         if heard.claims && is_another {
             self.note_claimed_over(now, address);
         }
         heard
     }
 
-    fn contend(&mut self, at: usize, over: bool, now: Instant) {
+    fn note_contention(&mut self, at: usize, over: bool, now: Instant) {
         let (uid, address) = (self.nodes[at].uid, self.nodes[at].address);
         let patience = self.period * GIVES_WAY_WITHIN;
         let recently = self.period.mul_f64(HOLDS_FOR);
@@ -286,13 +290,13 @@ impl Claims {
     }
 
     /// When whoever beats from `address` besides that node began to.
-    pub fn came_after(&self, address: Address, uid: Uid) -> Option<Instant> {
+    pub fn other_sender_since(&self, address: Address, uid: Uid) -> Option<Instant> {
         let others = self.nodes.iter().filter(|it| it.uid != uid && it.address == address);
         others.max_by_key(|node| node.last).map(|node| node.since)
     }
 
     /// Who beats from `address` now and went on after `then`.
-    pub fn keeps(
+    pub fn is_still_active(
         &self,
         now: Instant,
         address: Address,

@@ -6,7 +6,7 @@
 use crate::frame::BusIndex;
 use crate::text::Name;
 use crate::time::{Duration, Instant};
-use crate::wire::des::{AnswerFault, Request};
+use crate::wire::des::{Request, ResponseFault};
 use crate::wire::framing::Framing;
 use crate::wire::id::Address;
 use crate::wire::isotp::TransferFault;
@@ -59,7 +59,7 @@ impl fmt::Display for Presence {
 
 /// One service of a device.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct ServiceEntry {
+pub struct DeviceService {
     /// Its index in the answer.
     pub index: u8,
     /// Its name.
@@ -104,18 +104,18 @@ impl HeartbeatStats {
 
     /// Counts a heartbeat; `period` is the one expected, `unheard` how many were due since the one
     /// before while none could be heard. Returns the gap since the one before.
-    pub(super) fn beat(
+    pub(super) fn record_heartbeat(
         &mut self,
         now: Instant,
         period: Duration,
-        unheard: u64,
+        missed_in_outage: u64,
     ) -> Option<Duration> {
         self.count += 1;
         let gap = self.last.replace(now).map(|last| now.since(last));
         if let Some(gap) = gap {
             let ratio = gap.as_secs_f64() / period.as_secs_f64();
             if ratio > 1.5 {
-                self.missed += ((ratio - 0.5) as u64).saturating_sub(unheard);
+                self.missed += ((ratio - 0.5) as u64).saturating_sub(missed_in_outage);
             } else if ratio > 0.3 {
                 self.intervals += 1;
                 let weight = 1.0 / self.intervals.min(64) as f64;
@@ -136,7 +136,7 @@ impl HeartbeatStats {
     /// Whether the heartbeat that came at `now` shows that its sender started anew: the one before
     /// was no whole number of periods after those before it, and this one keeps to the new phase.
     /// One that the bus held up is followed by one in the old phase.
-    pub(super) fn has_shifted(
+    pub(super) fn is_phase_shifted(
         &mut self,
         now: Instant,
         before: Option<Instant>,
@@ -206,7 +206,7 @@ impl Query {
     }
 
     /// Asks anew at `at`, with all attempts before it.
-    pub(super) fn renew(&mut self, at: Instant) {
+    pub(super) fn schedule(&mut self, at: Instant) {
         if !self.is_waiting() {
             self.attempts = 0;
             self.due = Some(self.due.map_or(at, |due| due.min(at)));
@@ -215,9 +215,9 @@ impl Query {
 
     /// The same where something has changed since it was asked: the attempt under way is the
     /// first, not the last before it is given up.
-    pub(super) fn start_over(&mut self, at: Instant) {
+    pub(super) fn restart(&mut self, at: Instant) {
         self.attempts = self.attempts.min(1);
-        self.renew(at);
+        self.schedule(at);
     }
 
     /// Gives up until `again`.
@@ -247,7 +247,7 @@ impl Query {
 pub enum QueryFault {
     /// Its message is malformed.
     #[error("{0}")]
-    Answer(#[from] AnswerFault),
+    Answer(#[from] ResponseFault),
     /// Its transfer broke off.
     #[error("{0}")]
     Transfer(#[from] TransferFault),
@@ -286,11 +286,11 @@ impl Quirk {
     /// What it means, for people.
     pub const fn describe(self) -> &'static str {
         match self {
-            Quirk::RspDstEcho => "answers carry the request's DST, not the asker's address",
-            Quirk::NonConforming => "sends identifiers that are none of the nine message types",
-            Quirk::BothFramings => "answers in both framings",
+            Quirk::RspDstEcho => "responses carry the request's DST, not the requester's address",
+            Quirk::NonConforming => "sends identifiers with an unknown message type",
+            Quirk::BothFramings => "responds in both framings",
             Quirk::ShortHeartbeat => "heartbeats shorter than the profile's layout",
-            Quirk::ModeContradictsU => "the mode in its heartbeat contradicts the U bit",
+            Quirk::ModeContradictsU => "the heartbeat's mode contradicts the U bit",
         }
     }
 }
@@ -331,9 +331,9 @@ pub struct Device {
     /// How it lays its answers into frames.
     pub framing: Option<Framing>,
     /// Its services; `None` while they are not known.
-    pub services: Option<Vec<ServiceEntry>>,
+    pub services: Option<Vec<DeviceService>>,
     /// The services before they changed last, where they did.
-    pub previous_services: Option<Vec<ServiceEntry>>,
+    pub previous_services: Option<Vec<DeviceService>>,
     /// Its heartbeats.
     pub heartbeat: HeartbeatStats,
     /// The question for its name.
@@ -362,7 +362,7 @@ pub struct Device {
     /// mode.
     pub(super) is_resolving: bool,
     /// Whether the last heartbeat from its address was another one's, who has no row yet.
-    pub(super) is_beaten_for: bool,
+    pub(super) last_heartbeat_was_other_node: bool,
     /// The address it moved from last.
     pub moved_from: Option<Address>,
     /// Whether it is a debug device: at address 0, or one of our kind.
@@ -400,7 +400,7 @@ impl Device {
             replaced_at: None,
             uid_before: None,
             is_resolving: false,
-            is_beaten_for: false,
+            last_heartbeat_was_other_node: false,
             moved_from: None,
             is_debug: address == Address::DEBUG,
             rounds_missed: 0,
@@ -428,7 +428,7 @@ impl Device {
     }
 
     /// What was heard from its address lately, under another row, is this one's.
-    pub(super) fn take_live(&mut self, live: &Self) {
+    pub(super) fn adopt_live_state(&mut self, live: &Self) {
         self.heartbeat = live.heartbeat.clone();
         self.uid = live.uid;
         self.mode = live.mode;
@@ -441,7 +441,7 @@ impl Device {
     /// Takes note, before anything else of it is, that something is heard of it now: what it was
     /// asked in vain while it was silent for far longer than it ever was before, it is asked once
     /// more. It may not have heard us, nor we it. True where something is asked.
-    pub(super) fn ask_who_was_not_heard(&mut self, now: Instant, period: Duration) -> bool {
+    pub(super) fn retry_after_silence(&mut self, now: Instant, period: Duration) -> bool {
         // Or is about to be, once a round is over.
         let waits_for_round = |it: &Query| it.state == QueryState::Asked && it.deadline.is_none();
         let in_vain = |it: &Query| it.state == QueryState::Unanswered || waits_for_round(it);
@@ -459,7 +459,7 @@ impl Device {
                 if query.is_waiting() {
                     query.state = QueryState::NotAsked;
                 }
-                query.start_over(now);
+                query.restart(now);
                 asks = true;
             }
         }
@@ -487,7 +487,7 @@ impl Device {
     }
 
     /// Whether it is on the bus as far as can be told.
-    pub fn is_here(&self) -> bool {
+    pub fn is_present(&self) -> bool {
         self.presence != Presence::Lost
     }
 }

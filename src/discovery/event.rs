@@ -24,7 +24,7 @@ pub struct Event {
 
 /// The other one of two that want the same address, as far as it is known then.
 #[derive(Clone, Debug)]
-pub struct Party {
+pub struct ConflictParty {
     /// Its id.
     pub device: DeviceId,
     /// Its name.
@@ -59,20 +59,20 @@ pub enum EventKind {
         /// The UID it claims with, where that is not blank.
         uid: Option<Uid>,
         /// Who beats from the address already, where somebody does.
-        holder: Option<Party>,
+        holder: Option<ConflictParty>,
         /// Whether it is only likely that it is another device than the holder: neither has a
         /// UID that tells.
-        guess: bool,
+        inferred: bool,
     },
     /// It used the address, and fell silent there when another one used it.
     GaveWay {
         /// Its UID, where that is not blank.
         uid: Option<Uid>,
         /// Who beats from the address now.
-        to: Option<Party>,
+        to: Option<ConflictParty>,
         /// Whether it is only likely: it was not heard elsewhere since, or is known by its name
         /// alone.
-        guess: bool,
+        inferred: bool,
     },
     /// It is at another address than before.
     Moved {

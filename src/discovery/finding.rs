@@ -7,6 +7,7 @@ use crate::frame::{BusIndex, Frame};
 use crate::text::Name;
 use crate::time::Instant;
 use crate::wire::id::Address;
+use std::borrow::Cow;
 use std::collections::VecDeque;
 use std::fmt;
 use std::sync::Arc;
@@ -66,7 +67,7 @@ impl FindingKind {
 
     /// Whether it is a collision: two devices where one should be. Confirmed ones make `scan`
     /// exit with 1.
-    pub const fn is_collision(self) -> bool {
+    pub const fn is_conflict(self) -> bool {
         matches!(
             self,
             Self::SameNameSameAddress
@@ -138,7 +139,7 @@ pub struct Evidence {
     /// When it was seen.
     pub time: Instant,
     /// What it shows, in words.
-    pub what: &'static str,
+    pub what: Cow<'static, str>,
     /// The frame that shows it.
     pub frame: Option<Frame>,
 }
@@ -229,7 +230,7 @@ impl Finding {
     }
 
     /// Notes names concerned, each once.
-    pub fn concern(&mut self, name: &Name) {
+    pub fn add_name(&mut self, name: &Name) {
         if !self.names.contains(name) && self.names.len() < 8 {
             self.names.push(name.clone());
         }

@@ -10,18 +10,18 @@ impl Engine {
     /// The row at this address that has that name, or may be given it. Another row than the
     /// current one means another board at the address.
     pub(super) fn row_of_name(&mut self, now: Instant, index: usize, name: &Name) -> usize {
-        let current = self.roster.get(index);
+        let current = self.device_table.get(index);
         if current.name.as_ref().is_none_or(|own| own == name) {
             return index;
         }
         let (address, working) = (current.address, current.working);
         let known = self
-            .roster
+            .device_table
             .devices()
             .iter()
             .position(|device| device.address == address && device.name.as_ref() == Some(name));
-        let mut live = self.roster.get(index).clone();
-        self.put_aside(index);
+        let mut live = self.device_table.get(index).clone();
+        self.replace_row(index);
         // A UID that beat here before the old name was said again is the old one's.
         let said = live.name_query.answered_at;
         let own = live.uid.filter(|uid| self.claims.row_of(*uid) == Some(live.id));
@@ -31,37 +31,40 @@ impl Engine {
         }
         let row = match known {
             Some(row) => row,
-            None => match self.roster.appear(now, address, working) {
+            None => match self.device_table.insert(now, address, working) {
                 Some(row) => row,
                 None => return index,
             },
         };
-        self.roster.make_current(row);
+        self.device_table.activate(row);
         // Its own: what the address said last may have been the other board's.
         let mode = live.uid.and_then(|uid| self.claims.mode_of(uid)).or(live.mode);
-        let device = self.roster.get_mut(row);
-        device.take_live(&live);
+        let device = self.device_table.get_mut(row);
+        device.adopt_live_state(&live);
         device.mode = mode;
         device.last_seen = now;
         let id = device.id;
         if let Some(uid) = live.uid.filter(|uid| !uid.is_blank() && known.is_none()) {
-            self.claims.adopt(uid, id, || self.roster.reserve());
+            self.claims.adopt(uid, id, || self.device_table.reserve());
         }
-        let device = self.roster.get_mut(row);
+        let device = self.device_table.get_mut(row);
         if known.is_none() {
-            self.tell(row, EventKind::Appeared);
+            self.emit(row, EventKind::Appeared);
         } else if device.presence == Presence::Lost {
-            device.services_query.start_over(now);
+            device.services_query.restart(now);
         }
         self.find_where_it_went(index);
-        self.roster.index_of(id).unwrap_or(row)
+        self.device_table.index_of(id).unwrap_or(row)
     }
 
     /// A row that another board has replaced: its own may have been heard elsewhere already.
     fn find_where_it_went(&mut self, index: usize) {
-        let (uid, from) = (self.uid_of_row(index), self.roster.get(index).address);
-        let went = self.roster.devices().iter().position(|other| {
-            uid.is_some() && other.uid == uid && other.moved_from == Some(from) && other.is_here()
+        let (uid, from) = (self.uid_of_row(index), self.device_table.get(index).address);
+        let went = self.device_table.devices().iter().position(|other| {
+            uid.is_some()
+                && other.uid == uid
+                && other.moved_from == Some(from)
+                && other.is_present()
         });
         if let Some(went) = went.filter(|went| *went != index) {
             self.move_row(index, went);
@@ -72,7 +75,7 @@ impl Engine {
     /// its name, and its old address fell silent.
     pub(super) fn find_move_to(&mut self, index: usize) {
         let period = self.config.profile.heartbeat.period();
-        let device = self.roster.get(index);
+        let device = self.device_table.get(index);
         let now = self.now;
         let (uid, name, address) =
             (device.uid.filter(|uid| !uid.is_blank()), device.name.clone(), device.address);
@@ -82,11 +85,11 @@ impl Engine {
             other.address != address
                 && other.last_seen <= first_seen
                 && now.since(other.last_seen) > period.mul_f64(1.4)
-                && (other.heartbeat.period().is_some() || !other.is_here())
+                && (other.heartbeat.period().is_some() || !other.is_present())
         };
         let by_uid = uid.and_then(|uid| {
             let speaks = self.claims.row_of(uid);
-            self.roster.devices().iter().position(|other| {
+            self.device_table.devices().iter().position(|other| {
                 let is_it = speaks == Some(other.id)
                     || (other.uid == Some(uid) && self.claims.uid_of(other.id).is_none());
                 is_it && gone(other)
@@ -94,14 +97,14 @@ impl Engine {
         });
         let old = by_uid.or_else(|| self.only_other_of_name(index, name.as_ref()?, gone));
         if let Some(old) = old {
-            self.take_place(old, index);
+            self.take_over_row(old, index);
         }
     }
 
     /// The device of the row `old` is at the address of the row `index` now. Known by its UID, that
     /// row may be somebody else's, whose place it took.
-    pub(super) fn take_place(&mut self, old: usize, index: usize) {
-        let name = |at: usize| self.roster.get(at).name.as_ref();
+    pub(super) fn take_over_row(&mut self, old: usize, index: usize) {
+        let name = |at: usize| self.device_table.get(at).name.as_ref();
         if name(old).zip(name(index)).is_some_and(|(old, here)| old != here) {
             self.move_onto(old, index);
         } else {
@@ -111,24 +114,24 @@ impl Engine {
 
     /// The device of the row `old` is now where another device was, whose row stays.
     fn move_onto(&mut self, old: usize, other: usize) {
-        let (now, from) = (self.now, self.roster.get(old).address);
-        let live = self.roster.get(other).clone();
-        self.put_aside(other);
-        self.roster.settle(old, live.address);
-        let device = self.roster.get_mut(old);
-        device.take_live(&live);
-        device.name_query.renew(now);
-        device.services_query.renew(now);
-        self.collisions.note_left(from);
-        self.collisions.note_left(live.address);
-        self.tell(old, EventKind::Moved { from });
+        let (now, from) = (self.now, self.device_table.get(old).address);
+        let live = self.device_table.get(other).clone();
+        self.replace_row(other);
+        self.device_table.move_to_address(old, live.address);
+        let device = self.device_table.get_mut(old);
+        device.adopt_live_state(&live);
+        device.name_query.schedule(now);
+        device.services_query.schedule(now);
+        self.conflicts.note_left(from);
+        self.conflicts.note_left(live.address);
+        self.emit(old, EventKind::Moved { from });
         self.wake_at(now);
     }
 
     /// Another row speaks from this one's address from now on.
-    fn put_aside(&mut self, index: usize) {
+    fn replace_row(&mut self, index: usize) {
         let now = self.now;
-        let old = self.roster.get_mut(index);
+        let old = self.device_table.get_mut(index);
         for query in [&mut old.name_query, &mut old.services_query] {
             query.due = None;
             query.deadline = None;
@@ -147,28 +150,28 @@ impl Engine {
         name: &Name,
         gone: impl Fn(&Device) -> bool,
     ) -> Option<usize> {
-        let own_uid = self.roster.get(index).uid;
+        let own_uid = self.device_table.get(index).uid;
         let mut others = self
-            .roster
+            .device_table
             .devices()
             .iter()
             .enumerate()
             .filter(|(at, other)| *at != index && other.name.as_ref() == Some(name));
         let (at, other) = others.next()?;
-        let fits = !contradict(own_uid, other.uid) && gone(other);
+        let fits = !is_different_sender(own_uid, other.uid) && gone(other);
         (others.next().is_none() && fits).then_some(at)
     }
 
     /// A lost device may have turned up elsewhere before it was lost here.
     pub(super) fn find_move_of_lost(&mut self, index: usize) {
-        let device = self.roster.get(index);
+        let device = self.device_table.get(index);
         let (id, address, last_seen, name) =
             (device.id, device.address, device.last_seen, device.name.clone());
         let (uid, own_uid) = (self.uid_of_row(index), device.uid);
-        let candidate = self.roster.devices().iter().position(|other| {
+        let candidate = self.device_table.devices().iter().position(|other| {
             other.id != id
                 && other.address != address
-                && other.is_here()
+                && other.is_present()
                 && other.first_seen >= last_seen
                 && uid.is_some()
                 && other.uid == uid
@@ -176,15 +179,15 @@ impl Engine {
         let candidate = candidate.or_else(|| {
             let name = name.as_ref()?;
             let mut same = self
-                .roster
+                .device_table
                 .devices()
                 .iter()
                 .enumerate()
                 .filter(|(_, other)| other.id != id && other.name.as_ref() == Some(name))
                 .filter(|(_, other)| other.address != address);
             let (at, other) = same.next()?;
-            let contradicts = contradict(uid.or(own_uid), other.uid);
-            let fits = other.is_here() && other.first_seen >= last_seen && !contradicts;
+            let contradicts = is_different_sender(uid.or(own_uid), other.uid);
+            let fits = other.is_present() && other.first_seen >= last_seen && !contradicts;
             (same.next().is_none() && fits).then_some(at)
         });
         if let Some(new) = candidate {
@@ -193,21 +196,21 @@ impl Engine {
     }
 
     pub(super) fn move_row(&mut self, old: usize, new: usize) {
-        let from = self.roster.get(old).address;
-        let (id, was) = (self.roster.get(old).id, self.roster.get(new).id);
+        let from = self.device_table.get(old).address;
+        let (id, was) = (self.device_table.get(old).id, self.device_table.get(new).id);
         let is_known_by_uid = self.uid_of_row(old).is_some() && self.uid_of_row(new).is_some();
-        let told = self.roster.get(new).moved_from == Some(from);
-        let index = self.roster.join(old, new);
-        self.tell(index, EventKind::Joined { was, before: None });
+        let told = self.device_table.get(new).moved_from == Some(from);
+        let index = self.device_table.merge_rows(old, new);
+        self.emit(index, EventKind::Joined { was, before: None });
         if !is_known_by_uid {
-            self.tell_gave_way_by_name(id, from);
+            self.emit_gave_up_by_name(id, from);
         }
-        self.collisions.note_left(from);
+        self.conflicts.note_left(from);
         let now = self.now;
-        let device = self.roster.get_mut(index);
-        device.services_query.renew(now);
+        let device = self.device_table.get_mut(index);
+        device.services_query.schedule(now);
         if !told {
-            self.tell(index, EventKind::Moved { from });
+            self.emit(index, EventKind::Moved { from });
         }
         self.wake_at(now);
     }
@@ -215,7 +218,7 @@ impl Engine {
 
 /// Whether two heartbeats are not one device's: who has a UID says it each time, and who has none
 /// never does.
-fn contradict(one: Option<Uid>, other: Option<Uid>) -> bool {
+fn is_different_sender(one: Option<Uid>, other: Option<Uid>) -> bool {
     let known = |uid: Uid| (!uid.is_blank()).then_some(uid);
     one.zip(other).is_some_and(|(one, other)| known(one) != known(other))
 }

@@ -24,50 +24,50 @@
 //! Call one that changes it, then drain the polls. It does not know des.json, the screen, or
 //! where frames come from.
 
-mod asking;
-mod cases;
+mod address_history;
 mod claims;
-mod collisions;
 mod config;
+mod conflict_detector;
 mod device;
-mod doubling;
+mod device_table;
+mod duplicate_frames;
 mod errors;
 mod event;
 mod finding;
-mod hearing;
+mod finding_text;
+mod finding_tracker;
 mod heartbeats;
 mod identity;
-mod memory;
+mod local_node;
 mod outbox;
 mod presence;
+mod query_scheduler;
+mod receive;
 mod resolution;
-mod roster;
 mod rounds;
-mod station;
 mod transfers;
-mod wording;
 
 pub use config::Config;
 pub use device::{
-    Device, DeviceId, HeartbeatStats, ModeChange, Presence, Query, QueryFault, QueryState, Quirk,
-    ServiceEntry,
+    Device, DeviceId, DeviceService, HeartbeatStats, ModeChange, Presence, Query, QueryFault,
+    QueryState, Quirk,
 };
-pub use event::{Event, EventKind, Party};
+pub use event::{ConflictParty, Event, EventKind};
 pub use finding::{Confidence, Evidence, Finding, FindingKey, FindingKind};
 
 use crate::frame::{Frame, FrameKind};
 use crate::time::{Duration, Instant};
 use crate::wire::id::{Address, Header};
 use crate::wire::node::Mode;
-use claims::Claims;
-use collisions::Collisions;
-use errors::Errors;
-use heartbeats::Lateness;
+use claims::AddressClaims;
+use conflict_detector::ConflictDetector;
+use device_table::DeviceTable;
+use errors::BusErrorTracker;
+use heartbeats::BusDelayTracker;
+use local_node::{AddressChange, LocalNode};
 use outbox::{Acknowledgement, Outbox};
-use presence::{Measure, Outages};
-use roster::Roster;
+use presence::{Outages, PresenceInput};
 use rounds::Rounds;
-use station::{AddressChange, Station};
 use std::collections::VecDeque;
 use transfers::Transfers;
 
@@ -92,7 +92,7 @@ pub enum OwnAddress {
 
 /// Where discovery stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-pub struct Progress {
+pub struct DiscoveryProgress {
     /// Rounds finished.
     pub rounds: u32,
     /// Devices here whose name is known.
@@ -102,7 +102,7 @@ pub struct Progress {
     /// Devices here whose services are known.
     pub with_services: usize,
     /// Questions that still wait for an answer or for their turn.
-    pub open_questions: usize,
+    pub open_requests: usize,
     /// A round brought nothing new, every question is answered or given up, and no suspicion
     /// is open.
     pub settled: bool,
@@ -118,7 +118,7 @@ pub struct Counters {
     /// Error frames.
     pub errors: u64,
     /// Standard and remote frames: foreign, never interpreted.
-    pub foreign: u64,
+    pub non_platform: u64,
     /// Identifiers that are none of the nine types.
     pub non_conforming: u64,
     /// Answers that could not be used, or only in part.
@@ -139,8 +139,8 @@ impl Counters {
         }
         let header = frame.platform_id().map(Header::decode);
         match header {
-            None => self.foreign += 1,
-            Some(_) if frame.ours => self.sent += 1,
+            None => self.non_platform += 1,
+            Some(_) if frame.is_tx => self.sent += 1,
             Some(header) if !header.is_conforming() => self.non_conforming += 1,
             Some(_) => {}
         }
@@ -154,17 +154,17 @@ pub struct Engine {
     config: Config,
     rng: fastrand::Rng,
     now: Instant,
-    roster: Roster,
+    device_table: DeviceTable,
     rounds: Rounds,
     transfers: Transfers,
-    claims: Claims,
-    collisions: Collisions,
-    errors: Errors,
-    station: Station,
+    claims: AddressClaims,
+    conflicts: ConflictDetector,
+    errors: BusErrorTracker,
+    local_node: LocalNode,
     outbox: Outbox,
-    lateness: Lateness,
+    lateness: BusDelayTracker,
     outages: Outages,
-    broadcasts: VecDeque<Broadcast>,
+    broadcasts: VecDeque<PendingBroadcast>,
     /// When each address asked something last.
     asked_at: [Option<Instant>; Address::COUNT],
     events: VecDeque<Event>,
@@ -176,7 +176,7 @@ pub struct Engine {
 
 /// A who-is-there to all that answers may still come to.
 #[derive(Clone, Copy, Debug)]
-struct Broadcast {
+struct PendingBroadcast {
     time: Instant,
     rnd7: Address,
     ours: bool,
@@ -188,15 +188,21 @@ impl Engine {
         let mut rng = fastrand::Rng::with_seed(config.seed);
         let period = config.profile.heartbeat.period();
         Self {
-            station: Station::new(now, &config, &mut rng),
+            local_node: LocalNode::new(now, &config, &mut rng),
             outbox: Outbox::new(now, config.echo),
-            collisions: Collisions::new(config.bus, period, config.listen_only, config.seed),
-            errors: Errors::default(),
-            roster: Roster::new(config.bus),
+            conflicts: ConflictDetector::new(
+                config.bus,
+                period,
+                config.listen_only,
+                config.profile.uid.clone(),
+                config.seed,
+            ),
+            errors: BusErrorTracker::default(),
+            device_table: DeviceTable::new(config.bus),
             rounds: Rounds::new(),
             transfers: Transfers::new(),
-            lateness: Lateness::default(),
-            claims: Claims::new(period),
+            lateness: BusDelayTracker::default(),
+            claims: AddressClaims::new(period),
             outages: Outages::default(),
             broadcasts: VecDeque::new(),
             asked_at: [None; Address::COUNT],
@@ -214,24 +220,24 @@ impl Engine {
     /// last moment known counts as of that moment.
     pub fn handle_frame(&mut self, frame: &Frame) {
         self.advance(frame.time);
-        self.hear(frame);
-        self.tell_errors();
-        if self.collisions.cases().has_changed() {
-            self.tell_findings();
+        self.process_frame(frame);
+        self.emit_bus_errors();
+        if self.conflicts.finding_tracker().has_changed() {
+            self.emit_finding_changes();
         }
     }
 
     /// Counts a frame that may be older than it says: nothing is learnt from it.
-    pub fn pass_over(&mut self, frame: &Frame) {
+    pub fn count_only(&mut self, frame: &Frame) {
         self.counters.count(frame);
     }
 
     /// Takes note that `count` frames were lost before they could be read.
     pub fn handle_lost(&mut self, now: Instant, count: u64) {
         self.advance(now);
-        self.collisions.cases_mut().see_loss(self.now, count);
-        self.errors.see_loss();
-        self.tell_findings();
+        self.conflicts.cases_mut().note_lost_frames(self.now, count);
+        self.errors.note_lost_frames();
+        self.emit_finding_changes();
         self.wake_at(self.now);
     }
 
@@ -244,21 +250,25 @@ impl Engine {
         let now = self.now;
         let change = self.outbox.handle_timeout(now);
         self.acknowledgement(change);
-        let change =
-            self.station.handle_timeout(now, &self.config.profile, &mut self.rng, &mut self.outbox);
+        let change = self.local_node.handle_timeout(
+            now,
+            &self.config.profile,
+            &mut self.rng,
+            &mut self.outbox,
+        );
         self.address_changed(change);
         self.expire_transfers();
         self.judge_presence();
         self.check_suspicions();
         self.check_errors();
-        self.ask();
-        self.tell_findings();
+        self.send_due_queries();
+        self.emit_finding_changes();
         self.wake = self.next_wake();
     }
 
     /// When [`handle_timeout`](Self::handle_timeout) is to be called at the latest.
     pub fn poll_timeout(&self) -> Option<Instant> {
-        (self.wake != NEVER).then_some(self.wake)
+        (self.wake != NO_TIMEOUT).then_some(self.wake)
     }
 
     /// The next frame to send.
@@ -266,10 +276,10 @@ impl Engine {
         let frame = self.outbox.pop(now)?;
         if !self.config.echo {
             self.counters.sent += 1;
-            self.note_own_question(now, &frame);
+            self.note_own_request(now, &frame);
         }
         self.wake_at(now);
-        Some(frame.on(self.config.bus))
+        Some(frame.with_bus(self.config.bus))
     }
 
     /// There is no bus at the moment: forgets what was to be sent, and what was sent and not
@@ -277,7 +287,7 @@ impl Engine {
     pub fn wait_for_bus(&mut self, now: Instant) {
         self.outbox.clear();
         if !self.config.listen_only {
-            self.station.listen(now);
+            self.local_node.listen(now);
         }
     }
 
@@ -290,16 +300,16 @@ impl Engine {
     pub fn rescan(&mut self, now: Instant) {
         self.advance(now);
         let now = self.now;
-        if self.station.held().is_some() && self.config.scan {
+        if self.local_node.held().is_some() && self.config.scan {
             self.rounds.restart(now);
         }
         for address in Address::all() {
             // A row at whose address another one speaks cannot be asked.
-            if let Some(device) = self.roster.current_device_mut(address)
-                && device.is_here()
+            if let Some(device) = self.device_table.current_device_mut(address)
+                && device.is_present()
                 && self.config.scan
             {
-                device.services_query.renew(now);
+                device.services_query.schedule(now);
             }
         }
         self.wake_at(now);
@@ -307,7 +317,7 @@ impl Engine {
 
     /// Command: forget the devices that are lost.
     pub fn clear_lost(&mut self) {
-        self.roster.clear_lost();
+        self.device_table.clear_lost();
     }
 
     /// No frame can reach us from now on, because the bus is down: who is there cannot be judged
@@ -334,21 +344,21 @@ impl Engine {
         self.errors.restart();
         self.rounds.stop();
         if !self.config.listen_only {
-            self.station.listen(self.now);
+            self.local_node.listen(self.now);
         }
         self.wake_at(self.now);
     }
 
     /// Questions of ours that had waited for long went out all at once: who answers more than one of
     /// them, now or a little later, is not two.
-    pub fn handle_late_questions(&mut self, now: Instant) {
+    pub fn handle_delayed_requests(&mut self, now: Instant) {
         self.advance(now);
-        self.collisions.excuse_answers(self.now);
+        self.conflicts.ignore_extra_responses(self.now);
     }
 
     fn end_outage(&mut self) {
         if self.outages.end(self.now) {
-            self.roster.devices_mut().iter_mut().for_each(|device| device.rounds_missed = 0);
+            self.device_table.devices_mut().iter_mut().for_each(|device| device.rounds_missed = 0);
             self.wake_at(self.now);
         }
     }
@@ -360,27 +370,27 @@ impl Engine {
 
     /// All rows, in the order of appearance.
     pub fn devices(&self) -> &[Device] {
-        self.roster.devices()
+        self.device_table.devices()
     }
 
     /// One row.
     pub fn device(&self, id: DeviceId) -> Option<&Device> {
-        self.roster.by_id(id)
+        self.device_table.by_id(id)
     }
 
     /// The row that speaks from `address` now.
     pub fn device_at(&self, address: Address) -> Option<&Device> {
-        self.roster.current_device(address)
+        self.device_table.current_device(address)
     }
 
     /// All findings, by the time of their first evidence, cleared ones included.
     pub fn findings(&self) -> &[Finding] {
-        self.collisions.cases().findings()
+        self.conflicts.finding_tracker().findings()
     }
 
     /// What we are on the bus.
     pub fn own_address(&self) -> OwnAddress {
-        self.station.own_address()
+        self.local_node.own_address()
     }
 
     /// Whether we keep silent because nobody acknowledges our frames.
@@ -389,29 +399,30 @@ impl Engine {
     }
 
     /// Where discovery stands.
-    pub fn progress(&self) -> Progress {
-        let here = self.devices().iter().filter(|device| device.is_here());
-        let mut progress = Progress { rounds: self.rounds.finished, ..Progress::default() };
+    pub fn progress(&self) -> DiscoveryProgress {
+        let here = self.devices().iter().filter(|device| device.is_present());
+        let mut progress =
+            DiscoveryProgress { rounds: self.rounds.finished, ..DiscoveryProgress::default() };
         for device in here {
             progress.here += 1;
             progress.named += usize::from(device.name.is_some());
             progress.with_services += usize::from(device.services.is_some());
-            progress.open_questions += usize::from(is_open(&device.name_query))
+            progress.open_requests += usize::from(is_open(&device.name_query))
                 + usize::from(is_open(&device.services_query));
         }
-        progress.settled = self.station.held().is_some()
+        progress.settled = self.local_node.held().is_some()
             && !self.rounds.is_starting()
             && !self.rounds.is_collecting()
-            && progress.open_questions == 0
-            && !self.collisions.cases().is_suspicious()
-            && !self.errors.is_looking();
+            && progress.open_requests == 0
+            && !self.conflicts.finding_tracker().is_suspicious()
+            && !self.errors.has_pending_suspect();
         progress
     }
 
     /// The named counters.
     pub fn counters(&self) -> Counters {
         Counters {
-            refused: self.counters.refused + self.collisions.cases().refused,
+            refused: self.counters.refused + self.conflicts.finding_tracker().refused,
             ..self.counters
         }
     }
@@ -431,8 +442,8 @@ impl Engine {
         self.wake = self.wake.min(at);
     }
 
-    fn measure(&self) -> Measure<'_> {
-        Measure {
+    fn measure(&self) -> PresenceInput<'_> {
+        PresenceInput {
             outages: &self.outages,
             period: self.config.profile.heartbeat.period(),
             rounds: !self.config.listen_only
@@ -441,51 +452,57 @@ impl Engine {
         }
     }
 
-    fn tell(&mut self, index: usize, kind: EventKind) {
-        let device = self.roster.get(index);
+    fn emit(&mut self, index: usize, kind: EventKind) {
+        let device = self.device_table.get(index);
         let (id, address, name) = (device.id, device.address, device.name.clone());
-        self.push(Event { time: self.now, device: Some(id), address: Some(address), name, kind });
+        self.push_event(Event {
+            time: self.now,
+            device: Some(id),
+            address: Some(address),
+            name,
+            kind,
+        });
     }
 
     /// Tells something of a device that may have no row, at an address that may be another's.
-    fn tell_of(&mut self, device: Option<DeviceId>, address: Address, kind: EventKind) {
-        let name = device.and_then(|id| self.roster.by_id(id)?.name.clone());
-        self.push(Event { time: self.now, device, address: Some(address), name, kind });
+    fn emit_for(&mut self, device: Option<DeviceId>, address: Address, kind: EventKind) {
+        let name = device.and_then(|id| self.device_table.by_id(id)?.name.clone());
+        self.push_event(Event { time: self.now, device, address: Some(address), name, kind });
     }
 
-    fn tell_bus(&mut self, kind: EventKind) {
-        self.push(Event { time: self.now, device: None, address: None, name: None, kind });
+    fn emit_bus_event(&mut self, kind: EventKind) {
+        self.push_event(Event { time: self.now, device: None, address: None, name: None, kind });
     }
 
-    fn push(&mut self, event: Event) {
+    fn push_event(&mut self, event: Event) {
         if self.events.len() == MAX_EVENTS {
             self.events.pop_front();
         }
         self.events.push_back(event);
     }
 
-    fn tell_findings(&mut self) {
-        while let Some((key, confidence)) = self.collisions.cases_mut().poll_changed() {
-            let shared = key.kind.is_collision() || key.kind == FindingKind::BusErrors;
+    fn emit_finding_changes(&mut self) {
+        while let Some((key, confidence)) = self.conflicts.cases_mut().poll_changed() {
+            let shared = key.kind.is_conflict() || key.kind == FindingKind::BusErrors;
             if let (true, Confidence::Cleared, Some(address)) = (shared, confidence, key.address) {
-                self.ask_anew(address);
+                self.requery(address);
             }
-            let at = key.address.and_then(|address| self.roster.current(address));
+            let at = key.address.and_then(|address| self.device_table.active_at(address));
             match at {
-                Some(index) => self.tell(index, EventKind::Finding { key, confidence }),
-                None => self.tell_bus(EventKind::Finding { key, confidence }),
+                Some(index) => self.emit(index, EventKind::Finding { key, confidence }),
+                None => self.emit_bus_event(EventKind::Finding { key, confidence }),
             }
         }
     }
 
     /// Whoever is left at `address` after a collision: what is known may be the other's.
-    fn ask_anew(&mut self, address: Address) {
+    fn requery(&mut self, address: Address) {
         let now = self.now;
-        if let Some(device) = self.roster.current_device_mut(address)
-            && device.is_here()
+        if let Some(device) = self.device_table.current_device_mut(address)
+            && device.is_present()
         {
-            device.name_query.start_over(now);
-            device.services_query.start_over(now);
+            device.name_query.restart(now);
+            device.services_query.restart(now);
             self.wake_at(now);
         }
     }
@@ -493,15 +510,15 @@ impl Engine {
     fn acknowledgement(&mut self, change: Option<Acknowledgement>) {
         match change {
             Some(Acknowledgement::Missing) => {
-                self.tell_bus(EventKind::NobodyAcknowledges);
+                self.emit_bus_event(EventKind::NobodyAcknowledges);
                 // Nobody heard the question: it is asked again when we try again.
-                if self.station.held().is_some() && self.config.scan {
+                if self.local_node.held().is_some() && self.config.scan {
                     self.rounds.restart(self.now);
                 }
             }
             Some(Acknowledgement::Back) => {
-                self.tell_bus(EventKind::Acknowledged);
-                if self.station.held().is_some() && self.config.scan {
+                self.emit_bus_event(EventKind::Acknowledged);
+                if self.local_node.held().is_some() && self.config.scan {
                     self.rounds.restart(self.now);
                 }
                 self.wake_at(self.now);
@@ -513,16 +530,16 @@ impl Engine {
     fn address_changed(&mut self, change: Option<AddressChange>) {
         match change {
             Some(AddressChange::Taken(address)) => {
-                self.tell_bus(EventKind::OwnAddress(address));
+                self.emit_bus_event(EventKind::OwnAddress(address));
                 if self.config.scan {
                     self.rounds.restart(self.now);
                 }
             }
             Some(AddressChange::Blocked(wanted)) => {
-                self.tell_bus(EventKind::NoAddress(wanted));
+                self.emit_bus_event(EventKind::NoAddress(wanted));
             }
             Some(AddressChange::Lost(address)) => {
-                self.tell_bus(EventKind::OwnAddressLost(address));
+                self.emit_bus_event(EventKind::OwnAddressLost(address));
                 self.rounds.stop();
                 self.outbox.clear();
             }
@@ -532,12 +549,12 @@ impl Engine {
 
     fn check_suspicions(&mut self) {
         let now = self.now;
-        let roster = &mut self.roster;
-        self.collisions.cases_mut().handle_timeout(now, |address| {
-            if let Some(device) = roster.current_device_mut(address)
-                && device.is_here()
+        let device_table = &mut self.device_table;
+        self.conflicts.cases_mut().handle_timeout(now, |address| {
+            if let Some(device) = device_table.current_device_mut(address)
+                && device.is_present()
             {
-                device.name_query.renew(now);
+                device.name_query.schedule(now);
             }
         });
     }
@@ -549,33 +566,34 @@ impl Engine {
         }
         // A row that turns out to have moved takes another one's place: the number changes.
         let mut index = 0;
-        while index < self.roster.devices().len() {
-            self.judge(index);
+        while index < self.device_table.devices().len() {
+            self.judge_device(index);
             index += 1;
         }
     }
 
-    fn judge(&mut self, index: usize) {
+    fn judge_device(&mut self, index: usize) {
         let measure = self.measure();
-        let device = self.roster.get(index);
-        let presence = if self.roster.is_current(index) {
+        let device = self.device_table.get(index);
+        let presence = if self.device_table.is_current(index) {
             measure.judge(device, self.now).0
         } else {
             self.judge_replaced(device)
         };
         let was = device.presence;
         // What another one beats does not bring it back, nor is it this one that is silent then.
-        let beaten_for = device.is_beaten_for && self.roster.is_current(index);
+        let beaten_for =
+            device.last_heartbeat_was_other_node && self.device_table.is_current(index);
         let gone = matches!(was, Presence::Lost | Presence::Asleep);
         let anothers = presence == Presence::Online || presence == Presence::Stale && gone;
         if presence == Presence::Lost {
-            self.roster.get_mut(index).is_beaten_for = false;
+            self.device_table.get_mut(index).last_heartbeat_was_other_node = false;
         }
         if presence == was || (anothers && beaten_for) {
             return;
         }
-        let address = self.roster.get(index).address;
-        let device = self.roster.get_mut(index);
+        let address = self.device_table.get(index).address;
+        let device = self.device_table.get_mut(index);
         device.presence = presence;
         device.presence_since = self.now;
         // Whether it still does, nobody knows.
@@ -583,20 +601,20 @@ impl Engine {
         if presence == Presence::Online {
             // It may have been away for new firmware.
             let suspect = self.errors.is_suspect(address);
-            let query = &mut self.roster.get_mut(index).services_query;
+            let query = &mut self.device_table.get_mut(index).services_query;
             if suspect {
-                query.renew(self.now);
+                query.schedule(self.now);
             } else {
-                query.start_over(self.now);
+                query.restart(self.now);
             }
             self.wake_at(self.now);
-            self.tell(index, EventKind::Returned { was });
+            self.emit(index, EventKind::Returned { was });
         } else {
-            self.tell(index, EventKind::Presence(presence));
+            self.emit(index, EventKind::Presence(presence));
         }
         if presence == Presence::Lost {
-            if self.roster.is_current(index) {
-                self.collisions.forget(self.now, address);
+            if self.device_table.is_current(index) {
+                self.conflicts.forget(self.now, address);
                 self.errors.forget(address);
             }
             self.find_move_of_lost(index);
@@ -608,7 +626,8 @@ impl Engine {
         if matches!(device.presence, Presence::Lost | Presence::Asleep) {
             return device.presence;
         }
-        let patience = if self.collisions.cases().is_open_at(device.address) { 8 } else { 4 };
+        let patience =
+            if self.conflicts.finding_tracker().is_open_at(device.address) { 8 } else { 4 };
         let answered = device.name_query.answered_at.max(device.replaced_at);
         let answered = answered.unwrap_or(device.last_seen);
         let period = self.config.profile.heartbeat.period();
@@ -621,27 +640,27 @@ impl Engine {
 
     fn next_wake(&self) -> Instant {
         let measure = self.measure();
-        let mut wake = NEVER;
-        let mut at = |due: Option<Instant>| wake = wake.min(due.unwrap_or(NEVER));
-        let judged = if self.outages.is_on() { &[] } else { self.roster.devices() };
+        let mut wake = NO_TIMEOUT;
+        let mut at = |due: Option<Instant>| wake = wake.min(due.unwrap_or(NO_TIMEOUT));
+        let judged = if self.outages.is_on() { &[] } else { self.device_table.devices() };
         for (index, device) in judged.iter().enumerate() {
-            if self.roster.is_current(index) {
+            if self.device_table.is_current(index) {
                 at(measure.judge(device, self.now).1);
             } else if !matches!(device.presence, Presence::Lost | Presence::Asleep) {
                 at(Some(self.now + Duration::from_secs(1)));
             }
         }
         at(self.asking_timeout());
-        at(self.station.poll_timeout());
+        at(self.local_node.poll_timeout());
         at(self.transfers.poll_timeout());
-        at(self.collisions.cases().poll_timeout());
+        at(self.conflicts.finding_tracker().poll_timeout());
         at(self.errors_timeout());
         at(self.outbox.poll_timeout());
         wake
     }
 }
 
-const NEVER: Instant = Instant::from_micros(u64::MAX);
+const NO_TIMEOUT: Instant = Instant::from_micros(u64::MAX);
 
 /// Whether an answer is awaited or the question is still to be asked the first times.
 fn is_open(query: &Query) -> bool {

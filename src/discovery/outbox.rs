@@ -13,7 +13,7 @@ const ACKNOWLEDGE_WITHIN: Duration = Duration::from_millis(500);
 /// How often a silent bus is tried again.
 const TRY_AGAIN: Duration = Duration::from_secs(5);
 /// Frames that are remembered to recognise them when something sends them back to us.
-const REMEMBERED: usize = 256;
+const SENT_HISTORY: usize = 256;
 /// For how long they are.
 const REMEMBERED_FOR: Duration = Duration::from_secs(1);
 
@@ -81,10 +81,10 @@ impl Outbox {
     /// Hands out the next frame.
     pub fn pop(&mut self, now: Instant) -> Option<Frame> {
         let frame = self.queue.pop_front()?;
-        if self.sent.len() == REMEMBERED {
+        if self.sent.len() == SENT_HISTORY {
             self.sent.pop_front();
         }
-        self.sent.push_back(frame.at(now));
+        self.sent.push_back(frame.with_time(now));
         self.senders |= sender_bit(&frame);
         if self.echo {
             if self.unconfirmed == 0 {
@@ -113,27 +113,27 @@ impl Outbox {
         }
         self.unconfirmed = self.unconfirmed.saturating_sub(1);
         self.unconfirmed_since = now;
-        self.release()
+        self.resume()
     }
 
     /// Somebody else sent a frame: there is somebody to acknowledge ours. One of ours that is
     /// still not sent waits behind frames of higher priority.
-    pub fn heard(&mut self, now: Instant) -> Option<Acknowledgement> {
+    pub fn note_other_frame(&mut self, now: Instant) -> Option<Acknowledgement> {
         self.unconfirmed_since = now;
         if !self.missing {
             return None;
         }
         self.unconfirmed = 0;
-        self.release()
+        self.resume()
     }
 
-    fn release(&mut self) -> Option<Acknowledgement> {
+    fn resume(&mut self) -> Option<Acknowledgement> {
         self.held_until = None;
         std::mem::take(&mut self.missing).then_some(Acknowledgement::Back)
     }
 
     /// Whether nothing may be sent now because nobody acknowledges.
-    pub fn is_held(&self) -> bool {
+    pub fn is_paused(&self) -> bool {
         self.held_until.is_some()
     }
 

@@ -20,7 +20,7 @@ const STALE_WITHOUT_ROUNDS: Duration = Duration::from_secs(30);
 
 /// Whether a device's only heartbeat was the one that claimed its address, and it was heard long
 /// after that: it has no heartbeat.
-pub(super) fn beats_no_more(device: &Device, period: Duration) -> bool {
+pub(super) fn is_claim_only(device: &Device, period: Duration) -> bool {
     let claim = device.heartbeat.last.filter(|_| device.heartbeat.count == 1);
     claim.is_some_and(|claim| device.last_seen.since(claim) >= period * 5)
 }
@@ -32,7 +32,7 @@ const OVERDUE_PERIODS: f64 = 1.5;
 const MAX_OUTAGES: usize = 8;
 
 /// How far off the moments may be at which an outage was told.
-const TOLD_LATE: Duration = Duration::from_millis(200);
+const OUTAGE_TOLERANCE: Duration = Duration::from_millis(200);
 
 /// When no frame could reach us.
 #[derive(Debug, Default)]
@@ -61,7 +61,7 @@ impl Outages {
     }
 
     /// Whether a frame that was heard then shows that it is over, whatever its adapter says.
-    pub fn is_disproved_by(&self, heard: Instant) -> bool {
+    pub fn is_contradicted_by(&self, heard: Instant) -> bool {
         self.since.is_some_and(|since| heard > since)
     }
 
@@ -71,14 +71,19 @@ impl Outages {
     }
 
     /// How many of the moments between `last` and `now`, in steps of `period`, lie in outages.
-    pub fn swallowed(&self, last: Instant, now: Instant, period: Duration) -> u64 {
+    pub fn heartbeats_missed_in_outage(
+        &self,
+        last: Instant,
+        now: Instant,
+        period: Duration,
+    ) -> u64 {
         let steps = |until: Instant| until.since(last).as_nanos() / period.as_nanos().max(1);
         let most = steps(now + period / 2).saturating_sub(1);
         let mut counted = 0;
         let swallowed = self.past.iter().map(|(from, until)| {
             // Where two are close, none is counted twice.
-            let before = steps(*from - TOLD_LATE).max(counted);
-            counted = steps(*until + TOLD_LATE).min(most).max(before);
+            let before = steps(*from - OUTAGE_TOLERANCE).max(counted);
+            counted = steps(*until + OUTAGE_TOLERANCE).min(most).max(before);
             counted - before
         });
         u64::try_from(swallowed.sum::<u128>()).unwrap_or(u64::MAX)
@@ -87,7 +92,7 @@ impl Outages {
 
 /// What a device's presence is judged by.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Measure<'a> {
+pub(super) struct PresenceInput<'a> {
     /// BUS_CFG_HR_TIME.
     pub period: Duration,
     /// Whether we make rounds.
@@ -95,9 +100,9 @@ pub(super) struct Measure<'a> {
     pub outages: &'a Outages,
 }
 
-impl Measure<'_> {
+impl PresenceInput<'_> {
     /// That moment, later by all the time since in which nothing could be heard.
-    fn heard(&self, at: Instant) -> Instant {
+    fn shifted_by_outages(&self, at: Instant) -> Instant {
         at + self.outages.since(at)
     }
 
@@ -105,12 +110,12 @@ impl Measure<'_> {
     pub fn judge(&self, device: &Device, now: Instant) -> (Presence, Option<Instant>) {
         let stale_after = self.period.mul_f64(STALE_PERIODS);
         let lost_after = self.period * 5;
-        let Some(last_beat) = device.heartbeat.last.filter(|_| !beats_no_more(device, self.period))
+        let Some(last_beat) = device.heartbeat.last.filter(|_| !is_claim_only(device, self.period))
         else {
             return self.judge_without_heartbeat(device, now);
         };
-        let last_beat = self.heard(last_beat);
-        let last_seen = self.heard(device.last_seen);
+        let last_beat = self.shifted_by_outages(last_beat);
+        let last_seen = self.shifted_by_outages(device.last_seen);
         let age = now.since(last_beat);
         if age < stale_after {
             return (Presence::Online, Some(last_beat + stale_after));
@@ -137,14 +142,14 @@ impl Measure<'_> {
                 return (Presence::Online, None);
             }
             // The rounds at start follow each other fast.
-            let lost_at = self.heard(device.last_seen) + self.period * 5;
+            let lost_at = self.shifted_by_outages(device.last_seen) + self.period * 5;
             return if now < lost_at {
                 (Presence::Online, Some(lost_at))
             } else {
                 (Presence::Lost, None)
             };
         }
-        let stale_at = self.heard(device.last_seen) + STALE_WITHOUT_ROUNDS;
+        let stale_at = self.shifted_by_outages(device.last_seen) + STALE_WITHOUT_ROUNDS;
         if now < stale_at { (Presence::Online, Some(stale_at)) } else { (Presence::Stale, None) }
     }
 }

@@ -11,7 +11,7 @@ const QUIET_ROUNDS: u32 = 2;
 /// Bits of a usual frame, for windows that grow with slower buses.
 const FRAME_BITS: u64 = 150;
 /// How long a round's questions may hold up others.
-const RIGHT_OF_WAY: Duration = Duration::from_millis(500);
+const ROUND_PRIORITY_WINDOW: Duration = Duration::from_millis(500);
 /// How long a round waits for the bus to take its questions at the most.
 const SENT_WITHIN: Duration = Duration::from_secs(2);
 /// How long a round goes on while answers come, beside what they take on the bus: others' answers
@@ -21,11 +21,11 @@ const LONGEST: Duration = Duration::from_secs(2);
 const WAIT_FOR_SERVICES: Duration = Duration::from_secs(2);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Phase {
+enum RoundPhase {
     /// Until our address is ours.
     NotYet,
     /// Answers come in.
-    Collecting { began: Instant, last_answer: Instant, answers: u32, known: u64 },
+    Collecting { began: Instant, last_response: Instant, responses: u32, known: u64 },
     /// The next round is due at `at`, or, while starting, as soon as no question is open.
     Waiting { at: Instant, patience: Instant },
     /// No further rounds.
@@ -34,7 +34,7 @@ enum Phase {
 
 #[derive(Debug)]
 pub(super) struct Rounds {
-    phase: Phase,
+    phase: RoundPhase,
     quiet: u32,
     pub finished: u32,
     /// Questions of this round that the bus has not taken yet.
@@ -57,7 +57,7 @@ pub(super) enum RoundStep {
 
 impl Rounds {
     pub fn new() -> Self {
-        Self { phase: Phase::NotYet, quiet: 0, finished: 0, unsent: 0, hurried: false }
+        Self { phase: RoundPhase::NotYet, quiet: 0, finished: 0, unsent: 0, hurried: false }
     }
 
     /// Whether the rounds at start are not over yet.
@@ -66,66 +66,66 @@ impl Rounds {
     }
 
     pub fn is_collecting(&self) -> bool {
-        matches!(self.phase, Phase::Collecting { .. })
+        matches!(self.phase, RoundPhase::Collecting { .. })
     }
 
     /// Makes a round as soon as possible, and repeats as at start.
     pub fn restart(&mut self, now: Instant) {
         self.quiet = 0;
         self.unsent = 0;
-        self.phase = Phase::Waiting { at: now, patience: now };
+        self.phase = RoundPhase::Waiting { at: now, patience: now };
     }
 
     /// Makes one round soon: where one is being made, another after it.
-    pub fn hurry(&mut self, at: Instant) {
+    pub fn request_round(&mut self, at: Instant) {
         match &mut self.phase {
-            Phase::Waiting { at: due, .. } => *due = (*due).min(at),
-            Phase::Never => self.phase = Phase::Waiting { at, patience: at },
-            Phase::Collecting { .. } => self.hurried = true,
-            Phase::NotYet => {}
+            RoundPhase::Waiting { at: due, .. } => *due = (*due).min(at),
+            RoundPhase::Never => self.phase = RoundPhase::Waiting { at, patience: at },
+            RoundPhase::Collecting { .. } => self.hurried = true,
+            RoundPhase::NotYet => {}
         }
     }
 
     /// Stops until the next [`restart`](Self::restart).
     pub fn stop(&mut self) {
-        self.phase = Phase::NotYet;
+        self.phase = RoundPhase::NotYet;
         self.quiet = 0;
     }
 
     /// So many questions of this round were handed out.
-    pub fn note_questions(&mut self, count: u32) {
+    pub fn note_requests(&mut self, count: u32) {
         self.unsent = count;
     }
 
     /// The bus took one of them: from now on it may be answered.
     pub fn note_sent(&mut self, now: Instant) {
         self.unsent = self.unsent.saturating_sub(1);
-        if let Phase::Collecting { last_answer, .. } = &mut self.phase {
-            *last_answer = now;
+        if let RoundPhase::Collecting { last_response, .. } = &mut self.phase {
+            *last_response = now;
         }
     }
 
     /// Until when other questions, which may be of higher priority, are to let this round's
     /// pass: the one to nodes that are not working would starve behind those to working ones.
-    pub fn right_of_way(&self, now: Instant) -> Option<Instant> {
+    pub fn priority_until(&self, now: Instant) -> Option<Instant> {
         match self.phase {
-            Phase::Collecting { began, .. } if self.unsent > 0 => {
-                Some(began + RIGHT_OF_WAY).filter(|until| now < *until)
+            RoundPhase::Collecting { began, .. } if self.unsent > 0 => {
+                Some(began + ROUND_PRIORITY_WINDOW).filter(|until| now < *until)
             }
             _ => None,
         }
     }
 
-    pub fn note_answer(&mut self, now: Instant) {
-        if let Phase::Collecting { last_answer, answers, .. } = &mut self.phase {
-            *last_answer = now;
-            *answers += 1;
+    pub fn note_response(&mut self, now: Instant) {
+        if let RoundPhase::Collecting { last_response, responses, .. } = &mut self.phase {
+            *last_response = now;
+            *responses += 1;
         }
     }
 
     /// How long the bus must be quiet of answers until a round is over.
-    fn quiet_window(config: &Config, answers: u32) -> Duration {
-        let frames = 60 + u64::from(answers.min(127));
+    fn quiet_window(config: &Config, responses: u32) -> Duration {
+        let frames = 60 + u64::from(responses.min(127));
         Duration::from_millis(60) + config.bit_time(frames * FRAME_BITS)
     }
 
@@ -134,10 +134,10 @@ impl Rounds {
         &self,
         config: &Config,
         began: Instant,
-        last_answer: Instant,
-        answers: u32,
+        last_response: Instant,
+        responses: u32,
     ) -> Instant {
-        let quiet = last_answer + Self::quiet_window(config, answers);
+        let quiet = last_response + Self::quiet_window(config, responses);
         if self.unsent > 0 {
             return quiet.max(began + SENT_WITHIN);
         }
@@ -148,26 +148,27 @@ impl Rounds {
     /// `open` questions are waiting for answers; `known` counts what was ever found.
     pub fn step(&mut self, now: Instant, config: &Config, open: usize, known: u64) -> RoundStep {
         match self.phase {
-            Phase::Collecting { began, last_answer, answers, known: before } => {
-                if now < self.end_of_round(config, began, last_answer, answers) {
+            RoundPhase::Collecting { began, last_response, responses, known: before } => {
+                if now < self.end_of_round(config, began, last_response, responses) {
                     return RoundStep::None;
                 }
                 self.finished += 1;
                 self.quiet = if known > before { 0 } else { self.quiet + 1 };
                 self.phase = if self.is_starting() {
-                    Phase::Waiting { at: now, patience: now + WAIT_FOR_SERVICES }
+                    RoundPhase::Waiting { at: now, patience: now + WAIT_FOR_SERVICES }
                 } else if std::mem::take(&mut self.hurried) {
-                    Phase::Waiting { at: now, patience: now }
+                    RoundPhase::Waiting { at: now, patience: now }
                 } else if config.round_period.is_zero() {
-                    Phase::Never
+                    RoundPhase::Never
                 } else {
-                    Phase::Waiting { at: now + config.round_period, patience: now }
+                    RoundPhase::Waiting { at: now + config.round_period, patience: now }
                 };
                 RoundStep::Over { began }
             }
-            Phase::Waiting { at, patience } if now >= at && (open == 0 || now >= patience) => {
+            RoundPhase::Waiting { at, patience } if now >= at && (open == 0 || now >= patience) => {
                 self.hurried = false;
-                self.phase = Phase::Collecting { began: now, last_answer: now, answers: 0, known };
+                self.phase =
+                    RoundPhase::Collecting { began: now, last_response: now, responses: 0, known };
                 RoundStep::Ask
             }
             _ => RoundStep::None,
@@ -175,18 +176,18 @@ impl Rounds {
     }
 
     /// Puts the round that [`step`](Self::step) wanted off until `at`.
-    pub fn put_off(&mut self, at: Instant) {
-        self.phase = Phase::Waiting { at, patience: at };
+    pub fn postpone(&mut self, at: Instant) {
+        self.phase = RoundPhase::Waiting { at, patience: at };
     }
 
     pub fn poll_timeout(&self, config: &Config, open: usize) -> Option<Instant> {
         match self.phase {
-            Phase::NotYet | Phase::Never => None,
-            Phase::Collecting { began, last_answer, answers, .. } => {
-                Some(self.end_of_round(config, began, last_answer, answers))
+            RoundPhase::NotYet | RoundPhase::Never => None,
+            RoundPhase::Collecting { began, last_response, responses, .. } => {
+                Some(self.end_of_round(config, began, last_response, responses))
             }
-            Phase::Waiting { at, patience } if open > 0 => Some(at.max(patience)),
-            Phase::Waiting { at, .. } => Some(at),
+            RoundPhase::Waiting { at, patience } if open > 0 => Some(at.max(patience)),
+            RoundPhase::Waiting { at, .. } => Some(at),
         }
     }
 }
@@ -210,7 +211,7 @@ mod tests {
     fn answers_without_end_do_not_keep_a_round_open() {
         let mut rounds = begun();
         let over = (1..100).find(|tenth| {
-            rounds.note_answer(at(tenth * 100));
+            rounds.note_response(at(tenth * 100));
             rounds.step(at(tenth * 100), &Config::default(), 0, 0) != RoundStep::None
         });
         assert!(over.is_some_and(|tenth| tenth < 60), "{over:?}");
@@ -219,7 +220,7 @@ mod tests {
     #[test]
     fn a_round_waits_until_the_bus_took_its_questions() {
         let mut rounds = begun();
-        rounds.note_questions(1);
+        rounds.note_requests(1);
         assert_eq!(rounds.step(at(900), &Config::default(), 0, 0), RoundStep::None);
         rounds.note_sent(at(1000));
         assert_eq!(rounds.step(at(1020), &Config::default(), 0, 0), RoundStep::None);
@@ -231,7 +232,7 @@ mod tests {
         let config = Config { round_period: Duration::ZERO, ..Config::default() };
         let mut rounds = begun();
         rounds.quiet = QUIET_ROUNDS;
-        rounds.hurry(at(50));
+        rounds.request_round(at(50));
         assert!(matches!(rounds.step(at(1000), &config, 0, 0), RoundStep::Over { .. }));
         assert_eq!(rounds.step(at(1000), &config, 0, 0), RoundStep::Ask);
     }

@@ -3,13 +3,13 @@
 use crate::frame::Frame;
 use crate::time::Instant;
 use crate::wire::id::{Address, Header};
-use crate::wire::isotp::{Progress, Reassembly, TransferFault};
+use crate::wire::isotp::{Reassembly, ReassemblyProgress, TransferFault};
 
 /// How many transfers one source may have open at once: one per asker that is sensible.
 const MAX_PER_SOURCE: usize = 4;
 
 #[derive(Debug)]
-struct Transfer {
+struct RxTransfer {
     id: u32,
     first: Frame,
     reassembly: Reassembly,
@@ -50,7 +50,7 @@ pub(super) struct Expired {
 
 #[derive(Debug)]
 pub(super) struct Transfers {
-    by_source: Vec<Vec<Transfer>>,
+    by_source: Vec<Vec<RxTransfer>>,
     open: usize,
 }
 
@@ -89,21 +89,27 @@ impl Transfers {
             transfers.remove(0);
             self.open -= 1;
         }
-        transfers.push(Transfer { id, first: *frame, reassembly });
+        transfers.push(RxTransfer { id, first: *frame, reassembly });
         self.open += 1;
         Started::Open
     }
 
-    pub fn go_on(&mut self, now: Instant, header: Header, sequence: u8, data: &[u8]) -> Continued {
+    pub fn push_consecutive(
+        &mut self,
+        now: Instant,
+        header: Header,
+        sequence: u8,
+        data: &[u8],
+    ) -> Continued {
         let id = header.encode();
         let transfers = &mut self.by_source[header.source.index()];
         let Some(at) = transfers.iter().position(|transfer| transfer.id == id) else {
             return Continued::Unknown;
         };
         match transfers[at].reassembly.push(now, sequence, data) {
-            Ok(Progress::More) => Continued::More,
-            Ok(Progress::BlockEnd) => Continued::BlockEnd,
-            Ok(Progress::Done) => {
+            Ok(ReassemblyProgress::More) => Continued::More,
+            Ok(ReassemblyProgress::BlockEnd) => Continued::BlockEnd,
+            Ok(ReassemblyProgress::Done) => {
                 self.open -= 1;
                 Continued::Done(transfers.swap_remove(at).reassembly.into_message())
             }
@@ -122,7 +128,7 @@ impl Transfers {
         for transfers in &mut self.by_source {
             if let Some(at) = transfers.iter().position(|open| open.reassembly.deadline() <= now) {
                 self.open -= 1;
-                let Transfer { id, first, reassembly } = transfers.swap_remove(at);
+                let RxTransfer { id, first, reassembly } = transfers.swap_remove(at);
                 let header = Header::decode(id);
                 let fault = TransferFault::SenderSilent { after: reassembly.message().len() };
                 return Some(Expired { header, fault, first });

@@ -52,7 +52,7 @@ fn change(before: &Entry, after: &Entry) -> Option<String> {
     // One for another bus is another one.
     for (member, word) in [(Member::Services, "services"), (Member::Uid, "UID")] {
         if differs(member) {
-            words.push(format!("other {word}"));
+            words.push(format!("{word} changed"));
         }
     }
     (!words.is_empty()).then(|| format!("{}: {}", brief(&before.name), words.join(", ")))
@@ -80,7 +80,7 @@ mod tests {
         assert_eq!(told(&sens.replace("SENS", "S\\u001b")), "SENS: renamed to S\\x1B");
         assert_eq!(told(&sens.replace("\"address\":13,", "")), "SENS: 13 → none");
         let more = sens.replace("note\":1", r#"uid":"U","services":[{"name":"DES"}]"#);
-        assert_eq!(told(&more), "SENS: other services, other UID");
+        assert_eq!(told(&more), "SENS: services changed, UID changed");
         let elsewhere = sens.replace("note\":1", "bus\":\"can1\"");
         assert_eq!(told(&elsewhere), "SENS at 13 removed; new SENS at 13");
         assert_eq!(told("[]"), "SENS at 13 removed");

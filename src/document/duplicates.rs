@@ -1,7 +1,7 @@
 //! Entries of one file that cannot both be right.
 
 use super::entry::Entry;
-use super::finding::{DocumentFinding, FindingKind};
+use super::finding::{DocumentFinding, DocumentFindingKind};
 use super::text::brief;
 use std::collections::HashMap;
 use std::fmt::Write as _;
@@ -29,7 +29,7 @@ pub(super) fn collisions(entries: &[Entry]) -> Vec<DocumentFinding> {
                 group.len(),
                 enumerate(&group, |entry| format!("line {}", entry.position.line)),
             );
-            findings.push(collision(FindingKind::DuplicateEntry, message, &group));
+            findings.push(collision(DocumentFindingKind::DuplicateEntry, message, &group));
         }
     }
     for (address, group) in same_address {
@@ -44,7 +44,7 @@ pub(super) fn collisions(entries: &[Entry]) -> Vec<DocumentFinding> {
                     format!("{} (line {})", brief(&entry.name), entry.position.line)
                 }),
             );
-            findings.push(collision(FindingKind::DuplicateAddress, message, &group));
+            findings.push(collision(DocumentFindingKind::DuplicateAddress, message, &group));
         }
     }
     findings
@@ -65,7 +65,7 @@ fn on_one_bus(group: Vec<&Entry>) -> Vec<Vec<&Entry>> {
     buses.into_values().filter(|group| group.len() > 1).collect()
 }
 
-fn collision(kind: FindingKind, message: String, group: &[&Entry]) -> DocumentFinding {
+fn collision(kind: DocumentFindingKind, message: String, group: &[&Entry]) -> DocumentFinding {
     DocumentFinding {
         kind,
         position: group[1].address_position.unwrap_or(group[1].position),

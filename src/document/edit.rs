@@ -6,7 +6,7 @@ use super::operation::{NewEntry, Operation, RemovedEntry};
 use super::patch::Patch;
 use super::position::{Position, Positions};
 use super::scan::{self, Container, Item, Span};
-use super::syntax::{BOM, Kind};
+use super::syntax::{BOM, JsonKind};
 use super::text::{from_json, to_hex, to_json};
 use super::{Document, Root};
 use crate::text::printable;
@@ -15,19 +15,19 @@ use crate::text::printable;
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum EditError {
     /// There is no such entry (any more).
-    #[error("the file has no such entry any more: {entry}")]
+    #[error("entry no longer in the file: {entry}")]
     NotFound {
         /// Its name and address.
         entry: String,
     },
     /// The address is not one.
-    #[error("{address} is no address: addresses are 1 to 127")]
+    #[error("{address} is not an address (1 to 127)")]
     AddressRange {
         /// What was asked for.
         address: u8,
     },
     /// Two members of one key, on the way to the value: readers disagree which one counts.
-    #[error("{position}: `{key}` is there twice: remove one of them first")]
+    #[error("{position}: duplicate `{key}`: remove one of them first")]
     DuplicateMember {
         /// The key.
         key: String,
@@ -35,7 +35,7 @@ pub enum EditError {
         position: Position,
     },
     /// The file is JSON, but there is no list of devices in it, nor a place for one.
-    #[error("{position}: {found} stands where the list of devices should be")]
+    #[error("{position}: expected a list of devices, found {found}")]
     NotDevices {
         /// Where.
         position: Position,
@@ -43,7 +43,7 @@ pub enum EditError {
         found: String,
     },
     /// Something in `services` is no service: setting them would remove it.
-    #[error("{position}: {found} stands where a service should be: correct it first")]
+    #[error("{position}: expected a service, found {found}: fix it first")]
     NotService {
         /// Where.
         position: Position,
@@ -51,7 +51,7 @@ pub enum EditError {
         found: String,
     },
     /// The edited text would not say what was meant. This is a fault in descan; the file is safe.
-    #[error("the edit was not made, because its result would read differently: {reason}")]
+    #[error("edit rejected: the result would not read back as intended: {reason}")]
     Unfaithful {
         /// What differs.
         reason: String,
@@ -489,7 +489,7 @@ impl Document {
     }
 
     fn no_service(&self, span: &Span) -> EditError {
-        let found = Kind(&self.body()[span.clone()]).to_string();
+        let found = JsonKind(&self.body()[span.clone()]).to_string();
         EditError::NotService { position: Positions::new(self.body()).at(span.start), found }
     }
 
@@ -506,7 +506,7 @@ impl Document {
     }
 
     fn not_devices(&self, span: &Span) -> EditError {
-        let found = Kind(&self.body()[span.clone()]).to_string();
+        let found = JsonKind(&self.body()[span.clone()]).to_string();
         EditError::NotDevices { position: Positions::new(self.body()).at(span.start), found }
     }
 }

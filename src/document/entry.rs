@@ -2,10 +2,10 @@
 
 use std::collections::HashMap;
 
-use super::finding::{FindingKind, Findings};
+use super::finding::{DocumentFindingKind, Findings};
 use super::position::Position;
 use super::scan::{self, Span};
-use super::syntax::Kind;
+use super::syntax::JsonKind;
 use super::text;
 
 /// What the file says about one device. Members of the wrong shape count as absent, and there is a
@@ -27,7 +27,7 @@ pub struct Entry {
     /// `DEV_CFG_UID` as the file spells it.
     pub uid: Option<String>,
     /// The services in the file's order; none: the file does not say.
-    pub services: Option<Vec<ServiceEntry>>,
+    pub services: Option<Vec<ListedService>>,
     /// They are a list: members of an object have no order.
     pub has_ordered_services: bool,
     /// Where the entry begins.
@@ -44,7 +44,7 @@ pub struct Entry {
 
 impl Entry {
     /// Its services, where it lists any: an empty list says no more than none.
-    pub fn listed_services(&self) -> Option<&[ServiceEntry]> {
+    pub fn listed_services(&self) -> Option<&[ListedService]> {
         self.services.as_deref().filter(|listed| !listed.is_empty())
     }
 
@@ -56,7 +56,7 @@ impl Entry {
 
 /// A service of a device, as the file lists it.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
-pub struct ServiceEntry {
+pub struct ListedService {
     /// For example `AUGER`.
     pub name: String,
     /// For example `2.1`; empty where the file does not say.
@@ -155,12 +155,12 @@ pub(super) fn read(
     findings: &mut Findings,
 ) -> Option<Entry> {
     let present = Present::default();
-    Reader { body, findings, index, element, is_entry: false, present }.read(span)
+    EntryReader { body, findings, index, element, is_entry: false, present }.read(span)
 }
 
 /// A service's name and version as the file has them, from an item of `services` in either shape;
 /// none when it is not one.
-pub(super) fn read_service(body: &str, item: &scan::Item) -> Option<ServiceEntry> {
+pub(super) fn read_service(body: &str, item: &scan::Item) -> Option<ListedService> {
     read_service_noting(body, item, &mut Vec::new())
 }
 
@@ -169,17 +169,17 @@ pub(super) fn read_service_noting(
     body: &str,
     item: &scan::Item,
     again: &mut Vec<(&'static str, usize)>,
-) -> Option<ServiceEntry> {
+) -> Option<ListedService> {
     let value = &body[item.value.clone()];
     if !item.key.is_empty() {
         let name = text::from_json(&body[item.key.clone()])?.into_owned();
-        return Some(ServiceEntry { name, version: version(value)?, extra: Vec::new() });
+        return Some(ListedService { name, version: version(value)?, extra: Vec::new() });
     }
     if !value.starts_with('{') {
         return None;
     }
     let mut name = None;
-    let mut service = ServiceEntry::default();
+    let mut service = ListedService::default();
     let mut seen = [false; SERVICE_MEMBERS.len()];
     for member in scan::container(body, &item.value)?.items {
         let value = &body[member.value.clone()];
@@ -197,7 +197,7 @@ pub(super) fn read_service_noting(
             _ => {}
         }
     }
-    Some(ServiceEntry { name: name?, ..service })
+    Some(ListedService { name: name?, ..service })
 }
 
 pub(super) fn version(value: &str) -> Option<String> {
@@ -213,7 +213,7 @@ fn strings(body: &str, span: &Span) -> Option<Vec<String>> {
 }
 
 /// Reads one element.
-struct Reader<'r, 'f> {
+struct EntryReader<'r, 'f> {
     body: &'r str,
     findings: &'r mut Findings<'f>,
     index: usize,
@@ -223,12 +223,13 @@ struct Reader<'r, 'f> {
     present: Present,
 }
 
-impl Reader<'_, '_> {
+impl EntryReader<'_, '_> {
     fn read(mut self, span: &Span) -> Option<Entry> {
         let value = &self.body[span.clone()];
         if !value.starts_with('{') {
-            let message = format!("element {} is {}, not a device", self.element + 1, Kind(value));
-            self.findings.add(FindingKind::NotAnEntry, span.start, message, None);
+            let message =
+                format!("element {} is {}, not a device", self.element + 1, JsonKind(value));
+            self.findings.add(DocumentFindingKind::NotAnEntry, span.start, message, None);
             return None;
         }
         let members = self.members(span);
@@ -238,7 +239,7 @@ impl Reader<'_, '_> {
         let bytes = of(Member::NameHex).and_then(|at| self.hex(at));
         if name.is_none() {
             let message = format!("device {} has no `name`", self.element + 1);
-            self.findings.add(FindingKind::MissingName, span.start, message, self.entry());
+            self.findings.add(DocumentFindingKind::MissingName, span.start, message, self.entry());
         }
         if let (Some(name), Some(bytes)) = (&name, &bytes) {
             self.compare_names(name, bytes, of(Member::NameHex)?);
@@ -304,7 +305,7 @@ impl Reader<'_, '_> {
     }
 
     fn wrong_type_in(&mut self, what: &str, at: &Span, expected: &str) {
-        let found = Kind(&self.body[at.clone()]);
+        let found = JsonKind(&self.body[at.clone()]);
         self.findings.wrong_type(what, at.start, &found, expected, self.entry());
     }
 
@@ -315,7 +316,7 @@ impl Reader<'_, '_> {
             Some(_) => {}
             None if value.starts_with('"') => {
                 let message = format!("`{}` is not valid Unicode", member.key());
-                self.findings.add(FindingKind::WrongType, at.start, message, self.entry());
+                self.findings.add(DocumentFindingKind::WrongType, at.start, message, self.entry());
             }
             None => self.wrong_type(member, at, "a string"),
         }
@@ -328,7 +329,7 @@ impl Reader<'_, '_> {
         let bytes = text::from_json(value).and_then(|text| text::from_hex(&text));
         if bytes.is_none() && value.starts_with('"') {
             let message = format!("`name_hex` is not hexadecimal; it must be {EXPECTED}");
-            self.findings.add(FindingKind::WrongType, at.start, message, self.entry());
+            self.findings.add(DocumentFindingKind::WrongType, at.start, message, self.entry());
         } else if bytes.is_none() {
             self.wrong_type(Member::NameHex, at, EXPECTED);
         }
@@ -339,11 +340,11 @@ impl Reader<'_, '_> {
         let printable = crate::text::printable(bytes);
         if name.as_bytes() != bytes && !name.eq_ignore_ascii_case(&printable) {
             let message = format!(
-                "`name_hex` stands for {}, but `name` is {}; `name_hex` counts",
+                "`name_hex` is {}, but `name` is {}; `name_hex` is used",
                 text::brief(bytes),
                 text::brief(name.as_bytes())
             );
-            self.findings.add(FindingKind::NamesDiffer, at.start, message, self.entry());
+            self.findings.add(DocumentFindingKind::NamesDiffer, at.start, message, self.entry());
         }
     }
 
@@ -363,7 +364,7 @@ impl Reader<'_, '_> {
                 Some(meant) => format!("`address` is {shown}; write it in plain digits: {meant}"),
                 None => format!("`address` is {shown}; it must be {EXPECTED}"),
             };
-            self.findings.add(FindingKind::AddressRange, at.start, message, self.entry());
+            self.findings.add(DocumentFindingKind::AddressRange, at.start, message, self.entry());
         }
         address
     }
@@ -376,13 +377,13 @@ impl Reader<'_, '_> {
         value == "true"
     }
 
-    fn services(&mut self, at: &Span) -> Option<Vec<ServiceEntry>> {
+    fn services(&mut self, at: &Span) -> Option<Vec<ListedService>> {
         let Some(list) = scan::container(self.body, at) else {
             self.wrong_type(Member::Services, at, "a list, or an object of names and versions");
             return None;
         };
         let mut places = HashMap::new();
-        let mut services: Vec<ServiceEntry> = Vec::with_capacity(list.items.len());
+        let mut services: Vec<ListedService> = Vec::with_capacity(list.items.len());
         for (number, item) in (1..).zip(list.items) {
             let mut again = Vec::new();
             let service = read_service_noting(self.body, &item, &mut again);

@@ -3,13 +3,13 @@
 use std::fmt;
 
 use super::position::{Position, Positions};
-use super::syntax::Kind;
+use super::syntax::JsonKind;
 
 /// Something in the file that a person should look at. The rest of the file stays in force.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DocumentFinding {
     /// What it is.
-    pub kind: FindingKind,
+    pub kind: DocumentFindingKind,
     /// Where: the value concerned, in collisions that of the second entry.
     pub position: Position,
     /// What is wrong, in one sentence, safe on a terminal.
@@ -21,7 +21,7 @@ pub struct DocumentFinding {
 
 /// Kinds of findings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum FindingKind {
+pub enum DocumentFindingKind {
     /// Neither an object nor a list of devices, or `devices` is no list.
     NotDevices,
     /// An element of the list is no object.
@@ -42,7 +42,7 @@ pub enum FindingKind {
     DuplicateEntry,
 }
 
-impl FindingKind {
+impl DocumentFindingKind {
     /// The name that scripts rely on (interfaces, `kind`).
     pub fn name(self) -> &'static str {
         match self {
@@ -87,7 +87,7 @@ pub(super) fn keep_first(findings: &mut Vec<DocumentFinding>, more: usize) {
     findings.truncate(MOST);
     if let Some(last) = findings.last().filter(|_| more > 0) {
         let (kind, position) = (last.kind, last.position);
-        let message = format!("{more} more like this, or other things, from here on");
+        let message = format!("{more} more errors after this one");
         findings.push(DocumentFinding { kind, position, message, entries: Vec::new() });
     }
 }
@@ -110,7 +110,13 @@ impl<'a> Findings<'a> {
         self.positions.at(at)
     }
 
-    pub fn add(&mut self, kind: FindingKind, at: usize, message: String, entry: Option<usize>) {
+    pub fn add(
+        &mut self,
+        kind: DocumentFindingKind,
+        at: usize,
+        message: String,
+        entry: Option<usize>,
+    ) {
         if self.found.len() == MOST {
             self.more += 1;
             return;
@@ -124,8 +130,8 @@ impl<'a> Findings<'a> {
     }
 
     pub fn duplicate(&mut self, key: &str, at: usize, entry: Option<usize>) {
-        let message = format!("`{key}` is there twice; the last one counts");
-        self.add(FindingKind::DuplicateMember, at, message, entry);
+        let message = format!("duplicate `{key}`; the last one is used");
+        self.add(DocumentFindingKind::DuplicateMember, at, message, entry);
     }
 
     /// `what` is no `expected`: a member, or something in one.
@@ -133,11 +139,11 @@ impl<'a> Findings<'a> {
         &mut self,
         what: &str,
         at: usize,
-        found: &Kind,
+        found: &JsonKind,
         expected: &str,
         entry: Option<usize>,
     ) {
         let message = format!("{what} is {found}; it must be {expected}");
-        self.add(FindingKind::WrongType, at, message, entry);
+        self.add(DocumentFindingKind::WrongType, at, message, entry);
     }
 }

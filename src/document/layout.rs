@@ -4,7 +4,7 @@
 //! Works on the text of one list or object at a time; every function returns the new text and
 //! keeps all that it was not asked to change.
 
-use super::entry::{Member, ServiceEntry, read_service, version};
+use super::entry::{ListedService, Member, read_service, version};
 use super::scan::{self, Container};
 use super::text::{from_json, to_json};
 use std::collections::{HashMap, VecDeque};
@@ -334,9 +334,9 @@ impl ServicesStyle {
 
     /// The value of `services` that says this. An object cannot hold one name twice, or strings
     /// after the version; there it becomes a list.
-    pub fn services(&self, services: &[ServiceEntry]) -> String {
+    pub fn services(&self, services: &[ListedService]) -> String {
         if self.is_object && fits_object(services) {
-            let pair = |service: &ServiceEntry| to_json(&service.version);
+            let pair = |service: &ListedService| to_json(&service.version);
             return self.outer.object(services.iter().map(|new| (&*new.name, pair(new))));
         }
         let outer = if self.is_object { &self.fallback } else { &self.outer };
@@ -346,7 +346,7 @@ impl ServicesStyle {
 
     /// The value `old` changed so that it says this. Services that stay keep their members, their
     /// text and, as long as they stand in the same order, what stands between them.
-    pub fn edited(&self, old: &str, services: &[ServiceEntry]) -> String {
+    pub fn edited(&self, old: &str, services: &[ListedService]) -> String {
         let Some(container) = scan::container(old, &(0..old.len())) else {
             return self.services(services);
         };
@@ -391,7 +391,7 @@ impl ServicesStyle {
     }
 
     /// A new item, in the shape that they have.
-    fn item(&self, service: &ServiceEntry) -> String {
+    fn item(&self, service: &ListedService) -> String {
         if self.is_object {
             let (name, version) = (to_json(&service.name), to_json(&service.version));
             format!("{name}{}{version}", self.outer.colon)
@@ -400,7 +400,7 @@ impl ServicesStyle {
         }
     }
 
-    fn service(&self, service: &ServiceEntry) -> String {
+    fn service(&self, service: &ListedService) -> String {
         let mut members =
             vec![("name", to_json(&service.name)), ("version", to_json(&service.version))];
         if !service.extra.is_empty() {
@@ -410,14 +410,14 @@ impl ServicesStyle {
     }
 }
 
-fn fits_object(services: &[ServiceEntry]) -> bool {
+fn fits_object(services: &[ListedService]) -> bool {
     services.iter().enumerate().all(|(index, service)| {
         service.extra.is_empty() && services[..index].iter().all(|other| other.name != service.name)
     })
 }
 
 /// An item of `services`, or a version in an object of them, that says this.
-fn edited_service(old: &str, service: &ServiceEntry) -> String {
+fn edited_service(old: &str, service: &ListedService) -> String {
     let Some(members) = Members::of(old) else {
         let same = version(old).is_some_and(|version| version == service.version);
         return if same { old.to_owned() } else { to_json(&service.version) };

@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use std::hash::Hash;
 use std::ops::Range;
 
-use super::entry::{Entry, Member, ServiceEntry};
+use super::entry::{Entry, ListedService, Member};
 use super::operation::{EntryKey, Operation};
 use super::text::brief;
 use super::{Document, EditError};
@@ -31,12 +31,12 @@ pub enum Merge {
         overruling: Vec<Range<usize>>,
     },
     /// A person has to choose.
-    Conflict(Conflict),
+    Conflict(EditConflict),
 }
 
 /// Both sides changed the same value, or one changed an entry that the other deleted.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Conflict {
+pub struct EditConflict {
     /// Our operation.
     pub operation: Operation,
     /// What the value is to be, after us: "address 16, static". Safe on a terminal.
@@ -51,7 +51,7 @@ pub struct Conflict {
 
 /// Whose value stands where both sides changed it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Prefer {
+pub enum MergePreference {
     /// Nobody's: the first conflict is returned, so that a person can choose.
     Neither,
     /// Ours; an entry that they deleted comes back.
@@ -65,7 +65,7 @@ pub enum Prefer {
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Choices {
     /// For the first conflicts, in order.
-    pub chosen: Vec<Prefer>,
+    pub chosen: Vec<MergePreference>,
     /// The file went while a choice was open: whether a new entry of ours is to begin another one
     /// is to be chosen too.
     pub asks_for_new: bool,
@@ -82,7 +82,7 @@ pub fn merge(
     base: &Document,
     ours: &[Operation],
     theirs: &Document,
-    prefer: Prefer,
+    prefer: MergePreference,
 ) -> Result<Merge, EditError> {
     merge_chosen(base, ours, theirs, &Choices::default(), prefer)
 }
@@ -96,7 +96,7 @@ pub fn merge_chosen(
     ours: &[Operation],
     theirs: &Document,
     choices: &Choices,
-    rest: Prefer,
+    rest: MergePreference,
 ) -> Result<Merge, EditError> {
     let mut base = base.clone();
     let mut document = theirs.clone();
@@ -105,28 +105,28 @@ pub fn merge_chosen(
     let mut given_up = GivenUp::default();
     let mut conflicts = 0;
     // The first that nobody has chosen in. The others are counted.
-    let mut open: Option<Conflict> = None;
+    let mut open: Option<EditConflict> = None;
     for (at, operation) in ours.iter().enumerate() {
         let next = base.apply(operation)?;
         let mut step = step(operation, &base, &next, &document, &ours[at + 1..]);
-        if let (Step::Make(operation), true) = (&step, choices.asks_for_new)
+        if let (MergeStep::Make(operation), true) = (&step, choices.asks_for_new)
             && let Some(entry) = operation.brought()
         {
             let (ours, theirs) = (describe_all(&entry), DELETED.to_owned());
-            step = Step::Conflict { ours, theirs, insist: vec![operation.clone()] };
+            step = MergeStep::Conflict { ours, theirs, insist: vec![operation.clone()] };
         }
         let steps = match step {
-            Step::Done => Vec::new(),
-            Step::Make(operation) => vec![operation],
-            Step::Conflict { .. } if given_up.has(operation) => Vec::new(),
-            Step::Conflict { ours, theirs, insist } => {
+            MergeStep::Done => Vec::new(),
+            MergeStep::Make(operation) => vec![operation],
+            MergeStep::Conflict { .. } if given_up.has(operation) => Vec::new(),
+            MergeStep::Conflict { ours, theirs, insist } => {
                 let choice = choices.chosen.get(conflicts).copied().unwrap_or(rest);
                 conflicts += 1;
-                if choice == Prefer::Neither && open.is_none() {
+                if choice == MergePreference::Neither && open.is_none() {
                     let (operation, number) = (operation.clone(), conflicts);
-                    open = Some(Conflict { operation, ours, theirs, number, of: number });
+                    open = Some(EditConflict { operation, ours, theirs, number, of: number });
                 }
-                if choice == Prefer::Ours {
+                if choice == MergePreference::Ours {
                     overruling.push(operations.len()..operations.len() + insist.len());
                     insist
                 } else {
@@ -144,7 +144,7 @@ pub fn merge_chosen(
         base = next;
     }
     Ok(match open {
-        Some(conflict) => Merge::Conflict(Conflict { of: conflicts, ..conflict }),
+        Some(conflict) => Merge::Conflict(EditConflict { of: conflicts, ..conflict }),
         None => Merge::Rebased { document, operations, overruling },
     })
 }
@@ -191,7 +191,7 @@ impl GivenUp {
 }
 
 /// What becomes of one operation.
-enum Step {
+enum MergeStep {
     /// Theirs says so already.
     Done,
     /// This is to be made on theirs.
@@ -207,7 +207,7 @@ fn step(
     next: &Document,
     theirs: &Document,
     later: &[Operation],
-) -> Step {
+) -> MergeStep {
     let Some(index) = operation.entry().and_then(|key| base.find(key)) else {
         return step_new(operation, base, theirs);
     };
@@ -220,10 +220,10 @@ fn step(
     let is_removal = operation.is_removal();
     let Some(counterpart) = counterpart else {
         if is_removal {
-            return Step::Done;
+            return MergeStep::Done;
         }
         let changed = next.removed(index);
-        return Step::Conflict {
+        return MergeStep::Conflict {
             ours: describe(&operation.members(), &changed.entry),
             theirs: DELETED.to_owned(),
             insist: vec![Operation::PutBack { removed: changed }],
@@ -232,30 +232,34 @@ fn step(
     let found = &theirs.entries()[counterpart];
     if is_removal {
         if same_value(base.entry_text(index), theirs.entry_text(counterpart)) {
-            return Step::Make(operation);
+            return MergeStep::Make(operation);
         }
         let theirs = differences(before, found);
-        return Step::Conflict { ours: DELETED.to_owned(), theirs, insist: vec![operation] };
+        return MergeStep::Conflict { ours: DELETED.to_owned(), theirs, insist: vec![operation] };
     }
     let members = operation.members();
     let mut wanted = found.clone();
     operation.change(&mut wanted);
     let agree = |a: &Entry, b: &Entry| members.iter().all(|member| member.agrees(a, b));
     if agree(found, &wanted) {
-        Step::Done
+        MergeStep::Done
     } else if agree(found, before) {
-        Step::Make(operation)
-    } else if in_the_end(next, index, later).is_some_and(|ours| agree(found, &ours)) {
+        MergeStep::Make(operation)
+    } else if final_key(next, index, later).is_some_and(|ours| agree(found, &ours)) {
         // Theirs says already what later operations make of it.
-        Step::Done
+        MergeStep::Done
     } else {
         let (ours, theirs) = (describe(&members, &wanted), describe(&members, found));
-        Step::Conflict { ours, theirs, insist: vec![operation.with_former_address(found.address)] }
+        MergeStep::Conflict {
+            ours,
+            theirs,
+            insist: vec![operation.with_former_address(found.address)],
+        }
     }
 }
 
 /// What becomes of an entry by further operations; none where one takes it out.
-fn in_the_end(document: &Document, index: usize, operations: &[Operation]) -> Option<Entry> {
+fn final_key(document: &Document, index: usize, operations: &[Operation]) -> Option<Entry> {
     let (mut document, mut index) = (document.clone(), index);
     for operation in operations {
         let mut key = document.key(index);
@@ -272,8 +276,8 @@ fn in_the_end(document: &Document, index: usize, operations: &[Operation]) -> Op
 }
 
 /// For an operation that brings an entry: theirs may have brought it too.
-fn step_new(operation: &Operation, base: &Document, theirs: &Document) -> Step {
-    let Some(entry) = operation.brought() else { return Step::Make(operation.clone()) };
+fn step_new(operation: &Operation, base: &Document, theirs: &Document) -> MergeStep {
+    let Some(entry) = operation.brought() else { return MergeStep::Make(operation.clone()) };
     let is_same = |other: &&Entry| {
         (&other.bus, &other.name, other.address) == (&entry.bus, &entry.name, entry.address)
     };
@@ -281,16 +285,16 @@ fn step_new(operation: &Operation, base: &Document, theirs: &Document) -> Step {
     let same = theirs.entries().iter().filter(is_same).nth(known);
     let is_new = matches!(operation, Operation::Add { .. });
     let Some(found) = same.or_else(|| namesake(&entry, base, theirs).filter(|_| is_new)) else {
-        return Step::Make(operation.clone());
+        return MergeStep::Make(operation.clone());
     };
     if found.meaning() == entry.meaning() {
-        return Step::Done;
+        return MergeStep::Done;
     }
     if is_new && let Some(step) = step_known(&entry, found, theirs) {
         return step;
     }
     let removal = Operation::Remove { entry: theirs.key(found.index) };
-    Step::Conflict {
+    MergeStep::Conflict {
         ours: differences(found, &entry),
         theirs: differences(&entry, found),
         insist: vec![removal, operation.clone()],
@@ -312,7 +316,7 @@ fn namesake<'d>(entry: &Entry, base: &Document, theirs: &'d Document) -> Option<
 
 /// For a new entry of ours whose device theirs has too: what ours says is set in theirs, all else
 /// stays. None where that is not enough.
-fn step_known(entry: &Entry, found: &Entry, theirs: &Document) -> Option<Step> {
+fn step_known(entry: &Entry, found: &Entry, theirs: &Document) -> Option<MergeStep> {
     if found.uid.is_some() && entry.uid.is_some() && found.uid != entry.uid {
         return None;
     }
@@ -334,10 +338,10 @@ fn step_known(entry: &Entry, found: &Entry, theirs: &Document) -> Option<Step> {
         insist.insert(0, Operation::SetServices { entry, services });
     }
     if members.is_empty() {
-        return Some(Step::Done);
+        return Some(MergeStep::Done);
     }
     let (ours, theirs) = (describe(&members, entry), describe(&members, found));
-    Some(Step::Conflict { ours, theirs, insist })
+    Some(MergeStep::Conflict { ours, theirs, insist })
 }
 
 impl Document {
@@ -468,12 +472,12 @@ fn describe(members: &[Member], entry: &Entry) -> String {
     parts.join(", ")
 }
 
-fn listed(services: Option<&[ServiceEntry]>) -> String {
+fn listed(services: Option<&[ListedService]>) -> String {
     const SHOWN: usize = 8;
     let Some(services) = services.filter(|services| !services.is_empty()) else {
         return "none".to_owned();
     };
-    let name = |service: &ServiceEntry| {
+    let name = |service: &ListedService| {
         let mut text = service.name.clone();
         for part in std::iter::once(&service.version).chain(&service.extra) {
             text = text + " " + part;

@@ -45,9 +45,9 @@ use std::sync::Arc;
 
 pub use changes::changes;
 pub use edit::EditError;
-pub use entry::{Entry, ServiceEntry};
-pub use finding::{DocumentFinding, FindingKind};
-pub use merge::{Choices, Conflict, Merge, Prefer, merge, merge_chosen};
+pub use entry::{Entry, ListedService};
+pub use finding::{DocumentFinding, DocumentFindingKind};
+pub use merge::{Choices, EditConflict, Merge, MergePreference, merge, merge_chosen};
 pub use operation::{EntryKey, FormerContent, FormerMembers, NewEntry, Operation, RemovedEntry};
 pub use position::Position;
 pub use syntax::ParseError;
@@ -55,7 +55,7 @@ pub use syntax::ParseError;
 use finding::Findings;
 use position::Positions;
 use scan::Span;
-use syntax::{BOM, Kind};
+use syntax::{BOM, JsonKind};
 
 /// The JSON Schema (2020-12) of the file.
 pub const SCHEMA: &str = include_str!("des.schema.json");
@@ -201,7 +201,8 @@ impl Document {
             let first = finding.entries.first().and_then(|&index| document.entries().get(index));
             first.and_then(|entry| entry.address)
         };
-        let is_clash = |finding: &&DocumentFinding| finding.kind == FindingKind::DuplicateAddress;
+        let is_clash =
+            |finding: &&DocumentFinding| finding.kind == DocumentFindingKind::DuplicateAddress;
         self.findings().iter().filter(is_clash).find(|clash| {
             let mut known = before.findings().iter().filter(is_clash);
             known.all(|known| address(before, known) != address(self, clash))
@@ -255,8 +256,8 @@ fn read_root(body: &str, findings: &mut Findings) -> Root {
         return Root::List(span);
     }
     if !text.starts_with('{') {
-        let message = format!("the file is {}, not an object with `devices`", Kind(text));
-        findings.add(FindingKind::NotDevices, span.start, message, None);
+        let message = format!("the file is {}, not an object with `devices`", JsonKind(text));
+        findings.add(DocumentFindingKind::NotDevices, span.start, message, None);
         return Root::Other(span);
     }
     let mut devices: Option<Span> = None;
@@ -274,8 +275,9 @@ fn read_root(body: &str, findings: &mut Findings) -> Root {
     if let Some(devices) = &devices
         && !body[devices.clone()].starts_with('[')
     {
-        let message = format!("`devices` is {}; it must be a list", Kind(&body[devices.clone()]));
-        findings.add(FindingKind::NotDevices, devices.start, message, None);
+        let message =
+            format!("`devices` is {}; it must be a list", JsonKind(&body[devices.clone()]));
+        findings.add(DocumentFindingKind::NotDevices, devices.start, message, None);
     }
     Root::Object { span, devices, again }
 }

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::entry::{Entry, Member, ServiceEntry};
+use super::entry::{Entry, ListedService, Member};
 use super::layout::Members;
 use super::text::brief;
 use super::{Document, EditError};
@@ -55,7 +55,7 @@ pub enum Operation {
         /// Whose.
         entry: EntryKey,
         /// In the order in which they are to be listed.
-        services: Vec<ServiceEntry>,
+        services: Vec<ListedService>,
     },
     /// Takes back an edit of members; made by [`Operation::inverse`].
     Restore {
@@ -153,7 +153,7 @@ pub struct NewEntry {
     /// Written when given.
     pub uid: Option<String>,
     /// Written when there are any.
-    pub services: Vec<ServiceEntry>,
+    pub services: Vec<ListedService>,
 }
 
 impl NewEntry {
@@ -454,17 +454,17 @@ impl fmt::Display for Operation {
             Self::Restore { entry, former } => match former.members.first() {
                 Some((Member::Address | Member::Static, _)) => write!(
                     f,
-                    "address of the entry {entry} back to {}{}",
+                    "address of the entry {entry} restored to {}{}",
                     former.address(),
                     if former.entry.is_static { "" } else { ", not static" }
                 ),
                 Some((Member::Name | Member::NameHex, _)) => {
-                    write!(f, "entry {entry:#} named {} again", brief(&former.entry.name))
+                    write!(f, "entry {entry:#} renamed back to {}", brief(&former.entry.name))
                 }
-                _ => write!(f, "services of the entry {entry:#} as before"),
+                _ => write!(f, "services of the entry {entry:#} restored"),
             },
             Self::PutBack { removed } => {
-                write!(f, "entry {:#} put back", EntryKey::of(&removed.entry))
+                write!(f, "entry {:#} restored", EntryKey::of(&removed.entry))
             }
         }
     }

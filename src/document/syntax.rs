@@ -49,7 +49,7 @@ pub(super) fn check(source: &[u8]) -> Result<&str, ParseError> {
         let good = str::from_utf8(good).unwrap_or_default();
         let message = match bad {
             [0xFF, 0xFE, ..] | [0xFE, 0xFF, ..] if good.is_empty() => {
-                "it is UTF-16: save it as UTF-8".to_owned()
+                "the file is UTF-16: save it as UTF-8".to_owned()
             }
             _ => format!("0x{:02X} is not UTF-8: save it as UTF-8", bad[0]),
         };
@@ -91,7 +91,7 @@ fn syntax_error(body: &str, error: &serde_json::Error) -> ParseError {
             Some(control) if !['\n', '\r'].contains(&control) => {
                 format!("a control character: in a string it is written \\u{:04X}", control as u32)
             }
-            _ => "the string does not end on its line".to_owned(),
+            _ => "unterminated string".to_owned(),
         };
         return error_at(body, at, message);
     }
@@ -102,9 +102,9 @@ fn syntax_error(body: &str, error: &serde_json::Error) -> ParseError {
     let is_comment = ["//", "/*", "#"].iter().any(|it| body[at..].starts_with(it));
     let message = match message {
         _ if is_comment => "JSON has no comments",
-        _ if is_closing && after_comma => "a comma before the bracket",
+        _ if is_closing && after_comma => "trailing comma",
         _ if body[at..].starts_with('\'') => "JSON has double quotes only",
-        "trailing characters" => "something after the end",
+        "trailing characters" => "text after the end",
         "invalid number" if is_padded => "a number must not begin with 0",
         message => message,
     };
@@ -151,9 +151,9 @@ fn shown(text: &str) -> String {
 }
 
 /// Which kind of value a piece of JSON is, with its article, for messages.
-pub(super) struct Kind<'a>(pub &'a str);
+pub(super) struct JsonKind<'a>(pub &'a str);
 
-impl fmt::Display for Kind<'_> {
+impl fmt::Display for JsonKind<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self.0.as_bytes()[0] {
             b'{' => "an object",

@@ -3,12 +3,12 @@
 use std::borrow::Cow;
 use std::fmt::Write as _;
 
-use crate::text::{Called, is_printable};
+use crate::text::{Quoted, is_printable};
 
 /// [`Called`], cut to what a message can carry.
 pub(super) fn brief(bytes: &[u8]) -> String {
     const CHARACTERS: usize = 40;
-    let text = Called(bytes).to_string();
+    let text = Quoted(bytes).to_string();
     match text.char_indices().nth(CHARACTERS) {
         Some((end, _)) => format!("{}…", &text[..end]),
         None => text,

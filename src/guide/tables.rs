@@ -3,7 +3,7 @@
 
 use crate::app::{FILTER_FIELDS, FILTER_WORDS, headline};
 use crate::discovery::FindingKind;
-use crate::keymap::{ACTIONS, Group};
+use crate::keymap::{ACTIONS, ActionGroup};
 use crate::theme::Role;
 use crate::ui::SIGNS;
 use std::fmt::Write;
@@ -34,7 +34,7 @@ fn table(name: &str) -> String {
 /// All actions with their default keys, a table for each group.
 pub fn keys() -> String {
     let mut out = String::new();
-    for group in Group::ALL {
+    for group in ActionGroup::ALL {
         let _ = write!(
             out,
             "### {}\n\n| key | action | in keys.toml |\n|---|---|---|\n",
@@ -109,7 +109,7 @@ const fn counts_for_check(kind: FindingKind) -> bool {
 fn findings() -> String {
     let mut out = String::from("| kind | on the screen | counts for |\n|---|---|---|\n");
     for kind in KINDS {
-        let counts = match (kind.is_collision(), counts_for_check(kind)) {
+        let counts = match (kind.is_conflict(), counts_for_check(kind)) {
             (true, _) => "`scan`, `check`",
             (false, true) => "`check`",
             (false, false) => "",

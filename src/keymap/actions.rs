@@ -17,9 +17,9 @@ pub struct Action {
     /// The word for it in the last line of the screen; empty where it is not shown there.
     pub hint: &'static str,
     /// Where its keys count.
-    pub mode: Mode,
+    pub mode: KeyMode,
     /// Its place in the help.
-    pub group: Group,
+    pub group: ActionGroup,
     /// Its usual keys, as [`super::Key::parse`] reads them.
     pub keys: &'static [&'static str],
     /// Does it.
@@ -28,12 +28,12 @@ pub struct Action {
 
 /// What the keys mean at the moment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Mode {
+pub enum KeyMode {
     /// Looking at a page.
     Browse,
     /// A question waits for yes or no.
     Confirm,
-    /// Somebody else changed the same value of des.json.
+    /// Another program changed the same value of des.json.
     Conflict,
     /// The help is open.
     Help,
@@ -42,7 +42,7 @@ pub enum Mode {
 /// The parts of the help.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(missing_docs)]
-pub enum Group {
+pub enum ActionGroup {
     Look,
     Bus,
     Log,
@@ -51,20 +51,26 @@ pub enum Group {
     Answer,
 }
 
-impl Group {
+impl ActionGroup {
     /// In the order of the help.
-    pub const ALL: [Group; 6] =
-        [Group::Look, Group::Bus, Group::Log, Group::File, Group::Program, Group::Answer];
+    pub const ALL: [ActionGroup; 6] = [
+        ActionGroup::Look,
+        ActionGroup::Bus,
+        ActionGroup::Log,
+        ActionGroup::File,
+        ActionGroup::Program,
+        ActionGroup::Answer,
+    ];
 
     /// Its heading.
     pub const fn title(self) -> &'static str {
         match self {
-            Group::Look => "Looking",
-            Group::Bus => "The bus",
-            Group::Log => "The log",
-            Group::File => "des.json",
-            Group::Program => "The program",
-            Group::Answer => "Questions",
+            ActionGroup::Look => "View",
+            ActionGroup::Bus => "The bus",
+            ActionGroup::Log => "The log",
+            ActionGroup::File => "des.json",
+            ActionGroup::Program => "The program",
+            ActionGroup::Answer => "Prompts",
         }
     }
 }
@@ -85,8 +91,8 @@ macro_rules! actions {
             name: $name,
             doc: $doc,
             hint: $hint,
-            mode: Mode::$mode,
-            group: Group::$group,
+            mode: KeyMode::$mode,
+            group: ActionGroup::$group,
             keys: &[$($key),*],
             run: $run,
         },)*)*];
@@ -99,73 +105,73 @@ actions! {
         "down" "Down a row" "" ["Down" "j"] => |app, _| app.move_by(1);
         "page-up" "Up a screenful" "" ["PgUp" "Ctrl-b"] => |app, _| app.move_pages(-1);
         "page-down" "Down a screenful" "" ["PgDn" "Ctrl-f"] => |app, _| app.move_pages(1);
-        "first" "To the first row" "" ["g" "Home"] => |app, _| app.move_to_end(false);
-        "last" "To the last row; in Traffic and Timeline: follow" "" ["G" "End"]
+        "first" "First row" "" ["g" "Home"] => |app, _| app.move_to_end(false);
+        "last" "Last row; follow in Traffic and Timeline" "" ["G" "End"]
             => |app, _| app.move_to_end(true);
-        "details" "Open the details; go to the frames of a problem or of a timeline line" "details" ["Enter"]
+        "details" "Open details, or the frames of a problem or event" "details" ["Enter"]
             => |app, _| app.open_details();
-        "into" "Into the details" "" ["Right" "l"] => |app, _| app.focus_details(true);
-        "back" "Back to the list" "" ["Left" "h"] => |app, _| app.focus_details(false);
-        "next-page" "The next page" "" ["Tab"] => |app, _| app.turn_page(1);
-        "previous-page" "The page before" "" ["Shift-Tab"] => |app, _| app.turn_page(-1);
+        "into" "Focus the details" "" ["Right" "l"] => |app, _| app.focus_details(true);
+        "back" "Focus the list" "" ["Left" "h"] => |app, _| app.focus_details(false);
+        "next-page" "Next page" "" ["Tab"] => |app, _| app.turn_page(1);
+        "previous-page" "Previous page" "" ["Shift-Tab"] => |app, _| app.turn_page(-1);
         "devices" "Page 1: devices" "" ["1"] => |app, _| app.show_page(Page::Devices);
         "traffic" "Page 2: traffic" "" ["2"] => |app, _| app.show_page(Page::Traffic);
         "timeline" "Page 3: timeline" "" ["3"] => |app, _| app.show_page(Page::Timeline);
         "problems" "Page 4: problems" "" ["4"] => |app, _| app.show_page(Page::Problems);
-        "filter" "Show only rows with these words" "filter" ["/"] => |app, _| app.ask_filter();
-        "sort" "Sort by the next column" "sort" ["s"] => |app, _| app.sort_by_next();
-        "freeze" "Hold the rows still; nothing is lost meanwhile" "freeze" ["Space"]
+        "filter" "Filter rows" "filter" ["/"] => |app, _| app.ask_filter();
+        "sort" "Sort by next column" "sort" ["s"] => |app, _| app.sort_by_next();
+        "freeze" "Freeze the view; capture continues" "freeze" ["Space"]
             => |app, now| app.toggle_freeze(now);
         "identifiers" "Traffic: frames, or one row per identifier" "identifiers" ["v"]
             => |app, _| app.toggle_identifiers();
-        "problem" "From a device to its problem, and back" "problem" ["p"]
+        "problem" "Jump between device and problem" "problem" ["p"]
             => |app, _| app.go_to_problem();
-        "mute" "Mute a problem: it does not count until descan ends; or undo that" "mute" ["m"]
+        "mute" "Mute or unmute a problem until descan quits" "mute" ["m"]
             => |app, _| app.toggle_muted();
         "copy" "Copy the selected row to the clipboard" "" ["y"] => |app, now| app.copy_row(now);
-        "cancel" "Leave what is open; take the filter away" "" ["Esc"] => |app, _| app.cancel();
+        "cancel" "Close or leave; clear the filter" "" ["Esc"] => |app, _| app.cancel();
     }
     Browse Bus: {
-        "rescan" "Ask all devices again" "rescan" ["r"] => |app, now| app.rescan(now);
-        "clear-lost" "Forget the devices that are lost" "clear lost" ["c"]
+        "rescan" "Restart the enumeration" "rescan" ["r"] => |app, now| app.rescan(now);
+        "clear-lost" "Remove lost devices from the list" "clear lost" ["c"]
             => |app, now| app.clear_lost(now);
-        "identify" "Let the device blink or beep (asks; needs a profile)" "identify" ["i"]
+        "identify" "Send identify: blink or beep (confirms; needs a profile)" "identify" ["i"]
             => |app, now| app.ask_identify(now);
-        "bit-rate" "Find the bit rate of the bus, listening only (asks; only root may)" "bit rate" ["b"]
+        "bit-rate" "Search the bit rate, listen-only (confirms; needs root)" "bit rate" ["b"]
             => |app, _| app.ask_bitrate();
         "save-capture" "Save the captured frames as a candump log" "save log" ["w"]
             => |app, now| app.ask_capture_path(now);
     }
     Browse Log: {
-        "pause" "Stop the log where it is; let it go on" "" ["P"]
+        "pause" "Pause or resume the log" "" ["P"]
             => |app, _| app.control_playback(PlaybackCommand::Pause);
-        "step" "Stop it at the next frame" "" [">"]
+        "step" "Step to the next frame" "" [">"]
             => |app, _| app.control_playback(PlaybackCommand::Step);
-        "slower" "Half as fast" "" ["["] => |app, _| app.control_playback(PlaybackCommand::Slower);
-        "faster" "Twice as fast" "" ["]"] => |app, _| app.control_playback(PlaybackCommand::Faster);
+        "slower" "Halve the replay speed" "" ["["] => |app, _| app.control_playback(PlaybackCommand::Slower);
+        "faster" "Double the replay speed" "" ["]"] => |app, _| app.control_playback(PlaybackCommand::Faster);
     }
     Browse File: {
         "edit-address" "Edit the static address in the row" "edit address" ["e"]
             => |app, now| app.edit_address(now);
-        "add" "Take the device into the file" "add to file" ["a"] => |app, now| app.add_device(now);
-        "add-all" "Take all devices into the file" "" ["A"] => |app, now| app.add_all(now);
-        "new-entry" "A new entry: name and address" "new" ["n"] => |app, now| app.ask_new_entry(now);
+        "add" "Add device to file" "add to file" ["a"] => |app, now| app.add_device(now);
+        "add-all" "Add all devices to file" "" ["A"] => |app, now| app.add_all(now);
+        "new-entry" "New entry: name and address" "new" ["n"] => |app, now| app.ask_new_entry(now);
         "rename" "Rename the entry" "" ["R"] => |app, now| app.ask_rename(now);
-        "delete-entry" "Delete the entry (asks)" "" ["D"] => |app, now| app.ask_delete(now);
-        "undo" "Take the last edit back" "undo" ["u"] => |app, now| app.undo(now);
-        "redo" "Make it again" "" ["Ctrl-r"] => |app, now| app.redo(now);
-        "save" "Save again what could not be saved" "save again" ["Ctrl-s"]
+        "delete-entry" "Delete the entry (confirms)" "" ["D"] => |app, now| app.ask_delete(now);
+        "undo" "Undo" "undo" ["u"] => |app, now| app.undo(now);
+        "redo" "Redo" "" ["Ctrl-r"] => |app, now| app.redo(now);
+        "save" "Retry saving" "save again" ["Ctrl-s"]
             => |app, now| app.save(now);
         "save-copy" "Save a copy of des.json, with all edits" "save a copy" ["W"]
             => |app, now| app.ask_copy_path(now);
     }
     Browse Program: {
-        "help" "All keys, what the signs mean, all counters" "help" ["?" "F1"] => |app, _| app.show_help();
-        "theme" "The next theme" "" ["t"] => |app, now| app.next_theme(now);
-        "redraw" "Draw the screen anew" "" ["Ctrl-l"] => |app, _| app.redraw();
-        "suspend" "To the shell; back with fg" "" ["Ctrl-z"] => |app, _| app.suspend();
-        "quit" "Quit; asks while edits are not saved" "quit" ["q"] => |app, now| app.ask_quit(now);
-        "quit-now" "Quit at once" "" ["Ctrl-c"] => |app, _| app.quit();
+        "help" "Keys, symbols and counters" "help" ["?" "F1"] => |app, _| app.show_help();
+        "theme" "Next theme" "" ["t"] => |app, now| app.next_theme(now);
+        "redraw" "Redraw the screen" "" ["Ctrl-l"] => |app, _| app.redraw();
+        "suspend" "Suspend to the shell (fg returns)" "" ["Ctrl-z"] => |app, _| app.suspend();
+        "quit" "Quit; confirms if edits are unsaved" "quit" ["q"] => |app, now| app.ask_quit(now);
+        "quit-now" "Quit immediately" "" ["Ctrl-c"] => |app, _| app.quit();
     }
     Help Answer: {
         "help-up" "Scroll the help up" "" ["Up" "k"] => |app, _| app.scroll_help(-1);
@@ -174,20 +180,20 @@ actions! {
         "help-page-up" "A screenful up" "" ["PgUp" "Ctrl-b"] => |app, _| app.page_help(-1);
         "help-page-down" "A screenful down" "" ["PgDn" "Ctrl-f" "Space"]
             => |app, _| app.page_help(1);
-        "help-first" "To the first line" "" ["g" "Home"] => |app, _| app.scroll_help(i16::MIN);
-        "help-last" "To the last line" "" ["G" "End"] => |app, _| app.scroll_help(i16::MAX);
+        "help-first" "First line" "" ["g" "Home"] => |app, _| app.scroll_help(i16::MIN);
+        "help-last" "Last line" "" ["G" "End"] => |app, _| app.scroll_help(i16::MAX);
         "help-close" "Close the help" "close" ["Esc" "?" "q" "Enter" "F1"]
             => |app, _| app.cancel();
     }
     Confirm Answer: {
-        "yes" "Yes, do it" "yes" ["y"] => |app, now| app.answer(now, true);
-        "no" "No, leave it" "no" ["n" "Esc" "q"] => |app, now| app.answer(now, false);
+        "yes" "Yes" "yes" ["y"] => |app, now| app.answer(now, true);
+        "no" "No" "no" ["n" "Esc" "q"] => |app, now| app.answer(now, false);
     }
     Conflict Answer: {
-        "ours" "Conflict: keep our value" "ours" ["o"] => |app, now| app.resolve(now, true);
-        "theirs" "Conflict: keep the value in the file" "theirs" ["t"]
+        "ours" "Edit conflict: keep ours" "ours" ["o"] => |app, now| app.resolve(now, true);
+        "theirs" "Edit conflict: keep theirs (file)" "theirs" ["t"]
             => |app, now| app.resolve(now, false);
-        "later" "Conflict: decide later; the edit stays unsaved" "later" ["Esc"]
+        "later" "Edit conflict: decide later; edit stays unsaved" "later" ["Esc"]
             => |app, now| app.resolve_later(now);
     }
 }

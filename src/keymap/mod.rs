@@ -14,7 +14,7 @@
 mod actions;
 mod key;
 
-pub use actions::{ACTIONS, Action, Group, Mode, action};
+pub use actions::{ACTIONS, Action, ActionGroup, KeyMode, action};
 pub use key::{Key, KeyCode};
 
 use std::fmt;
@@ -73,7 +73,7 @@ impl Keymap {
             let action = action(name.get_ref()).ok_or_else(|| {
                 let known: Vec<&str> = ACTIONS.iter().map(|action| action.name).collect();
                 let known = known.join(", ");
-                error(name.span(), format!("no action \"{}\"; there are {known}", name.get_ref()))
+                error(name.span(), format!("unknown action \"{}\"; use {known}", name.get_ref()))
             })?;
             named.push(action.name);
             let one = std::slice::from_ref(value);
@@ -91,7 +91,7 @@ impl Keymap {
                 if let Some((_, other)) = given.iter().find(same) {
                     return Err(error(
                         written.span(),
-                        format!("{key} is already given to {}", other.name),
+                        format!("{key} is already bound to {}", other.name),
                     ));
                 }
                 given.push((key, action));
@@ -108,7 +108,7 @@ impl Keymap {
 
     /// What a key does in this mode. A key of the Russian layout does what the key at its place
     /// does, unless it is bound itself.
-    pub fn lookup(&self, mode: Mode, key: Key) -> Option<&'static Action> {
+    pub fn lookup(&self, mode: KeyMode, key: Key) -> Option<&'static Action> {
         let key = key.normal();
         let bound = |key: Key| {
             let found = self.bindings.iter().find(|(own, to)| *own == key && to.mode == mode);
@@ -151,7 +151,7 @@ mod tests {
         let keymap = Keymap::parse("rescan = \"F5\"\nfreeze = [\"r\"]\nquit = []\n").unwrap();
         let name = |text| {
             let key = Key::parse(text).unwrap();
-            keymap.lookup(Mode::Browse, key).map(|action| action.name)
+            keymap.lookup(KeyMode::Browse, key).map(|action| action.name)
         };
         assert_eq!(name("F5"), Some("rescan"));
         assert_eq!(name("r"), Some("freeze"));
@@ -163,9 +163,11 @@ mod tests {
     #[test]
     fn errors_say_where() {
         let message = |text| Keymap::parse(text).unwrap_err().to_string();
-        assert!(message("\nrescann = \"r\"").starts_with("line 2: no action \"rescann\"; there"));
+        assert!(
+            message("\nrescann = \"r\"").starts_with("line 2: unknown action \"rescann\"; use")
+        );
         assert!(message("rescan = 5").starts_with("line 1: a key is written like"));
-        assert_eq!(message("redo = \"x\"\nundo = \"x\""), "line 2: x is already given to redo");
+        assert_eq!(message("redo = \"x\"\nundo = \"x\""), "line 2: x is already bound to redo");
         assert!(message("rescan = ").starts_with("line 1: "));
     }
 }

@@ -17,7 +17,7 @@ const MAX_BYTES: u64 = 1 << 20;
 /// `config.toml`: what would otherwise be said on the command line each time.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Settings {
+pub struct UserSettings {
     /// The theme's name.
     pub theme: Option<String>,
     /// Seconds between rounds once the bus is known; 0 = none after the first ones.
@@ -28,7 +28,7 @@ pub struct Settings {
     pub steady_share: Option<f64>,
 }
 
-impl Settings {
+impl UserSettings {
     fn parse(text: &str) -> Result<Self, String> {
         let settings: Self = toml::from_str(text).map_err(|error| {
             let line = error.span().map_or(1, |span| text[..span.start].matches('\n').count() + 1);
@@ -52,11 +52,11 @@ impl Settings {
 
 /// The folder with the user's settings.
 #[derive(Clone, Debug)]
-pub struct Folder {
+pub struct ConfigFolder {
     path: PathBuf,
 }
 
-impl Folder {
+impl ConfigFolder {
     /// `$XDG_CONFIG_HOME/descan`, by default `~/.config/descan`; none where there is no home.
     pub fn of_user() -> Option<Self> {
         let base = choose_base_strategy().ok()?;
@@ -69,8 +69,8 @@ impl Folder {
     }
 
     /// `config.toml`; what is built in where it is missing. The error names file and line.
-    pub fn settings(&self) -> Result<Settings, String> {
-        self.read("config.toml", Settings::parse)
+    pub fn settings(&self) -> Result<UserSettings, String> {
+        self.read("config.toml", UserSettings::parse)
     }
 
     /// `keys.toml`; the usual keys where it is missing. The error names file and line.
@@ -132,8 +132,8 @@ mod tests {
     #[test]
     fn what_is_missing_is_built_in_and_what_is_wrong_is_named() {
         let folder = tempfile::tempdir().unwrap();
-        let config = Folder::at(folder.path());
-        assert_eq!(config.settings(), Ok(Settings::default()));
+        let config = ConfigFolder::at(folder.path());
+        assert_eq!(config.settings(), Ok(UserSettings::default()));
         fs::write(folder.path().join("config.toml"), "theme = \"dark\"\nround_period = 5\n")
             .unwrap();
         let settings = config.settings().unwrap();

@@ -12,15 +12,15 @@
 //!
 //! Knows tokio, threads, clocks and the file system, so that nothing above has to.
 
+pub mod bitrate_search;
 pub mod config;
-pub mod ending;
+pub mod file_watcher;
+pub mod log_session;
 pub mod recorder;
-pub mod recording;
-pub mod rescue;
-pub mod screen;
+pub mod recovery;
 pub mod session;
-pub mod speed;
+pub mod stop;
 pub mod store;
 pub mod terminal;
+pub mod tui_loop;
 mod waiting;
-pub mod watch;

@@ -4,11 +4,11 @@
 //! same session. Everything is bounded: a batch of frames a turn, the newest reading of the
 //! file, one save at a time.
 
+use super::bitrate_search::{RunningSearch, SearchNews};
+use super::file_watcher::FileWatcher;
 use super::recorder::Recorder;
-use super::speed::{News, Searching};
 use super::store::{SaveError, Saved, Store, write_new};
 use super::waiting::{file_changed, sleep_for};
-use super::watch::Watch;
 use crate::app::{App, Effect, FileReading, SaveOutcome};
 use crate::bus::{Clock, Port};
 use crate::document::Document;
@@ -27,11 +27,11 @@ const BATCH: usize = 1024;
 
 /// So much later than is due is no busy machine any more: the program was stopped, or could not
 /// write to its terminal.
-const HELD_UP: Duration = Duration::from_millis(1500);
+const STALL_THRESHOLD: Duration = Duration::from_millis(1500);
 
 /// Why a session woke.
 #[derive(Debug)]
-pub enum Wake {
+pub enum SessionWake {
     /// Something is due.
     Due,
     /// A bus has frames, or its status changed.
@@ -43,7 +43,7 @@ pub enum Wake {
     /// The recording is longer, or over.
     Recording,
     /// The search for a bit rate has come further.
-    Search(News),
+    Search(SearchNews),
 }
 
 /// What work on files came to.
@@ -71,12 +71,12 @@ pub struct Session {
     /// How many of its interfaces' names each port has told.
     named: Vec<usize>,
     store: Option<Store>,
-    watch: Option<Watch>,
+    watch: Option<FileWatcher>,
     /// What was found is being parsed: not on the thread that draws.
     reading: Option<JoinHandle<FileReading>>,
     work: Vec<Work>,
     recorder: Option<Recorder>,
-    searching: Option<Searching>,
+    searching: Option<RunningSearch>,
     batch: Vec<Frame>,
     /// When it began, or went on after it was held up.
     resumed: Instant,
@@ -99,7 +99,7 @@ impl Session {
             searching: None,
             batch: Vec::with_capacity(BATCH),
         };
-        session.tell_playback();
+        session.report_playback();
         session.open_file();
         session
     }
@@ -119,7 +119,7 @@ impl Session {
     fn open_file(&mut self) {
         let Some(store) = &self.store else { return };
         let reading = store.read().map_err(|error| error.in_short());
-        self.watch = Some(Watch::spawn(store.clone(), reading.clone()));
+        self.watch = Some(FileWatcher::spawn(store.clone(), reading.clone()));
         let missing_folder = store.missing_folder();
         self.app.handle_file(self.now(), reading.into());
         if let Some(folder) = missing_folder {
@@ -136,7 +136,7 @@ impl Session {
     }
 
     /// Waits for the next reason to do something. May be dropped while waiting.
-    pub async fn next(&mut self) -> Wake {
+    pub async fn next(&mut self) -> SessionWake {
         let deadline = self.app.poll_timeout().map(|at| self.clock.until(at));
         let due = sleep_for(deadline);
         let (watch, reading) = (self.watch.as_ref(), &mut self.reading);
@@ -149,8 +149,7 @@ impl Session {
             };
             let parsed = parsing.await;
             *reading = None;
-            parsed
-                .unwrap_or_else(|broken| FileReading::Error(format!("reading broke off: {broken}")))
+            parsed.unwrap_or_else(|broken| FileReading::Error(format!("reader stopped: {broken}")))
         };
         let recorder = self.recorder.as_ref();
         let recording = async {
@@ -185,21 +184,21 @@ impl Session {
         };
         tokio::select! {
             biased;
-            () = due => Wake::Due,
-            reading = file => Wake::File(reading),
+            () = due => SessionWake::Due,
+            reading = file => SessionWake::File(reading),
             (result, at) = done => {
                 drop(self.work.swap_remove(at));
                 match result {
-                    Ok(finished) => Wake::Done(finished),
+                    Ok(finished) => SessionWake::Done(finished),
                     Err(broken) => {
-                        let why = format!("saving broke off: {broken}");
-                        Wake::Done(Finished::Saved(SaveOutcome::Failed(why), Vec::new()))
+                        let why = format!("saving stopped: {broken}");
+                        SessionWake::Done(Finished::Saved(SaveOutcome::Failed(why), Vec::new()))
                     }
                 }
             }
-            () = recording => Wake::Recording,
-            news = search => Wake::Search(news),
-            () = buses => Wake::Buses,
+            () = recording => SessionWake::Recording,
+            news = search => SessionWake::Search(news),
+            () = buses => SessionWake::Buses,
         }
     }
 
@@ -210,33 +209,35 @@ impl Session {
             return now;
         }
         let due = self.app.poll_timeout();
-        if let Some(due) = due.filter(|due| *due >= self.resumed && now.since(*due) >= HELD_UP) {
+        if let Some(due) =
+            due.filter(|due| *due >= self.resumed && now.since(*due) >= STALL_THRESHOLD)
+        {
             self.resumed = now;
             // Since it last did something, it may have been stopped.
             let since = due.min(self.app.now());
-            self.app.handle_held_up(since, now);
+            self.app.handle_stall(since, now);
         }
         now
     }
 
     /// Takes in what a wake brought.
-    pub fn take(&mut self, wake: Wake) {
+    pub fn take(&mut self, wake: SessionWake) {
         let now = self.begin_turn();
         match wake {
-            Wake::Due => {}
-            Wake::Buses => self.take_buses(now),
-            Wake::Recording => {
+            SessionWake::Due => {}
+            SessionWake::Buses => self.take_buses(now),
+            SessionWake::Recording => {
                 if let Some(status) = self.recorder.as_ref().and_then(Recorder::take_status) {
                     self.app.handle_recording(now, status);
                 }
             }
-            Wake::Search(news) => self.take_search(now, news),
-            Wake::File(reading) => self.app.handle_file(now, reading),
-            Wake::Done(Finished::Saved(outcome, content)) => {
+            SessionWake::Search(news) => self.take_search(now, news),
+            SessionWake::File(reading) => self.app.handle_file(now, reading),
+            SessionWake::Done(Finished::Saved(outcome, content)) => {
                 if let Some(watch) = &self.watch {
                     // What is being parsed was read before.
                     let is_old = outcome.is_on_disk() && self.reading.take().is_some();
-                    if is_old || self.app.file().is_overtaken() {
+                    if is_old || self.app.file().is_superseded() {
                         watch.look_again();
                     } else if outcome.is_on_disk() {
                         watch.saved(content);
@@ -244,24 +245,24 @@ impl Session {
                 }
                 self.app.handle_saved(now, outcome);
             }
-            Wake::Done(Finished::Written(path, result)) => {
+            SessionWake::Done(Finished::Written(path, result)) => {
                 self.app.handle_written(now, &path, result);
             }
         }
     }
 
-    fn take_search(&mut self, now: Instant, news: News) {
+    fn take_search(&mut self, now: Instant, news: SearchNews) {
         let Some(bus) = self.searching.as_ref().map(|searching| searching.bus) else { return };
         match news {
-            News::Progress(progress) => self.app.handle_bitrate_search(now, bus, progress),
-            News::Over(result) => {
+            SearchNews::Progress(progress) => self.app.handle_bitrate_search(now, bus, progress),
+            SearchNews::Over(result) => {
                 self.searching = None;
                 self.app.handle_bitrate(now, bus, result);
             }
         }
     }
 
-    fn tell_playback(&mut self) {
+    fn report_playback(&mut self) {
         if let Some(playback) = self.clock.playback() {
             self.app.handle_playback(self.now(), playback);
         }
@@ -308,20 +309,20 @@ impl Session {
             }
             // Time may have leapt: what was due between two frames happens between them.
             for frame in &self.batch {
-                self.app.pass_time(frame.time);
+                self.app.advance_to(frame.time);
                 self.app.handle_frames(frame.time, std::slice::from_ref(frame));
             }
         }
         // At the end of all logs time stands.
-        self.tell_playback();
+        self.report_playback();
     }
 
     /// Does what is due, sends what is to be sent, starts what is to be saved. What concerns
     /// the screen or the program itself comes back.
-    pub fn settle(&mut self) -> Vec<Effect> {
+    pub fn flush_effects(&mut self) -> Vec<Effect> {
         let now = self.begin_turn();
         if self.clock.playback().is_some() {
-            self.app.pass_time(now);
+            self.app.advance_to(now);
         }
         // Bounded: what is due can make something else due, but not for ever at one moment.
         for _ in 0..8 {
@@ -351,12 +352,12 @@ impl Session {
                 Effect::FindBitrate(index) => {
                     let Some(bus) = self.app.bus(index) else { continue };
                     let period = bus.engine.config().profile.heartbeat.period();
-                    self.searching = Some(Searching::begin(index, &bus.name, period));
+                    self.searching = Some(RunningSearch::begin(index, &bus.name, period));
                 }
                 Effect::Playback(command) => {
                     self.clock.control(command);
                     self.ports.iter().for_each(Port::wake);
-                    self.tell_playback();
+                    self.report_playback();
                 }
                 other => rest.push(other),
             }
@@ -370,8 +371,8 @@ impl Session {
         let handle = spawn_blocking(move || {
             let expected = expected.as_ref().map(Document::source);
             let outcome = match store.save(expected, content.source()) {
-                Ok(Saved { parted_from: 0 }) => SaveOutcome::Saved,
-                Ok(Saved { parted_from }) => SaveOutcome::Parted(parted_from),
+                Ok(Saved { broken_links: 0 }) => SaveOutcome::Saved,
+                Ok(Saved { broken_links: parted_from }) => SaveOutcome::Parted(parted_from),
                 Err(SaveError::Changed(there)) => {
                     SaveOutcome::Changed(FileReading::Content(there).parsed())
                 }

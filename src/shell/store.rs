@@ -62,7 +62,7 @@ pub enum StoreError {
         path: String,
     },
     /// The system refuses.
-    #[error("{path} cannot be read: {cause}{}", way_out(.cause))]
+    #[error("{path} cannot be read: {cause}{}", remedy_clause(.cause))]
     Read {
         /// Which.
         path: String,
@@ -75,14 +75,14 @@ pub enum StoreError {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Saved {
     /// How many other names the file had (hard links): they keep what it said before.
-    pub parted_from: u64,
+    pub broken_links: u64,
 }
 
 /// The file was not saved; it is as it was. `Display` names the cause and the way out.
 #[derive(Debug, thiserror::Error)]
 pub enum SaveError {
     /// What is on disk is not what the new content was made from, but this; none: the file is gone.
-    #[error("the file was changed by another program: nothing was saved")]
+    #[error("changed by another program: not saved")]
     Changed(Option<Vec<u8>>),
     /// What is on disk cannot be read, hence not compared.
     #[error(transparent)]
@@ -94,7 +94,7 @@ pub enum SaveError {
         path: String,
     },
     /// The same, and it is not ours to change that.
-    #[error("{path} is somebody else's and write-protected: save a copy elsewhere, or ask for it")]
+    #[error("{path} belongs to another user and is write-protected: save a copy elsewhere")]
     Foreign {
         /// Which.
         path: String,
@@ -114,7 +114,7 @@ pub enum SaveError {
         folder: String,
     },
     /// The system refuses.
-    #[error("{path} cannot be saved: {cause}{}", way_out(.cause))]
+    #[error("{path} cannot be saved: {cause}{}", remedy_clause(.cause))]
     Write {
         /// Which.
         path: String,
@@ -128,10 +128,10 @@ impl StoreError {
     pub fn in_short(&self) -> String {
         match self {
             Self::Folder { .. } => "it is a folder: name the file in it".to_owned(),
-            Self::NotAFile { .. } => "it is no regular file: name another one".to_owned(),
+            Self::NotAFile { .. } => "not a regular file: name another one".to_owned(),
             Self::TooLarge { .. } => "it is larger than 16 MiB: is it the right file?".to_owned(),
             Self::Read { cause, .. } if cause.kind() == io::ErrorKind::PermissionDenied => {
-                "no permission to read it: get it, or name another file".to_owned()
+                "no read permission: fix it, or name another file".to_owned()
             }
             Self::Read { cause, .. } => match cause.raw_os_error().map(Errno::from_raw) {
                 Some(Errno::ELOOP | Errno::EMFILE | Errno::ENFILE) => {
@@ -151,9 +151,7 @@ impl SaveError {
             Self::Protected { .. } => {
                 "it is write-protected: chmod u+w, or save a copy elsewhere".to_owned()
             }
-            Self::Foreign { .. } => {
-                "somebody else's, write-protected: save a copy elsewhere".to_owned()
-            }
+            Self::Foreign { .. } => "belongs to another user: save a copy elsewhere".to_owned(),
             Self::Unreadable(error) => error.in_short(),
             Self::NoFolder { folder, .. } => format!("no such folder: mkdir -p {folder}"),
             Self::Write { cause, .. } => {
@@ -177,7 +175,7 @@ pub fn write_new(path: &Path, home: Option<&Path>, bytes: &[u8]) -> Result<(), S
         | SaveError::Protected { .. }
         | SaveError::Foreign { .. }
         | SaveError::Unreadable(StoreError::TooLarge { .. }) => {
-            "there is a file of that name already: choose another".to_owned()
+            "file already exists: choose another name".to_owned()
         }
         SaveError::Unreadable(StoreError::Folder { .. }) => {
             "that is a folder: name a file in it".to_owned()
@@ -186,10 +184,10 @@ pub fn write_new(path: &Path, home: Option<&Path>, bytes: &[u8]) -> Result<(), S
             "that is not a regular file: choose another".to_owned()
         }
         SaveError::NoFolder { .. } if path.as_os_str().as_bytes().starts_with(b"~") => {
-            "~ is not known here: write out the path".to_owned()
+            "~ cannot be expanded: give the full path".to_owned()
         }
         SaveError::NoFolder { .. } => {
-            "there is no such folder: make it (mkdir -p), or choose another".to_owned()
+            "no such folder: create it (mkdir -p), or choose another".to_owned()
         }
         SaveError::Locked { .. } => "another descan is saving there: try again".to_owned(),
         SaveError::Unreadable(StoreError::Read { cause, .. }) | SaveError::Write { cause, .. } => {
@@ -203,10 +201,10 @@ pub fn write_new(path: &Path, home: Option<&Path>, bytes: &[u8]) -> Result<(), S
 fn remedy_of_new(path: &Path, cause: &io::Error) -> Option<&'static str> {
     Some(match Errno::from_raw(cause.raw_os_error()?) {
         Errno::ENOENT | Errno::ENOTDIR if path.as_os_str().as_bytes().starts_with(b"~") => {
-            "~ is not known here: write out the path"
+            "~ cannot be expanded: give the full path"
         }
-        Errno::ENOENT => "there is no such folder: make it (mkdir -p), or choose another",
-        Errno::ENOTDIR => "what should be its folder is a file: choose another",
+        Errno::ENOENT => "no such folder: create it (mkdir -p), or choose another",
+        Errno::ENOTDIR => "parent is a file, not a folder: choose another",
         Errno::EACCES | Errno::EPERM => "no permission for that folder: choose another",
         Errno::EROFS => "that is mounted read-only: choose another folder",
         Errno::ENOSPC | Errno::EDQUOT => "the disk is full: make room, or choose another",
@@ -319,7 +317,7 @@ impl Store {
             Err(cause) if cause.raw_os_error() != Some(Errno::EINVAL as i32) => {
                 Err(self.write_error(cause))
             }
-            _ => Ok(Saved { parted_from }),
+            _ => Ok(Saved { broken_links: parted_from }),
         }
     }
 
@@ -503,7 +501,7 @@ fn keep_owner(file: &File, old: &fs::Metadata) -> io::Result<()> {
 }
 
 /// What the user can do about it, as the end of a sentence.
-fn way_out(cause: &io::Error) -> &'static str {
+fn remedy_clause(cause: &io::Error) -> &'static str {
     remedy(cause).map_or("", |(way_out, _)| way_out)
 }
 
@@ -512,8 +510,8 @@ fn way_out(cause: &io::Error) -> &'static str {
 fn remedy(cause: &io::Error) -> Option<(&'static str, &'static str)> {
     Some(match Errno::from_raw(cause.raw_os_error()?) {
         Errno::EACCES | Errno::EPERM => (
-            ": get the permission (ls -ld shows who has it), or name another file with --file",
-            "no permission for its folder: get it, or save a copy",
+            ": get permission (ls -ld shows the owner), or name another file with --file",
+            "no permission for its folder: fix it, or save a copy",
         ),
         Errno::EROFS => (
             ": the file system is mounted read-only; remount it, or use --file",
@@ -523,17 +521,17 @@ fn remedy(cause: &io::Error) -> Option<(&'static str, &'static str)> {
             (": make room, then save again", "the disk is full: make room")
         }
         Errno::EBUSY => (
-            ": it is a mount point of its own (a bind mount); mount its folder instead",
+            ": it is a bind mount; mount its folder instead",
             "a bind mount: mount its folder, or save a copy elsewhere",
         ),
         Errno::ENOENT => {
-            (": make its folder (mkdir -p), then save again", "its folder is gone: make it")
+            (": create its folder (mkdir -p), then save again", "no such folder: create it")
         }
         Errno::ENOTDIR => (
-            ": what should be its folder is a file",
-            "what should be its folder is a file: save a copy elsewhere",
+            ": parent is a file, not a folder",
+            "parent is a file, not a folder: save a copy elsewhere",
         ),
-        Errno::ELOOP => (": its symbolic links go in circles", "its symbolic links go in circles"),
+        Errno::ELOOP => (": symbolic link loop", "symbolic link loop"),
         Errno::EMFILE | Errno::ENFILE => (
             ": close other programs, or raise ulimit -n",
             "too many files are open: close other programs",
@@ -563,13 +561,10 @@ mod tests {
             (Errno::ENOSPC, ": make room, then save again"),
             (Errno::EDQUOT, ": make room, then save again"),
             (Errno::EROFS, ": the file system is mounted read-only; remount it, or use --file"),
-            (
-                Errno::EBUSY,
-                ": it is a mount point of its own (a bind mount); mount its folder instead",
-            ),
+            (Errno::EBUSY, ": it is a bind mount; mount its folder instead"),
             (
                 Errno::EACCES,
-                ": get the permission (ls -ld shows who has it), or name another file with --file",
+                ": get permission (ls -ld shows the owner), or name another file with --file",
             ),
             (Errno::EIO, ""),
         ] {

@@ -1,6 +1,6 @@
 //! Futures for what may not be there: without it they wait for ever.
 
-use super::watch::{FileReading, Watch};
+use super::file_watcher::{DiskContent, FileWatcher};
 use std::future::pending;
 use std::time::Duration;
 
@@ -13,7 +13,7 @@ pub async fn sleep_for(wait: Option<Duration>) {
 }
 
 /// Waits until the watched file changes.
-pub async fn file_changed(watch: Option<&Watch>) -> FileReading {
+pub async fn file_changed(watch: Option<&FileWatcher>) -> DiskContent {
     match watch {
         Some(watch) => watch.changed().await,
         None => pending().await,

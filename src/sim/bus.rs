@@ -24,7 +24,7 @@ pub(super) type StationIndex = u16;
 
 /// Why a frame broke.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum BusError {
+pub enum FrameFault {
     /// Two stations sent different bytes after the same identifier.
     Collision,
     /// Nobody acknowledged.
@@ -34,11 +34,11 @@ pub enum BusError {
 }
 
 /// What a step of the bus brought about.
-pub(super) enum Outcome {
+pub(super) enum BusOutcome {
     /// A frame arrived at everybody; [`Bus::senders`] sent it.
     Frame(Frame),
     /// A frame of [`Bus::senders`] broke.
-    Broken(BusError),
+    Broken(FrameFault),
     /// A passive station ([`Bus::losers`]) saw its own frame spoilt, nobody else did.
     Spoilt,
 }
@@ -57,7 +57,7 @@ pub struct Statistics {
 }
 
 #[derive(Clone, Copy)]
-enum Phase {
+enum BusPhase {
     Idle,
     /// The first bit of a frame, in which everybody who wants may join.
     Start {
@@ -71,7 +71,7 @@ enum Phase {
     },
     /// A frame that will break.
     Broken {
-        error: BusError,
+        error: FrameFault,
         ends: u64,
         free: u64,
     },
@@ -81,7 +81,7 @@ enum Phase {
     },
 }
 
-pub(super) struct Bus {
+pub(super) struct SimBus {
     bitrate: u32,
     data_bitrate: u32,
     /// The share of frames that a disturbance destroys, 0–1.
@@ -96,12 +96,12 @@ pub(super) struct Bus {
     senders: Vec<StationIndex>,
     losers: Vec<StationIndex>,
     abandoned: Vec<StationIndex>,
-    phase: Phase,
+    phase: BusPhase,
     rng: fastrand::Rng,
     statistics: Statistics,
 }
 
-impl Bus {
+impl SimBus {
     pub fn new(bitrate: u32, data_bitrate: u32, error_rate: f64, rng: fastrand::Rng) -> Self {
         Self {
             bitrate,
@@ -114,7 +114,7 @@ impl Bus {
             senders: Vec::new(),
             losers: Vec::new(),
             abandoned: Vec::new(),
-            phase: Phase::Idle,
+            phase: BusPhase::Idle,
             rng,
             statistics: Statistics::default(),
         }
@@ -171,9 +171,10 @@ impl Bus {
         self.senders.retain(|&sender| sender != station);
         if was_sending
             && self.senders.is_empty()
-            && let Phase::Frame { ends, free, .. } | Phase::Broken { ends, free, .. } = self.phase
+            && let BusPhase::Frame { ends, free, .. } | BusPhase::Broken { ends, free, .. } =
+                self.phase
         {
-            self.phase = Phase::Broken { error: BusError::Disturbance, ends, free };
+            self.phase = BusPhase::Broken { error: FrameFault::Disturbance, ends, free };
         }
     }
 
@@ -197,8 +198,8 @@ impl Bus {
         }
         let at = now.max(self.controller(station).suspended_until);
         match self.phase {
-            Phase::Idle => self.phase = Phase::Start { at },
-            Phase::Start { at: planned } if at < planned => self.phase = Phase::Start { at },
+            BusPhase::Idle => self.phase = BusPhase::Start { at },
+            BusPhase::Start { at: planned } if at < planned => self.phase = BusPhase::Start { at },
             _ => {}
         }
     }
@@ -206,31 +207,31 @@ impl Bus {
     /// When [`Bus::step`] is to be called next.
     pub fn next_event(&self) -> Option<u64> {
         match self.phase {
-            Phase::Idle => None,
-            Phase::Start { at } => Some(at + bit_nanos(1, self.bitrate)),
-            Phase::Frame { ends, .. } | Phase::Broken { ends, .. } => Some(ends),
-            Phase::Rest { free } => Some(free),
+            BusPhase::Idle => None,
+            BusPhase::Start { at } => Some(at + bit_nanos(1, self.bitrate)),
+            BusPhase::Frame { ends, .. } | BusPhase::Broken { ends, .. } => Some(ends),
+            BusPhase::Rest { free } => Some(free),
         }
     }
 
     /// Does what is due at [`Bus::next_event`].
-    pub fn step(&mut self) -> Option<Outcome> {
+    pub fn step(&mut self) -> Option<BusOutcome> {
         match self.phase {
-            Phase::Idle => None,
-            Phase::Start { at } => self.arbitrate(at),
-            Phase::Frame { frame, ends, free } => {
-                self.phase = Phase::Rest { free };
+            BusPhase::Idle => None,
+            BusPhase::Start { at } => self.arbitrate(at),
+            BusPhase::Frame { frame, ends, free } => {
+                self.phase = BusPhase::Rest { free };
                 self.statistics.frames += 1;
                 self.finish_frame(free);
-                Some(Outcome::Frame(frame.at(super::instant(ends))))
+                Some(BusOutcome::Frame(frame.with_time(super::instant(ends))))
             }
-            Phase::Broken { error, free, .. } => {
-                self.phase = Phase::Rest { free };
+            BusPhase::Broken { error, free, .. } => {
+                self.phase = BusPhase::Rest { free };
                 self.statistics.errors += 1;
                 self.finish_broken(error, free);
-                Some(Outcome::Broken(error))
+                Some(BusOutcome::Broken(error))
             }
-            Phase::Rest { free } => {
+            BusPhase::Rest { free } => {
                 self.rest_over(free);
                 None
             }
@@ -262,10 +263,10 @@ impl Bus {
             .iter()
             .map(|&station| free.max(controllers[usize::from(station)].suspended_until))
             .min();
-        self.phase = first.map_or(Phase::Idle, |at| Phase::Start { at });
+        self.phase = first.map_or(BusPhase::Idle, |at| BusPhase::Start { at });
     }
 
-    fn arbitrate(&mut self, start: u64) -> Option<Outcome> {
+    fn arbitrate(&mut self, start: u64) -> Option<BusOutcome> {
         self.senders.clear();
         self.losers.clear();
         self.abandoned.clear();
@@ -296,15 +297,15 @@ impl Bus {
         let frame = *self.controller(self.senders[0]).on_wire()?;
         let bits = FrameBits::of(&frame);
         let broken = if let Some(bits) = broken_at {
-            Some((BusError::Collision, self.early_nanos(&frame, bits)))
+            Some((FrameFault::Collision, self.early_nanos(&frame, bits)))
         } else if self.is_spoilt_by_rate() {
-            Some((BusError::Disturbance, bit_nanos(UNREADABLE_AFTER, self.bitrate)))
+            Some((FrameFault::Disturbance, bit_nanos(UNREADABLE_AFTER, self.bitrate)))
         } else if self.error_rate > 0.0 && self.rng.f64() < self.error_rate {
             let at = self.rng.u32(1..bits.until_ack().total());
-            Some((BusError::Disturbance, self.early_nanos(&frame, at)))
+            Some((FrameFault::Disturbance, self.early_nanos(&frame, at)))
         } else if !self.is_acknowledged() {
             let sent = bits.until_ack().nanos(self.bitrate, self.data_bitrate);
-            Some((BusError::NoAcknowledge, sent))
+            Some((FrameFault::NoAcknowledge, sent))
         } else {
             None
         };
@@ -312,15 +313,15 @@ impl Bus {
             let ends = start + sent + bit_nanos(ERROR_FLAGS, self.bitrate);
             let free = ends + bit_nanos(ERROR_DELIMITER + INTERMISSION, self.bitrate);
             self.statistics.busy_nanos += free - start;
-            Phase::Broken { error, ends, free }
+            BusPhase::Broken { error, ends, free }
         } else {
             let free = start + bits.nanos(self.bitrate, self.data_bitrate);
             let ends = free - bit_nanos(INTERMISSION, self.bitrate);
             self.statistics.busy_nanos += free - start;
             self.statistics.bits += u64::from(bits.total());
-            Phase::Frame { frame, ends, free }
+            BusPhase::Frame { frame, ends, free }
         };
-        (!self.losers.is_empty()).then_some(Outcome::Spoilt)
+        (!self.losers.is_empty()).then_some(BusOutcome::Spoilt)
     }
 
     /// Lets the senders of one identifier find out what they differ in. Whoever sends recessive
@@ -399,7 +400,7 @@ impl Bus {
         });
     }
 
-    fn finish_broken(&mut self, error: BusError, free: u64) {
+    fn finish_broken(&mut self, error: FrameFault, free: u64) {
         let suspended_until = free + bit_nanos(SUSPENSION, self.bitrate);
         self.troubled.clear();
         for (station, controller) in self.controllers.iter_mut().enumerate() {
@@ -409,13 +410,13 @@ impl Bus {
                 continue;
             }
             if self.senders.contains(&station) {
-                if controller.count_send_error(error == BusError::NoAcknowledge) {
+                if controller.count_send_error(error == FrameFault::NoAcknowledge) {
                     self.abandoned.push(station);
                 }
                 if controller.is_passive() {
                     controller.suspended_until = suspended_until;
                 }
-            } else if error != BusError::NoAcknowledge {
+            } else if error != FrameFault::NoAcknowledge {
                 controller.count_receive_error();
             }
             if controller.counters().1 > 0 {

@@ -19,7 +19,7 @@ const FAILURE: u16 = 8;
 
 /// Where a controller stands in fault confinement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum BusState {
+pub enum ControllerState {
     /// Takes part fully.
     ErrorActive,
     /// Takes part fully; a counter has reached 96.
@@ -32,7 +32,7 @@ pub enum BusState {
     Down,
 }
 
-impl BusState {
+impl ControllerState {
     /// As scripts read it: `error-active`, `error-warning`, `error-passive`, `bus-off`, `down`.
     pub const fn name(self) -> &'static str {
         match self {
@@ -193,18 +193,18 @@ impl Controller {
     }
 
     /// The state the counters put it in.
-    pub fn state(&self) -> BusState {
+    pub fn state(&self) -> ControllerState {
         let worst = self.tec.max(self.rec);
         if !self.attached {
-            BusState::Down
+            ControllerState::Down
         } else if self.bus_off {
-            BusState::BusOff
+            ControllerState::BusOff
         } else if worst > PASSIVE_ABOVE {
-            BusState::ErrorPassive
+            ControllerState::ErrorPassive
         } else if worst >= WARNING_FROM {
-            BusState::ErrorWarning
+            ControllerState::ErrorWarning
         } else {
-            BusState::ErrorActive
+            ControllerState::ErrorActive
         }
     }
 
@@ -291,14 +291,14 @@ mod tests {
                 controller.state()
             })
             .collect();
-        assert_eq!(states[10], BusState::ErrorActive);
-        assert_eq!(states[11], BusState::ErrorWarning);
-        assert_eq!(states[15], BusState::ErrorPassive);
-        assert_eq!(states[30], BusState::ErrorPassive);
-        assert_eq!(states[31], BusState::BusOff);
+        assert_eq!(states[10], ControllerState::ErrorActive);
+        assert_eq!(states[11], ControllerState::ErrorWarning);
+        assert_eq!(states[15], ControllerState::ErrorPassive);
+        assert_eq!(states[30], ControllerState::ErrorPassive);
+        assert_eq!(states[31], ControllerState::BusOff);
         assert!(!controller.wants_bus());
         controller.reset();
-        assert_eq!(controller.state(), BusState::ErrorActive);
+        assert_eq!(controller.state(), ControllerState::ErrorActive);
     }
 
     #[test]

@@ -7,9 +7,9 @@
 
 mod serve;
 
-use super::bus::{Bus, StationIndex};
+use super::bus::{SimBus, StationIndex};
 use super::reply::Replies;
-use super::scenario::{Action, AddressChoice, DeviceSpec, Fault};
+use super::scenario::{AddressChoice, DeviceAction, DeviceSpec, Fault};
 use crate::frame::Frame;
 use crate::time::Duration;
 use crate::wire::id::{Address, Header};
@@ -24,15 +24,15 @@ const SHORTEST_PERIOD: u64 = 100_000;
 const LONGEST_TIME: u64 = 366 * 86_400 * 1_000_000_000;
 
 /// A device's hands: its controller on the bus, and the numbers of the profile.
-pub(super) struct Port<'a> {
+pub(super) struct DeviceIo<'a> {
     pub now: u64,
-    pub bus: &'a mut Bus,
+    pub bus: &'a mut SimBus,
     pub station: StationIndex,
     pub profile: &'a Profile,
     pub modes: &'a [u8; 7],
 }
 
-impl Port<'_> {
+impl DeviceIo<'_> {
     fn send(&mut self, frame: Frame) -> bool {
         self.bus.transmit(self.now, self.station, frame, false)
     }
@@ -49,7 +49,7 @@ impl Port<'_> {
 
 /// Where a device stands between power-on and its task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Stage {
+enum DeviceStage {
     Off,
     /// INIT: silent, until a frame or the end of 1.5 × BUS_CFG_HR_TIME.
     Init {
@@ -72,10 +72,10 @@ enum Stage {
     Run,
 }
 
-pub(super) struct Device {
+pub(super) struct SimDevice {
     pub spec: DeviceSpec,
     rng: fastrand::Rng,
-    stage: Stage,
+    stage: DeviceStage,
     mode: Mode,
     address: Option<Address>,
     /// Addresses heard while listening, one bit each.
@@ -87,17 +87,17 @@ pub(super) struct Device {
     chatter_count: u16,
     replies: Replies,
     /// What it was told to do, once the answer with this identifier is out.
-    ordered: Option<(u32, Action)>,
+    ordered: Option<(u32, DeviceAction)>,
 }
 
-impl Device {
+impl SimDevice {
     /// A device that is off.
     pub fn new(spec: DeviceSpec, rng: fastrand::Rng) -> Self {
         let chatter_at = vec![u64::MAX; spec.chatter.len()];
         Self {
             spec,
             rng,
-            stage: Stage::Off,
+            stage: DeviceStage::Off,
             mode: Mode::Init,
             address: None,
             heard: 0,
@@ -111,7 +111,7 @@ impl Device {
     }
 
     pub fn is_on(&self) -> bool {
-        self.stage != Stage::Off
+        self.stage != DeviceStage::Off
     }
 
     pub fn mode(&self) -> Mode {
@@ -125,7 +125,7 @@ impl Device {
 
     /// Whether it wants to hear every frame: it is looking for an address.
     pub fn is_listening(&self) -> bool {
-        !matches!(self.stage, Stage::Off | Stage::Run)
+        !matches!(self.stage, DeviceStage::Off | DeviceStage::Run)
     }
 
     fn is_working(&self) -> bool {
@@ -139,21 +139,21 @@ impl Device {
     /// When [`Device::handle_timeout`] is to be called next, in nanoseconds.
     pub fn poll_timeout(&self) -> Option<u64> {
         let stage = match self.stage {
-            Stage::Init { until } | Stage::Listen { until } | Stage::Wait { until, .. } => {
-                Some(until)
-            }
-            Stage::Off | Stage::Claim { .. } | Stage::Run => None,
+            DeviceStage::Init { until }
+            | DeviceStage::Listen { until }
+            | DeviceStage::Wait { until, .. } => Some(until),
+            DeviceStage::Off | DeviceStage::Claim { .. } | DeviceStage::Run => None,
         };
         let chatter = self.chatter_at.iter().copied().min().filter(|&at| at != u64::MAX);
         [stage, self.beat_at, chatter, self.replies.next()].into_iter().flatten().min()
     }
 
     /// Does what is due.
-    pub fn handle_timeout(&mut self, port: &mut Port) {
+    pub fn handle_timeout(&mut self, port: &mut DeviceIo) {
         match self.stage {
-            Stage::Init { until } if until <= port.now => self.listen(port),
-            Stage::Listen { until } if until <= port.now => self.choose(port),
-            Stage::Wait { choice, until } if until <= port.now => self.claim(choice, port),
+            DeviceStage::Init { until } if until <= port.now => self.listen(port),
+            DeviceStage::Listen { until } if until <= port.now => self.choose(port),
+            DeviceStage::Wait { choice, until } if until <= port.now => self.claim(choice, port),
             _ => {}
         }
         if self.beat_at.is_some_and(|at| at <= port.now) {
@@ -173,7 +173,7 @@ impl Device {
     }
 
     /// Switches it on.
-    pub fn power_on(&mut self, port: &mut Port) {
+    pub fn power_on(&mut self, port: &mut DeviceIo) {
         if self.is_on() {
             return;
         }
@@ -185,26 +185,26 @@ impl Device {
     }
 
     /// Switches it off.
-    pub fn power_off(&mut self, port: &mut Port) {
+    pub fn power_off(&mut self, port: &mut DeviceIo) {
         port.bus.set_attached(port.station, false);
         self.stop();
-        self.stage = Stage::Off;
+        self.stage = DeviceStage::Off;
         self.mode = Mode::Init;
         self.address = None;
     }
 
     /// INIT, the beginning of everything: not yet to be heard on the bus.
-    fn begin(&mut self, port: &mut Port) {
+    fn begin(&mut self, port: &mut DeviceIo) {
         self.stop();
         port.bus.set_attached(port.station, true);
         port.bus.controller_mut(port.station).silent = true;
         self.mode = Mode::Init;
         self.address = None;
-        self.stage = Stage::Init { until: port.now + port.heartbeat_time() * 3 / 2 };
+        self.stage = DeviceStage::Init { until: port.now + port.heartbeat_time() * 3 / 2 };
     }
 
     /// Into its mode at once, as if everything had been resolved before.
-    fn settle(&mut self, port: &mut Port) {
+    fn settle(&mut self, port: &mut DeviceIo) {
         let address = match self.spec.address {
             AddressChoice::Preferred(address) | AddressChoice::Fixed(address) => address,
             AddressChoice::Any => Address::from_bits(self.rng.u8(1..128)),
@@ -213,7 +213,7 @@ impl Device {
     }
 
     /// Begins to run at `address`, its heartbeat in a phase of its own.
-    fn settle_at(&mut self, address: Address, port: &mut Port) {
+    fn settle_at(&mut self, address: Address, port: &mut DeviceIo) {
         port.bus.set_attached(port.station, true);
         port.bus.controller_mut(port.station).silent = false;
         self.run(address, port);
@@ -230,17 +230,17 @@ impl Device {
     }
 
     /// ARSLV from its first point: silent again, the table of used addresses empty.
-    fn listen(&mut self, port: &mut Port) {
+    fn listen(&mut self, port: &mut DeviceIo) {
         self.stop();
         port.bus.set_attached(port.station, true);
         port.bus.controller_mut(port.station).silent = true;
         self.mode = Mode::Arslv;
         self.address = None;
         self.heard = 0;
-        self.stage = Stage::Listen { until: port.now + port.heartbeat_time() * 3 / 2 };
+        self.stage = DeviceStage::Listen { until: port.now + port.heartbeat_time() * 3 / 2 };
     }
 
-    fn choose(&mut self, port: &mut Port) {
+    fn choose(&mut self, port: &mut DeviceIo) {
         let is_free = |address: Address| self.heard >> address.index() & 1 == 0;
         let wanted = match self.spec.address {
             AddressChoice::Any => None,
@@ -255,29 +255,29 @@ impl Device {
         };
         let Some(choice) = choice else { return self.listen(port) };
         let until = port.now + self.rng.u64(0..port.heartbeat_time());
-        self.stage = Stage::Wait { choice, until };
+        self.stage = DeviceStage::Wait { choice, until };
     }
 
     /// Leaves silence and sends the heartbeat that claims the address, not to be repeated by
     /// the controller.
-    fn claim(&mut self, choice: Address, port: &mut Port) {
+    fn claim(&mut self, choice: Address, port: &mut DeviceIo) {
         port.bus.controller_mut(port.station).silent = false;
-        self.stage = Stage::Claim { choice };
+        self.stage = DeviceStage::Claim { choice };
         let frame = self.heartbeat(choice, port);
         port.send_once(frame);
     }
 
     /// The claim failed: try again after another random time. The controller stays on, so that
     /// two devices on an empty bus find each other: somebody has to acknowledge.
-    fn claim_again(&mut self, choice: Address, port: &mut Port) {
+    fn claim_again(&mut self, choice: Address, port: &mut DeviceIo) {
         let until = port.now + self.rng.u64(0..port.heartbeat_time());
-        self.stage = Stage::Wait { choice, until };
+        self.stage = DeviceStage::Wait { choice, until };
     }
 
     /// The address is its own: on to the mode that its configuration asks for.
-    fn run(&mut self, address: Address, port: &mut Port) {
+    fn run(&mut self, address: Address, port: &mut DeviceIo) {
         self.address = Some(address);
-        self.stage = Stage::Run;
+        self.stage = DeviceStage::Run;
         let configured = self.spec.address != AddressChoice::Any && !self.spec.uid.is_blank();
         self.mode = match self.spec.mode {
             Some(Mode::Init | Mode::Arslv) | None if self.spec.autostart && configured => {
@@ -291,13 +291,13 @@ impl Device {
         self.schedule_chatter(port);
     }
 
-    fn schedule_chatter(&mut self, port: &Port) {
+    fn schedule_chatter(&mut self, port: &DeviceIo) {
         for (at, chatter) in self.chatter_at.iter_mut().zip(&self.spec.chatter) {
             *at = port.now + self.rng.u64(0..=nanos_of(chatter.period));
         }
     }
 
-    fn beat_period(&self, port: &Port) -> u64 {
+    fn beat_period(&self, port: &DeviceIo) -> u64 {
         let period = self.spec.heartbeat.map_or(port.heartbeat_time(), nanos_of);
         self.by_own_crystal(period)
     }
@@ -309,14 +309,14 @@ impl Device {
         (own as u64).max(SHORTEST_PERIOD)
     }
 
-    fn schedule_beat(&mut self, port: &Port) {
+    fn schedule_beat(&mut self, port: &DeviceIo) {
         self.beat += self.beat_period(port);
         let late = self.rng.u64(0..=nanos_of(self.spec.jitter));
         let beats = !self.spec.faults.has(Fault::NoHeartbeat) && self.mode != Mode::Idle;
         self.beat_at = beats.then_some((self.beat + late).max(port.now));
     }
 
-    fn heartbeat(&mut self, from: Address, port: &Port) -> Frame {
+    fn heartbeat(&mut self, from: Address, port: &DeviceIo) -> Frame {
         let service = port.profile.heartbeat_service();
         let header = Header::unsolicited(from, self.rng.u8(0..128), !self.is_working(), service);
         let error = u8::from(self.mode == Mode::Ufunc);
@@ -326,14 +326,14 @@ impl Device {
         self.frame(header, &data[..len], port)
     }
 
-    fn send_heartbeat(&mut self, port: &mut Port) {
+    fn send_heartbeat(&mut self, port: &mut DeviceIo) {
         let Some(address) = self.address else { return };
         let frame = self.heartbeat(address, port);
         port.send(frame);
     }
 
     /// Values that wander, as a sensor's do.
-    fn send_chatter(&mut self, at: usize, port: &mut Port) {
+    fn send_chatter(&mut self, at: usize, port: &mut DeviceIo) {
         let chatter = self.spec.chatter[at];
         let period = self.by_own_crystal(nanos_of(chatter.period));
         self.chatter_at[at] = port.now + period;
@@ -351,7 +351,7 @@ impl Device {
         port.send(frame);
     }
 
-    fn frame(&self, header: Header, data: &[u8], port: &Port) -> Frame {
+    fn frame(&self, header: Header, data: &[u8], port: &DeviceIo) -> Frame {
         if self.spec.fd {
             Frame::fd(header.encode(), data, port.profile.isotp.fd_padding)
         } else {
@@ -360,25 +360,25 @@ impl Device {
     }
 
     /// Hears somebody else's frame.
-    pub fn handle_frame(&mut self, frame: &Frame, header: Header, port: &mut Port) {
+    pub fn handle_frame(&mut self, frame: &Frame, header: Header, port: &mut DeviceIo) {
         if !header.is_conforming() {
             return;
         }
         match self.stage {
-            Stage::Off => {}
-            Stage::Init { .. } => {
+            DeviceStage::Off => {}
+            DeviceStage::Init { .. } => {
                 self.listen(port);
                 self.note_addresses(header);
             }
-            Stage::Listen { .. } => self.note_addresses(header),
-            Stage::Wait { choice, .. } | Stage::Claim { choice } => {
+            DeviceStage::Listen { .. } => self.note_addresses(header),
+            DeviceStage::Wait { choice, .. } | DeviceStage::Claim { choice } => {
                 self.note_addresses(header);
                 if header.source == choice && self.gives_way() {
                     self.listen(port);
                     self.note_addresses(header);
                 }
             }
-            Stage::Run => self.handle_while_running(frame, header, port),
+            DeviceStage::Run => self.handle_while_running(frame, header, port),
         }
     }
 
@@ -389,7 +389,7 @@ impl Device {
         }
     }
 
-    fn handle_while_running(&mut self, frame: &Frame, header: Header, port: &mut Port) {
+    fn handle_while_running(&mut self, frame: &Frame, header: Header, port: &mut DeviceIo) {
         let other_works = !header.sender_not_working;
         // Asleep it does not watch who else uses its address (3.2.4.5).
         if self.gives_way() && self.mode != Mode::Idle {
@@ -412,26 +412,26 @@ impl Device {
     }
 
     /// One of its own frames is out.
-    pub fn handle_sent(&mut self, frame: &Frame, port: &mut Port) {
-        if let Stage::Claim { choice } = self.stage {
+    pub fn handle_sent(&mut self, frame: &Frame, port: &mut DeviceIo) {
+        if let DeviceStage::Claim { choice } = self.stage {
             self.run(choice, port);
         } else if let Some(id) = frame.platform_id() {
             self.replies.handle_sent(port.now, id);
-            if let Some((_, action)) = self.ordered.take_if(|(answer, _)| *answer == id) {
+            if let Some((_, action)) = self.ordered.take_if(|(response, _)| *response == id) {
                 self.apply(action, port);
             }
         }
     }
 
     /// One of its frames was given up: the claim of an address, the only one not repeated.
-    pub fn handle_abandoned(&mut self, port: &mut Port) {
-        if let Stage::Claim { choice } = self.stage {
+    pub fn handle_abandoned(&mut self, port: &mut DeviceIo) {
+        if let DeviceStage::Claim { choice } = self.stage {
             self.claim_again(choice, port);
         }
     }
 
     /// Looks at its error counters after something broke: too many, and it begins anew.
-    pub fn handle_bus_error(&mut self, port: &mut Port) {
+    pub fn handle_bus_error(&mut self, port: &mut DeviceIo) {
         let (tec, rec) = port.bus.controller(port.station).counters();
         if self.is_on() && tec.max(rec) >= MAX_ERRORS {
             self.begin(port);
@@ -439,53 +439,53 @@ impl Device {
     }
 
     /// Does what the timetable or a test wants of it.
-    pub fn apply(&mut self, action: Action, port: &mut Port) {
+    pub fn apply(&mut self, action: DeviceAction, port: &mut DeviceIo) {
         match action {
-            Action::Join => self.power_on(port),
-            Action::Leave => self.power_off(port),
-            Action::Reboot { services } => {
+            DeviceAction::Join => self.power_on(port),
+            DeviceAction::Leave => self.power_off(port),
+            DeviceAction::Reboot { services } => {
                 if let Some(services) = services {
                     self.spec.services = services;
                 }
                 self.begin(port);
             }
-            Action::QuickReboot => {
-                if let (Stage::Run, Some(address)) = (self.stage, self.address) {
+            DeviceAction::QuickReboot => {
+                if let (DeviceStage::Run, Some(address)) = (self.stage, self.address) {
                     self.stop();
                     self.settle_at(address, port);
                 }
             }
-            Action::Move(address) => {
+            DeviceAction::Move(address) => {
                 self.spec.address = address;
                 if self.is_on() {
                     self.listen(port);
                 }
             }
-            Action::Services(services) => self.spec.services = services,
-            Action::Mode(mode) => self.set_mode(mode, port),
-            Action::Name(name) => self.spec.name = name,
-            Action::Uid(uid) => self.spec.uid = uid,
-            Action::Break(fault) => self.set_fault(fault, true, port),
-            Action::Mend(fault) => self.set_fault(fault, false, port),
-            Action::ErrorRate(_) => {}
+            DeviceAction::Services(services) => self.spec.services = services,
+            DeviceAction::Mode(mode) => self.set_mode(mode, port),
+            DeviceAction::Name(name) => self.spec.name = name,
+            DeviceAction::Uid(uid) => self.spec.uid = uid,
+            DeviceAction::Break(fault) => self.set_fault(fault, true, port),
+            DeviceAction::Mend(fault) => self.set_fault(fault, false, port),
+            DeviceAction::ErrorRate(_) => {}
         }
     }
 
-    fn set_fault(&mut self, fault: Fault, present: bool, port: &mut Port) {
+    fn set_fault(&mut self, fault: Fault, present: bool, port: &mut DeviceIo) {
         self.spec.faults.set(fault, present);
-        if fault == Fault::NoHeartbeat && self.stage == Stage::Run {
+        if fault == Fault::NoHeartbeat && self.stage == DeviceStage::Run {
             self.beat = port.now;
             self.schedule_beat(port);
         }
     }
 
     /// Into `mode` while it runs. Into IDLE it says so in one last heartbeat and falls asleep.
-    fn set_mode(&mut self, mode: Mode, port: &mut Port) {
+    fn set_mode(&mut self, mode: Mode, port: &mut DeviceIo) {
         match (self.stage, mode) {
-            (Stage::Off, _) => {}
+            (DeviceStage::Off, _) => {}
             (_, Mode::Init) => self.begin(port),
             (_, Mode::Arslv) => self.listen(port),
-            (Stage::Run, _) => {
+            (DeviceStage::Run, _) => {
                 let slept = self.mode == Mode::Idle;
                 self.mode = mode;
                 if mode == Mode::Idle {

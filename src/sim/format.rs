@@ -37,8 +37,8 @@
 //! Only translates; what the values mean is in [`super::scenario`].
 
 use super::scenario::{
-    Action, AddressChoice, Chatter, Descriptor, DeviceFraming, DeviceSpec, Event, Fault, Faults,
-    Scenario, ScenarioError, uid_of,
+    AddressChoice, Chatter, Descriptor, DeviceAction, DeviceFraming, DeviceSpec, Fault, Faults,
+    Scenario, ScenarioError, TimetableEvent, uid_of,
 };
 use crate::time::{Duration, Instant};
 use crate::wire::id::Service;
@@ -131,7 +131,7 @@ struct EventWritten {
     #[serde(default)]
     device: String,
     #[serde(rename = "do")]
-    what: Deed,
+    what: EventAction,
     services: Option<Vec<Vec<String>>>,
     address: Option<AddressChoice>,
     mode: Option<String>,
@@ -144,7 +144,7 @@ struct EventWritten {
 
 #[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-enum Deed {
+enum EventAction {
     Join,
     Leave,
     Reboot,
@@ -163,7 +163,7 @@ impl Scenario {
     /// Reads a scenario.
     pub fn parse(text: &str) -> Result<Self, ScenarioError> {
         let written: ScenarioWritten = toml::from_str(text)?;
-        let bus = Place("the bus".to_owned());
+        let bus = ScenarioPath("the bus".to_owned());
         let defaults = Scenario::default();
         let mut scenario = Scenario {
             bitrate: written.bitrate,
@@ -190,12 +190,12 @@ impl Scenario {
             scenario.devices.push(device);
         }
         for (index, event) in written.at.into_iter().enumerate() {
-            let place = Place(format!("[[at]] number {}", index + 1));
+            let place = ScenarioPath(format!("[[at]] number {}", index + 1));
             let event = event.translate(&place)?;
-            let for_bus = matches!(event.action, Action::ErrorRate(_));
+            let for_bus = matches!(event.action, DeviceAction::ErrorRate(_));
             if for_bus != event.device.is_empty() {
                 let problem =
-                    if for_bus { "concerns the bus, no device" } else { "needs `device`" };
+                    if for_bus { "applies to the bus, not to a device" } else { "needs `device`" };
                 return Err(place.incomplete(problem));
             }
             if !for_bus && !labels.contains(&event.device) {
@@ -210,7 +210,7 @@ impl Scenario {
 impl DeviceWritten {
     fn translate(self, number: usize) -> Result<DeviceSpec, ScenarioError> {
         let called = self.label.as_deref().or(self.name.as_deref()).unwrap_or("without a name");
-        let place = Place(format!("[[device]] number {number} ({called})"));
+        let place = ScenarioPath(format!("[[device]] number {number} ({called})"));
         let name = place.name(self.name, self.name_hex)?;
         let name = name.ok_or_else(|| place.incomplete("needs `name` or `name_hex`"))?;
         let text = String::from_utf8_lossy(&name).into_owned();
@@ -290,53 +290,63 @@ impl DeviceWritten {
 }
 
 impl EventWritten {
-    fn translate(self, place: &Place) -> Result<Event, ScenarioError> {
+    fn translate(self, place: &ScenarioPath) -> Result<TimetableEvent, ScenarioError> {
         let given = [
-            ("services", self.services.is_some(), [Deed::Services, Deed::Reboot].as_slice()),
-            ("address", self.address.is_some(), &[Deed::Move]),
-            ("mode", self.mode.is_some(), &[Deed::Mode]),
-            ("name", self.name.is_some(), &[Deed::Name]),
-            ("name_hex", self.name_hex.is_some(), &[Deed::Name]),
-            ("uid", self.uid.is_some(), &[Deed::Uid]),
-            ("fault", self.fault.is_some(), &[Deed::Break, Deed::Mend]),
-            ("rate", self.rate.is_some(), &[Deed::ErrorRate]),
+            (
+                "services",
+                self.services.is_some(),
+                [EventAction::Services, EventAction::Reboot].as_slice(),
+            ),
+            ("address", self.address.is_some(), &[EventAction::Move]),
+            ("mode", self.mode.is_some(), &[EventAction::Mode]),
+            ("name", self.name.is_some(), &[EventAction::Name]),
+            ("name_hex", self.name_hex.is_some(), &[EventAction::Name]),
+            ("uid", self.uid.is_some(), &[EventAction::Uid]),
+            ("fault", self.fault.is_some(), &[EventAction::Break, EventAction::Mend]),
+            ("rate", self.rate.is_some(), &[EventAction::ErrorRate]),
         ];
         if let Some((key, ..)) =
             given.into_iter().find(|(_, given, by)| *given && !by.contains(&self.what))
         {
-            return Err(place.incomplete(&format!("`{key}` means nothing to what it does")));
+            return Err(place.incomplete(&format!("`{key}` not allowed for this action")));
         }
         let needs = |key: &str| place.incomplete(&format!("needs `{key}`"));
         let services = self.services.map(|services| place.services(services)).transpose()?;
         let action = match self.what {
-            Deed::Join => Action::Join,
-            Deed::Leave => Action::Leave,
-            Deed::Reboot => Action::Reboot { services },
-            Deed::QuickReboot => Action::QuickReboot,
-            Deed::Move => Action::Move(self.address.ok_or_else(|| needs("address"))?),
-            Deed::Services => Action::Services(services.ok_or_else(|| needs("services"))?),
-            Deed::Mode => Action::Mode(place.mode(&self.mode.ok_or_else(|| needs("mode"))?)?),
-            Deed::Name => {
-                Action::Name(place.name(self.name, self.name_hex)?.ok_or_else(|| needs("name"))?)
+            EventAction::Join => DeviceAction::Join,
+            EventAction::Leave => DeviceAction::Leave,
+            EventAction::Reboot => DeviceAction::Reboot { services },
+            EventAction::QuickReboot => DeviceAction::QuickReboot,
+            EventAction::Move => DeviceAction::Move(self.address.ok_or_else(|| needs("address"))?),
+            EventAction::Services => {
+                DeviceAction::Services(services.ok_or_else(|| needs("services"))?)
             }
-            Deed::Uid => Action::Uid(place.uid(&self.uid.ok_or_else(|| needs("uid"))?)?),
-            Deed::Break => Action::Break(self.fault.ok_or_else(|| needs("fault"))?),
-            Deed::Mend => Action::Mend(self.fault.ok_or_else(|| needs("fault"))?),
-            Deed::ErrorRate => {
+            EventAction::Mode => {
+                DeviceAction::Mode(place.mode(&self.mode.ok_or_else(|| needs("mode"))?)?)
+            }
+            EventAction::Name => DeviceAction::Name(
+                place.name(self.name, self.name_hex)?.ok_or_else(|| needs("name"))?,
+            ),
+            EventAction::Uid => {
+                DeviceAction::Uid(place.uid(&self.uid.ok_or_else(|| needs("uid"))?)?)
+            }
+            EventAction::Break => DeviceAction::Break(self.fault.ok_or_else(|| needs("fault"))?),
+            EventAction::Mend => DeviceAction::Mend(self.fault.ok_or_else(|| needs("fault"))?),
+            EventAction::ErrorRate => {
                 let rate = self.rate.ok_or_else(|| needs("rate"))?;
-                Action::ErrorRate(place.share("rate", rate)?)
+                DeviceAction::ErrorRate(place.share("rate", rate)?)
             }
         };
         let time = Instant::ZERO + place.seconds("time", self.time)?;
         let every = self.every.map(|every| place.period("every", every * 1000.0)).transpose()?;
-        Ok(Event { time, every, device: self.device, action })
+        Ok(TimetableEvent { time, every, device: self.device, action })
     }
 }
 
 /// Where in the scenario a value stands, for what is said about it.
-struct Place(String);
+struct ScenarioPath(String);
 
-impl Place {
+impl ScenarioPath {
     fn out_of_range(
         &self,
         key: &'static str,

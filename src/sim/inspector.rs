@@ -3,8 +3,8 @@
 //!
 //! Does not know devices, nor what frames mean.
 
-use super::bus::{BusError, StationIndex};
-use super::controller::BusState;
+use super::bus::{FrameFault, StationIndex};
+use super::controller::ControllerState;
 use crate::frame::Frame;
 use crate::time::Instant;
 use std::collections::VecDeque;
@@ -38,7 +38,7 @@ pub(super) struct Inspector {
     /// Its station on the bus.
     pub station: StationIndex,
     inbox: VecDeque<Frame>,
-    state: BusState,
+    state: ControllerState,
     /// Frames that found no room because nobody polled.
     pub overflowed: u64,
     /// Frames of others that this observer missed, as the scenario's `observer_loss` has it.
@@ -50,7 +50,7 @@ impl Inspector {
         Self {
             station,
             inbox: VecDeque::new(),
-            state: BusState::ErrorActive,
+            state: ControllerState::ErrorActive,
             overflowed: 0,
             missed: 0,
         }
@@ -69,22 +69,22 @@ impl Inspector {
     }
 
     /// Reports a frame that broke, as its sender or a receiver sees it.
-    pub fn push_error(&mut self, at: Instant, error: BusError, sent: bool, counters: (u16, u16)) {
-        if self.state == BusState::BusOff {
+    pub fn push_error(&mut self, at: Instant, error: FrameFault, sent: bool, counters: (u16, u16)) {
+        if self.state == ControllerState::BusOff {
             return;
         }
         let (tec, rec) = in_bytes(counters);
         let (class, kind, place) = match (error, sent) {
-            (BusError::NoAcknowledge, true) => (CAN_ERR_ACK, 0, CAN_ERR_PROT_LOC_ACK),
+            (FrameFault::NoAcknowledge, true) => (CAN_ERR_ACK, 0, CAN_ERR_PROT_LOC_ACK),
             (_, true) => (CAN_ERR_PROT, CAN_ERR_PROT_TX | CAN_ERR_PROT_BIT, CAN_ERR_PROT_LOC_DATA),
             (_, false) => (CAN_ERR_PROT, CAN_ERR_PROT_STUFF, 0),
         };
         let details = [0, 0, kind, place, 0, 0, tec, rec];
-        self.push(Frame::error(class | CAN_ERR_BUSERROR | CAN_ERR_CNT, &details).at(at));
+        self.push(Frame::error(class | CAN_ERR_BUSERROR | CAN_ERR_CNT, &details).with_time(at));
     }
 
     /// Reports the controller's state where it has changed.
-    pub fn push_state(&mut self, at: Instant, state: BusState, counters: (u16, u16)) {
+    pub fn push_state(&mut self, at: Instant, state: ControllerState, counters: (u16, u16)) {
         let before = std::mem::replace(&mut self.state, state);
         if before == state {
             return;
@@ -92,17 +92,19 @@ impl Inspector {
         let (tec, rec) = in_bytes(counters);
         let from_send = tec >= rec;
         let (class, how) = match state {
-            BusState::Down => return,
-            BusState::BusOff => (CAN_ERR_BUSOFF, 0),
-            BusState::ErrorActive if before >= BusState::BusOff => (CAN_ERR_RESTARTED, 0),
-            BusState::ErrorActive => (CAN_ERR_CRTL, CAN_ERR_CRTL_ACTIVE),
-            BusState::ErrorWarning if from_send => (CAN_ERR_CRTL, CAN_ERR_CRTL_TX_WARNING),
-            BusState::ErrorWarning => (CAN_ERR_CRTL, CAN_ERR_CRTL_RX_WARNING),
-            BusState::ErrorPassive if from_send => (CAN_ERR_CRTL, CAN_ERR_CRTL_TX_PASSIVE),
-            BusState::ErrorPassive => (CAN_ERR_CRTL, CAN_ERR_CRTL_RX_PASSIVE),
+            ControllerState::Down => return,
+            ControllerState::BusOff => (CAN_ERR_BUSOFF, 0),
+            ControllerState::ErrorActive if before >= ControllerState::BusOff => {
+                (CAN_ERR_RESTARTED, 0)
+            }
+            ControllerState::ErrorActive => (CAN_ERR_CRTL, CAN_ERR_CRTL_ACTIVE),
+            ControllerState::ErrorWarning if from_send => (CAN_ERR_CRTL, CAN_ERR_CRTL_TX_WARNING),
+            ControllerState::ErrorWarning => (CAN_ERR_CRTL, CAN_ERR_CRTL_RX_WARNING),
+            ControllerState::ErrorPassive if from_send => (CAN_ERR_CRTL, CAN_ERR_CRTL_TX_PASSIVE),
+            ControllerState::ErrorPassive => (CAN_ERR_CRTL, CAN_ERR_CRTL_RX_PASSIVE),
         };
         let details = [0, how, 0, 0, 0, 0, tec, rec];
-        self.push(Frame::error(class | CAN_ERR_CNT, &details).at(at));
+        self.push(Frame::error(class | CAN_ERR_CNT, &details).with_time(at));
     }
 }
 

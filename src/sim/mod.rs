@@ -21,13 +21,13 @@ pub mod scenario;
 mod view;
 mod world;
 
-pub use bus::{BusError, Statistics};
-pub use controller::BusState;
+pub use bus::{FrameFault, Statistics};
+pub use controller::ControllerState;
 pub use scenario::{
-    Action, AddressChoice, Chatter, Descriptor, DeviceFraming, DeviceSpec, Event, Fault, Faults,
-    Scenario, ScenarioError,
+    AddressChoice, Chatter, Descriptor, DeviceAction, DeviceFraming, DeviceSpec, Fault, Faults,
+    Scenario, ScenarioError, TimetableEvent,
 };
-pub use view::{DeviceId, DeviceState, Station, StationStatus};
+pub use view::{DeviceState, SimDeviceId, SimStation, StationStatus};
 pub use world::Sim;
 
 use crate::time::Instant;

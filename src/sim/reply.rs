@@ -46,11 +46,11 @@ struct Reply {
 
 enum Body {
     Frame(Frame),
-    Transfer(Transfer),
+    Transfer(TxTransfer),
     Done,
 }
 
-struct Transfer {
+struct TxTransfer {
     segmenter: Segmenter,
     faults: Faults,
     frames: u32,
@@ -70,9 +70,9 @@ impl Replies {
             Framing::Isotp
                 if faults.has(Fault::HugeLength) && single_frame(&message, form.fd).is_none() =>
             {
-                Body::Frame(form.huge())
+                Body::Frame(form.oversized())
             }
-            Framing::Isotp => Body::Transfer(Transfer::new(message, form.fd, faults)),
+            Framing::Isotp => Body::Transfer(TxTransfer::new(message, form.fd, faults)),
         };
         let separation = Duration::ZERO;
         self.0.push(Reply { form, not_before: at, in_flight: false, separation, body });
@@ -172,7 +172,7 @@ impl Reply {
     }
 }
 
-impl Transfer {
+impl TxTransfer {
     fn new(message: Vec<u8>, fd: bool, faults: Faults) -> Self {
         let segmenter = Segmenter::new(message, fd);
         Self { segmenter, faults, frames: 0, sequence: 0, resume: 0 }
@@ -234,7 +234,7 @@ impl Form {
     }
 
     /// A first frame that announces more than anybody takes.
-    fn huge(&self) -> Frame {
+    fn oversized(&self) -> Frame {
         let mut data = [0; Frame::MAX_DATA];
         data[..6].copy_from_slice(&[0x10, 0x00, 0xFF, 0xFF, 0xFF, 0xFF]);
         self.frame(self.id, &data[..self.capacity()])

@@ -25,7 +25,7 @@ pub struct Scenario {
     /// The devices.
     pub devices: Vec<DeviceSpec>,
     /// What happens to them.
-    pub timetable: Vec<Event>,
+    pub timetable: Vec<TimetableEvent>,
 }
 
 impl Default for Scenario {
@@ -74,9 +74,14 @@ impl Scenario {
 
     /// The same with `action` on the device labelled `device` at `time`.
     #[must_use]
-    pub fn at(mut self, time: Duration, device: &str, action: Action) -> Self {
+    pub fn at(mut self, time: Duration, device: &str, action: DeviceAction) -> Self {
         let time = Instant::ZERO + time;
-        self.timetable.push(Event { time, every: None, device: device.to_owned(), action });
+        self.timetable.push(TimetableEvent {
+            time,
+            every: None,
+            device: device.to_owned(),
+            action,
+        });
         self
     }
 
@@ -123,7 +128,7 @@ impl TryFrom<AddressWritten> for AddressChoice {
         let address = |number| {
             Address::new(number)
                 .filter(|&address| address != Address::DEBUG)
-                .ok_or_else(|| format!("{number} is not a node's address, 1 to 127"))
+                .ok_or_else(|| format!("{number} is not a node address (1 to 127)"))
         };
         Ok(match written {
             AddressWritten::Any => Self::Any,
@@ -377,7 +382,7 @@ pub(super) fn uid_of(text: &str) -> Uid {
 
 /// Something that is done to a device.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Action {
+pub enum DeviceAction {
     /// Switch it on.
     Join,
     /// Switch it off: it is gone without a word.
@@ -411,7 +416,7 @@ pub enum Action {
 
 /// An entry of the timetable.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Event {
+pub struct TimetableEvent {
     /// When.
     pub time: Instant,
     /// And again each time this has passed.
@@ -419,7 +424,7 @@ pub struct Event {
     /// To which device, by its label; empty for what concerns the bus.
     pub device: String,
     /// What.
-    pub action: Action,
+    pub action: DeviceAction,
 }
 
 /// Why a scenario cannot be used.
@@ -429,7 +434,7 @@ pub enum ScenarioError {
     #[error("{0}")]
     Syntax(#[from] toml::de::Error),
     /// No built-in scenario of that name.
-    #[error("there is no built-in scenario \"{name}\" (there are: boiler, drone)")]
+    #[error("no built-in scenario \"{name}\" (use boiler or drone)")]
     NoSuchScenario {
         /// The name.
         name: String,
@@ -461,7 +466,7 @@ pub enum ScenarioError {
         label: String,
     },
     /// The timetable names a device that is not there.
-    #[error("{place}: there is no device labelled \"{device}\"")]
+    #[error("{place}: no device labelled \"{device}\"")]
     UnknownDevice {
         /// Which entry.
         place: String,

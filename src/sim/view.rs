@@ -1,23 +1,23 @@
 //! What can be seen of a simulation from outside: handles, the state of stations, and how
 //! devices really are.
 
-use super::controller::BusState;
+use super::controller::ControllerState;
 use crate::wire::id::Address;
 use crate::wire::node::{Mode, Uid};
 
 /// A station attached from outside: the inspector, or another tester.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct Station(pub(super) u16);
+pub struct SimStation(pub(super) u16);
 
 /// A simulated device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct DeviceId(pub(super) u16);
+pub struct SimDeviceId(pub(super) u16);
 
 /// What an attached station's controller says of itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StationStatus {
     /// Where it stands in fault confinement.
-    pub state: BusState,
+    pub state: ControllerState,
     /// Transmit error counter.
     pub tec: u16,
     /// Receive error counter.

@@ -1,11 +1,11 @@
 //! The running simulation: bus, devices, attached stations and the timetable, one event after
 //! the other.
 
-use super::bus::{Bus, BusError, Outcome, StationIndex, Statistics};
-use super::device::{Device, Port};
+use super::bus::{BusOutcome, FrameFault, SimBus, StationIndex, Statistics};
+use super::device::{DeviceIo, SimDevice};
 use super::inspector::Inspector;
-use super::scenario::{Action, DeviceSpec, Scenario};
-use super::view::{DeviceId, DeviceState, Station, StationStatus};
+use super::scenario::{DeviceAction, DeviceSpec, Scenario};
+use super::view::{DeviceState, SimDeviceId, SimStation, StationStatus};
 use crate::frame::Frame;
 use crate::frame::bits::FrameBits;
 use crate::time::{Duration, Instant};
@@ -29,8 +29,8 @@ const MAX_STATIONS: usize = 1024;
 /// panics, whatever the scenario; all queues are bounded.
 pub struct Sim {
     now: u64,
-    bus: Bus,
-    devices: Vec<Device>,
+    bus: SimBus,
+    devices: Vec<SimDevice>,
     /// Station of each device, and which device or inspector a station is.
     stations: Vec<StationIndex>,
     owners: Vec<Owner>,
@@ -42,7 +42,7 @@ pub struct Sim {
     /// When each device wants to be called; stale entries of the queue differ from it.
     calls: Vec<u64>,
     call_queue: BinaryHeap<Reverse<(u64, u16)>>,
-    timetable: Vec<Entry>,
+    timetable: Vec<DeviceSlot>,
     timetable_queue: BinaryHeap<Reverse<(u64, usize)>>,
     profile: Profile,
     modes: [u8; 7],
@@ -56,10 +56,10 @@ enum Owner {
     Inspector(u16),
 }
 
-struct Entry {
+struct DeviceSlot {
     device: Option<u16>,
     every: Option<u64>,
-    action: Action,
+    action: DeviceAction,
 }
 
 impl Sim {
@@ -77,7 +77,7 @@ impl Sim {
     pub fn with_profile(scenario: &Scenario, seed: u64, profile: Profile) -> Self {
         let mut rng = fastrand::Rng::with_seed(seed);
         let bus =
-            Bus::new(scenario.bitrate, scenario.data_bitrate, scenario.error_rate, rng.fork());
+            SimBus::new(scenario.bitrate, scenario.data_bitrate, scenario.error_rate, rng.fork());
         let mut sim = Self {
             now: 0,
             bus,
@@ -100,7 +100,7 @@ impl Sim {
             sim.insert(device.clone());
         }
         for event in &scenario.timetable {
-            let device = sim.device(&event.device).map(|DeviceId(index)| index);
+            let device = sim.device(&event.device).map(|SimDeviceId(index)| index);
             let every = event.every.map(|every| (every.as_nanos() as u64).max(1_000_000));
             sim.schedule(super::nanos(event.time), device, every, event.action.clone());
         }
@@ -130,40 +130,40 @@ impl Sim {
 
     /// Attaches a station, its link up and its controller active. At most 1,024; beyond that
     /// the last one is shared.
-    pub fn attach(&mut self) -> Station {
+    pub fn attach(&mut self) -> SimStation {
         if self.inspectors.len() < MAX_STATIONS {
             let station = self.bus.add(STATION_QUEUE);
             self.owners.push(Owner::Inspector(self.inspectors.len() as u16));
             self.inspectors.push(Inspector::new(station));
             self.bus.set_attached(station, true);
-            return Station(station);
+            return SimStation(station);
         }
         let last = self.owners.iter().rposition(|owner| matches!(owner, Owner::Inspector(_)));
-        Station(last.unwrap_or(0) as u16)
+        SimStation(last.unwrap_or(0) as u16)
     }
 
     /// Queues a frame for sending. False when it is refused: the queue (1,024 frames) is full,
     /// or the station is down or bus-off. Its own copy comes back with `ours` once the bus took
     /// it.
-    pub fn transmit(&mut self, station: Station, frame: Frame) -> bool {
+    pub fn transmit(&mut self, station: SimStation, frame: Frame) -> bool {
         self.bus.transmit(self.now, station.0, frame, false)
     }
 
     /// Passes on a frame that `station` heard on another bus: everybody here hears it now. It won
     /// its arbitration there, so that nothing here contends or merges with it. The station's own
     /// copy comes back with `ours`.
-    pub fn relay(&mut self, station: Station, frame: Frame) {
-        self.deliver(&frame.at(self.now()), &[station.0]);
+    pub fn relay(&mut self, station: SimStation, frame: Frame) {
+        self.deliver(&frame.with_time(self.now()), &[station.0]);
     }
 
     /// The next frame as this station sees it, dated: others' frames, its own (`ours`), error
     /// reports.
-    pub fn poll_frame(&mut self, station: Station) -> Option<Frame> {
+    pub fn poll_frame(&mut self, station: SimStation) -> Option<Frame> {
         self.inspector_mut(station.0)?.poll()
     }
 
     /// What its controller says of itself.
-    pub fn status(&self, station: Station) -> StationStatus {
+    pub fn status(&self, station: SimStation) -> StationStatus {
         let controller = self.bus.controller(station.0);
         let (tec, rec) = controller.counters();
         let (missed, overflowed) = match self.owners[usize::from(station.0)] {
@@ -187,56 +187,56 @@ impl Sim {
 
     /// Takes a station's link down (what it has queued is lost) or up, which also restarts it
     /// from bus-off.
-    pub fn set_link(&mut self, station: Station, up: bool) {
+    pub fn set_link(&mut self, station: SimStation, up: bool) {
         self.bus.set_attached(station.0, up);
         self.report_states();
     }
 
     /// Lets a station only listen: it sends, acknowledges and destroys nothing.
-    pub fn set_listen_only(&mut self, station: Station, listen_only: bool) {
+    pub fn set_listen_only(&mut self, station: SimStation, listen_only: bool) {
         self.bus.controller_mut(station.0).silent = listen_only;
         self.bus.wake(self.now, station.0);
     }
 
     /// Sets a station's bit rate. At another than the bus's it understands nothing, and unless
     /// it only listens it destroys what it hears.
-    pub fn set_bitrate(&mut self, station: Station, bitrate: u32) {
+    pub fn set_bitrate(&mut self, station: SimStation, bitrate: u32) {
         self.bus.set_wrong_rate(station.0, bitrate != self.bus.bitrate());
     }
 
     /// Adds a device, which is switched on at its `power_on` or now where that has passed. At
     /// most 1,024; beyond that the last one is meant.
-    pub fn insert(&mut self, spec: DeviceSpec) -> DeviceId {
+    pub fn insert(&mut self, spec: DeviceSpec) -> SimDeviceId {
         if self.devices.len() >= MAX_DEVICES {
-            return DeviceId((self.devices.len() - 1) as u16);
+            return SimDeviceId((self.devices.len() - 1) as u16);
         }
         let index = self.devices.len() as u16;
         let power_on = spec.power_on.map(|at| super::nanos(Instant::ZERO + at).max(self.now));
         self.stations.push(self.bus.add(DEVICE_QUEUE));
         self.owners.push(Owner::Device(index));
-        self.devices.push(Device::new(spec, self.rng.fork()));
+        self.devices.push(SimDevice::new(spec, self.rng.fork()));
         self.calls.push(u64::MAX);
         match power_on {
-            Some(at) if at > self.now => self.schedule(at, Some(index), None, Action::Join),
-            Some(_) => self.control(DeviceId(index), Action::Join),
+            Some(at) if at > self.now => self.schedule(at, Some(index), None, DeviceAction::Join),
+            Some(_) => self.control(SimDeviceId(index), DeviceAction::Join),
             None => {}
         }
-        DeviceId(index)
+        SimDeviceId(index)
     }
 
     /// The device with this label.
-    pub fn device(&self, label: &str) -> Option<DeviceId> {
+    pub fn device(&self, label: &str) -> Option<SimDeviceId> {
         let at = self.devices.iter().position(|device| device.spec.label == label)?;
-        Some(DeviceId(at as u16))
+        Some(SimDeviceId(at as u16))
     }
 
     /// All devices, those that are off included.
-    pub fn devices(&self) -> impl Iterator<Item = DeviceId> + use<> {
-        (0..self.devices.len() as u16).map(DeviceId)
+    pub fn devices(&self) -> impl Iterator<Item = SimDeviceId> + use<> {
+        (0..self.devices.len() as u16).map(SimDeviceId)
     }
 
     /// How a device really is.
-    pub fn device_state(&self, device: DeviceId) -> DeviceState<'_> {
+    pub fn device_state(&self, device: SimDeviceId) -> DeviceState<'_> {
         let index = usize::from(device.0);
         let it = &self.devices[index];
         DeviceState {
@@ -251,8 +251,8 @@ impl Sim {
     }
 
     /// Does something to a device, now.
-    pub fn control(&mut self, device: DeviceId, action: Action) {
-        if let Action::ErrorRate(rate) = action {
+    pub fn control(&mut self, device: SimDeviceId, action: DeviceAction) {
+        if let DeviceAction::ErrorRate(rate) = action {
             self.bus.error_rate = rate;
         } else {
             self.with_device(device.0, |device, port| device.apply(action, port));
@@ -296,14 +296,14 @@ impl Sim {
             self.call_queue.pop();
             if self.calls[usize::from(device)] == at {
                 self.calls[usize::from(device)] = u64::MAX;
-                self.with_device(device, Device::handle_timeout);
+                self.with_device(device, SimDevice::handle_timeout);
             }
         }
     }
 
-    fn schedule(&mut self, at: u64, device: Option<u16>, every: Option<u64>, action: Action) {
+    fn schedule(&mut self, at: u64, device: Option<u16>, every: Option<u64>, action: DeviceAction) {
         self.timetable_queue.push(Reverse((at, self.timetable.len())));
-        self.timetable.push(Entry { device, every, action });
+        self.timetable.push(DeviceSlot { device, every, action });
     }
 
     fn follow_timetable(&mut self, at: u64, index: usize) {
@@ -313,8 +313,8 @@ impl Sim {
             self.timetable_queue.push(Reverse((at.saturating_add(every), index)));
         }
         match (entry.device, action) {
-            (_, Action::ErrorRate(rate)) => self.bus.error_rate = rate,
-            (Some(device), action) => self.control(DeviceId(device), action),
+            (_, DeviceAction::ErrorRate(rate)) => self.bus.error_rate = rate,
+            (Some(device), action) => self.control(SimDeviceId(device), action),
             (None, _) => {}
         }
     }
@@ -322,17 +322,17 @@ impl Sim {
     fn step_bus(&mut self) {
         match self.bus.step() {
             None => {}
-            Some(Outcome::Frame(frame)) => {
+            Some(BusOutcome::Frame(frame)) => {
                 let senders = self.bus.senders().to_vec();
                 self.deliver(&frame, &senders);
             }
-            Some(Outcome::Broken(error)) => {
+            Some(BusOutcome::Broken(error)) => {
                 let senders = self.bus.senders().to_vec();
                 self.report_error(error, &senders, false);
             }
-            Some(Outcome::Spoilt) => {
+            Some(BusOutcome::Spoilt) => {
                 let losers = self.bus.losers().to_vec();
-                self.report_error(BusError::Collision, &losers, true);
+                self.report_error(FrameFault::Collision, &losers, true);
             }
         }
     }
@@ -378,9 +378,9 @@ impl Sim {
             }
             let counters = controller.counters();
             if controller.wrong_rate {
-                inspector.push_error(frame.time, BusError::Disturbance, false, counters);
+                inspector.push_error(frame.time, FrameFault::Disturbance, false, counters);
             } else if senders.contains(&inspector.station) {
-                inspector.push(frame.ours());
+                inspector.push(frame.with_tx());
             } else if self.observer_loss > 0.0 && self.rng.f64() < self.observer_loss {
                 inspector.missed += 1;
             } else {
@@ -391,7 +391,7 @@ impl Sim {
     }
 
     /// Something broke: everybody sees it, or (`privately`) those who sent it.
-    fn report_error(&mut self, error: BusError, senders: &[StationIndex], privately: bool) {
+    fn report_error(&mut self, error: FrameFault, senders: &[StationIndex], privately: bool) {
         let at = super::instant(self.now);
         for inspector in &mut self.inspectors {
             let controller = self.bus.controller(inspector.station);
@@ -403,11 +403,11 @@ impl Sim {
         self.report_states();
         for station in self.bus.take_abandoned() {
             if let Owner::Device(device) = self.owners[usize::from(station)] {
-                self.with_device(device, Device::handle_abandoned);
+                self.with_device(device, SimDevice::handle_abandoned);
             }
         }
         for device in 0..self.devices.len() as u16 {
-            self.with_device(device, Device::handle_bus_error);
+            self.with_device(device, SimDevice::handle_bus_error);
         }
     }
 
@@ -428,11 +428,11 @@ impl Sim {
 
     /// Lets a device do something, then takes note of what changed: its address, whether it
     /// listens, when it wants to be called.
-    fn with_device(&mut self, index: u16, act: impl FnOnce(&mut Device, &mut Port)) {
+    fn with_device(&mut self, index: u16, act: impl FnOnce(&mut SimDevice, &mut DeviceIo)) {
         let at = usize::from(index);
         let Some(device) = self.devices.get_mut(at) else { return };
         let before = (device.address(), device.is_listening());
-        let mut port = Port {
+        let mut port = DeviceIo {
             now: self.now,
             bus: &mut self.bus,
             station: self.stations[at],

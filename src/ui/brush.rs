@@ -101,7 +101,7 @@ impl Brush<'_> {
     /// Says why a list is empty, and what keeps us from seeing a bus.
     pub fn nothing(&mut self, list: Rect, why: &str) {
         let mut lines = vec![Line::from(self.span(Role::Muted, format!("   {why}")))];
-        for bus in self.app.buses().iter().filter(|bus| bus.is_hidden()) {
+        for bus in self.app.buses().iter().filter(|bus| bus.is_blind()) {
             let name = Escaped(bus.name.as_bytes());
             let text = match &bus.status.message {
                 Some(message) => Escaped(message.as_bytes()).to_string(),
@@ -116,7 +116,7 @@ impl Brush<'_> {
 
     /// Whether there is a bus that nothing can be seen of.
     pub fn is_blind(&self) -> bool {
-        self.app.buses().iter().any(Bus::is_hidden)
+        self.app.buses().iter().any(Bus::is_blind)
     }
 
     /// Draws a horizontal rule.

@@ -12,8 +12,8 @@ pub fn draw(brush: &mut Brush) {
     brush.rule(rule, Role::BorderFocus);
     let Some(conflict) = brush.app.file().conflict() else { return };
     let title = match (conflict.number, conflict.of) {
-        (1, 1) => " Conflict ".to_owned(),
-        (number, of) => format!(" Conflict {number} of {of} "),
+        (1, 1) => " Edit conflict ".to_owned(),
+        (number, of) => format!(" Edit conflict {number} of {of} "),
     };
     let title = Line::from(brush.span(Role::TabActive, title));
     brush.line(Rect { x: 1, width: whole.width.saturating_sub(1), ..rule }, 0, &title);
@@ -25,7 +25,7 @@ pub fn draw(brush: &mut Brush) {
     };
     let name = brush.app.file().name();
     let mut lines = vec![Line::default()];
-    let text = format!("{name} was changed by someone else, where you changed it too.");
+    let text = format!("You and another program changed the same value in {name}.");
     lines.extend(labelled(brush, "", Role::Text, &text, area.width));
     lines.push(Line::default());
     let edit = conflict.operation.to_string();
@@ -36,9 +36,9 @@ pub fn draw(brush: &mut Brush) {
     lines.push(Line::default());
     let is_broken = brush.app.file().problem().is_some_and(|problem| !problem.is_not_saved());
     let text = if is_broken {
-        "It cannot be read now: choose when it can."
+        "The file cannot be read now; choose later."
     } else {
-        "Until you choose nothing is written; the file stays as they left it."
+        "Nothing is written until you choose."
     };
     lines.extend(labelled(brush, "", Role::Muted, text, area.width));
     brush.lines(area, &lines, 0);

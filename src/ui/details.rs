@@ -4,8 +4,10 @@
 use super::brush::{Brush, fit, inner, labelled, wrap};
 use super::devices::state_role;
 use super::signs;
-use crate::app::{App, FileWord, Kinship, Row, State, clock, concerns, spell};
-use crate::discovery::{Confidence, Device, Finding, FindingKind, Query, QueryState, ServiceEntry};
+use crate::app::{App, FileStatus, Redundancy, Row, RowState, clock, concerns, spell};
+use crate::discovery::{
+    Confidence, Device, DeviceService, Finding, FindingKind, Query, QueryState,
+};
 use crate::theme::Role;
 use crate::time::Duration;
 use ratatui::text::Line;
@@ -17,21 +19,21 @@ pub fn draw(brush: &mut Brush) {
         return;
     }
     let lines = match brush.app.selected_row() {
-        Some(row) => Details { brush, row, width: area.width, lines: Vec::new() }.all(),
+        Some(row) => DeviceDetails { brush, row, width: area.width, lines: Vec::new() }.all(),
         None => vec![Line::from(brush.span(Role::Muted, "nothing is selected"))],
     };
     let scroll = brush.app.view().details_scroll;
     brush.lines(area, &lines, scroll);
 }
 
-struct Details<'b, 'a> {
+struct DeviceDetails<'b, 'a> {
     brush: &'b Brush<'a>,
     row: &'a Row,
     width: u16,
     lines: Vec<Line<'static>>,
 }
 
-impl<'a> Details<'_, 'a> {
+impl<'a> DeviceDetails<'_, 'a> {
     fn all(mut self) -> Vec<Line<'static>> {
         let app = self.brush.app;
         let device = app.device_of(self.row);
@@ -57,7 +59,7 @@ impl<'a> Details<'_, 'a> {
     }
 
     fn ago(&self, at: crate::time::Instant) -> Duration {
-        self.app().looked_at().since(at)
+        self.app().display_time().since(at)
     }
 
     fn blank(&mut self) {
@@ -76,7 +78,7 @@ impl<'a> Details<'_, 'a> {
         let since = device
             .map_or(String::new(), |device| format!(" {}", spell(self.ago(device.presence_since))));
         let word = match (row.state, device) {
-            (State::Clash | State::Unseen, Some(device)) => {
+            (RowState::Conflict | RowState::Unknown, Some(device)) => {
                 format!("{} · {}", row.state.word(), device.presence)
             }
             _ => row.state.word().to_owned(),
@@ -90,9 +92,9 @@ impl<'a> Details<'_, 'a> {
         let mut line = Line::from(self.brush.span(state_role(row.state), word));
         line.push_span(self.brush.span(Role::Text, format!("{since}{bus}")));
         self.lines.push(line);
-        let unseen = row.state == State::Unseen;
-        if let Some(device) = device.filter(|device| unseen || !device.is_here()) {
-            let text = format!("last heard {} ago", spell(self.ago(device.last_seen)));
+        let unseen = row.state == RowState::Unknown;
+        if let Some(device) = device.filter(|device| unseen || !device.is_present()) {
+            let text = format!("last seen {} ago", spell(self.ago(device.last_seen)));
             self.add("", Role::Text, &text);
         }
         self.other_buses(device);
@@ -101,10 +103,10 @@ impl<'a> Details<'_, 'a> {
         {
             let twins = self.app().buses()[usize::from(device.id.bus.0)].engine.devices().iter();
             let twins: Vec<String> = twins
-                .filter(|it| it.id != device.id && it.is_here() && it.name == device.name)
+                .filter(|it| it.id != device.id && it.is_present() && it.name == device.name)
                 .map(|it| it.address.to_string())
                 .collect();
-            self.add("", Role::Text, &format!("² a twin: the same name at {}", twins.join(", ")));
+            self.add("", Role::Text, &format!("² same name at {} (allowed)", twins.join(", ")));
         }
     }
 
@@ -125,7 +127,7 @@ impl<'a> Details<'_, 'a> {
             let (Some(other), Some(bus)) = (app.device(sibling.id), app.bus(sibling.id.bus)) else {
                 continue;
             };
-            if sibling.kinship == Kinship::Redundant {
+            if sibling.kinship == Redundancy::Redundant {
                 continue;
             }
             let what = sibling.kinship.words();
@@ -175,9 +177,9 @@ impl<'a> Details<'_, 'a> {
     fn why(&mut self, device: Option<&Device>) {
         let app = self.app();
         let reasons = match (device, app.entry_of(self.row)) {
-            (Some(device), Some(entry)) if !device.is_here() => app.why_missing(entry),
+            (Some(device), Some(entry)) if !device.is_present() => app.why_missing(entry),
             (Some(device), _) => app.why_incomplete(device),
-            (None, Some(_)) if self.row.state == State::Again => Vec::new(),
+            (None, Some(_)) if self.row.state == RowState::Duplicate => Vec::new(),
             (None, Some(entry)) => app.why_missing(entry),
             (None, None) => Vec::new(),
         };
@@ -191,15 +193,15 @@ impl<'a> Details<'_, 'a> {
         let is_shared = self.app().is_shared(device);
         self.blank();
         let text = match (beats.period(), beats.jitter()) {
-            _ if beats.count == 0 => "none heard".to_owned(),
+            _ if beats.count == 0 => "none received".to_owned(),
             // Counted together they would be those of one that is not there.
-            _ if is_shared => "of two senders, mixed".to_owned(),
+            _ if is_shared => "mixed: two senders".to_owned(),
             (Some(period), Some(jitter)) => {
                 let millis = jitter.as_micros() as f64 / 1000.0;
                 format!("{:.2} s ±{millis:.0} ms", period.as_secs_f64())
             }
             (Some(period), None) => format!("{:.2} s", period.as_secs_f64()),
-            (None, _) => "one heard".to_owned(),
+            (None, _) => "one received".to_owned(),
         };
         let missed = match beats.missed {
             _ if is_shared => String::new(),
@@ -246,7 +248,7 @@ impl<'a> Details<'_, 'a> {
             self.add("framing", Role::Text, &framing.to_string());
         }
         if device.is_debug {
-            self.add("", Role::Text, "a debug device");
+            self.add("", Role::Text, "debug device");
         }
     }
 
@@ -254,11 +256,11 @@ impl<'a> Details<'_, 'a> {
         self.blank();
         let Some(services) = &device.services else {
             let state = match device.services_query.state {
-                QueryState::NotAsked => "not asked",
-                QueryState::Asked => "asked …",
-                QueryState::Receiving => "arriving …",
-                QueryState::Answered => "not usable",
-                QueryState::Unanswered => "no answer",
+                QueryState::NotAsked => "not requested",
+                QueryState::Asked => "requested …",
+                QueryState::Receiving => "receiving …",
+                QueryState::Answered => "malformed",
+                QueryState::Unanswered => "no response",
             };
             return self.add("services", Role::Muted, state);
         };
@@ -298,7 +300,7 @@ impl<'a> Details<'_, 'a> {
             !services.iter().any(|own| own.name.to_string() == printable(&listed.name))
         });
         for listed in gone {
-            let text = format!("  ✗ {} listed, not there", printable(&listed.name));
+            let text = format!("  ✗ {} listed, missing", printable(&listed.name));
             self.lines.push(Line::from(self.brush.span(Role::FileDiffers, text)));
         }
     }
@@ -308,21 +310,21 @@ impl<'a> Details<'_, 'a> {
         self.blank();
         let name = app.file().name();
         let (role, text) = match (self.row.file, device) {
-            (FileWord::Nothing, _) => return,
-            (FileWord::New, _) => {
-                (Role::New, format!("not listed ({} takes it in)", app.key_of("add")))
+            (FileStatus::Nothing, _) => return,
+            (FileStatus::New, _) => {
+                (Role::New, format!("not in file ({} adds it)", app.key_of("add")))
             }
-            (FileWord::Listed(None), _) => (Role::Text, "listed without address".to_owned()),
-            (FileWord::Listed(Some(address)), _) => {
+            (FileStatus::Listed(None), _) => (Role::Text, "listed without address".to_owned()),
+            (FileStatus::Listed(Some(address)), _) => {
                 (Role::Text, format!("listed, last at {address}, not static"))
             }
-            (FileWord::Agrees(address), _) => {
-                (Role::FileOk, format!("static {address}, as on the bus"))
+            (FileStatus::Agrees(address), _) => {
+                (Role::FileOk, format!("static {address}, matches"))
             }
-            (FileWord::Differs(address), Some(device)) => {
-                (Role::FileDiffers, format!("static {address}, but it is at {}", device.address))
+            (FileStatus::Differs(address), Some(device)) => {
+                (Role::FileDiffers, format!("static {address}, device at {}", device.address))
             }
-            (FileWord::Differs(address) | FileWord::Pinned(address), _) => {
+            (FileStatus::Differs(address) | FileStatus::Pinned(address), _) => {
                 (Role::Text, format!("static {address}"))
             }
         };
@@ -359,7 +361,7 @@ impl<'a> Details<'_, 'a> {
             self.add(" ", Role::Text, &format!("{times} {ago} ago"));
         }
         if let Some(from) = device.moved_from {
-            self.add(" ", Role::Text, &format!("moved here from {from}"));
+            self.add(" ", Role::Text, &format!("moved from {from}"));
         }
     }
 
@@ -369,7 +371,7 @@ impl<'a> Details<'_, 'a> {
             .filter_map(|(what, query)| self.question(what, query))
             .collect();
         for (at, text) in lines.iter().enumerate() {
-            self.add(if at == 0 { "asked" } else { " " }, Role::Muted, text);
+            self.add(if at == 0 { "requests" } else { " " }, Role::Muted, text);
         }
     }
 
@@ -382,7 +384,7 @@ impl<'a> Details<'_, 'a> {
                 Some(format!("{what} {}{}", at(answered), took.unwrap_or_default()))
             }
             (None, Some(asked)) => {
-                Some(format!("{what} ×{}, last {}, no answer", query.attempts, at(asked)))
+                Some(format!("{what} ×{}, last {}, no response", query.attempts, at(asked)))
             }
             (None, None) => None,
         }
@@ -406,12 +408,12 @@ fn printable(text: &str) -> String {
 }
 
 /// The version that a service had before it changed.
-fn before(device: &Device, service: &ServiceEntry) -> Option<String> {
+fn before(device: &Device, service: &DeviceService) -> Option<String> {
     let previous = device.previous_services.as_ref()?;
     match previous.iter().find(|before| before.name == service.name) {
         Some(before) if before.version == service.version => None,
         Some(before) => Some(before.version.to_string()),
-        None => Some("not there".to_owned()),
+        None => Some("missing".to_owned()),
     }
 }
 
@@ -422,10 +424,10 @@ enum InFile {
     Other(String),
 }
 
-fn in_file(listed: Option<&[crate::document::ServiceEntry]>, service: &ServiceEntry) -> InFile {
+fn in_file(listed: Option<&[crate::document::ListedService]>, service: &DeviceService) -> InFile {
     let Some(listed) = listed.filter(|listed| !listed.is_empty()) else { return InFile::Same };
     let own = service.name.to_string();
-    let version = |listed: &crate::document::ServiceEntry| printable(&listed.version);
+    let version = |listed: &crate::document::ListedService| printable(&listed.version);
     match listed.iter().find(|listed| printable(&listed.name) == own) {
         None => InFile::New,
         Some(listed) if listed.version.is_empty() => InFile::Same,

@@ -1,7 +1,7 @@
 //! The table of devices. Columns give way, least important first, where the screen is narrow.
 
 use super::brush::{Brush, end_of, fit, fit_right};
-use crate::app::{App, FileWord, PromptKind, Row, RowKey, SortBy, State};
+use crate::app::{App, FileStatus, PromptKind, Row, RowKey, RowState, SortBy};
 use crate::discovery::{Device, QueryState};
 use crate::theme::Role;
 use crate::time::Duration;
@@ -29,8 +29,8 @@ impl Column {
     const ALL: [Column; 8] =
         [C::Bus, C::Address, C::Name, C::State, C::Mode, C::Services, C::Age, C::File];
     /// In the order in which they give way.
-    const GIVE_WAY: [Column; 4] = [C::Services, C::Mode, C::Age, C::Bus];
-    const NAME_WIDTH: std::ops::RangeInclusive<usize> = 6..=20;
+    const DROP_ORDER: [Column; 4] = [C::Services, C::Mode, C::Age, C::Bus];
+    const NAME_WIDTH: std::ops::RangeInclusive<usize> = 5..=20;
 
     const fn title(self) -> &'static str {
         match self {
@@ -51,7 +51,7 @@ impl Column {
             C::Bus | C::File => 6,
             C::Name | C::Services => 3,
             C::Address | C::Age => 4,
-            C::State => 7,
+            C::State => 8,
             C::Mode => 5,
         }
     }
@@ -99,7 +99,7 @@ impl Columns {
                 + gap * shown.len().saturating_sub(1)
         };
         let mut gap = 2;
-        for column in Column::GIVE_WAY {
+        for column in Column::DROP_ORDER {
             if least(&shown, 2) > width {
                 gap = 1;
             }
@@ -172,15 +172,15 @@ fn draw_header(brush: &mut Brush, area: Rect, columns: &Columns) {
 fn draw_nothing(brush: &mut Brush, list: Rect) {
     let app = brush.app;
     if !app.view().filter(crate::app::Page::Devices).is_empty() {
-        return brush.filtered(list, "no device fits the filter");
+        return brush.filtered(list, "no device matches the filter");
     }
     let is_over = !app.buses().is_empty() && app.buses().iter().all(|bus| bus.ended.is_some());
     let is_listening = app.buses().iter().any(crate::app::Bus::is_up);
     brush.nothing(
         list,
         match (is_over, is_listening) {
-            (true, _) => "the log tells of no device",
-            (_, true) => "no device was heard yet",
+            (true, _) => "no devices in the log",
+            (_, true) => "no devices found yet",
             _ => "no device: no bus is up",
         },
     );
@@ -208,21 +208,25 @@ fn cell(
 ) -> Span<'static> {
     let gone = matches!(
         row.state,
-        State::Lost | State::Unseen | State::Missing | State::Awaited | State::Again
+        RowState::Lost
+            | RowState::Unknown
+            | RowState::Missing
+            | RowState::Pending
+            | RowState::Duplicate
     );
     let plain = if gone { Role::Muted } else { Role::Text };
     let (role, text) = match column {
         C::Bus => (Role::Muted, buses(brush.app, row, width)),
         C::Address => (plain, addresses(brush.app, row)),
         C::Name => match &row.name {
-            Some(name) if row.twin => (plain, twin_name(&name.called().to_string(), width)),
-            Some(name) => (plain, name.called().to_string()),
+            Some(name) if row.twin => (plain, twin_name(&name.quoted().to_string(), width)),
+            Some(name) => (plain, name.quoted().to_string()),
             None => (Role::Muted, "?".to_owned()),
         },
         C::State => (state_role(row.state), row.state.word().to_owned()),
         C::Mode => match device.and_then(|device| device.mode) {
             Some(mode) => (plain, mode.to_string()),
-            None if device.is_some_and(|device| !device.working) => (plain, "not w.".to_owned()),
+            None if device.is_some_and(|device| !device.working) => (plain, "!WORK".to_owned()),
             None => (Role::Muted, if device.is_some() { "?" } else { "" }.to_owned()),
         },
         C::Services => match device {
@@ -239,7 +243,7 @@ fn cell(
         },
         C::Age => match device {
             None => (Role::Muted, String::new()),
-            Some(device) => (plain, age(brush.app.looked_at().since(device.last_seen))),
+            Some(device) => (plain, age(brush.app.display_time().since(device.last_seen))),
         },
         C::File if row.is_flawed => (Role::Warning, file_word(row).1 + "!"),
         C::File => file_word(row),
@@ -251,14 +255,14 @@ fn cell(
 /// What the file says, and the role of that.
 fn file_word(row: &Row) -> (Role, String) {
     match row.file {
-        FileWord::Nothing => (Role::Muted, String::new()),
-        FileWord::New => (Role::New, "+ new".to_owned()),
-        FileWord::Listed(None) => (Role::Muted, "  –".to_owned()),
-        FileWord::Listed(Some(address)) | FileWord::Pinned(address) => {
+        FileStatus::Nothing => (Role::Muted, String::new()),
+        FileStatus::New => (Role::New, "+ new".to_owned()),
+        FileStatus::Listed(None) => (Role::Muted, "  –".to_owned()),
+        FileStatus::Listed(Some(address)) | FileStatus::Pinned(address) => {
             (Role::Muted, format!("  {address}"))
         }
-        FileWord::Agrees(address) => (Role::FileOk, format!("✓ {address}")),
-        FileWord::Differs(address) => (Role::FileDiffers, format!("✗ {address}")),
+        FileStatus::Agrees(address) => (Role::FileOk, format!("✓ {address}")),
+        FileStatus::Differs(address) => (Role::FileDiffers, format!("✗ {address}")),
     }
 }
 
@@ -277,11 +281,11 @@ fn addresses(app: &App, row: &Row) -> String {
 fn buses(app: &App, row: &Row, width: usize) -> String {
     let all = row.bus.into_iter().chain(row.also.iter().map(|id| id.bus));
     let names: Vec<&str> = all.filter_map(|bus| Some(app.bus(bus)?.name_without_rates())).collect();
-    together(&names, width)
+    bus_range(&names, width)
 }
 
 /// The names of redundant buses in few cells: `can0+1`.
-fn together(names: &[&str], width: usize) -> String {
+fn bus_range(names: &[&str], width: usize) -> String {
     let Some((first, others)) = names.split_first() else { return "any".to_owned() };
     let stem = first.trim_end_matches(|c: char| c.is_ascii_digit());
     let mut text = (*first).to_owned();
@@ -306,29 +310,29 @@ fn twin_name(name: &str, width: usize) -> String {
 /// The sign in front of a row.
 fn sign(row: &Row) -> (&'static str, Role) {
     match row.state {
-        State::Clash => ("⚠", Role::Collision),
+        RowState::Conflict => ("⚠", Role::Collision),
         _ if row.suspected => ("?", Role::Suspected),
-        State::Missing => ("○", Role::Missing),
-        State::Lost => ("○", Role::Lost),
-        State::Partly => ("◑", Role::Stale),
-        State::Awaited | State::Again | State::Unseen => ("·", Role::Muted),
-        State::Stale => ("◐", Role::Stale),
-        State::Silent => ("◌", Role::Silent),
-        State::Asleep => ("◒", Role::Asleep),
-        State::Online => ("●", Role::Online),
+        RowState::Missing => ("○", Role::Missing),
+        RowState::Lost => ("○", Role::Lost),
+        RowState::Partial => ("◑", Role::Stale),
+        RowState::Pending | RowState::Duplicate | RowState::Unknown => ("·", Role::Muted),
+        RowState::Stale => ("◐", Role::Stale),
+        RowState::Silent => ("◌", Role::Silent),
+        RowState::Asleep => ("◒", Role::Asleep),
+        RowState::Online => ("●", Role::Online),
     }
 }
 
-pub(super) fn state_role(state: State) -> Role {
+pub(super) fn state_role(state: RowState) -> Role {
     match state {
-        State::Clash => Role::Collision,
-        State::Missing => Role::Missing,
-        State::Lost => Role::Lost,
-        State::Partly | State::Stale => Role::Stale,
-        State::Silent => Role::Silent,
-        State::Asleep => Role::Asleep,
-        State::Awaited | State::Again | State::Unseen => Role::Muted,
-        State::Online => Role::Online,
+        RowState::Conflict => Role::Collision,
+        RowState::Missing => Role::Missing,
+        RowState::Lost => Role::Lost,
+        RowState::Partial | RowState::Stale => Role::Stale,
+        RowState::Silent => Role::Silent,
+        RowState::Asleep => Role::Asleep,
+        RowState::Pending | RowState::Duplicate | RowState::Unknown => Role::Muted,
+        RowState::Online => Role::Online,
     }
 }
 

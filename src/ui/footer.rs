@@ -1,8 +1,8 @@
 //! The last line: a question, the line being typed, a message, or which keys do what here.
 
 use super::brush::{Brush, cut, fit, wrap};
-use crate::app::{FileProblem, Focus, Page, PromptKind, Verdict};
-use crate::keymap::{Key, Mode};
+use crate::app::{FileProblem, Focus, InputCheck, Page, PromptKind};
+use crate::keymap::{Key, KeyMode};
 use crate::theme::Role;
 use ratatui::layout::{Position, Rect};
 use ratatui::text::{Line, Span};
@@ -30,9 +30,9 @@ pub fn draw(brush: &mut Brush) {
         return brush.line(area, 0, &line);
     }
     let mode = brush.app.mode();
-    if let Some(message) = brush.app.message().filter(|_| mode == Mode::Browse) {
+    if let Some(message) = brush.app.message().filter(|_| mode == KeyMode::Browse) {
         let role = if message.is_error { Role::Error } else { Role::Text };
-        return draw_up(brush, area, role, &message.text);
+        return draw_wrapped(brush, area, role, &message.text);
     }
     let line = Line::from(hint_line(brush, mode, usize::from(area.width)));
     brush.line(area, 0, &line);
@@ -43,9 +43,9 @@ fn draw_prompt(brush: &mut Brush, area: Rect) {
     let app = brush.app;
     let (Some(prompt), Some(verdict)) = (app.prompt(), app.verdict()) else { return };
     let (sign, role, said) = match &verdict {
-        Verdict::Fine(text) => ("", Role::Muted, text),
-        Verdict::Warns(text) => ("! ", Role::Warning, text),
-        Verdict::Blocks(text) => ("✗ ", Role::Error, text),
+        InputCheck::Accepted(text) => ("", Role::Muted, text),
+        InputCheck::Warning(text) => ("! ", Role::Warning, text),
+        InputCheck::Rejected(text) => ("✗ ", Role::Error, text),
     };
     let in_row = brush.cursor.is_some();
     let narrow = area.width < 60 && !in_row;
@@ -68,7 +68,7 @@ fn draw_prompt(brush: &mut Brush, area: Rect) {
     let least = match prompt.kind {
         PromptKind::Address(_) => 6,
         // What is said of a path, such as how many entries will be there, is less than the path.
-        _ if prompt.kind.is_path() && matches!(verdict, Verdict::Fine(_)) => wanted,
+        _ if prompt.kind.is_path() && matches!(verdict, InputCheck::Accepted(_)) => wanted,
         _ => 12,
     };
     let width = wanted.min(left.saturating_sub(said_width).max(least)).min(left);
@@ -82,18 +82,18 @@ fn draw_prompt(brush: &mut Brush, area: Rect) {
     let cursor = prompt.input.visual_cursor().saturating_sub(scroll) as u16;
     brush.cursor = Some(Position::new(at.x + cursor.min(width.saturating_sub(1)), at.y));
     let behind = Rect { x: at.right(), width: left.saturating_sub(width), ..area };
-    let is_fine = matches!(verdict, Verdict::Fine(_));
+    let is_fine = matches!(verdict, InputCheck::Accepted(_));
     if said_width > behind.width && !is_fine && area.y > 0 {
         // What blocks or warns is read whole: above the line, where there is no room behind it.
         let above = Rect { y: area.y - 1, ..area };
-        return draw_up(brush, above, role, &format!("{sign}{said}"));
+        return draw_wrapped(brush, above, role, &format!("{sign}{said}"));
     }
     let line = Line::from(brush.span(role, format!("  {sign}{said}")));
     brush.line(behind, 0, &line);
 }
 
 /// Draws a text that ends in the line `last`, and begins above it where one line is too short.
-fn draw_up(brush: &mut Brush, last: Rect, role: Role, text: &str) {
+fn draw_wrapped(brush: &mut Brush, last: Rect, role: Role, text: &str) {
     const LINES: usize = 3;
     let width = usize::from(last.width);
     let parts = wrap(text, width.saturating_sub(1));
@@ -105,14 +105,14 @@ fn draw_up(brush: &mut Brush, last: Rect, role: Role, text: &str) {
     }
 }
 
-fn hint_line(brush: &Brush, mode: Mode, width: usize) -> Vec<Span<'static>> {
+fn hint_line(brush: &Brush, mode: KeyMode, width: usize) -> Vec<Span<'static>> {
     let app = brush.app;
     let view = app.view();
     let names: &[&str] = match (mode, view.page, view.focus) {
-        (Mode::Help, ..) => &["help-close", "help-down"],
-        (Mode::Confirm, ..) => &["yes", "no"],
-        (Mode::Conflict, ..) => &["ours", "theirs", "later"],
-        (Mode::Browse, Page::Devices, Focus::List) => &[
+        (KeyMode::Help, ..) => &["help-close", "help-down"],
+        (KeyMode::Confirm, ..) => &["yes", "no"],
+        (KeyMode::Conflict, ..) => &["ours", "theirs", "later"],
+        (KeyMode::Browse, Page::Devices, Focus::List) => &[
             "help",
             "quit",
             "edit-address",
@@ -127,13 +127,13 @@ fn hint_line(brush: &Brush, mode: Mode, width: usize) -> Vec<Span<'static>> {
             "clear-lost",
             "identify",
         ],
-        (Mode::Browse, Page::Traffic, _) if view.evidence.is_some() => {
+        (KeyMode::Browse, Page::Traffic, _) if view.evidence.is_some() => {
             &["help", "quit", "details", "cancel", "freeze", "save-capture"]
         }
-        (Mode::Browse, Page::Traffic, _) if view.from_timeline => {
+        (KeyMode::Browse, Page::Traffic, _) if view.from_timeline => {
             &["help", "quit", "details", "cancel", "filter", "freeze", "save-capture"]
         }
-        (Mode::Browse, Page::Traffic, _) => &[
+        (KeyMode::Browse, Page::Traffic, _) => &[
             "help",
             "quit",
             "details",
@@ -143,19 +143,19 @@ fn hint_line(brush: &Brush, mode: Mode, width: usize) -> Vec<Span<'static>> {
             "save-capture",
             "rescan",
         ],
-        (Mode::Browse, Page::Timeline, _) => {
+        (KeyMode::Browse, Page::Timeline, _) => {
             &["help", "quit", "details", "filter", "freeze", "problem", "save-capture"]
         }
-        (Mode::Browse, Page::Devices, Focus::Details) => {
+        (KeyMode::Browse, Page::Devices, Focus::Details) => {
             &["help", "quit", "cancel", "edit-address", "add", "problem", "rescan"]
         }
-        (Mode::Browse, Page::Problems, _) => {
+        (KeyMode::Browse, Page::Problems, _) => {
             &["help", "quit", "details", "mute", "filter", "problem", "edit-address", "rescan"]
         }
     };
     let is_not_saved = app.file().problem().is_some_and(FileProblem::is_not_saved);
     let first: &[&str] =
-        if is_not_saved && mode == Mode::Browse { &["save", "save-copy"] } else { &[] };
+        if is_not_saved && mode == KeyMode::Browse { &["save", "save-copy"] } else { &[] };
     let names = &[first, names].concat();
     let mut spans = vec![Span::raw(" ")];
     spans.extend(hints(brush, names, width.saturating_sub(1)));
@@ -170,11 +170,11 @@ fn hint(brush: &Brush, name: &str) -> Option<(Key, &'static str)> {
         ("details", Page::Timeline, _) => "frames",
         ("details", Page::Problems, _) if brush.screen.details.height > 0 => {
             let is_seen = brush.app.selected_problem().is_none_or(|problem| problem.was_seen());
-            if is_seen { "frames" } else { "its row" }
+            if is_seen { "frames" } else { "go to row" }
         }
         ("details", Page::Traffic, Some(evidence)) if evidence.around => "only evidence",
-        ("details", Page::Traffic, Some(_)) => "all around it",
-        ("problem", Page::Problems, _) => "its device",
+        ("details", Page::Traffic, Some(_)) => "all frames",
+        ("problem", Page::Problems, _) => "go to device",
         ("cancel", ..) => "back",
         ("mute", ..) if brush.app.selected_problem().is_some_and(|it| it.is_muted) => "unmute",
         _ => word,

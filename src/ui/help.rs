@@ -2,7 +2,7 @@
 
 use super::brush::{Brush, fit, wrap};
 use super::signs::SIGNS;
-use crate::keymap::{ACTIONS, Action, Group};
+use crate::keymap::{ACTIONS, Action, ActionGroup};
 use crate::status::size;
 use crate::theme::Role;
 use ratatui::layout::Rect;
@@ -41,8 +41,9 @@ pub fn draw(brush: &mut Brush, scroll: u16) {
 fn keys(brush: &Brush, width: u16) -> Vec<Line<'static>> {
     let mut lines = Vec::new();
     // Where there is no log, nothing of it is said.
-    let is_here = |group: &Group| *group != Group::Log || brush.app.playback().is_some();
-    for group in Group::ALL.into_iter().filter(is_here) {
+    let is_here =
+        |group: &ActionGroup| *group != ActionGroup::Log || brush.app.playback().is_some();
+    for group in ActionGroup::ALL.into_iter().filter(is_here) {
         if !lines.is_empty() {
             lines.push(Line::default());
         }
@@ -62,22 +63,22 @@ fn action_lines(brush: &Brush, action: &Action, width: u16) -> Vec<Line<'static>
 }
 
 fn signs(brush: &Brush, width: u16) -> Vec<Line<'static>> {
-    let mut lines = vec![Line::from(brush.span(Role::Title, "Signs"))];
+    let mut lines = vec![Line::from(brush.span(Role::Title, "Symbols"))];
     for (role, sign, meaning) in SIGNS {
         lines.extend(two_columns(brush, (role, sign), 18, meaning, width));
     }
     lines.push(Line::default());
     lines.push(Line::from(brush.span(Role::Title, "Filter")));
     for (term, meaning) in [
-        ("feed", "rows that show it somewhere; several words: all of them"),
+        ("feed", "rows containing the word; several words: all"),
         ("at:12 name:FEED", "address, name; on Traffic either side's"),
-        ("is:suspected", "how sure; is:confirmed, is:cleared, is:muted, is:stale, is:new"),
-        ("kind:two", "the kind of a problem, in short or long words"),
+        ("is:suspected", "state; is:confirmed, is:cleared, is:muted, is:stale, is:new"),
+        ("kind:conflict", "the kind of a problem"),
         ("src:FEED dst:0", "sender, receiver; dev: either"),
         ("srv:des type:rsp", "service, message type; id: digits of the identifier"),
         ("bus:can1", "the bus"),
-        ("err  ours", "what went wrong; what we sent"),
-        ("!word", "not that"),
+        ("err  tx", "errors; frames sent by descan"),
+        ("!word", "rows without the word"),
     ] {
         lines.extend(two_columns(brush, (Role::HintKey, term), 18, meaning, width));
     }
@@ -96,18 +97,18 @@ fn counters(brush: &Brush, width: u16) -> Vec<Line<'static>> {
         let title = format!("Counters of {}", bus.name);
         lines.push(Line::from(brush.span(Role::Title, title)));
         for (name, count, meaning) in [
-            ("frames", engine.frames, "heard, ours included"),
-            ("sent", engine.sent, "ours that the bus took"),
+            ("frames", engine.frames, "received, own frames included"),
+            ("sent", engine.sent, "own frames confirmed on the bus"),
             ("errors", engine.errors, "error frames"),
-            ("foreign", engine.foreign, "standard and remote frames: never interpreted"),
-            ("non-conforming", engine.non_conforming, "none of the nine message types"),
-            ("malformed", engine.malformed, "answers that could not be used, or only in part"),
-            ("broken off", engine.transfers_failed, "answers in several frames that did not end"),
-            ("refused", engine.refused, "rows and findings beyond what is kept"),
-            ("lost: kernel", status.kernel_drops, "did not fit the receive buffer"),
-            ("lost: adapter", status.controller_overruns, "the controller itself was overrun"),
-            ("lost: queue", status.queue_drops, "did not fit our own queue"),
-            ("not sent", status.transmit_failures, "were not taken, or not in time"),
+            ("non-platform", engine.non_platform, "11-bit and remote frames, not decoded"),
+            ("non-conforming", engine.non_conforming, "unknown message type"),
+            ("malformed", engine.malformed, "responses unusable or only partly usable"),
+            ("aborted", engine.transfers_failed, "multi-frame responses not completed"),
+            ("not stored", engine.refused, "rows and findings over the limit"),
+            ("lost: kernel", status.kernel_drops, "kernel receive buffer full"),
+            ("lost: adapter", status.controller_overruns, "controller overrun"),
+            ("lost: queue", status.queue_drops, "receive queue full"),
+            ("not sent", status.transmit_failures, "rejected or timed out"),
             ("unreadable", status.unreadable, "messages of the adapter or server"),
         ] {
             // Where there is nobody to misunderstand, it would only be one line more.
@@ -119,7 +120,7 @@ fn counters(brush: &Brush, width: u16) -> Vec<Line<'static>> {
         }
         let buffer = status.receive_buffer.map(|bytes| {
             let held = bytes / KERNEL_BYTES_PER_FRAME;
-            format!("receive buffer {}, some {held} frames", size(u64::from(bytes)))
+            format!("receive buffer {}, about {held} frames", size(u64::from(bytes)))
         });
         for text in buffer.into_iter().chain(status.note.clone()) {
             let text = crate::text::Escaped(text.as_bytes()).to_string();

@@ -2,12 +2,12 @@
 //!
 //! ```text
 //!  can0 125k active  load  37% ▁▂▃▅▂  412 f/s  err 0  lost 0  me 0    status.rs
-//!  des.json ✓ 12 entries         ● 14 here  ○ 1 missing  ⚠ 2  ? 1
+//!  des.json ✓ 12 entries         ● 14 present  ○ 1 missing  ⚠ 2  ? 1
 //! ─ 1 Devices ─ 2 Traffic ─ 3 Timeline ─ 4 Problems 2 ┬─ FEED @12 ──   tabs.rs
 //!    ADDR  NAME   STATE   MODE    SVC   AGE   FILE    │ online 3m12s   devices.rs │ details.rs
 //! ▸  12   FEED   online  WORK      4    0s   ✓ 12     │ …              (or traffic.rs,
 //!    13   SENS   online  WORK      3    0s   + new    │                 timeline.rs,
-//! ⚠  14   ACT    CLASH   WORK      ?    0s   ✗ 16     │                 problems.rs)
+//! ⚠  14   ACT    CONFLICT WORK     ?    0s   ✗ 16     │                 problems.rs)
 //! ─ latest ───────────────────────────────────────────┴─────────────   timeline.rs
 //!  12:03:11  ACT @14  collision confirmed: …
 //!  e edit address  a add to file  u undo  r rescan  …        ? help    footer.rs

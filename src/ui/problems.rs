@@ -31,7 +31,7 @@ const WITH_TIME: u16 = 56;
 fn draw_list(brush: &mut Brush) {
     let (header, list) = (brush.screen.header, brush.screen.list);
     let time = if list.width >= WITH_TIME { "SINCE    " } else { "" };
-    let title = format!("    {} {time}WHAT", fit("WHERE", bus_width(brush) + ADDRESS));
+    let title = format!("    {} {time}PROBLEM", fit("WHERE", bus_width(brush) + ADDRESS));
     let line = Line::from(brush.span(Role::Header, title));
     brush.line(header, 0, &line);
     let list = draw_file_problem(brush, list);
@@ -42,14 +42,10 @@ fn draw_list(brush: &mut Brush) {
             return;
         }
         if !app.view().filter(Page::Problems).is_empty() {
-            return brush.filtered(list, "no problem fits the filter");
+            return brush.filtered(list, "no problem matches the filter");
         }
         // Where a bus cannot be seen, nothing may be said of it.
-        let text = if brush.is_blind() {
-            "no problem was seen so far"
-        } else {
-            "nothing is wrong, as far as can be seen"
-        };
+        let text = if brush.is_blind() { "no problems so far" } else { "no problems found" };
         return brush.nothing(list, text);
     }
     let selected = app.view().problems.index(problems.iter().map(|problem| &problem.key));
@@ -96,7 +92,7 @@ fn problem_line(brush: &Brush, problem: &Problem, list: Rect, selected: bool) ->
         spans.push(brush.span(plain, "muted · "));
     }
     spans.push(brush.span(plain, problem.headline()));
-    let names: Vec<String> = problem.names().iter().map(|it| it.called().to_string()).collect();
+    let names: Vec<String> = problem.names().iter().map(|it| it.quoted().to_string()).collect();
     if !names.is_empty() {
         spans.push(brush.span(Role::Muted, format!("  {}", names.join(", "))));
     }
@@ -134,21 +130,23 @@ fn draw_details(brush: &mut Brush) {
         return;
     }
     let lines = match brush.app.selected_problem() {
-        Some(problem) => Details { brush, problem, width: area.width, lines: Vec::new() }.all(),
+        Some(problem) => {
+            ProblemDetails { brush, problem, width: area.width, lines: Vec::new() }.all()
+        }
         None => return,
     };
     let scroll = brush.app.view().details_scroll;
     brush.lines(area, &lines, scroll);
 }
 
-struct Details<'b, 'a> {
+struct ProblemDetails<'b, 'a> {
     brush: &'b Brush<'a>,
     problem: Problem<'a>,
     width: u16,
     lines: Vec<Line<'static>>,
 }
 
-impl Details<'_, '_> {
+impl ProblemDetails<'_, '_> {
     fn all(mut self) -> Vec<Line<'static>> {
         self.certainty();
         self.text();
@@ -167,11 +165,11 @@ impl Details<'_, '_> {
         let (app, head) = (self.brush.app, self.problem.head());
         let (sign, role, _) = roles(&self.problem);
         let since = self.problem.since();
-        let (at, ago) = (clock(app, since), spell(app.looked_at().since(since)));
+        let (at, ago) = (clock(app, since), spell(app.display_time().since(since)));
         let word = match head.confidence {
-            Confidence::Cleared => "over ",
+            Confidence::Cleared => "cleared ",
             Confidence::Suspected => "suspected ",
-            Confidence::Confirmed if head.key.kind.is_collision() => "confirmed ",
+            Confidence::Confirmed if head.key.kind.is_conflict() => "confirmed ",
             Confidence::Confirmed => "",
         };
         self.lines.push(Line::from(vec![
@@ -180,7 +178,7 @@ impl Details<'_, '_> {
         ]));
         if self.problem.is_muted {
             let key = app.key_of("mute");
-            self.add("", Role::Muted, &format!("muted: it does not count ({key} undoes it)"));
+            self.add("", Role::Muted, &format!("muted ({key} unmutes)"));
         }
     }
 
@@ -189,7 +187,7 @@ impl Details<'_, '_> {
         let headline = self.problem.headline();
         let text = if head.text.is_empty() { &*headline } else { &head.text };
         self.add("", Role::Text, text);
-        if let Some(awaits) = self.problem.awaits() {
+        if let Some(awaits) = self.problem.confirmation_hint() {
             self.lines.push(Line::default());
             self.add("? ", Role::Muted, awaits);
         }
@@ -226,12 +224,12 @@ impl Details<'_, '_> {
         let count = self.problem.count().max(pieces.len() as u64);
         let kept = pieces.len();
         let text = match count {
-            1 => "1 piece of evidence".to_owned(),
-            _ if count > kept as u64 => format!("{count} pieces of evidence, {kept} kept"),
-            _ => format!("{count} pieces of evidence"),
+            1 => "1 event".to_owned(),
+            _ if count > kept as u64 => format!("{count} events, {kept} stored"),
+            _ => format!("{count} events"),
         };
         self.lines.push(Line::from(brush.span(Role::Title, text)));
-        self.add("", Role::Muted, &format!("{key} shows their frames"));
+        self.add("", Role::Muted, &format!("{key} shows the frames"));
         for piece in &pieces {
             let time = format!("{} ", clock_millis(brush.app, piece.time));
             self.add(&time, Role::Text, &piece.what);
@@ -246,7 +244,7 @@ impl Details<'_, '_> {
     fn concerned(&mut self) {
         let (app, problem) = (self.brush.app, &self.problem);
         let addresses: Vec<String> = problem.addresses().iter().map(ToString::to_string).collect();
-        let names: Vec<String> = problem.names().iter().map(|it| it.called().to_string()).collect();
+        let names: Vec<String> = problem.names().iter().map(|it| it.quoted().to_string()).collect();
         let bus = problem.bus().filter(|_| app.buses().len() > 1).and_then(|bus| app.bus(bus));
         let buses: Vec<String> = bus.iter().map(|bus| bus.name.clone()).collect();
         let mut seen = Vec::new();

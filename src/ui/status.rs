@@ -3,7 +3,7 @@
 //! What matters most comes first and stays longest when the screen is narrow.
 
 use super::brush::{Brush, end_of, fit};
-use crate::app::{Bus, FileProblem, Hindrance, Meter, Overlay};
+use crate::app::{Bus, FileProblem, LoadMeter, Overlay, TxBlocked};
 use crate::discovery::OwnAddress;
 use crate::frame::BusIndex;
 use crate::keymap::action;
@@ -30,14 +30,14 @@ pub fn draw(brush: &mut Brush) {
             let file = file(brush, false);
             // What is not on the disk, or cannot be read, gives way to nothing.
             let (first, last) =
-                if is_worrying(brush) { (None, Some(file)) } else { (Some(file), None) };
+                if has_file_trouble(brush) { (None, Some(file)) } else { (Some(file), None) };
             right.extend(first.into_iter().flatten());
             right.extend(counts(brush));
             right.extend(recording(brush));
             right.extend(last.into_iter().flatten());
             add_muted(brush, area, &left, &mut right);
             let mut left = left;
-            make_room(area, &mut left, &mut right);
+            fit_parts(area, &mut left, &mut right);
             pair(brush, area, 0, left, right);
         }
         lines => {
@@ -64,7 +64,7 @@ pub fn draw(brush: &mut Brush) {
 }
 
 /// Whether edits are not on the disk, or the file there cannot be used.
-fn is_worrying(brush: &Brush) -> bool {
+fn has_file_trouble(brush: &Brush) -> bool {
     let file = brush.app.file();
     file.unsaved() > 0
         || file.problem().is_some()
@@ -77,14 +77,14 @@ fn is_worrying(brush: &Brush) -> bool {
 fn bus_to_show(brush: &Brush, from: usize) -> usize {
     let selected = brush.app.selected_row().and_then(|row| row.bus).unwrap_or_default();
     let selected = usize::from(selected.0).max(from);
-    let is_hidden = |at: &usize| brush.app.buses().get(*at).is_some_and(Bus::is_hidden);
+    let is_hidden = |at: &usize| brush.app.buses().get(*at).is_some_and(Bus::is_blind);
     let others = from..brush.app.buses().len();
     std::iter::once(selected).chain(others).find(is_hidden).unwrap_or(selected)
 }
 
 /// Where the name of the bus and what stands at the right do not fit beside each other, that values
 /// are assumed gives way, then the beginning of the name, then, from the first, what stands there.
-fn make_room(area: Rect, left: &mut Parts, right: &mut Parts) {
+fn fit_parts(area: Rect, left: &mut Parts, right: &mut Parts) {
     /// So much of the name tells it from others.
     const LEAST: usize = 6;
     let width = usize::from(area.width);
@@ -198,7 +198,7 @@ fn bus_parts(brush: &Brush, index: BusIndex) -> Parts {
     }
     parts.extend(place_in_log(brush, bus));
     if brush.app.view().frozen.is_some() {
-        parts.insert(1, vec![brush.span(Role::Warning, "HELD")]);
+        parts.insert(1, vec![brush.span(Role::Warning, "FROZEN")]);
     }
     let is_searched = brush.app.searches_bitrate_of(index);
     let message = bus.status.message.as_ref().filter(|_| !bus.is_up() && !is_searched);
@@ -242,7 +242,7 @@ fn place_in_log(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
     if playback.is_paused {
         spans.push(brush.span(Role::Warning, "PAUSED "));
     }
-    let seconds = brush.app.looked_at().as_micros() / 1_000_000;
+    let seconds = brush.app.display_time().as_micros() / 1_000_000;
     let (hours, minutes, seconds) = (seconds / 3600, seconds / 60 % 60, seconds % 60);
     let mut text = match hours {
         0 => format!("{minutes}:{seconds:02}"),
@@ -313,7 +313,7 @@ fn state(brush: &Brush, index: BusIndex, bus: &Bus) -> Span<'static> {
         (Link::Up, BusState::Stopped) => ("STOPPED", Role::Error),
     };
     if brush.app.searches_bitrate_of(index) {
-        return brush.span(Role::Warning, "its bit rate is looked for");
+        return brush.span(Role::Warning, "searching bit rate");
     }
     brush.span(role, word)
 }
@@ -324,7 +324,7 @@ fn warning(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
         let keymap = brush.app.keymap();
         let key = action("bit-rate").and_then(|action| keymap.keys_of(action).next());
         let key = key.map(|key| format!(" ({key})")).unwrap_or_default();
-        let text = format!("only broken frames: another bit rate?{key}");
+        let text = format!("only bus errors: wrong bit rate?{key}");
         return Some(vec![brush.span(Role::Error, text)]);
     }
     if bus.engine.config().listen_only {
@@ -332,9 +332,9 @@ fn warning(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
         let acks = if bus.status.listen_only { "" } else { ", acks" };
         return Some(vec![brush.span(Role::Warning, format!("listen-only{acks}"))]);
     }
-    let why = match bus.hindrance()? {
-        Hindrance::QueueFull => "transmit queue full",
-        Hindrance::Unacknowledged => "nobody acknowledges",
+    let why = match bus.tx_blocked()? {
+        TxBlocked::QueueFull => "transmit queue full",
+        TxBlocked::Unacknowledged => "no ACK",
     };
     Some(vec![brush.span(Role::Error, why)])
 }
@@ -343,18 +343,22 @@ fn own_address(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
     if bus.engine.config().listen_only {
         return None;
     }
+    let own = if brush.screen.whole.width < 110 { "own" } else { "own addr" };
     let label = |text: String| vec![brush.span(Role::Muted, text)];
     Some(match bus.engine.own_address() {
         OwnAddress::Held(address) => {
-            vec![brush.span(Role::Muted, "me "), brush.span(Role::Text, address.to_string())]
+            vec![
+                brush.span(Role::Muted, format!("{own} ")),
+                brush.span(Role::Text, address.to_string()),
+            ]
         }
         OwnAddress::Blocked(Some(address)) => {
-            vec![brush.span(Role::Error, format!("me {address} in use"))]
+            vec![brush.span(Role::Error, format!("{own} {address} in use"))]
         }
-        OwnAddress::Blocked(None) => vec![brush.span(Role::Error, "no address free")],
-        OwnAddress::Claiming(address) => label(format!("me {address}?")),
+        OwnAddress::Blocked(None) => vec![brush.span(Role::Error, "no free address")],
+        OwnAddress::Claiming(address) => label(format!("{own} {address}?")),
         OwnAddress::Listening => label("listening".to_owned()),
-        OwnAddress::None => label("me –".to_owned()),
+        OwnAddress::None => label(format!("{own} –")),
     })
 }
 
@@ -362,7 +366,7 @@ fn own_address(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
 fn sparkline(bus: &Bus, width: usize) -> String {
     const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
     let bitrate = bus.bits_per_second();
-    let width = width.min(Meter::SECONDS);
+    let width = width.min(LoadMeter::SECONDS);
     let newest = bus.meter.seconds().rev().take(width);
     let mut bars: Vec<char> = newest
         .map(|second| match (second.frames, second.load(bitrate)) {
@@ -390,9 +394,9 @@ fn counts(brush: &Brush) -> Parts {
             brush.span(if count > 0 { role } else { Role::Muted }, word),
         ]
     };
-    let mut parts = vec![one(Role::Online, "●", counts.here, "here")];
+    let mut parts = vec![one(Role::Online, "●", counts.here, "present")];
     if counts.unseen > 0 {
-        parts.push(one(Role::Muted, "·", counts.unseen, "unseen"));
+        parts.push(one(Role::Muted, "·", counts.unseen, "unknown"));
     }
     // Without their words the two look the same.
     let (missing, lost) =
@@ -416,7 +420,7 @@ fn counts(brush: &Brush) -> Parts {
 fn recording(brush: &Brush) -> Option<Vec<Span<'static>>> {
     let status = brush.app.recording()?;
     if status.failure.is_some() {
-        return Some(vec![brush.span(Role::Error, "✗ rec over")]);
+        return Some(vec![brush.span(Role::Error, "✗ rec stopped")]);
     }
     let mut spans = vec![
         brush.span(Role::Recording, "● rec"),
@@ -445,10 +449,13 @@ fn file(brush: &Brush, whole: bool) -> Parts {
             };
             parts.push(vec![name, brush.span(Role::Error, text)]);
             if whole && file.was_good() {
-                // Where there is no room for the word, the number is not cut.
+                // Where there is no room for the number, it is left out, not cut.
                 let word = if entries == 1 { " entry" } else { " entries" };
-                let text = format!("last good: {entries}");
-                parts.push(vec![brush.span(Role::Muted, text), brush.span(Role::Muted, word)]);
+                let text = format!(": {entries}{word}");
+                parts.push(vec![
+                    brush.span(Role::Muted, "using last valid"),
+                    brush.span(Role::Muted, text),
+                ]);
             }
             return parts;
         }
@@ -470,15 +477,15 @@ fn file(brush: &Brush, whole: bool) -> Parts {
         parts.push(vec![name, brush.span(Role::Error, " ✗ conflict")]);
         if whole && !matches!(brush.app.overlay(), Overlay::Conflict) {
             let key = brush.app.key_of("save");
-            parts.push(vec![brush.span(Role::Muted, format!("{key} shows it"))]);
+            parts.push(vec![brush.span(Role::Muted, format!("{key} resolves it"))]);
         }
     } else if unsaved > 0 {
         parts.push(vec![name, brush.span(Role::Warning, format!(" … saving {unsaved}"))]);
         if whole && file.emptied_since().is_some() {
-            parts.push(vec![brush.span(Role::Muted, "empty just now")]);
+            parts.push(vec![brush.span(Role::Muted, "empty (being written?)")]);
         }
     } else if file.emptied_since().is_some() {
-        parts.push(vec![name, brush.span(Role::Warning, " empty just now")]);
+        parts.push(vec![name, brush.span(Role::Warning, " empty (being written?)")]);
     } else if !file.is_read() {
         parts.push(vec![name, brush.span(Role::Muted, " …")]);
     } else if file.is_there() {
@@ -493,7 +500,7 @@ fn file(brush: &Brush, whole: bool) -> Parts {
             parts.push(vec![brush.span(Role::Warning, format!("! {odd}"))]);
         }
     } else {
-        parts.push(vec![name, brush.span(Role::Muted, " not there yet")]);
+        parts.push(vec![name, brush.span(Role::Muted, " not found")]);
     }
     parts
 }

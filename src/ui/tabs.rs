@@ -93,7 +93,7 @@ fn title(brush: &Brush) -> Option<String> {
     match app.view().page {
         Page::Devices => {
             let row = app.selected_row()?;
-            let name = row.name.as_ref().map_or("?".to_owned(), |it| it.called().to_string());
+            let name = row.name.as_ref().map_or("?".to_owned(), |it| it.quoted().to_string());
             Some(match (&row.key, row.address) {
                 (RowKey::Device(_), Some(address)) => format!("{name} @{address}"),
                 _ => name,

@@ -9,16 +9,16 @@ use unicode_width::UnicodeWidthStr;
 pub fn draw(brush: &mut Brush) {
     let (header, list) = (brush.screen.header, brush.screen.list);
     let bus = if shows_bus(brush) { "BUS    " } else { "" };
-    let title = format!("  {:8}   {bus}{:12} WHAT", "TIME", "WHO");
+    let title = format!("  {:8}   {bus}{:12} EVENT", "TIME", "SOURCE");
     let line = Line::from(brush.span(Role::Header, title));
     brush.line(header, 0, &line);
     let app = brush.app;
     let numbers = app.lines_shown();
     if numbers.is_empty() {
         let text = if app.view().filter(Page::Timeline).is_empty() {
-            "nothing has happened yet"
+            "no events yet"
         } else {
-            return brush.filtered(list, "no line fits the filter");
+            return brush.filtered(list, "no event matches the filter");
         };
         let line = Line::from(brush.span(Role::Muted, format!("   {text}")));
         return brush.line(list, 1, &line);
@@ -112,7 +112,7 @@ fn who(brush: &Brush, entry: &TimelineEntry, width: usize) -> String {
     match (app.name_on_line(entry), entry.address) {
         (Some(name), Some(address)) => {
             let address = format!(" @{address}");
-            let name = name.called().to_string();
+            let name = name.quoted().to_string();
             let room = width.saturating_sub(address.width());
             let short = if name.width() > room {
                 format!("{}…", cut(&name, room.saturating_sub(1)))
@@ -122,7 +122,7 @@ fn who(brush: &Brush, entry: &TimelineEntry, width: usize) -> String {
             short + &address
         }
         (None, Some(address)) => format!("? @{address}"),
-        (Some(name), None) if entry.bus.is_none() => name.called().to_string(),
+        (Some(name), None) if entry.bus.is_none() => name.quoted().to_string(),
         _ => match entry.bus.and_then(|bus| app.bus(bus)) {
             Some(bus) => end_of(bus.name_without_rates(), width),
             None => app.file().name(),

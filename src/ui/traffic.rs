@@ -47,7 +47,7 @@ fn draw_frames(brush: &mut Brush) {
     if room.kind {
         title.push_str("TYPE        ");
     }
-    title.push_str("WHAT");
+    title.push_str("INFO");
     let mut line = Line::from(brush.span(Role::Header, title));
     if brush.app.view().traffic.is_none() && brush.app.view().frozen.is_none() {
         line.push_span(brush.span(Role::Muted, "   following"));
@@ -57,9 +57,9 @@ fn draw_frames(brush: &mut Brush) {
     if shown.is_empty() {
         let filtered = !brush.app.view().filter(Page::Traffic).is_empty();
         let text = if filtered {
-            return brush.filtered(list, "no frame fits the filter");
+            return brush.filtered(list, "no frame matches the filter");
         } else {
-            "no frame was heard yet"
+            "no frames received yet"
         };
         let line = Line::from(brush.span(Role::Muted, format!("   {text}")));
         return brush.line(list, 1, &line);
@@ -84,11 +84,11 @@ fn frame_line(
 ) -> Line<'static> {
     let decoded = Decoded::of(brush.app, frame);
     let proves = brush.app.piece_of(frame).is_some();
-    let plain = if frame.ours { Role::Muted } else { Role::Text };
+    let plain = if frame.is_tx { Role::Muted } else { Role::Text };
     let text = |role: Role, text: String| brush.span(role, text);
     let mut spans: Vec<Span> = vec![
         text(Role::Text, if selected { "▸" } else { " " }.to_owned()),
-        text(Role::Match, if proves { HELD } else { " " }.to_owned()),
+        text(Role::Match, if proves { IN_CAPTURE } else { " " }.to_owned()),
         text(Role::Muted, format!("{} ", clock_millis(brush.app, frame.time))),
     ];
     if room.bus {
@@ -140,8 +140,8 @@ pub(super) fn in_words(brush: &Brush, frame: &Frame) -> String {
 }
 
 /// The sign of evidence that the capture still holds, and of what only the finding has kept.
-const HELD: &str = "◆";
-const KEPT: &str = "◇";
+const IN_CAPTURE: &str = "◆";
+const STORED_ONLY: &str = "◇";
 
 /// The pieces of evidence, a row each: what they show before what they say.
 fn draw_evidence(brush: &mut Brush) {
@@ -156,10 +156,10 @@ fn draw_evidence(brush: &mut Brush) {
     if with_route {
         title.push_str("  FROM TO     SRV  ");
     }
-    title.push_str("WHAT IT SHOWS");
+    title.push_str("EVIDENCE");
     let mut line = Line::from(brush.span(Role::Header, title));
     if evidence.count > evidence.pieces.len() as u64 {
-        let text = format!("   {} of {} kept", evidence.pieces.len(), evidence.count);
+        let text = format!("   {} of {} stored", evidence.pieces.len(), evidence.count);
         line.push_span(brush.span(Role::Muted, text));
     }
     brush.line(header, 0, &line);
@@ -169,8 +169,8 @@ fn draw_evidence(brush: &mut Brush) {
     for (row, piece) in evidence.pieces.iter().skip(top).take(height).enumerate() {
         let is_selected = selected == Some(top + row);
         let sign = match &piece.frame {
-            Some(frame) if brush.app.captured(frame).is_some() => HELD,
-            Some(_) => KEPT,
+            Some(frame) if brush.app.captured(frame).is_some() => IN_CAPTURE,
+            Some(_) => STORED_ONLY,
             None => " ",
         };
         let mut spans = vec![
@@ -188,7 +188,9 @@ fn draw_evidence(brush: &mut Brush) {
             }
         }
         spans.push(brush.span(Role::Text, piece.what.clone()));
-        if let Some((_, decoded)) = decoded.filter(|(_, decoded)| !decoded.text.is_empty()) {
+        if let Some((_, decoded)) =
+            decoded.filter(|(_, decoded)| !decoded.text.is_empty() && decoded.text != piece.what)
+        {
             spans.push(brush.span(Role::Muted, format!(": {}", decoded.text)));
         }
         brush.line(list, row as u16, &Line::from(spans));
@@ -224,7 +226,7 @@ fn draw_details(brush: &mut Brush) {
         lines.extend(labelled(brush, &fit(label, 9), role, text, area.width));
     };
     let bus = app.bus(frame.bus).map_or("", |bus| bus.name_without_rates());
-    let ours = if frame.ours { ", sent by us" } else { "" };
+    let ours = if frame.is_tx { ", sent by descan" } else { "" };
     add("frame", Role::Text, &format!("{} on {bus}{ours}", clock_millis(app, frame.time)));
     add("id", Role::Text, &describe_id(frame, &decoded));
     if let Some(header) = decoded.header {
@@ -232,7 +234,7 @@ fn draw_details(brush: &mut Brush) {
             if name == address.to_string() { name.to_owned() } else { format!("{name} @{address}") }
         };
         let to = if header.broadcast {
-            format!("all (RND7 {})", header.destination)
+            format!("broadcast (RND7 {})", header.destination)
         } else {
             who(&decoded.destination, header.destination)
         };
@@ -247,7 +249,7 @@ fn draw_details(brush: &mut Brush) {
     }
     let role = if decoded.is_error { Role::Error } else { Role::Text };
     if !decoded.text.is_empty() {
-        add("says", role, &decoded.text);
+        add("decoded", role, &decoded.text);
     }
     let number = match alone {
         Some(_) => app.captured(frame),
@@ -260,7 +262,7 @@ fn draw_details(brush: &mut Brush) {
         add("evidence", Role::Text, &piece.what);
     }
     if alone.is_some() && number.is_none() {
-        add("", Role::Muted, "the capture has forgotten it; the finding has not");
+        add("", Role::Muted, "no longer in the capture, stored as evidence");
     }
     for (at, bytes) in frame.data().chunks(8).enumerate() {
         let text: String = bytes
@@ -290,7 +292,7 @@ fn describe_id(frame: &Frame, decoded: &Decoded) -> String {
         text += &flag("ERR", header.no_error);
     }
     match (frame.fd, frame.bit_rate_switch) {
-        (true, true) => text.push_str("  FD, faster data"),
+        (true, true) => text.push_str("  FD, BRS"),
         (true, false) => text.push_str("  FD"),
         (false, _) => {}
     }
@@ -319,7 +321,7 @@ fn draw_identifiers(brush: &mut Brush) {
     }
     let refused = app.capture().identifiers().refused();
     if refused > 0 && list.height > 0 {
-        let text = format!(" {refused} frames of further identifiers are in no row ");
+        let text = format!(" {refused} frames not shown: identifier table full ");
         let line = Line::from(brush.span(Role::Warning, text));
         brush.line(list, list.height - 1, &line);
     }

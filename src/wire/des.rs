@@ -58,18 +58,18 @@ pub enum Asked {
 
 /// What is wrong with an answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
-pub enum AnswerFault {
+pub enum ResponseFault {
     /// The first byte is not the type that was asked for.
-    #[error("not a name answer")]
+    #[error("not a name response")]
     NotAName,
     /// The first byte is not 02.
-    #[error("not a services answer")]
+    #[error("not a services response")]
     NotServices,
     /// The message ends inside a string or before a service's version.
     #[error("truncated")]
     Truncated,
     /// The first service's index is not 0.
-    #[error("bad index")]
+    #[error("service index out of order")]
     BadIndex,
     /// More than [`MAX_SERVICES`].
     #[error("more than 256 services")]
@@ -85,17 +85,17 @@ pub enum AnswerFault {
 /// The name in a name answer: `01`, the name's bytes, `00`.
 ///
 /// What could be read comes even where something is wrong.
-pub fn decode_name(message: &[u8]) -> (Option<&[u8]>, Option<AnswerFault>) {
+pub fn decode_name(message: &[u8]) -> (Option<&[u8]>, Option<ResponseFault>) {
     if message.len() > MAX_MESSAGE {
-        return (None, Some(AnswerFault::TooLong));
+        return (None, Some(ResponseFault::TooLong));
     }
     let [TYPE_NAME, rest @ ..] = message else {
-        return (None, Some(AnswerFault::NotAName));
+        return (None, Some(ResponseFault::NotAName));
     };
     match rest.iter().position(|&byte| byte == 0) {
         Some(end) if end + 1 == rest.len() => (Some(&rest[..end]), None),
-        Some(end) => (Some(&rest[..end]), Some(AnswerFault::BytesAfterName)),
-        None => (Some(rest), Some(AnswerFault::Truncated)),
+        Some(end) => (Some(&rest[..end]), Some(ResponseFault::BytesAfterName)),
+        None => (Some(rest), Some(ResponseFault::Truncated)),
     }
 }
 
@@ -151,49 +151,49 @@ enum Division {
 /// run exactly to the end is taken. Otherwise a byte equal to the next index opens the next
 /// service where at least two terminated strings follow it.
 #[derive(Clone, Copy)]
-pub struct ServicesAnswer<'a> {
+pub struct ServicesResponse<'a> {
     body: &'a [u8],
     division: Division,
-    fault: Option<AnswerFault>,
+    fault: Option<ResponseFault>,
 }
 
-impl<'a> ServicesAnswer<'a> {
+impl<'a> ServicesResponse<'a> {
     /// Reads an answer. What is wrong with it is its [`fault`](Self::fault).
     pub fn decode(message: &'a [u8]) -> Self {
         let refused = |fault| Self { body: &[], division: Division::Linear, fault: Some(fault) };
         if message.len() > MAX_MESSAGE {
-            return refused(AnswerFault::TooLong);
+            return refused(ResponseFault::TooLong);
         }
         let [TYPE_SERVICES, body @ ..] = message else {
-            return refused(AnswerFault::NotServices);
+            return refused(ResponseFault::NotServices);
         };
         if let Some(&first) = body.first()
             && first != 0
         {
-            return refused(AnswerFault::BadIndex);
+            return refused(ResponseFault::BadIndex);
         }
         if let Some(strings) = (2..=8).find(|&strings| fits_fixed(body, strings)) {
             return Self { body, division: Division::Fixed(strings), fault: None };
         }
-        let mut answer = Self { body, division: Division::Linear, fault: None };
+        let mut response = Self { body, division: Division::Linear, fault: None };
         let mut last = None;
         let mut count = 0;
-        for service in answer.services() {
+        for service in response.services() {
             count += 1;
             last = Some(service);
         }
-        answer.fault = match last {
-            _ if count > MAX_SERVICES => return refused(AnswerFault::TooManyServices),
+        response.fault = match last {
+            _ if count > MAX_SERVICES => return refused(ResponseFault::TooManyServices),
             Some(last) if last.strings.last() != Some(&0) || last.strings().count() < 2 => {
-                Some(AnswerFault::Truncated)
+                Some(ResponseFault::Truncated)
             }
             _ => None,
         };
-        answer
+        response
     }
 
     /// What is wrong with the answer; the services read so far are there all the same.
-    pub fn fault(&self) -> Option<AnswerFault> {
+    pub fn fault(&self) -> Option<ResponseFault> {
         self.fault
     }
 

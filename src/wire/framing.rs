@@ -4,7 +4,7 @@
 //! The DES description does not name a framing; its advice of five characters "so that the
 //! answer fits one frame" fits ISO 15765-2 single frames. Does not keep transfers in progress.
 
-use super::des::{ServicesAnswer, TYPE_NAME, TYPE_SERVICES};
+use super::des::{ServicesResponse, TYPE_NAME, TYPE_SERVICES};
 use super::isotp::Pci;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -33,7 +33,7 @@ impl fmt::Display for Framing {
 /// isotp: byte 0 is 01–07 with at least that many bytes behind it and byte 1 is an answer's
 /// type (on FD also `00 LL`); a first frame; or, while a transfer is open, a consecutive frame
 /// or flow control. Else raw, where byte 0 is an answer's type.
-pub fn classify_answer(data: &[u8], fd: bool, transfer_open: bool) -> Option<Framing> {
+pub fn classify_response(data: &[u8], fd: bool, transfer_open: bool) -> Option<Framing> {
     let is_type = |byte: Option<&u8>| matches!(byte, Some(&(TYPE_NAME | TYPE_SERVICES)));
     let &first = data.first()?;
     let isotp = match first {
@@ -83,7 +83,7 @@ pub fn strip_raw_padding(data: &[u8]) -> &[u8] {
             let text = data.iter().rposition(|&byte| byte != 0).map_or(0, |at| at + 1);
             (text..data.len())
                 .map(|end| &data[..end])
-                .find(|message| ServicesAnswer::decode(message).fault().is_none())
+                .find(|message| ServicesResponse::decode(message).fault().is_none())
                 .unwrap_or(data)
         }
         _ => data,

@@ -190,7 +190,7 @@ impl Header {
     /// asker's U (4.3 as resolved: its text says DST = the request's DST, which is the
     /// answerer itself).
     #[must_use]
-    pub const fn answer(self, from: Address, not_working: bool) -> Self {
+    pub const fn response(self, from: Address, not_working: bool) -> Self {
         Self {
             sender_not_working: not_working,
             to_not_working: self.sender_not_working,
@@ -312,7 +312,7 @@ mod tests {
         let patterns = Header::patterns_of(us, des);
         let fits = |header: Header| patterns.iter().any(|it| it.fits(header.encode()));
         let request = Header::request(other, us, true, data);
-        assert!(fits(request) && fits(request.answer(us, false)));
+        assert!(fits(request) && fits(request.response(us, false)));
         assert!(fits(Header::request(us, other, false, des)));
         assert!(fits(Header::broadcast(us, 5, false, data)));
         assert!(fits(Header::unsolicited(us, 5, true, data)));
@@ -320,7 +320,7 @@ mod tests {
         assert!(fits(Header::broadcast(other, 5, true, des)));
         // Others among each other, also where the random DST of a broadcast is the address.
         assert!(!fits(Header::request(other, third, false, des)));
-        assert!(!fits(Header::request(other, third, false, des).answer(third, false)));
+        assert!(!fits(Header::request(other, third, false, des).response(third, false)));
         assert!(!fits(Header::broadcast(other, 12, false, data)));
         assert!(!fits(Header::unsolicited(other, 12, false, des)));
     }

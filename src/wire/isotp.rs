@@ -85,7 +85,7 @@ pub enum Pci<'a> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PciFault {
     /// No bytes at all.
-    #[error("no bytes")]
+    #[error("empty frame")]
     Empty,
     /// The length in the PCI does not fit the frame.
     #[error("a length that does not fit the frame")]
@@ -202,22 +202,22 @@ pub enum TransferFault {
     #[error("no flow control within 1 s")]
     ReceiverSilent,
     /// The message is longer than we take, or than its first frame may say.
-    #[error("a message of {0} bytes; 4095 are allowed")]
+    #[error("{0} bytes exceed the limit of 4095")]
     TooLong(u32),
     /// A first frame whose length would have fitted a single frame, or that is not filled.
-    #[error("a first frame with an impossible length")]
+    #[error("first frame with invalid length")]
     BadFirstFrame,
     /// The receiver said OVERFLOW.
-    #[error("the receiver refused the length")]
+    #[error("flow control: overflow")]
     Refused,
     /// The receiver said WAIT too often.
-    #[error("the receiver asked to wait too often")]
+    #[error("flow control: too many WAIT frames")]
     TooManyWaits,
 }
 
 /// What a consecutive frame did to a transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Progress {
+pub enum ReassemblyProgress {
     /// More to come.
     More,
     /// More to come, and the sender waits for flow control.
@@ -274,7 +274,7 @@ impl Reassembly {
         now: Instant,
         sequence: u8,
         data: &[u8],
-    ) -> Result<Progress, TransferFault> {
+    ) -> Result<ReassemblyProgress, TransferFault> {
         let missing = self.length - self.message.len();
         let take = missing.min(self.part);
         if sequence != self.next_sequence || data.len() < take {
@@ -284,16 +284,16 @@ impl Reassembly {
         self.next_sequence = (sequence + 1) & 0x0F;
         self.deadline = now + TIMEOUT;
         if self.message.len() == self.length {
-            return Ok(Progress::Done);
+            return Ok(ReassemblyProgress::Done);
         }
         if self.block_size > 0 {
             self.block_left -= 1;
             if self.block_left == 0 {
                 self.block_left = self.block_size;
-                return Ok(Progress::BlockEnd);
+                return Ok(ReassemblyProgress::BlockEnd);
             }
         }
-        Ok(Progress::More)
+        Ok(ReassemblyProgress::More)
     }
 
     /// The bytes so far; all of them after [`Progress::Done`].

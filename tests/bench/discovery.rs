@@ -51,7 +51,7 @@ fn measure(bitrate: u32, seed: u64) -> f64 {
     let done = inspection.run_until(until, |engine| engine.progress().with_services == 127);
     assert!(done, "not all found: {:?}", inspection.engine.progress());
     let end = inspection.sim.now();
-    let ours = inspection.frames.iter().filter(|frame| frame.ours);
+    let ours = inspection.frames.iter().filter(|frame| frame.is_tx);
     let first = *ours.clone().next().expect("a request");
     let began = first.time - inspection.sim.frame_duration(&first);
     let took = end.since(began);

@@ -25,7 +25,7 @@ fn main() {
     while passed < FRAMES {
         for frames in recorded.chunks(64) {
             batch.clear();
-            batch.extend(frames.iter().map(|frame| frame.at(frame.time + offset)));
+            batch.extend(frames.iter().map(|frame| frame.with_time(frame.time + offset)));
             let now = batch[batch.len() - 1].time;
             let start = std::time::Instant::now();
             app.handle_frames(now, &batch);

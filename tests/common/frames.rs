@@ -26,7 +26,7 @@ pub fn any_frame() -> impl Strategy<Value = Frame> {
         }),
     ];
     (frame, any::<bool>(), 0_u64..1 << 40).prop_map(|(mut frame, ours, micros)| {
-        frame.ours = ours;
-        frame.at(Instant::from_micros(micros))
+        frame.is_tx = ours;
+        frame.with_time(Instant::from_micros(micros))
     })
 }

@@ -3,16 +3,16 @@
 #![allow(dead_code)]
 
 use descan::bus::candump::write_line;
-use descan::discovery::{Config, Engine, Event, EventKind, Party};
+use descan::discovery::{Config, ConflictParty, Engine, Event, EventKind};
 use descan::frame::Frame;
-use descan::sim::{Fault, Scenario, Sim, Station};
+use descan::sim::{Fault, Scenario, Sim, SimStation};
 use descan::time::{Duration, Epoch, Instant};
 use std::fmt::Write;
 
 /// A simulated bus with an inspector on it.
 pub struct Inspection {
     pub sim: Sim,
-    pub station: Station,
+    pub station: SimStation,
     pub engine: Engine,
     pub events: Vec<Event>,
     /// Every frame the inspector saw, its own included.
@@ -112,11 +112,11 @@ pub fn describe(event: &Event) -> String {
             Some(from) => format!("mode{who}: {from} -> {to}"),
             None => format!("mode{who}: {to}"),
         },
-        EventKind::Claimed { holder, guess, .. } => match holder {
+        EventKind::Claimed { holder, inferred: guess, .. } => match holder {
             Some(holder) => format!("claimed{who}: held by {}{}", party(holder), perhaps(*guess)),
             None => format!("claimed{who}"),
         },
-        EventKind::GaveWay { to, guess, .. } => {
+        EventKind::GaveWay { to, inferred: guess, .. } => {
             let to = to.as_ref().map_or("nobody".to_owned(), party);
             format!("gave way{who}: to {to}{}", perhaps(*guess))
         }
@@ -136,13 +136,13 @@ pub fn describe(event: &Event) -> String {
         EventKind::OwnAddressLost(address) => format!("we gave up {address}"),
         EventKind::NoAddress(Some(wanted)) => format!("{wanted} is not free"),
         EventKind::NoAddress(None) => "no address is free".to_owned(),
-        EventKind::NobodyAcknowledges => "nobody acknowledges".to_owned(),
+        EventKind::NobodyAcknowledges => "no ACK".to_owned(),
         EventKind::Acknowledged => "acknowledged".to_owned(),
         EventKind::Debug { code, data } => format!("debug{who}: {code:03X} {data:02X?}"),
     }
 }
 
-fn party(party: &Party) -> String {
+fn party(party: &ConflictParty) -> String {
     let name = party.name.as_ref().map(ToString::to_string);
     name.unwrap_or_else(|| format!("row {}", party.device.number))
 }

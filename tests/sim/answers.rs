@@ -2,7 +2,7 @@
 
 use super::{address, after, bus_with, des, from};
 use descan::frame::Frame;
-use descan::sim::{DeviceFraming, DeviceSpec, Fault, Sim, Station};
+use descan::sim::{DeviceFraming, DeviceSpec, Fault, Sim, SimStation};
 use descan::time::Duration;
 use descan::wire::id::Header;
 use descan::wire::node::Mode;
@@ -23,12 +23,12 @@ fn request(to: u8) -> u32 {
     Header::request(address(0), address(to), false, des()).encode()
 }
 
-fn send(sim: &mut Sim, me: Station, data: &[u8]) {
+fn send(sim: &mut Sim, me: SimStation, data: &[u8]) {
     assert!(sim.transmit(me, Frame::classic(request(12), data)));
 }
 
 /// Everything that 12 sends within `ms`.
-fn answers(sim: &mut Sim, me: Station, ms: u64) -> Vec<(Header, Frame)> {
+fn answers(sim: &mut Sim, me: SimStation, ms: u64) -> Vec<(Header, Frame)> {
     let frames = after(sim, me, ms);
     from(&frames, 12)
 }

@@ -3,7 +3,7 @@
 use super::{after, is_error, polled, two_stations};
 use descan::frame::bits::FrameBits;
 use descan::frame::{CanId, Frame, FrameKind};
-use descan::sim::{BusState, Scenario, Sim};
+use descan::sim::{ControllerState, Scenario, Sim};
 use descan::time::{Duration, Instant};
 
 #[test]
@@ -46,8 +46,8 @@ fn the_sender_gets_its_own_copy_when_the_bus_took_it() {
     sim.transmit(one, Frame::classic(5, &[1]));
     assert_eq!(sim.poll_frame(one), None);
     let (own, seen) = (after(&mut sim, one, 10), polled(&mut sim, two));
-    assert!(own.len() == 1 && own[0].ours, "{own:?}");
-    assert!(seen.len() == 1 && !seen[0].ours, "{seen:?}");
+    assert!(own.len() == 1 && own[0].is_tx, "{own:?}");
+    assert!(seen.len() == 1 && !seen[0].is_tx, "{seen:?}");
 }
 
 #[test]
@@ -59,7 +59,7 @@ fn equal_frames_at_the_same_moment_merge() {
     assert_eq!(after(&mut sim, watcher, 10).len(), 1);
     for station in [one, two] {
         let own = polled(&mut sim, station);
-        assert!(own.len() == 1 && own[0].ours, "each believes it sent it: {own:?}");
+        assert!(own.len() == 1 && own[0].is_tx, "each believes it sent it: {own:?}");
     }
 }
 
@@ -89,7 +89,7 @@ fn different_bytes_destroy_each_other_until_both_are_passive() {
         seen.iter().filter(|frame| !is_error(frame)).map(|frame| frame.data()[0]).collect();
     assert_eq!(data, [0x00, 0x80]);
     assert_eq!((sim.status(one).tec, sim.status(two).tec), (127, 135));
-    assert_eq!(sim.status(two).state, BusState::ErrorPassive);
+    assert_eq!(sim.status(two).state, ControllerState::ErrorPassive);
     assert_eq!(sim.status(watcher).rec, 14, "two good frames");
 }
 
@@ -120,11 +120,11 @@ fn what_won_on_another_bus_neither_spoils_nor_merges_with_what_waits_here() {
         }
     }
     let kept = polled(&mut sim, two);
-    assert_eq!(kept.iter().filter(|frame| frame.ours).count(), 80);
+    assert_eq!(kept.iter().filter(|frame| frame.is_tx).count(), 80);
     assert_eq!(kept.len(), 160);
     for station in [one, two, watcher] {
         let status = sim.status(station);
-        assert_eq!((status.state, status.tec, status.rec), (BusState::ErrorActive, 0, 0));
+        assert_eq!((status.state, status.tec, status.rec), (ControllerState::ErrorActive, 0, 0));
     }
 }
 
@@ -138,8 +138,8 @@ fn losing_again_and_again_leads_to_bus_off_and_restart_out_of_it() {
         sim.transmit(two, Frame::classic(5, &[0x80]));
         log.extend(after(&mut sim, two, 100));
     }
-    assert_eq!(sim.status(two).state, BusState::BusOff);
-    assert_ne!(sim.status(one).state, BusState::BusOff);
+    assert_eq!(sim.status(two).state, ControllerState::BusOff);
+    assert_ne!(sim.status(one).state, ControllerState::BusOff);
     assert!(!sim.transmit(two, Frame::classic(6, &[])), "bus-off takes no frames");
     let classes: Vec<u32> = log
         .iter()
@@ -154,9 +154,9 @@ fn losing_again_and_again_leads_to_bus_off_and_restart_out_of_it() {
     assert_eq!(classes.iter().rfind(|class| **class != 0x88), Some(&0x40));
     assert!(after(&mut sim, two, 1000).is_empty());
     sim.set_link(two, true);
-    assert_eq!(sim.status(two).state, BusState::ErrorActive);
+    assert_eq!(sim.status(two).state, ControllerState::ErrorActive);
     assert!(sim.transmit(two, Frame::classic(6, &[])));
-    assert!(after(&mut sim, two, 100).iter().any(|frame| frame.ours));
+    assert!(after(&mut sim, two, 100).iter().any(|frame| frame.is_tx));
 }
 
 #[test]
@@ -169,13 +169,13 @@ fn alone_on_the_bus_nothing_is_acknowledged_and_nobody_goes_bus_off() {
     // ACK | BUSERROR | CNT, place ACK.
     assert_eq!(seen[0].to_string(), "200002A0#0000001900000800");
     let status = sim.status(me);
-    assert_eq!((status.state, status.tec, status.queued), (BusState::ErrorPassive, 128, 1));
+    assert_eq!((status.state, status.tec, status.queued), (ControllerState::ErrorPassive, 128, 1));
     // A listener acknowledges nothing; a full station does.
     let other = sim.attach();
     sim.set_listen_only(other, true);
     assert!(after(&mut sim, me, 100).iter().all(is_error));
     sim.set_listen_only(other, false);
-    assert!(after(&mut sim, me, 100).iter().any(|frame| frame.ours));
+    assert!(after(&mut sim, me, 100).iter().any(|frame| frame.is_tx));
     assert_eq!(sim.status(me).tec, 127);
 }
 
@@ -186,7 +186,7 @@ fn a_listener_sends_nothing_and_a_cut_link_loses_what_waits() {
     sim.transmit(one, Frame::classic(5, &[]));
     assert!(after(&mut sim, two, 100).is_empty());
     sim.set_link(one, false);
-    assert_eq!(sim.status(one).state, BusState::Down);
+    assert_eq!(sim.status(one).state, ControllerState::Down);
     assert!(!sim.transmit(one, Frame::classic(5, &[])));
     sim.set_link(one, true);
     sim.set_listen_only(one, false);

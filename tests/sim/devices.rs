@@ -1,7 +1,7 @@
 //! How devices find addresses, beat, give way and give up.
 
 use super::{address, after, at_ms, beats, bus_with, from, is_error};
-use descan::sim::{Action, AddressChoice, DeviceSpec, Fault, Scenario, Sim, Station};
+use descan::sim::{AddressChoice, DeviceAction, DeviceSpec, Fault, Scenario, Sim, SimStation};
 use descan::time::Duration;
 use descan::wire::id::Address;
 use descan::wire::node::{Mode, Uid};
@@ -88,7 +88,7 @@ fn a_taken_fixed_address_is_waited_for_a_taken_preferred_one_is_not() {
     sim.advance(at_ms(20_000));
     assert_eq!(state(&sim, "FIXED").1, None);
     assert!(state(&sim, "PREF").1.is_some_and(|number| number != 10));
-    sim.control(sim.device("OLD").unwrap(), Action::Leave);
+    sim.control(sim.device("OLD").unwrap(), DeviceAction::Leave);
     assert_eq!(state(&sim, "OLD"), (None, None));
     sim.advance(at_ms(30_000));
     assert_eq!(state(&sim, "FIXED"), (Some(Mode::Work), Some(10)));
@@ -206,24 +206,27 @@ fn two_offenders_destroy_each_other_and_give_up_at_128() {
 fn controls_do_what_they_say() {
     let (mut sim, me) = bus_with([settled("A", 1), settled("B", 2)]);
     let a = sim.device("A").unwrap();
-    sim.control(a, Action::Mode(Mode::Cfg));
+    sim.control(a, DeviceAction::Mode(Mode::Cfg));
     assert!(from(&after(&mut sim, me, 1100), 1)[0].0.sender_not_working);
-    sim.control(a, Action::Mode(Mode::Work));
-    sim.control(a, Action::Uid(Uid([9; 6])));
+    sim.control(a, DeviceAction::Mode(Mode::Work));
+    sim.control(a, DeviceAction::Uid(Uid([9; 6])));
     assert_eq!(beats(&after(&mut sim, me, 1100), 1)[0].data()[..6], [9; 6]);
-    sim.control(a, Action::Break(Fault::NoHeartbeat));
+    sim.control(a, DeviceAction::Break(Fault::NoHeartbeat));
     assert!(after(&mut sim, me, 5000).iter().all(|frame| beats(&[*frame], 1).is_empty()));
-    sim.control(a, Action::Mend(Fault::NoHeartbeat));
+    sim.control(a, DeviceAction::Mend(Fault::NoHeartbeat));
     assert!(!beats(&after(&mut sim, me, 1100), 1).is_empty());
-    sim.control(a, Action::Mode(Mode::Idle));
+    sim.control(a, DeviceAction::Mode(Mode::Idle));
     let last_words = after(&mut sim, me, 5000);
     let last_words = beats(&last_words, 1);
     assert_eq!(last_words.len(), 1, "asleep");
     assert_eq!(last_words[0].data()[6], 6);
-    sim.control(a, Action::Move(AddressChoice::Fixed(address(9))));
+    sim.control(a, DeviceAction::Move(AddressChoice::Fixed(address(9))));
     sim.advance(sim.now() + Duration::from_secs(5));
     assert_eq!(state(&sim, "A"), (Some(Mode::Work), Some(9)));
-    sim.control(a, Action::Reboot { services: Some(vec![vec![b"X".to_vec(), b"2".to_vec()]]) });
+    sim.control(
+        a,
+        DeviceAction::Reboot { services: Some(vec![vec![b"X".to_vec(), b"2".to_vec()]]) },
+    );
     assert_eq!(state(&sim, "A"), (Some(Mode::Init), None));
     assert_eq!(sim.device_state(a).services[0][1], b"2");
     let c = sim.insert(DeviceSpec::new("C").fixed(77).settled());
@@ -234,7 +237,7 @@ fn controls_do_what_they_say() {
 #[test]
 fn descriptor_fields_are_read_and_the_address_is_written() {
     let (mut sim, me) = bus_with([settled("A", 1), settled("B", 2)]);
-    let ask = |sim: &mut Sim, me: Station, to: u8, service: u16, data: &[u8]| {
+    let ask = |sim: &mut Sim, me: SimStation, to: u8, service: u16, data: &[u8]| {
         let service = descan::wire::id::Service::new(service).unwrap();
         let header = descan::wire::id::Header::request(address(0), address(to), false, service);
         sim.transmit(me, descan::frame::Frame::classic(header.encode(), data));
@@ -284,12 +287,12 @@ fn after_any_trouble_the_rules_bring_order() {
             let fault = rng.choice(FAULTS).unwrap();
             let wanted = AddressChoice::Fixed(address(rng.u8(1..5)));
             match rng.u8(0..9) {
-                0 => sim.control(device, Action::Leave),
-                1 => sim.control(device, Action::Join),
-                2 => sim.control(device, Action::Reboot { services: None }),
-                3 => sim.control(device, Action::Move(wanted)),
-                4 => sim.control(device, Action::Break(fault)),
-                5 => sim.control(device, Action::Mode(rng.choice(Mode::ALL).unwrap())),
+                0 => sim.control(device, DeviceAction::Leave),
+                1 => sim.control(device, DeviceAction::Join),
+                2 => sim.control(device, DeviceAction::Reboot { services: None }),
+                3 => sim.control(device, DeviceAction::Move(wanted)),
+                4 => sim.control(device, DeviceAction::Break(fault)),
+                5 => sim.control(device, DeviceAction::Mode(rng.choice(Mode::ALL).unwrap())),
                 6 => sim.set_error_rate(rng.f64() * 0.5),
                 7 => sim.set_link(me, rng.bool()),
                 _ => {
@@ -311,11 +314,11 @@ fn after_any_trouble_the_rules_bring_order() {
         sim.set_link(me, true);
         for &device in &devices {
             for fault in FAULTS {
-                sim.control(device, Action::Mend(fault));
+                sim.control(device, DeviceAction::Mend(fault));
             }
             let preferred = AddressChoice::Preferred(address(rng.u8(1..5)));
-            sim.control(device, Action::Move(preferred));
-            sim.control(device, Action::Join);
+            sim.control(device, DeviceAction::Move(preferred));
+            sim.control(device, DeviceAction::Join);
         }
         after(&mut sim, me, 60_000);
         let states = devices.iter().map(|&device| sim.device_state(device));

@@ -2,7 +2,7 @@
 
 use super::{after, at_ms, beats, from};
 use descan::frame::Frame;
-use descan::sim::{Action, DeviceSpec, Scenario, ScenarioError, Sim};
+use descan::sim::{DeviceAction, DeviceSpec, Scenario, ScenarioError, Sim};
 use descan::time::{Duration, Instant};
 use descan::wire::id::Address;
 use descan::wire::node::Mode;
@@ -160,8 +160,8 @@ fn what_is_wrong_with_a_scenario_is_named() {
         ("bitrate = 125000\nerror_rate = 2.0", "error_rate = 2 is not a share"),
         ("bitrate = 125000\n[[device]]\n", "number 1 (without a name): needs `name`"),
         (&format!("{device}[[device]]\nname = \"A\""), "two devices are labelled \"A\""),
-        (&format!("{device}address = {{ fixed = 128 }}"), "128 is not a node's address"),
-        (&format!("{device}address = {{ fixed = 0 }}"), "0 is not a node's address"),
+        (&format!("{device}address = {{ fixed = 128 }}"), "128 is not a node address"),
+        (&format!("{device}address = {{ fixed = 0 }}"), "0 is not a node address"),
         (&format!("{device}uid = \"small\""), "uid = small is not up to 8 characters"),
         (&format!("{device}name_hex = \"41\""), "both `name` and `name_hex`"),
         (&format!("{device}faults = [\"lazy\"]"), "unknown variant `lazy`"),
@@ -172,7 +172,7 @@ fn what_is_wrong_with_a_scenario_is_named() {
         (&format!("{device}chatter = [{{ service = 1024, period_ms = 1 }}]"), "service = 1024"),
         (
             &format!("{device}[[at]]\ntime = 1.0\ndevice = \"B\"\ndo = \"leave\""),
-            "[[at]] number 1: there is no device labelled \"B\"",
+            "[[at]] number 1: no device labelled \"B\"",
         ),
         (&format!("{device}[[at]]\ntime = 1.0\ndo = \"leave\""), "needs `device`"),
         (
@@ -181,7 +181,7 @@ fn what_is_wrong_with_a_scenario_is_named() {
         ),
         (
             &format!("{device}[[at]]\ntime = 1.0\ndevice = \"A\"\ndo = \"leave\"\nrate = 0.5"),
-            "`rate` means nothing",
+            "`rate` not allowed",
         ),
         (&format!("{device}[[at]]\ntime = nan\ndevice = \"A\"\ndo = \"leave\""), "time = NaN"),
     ];
@@ -211,7 +211,7 @@ fn odd_scenarios_made_in_code_do_no_harm() {
     let mut scenario = Scenario::new(0).with(device.clone()).with(device);
     scenario.data_bitrate = 0;
     scenario.error_rate = f64::NAN;
-    scenario = scenario.at(Duration::MAX, "nobody", Action::Leave);
+    scenario = scenario.at(Duration::MAX, "nobody", DeviceAction::Leave);
     let mut sim = Sim::new(&scenario, 1);
     let me = sim.attach();
     sim.transmit(me, Frame::classic(0, &[]));

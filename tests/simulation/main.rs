@@ -5,23 +5,23 @@
 //! `SEEDS=100000 cargo test --release --test simulation` tries more of them, `SEED=17` tries one
 //! and tells what happens; a seed that fails becomes a scenario of its own.
 
+mod checks;
 #[path = "../common/mod.rs"]
 mod common;
-mod lens;
-mod truth;
-mod verdict;
-mod world;
+mod ground_truth;
+mod link_faults;
+mod random_scenario;
 
 use descan::discovery::{Engine, Event};
 use descan::frame::{CanId, Frame};
-use descan::sim::{BusState, DeviceId, Sim, Station};
+use descan::sim::{ControllerState, Sim, SimDeviceId, SimStation};
 use descan::time::{Duration, Instant};
-use lens::Seen;
+use ground_truth::Truth;
+use link_faults::Seen;
+use random_scenario::World;
 use std::fmt::Write;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
-use truth::Truth;
-use world::World;
 
 /// How often the truth is looked up.
 const SAMPLE: Duration = Duration::from_millis(100);
@@ -39,14 +39,14 @@ struct Inspector {
     cut_off: Vec<Instant>,
     /// Since when it is, where it is not restarted yet.
     off_since: Option<Instant>,
-    station: Station,
+    station: SimStation,
     seen: Seen,
 }
 
 struct Run {
     world: World,
     sim: Sim,
-    devices: Vec<DeviceId>,
+    devices: Vec<SimDeviceId>,
     truth: Truth,
     inspectors: Vec<Inspector>,
 }
@@ -58,7 +58,7 @@ fn instant(at: Duration) -> Instant {
 impl Run {
     fn new(world: World, keep_frames: bool) -> Self {
         let sim = Sim::new(&world.scenario, world.seed);
-        let devices: Vec<DeviceId> = sim.devices().collect();
+        let devices: Vec<SimDeviceId> = sim.devices().collect();
         let mut run = Self { sim, devices, truth: Truth::default(), inspectors: Vec::new(), world };
         run.go(keep_frames);
         run
@@ -120,7 +120,7 @@ impl Run {
         let it = &mut self.inspectors[at];
         let own = now + ahead;
         let mut hear = |engine: &mut Engine, frame: Frame| {
-            let frame = frame.at(frame.time + ahead);
+            let frame = frame.with_time(frame.time + ahead);
             engine.handle_frame(&frame);
             if keep_frames {
                 it.frames.push(frame);
@@ -141,7 +141,7 @@ impl Run {
         {
             it.engine.handle_lost(own, std::mem::take(&mut it.seen.lost));
         }
-        if it.off_since.is_none() && self.sim.status(it.station).state == BusState::BusOff {
+        if it.off_since.is_none() && self.sim.status(it.station).state == ControllerState::BusOff {
             it.off_since = Some(now);
             it.cut_off.push(now);
             it.engine.suspend(own);
@@ -170,7 +170,7 @@ impl Run {
 /// What is wrong with the world of that seed, one line each.
 fn complaints(seed: u64, aloud: bool) -> Vec<String> {
     let run = Run::new(World::new(seed), aloud);
-    let complaints = verdict::judge(&run);
+    let complaints = checks::judge(&run);
     if aloud {
         tell(&run);
     }
@@ -193,7 +193,7 @@ fn tell(run: &Run) {
         let quiet = std::env::var_os("FRAMES").is_none();
         let print = |frame: &Frame| {
             if !quiet && matches!(frame.id, CanId::Extended(_)) {
-                let ours = if frame.ours { " T" } else { "" };
+                let ours = if frame.is_tx { " T" } else { "" };
                 println!("{number}   {} {frame}{ours}", frame.time);
             }
         };

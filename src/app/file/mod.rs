@@ -6,18 +6,19 @@
 //!
 //! `news` is what is found on disk and what becomes of it, `steps` what can be taken back.
 
-mod news;
-mod steps;
+mod change;
+mod undo_stack;
 
-pub use news::{Change, FileProblem, FileReading, Refusal, SaveOutcome};
+pub use change::{Change, EditRefusal, FileProblem, FileReading, SaveOutcome};
 
 use crate::document::{
-    Choices, Conflict, Document, EditError, Merge, Operation, Prefer, changes, merge, merge_chosen,
+    Choices, Document, EditConflict, EditError, Merge, MergePreference, Operation, changes, merge,
+    merge_chosen,
 };
 use crate::time::Instant;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use steps::{Step, Steps, apply_all, name_of};
+use undo_stack::{UndoStack, UndoStep, apply_all, name_of};
 
 /// What is being saved.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -35,14 +36,14 @@ pub struct Saving {
     is_overtaken: bool,
     /// And our edits were made again on that: what becomes of the save says nothing any more of what
     /// they are made on.
-    is_left_behind: bool,
+    is_superseded: bool,
 }
 
 /// Both changed the same value; until a person has chosen in all conflicts nothing is written.
 #[derive(Clone, Debug)]
-struct Dispute {
+struct PendingConflict {
     /// The one to be decided next.
-    conflict: Conflict,
+    conflict: EditConflict,
     /// What is on disk.
     theirs: Document,
     /// What was chosen so far, for this content alone: where the file changes again, all is asked
@@ -74,9 +75,9 @@ pub struct FileState {
     saving: Option<Saving>,
     emptied: Option<Emptied>,
     problem: Option<FileProblem>,
-    dispute: Option<Dispute>,
-    undo: Steps,
-    redo: Steps,
+    dispute: Option<PendingConflict>,
+    undo: UndoStack,
+    redo: UndoStack,
 }
 
 impl FileState {
@@ -93,8 +94,8 @@ impl FileState {
             emptied: None,
             problem: None,
             dispute: None,
-            undo: Steps::default(),
-            redo: Steps::default(),
+            undo: UndoStack::default(),
+            redo: UndoStack::default(),
         }
     }
 
@@ -132,10 +133,11 @@ impl FileState {
     /// The file with all our edits. While there are conflicts those that were decided are in it as
     /// they were decided, and in the others our value stands.
     pub fn with_all_edits(&self) -> Document {
-        let merged = self.dispute.as_ref().and_then(|Dispute { theirs, choices, .. }| {
-            let base = self.disk.clone().unwrap_or_else(Document::empty);
-            merge_chosen(&base, &self.pending, theirs, choices, Prefer::Ours).ok()
-        });
+        let merged =
+            self.dispute.as_ref().and_then(|PendingConflict { theirs, choices, .. }| {
+                let base = self.disk.clone().unwrap_or_else(Document::empty);
+                merge_chosen(&base, &self.pending, theirs, choices, MergePreference::Ours).ok()
+            });
         match merged {
             Some(Merge::Rebased { document, .. }) => document,
             _ => self.document.clone(),
@@ -163,7 +165,7 @@ impl FileState {
     }
 
     /// The conflict that waits for a decision.
-    pub fn conflict(&self) -> Option<&Conflict> {
+    pub fn conflict(&self) -> Option<&EditConflict> {
         self.dispute.as_ref().map(|dispute| &dispute.conflict)
     }
 
@@ -185,7 +187,7 @@ impl FileState {
 
     /// Whether something else was found on disk since the save that is on its way began: then,
     /// when it is over, what is there is to be read again, whatever became of it.
-    pub fn is_overtaken(&self) -> bool {
+    pub fn is_superseded(&self) -> bool {
         self.saving.as_ref().is_some_and(|saving| saving.is_overtaken)
     }
 
@@ -222,7 +224,7 @@ impl FileState {
             return Change::None;
         }
         self.emptied = None;
-        self.leave_save_behind(&theirs);
+        self.supersede_save(&theirs);
         let known = self.dispute.as_ref().map(|it| &it.theirs).or(self.disk.as_ref());
         if known == Some(&theirs) && self.is_on_disk == is_there {
             let was_broken =
@@ -233,18 +235,18 @@ impl FileState {
             }
             return if was_broken { Change::Content } else { Change::None };
         }
-        self.take(theirs, is_there)
+        self.load(theirs, is_there)
     }
 
     /// The file has stayed empty: takes it as it is.
-    pub fn believe_empty(&mut self) -> Change {
+    pub fn accept_empty(&mut self) -> Change {
         let Some(Emptied { content, .. }) = self.emptied.take() else { return Change::None };
-        self.leave_save_behind(&content);
-        self.take(content, true)
+        self.supersede_save(&content);
+        self.load(content, true)
     }
 
     /// Takes content that is not what was known.
-    fn take(&mut self, theirs: Document, is_there: bool) -> Change {
+    fn load(&mut self, theirs: Document, is_there: bool) -> Change {
         let is_first = self.disk.is_none();
         self.former = self.disk.clone().filter(|_| self.is_on_disk && is_there);
         self.is_on_disk = is_there;
@@ -261,7 +263,7 @@ impl FileState {
     /// While a save is on its way: whether what was found is only what we write. Anything else but
     /// what was there before overtakes the save.
     fn is_what_we_write(&mut self, found: &Result<Option<Document>, FileProblem>) -> bool {
-        let Some(saving) = self.saving.as_mut().filter(|saving| !saving.is_left_behind) else {
+        let Some(saving) = self.saving.as_mut().filter(|saving| !saving.is_superseded) else {
             return false;
         };
         if found.as_ref().is_ok_and(|found| found.as_ref() == Some(&saving.content)) {
@@ -276,18 +278,18 @@ impl FileState {
 
     /// While a save is on its way, what somebody else wrote is to be taken in. Were our edits in what
     /// they wrote over?
-    fn leave_save_behind(&mut self, theirs: &Document) {
-        let Some(saving) = self.saving.as_mut().filter(|saving| !saving.is_left_behind) else {
+    fn supersede_save(&mut self, theirs: &Document) {
+        let Some(saving) = self.saving.as_mut().filter(|saving| !saving.is_superseded) else {
             return;
         };
         if !saving.is_there && saving.expected.as_ref() == Some(theirs) {
             return;
         }
-        saving.is_left_behind = true;
+        saving.is_superseded = true;
         let ours = &self.pending[..saving.operations.min(self.pending.len())];
         let base = self.disk.clone().unwrap_or_else(Document::empty);
         // They were there, though unseen, where theirs has all of them.
-        let has_ours = || match merge(&base, ours, theirs, Prefer::Neither) {
+        let has_ours = || match merge(&base, ours, theirs, MergePreference::Neither) {
             Ok(Merge::Rebased { document, .. }) => document == *theirs,
             _ => false,
         };
@@ -301,7 +303,7 @@ impl FileState {
     /// Makes our edits again on newer content.
     fn rebase(&mut self, theirs: Document, choices: Choices) -> Change {
         let base = self.disk.clone().unwrap_or_else(Document::empty);
-        match merge_chosen(&base, &self.pending, &theirs, &choices, Prefer::Neither) {
+        match merge_chosen(&base, &self.pending, &theirs, &choices, MergePreference::Neither) {
             Ok(Merge::Rebased { document, operations, overruling }) => {
                 if let Err(error) = self.add_steps_to_theirs(&theirs, &operations, &overruling) {
                     self.problem = Some(FileProblem::NotSaved(error.to_string()));
@@ -313,7 +315,7 @@ impl FileState {
                 Change::Rebased
             }
             Ok(Merge::Conflict(conflict)) => {
-                self.dispute = Some(Dispute { conflict, theirs, choices });
+                self.dispute = Some(PendingConflict { conflict, theirs, choices });
                 Change::Conflict
             }
             Err(error) => {
@@ -340,7 +342,7 @@ impl FileState {
             let ours = &operations[range.clone()];
             let name = ours.last().map(ToString::to_string).unwrap_or_default();
             let (after, inverses) = apply_all(&document, ours)?;
-            let step = Step::new(after.clone(), inverses, name, self.is_on_disk);
+            let step = UndoStep::new(after.clone(), inverses, name, self.is_on_disk);
             self.undo.push(step, &document);
             self.redo.clear();
             document = after;
@@ -350,57 +352,57 @@ impl FileState {
 
     /// Decides the conflict; [`Change::Conflict`] where another one is to be decided next.
     pub fn resolve(&mut self, ours: bool) -> Change {
-        let Some(Dispute { theirs, mut choices, .. }) = self.dispute.take() else {
+        let Some(PendingConflict { theirs, mut choices, .. }) = self.dispute.take() else {
             return Change::None;
         };
-        choices.chosen.push(if ours { Prefer::Ours } else { Prefer::Theirs });
+        choices.chosen.push(if ours { MergePreference::Ours } else { MergePreference::Theirs });
         self.rebase(theirs, choices)
     }
 
     /// In how many conflicts ours was chosen so far, and in how many theirs.
     pub fn chosen(&self) -> (usize, usize) {
         let chosen = self.dispute.iter().flat_map(|dispute| &dispute.choices.chosen);
-        let ours = chosen.clone().filter(|it| **it == Prefer::Ours).count();
+        let ours = chosen.clone().filter(|it| **it == MergePreference::Ours).count();
         (ours, chosen.count() - ours)
     }
 
     /// Whether an edit can be made at all.
-    pub fn check(&self) -> Result<(), Refusal> {
+    pub fn check(&self) -> Result<(), EditRefusal> {
         if self.path.is_none() {
-            return Err(Refusal::NoFile);
+            return Err(EditRefusal::NoFile);
         }
         match &self.problem {
             Some(problem @ (FileProblem::Syntax(_) | FileProblem::Unreadable(_))) => {
-                Err(Refusal::Broken(problem.to_string()))
+                Err(EditRefusal::Broken(problem.to_string()))
             }
-            _ if self.disk.is_none() => Err(Refusal::NotRead),
-            _ if self.dispute.is_some() => Err(Refusal::Conflict),
+            _ if self.disk.is_none() => Err(EditRefusal::NotRead),
+            _ if self.dispute.is_some() => Err(EditRefusal::Conflict),
             _ => Ok(()),
         }
     }
 
     /// Whether entries can be added, and the one at this place, if one is given, be edited: what
     /// cannot is told before anything is typed.
-    pub fn check_edit(&self, entry: Option<usize>) -> Result<(), Refusal> {
+    pub fn check_edit(&self, entry: Option<usize>) -> Result<(), EditRefusal> {
         self.check()?;
         Ok(self.document.check_edit(entry)?)
     }
 
     /// Whether this edit would be refused for what stands there already.
-    pub fn check_operation(&self, operation: &Operation) -> Result<(), Refusal> {
+    pub fn check_operation(&self, operation: &Operation) -> Result<(), EditRefusal> {
         self.check()?;
         Ok(self.document.check_operation(operation)?)
     }
 
     /// Makes an edit; what it did, in words.
-    pub fn edit(&mut self, operations: &[Operation]) -> Result<String, Refusal> {
+    pub fn edit(&mut self, operations: &[Operation]) -> Result<String, EditRefusal> {
         self.check()?;
         let name = match operations {
             [only] => only.to_string(),
             many => name_of(many),
         };
         let before = self.document.clone();
-        let undo = self.make(operations, name.clone())?;
+        let undo = self.apply_operations(operations, name.clone())?;
         self.undo.push(undo, &before);
         self.redo.clear();
         Ok(name)
@@ -409,21 +411,21 @@ impl FileState {
     /// Takes the last edit back; its name, with what is left as it is, because somebody else changed
     /// it since. One that is refused is not asked for again: the next time it is the turn of the one
     /// before.
-    pub fn undo(&mut self) -> Result<String, Refusal> {
+    pub fn undo(&mut self) -> Result<String, EditRefusal> {
         self.check()?;
-        let step = self.undo.pop().ok_or(Refusal::NothingToUndo)?;
+        let step = self.undo.pop().ok_or(EditRefusal::NothingToUndo)?;
         let before = self.document.clone();
-        let (redo, name) = self.take_step(step, "undone")?;
+        let (redo, name) = self.apply_step(step, "undone")?;
         self.redo.push(redo, &before);
         Ok(name)
     }
 
     /// Makes it again; its name. What is left or refused is as in [`Self::undo`].
-    pub fn redo(&mut self) -> Result<String, Refusal> {
+    pub fn redo(&mut self) -> Result<String, EditRefusal> {
         self.check()?;
-        let step = self.redo.pop().ok_or(Refusal::NothingToRedo)?;
+        let step = self.redo.pop().ok_or(EditRefusal::NothingToRedo)?;
         let before = self.document.clone();
-        let (undo, name) = self.take_step(step, "redone")?;
+        let (undo, name) = self.apply_step(step, "redone")?;
         self.undo.push(undo, &before);
         Ok(name)
     }
@@ -431,7 +433,11 @@ impl FileState {
     /// Makes a step's operations on what is there now; the step that leads back, and what it was in
     /// words. Where somebody else changed the same value since, theirs stands: taking back is no
     /// reason to overwrite it.
-    fn take_step(&mut self, mut step: Step, done: &'static str) -> Result<(Step, String), Refusal> {
+    fn apply_step(
+        &mut self,
+        mut step: UndoStep,
+        done: &'static str,
+    ) -> Result<(UndoStep, String), EditRefusal> {
         let mut told = step.shown();
         if self.is_on_disk && !step.had_file {
             // The file is not deleted, and one with nothing in it is not JSON.
@@ -440,42 +446,46 @@ impl FileState {
         }
         if let Some(on) = step.on.filter(|on| *on != self.document) {
             let again = |prefer| merge(&on, &step.operations, &self.document, prefer);
-            let conflict = match again(Prefer::Neither)? {
+            let conflict = match again(MergePreference::Neither)? {
                 Merge::Conflict(conflict) => Some(conflict),
                 Merge::Rebased { .. } => None,
             };
-            let operations = match again(Prefer::Theirs)? {
+            let operations = match again(MergePreference::Theirs)? {
                 Merge::Rebased { operations, .. } => operations,
                 Merge::Conflict(_) => Vec::new(),
             };
             match conflict {
-                Some(Conflict { theirs, .. }) if operations.is_empty() => {
-                    return Err(Refusal::ChangedSince { done, name: told, theirs });
+                Some(EditConflict { theirs, .. }) if operations.is_empty() => {
+                    return Err(EditRefusal::ChangedSince { done, name: told, theirs });
                 }
                 None if operations.is_empty() => {
-                    return Err(Refusal::SoAlready { done, name: told });
+                    return Err(EditRefusal::SoAlready { done, name: told });
                 }
-                Some(Conflict { operation, of, .. }) => {
+                Some(EditConflict { operation, of, .. }) => {
                     let first = operation.subject();
                     let more = if of > 1 { format!(" and {} more", of - 1) } else { String::new() };
-                    told = format!("{told}, but not {first}{more}, changed by somebody else since");
+                    told = format!("{told}, except {first}{more} (changed on disk)");
                 }
                 None => {}
             }
             step.operations = operations;
         }
-        let made = self.make(&step.operations, step.name)?;
+        let made = self.apply_operations(&step.operations, step.name)?;
         self.drop_what_cancels_out(2 * step.operations.len());
-        Ok((Step { whole: step.whole, ..made }, told))
+        Ok((UndoStep { whole: step.whole, ..made }, told))
     }
 
     /// Makes operations on the document in force; the step that takes them back.
-    fn make(&mut self, operations: &[Operation], name: String) -> Result<Step, Refusal> {
+    fn apply_operations(
+        &mut self,
+        operations: &[Operation],
+        name: String,
+    ) -> Result<UndoStep, EditRefusal> {
         let (document, inverses) = apply_all(&self.document, operations)?;
         self.pending.extend_from_slice(operations);
         self.document = document.clone();
         self.drop_what_is_on_disk();
-        Ok(Step::new(document, inverses, name, self.is_on_disk))
+        Ok(UndoStep::new(document, inverses, name, self.is_on_disk))
     }
 
     /// An edit and what takes it back are nothing that is to be saved, as long as neither of them is
@@ -483,7 +493,7 @@ impl FileState {
     /// the same.
     fn drop_what_cancels_out(&mut self, count: usize) {
         let (from, being_saved) = match &self.saving {
-            Some(saving) if !saving.is_left_behind => (Some(&saving.content), saving.operations),
+            Some(saving) if !saving.is_superseded => (Some(&saving.content), saving.operations),
             _ => (self.disk.as_ref(), 0),
         };
         let (Some(from), Some(keep)) = (from, self.pending.len().checked_sub(count)) else {
@@ -531,7 +541,7 @@ impl FileState {
             operations: self.pending.len(),
             is_there: false,
             is_overtaken: false,
-            is_left_behind: false,
+            is_superseded: false,
         };
         self.saving = Some(saving.clone());
         Some(saving)
@@ -543,7 +553,7 @@ impl FileState {
         let Some(saving) = self.saving.take() else { return Change::None };
         match outcome {
             SaveOutcome::Saved | SaveOutcome::Parted(_) => {
-                if !saving.is_left_behind {
+                if !saving.is_superseded {
                     self.disk = Some(saving.content);
                     self.is_on_disk = true;
                     self.pending.drain(..saving.operations.min(self.pending.len()));
@@ -619,7 +629,7 @@ mod tests {
         assert_eq!(file.unsaved(), 1);
         file.redo().unwrap();
         assert_eq!(source(&file), FILE.replace("12", "16"));
-        assert_eq!(file.redo(), Err(Refusal::NothingToRedo));
+        assert_eq!(file.redo(), Err(EditRefusal::NothingToRedo));
     }
 
     #[test]
@@ -680,7 +690,7 @@ mod tests {
             let both = found.replace("12", "16").replace("16", "17");
             assert_eq!(source(&file), both);
             assert_eq!(file.start_saving(), None);
-            assert_eq!(file.is_overtaken(), found != ours);
+            assert_eq!(file.is_superseded(), found != ours);
             assert_eq!(file.handle_saved(NOW, SaveOutcome::Saved), Change::Saved);
             let saving = file.start_saving().unwrap();
             assert_eq!(saving.expected.unwrap().source(), found.as_bytes());
@@ -725,7 +735,7 @@ mod tests {
             file.edit(&[set_address(&file, 16)]).unwrap();
             assert_eq!(file.read(NOW, content(&FILE.replace("12", "13"))), Change::Conflict);
             assert_eq!(file.start_saving(), None);
-            assert_eq!(file.edit(&[]), Err(Refusal::Conflict));
+            assert_eq!(file.edit(&[]), Err(EditRefusal::Conflict));
             assert_eq!(file.resolve(ours), Change::Rebased);
             assert_eq!(source(&file), FILE.replace("12", address));
             assert_eq!(file.unsaved(), usize::from(ours));
@@ -737,7 +747,7 @@ mod tests {
         let mut file = opened();
         assert_eq!(file.read(NOW, content("{\"devices\": [")), Change::Broken);
         assert_eq!(source(&file), FILE);
-        assert!(matches!(file.edit(&[set_address(&file, 16)]), Err(Refusal::Broken(_))));
+        assert!(matches!(file.edit(&[set_address(&file, 16)]), Err(EditRefusal::Broken(_))));
         assert_eq!(file.start_saving(), None);
         assert_eq!(file.read(NOW, content(FILE)), Change::Content);
         assert!(file.problem().is_none());

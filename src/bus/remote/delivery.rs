@@ -1,7 +1,7 @@
 //! What came of a bus, put into its queue: frames with the bus's number and in the order of
 //! their times, the status, and what error reports say of losses.
 
-use crate::bus::port::Line;
+use crate::bus::port::PortShared;
 use crate::error_report::ErrorReport;
 use crate::frame::{BusIndex, Frame};
 use crate::status::BusStatus;
@@ -11,7 +11,7 @@ use std::sync::Arc;
 /// The way from a bus's thread into its queue.
 #[derive(Debug)]
 pub(in crate::bus) struct Delivery {
-    line: Arc<Line>,
+    line: Arc<PortShared>,
     bus: BusIndex,
     /// The time of the last frame: none is dated before it.
     last: Instant,
@@ -19,7 +19,7 @@ pub(in crate::bus) struct Delivery {
 
 impl Delivery {
     /// For the frames of bus `bus`.
-    pub fn new(line: Arc<Line>, bus: BusIndex) -> Self {
+    pub fn new(line: Arc<PortShared>, bus: BusIndex) -> Self {
         Self { line, bus, last: Instant::ZERO }
     }
 
@@ -58,9 +58,9 @@ mod tests {
 
     #[test]
     fn frames_are_numbered_ordered_and_counted() {
-        let line = Arc::new(Line::new().unwrap());
+        let line = Arc::new(PortShared::new().unwrap());
         let mut delivery = Delivery::new(Arc::clone(&line), BusIndex(2));
-        let at = |micros| Frame::classic(1, &[]).at(Instant::from_micros(micros));
+        let at = |micros| Frame::classic(1, &[]).with_time(Instant::from_micros(micros));
         let mut status = BusStatus::default();
         let mut frames = vec![at(5), at(3), Frame::error(0x20, &[])];
         delivery.deliver(&mut frames, &mut status);
@@ -76,7 +76,7 @@ mod tests {
 
     #[test]
     fn what_the_queue_has_lost_stays_counted() {
-        let line = Arc::new(Line::new().unwrap());
+        let line = Arc::new(PortShared::new().unwrap());
         line.queue.update_status(|status| status.queue_drops = 7);
         Delivery::new(Arc::clone(&line), BusIndex(0)).tell(&BusStatus::default());
         assert_eq!(line.queue.status().queue_drops, 7);

@@ -13,11 +13,11 @@
 
 mod backoff;
 mod delivery;
-pub(super) mod own_frames;
-mod stamps;
+mod remote_clock;
 pub(super) mod stream;
+pub(super) mod tx_echo;
 
 pub(super) use backoff::Backoff;
 pub(super) use delivery::Delivery;
-pub(super) use own_frames::OwnFrames;
-pub(super) use stamps::RemoteClock;
+pub(super) use remote_clock::RemoteClock;
+pub(super) use tx_echo::TxEchoTracker;

@@ -8,7 +8,7 @@
 use super::{Backoff, Delivery};
 use crate::bus::Options;
 use crate::bus::clock::Clock;
-use crate::bus::port::{Line, Port};
+use crate::bus::port::{Port, PortShared};
 use crate::frame::{BusIndex, Frame};
 use crate::status::{BusState, BusStatus, Link};
 use crate::time::Instant;
@@ -24,7 +24,7 @@ const OUTPUT_LIMIT: usize = 512;
 /// How long a frame may wait while nothing can be written.
 const SEND_WITHIN: Duration = Duration::from_millis(500);
 /// How long the last words may take.
-const LEAVE_WITHIN: Duration = Duration::from_millis(200);
+const CLOSE_TIMEOUT: Duration = Duration::from_millis(200);
 /// The nap between two batches while much comes in: wake-ups cost more than bytes.
 const NAP: Duration = Duration::from_millis(2);
 /// What comes in less time after what came before is much.
@@ -34,7 +34,7 @@ const READ_SIZE: usize = 1 << 14;
 
 /// Why there is no way to the bus now.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(in crate::bus) struct Away {
+pub(in crate::bus) struct Unavailable {
     pub link: Link,
     /// The cause and the way out, on one line.
     pub message: String,
@@ -45,10 +45,10 @@ pub(in crate::bus) trait Endpoint: Send + Sync + 'static {
     type Stream: Read + Write + AsFd + Send + 'static;
 
     /// Opens it, without blocking reads and writes. May take long: it has a thread of its own.
-    fn open(&self) -> Result<Self::Stream, Away>;
+    fn open(&self) -> Result<Self::Stream, Unavailable>;
 
     /// In what words it is told that the stream broke off, and that it is waited for.
-    fn broken_off(&self) -> Away;
+    fn broken_off(&self) -> Unavailable;
 
     /// Closes the stream; whether there are bytes it did not take.
     fn close(&self, stream: Self::Stream, stuck: bool);
@@ -56,18 +56,18 @@ pub(in crate::bus) trait Endpoint: Send + Sync + 'static {
 
 /// What is spoken over a stream: a state machine without I/O or clock. It reads and changes what
 /// is in the [`Exchange`].
-pub(in crate::bus) trait Dialogue: Send + 'static {
+pub(in crate::bus) trait Protocol: Send + 'static {
     /// A stream was opened; the status still says how it was before.
-    fn begin(&mut self, now: Instant, exchange: &mut Exchange);
+    fn begin(&mut self, now: Instant, exchange: &mut ProtocolIo);
 
     /// Bytes came, split and joined as it happens.
-    fn handle_input(&mut self, now: Instant, bytes: &[u8], exchange: &mut Exchange);
+    fn handle_input(&mut self, now: Instant, bytes: &[u8], exchange: &mut ProtocolIo);
 
     /// The first `total` bytes of what this stream was given are written.
-    fn handle_written(&mut self, now: Instant, total: u64, exchange: &mut Exchange);
+    fn handle_written(&mut self, now: Instant, total: u64, exchange: &mut ProtocolIo);
 
     /// Does what is due.
-    fn handle_timeout(&mut self, now: Instant, exchange: &mut Exchange);
+    fn handle_timeout(&mut self, now: Instant, exchange: &mut ProtocolIo);
 
     /// When that is.
     fn poll_timeout(&self) -> Option<Instant>;
@@ -76,10 +76,10 @@ pub(in crate::bus) trait Dialogue: Send + 'static {
     fn has_room(&self) -> bool;
 
     /// A frame is to be sent. One that cannot be is counted in the status.
-    fn send(&mut self, now: Instant, frame: &Frame, exchange: &mut Exchange);
+    fn send(&mut self, now: Instant, frame: &Frame, exchange: &mut ProtocolIo);
 
     /// The last words, where there are any.
-    fn end(&mut self, exchange: &mut Exchange);
+    fn end(&mut self, exchange: &mut ProtocolIo);
 
     /// The stream is gone; gives the number of frames that were under way.
     fn break_off(&mut self) -> u64;
@@ -87,18 +87,18 @@ pub(in crate::bus) trait Dialogue: Send + 'static {
 
 /// What a dialogue gives and takes.
 #[derive(Debug, Default)]
-pub(in crate::bus) struct Exchange {
+pub(in crate::bus) struct ProtocolIo {
     /// Frames heard, and ours that are put back, dated.
     pub frames: Vec<Frame>,
     /// How the bus is. While the link is not up, no frames are sent.
     pub status: BusStatus,
     /// Why the stream is to be closed and opened anew.
-    pub broken: Option<Away>,
+    pub broken: Option<Unavailable>,
     output: Vec<u8>,
     written: u64,
 }
 
-impl Exchange {
+impl ProtocolIo {
     /// Has bytes written; gives the position of the end of them in all that was written to
     /// this stream.
     pub fn write(&mut self, bytes: &[u8]) -> u64 {
@@ -107,8 +107,8 @@ impl Exchange {
     }
 
     /// The bus cannot be used, for this reason.
-    pub fn break_with(&mut self, link: Link, message: String) {
-        self.broken.get_or_insert(Away { link, message });
+    pub fn disconnect(&mut self, link: Link, message: String) {
+        self.broken.get_or_insert(Unavailable { link, message });
     }
 
     #[cfg(test)]
@@ -119,40 +119,40 @@ impl Exchange {
 }
 
 /// Opens the bus; frames and status come when they come.
-pub(in crate::bus) fn open<E: Endpoint, D: Dialogue>(
+pub(in crate::bus) fn open<E: Endpoint, D: Protocol>(
     name: &str,
     (endpoint, dialogue): (E, D),
     (status, backoff): (BusStatus, Backoff),
     (bus, clock, options): (BusIndex, Clock, Options),
 ) -> io::Result<Port> {
-    let line = Arc::new(Line::new()?);
+    let line = Arc::new(PortShared::new()?);
     line.queue.add_name(name);
     line.queue.update_status(|told| *told = status.clone());
     let mut port = Port::new(name, Arc::clone(&line), options.listen_only);
-    let mut carrier = Carrier {
+    let mut carrier = StreamWorker {
         delivery: Delivery::new(Arc::clone(&line), bus),
         line,
         endpoint: Arc::new(endpoint),
         dialogue,
-        exchange: Exchange { status, ..Exchange::default() },
+        exchange: ProtocolIo { status, ..ProtocolIo::default() },
         clock,
         waiting: None,
         was_open: false,
     };
     port.serve(move |line| {
         if let Err(error) = carrier.run(backoff) {
-            line.queue.finish(Link::Failed, format!("cannot go on: {error}"));
+            line.queue.finish(Link::Failed, format!("stopped: {error}"));
         }
     })?;
     Ok(port)
 }
 
 /// The thread's state.
-struct Carrier<E, D> {
-    line: Arc<Line>,
+struct StreamWorker<E, D> {
+    line: Arc<PortShared>,
     endpoint: Arc<E>,
     dialogue: D,
-    exchange: Exchange,
+    exchange: ProtocolIo,
     delivery: Delivery,
     clock: Clock,
     /// A frame for which there was no room yet, and since when it waits.
@@ -161,7 +161,7 @@ struct Carrier<E, D> {
     was_open: bool,
 }
 
-impl<E: Endpoint, D: Dialogue> Carrier<E, D> {
+impl<E: Endpoint, D: Protocol> StreamWorker<E, D> {
     /// Serves the line until the port is dropped.
     fn run(&mut self, mut backoff: Backoff) -> io::Result<()> {
         while let Some(opened) = self.open()? {
@@ -177,7 +177,7 @@ impl<E: Endpoint, D: Dialogue> Carrier<E, D> {
                 }
                 Err(away) => away,
             };
-            self.tell_away(away);
+            self.report_unavailable(away);
             let until = Monotonic::now() + backoff.pause();
             while !self.line.is_stopped() {
                 self.refuse_posted();
@@ -193,7 +193,7 @@ impl<E: Endpoint, D: Dialogue> Carrier<E, D> {
 
     /// Opens the endpoint on a thread of its own, for it may take long; `None` where the port was
     /// dropped meanwhile.
-    fn open(&mut self) -> io::Result<Option<Result<E::Stream, Away>>> {
+    fn open(&mut self) -> io::Result<Option<Result<E::Stream, Unavailable>>> {
         let (sender, receiver) = channel();
         let (line, endpoint) = (Arc::clone(&self.line), Arc::clone(&self.endpoint));
         thread::Builder::new().name("bus opening".into()).spawn(move || {
@@ -205,7 +205,9 @@ impl<E: Endpoint, D: Dialogue> Carrier<E, D> {
             match receiver.try_recv() {
                 Ok(opened) => return Ok(Some(opened)),
                 Err(TryRecvError::Disconnected) => {
-                    return Err(io::Error::other("opening it broke off: this is a bug in descan"));
+                    return Err(io::Error::other(
+                        "opening thread stopped: this is a bug in descan",
+                    ));
                 }
                 Err(TryRecvError::Empty) => {}
             }
@@ -219,7 +221,7 @@ impl<E: Endpoint, D: Dialogue> Carrier<E, D> {
     }
 
     /// Moves bytes until there is no way any more, and says why; `None` when the port was dropped.
-    fn serve(&mut self, mut stream: E::Stream) -> io::Result<Option<Away>> {
+    fn serve(&mut self, mut stream: E::Stream) -> io::Result<Option<Unavailable>> {
         let mut buffer = vec![0; READ_SIZE];
         let mut last_input: Option<Monotonic> = None;
         let mut last_written = Monotonic::now();
@@ -299,7 +301,7 @@ impl<E: Endpoint, D: Dialogue> Carrier<E, D> {
         }
         loop {
             let next = self.waiting.take();
-            let next = next.or_else(|| Some((self.line.next_posted()?, Monotonic::now())));
+            let next = next.or_else(|| Some((self.line.pop_tx()?, Monotonic::now())));
             let Some((frame, since)) = next else { return };
             if self.exchange.output.len() < OUTPUT_LIMIT && self.dialogue.has_room() {
                 self.dialogue.send(self.clock.now(), &frame, &mut self.exchange);
@@ -319,7 +321,7 @@ impl<E: Endpoint, D: Dialogue> Carrier<E, D> {
 
     fn refuse_posted(&mut self) {
         let waiting = self.waiting.take().into_iter().count() as u64;
-        let posted = std::iter::from_fn(|| self.line.next_posted()).count() as u64;
+        let posted = std::iter::from_fn(|| self.line.pop_tx()).count() as u64;
         self.exchange.status.transmit_failures += waiting + posted;
         self.delivery.tell(&self.exchange.status);
     }
@@ -328,7 +330,7 @@ impl<E: Endpoint, D: Dialogue> Carrier<E, D> {
         self.delivery.deliver(&mut self.exchange.frames, &mut self.exchange.status);
     }
 
-    fn tell_away(&mut self, away: Away) {
+    fn report_unavailable(&mut self, away: Unavailable) {
         let lost = self.dialogue.break_off();
         let status = &mut self.exchange.status;
         status.transmit_failures += lost;
@@ -343,7 +345,7 @@ impl<E: Endpoint, D: Dialogue> Carrier<E, D> {
 
     fn leave(&mut self, mut stream: E::Stream) -> io::Result<()> {
         self.dialogue.end(&mut self.exchange);
-        let until = Monotonic::now() + LEAVE_WITHIN;
+        let until = Monotonic::now() + CLOSE_TIMEOUT;
         while self.send(&mut stream).is_ok() && !self.exchange.output.is_empty() {
             let left = until.saturating_duration_since(Monotonic::now());
             if left.is_zero() {
@@ -356,7 +358,7 @@ impl<E: Endpoint, D: Dialogue> Carrier<E, D> {
     }
 }
 
-struct WakeOnDrop(Arc<Line>);
+struct WakeOnDrop(Arc<PortShared>);
 
 impl Drop for WakeOnDrop {
     fn drop(&mut self) {
@@ -365,12 +367,12 @@ impl Drop for WakeOnDrop {
 }
 
 /// Reading and writing without waiting: `None` where one would have to wait.
-trait Unhurried {
+trait NonBlocking {
     fn read_some(&mut self, buffer: &mut [u8]) -> io::Result<Option<usize>>;
     fn write_some(&mut self, bytes: &[u8]) -> io::Result<Option<usize>>;
 }
 
-impl<S: Read + Write> Unhurried for S {
+impl<S: Read + Write> NonBlocking for S {
     fn read_some(&mut self, buffer: &mut [u8]) -> io::Result<Option<usize>> {
         unhurried(self.read(buffer))
     }

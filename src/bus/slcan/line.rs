@@ -49,7 +49,7 @@ pub(in crate::bus) fn data_rates() -> String {
 
 /// What an adapter says in a line.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum Word {
+pub(super) enum AdapterReply {
     /// A frame; its time stamp in milliseconds, where there is one.
     Frame(Frame, Option<u16>),
     /// Yes: to a command, or to a frame.
@@ -89,17 +89,19 @@ impl Flags {
 }
 
 /// Reads a line, without its end.
-pub(super) fn parse(line: &[u8]) -> Option<Word> {
-    let Some((&kind, rest)) = line.split_first() else { return Some(Word::Yes) };
+pub(super) fn parse(line: &[u8]) -> Option<AdapterReply> {
+    let Some((&kind, rest)) = line.split_first() else { return Some(AdapterReply::Yes) };
     match kind {
         b't' | b'T' | b'r' | b'R' | b'd' | b'D' | b'b' | b'B' => frame(kind, rest),
-        b'z' | b'Z' if rest.is_empty() => Some(Word::Yes),
-        b'F' if rest.len() == 2 => Some(Word::Flags(Flags(number(rest, 16)? as u8))),
+        b'z' | b'Z' if rest.is_empty() => Some(AdapterReply::Yes),
+        b'F' if rest.len() == 2 => Some(AdapterReply::Flags(Flags(number(rest, 16)? as u8))),
         b's' if rest.len() == 7 => state(rest),
         b'e' => errors(rest),
-        b'V' | b'N' | b'v' if !rest.is_empty() => name(line).map(Word::Name),
-        b'C' | b'O' | b'L' | b'V' | b'N' | b'F' if rest.is_empty() => Some(Word::Command),
-        b'S' | b'Y' | b'Z' if rest.len() == 1 && rest[0].is_ascii_digit() => Some(Word::Command),
+        b'V' | b'N' | b'v' if !rest.is_empty() => name(line).map(AdapterReply::Name),
+        b'C' | b'O' | b'L' | b'V' | b'N' | b'F' if rest.is_empty() => Some(AdapterReply::Command),
+        b'S' | b'Y' | b'Z' if rest.len() == 1 && rest[0].is_ascii_digit() => {
+            Some(AdapterReply::Command)
+        }
         _ => None,
     }
 }
@@ -111,7 +113,7 @@ pub(super) fn name(line: &[u8]) -> Option<String> {
     (is_text && !text.trim().is_empty()).then(|| text.trim().to_owned())
 }
 
-fn frame(kind: u8, rest: &[u8]) -> Option<Word> {
+fn frame(kind: u8, rest: &[u8]) -> Option<AdapterReply> {
     let is_extended = kind.is_ascii_uppercase();
     let (id, rest) = rest.split_at_checked(if is_extended { 8 } else { 3 })?;
     let id = number(id, 16)?;
@@ -146,11 +148,11 @@ fn frame(kind: u8, rest: &[u8]) -> Option<Word> {
     };
     frame.fd = is_fd;
     frame.bit_rate_switch = kind == b'b';
-    Some(Word::Frame(frame, stamp))
+    Some(AdapterReply::Frame(frame, stamp))
 }
 
 /// `sa057033`: state, receive and transmit error counter.
-fn state(rest: &[u8]) -> Option<Word> {
+fn state(rest: &[u8]) -> Option<AdapterReply> {
     let state = match rest[0] {
         b'a' => BusState::ErrorActive,
         b'w' => BusState::ErrorWarning,
@@ -160,11 +162,11 @@ fn state(rest: &[u8]) -> Option<Word> {
     };
     let rec = number(&rest[1..4], 10)? as u16;
     let tec = number(&rest[4..7], 10)? as u16;
-    Some(Word::State { state, tec, rec })
+    Some(AdapterReply::State { state, tec, rec })
 }
 
 /// `e1a`, `e3bcO`: how many errors, and which. As Linux makes an error frame of them.
-fn errors(rest: &[u8]) -> Option<Word> {
+fn errors(rest: &[u8]) -> Option<AdapterReply> {
     const CONTROLLER: u32 = 0x04;
     const NO_ACKNOWLEDGE: u32 = 0x20;
     let (count, letters) = rest.split_first()?;
@@ -203,7 +205,7 @@ fn errors(rest: &[u8]) -> Option<Word> {
         // Nothing broke on the bus.
         class = CONTROLLER;
     }
-    Some(Word::Frame(Frame::error(class, &details), None))
+    Some(AdapterReply::Frame(Frame::error(class, &details), None))
 }
 
 /// Writes a frame as a line; `None` for what slcan has no line for.
@@ -249,7 +251,7 @@ fn number(digits: &[u8], radix: u32) -> Option<u32> {
 
 /// What the splitting of a stream into lines gives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Piece<'a> {
+pub(super) enum LinePiece<'a> {
     /// A whole line, without its end.
     Line(&'a [u8]),
     /// `\a`: no, to a command or a frame.
@@ -260,26 +262,26 @@ pub(super) enum Piece<'a> {
 
 /// Splits a stream into lines, however it comes; keeps no more than one line of bounded length.
 #[derive(Debug, Default)]
-pub(super) struct Splitter {
+pub(super) struct LineSplitter {
     line: Vec<u8>,
     too_long: bool,
 }
 
-impl Splitter {
+impl LineSplitter {
     /// Takes bytes, and gives every piece that they complete.
-    pub fn feed(&mut self, bytes: &[u8], mut take: impl FnMut(Piece<'_>)) {
+    pub fn feed(&mut self, bytes: &[u8], mut take: impl FnMut(LinePiece<'_>)) {
         for &byte in bytes {
             match byte {
                 b'\r' | b'\x07' => {
                     let is_no = byte == b'\x07';
                     let is_cut = is_no && !self.line.is_empty();
                     if std::mem::take(&mut self.too_long) || is_cut {
-                        take(Piece::Unreadable);
+                        take(LinePiece::Unreadable);
                     } else if !is_no {
-                        take(Piece::Line(&self.line));
+                        take(LinePiece::Line(&self.line));
                     }
                     if is_no {
-                        take(Piece::No);
+                        take(LinePiece::No);
                     }
                     self.line.clear();
                 }
@@ -297,13 +299,13 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn read(text: &str) -> Option<Word> {
+    fn read(text: &str) -> Option<AdapterReply> {
         parse(text.as_bytes())
     }
 
     fn frame_of(text: &str) -> Frame {
         match read(text) {
-            Some(Word::Frame(frame, _)) => frame,
+            Some(AdapterReply::Frame(frame, _)) => frame,
             other => panic!("{text}: {other:?}"),
         }
     }
@@ -319,7 +321,7 @@ mod tests {
         assert_eq!((fd.len(), fd.fd, fd.bit_rate_switch), (12, true, false));
         assert_eq!(
             read("T1111222281122334455667788EA5F"),
-            Some(Word::Frame(
+            Some(AdapterReply::Frame(
                 Frame::classic(0x1111_2222, &[0x11, 0x22, 0x33, 0x44, 0x55, 0x66, 0x77, 0x88]),
                 Some(0xEA5F)
             ))
@@ -367,16 +369,16 @@ mod tests {
 
     #[test]
     fn other_words() {
-        assert_eq!(read(""), Some(Word::Yes));
-        assert_eq!(read("z"), Some(Word::Yes));
-        assert_eq!(read("Z"), Some(Word::Yes));
-        assert_eq!(read("V1013"), Some(Word::Name("V1013".into())));
-        assert_eq!(read("S6"), Some(Word::Command));
-        assert_eq!(read("V"), Some(Word::Command));
-        let off = Word::State { state: BusState::BusOff, tec: 256, rec: 0 };
+        assert_eq!(read(""), Some(AdapterReply::Yes));
+        assert_eq!(read("z"), Some(AdapterReply::Yes));
+        assert_eq!(read("Z"), Some(AdapterReply::Yes));
+        assert_eq!(read("V1013"), Some(AdapterReply::Name("V1013".into())));
+        assert_eq!(read("S6"), Some(AdapterReply::Command));
+        assert_eq!(read("V"), Some(AdapterReply::Command));
+        let off = AdapterReply::State { state: BusState::BusOff, tec: 256, rec: 0 };
         assert_eq!(read("sb000256"), Some(off));
         let flags = |text| match read(text) {
-            Some(Word::Flags(flags)) => (flags.state(), flags.is_overrun()),
+            Some(AdapterReply::Flags(flags)) => (flags.state(), flags.is_overrun()),
             other => panic!("{other:?}"),
         };
         assert_eq!(flags("F00"), (BusState::ErrorActive, false));
@@ -402,7 +404,7 @@ mod tests {
         assert_eq!(data_rate_code(5_000_000), Some(5));
     }
 
-    fn pieces(splitter: &mut Splitter, bytes: &[u8]) -> Vec<String> {
+    fn pieces(splitter: &mut LineSplitter, bytes: &[u8]) -> Vec<String> {
         let mut seen = Vec::new();
         splitter.feed(bytes, |piece| seen.push(format!("{piece:?}")));
         seen
@@ -411,9 +413,9 @@ mod tests {
     #[test]
     fn a_stream_is_split_however_it_comes() {
         let whole = b"t1230\r\rz\r\n\x07half\x07V1013\r";
-        let at_once = pieces(&mut Splitter::default(), whole);
+        let at_once = pieces(&mut LineSplitter::default(), whole);
         assert_eq!(at_once.len(), 7, "{at_once:?}");
-        let mut splitter = Splitter::default();
+        let mut splitter = LineSplitter::default();
         let mut one_by_one = Vec::new();
         for byte in whole {
             one_by_one.extend(pieces(&mut splitter, &[*byte]));
@@ -423,7 +425,7 @@ mod tests {
 
     #[test]
     fn a_line_that_does_not_end_is_dropped_at_its_end() {
-        let mut splitter = Splitter::default();
+        let mut splitter = LineSplitter::default();
         assert_eq!(pieces(&mut splitter, &vec![b'x'; 100_000]), [""; 0]);
         assert!(splitter.line.capacity() <= 2 * MAX_LINE);
         assert_eq!(pieces(&mut splitter, b"\rz\r"), ["Unreadable", "Line([122])"]);
@@ -456,15 +458,15 @@ mod tests {
             let line = encode(&frame).unwrap();
             let (end, line) = line.split_last().unwrap();
             prop_assert_eq!(*end, b'\r');
-            prop_assert_eq!(parse(line), Some(Word::Frame(frame, None)));
+            prop_assert_eq!(parse(line), Some(AdapterReply::Frame(frame, None)));
         }
 
         #[test]
         fn any_bytes_are_taken(bytes in prop::collection::vec(any::<u8>(), 0..600)) {
-            let mut splitter = Splitter::default();
+            let mut splitter = LineSplitter::default();
             splitter.feed(&bytes, |piece| {
-                if let Piece::Line(line) = piece
-                    && let Some(Word::Frame(frame, _)) = parse(line)
+                if let LinePiece::Line(line) = piece
+                    && let Some(AdapterReply::Frame(frame, _)) = parse(line)
                 {
                     assert!(frame.len() <= Frame::MAX_DATA);
                 }

@@ -3,8 +3,8 @@
 //! This opens the port; `dialogue` is what is said there, `line` is what the lines mean. A port
 //! that is not there, is in use, or goes away is a status, and is waited for.
 
-mod dialogue;
 mod line;
+mod protocol;
 
 pub(super) use line::{data_rate_code, data_rates, rate_code, rates};
 
@@ -12,10 +12,9 @@ use super::Options;
 use super::clock::Clock;
 use super::port::Port;
 use super::remote::Backoff;
-use super::remote::stream::{self, Away, Endpoint};
+use super::remote::stream::{self, Endpoint, Unavailable};
 use crate::frame::BusIndex;
 use crate::status::{BusStatus, Link, RateSearch};
-use dialogue::{Settings, Slcan};
 use nix::errno::Errno;
 use nix::fcntl::{Flock, FlockArg, OFlag};
 use nix::sys::termios::{
@@ -23,6 +22,7 @@ use nix::sys::termios::{
     tcgetattr, tcsetattr,
 };
 use nix::unistd::{Gid, Group};
+use protocol::{Slcan, SlcanSettings};
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Write};
 use std::os::fd::{AsFd, BorrowedFd};
@@ -42,7 +42,7 @@ pub(super) fn open(
     (bitrate, data_bitrate): (Option<u32>, Option<u32>),
     (index, clock, options): (BusIndex, Clock, Options),
 ) -> io::Result<Port> {
-    let settings = Settings { bitrate, data_bitrate, listen_only: options.listen_only };
+    let settings = SlcanSettings { bitrate, data_bitrate, listen_only: options.listen_only };
     let dialogue = Slcan::new(&device.to_string_lossy(), settings);
     let status = BusStatus {
         bitrate,
@@ -65,8 +65,8 @@ struct LockedPort(Flock<File>);
 impl Endpoint for SerialPort {
     type Stream = LockedPort;
 
-    fn open(&self) -> Result<LockedPort, Away> {
-        let away = |link, message| Away { link, message };
+    fn open(&self) -> Result<LockedPort, Unavailable> {
+        let away = |link, message| Unavailable { link, message };
         let name = self.device.display();
         let port = OpenOptions::new()
             .read(true)
@@ -76,7 +76,7 @@ impl Endpoint for SerialPort {
             .open(&self.device)
             .map_err(|error| self.cannot_open(&error))?;
         let Ok(mut settings) = tcgetattr(&port) else {
-            return Err(away(Link::NotCan, format!("{name} is no serial port")));
+            return Err(away(Link::NotCan, format!("{name} is not a serial port")));
         };
         let port = Flock::lock(port, FlockArg::LockExclusiveNonblock)
             .map_err(|_| away(Link::Down, format!("{name} is in use by another program")))?;
@@ -99,9 +99,9 @@ impl Endpoint for SerialPort {
         Ok(port)
     }
 
-    fn broken_off(&self) -> Away {
-        let message = format!("{} is gone: plug it in again", self.device.display());
-        Away { link: Link::Unplugged, message }
+    fn broken_off(&self) -> Unavailable {
+        let message = format!("{} unplugged: plug it in again", self.device.display());
+        Unavailable { link: Link::Unplugged, message }
     }
 
     fn close(&self, stream: LockedPort, stuck: bool) {
@@ -113,7 +113,7 @@ impl Endpoint for SerialPort {
 }
 
 impl SerialPort {
-    fn cannot_open(&self, error: &io::Error) -> Away {
+    fn cannot_open(&self, error: &io::Error) -> Unavailable {
         let name = self.device.display();
         let errno = error.raw_os_error().map_or(Errno::UnknownErrno, Errno::from_raw);
         let (link, message) = match errno {
@@ -122,12 +122,12 @@ impl SerialPort {
             }
             Errno::EACCES | Errno::EPERM => (Link::Down, advice_permission(&self.device)),
             Errno::EBUSY => (Link::Down, format!("{name} is in use by another program")),
-            Errno::EISDIR => (Link::NotCan, format!("{name} is no serial port")),
+            Errno::EISDIR => (Link::NotCan, format!("{name} is not a serial port")),
             // The other end of a pty is closed.
-            Errno::EIO => (Link::Missing, format!("nothing is at the other end of {name}")),
+            Errno::EIO => (Link::Missing, format!("{name}: no device connected")),
             _ => (Link::Down, format!("cannot open {name}: {error}")),
         };
-        Away { link, message }
+        Unavailable { link, message }
     }
 }
 
@@ -135,9 +135,9 @@ fn advice_missing(device: &Path) -> String {
     let name = device.display();
     let others = serial_ports();
     if others.is_empty() {
-        return format!("there is no {name}, and no other adapter's port: is it plugged in?");
+        return format!("{name} not found, nor another adapter's port: is it plugged in?");
     }
-    format!("there is no {name}; there is {}", others.join(", "))
+    format!("{name} not found; available: {}", others.join(", "))
 }
 
 fn advice_permission(device: &Path) -> String {
@@ -146,10 +146,10 @@ fn advice_permission(device: &Path) -> String {
     let group = group.filter(|gid| gid.as_raw() != 0).and_then(|gid| Group::from_gid(gid).ok()?);
     match group {
         Some(group) => format!(
-            "{name} is not for you: sudo usermod -aG {} \"$USER\", then log in again",
+            "no permission for {name}: sudo usermod -aG {} \"$USER\", then log in again",
             group.name
         ),
-        None => format!("{name} is not for you: sudo chmod a+rw {name}"),
+        None => format!("no permission for {name}: sudo chmod a+rw {name}"),
     }
 }
 

@@ -2,7 +2,7 @@
 //!
 //! Does not know what it is done for.
 
-use super::facts::{advice_missing, is_can};
+use super::link_info::{advice_missing, is_can};
 use nix::net::if_::if_nametoindex;
 use nix::unistd::geteuid;
 use socketcan::nl::{CanBitTiming, CanCtrlModes, InterfaceCanParams};
@@ -11,7 +11,7 @@ use std::io::{self, ErrorKind};
 
 /// Why it cannot be set.
 #[derive(Debug)]
-pub(in crate::bus) enum Refusal {
+pub(in crate::bus) enum ConfigError {
     /// There is no such interface: this is what there is.
     NotThere(String),
     /// The interface has no controller: vcan.
@@ -28,7 +28,7 @@ pub(in crate::bus) enum Refusal {
 
 /// A controller, and how it was when we came.
 #[derive(Debug)]
-pub(in crate::bus) struct Controller {
+pub(in crate::bus) struct CanController {
     name: String,
     interface: CanInterface,
     was_up: bool,
@@ -37,18 +37,19 @@ pub(in crate::bus) struct Controller {
     touched: bool,
 }
 
-impl Controller {
+impl CanController {
     /// Looks at it; changes nothing.
-    pub(in crate::bus) fn of(name: &str) -> Result<Self, Refusal> {
-        let ifindex = if_nametoindex(name).map_err(|_| Refusal::NotThere(advice_missing(name)))?;
+    pub(in crate::bus) fn of(name: &str) -> Result<Self, ConfigError> {
+        let ifindex =
+            if_nametoindex(name).map_err(|_| ConfigError::NotThere(advice_missing(name)))?;
         if !is_can(name) {
-            return Err(Refusal::NotThere(format!("{name} is no CAN interface")));
+            return Err(ConfigError::NotThere(format!("{name} is not a CAN interface")));
         }
         let interface = CanInterface::open_iface(ifindex);
         let details = interface.details().map_err(refusal)?;
         // Every controller tells its clock; virtual interfaces have none.
         if details.can.clock.is_none() {
-            return Err(Refusal::NoController);
+            return Err(ConfigError::NoController);
         }
         let modes = details.can.ctrl_mode;
         Ok(Self {
@@ -76,17 +77,21 @@ impl Controller {
     }
 
     /// Switches it off, sets it, and switches it on again.
-    pub(in crate::bus) fn set(&mut self, bitrate: u32, listen_only: bool) -> Result<(), Refusal> {
+    pub(in crate::bus) fn set(
+        &mut self,
+        bitrate: u32,
+        listen_only: bool,
+    ) -> Result<(), ConfigError> {
         self.touched = true;
         self.down()?;
         let timing = CanBitTiming { bitrate, ..CanBitTiming::default() };
         // One at a time: which of both is refused matters.
         self.change(Some(timing), None).map_err(|refusal| match refusal {
-            Refusal::Failed(_) => Refusal::NotThisRate,
+            ConfigError::Failed(_) => ConfigError::NotThisRate,
             other => other,
         })?;
         self.change(None, Some(listen_only)).map_err(|refusal| match refusal {
-            Refusal::Failed(_) if listen_only => Refusal::NoListening,
+            ConfigError::Failed(_) if listen_only => ConfigError::NoListening,
             other => other,
         })?;
         self.up()
@@ -98,7 +103,7 @@ impl Controller {
     }
 
     /// Puts back how it was when we came; a bit rate that it did not have before stays.
-    pub(in crate::bus) fn restore(&mut self) -> Result<(), Refusal> {
+    pub(in crate::bus) fn restore(&mut self) -> Result<(), ConfigError> {
         if !std::mem::take(&mut self.touched) {
             return Ok(());
         }
@@ -114,11 +119,11 @@ impl Controller {
         if self.was_up { self.up() } else { Ok(()) }
     }
 
-    fn down(&self) -> Result<(), Refusal> {
+    fn down(&self) -> Result<(), ConfigError> {
         self.interface.bring_down().map_err(refusal)
     }
 
-    fn up(&self) -> Result<(), Refusal> {
+    fn up(&self) -> Result<(), ConfigError> {
         self.interface.bring_up().map_err(refusal)
     }
 
@@ -126,7 +131,7 @@ impl Controller {
         &self,
         bit_timing: Option<CanBitTiming>,
         listen_only: Option<bool>,
-    ) -> Result<(), Refusal> {
+    ) -> Result<(), ConfigError> {
         let ctrl_mode = listen_only.map(|on| CanCtrlModes::from_mode(CanCtrlMode::ListenOnly, on));
         let parameters =
             InterfaceCanParams { bit_timing, ctrl_mode, ..InterfaceCanParams::default() };
@@ -134,14 +139,14 @@ impl Controller {
     }
 }
 
-impl Drop for Controller {
+impl Drop for CanController {
     fn drop(&mut self) {
         // Whoever wanted to know whether it can be put back has called it.
         let _ = self.restore();
     }
 }
 
-fn refusal(error: Error) -> Refusal {
+fn refusal(error: Error) -> ConfigError {
     let cause = match error {
         Error::Io(cause) => cause,
         Error::Nl(error) => match error.errno() {
@@ -152,8 +157,8 @@ fn refusal(error: Error) -> Refusal {
     };
     // Whoever may not is not always told so.
     if cause.kind() == ErrorKind::PermissionDenied || !geteuid().is_root() {
-        Refusal::NotPermitted
+        ConfigError::NotPermitted
     } else {
-        Refusal::Failed(cause)
+        ConfigError::Failed(cause)
     }
 }

@@ -6,22 +6,22 @@
 //! unplugged is a status, and is waited for.
 
 pub(super) mod controller;
-mod facts;
+mod link_info;
 mod socket;
 
-pub use facts::{Interface, interfaces};
+pub use link_info::{CanInterface, interfaces};
 
 use super::Options;
-use super::clock::{Clock, Dating};
-use super::port::{Line, Port};
+use super::clock::{Clock, RxTimestamps};
+use super::port::{Port, PortShared};
 use crate::error_report::ErrorReport;
 use crate::frame::{BusIndex, Frame, IdPattern};
 use crate::status::{BusState, BusStatus, Link, RateSearch};
 use crate::time::Instant;
-use facts::{Facts, advice_missing, is_can};
+use link_info::{LinkInfo, advice_missing, is_can};
 use nix::errno::Errno;
 use nix::net::if_::if_nametoindex;
-use socket::{RawSocket, Received};
+use socket::{RawSocket, ReceivedFrame};
 use std::io;
 use std::os::fd::AsFd;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -48,15 +48,15 @@ pub(super) fn open(
     clock: Clock,
     options: Options,
 ) -> io::Result<Port> {
-    let line = Arc::new(Line::new()?);
+    let line = Arc::new(PortShared::new()?);
     line.queue.add_name(name);
     line.queue.update_status(|status| status.filtered = !options.only.is_empty());
-    let watch = Arc::new(Watch { name: name.to_owned(), ..Watch::default() });
-    let mut reader = Reader {
+    let watch = Arc::new(InterfaceMonitor { name: name.to_owned(), ..InterfaceMonitor::default() });
+    let mut reader = SocketReader {
         line: Arc::clone(&line),
         watch: Arc::clone(&watch),
         bus: index,
-        dating: Dating::new(clock),
+        dating: RxTimestamps::new(clock),
         drops_before: 0,
         told: (0, 0),
         was_there: false,
@@ -65,7 +65,7 @@ pub(super) fn open(
         is_full: false,
     };
     let socket = reader.find();
-    watch.look(&line, Noticed::default());
+    watch.refresh(&line, PendingReport::default());
     let mut port = Port::new(name, line, options.listen_only);
     port.serve(move |line| {
         let _release = ObserverRelease(Arc::clone(&reader.watch));
@@ -80,41 +80,41 @@ pub(super) fn open(
 
 /// What the two threads share: which interface it is now, and whether to look at it.
 #[derive(Debug, Default)]
-struct Watch {
+struct InterfaceMonitor {
     name: String,
     /// 0: not there.
     ifindex: AtomicU32,
     /// Down, as far as is known.
     is_down: AtomicBool,
-    nudge: Mutex<Nudge>,
+    nudge: Mutex<MonitorRequest>,
     nudged: Condvar,
 }
 
 #[derive(Debug, Default)]
-struct Nudge {
+struct MonitorRequest {
     look: bool,
     stop: bool,
-    noticed: Noticed,
+    noticed: PendingReport,
 }
 
 /// What the reader noticed, and is to be told together with how the interface is then: it may be
 /// over by the time somebody looks.
 #[derive(Debug, Default)]
-struct Noticed {
+struct PendingReport {
     /// The interface went down, or away.
     outage: bool,
     /// The controller left the bus.
     bus_offs: u64,
 }
 
-impl Watch {
-    fn nudge(&self, change: impl FnOnce(&mut Nudge)) {
+impl InterfaceMonitor {
+    fn nudge(&self, change: impl FnOnce(&mut MonitorRequest)) {
         change(&mut self.nudge.lock().unwrap_or_else(PoisonError::into_inner));
         self.nudged.notify_one();
     }
 
     /// The observer.
-    fn run(&self, line: &Line) {
+    fn run(&self, line: &PortShared) {
         let mut nudge = self.nudge.lock().unwrap_or_else(PoisonError::into_inner);
         while !nudge.stop {
             (nudge, _) = self
@@ -133,11 +133,11 @@ impl Watch {
     }
 
     /// Looks at once, where the observer may take up to a second.
-    fn look_now(&self, line: &Line) {
+    fn look_now(&self, line: &PortShared) {
         let mut nudge = self.nudge.lock().unwrap_or_else(PoisonError::into_inner);
         let noticed = std::mem::take(&mut nudge.noticed);
         drop(nudge);
-        let untold = self.look(line, noticed);
+        let untold = self.refresh(line, noticed);
         let mut nudge = self.nudge.lock().unwrap_or_else(PoisonError::into_inner);
         nudge.noticed.outage |= untold.outage;
         nudge.noticed.bus_offs += untold.bus_offs;
@@ -145,12 +145,12 @@ impl Watch {
 
     /// Looks once, and says in the status what there is, and what was noticed; gives back what
     /// could not be said yet.
-    fn look(&self, line: &Line, mut noticed: Noticed) -> Noticed {
+    fn refresh(&self, line: &PortShared, mut noticed: PendingReport) -> PendingReport {
         let ifindex = self.ifindex.load(Ordering::Acquire);
         if ifindex == 0 {
             return noticed;
         }
-        let Ok(facts) = Facts::of(ifindex) else { return noticed };
+        let Ok(facts) = LinkInfo::of(ifindex) else { return noticed };
         // Renamed, it is the same wire with the same devices: commands need the name of now.
         let name = facts.name.as_deref().unwrap_or(&self.name);
         let (message, note) = (facts.advice(name), facts.note(name));
@@ -178,7 +178,7 @@ impl Watch {
 }
 
 impl BusStatus {
-    fn set_facts(&mut self, facts: &Facts) {
+    fn set_facts(&mut self, facts: &LinkInfo) {
         let facts = facts.clone();
         self.state = facts.state;
         self.bitrate = facts.bitrate;
@@ -193,7 +193,7 @@ impl BusStatus {
 }
 
 /// Stops the observer when the reader ends, however it ends.
-struct ObserverRelease(Arc<Watch>);
+struct ObserverRelease(Arc<InterfaceMonitor>);
 
 impl Drop for ObserverRelease {
     fn drop(&mut self) {
@@ -202,11 +202,11 @@ impl Drop for ObserverRelease {
 }
 
 /// The reader.
-struct Reader {
-    line: Arc<Line>,
-    watch: Arc<Watch>,
+struct SocketReader {
+    line: Arc<PortShared>,
+    watch: Arc<InterfaceMonitor>,
     bus: BusIndex,
-    dating: Dating,
+    dating: RxTimestamps,
     /// Kernel drops of sockets that were closed since.
     drops_before: u64,
     /// The kernel drops and the frames under way that the status has.
@@ -221,7 +221,7 @@ struct Reader {
     is_full: bool,
 }
 
-impl Reader {
+impl SocketReader {
     /// Serves the line until the port is dropped.
     fn run(&mut self, mut found: Option<RawSocket>) -> io::Result<()> {
         while !self.line.is_stopped() {
@@ -240,13 +240,13 @@ impl Reader {
     fn find(&mut self) -> Option<RawSocket> {
         let name = &self.watch.name;
         let opened = match if_nametoindex(name.as_str()) {
-            Ok(_) if !is_can(name) => Err((Link::NotCan, format!("{name} is no CAN interface"))),
+            Ok(_) if !is_can(name) => Err((Link::NotCan, format!("{name} is not a CAN interface"))),
             Ok(ifindex) => match RawSocket::open(ifindex, &self.only) {
                 Ok(socket) => Ok((ifindex, socket)),
                 Err(error) => Err(self.cannot_open(&error)),
             },
             Err(_) if self.was_there => {
-                Err((Link::Unplugged, format!("{name} is gone: plug it in again")))
+                Err((Link::Unplugged, format!("{name} unplugged: plug it in again")))
             }
             Err(_) => Err((Link::Missing, advice_missing(name))),
         };
@@ -265,7 +265,7 @@ impl Reader {
             Err((link, message)) => {
                 self.line.queue.update_status(|status| {
                     status.link = link;
-                    status.set_facts(&Facts { state: BusState::Down, ..Facts::default() });
+                    status.set_facts(&LinkInfo { state: BusState::Down, ..LinkInfo::default() });
                     status.unconfirmed = 0;
                     status.renamed = None;
                     status.message = Some(message);
@@ -281,7 +281,7 @@ impl Reader {
             Errno::ENODEV | Errno::ENXIO => (Link::Missing, advice_missing(name)),
             Errno::EAFNOSUPPORT | Errno::EPROTONOSUPPORT => (
                 Link::NoKernel,
-                "this kernel has no CAN: sudo modprobe can-raw, or another kernel".into(),
+                "kernel without CAN: sudo modprobe can-raw, or another kernel".into(),
             ),
             _ => (Link::Down, format!("cannot open {name}: {error}")),
         }
@@ -333,22 +333,22 @@ impl Reader {
                 }
             }
         }
-        socket.ask_for_drops();
+        socket.query_drops();
         self.drops_before += socket.drops();
         self.watch.ifindex.store(0, Ordering::Release);
         Ok(())
     }
 
     /// The status first, so that nobody sees frames newer than it.
-    fn deliver(&mut self, batch: &[Received], frames: &mut Vec<Frame>, socket: &RawSocket) {
-        let mut reports = Reports::default();
+    fn deliver(&mut self, batch: &[ReceivedFrame], frames: &mut Vec<Frame>, socket: &RawSocket) {
+        let mut reports = ErrorFrameSummary::default();
         frames.clear();
         if !batch.is_empty() {
             self.dating.read_clocks();
         }
         for received in batch {
             let time = self.dating.date(received.stamp_micros);
-            let frame = received.frame.at(time).on(self.bus);
+            let frame = received.frame.with_time(time).with_bus(self.bus);
             reports.note(&frame);
             frames.push(frame);
         }
@@ -378,11 +378,10 @@ impl Reader {
     fn send_posted(&mut self, socket: &mut RawSocket) {
         loop {
             let next = self.waiting.take();
-            let next =
-                next.or_else(|| Some((self.line.next_posted()?, Monotonic::now() + RETRY_FOR)));
+            let next = next.or_else(|| Some((self.line.pop_tx()?, Monotonic::now() + RETRY_FOR)));
             let Some((frame, give_up)) = next else { return };
             let Err(error) = socket.send(&frame) else {
-                self.tell_transmit_queue(false);
+                self.report_transmit_queue(false);
                 continue;
             };
             let has_no_room = matches!(errno(&error), Errno::ENOBUFS | Errno::EAGAIN);
@@ -391,11 +390,11 @@ impl Reader {
                 return;
             }
             self.line.queue.update_status(|status| status.transmit_failures += 1);
-            self.tell_transmit_queue(has_no_room);
+            self.report_transmit_queue(has_no_room);
         }
     }
 
-    fn tell_transmit_queue(&mut self, is_full: bool) {
+    fn report_transmit_queue(&mut self, is_full: bool) {
         if std::mem::replace(&mut self.is_full, is_full) != is_full {
             self.line.queue.update_status(|status| status.is_transmit_queue_full = is_full);
         }
@@ -406,9 +405,9 @@ impl Reader {
     }
 
     fn refuse_posted(&mut self) {
-        self.tell_transmit_queue(false);
+        self.report_transmit_queue(false);
         let waiting = self.waiting.take().into_iter().count() as u64;
-        let posted = std::iter::from_fn(|| self.line.next_posted()).count() as u64;
+        let posted = std::iter::from_fn(|| self.line.pop_tx()).count() as u64;
         self.line.queue.update_status(|status| status.transmit_failures += waiting + posted);
     }
 }
@@ -425,14 +424,14 @@ fn nap(since_last: Duration, count: u32, room: u32) -> Option<Duration> {
 
 /// What a batch's error reports (`linux/can/error.h`) say that is counted here.
 #[derive(Default)]
-struct Reports {
+struct ErrorFrameSummary {
     total: u64,
     missing_acks: u64,
     overruns: u64,
     bus_offs: u64,
 }
 
-impl Reports {
+impl ErrorFrameSummary {
     fn note(&mut self, frame: &Frame) {
         let Some(report) = ErrorReport::of(frame) else { return };
         self.total += 1;

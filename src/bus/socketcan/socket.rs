@@ -30,7 +30,7 @@ const MEMINFO_LEN: usize = 36;
 const MEMINFO_DROPS: usize = 32;
 /// The smallest receive buffer holds more frames than that, so nothing is dropped unless as many
 /// wait to be read.
-const FEWER_THAN_A_FLOOD: usize = 64;
+const MIN_BUFFER_FRAMES: usize = 64;
 
 const CLASSIC_LEN: usize = 16;
 const FD_LEN: usize = 72;
@@ -46,7 +46,7 @@ const FD_FORMAT: u8 = 0x04;
 
 /// A frame as the kernel delivers it: ours or not, and when.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Received {
+pub(super) struct ReceivedFrame {
     pub(super) frame: Frame,
     /// When the kernel got it, in Unix microseconds.
     pub(super) stamp_micros: Option<u64>,
@@ -100,7 +100,7 @@ impl RawSocket {
     /// Whether a frame is ours the kernel says in a message flag (`MSG_CONFIRM`) that the safe
     /// wrapper of recvmmsg does not pass on. So while frames of ours are under way we read one
     /// by one and look at that flag first; otherwise none can be ours.
-    pub(super) fn read(&mut self, frames: &mut Vec<Received>) -> io::Result<()> {
+    pub(super) fn read(&mut self, frames: &mut Vec<ReceivedFrame>) -> io::Result<()> {
         let before = frames.len();
         let outcome = loop {
             let outcome =
@@ -113,8 +113,8 @@ impl RawSocket {
         self.unasked += frames.len() - before;
         match outcome {
             Err(error) if error.kind() == ErrorKind::WouldBlock => {
-                if self.unasked >= FEWER_THAN_A_FLOOD {
-                    self.ask_for_drops();
+                if self.unasked >= MIN_BUFFER_FRAMES {
+                    self.query_drops();
                 }
                 Ok(())
             }
@@ -124,7 +124,7 @@ impl RawSocket {
 
     /// A frame tells of the drops before it; of those after the last frame only the socket itself
     /// does. Kernels before 4.12 do not.
-    pub(super) fn ask_for_drops(&mut self) {
+    pub(super) fn query_drops(&mut self) {
         self.unasked = 0;
         let mut info = [0; MEMINFO_LEN];
         let read = self.socket.get_socket_option_bytes(SOL_SOCKET, SO_MEMINFO, &mut info);
@@ -134,7 +134,7 @@ impl RawSocket {
     }
 
     /// Says whether there may be more.
-    fn read_one(&mut self, frames: &mut Vec<Received>) -> io::Result<bool> {
+    fn read_one(&mut self, frames: &mut Vec<ReceivedFrame>) -> io::Result<bool> {
         let peeked = self.socket.as_raw_socket();
         let (_, flags) = peeked.recv_vectored_with_flags(&mut [], MSG_PEEK | MSG_DONTWAIT)?;
         let mut bytes = [0; FD_LEN];
@@ -146,15 +146,15 @@ impl RawSocket {
         let len = message.bytes;
         let Some(mut frame) = decode(&bytes[..len.min(FD_LEN)]) else { return Ok(true) };
         if flags.is_confirm() {
-            frame.ours = true;
+            frame.is_tx = true;
             self.unconfirmed = self.unconfirmed.saturating_sub(1);
         }
-        frames.push(Received { frame, stamp_micros });
+        frames.push(ReceivedFrame { frame, stamp_micros });
         Ok(true)
     }
 
     /// Says whether there may be more.
-    fn read_batch(&mut self, frames: &mut Vec<Received>) -> io::Result<bool> {
+    fn read_batch(&mut self, frames: &mut Vec<ReceivedFrame>) -> io::Result<bool> {
         let mut buffers = [[0; FD_LEN]; BATCH];
         let mut slices: Vec<_> =
             buffers.iter_mut().map(|buffer| [IoSliceMut::new(buffer)]).collect();
@@ -168,7 +168,7 @@ impl RawSocket {
             count += 1;
             let stamp_micros = self.drops.read_control(&message);
             if let Some(frame) = message.iovs().next().and_then(decode) {
-                frames.push(Received { frame, stamp_micros });
+                frames.push(ReceivedFrame { frame, stamp_micros });
             }
         }
         Ok(count == BATCH)

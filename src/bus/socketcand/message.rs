@@ -11,7 +11,7 @@ const MAX_MESSAGE: usize = 256;
 
 /// What a server says.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum Message {
+pub(super) enum ServerMessage {
     /// The greeting.
     Hi,
     /// Yes, to what was asked last.
@@ -25,13 +25,13 @@ pub(super) enum Message {
 }
 
 /// Reads what stands between the brackets.
-pub(super) fn parse(content: &[u8]) -> Option<Message> {
+pub(super) fn parse(content: &[u8]) -> Option<ServerMessage> {
     let text = std::str::from_utf8(content).ok();
     let words: Vec<&str> = text.map(str::split_ascii_whitespace)?.collect();
     match words[..] {
-        ["hi"] => Some(Message::Hi),
-        ["ok"] => Some(Message::Ok),
-        ["echo"] => Some(Message::Echo),
+        ["hi"] => Some(ServerMessage::Hi),
+        ["ok"] => Some(ServerMessage::Ok),
+        ["echo"] => Some(ServerMessage::Echo),
         ["frame", id, time, ref data @ ..] => {
             let mut bytes = Vec::new();
             // Together in raw mode, apart in others.
@@ -43,19 +43,21 @@ pub(super) fn parse(content: &[u8]) -> Option<Message> {
             if bytes.len() > Frame::MAX_CLASSIC_DATA {
                 return None;
             }
-            Some(Message::Frame(Frame::with(identifier(id)?, &bytes), Some(micros(time)?)))
+            Some(ServerMessage::Frame(Frame::with(identifier(id)?, &bytes), Some(micros(time)?)))
         }
         ["rtr", id, time, len] => {
             let len = len.parse().ok().filter(|len| *len <= Frame::MAX_CLASSIC_DATA)?;
-            Some(Message::Frame(Frame::remote(identifier(id)?, len), Some(micros(time)?)))
+            Some(ServerMessage::Frame(Frame::remote(identifier(id)?, len), Some(micros(time)?)))
         }
         ["error", class, time] if error_class(class).is_some() && micros(time).is_some() => {
-            Some(Message::Frame(Frame::error(error_class(class)?, &[]), micros(time)))
+            Some(ServerMessage::Frame(Frame::error(error_class(class)?, &[]), micros(time)))
         }
         ["error", class] if error_class(class).is_some() => {
-            Some(Message::Frame(Frame::error(error_class(class)?, &[]), None))
+            Some(ServerMessage::Frame(Frame::error(error_class(class)?, &[]), None))
         }
-        ["error", ref words @ ..] => Some(Message::Error(printable(words.join(" ").as_bytes()))),
+        ["error", ref words @ ..] => {
+            Some(ServerMessage::Error(printable(words.join(" ").as_bytes())))
+        }
         _ => None,
     }
 }
@@ -115,7 +117,7 @@ fn micros(text: &str) -> Option<i64> {
 
 /// What the splitting of a stream into messages gives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Piece<'a> {
+pub(super) enum MessagePiece<'a> {
     /// What stood between the brackets.
     Message(&'a [u8]),
     /// What stood outside them, did not end, or was too long.
@@ -124,13 +126,13 @@ pub(super) enum Piece<'a> {
 
 /// Splits a stream into messages, however it comes; keeps no more than one of bounded length.
 #[derive(Debug, Default)]
-pub(super) struct Splitter {
+pub(super) struct MessageSplitter {
     message: Vec<u8>,
-    place: Place,
+    place: SplitState,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-enum Place {
+enum SplitState {
     /// Between messages.
     #[default]
     Outside,
@@ -142,35 +144,35 @@ enum Place {
     TooLong,
 }
 
-impl Splitter {
+impl MessageSplitter {
     /// Takes bytes, and gives every piece that they complete.
-    pub fn feed(&mut self, bytes: &[u8], mut take: impl FnMut(Piece<'_>)) {
+    pub fn feed(&mut self, bytes: &[u8], mut take: impl FnMut(MessagePiece<'_>)) {
         for &byte in bytes {
             self.place = match (self.place, byte) {
                 (place, b'<') => {
                     // The end of what was before is missing.
-                    if matches!(place, Place::Inside | Place::TooLong) {
-                        take(Piece::Unreadable);
+                    if matches!(place, SplitState::Inside | SplitState::TooLong) {
+                        take(MessagePiece::Unreadable);
                     }
                     self.message.clear();
-                    Place::Inside
+                    SplitState::Inside
                 }
-                (Place::Inside, b'>') => {
-                    take(Piece::Message(&self.message));
-                    Place::Outside
+                (SplitState::Inside, b'>') => {
+                    take(MessagePiece::Message(&self.message));
+                    SplitState::Outside
                 }
-                (Place::TooLong, b'>') => {
-                    take(Piece::Unreadable);
-                    Place::Outside
+                (SplitState::TooLong, b'>') => {
+                    take(MessagePiece::Unreadable);
+                    SplitState::Outside
                 }
-                (Place::Inside, _) if self.message.len() == MAX_MESSAGE => Place::TooLong,
-                (Place::Inside, _) => {
+                (SplitState::Inside, _) if self.message.len() == MAX_MESSAGE => SplitState::TooLong,
+                (SplitState::Inside, _) => {
                     self.message.push(byte);
-                    Place::Inside
+                    SplitState::Inside
                 }
-                (Place::Outside, _) if !byte.is_ascii_whitespace() => {
-                    take(Piece::Unreadable);
-                    Place::Garbage
+                (SplitState::Outside, _) if !byte.is_ascii_whitespace() => {
+                    take(MessagePiece::Unreadable);
+                    SplitState::Garbage
                 }
                 (place, _) => place,
             };
@@ -183,14 +185,14 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn read(text: &str) -> Option<Message> {
+    fn read(text: &str) -> Option<ServerMessage> {
         parse(text.as_bytes())
     }
 
     #[test]
     fn messages_are_read_as_the_daemon_writes_them() {
         let data = Frame::classic(0x1A22_0344, &[0x1A, 0x22]);
-        let frame = |frame, micros| Some(Message::Frame(frame, Some(micros)));
+        let frame = |frame, micros| Some(ServerMessage::Frame(frame, Some(micros)));
         assert_eq!(read(" frame 1A220344 23.424242 1A22 "), frame(data, 23_424_242));
         assert_eq!(read(" frame 1A220344 23.424242 1A 22 "), frame(data, 23_424_242));
         let empty = Frame::with(CanId::Standard(0x123), &[]);
@@ -198,9 +200,9 @@ mod tests {
         let remote = Frame::remote(CanId::Standard(0x123), 4);
         assert_eq!(read(" rtr 123 23.5 4 "), frame(remote, 23_500_000));
         assert_eq!(read(" error 004 23.424242 "), frame(Frame::error(4, &[]), 23_424_242));
-        assert_eq!(read(" hi "), Some(Message::Hi));
-        assert_eq!(read("ok"), Some(Message::Ok));
-        let refused = Message::Error("could not open bus".to_owned());
+        assert_eq!(read(" hi "), Some(ServerMessage::Hi));
+        assert_eq!(read("ok"), Some(ServerMessage::Ok));
+        let refused = ServerMessage::Error("could not open bus".to_owned());
         assert_eq!(read(" error could not open bus "), Some(refused));
     }
 
@@ -235,7 +237,7 @@ mod tests {
 
     #[test]
     fn a_servers_words_cannot_steer_a_terminal() {
-        let Some(Message::Error(text)) = parse(b"error \x1b[2J\x07no") else { panic!() };
+        let Some(ServerMessage::Error(text)) = parse(b"error \x1b[2J\x07no") else { panic!() };
         assert_eq!(text, "\\x1B[2J\\x07no");
     }
 
@@ -250,7 +252,7 @@ mod tests {
         assert_eq!(encode(&Frame::error(4, &[])), None);
     }
 
-    fn pieces(splitter: &mut Splitter, bytes: &[u8]) -> Vec<String> {
+    fn pieces(splitter: &mut MessageSplitter, bytes: &[u8]) -> Vec<String> {
         let mut seen = Vec::new();
         splitter.feed(bytes, |piece| seen.push(format!("{piece:?}")));
         seen
@@ -259,17 +261,17 @@ mod tests {
     #[test]
     fn a_stream_is_split_however_it_comes() {
         let whole = b"< hi >< ok >\r\nHTTP/1.1 400<half < ok > x <>";
-        let at_once = pieces(&mut Splitter::default(), whole);
+        let at_once = pieces(&mut MessageSplitter::default(), whole);
         assert_eq!(at_once.iter().filter(|piece| *piece == "Unreadable").count(), 3);
         assert_eq!(at_once.len(), 7, "{at_once:?}");
-        let mut splitter = Splitter::default();
+        let mut splitter = MessageSplitter::default();
         let one_by_one: Vec<_> = whole.iter().flat_map(|b| pieces(&mut splitter, &[*b])).collect();
         assert_eq!(one_by_one, at_once);
     }
 
     #[test]
     fn a_message_that_does_not_end_is_dropped() {
-        let mut splitter = Splitter::default();
+        let mut splitter = MessageSplitter::default();
         assert_eq!(pieces(&mut splitter, b"<"), [""; 0]);
         assert_eq!(pieces(&mut splitter, &vec![b'x'; 100_000]), [""; 0]);
         assert!(splitter.message.capacity() <= 2 * MAX_MESSAGE);
@@ -279,9 +281,9 @@ mod tests {
     proptest! {
         #[test]
         fn any_bytes_are_taken(bytes in prop::collection::vec(any::<u8>(), 0..600)) {
-            let mut splitter = Splitter::default();
+            let mut splitter = MessageSplitter::default();
             splitter.feed(&bytes, |piece| {
-                if let Piece::Message(content) = piece {
+                if let MessagePiece::Message(content) = piece {
                     let _ = parse(content);
                 }
             });
@@ -306,7 +308,7 @@ mod tests {
             let digits = words[4..words.len() - 1].iter().map(|byte| format!("{byte:0>2}"));
             let digits = digits.collect::<Vec<_>>().concat();
             let heard = format!("frame {} 1.0 {digits}", words[2]);
-            prop_assert_eq!(read(&heard), Some(Message::Frame(frame, Some(1_000_000))));
+            prop_assert_eq!(read(&heard), Some(ServerMessage::Frame(frame, Some(1_000_000))));
             prop_assert_eq!(words[3].parse::<usize>().unwrap(), data.len());
         }
     }

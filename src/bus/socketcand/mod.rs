@@ -4,18 +4,18 @@
 //! mean. A server that is not there or goes away is a status, and is tried again, less and less
 //! often.
 
-mod dialogue;
 mod message;
+mod protocol;
 
 use super::Options;
 use super::clock::Clock;
 use super::port::Port;
 use super::remote::Backoff;
-use super::remote::stream::{self, Away, Endpoint};
+use super::remote::stream::{self, Endpoint, Unavailable};
 use crate::frame::BusIndex;
 use crate::status::{BusStatus, Link, RateSearch};
-use dialogue::Socketcand;
 use nix::sys::socket::{setsockopt, sockopt};
+use protocol::Socketcand;
 use std::io::{self, ErrorKind};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::time::Duration;
@@ -66,32 +66,32 @@ impl Server {
         Err(last)
     }
 
-    fn cannot_connect(&self, error: &io::Error) -> Away {
+    fn cannot_connect(&self, error: &io::Error) -> Unavailable {
         let name = self.name();
         let (link, message) = match error.kind() {
             ErrorKind::ConnectionRefused => {
-                (Link::Down, format!("{name} refuses: is socketcand running there?"))
+                (Link::Down, format!("{name}: connection refused; is socketcand running?"))
             }
             ErrorKind::TimedOut => {
-                (Link::Down, format!("{name} does not answer: is it switched on, and reachable?"))
+                (Link::Down, format!("no response from {name}: is it on and reachable?"))
             }
             ErrorKind::HostUnreachable | ErrorKind::NetworkUnreachable => {
-                (Link::Down, format!("there is no way to {name}: is the network up?"))
+                (Link::Down, format!("no route to {name}: is the network up?"))
             }
             // The resolver's errors have no number.
             _ if error.raw_os_error().is_none() => {
-                (Link::Missing, format!("nobody knows a machine called {}: {error}", self.host))
+                (Link::Missing, format!("unknown host {}: {error}", self.host))
             }
             _ => (Link::Down, format!("cannot connect to {name}: {error}")),
         };
-        Away { link, message }
+        Unavailable { link, message }
     }
 }
 
 impl Endpoint for Server {
     type Stream = TcpStream;
 
-    fn open(&self) -> Result<TcpStream, Away> {
+    fn open(&self) -> Result<TcpStream, Unavailable> {
         let stream = self.connect().map_err(|error| self.cannot_connect(&error))?;
         let set_up = stream
             .set_nonblocking(true)
@@ -102,9 +102,9 @@ impl Endpoint for Server {
         Ok(stream)
     }
 
-    fn broken_off(&self) -> Away {
-        let message = format!("lost {}: calling it again", self.name());
-        Away { link: Link::Unplugged, message }
+    fn broken_off(&self) -> Unavailable {
+        let message = format!("connection to {} lost: reconnecting", self.name());
+        Unavailable { link: Link::Unplugged, message }
     }
 
     fn close(&self, _: TcpStream, _: bool) {}

@@ -7,13 +7,13 @@ mod message;
 mod sockets;
 
 use super::Options;
-use super::clock::{Clock, Dating};
-use super::port::{Line, Port};
+use super::clock::{Clock, RxTimestamps};
+use super::port::{Port, PortShared};
 use super::remote::{Backoff, Delivery};
 use crate::frame::{BusIndex, Frame};
 use crate::status::{BusStatus, Link, RateSearch};
 use nix::errno::Errno;
-use sockets::{Group, Received, Sockets};
+use sockets::{MulticastGroup, ReceivedDatagram, Sockets};
 use std::io::{self, ErrorKind};
 use std::net::IpAddr;
 use std::os::fd::AsFd;
@@ -37,16 +37,17 @@ pub(super) fn open(
     (address, interface, port): (IpAddr, Option<&str>, Option<u16>),
     (index, clock, options): (BusIndex, Clock, Options),
 ) -> io::Result<Port> {
-    let line = Arc::new(Line::new()?);
+    let line = Arc::new(PortShared::new()?);
     line.queue.add_name(name);
     let port_number = port.unwrap_or(USUAL_PORT);
-    let group = Group { address, port: port_number, interface: interface.map(str::to_owned) };
+    let group =
+        MulticastGroup { address, port: port_number, interface: interface.map(str::to_owned) };
     let mut bus = Multicast {
         group,
         speaks: !options.listen_only,
         delivery: Delivery::new(Arc::clone(&line), index),
         line: Arc::clone(&line),
-        dating: Dating::new(clock.clone()),
+        dating: RxTimestamps::new(clock.clone()),
         clock,
         status: BusStatus { fd: true, rate_search: RateSearch::NoRate, ..BusStatus::default() },
         drops_before: 0,
@@ -56,18 +57,18 @@ pub(super) fn open(
     let mut port = Port::new(name, line, options.listen_only);
     port.serve(move |line| {
         if let Err(error) = bus.run(opened) {
-            line.queue.finish(Link::Failed, format!("cannot hear the group: {error}"));
+            line.queue.finish(Link::Failed, format!("cannot receive from the group: {error}"));
         }
     })?;
     Ok(port)
 }
 
 struct Multicast {
-    group: Group,
+    group: MulticastGroup,
     speaks: bool,
-    line: Arc<Line>,
+    line: Arc<PortShared>,
     delivery: Delivery,
-    dating: Dating,
+    dating: RxTimestamps,
     clock: Clock,
     status: BusStatus,
     /// Kernel drops of sockets that were closed since.
@@ -104,18 +105,18 @@ impl Multicast {
                 Some(sockets)
             }
             Err(error) => {
-                self.tell_away(&error);
+                self.report_unavailable(&error);
                 None
             }
         }
     }
 
-    fn tell_away(&mut self, error: &io::Error) {
-        let Group { address, interface, .. } = &self.group;
+    fn report_unavailable(&mut self, error: &io::Error) {
+        let MulticastGroup { address, interface, .. } = &self.group;
         let errno = error.raw_os_error().map_or(Errno::UnknownErrno, Errno::from_raw);
         let message = match (errno, interface) {
             (Errno::ENODEV | Errno::ENXIO, Some(name)) => {
-                format!("there is no interface {name} with multicast: ip -br link shows them")
+                format!("{name} not found or without multicast; list interfaces: ip -br link")
             }
             (
                 Errno::ENETUNREACH
@@ -127,18 +128,18 @@ impl Multicast {
             ) => {
                 let name = interface.as_deref().unwrap_or("eth0");
                 format!(
-                    "no network leads to {address}: sudo ip route add {address} dev {name}, or \
+                    "no route to {address}: sudo ip route add {address} dev {name}, or \
                      name an interface: udp:{address}%{name}"
                 )
             }
             (Errno::EADDRINUSE, _) => {
-                format!("port {} is taken by a program that does not share it", self.group.port)
+                format!("port {} is in use by another program", self.group.port)
             }
             (Errno::EINVAL, None) if address.is_ipv6() => {
-                format!("{address} needs an interface to be told from others: udp:{address}%eth0")
+                format!("{address} needs an interface: udp:{address}%eth0")
             }
             (Errno::EPERM | Errno::EACCES, _) => {
-                format!("{address} is not allowed: {error} (a firewall?)")
+                format!("{address} is not permitted: {error} (firewall?)")
             }
             _ => format!("cannot join {address}: {error}"),
         };
@@ -173,7 +174,7 @@ impl Multicast {
         };
         self.drops_before += sockets.drops();
         if let Some(error) = away {
-            self.tell_away(&error);
+            self.report_unavailable(&error);
         }
         Ok(())
     }
@@ -184,23 +185,22 @@ impl Multicast {
         self.dating.read_clocks();
         for _ in 0..BATCH {
             let Some(received) = sockets.receive(&mut buffer)? else { return Ok(false) };
-            let Received { len, is_cut, ours, stamp_micros } = received;
+            let ReceivedDatagram { len, is_cut, ours, stamp_micros } = received;
             let frame = buffer.get(..len).filter(|_| !is_cut).and_then(message::decode);
             let Some(mut frame) = frame else {
                 self.status.unreadable += 1;
-                self.status.note =
-                    Some("somebody sends datagrams that are no frames of python-can's".into());
+                self.status.note = Some("received datagrams that are not python-can frames".into());
                 continue;
             };
-            frame.ours = ours;
-            frames.push(frame.at(self.dating.date(stamp_micros)));
+            frame.is_tx = ours;
+            frames.push(frame.with_time(self.dating.date(stamp_micros)));
         }
         Ok(true)
     }
 
     /// Sends what waits. An error is the network's: the group is not reached.
     fn send_posted(&mut self, sockets: &Sockets) -> io::Result<()> {
-        while let Some(frame) = self.line.next_posted() {
+        while let Some(frame) = self.line.pop_tx() {
             let time = self.clock.epoch().unix_secs(self.clock.now());
             let Some(datagram) = message::encode(&frame, time) else {
                 self.status.transmit_failures += 1;
@@ -218,7 +218,7 @@ impl Multicast {
     }
 
     fn refuse_posted(&mut self) {
-        let posted = std::iter::from_fn(|| self.line.next_posted()).count() as u64;
+        let posted = std::iter::from_fn(|| self.line.pop_tx()).count() as u64;
         if posted > 0 {
             self.status.transmit_failures += posted;
             self.delivery.tell(&self.status);

@@ -20,7 +20,7 @@ const RECEIVE_BUFFER: usize = 4 << 20;
 
 /// A group, and how it is reached.
 #[derive(Clone, Debug)]
-pub(super) struct Group {
+pub(super) struct MulticastGroup {
     pub(super) address: IpAddr,
     pub(super) port: u16,
     /// The interface; without one, the one that the system's routes lead to.
@@ -28,7 +28,7 @@ pub(super) struct Group {
 }
 
 /// A datagram that came.
-pub(super) struct Received {
+pub(super) struct ReceivedDatagram {
     /// How many bytes there are.
     pub(super) len: usize,
     /// It was longer than there was room.
@@ -50,7 +50,7 @@ pub(super) struct Sockets {
     drops: u64,
 }
 
-impl Group {
+impl MulticastGroup {
     fn index(&self) -> io::Result<u32> {
         self.interface.as_deref().map_or(Ok(0), |name| Ok(if_nametoindex(name)?))
     }
@@ -66,7 +66,7 @@ impl Group {
     }
 
     /// A socket that is connected to the group: where its datagrams would go from is known.
-    fn speaker(&self) -> io::Result<Socket> {
+    fn tx_socket(&self) -> io::Result<Socket> {
         let socket = self.socket()?;
         let index = self.index()?;
         match self.address {
@@ -87,7 +87,7 @@ impl Group {
         Ok(socket)
     }
 
-    fn listener(&self) -> io::Result<Socket> {
+    fn rx_socket(&self) -> io::Result<Socket> {
         let socket = self.socket()?;
         // Or python-can, and another descan, cannot start beside us.
         socket.set_reuse_address(true)?;
@@ -112,17 +112,17 @@ impl Group {
 
 impl Sockets {
     /// Joins the group; speaks to it where `speaks`.
-    pub(super) fn open(group: &Group, speaks: bool) -> io::Result<Self> {
-        let speaker = group.speaker()?;
+    pub(super) fn open(group: &MulticastGroup, speaks: bool) -> io::Result<Self> {
+        let speaker = group.tx_socket()?;
         let own = speaker.local_addr()?.as_socket();
-        let listener = group.listener()?;
+        let listener = group.rx_socket()?;
         let speaker = speaks.then_some(speaker);
         Ok(Self { listener, own: own.filter(|_| speaks), speaker, last_drops: 0, drops: 0 })
     }
 
     /// Whether the group is still reached, and from the same address.
-    pub(super) fn check(&self, group: &Group) -> io::Result<()> {
-        let now = group.speaker()?.local_addr()?.as_socket().map(|it| it.ip());
+    pub(super) fn check(&self, group: &MulticastGroup) -> io::Result<()> {
+        let now = group.tx_socket()?.local_addr()?.as_socket().map(|it| it.ip());
         match self.own.map(|it| it.ip()) {
             Some(own) if now != Some(own) => Err(ErrorKind::AddrNotAvailable.into()),
             _ => Ok(()),
@@ -138,7 +138,7 @@ impl Sockets {
     }
 
     /// The next datagram that is here; `None` where none is.
-    pub(super) fn receive(&mut self, buffer: &mut [u8]) -> io::Result<Option<Received>> {
+    pub(super) fn receive(&mut self, buffer: &mut [u8]) -> io::Result<Option<ReceivedDatagram>> {
         let mut control = cmsg_space!(TimeSpec, u32);
         let mut slices = [IoSliceMut::new(buffer)];
         let fd = self.listener.as_raw_fd();
@@ -152,7 +152,7 @@ impl Sockets {
         };
         let stamp_micros = self.read_control(&message);
         let from = message.address.as_ref().and_then(address);
-        Ok(Some(Received {
+        Ok(Some(ReceivedDatagram {
             len: message.bytes,
             is_cut: message.flags.contains(MsgFlags::MSG_TRUNC),
             ours: from.is_some() && from == self.own.map(|own| (own.ip(), own.port())),

@@ -27,10 +27,10 @@
 
 mod background;
 mod rate;
-mod telling;
+mod report;
 mod window;
 
-pub(super) use rate::{Cause, Summary};
+pub(super) use rate::{BusErrorSummary, Cause};
 
 use super::finding::Evidence;
 use crate::error_report::ErrorReport;
@@ -41,7 +41,7 @@ use crate::wire::id::Address;
 use background::{Background, RUN_COUNTS};
 use rate::ErrorRate;
 use std::collections::VecDeque;
-use window::{BURST, Broadcast, LONGEST_BURST, Window};
+use window::{BURST, BroadcastWindow, LONGEST_BURST, Window};
 
 /// Windows that are open at the same time; beyond that the oldest is forgotten.
 const MAX_WINDOWS: usize = 32;
@@ -116,7 +116,7 @@ impl Suspect {
 
 /// What becomes of an address that was looked into.
 #[derive(Debug)]
-enum Verdict {
+enum SuspectOutcome {
     /// Errors follow it; with the evidence that is new.
     Named(Address, Due, Vec<Evidence>),
     /// They do not, or no more.
@@ -125,7 +125,7 @@ enum Verdict {
 
 /// What is known of the errors on a bus.
 #[derive(Debug, Default)]
-pub(super) struct Errors {
+pub(super) struct BusErrorTracker {
     rate: ErrorRate,
     /// When the finding about the bus was worded last, and whether it is to be anew.
     worded: Instant,
@@ -135,25 +135,25 @@ pub(super) struct Errors {
     windows: Vec<Window>,
     suspects: Vec<Suspect>,
     background: Background,
-    broadcast: Option<Broadcast>,
+    broadcast: Option<BroadcastWindow>,
     /// The last bursts, and who was expected to send then: one bit for each address.
     bursts: VecDeque<(Instant, u128)>,
     /// The number of the last frame that broke, and how many broke in a row.
     run: (u64, u64),
-    verdicts: VecDeque<Verdict>,
+    verdicts: VecDeque<SuspectOutcome>,
     /// Frames heard, as far as it was told.
     frames: u64,
 }
 
-impl Errors {
+impl BusErrorTracker {
     /// A frame comes; `frames` came before it. Whether that changes when
     /// [`handle_timeout`](Self::handle_timeout) is due.
-    pub fn see_frame(&mut self, now: Instant, frames: u64) -> bool {
-        self.rate.see_frame(now, frames)
+    pub fn note_frame(&mut self, now: Instant, frames: u64) -> bool {
+        self.rate.note_frame(now, frames)
     }
 
     /// A question to `address` passed by; its answer is awaited until `ends`.
-    pub fn see_question(
+    pub fn note_request(
         &mut self,
         address: Address,
         request: Request,
@@ -171,16 +171,16 @@ impl Errors {
 
     /// A question to all passed by, which the addresses `awaited` (one bit each) may answer until
     /// `ends`.
-    pub fn see_broadcast(&mut self, now: Instant, ends: Instant, awaited: u128, frame: &Frame) {
+    pub fn note_broadcast(&mut self, now: Instant, ends: Instant, awaited: u128, frame: &Frame) {
         let before = self.broadcast.take().filter(|it| now < it.ends);
         // Asked in two framings, or in two modes, whoever answered once has answered.
         let (more, answered) = before.map_or((0, 0), |it| (it.awaited, it.answered));
         let awaited = (awaited | more) & !answered;
-        self.broadcast = Some(Broadcast { question: *frame, ends, awaited, answered });
+        self.broadcast = Some(BroadcastWindow { request: *frame, ends, awaited, answered });
     }
 
     /// Part of an answer came: the rest is awaited until `ends`.
-    pub fn see_part(&mut self, address: Address, ends: Instant) {
+    pub fn note_partial_response(&mut self, address: Address, ends: Instant) {
         for window in &mut self.windows {
             if window.address == address && window.due != Due::Heartbeat {
                 window.ends = window.ends.max(ends);
@@ -189,7 +189,7 @@ impl Errors {
     }
 
     /// A whole answer came; `frames` were heard in all.
-    pub fn see_answer(
+    pub fn note_response(
         &mut self,
         now: Instant,
         address: Address,
@@ -206,7 +206,7 @@ impl Errors {
     }
 
     /// A heartbeat came.
-    pub fn see_heartbeat(&mut self, now: Instant, address: Address, frame: &Frame) {
+    pub fn note_heartbeat(&mut self, now: Instant, address: Address, frame: &Frame) {
         if self.windows.is_empty() && self.suspects.is_empty() {
             return;
         }
@@ -214,7 +214,7 @@ impl Errors {
     }
 
     /// Frames were lost before they reached us: an answer may have been among them.
-    pub fn see_loss(&mut self) {
+    pub fn note_lost_frames(&mut self) {
         self.windows.clear();
     }
 
@@ -234,7 +234,7 @@ impl Errors {
     }
 
     /// Whether an address is being looked into that may yet be named.
-    pub fn is_looking(&self) -> bool {
+    pub fn has_pending_suspect(&self) -> bool {
         let mut open = self.suspects.iter().filter(|suspect| !suspect.named);
         open.any(|suspect| suspect.weight > 0 && suspect.ask_at.is_some())
     }
@@ -248,7 +248,12 @@ impl Errors {
     /// instead, where that is not now: of those that are looked into each is asked alone, or it
     /// would never be known whose frames break. They take turns: who was asked before it and waits
     /// comes first.
-    pub fn put_off(&mut self, now: Instant, address: Address, until: Instant) -> Option<Instant> {
+    pub fn postpone_recheck(
+        &mut self,
+        now: Instant,
+        address: Address,
+        until: Instant,
+    ) -> Option<Instant> {
         let at = self.suspects.iter().position(|suspect| suspect.address == address)?;
         let own = self.suspects[at].asked_until;
         let others = self.suspects.iter().filter(|suspect| suspect.address != address);
@@ -300,7 +305,7 @@ impl Errors {
             return;
         }
         let broadcast = self.broadcast.as_ref().filter(|it| now < it.ends);
-        let broadcast = broadcast.map(|it| (it.awaited, it.question, it.ends));
+        let broadcast = broadcast.map(|it| (it.awaited, it.request, it.ends));
         let windows = self.windows.iter().fold(0, |bits, it| bits | 1 << it.address.index());
         let expected: u128 = windows | broadcast.map_or(0, |(awaited, ..)| awaited);
         self.note_burst(now, broken, expected);
@@ -313,11 +318,11 @@ impl Errors {
             self.windows.iter_mut().for_each(|window| window.shared += broken);
             return;
         } else if windows == 0
-            && let Some((_, question, ends)) = broadcast
+            && let Some((_, request, ends)) = broadcast
         {
             // All others have answered.
             let address = Address::from_bits(expected.trailing_zeros() as u8);
-            self.open(address, Due::Answer(Request::Name), ends, Some(question));
+            self.open(address, Due::Answer(Request::Name), ends, Some(request));
         }
         // Of several questions to one address the first is answered first.
         let number = self.frames;
@@ -374,7 +379,11 @@ impl Errors {
                 suspect.named = true;
                 suspect.ask_at = Some(now + ASK_NAMED);
                 let evidence = std::mem::take(&mut suspect.evidence);
-                self.verdicts.push_back(Verdict::Named(suspect.address, suspect.due, evidence));
+                self.verdicts.push_back(SuspectOutcome::Named(
+                    suspect.address,
+                    suspect.due,
+                    evidence,
+                ));
             }
             at += 1;
         }
@@ -406,7 +415,7 @@ impl Errors {
         let at = self.windows.iter().position(|it| it.address == address && it.due == due);
         let Some(at) = at else {
             if due == Due::Heartbeat {
-                self.pass(now, address, due);
+                self.record_clean_window(now, address, due);
             }
             return;
         };
@@ -415,13 +424,13 @@ impl Errors {
         let in_time = due == Due::Heartbeat && came.is_some();
         let weight = window.weight().filter(|_| !in_time);
         if let Some(weight) = weight {
-            self.accuse(now, &window, weight, came);
+            self.record_burst(now, &window, weight, came);
         } else if window.errors == 0 && window.shared == 0 {
             if came.is_some() {
-                self.pass(now, address, due);
+                self.record_clean_window(now, address, due);
             }
         } else if window.shared >= BURST && window.errors < BURST {
-            self.consider(now, &window, came.is_some());
+            self.schedule_recheck(now, &window, came.is_some());
         } else {
             // Here and there, in time all the same, or without end.
             let run = if window.errors > LONGEST_BURST { f64::MAX } else { RUN_COUNTS };
@@ -430,9 +439,9 @@ impl Errors {
     }
 
     /// There was a burst in a window of an address, and in nobody else's.
-    fn accuse(&mut self, now: Instant, window: &Window, weight: u32, came: Option<&Frame>) {
+    fn record_burst(&mut self, now: Instant, window: &Window, weight: u32, came: Option<&Frame>) {
         if let (Some(first), true) = (window.first, self.background.is_clean()) {
-            self.rate.explain(first.time, now, window.errors);
+            self.rate.exclude(first.time, now, window.errors);
             self.outdated = false;
         }
         let Some(suspect) = self.suspect(now, window) else { return };
@@ -456,7 +465,7 @@ impl Errors {
     }
 
     /// There was a burst that may have been this address's or another's: ask it alone.
-    fn consider(&mut self, now: Instant, window: &Window, answered: bool) {
+    fn schedule_recheck(&mut self, now: Instant, window: &Window, answered: bool) {
         if !self.background.is_clean() {
             return;
         }
@@ -501,7 +510,7 @@ impl Errors {
     }
 
     /// What was expected of an address came, and nothing broke.
-    fn pass(&mut self, now: Instant, address: Address, due: Due) {
+    fn record_clean_window(&mut self, now: Instant, address: Address, due: Due) {
         let at = self.suspects.iter().position(|it| it.address == address && it.due == due);
         let Some(at) = at else { return };
         let suspect = &mut self.suspects[at];
@@ -523,7 +532,7 @@ impl Errors {
     fn end(&mut self, at: usize) {
         let suspect = self.suspects.remove(at);
         if suspect.named {
-            self.verdicts.push_back(Verdict::Cleared(suspect.address));
+            self.verdicts.push_back(SuspectOutcome::Cleared(suspect.address));
         }
     }
 

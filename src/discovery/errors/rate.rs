@@ -43,7 +43,7 @@ pub(in crate::discovery) enum Cause {
 
 /// What there is to say of the errors of the last ten seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(in crate::discovery) struct Summary {
+pub(in crate::discovery) struct BusErrorSummary {
     /// What most of them are.
     pub cause: Cause,
     /// Errors per second, while they come.
@@ -54,7 +54,7 @@ pub(in crate::discovery) struct Summary {
 
 /// A second in which there were errors.
 #[derive(Clone, Copy, Debug, Default)]
-struct Second {
+struct ErrorSecond {
     /// Which, since the beginning of time.
     number: u64,
     broken: u64,
@@ -67,7 +67,7 @@ struct Second {
 
 #[derive(Debug, Default)]
 pub(super) struct ErrorRate {
-    seconds: VecDeque<Second>,
+    seconds: VecDeque<ErrorSecond>,
     /// When a second began, and how many frames had been heard by then: as far back as errors
     /// are remembered.
     heard: VecDeque<(Instant, u64)>,
@@ -86,7 +86,7 @@ pub(super) struct ErrorRate {
 impl ErrorRate {
     /// Takes note that `frames` were heard before now. Called with every frame. Whether it is the
     /// first that is heard since the controller left the bus.
-    pub fn see_frame(&mut self, now: Instant, frames: u64) -> bool {
+    pub fn note_frame(&mut self, now: Instant, frames: u64) -> bool {
         if now >= self.next_second {
             self.next_second = Instant::from_micros((second_of(now) + 1) * 1_000_000);
             if self.heard.len() as u64 == MEMORY {
@@ -149,8 +149,8 @@ impl ErrorRate {
     }
 
     /// The errors in numbers.
-    pub fn summary(&self, now: Instant, frames: u64) -> Summary {
-        let sum = |of: fn(&Second) -> u64| self.seconds.iter().map(of).sum::<u64>();
+    pub fn summary(&self, now: Instant, frames: u64) -> BusErrorSummary {
+        let sum = |of: fn(&ErrorSecond) -> u64| self.seconds.iter().map(of).sum::<u64>();
         let (broken, no_acknowledge) = (sum(|s| s.broken), sum(|s| s.no_acknowledge));
         let violations = [Violation::Bit, Violation::Stuff, Violation::Form];
         let most = violations.into_iter().max_by_key(|violation| {
@@ -172,11 +172,11 @@ impl ErrorRate {
         let since = self.heard.front().map_or(now, |(since, _)| *since);
         let seconds = now.since(since).as_secs_f64().clamp(1.0, MEMORY as f64);
         let frames = self.frames(frames).max(1) as f64;
-        Summary { cause, rate: errors / seconds, share: (errors / frames).min(1.0) }
+        BusErrorSummary { cause, rate: errors / seconds, share: (errors / frames).min(1.0) }
     }
 
     /// Of the errors between two moments `count` have another cause than the bus.
-    pub fn explain(&mut self, from: Instant, to: Instant, mut count: u64) {
+    pub fn exclude(&mut self, from: Instant, to: Instant, mut count: u64) {
         let (from, to) = (second_of(from), second_of(to));
         for second in &mut self.seconds {
             if (from..=to).contains(&second.number) {
@@ -229,10 +229,10 @@ impl ErrorRate {
         }
     }
 
-    fn second(&mut self, now: Instant) -> &mut Second {
+    fn second(&mut self, now: Instant) -> &mut ErrorSecond {
         let number = second_of(now);
         if self.seconds.back().is_none_or(|last| last.number != number) {
-            self.seconds.push_back(Second { number, ..Second::default() });
+            self.seconds.push_back(ErrorSecond { number, ..ErrorSecond::default() });
         }
         let last = self.seconds.len() - 1;
         &mut self.seconds[last]

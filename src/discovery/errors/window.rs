@@ -58,26 +58,24 @@ impl Window {
         }
     }
 
-    pub(super) fn evidence(&self, answer: Option<&Frame>) -> impl Iterator<Item = Evidence> {
+    pub(super) fn evidence(&self, response: Option<&Frame>) -> impl Iterator<Item = Evidence> {
         let (cause, broken, late) = match self.due {
-            Due::Answer(_) => {
-                ("the question", "a frame broke before the answer", "the answer, late")
-            }
-            Due::Heartbeat => ("the heartbeat before", "a frame broke when the next was due", ""),
+            Due::Answer(_) => ("request", "bus error before the response", "late response"),
+            Due::Heartbeat => ("previous heartbeat", "bus error when the next was due", ""),
         };
         let last = self.last.filter(|_| self.errors > 1);
         let pieces = [(cause, self.cause), (broken, self.first), (broken, last)];
-        let pieces = pieces.into_iter().chain([(late, answer.copied())]);
+        let pieces = pieces.into_iter().chain([(late, response.copied())]);
         pieces.filter_map(|(what, frame)| {
-            frame.map(|frame| Evidence { time: frame.time, what, frame: Some(frame) })
+            frame.map(|frame| Evidence { time: frame.time, what: what.into(), frame: Some(frame) })
         })
     }
 }
 
 /// A question to all, and who has yet to answer it.
 #[derive(Debug)]
-pub(super) struct Broadcast {
-    pub(super) question: Frame,
+pub(super) struct BroadcastWindow {
+    pub(super) request: Frame,
     pub(super) ends: Instant,
     /// One bit for each address.
     pub(super) awaited: u128,

@@ -16,7 +16,7 @@
 mod output;
 mod target;
 
-pub use target::{Format, Size, Target, UnknownFormat};
+pub use target::{RecordFormat, Size, Target, UnknownFormat};
 
 use crate::frame::{BusIndex, Frame};
 use crate::status::RecordingStatus;
@@ -53,10 +53,10 @@ pub enum RecordError {
         fault: UnknownFormat,
     },
     /// It, or one that would come after it, is there.
-    #[error("{0} is there already and is not overwritten; name another file, or move it away")]
+    #[error("{0} already exists; name another file")]
     Exists(String),
     /// It cannot be written.
-    #[error("{path} cannot be recorded to: {cause}")]
+    #[error("cannot record to {path}: {cause}")]
     Unwritable {
         /// The file.
         path: String,
@@ -68,20 +68,20 @@ pub enum RecordError {
 /// A recording that is under way. Dropping it ends it, with all that was recorded.
 #[derive(Debug)]
 pub struct Recorder {
-    shared: Arc<Shared>,
+    shared: Arc<RecorderShared>,
     thread: Option<JoinHandle<()>>,
 }
 
 #[derive(Debug)]
-struct Shared {
-    state: Mutex<State>,
+struct RecorderShared {
+    state: Mutex<RecorderState>,
     work: Condvar,
     room: Condvar,
     news: Notify,
 }
 
 #[derive(Debug, Default)]
-struct State {
+struct RecorderState {
     queue: VecDeque<Frame>,
     epoch: Epoch,
     /// By bus; empty where it is not known.
@@ -99,7 +99,7 @@ impl Recorder {
     /// Begins the first file.
     pub fn create(target: &Target) -> Result<Self, RecordError> {
         let path = shown(&target.path);
-        let format = Format::of(&target.path)
+        let format = RecordFormat::of(&target.path)
             .map_err(|fault| RecordError::Format { path: path.clone(), fault })?;
         if target.max_bytes.is_some()
             && let Some(there) = first_numbered(&target.path)
@@ -111,8 +111,8 @@ impl Recorder {
             _ => RecordError::Unwritable { path: path.clone(), cause },
         };
         let file = Output::create(&target.path, format).map_err(unwritable)?;
-        let state = State { status: file.status(), ..State::default() };
-        let shared = Arc::new(Shared {
+        let state = RecorderState { status: file.status(), ..RecorderState::default() };
+        let shared = Arc::new(RecorderShared {
             state: Mutex::new(state),
             work: Condvar::new(),
             room: Condvar::new(),
@@ -235,14 +235,14 @@ impl Drop for Recorder {
     }
 }
 
-impl Shared {
+impl RecorderShared {
     // A panic of the other side leaves nothing half-done in here, so its poison is ignored.
-    fn state(&self) -> MutexGuard<'_, State> {
+    fn state(&self) -> MutexGuard<'_, RecorderState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-impl State {
+impl RecorderState {
     fn is_over(&self) -> bool {
         self.stopped || self.status.failure.is_some()
     }
@@ -250,7 +250,7 @@ impl State {
 
 /// The thread.
 struct Writer {
-    shared: Arc<Shared>,
+    shared: Arc<RecorderShared>,
     target: Target,
     output: Output,
     files: u32,
@@ -271,7 +271,7 @@ impl Drop for Writer {
     fn drop(&mut self) {
         let mut state = self.shared.state();
         if thread::panicking() {
-            state.status.failure = Some("writing broke off: this is a bug in descan".into());
+            state.status.failure = Some("recorder stopped: this is a bug in descan".into());
             state.status_is_new = true;
         }
         drop(state);
@@ -282,7 +282,7 @@ impl Drop for Writer {
 
 /// What the writer takes over at once.
 #[derive(Default)]
-struct Taken {
+struct RecorderBatch {
     frames: Vec<Frame>,
     epoch: Epoch,
     names: Vec<String>,
@@ -293,7 +293,7 @@ struct Taken {
 
 impl Writer {
     fn run(&mut self) {
-        let mut taken = Taken::default();
+        let mut taken = RecorderBatch::default();
         let mut flushed = Monotonic::now();
         while !taken.stopped {
             self.take(&mut taken, FLUSH_EVERY.saturating_sub(flushed.elapsed()));
@@ -319,14 +319,14 @@ impl Writer {
     }
 
     /// Nothing came, and nothing was lost: such a file would only be in the way.
-    fn is_empty(&self, taken: &Taken) -> bool {
+    fn is_empty(&self, taken: &RecorderBatch) -> bool {
         self.frames_before == 0
             && self.output.frames == 0
             && taken.lost.iter().all(|lost| *lost == 0)
     }
 
     /// Waits until it is time to write or to stop, at most `until_flush`, and takes what is there.
-    fn take(&self, taken: &mut Taken, until_flush: Duration) {
+    fn take(&self, taken: &mut RecorderBatch, until_flush: Duration) {
         let state = self.shared.state();
         let (state, _) = self
             .shared
@@ -358,7 +358,7 @@ impl Writer {
 
     /// Leaves what can be written: frames of several buses in order of time, and none that may
     /// still come after another's. Frames of one bus stay as they came.
-    fn put_in_order(&mut self, taken: &mut Taken) {
+    fn put_in_order(&mut self, taken: &mut RecorderBatch) {
         let Some(first) = self.first_bus.or(taken.frames.first().map(|frame| frame.bus)) else {
             return;
         };
@@ -380,7 +380,7 @@ impl Writer {
         taken.frames.extend(self.held.drain(..ready));
     }
 
-    fn write(&mut self, taken: &Taken) -> io::Result<()> {
+    fn write(&mut self, taken: &RecorderBatch) -> io::Result<()> {
         let max_bytes = self.target.max_bytes.unwrap_or(u64::MAX);
         for frame in &taken.frames {
             if !self.output.write(frame, taken, max_bytes)? {
@@ -392,7 +392,7 @@ impl Writer {
         Ok(())
     }
 
-    fn rotate(&mut self, taken: &Taken) -> io::Result<()> {
+    fn rotate(&mut self, taken: &RecorderBatch) -> io::Result<()> {
         self.output.finish(taken)?;
         // One that was put there meanwhile is left alone.
         let number = self.output.number.max(SECOND_FILE - 1) + 1;
@@ -411,7 +411,7 @@ impl Writer {
                 }
             }
         }
-        Err(io::Error::other("there is no number left for the next file"))
+        Err(io::Error::other("no number left for the next file"))
     }
 
     /// Says how far it is; where it failed, what is flushed is what there is.
@@ -445,8 +445,8 @@ impl Writer {
 fn why(error: &io::Error) -> String {
     match error.kind() {
         io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => "the disk is full".into(),
-        io::ErrorKind::FileTooLarge => "the file may not grow any more".into(),
-        io::ErrorKind::ReadOnlyFilesystem => "the disk cannot be written to any more".into(),
+        io::ErrorKind::FileTooLarge => "file size limit reached".into(),
+        io::ErrorKind::ReadOnlyFilesystem => "the disk has become read-only".into(),
         _ => error.to_string(),
     }
 }

@@ -1,6 +1,6 @@
 //! One file of a recording, as candump's text or as pcapng.
 
-use super::{Format, Taken, shown};
+use super::{RecordFormat, RecorderBatch, shown};
 use crate::bus::candump::write_line;
 use crate::bus::pcapng;
 use crate::frame::{BusIndex, Frame};
@@ -16,7 +16,7 @@ const GATHERED: usize = 1 << 16;
 /// One file.
 pub struct Output {
     pub path: PathBuf,
-    pub format: Format,
+    pub format: RecordFormat,
     file: File,
     /// What is yet to be written.
     gathered: Vec<u8>,
@@ -30,7 +30,7 @@ pub struct Output {
     pub flushed_frames: u64,
     /// 0: the first.
     pub number: u32,
-    interfaces: Vec<Interface>,
+    interfaces: Vec<OutputInterface>,
     /// The last frame's time, in Unix microseconds.
     last_micros: u64,
     /// Frames lost, by bus, before this file began.
@@ -38,13 +38,13 @@ pub struct Output {
 }
 
 /// A bus in a pcapng file; its place is its number there.
-struct Interface {
+struct OutputInterface {
     bus: BusIndex,
     frames: u64,
 }
 
 impl Output {
-    pub fn create(path: &Path, format: Format) -> io::Result<Self> {
+    pub fn create(path: &Path, format: RecordFormat) -> io::Result<Self> {
         let file = OpenOptions::new().write(true).create_new(true).open(path)?;
         let mut output = Self {
             path: path.to_owned(),
@@ -60,7 +60,7 @@ impl Output {
             last_micros: 0,
             lost_before: Vec::new(),
         };
-        if format == Format::Pcapng {
+        if format == RecordFormat::Pcapng {
             pcapng::write_section(&mut output.gathered)?;
             output.flush()?;
         }
@@ -72,15 +72,20 @@ impl Output {
     }
 
     /// Writes a frame; not if the file would grow beyond `max_bytes` by it.
-    pub fn write(&mut self, frame: &Frame, taken: &Taken, max_bytes: u64) -> io::Result<bool> {
+    pub fn write(
+        &mut self,
+        frame: &Frame,
+        taken: &RecorderBatch,
+        max_bytes: u64,
+    ) -> io::Result<bool> {
         let before = self.gathered.len();
         let interfaces = self.interfaces.len();
         let micros = taken.epoch.unix_micros(frame.time);
         match self.format {
-            Format::Candump => {
+            RecordFormat::Candump => {
                 write_line(&mut self.gathered, taken.epoch, &word(taken, frame.bus), frame)?;
             }
-            Format::Pcapng => {
+            RecordFormat::Pcapng => {
                 let interface = self.interface(frame.bus, taken)?;
                 pcapng::write_frame(&mut self.gathered, interface as u32, micros, frame)?;
             }
@@ -102,13 +107,13 @@ impl Output {
     }
 
     /// The number of a bus in this file; it is described where it was not yet.
-    fn interface(&mut self, bus: BusIndex, taken: &Taken) -> io::Result<usize> {
+    fn interface(&mut self, bus: BusIndex, taken: &RecorderBatch) -> io::Result<usize> {
         if let Some(at) = self.interfaces.iter().position(|it| it.bus == bus) {
             return Ok(at);
         }
         let name = taken.names.get(usize::from(bus.0)).map_or("", String::as_str);
         pcapng::write_interface(&mut self.gathered, name)?;
-        self.interfaces.push(Interface { bus, frames: 0 });
+        self.interfaces.push(OutputInterface { bus, frames: 0 });
         Ok(self.interfaces.len() - 1)
     }
 
@@ -136,8 +141,8 @@ impl Output {
 
     /// Ends the file: pcapng says how many frames of each bus are in it, and how many were lost
     /// while it was written.
-    pub fn finish(&mut self, taken: &Taken) -> io::Result<()> {
-        if self.format == Format::Pcapng {
+    pub fn finish(&mut self, taken: &RecorderBatch) -> io::Result<()> {
+        if self.format == RecordFormat::Pcapng {
             // Those that had no frame may have lost some.
             for bus in 0..taken.names.len().min(256) {
                 self.interface(BusIndex(bus as u8), taken)?;
@@ -182,7 +187,7 @@ impl Output {
 }
 
 /// A bus's name as one word, as a line of a log has it.
-fn word(taken: &Taken, bus: BusIndex) -> String {
+fn word(taken: &RecorderBatch, bus: BusIndex) -> String {
     match taken.names.get(usize::from(bus.0)).map(String::as_str) {
         None | Some("") => format!("bus{}", bus.0),
         Some(name) => {

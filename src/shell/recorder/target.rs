@@ -18,7 +18,7 @@ pub struct Target {
 
 /// What a file's name says of its content.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Format {
+pub enum RecordFormat {
     /// candump's text: `.log`, `.txt`, `.candump`.
     Candump,
     /// `.pcapng`.
@@ -27,16 +27,16 @@ pub enum Format {
 
 /// A file name that says nothing of its content.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("end it with .log (also .txt, .candump) for candump's text, or with .pcapng")]
+#[error("use the ending .log (also .txt, .candump) for candump text, or .pcapng")]
 pub struct UnknownFormat;
 
-impl Format {
+impl RecordFormat {
     /// By the file's extension.
     pub fn of(path: &Path) -> Result<Self, UnknownFormat> {
         let extension = path.extension().and_then(|it| it.to_str()).unwrap_or_default();
         match extension.to_ascii_lowercase().as_str() {
-            "log" | "txt" | "candump" => Ok(Format::Candump),
-            "pcapng" => Ok(Format::Pcapng),
+            "log" | "txt" | "candump" => Ok(RecordFormat::Candump),
+            "pcapng" => Ok(RecordFormat::Pcapng),
             _ => Err(UnknownFormat),
         }
     }
@@ -115,10 +115,10 @@ mod tests {
 
     #[test]
     fn the_name_tells_the_format() {
-        assert_eq!(Format::of(Path::new("a/b.LOG")), Ok(Format::Candump));
-        assert_eq!(Format::of(Path::new("b.pcapng")), Ok(Format::Pcapng));
+        assert_eq!(RecordFormat::of(Path::new("a/b.LOG")), Ok(RecordFormat::Candump));
+        assert_eq!(RecordFormat::of(Path::new("b.pcapng")), Ok(RecordFormat::Pcapng));
         for wrong in ["b", "b.pcap", ".log", "b.log.gz"] {
-            assert_eq!(Format::of(Path::new(wrong)), Err(UnknownFormat), "{wrong}");
+            assert_eq!(RecordFormat::of(Path::new(wrong)), Err(UnknownFormat), "{wrong}");
         }
     }
 

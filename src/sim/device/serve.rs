@@ -4,10 +4,10 @@
 //! reads a field, any other writes it where it may be written. Does not know how answers are
 //! cut into frames: that is [`super::super::reply`].
 
-use super::{Device, Port, nanos_of};
+use super::{DeviceIo, SimDevice, nanos_of};
 use crate::frame::Frame;
 use crate::sim::reply::Form;
-use crate::sim::scenario::{Action, AddressChoice, Fault};
+use crate::sim::scenario::{AddressChoice, DeviceAction, Fault};
 use crate::wire::des::{self, Asked, Request};
 use crate::wire::framing::{Framing, classify_request};
 use crate::wire::id::{Address, Header};
@@ -19,14 +19,14 @@ enum Served {
     /// Answered with these bytes.
     Value(Vec<u8>),
     /// Answered without bytes, then done.
-    Done(Option<Action>),
+    Done(Option<DeviceAction>),
     /// Answered with ERR = 0.
     Refused,
 }
 
-impl Device {
+impl SimDevice {
     /// Takes a conforming request to this device or to all.
-    pub(super) fn handle_request(&mut self, frame: &Frame, header: Header, port: &mut Port) {
+    pub(super) fn handle_request(&mut self, frame: &Frame, header: Header, port: &mut DeviceIo) {
         if header.service == port.profile.des_service() {
             self.handle_des(frame, header, port);
         } else if !header.broadcast && self.hears(header) {
@@ -39,7 +39,7 @@ impl Device {
         header.to_not_working != self.is_working() && self.mode != Mode::Idle
     }
 
-    fn handle_des(&mut self, frame: &Frame, header: Header, port: &mut Port) {
+    fn handle_des(&mut self, frame: &Frame, header: Header, port: &mut DeviceIo) {
         if let Ok(Pci::Flow(flow)) = Pci::decode(frame.data(), frame.fd) {
             self.replies.handle_flow(port.now, header.source.number(), flow);
             return;
@@ -55,13 +55,13 @@ impl Device {
         if mute || !self.spec.framing.understands(framing) {
             return;
         }
-        let message = self.answer(request);
+        let message = self.response(request);
         for _ in 0..=u8::from(faults.has(Fault::AnswersTwice)) {
             self.reply(header, framing, message.clone(), port);
         }
     }
 
-    fn answer(&self, request: Request) -> Vec<u8> {
+    fn response(&self, request: Request) -> Vec<u8> {
         match request {
             Request::Name => des::encode_name(&self.spec.name),
             // Without its firmware a device has no services to list.
@@ -77,7 +77,7 @@ impl Device {
         }
     }
 
-    fn reply(&mut self, header: Header, framing: Framing, message: Vec<u8>, port: &Port) {
+    fn reply(&mut self, header: Header, framing: Framing, message: Vec<u8>, port: &DeviceIo) {
         let Some(form) = self.form(header, framing, port) else { return };
         let (least, most) = self.spec.delay;
         let delay = self.rng.u64(nanos_of(least)..=nanos_of(most).max(nanos_of(least)));
@@ -85,14 +85,14 @@ impl Device {
     }
 
     /// How the frames of the answer to `header` are made.
-    fn form(&self, header: Header, framing: Framing, port: &Port) -> Option<Form> {
-        let mut answer = header.answer(self.address?, !self.is_working());
+    fn form(&self, header: Header, framing: Framing, port: &DeviceIo) -> Option<Form> {
+        let mut response = header.response(self.address?, !self.is_working());
         if self.spec.faults.has(Fault::EchoDestination) {
-            answer.destination = header.destination;
+            response.destination = header.destination;
         }
-        let refusal = Header { no_error: false, ..answer };
+        let refusal = Header { no_error: false, ..response };
         Some(Form {
-            id: answer.encode(),
+            id: response.encode(),
             refusal_id: refusal.encode(),
             framing,
             fd: self.spec.fd,
@@ -101,7 +101,7 @@ impl Device {
         })
     }
 
-    fn handle_common(&mut self, frame: &Frame, header: Header, port: &mut Port) {
+    fn handle_common(&mut self, frame: &Frame, header: Header, port: &mut DeviceIo) {
         let Some(served) = self.serve(header.service.number(), frame.data(), port) else { return };
         let Some(form) = self.form(header, Framing::Raw, port) else { return };
         let (form, data, action) = match served {
@@ -114,7 +114,7 @@ impl Device {
         self.ordered = action.filter(|_| sent).map(|action| (form.id, action));
     }
 
-    fn serve(&self, service: u16, data: &[u8], port: &Port) -> Option<Served> {
+    fn serve(&self, service: u16, data: &[u8], port: &DeviceIo) -> Option<Served> {
         let (fields, commands) = (&port.profile.descriptor, &port.profile.commands);
         let read = data.is_empty();
         let served = if service == fields.gid && read {
@@ -122,7 +122,8 @@ impl Device {
         } else if service == fields.uid && read {
             Served::Value(self.spec.uid.0.to_vec())
         } else if service == fields.uid {
-            data.try_into().map_or(Served::Refused, |uid| Served::Done(Some(Action::Uid(Uid(uid)))))
+            data.try_into()
+                .map_or(Served::Refused, |uid| Served::Done(Some(DeviceAction::Uid(Uid(uid)))))
         } else if service == fields.sn && read {
             Served::Value(self.spec.descriptor.serial.to_le_bytes().to_vec())
         } else if service == fields.fw && read {
@@ -143,14 +144,14 @@ impl Device {
             }])
         } else if service == fields.addr {
             match *data {
-                [0] => Served::Done(Some(Action::Move(AddressChoice::Any))),
+                [0] => Served::Done(Some(DeviceAction::Move(AddressChoice::Any))),
                 [0x80] => Served::Refused,
                 [code] => {
                     let address = Address::from_bits(code);
                     let fixed = code & 0x80 == 0;
                     let choice =
                         if fixed { AddressChoice::Fixed } else { AddressChoice::Preferred };
-                    Served::Done(Some(Action::Move(choice(address))))
+                    Served::Done(Some(DeviceAction::Move(choice(address))))
                 }
                 _ => Served::Refused,
             }
@@ -161,7 +162,7 @@ impl Device {
         } else if service == commands.mode {
             let code = data.first().filter(|_| data.len() == 1);
             let mode = code.and_then(|code| port.modes.iter().position(|known| known == code));
-            mode.map_or(Served::Refused, |at| Served::Done(Some(Action::Mode(Mode::ALL[at]))))
+            mode.map_or(Served::Refused, |at| Served::Done(Some(DeviceAction::Mode(Mode::ALL[at]))))
         } else if [fields.gid, fields.sn, fields.fw, fields.caps, fields.bspd, fields.autostart]
             .contains(&service)
         {

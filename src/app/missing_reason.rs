@@ -1,0 +1,312 @@
+//! Why a device that should be there is not, as far as can be told.
+//!
+//! Looks at the bus from the nearest cause to the farthest. Says what was observed; what follows
+//! from it is marked as a guess.
+
+use super::App;
+use super::buses::{Bus, TxBlocked};
+use super::matching::is_for;
+use crate::discovery::{Device, OwnAddress, QueryState};
+use crate::document::Entry;
+use crate::frame::BusIndex;
+use crate::status::{BusState, Link};
+use crate::text::{Escaped, Quoted};
+use crate::time::Duration;
+use crate::wire::id::Address;
+
+/// How long to listen before a listed device counts as missing, where nobody is asked.
+const LISTEN: Duration = Duration::from_secs(5);
+
+impl App {
+    /// Whether a bus was asked or heard long enough to call a device missing.
+    pub fn is_search_complete(&self, bus: BusIndex) -> bool {
+        let Some(bus) = self.bus(bus) else { return false };
+        let progress = bus.engine.progress();
+        let listened = self.now.since(self.started) >= LISTEN;
+        progress.settled || progress.rounds >= 2 || listened || bus.ended.is_some()
+    }
+
+    /// Whether an entry that no device matches can be said to be missing: every bus it is for was
+    /// looked at, and nobody without a known name sits where it should be.
+    pub fn is_missing(&self, entry: &Entry) -> bool {
+        let perhaps = |device: &Device| {
+            entry.address == Some(device.address.number())
+                && device.is_present()
+                && device.name.is_none()
+                && !device.name_query.in_vain
+        };
+        let buses = self.buses.iter().enumerate().filter(|(_, bus)| is_for(entry, &bus.name));
+        buses.into_iter().all(|(index, bus)| {
+            self.is_search_complete(BusIndex(index as u8))
+                && !bus.engine.devices().iter().any(perhaps)
+        })
+    }
+
+    /// Why no device matches this entry: the likeliest cause first.
+    pub fn why_missing(&self, entry: &Entry) -> Vec<String> {
+        let buses = self.buses.iter().enumerate().filter(|(_, bus)| is_for(entry, &bus.name));
+        let mut by_bus: Vec<(&str, Vec<String>)> = buses
+            .map(|(at, bus)| (bus.name.as_str(), self.why_on(BusIndex(at as u8), bus, entry)))
+            .collect();
+        let Some((_, first)) = by_bus.first() else {
+            let bus = entry.bus.as_deref().unwrap_or_default();
+            return vec![format!("listed for bus {}, which is not open", Escaped(bus.as_bytes()))];
+        };
+        if by_bus.iter().all(|(_, reasons)| reasons == first) {
+            return by_bus.swap_remove(0).1;
+        }
+        let named = |bus: &str, reason: String| {
+            if reason.contains(bus) { reason } else { format!("{bus}: {reason}") }
+        };
+        let reasons = by_bus
+            .into_iter()
+            .flat_map(|(bus, reasons)| reasons.into_iter().map(move |it| named(bus, it)));
+        reasons.collect()
+    }
+
+    fn why_on(&self, index: BusIndex, bus: &Bus, entry: &Entry) -> Vec<String> {
+        let mut reasons = Vec::new();
+        why_bus(bus, &mut reasons);
+        if !reasons.is_empty() {
+            return reasons;
+        }
+        let mut elsewhere = Vec::new();
+        let mut taken = Vec::new();
+        for device in bus.engine.devices() {
+            let owner = self.matching.entry_of(device.id);
+            let is_it = owner == Some(entry.index);
+            let is_namesake = device.is_named(&entry.name);
+            match (device.is_present(), owner) {
+                (false, None) if is_namesake => reasons.push(self.was_at(device)),
+                (false, _) if is_it => reasons.push(self.was_at(device)),
+                (true, None) if is_namesake => elsewhere.push(device.address),
+                (true, Some(_)) if is_namesake && !is_it => taken.push(device),
+                _ => {}
+            }
+        }
+        self.why_at_its_address(bus, entry, &mut reasons);
+        elsewhere.sort_unstable();
+        if let [only] = elsewhere[..] {
+            reasons.push(format!("found at another address: {only}"));
+        } else if !elsewhere.is_empty() {
+            let at: Vec<String> = elsewhere.iter().map(ToString::to_string).collect();
+            let not = entry.address.map(|own| format!(", not at {own}")).unwrap_or_default();
+            let (name, at) = (Quoted(&entry.name), at.join(" and "));
+            reasons.push(format!("{name} found at {at}{not}: ambiguous"));
+        }
+        if reasons.is_empty() && !self.is_search_complete(index) {
+            reasons.push("search still running".to_owned());
+        } else if reasons.is_empty() {
+            why_silent(bus, entry, &mut reasons);
+        }
+        reasons.extend(taken.into_iter().map(|device| {
+            format!("{} at {} belongs to another entry", Quoted(&entry.name), device.address)
+        }));
+        reasons
+    }
+
+    fn was_at(&self, device: &Device) -> String {
+        let ago = spell(self.display_time().since(device.last_seen));
+        format!("last seen at {}, {ago} ago", device.address)
+    }
+
+    /// Who or what is, or was, where the file has it.
+    fn why_at_its_address(&self, bus: &Bus, entry: &Entry, reasons: &mut Vec<String>) {
+        let Some(address) = entry.address.and_then(Address::new) else { return };
+        if bus.engine.own_address() == OwnAddress::Held(address) {
+            reasons.push(format!("descan itself uses address {address}"));
+        }
+        let mut gone = None;
+        for other in bus.engine.devices() {
+            if other.moved_from == Some(address) && other.is_present() && other.address != address {
+                gone = Some(format!(
+                    "{} moved from {address} to {}",
+                    device_name(other),
+                    other.address
+                ));
+            }
+            let is_its = self.matching.entry_of(other.id) == Some(entry.index);
+            if other.address != address || is_its || other.is_named(&entry.name) {
+                continue;
+            }
+            match (&other.name, other.is_present()) {
+                (Some(_), true) if entry.is_static => {
+                    reasons.push(format!("{} uses its address {address}", device_name(other)));
+                }
+                (Some(_), true) => {
+                    reasons.push(format!("{} has address {address} now", device_name(other)));
+                }
+                (None, true) => reasons.extend(self.why_unnamed(other)),
+                (_, false) => {
+                    let ago = spell(self.display_time().since(other.last_seen));
+                    gone = Some(format!(
+                        "only {} was at {address}, last seen {ago} ago",
+                        device_name(other)
+                    ));
+                }
+            }
+        }
+        if reasons.is_empty() {
+            reasons.extend(gone);
+        }
+    }
+
+    /// What keeps a device from being whole: no heartbeats, no name, no services.
+    pub fn why_incomplete(&self, device: &Device) -> Vec<String> {
+        let mut reasons = Vec::new();
+        if let Some(bus) = self.bus(device.id.bus)
+            && (!device.is_present() || bus.is_blind())
+        {
+            why_bus(bus, &mut reasons);
+        }
+        if device.name.is_none() && !device.is_debug {
+            reasons.extend(self.why_unnamed(device));
+        } else if device.services.is_none() {
+            let query = device.services_query;
+            match query.state {
+                QueryState::Unanswered => reasons
+                    .push(format!("name received, no services response{}", asked(query.attempts))),
+                QueryState::NotAsked if !self.asks(device.id.bus) => {
+                    reasons.push("services unknown: requests are off".to_owned());
+                }
+                _ => {}
+            }
+        }
+        for fault in [device.name_query.fault, device.services_query.fault].into_iter().flatten() {
+            reasons.push(format!("malformed response: {fault}"));
+        }
+        reasons
+    }
+
+    fn why_unnamed(&self, device: &Device) -> Option<String> {
+        let what = if device.heartbeat.count > 0 { "a heartbeat" } else { "frames" };
+        let (address, query) = (device.address, device.name_query);
+        let own = self.bus(device.id.bus).map(|bus| bus.engine.own_address());
+        match query.state {
+            QueryState::Unanswered => {
+                Some(format!("{what} at {address}, but no DES response{}", asked(query.attempts)))
+            }
+            QueryState::Asked if query.attempts > 0 => Some(format!(
+                "{what} at {address}, but no DES response yet{}",
+                asked(query.attempts)
+            )),
+            QueryState::NotAsked if !self.asks(device.id.bus) => {
+                Some(format!("{what} at {address}; name unknown: requests are off"))
+            }
+            QueryState::NotAsked => Some(match own {
+                Some(OwnAddress::Blocked(wanted)) => {
+                    let why = self.why_no_address(device.id.bus, wanted).unwrap_or_default();
+                    format!("{what} at {address}, but {why}")
+                }
+                _ => format!("{what} at {address}, not queried yet"),
+            }),
+            _ => None,
+        }
+    }
+
+    /// Why we have no address on a bus, where that is the case: the fixed one is used by somebody
+    /// else, or all are used.
+    pub fn why_no_address(&self, bus: BusIndex, wanted: Option<Address>) -> Option<String> {
+        let Some(wanted) = wanted else {
+            return Some("no free address: requests paused until one is free".to_owned());
+        };
+        let user = self.bus(bus)?.engine.device_at(wanted);
+        let user = user.and_then(|device| device.name.as_ref());
+        let user = user.map_or_else(|| "another node".to_owned(), ToString::to_string);
+        Some(format!("{user} uses address {wanted}: requests paused until it is free"))
+    }
+
+    /// Whether discovery asks anything on a bus.
+    pub fn asks(&self, bus: BusIndex) -> bool {
+        self.bus(bus).is_some_and(|bus| {
+            let config = bus.engine.config();
+            config.scan && !config.listen_only
+        })
+    }
+}
+
+/// Why nothing at all was heard of a device.
+fn why_silent(bus: &Bus, entry: &Entry, reasons: &mut Vec<String>) {
+    let ended = bus.status.link == Link::Ended;
+    let log = if ended { "in this log " } else { "" };
+    reasons.push(match entry.address {
+        Some(address) => format!("{log}no frame received from address {address}"),
+        None => format!("{log}no device named {} seen", Quoted(&entry.name)),
+    });
+    let config = bus.engine.config();
+    let others = || bus.engine.devices().iter().filter(|it| !it.is_debug && it.is_present());
+    let nameless = others().filter(|it| it.name.is_none()).count();
+    if entry.address.is_none() && nameless > 0 {
+        reasons.push(match nameless {
+            1 => "it may be the one unnamed device".to_owned(),
+            count => format!("it may be one of {count} unnamed devices"),
+        });
+    }
+    reasons.push(if ended || config.listen_only || !config.scan {
+        "requests are off: silent devices are not found".to_owned()
+    } else if let OwnAddress::Blocked(_) = bus.engine.own_address() {
+        "descan has no address: no requests were sent".to_owned()
+    } else if others().next().is_none() {
+        "no device responds: check bit rate and termination".to_owned()
+    } else {
+        "other devices respond: check its power and wiring".to_owned()
+    });
+}
+
+fn device_name(device: &Device) -> String {
+    match &device.name {
+        Some(name) if name.as_bytes().is_empty() => "a device with an empty name".to_owned(),
+        Some(name) => name.quoted().to_string(),
+        None => "an unnamed device".to_owned(),
+    }
+}
+
+fn why_bus(bus: &Bus, reasons: &mut Vec<String>) {
+    let name = &bus.name;
+    match (bus.status.link, bus.status.state) {
+        (Link::Opening, _) => reasons.push(format!("{name} is opening")),
+        (link, _) if !matches!(link, Link::Up | Link::Ended) => {
+            reasons.push(match &bus.status.message {
+                Some(message) => Escaped(message.as_bytes()).to_string(),
+                None => format!("{name} is down"),
+            });
+        }
+        (_, BusState::BusOff) => {
+            reasons.push(format!("{name} is bus-off: nothing is received"));
+        }
+        (_, BusState::Stopped) => reasons.push(format!("{name} is stopped")),
+        _ => {}
+    }
+    match bus.tx_blocked() {
+        Some(TxBlocked::QueueFull) => {
+            reasons.push(format!("cannot send requests: transmit queue of {name} is stuck"))
+        }
+        Some(TxBlocked::Unacknowledged) => {
+            reasons.push(format!("no ACK on {name}: no other node, wrong bit rate or broken wire"))
+        }
+        None => {}
+    }
+}
+
+fn asked(attempts: u32) -> String {
+    if attempts > 0 { format!(" (requested {})", times(attempts)) } else { String::new() }
+}
+
+fn times(count: u32) -> String {
+    match count {
+        1 => "once".to_owned(),
+        2 => "twice".to_owned(),
+        count => format!("{count} times"),
+    }
+}
+
+/// A duration in its largest unit, or two: `7s`, `3m12s`, `2h05m`, `4d`.
+pub fn spell(duration: Duration) -> String {
+    let seconds = duration.as_secs();
+    match seconds {
+        0..=59 => format!("{seconds}s"),
+        60..=3599 => format!("{}m{:02}s", seconds / 60, seconds % 60),
+        3600..=86_399 => format!("{}h{:02}m", seconds / 3600, seconds / 60 % 60),
+        _ => format!("{}d{:02}h", seconds / 86_400, seconds / 3600 % 24),
+    }
+}

@@ -1,0 +1,217 @@
+//! What the system says of CAN interfaces, by netlink and sysfs: which there are, up or down,
+//! bit rates, controller state.
+//!
+//! Asks and never changes anything; no privilege is needed.
+
+use crate::status::BusState;
+use nix::net::if_::if_nametoindex;
+use socketcan::CanCtrlMode;
+use socketcan::nl::{CanState, Mtu};
+use std::fs;
+use std::io;
+
+/// What `/sys/class/net/*/type` says of a CAN interface (ARPHRD_CAN).
+const CAN_TYPE: &str = "280";
+
+/// A CAN interface of this machine.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CanInterface {
+    /// Its name.
+    pub name: String,
+    /// Switched on.
+    pub up: bool,
+    /// Without a controller: vcan, vxcan.
+    pub is_virtual: bool,
+    /// Bit/s, where configured.
+    pub bitrate: Option<u32>,
+    /// The controller's state.
+    pub state: BusState,
+}
+
+/// The CAN interfaces there are, by name.
+pub fn interfaces() -> Vec<CanInterface> {
+    let mut names: Vec<String> = fs::read_dir("/sys/class/net")
+        .into_iter()
+        .flatten()
+        .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
+        .filter(|name| is_can(name))
+        .collect();
+    names.sort_by_key(|name| {
+        (name.trim_end_matches(|c: char| c.is_ascii_digit()).len(), name.clone())
+    });
+    let describe = |name: String| {
+        let facts = LinkInfo::of(if_nametoindex(name.as_str()).ok()?).ok()?;
+        let is_virtual = !fs::exists(format!("/sys/class/net/{name}/device")).unwrap_or(false);
+        let LinkInfo { up, bitrate, state, .. } = facts;
+        Some(CanInterface { name, up, is_virtual, bitrate, state })
+    };
+    names.into_iter().filter_map(describe).collect()
+}
+
+/// Whether an interface of this name is of the CAN kind.
+pub(super) fn is_can(name: &str) -> bool {
+    fs::read_to_string(format!("/sys/class/net/{name}/type"))
+        .is_ok_and(|kind| kind.trim() == CAN_TYPE)
+}
+
+/// What netlink says of one interface.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) struct LinkInfo {
+    /// What it is called now.
+    pub(super) name: Option<String>,
+    pub(super) up: bool,
+    pub(super) fd: bool,
+    pub(super) state: BusState,
+    pub(super) bitrate: Option<u32>,
+    /// There is no controller.
+    pub(super) is_virtual: bool,
+    pub(super) data_bitrate: Option<u32>,
+    pub(super) tec: Option<u16>,
+    pub(super) rec: Option<u16>,
+    pub(super) restart_ms: Option<u32>,
+    pub(super) listen_only: bool,
+    /// The controller could report each bus error, and is not set to.
+    pub(super) hides_errors: bool,
+}
+
+impl LinkInfo {
+    /// One round trip.
+    pub(super) fn of(ifindex: u32) -> io::Result<Self> {
+        let details =
+            socketcan::CanInterface::open_iface(ifindex).details().map_err(io::Error::other)?;
+        let can = details.can;
+        let rate = |bitrate: u32| (bitrate > 0).then_some(bitrate);
+        let state = match can.state {
+            _ if !details.is_up => BusState::Down,
+            Some(CanState::ErrorActive) => BusState::ErrorActive,
+            Some(CanState::ErrorWarning) => BusState::ErrorWarning,
+            Some(CanState::ErrorPassive) => BusState::ErrorPassive,
+            Some(CanState::BusOff) => BusState::BusOff,
+            Some(CanState::Stopped | CanState::Sleeping) => BusState::Stopped,
+            None => BusState::Unknown,
+        };
+        let has = |mode| can.ctrl_mode.is_some_and(|modes| modes.has_mode(mode));
+        let can_report = can
+            .ctrl_mode_supported
+            .is_some_and(|modes| modes & CanCtrlMode::BerrReporting.mask() != 0);
+        Ok(Self {
+            name: details.name,
+            up: details.is_up,
+            fd: details.mtu == Some(Mtu::Fd),
+            state,
+            is_virtual: can.state.is_none(),
+            bitrate: can.bit_timing.and_then(|timing| rate(timing.bitrate)),
+            data_bitrate: can.data_bit_timing.and_then(|timing| rate(timing.bitrate)),
+            tec: can.berr_counter.map(|counter| counter.txerr),
+            rec: can.berr_counter.map(|counter| counter.rxerr),
+            restart_ms: can.restart_ms,
+            listen_only: has(CanCtrlMode::ListenOnly),
+            hides_errors: can_report && !has(CanCtrlMode::BerrReporting),
+        })
+    }
+
+    /// What is worth knowing of `name` while nothing is wrong.
+    pub(super) fn note(&self, name: &str) -> Option<String> {
+        self.hides_errors.then(|| {
+            format!(
+                "{name} does not report bus errors; enable them: sudo ip link \
+                 set {name} down && sudo ip link set {name} up type can berr-reporting on"
+            )
+        })
+    }
+
+    /// What is wrong with `name`, and the way out; `None` where nothing is.
+    pub(super) fn advice(&self, name: &str) -> Option<String> {
+        match self.state {
+            _ if !self.up => Some(advice_down(name, self.bitrate)),
+            BusState::BusOff => Some(match self.restart_ms {
+                Some(0) | None => format!(
+                    "{name} is bus-off: check wiring, then sudo ip link set {name} \
+                     type can restart"
+                ),
+                Some(millis) => format!(
+                    "{name} is bus-off and restarts by itself every {millis} ms: check wiring and \
+                     bit rate"
+                ),
+            }),
+            BusState::ErrorPassive if self.tec.is_some_and(|tec| tec >= 128) => Some(format!(
+                "{name} is error-passive (no ACK): check that another node is on, wired, \
+                 terminated and at {}",
+                self.bitrate.map_or("the same bit rate".into(), |rate| format!("{rate} bit/s"))
+            )),
+            BusState::ErrorPassive => Some(format!(
+                "{name} is error-passive (receive errors): check bit rate, wiring and \
+                 termination"
+            )),
+            BusState::Stopped => {
+                Some(format!("{name} is stopped: sudo ip link set {name} down, then up"))
+            }
+            _ => None,
+        }
+    }
+}
+
+fn advice_down(name: &str, bitrate: Option<u32>) -> String {
+    let is_virtual = !fs::exists(format!("/sys/class/net/{name}/device")).unwrap_or(false);
+    match bitrate {
+        None if !is_virtual => {
+            format!("{name} is down: sudo ip link set {name} up type can bitrate 125000")
+        }
+        _ => format!("{name} is down: sudo ip link set {name} up"),
+    }
+}
+
+/// What to do where `name` does not exist.
+pub(super) fn advice_missing(name: &str) -> String {
+    let others = interfaces();
+    let names: Vec<_> = others.iter().map(|interface| interface.name.as_str()).collect();
+    if name.starts_with("vcan") {
+        format!("{name} not found: sudo ip link add {name} type vcan && sudo ip link set {name} up")
+    } else if names.is_empty() {
+        format!("{name} not found, nor another CAN interface: is the adapter plugged in?")
+    } else {
+        format!("{name} not found; available: {}", names.join(", "))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn up(state: BusState) -> LinkInfo {
+        LinkInfo { up: true, state, ..LinkInfo::default() }
+    }
+
+    #[test]
+    fn nothing_to_say_of_a_healthy_bus() {
+        assert_eq!(up(BusState::ErrorActive).advice("can0"), None);
+        assert_eq!(up(BusState::Unknown).advice("vcan0"), None);
+    }
+
+    #[test]
+    fn what_the_controller_could_report_is_noted_with_the_command_for_it() {
+        assert_eq!(up(BusState::ErrorActive).note("can0"), None);
+        let hides = LinkInfo { hides_errors: true, ..up(BusState::ErrorActive) };
+        let note = hides.note("can0").unwrap();
+        assert!(note.ends_with("ip link set can0 up type can berr-reporting on"), "{note}");
+        assert_eq!(hides.advice("can0"), None);
+    }
+
+    #[test]
+    fn advice_names_the_cause_and_the_way_out() {
+        let down = LinkInfo { bitrate: Some(500_000), ..LinkInfo::default() };
+        assert_eq!(
+            down.advice("nocan9").as_deref(),
+            Some("nocan9 is down: sudo ip link set nocan9 up")
+        );
+        let off = up(BusState::BusOff).advice("can0").unwrap();
+        assert!(off.contains("bus-off") && off.contains("type can restart"), "{off}");
+        let alone =
+            LinkInfo { tec: Some(128), bitrate: Some(125_000), ..up(BusState::ErrorPassive) };
+        let alone = alone.advice("can0").unwrap();
+        assert!(alone.contains("no ACK") && alone.contains("125000 bit/s"), "{alone}");
+        let deaf = LinkInfo { rec: Some(128), tec: Some(0), ..up(BusState::ErrorPassive) };
+        assert!(deaf.advice("can0").unwrap().contains("receive errors"));
+        assert!(advice_missing("vcan77").contains("ip link add vcan77 type vcan"));
+    }
+}

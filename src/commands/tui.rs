@@ -1,0 +1,136 @@
+//! The terminal UI, on real buses and on simulated ones.
+
+use super::open::{self, Setup};
+use super::report::{counted, shown};
+use super::{EXIT_INTERRUPTED, EXIT_OK, EXIT_UNUSABLE, Failure, headless};
+use crate::app::AppOptions;
+use crate::bus::{BusSpec, Clock};
+use crate::cli::{CommonArgs, SessionArgs as Arguments};
+use crate::shell::tui_loop::{self, Themes, TuiExit};
+use crate::shell::{recovery, terminal};
+use anyhow::Context;
+use std::io::{IsTerminal, Write};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// How long a save may take after a signal, or a terminal that is gone.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// `descan [BUS…]`.
+pub fn ui(arguments: &Arguments) -> Result<u8, Failure> {
+    needs_terminal()?;
+    let buses = open::buses(arguments)?;
+    let setup = Setup::new(&arguments.common)?;
+    let clock = open::clock(&buses, arguments.speed.unwrap_or(1.0))?;
+    show(&buses, &setup, clock)
+}
+
+/// `descan demo`: a simulated bus, and a des.json of its own in a temporary folder.
+pub fn demo(system: &str, common: &CommonArgs) -> Result<u8, Failure> {
+    needs_terminal()?;
+    let mut setup = Setup::new(common)?;
+    let buses = [BusSpec::Sim(system.to_owned())];
+    if common.file.is_some() {
+        return show(&buses, &setup, Clock::start());
+    }
+    let folder = tempfile::Builder::new()
+        .prefix("descan-demo-")
+        .tempdir()
+        .context("no temporary folder for the demo's des.json")?;
+    setup.file = folder.path().join("des.json");
+    std::fs::write(&setup.file, example(system)).context("the demo's des.json")?;
+    let code = show(&buses, &setup, Clock::start())?;
+    // What was edited stays for a look; the rest goes with the folder.
+    let edited = std::fs::read(&setup.file).is_ok_and(|now| now != example(system).as_bytes());
+    if edited {
+        let kept = folder.keep().join("des.json");
+        // The terminal may be gone.
+        let _ = writeln!(std::io::stdout(), "The demo's des.json is kept: {}", kept.display());
+    }
+    Ok(code)
+}
+
+/// The demo's des.json: what a firmware team might have pinned before the boards came.
+fn example(system: &str) -> &'static str {
+    match system {
+        "drone" => include_str!("demo/drone.json"),
+        _ => include_str!("demo/boiler.json"),
+    }
+}
+
+fn needs_terminal() -> Result<(), Failure> {
+    if std::io::stdout().is_terminal() {
+        return Ok(());
+    }
+    let message = "the UI needs a terminal; without one use descan scan or descan watch";
+    Err(Failure::Usage(message.to_owned()))
+}
+
+fn show(buses: &[BusSpec], setup: &Setup, clock: Clock) -> Result<u8, Failure> {
+    let colourless = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
+    let usual = if colourless { "mono" } else { "terminal" };
+    let mut wanted = setup.theme.as_deref().unwrap_or(usual);
+    let mut warnings = setup.warnings.clone();
+    let mut themes = match Themes::new(setup.folder.clone(), wanted) {
+        // One that was not asked for just now is no reason not to start.
+        Err(why) if !setup.theme_is_asked_for => {
+            open::warn::<()>(&mut warnings, format!("theme {wanted}: {why}"));
+            wanted = usual;
+            // The user's own may have that name; without the folder it is the built-in one.
+            Themes::new(setup.folder.clone(), usual).or_else(|_| Themes::new(None, usual))
+        }
+        themes => themes,
+    }
+    .map_err(|why| Failure::Usage(format!("theme {wanted}: {why}")))?;
+    let options = AppOptions {
+        keymap: setup.keymap.clone(),
+        theme: wanted.to_owned(),
+        themes: themes.names(),
+        utc_offset_seconds: open::utc_offset_seconds(),
+        warnings,
+        ..AppOptions::default()
+    };
+    terminal::restore_on_panic();
+    let runtime = headless::runtime()?;
+    let result = runtime.block_on(async {
+        let mut session = open::session(buses, setup, clock, options)?;
+        let ending = tui_loop::run(&mut session, &mut themes).await.context("the terminal");
+        // With edits that are not saved only who does not want to wait for them quits.
+        let gives_up = matches!(ending, Ok(TuiExit::Quit)) && session.app.file().unsaved() > 0;
+        let is_asked_to_end = !matches!(ending, Ok(TuiExit::Quit));
+        session.finish_work(!gives_up, is_asked_to_end.then_some(PATIENCE)).await;
+        open::report_recording(session.finish_recording());
+        let is_lost = session.app.edits_at_risk().map(|(count, document)| {
+            report_recovery_copy(
+                &setup.file,
+                count,
+                recovery::save_recovery_copy(document.source()),
+            );
+        });
+        Ok::<_, Failure>((ending?, is_lost.is_some()))
+    });
+    // Not dropped: that would wait for what was not to be waited for.
+    runtime.shutdown_background();
+    Ok(match result? {
+        (TuiExit::Quit, false) => EXIT_OK,
+        (TuiExit::Quit, true) => EXIT_UNUSABLE,
+        (TuiExit::Terminated | TuiExit::Hangup, _) => EXIT_INTERRUPTED,
+    })
+}
+
+/// Says on standard error what was not saved, and where a copy of it is.
+fn report_recovery_copy(file: &Path, count: usize, kept: std::io::Result<PathBuf>) {
+    let (file, edits) = (shown(file), counted(count as u64, "edit"));
+    // The terminal may be gone.
+    let _ = match kept {
+        Ok(copy) => writeln!(
+            std::io::stderr(),
+            "descan: {edits} of {file} not saved; a copy with all edits is {}",
+            shown(&copy)
+        ),
+        Err(why) => writeln!(
+            std::io::stderr(),
+            "descan: {edits} of {file} not saved, and a copy cannot be written: {why}"
+        ),
+    };
+}

@@ -1,0 +1,343 @@
+//! Whom we ask what, and when: rounds, names of nodes known by their frames alone, services;
+//! with time-outs, bounded retries, back-off, and within our share of the bus.
+
+use super::device::{QueryFault, QueryState};
+use super::presence::is_claim_only;
+use super::rounds::RoundStep;
+use super::{Engine, NO_TIMEOUT, PendingBroadcast, Presence, Query};
+use crate::frame::Frame;
+use crate::time::{Duration, Instant};
+use crate::wire::des::Request;
+use crate::wire::framing::Framing;
+use crate::wire::id::{Address, Header};
+use crate::wire::isotp;
+use crate::wire::profile::Profile;
+
+/// Questions that wait for an answer at the same time: enough to keep a slow bus busy.
+const MAX_WAITING: usize = 12;
+/// How often a node is asked for its services before it is left alone for a while.
+const SERVICES_ATTEMPTS: u32 = 4;
+/// How often a node is asked for its name, before everybody is.
+const NAME_ATTEMPTS: u32 = 2;
+/// When a question that was given up is tried again.
+const RETRY_DELAY: Duration = Duration::from_secs(30);
+/// How long a round may take until nodes it should have asked are asked one by one.
+const ROUND_WAIT_LIMIT: Duration = Duration::from_secs(2);
+/// Broadcasts that late answers are still matched with.
+const MAX_BROADCASTS: usize = 16;
+
+impl Engine {
+    /// Sends what is due, and gives up what is overdue.
+    pub(super) fn send_due_queries(&mut self) {
+        self.expire_queries();
+        let Some(own) = self.local_node.held() else { return };
+        if !self.config.scan || self.outbox.is_paused() {
+            return;
+        }
+        self.refill();
+        self.step_round(own);
+        self.ask_devices(own);
+    }
+
+    fn share(&self) -> f64 {
+        let busy = self.rounds.is_starting();
+        let share = if busy { self.config.start_share } else { self.config.steady_share };
+        share * f64::from(self.config.bits_per_second())
+    }
+
+    fn refill(&mut self) {
+        // Up to a tenth of a second's worth may be saved up, and a round's frames at least.
+        let rate = self.share();
+        self.outbox.refill(self.now, rate, (rate / 10.0).max(800.0));
+    }
+
+    fn step_round(&mut self, own: Address) {
+        let now = self.now;
+        let known = self.device_table.discoveries;
+        let open = self.open_requests();
+        match self.rounds.step(now, &self.config, open, known) {
+            RoundStep::None => {}
+            RoundStep::Ask if !self.outbox.has_budget() => {
+                self.rounds.postpone(self.outbox.budget_at(self.share()));
+            }
+            RoundStep::Ask => {
+                self.defer_to_round();
+                let framings = self.config.profile.framings(None);
+                for to_not_working in [true, false] {
+                    for &framing in framings {
+                        self.send_broadcast(own, to_not_working, framing);
+                    }
+                }
+                let count = if self.config.echo { 2 * framings.len() as u32 } else { 0 };
+                self.rounds.note_requests(count);
+            }
+            RoundStep::Over { began } => self.round_is_over(began),
+        }
+    }
+
+    /// Nodes whose name is to be asked for are asked by the round that begins now.
+    fn defer_to_round(&mut self) {
+        let after = self.now + ROUND_WAIT_LIMIT;
+        for device in self.device_table.devices_mut() {
+            if device.name.is_none() && device.name_query.due.is_some() {
+                device.name_query.due = Some(after);
+            }
+        }
+    }
+
+    /// Questions whose answers a repeat round waits for.
+    fn open_requests(&self) -> usize {
+        if !self.rounds.is_starting() {
+            return 0;
+        }
+        let here = self.device_table.devices().iter().filter(|device| device.is_present());
+        here.filter(|device| super::is_open(&device.services_query)).count()
+    }
+
+    fn round_is_over(&mut self, began: Instant) {
+        let period = self.config.profile.heartbeat.period();
+        for device in self.device_table.devices_mut() {
+            let beats = device.heartbeat.last.is_some() && !is_claim_only(device, period);
+            let there = beats || device.last_seen >= began;
+            device.rounds_missed = if there { 0 } else { device.rounds_missed + 1 };
+        }
+        self.judge_presence();
+        let now = self.now;
+        for device in self.device_table.devices_mut() {
+            let query = &mut device.name_query;
+            if device.name.is_none() && query.state == QueryState::NotAsked && query.due.is_some() {
+                query.due = Some(now);
+            }
+            // A node that was asked in vain answered this round neither: leave it for a while.
+            let asked_all = query.state == QueryState::Asked && query.deadline.is_none();
+            if device.name.is_none() && asked_all && query.asked_at <= Some(began) {
+                query.give_up(now + RETRY_DELAY);
+            }
+        }
+    }
+
+    fn send_broadcast(&mut self, own: Address, to_not_working: bool, framing: Framing) {
+        let mut rnd7 = Address::from_bits(self.rng.u8(..128));
+        if rnd7 == own {
+            rnd7 = Address::from_bits(own.number() ^ 0x40);
+        }
+        let service = self.config.profile.des_service();
+        let header = Header::broadcast(own, rnd7.number(), to_not_working, service);
+        self.note_broadcast(rnd7, true);
+        self.send_request(header, Request::Name, framing);
+    }
+
+    pub(super) fn note_broadcast(&mut self, rnd7: Address, ours: bool) {
+        if self.broadcasts.len() == MAX_BROADCASTS {
+            self.broadcasts.pop_front();
+        }
+        self.broadcasts.push_back(PendingBroadcast { time: self.now, rnd7, ours });
+    }
+
+    fn send_request(&mut self, mut header: Header, request: Request, framing: Framing) {
+        header.no_error = self.config.profile.request_err;
+        let (data, len) = Profile::request_bytes(request, framing);
+        self.outbox.push(Frame::classic(header.encode(), &data[..len]));
+    }
+
+    fn ask_devices(&mut self, own: Address) {
+        let now = self.now;
+        if self.rounds.priority_until(now).is_some() {
+            return;
+        }
+        let window = self.response_window();
+        for request in [Request::Name, Request::Services] {
+            // By address: lower ones have priority on the bus, so who was asked first is done
+            // first, and nobody waits behind the answers of those that are asked later.
+            for address in Address::all() {
+                if self.waiting >= MAX_WAITING || !self.outbox.has_budget() {
+                    return;
+                }
+                let shared = request == Request::Services
+                    && self.conflicts.finding_tracker().is_open_at(address)
+                    && !self.errors.is_suspect(address);
+                let Some(device) = self.device_table.current_device_mut(address) else { continue };
+                // Two that answer in several frames at once destroy each other's: what is known
+                // must do until one of them is gone, unless that is just what is looked into.
+                if shared && device.services.is_some() {
+                    device.services_query.due = None;
+                    continue;
+                }
+                let (working, framing) = (device.working, device.framing);
+                // While it resolves its address, the mode it takes next is not known.
+                let undecided = device.is_resolving && !working;
+                // Where one is lost another may be, who claimed its address.
+                let is_there =
+                    device.presence != Presence::Lost || device.last_heartbeat_was_other_node;
+                let usable = is_there && address != own;
+                let query = device.query_mut(request);
+                if query.is_waiting() || query.due.is_none_or(|due| due > now) {
+                    continue;
+                }
+                if !usable {
+                    query.due = None;
+                    continue;
+                }
+                if let Some(alone) = self.errors.postpone_recheck(now, address, window) {
+                    query.due = Some(alone);
+                    continue;
+                }
+                query.state = QueryState::Asked;
+                query.attempts += 1;
+                query.asked_at = Some(now);
+                query.due = None;
+                query.deadline = Some(now + response_timeout(&self.config, query.attempts));
+                self.waiting += 1;
+                // What does not answer in its framing any more may be another board.
+                let framing = framing.filter(|_| query.attempts < max_attempts(request));
+                let service = self.config.profile.des_service();
+                let both = undecided
+                    || request == Request::Name && self.conflicts.needs_both_d_bits(now, address);
+                for to_not_working in [false, true] {
+                    if to_not_working == working && !both {
+                        continue;
+                    }
+                    let header = Header::request(own, address, to_not_working, service);
+                    for &framing in self.config.profile.framings(framing) {
+                        self.send_request(header, request, framing);
+                    }
+                }
+            }
+        }
+    }
+
+    fn expire_queries(&mut self) {
+        let now = self.now;
+        let mut waiting = 0;
+        let mut hurry = false;
+        for device in self.device_table.devices_mut() {
+            let named = device.name.is_some();
+            for (request, query) in [
+                (Request::Name, &mut device.name_query),
+                (Request::Services, &mut device.services_query),
+            ] {
+                let deadline = query.deadline.filter(|_| query.is_waiting());
+                match deadline {
+                    None => {}
+                    Some(deadline) if deadline > now => waiting += 1,
+                    Some(_) => {
+                        let fault = query.fault;
+                        hurry |= record_failure(query, request, named, now, fault);
+                    }
+                }
+            }
+        }
+        self.waiting = waiting;
+        if hurry {
+            self.rounds.request_round(now);
+        }
+    }
+
+    /// A question's answer broke off or was refused: ask again, as long as that is sensible.
+    pub(super) fn response_failed(&mut self, index: usize, request: Request, fault: QueryFault) {
+        let now = self.now;
+        let device = self.device_table.get_mut(index);
+        let named = device.name.is_some();
+        let query = device.query_mut(request);
+        let before = query.fault.replace(fault);
+        if query.is_waiting() {
+            // Once may be because of the framing it was asked in.
+            if fault == QueryFault::Refused && before == Some(fault) {
+                query.attempts = query.attempts.max(max_attempts(request));
+            }
+            if record_failure(query, request, named, now, Some(fault)) {
+                self.rounds.request_round(now);
+            }
+        }
+        self.wake_at(now);
+    }
+
+    /// When something of this is due.
+    pub(super) fn asking_timeout(&self) -> Option<Instant> {
+        let mut due = NO_TIMEOUT;
+        let asking =
+            self.local_node.held().is_some() && self.config.scan && !self.outbox.is_paused();
+        for (index, device) in self.device_table.devices().iter().enumerate() {
+            let asking = asking && self.device_table.is_current(index);
+            for query in [&device.name_query, &device.services_query] {
+                if let Some(deadline) = query.deadline.filter(|_| query.is_waiting()) {
+                    due = due.min(deadline);
+                } else if asking && self.waiting < MAX_WAITING {
+                    due = due.min(query.due.unwrap_or(NO_TIMEOUT));
+                }
+            }
+        }
+        if asking {
+            let round = self.rounds.poll_timeout(&self.config, self.open_requests());
+            due = due.min(round.unwrap_or(NO_TIMEOUT));
+            if let Some(until) = self.rounds.priority_until(self.now) {
+                due = due.max(until).min(self.next_deadline());
+            }
+            if !self.outbox.has_budget() && due != NO_TIMEOUT {
+                due = due.max(self.outbox.budget_at(self.share())).min(self.next_deadline());
+            }
+        }
+        (due != NO_TIMEOUT).then_some(due)
+    }
+
+    fn next_deadline(&self) -> Instant {
+        let queries =
+            self.device_table.devices().iter().flat_map(|d| [&d.name_query, &d.services_query]);
+        queries.filter(|q| q.is_waiting()).filter_map(|q| q.deadline).min().unwrap_or(NO_TIMEOUT)
+    }
+
+    /// Extends a question's time while its answer arrives.
+    pub(super) fn response_started(&mut self, index: usize, request: Request) {
+        let now = self.now;
+        let device = self.device_table.get_mut(index);
+        let query = device.query_mut(request);
+        if query.is_waiting() {
+            query.state = QueryState::Receiving;
+            query.deadline = Some(now + isotp::TIMEOUT + Duration::from_millis(100));
+        }
+    }
+}
+
+/// How long the first frame of an answer may take: what devices need, and what a slow and busy
+/// bus adds; twice as long with every attempt.
+fn response_timeout(config: &super::Config, attempts: u32) -> Duration {
+    let base = Duration::from_millis(200) + config.bit_time(180 * 150);
+    (base * 2u32.saturating_pow(attempts.saturating_sub(1))).min(Duration::from_secs(3))
+}
+
+/// How often in a row a question is asked.
+const fn max_attempts(request: Request) -> u32 {
+    match request {
+        Request::Name => NAME_ATTEMPTS,
+        Request::Services => SERVICES_ATTEMPTS,
+    }
+}
+
+/// Notes a failed attempt and plans the next. Whether everybody should be asked instead.
+fn record_failure(
+    query: &mut Query,
+    request: Request,
+    named: bool,
+    now: Instant,
+    fault: Option<QueryFault>,
+) -> bool {
+    query.deadline = None;
+    query.fault = fault;
+    let limit = max_attempts(request);
+    if query.attempts < limit {
+        query.state = QueryState::NotAsked;
+        let back_off = Duration::from_millis(100 << query.attempts.min(6));
+        query.due = Some(now + back_off);
+        return false;
+    }
+    let ask_all = request == Request::Name && !named && query.state == QueryState::Asked;
+    if ask_all && query.attempts == limit {
+        // Stays open until the round that asks everybody is over.
+        query.attempts += 1;
+        query.asked_at = Some(now);
+        query.due = None;
+        return true;
+    }
+    query.give_up(now + RETRY_DELAY);
+    false
+}

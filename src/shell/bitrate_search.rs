@@ -1,0 +1,157 @@
+//! Finds a bus's bit rate: sets one after the other, and listens. Alone, or beside a session.
+//!
+//! When it is given up half-way, the bus is as it was before.
+
+use crate::bitrate::{ListenMode, RATES, RateResult, Search, SearchOutcome, SearchProgress};
+use crate::bus::{self, BitRateSetter, BusSpec, Clock, Options, TuneError};
+use crate::frame::{BusIndex, Frame};
+use crate::status::Link;
+use crate::time::Duration;
+use tokio::sync::mpsc;
+use tokio::task::JoinHandle;
+use tokio::time::sleep;
+
+/// How long a bus may take from when it was set to when it is open.
+const OPENING: Duration = Duration::from_secs(3);
+
+/// What waits to be told: two for each rate, and the end.
+const MAX_NEWS: usize = 16;
+
+/// What was found, and what was heard at each rate.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SearchReport {
+    /// How it ended.
+    pub outcome: SearchOutcome,
+    /// The rates that were tried, in bit/s.
+    pub tried: Vec<(u32, RateResult)>,
+}
+
+/// Where to begin, and how.
+#[derive(Clone, Copy, Debug)]
+pub struct Plan {
+    /// The rate to begin with, in bit/s; otherwise the one that is set, or the lowest.
+    pub first: Option<u32>,
+    /// Whether we take part.
+    pub manner: ListenMode,
+    /// BUS_CFG_HR_TIME.
+    pub period: Duration,
+}
+
+/// Looks for the rate. Where it is found the bus keeps it; whatever else was set is put back. May be dropped while waiting.
+pub async fn find(
+    bus: &BusSpec,
+    plan: Plan,
+    mut told: impl FnMut(SearchProgress),
+) -> Result<SearchReport, TuneError> {
+    let mut tuner = BitRateSetter::of(bus)?;
+    let first = plan.first.or(tuner.found_at()).unwrap_or(RATES[0]);
+    let mut search = Search::new(first, plan.period);
+    let clock = Clock::start();
+    let mut heard: Vec<Frame> = Vec::new();
+    while search.outcome().is_none() {
+        let rate = search.rate();
+        let bus = match tuner.set(rate, plan.manner) {
+            Ok(bus) => bus,
+            Err(TuneError::NotThisRate { .. }) => {
+                told(SearchProgress::Skipped(rate));
+                search.skip();
+                continue;
+            }
+            Err(error) => return Err(error),
+        };
+        told(SearchProgress::Trying(rate));
+        let options =
+            Options { listen_only: plan.manner == ListenMode::Listening, ..Options::default() };
+        let port = bus::open(&bus, BusIndex(0), clock.clone(), options)
+            .map_err(|error| TuneError::NotThere(error.to_string()))?;
+        let opened = clock.now();
+        loop {
+            let (now, status) = (clock.now(), port.queue().status());
+            port.queue().take_status();
+            if search.wants_rate() && status.link == Link::Up {
+                search.begin(now);
+            } else if search.wants_rate() && now.since(opened) > OPENING {
+                let why = status.message.unwrap_or_else(|| format!("{bus} cannot be opened"));
+                return Err(TuneError::NotThere(why));
+            }
+            heard.clear();
+            port.queue().drain(&mut heard, usize::MAX);
+            for frame in &heard {
+                search.handle_frame(frame);
+            }
+            search.handle_timeout(now);
+            if search.rate() != rate || search.outcome().is_some() {
+                break;
+            }
+            let due = search.poll_timeout().unwrap_or(opened + OPENING + Duration::from_millis(1));
+            tokio::select! {
+                () = port.queue().ready() => {}
+                () = sleep(due.since(now).max(Duration::from_millis(1))) => {}
+            }
+        }
+        if search.outcome() != Some(SearchOutcome::Found(rate))
+            && let Some((_, heard)) = search.tried().iter().find(|(tried, _)| *tried == rate)
+        {
+            told(SearchProgress::Heard(rate, *heard));
+        }
+    }
+    let outcome = search.outcome().unwrap_or(SearchOutcome::Silence);
+    match outcome {
+        SearchOutcome::Found(rate) => tuner.keep(rate)?,
+        SearchOutcome::OnlyBroken | SearchOutcome::Silence => tuner.restore()?,
+    }
+    Ok(SearchReport { outcome, tried: search.tried().to_vec() })
+}
+
+/// What a search beside a session tells.
+#[derive(Debug)]
+pub enum SearchNews {
+    /// It goes on.
+    Progress(SearchProgress),
+    /// It is over.
+    Over(Result<SearchOutcome, String>),
+}
+
+/// A search beside a session. Dropping it gives it up.
+#[derive(Debug)]
+pub struct RunningSearch {
+    /// The bus, as the session counts them.
+    pub bus: BusIndex,
+    news: mpsc::Receiver<SearchNews>,
+    task: JoinHandle<()>,
+}
+
+impl RunningSearch {
+    /// Begins. Needs the runtime of the session.
+    pub fn begin(bus: BusIndex, name: &str, period: Duration) -> Self {
+        let (told, news) = mpsc::channel(MAX_NEWS);
+        let spec = name.parse::<BusSpec>();
+        let task = tokio::spawn(async move {
+            let result = match spec {
+                Ok(bus) => {
+                    let plan = Plan { first: None, manner: ListenMode::Listening, period };
+                    let report = find(&bus, plan, |progress| {
+                        // More than wait there can be no rates to tell of.
+                        let _ = told.try_send(SearchNews::Progress(progress));
+                    });
+                    report.await.map(|report| report.outcome).map_err(|error| error.to_string())
+                }
+                Err(error) => Err(error.to_string()),
+            };
+            let _ = told.send(SearchNews::Over(result)).await;
+        });
+        Self { bus, news, task }
+    }
+
+    /// Waits for news. May be dropped while waiting.
+    pub async fn next(&mut self) -> SearchNews {
+        let broken = || SearchNews::Over(Err("the bit rate search stopped".to_owned()));
+        self.news.recv().await.unwrap_or_else(broken)
+    }
+}
+
+impl Drop for RunningSearch {
+    fn drop(&mut self) {
+        self.task.abort();
+    }
+}

@@ -1,0 +1,363 @@
+//! Noticing that `des.json` was changed by somebody else.
+//!
+//! Editors replace files, so folders are watched: the one the file is in, those of the symbolic
+//! links that lead to it, and, while its folder is missing, the one that it will appear in. An
+//! event is only a reason to look: what counts is whether the content differs from what was last
+//! known. Where nobody tells of changes (network file systems, no inotify left), the file is read
+//! once a second.
+//!
+//! What it deliberately does not know: what is in the file, and who saves it.
+
+use std::collections::HashSet;
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use nix::sys::statfs::{self, FsType, statfs};
+use notify::event::{AccessKind, AccessMode, EventKind, ModifyKind};
+use notify::{RecommendedWatcher, RecursiveMode, Watcher as _};
+use tokio::sync::Notify;
+
+use super::store::{Places, Store};
+
+/// What was found: the content, none when there is no file, or why it cannot be read.
+pub type DiskContent = Result<Option<Vec<u8>>, String>;
+
+/// How long it must be quiet before the file is read: editors write in several steps.
+const QUIET: Duration = Duration::from_millis(100);
+
+/// How long to wait for quiet at most.
+const PATIENCE: Duration = Duration::from_secs(1);
+
+/// How often to look where nobody tells.
+const POLL_PERIOD: Duration = Duration::from_secs(1);
+
+/// Watches a file on a thread of its own, until dropped.
+///
+/// There is no queue: what waits to be fetched by [`Watch::changed`] is the newest reading.
+#[derive(Debug)]
+pub struct FileWatcher {
+    shared: Arc<WatchShared>,
+    wake: SyncSender<()>,
+}
+
+impl FileWatcher {
+    /// Watches the file of the store. `known` is what was last read of it; a change since is
+    /// reported too.
+    pub fn spawn(store: Store, known: DiskContent) -> Self {
+        Self::start(store, known, POLL_PERIOD, |wake| Some(Folders::new(wake)))
+    }
+
+    /// Watches by reading the file once in a period, whatever the system could tell.
+    pub fn polling(store: Store, known: DiskContent, period: Duration) -> Self {
+        Self::start(store, known, period, |_| None)
+    }
+
+    /// Waits until the file's content differs from what was last known, and returns it. What is
+    /// returned counts as known from then on.
+    ///
+    /// Can be cancelled without losing a reading.
+    pub async fn changed(&self) -> DiskContent {
+        loop {
+            if let Some(reading) = self.shared.take() {
+                return reading;
+            }
+            self.shared.changed.notified().await;
+        }
+    }
+
+    /// To be told when [`Store::save`] has saved this: it counts as known, so it is not reported.
+    /// A reading that has not been fetched yet may be older or newer than that: it is looked again.
+    pub fn saved(&self, content: Vec<u8>) {
+        self.look_from(Some(Ok(Some(content))));
+    }
+
+    /// To be told when it is not certain any more what is there, as when somebody else wrote while
+    /// we saved: it is looked again, and reported whatever it is.
+    pub fn look_again(&self) {
+        self.look_from(None);
+    }
+
+    fn look_from(&self, known: Option<DiskContent>) {
+        let mut state = self.shared.lock();
+        state.known = known;
+        state.is_news = false;
+        state.saves += 1;
+        drop(state);
+        let _ = self.wake.try_send(());
+    }
+
+    fn start(
+        store: Store,
+        known: DiskContent,
+        period: Duration,
+        folders: impl FnOnce(SyncSender<()>) -> Option<Folders>,
+    ) -> Self {
+        let state = WatchState { known: Some(known), is_news: false, saves: 0, is_over: false };
+        let shared = Arc::new(WatchShared { state: Mutex::new(state), changed: Notify::new() });
+        // One waiting reason to look is as good as many.
+        let (wake, woken) = sync_channel(1);
+        let watcher = WatchThread {
+            store,
+            shared: shared.clone(),
+            folders: folders(wake.clone()),
+            woken,
+            period,
+        };
+        // Without a thread nothing is noticed, but nothing is overwritten either: see `Store`.
+        let _ = thread::Builder::new().name("watch".into()).spawn(move || watcher.run());
+        Self { shared, wake }
+    }
+}
+
+impl Drop for FileWatcher {
+    fn drop(&mut self) {
+        self.shared.lock().is_over = true;
+        let _ = self.wake.try_send(());
+    }
+}
+
+#[derive(Debug)]
+struct WatchShared {
+    state: Mutex<WatchState>,
+    changed: Notify,
+}
+
+#[derive(Debug)]
+struct WatchState {
+    /// None: not certain.
+    known: Option<DiskContent>,
+    /// `known` has not been fetched yet.
+    is_news: bool,
+    /// Counts our own saves: a reading that was begun before one is of no use.
+    saves: u64,
+    is_over: bool,
+}
+
+impl WatchShared {
+    fn lock(&self) -> MutexGuard<'_, WatchState> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn take(&self) -> Option<DiskContent> {
+        let mut state = self.lock();
+        if std::mem::take(&mut state.is_news) { state.known.clone() } else { None }
+    }
+
+    /// Takes in a reading that was begun after this many saves; false if there was one since.
+    fn report(&self, reading: DiskContent, saves: u64) -> bool {
+        let mut state = self.lock();
+        if state.saves != saves {
+            return false;
+        }
+        if state.known.as_ref() != Some(&reading) {
+            state.known = Some(reading);
+            state.is_news = true;
+            self.changed.notify_one();
+        }
+        true
+    }
+}
+
+/// What runs on the thread.
+struct WatchThread {
+    store: Store,
+    shared: Arc<WatchShared>,
+    /// None: the system is not asked.
+    folders: Option<Folders>,
+    woken: Receiver<()>,
+    /// How often to look where nobody tells.
+    period: Duration,
+}
+
+impl WatchThread {
+    fn run(mut self) {
+        loop {
+            // Before reading, so that no change falls between.
+            let is_told = self.folders.as_mut().is_some_and(|it| it.follow(self.store.path()));
+            self.look();
+            let woken = if is_told {
+                self.woken.recv().map_err(RecvTimeoutError::from)
+            } else {
+                self.woken.recv_timeout(self.period)
+            };
+            match woken {
+                Ok(()) => self.wait_for_quiet(),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => return,
+            }
+            if self.shared.lock().is_over {
+                return;
+            }
+        }
+    }
+
+    fn look(&self) {
+        loop {
+            let saves = self.shared.lock().saves;
+            let reading = self.store.read().map_err(|error| error.in_short());
+            if self.shared.report(reading, saves) {
+                return;
+            }
+        }
+    }
+
+    fn wait_for_quiet(&self) {
+        let deadline = Instant::now() + PATIENCE;
+        while !self.shared.lock().is_over
+            && Instant::now() < deadline
+            && self.woken.recv_timeout(QUIET).is_ok()
+        {}
+    }
+}
+
+/// The folders in which something can happen to the file.
+struct Folders {
+    watcher: Option<RecommendedWatcher>,
+    watched: HashSet<PathBuf>,
+    wake: SyncSender<()>,
+    of_interest: Arc<Mutex<Paths>>,
+}
+
+/// What events are compared with.
+#[derive(Default)]
+struct Paths {
+    /// The file and the links that lead to it.
+    files: HashSet<PathBuf>,
+    folders: HashSet<PathBuf>,
+    /// A folder was moved or deleted: the system no longer watches what its path stands for.
+    is_stale: bool,
+}
+
+impl Folders {
+    fn new(wake: SyncSender<()>) -> Self {
+        Self { watcher: None, watched: HashSet::new(), wake, of_interest: Arc::default() }
+    }
+
+    /// Watches the folders on which it depends now what the path stands for. False where the
+    /// system will not tell of all changes.
+    fn follow(&mut self, path: &Path) -> bool {
+        /// How often the path may lead elsewhere while this is done.
+        const ATTEMPTS: usize = 8;
+        let mut places = Places::of(path);
+        for _ in 0..ATTEMPTS {
+            let Ok(found) = &places else { return false };
+            let is_told = self.watch(found);
+            // Between finding a folder and watching it, it may have come or gone unnoticed.
+            let again = Places::of(path);
+            if again.as_ref().is_ok_and(|again| again == found) {
+                return is_told;
+            }
+            places = again;
+        }
+        false
+    }
+
+    fn watch(&mut self, places: &Places) -> bool {
+        let folders = places.watched.iter().map(|(folder, _)| folder.clone());
+        let wanted: HashSet<PathBuf> = folders.collect();
+        let is_stale = {
+            let mut paths = lock(&self.of_interest);
+            paths.files = places.watched.iter().map(|(folder, name)| folder.join(name)).collect();
+            paths.folders.clone_from(&wanted);
+            std::mem::take(&mut paths.is_stale)
+        };
+        // Not under the lock, which the watcher's own thread may be waiting for.
+        let mut before = std::mem::take(&mut self.watched);
+        if is_stale {
+            self.watcher = None;
+            before.clear();
+        }
+        let Some(watcher) = self.watcher() else { return false };
+        for folder in before.difference(&wanted) {
+            let _ = watcher.unwatch(folder);
+        }
+        let mut now = wanted.clone();
+        now.retain(|folder| {
+            before.contains(folder) || watcher.watch(folder, RecursiveMode::NonRecursive).is_ok()
+        });
+        self.watched = now;
+        self.watched == wanted && !wanted.iter().any(|folder| is_remote(folder))
+    }
+
+    fn watcher(&mut self) -> Option<&mut RecommendedWatcher> {
+        if self.watcher.is_none() {
+            let (wake, paths) = (self.wake.clone(), self.of_interest.clone());
+            let told = move |event: notify::Result<notify::Event>| {
+                if lock(&paths).concerns(&event) {
+                    let _ = wake.try_send(());
+                }
+            };
+            self.watcher = notify::recommended_watcher(told).ok();
+        }
+        self.watcher.as_mut()
+    }
+}
+
+impl Paths {
+    /// Is this a reason to look? Our own reading is not, nor what happens to other files.
+    fn concerns(&mut self, event: &notify::Result<notify::Event>) -> bool {
+        let Ok(event) = event else {
+            self.is_stale = true;
+            return true;
+        };
+        if let EventKind::Access(access) = event.kind
+            && access != AccessKind::Close(AccessMode::Write)
+        {
+            return false;
+        }
+        let is_folder = event.paths.iter().any(|path| self.folders.contains(path));
+        let is_gone =
+            matches!(event.kind, EventKind::Remove(_) | EventKind::Modify(ModifyKind::Name(_)));
+        self.is_stale |= is_folder && is_gone;
+        is_folder || event.need_rescan() || event.paths.iter().any(|it| self.files.contains(it))
+    }
+}
+
+fn lock(paths: &Mutex<Paths>) -> MutexGuard<'_, Paths> {
+    paths.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Is the folder on a file system where others make changes that this machine does not see?
+fn is_remote(folder: &Path) -> bool {
+    const REMOTE: [FsType; 7] = [
+        statfs::NFS_SUPER_MAGIC,
+        statfs::SMB_SUPER_MAGIC,
+        statfs::FUSE_SUPER_MAGIC,
+        statfs::AFS_SUPER_MAGIC,
+        statfs::CODA_SUPER_MAGIC,
+        statfs::NCP_SUPER_MAGIC,
+        statfs::OCFS2_SUPER_MAGIC,
+    ];
+    /// Not in nix: CIFS, SMB2, 9P, Ceph, GFS2.
+    const MORE: [u32; 5] = [0xFF53_4D42, 0xFE53_4D42, 0x0102_1997, 0x00C3_6400, 0x0116_1970];
+    let Ok(found) = statfs(folder) else { return false };
+    let found = found.filesystem_type();
+    REMOTE.contains(&found) || MORE.contains(&(found.0 as u32))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_thread_ends_with_the_watch() {
+        for period in [None, Some(Duration::from_hours(1))] {
+            let folder = tempfile::tempdir().unwrap();
+            let store = Store::new(folder.path().join("des.json"));
+            let watch = match period {
+                None => FileWatcher::spawn(store, Ok(None)),
+                Some(period) => FileWatcher::polling(store, Ok(None), period),
+            };
+            let shared = Arc::downgrade(&watch.shared);
+            drop(watch);
+            let deadline = Instant::now() + Duration::from_secs(20);
+            while shared.strong_count() > 0 {
+                assert!(Instant::now() < deadline, "the thread is still there");
+                thread::yield_now();
+            }
+        }
+    }
+}

@@ -1,0 +1,289 @@
+//! The terminal UI's loop: keys, signals, drawing, and the session below.
+//!
+//! Wakes only for a reason; draws only what changed, at most every 33 ms, and 10 ms after a key.
+
+use super::config::{ConfigFolder, read_text};
+use super::file_watcher::FileWatcher;
+use super::session::Session;
+use super::store::Store;
+use super::terminal::Terminal;
+use crate::app::{Effect, Mouse, MouseKind};
+use crate::keymap::{Key, KeyCode};
+use crate::theme::{Colours, Theme};
+use crossterm::event::{
+    self, Event, EventStream, KeyEvent, KeyEventKind, KeyModifiers, MouseButton, MouseEventKind,
+};
+use futures_util::StreamExt;
+use std::future::pending;
+use std::io;
+use std::time::Duration;
+use tokio::signal::unix::{Signal, SignalKind, signal};
+use tokio::time::{Instant, sleep_until};
+
+const PACE: Duration = Duration::from_millis(33);
+const PACE_AFTER_KEY: Duration = Duration::from_millis(10);
+
+/// How the UI ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TuiExit {
+    /// The user quit.
+    Quit,
+    /// SIGTERM or SIGINT.
+    Terminated,
+    /// The terminal is gone.
+    Hangup,
+}
+
+/// Runs the UI until it ends. The terminal is given back on every way out.
+pub async fn run(session: &mut Session, themes: &mut Themes) -> io::Result<TuiExit> {
+    let mut signals = Signals::new()?;
+    let mut terminal = Terminal::take()?;
+    let mut input = EventStream::new();
+    let (columns, rows) = terminal.size()?;
+    session.app.handle_resize(columns, rows);
+    let mut last_draw: Option<Instant> = None;
+    let mut pace = PACE;
+    loop {
+        for effect in session.flush_effects() {
+            match effect {
+                Effect::Quit => return Ok(TuiExit::Quit),
+                Effect::Suspend => {
+                    drop(input);
+                    terminal.suspend()?;
+                    input = EventStream::new();
+                    resized(session, &terminal)?;
+                }
+                Effect::Redraw => terminal.redraw()?,
+                Effect::Bell => terminal.write(b"\x07")?,
+                Effect::Copy(text) => terminal.copy(&text)?,
+                Effect::UseTheme(name) => {
+                    let result = themes.choose(&name);
+                    session.app.handle_theme(session.now(), result);
+                }
+                Effect::Save { .. }
+                | Effect::WriteFile { .. }
+                | Effect::Playback(_)
+                | Effect::FindBitrate(_) => {}
+            }
+        }
+        let draw_at = last_draw.map_or_else(Instant::now, |last| last + pace);
+        tokio::select! {
+            biased;
+            signal = signals.next() => match signal {
+                TuiWake::Terminate => return Ok(TuiExit::Terminated),
+                TuiWake::Hangup => return Ok(TuiExit::Hangup),
+                TuiWake::Stop => {
+                    terminal.suspend()?;
+                    resized(session, &terminal)?;
+                }
+            },
+            event = input.next() => match event {
+                Some(Ok(event)) => {
+                    pace = PACE_AFTER_KEY;
+                    if matches!(event, Event::Resize(..)) {
+                        // Whatever the terminal made of the old content meanwhile.
+                        terminal.redraw()?;
+                    }
+                    handle_input(session, &event);
+                }
+                Some(Err(_)) | None => return Ok(TuiExit::Hangup),
+            },
+            () = sleep_until(draw_at), if session.app.is_dirty() => {
+                session.app.take_dirty();
+                terminal.draw(&mut session.app, &themes.current)?;
+                last_draw = Some(Instant::now());
+                pace = PACE;
+            }
+            reading = themes.changed() => {
+                let result = themes.reload(reading);
+                session.app.handle_theme(session.now(), result);
+            }
+            wake = session.next() => session.take(wake),
+        }
+    }
+}
+
+fn resized(session: &mut Session, terminal: &Terminal) -> io::Result<()> {
+    let (columns, rows) = terminal.size()?;
+    session.app.handle_resize(columns, rows);
+    Ok(())
+}
+
+fn handle_input(session: &mut Session, event: &Event) {
+    let now = session.now();
+    match event {
+        Event::Key(key) if key.kind != KeyEventKind::Release => {
+            if let Some(key) = key_of(*key) {
+                session.app.handle_key(now, key);
+            }
+        }
+        Event::Paste(text) => session.app.handle_paste(now, text),
+        Event::Resize(columns, rows) => session.app.handle_resize(*columns, *rows),
+        Event::Mouse(mouse) => {
+            let kind = match mouse.kind {
+                MouseEventKind::Down(MouseButton::Left) => MouseKind::Press,
+                MouseEventKind::ScrollUp => MouseKind::WheelUp,
+                MouseEventKind::ScrollDown => MouseKind::WheelDown,
+                _ => return,
+            };
+            session.app.handle_mouse(now, Mouse { kind, column: mouse.column, row: mouse.row });
+        }
+        _ => {}
+    }
+}
+
+fn key_of(event: KeyEvent) -> Option<Key> {
+    let code = match event.code {
+        event::KeyCode::Char(c) => KeyCode::Char(c),
+        event::KeyCode::Enter => KeyCode::Enter,
+        event::KeyCode::Esc => KeyCode::Esc,
+        event::KeyCode::Tab | event::KeyCode::BackTab => KeyCode::Tab,
+        event::KeyCode::Backspace => KeyCode::Backspace,
+        event::KeyCode::Delete => KeyCode::Delete,
+        event::KeyCode::Insert => KeyCode::Insert,
+        event::KeyCode::Up => KeyCode::Up,
+        event::KeyCode::Down => KeyCode::Down,
+        event::KeyCode::Left => KeyCode::Left,
+        event::KeyCode::Right => KeyCode::Right,
+        event::KeyCode::Home => KeyCode::Home,
+        event::KeyCode::End => KeyCode::End,
+        event::KeyCode::PageUp => KeyCode::PageUp,
+        event::KeyCode::PageDown => KeyCode::PageDown,
+        event::KeyCode::F(number) => KeyCode::F(number),
+        _ => return None,
+    };
+    let held = |modifier| event.modifiers.contains(modifier);
+    let shift = held(KeyModifiers::SHIFT) || event.code == event::KeyCode::BackTab;
+    let key = Key { code, ctrl: held(KeyModifiers::CONTROL), alt: held(KeyModifiers::ALT), shift };
+    Some(key.normal())
+}
+
+/// The theme that is drawn with, and the file it came from.
+pub struct Themes {
+    /// What is drawn with.
+    pub current: Theme,
+    colours: Colours,
+    folder: Option<ConfigFolder>,
+    watch: Option<FileWatcher>,
+}
+
+impl Themes {
+    /// The theme of that name: the user's own, or a built-in one.
+    pub fn new(folder: Option<ConfigFolder>, name: &str) -> Result<Self, String> {
+        let (built_in, text) = crate::theme::BUILT_IN[0];
+        let first = Theme::parse(built_in, text, |_| None).map_err(|error| error.to_string())?;
+        let mut themes = Self { current: first, colours: colours(), folder, watch: None };
+        themes.choose(name)?;
+        Ok(themes)
+    }
+
+    /// Draws with the theme of that name from now on: the user's own, or a built-in one.
+    pub fn choose(&mut self, name: &str) -> Result<(), String> {
+        let text = self.text_of(name)?;
+        self.current = match &text {
+            Some(text) => self.parse(name, text)?,
+            None => Theme::built_in(name)
+                .map(|theme| theme.limited(self.colours))
+                .ok_or_else(|| format!("not found; available: {}", self.names().join(", ")))?,
+        };
+        self.watch = match (&self.folder, text) {
+            (Some(folder), Some(text)) => {
+                let store = Store::new(folder.theme_path(name));
+                Some(FileWatcher::spawn(store, Ok(Some(text.into_bytes()))))
+            }
+            _ => None,
+        };
+        Ok(())
+    }
+
+    /// The names of all themes: the built-in ones, then the user's.
+    pub fn names(&self) -> Vec<String> {
+        let mut names: Vec<String> =
+            crate::theme::BUILT_IN.iter().map(|(name, _)| (*name).to_owned()).collect();
+        let own = self.folder.as_ref().map(ConfigFolder::theme_names).unwrap_or_default();
+        names.extend(
+            own.into_iter().filter(|name| crate::theme::BUILT_IN.iter().all(|b| b.0 != name)),
+        );
+        names
+    }
+
+    fn text_of(&self, name: &str) -> Result<Option<String>, String> {
+        match &self.folder {
+            Some(folder) if !name.contains('/') => {
+                let path = folder.theme_path(name);
+                read_text(&path)
+                    .map_err(|cause| format!("{} cannot be read: {cause}", path.display()))
+            }
+            _ => Ok(None),
+        }
+    }
+
+    fn parse(&self, name: &str, text: &str) -> Result<Theme, String> {
+        let find = |parent: &str| self.text_of(parent).ok().flatten();
+        let theme = Theme::parse(name, text, find).map_err(|error| error.to_string())?;
+        Ok(theme.limited(self.colours))
+    }
+
+    /// Waits until the file of the current theme changes.
+    async fn changed(&self) -> Result<Option<Vec<u8>>, String> {
+        match &self.watch {
+            Some(watch) => watch.changed().await,
+            None => pending().await,
+        }
+    }
+
+    fn reload(&mut self, reading: Result<Option<Vec<u8>>, String>) -> Result<(), String> {
+        let Some(bytes) = reading? else { return Ok(()) };
+        let text = String::from_utf8(bytes).map_err(|_| "it is not UTF-8".to_owned())?;
+        let name = self.current.name.clone();
+        self.current = self.parse(&name, &text)?;
+        Ok(())
+    }
+}
+
+/// How many colours the terminal says it has.
+fn colours() -> Colours {
+    let variable = |name| std::env::var(name).unwrap_or_default();
+    let full = ["truecolor", "24bit"].contains(&variable("COLORTERM").as_str());
+    let terminal = variable("TERM");
+    if full || terminal.ends_with("-direct") {
+        Colours::Full
+    } else if terminal.contains("256") {
+        Colours::Indexed
+    } else {
+        Colours::Sixteen
+    }
+}
+
+enum TuiWake {
+    Terminate,
+    Hangup,
+    Stop,
+}
+
+struct Signals {
+    terminate: Signal,
+    interrupt: Signal,
+    hangup: Signal,
+    stop: Signal,
+}
+
+impl Signals {
+    fn new() -> io::Result<Self> {
+        Ok(Self {
+            terminate: signal(SignalKind::terminate())?,
+            interrupt: signal(SignalKind::interrupt())?,
+            hangup: signal(SignalKind::hangup())?,
+            stop: signal(SignalKind::from_raw(nix::libc::SIGTSTP))?,
+        })
+    }
+
+    async fn next(&mut self) -> TuiWake {
+        tokio::select! {
+            _ = self.terminate.recv() => TuiWake::Terminate,
+            _ = self.interrupt.recv() => TuiWake::Terminate,
+            _ = self.hangup.recv() => TuiWake::Hangup,
+            _ = self.stop.recv() => TuiWake::Stop,
+        }
+    }
+}

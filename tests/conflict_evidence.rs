@@ -1,0 +1,115 @@
+//! Two senders at one address, heard by somebody who only listens: what shows them, frame by
+//! frame, where the simulated devices seldom come to it.
+
+use descan::discovery::{Confidence, Config, Engine, FindingKind};
+use descan::frame::Frame;
+use descan::time::Instant;
+
+const ADDRESS: u32 = 5;
+/// Who asks.
+const ASKER: u32 = 1;
+
+/// What is on the bus, in milliseconds.
+#[derive(Default)]
+struct Story(Vec<(u64, Frame)>);
+
+impl Story {
+    /// A heartbeat without a UID each second, `phase` after it, until `until`.
+    fn beats(mut self, phase: u64, until: u64) -> Self {
+        for (count, at) in (phase..until).step_by(1000).enumerate() {
+            let rnd7 = (count as u32 * 37 + phase as u32) % 128;
+            let id = 0x0700_0001 | ADDRESS << 17 | rnd7 << 10;
+            self.0.push((at, Frame::classic(id, &[0, 0, 0, 0, 0, 0, 4, 0])));
+        }
+        self
+    }
+
+    /// A question for its name, and these answers to it, one after the other.
+    fn asked(mut self, at: u64, answers: &[&[u8; 1]]) -> Self {
+        let question = Frame::classic(ASKER << 17 | ADDRESS << 10 | 2, b"\x04DES\x01");
+        self.0.push((at, question));
+        for (place, [name]) in (1..).zip(answers) {
+            let id = 0x0500_0002 | ADDRESS << 17 | ASKER << 10;
+            self.0.push((at + 10 * place, Frame::classic(id, &[3, 1, *name, 0])));
+        }
+        self
+    }
+
+    /// Who heard all of it; `each` looks at it after every frame.
+    fn heard(mut self, mut each: impl FnMut(u64, &Engine)) -> Engine {
+        self.0.sort_by_key(|(at, _)| *at);
+        let config = Config { listen_only: true, ..Config::default() };
+        let mut engine = Engine::new(Instant::ZERO, config);
+        for (millis, frame) in self.0 {
+            let at = Instant::from_micros(millis * 1000);
+            while let Some(due) = engine.poll_timeout().filter(|due| *due <= at) {
+                engine.handle_timeout(due);
+            }
+            engine.handle_frame(&frame.with_time(at));
+            each(millis, &engine);
+        }
+        engine
+    }
+}
+
+fn confidence(engine: &Engine, kind: FindingKind) -> Option<Confidence> {
+    engine.findings().iter().find(|it| it.key.kind == kind).map(|it| it.confidence)
+}
+
+const SAME: FindingKind = FindingKind::SameNameSameAddress;
+const NAMES: FindingKind = FindingKind::OneAddressTwoNames;
+
+#[test]
+fn two_that_beat_almost_half_a_period_apart_are_two() {
+    let engine = Story::default().beats(0, 20_000).beats(450, 20_000).heard(|_, _| {});
+    assert_eq!(confidence(&engine, SAME), Some(Confidence::Confirmed));
+}
+
+#[test]
+fn one_that_beats_at_twice_the_rate_is_one() {
+    let engine = Story::default().beats(0, 40_000).beats(500, 40_000).heard(|at, engine| {
+        assert_ne!(confidence(engine, SAME), Some(Confidence::Confirmed), "at {at} ms");
+    });
+    assert_eq!(confidence(&engine, SAME), Some(Confidence::Cleared), "and left in peace");
+}
+
+#[test]
+fn what_answers_proved_goes_on_while_heartbeats_come_too_often() {
+    let mut story = Story::default().beats(0, 40_000).beats(500, 40_000);
+    for second in 0..12 {
+        story = story.asked(second * 1000 + 250, &[b"A", b"A"]);
+    }
+    let engine = story.heard(|at, engine| {
+        if at > 12_000 {
+            assert_eq!(confidence(engine, SAME), Some(Confidence::Confirmed), "at {at} ms");
+        }
+    });
+    assert_eq!(confidence(&engine, NAMES), None);
+}
+
+#[test]
+fn a_burst_of_odd_answers_counts_once() {
+    let mut story = Story::default().beats(0, 24_000);
+    for at in [3250, 3350, 3450, 8700] {
+        story = story.asked(at, &[b"A", b"A"]);
+    }
+    let engine = story.heard(|at, engine| {
+        assert_ne!(confidence(engine, SAME), Some(Confidence::Confirmed), "at {at} ms");
+    });
+    assert_eq!(confidence(&engine, SAME), Some(Confidence::Cleared));
+}
+
+#[test]
+fn two_that_turn_out_to_have_two_names_stay_confirmed_meanwhile() {
+    let story = Story::default().beats(0, 12_000).beats(300, 12_000);
+    let story = story.asked(9000, &[b"A"]).asked(9200, &[b"B"]).asked(9400, &[b"A"]);
+    story.heard(|at, engine| {
+        if (9000..12_000).contains(&at) {
+            let best = confidence(engine, SAME).max(confidence(engine, NAMES));
+            assert_eq!(best, Some(Confidence::Confirmed), "at {at} ms");
+        }
+        if at > 9410 {
+            assert_eq!(confidence(engine, SAME), Some(Confidence::Cleared), "told as that alone");
+        }
+    });
+}

@@ -1,0 +1,109 @@
+//! Taking a frame allocates nothing once the devices and identifiers on the bus are known.
+#![allow(unsafe_code)] // A counting allocator cannot be written without.
+
+use descan::app::{App, AppOptions};
+use descan::discovery::Config;
+use descan::frame::Frame;
+use descan::time::{Duration, Instant};
+use descan::wire::id::{Address, Header, Service};
+use descan::wire::node::{Heartbeat, Mode, Uid};
+use descan::wire::profile::Profile;
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+
+struct Counting;
+
+thread_local! {
+    static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
+}
+
+// SAFETY: hands everything on to the system's allocator.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
+        // SAFETY: the caller's promise is handed on.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: the caller's promise is handed on.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// One second of a bus: heartbeats and chatter of twenty devices, 2,000 frames in all.
+fn second(number: u64) -> Vec<Frame> {
+    let profile = Profile::default();
+    let codes = profile.modes.codes();
+    let start = number * 1_000_000;
+    let mut frames = Vec::new();
+    for at in 0..2000u64 {
+        let device = (at % 20) as u8;
+        let from = Address::from_bits(10 + device);
+        let is_beat = at < 20;
+        let service = Service::from_bits(if is_beat { 1 } else { 0x100 + u16::from(device) });
+        let rnd7 = (at * 31 + number * 7) as u8 & 0x7F;
+        let header = Header::unsolicited(from, rnd7, false, service);
+        let beat = Heartbeat {
+            uid: Some(Uid([1, 2, 3, 4, 5, device])),
+            mode: Some(Mode::Work),
+            error: Some(0),
+        };
+        let data = beat.encode(&profile.heartbeat, &codes).0;
+        let time = Instant::from_micros(start + at * 500);
+        frames.push(Frame::classic(header.encode(), &data).with_time(time));
+    }
+    frames
+}
+
+#[test]
+fn steady_traffic_allocates_next_to_nothing() {
+    let config = Config { listen_only: true, ..Config::default() };
+    let buses = vec![("can0".to_owned(), config)];
+    let mut app = App::new(Instant::ZERO, AppOptions { buses, ..AppOptions::default() });
+    // Past the filling of the ring and of everything that learns.
+    for number in 0..60 {
+        let frames = second(number);
+        let now = Instant::from_micros((number + 1) * 1_000_000);
+        for part in frames.chunks(50) {
+            app.handle_frames(part.last().unwrap().time, part);
+            app.handle_timeout(part.last().unwrap().time);
+        }
+        app.handle_timeout(now);
+        app.take_dirty();
+    }
+    let mut allocations = 0;
+    for number in 60..65 {
+        let frames = second(number);
+        for part in frames.chunks(50) {
+            let before = ALLOCATIONS.get();
+            app.handle_frames(part.last().unwrap().time, part);
+            allocations += ALLOCATIONS.get() - before;
+        }
+        app.handle_timeout(Instant::from_micros((number + 1) * 1_000_000));
+    }
+    assert_eq!(allocations, 0, "allocations in 10,000 frames");
+}
+
+/// Not a check of a number (machines differ): says how fast it is. Run with `--release
+/// --nocapture --ignored`.
+#[test]
+#[ignore = "a measurement"]
+fn frames_a_second() {
+    let config = Config { listen_only: true, ..Config::default() };
+    let buses = vec![("can0".to_owned(), config)];
+    let mut app = App::new(Instant::ZERO, AppOptions { buses, ..AppOptions::default() });
+    let seconds: Vec<Vec<Frame>> = (0..500).map(second).collect();
+    let start = std::time::Instant::now();
+    for (number, frames) in seconds.iter().enumerate() {
+        for part in frames.chunks(50) {
+            app.handle_frames(part.last().unwrap().time, part);
+        }
+        app.handle_timeout(Instant::ZERO + Duration::from_secs(number as u64 + 1));
+    }
+    let took = start.elapsed();
+    println!("{:.2} M frames/s", 1.0 / took.as_secs_f64());
+}

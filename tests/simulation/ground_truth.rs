@@ -1,0 +1,153 @@
+//! How it really was: who held which address together with whom, and who shared a UID, looked up
+//! in the simulator while it runs.
+
+use descan::sim::{AddressChoice, DeviceSpec, Fault, Sim, SimDeviceId};
+use descan::time::{Duration, Instant};
+use descan::wire::id::Address;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// What pauses for less may go on.
+const PAUSE: Duration = Duration::from_secs(3);
+
+/// For how long something went on without a pause.
+#[derive(Clone, Copy, Debug)]
+pub struct Span {
+    pub from: Instant,
+    /// The last moment it was seen.
+    pub until: Instant,
+}
+
+/// Two devices, by their places in the scenario, that are one too many.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Clash {
+    Address(Address, usize, usize),
+    Uid(Address, Address),
+}
+
+#[derive(Default)]
+pub struct Truth {
+    spans: BTreeMap<Clash, Vec<Span>>,
+    sampled: Option<Instant>,
+    /// Until when both of a pair were switched on, where neither ever gives way: they come back to
+    /// their address however often they silence each other.
+    both_on: BTreeMap<Clash, Span>,
+    /// Who was ever seen at each address.
+    seen_at: BTreeMap<Address, BTreeSet<usize>>,
+}
+
+impl Truth {
+    /// Looks at everybody.
+    pub fn sample(
+        &mut self,
+        now: Instant,
+        sim: &Sim,
+        devices: &[SimDeviceId],
+        specs: &[DeviceSpec],
+    ) {
+        let mut at: BTreeMap<Address, Vec<usize>> = BTreeMap::new();
+        for (index, &id) in devices.iter().enumerate() {
+            if let Some(address) = sim.device_state(id).address {
+                at.entry(address).or_default().push(index);
+            }
+        }
+        for (&address, here) in &at {
+            self.seen_at.entry(address).or_default().extend(here);
+            for (place, &one) in here.iter().enumerate() {
+                for &other in &here[place + 1..] {
+                    self.see(now, Clash::Address(address, one, other));
+                }
+            }
+        }
+        let mut uids: BTreeMap<[u8; 6], Vec<Address>> = BTreeMap::new();
+        for (&address, here) in &at {
+            for &index in here {
+                let uid = sim.device_state(devices[index]).uid;
+                let known = uids.entry(uid.0).or_default();
+                if !uid.is_blank() && !known.contains(&address) {
+                    known.push(address);
+                }
+            }
+        }
+        for addresses in uids.values().filter(|addresses| addresses.len() > 1) {
+            for (place, &one) in addresses.iter().enumerate() {
+                for &other in &addresses[place + 1..] {
+                    self.see(now, Clash::Uid(one.min(other), one.max(other)));
+                }
+            }
+        }
+        self.sampled = Some(now);
+        let mut stubborn: BTreeMap<Address, Vec<usize>> = BTreeMap::new();
+        for (index, spec) in specs.iter().enumerate() {
+            if let AddressChoice::Fixed(address) = spec.address
+                && spec.faults.has(Fault::NeverGivesWay)
+                && sim.device_state(devices[index]).mode.is_some()
+            {
+                stubborn.entry(address).or_default().push(index);
+            }
+        }
+        for (address, here) in stubborn {
+            for (place, &one) in here.iter().enumerate() {
+                for &other in &here[place + 1..] {
+                    let clash = Clash::Address(address, one, other);
+                    let span = Span { from: now, until: now };
+                    self.both_on.entry(clash).or_insert(span).until = now;
+                }
+            }
+        }
+    }
+
+    fn see(&mut self, now: Instant, clash: Clash) {
+        let spans = self.spans.entry(clash).or_default();
+        match spans.last_mut() {
+            Some(span) if Some(span.until) == self.sampled => span.until = now,
+            _ => spans.push(Span { from: now, until: now }),
+        }
+    }
+
+    /// Who ever held that address, by their places in the scenario.
+    pub fn seen_at(&self, address: Address) -> impl Iterator<Item = usize> + '_ {
+        self.seen_at.get(&address).into_iter().flatten().copied()
+    }
+
+    /// When both of a pair that never gives way were on.
+    pub fn both_on(&self) -> impl Iterator<Item = (Clash, Span)> + '_ {
+        self.both_on.iter().map(|(clash, span)| (*clash, *span))
+    }
+
+    /// The same, where what paused for less than three periods went on.
+    pub fn contended(&self) -> Vec<(Clash, Span)> {
+        let mut joined: Vec<(Clash, Span)> = Vec::new();
+        for (clash, span) in self.clashes() {
+            match joined.last_mut() {
+                Some((other, before))
+                    if *other == clash && span.from.since(before.until) < PAUSE =>
+                {
+                    before.until = span.until;
+                }
+                _ => joined.push((clash, span)),
+            }
+        }
+        joined
+    }
+
+    /// When it was over for good.
+    pub fn over(&self, clash: Clash) -> Instant {
+        let last = self.spans.get(&clash).and_then(|spans| spans.last()).map(|span| span.until);
+        let both_on = self.both_on.get(&clash).map(|span| span.until);
+        last.max(both_on).unwrap_or(Instant::ZERO)
+    }
+
+    /// Everything that was one too many, and when.
+    pub fn clashes(&self) -> impl Iterator<Item = (Clash, Span)> + '_ {
+        self.spans.iter().flat_map(|(clash, spans)| spans.iter().map(|span| (*clash, *span)))
+    }
+}
+
+impl Clash {
+    pub fn concerns(self, address: Address) -> bool {
+        match self {
+            Clash::Address(at, ..) => at == address,
+            Clash::Uid(one, other) => one == address || other == address,
+        }
+    }
+}

@@ -1,0 +1,81 @@
+//! What lies between the bus and an inspector: a bridge that doubles frames, an echo, a time of
+//! deafness, a clock that is set.
+
+use descan::frame::Frame;
+use descan::time::{Duration, Instant};
+use std::collections::VecDeque;
+
+#[derive(Clone, Debug, Default)]
+pub struct Lens {
+    /// From, until, and by how much later every frame comes again.
+    pub doubled: Option<(Duration, Duration, Duration)>,
+    /// What the inspector sends comes back as somebody else's too.
+    pub echo: bool,
+    pub deaf: Option<Deafness>,
+    pub jump: Option<Jump>,
+}
+
+/// Frames that are lost on the way.
+#[derive(Clone, Copy, Debug)]
+pub struct Deafness {
+    pub from: Duration,
+    pub until: Duration,
+    /// Whether the inspector is told how many.
+    pub told: bool,
+}
+
+/// The inspector's clock is set ahead, or it slept: all deadlines pass at once.
+#[derive(Clone, Copy, Debug)]
+pub struct Jump {
+    pub at: Duration,
+    pub by: Duration,
+}
+
+impl Lens {
+    /// How far the inspector's clock is ahead at `now`.
+    pub fn ahead(&self, now: Instant) -> Duration {
+        self.jump.filter(|jump| now >= Instant::ZERO + jump.at).map_or(Duration::ZERO, |it| it.by)
+    }
+
+    pub fn is_clear(&self) -> bool {
+        self.doubled.is_none() && !self.echo && self.deaf.is_none() && self.jump.is_none()
+    }
+}
+
+/// Frames on their way through a lens.
+#[derive(Debug, Default)]
+pub struct Seen {
+    later: VecDeque<Frame>,
+    pub lost: u64,
+}
+
+impl Seen {
+    /// When the next delayed frame arrives.
+    pub fn next(&self) -> Option<Instant> {
+        self.later.front().map(|frame| frame.time)
+    }
+
+    /// A frame that is due.
+    pub fn due(&mut self, now: Instant) -> Option<Frame> {
+        self.later.pop_front_if(|frame| frame.time <= now)
+    }
+
+    /// Takes a frame from the bus; what arrives of it at once comes back.
+    pub fn look(&mut self, lens: &Lens, frame: Frame) -> [Option<Frame>; 2] {
+        let at = frame.time.since(Instant::ZERO);
+        if lens.deaf.is_some_and(|deaf| (deaf.from..deaf.until).contains(&at)) && !frame.is_tx {
+            self.lost += 1;
+            return [None, None];
+        }
+        let mut strange = frame;
+        strange.is_tx = false;
+        let is_error = frame.kind == descan::frame::FrameKind::Error;
+        if let Some((from, until, delay)) = lens.doubled
+            && (from..until).contains(&at)
+            && !is_error
+        {
+            self.later.push_back(strange.with_time(frame.time + delay));
+        }
+        [Some(frame), (lens.echo && frame.is_tx).then_some(strange)]
+    }
+}
