@@ -1,5 +1,7 @@
 //! The command `descan`: parse, run, exit code.
 
+#![deny(clippy::print_stdout, clippy::print_stderr)]
+
 use descan::cli::{self, CliExit};
 use descan::commands;
 use std::io::Write;

@@ -573,3 +573,46 @@ fn what_a_log_does_not_say_is_left_out_and_what_is_over_needs_no_remedy() {
     assert!(table.contains("\ncleared ") && table.contains("No longer present."), "{table}");
     assert!(!table.contains("Switch one of them off"), "{table}");
 }
+
+#[test]
+fn unwritable_output_ends_with_exit_code_without_panic() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("session.log"), log(&two_devices(), 12) + "garbage\n")
+        .unwrap();
+    std::fs::write(folder.path().join("broken.json"), "[\n oops").unwrap();
+    let config = folder.path().join("config/descan");
+    std::fs::create_dir_all(&config).unwrap();
+    // Causes a warning on standard error.
+    std::fs::write(config.join("keys.toml"), "rescan = 5").unwrap();
+    for (arguments, code) in [
+        (&["--help"][..], 0),
+        (&["--nonsense"], 2),
+        (&[], 2),
+        (&["demo"], 2),
+        (&["man"], 3),
+        (&["schema"], 3),
+        (&["completions", "bash"], 3),
+        (&["scan", "file:session.log"], 3),
+        (&["scan", "file:session.log", "--json", "--record", "copy.log"], 3),
+        (&["scan", "sim:boiler", "--time", "1", "--write", "new.json"], 3),
+        (&["check", "file:session.log"], 3),
+        (&["check", "file:session.log", "--file", "broken.json"], 3),
+        (&["watch", "file:session.log"], 3),
+        (&["watch", "file:session.log", "--json"], 3),
+        (&["watch", "sim:boiler", "--time", "1"], 3),
+        (&["speed", "nocan7"], 3),
+        (&["sim", "nocan7", "--time", "1"], 3),
+    ] {
+        let full = || std::fs::File::options().write(true).open("/dev/full").unwrap();
+        let status = Command::new(env!("CARGO_BIN_EXE_descan"))
+            .args(arguments)
+            .current_dir(folder.path())
+            .env("XDG_CONFIG_HOME", folder.path().join("config"))
+            .stdin(Stdio::null())
+            .stdout(full())
+            .stderr(full())
+            .status()
+            .expect("the program starts");
+        assert_eq!(status.code(), Some(code), "{arguments:?}");
+    }
+}

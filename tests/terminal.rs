@@ -5,7 +5,7 @@
 mod pty;
 
 use nix::sys::signal::Signal;
-use pty::Pty;
+use pty::{ClosablePty, Pty};
 use std::fmt::Write;
 use std::path::Path;
 use std::time::Duration;
@@ -130,6 +130,35 @@ fn edits_that_cannot_be_saved_are_kept_in_a_copy_unless_they_are_given_up() {
                 assert!(pty.screen().replace('\n', "").contains(&name), "{}", pty.screen());
             }
         }
+    }
+}
+
+#[test]
+fn terminal_closed_with_unsaved_edit_saves_recovery_copy() {
+    for is_leader in [true, false] {
+        let folder = tempfile::tempdir().unwrap();
+        // The folder does not exist, so saving fails.
+        let arguments = ["sim:boiler", "--file", "gone/des.json"];
+        let mut terminal = ClosablePty::start(&arguments, folder.path(), is_leader);
+        terminal.wait_for("FEED");
+        terminal.send("e77\r");
+        terminal.wait_for("not saved");
+        assert_eq!(terminal.close(), Some(130), "leader of its session: {is_leader}");
+        let kept = folder.path().join("state/descan");
+        let copies: Vec<_> = std::fs::read_dir(kept).into_iter().flatten().flatten().collect();
+        assert_eq!(copies.len(), 1, "leader of its session: {is_leader}");
+        let text = std::fs::read_to_string(copies[0].path()).unwrap();
+        assert!(text.contains("77"), "{text}");
+    }
+}
+
+#[test]
+fn terminal_closed_while_idle_ends_the_program() {
+    for is_leader in [true, false] {
+        let folder = tempfile::tempdir().unwrap();
+        let mut terminal = ClosablePty::start(&["nocan7"], folder.path(), is_leader);
+        terminal.wait_for("nocan7");
+        assert_eq!(terminal.close(), Some(130), "leader of its session: {is_leader}");
     }
 }
 

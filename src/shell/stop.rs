@@ -52,17 +52,7 @@ impl StopWaiter {
     /// Also that standard output is closed at its other end, even while nothing is written.
     #[must_use]
     pub fn or_stdout_closed(mut self) -> Self {
-        let unread = Arc::new(Notify::new());
-        let told = Arc::clone(&unread);
-        // Without a thread it is noticed at the next line.
-        let _ = thread::Builder::new().name("reader".into()).spawn(move || {
-            let stdout = io::stdout();
-            // Asks for nothing: what comes are errors, and hang-ups.
-            let mut watched = [PollFd::new(stdout.as_fd(), PollFlags::empty())];
-            while poll(&mut watched, PollTimeout::NONE) == Err(Errno::EINTR) {}
-            told.notify_one();
-        });
-        self.unread = Some(unread);
+        self.unread = Some(output_closed());
         self
     }
 
@@ -87,6 +77,21 @@ impl StopWaiter {
             () = time => StopReason::TimeUp,
         }
     }
+}
+
+/// Notifies once when standard output is closed at its other end.
+pub(super) fn output_closed() -> Arc<Notify> {
+    let unread = Arc::new(Notify::new());
+    let told = Arc::clone(&unread);
+    // Without a thread it is noticed at the next line.
+    let _ = thread::Builder::new().name("reader".into()).spawn(move || {
+        let stdout = io::stdout();
+        // No events requested: poll(2) returns on errors and hang-up only.
+        let mut watched = [PollFd::new(stdout.as_fd(), PollFlags::empty())];
+        while poll(&mut watched, PollTimeout::NONE) == Err(Errno::EINTR) {}
+        told.notify_one();
+    });
+    unread
 }
 
 /// Whether we were started to survive the connection, as by nohup.

@@ -4,8 +4,10 @@
 
 use crate::theme::Theme;
 use crossterm::{cursor, event, execute, queue, style, terminal};
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use ratatui::backend::CrosstermBackend;
 use std::io::{self, BufWriter, Stdout, Write};
+use std::os::fd::AsFd;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Buttons and wheel, in SGR coordinates; no any-motion reports, which would chatter over SSH.
@@ -17,7 +19,22 @@ const SYNC_END: &[u8] = b"\x1b[?2026l";
 
 static TAKEN: AtomicBool = AtomicBool::new(false);
 
-type Backend = CrosstermBackend<BufWriter<Stdout>>;
+type Backend = CrosstermBackend<BufWriter<Output>>;
+
+/// Standard output while the terminal is taken; what is written later is discarded. Dropping
+/// ratatui's terminal shows the cursor once more, and where the terminal is gone it reports the
+/// failure with `eprintln!`, which panics there.
+struct Output(Stdout);
+
+impl Write for Output {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        if TAKEN.load(Ordering::SeqCst) { self.0.write(bytes) } else { Ok(bytes.len()) }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        if TAKEN.load(Ordering::SeqCst) { self.0.flush() } else { Ok(()) }
+    }
+}
 
 /// The terminal while it is ours. Dropping it gives it back.
 pub struct Terminal {
@@ -31,7 +48,8 @@ impl Terminal {
         // theme does what NO_COLOR asks for.
         style::force_color_output(true);
         enter()?;
-        let backend = CrosstermBackend::new(BufWriter::with_capacity(64 * 1024, io::stdout()));
+        let backend =
+            CrosstermBackend::new(BufWriter::with_capacity(64 * 1024, Output(io::stdout())));
         let screen = ratatui::Terminal::new(backend).inspect_err(|_| give_back())?;
         Ok(Self { screen })
     }
@@ -116,6 +134,14 @@ pub fn give_back() {
     let _ = queue!(out, cursor::MoveTo(0, 998), terminal::LeaveAlternateScreen, cursor::Show);
     let _ = out.flush();
     let _ = terminal::disable_raw_mode();
+}
+
+/// Returns true if the other end of the terminal is closed, as after a lost connection.
+pub fn is_lost() -> bool {
+    let stdout = io::stdout();
+    // No events requested: poll(2) reports errors and hang-up only.
+    let mut watched = [PollFd::new(stdout.as_fd(), PollFlags::empty())];
+    poll(&mut watched, PollTimeout::ZERO).is_ok_and(|count| count > 0)
 }
 
 /// Makes a panic give the terminal back before it is reported.

@@ -5,8 +5,9 @@
 use super::config::{ConfigFolder, read_text};
 use super::file_watcher::FileWatcher;
 use super::session::Session;
+use super::stop::output_closed;
 use super::store::Store;
-use super::terminal::Terminal;
+use super::terminal::{self, Terminal};
 use crate::app::{Effect, Mouse, MouseKind};
 use crate::keymap::{Key, KeyCode};
 use crate::theme::{Colours, Theme};
@@ -14,10 +15,13 @@ use crossterm::event::{
     self, Event, EventStream, KeyEvent, KeyEventKind, KeyModifiers, MouseButton, MouseEventKind,
 };
 use futures_util::StreamExt;
-use std::future::pending;
+use std::future::{pending, poll_fn};
 use std::io;
+use std::sync::Arc;
+use std::task::Poll;
 use std::time::Duration;
 use tokio::signal::unix::{Signal, SignalKind, signal};
+use tokio::sync::Notify;
 use tokio::time::{Instant, sleep_until};
 
 const PACE: Duration = Duration::from_millis(33);
@@ -34,8 +38,16 @@ pub enum TuiExit {
     Hangup,
 }
 
-/// Runs the UI until it ends. The terminal is given back on every way out.
+/// Runs the UI until it ends. The terminal is restored on every way out. A closed terminal is
+/// [`TuiExit::Hangup`], not an error.
 pub async fn run(session: &mut Session, themes: &mut Themes) -> io::Result<TuiExit> {
+    match run_on_terminal(session, themes).await {
+        Err(_) if terminal::is_lost() => Ok(TuiExit::Hangup),
+        exit => exit,
+    }
+}
+
+async fn run_on_terminal(session: &mut Session, themes: &mut Themes) -> io::Result<TuiExit> {
     let mut signals = Signals::new()?;
     let mut terminal = Terminal::take()?;
     let mut input = EventStream::new();
@@ -77,7 +89,7 @@ pub async fn run(session: &mut Session, themes: &mut Themes) -> io::Result<TuiEx
                     resized(session, &terminal)?;
                 }
             },
-            event = input.next() => match event {
+            event = next_event(&mut input) => match event {
                 Some(Ok(event)) => {
                     pace = PACE_AFTER_KEY;
                     if matches!(event, Event::Resize(..)) {
@@ -101,6 +113,17 @@ pub async fn run(session: &mut Session, themes: &mut Themes) -> io::Result<TuiEx
             wake = session.next() => session.take(wake),
         }
     }
+}
+
+/// Returns the next input event, `None` once the terminal is closed: crossterm would then read
+/// end of file in an endless loop.
+async fn next_event(input: &mut EventStream) -> Option<io::Result<Event>> {
+    poll_fn(
+        |context| {
+            if terminal::is_lost() { Poll::Ready(None) } else { input.poll_next_unpin(context) }
+        },
+    )
+    .await
 }
 
 fn resized(session: &mut Session, terminal: &Terminal) -> io::Result<()> {
@@ -266,6 +289,8 @@ struct Signals {
     interrupt: Signal,
     hangup: Signal,
     stop: Signal,
+    /// Closed terminal. SIGHUP reports it to a session leader only.
+    lost: Arc<Notify>,
 }
 
 impl Signals {
@@ -275,6 +300,7 @@ impl Signals {
             interrupt: signal(SignalKind::interrupt())?,
             hangup: signal(SignalKind::hangup())?,
             stop: signal(SignalKind::from_raw(nix::libc::SIGTSTP))?,
+            lost: output_closed(),
         })
     }
 
@@ -283,6 +309,7 @@ impl Signals {
             _ = self.terminate.recv() => TuiWake::Terminate,
             _ = self.interrupt.recv() => TuiWake::Terminate,
             _ = self.hangup.recv() => TuiWake::Hangup,
+            () = self.lost.notified() => TuiWake::Hangup,
             _ = self.stop.recv() => TuiWake::Stop,
         }
     }

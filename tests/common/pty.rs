@@ -4,11 +4,19 @@
 
 #![allow(dead_code)]
 
+use nix::fcntl::OFlag;
+use nix::poll::{PollFd, PollFlags, poll};
+use nix::pty::{PtyMaster, grantpt, posix_openpt, ptsname_r, unlockpt};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use portable_pty::{Child, CommandBuilder, MasterPty, PtySize, native_pty_system};
+use rustix::termios::{Winsize, tcsetwinsize};
+use std::fs::File;
 use std::io::{Read, Write};
+use std::os::fd::AsFd;
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
+use std::process::Command;
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
@@ -200,5 +208,93 @@ fn settings(master: &dyn MasterPty) -> String {
 impl Drop for Pty {
     fn drop(&mut self) {
         let _ = self.child.kill();
+    }
+}
+
+/// The real binary in a pseudo-terminal whose only master is held here; closing it acts like a
+/// lost connection.
+pub struct ClosablePty {
+    child: std::process::Child,
+    master: Option<PtyMaster>,
+    parser: vt100::Parser,
+}
+
+impl ClosablePty {
+    /// Starts the program in `folder` on 120 × 40 cells. A session leader receives SIGHUP when the
+    /// terminal is closed; otherwise only reads and writes fail.
+    pub fn start(arguments: &[&str], folder: &Path, is_leader: bool) -> Self {
+        // Closed on exec: a child that inherits it would keep the terminal open.
+        let master = posix_openpt(OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_CLOEXEC).unwrap();
+        grantpt(&master).unwrap();
+        unlockpt(&master).unwrap();
+        let mut slave = File::options();
+        slave.read(true).write(true).custom_flags(OFlag::O_NOCTTY.bits());
+        let slave = slave.open(ptsname_r(&master).unwrap()).unwrap();
+        let size = Winsize { ws_row: 40, ws_col: 120, ws_xpixel: 0, ws_ypixel: 0 };
+        tcsetwinsize(&slave, size).unwrap();
+        let program = env!("CARGO_BIN_EXE_descan");
+        let mut command = Command::new(if is_leader { "setsid" } else { program });
+        if is_leader {
+            command.args(["--ctty", program]);
+        }
+        let child = command
+            .args(arguments)
+            .current_dir(folder)
+            .env("TERM", "xterm-256color")
+            .env("XDG_CONFIG_HOME", folder.join("config"))
+            .env("XDG_STATE_HOME", folder.join("state"))
+            .env("RUST_BACKTRACE", "0")
+            .env_remove("NO_COLOR")
+            .stdin(slave.try_clone().unwrap())
+            .stdout(slave.try_clone().unwrap())
+            .stderr(slave)
+            .spawn()
+            .expect("the program starts");
+        // Closes the remaining copies of the slave.
+        drop(command);
+        let parser = vt100::Parser::new(cells(40), cells(120), 0);
+        Self { child, master: Some(master), parser }
+    }
+
+    /// Types keys.
+    pub fn send(&mut self, keys: &str) {
+        let master = self.master.as_mut().expect("the terminal is open");
+        master.write_all(keys.as_bytes()).unwrap();
+    }
+
+    /// Waits until this text is on the screen.
+    pub fn wait_for(&mut self, text: &str) {
+        let deadline = Instant::now() + PATIENCE;
+        let master = self.master.as_mut().expect("the terminal is open");
+        let mut buffer = vec![0; 65_536];
+        while !self.parser.screen().contents().contains(text) {
+            let screen = self.parser.screen().contents();
+            assert!(Instant::now() < deadline, "no {text}; the screen is\n{screen}");
+            let mut watched = [PollFd::new(master.as_fd(), PollFlags::POLLIN)];
+            if poll(&mut watched, 1000_u16).unwrap() > 0 {
+                let count = master.read(&mut buffer).expect("the program writes");
+                self.parser.process(&buffer[..count]);
+            }
+        }
+    }
+
+    /// Closes the terminal and waits for the program to exit; returns the exit code.
+    pub fn close(&mut self) -> Option<i32> {
+        self.master = None;
+        let deadline = Instant::now() + PATIENCE;
+        loop {
+            if let Some(status) = self.child.try_wait().unwrap() {
+                return status.code();
+            }
+            assert!(Instant::now() < deadline, "the program does not exit");
+            let _ = poll(&mut [], 10_u16);
+        }
+    }
+}
+
+impl Drop for ClosablePty {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
     }
 }
