@@ -17,7 +17,7 @@
 //! * [`guide`]: the topics of `descan help` and the manual pages.
 //! * [`cli`], [`commands`]: what the command line asks for, done with a screen or without.
 
-// The print macros panic if standard output or error is closed; use `writeln!` and ignore its error.
+// Print macros panic if standard output or error is closed: use `writeln!`, ignore its error.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 pub mod app;

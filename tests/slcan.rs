@@ -653,6 +653,42 @@ fn the_adapters_port_never_becomes_our_terminal() {
     adapter.hear_until("C");
 }
 
+/// Processor time used by a process, in clock ticks.
+fn ticks(pid: u32) -> u64 {
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap();
+    let fields: Vec<&str> = stat.rsplit(") ").next().unwrap().split(' ').collect();
+    [fields[11], fields[12]].iter().map(|time| time.parse::<u64>().unwrap()).sum()
+}
+
+#[test]
+fn error_passive_adapter_without_acknowledge_costs_no_processor_time() {
+    let mut adapter = Adapter::new();
+    let program = Program::start(&["watch", &adapter.spec("@500000")]);
+    adapter.be_opened();
+    let mut was_sent = false;
+    // One flags request a second. Written frames are never acknowledged.
+    let mut respond_to_flags = |count| {
+        let mut left = count;
+        while left > 0 {
+            match adapter.hear().as_str() {
+                "F" => {
+                    adapter.say("F20\r");
+                    left -= 1;
+                }
+                line => was_sent |= line.starts_with('T'),
+            }
+        }
+        was_sent
+    };
+    assert!(respond_to_flags(3), "a frame waits for its acknowledgement");
+    let (ticks_before, before) = (ticks(program.0.id()), Instant::now());
+    respond_to_flags(3);
+    let used = ticks(program.0.id()) - ticks_before;
+    let per_second = nix::unistd::sysconf(nix::unistd::SysconfVar::CLK_TCK).unwrap().unwrap();
+    let passed = before.elapsed().as_secs_f64() * per_second as f64;
+    assert!(used as f64 * 5.0 < passed, "{used} of {passed:.0} ticks");
+}
+
 // --- python-can --------------------------------------------------------------------------------
 
 /// Sends one frame of each kind, then prints what it receives as JSON, a line each.

@@ -66,7 +66,8 @@ pub(in crate::bus) trait Protocol: Send + 'static {
     /// The first `total` bytes of what this stream was given are written.
     fn handle_written(&mut self, now: Instant, total: u64, exchange: &mut ProtocolIo);
 
-    /// Does what is due.
+    /// Does what is due. Afterwards the next deadline is later than `now`, or there is none, unless
+    /// the stream is to be closed: otherwise the thread would never wait.
     fn handle_timeout(&mut self, now: Instant, exchange: &mut ProtocolIo);
 
     /// When that is.
@@ -270,12 +271,15 @@ impl<E: Endpoint, D: Protocol> StreamWorker<E, D> {
                 self.line.wait(None, Some(NAP))?;
             } else {
                 let has_output = !self.exchange.output.is_empty();
-                self.line.wait_for_stream(stream.as_fd(), has_output, self.longest_wait())?;
+                self.line.wait_for_stream(stream.as_fd(), has_output, self.longest_wait(now))?;
             }
         }
     }
 
-    fn longest_wait(&self) -> Option<Duration> {
+    /// Returns the longest wait of the thread, after everything due until `now` is handled.
+    fn longest_wait(&self, now: Instant) -> Option<Duration> {
+        let due = self.dialogue.poll_timeout();
+        debug_assert!(due.is_none_or(|due| due > now), "due at {due:?}, handled until {now:?}");
         let due = self.dialogue.poll_timeout().map(|due| self.clock.until(due));
         let give_up = self.waiting.map(|(_, since)| SEND_WITHIN.saturating_sub(since.elapsed()));
         [due, give_up].into_iter().flatten().min()

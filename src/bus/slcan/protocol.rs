@@ -74,6 +74,8 @@ pub(super) struct Slcan {
     reopened: bool,
     /// It tells its controller's state by itself, and better than by flags.
     reports_state: bool,
+    /// Its controller is error-warning, error-passive or bus-off.
+    is_troubled: bool,
     takes_fd: bool,
     version: Option<String>,
     serial: Option<String>,
@@ -126,6 +128,7 @@ impl Slcan {
             responses: false,
             reopened: false,
             reports_state: false,
+            is_troubled: false,
             takes_fd: false,
             version: None,
             serial: None,
@@ -241,6 +244,7 @@ impl Slcan {
         self.own.set_confirmation(confirmation);
         let next = if self.responses { now } else { now + FLAGS_EVERY };
         self.flags = FlagPoll { wanted: true, next, ..FlagPoll::default() };
+        self.is_troubled = false;
         let status = &mut exchange.status;
         status.link = Link::Up;
         status.state = BusState::Unknown;
@@ -320,6 +324,7 @@ impl Slcan {
         if self.stage != SlcanStage::Open {
             return;
         }
+        self.is_troubled = !matches!(state, BusState::ErrorActive | BusState::Unknown);
         let status = &mut exchange.status;
         status.state = state;
         let what = match state {
@@ -405,6 +410,12 @@ impl Slcan {
         self.flags.next = now + if self.responses { FLAGS_EVERY } else { PROBE_EVERY };
     }
 
+    /// Returns true if no timeout applies to frames sent by descan: without an acknowledgement the
+    /// controller keeps them, so elapsed time does not show that they are on the bus.
+    fn holds_own(&self) -> bool {
+        self.is_troubled && self.own.confirmation() == Confirmation::Unknown
+    }
+
     fn count_own(&self, exchange: &mut ProtocolIo) {
         exchange.status.unconfirmed = self.own.in_flight();
     }
@@ -483,21 +494,18 @@ impl Protocol for Slcan {
             SlcanStage::Setting { command, until } if now >= until => {
                 self.set(now, Some(command), exchange);
             }
-            SlcanStage::Open => {
-                // A bus on which nobody acknowledges holds frames up, and is no reason to believe
-                // that they are on it.
-                let troubled =
-                    !matches!(exchange.status.state, BusState::ErrorActive | BusState::Unknown);
-                if !(troubled && self.own.confirmation() == Confirmation::Unknown) {
-                    let given_up = self.own.handle_timeout(now, &mut exchange.frames);
-                    exchange.status.transmit_failures += given_up;
-                    self.count_own(exchange);
-                }
-                if self.flags.wanted && now >= self.flags.next {
-                    self.ask_for_flags(now, exchange);
-                }
-            }
             _ => {}
+        }
+        // Also after the change to open above: the flags are due at once.
+        if self.stage == SlcanStage::Open {
+            if !self.holds_own() {
+                let given_up = self.own.handle_timeout(now, &mut exchange.frames);
+                exchange.status.transmit_failures += given_up;
+                self.count_own(exchange);
+            }
+            if self.flags.wanted && now >= self.flags.next {
+                self.ask_for_flags(now, exchange);
+            }
         }
     }
 
@@ -509,7 +517,8 @@ impl Protocol for Slcan {
             SlcanStage::Settling { until, .. } | SlcanStage::Setting { until, .. } => Some(until),
             SlcanStage::Open => {
                 let flags = self.flags.wanted.then_some(self.flags.next);
-                [flags, self.own.poll_timeout()].into_iter().flatten().min()
+                let own = self.own.poll_timeout().filter(|_| !self.holds_own());
+                [flags, own].into_iter().flatten().min()
             }
         }
     }
@@ -632,9 +641,14 @@ mod tests {
         /// Lets time pass, by the dialogue's own deadlines.
         fn pass(&mut self, until: u64) -> String {
             let mut said = String::new();
-            while let Some(due) = self.slcan.poll_timeout().filter(|due| *due <= at(until)) {
+            while self.exchange.broken.is_none()
+                && let Some(due) = self.slcan.poll_timeout().filter(|due| *due <= at(until))
+            {
                 self.slcan.handle_timeout(due, &mut self.exchange);
                 said += &self.said();
+                let next = self.slcan.poll_timeout();
+                let is_later = next.is_none_or(|next| next > due);
+                assert!(is_later || self.exchange.broken.is_some(), "{next:?} after {due:?}");
             }
             said
         }
@@ -723,6 +737,29 @@ mod tests {
         talk.hear(4, b"F00\r");
         assert_eq!(talk.pass(1_003), "F.");
         assert_eq!(talk.hear(1_005, b"\x07"), "C.V.");
+    }
+
+    #[test]
+    fn error_passive_without_acknowledge_has_only_the_flags_due() {
+        let mut talk = Talk::begin(SlcanSettings::default());
+        talk.hear(1, b"\r\r");
+        talk.pass(1);
+        talk.hear(2, b"\r");
+        talk.hear(3, b"\r");
+        talk.pass(3);
+        talk.hear(4, b"F20\r");
+        talk.slcan.send(at(10), &Frame::classic(1, &[]), &mut talk.exchange);
+        let end = talk.exchange.write(b"");
+        talk.slcan.handle_written(at(10), end, &mut talk.exchange);
+        talk.said();
+        assert_eq!(talk.pass(1_002), "");
+        assert_eq!(talk.slcan.poll_timeout(), Some(at(1_003)));
+        assert_eq!((talk.exchange.frames.len(), talk.exchange.status.unconfirmed), (0, 1));
+        // Error-active again: without acknowledgements the frame counts as sent.
+        assert_eq!(talk.pass(1_003), "F.");
+        talk.hear(1_004, b"F00\r");
+        talk.pass(1_004);
+        assert_eq!((talk.exchange.frames.len(), talk.exchange.status.unconfirmed), (1, 0));
     }
 
     #[test]

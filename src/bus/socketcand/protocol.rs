@@ -175,6 +175,8 @@ impl Protocol for Socketcand {
             // The one that came back was perhaps another's.
             exchange.status.transmit_failures += given_up;
             self.own.set_confirmation(Confirmation::Unknown);
+            // This may make further frames due.
+            self.own.handle_timeout(now, &mut exchange.frames);
         }
         self.count_own(exchange);
         let silence = now.since(self.heard);
@@ -268,6 +270,9 @@ mod tests {
             {
                 self.server.handle_timeout(due, &mut self.exchange);
                 said += &self.said();
+                let next = self.server.poll_timeout();
+                let is_later = next.is_none_or(|next| next > due);
+                assert!(is_later || self.exchange.broken.is_some(), "{next:?} after {due:?}");
             }
             said
         }
@@ -347,6 +352,23 @@ mod tests {
         talk.send(8_000, &frame);
         talk.pass(8_250);
         assert_eq!(talk.exchange.frames.len(), 4);
+    }
+
+    #[test]
+    fn frame_given_up_leaves_no_deadline_in_the_past() {
+        let mut talk = Talk::open();
+        let frame = Frame::classic(0x123, &[1]);
+        talk.send(100, &frame);
+        talk.hear(110, "< frame 00000123 1.0 01 >");
+        // The server returns no frames any more; the second frame is newer than the first.
+        talk.send(3_000, &frame);
+        talk.hear(4_000, "< echo >");
+        talk.send(5_000, &frame);
+        talk.hear(7_000, "< echo >");
+        talk.pass(8_000);
+        assert_eq!(talk.exchange.status.transmit_failures, 1);
+        assert_eq!(talk.exchange.frames.len(), 2);
+        assert!(talk.server.poll_timeout() > Some(at(8_000)));
     }
 
     #[test]
