@@ -117,7 +117,10 @@ Exit code: 0 no confirmed conflict, 1 one or more, 2 wrong usage, 3 bus or file 
 Examples:
   descan scan can0
   descan scan can0 --json | jq '.devices[].name'
-  descan scan file:session.log --json")]
+  descan scan file:session.log --json
+  descan scan file:session.log --from 60 --time 24 --write start.json
+                                 devices 84 s after the log's first frame, from the frames of
+                                 the 24 s before")]
 pub struct ScanArgs {
     /// The buses and how to treat them.
     #[command(flatten)]
@@ -128,9 +131,12 @@ pub struct ScanArgs {
     /// Write the devices found to a new FILE; never overwrites
     #[arg(long, value_name = "FILE")]
     pub write: Option<PathBuf>,
-    /// Stop after SECONDS at the latest
-    #[arg(long, value_name = "SECONDS", default_value = "15", value_parser = seconds, allow_negative_numbers = true)]
-    pub time: Duration,
+    /// Stop after SECONDS at the latest (log time for a log) [default: 15; for a log: its end]
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
+    pub time: Option<Duration>,
+    /// Start reading a log SECONDS after its first frame
+    #[arg(long, value_name = "SECONDS", value_parser = moment, allow_negative_numbers = true)]
+    pub from: Option<Duration>,
 }
 
 /// `descan check`.
@@ -156,9 +162,12 @@ pub struct CheckArgs {
     /// Wait until every entry has its device, at most --time
     #[arg(long)]
     pub wait_for_all: bool,
-    /// Stop after SECONDS at the latest
-    #[arg(long, value_name = "SECONDS", default_value = "15", value_parser = seconds, allow_negative_numbers = true)]
-    pub time: Duration,
+    /// Stop after SECONDS at the latest (log time for a log) [default: 15; for a log: its end]
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
+    pub time: Option<Duration>,
+    /// Start reading a log SECONDS after its first frame
+    #[arg(long, value_name = "SECONDS", value_parser = moment, allow_negative_numbers = true)]
+    pub from: Option<Duration>,
 }
 
 /// `descan watch`.
@@ -197,6 +206,9 @@ pub struct WatchArgs {
     /// Stop after SECONDS (log time for a log file)
     #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub time: Option<Duration>,
+    /// Start reading a log SECONDS after its first frame
+    #[arg(long, value_name = "SECONDS", value_parser = moment, allow_negative_numbers = true)]
+    pub from: Option<Duration>,
 }
 
 /// `descan speed`.
@@ -302,6 +314,15 @@ fn seconds(text: &str) -> Result<Duration, String> {
         .filter(|seconds: &f64| (0.001..=1e6).contains(seconds))
         .map(Duration::from_secs_f64)
         .ok_or_else(|| "a number of seconds, 0.001 to 1000000".to_owned())
+}
+
+/// `--from` in seconds: zero is allowed, and more than `--time`, as logs may be long.
+fn moment(text: &str) -> Result<Duration, String> {
+    text.parse()
+        .ok()
+        .filter(|seconds: &f64| (0.0..=1e9).contains(seconds))
+        .map(Duration::from_secs_f64)
+        .ok_or_else(|| "a number of seconds, 0 to 1000000000".to_owned())
 }
 
 fn speed(text: &str) -> Result<f64, String> {

@@ -135,6 +135,32 @@ fn another_name_than_listed_is_a_difference() {
     }
 }
 
+#[test]
+fn log_compared_with_its_own_start_shows_what_came_later() {
+    let scenario = bus().with(DeviceSpec::new("PUMP").fixed(44).power_on(Duration::from_secs(20)));
+    let folder = Folder::with(&scenario, None);
+    folder.write("session.log", &log(&scenario, 40));
+    let scan = Command::new(env!("CARGO_BIN_EXE_descan"))
+        .args(["scan", "file:session.log", "--time", "12", "--write", "start.json"])
+        .current_dir(folder.path())
+        .env("XDG_CONFIG_HOME", folder.path().join("config"))
+        .output()
+        .unwrap();
+    assert!(scan.status.success(), "{}", text(&scan.stderr));
+    assert_eq!(text(&scan.stderr), "start.json: 2 devices written\n");
+    let check = |options: &[&str]| {
+        let arguments = [&["file:session.log", "--file", "start.json"], options].concat();
+        let output = folder.check(&arguments);
+        (output.status.code(), text(&output.stdout))
+    };
+    let (code, said) = check(&[]);
+    assert_eq!(code, Some(1), "{said}");
+    assert!(said.contains("PUMP at 44 is not in the file"), "{said}");
+    let (code, said) = check(&["--time", "12"]);
+    assert_eq!(code, Some(0), "{said}");
+    assert!(said.contains("no difference"), "{said}");
+}
+
 /// Members of a JSON object have no order: whatever writes them may sort them.
 #[test]
 fn the_order_of_services_counts_in_a_list_only() {

@@ -111,6 +111,116 @@ fn a_log_is_scanned_by_its_own_clock() {
     assert_eq!(report["file"]["ok"], Value::Null, "there is no des.json");
 }
 
+/// A log of 40 s: heartbeats of node 12 until 20 s, of node 20 from 10 s on.
+fn log_with_two_shifts() -> String {
+    let mut lines = Vec::new();
+    for second in 0..=40 {
+        for (_, id) in [(0..=20, "07183C01"), (10..=40, "07283C01")]
+            .into_iter()
+            .filter(|(seconds, _)| seconds.contains(&second))
+        {
+            lines.push(format!("({}.5) can0 {id}#8AFA6C9724110400\n", 1_436_509_052 + second));
+        }
+    }
+    lines.concat()
+}
+
+/// The devices of `descan scan` on this log: address, presence, number of heartbeats.
+fn shifts(options: &[&str]) -> Vec<(u64, String, u64)> {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("session.log"), log_with_two_shifts()).unwrap();
+    let arguments = [&["scan", "file:session.log", "--json"], options].concat();
+    let output = descan(&arguments, folder.path());
+    assert_eq!(text(&output.stderr), "");
+    assert_eq!(output.status.code(), Some(0));
+    let report = json(&output);
+    let devices = report["devices"].as_array().unwrap().iter();
+    devices
+        .map(|device| {
+            let presence = device["presence"].as_str().unwrap().to_owned();
+            let beats = device["heartbeat"]["count"].as_u64().unwrap();
+            (device["address"].as_u64().unwrap(), presence, beats)
+        })
+        .collect()
+}
+
+#[test]
+fn log_scanned_with_time_is_judged_at_that_moment() {
+    let device = |address, presence: &str, beats| (address, presence.to_owned(), beats);
+    assert_eq!(shifts(&[]), [device(12, "lost", 21), device(20, "online", 31)]);
+    assert_eq!(shifts(&["--time", "5"]), [device(12, "online", 6)]);
+    assert_eq!(shifts(&["--time", "15"]), [device(12, "online", 16), device(20, "online", 6)]);
+    // The log is shorter.
+    assert_eq!(shifts(&["--time", "1000"]), shifts(&[]));
+}
+
+#[test]
+fn log_scanned_from_a_moment_has_nothing_from_before_it() {
+    let device = |address, presence: &str, beats| (address, presence.to_owned(), beats);
+    assert_eq!(shifts(&["--from", "25"]), [device(20, "online", 16)]);
+    // The time counts from the first frame that is read.
+    assert_eq!(shifts(&["--from", "4.5", "--time", "3"]), [device(12, "online", 4)]);
+    assert_eq!(shifts(&["--from", "0"]), shifts(&[]));
+}
+
+#[test]
+fn log_time_advances_between_distant_frames() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut lines = Vec::new();
+    for second in [0, 1, 2, 3, 4, 60] {
+        let id = if second == 60 { "07283C01" } else { "07183C01" };
+        lines.push(format!("({second}.0) can0 {id}#8AFA6C9724110400\n"));
+    }
+    std::fs::write(folder.path().join("session.log"), lines.concat()).unwrap();
+    let arguments = ["scan", "file:session.log", "--json", "--time", "20"];
+    let report = json(&descan(&arguments, folder.path()));
+    assert_eq!(report["devices"].as_array().unwrap().len(), 1);
+    assert_eq!(report["devices"][0]["presence"], "lost");
+}
+
+#[test]
+fn log_watched_from_a_moment_begins_there() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("session.log"), log_with_two_shifts()).unwrap();
+    for speed in [None, Some("100")] {
+        let mut arguments =
+            vec!["watch", "file:session.log", "--json", "--from", "25", "--time", "2"];
+        arguments.extend(speed.iter().flat_map(|speed| ["--speed", speed]));
+        let output = descan(&arguments, folder.path());
+        let told: Vec<Value> =
+            text(&output.stdout).lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+        let appeared = told.iter().filter(|it| it["event"] == "appeared");
+        let appeared: Vec<_> = appeared.map(|it| (it["time"].as_f64(), &it["address"])).collect();
+        assert_eq!(appeared, [(Some(1_436_509_077.5), &Value::from(20))]);
+        assert!(told.iter().all(|it| it["time"].as_f64() >= Some(1_436_509_077.5)), "{told:?}");
+        assert_eq!(output.status.code(), Some(0));
+    }
+}
+
+#[test]
+fn unusable_from_is_refused_with_remedy() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("session.log"), log_with_two_shifts()).unwrap();
+    std::fs::write(folder.path().join("des.json"), "[]").unwrap();
+    for command in ["scan", "check", "watch"] {
+        for (arguments, code, cause, way_out) in [
+            (&["sim:boiler", "--from", "5"][..], 2, "--from", "file:LOG"),
+            (&["nocan7", "--from", "5"], 2, "--from", "file:LOG"),
+            (&["file:session.log", "--from", "soon"], 2, "--from", "a number of seconds"),
+            (&["file:session.log", "--from", "-1"], 2, "--from", "a number of seconds"),
+            (&["file:session.log", "--time", "soon"], 2, "--time", "a number of seconds"),
+            (&["file:session.log", "--from", "100"], 3, "40.0 s", "--from"),
+        ] {
+            let output = descan(&[&[command], arguments].concat(), folder.path());
+            let stderr = text(&output.stderr);
+            assert_eq!(output.status.code(), Some(code), "{command} {arguments:?}: {stderr}");
+            assert!(stderr.contains(cause) && stderr.contains(way_out), "{stderr}");
+            assert_eq!(stderr.lines().count(), 1, "{stderr}");
+            assert_eq!(text(&output.stdout), "", "{command} {arguments:?}");
+        }
+    }
+}
+
 #[test]
 fn a_clock_that_was_set_meanwhile_takes_no_time() {
     let folder = tempfile::tempdir().unwrap();

@@ -4,7 +4,7 @@
 use super::headless::{self, Limits, RunOutcome, warn_tx_blocked};
 use super::open::{self, Setup};
 use super::report::{self, ScanReport};
-use super::scan::{is_settled, look};
+use super::scan::{DEFAULT_TIME, is_settled, look};
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, print};
 use crate::app::{App, AppOptions, Scope};
 use crate::cli::CheckArgs;
@@ -19,13 +19,15 @@ use std::io::{self, Write};
 pub fn run(check: &CheckArgs) -> Result<u8, Failure> {
     let buses = open::buses(&check.session)?;
     let setup = Setup::new(&check.session.common)?;
-    let log = open::log(&buses, "check")?;
+    let log = open::log(&buses, "check", check.from)?;
     let RunOutcome { app, now, ending } = if let Some(log) = log {
-        let all = (Some(LogPace::AtOnce), Limits { stuck: EXIT_INTERRUPTED, ..Limits::default() });
-        headless::recorded(log, &setup, AppOptions::default(), all, |app| has_file(app))?
+        let (time, from) = (check.time, check.from);
+        let limits = Limits { time, from, stuck: EXIT_INTERRUPTED, ..Limits::default() };
+        let read = (Some(LogPace::AtOnce), limits);
+        headless::recorded(log, &setup, AppOptions::default(), read, |app| has_file(app))?
     } else {
         let mut patience = FileGate::default();
-        look(&buses, &setup, check.time, |app, now| {
+        look(&buses, &setup, check.time.unwrap_or(DEFAULT_TIME), |app, now| {
             let usable = patience.allows(app, now)?;
             Ok(usable && (!check.wait_for_all || is_complete(app, now)))
         })?

@@ -8,7 +8,7 @@ use crate::bus::log::LogSummary;
 use crate::bus::{self, BusSpec};
 use crate::discovery::OwnAddress;
 use crate::frame::BusIndex;
-use crate::shell::log_session::{LogPace, LogSession};
+use crate::shell::log_session::{LogPace, LogRange, LogSession, LogWake, Read};
 use crate::shell::session::Session;
 use crate::shell::stop::{StopReason, StopWaiter};
 use crate::status::{BusState, Link, RecordingStatus};
@@ -28,6 +28,8 @@ const OPENING: Duration = Duration::from_secs(10);
 pub struct Limits {
     /// After so long; where lines of a log have their own times, by these.
     pub time: Option<Duration>,
+    /// Start of the part of a log that is read, after its first frame.
+    pub from: Option<Duration>,
     /// When standard output is closed.
     pub while_read: bool,
     /// The exit code where a signal ends it and it cannot finish: nobody reads its output.
@@ -94,9 +96,10 @@ pub fn recorded(
         let (real, own) =
             if pace == LogPace::Live { (limits.time, None) } else { (None, limits.time) };
         let mut endings = endings(limits, real)?;
+        let range = LogRange { from: limits.from.unwrap_or_default(), time: own };
         let with = (options, setup.config.clone());
         let mut recording =
-            LogSession::new(log, pace, own, with, &setup.file).context("no thread")?;
+            LogSession::new(log, pace, range, with, &setup.file).context("no thread")?;
         if let Some(recorder) = setup.recorder()? {
             recording.record(recorder);
         }
@@ -108,6 +111,9 @@ pub fn recorded(
                 wake = recording.next() => wake,
             };
             let wake = wake.map_err(unusable)?;
+            if let LogWake::Read(Read::End(tally)) = &wake {
+                needs_frames(spec, range, tally)?;
+            }
             if recording.take(wake, &mut turn)?.is_break() {
                 break None;
             }
@@ -216,6 +222,18 @@ pub fn warn_tx_blocked(app: &App, index: BusIndex) {
     {
         say(&why);
     }
+}
+
+/// A log that ends before `--from` is an error, not a log without devices.
+fn needs_frames(spec: &BusSpec, range: LogRange, tally: &LogSummary) -> Result<(), Failure> {
+    let last = tally.last.since(Instant::ZERO);
+    if range.from <= last || tally.frames == 0 {
+        return Ok(());
+    }
+    let (last, from) = (last.as_secs_f64(), range.from.as_secs_f64());
+    Err(Failure::Unusable(format!(
+        "{spec}: last frame {last:.1} s after the first; use a --from below {last:.1}, not {from}"
+    )))
 }
 
 /// Says which lines could not be read. Where that is all of them, it is no log.

@@ -18,6 +18,7 @@ use crate::wire::profile::Profile;
 use std::io::{self, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 /// Where des.json is when nothing is said.
 const DEFAULT_FILE: &str = "des.json";
@@ -157,8 +158,17 @@ pub fn clock(buses: &[BusSpec], speed: f64) -> Result<Clock, Failure> {
     Ok(Clock::replaying(epoch, speed))
 }
 
-/// The log among the buses, where there is one: then it is the only one.
-pub fn log<'b>(buses: &'b [BusSpec], command: &str) -> Result<Option<&'b BusSpec>, Failure> {
+/// The log among the buses, where there is one: then it is the only one. `from` needs a log.
+pub fn log<'b>(
+    buses: &'b [BusSpec],
+    command: &str,
+    from: Option<Duration>,
+) -> Result<Option<&'b BusSpec>, Failure> {
+    if from.is_some() && !buses.iter().any(is_log) {
+        return Err(Failure::Usage(format!(
+            "--from needs a log: leave it out, or name a log: descan {command} file:LOG"
+        )));
+    }
     match buses {
         [log] if is_log(log) => Ok(Some(log)),
         _ if buses.iter().any(is_log) => Err(Failure::Usage(format!(

@@ -40,13 +40,14 @@ pub fn run(scan: &ScanArgs) -> Result<u8, Failure> {
     }
     let buses = open::buses(&scan.session)?;
     let setup = Setup::new(&scan.session.common)?;
-    let RunOutcome { app, now, ending } = match open::log(&buses, "scan")? {
+    let RunOutcome { app, now, ending } = match open::log(&buses, "scan", scan.from)? {
         Some(log) => {
-            let all =
-                (Some(LogPace::AtOnce), Limits { stuck: EXIT_INTERRUPTED, ..Limits::default() });
-            headless::recorded(log, &setup, AppOptions::default(), all, |_| Ok(()))?
+            let (time, from) = (scan.time, scan.from);
+            let limits = Limits { time, from, stuck: EXIT_INTERRUPTED, ..Limits::default() };
+            let read = (Some(LogPace::AtOnce), limits);
+            headless::recorded(log, &setup, AppOptions::default(), read, |_| Ok(()))?
         }
-        None => look(&buses, &setup, scan.time, |_, _| Ok(true))?,
+        None => look(&buses, &setup, scan.time.unwrap_or(DEFAULT_TIME), |_, _| Ok(true))?,
     };
     if ending == Some(StopReason::Interrupted) {
         return Ok(EXIT_INTERRUPTED);
@@ -60,6 +61,9 @@ pub fn run(scan: &ScanArgs) -> Result<u8, Failure> {
     }
     Ok(if report.has_findings() { EXIT_FINDINGS } else { EXIT_OK })
 }
+
+/// `--time` of a live bus, unless given.
+pub const DEFAULT_TIME: Duration = Duration::from_secs(15);
 
 /// One enumeration of live buses, until everything is known and `enough` says so, at most for
 /// `time`.

@@ -41,9 +41,9 @@ pub fn run(watch: &WatchArgs) -> Result<u8, Failure> {
         event_filter: interest,
         ..AppOptions::default()
     };
-    let limits = Limits { time: watch.time, while_read: true, stuck: EXIT_OK };
+    let limits = Limits { time: watch.time, from: watch.from, while_read: true, stuck: EXIT_OK };
     let mut event_writer = EventWriter { json: watch.json, text: Vec::new() };
-    if let Some(log) = open::log(&buses, "watch")? {
+    if let Some(log) = open::log(&buses, "watch", watch.from)? {
         let pace = watch.session.speed.map(LogPace::Timed);
         headless::recorded(log, &setup, options, (pace, limits), |app| event_writer.tell(app))?;
     } else {

@@ -69,6 +69,15 @@ pub enum Read {
     End(LogSummary),
 }
 
+/// Part of a log that is read, in log time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LogRange {
+    /// Start, from the log's first frame; earlier frames are skipped.
+    pub from: Duration,
+    /// Length, from the first frame read; `None` reads to the end of the log.
+    pub time: Option<Duration>,
+}
+
 /// See the module's documentation.
 pub struct LogSession {
     /// All state, from the first line on.
@@ -86,25 +95,27 @@ pub struct LogSession {
     /// Frames that were taken and not recorded yet.
     unrecorded: Vec<Frame>,
     pace: LogPace,
+    range: LogRange,
+    /// Time of the first frame that is read.
+    start: Instant,
     until: Option<Instant>,
     /// A moment of ours, and of the log: where its clock is reckoned from.
     anchor: Option<(Monotonic, Instant)>,
 }
 
 impl LogSession {
-    /// Begins to read. `config` is that of every bus; `until` is where reading ends though the
-    /// log goes on, counted from its first line.
+    /// Begins to read. `config` is that of every bus.
     pub fn new(
         log: File,
         pace: LogPace,
-        until: Option<Duration>,
+        range: LogRange,
         (options, config): (AppOptions, Config),
         file: &Path,
     ) -> io::Result<Self> {
         let (sender, receiver) = channel(BATCHES);
         // It may wait for a line for ever: nobody waits for it.
         thread::Builder::new().name("log".into()).spawn(move || {
-            if let Err(error) = read(log, &sender) {
+            if let Err(error) = read(log, range.from, &sender) {
                 let _ = sender.blocking_send(Err(error));
             }
         })?;
@@ -121,7 +132,9 @@ impl LogSession {
             recorder: None,
             unrecorded: Vec::new(),
             pace,
-            until: until.map(|until| Instant::ZERO + until),
+            range,
+            start: Instant::ZERO,
+            until: None,
             anchor: None,
         })
     }
@@ -168,19 +181,19 @@ impl LogSession {
             LogWake::Due => {}
             LogWake::Read(Read::Frames { epoch, frames, interfaces }) => {
                 self.interfaces.extend(interfaces);
-                self.begin(epoch);
+                self.begin(epoch, frames.first().map_or(Instant::ZERO, |frame| frame.time));
                 let last = frames.last().map_or(Instant::ZERO, |frame| frame.time);
                 match self.pace {
                     LogPace::AtOnce => {}
                     LogPace::Timed(_) => {
-                        self.anchor.get_or_insert((Monotonic::now(), Instant::ZERO));
+                        self.anchor.get_or_insert((Monotonic::now(), self.start));
                     }
                     LogPace::Live => self.anchor = Some((Monotonic::now(), last)),
                 }
                 self.waiting.extend(frames);
             }
             LogWake::Read(Read::End(tally)) => {
-                self.begin(tally.epoch.unwrap_or_default());
+                self.begin(tally.epoch.unwrap_or_default(), tally.last);
                 self.tally = Some(tally);
                 let Some(app) = &mut self.app else { return Ok(ControlFlow::Break(())) };
                 // What is there is judged at the last frame.
@@ -224,9 +237,11 @@ impl LogSession {
         self.unrecorded.clear();
     }
 
-    /// The app is there from the first line on: before, nobody knows what time it is.
-    fn begin(&mut self, epoch: Epoch) {
+    /// Creates the app at `start`, the time of the first frame: before it, the time is unknown.
+    fn begin(&mut self, epoch: Epoch, start: Instant) {
         if self.app.is_none() {
+            self.start = start;
+            self.until = self.range.time.map(|time| start + time);
             self.app = Some(self.new_app(epoch));
         }
     }
@@ -236,12 +251,12 @@ impl LogSession {
         if let Some(recorder) = &self.recorder {
             recorder.set_epoch(epoch);
         }
-        let mut app = App::new(Instant::ZERO, options);
+        let mut app = App::new(self.start, options);
         let reading = self.store.read().map_err(|error| error.in_short());
         if self.pace == LogPace::Live {
             self.watch = Some(FileWatcher::spawn(self.store.clone(), reading.clone()));
         }
-        app.handle_file(Instant::ZERO, reading.into());
+        app.handle_file(self.start, reading.into());
         app
     }
 
@@ -300,6 +315,11 @@ impl LogSession {
                     }
                     turn(app)?;
                     return Ok(if is_over {
+                        // Presence is judged at this moment, whatever follows in the log.
+                        app.handle_timeout(until);
+                        for at in 0..app.buses().len() {
+                            link(app, until, at, Link::Ended);
+                        }
                         ControlFlow::Break(())
                     } else {
                         ControlFlow::Continue(())
@@ -339,8 +359,8 @@ fn pass_time(app: &mut App, now: Instant) {
     while app.poll_effect().is_some() {}
 }
 
-/// Reads the log and hands over what is there, before more of it is waited for.
-fn read(log: File, to: &Sender<io::Result<Read>>) -> io::Result<()> {
+/// Reads the log and hands over what is there from `from` on, before it waits for more.
+fn read(log: File, from: Duration, to: &Sender<io::Result<Read>>) -> io::Result<()> {
     let mut reader = LogReader::new(BufReader::with_capacity(1 << 16, log));
     let mut named = 0;
     while let Some(frame) = reader.next_frame()? {
@@ -349,6 +369,10 @@ fn read(log: File, to: &Sender<io::Result<Read>>) -> io::Result<()> {
             && let Some(frame) = reader.next_buffered()
         {
             frames.push(frame);
+        }
+        frames.retain(|frame| frame.time >= Instant::ZERO + from);
+        if frames.is_empty() {
+            continue;
         }
         let tally = reader.tally();
         let epoch = tally.epoch.unwrap_or_default();
