@@ -6,6 +6,7 @@
 //! * [`error_report`]: what a controller says of errors.
 //! * [`text`]: how bytes from outside are shown.
 //! * [`wire`]: what bytes on the bus mean.
+//! * [`finding`]: what is wrong, with its evidence; one table of all kinds.
 //! * [`discovery`]: the engine that finds devices and collisions on one bus.
 //! * [`sim`]: a simulated bus, timed to the bit, with devices on it.
 //! * [`status`]: how a bus is, in plain values; [`speed`]: the search for its bit rate.
@@ -28,6 +29,7 @@ pub mod commands;
 pub mod discovery;
 pub mod document;
 pub mod error_report;
+pub mod finding;
 pub mod frame;
 pub mod guide;
 pub mod keymap;

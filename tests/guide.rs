@@ -5,7 +5,7 @@ use descan::cli;
 use descan::document::Document;
 use descan::guide::markdown::{GuideBlock, plain};
 use descan::guide::render::{TextLayout, render};
-use descan::guide::tables::KINDS;
+use descan::finding::FindingKind;
 use descan::guide::{self, TOPICS, Topic};
 use descan::keymap::{ACTIONS, Keymap};
 use descan::sim::Scenario;
@@ -361,8 +361,8 @@ fn tables_of_the_code_are_complete() {
         assert!(keys.contains(&format!("`{}`", sign.trim())), "{sign}");
     }
     let findings = topic("findings").markdown();
-    let names: BTreeSet<&str> = KINDS.iter().map(|kind| kind.name()).collect();
-    assert_eq!(names.len(), KINDS.len(), "each kind once");
+    let names: BTreeSet<&str> = FindingKind::ALL.iter().map(|kind| kind.name()).collect();
+    assert_eq!(names.len(), FindingKind::ALL.len(), "each kind once");
     for name in names {
         assert!(findings.contains(&format!("| `{name}` |")), "{name}");
         assert!(findings.contains(&format!("### {name}\n")), "{name} has no section");

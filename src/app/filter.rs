@@ -20,7 +20,7 @@
 
 use super::App;
 use super::page::Page;
-use super::problem_groups::{Problem, headline};
+use super::problem_groups::Problem;
 use super::rows::{Row, RowState};
 use super::timeline;
 use super::traffic::Decoded;
@@ -280,7 +280,7 @@ impl Filter {
             |word: &str| problem.names().iter().any(|it| contains_word(&it.to_string(), word));
         let kind = |word: &str| {
             let is_of = |kind: FindingKind| {
-                contains_word(kind.name(), word) || contains_word(headline(kind), word)
+                contains_word(kind.name(), word) || contains_word(kind.headline(), word)
             };
             contains_word(&problem.headline(), word)
                 || problem.findings.iter().any(|finding| is_of(finding.key.kind))

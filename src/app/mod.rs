@@ -62,7 +62,7 @@ pub use matching::Matching;
 pub use missing_reason::spell;
 pub use navigate::{Mouse, MouseKind};
 pub use page::{Focus, Frozen, Page};
-pub use problem_groups::{EvidenceItem, Problem, ProblemKey, headline};
+pub use problem_groups::{EvidenceItem, Problem, ProblemKey};
 pub use problems::{Scope, same_services};
 pub use prompt::{InputCheck, Prompt, PromptKind};
 pub use redundancy::{Redundancy, RedundantDevice};

@@ -5,7 +5,7 @@
 //! count. What is found, and how sure that is, stays with the findings.
 
 use super::App;
-use crate::discovery::{Confidence, Finding, FindingKey, FindingKind};
+use crate::finding::{Confidence, Finding, FindingKey, Grouping};
 use crate::frame::{BusIndex, Frame};
 use crate::text::Name;
 use crate::time::Instant;
@@ -26,14 +26,7 @@ pub enum ProblemKey {
 impl ProblemKey {
     /// The problem that a finding belongs to.
     pub fn of(key: &FindingKey) -> Self {
-        let shared = match key.kind {
-            // It is about two addresses, and is put right at the boards.
-            FindingKind::OneUidTwoAddresses => false,
-            // Two devices that send different bytes break each other's frames: errors that follow
-            // one address are a way in which they show.
-            FindingKind::AddressContested | FindingKind::BusErrors => true,
-            kind => kind.is_conflict(),
-        };
+        let shared = key.kind.facts().grouping == Grouping::Address;
         match (key.bus, key.address) {
             (Some(bus), Some(address)) if shared => Self::Shared(bus, address),
             _ => Self::Finding(key.clone()),
@@ -183,11 +176,7 @@ impl<'a> Problem<'a> {
         if let (Some((line, _)), Some(part)) = (head.place, &head.key.part) {
             return format!("line {line}: {part}").into();
         }
-        match head.key.kind {
-            FindingKind::BusErrors if head.key.address.is_some() => "bus errors when it sends",
-            kind => headline(kind),
-        }
-        .into()
+        head.key.wording().headline.into()
     }
 
     /// The same with the address.
@@ -199,59 +188,16 @@ impl<'a> Problem<'a> {
 
     /// What is still to be seen before a suspicion is sure.
     pub fn confirmation_hint(&self) -> Option<&'static str> {
-        if self.confidence() != Confidence::Suspected {
-            return None;
-        }
-        Some(match self.head().key.kind {
-            FindingKind::AddressContested => {
-                "Stays suspected and clears by itself: one device gave up the address."
-            }
-            kind if kind.is_conflict() => {
-                "Confirmed after five heartbeat periods; a reboot or a board swap looks the same at first."
-            }
-            FindingKind::MalformedAnswer | FindingKind::NonConforming => {
-                "Seen once; confirmed when seen again."
-            }
-            FindingKind::BusErrors if self.head().key.address.is_some() => {
-                "Stays suspected: a faulty transceiver looks the same."
-            }
-            FindingKind::BusErrors => "Confirmed if more errors follow.",
-            FindingKind::StaticAddressTaken => "Confirmed when the device sends its name.",
-            _ => return None,
-        })
+        let is_suspected = self.confidence() == Confidence::Suspected;
+        self.head().key.wording().confirmation.filter(|_| is_suspected)
     }
 
     /// Where it stands in the list: open ones, then suspicions, then what is over, then what is
     /// muted; among these what matters most first.
     fn rank(&self) -> impl Ord + use<> {
         let head = self.head();
-        let weight = Reverse(head.key.kind.weight());
-        (self.is_muted, Reverse(head.confidence), weight, head.place, head.key.clone())
-    }
-}
-
-/// A kind of finding, in as few words as say it; the address and the names stand beside them.
-pub fn headline(kind: FindingKind) -> &'static str {
-    match kind {
-        FindingKind::SameNameSameAddress => "address conflict (same name)",
-        FindingKind::OneAddressTwoNames => "address conflict (different names)",
-        FindingKind::OneAddressTwoIdentities => "address conflict (alternating UIDs)",
-        FindingKind::OneUidTwoAddresses => "UID conflict",
-        FindingKind::StaticAddressTaken => "static address taken",
-        FindingKind::WrongAddress => "wrong address",
-        FindingKind::TwoDebugDevices => "two debug devices",
-        FindingKind::AddressContested => "address was contested",
-        FindingKind::FileDuplicateAddress => "duplicate static address in file",
-        FindingKind::FileDuplicateEntry => "duplicate entry in file",
-        FindingKind::FileShape => "invalid value in file",
-        FindingKind::Missing => "missing",
-        FindingKind::Unlisted => "not in the file",
-        FindingKind::NameDiffers => "name differs from file",
-        FindingKind::ServicesDiffer => "services differ from file",
-        FindingKind::NonConforming => "non-conforming identifiers",
-        FindingKind::MalformedAnswer => "malformed responses",
-        FindingKind::FramesLost => "frames lost",
-        FindingKind::BusErrors => "bus errors",
+        let severity = Reverse(head.key.kind.severity());
+        (self.is_muted, Reverse(head.confidence), severity, head.place, head.key.clone())
     }
 }
 
@@ -279,7 +225,7 @@ impl App {
         let mut problems: Vec<Problem> = Vec::with_capacity(groups.len());
         for (key, mut findings) in groups {
             findings.sort_by_key(|it| {
-                (Reverse(it.confidence), Reverse(it.key.kind.weight()), it.key.kind)
+                (Reverse(it.confidence), Reverse(it.key.kind.severity()), it.key.kind)
             });
             problems.push(Problem { is_muted: self.muted.contains(&key), key, findings });
         }

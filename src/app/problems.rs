@@ -5,8 +5,9 @@
 
 use super::App;
 use super::matching::{Matching, is_for};
-use crate::discovery::{Confidence, Device, Finding, FindingKey, FindingKind};
-use crate::document::{self, Document, Entry};
+use crate::discovery::Device;
+use crate::document::{self, Document, DocumentFindingKind, Entry};
+use crate::finding::{Confidence, Finding, FindingKey, FindingKind};
 use crate::frame::BusIndex;
 use crate::text::{Escaped, Name, Quoted};
 use crate::time::Instant;
@@ -101,6 +102,9 @@ impl App {
     }
 }
 
+/// Values of the placeholders in a remedy.
+type Values<'a> = &'a [(&'a str, &'a dyn std::fmt::Display)];
+
 struct Comparison<'a> {
     app: &'a App,
     now: Instant,
@@ -112,21 +116,23 @@ struct Comparison<'a> {
 impl Comparison<'_> {
     fn file_alone(&mut self, document: &Document) {
         for finding in document.findings() {
-            let (kind, remedy) = match finding.kind {
-                document::DocumentFindingKind::DuplicateAddress => {
-                    (FindingKind::FileDuplicateAddress, "Give one of them another address.")
-                }
-                document::DocumentFindingKind::DuplicateEntry => {
-                    (FindingKind::FileDuplicateEntry, "Delete one of them from the file.")
-                }
-                _ => (FindingKind::FileShape, "Correct it in the file."),
+            let kind = match finding.kind {
+                DocumentFindingKind::DuplicateAddress => FindingKind::FileDuplicateAddress,
+                DocumentFindingKind::DuplicateEntry => FindingKind::FileDuplicateEntry,
+                DocumentFindingKind::NotDevices
+                | DocumentFindingKind::NotAnEntry
+                | DocumentFindingKind::MissingName
+                | DocumentFindingKind::WrongType
+                | DocumentFindingKind::AddressRange
+                | DocumentFindingKind::NamesDiffer
+                | DocumentFindingKind::DuplicateMember => FindingKind::FileShape,
             };
             let entries = finding.entries.iter().filter_map(|&at| document.entries().get(at));
             let names: Vec<Name> = entries.clone().map(|entry| Name::new(&entry.name)).collect();
             let address = entries.clone().find_map(|entry| Address::new(entry.address?));
             let text = format!("{} ({})", finding.message, finding.position);
             let name = names.first().cloned();
-            self.add(kind, None, address, name, text, remedy.to_owned());
+            self.add(kind, None, address, name, text, &[]);
             if let Some(added) = self.found.last_mut() {
                 if kind == FindingKind::FileShape {
                     // One entry may have several.
@@ -165,13 +171,10 @@ impl Comparison<'_> {
                     "{name} is at address {}; the file pins it to {pinned}.",
                     device.address
                 );
-                let remedy = format!(
-                    "Move the device to {pinned}, or change the file to {}.",
-                    device.address
-                );
+                let values: Values = &[("static address", &pinned), ("address", &device.address)];
                 let bus = Some(device.id.bus);
                 let named = device.name.clone();
-                self.add(FindingKind::WrongAddress, bus, Some(device.address), named, text, remedy);
+                self.add(FindingKind::WrongAddress, bus, Some(device.address), named, text, values);
                 self.is_about(Some(entry.index));
             }
             self.name(entry, device);
@@ -196,10 +199,10 @@ impl Comparison<'_> {
                 format!("a device named {}", it.quoted())
             });
             let text = format!("Static address {pinned} of {name} is used by {who}.");
-            let remedy = format!("Pin {name} to another address, or move the other device.");
+            let values: Values = &[("name", &name)];
             let named = Some(Name::new(&entry.name));
             let bus = Some(BusIndex(index as u8));
-            self.add(FindingKind::StaticAddressTaken, bus, Some(pinned), named, text, remedy);
+            self.add(FindingKind::StaticAddressTaken, bus, Some(pinned), named, text, values);
             self.is_about(Some(entry.index));
             if let (Some(found), Some(name)) = (self.found.last_mut(), &other.name) {
                 found.add_name(name);
@@ -221,9 +224,9 @@ impl Comparison<'_> {
         let why = app.why_missing(entry);
         let (first, rest) = why.split_first().map_or(("", &[][..]), |(it, rest)| (it, rest));
         let text = format!("{}{at} is listed but not on the bus: {first}.", Quoted(&entry.name));
-        let remedy = rest.join("; ");
+        let values: Values = &[("further reasons", &rest.join("; "))];
         let name = Some(Name::new(&entry.name));
-        self.add(FindingKind::Missing, Some(bus), address, name, text, remedy);
+        self.add(FindingKind::Missing, Some(bus), address, name, text, values);
         self.is_about(Some(entry.index));
     }
 
@@ -233,10 +236,10 @@ impl Comparison<'_> {
         };
         let (listed, own, address) = (Quoted(&entry.name), own.quoted(), device.address);
         let text = format!("{listed} at {address} reports the name {own} (matched by UID).");
-        let remedy = format!("Rename the entry to {own}, or the device to {listed}.");
+        let values: Values = &[("reported name", &own), ("name", &listed)];
         let named = Some(Name::new(&entry.name));
         let bus = Some(device.id.bus);
-        self.add(FindingKind::NameDiffers, bus, Some(address), named, text, remedy);
+        self.add(FindingKind::NameDiffers, bus, Some(address), named, text, values);
         self.is_about(Some(entry.index));
     }
 
@@ -248,9 +251,8 @@ impl Comparison<'_> {
             device.address,
             differences(listed, own)
         );
-        let remedy = "Add them to the file, or check the firmware.".to_owned();
         let (bus, name) = (Some(device.id.bus), device.name.clone());
-        self.add(FindingKind::ServicesDiffer, bus, Some(device.address), name, text, remedy);
+        self.add(FindingKind::ServicesDiffer, bus, Some(device.address), name, text, &[]);
     }
 
     fn unlisted(&mut self) {
@@ -269,9 +271,8 @@ impl Comparison<'_> {
                     .as_ref()
                     .map_or("An unnamed device".to_owned(), ToString::to_string);
                 let text = format!("{who} at {} is not in the file.", device.address);
-                let remedy = "Add it to the file, or remove it from the bus.".to_owned();
                 let (bus, name) = (Some(device.id.bus), device.name.clone());
-                self.add(FindingKind::Unlisted, bus, Some(device.address), name, text, remedy);
+                self.add(FindingKind::Unlisted, bus, Some(device.address), name, text, &[]);
             }
         }
     }
@@ -297,10 +298,11 @@ impl Comparison<'_> {
         address: Option<Address>,
         name: Option<Name>,
         text: String,
-        remedy: String,
+        values: Values,
     ) {
-        let mut finding =
-            Finding::new(FindingKey { kind, bus, address, name, part: None }, self.now);
+        let key = FindingKey { kind, bus, address, name, part: None };
+        let remedy = key.wording().remedy_with(values);
+        let mut finding = Finding::new(key, self.now);
         finding.confidence = Confidence::Confirmed;
         finding.text = text;
         finding.remedy = remedy;

@@ -8,7 +8,7 @@ use super::scan::{DEFAULT_TIME, is_settled, look};
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, print};
 use crate::app::{App, AppOptions, Scope};
 use crate::cli::CheckArgs;
-use crate::discovery::{Confidence, Finding, FindingKind};
+use crate::finding::{CheckSection, Confidence, Finding, FindingKind};
 use crate::shell::log_session::LogPace;
 use crate::shell::stop::StopReason;
 use crate::time::Instant;
@@ -106,34 +106,6 @@ fn is_complete(app: &App, now: Instant) -> bool {
     !missing && !unknown
 }
 
-/// What the kinds of differences are called, the gravest first.
-const GROUPS: [(&str, &[FindingKind]); 8] = [
-    (
-        "conflicts",
-        &[
-            FindingKind::SameNameSameAddress,
-            FindingKind::OneAddressTwoNames,
-            FindingKind::OneAddressTwoIdentities,
-            FindingKind::OneUidTwoAddresses,
-            FindingKind::TwoDebugDevices,
-        ],
-    ),
-    ("missing", &[FindingKind::Missing]),
-    ("wrong address", &[FindingKind::WrongAddress]),
-    ("static address taken", &[FindingKind::StaticAddressTaken]),
-    ("not in file", &[FindingKind::Unlisted]),
-    ("name differs", &[FindingKind::NameDiffers]),
-    ("services differ", &[FindingKind::ServicesDiffer]),
-    (
-        "file errors",
-        &[
-            FindingKind::FileDuplicateAddress,
-            FindingKind::FileDuplicateEntry,
-            FindingKind::FileShape,
-        ],
-    ),
-];
-
 /// For people: a line for each difference, in groups, and a summary.
 fn differences(app: &App, now: Instant) -> String {
     let compared = app.compare(now, Scope::Check);
@@ -142,8 +114,10 @@ fn differences(app: &App, now: Instant) -> String {
         engines.chain(&compared).filter(|it| it.confidence == Confidence::Confirmed).collect();
     let mut text = String::new();
     let mut sums = Vec::new();
-    for (title, kinds) in GROUPS {
-        let mut group: Vec<_> = found.iter().filter(|it| kinds.contains(&it.key.kind)).collect();
+    for section in CheckSection::ALL {
+        let title = section.title();
+        let is_in = |it: &&&Finding| it.key.kind.check_section() == Some(section);
+        let mut group: Vec<_> = found.iter().filter(is_in).collect();
         if group.is_empty() {
             continue;
         }

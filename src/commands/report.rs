@@ -4,9 +4,8 @@
 
 use crate::app::{App, Bus, Redundancy, RedundantDevice, Scope};
 use crate::bitrate::kbit;
-use crate::discovery::{
-    Confidence, Device, DeviceService, Evidence, Finding, FindingKind, OwnAddress,
-};
+use crate::discovery::{Device, DeviceService, OwnAddress};
+use crate::finding::{Confidence, CountsFor, Evidence, Finding};
 use crate::frame::Frame;
 use crate::status::Link;
 use crate::text::Name;
@@ -162,8 +161,8 @@ impl ScanReport {
         // By time, and of what was seen at one moment what matters most first.
         findings.sort_by_key(|finding| {
             let confidence = Reverse(finding.confidence);
-            let weight = Reverse(finding.key.kind.weight());
-            (finding.first, confidence, weight, finding.key.clone())
+            let severity = Reverse(finding.key.kind.severity());
+            (finding.first, confidence, severity, finding.key.clone())
         });
         let findings = findings.iter().map(|it| of_finding(app, epoch, it, scope)).collect();
         Self {
@@ -429,25 +428,12 @@ pub(super) fn of_finding(
         text: finding.text.clone(),
         remedy: finding.remedy.clone(),
         counts: finding.confidence == Confidence::Confirmed
-            && (finding.key.kind.is_conflict()
-                || scope == Scope::Check && is_difference(finding.key.kind)),
+            && match finding.key.kind.facts().counts {
+                CountsFor::ScanAndCheck => true,
+                CountsFor::Check(_) => scope == Scope::Check,
+                CountsFor::Nothing => false,
+            },
     }
-}
-
-/// Whether bus and file differ, or the file from itself.
-fn is_difference(kind: FindingKind) -> bool {
-    matches!(
-        kind,
-        FindingKind::Missing
-            | FindingKind::Unlisted
-            | FindingKind::WrongAddress
-            | FindingKind::StaticAddressTaken
-            | FindingKind::NameDiffers
-            | FindingKind::ServicesDiffer
-            | FindingKind::FileDuplicateAddress
-            | FindingKind::FileDuplicateEntry
-            | FindingKind::FileShape
-    )
 }
 
 fn of_evidence(epoch: Epoch, piece: &Evidence) -> EvidenceReport {

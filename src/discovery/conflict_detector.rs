@@ -11,9 +11,9 @@ use super::address_history::{
     AddressHistory, Alternation, HeartbeatPattern, PAIR_WINDOW, QueryParties,
 };
 use super::duplicate_frames::DuplicateFrameDetector;
-use super::finding::FindingKind;
 use super::finding_text;
 use super::finding_tracker::{EvidenceStrength, FindingTracker};
+use crate::finding::FindingKind;
 use crate::frame::{BusIndex, Frame};
 use crate::text::{Escaped, Name};
 use crate::time::{Duration, Instant};

@@ -1,7 +1,7 @@
 //! What happened on a bus, as it happened: the timeline's and `watch`'s raw material.
 
 use super::device::{DeviceId, Presence};
-use super::finding::{Confidence, FindingKey};
+use crate::finding::{Confidence, FindingKey};
 use crate::text::Name;
 use crate::time::Instant;
 use crate::wire::id::Address;

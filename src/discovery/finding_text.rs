@@ -1,87 +1,87 @@
-//! What findings say to people: what is wrong, in a sentence, and what to do about it.
+//! Text and remedy of the findings that the engine raises. Input: a finding with its evidence;
+//! output: one sentence each.
 //!
-//! Names no keys and no commands: `scan` prints these words as the screen shows them.
+//! Names no keys and no commands, because `scan` prints the same text as the screen. Remedies that
+//! do not depend on the cause stand in the table of [`FindingKind`].
 
 use super::errors::{BusErrorSummary, Cause};
-use super::finding::{Finding, FindingKind};
 use crate::error_report::Violation;
+use crate::finding::{Finding, FindingKind};
 use crate::text::Name;
 use crate::wire::id::Address;
 
-/// What a frame of somebody else from our own address shows.
+/// Description of the evidence for another node at descan's own address.
 pub(super) const NOT_SENT_BY_DESCAN: &str = "frame from address 0 not sent by descan";
 
-/// Words a finding of the engine anew, after its evidence changed.
+/// Sets text and remedy of a finding of the engine, after its evidence changed. Bus errors have
+/// [`bus_errors`] and [`describe_errors_at`] instead; findings about des.json are worded where they are made.
 pub(super) fn describe(finding: &mut Finding) {
-    let who =
+    let device =
         finding.key.address.map_or(String::new(), |address| device_label(address, &finding.names));
     let address = finding.key.address.map_or(0, Address::number);
     let list = finding.addresses.iter().map(ToString::to_string).collect::<Vec<_>>().join(" and ");
-    let called = |name: &Name| name.quoted().to_string();
-    let names = finding.names.iter().map(called).collect::<Vec<_>>().join(" and ");
-    let (text, remedy) = match finding.key.kind {
-        FindingKind::SameNameSameAddress => (
-            if finding.names.is_empty() {
-                format!("Two indistinguishable devices use address {address}.")
-            } else {
-                format!("Two devices answer as {who}.")
-            },
-            format!(
-                "Give one of them another address: switch one off, then move or pin the other away from {address}."
-            ),
-        ),
-        FindingKind::OneAddressTwoNames => (
-            match finding.names.as_slice() {
-                [] | [_] => format!(
-                    "Two devices share address {address}: {who} and a device with another name respond."
-                ),
-                _ => format!("Two devices share address {address}: {names} both respond."),
-            },
-            "Switch one of them off, then give it a free address.".to_owned(),
-        ),
-        FindingKind::OneAddressTwoIdentities => (
-            format!("Two devices share address {address}: heartbeats alternate between two UIDs."),
-            "Switch one of them off, then give it a free address.".to_owned(),
-        ),
-        FindingKind::OneUidTwoAddresses => (
-            format!("Addresses {list} send heartbeats with the same DEV_CFG_UID (must be unique per bus)."),
-            "Give one of the two boards its own UID.".to_owned(),
-        ),
-        FindingKind::TwoDebugDevices if !concerns_own_address(finding) => (
-            "Two debug devices use address 0: heartbeats alternate between two UIDs.".to_owned(),
-            "Quit one of the two tools, or give it another address.".to_owned(),
-        ),
-        FindingKind::TwoDebugDevices => (
-            "Another debug device uses address 0, too.".to_owned(),
-            "No action needed: descan moves to another address. Or quit the other tool.".to_owned(),
-        ),
-        FindingKind::AddressContested => (
-            format!("Two devices claimed address {address}; one gave it up."),
-            "Pin addresses in des.json and in the devices to avoid contention at startup.".to_owned(),
-        ),
-        FindingKind::NonConforming => (
-            format!("{who} sends identifiers with an unknown message type."),
-            "Check its firmware's identifiers against section 4.3; another protocol on this bus looks the same.".to_owned(),
-        ),
-        FindingKind::MalformedAnswer => {
-            (finding.text.clone(), "Check how its firmware builds DES responses.".to_owned())
+    let quoted = |name: &Name| name.quoted().to_string();
+    let names = finding.names.iter().map(quoted).collect::<Vec<_>>().join(" and ");
+    let concerns_own_address = concerns_own_address(finding);
+    finding.text = match finding.key.kind {
+        FindingKind::SameNameSameAddress if finding.names.is_empty() => {
+            format!("Two indistinguishable devices use address {address}.")
         }
-        FindingKind::FramesLost => (
-            format!("{} frames lost before reading: a device shown as missing may be present.", finding.count),
-            "Reduce the load on this machine, or filter fewer identifiers.".to_owned(),
+        FindingKind::SameNameSameAddress => format!("Two devices answer as {device}."),
+        FindingKind::OneAddressTwoNames => match finding.names.as_slice() {
+            [] | [_] => format!(
+                "Two devices share address {address}: {device} and a device with another name respond."
+            ),
+            _ => format!("Two devices share address {address}: {names} both respond."),
+        },
+        FindingKind::OneAddressTwoIdentities => {
+            format!("Two devices share address {address}: heartbeats alternate between two UIDs.")
+        }
+        FindingKind::OneUidTwoAddresses => format!(
+            "Addresses {list} send heartbeats with the same DEV_CFG_UID (must be unique per bus)."
         ),
-        _ => return,
+        FindingKind::TwoDebugDevices if concerns_own_address => {
+            "Another debug device uses address 0, too.".to_owned()
+        }
+        FindingKind::TwoDebugDevices => {
+            "Two debug devices use address 0: heartbeats alternate between two UIDs.".to_owned()
+        }
+        FindingKind::AddressContested => {
+            format!("Two devices claimed address {address}; one gave it up.")
+        }
+        FindingKind::NonConforming => {
+            format!("{device} sends identifiers with an unknown message type.")
+        }
+        // The detector writes the text, which has the fault in it.
+        FindingKind::MalformedAnswer => std::mem::take(&mut finding.text),
+        FindingKind::FramesLost => format!(
+            "{} frames lost before reading: a device shown as missing may be present.",
+            finding.count
+        ),
+        FindingKind::BusErrors
+        | FindingKind::StaticAddressTaken
+        | FindingKind::WrongAddress
+        | FindingKind::FileDuplicateAddress
+        | FindingKind::FileDuplicateEntry
+        | FindingKind::FileShape
+        | FindingKind::Missing
+        | FindingKind::Unlisted
+        | FindingKind::NameDiffers
+        | FindingKind::ServicesDiffer => return,
     };
-    finding.text = text;
-    finding.remedy = remedy;
+    finding.remedy = if finding.key.kind == FindingKind::TwoDebugDevices && concerns_own_address {
+        "No action needed: descan moves to another address. Or quit the other tool.".to_owned()
+    } else {
+        finding.key.wording().remedy_with(&[("address", &address)])
+    };
 }
 
-/// Whether it came up because of an address that was ours.
+/// Returns true if the finding is about descan's own address.
 fn concerns_own_address(finding: &Finding) -> bool {
-    finding.evidence.iter().any(|piece| piece.what == NOT_SENT_BY_DESCAN)
+    finding.evidence.iter().any(|evidence| evidence.what == NOT_SENT_BY_DESCAN)
 }
 
-/// What is wrong with a bus on which frames break, and what to do about it.
+/// Returns text and remedy of bus errors that concern the bus as a whole.
 pub(super) fn bus_errors(summary: &BusErrorSummary) -> (String, String) {
     let rate = match summary.rate {
         rate if rate < 9.95 => format!("{rate:.1}"),
@@ -117,28 +117,25 @@ pub(super) fn bus_errors(summary: &BusErrorSummary) -> (String, String) {
             };
             (
                 format!("Bus errors: {rate}/s, {share} of all frames{how}."),
-                "Check the bit rate of every device, both 120 Ω terminators, and the wiring; two devices at one address cause errors too.",
+                FindingKind::BusErrors.facts().wording.remedy,
             )
         }
     };
     (text, remedy.to_owned())
 }
 
-/// What is wrong at an address whose frames break, and what to do about it.
-pub(super) fn errors_at(address: Address, names: &[Name], heartbeat: bool) -> (String, String) {
-    let who = device_label(address, names);
+/// Sets text and remedy of bus errors when `address` sends: its heartbeat, if `heartbeat`, else its
+/// responses.
+pub(super) fn describe_errors_at(finding: &mut Finding, address: Address, heartbeat: bool) {
+    let device = device_label(address, &finding.names);
     let what = if heartbeat { "should send its heartbeat" } else { "should respond" };
-    (
-        format!(
-            "Bus errors occur when {who} {what}: two devices at that address, or a faulty transceiver."
-        ),
-        format!(
-            "Switch it off: if {address} still responds, give that device another address. Otherwise check its transceiver and wiring."
-        ),
-    )
+    finding.text = format!(
+        "Bus errors occur when {device} {what}: two devices at that address, or a faulty transceiver."
+    );
+    finding.remedy = finding.key.wording().remedy_with(&[("address", &address)]);
 }
 
-/// "FEED at address 12", or "the device at address 12".
+/// Returns "FEED at address 12", or "the device at address 12" without a name.
 pub(super) fn device_label(address: Address, names: &[Name]) -> String {
     match names.first() {
         Some(name) => format!("{} at address {address}", name.quoted()),

@@ -7,8 +7,8 @@
 //!
 //! Does not know what is evidence: [`super::conflict_detector`] does.
 
-use super::finding::{Confidence, Evidence, Finding, FindingKey, FindingKind};
 use super::finding_text;
+use crate::finding::{Confidence, Evidence, Finding, FindingKey, FindingKind};
 use crate::frame::{BusIndex, Frame};
 use crate::text::Name;
 use crate::time::{Duration, Instant};

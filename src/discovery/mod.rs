@@ -33,7 +33,6 @@ mod device_table;
 mod duplicate_frames;
 mod errors;
 mod event;
-mod finding;
 mod finding_text;
 mod finding_tracker;
 mod heartbeats;
@@ -47,13 +46,13 @@ mod resolution;
 mod rounds;
 mod transfers;
 
+pub use crate::finding::{Confidence, Evidence, Finding, FindingKey, FindingKind};
 pub use config::Config;
 pub use device::{
     Device, DeviceId, DeviceService, HeartbeatStats, ModeChange, Presence, Query, QueryFault,
     QueryState, Quirk,
 };
 pub use event::{ConflictParty, Event, EventKind};
-pub use finding::{Confidence, Evidence, Finding, FindingKey, FindingKind};
 
 use crate::frame::{Frame, FrameKind};
 use crate::time::{Duration, Instant};

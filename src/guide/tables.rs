@@ -1,8 +1,8 @@
 //! The tables of the guide that are made from the code: keys, symbols, findings, filter fields,
 //! theme roles. A line `<!-- table: keys -->` in a topic stands for one. Output: Markdown.
 
-use crate::app::{FILTER_FIELDS, FILTER_WORDS, headline};
-use crate::discovery::FindingKind;
+use crate::app::{FILTER_FIELDS, FILTER_WORDS};
+use crate::finding::FindingKind;
 use crate::keymap::{ACTIONS, ActionGroup};
 use crate::theme::Role;
 use crate::ui::SIGNS;
@@ -58,63 +58,19 @@ fn symbols() -> String {
     out
 }
 
-/// All kinds of findings, as the page of problems weighs them.
-pub const KINDS: [FindingKind; 19] = [
-    FindingKind::SameNameSameAddress,
-    FindingKind::OneAddressTwoNames,
-    FindingKind::OneAddressTwoIdentities,
-    FindingKind::OneUidTwoAddresses,
-    FindingKind::TwoDebugDevices,
-    FindingKind::BusErrors,
-    FindingKind::FramesLost,
-    FindingKind::StaticAddressTaken,
-    FindingKind::WrongAddress,
-    FindingKind::AddressContested,
-    FindingKind::Missing,
-    FindingKind::FileDuplicateAddress,
-    FindingKind::FileDuplicateEntry,
-    FindingKind::FileShape,
-    FindingKind::NameDiffers,
-    FindingKind::ServicesDiffer,
-    FindingKind::MalformedAnswer,
-    FindingKind::NonConforming,
-    FindingKind::Unlisted,
-];
-
-/// Returns true if a confirmed finding of this kind is a difference for `descan check`.
-const fn counts_for_check(kind: FindingKind) -> bool {
-    match kind {
-        FindingKind::SameNameSameAddress
-        | FindingKind::OneAddressTwoNames
-        | FindingKind::OneAddressTwoIdentities
-        | FindingKind::OneUidTwoAddresses
-        | FindingKind::TwoDebugDevices
-        | FindingKind::StaticAddressTaken
-        | FindingKind::WrongAddress
-        | FindingKind::Missing
-        | FindingKind::Unlisted
-        | FindingKind::NameDiffers
-        | FindingKind::ServicesDiffer
-        | FindingKind::FileDuplicateAddress
-        | FindingKind::FileDuplicateEntry
-        | FindingKind::FileShape => true,
-        FindingKind::AddressContested
-        | FindingKind::NonConforming
-        | FindingKind::MalformedAnswer
-        | FindingKind::FramesLost
-        | FindingKind::BusErrors => false,
-    }
-}
-
+/// All kinds of findings, the most severe first.
 fn findings() -> String {
     let mut out = String::from("| kind | on the screen | counts for |\n|---|---|---|\n");
-    for kind in KINDS {
-        let counts = match (kind.is_conflict(), counts_for_check(kind)) {
+    let mut kinds = FindingKind::ALL.to_vec();
+    kinds.sort_by_key(|kind| std::cmp::Reverse(kind.severity()));
+    for kind in kinds {
+        let counts = match (kind.is_conflict(), kind.check_section()) {
             (true, _) => "`scan`, `check`",
-            (false, true) => "`check`",
-            (false, false) => "",
+            (false, Some(_)) => "`check`",
+            (false, None) => "",
         };
-        let _ = writeln!(out, "| {} | {} | {counts} |", code(kind.name()), escape(headline(kind)));
+        let (name, headline) = (code(kind.name()), escape(kind.headline()));
+        let _ = writeln!(out, "| {name} | {headline} | {counts} |");
     }
     out
 }

@@ -32,8 +32,8 @@ mod window;
 
 pub(super) use rate::{BusErrorSummary, Cause};
 
-use super::finding::Evidence;
 use crate::error_report::ErrorReport;
+use crate::finding::Evidence;
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
 use crate::wire::des::Request;

@@ -9,8 +9,8 @@
 //! * *Cleared*: none for ten seconds, thirty where it was confirmed. Bus-off: once the
 //!   controller takes part again.
 
-use super::super::finding::Confidence;
 use crate::error_report::{ErrorReport, Violation};
+use crate::finding::Confidence;
 use crate::time::{Duration, Instant};
 use std::collections::VecDeque;
 

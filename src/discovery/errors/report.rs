@@ -3,10 +3,10 @@
 
 use super::super::conflict_detector::ConflictDetector;
 use super::super::device_table::DeviceTable;
-use super::super::finding::{Confidence, Evidence};
 use super::super::{Engine, Presence, finding_text};
 use super::{Due, SuspectOutcome, WORDS};
 use crate::error_report::ErrorReport;
+use crate::finding::{Confidence, Evidence};
 use crate::frame::Frame;
 use crate::text::Name;
 use crate::time::{Duration, Instant};
@@ -120,8 +120,7 @@ impl Engine {
             for piece in evidence {
                 finding.add(piece);
             }
-            (finding.text, finding.remedy) =
-                finding_text::errors_at(address, &finding.names, due == Due::Heartbeat);
+            finding_text::describe_errors_at(finding, address, due == Due::Heartbeat);
         }
     }
 

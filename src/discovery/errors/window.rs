@@ -1,7 +1,7 @@
 //! The time in which an address is expected to send, and what broke in it.
 
-use super::super::finding::Evidence;
 use super::Due;
+use crate::finding::Evidence;
 use crate::frame::Frame;
 use crate::time::Instant;
 use crate::wire::id::Address;

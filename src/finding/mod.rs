@@ -1,0 +1,162 @@
+//! Findings: what is wrong on a bus or in des.json, how certain that is, and the frames that prove
+//! it. [`FindingKind`] lists every kind with its facts in one table.
+//!
+//! Plain values. Does not know how evidence is collected (`discovery`) nor how des.json is compared
+//! with the bus (`app`).
+
+mod kind;
+
+pub use kind::{CheckSection, CountsFor, FindingFacts, FindingKind, Grouping, Wording};
+
+use crate::frame::{BusIndex, Frame};
+use crate::text::Name;
+use crate::time::Instant;
+use crate::wire::id::Address;
+use std::borrow::Cow;
+use std::collections::VecDeque;
+use std::fmt;
+use std::sync::Arc;
+
+/// State of a finding.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Confidence {
+    /// The cause is gone, or no more evidence was seen.
+    Cleared,
+    /// There is evidence, but a harmless cause is possible.
+    Suspected,
+    /// There is evidence that a harmless cause does not explain.
+    Confirmed,
+}
+
+impl Confidence {
+    /// Returns the name in JSON.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Cleared => "cleared",
+            Self::Suspected => "suspected",
+            Self::Confirmed => "confirmed",
+        }
+    }
+}
+
+impl fmt::Display for Confidence {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+/// One observation that supports a finding.
+#[derive(Clone, Debug)]
+pub struct Evidence {
+    /// Time of the observation.
+    pub time: Instant,
+    /// Description, for the screen and for JSON.
+    pub what: Cow<'static, str>,
+    /// Frame observed; `None` where there is none, as for lost frames.
+    pub frame: Option<Frame>,
+}
+
+/// Identity of a finding: one of a kind for one address (or pair of addresses) on one bus.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct FindingKey {
+    /// Kind of the finding.
+    pub kind: FindingKind,
+    /// Bus concerned; `None` where the finding is about des.json alone.
+    pub bus: Option<BusIndex>,
+    /// Address concerned, the lowest of several; `None` where no address is known.
+    pub address: Option<Address>,
+    /// Name concerned, where several names can have a finding of this kind at one address.
+    pub name: Option<Name>,
+    /// Fault in des.json in few words, where one entry can have several.
+    pub part: Option<Arc<str>>,
+}
+
+impl FindingKey {
+    /// Creates the key of a finding that is the only one of its kind at an address, or on a bus
+    /// where `address` is `None`.
+    pub const fn at(kind: FindingKind, bus: BusIndex, address: Option<Address>) -> Self {
+        Self { kind, bus: Some(bus), address, name: None, part: None }
+    }
+
+    /// Returns the texts for this kind, with or without an address.
+    pub const fn wording(&self) -> &'static Wording {
+        let facts = self.kind.facts();
+        match (self.address, &facts.at_address) {
+            (Some(_), Some(wording)) => wording,
+            _ => &facts.wording,
+        }
+    }
+}
+
+/// A fault with its evidence, open or cleared.
+#[derive(Clone, Debug)]
+pub struct Finding {
+    /// Identity.
+    pub key: FindingKey,
+    /// State.
+    pub confidence: Confidence,
+    /// All addresses concerned, in ascending order.
+    pub addresses: Vec<Address>,
+    /// Names concerned, each once, at most 8.
+    pub names: Vec<Name>,
+    /// Time of the first evidence.
+    pub first: Instant,
+    /// Time of the last evidence.
+    pub last: Instant,
+    /// Time of the last change of `confidence`.
+    pub changed: Instant,
+    /// Number of observations, including those that [`Self::evidence`] no longer stores.
+    pub count: u64,
+    /// Evidence stored, oldest first: the first and the last observations, at most
+    /// [`Finding::MAX_EVIDENCE`].
+    pub evidence: VecDeque<Evidence>,
+    /// Line and column in des.json, from 1; `None` where the finding is not about a place in it.
+    pub place: Option<(usize, usize)>,
+    /// What is wrong, as one sentence.
+    pub text: String,
+    /// What to do, likeliest cause first; may be empty.
+    pub remedy: String,
+}
+
+impl Finding {
+    /// Maximum number of observations stored.
+    pub const MAX_EVIDENCE: usize = 8;
+
+    /// Creates a suspected finding without evidence.
+    pub fn new(key: FindingKey, now: Instant) -> Self {
+        Self {
+            addresses: key.address.into_iter().collect(),
+            names: key.name.iter().cloned().collect(),
+            key,
+            confidence: Confidence::Suspected,
+            first: now,
+            last: now,
+            changed: now,
+            count: 0,
+            evidence: VecDeque::new(),
+            place: None,
+            text: String::new(),
+            remedy: String::new(),
+        }
+    }
+
+    /// Adds an observation. When the store is full, the oldest of its second half is dropped, so
+    /// the first observations stay.
+    pub fn add(&mut self, evidence: Evidence) {
+        // Evidence may be older than the finding: a frame that counts only with a later one.
+        self.first = self.first.min(evidence.time);
+        self.last = self.last.max(evidence.time);
+        self.count += 1;
+        if self.evidence.len() == Self::MAX_EVIDENCE {
+            self.evidence.remove(Self::MAX_EVIDENCE / 2);
+        }
+        self.evidence.push_back(evidence);
+    }
+
+    /// Adds a name concerned, unless it is listed already or 8 names are.
+    pub fn add_name(&mut self, name: &Name) {
+        if !self.names.contains(name) && self.names.len() < 8 {
+            self.names.push(name.clone());
+        }
+    }
+}
