@@ -4,7 +4,8 @@
 
 use crate::bus::BusSpec;
 use crate::guide;
-use crate::shell::recorder::{RecordFormat, Size};
+use crate::log::LogFormat;
+use crate::shell::recorder::Size;
 use crate::wire::id::Address;
 use clap::builder::{PossibleValue, StringValueParser, TypedValueParser};
 use clap::{Args, CommandFactory, Parser, Subcommand};
@@ -278,8 +279,13 @@ pub struct CommonArgs {
     /// Own address, 0 to 127 [default: 0, or a free address]
     #[arg(long, value_name = "N", value_parser = address, allow_negative_numbers = true)]
     pub address: Option<Address>,
-    /// Record all frames to a new FILE: .log for candump text, .pcapng for Wireshark
-    #[arg(long, value_name = "FILE", value_parser = recording)]
+    /// Where all frames are recorded.
+    #[arg(
+        long,
+        value_name = "FILE",
+        value_parser = recording,
+        help = format!("Record all frames to a new FILE: {}", LogFormat::summary())
+    )]
     pub record: Option<PathBuf>,
     /// Start a new file (FILE_00002, …) before SIZE is reached: 500k, 100M, 2G
     #[arg(long, value_name = "SIZE", requires = "record")]
@@ -299,7 +305,7 @@ fn address(text: &str) -> Result<Address, String> {
 
 fn recording(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
-    RecordFormat::of(&path).map_err(|fault| fault.to_string())?;
+    LogFormat::of(&path).map_err(|fault| fault.to_string())?;
     Ok(path)
 }
 

@@ -8,6 +8,7 @@
 //! * [`wire`]: what bytes on the bus mean.
 //! * [`finding`]: what is wrong, with its evidence; one table of all kinds.
 //! * [`discovery`]: the engine that finds devices and collisions on one bus.
+//! * [`log`]: log formats, candump and pcapng.
 //! * [`sim`]: a simulated bus, timed to the bit, with devices on it.
 //! * [`status`]: how a bus is, in plain values; [`speed`]: the search for its bit rate.
 //! * [`document`]: des.json, read, edited in place and merged.
@@ -33,6 +34,7 @@ pub mod finding;
 pub mod frame;
 pub mod guide;
 pub mod keymap;
+pub mod log;
 pub mod shell;
 pub mod sim;
 pub mod status;

@@ -4,13 +4,14 @@
 #[path = "common/frames.rs"]
 mod frames;
 
-use descan::bus::candump::{LineFault, LogLine, MAX_LINE, parse_frame, parse_line, write_line};
 use descan::frame::{CanId, Frame, FrameKind};
+use descan::log::LogEntry;
+use descan::log::candump::{LineFault, MAX_LINE, parse_frame, parse_line, write_line};
 use descan::time::Epoch;
 use frames::any_frame;
 use proptest::prelude::*;
 
-fn read(line: &str) -> LogLine<'_> {
+fn read(line: &str) -> LogEntry<'_> {
     match parse_line(line.as_bytes()) {
         Ok(Some(line)) => line,
         other => panic!("{line:?}: {other:?}"),

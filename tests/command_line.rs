@@ -3,8 +3,8 @@
 mod common;
 
 use common::log;
-use descan::bus::candump::write_line;
 use descan::frame::Frame;
+use descan::log::candump::write_line;
 use descan::sim::{DeviceAction, DeviceSpec, Scenario};
 use descan::time::{Duration, Epoch};
 use serde_json::Value;

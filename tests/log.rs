@@ -1,9 +1,9 @@
 //! Logs from outside: a file replayed as a port, and a log piped in while it is written.
 
-use descan::bus::log::LogReader;
-use descan::bus::pcapng::{write_frame, write_interface, write_section};
 use descan::bus::{self, BusSpec, Clock, OpenError, Options, Port, TransmitError};
 use descan::frame::{BusIndex, CanId, Frame};
+use descan::log::LogReader;
+use descan::log::pcapng::{write_frame, write_interface, write_section};
 use descan::status::{Link, PlaybackCommand};
 use descan::time::{Duration, Epoch, Instant};
 use std::fs::{self, File};

@@ -4,11 +4,11 @@
 #[path = "common/frames.rs"]
 mod frames;
 
-use descan::bus::log::{EntryFault, LogReader, LogSummary};
-use descan::bus::pcapng::{
+use descan::frame::{BusIndex, CanId, Frame};
+use descan::log::pcapng::{
     Damage, PacketFault, write_frame, write_interface, write_section, write_statistics,
 };
-use descan::frame::{BusIndex, CanId, Frame};
+use descan::log::{EntryFault, LogReader, LogSummary};
 use descan::time::{Duration, Instant};
 use frames::any_frame;
 use proptest::prelude::*;

@@ -7,8 +7,8 @@ mod pty;
 #[path = "common/watch_process.rs"]
 mod watch_process;
 
-use descan::bus::log::{LogReader, LogSummary};
 use descan::frame::{BusIndex, Frame};
+use descan::log::{LogReader, LogSummary};
 use descan::shell::recorder::{RecordError, Recorder, Target};
 use descan::time::{Duration, Epoch, Instant};
 use frames::any_frame;

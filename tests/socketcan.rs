@@ -6,10 +6,10 @@ mod can;
 mod serial;
 
 use can::{PATIENCE, Peer, Vcan, controllers, listeners, run, wait_for_listeners};
-use descan::bus::candump::{parse_frame, parse_line};
 use descan::bus::{self, BusSpec, Clock, Options, Port, TransmitError};
 use descan::error_report::ErrorReport;
 use descan::frame::{BusIndex, CanId, Frame, FrameKind};
+use descan::log::candump::{parse_frame, parse_line};
 use descan::shell::recorder::{Recorder, Target};
 use descan::status::{BusState, BusStatus, Link};
 use descan::time::{Duration, Instant};

@@ -9,6 +9,7 @@ use super::{App, Effect, Filter, Overlay, Page, RowKey};
 use crate::discovery::DeviceId;
 use crate::document::{Document, Entry, EntryKey, NewEntry, Operation};
 use crate::keymap::{Key, KeyCode, KeyMode};
+use crate::log::LogEntry;
 use crate::text::{Quoted, is_printable};
 use crate::time::Instant;
 use std::fmt::Write;
@@ -592,11 +593,9 @@ impl App {
     pub fn candump_log(&self) -> String {
         let mut log = String::new();
         for (_, frame) in self.capture.iter() {
-            let micros = self.epoch.unix_micros(frame.time);
-            let bus = self.bus(frame.bus).map_or("can", |bus| &bus.name);
-            let sent = if frame.is_tx { " T" } else { "" };
-            let (seconds, rest) = (micros / 1_000_000, micros % 1_000_000);
-            let _ = writeln!(log, "({seconds}.{rest:06}) {bus} {frame}{sent}");
+            let unix_micros = self.epoch.unix_micros(frame.time);
+            let interface = self.bus(frame.bus).map_or("can", |bus| &bus.name);
+            let _ = writeln!(log, "{}", LogEntry { unix_micros, interface, frame: *frame });
         }
         log
     }

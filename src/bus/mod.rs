@@ -6,13 +6,9 @@
 //!
 //! Reading order: [`BusSpec`] (what the user typed), [`open`], [`Port`], [`Queue`],
 //! [`BusStatus`](crate::status::BusStatus), [`Clock`]; then the kinds:
-//! `socketcan`, `slcan`, `socketcand` and `udp` (what they share is in `remote`), `replay`, `sim`. A log can also be read at
-//! once: [`log::LogReader`].
+//! `socketcan`, `slcan`, `socketcand` and `udp` (what they share is in `remote`), `replay`, `sim`.
 
-pub mod candump;
 mod clock;
-pub mod log;
-pub mod pcapng;
 mod port;
 mod queue;
 mod remote;

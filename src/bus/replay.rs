@@ -7,9 +7,9 @@
 //! was cut short or replaced, the new one is read from its beginning.
 
 use super::clock::Clock;
-use super::log::LogReader;
 use super::port::{Port, PortShared};
 use crate::frame::{BusIndex, Frame};
+use crate::log::LogReader;
 use crate::status::{Link, RateSearch};
 use crate::time::{Duration, Instant};
 use std::fs::{self, File, Metadata};

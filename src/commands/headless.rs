@@ -4,10 +4,10 @@
 use super::Failure;
 use super::open::{self, Setup};
 use crate::app::{App, AppOptions, Bus, TxBlocked};
-use crate::bus::log::LogSummary;
 use crate::bus::{self, BusSpec};
 use crate::discovery::OwnAddress;
 use crate::frame::BusIndex;
+use crate::log::LogSummary;
 use crate::shell::log_session::{LogPace, LogRange, LogSession, LogWake, Read};
 use crate::shell::session::Session;
 use crate::shell::stop::{StopReason, StopWaiter};

@@ -191,7 +191,7 @@ fn epoch_of(path: &Path) -> Result<Epoch, Failure> {
     if !log.metadata().map_err(unusable)?.is_file() {
         return Ok(Clock::start().epoch());
     }
-    let mut reader = bus::log::LogReader::new(BufReader::new(log));
+    let mut reader = crate::log::LogReader::new(BufReader::new(log));
     reader.next_frame().map_err(unusable)?;
     Ok(reader.tally().epoch.unwrap_or_default())
 }

@@ -2,9 +2,9 @@
 
 #![allow(dead_code)]
 
-use descan::bus::candump::write_line;
 use descan::discovery::{Config, ConflictParty, Engine, Event, EventKind};
 use descan::frame::Frame;
+use descan::log::candump::write_line;
 use descan::sim::{Fault, Scenario, Sim, SimStation};
 use descan::time::{Duration, Epoch, Instant};
 use std::fmt::Write;

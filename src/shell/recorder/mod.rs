@@ -16,9 +16,10 @@
 mod output;
 mod target;
 
-pub use target::{RecordFormat, Size, Target, UnknownFormat};
+pub use target::{Size, Target};
 
 use crate::frame::{BusIndex, Frame};
+use crate::log::{LogFormat, UnknownFormat};
 use crate::status::RecordingStatus;
 use crate::time::{Duration as Span, Epoch};
 use output::Output;
@@ -99,7 +100,7 @@ impl Recorder {
     /// Begins the first file.
     pub fn create(target: &Target) -> Result<Self, RecordError> {
         let path = shown(&target.path);
-        let format = RecordFormat::of(&target.path)
+        let format = LogFormat::of(&target.path)
             .map_err(|fault| RecordError::Format { path: path.clone(), fault })?;
         if target.max_bytes.is_some()
             && let Some(there) = first_numbered(&target.path)

@@ -1,9 +1,8 @@
-//! One file of a recording, as candump's text or as pcapng.
+//! One file of a recording.
 
-use super::{RecordFormat, RecorderBatch, shown};
-use crate::bus::candump::write_line;
-use crate::bus::pcapng;
-use crate::frame::{BusIndex, Frame};
+use super::{RecorderBatch, shown};
+use crate::frame::Frame;
+use crate::log::{LogEncoder, LogEntry, LogFormat};
 use crate::status::RecordingStatus;
 use std::fs::{File, OpenOptions};
 use std::io::{self, Seek, SeekFrom, Write};
@@ -16,7 +15,8 @@ const GATHERED: usize = 1 << 16;
 /// One file.
 pub struct Output {
     pub path: PathBuf,
-    pub format: RecordFormat,
+    pub format: &'static LogFormat,
+    encoder: Box<dyn LogEncoder>,
     file: File,
     /// What is yet to be written.
     gathered: Vec<u8>,
@@ -30,25 +30,17 @@ pub struct Output {
     pub flushed_frames: u64,
     /// 0: the first.
     pub number: u32,
-    interfaces: Vec<OutputInterface>,
-    /// The last frame's time, in Unix microseconds.
-    last_micros: u64,
     /// Frames lost, by bus, before this file began.
     pub lost_before: Vec<u64>,
 }
 
-/// A bus in a pcapng file; its place is its number there.
-struct OutputInterface {
-    bus: BusIndex,
-    frames: u64,
-}
-
 impl Output {
-    pub fn create(path: &Path, format: RecordFormat) -> io::Result<Self> {
+    pub fn create(path: &Path, format: &'static LogFormat) -> io::Result<Self> {
         let file = OpenOptions::new().write(true).create_new(true).open(path)?;
         let mut output = Self {
             path: path.to_owned(),
             format,
+            encoder: format.encoder(),
             file,
             gathered: Vec::with_capacity(GATHERED + 4096),
             written: 0,
@@ -56,14 +48,10 @@ impl Output {
             frames: 0,
             flushed_frames: 0,
             number: 0,
-            interfaces: Vec::new(),
-            last_micros: 0,
             lost_before: Vec::new(),
         };
-        if format == RecordFormat::Pcapng {
-            pcapng::write_section(&mut output.gathered)?;
-            output.flush()?;
-        }
+        output.encoder.begin(&mut output.gathered)?;
+        output.flush()?;
         Ok(output)
     }
 
@@ -78,43 +66,18 @@ impl Output {
         taken: &RecorderBatch,
         max_bytes: u64,
     ) -> io::Result<bool> {
-        let before = self.gathered.len();
-        let interfaces = self.interfaces.len();
-        let micros = taken.epoch.unix_micros(frame.time);
-        match self.format {
-            RecordFormat::Candump => {
-                write_line(&mut self.gathered, taken.epoch, &word(taken, frame.bus), frame)?;
-            }
-            RecordFormat::Pcapng => {
-                let interface = self.interface(frame.bus, taken)?;
-                pcapng::write_frame(&mut self.gathered, interface as u32, micros, frame)?;
-            }
-        }
-        if self.len() > max_bytes {
-            self.gathered.truncate(before);
-            self.interfaces.truncate(interfaces);
+        let name = taken.names.get(usize::from(frame.bus.0)).map_or("", String::as_str);
+        let unix_micros = taken.epoch.unix_micros(frame.time);
+        let entry = LogEntry { unix_micros, interface: name, frame: *frame };
+        let room = max_bytes.saturating_sub(self.len());
+        if !self.encoder.write(entry, room, &mut self.gathered)? {
             return Ok(false);
         }
         self.frames += 1;
-        self.last_micros = micros;
-        if let Some(interface) = self.interfaces.iter_mut().find(|it| it.bus == frame.bus) {
-            interface.frames += 1;
-        }
         if self.gathered.len() >= GATHERED {
             self.pass_on()?;
         }
         Ok(true)
-    }
-
-    /// The number of a bus in this file; it is described where it was not yet.
-    fn interface(&mut self, bus: BusIndex, taken: &RecorderBatch) -> io::Result<usize> {
-        if let Some(at) = self.interfaces.iter().position(|it| it.bus == bus) {
-            return Ok(at);
-        }
-        let name = taken.names.get(usize::from(bus.0)).map_or("", String::as_str);
-        pcapng::write_interface(&mut self.gathered, name)?;
-        self.interfaces.push(OutputInterface { bus, frames: 0 });
-        Ok(self.interfaces.len() - 1)
     }
 
     fn pass_on(&mut self) -> io::Result<()> {
@@ -139,27 +102,11 @@ impl Output {
         Ok(())
     }
 
-    /// Ends the file: pcapng says how many frames of each bus are in it, and how many were lost
-    /// while it was written.
+    /// Ends the file, with the number of frames that were lost while it was written.
     pub fn finish(&mut self, taken: &RecorderBatch) -> io::Result<()> {
-        if self.format == RecordFormat::Pcapng {
-            // Those that had no frame may have lost some.
-            for bus in 0..taken.names.len().min(256) {
-                self.interface(BusIndex(bus as u8), taken)?;
-            }
-            for (at, interface) in self.interfaces.iter().enumerate() {
-                let of =
-                    |lost: &[u64]| lost.get(usize::from(interface.bus.0)).copied().unwrap_or(0);
-                let lost = of(&taken.lost).saturating_sub(of(&self.lost_before));
-                pcapng::write_statistics(
-                    &mut self.gathered,
-                    at as u32,
-                    self.last_micros,
-                    interface.frames,
-                    lost,
-                )?;
-            }
-        }
+        let before = self.lost_before.iter().copied().chain(std::iter::repeat(0));
+        let lost = taken.lost.iter().zip(before).map(|(lost, before)| lost.saturating_sub(before));
+        self.encoder.end(&taken.names, &lost.collect::<Vec<_>>(), &mut self.gathered)?;
         self.flush()?;
         self.file.sync_data()
     }
@@ -183,16 +130,5 @@ impl Output {
 
     pub fn status(&self) -> RecordingStatus {
         RecordingStatus { path: shown(&self.path), ..RecordingStatus::default() }
-    }
-}
-
-/// A bus's name as one word, as a line of a log has it.
-fn word(taken: &RecorderBatch, bus: BusIndex) -> String {
-    match taken.names.get(usize::from(bus.0)).map(String::as_str) {
-        None | Some("") => format!("bus{}", bus.0),
-        Some(name) => {
-            let is_odd = |c: char| c.is_whitespace() || !crate::text::is_printable(c);
-            name.replace(is_odd, "_")
-        }
     }
 }

@@ -1,4 +1,4 @@
-//! Where a recording goes: what files are called, and what is in them and how much.
+//! Where a recording goes: names and sizes of its files.
 
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -14,32 +14,6 @@ pub struct Target {
     pub path: PathBuf,
     /// A file that would grow beyond so many bytes is followed by another.
     pub max_bytes: Option<u64>,
-}
-
-/// What a file's name says of its content.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum RecordFormat {
-    /// candump's text: `.log`, `.txt`, `.candump`.
-    Candump,
-    /// `.pcapng`.
-    Pcapng,
-}
-
-/// A file name that says nothing of its content.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("use the ending .log (also .txt, .candump) for candump text, or .pcapng")]
-pub struct UnknownFormat;
-
-impl RecordFormat {
-    /// By the file's extension.
-    pub fn of(path: &Path) -> Result<Self, UnknownFormat> {
-        let extension = path.extension().and_then(|it| it.to_str()).unwrap_or_default();
-        match extension.to_ascii_lowercase().as_str() {
-            "log" | "txt" | "candump" => Ok(RecordFormat::Candump),
-            "pcapng" => Ok(RecordFormat::Pcapng),
-            _ => Err(UnknownFormat),
-        }
-    }
 }
 
 /// A size in bytes as it is written on the command line: `100M`, `500k`, `2G`, `65536`.
@@ -110,15 +84,6 @@ mod tests {
         assert_eq!(size("65536"), Ok(65_536));
         for wrong in ["", "M", "1k", "0", "-5M", "5x", "99999999999G", "1.5M"] {
             assert!(size(wrong).is_err(), "{wrong}");
-        }
-    }
-
-    #[test]
-    fn the_name_tells_the_format() {
-        assert_eq!(RecordFormat::of(Path::new("a/b.LOG")), Ok(RecordFormat::Candump));
-        assert_eq!(RecordFormat::of(Path::new("b.pcapng")), Ok(RecordFormat::Pcapng));
-        for wrong in ["b", "b.pcap", ".log", "b.log.gz"] {
-            assert_eq!(RecordFormat::of(Path::new(wrong)), Err(UnknownFormat), "{wrong}");
         }
     }
 

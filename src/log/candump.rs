@@ -1,12 +1,28 @@
-//! candump's log text: `(1436509052.249713) can0 02015402#0444455301`.
+//! candump's log text (can-utils): `(1436509052.249713) can0 02015402#0444455301`.
 //!
-//! Reads what can-utils and its relatives write and more leniently than they do; lines come
-//! from strangers, so whatever does not fit is a [`LineFault`] and nothing is allocated. Does
-//! not know where lines come from: that is [`super::log`].
+//! Reads what can-utils, python-can and SavvyCAN write. A line that does not fit is a [`LineFault`];
+//! reading allocates nothing for a line that the caller has as a whole. Does not know moments or
+//! bus numbers: [`super::LogSummary`] assigns them.
 
+use super::{DecodeStep, FormatMatch, LogDecoder, LogEncoder, LogEntry, LogFormat, LogSummary};
 use crate::frame::{CanId, Frame};
+use crate::text::is_printable;
 use crate::time::Epoch;
+use std::fmt;
 use std::io::{self, Write};
+
+pub(super) const FORMAT: LogFormat = LogFormat {
+    purpose: "candump text",
+    endings: &["log", "txt", "candump"],
+    unit: "line",
+    // Text has no mark of its own: it is what no other format is.
+    detect: |_| FormatMatch::No,
+    decoder: || Box::<LineDecoder>::default(),
+    encoder: || Box::new(LineEncoder),
+};
+
+/// The byte order mark with which some editors begin a file.
+const BYTE_ORDER_MARK: &[u8] = b"\xEF\xBB\xBF";
 
 /// Longer lines are not read. A line with an FD frame has at most some 250 bytes.
 pub const MAX_LINE: usize = 512;
@@ -17,17 +33,6 @@ const EXTENDED_ID_MASK: u32 = 0x1FFF_FFFF;
 const ERROR_FLAG: u32 = 0x2000_0000;
 const BIT_RATE_SWITCH: u8 = 0x1;
 const ERROR_STATE: u8 = 0x2;
-
-/// A frame of a log, with the interface it was seen on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct LogLine<'a> {
-    /// Its time: microseconds since 1970, or since whatever the log counts from.
-    pub unix_micros: u64,
-    /// The interface's name.
-    pub interface: &'a str,
-    /// The frame, dated with the zero moment; ours if the line says that it was sent (` T`).
-    pub frame: Frame,
-}
 
 /// Why a line cannot be read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
@@ -65,7 +70,7 @@ pub enum LineFault {
 }
 
 /// Reads one line, with or without its line end; `None` where it is blank.
-pub fn parse_line(line: &[u8]) -> Result<Option<LogLine<'_>>, LineFault> {
+pub fn parse_line(line: &[u8]) -> Result<Option<LogEntry<'_>>, LineFault> {
     if line.len() > MAX_LINE {
         return Err(LineFault::TooLong);
     }
@@ -75,7 +80,7 @@ pub fn parse_line(line: &[u8]) -> Result<Option<LogLine<'_>>, LineFault> {
     let interface = words.next().ok_or(LineFault::Interface)?;
     let interface = std::str::from_utf8(interface).map_err(|_| LineFault::Interface)?;
     // The name is shown: nothing in it may steer a terminal.
-    if !interface.chars().all(crate::text::is_printable) {
+    if !interface.chars().all(is_printable) {
         return Err(LineFault::Interface);
     }
     let mut frame = parse_frame(words.next().ok_or(LineFault::Frame)?)?;
@@ -87,20 +92,117 @@ pub fn parse_line(line: &[u8]) -> Result<Option<LogLine<'_>>, LineFault> {
     if words.next().is_some() {
         return Err(LineFault::Trailing);
     }
-    Ok(Some(LogLine { unix_micros, interface, frame }))
+    Ok(Some(LogEntry { unix_micros, interface, frame }))
 }
 
-/// Writes one line; ` T` ends the line of a frame of ours, so that it is known again.
+/// Writes one line, dated by `epoch` and the frame's time. A line of a frame sent by descan ends in
+/// ` T`.
+///
+/// # Errors
+///
+/// Those of `out`.
 pub fn write_line(
     out: &mut impl Write,
     epoch: Epoch,
     interface: &str,
     frame: &Frame,
 ) -> io::Result<()> {
-    let micros = epoch.unix_micros(frame.time);
-    let (seconds, fraction) = (micros / 1_000_000, micros % 1_000_000);
-    let direction = if frame.is_tx { " T" } else { "" };
-    writeln!(out, "({seconds:010}.{fraction:06}) {interface} {frame}{direction}")
+    let unix_micros = epoch.unix_micros(frame.time);
+    writeln!(out, "{}", LogEntry { unix_micros, interface, frame: *frame })
+}
+
+/// One line of candump's log text. White space and control characters in the interface's name
+/// become `_`; without a name the line has `bus` and the bus number.
+impl fmt::Display for LogEntry<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (seconds, fraction) = (self.unix_micros / 1_000_000, self.unix_micros % 1_000_000);
+        write!(f, "({seconds:010}.{fraction:06}) ")?;
+        let is_odd = |c: char| c.is_whitespace() || !is_printable(c);
+        match self.interface {
+            "" => write!(f, "bus{}", self.frame.bus.0)?,
+            name if name.contains(is_odd) => f.write_str(&name.replace(is_odd, "_"))?,
+            name => f.write_str(name)?,
+        }
+        write!(f, " {}{}", self.frame, if self.frame.is_tx { " T" } else { "" })
+    }
+}
+
+/// Splits text into lines and reads them.
+#[derive(Debug, Default)]
+struct LineDecoder {
+    /// A line that was cut by the end of a piece; at most one byte longer than [`MAX_LINE`].
+    partial: Vec<u8>,
+}
+
+impl LineDecoder {
+    /// Adds a piece to a cut line, no more than it takes to see that the line is too long.
+    fn keep(&mut self, piece: &[u8]) {
+        let room = (MAX_LINE + 1).saturating_sub(self.partial.len());
+        self.partial.extend_from_slice(&piece[..piece.len().min(room)]);
+    }
+}
+
+impl LogDecoder for LineDecoder {
+    fn decode(&mut self, bytes: &[u8], summary: &mut LogSummary) -> (usize, DecodeStep) {
+        let Some(end) = bytes.iter().position(|&byte| byte == b'\n') else {
+            self.keep(bytes);
+            return (bytes.len(), DecodeStep::Nothing);
+        };
+        let frame = if self.partial.is_empty() {
+            take_line(&bytes[..end], summary)
+        } else {
+            self.keep(&bytes[..end]);
+            let frame = take_line(&self.partial, summary);
+            self.partial.clear();
+            frame
+        };
+        (end + 1, frame.map_or(DecodeStep::Nothing, DecodeStep::Frame))
+    }
+
+    fn has_unfinished(&self) -> bool {
+        !self.partial.is_empty()
+    }
+
+    fn take_unfinished(&mut self, summary: &mut LogSummary) -> Option<Frame> {
+        if self.partial.is_empty() {
+            return None;
+        }
+        let frame = take_line(&self.partial, summary);
+        self.partial.clear();
+        frame
+    }
+
+    fn can_decode(&self, bytes: &[u8]) -> bool {
+        bytes.contains(&b'\n')
+    }
+}
+
+fn take_line(line: &[u8], summary: &mut LogSummary) -> Option<Frame> {
+    let line = line.strip_prefix(BYTE_ORDER_MARK).filter(|_| summary.lines == 0).unwrap_or(line);
+    summary.take(parse_line(line))
+}
+
+#[derive(Debug)]
+struct LineEncoder;
+
+impl LogEncoder for LineEncoder {
+    fn begin(&mut self, _: &mut Vec<u8>) -> io::Result<()> {
+        Ok(())
+    }
+
+    fn write(&mut self, entry: LogEntry<'_>, max_len: u64, out: &mut Vec<u8>) -> io::Result<bool> {
+        let before = out.len();
+        writeln!(out, "{entry}")?;
+        let fits = (out.len() - before) as u64 <= max_len;
+        if !fits {
+            out.truncate(before);
+        }
+        Ok(fits)
+    }
+
+    fn end(&mut self, _: &[String], _: &[u64], _: &mut Vec<u8>) -> io::Result<()> {
+        Ok(())
+    }
 }
 
 /// Reads a frame as candump writes it and cansend takes it: `02015402#0444455301`, `123#R4`,

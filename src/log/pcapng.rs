@@ -4,11 +4,20 @@
 //! Writes one section with an interface per bus, times in microseconds, the direction of each
 //! frame, and how many were lost. Reads sections of either byte order with any number of
 //! interfaces; blocks and link types that are not known are skipped, and nothing is allocated by
-//! what a length says. Does not know where blocks come from: [`super::log`] cuts them out.
+//! what a length says. Does not know moments or bus numbers: [`super::LogSummary`] assigns them.
 
-use super::candump::LogLine;
-use crate::frame::{CanId, Frame, FrameKind};
+use super::{DecodeStep, FormatMatch, LogDecoder, LogEncoder, LogEntry, LogFormat, LogSummary};
+use crate::frame::{BusIndex, CanId, Frame, FrameKind};
 use std::io::{self, Write};
+
+pub(super) const FORMAT: LogFormat = LogFormat {
+    purpose: "Wireshark",
+    endings: &["pcapng"],
+    unit: "block",
+    detect: |head| FormatMatch::of_magic(&MAGIC, head),
+    decoder: || Box::<BlockDecoder>::default(),
+    encoder: || Box::<BlockEncoder>::default(),
+};
 
 /// The first four bytes of a file, in either byte order.
 pub const MAGIC: [u8; 4] = [0x0A, 0x0D, 0x0D, 0x0A];
@@ -97,6 +106,93 @@ pub enum Damage {
     ByteOrder,
 }
 
+impl Damage {
+    /// Returns true if the rest can be read once the file has grown.
+    pub fn is_cut(self) -> bool {
+        self == Damage::Cut
+    }
+}
+
+/// Cuts a file into blocks and reads them.
+#[derive(Debug, Default)]
+struct BlockDecoder {
+    sections: Sections,
+    /// A block, as far as it was read; less than [`MAX_BLOCK`] bytes.
+    partial: Vec<u8>,
+    /// Bytes left of a block that is too long to be read.
+    skip: u64,
+}
+
+impl BlockDecoder {
+    /// Adds bytes to the block until it has `wanted`; returns how many, and whether it has.
+    fn fill(&mut self, bytes: &[u8], wanted: usize) -> (usize, bool) {
+        let count = bytes.len().min(wanted.saturating_sub(self.partial.len()));
+        self.partial.extend_from_slice(&bytes[..count]);
+        (count, self.partial.len() >= wanted)
+    }
+
+    /// Reads to the end of a block or of `bytes`; adds to `used` how much of them that is.
+    fn read(
+        &mut self,
+        bytes: &[u8],
+        used: &mut usize,
+        summary: &mut LogSummary,
+    ) -> Result<Option<Frame>, Damage> {
+        let (count, has_head) = self.fill(bytes, HEAD);
+        *used += count;
+        let Some(head) = self.partial.first_chunk().filter(|_| has_head).copied() else {
+            return Ok(None);
+        };
+        let len = self.sections.block_len(&head)? as usize;
+        if len > MAX_BLOCK {
+            self.skip = (len - self.partial.len()) as u64;
+            self.partial.clear();
+            return Ok(summary.take(self.sections.skip(&head).map(|()| None)));
+        }
+        let (count, is_whole) = self.fill(&bytes[*used..], len);
+        *used += count;
+        if !is_whole {
+            return Ok(None);
+        }
+        let taken = self.sections.take(&self.partial).map(|block| summary.take(block));
+        self.partial.clear();
+        taken
+    }
+}
+
+impl LogDecoder for BlockDecoder {
+    fn decode(&mut self, bytes: &[u8], summary: &mut LogSummary) -> (usize, DecodeStep) {
+        if summary.damage.is_some_and(|damage| !damage.is_cut()) {
+            return (0, DecodeStep::End);
+        }
+        // The file has grown.
+        summary.damage = None;
+        if self.skip > 0 {
+            let skipped = bytes.len().min(usize::try_from(self.skip).unwrap_or(usize::MAX));
+            self.skip -= skipped as u64;
+            return (skipped, DecodeStep::Nothing);
+        }
+        let mut used = 0;
+        match self.read(bytes, &mut used, summary) {
+            Ok(frame) => (used, frame.map_or(DecodeStep::Nothing, DecodeStep::Frame)),
+            Err(damage) => {
+                summary.damage = Some(damage);
+                (used, DecodeStep::End)
+            }
+        }
+    }
+
+    fn handle_end(&mut self, summary: &mut LogSummary) {
+        if !summary.damage.is_some_and(|damage| !damage.is_cut()) {
+            summary.damage = (self.skip > 0 || self.has_unfinished()).then_some(Damage::Cut);
+        }
+    }
+
+    fn has_unfinished(&self) -> bool {
+        !self.partial.is_empty()
+    }
+}
+
 /// What blocks before said that packets need: the byte order and the interfaces.
 #[derive(Clone, Debug, Default)]
 pub struct Sections {
@@ -137,7 +233,7 @@ impl Sections {
     pub fn take(
         &mut self,
         block: &[u8],
-    ) -> Result<Result<Option<LogLine<'_>>, PacketFault>, Damage> {
+    ) -> Result<Result<Option<LogEntry<'_>>, PacketFault>, Damage> {
         let is_section = block.starts_with(&MAGIC);
         if is_section {
             self.big_endian = block.get(8..).and_then(byte_order).ok_or(Damage::ByteOrder)?;
@@ -195,7 +291,7 @@ impl Sections {
         self.interfaces.push(interface);
     }
 
-    fn packet(&self, mut fields: Fields<'_>) -> Result<LogLine<'_>, PacketFault> {
+    fn packet(&self, mut fields: Fields<'_>) -> Result<LogEntry<'_>, PacketFault> {
         let mut field = || fields.u32().ok_or(PacketFault::Short);
         let (interface, high, low, captured, _original) =
             (field()?, field()?, field()?, field()?, field()?);
@@ -212,7 +308,7 @@ impl Sections {
             }
         }
         let unix_micros = interface.micros(u64::from(high) << 32 | u64::from(low));
-        Ok(LogLine { unix_micros, interface: &interface.name, frame })
+        Ok(LogEntry { unix_micros, interface: &interface.name, frame })
     }
 }
 
@@ -414,6 +510,64 @@ pub fn write_statistics(
     block.option(DROPPED_OPTION, &dropped.to_le_bytes());
     block.end_options();
     block.write(out)
+}
+
+/// Writes one section; a bus becomes an interface with its first frame.
+#[derive(Debug, Default)]
+struct BlockEncoder {
+    /// By their number in the section.
+    interfaces: Vec<InterfaceCount>,
+    last_micros: u64,
+}
+
+#[derive(Debug)]
+struct InterfaceCount {
+    bus: BusIndex,
+    frames: u64,
+}
+
+impl BlockEncoder {
+    /// The number of a bus in this section; the first time, its interface is described.
+    fn interface(&mut self, bus: BusIndex, name: &str, out: &mut Vec<u8>) -> io::Result<usize> {
+        if let Some(at) = self.interfaces.iter().position(|it| it.bus == bus) {
+            return Ok(at);
+        }
+        write_interface(out, name)?;
+        self.interfaces.push(InterfaceCount { bus, frames: 0 });
+        Ok(self.interfaces.len() - 1)
+    }
+}
+
+impl LogEncoder for BlockEncoder {
+    fn begin(&mut self, out: &mut Vec<u8>) -> io::Result<()> {
+        write_section(out)
+    }
+
+    fn write(&mut self, entry: LogEntry<'_>, max_len: u64, out: &mut Vec<u8>) -> io::Result<bool> {
+        let (before, interfaces) = (out.len(), self.interfaces.len());
+        let at = self.interface(entry.frame.bus, entry.interface, out)?;
+        write_frame(out, at as u32, entry.unix_micros, &entry.frame)?;
+        if (out.len() - before) as u64 > max_len {
+            out.truncate(before);
+            self.interfaces.truncate(interfaces);
+            return Ok(false);
+        }
+        self.interfaces[at].frames += 1;
+        self.last_micros = entry.unix_micros;
+        Ok(true)
+    }
+
+    /// Statistics of each bus. A bus without frames may have lost some.
+    fn end(&mut self, names: &[String], lost: &[u64], out: &mut Vec<u8>) -> io::Result<()> {
+        for (bus, name) in (0..=u8::MAX).zip(names) {
+            self.interface(BusIndex(bus), name, out)?;
+        }
+        for (at, interface) in self.interfaces.iter().enumerate() {
+            let lost = lost.get(usize::from(interface.bus.0)).copied().unwrap_or(0);
+            write_statistics(out, at as u32, self.last_micros, interface.frames, lost)?;
+        }
+        Ok(())
+    }
 }
 
 /// A block that is being written, little-endian.

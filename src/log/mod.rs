@@ -1,0 +1,207 @@
+//! Log formats: bytes of a recorded log in, frames with their times out, and back.
+//!
+//! A format is a file here and a row of [`FORMATS`], from which the detection of logs, `--record`,
+//! its errors and its help are made. [`LogReader`] reads from any [`std::io::BufRead`]; a
+//! [`LogEncoder`] appends to a buffer. Opens no files and reads no clock. Does not know buses.
+
+pub mod candump;
+pub mod pcapng;
+mod reader;
+mod summary;
+
+pub use reader::LogReader;
+pub use summary::{EntryFault, LogSummary};
+
+use crate::frame::Frame;
+use std::fmt;
+use std::io;
+use std::path::Path;
+
+/// All formats. The first one takes a log that no other row recognises.
+pub static FORMATS: [LogFormat; 2] = [candump::FORMAT, pcapng::FORMAT];
+
+/// A log format: one row of [`FORMATS`].
+#[derive(Debug)]
+pub struct LogFormat {
+    /// The reason to choose it, as in "`.log` for candump text".
+    pub purpose: &'static str,
+    /// File name endings without the dot, in lower case; the usual one first.
+    pub endings: &'static [&'static str],
+    /// One entry of a log, as in "line 3 cannot be read".
+    unit: &'static str,
+    detect: fn(&[u8]) -> FormatMatch,
+    decoder: fn() -> Box<dyn LogDecoder>,
+    encoder: fn() -> Box<dyn LogEncoder>,
+}
+
+/// Whether a log that begins with certain bytes is of a format.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum FormatMatch {
+    Yes,
+    No,
+    /// More bytes are needed.
+    Undecided,
+}
+
+/// A frame of a log, with its interface. Displayed as a line of candump's log text, without the
+/// line end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LogEntry<'a> {
+    /// Microseconds since 1970, or since another origin of the log's choice.
+    pub unix_micros: u64,
+    /// The interface's name; empty if it is not known.
+    pub interface: &'a str,
+    /// The frame. Its time is zero where the entry was read; `is_tx` is set if the log marks the
+    /// frame as sent.
+    pub frame: Frame,
+}
+
+/// What a decoder got from a piece of a log.
+enum DecodeStep {
+    /// Nothing more can be read: the log is damaged.
+    End,
+    /// An entry without a frame, or a part of an entry.
+    Nothing,
+    Frame(Frame),
+}
+
+/// Reads one log of a format, in pieces of any size.
+trait LogDecoder: fmt::Debug + Send {
+    /// Reads from `bytes`, which are not empty, at most to the end of an entry. Returns how many
+    /// bytes were used: at least one, except with [`DecodeStep::End`].
+    fn decode(&mut self, bytes: &[u8], summary: &mut LogSummary) -> (usize, DecodeStep);
+
+    /// Notes that there are no more bytes for now.
+    fn handle_end(&mut self, _: &mut LogSummary) {}
+
+    /// Returns true if the log stops inside an entry.
+    fn has_unfinished(&self) -> bool;
+
+    /// Reads the entry inside which the log stops, if the format allows an entry without its end.
+    fn take_unfinished(&mut self, _: &mut LogSummary) -> Option<Frame> {
+        None
+    }
+
+    /// Returns true if decoding `bytes` gets further than to store them.
+    fn can_decode(&self, bytes: &[u8]) -> bool {
+        !bytes.is_empty()
+    }
+}
+
+/// Writes one log of a format.
+pub trait LogEncoder: fmt::Debug + Send {
+    /// Appends what a log begins with.
+    fn begin(&mut self, out: &mut Vec<u8>) -> io::Result<()>;
+
+    /// Appends an entry. Appends nothing and returns false if more than `max_len` bytes would be
+    /// needed.
+    fn write(&mut self, entry: LogEntry<'_>, max_len: u64, out: &mut Vec<u8>) -> io::Result<bool>;
+
+    /// Appends what a log ends with. `names` and `lost` are by bus: the names, and the number of
+    /// frames that were lost while this log was written.
+    fn end(&mut self, names: &[String], lost: &[u64], out: &mut Vec<u8>) -> io::Result<()>;
+}
+
+/// A file name whose ending is not of a log format.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct UnknownFormat;
+
+impl std::error::Error for UnknownFormat {}
+
+/// `use the ending .log (also .txt, .candump) for candump text, or .pcapng for Wireshark`.
+impl fmt::Display for UnknownFormat {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("use the ending ")?;
+        for (at, format) in FORMATS.iter().enumerate() {
+            let [usual, others @ ..] = format.endings else { continue };
+            write!(f, "{}.{usual}", if at == 0 { "" } else { ", or " })?;
+            for (at, other) in others.iter().enumerate() {
+                write!(f, "{}.{other}", if at == 0 { " (also " } else { ", " })?;
+            }
+            write!(f, "{} for {}", if others.is_empty() { "" } else { ")" }, format.purpose)?;
+        }
+        Ok(())
+    }
+}
+
+impl LogFormat {
+    /// The format of a file, by its ending.
+    ///
+    /// # Errors
+    ///
+    /// The file has no ending, or one that is not of a format.
+    pub fn of(path: &Path) -> Result<&'static Self, UnknownFormat> {
+        let ending = path.extension().and_then(|it| it.to_str()).unwrap_or_default();
+        let ending = ending.to_ascii_lowercase();
+        FORMATS.iter().find(|it| it.endings.contains(&ending.as_str())).ok_or(UnknownFormat)
+    }
+
+    /// The usual endings and their purposes, for help: `.log for candump text, .pcapng for
+    /// Wireshark`.
+    pub fn summary() -> String {
+        let rows = FORMATS.iter().filter_map(|format| {
+            Some(format!(".{} for {}", format.endings.first()?, format.purpose))
+        });
+        rows.collect::<Vec<_>>().join(", ")
+    }
+
+    /// A writer of a new log of this format.
+    pub fn encoder(&self) -> Box<dyn LogEncoder> {
+        (self.encoder)()
+    }
+
+    /// The format of a log that begins with `head`. `None` if that needs more bytes and there may
+    /// be more.
+    fn detect(head: &[u8], is_all: bool) -> Option<&'static Self> {
+        let rows = || FORMATS.iter().map(|format| (format, (format.detect)(head)));
+        let found = rows().find(|(_, found)| *found == FormatMatch::Yes);
+        let is_open = !is_all && rows().any(|(_, found)| found == FormatMatch::Undecided);
+        let fallback = || (!is_open).then_some(&FORMATS[0]);
+        found.map(|(format, _)| format).or_else(fallback)
+    }
+}
+
+impl FormatMatch {
+    /// For a format whose logs begin with `magic`.
+    fn of_magic(magic: &[u8], head: &[u8]) -> Self {
+        let len = magic.len().min(head.len());
+        match magic[..len] == head[..len] {
+            true if len == magic.len() => FormatMatch::Yes,
+            true => FormatMatch::Undecided,
+            false => FormatMatch::No,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn format_follows_the_ending() {
+        let purpose = |path: &str| LogFormat::of(Path::new(path)).map(|format| format.purpose);
+        assert_eq!(purpose("a/b.LOG"), Ok("candump text"));
+        assert_eq!(purpose("b.pcapng"), Ok("Wireshark"));
+        for wrong in ["b", "b.pcap", ".log", "b.log.gz"] {
+            assert_eq!(purpose(wrong), Err(UnknownFormat), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn texts_list_every_format() {
+        assert_eq!(
+            UnknownFormat.to_string(),
+            "use the ending .log (also .txt, .candump) for candump text, or .pcapng for Wireshark"
+        );
+        assert_eq!(LogFormat::summary(), ".log for candump text, .pcapng for Wireshark");
+    }
+
+    #[test]
+    fn detection_waits_for_enough_bytes() {
+        let purpose = |head, is_all| LogFormat::detect(head, is_all).map(|format| format.purpose);
+        assert_eq!(purpose(b"\n\r\r", false), None);
+        assert_eq!(purpose(b"\n\r\r", true), Some("candump text"));
+        assert_eq!(purpose(b"\n\r\r\n", false), Some("Wireshark"));
+        assert_eq!(purpose(b"(", false), Some("candump text"));
+    }
+}

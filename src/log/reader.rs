@@ -1,0 +1,303 @@
+//! Log reader: detects the format of a log and reads its frames.
+//!
+//! Input: any [`BufRead`], in pieces of any size. Output: frames in the order in which they stand,
+//! with moments that never run backwards, and a [`LogSummary`]. Entries that cannot be read are
+//! counted; if a log is damaged, the frames before the damage count. Does not know the session's
+//! clock: replay is in `bus::replay`.
+
+use super::{DecodeStep, LogDecoder, LogFormat, LogSummary};
+use crate::frame::Frame;
+use std::io::{self, BufRead, BufReader, Read};
+
+/// Reads the frames of a log. The first frame is at [`Instant::ZERO`](crate::time::Instant::ZERO).
+/// A frame dated up to 1 s before its predecessor gets the same moment; after a larger step back,
+/// time continues from the last frame. Both are counted in [`LogSummary::backwards`].
+#[derive(Debug)]
+pub struct LogReader<R> {
+    source: R,
+    /// The first bytes of the log: until its format is known, and then until they are decoded.
+    head: Vec<u8>,
+    /// `None` before the format is known.
+    decoder: Option<Box<dyn LogDecoder>>,
+    /// An entry without its end is not read yet.
+    keeps_unfinished: bool,
+    tally: LogSummary,
+}
+
+impl<R: BufRead> LogReader<R> {
+    /// Starts at the beginning of a log.
+    pub fn new(source: R) -> Self {
+        Self {
+            source,
+            head: Vec::new(),
+            decoder: None,
+            keeps_unfinished: false,
+            tally: LogSummary::default(),
+        }
+    }
+
+    /// Keeps a last entry without its end from now on, because it may still be in the middle of
+    /// being written. At the end of the source, read again later.
+    pub fn keep_unfinished(&mut self) {
+        self.keeps_unfinished = true;
+    }
+
+    /// Returns true if the log stops inside an entry.
+    pub fn has_unfinished(&self) -> bool {
+        !self.head.is_empty() || self.decoder.as_ref().is_some_and(|it| it.has_unfinished())
+    }
+
+    /// Reads the last entry although its end is missing; `None` if there is no such frame.
+    pub fn take_unfinished(&mut self) -> Option<Frame> {
+        self.decoder.as_mut()?.take_unfinished(&mut self.tally)
+    }
+
+    /// Returns true if the rest cannot be read, even if the source grows.
+    pub fn is_damaged(&self) -> bool {
+        self.tally.damage.is_some_and(|damage| !damage.is_cut())
+    }
+
+    /// The source.
+    pub fn source(&self) -> &R {
+        &self.source
+    }
+
+    /// The source, to replace what is read.
+    pub fn source_mut(&mut self) -> &mut R {
+        &mut self.source
+    }
+
+    /// What was read so far.
+    pub fn tally(&self) -> &LogSummary {
+        &self.tally
+    }
+
+    /// The next frame; `None` at the end.
+    ///
+    /// # Errors
+    ///
+    /// Those of the source.
+    pub fn next_frame(&mut self) -> io::Result<Option<Frame>> {
+        loop {
+            match self.step()? {
+                DecodeStep::End => return Ok(None),
+                DecodeStep::Frame(frame) => return Ok(Some(frame)),
+                DecodeStep::Nothing => {}
+            }
+        }
+    }
+
+    /// Reads to the end of an entry, or of the source's buffer.
+    fn step(&mut self) -> io::Result<DecodeStep> {
+        let Some(decoder) = &mut self.decoder else { return self.detect() };
+        if !self.head.is_empty() {
+            let (used, step) = decoder.decode(&self.head, &mut self.tally);
+            self.head.drain(..used);
+            return Ok(step);
+        }
+        let buffer = match self.source.fill_buf() {
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {
+                return Ok(DecodeStep::Nothing);
+            }
+            buffer => buffer?,
+        };
+        if buffer.is_empty() {
+            decoder.handle_end(&mut self.tally);
+            let frame =
+                if self.keeps_unfinished { None } else { decoder.take_unfinished(&mut self.tally) };
+            return Ok(frame.map_or(DecodeStep::End, DecodeStep::Frame));
+        }
+        let (used, step) = decoder.decode(buffer, &mut self.tally);
+        self.source.consume(used);
+        Ok(step)
+    }
+
+    /// Reads one byte more, and looks whether the format is known by it.
+    fn detect(&mut self) -> io::Result<DecodeStep> {
+        let byte = match self.source.fill_buf() {
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {
+                return Ok(DecodeStep::Nothing);
+            }
+            buffer => buffer?.first().copied(),
+        };
+        if byte.is_none() && self.head.is_empty() {
+            return Ok(DecodeStep::End);
+        }
+        self.head.extend(byte);
+        self.source.consume(usize::from(byte.is_some()));
+        if let Some(format) = LogFormat::detect(&self.head, byte.is_none()) {
+            self.tally.unit = format.unit;
+            self.decoder = Some((format.decoder)());
+        }
+        Ok(DecodeStep::Nothing)
+    }
+}
+
+impl<R: Read> LogReader<BufReader<R>> {
+    /// Reads what comes as the beginning of another log, in the place of this one. The summary
+    /// continues.
+    pub fn restart(&mut self) {
+        let left = self.source.buffer().len();
+        self.source.consume(left);
+        self.head.clear();
+        self.decoder = None;
+        self.tally.damage = None;
+    }
+
+    /// The next frame that is buffered as a whole; `None` if the source would have to be read.
+    pub fn next_buffered(&mut self) -> Option<Frame> {
+        while self.has_buffered() {
+            // Nothing is read from the source, so there is no error.
+            match self.step() {
+                Ok(DecodeStep::Frame(frame)) => return Some(frame),
+                Ok(DecodeStep::Nothing) => {}
+                Ok(DecodeStep::End) | Err(_) => return None,
+            }
+        }
+        None
+    }
+
+    /// Returns true if a step gets further without reading from the source.
+    fn has_buffered(&self) -> bool {
+        let buffer = self.source.buffer();
+        match &self.decoder {
+            None => !buffer.is_empty(),
+            Some(decoder) => !self.head.is_empty() || decoder.can_decode(buffer),
+        }
+    }
+}
+
+impl<R: BufRead> Iterator for LogReader<R> {
+    type Item = io::Result<Frame>;
+
+    fn next(&mut self) -> Option<io::Result<Frame>> {
+        self.next_frame().transpose()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::CanId;
+    use crate::log::EntryFault;
+    use crate::log::candump::LineFault;
+
+    const LOG: &str = "\
+(1436509052.249713) can0 02015402#04
+(1436509052.249800) can1 123#R4
+
+not a line
+(1436509052.249000) can0 02015402#05 T\r
+(1436509053.000000) can0 00000001#";
+
+    fn read(text: &str, buffer: usize) -> (Vec<Frame>, LogSummary) {
+        let mut reader = LogReader::new(BufReader::with_capacity(buffer, text.as_bytes()));
+        let frames = reader.by_ref().collect::<io::Result<_>>().unwrap();
+        (frames, reader.tally().clone())
+    }
+
+    #[test]
+    fn reads_the_same_whatever_the_buffer() {
+        let (frames, tally) = read(LOG, 4096);
+        let micros: Vec<_> = frames.iter().map(|frame| frame.time.as_micros()).collect();
+        assert_eq!(micros, [0, 87, 87, 750_287]);
+        assert_eq!(frames.iter().map(|frame| frame.bus.0).collect::<Vec<_>>(), [0, 1, 0, 0]);
+        assert!(frames[2].is_tx);
+        assert_eq!(tally.interfaces, ["can0", "can1"]);
+        assert_eq!(tally.epoch.unwrap().unix_micros(tally.last), 1_436_509_053_000_000);
+        assert_eq!((tally.lines, tally.frames, tally.unreadable, tally.backwards), (6, 4, 1, 1));
+        assert_eq!(tally.first_unreadable, Some((4, LineFault::Time.into())));
+        for buffer in 1..60 {
+            assert_eq!(read(LOG, buffer), (frames.clone(), tally.clone()));
+        }
+    }
+
+    #[test]
+    fn what_is_here_is_had_without_reading_on() {
+        // A pipe that gives one piece per read, and nothing after them.
+        struct Pieces(Vec<&'static str>);
+        impl Read for Pieces {
+            fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+                let piece = self.0.pop().expect("it is not read on").as_bytes();
+                buffer[..piece.len()].copy_from_slice(piece);
+                Ok(piece.len())
+            }
+        }
+        let pieces = vec!["0 125#\n", "(0.1) can0 123#\n\n?\n(0.2) can0 124#\n\n(0.3) can"];
+        let mut reader = LogReader::new(BufReader::new(Pieces(pieces)));
+        assert_eq!(reader.next_frame().unwrap().unwrap().id, CanId::Standard(0x123));
+        assert_eq!(reader.next_buffered().unwrap().id, CanId::Standard(0x124));
+        assert_eq!(reader.next_buffered(), None);
+        assert_eq!(reader.next_frame().unwrap().unwrap().id, CanId::Standard(0x125));
+        assert_eq!(reader.next_buffered(), None);
+    }
+
+    /// The moments of lines with these times, in milliseconds, and how many ran backwards.
+    fn moments(written: &[u64]) -> (Vec<u64>, u64) {
+        let line = |&millis: &u64| format!("({}.{:03}) can0 123#\n", millis / 1000, millis % 1000);
+        let (frames, tally) = read(&written.iter().map(line).collect::<String>(), 4096);
+        let moments = frames.iter().map(|frame| frame.time.as_micros() / 1000).collect();
+        (moments, tally.backwards)
+    }
+
+    #[test]
+    fn a_little_disorder_stands_still() {
+        let (moments, backwards) = moments(&[5000, 6000, 5000, 5900, 6100]);
+        assert_eq!((moments, backwards), (vec![0, 1000, 1000, 1000, 1100], 2));
+    }
+
+    #[test]
+    fn a_clock_that_is_set_back_goes_on_from_the_last_moment() {
+        let hour = 3_600_000;
+        let told = moments(&[hour + 5000, hour + 6000, 5999, 6999, 6899, 60_999, 61_999]);
+        assert_eq!(told, (vec![0, 1000, 1000, 2000, 2000, 56_000, 57_000], 2));
+        // Before the first line, and again, and by little more than a second.
+        let told = moments(&[9000, 10_000, 0, 1000, 0, 1000, 2000, 998, 2998]);
+        assert_eq!(told, (vec![0, 1000, 1000, 2000, 2000, 2000, 3000, 3000, 5000], 3));
+    }
+
+    #[test]
+    fn a_clock_that_is_set_to_and_fro_makes_no_gaps() {
+        // One stray line; then two interfaces, each with a clock of its own.
+        let told = moments(&[100_000, 101_000, 3, 102_000, 103_000]);
+        assert_eq!(told, (vec![0, 1000, 1000, 2000, 3000], 1));
+        let told = moments(&[7_000_000, 7_000_100, 300, 7_000_200, 400, 7_000_400, 450, 600]);
+        assert_eq!(told, (vec![0, 100, 100, 200, 200, 400, 400, 400], 2));
+        // One that is set forward is believed: nobody can tell it from silence.
+        assert_eq!(moments(&[0, 1000, 8_000_000]), (vec![0, 1000, 8_000_000], 0));
+    }
+
+    #[test]
+    fn times_beyond_measure_stay_in_order() {
+        let text = "(18446744073709.551615) can0 123#\n(0.0) can0 123#\n".repeat(20);
+        let (frames, _) = read(&text, 4096);
+        assert!(frames.is_sorted_by_key(|frame| frame.time));
+    }
+
+    #[test]
+    fn an_endless_line_is_one_unreadable_line() {
+        let text = format!("{}\n(0.1) can0 123#", "x".repeat(1_000_000));
+        for buffer in [64, 8192, 2_000_000] {
+            let (frames, tally) = read(&text, buffer);
+            assert_eq!(frames.len(), 1);
+            assert_eq!(tally.first_unreadable, Some((1, LineFault::TooLong.into())));
+        }
+    }
+
+    #[test]
+    fn the_257th_interface_is_unreadable() {
+        let lines: Vec<_> = (0..300).map(|n| format!("(0.1) bus{n} 123#")).collect();
+        let (frames, tally) = read(&lines.join("\n"), 8192);
+        assert_eq!((frames.len(), tally.unreadable), (256, 44));
+        assert_eq!(tally.first_unreadable, Some((257, EntryFault::TooManyInterfaces)));
+    }
+
+    #[test]
+    fn sums_up_in_words() {
+        assert_eq!(
+            read(LOG, 4096).1.to_string(),
+            "4 frames of 2 interfaces; line 4 cannot be read: it does not begin with \
+             (SECONDS.FRACTION); time goes backwards 1 time"
+        );
+    }
+}

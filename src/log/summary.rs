@@ -1,0 +1,141 @@
+//! What was read of a log: counts, faults, interfaces, and the moments of its entries.
+//!
+//! Entries up to 1 s out of order keep the order in which they stand. Where the log's clock was set
+//! back by more, or a second log follows in the same file, time continues from the last entry.
+//! Does not know formats: decoders pass entries and faults.
+
+use super::LogEntry;
+use super::candump::LineFault;
+use super::pcapng::{Damage, PacketFault};
+use crate::frame::{BusIndex, Frame};
+use crate::time::{Duration, Epoch, Instant};
+use std::fmt;
+
+/// An entry that is dated earlier by at most this gets the moment of the entry before it. Beyond
+/// it, the clock was set back.
+const MAX_REORDER: Duration = Duration::from_secs(1);
+/// A gap after which a clock that was set back may be back at its earlier time.
+const GAP: Duration = Duration::from_secs(10);
+
+/// Why an entry of a log cannot be read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
+pub enum EntryFault {
+    /// A line of candump's log text.
+    #[error(transparent)]
+    Line(#[from] LineFault),
+    /// A block of a pcapng file.
+    #[error(transparent)]
+    Packet(#[from] PacketFault),
+    /// More interface names than there are bus numbers.
+    #[error("more than 256 interface names in one log")]
+    TooManyInterfaces,
+}
+
+/// What was read of a log so far.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct LogSummary {
+    /// One entry of this log: `line`, `block`. Empty before the format is known.
+    pub(super) unit: &'static str,
+    /// Entries, readable or not.
+    pub lines: u64,
+    /// Frames.
+    pub frames: u64,
+    /// Entries that cannot be read.
+    pub unreadable: u64,
+    /// The first of them: its number, counted from 1, and its fault.
+    pub first_unreadable: Option<(u64, EntryFault)>,
+    /// Why the rest cannot be read; `None` if it can, or if there is none.
+    pub damage: Option<Damage>,
+    /// Frames dated earlier than the frame before them; each step back of the clock counts once.
+    pub backwards: u64,
+    /// Interface names in order of appearance: those of bus 0, 1, ….
+    pub interfaces: Vec<String>,
+    /// The time of the first frame; `None` before it.
+    pub epoch: Option<Epoch>,
+    /// The moment of the last frame, counted from the first.
+    pub last: Instant,
+    /// Added to the times as written, because the clock was set back.
+    ahead: Duration,
+    /// Added before the clock was set the last time. It may be set to and fro, and two interfaces
+    /// may each have a clock of their own.
+    ahead_before: Duration,
+}
+
+impl LogSummary {
+    /// Counts an entry; returns its frame with bus and moment.
+    pub(super) fn take<'a>(
+        &mut self,
+        entry: Result<Option<LogEntry<'a>>, impl Into<EntryFault>>,
+    ) -> Option<Frame> {
+        self.lines += 1;
+        let entry: Result<Option<LogEntry<'a>>, EntryFault> = entry.map_err(Into::into);
+        let read = entry.and_then(|entry| entry.map(|entry| self.place(entry)).transpose());
+        read.unwrap_or_else(|fault| {
+            self.unreadable += 1;
+            self.first_unreadable.get_or_insert((self.lines, fault));
+            None
+        })
+    }
+
+    fn place(&mut self, entry: LogEntry<'_>) -> Result<Frame, EntryFault> {
+        let bus = self.bus_of(entry.interface).ok_or(EntryFault::TooManyInterfaces)?;
+        let epoch = *self.epoch.get_or_insert(Epoch::from_unix_micros(entry.unix_micros));
+        self.last = self.moment(epoch.since_start(entry.unix_micros));
+        self.frames += 1;
+        Ok(entry.frame.with_time(self.last).with_bus(bus))
+    }
+
+    /// The moment of an entry dated `written` microseconds after the first one.
+    fn moment(&mut self, written: i128) -> Instant {
+        let micros = |duration: Duration| duration.as_micros().cast_signed();
+        let last = i128::from(self.last.as_micros());
+        let late = |ahead| written + micros(ahead) - last;
+        let goes_on = |ahead| (-micros(MAX_REORDER)..=micros(GAP)).contains(&late(ahead));
+        if !goes_on(self.ahead) && goes_on(self.ahead_before) {
+            std::mem::swap(&mut self.ahead, &mut self.ahead_before);
+        }
+        let late_by = late(self.ahead);
+        self.backwards += u64::from(late_by < 0);
+        if late_by < -micros(MAX_REORDER) {
+            let set_back = u64::try_from(-late_by).unwrap_or(u64::MAX);
+            self.ahead_before = self.ahead;
+            self.ahead = self.ahead.saturating_add(Duration::from_micros(set_back));
+        }
+        self.last + Duration::from_micros(u64::try_from(late_by).unwrap_or(0))
+    }
+
+    fn bus_of(&mut self, interface: &str) -> Option<BusIndex> {
+        let known = self.interfaces.iter().position(|name| name == interface);
+        let index = u8::try_from(known.unwrap_or(self.interfaces.len())).ok()?;
+        if known.is_none() {
+            self.interfaces.push(interface.to_owned());
+        }
+        Some(BusIndex(index))
+    }
+}
+
+/// `5123 frames; 2 lines cannot be read, the first is line 17: …`.
+impl fmt::Display for LogSummary {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let plural = |count| if count == 1 { "" } else { "s" };
+        write!(f, "{} frame{}", self.frames, plural(self.frames))?;
+        if self.interfaces.len() > 1 {
+            write!(f, " of {} interfaces", self.interfaces.len())?;
+        }
+        let unit = self.unit;
+        match (self.first_unreadable, self.unreadable) {
+            (None, _) => {}
+            (Some((line, fault)), 1) => write!(f, "; {unit} {line} cannot be read: {fault}")?,
+            (Some((line, fault)), count) => {
+                write!(f, "; {count} {unit}s cannot be read, the first is {unit} {line}: {fault}")?;
+            }
+        }
+        if let Some(damage) = self.damage {
+            write!(f, "; {damage}")?;
+        }
+        match self.backwards {
+            0 => Ok(()),
+            count => write!(f, "; time goes backwards {count} time{}", plural(count)),
+        }
+    }
+}
