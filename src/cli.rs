@@ -2,7 +2,7 @@
 //!
 //! Opens nothing and reads nothing.
 
-use crate::bus::BusSpec;
+use crate::bus::{self, BusSpec};
 use crate::guide;
 use crate::log::LogFormat;
 use crate::shell::recorder::Size;
@@ -77,8 +77,11 @@ Examples:
   descan sim udp:239.74.163.2 --scenario drone
   descan sim slcan:/dev/ttyACM0@500000 --scenario line.toml --time 60")]
     Sim {
-        /// Bus to simulate the devices on: can0 | slcan:DEVICE@RATE | udp:GROUP | socketcand://HOST/BUS
-        #[arg(value_name = "BUS")]
+        /// The bus, of a kind that sends.
+        #[arg(
+            value_name = "BUS",
+            help = format!("Bus to simulate the devices on: {}", bus::forms(|kind| kind.can_send))
+        )]
         bus: BusSpec,
         /// Scenario: boiler, drone or a TOML file
         #[arg(long, default_value = "boiler", value_name = "SCENARIO")]
@@ -249,9 +252,11 @@ pub struct SpeedArgs {
 /// Buses, and what concerns them.
 #[derive(Debug, Args, Clone)]
 pub struct SessionArgs {
-    /// can0 | slcan:DEVICE@RATE | socketcand://HOST/BUS | udp:GROUP | file:LOG | - | sim:boiler |
-    /// sim:drone | sim:FILE (several: one view over all)
-    #[arg(value_name = "BUS")]
+    /// The buses, of any kind.
+    #[arg(
+        value_name = "BUS",
+        help = format!("{} (several: one view over all)", bus::forms(|_| true))
+    )]
     pub buses: Vec<BusSpec>,
     /// Replay speed of a log: 1 is real time, 10 is ten times as fast
     #[arg(long, value_name = "N", value_parser = speed, allow_negative_numbers = true)]

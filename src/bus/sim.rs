@@ -3,10 +3,12 @@
 //! Knows nothing of what is simulated: [`crate::sim`] does.
 
 use super::clock::Clock;
+use super::kind::{BusKind, OpenError, OpenRequest, SpecError};
 use super::port::{Port, PortShared};
 use crate::frame::{BusIndex, Frame};
 use crate::sim::{self, Scenario, Sim, SimStation};
 use crate::status::{BusState, Link, RateSearch};
+use crate::text::on_one_line;
 use crate::time::Duration;
 use std::io;
 use std::sync::Arc;
@@ -16,18 +18,52 @@ const NAP: Duration = Duration::from_millis(2);
 /// The longest sleep of a bus on which nothing happens.
 const IDLE: Duration = Duration::from_secs(1);
 
-/// Opens a bus on which `scenario` runs, its start at the clock's now.
-pub(super) fn open(
-    name: &str,
-    scenario: &Scenario,
-    index: BusIndex,
-    clock: Clock,
-    listen_only: bool,
-) -> io::Result<Port> {
+pub(super) const KIND: BusKind = BusKind {
+    scheme: "sim",
+    forms: &["sim:boiler", "sim:drone", "sim:FILE"],
+    example: "sim:boiler",
+    note: None,
+    can_send: false,
+};
+
+pub(super) fn parse(text: &str) -> Result<String, SpecError> {
+    if text.is_empty() { Err(SpecError::incomplete(&KIND)) } else { Ok(text.to_owned()) }
+}
+
+pub(super) fn text(scenario: &str) -> String {
+    scenario.to_owned()
+}
+
+/// Opens a bus on which the scenario of that name runs; its time zero is the present.
+pub(super) fn open(name: &str, request: OpenRequest) -> Result<Port, OpenError> {
+    let scenario = scenario(name)?;
+    let bus = request.name.clone();
+    start(&scenario, request).map_err(|cause| OpenError::Resources { name: bus, cause })
+}
+
+/// The scenario of that name: a built-in one, or a TOML file.
+///
+/// # Errors
+///
+/// The file cannot be read, or is not a scenario.
+pub fn scenario(name: &str) -> Result<Scenario, OpenError> {
+    if Scenario::builtin_text(name).is_some() {
+        return Scenario::builtin(name).map_err(|error| OpenError::Scenario(error.to_string()));
+    }
+    let text = std::fs::read_to_string(name).map_err(|cause| {
+        OpenError::Scenario(format!("{name}: {cause}; use boiler, drone or a TOML file"))
+    })?;
+    Scenario::parse(&text).map_err(|error| {
+        OpenError::Scenario(format!("{name}: {}", on_one_line(&error.to_string())))
+    })
+}
+
+fn start(scenario: &Scenario, request: OpenRequest) -> io::Result<Port> {
+    let OpenRequest { name, index, clock, options } = request;
     let line = Arc::new(PortShared::new()?);
     let mut sim = Sim::from_scenario(scenario);
     let station = sim.attach();
-    let mut port = Port::new(name, Arc::clone(&line), listen_only);
+    let mut port = Port::new(&name, Arc::clone(&line), options.listen_only);
     line.queue.update_status(|status| {
         status.link = Link::Up;
         status.rate_search = RateSearch::NoRate;

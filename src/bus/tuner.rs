@@ -4,7 +4,7 @@
 //! Does not know which rate is the right one.
 
 use super::BusSpec;
-use super::slcan::rate_code;
+use super::slcan::{SlcanAddress, rate_code};
 use super::socketcan::controller::{CanController, ConfigError};
 use crate::bitrate::ListenMode;
 use std::io;
@@ -73,7 +73,7 @@ impl BitRateSetter {
                 Ok(controller) => Ok(Self(SetterTarget::Interface(controller))),
                 Err(refusal) => Err(explain(refusal, name, 0)),
             },
-            BusSpec::Slcan { device, bitrate, .. } => {
+            BusSpec::Slcan(SlcanAddress { device, bitrate, .. }) => {
                 Ok(Self(SetterTarget::Adapter { device: device.clone(), bitrate: *bitrate }))
             }
             other => Err(TuneError::NoRate(other.to_string())),
@@ -101,11 +101,11 @@ impl BitRateSetter {
             SetterTarget::Adapter { device, .. } if rate_code(bitrate).is_none() => {
                 Err(TuneError::NotThisRate { name: device.display().to_string(), bitrate })
             }
-            SetterTarget::Adapter { device, .. } => Ok(BusSpec::Slcan {
+            SetterTarget::Adapter { device, .. } => Ok(BusSpec::Slcan(SlcanAddress {
                 device: device.clone(),
                 bitrate: Some(bitrate),
                 data_bitrate: None,
-            }),
+            })),
         }
     }
 

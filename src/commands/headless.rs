@@ -4,7 +4,7 @@
 use super::Failure;
 use super::open::{self, Setup};
 use crate::app::{App, AppOptions, Bus, TxBlocked};
-use crate::bus::{self, BusSpec};
+use crate::bus::{self, BusSpec, UdpAddress};
 use crate::discovery::OwnAddress;
 use crate::frame::BusIndex;
 use crate::log::LogSummary;
@@ -209,7 +209,7 @@ pub fn warn_tx_blocked(app: &App, index: BusIndex) {
                  same bit rate? Does the adapter still work? See: ip -statistics link")
             }
             // There is no cable that could be wrong.
-            (_, Ok(BusSpec::Udp { group, .. })) => say(&format!(
+            (_, Ok(BusSpec::Udp(UdpAddress { group, .. }))) => say(&format!(
                 "own datagrams are not received back; does a route lead to {group} (ip route get \
                  {group}), and does its interface have multicast?"
             )),

@@ -134,7 +134,7 @@ pub fn buses(arguments: &Arguments) -> Result<Vec<BusSpec>, Failure> {
 fn is_same(bus: &BusSpec, other: &BusSpec) -> bool {
     match (bus, other) {
         // However fast, there is one adapter.
-        (BusSpec::Slcan { device, .. }, BusSpec::Slcan { device: other, .. }) => device == other,
+        (BusSpec::Slcan(slcan), BusSpec::Slcan(other)) => slcan.device == other.device,
         // Each is simulated by itself.
         (BusSpec::Sim(_), _) => false,
         _ => bus == other,

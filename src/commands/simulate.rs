@@ -17,7 +17,7 @@ const NAP: Duration = Duration::from_millis(2);
 
 /// Runs until interrupted, or for `time`.
 pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8, Failure> {
-    if matches!(spec, BusSpec::File(_) | BusSpec::Stdin | BusSpec::Sim(_)) {
+    if !spec.kind().can_send {
         return Err(Failure::Usage(format!(
             "cannot simulate devices on {spec}; for a simulated bus: descan demo"
         )));

@@ -46,8 +46,8 @@ async fn search(speed: &SpeedArgs) -> Result<u8, Failure> {
     print(speed, &report)?;
     if let SearchOutcome::Found(rate) = report.outcome {
         say(&match bus {
-            BusSpec::Slcan { device, .. } => {
-                format!("open it with: descan slcan:{}@{rate}", device.display())
+            BusSpec::Slcan(slcan) => {
+                format!("open it with: descan slcan:{}@{rate}", slcan.device.display())
             }
             _ => format!("{bus} keeps this bit rate; open it with: descan {bus}"),
         });

@@ -6,10 +6,10 @@
 //! written has a bounded place to wait in, and frames that find no room there in time are counted.
 
 use super::{Backoff, Delivery};
-use crate::bus::Options;
 use crate::bus::clock::Clock;
+use crate::bus::kind::{OpenError, OpenRequest};
 use crate::bus::port::{Port, PortShared};
-use crate::frame::{BusIndex, Frame};
+use crate::frame::Frame;
 use crate::status::{BusState, BusStatus, Link};
 use crate::time::Instant;
 use std::io::{self, ErrorKind, Read, Write};
@@ -121,17 +121,26 @@ impl ProtocolIo {
 
 /// Opens the bus; frames and status come when they come.
 pub(in crate::bus) fn open<E: Endpoint, D: Protocol>(
-    name: &str,
+    request: OpenRequest,
+    ends: (E, D),
+    start: (BusStatus, Backoff),
+) -> Result<Port, OpenError> {
+    let name = request.name.clone();
+    start_worker(request, ends, start).map_err(|cause| OpenError::Resources { name, cause })
+}
+
+fn start_worker<E: Endpoint, D: Protocol>(
+    request: OpenRequest,
     (endpoint, dialogue): (E, D),
     (status, backoff): (BusStatus, Backoff),
-    (bus, clock, options): (BusIndex, Clock, Options),
 ) -> io::Result<Port> {
+    let OpenRequest { name, index, clock, options } = request;
     let line = Arc::new(PortShared::new()?);
-    line.queue.add_name(name);
+    line.queue.add_name(&name);
     line.queue.update_status(|told| *told = status.clone());
-    let mut port = Port::new(name, Arc::clone(&line), options.listen_only);
+    let mut port = Port::new(&name, Arc::clone(&line), options.listen_only);
     let mut carrier = StreamWorker {
-        delivery: Delivery::new(Arc::clone(&line), bus),
+        delivery: Delivery::new(Arc::clone(&line), index),
         line,
         endpoint: Arc::new(endpoint),
         dialogue,

@@ -3,17 +3,18 @@
 //! This opens the port; `dialogue` is what is said there, `line` is what the lines mean. A port
 //! that is not there, is in use, or goes away is a status, and is waited for.
 
+mod address;
 mod line;
 mod protocol;
 
-pub(super) use line::{data_rate_code, data_rates, rate_code, rates};
+pub use address::SlcanAddress;
+pub(super) use address::{KIND, parse, text};
+pub(super) use line::rate_code;
 
-use super::Options;
-use super::clock::Clock;
+use super::kind::{OpenError, OpenRequest};
 use super::port::Port;
 use super::remote::Backoff;
 use super::remote::stream::{self, Endpoint, Unavailable};
-use crate::frame::BusIndex;
 use crate::status::{BusStatus, Link, RateSearch};
 use nix::errno::Errno;
 use nix::fcntl::{Flock, FlockArg, OFlag};
@@ -36,23 +37,19 @@ const LOOK_EVERY: Duration = Duration::from_secs(1);
 const BAUD_RATE: BaudRate = BaudRate::B115200;
 
 /// Opens the adapter; the status comes when it is known.
-pub(super) fn open(
-    name: &str,
-    device: &Path,
-    (bitrate, data_bitrate): (Option<u32>, Option<u32>),
-    (index, clock, options): (BusIndex, Clock, Options),
-) -> io::Result<Port> {
-    let settings = SlcanSettings { bitrate, data_bitrate, listen_only: options.listen_only };
+pub(super) fn open(address: &SlcanAddress, request: OpenRequest) -> Result<Port, OpenError> {
+    let SlcanAddress { device, bitrate, data_bitrate } = address.clone();
+    let listen_only = request.options.listen_only;
+    let settings = SlcanSettings { bitrate, data_bitrate, listen_only };
     let dialogue = Slcan::new(&device.to_string_lossy(), settings);
     let status = BusStatus {
         bitrate,
         rate_search: RateSearch::WhenClosed,
-        listen_only: options.listen_only,
+        listen_only,
         ..BusStatus::default()
     };
     let backoff = Backoff::new(LOOK_EVERY, LOOK_EVERY);
-    let serial_port = SerialPort { device: device.to_owned() };
-    stream::open(name, (serial_port, dialogue), (status, backoff), (index, clock, options))
+    stream::open(request, (SerialPort { device }, dialogue), (status, backoff))
 }
 
 struct SerialPort {

@@ -7,12 +7,14 @@
 
 pub(super) mod controller;
 mod link_info;
+mod name;
 mod socket;
 
 pub use link_info::{CanInterface, interfaces};
+pub(super) use name::{KIND, interface_name, interface_name as parse, looks_like_path, text};
 
-use super::Options;
-use super::clock::{Clock, RxTimestamps};
+use super::clock::RxTimestamps;
+use super::kind::{OpenError, OpenRequest};
 use super::port::{Port, PortShared};
 use crate::error_report::ErrorReport;
 use crate::frame::{BusIndex, Frame, IdPattern};
@@ -41,13 +43,14 @@ const LONGEST_NAP: Duration = Duration::from_millis(20);
 const RETRY_EVERY: Duration = Duration::from_millis(2);
 const RETRY_FOR: Duration = Duration::from_millis(500);
 
-/// Opens the interface; its status is there at once.
-pub(super) fn open(
-    name: &str,
-    index: BusIndex,
-    clock: Clock,
-    options: Options,
-) -> io::Result<Port> {
+/// Opens the interface; its status is known at once.
+pub(super) fn open(interface: &str, request: OpenRequest) -> Result<Port, OpenError> {
+    let name = request.name.clone();
+    start(interface, request).map_err(|cause| OpenError::Resources { name, cause })
+}
+
+fn start(name: &str, request: OpenRequest) -> io::Result<Port> {
+    let OpenRequest { index, clock, options, .. } = request;
     let line = Arc::new(PortShared::new()?);
     line.queue.add_name(name);
     line.queue.update_status(|status| status.filtered = !options.only.is_empty());

@@ -4,15 +4,17 @@
 //! mean. A server that is not there or goes away is a status, and is tried again, less and less
 //! often.
 
+mod address;
 mod message;
 mod protocol;
 
-use super::Options;
-use super::clock::Clock;
+pub use address::SocketcandAddress;
+pub(super) use address::{KIND, parse, text};
+
+use super::kind::{OpenError, OpenRequest};
 use super::port::Port;
 use super::remote::Backoff;
 use super::remote::stream::{self, Endpoint, Unavailable};
-use crate::frame::BusIndex;
 use crate::status::{BusStatus, Link, RateSearch};
 use nix::sys::socket::{setsockopt, sockopt};
 use protocol::Socketcand;
@@ -31,17 +33,13 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(8);
 const SEND_BUFFER: usize = 4_096;
 
 /// Opens the bus; the status comes when it is known.
-pub(super) fn open(
-    name: &str,
-    (host, port): (&str, Option<u16>),
-    interface: &str,
-    (index, clock, options): (BusIndex, Clock, Options),
-) -> io::Result<Port> {
-    let server = Server { host: host.to_owned(), port: port.unwrap_or(USUAL_PORT) };
+pub(super) fn open(address: &SocketcandAddress, request: OpenRequest) -> Result<Port, OpenError> {
+    let SocketcandAddress { host, port, interface } = address;
+    let server = Server { host: host.clone(), port: port.unwrap_or(USUAL_PORT) };
     let dialogue = Socketcand::new(&server.name(), interface);
     let backoff = Backoff::new(FIRST_PAUSE, LONGEST_PAUSE);
     let status = BusStatus { rate_search: RateSearch::NoRate, ..BusStatus::default() };
-    stream::open(name, (server, dialogue), (status, backoff), (index, clock, options))
+    stream::open(request, (server, dialogue), (status, backoff))
 }
 
 struct Server {

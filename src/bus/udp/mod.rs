@@ -3,19 +3,22 @@
 //! A group that cannot be reached is a status, and is waited for. `message` is what datagrams say,
 //! `sockets` how they come and go.
 
+mod address;
 mod message;
 mod sockets;
 
-use super::Options;
+pub use address::UdpAddress;
+pub(super) use address::{KIND, parse, text};
+
 use super::clock::{Clock, RxTimestamps};
+use super::kind::{OpenError, OpenRequest};
 use super::port::{Port, PortShared};
 use super::remote::{Backoff, Delivery};
-use crate::frame::{BusIndex, Frame};
+use crate::frame::Frame;
 use crate::status::{BusStatus, Link, RateSearch};
 use nix::errno::Errno;
 use sockets::{MulticastGroup, ReceivedDatagram, Sockets};
 use std::io::{self, ErrorKind};
-use std::net::IpAddr;
 use std::os::fd::AsFd;
 use std::sync::Arc;
 use std::time::{Duration, Instant as Monotonic};
@@ -31,17 +34,21 @@ const LOOK_EVERY: Duration = Duration::from_secs(2);
 /// Datagrams that are taken before what is to be sent has its turn.
 const BATCH: usize = 256;
 
-/// Opens the bus; its status is there at once.
-pub(super) fn open(
-    name: &str,
-    (address, interface, port): (IpAddr, Option<&str>, Option<u16>),
-    (index, clock, options): (BusIndex, Clock, Options),
-) -> io::Result<Port> {
+/// Opens the bus; its status is known at once.
+pub(super) fn open(address: &UdpAddress, request: OpenRequest) -> Result<Port, OpenError> {
+    let name = request.name.clone();
+    start(address, request).map_err(|cause| OpenError::Resources { name, cause })
+}
+
+fn start(address: &UdpAddress, request: OpenRequest) -> io::Result<Port> {
+    let OpenRequest { name, index, clock, options } = request;
     let line = Arc::new(PortShared::new()?);
-    line.queue.add_name(name);
-    let port_number = port.unwrap_or(USUAL_PORT);
-    let group =
-        MulticastGroup { address, port: port_number, interface: interface.map(str::to_owned) };
+    line.queue.add_name(&name);
+    let group = MulticastGroup {
+        address: address.group,
+        port: address.port.unwrap_or(USUAL_PORT),
+        interface: address.interface.clone(),
+    };
     let mut bus = Multicast {
         group,
         speaks: !options.listen_only,
@@ -54,7 +61,7 @@ pub(super) fn open(
         was_there: false,
     };
     let opened = bus.open();
-    let mut port = Port::new(name, line, options.listen_only);
+    let mut port = Port::new(&name, line, options.listen_only);
     port.serve(move |line| {
         if let Err(error) = bus.run(opened) {
             line.queue.finish(Link::Failed, format!("cannot receive from the group: {error}"));

@@ -6,7 +6,11 @@
 //! The end of a file is an end for now: where it grows, what is new comes as it is written; where it
 //! was cut short or replaced, the new one is read from its beginning.
 
+pub(super) mod file;
+pub(super) mod stdin;
+
 use super::clock::Clock;
+use super::kind::{OpenError, OpenRequest};
 use super::port::{Port, PortShared};
 use crate::frame::{BusIndex, Frame};
 use crate::log::LogReader;
@@ -33,15 +37,15 @@ const IDLE_BEFORE_END: Duration = Duration::from_secs(5);
 /// After so long nobody is in the middle of writing a line.
 const UNFINISHED: Duration = Duration::from_secs(10);
 
-/// Opens a log whose first interface is bus `index`, its second the next, and so on. At its end it
-/// is looked for again at `path`, if that is given.
-pub(super) fn open(
-    name: &str,
-    log: File,
-    path: Option<&Path>,
-    index: BusIndex,
-    clock: Clock,
-) -> io::Result<Port> {
+/// Opens a log whose first interface is bus `index` of the request, its second the next, and so on.
+/// At its end more of it is looked for at `path`, if there is one.
+fn open(log: File, path: Option<&Path>, request: OpenRequest) -> Result<Port, OpenError> {
+    let name = request.name.clone();
+    start(log, path, request).map_err(|cause| OpenError::Resources { name, cause })
+}
+
+fn start(log: File, path: Option<&Path>, request: OpenRequest) -> io::Result<Port> {
+    let OpenRequest { name, index, clock, .. } = request;
     let line = Arc::new(PortShared::new()?);
     line.queue.update_status(|status| {
         status.link = Link::Up;
@@ -51,7 +55,7 @@ pub(super) fn open(
     let metadata = log.metadata()?;
     let (is_file, size) = (metadata.is_file(), metadata.len());
     clock.log_opens(index, !is_file);
-    let mut port = Port::new(name, Arc::clone(&line), true);
+    let mut port = Port::new(&name, Arc::clone(&line), true);
     let path = path.filter(|_| is_file).map(Path::to_owned);
     port.serve(move |line| {
         let source = LogSource { log, line: Arc::clone(line), is_file, read: 0, size };

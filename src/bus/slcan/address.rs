@@ -1,0 +1,59 @@
+//! `slcan:DEVICE[@RATE[/DATA_RATE]]`: what an slcan argument names.
+
+use super::line::{self, data_rate_code, data_rates, rate_code};
+use crate::bus::kind::{BusKind, SpecError};
+use std::path::PathBuf;
+
+pub(in crate::bus) const KIND: BusKind = BusKind {
+    scheme: "slcan",
+    forms: &["slcan:DEVICE@RATE"],
+    example: "slcan:/dev/ttyACM0@500000",
+    note: None,
+    can_send: true,
+};
+
+/// A serial adapter and its bit rates.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SlcanAddress {
+    /// The serial device.
+    pub device: PathBuf,
+    /// Bit/s, one that slcan has a code for; `None`: the adapter keeps its own.
+    pub bitrate: Option<u32>,
+    /// Bit/s of the FD data phase; `None`: no FD frames are sent.
+    pub data_bitrate: Option<u32>,
+}
+
+pub(in crate::bus) fn parse(text: &str) -> Result<SlcanAddress, SpecError> {
+    if text.is_empty() {
+        return Err(SpecError::incomplete(&KIND));
+    }
+    let Some((device, rates)) = text.rsplit_once('@') else {
+        return Ok(SlcanAddress { device: text.into(), bitrate: None, data_bitrate: None });
+    };
+    let rate = |text: &str| {
+        let bad = || SpecError::with_use(format!("{rates} is not a bit rate"), KIND.example);
+        text.parse::<u32>().map_err(|_| bad())
+    };
+    let (bitrate, data_bitrate) = match rates.split_once('/') {
+        Some((bitrate, data)) => (rate(bitrate)?, Some(rate(data)?)),
+        None => (rate(rates)?, None),
+    };
+    if rate_code(bitrate).is_none() {
+        return Err(not_supported(bitrate, "", &line::rates()));
+    }
+    if let Some(data) = data_bitrate.filter(|data| data_rate_code(*data).is_none()) {
+        return Err(not_supported(data, " in the data phase", &data_rates()));
+    }
+    Ok(SlcanAddress { device: device.into(), bitrate: Some(bitrate), data_bitrate })
+}
+
+fn not_supported(rate: u32, phase: &str, rates: &str) -> SpecError {
+    SpecError::with_use(format!("slcan does not support {rate} bit/s{phase}"), rates)
+}
+
+pub(in crate::bus) fn text(address: &SlcanAddress) -> String {
+    let mut text = address.device.display().to_string();
+    text.extend(address.bitrate.map(|rate| format!("@{rate}")));
+    text.extend(address.data_bitrate.map(|rate| format!("/{rate}")));
+    text
+}
