@@ -235,8 +235,8 @@ fn it_is_there_under_another_address() {
     assert_eq!(
         texts,
         [
-            "Static address 44 of PUMP is used by a device named VALVE.",
             "PUMP is at address 20; the file pins it to 44.",
+            "Static address 44 of PUMP is used by a device named VALVE.",
         ]
     );
     // With several it may be either.

@@ -39,7 +39,7 @@ fn however_fast_a_log_is_played_nothing_else_happens_in_it() {
         for word in ["suspected", "rebooted", "lost", "silent", "returned"] {
             assert!(!screen.contains(&format!(" {word}")), "speed {speed}: {word}: {screen}");
         }
-        assert!(screen.contains("10 here"), "and who asked: {screen}");
+        assert!(screen.contains("10 present"), "and who asked: {screen}");
         pty.send("q");
         assert_eq!(pty.wait(), 0);
     }

@@ -532,7 +532,7 @@ fn a_taken_address_leads_to_the_twin_that_is_pinned_to_it() {
         let file = format!("[{}, {}]", entry(first), entry(second));
         let mut stage = Stage::new(&scenario, Some(&file));
         stage.until(12.0);
-        let problem = "12 is the static address of FEED";
+        let problem = "Static address 12 of FEED";
         assert_eq!(leads_to(&mut stage, problem), usize::from(second == 12), "{file}");
     }
 }

@@ -635,7 +635,7 @@ fn a_filter_that_nothing_can_fit_is_refused() {
         ("at:abc", "at:abc: \"abc\" is not an address; use 0 to 127"),
         ("feed at:12-14", "at:12-14: \"12-14\" is not an address"),
         ("at:12,128", "\"128\" is not an address"),
-        ("!foo:bar", "unknown field foo:; use at: name:"),
+        ("!foo:bar", "unknown field foo; use at: name:"),
     ] {
         let output = watch(&["sim:boiler", "--time", "0.1", "--filter", filter], folder.path());
         assert_eq!(output.status.code(), Some(2), "{filter}");

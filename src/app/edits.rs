@@ -451,7 +451,7 @@ impl App {
             }
             Question::FindBitrate(bus) => {
                 let name = self.bus(*bus).map_or("the bus", |bus| bus.name.as_str());
-                format!("Search the bit rate of {name}, listen-only? This restarts the interface.")
+                format!("Search {name}'s bit rate, listen-only? The interface restarts.")
             }
         })
     }

@@ -93,9 +93,10 @@ impl Brush<'_> {
     /// Says that the filter leaves nothing, and how to take it away.
     pub fn filtered(&mut self, area: Rect, what: &str) {
         let key = self.app.key_of("cancel");
-        let text = format!("  {what}; {key} clears it");
-        let line = Line::from(self.span(Role::Muted, text));
-        self.line(area, 1, &line);
+        let text = format!("{what}; {key} clears it");
+        let lines = labelled(self, "  ", Role::Muted, &text, area.width.saturating_sub(1));
+        let below = Rect { y: area.y + 1, height: area.height.saturating_sub(1), ..area };
+        self.lines(below, &lines, 0);
     }
 
     /// Says why a list is empty, and what keeps us from seeing a bus.
