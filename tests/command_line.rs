@@ -456,8 +456,7 @@ fn what_cannot_be_printed_is_named() {
 
 #[test]
 fn hostile_names_reach_no_terminal() {
-    let hostile =
-        DeviceSpec { name: b"\x1b[2J\x07".to_vec(), ..DeviceSpec::new("x").fixed(9).settled() };
+    let hostile = DeviceSpec::new("x").name(b"\x1b[2J\x07").fixed(9).settled();
     let hostile = hostile.service("\u{202e}evil", "\u{9b}1");
     let folder = tempfile::tempdir().unwrap();
     let lines = log(&Scenario::new(125_000).with(hostile), 5);

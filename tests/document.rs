@@ -1211,3 +1211,22 @@ fn the_schema_is_json_and_names_every_member() {
         assert!(members.contains_key(member), "{member}");
     }
 }
+
+/// A bus has 127 addresses: a longer list is another program's file.
+#[test]
+fn more_than_20_000_entries_are_refused() {
+    let entry = r#"{"name":"N"}"#;
+    let full = format!("[{}]", vec![entry; 20_000].join(","));
+    let document = parsed(&full);
+    assert_eq!(document.entries().len(), 20_000);
+    let entry = NewEntry { name: b"M".to_vec(), ..NewEntry::default() };
+    let error = document.apply(&Operation::Add { entry }).unwrap_err();
+    assert_eq!(error, EditError::Full);
+    assert_eq!(
+        error.to_string(),
+        "no room for another entry: the file has 20000; delete one first"
+    );
+    let error = Document::parse(full.replacen('[', "[\n1,", 1).as_bytes()).unwrap_err();
+    assert_eq!((error.line, error.column), (2, 3 + 13 * 19_999));
+    assert_eq!(error.message, "more than 20000 entries; name the right file with --file");
+}

@@ -84,7 +84,7 @@ fn with_pair(scenario: Scenario, pair: [DeviceSpec; 2]) -> Scenario {
 #[test]
 fn two_that_answer_differently_are_named() {
     let services = pair(|other| other.service("VALVE", "2.1"));
-    let names = pair(|other| DeviceSpec { name: b"VALVE".to_vec(), ..other });
+    let names = pair(|other| other.name(b"VALVE"));
     for (what, pair) in [("services", services), ("names", names)] {
         for bitrate in [125_000, 1_000_000] {
             // With nobody else there, nobody acknowledges while the two begin anew.
@@ -205,7 +205,8 @@ fn on_a_disturbed_bus_nobody_is_named() {
     for seed in 0..20 {
         for rate in [0.01, 0.05, 0.2] {
             let bitrate = if seed % 2 == 0 { 125_000 } else { 1_000_000 };
-            let scenario = Scenario { error_rate: rate, ..mixed(bitrate) };
+            let mut scenario = mixed(bitrate);
+            scenario.error_rate = rate;
             let it = assert_nobody_named(&format!("{rate} of all break"), &scenario, seed);
             let bus = errors_at(&it, None).expect("the bus as a whole");
             assert_eq!(bus.confidence, Confidence::Confirmed, "{rate} of all break");
@@ -213,7 +214,8 @@ fn on_a_disturbed_bus_nobody_is_named() {
     }
     for seed in 0..3 {
         for rate in [0.3, 0.5, 0.8] {
-            let scenario = Scenario { error_rate: rate, ..mixed(250_000) };
+            let mut scenario = mixed(250_000);
+            scenario.error_rate = rate;
             assert_nobody_named(&format!("{rate} of all break"), &scenario, seed);
         }
     }
@@ -228,13 +230,11 @@ fn what_disturbs_now_and_then_names_nobody() {
         for seed in 0..3 {
             let mut scenario = mixed([500_000, 1_000_000, 250_000][seed as usize]);
             for (after, rate) in [(0, 1.0), (pulse, 0.0)] {
-                scenario.timetable.push(TimetableEvent {
-                    // From the first question on.
-                    time: Instant::ZERO + millis(1502 + 3 * seed + after),
-                    every: Some(millis(period)),
-                    device: String::new(),
-                    action: DeviceAction::ErrorRate(rate),
-                });
+                // From the first question on.
+                let start = Instant::ZERO + millis(1502 + 3 * seed + after);
+                let mut event = TimetableEvent::new(start, "", DeviceAction::ErrorRate(rate));
+                event.every = Some(millis(period));
+                scenario.timetable.push(event);
             }
             let what = format!("{pulse} ms of {period}");
             assert_nobody_named(&what, &scenario, seed);

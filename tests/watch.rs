@@ -526,7 +526,7 @@ fn what_is_wrong_with_the_file_is_told_once_and_shown() {
 #[test]
 fn hostile_names_reach_no_terminal() {
     let name = b"\x1b[2J\xff\\".to_vec();
-    let hostile = DeviceSpec { name, ..DeviceSpec::new("x").fixed(9).settled() };
+    let hostile = DeviceSpec::new("x").name(&name).fixed(9).settled();
     let hostile = hostile.service("\u{202e}evil", "\u{9b}1");
     let folder = tempfile::tempdir().unwrap();
     let lines = log(&Scenario::new(125_000).with(hostile), 5);

@@ -6,17 +6,11 @@ use super::merge::counterparts;
 use super::operation::EntryKey;
 use super::text::brief;
 
-/// Of more entries nothing is told apart: a screen waits for it.
-const MOST_ENTRIES: usize = 5000;
-
 /// What differs between two versions of a file, entry by entry: "SENS: 13 → 15", "DISP at 20
 /// removed", "new ACT at 14". Safe on a terminal.
 ///
 /// Empty where nothing does that means something here, and where that is more than `most` entries.
 pub fn changes(before: &Document, after: &Document, most: usize) -> Vec<String> {
-    if before.entries().len().max(after.entries().len()) > MOST_ENTRIES {
-        return Vec::new();
-    }
     let pairs = counterparts(before, after);
     let mut is_new = vec![true; after.entries().len()];
     let mut words = Vec::new();

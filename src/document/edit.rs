@@ -3,16 +3,16 @@
 use super::entry::{Entry, Member, read_service_noting};
 use super::layout::{self, EntryStyle, Layout, Members, ServicesStyle, newline, spliced};
 use super::operation::{NewEntry, Operation, RemovedEntry};
-use super::patch::Patch;
 use super::position::{Position, Positions};
 use super::scan::{self, Container, Item, Span};
 use super::syntax::{BOM, JsonKind};
 use super::text::{from_json, to_hex, to_json};
-use super::{Document, Root};
+use super::{Document, MAX_ENTRIES, Root};
 use crate::text::printable;
 
 /// Why an edit was not made. The document is as it was.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum EditError {
     /// There is no such entry (any more).
     #[error("entry no longer in the file: {entry}")]
@@ -50,6 +50,9 @@ pub enum EditError {
         /// What is there.
         found: String,
     },
+    /// The file has as many entries as it may have.
+    #[error("no room for another entry: the file has {MAX_ENTRIES}; delete one first")]
+    Full,
     /// The edited text would not say what was meant. This is a fault in descan; the file is safe.
     #[error("edit rejected: the result would not read back as intended: {reason}")]
     Unfaithful {
@@ -75,18 +78,20 @@ impl Document {
         let edited = match operation {
             Operation::Add { entry } => {
                 check_address(entry.address)?;
+                self.check_count()?;
                 changed = entry.meant();
                 meant.push(&changed);
                 self.with_new(entry)
             }
             Operation::PutBack { removed } => {
+                self.check_count()?;
                 meant.insert(self.entries_before(removed.entry.element), &removed.entry);
                 self.with_removed(removed)
             }
             Operation::Remove { entry } | Operation::TakeOutFirst { entry, .. } => {
                 let index = self.require(entry)?;
                 meant.remove(index);
-                Edited::Element(self.without_element(self.entries()[index].element))
+                self.without_element(self.entries()[index].element)
             }
             Operation::SetAddress { entry, .. }
             | Operation::ClearAddress { entry, .. }
@@ -101,26 +106,17 @@ impl Document {
                 operation.change(&mut entry);
                 changed = entry;
                 meant[index] = &changed;
-                Edited::Element(self.with_changed(index, operation)?)
+                self.with_changed(index, operation)?
             }
         };
-        self.verified(edited, &meant)
+        self.verified(&edited, &meant)
     }
 
-    /// Reads what is new and makes sure that the whole says what was meant, about every entry.
-    fn verified(&self, edited: Edited, meant: &[&Entry]) -> Result<Self, EditError> {
+    /// Parses the edited body and compares the meaning of each entry with what was intended.
+    fn verified(&self, body: &str, meant: &[&Entry]) -> Result<Self, EditError> {
         let unfaithful = |reason: String| EditError::Unfaithful { reason };
-        let read = |body: &str| {
-            let source = [if self.has_bom() { BOM } else { "" }, body].concat();
-            Self::parse(source.as_bytes()).map_err(|error| unfaithful(error.to_string()))
-        };
-        let edited = match edited {
-            Edited::Element(patch) => match self.patched(&patch) {
-                Some(edited) => edited,
-                None => read(&spliced(self.body(), patch.cut, &patch.text))?,
-            },
-            Edited::Whole(body) => read(&body)?,
-        };
+        let source = [if self.has_bom() { BOM } else { "" }, body].concat();
+        let edited = Self::parse(source.as_bytes()).map_err(|it| unfaithful(it.to_string()))?;
         if edited.entries().len() != meant.len() {
             return Err(unfaithful(format!("{} entries", edited.entries().len())));
         }
@@ -134,7 +130,7 @@ impl Document {
 
     // ---- members of an entry ----
 
-    fn with_changed(&self, index: usize, operation: &Operation) -> Result<Patch, EditError> {
+    fn with_changed(&self, index: usize, operation: &Operation) -> Result<String, EditError> {
         let span = self.entry_span(index);
         self.check_entry(index, operation)?;
         let mut text = self.body()[span.clone()].to_owned();
@@ -148,9 +144,7 @@ impl Document {
                 None => members.without(member.key()),
             };
         }
-        let element = self.entries()[index].element;
-        let new = Some(0..text.len());
-        Ok(Patch { cut: span, text, elements: element..element + 1, new })
+        Ok(spliced(self.body(), span, &text))
     }
 
     /// The members that are to be written, and what; none: the member is to go.
@@ -241,7 +235,7 @@ impl Document {
 
     // ---- elements of the list ----
 
-    fn with_new(&self, entry: &NewEntry) -> Edited {
+    fn with_new(&self, entry: &NewEntry) -> String {
         let sample = self.sample_of(entry);
         let style = sample.and_then(|index| EntryStyle::of(self.entry_text(index)));
         let style = style
@@ -255,7 +249,7 @@ impl Document {
         self.with_element(end, &text, gap, None)
     }
 
-    fn with_removed(&self, removed: &RemovedEntry) -> Edited {
+    fn with_removed(&self, removed: &RemovedEntry) -> String {
         let index = removed.entry.element.min(self.elements().len());
         self.with_element(index, &removed.text, Some(&removed.before), Some(&removed.after))
     }
@@ -268,7 +262,7 @@ impl Document {
         text: &str,
         before: Option<&str>,
         after: Option<&str>,
-    ) -> Edited {
+    ) -> String {
         let body = self.body();
         let separator = |wish: Option<&str>| match wish {
             Some(wish) if wish.contains(',') => wish.to_owned(),
@@ -277,7 +271,7 @@ impl Document {
         match (self.elements(), index) {
             ([], _) => match before.zip(after) {
                 Some((before, after)) if !before.contains(',') && !after.contains(',') => {
-                    Edited::Whole(self.with_only_element(before, text, after))
+                    self.with_only_element(before, text, after)
                 }
                 _ => {
                     let newline = newline(body);
@@ -285,20 +279,15 @@ impl Document {
                     let outer = &indent[..self.list_indent().len()];
                     let before = format!("{newline}{indent}");
                     let after = format!("{newline}{outer}");
-                    Edited::Whole(self.with_only_element(&before, text, &after))
+                    self.with_only_element(&before, text, &after)
                 }
             },
             ([first, ..], 0) => {
-                let (cut, new) = (first.start..first.start, Some(0..text.len()));
-                let text = format!("{text}{}", separator(after));
-                Edited::Element(Patch { cut, text, elements: 0..0, new })
+                spliced(body, first.start..first.start, &format!("{text}{}", separator(after)))
             }
             (elements, index) => {
                 let at = elements[index - 1].end;
-                let before = separator(before);
-                let new = Some(before.len()..before.len() + text.len());
-                let text = before + text;
-                Edited::Element(Patch { cut: at..at, text, elements: index..index, new })
+                spliced(body, at..at, &(separator(before) + text))
             }
         }
     }
@@ -326,12 +315,12 @@ impl Document {
         }
     }
 
-    fn without_element(&self, element: usize) -> Patch {
+    fn without_element(&self, element: usize) -> String {
         let cut = match self.list() {
             Some((inside, items)) => layout::cut(&Container { inside, items }, element),
             None => self.elements()[element].clone(),
         };
-        Patch { cut, text: String::new(), elements: element..element + 1, new: None }
+        spliced(self.body(), cut, "")
     }
 
     /// What is needed to put an entry back.
@@ -432,6 +421,11 @@ impl Document {
         }
     }
 
+    /// Fails if the list has [`MAX_ENTRIES`] elements.
+    fn check_count(&self) -> Result<(), EditError> {
+        if self.elements().len() < MAX_ENTRIES { Ok(()) } else { Err(EditError::Full) }
+    }
+
     /// The way to the list must be clear.
     fn check_path(&self) -> Result<(), EditError> {
         match self.root() {
@@ -509,14 +503,6 @@ impl Document {
         let found = JsonKind(&self.body()[span.clone()]).to_string();
         EditError::NotDevices { position: Positions::new(self.body()).at(span.start), found }
     }
-}
-
-/// What an edit comes to.
-enum Edited {
-    /// One element of the list is changed, new or gone.
-    Element(Patch),
-    /// The list is begun: the whole body.
-    Whole(String),
 }
 
 fn check_address(address: Option<u8>) -> Result<(), EditError> {

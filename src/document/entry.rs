@@ -13,6 +13,7 @@ use super::text;
 ///
 /// Source: product, "Inline editing of des.json".
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Entry {
     /// The name's bytes: `name_hex` where it is given, else the UTF-8 of `name`.
     pub name: Vec<u8>,
@@ -147,7 +148,7 @@ pub(super) fn read_all(body: &str, elements: &[Span], findings: &mut Findings) -
 }
 
 /// Reads one element, the entry of this index if it is one.
-pub(super) fn read(
+fn read(
     body: &str,
     span: &Span,
     index: usize,

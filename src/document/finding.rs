@@ -7,6 +7,7 @@ use super::syntax::JsonKind;
 
 /// Something in the file that a person should look at. The rest of the file stays in force.
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct DocumentFinding {
     /// What it is.
     pub kind: DocumentFindingKind,
@@ -21,6 +22,7 @@ pub struct DocumentFinding {
 
 /// Kinds of findings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub enum DocumentFindingKind {
     /// Neither an object nor a list of devices, or `devices` is no list.
     NotDevices,
@@ -51,16 +53,6 @@ impl DocumentFindingKind {
             _ => "file-shape",
         }
     }
-
-    /// Is it found in one element of the list, or in how entries stand to each other?
-    pub(super) fn is_of_one_element(self) -> bool {
-        !matches!(self, Self::DuplicateAddress | Self::DuplicateEntry)
-    }
-
-    /// Does the message say which element of the list it is?
-    pub(super) fn counts_elements(self) -> bool {
-        matches!(self, Self::NotAnEntry | Self::MissingName)
-    }
 }
 
 impl DocumentFinding {
@@ -77,7 +69,7 @@ impl fmt::Display for DocumentFinding {
 }
 
 /// How many findings are kept: a wrong file of megabytes may have as many as it has bytes.
-pub(super) const MOST: usize = 1000;
+const MOST: usize = 1000;
 
 /// Keeps the first findings of many, in the order of the file; of `more` others only the number is
 /// known.

@@ -36,6 +36,7 @@ pub enum Merge {
 
 /// Both sides changed the same value, or one changed an entry that the other deleted.
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct EditConflict {
     /// Our operation.
     pub operation: Operation,

@@ -19,7 +19,6 @@
 //! duplicates entries that cannot both be right
 //! operation  edits as values, their keys, names and inverses
 //! edit       edits carried out
-//! patch      the document that an edit makes, without reading all of it again
 //! layout     the file's own style
 //! merge      edits on newer content
 //! text       names: JSON, hexadecimal
@@ -33,7 +32,6 @@ mod finding;
 mod layout;
 mod merge;
 mod operation;
-mod patch;
 mod position;
 mod scan;
 mod syntax;
@@ -57,14 +55,30 @@ use position::Positions;
 use scan::Span;
 use syntax::{BOM, JsonKind};
 
+/// Most elements in the list of devices. A bus has 127 addresses.
+pub const MAX_ENTRIES: usize = 20_000;
+
+/// Longest file, in bytes: [`MAX_ENTRIES`] entries of some 800 bytes. Callers that read a file check
+/// it before they parse the content.
+pub const MAX_BYTES: usize = 16 << 20;
+
 /// The JSON Schema (2020-12) of the file.
 pub const SCHEMA: &str = include_str!("des.schema.json");
 
-/// The content of a `des.json` and what it says. Cheap to clone.
+/// The content of a des.json: its bytes, and the entries and findings read from them. Cheap to
+/// clone. Two documents are equal if their bytes are.
 ///
-/// Two documents are equal when their bytes are.
+/// ```
+/// use descan::document::{Document, Operation};
 ///
-/// Source: product, "Inline editing of des.json".
+/// let document = Document::parse(br#"[ {"name": "FEED", "address": 12, "note": 1} ]"#)?;
+/// let entry = document.key(0);
+/// let pin = Operation::SetAddress { from: entry.address, entry, to: 16 };
+/// let edited = document.apply(&pin)?;
+/// let expected = br#"[ {"name": "FEED", "address": 16, "static": true, "note": 1} ]"#;
+/// assert_eq!(edited.source(), expected);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone)]
 pub struct Document {
     inner: Arc<Inner>,
@@ -105,11 +119,6 @@ impl Root {
             Self::Blank | Self::Object { devices: None, .. } | Self::Other(_) => None,
         }
     }
-
-    /// In how many brackets the elements of the list are.
-    fn brackets(&self) -> usize {
-        if matches!(self, Self::Object { .. }) { 2 } else { 1 }
-    }
 }
 
 impl Document {
@@ -125,7 +134,11 @@ impl Document {
         let mut findings = Findings::new(&positions);
         let root = read_root(body, &mut findings);
         let list = root.list().filter(|list| body[(*list).clone()].starts_with('['));
-        let elements = list.map(|list| scan::elements(body, list)).unwrap_or_default();
+        let elements = list.into_iter().flat_map(|list| scan::elements(body, list));
+        let elements: Vec<Span> = elements.take(MAX_ENTRIES + 1).collect();
+        if let Some(surplus) = elements.get(MAX_ENTRIES) {
+            return Err(syntax::too_many_entries(body, surplus.start));
+        }
         let entries = entry::read_all(body, &elements, &mut findings);
         let (found, more) = (findings.found, findings.more);
         Ok(Self::of(source, root, elements, entries, found, more))

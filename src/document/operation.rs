@@ -16,6 +16,7 @@ use crate::text::printable;
 ///
 /// Source: product, "Inline editing of des.json".
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Operation {
     /// Pins the address: writes `address`, and `static` true.
     SetAddress {
@@ -81,6 +82,7 @@ pub enum Operation {
 
 /// How an entry is found again, wherever it has moved to in the list. See [`Document::key`].
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub struct EntryKey {
     /// As in [`Entry`].
     pub bus: Option<String>,

@@ -34,12 +34,8 @@ const BLOCK_BYTES: usize = 1024;
 
 impl<'a> Positions<'a> {
     pub fn new(text: &'a str) -> Self {
-        Self::starting(text, Position::START)
-    }
-
-    /// Those of a text that begins at this position of a longer one.
-    pub fn starting(text: &'a str, mut position: Position) -> Self {
         let text = text.as_bytes();
+        let mut position = Position::START;
         let mut blocks = Vec::with_capacity(text.len() / BLOCK_BYTES + 1);
         for block in text.chunks(BLOCK_BYTES) {
             blocks.push(position);
@@ -56,7 +52,7 @@ impl<'a> Positions<'a> {
 }
 
 /// The position behind a text that begins at this one.
-pub(super) fn advance(from: Position, text: &[u8]) -> Position {
+fn advance(from: Position, text: &[u8]) -> Position {
     match text.iter().rposition(|&byte| byte == b'\n') {
         None => Position { column: from.column + characters(text), ..from },
         Some(last) => Position {

@@ -35,22 +35,23 @@ pub(super) fn container(text: &str, span: &Span) -> Option<Container> {
         _ => return None,
     };
     let inside = span.start + 1..span.end - 1;
-    let mut items = Vec::new();
-    walk(text, &inside, is_object, |item| items.push(item));
+    let items = items(text, inside.clone(), is_object).collect();
     Some(Container { inside, items })
 }
 
-/// The elements of the list at `span`.
-pub(super) fn elements(text: &str, span: &Span) -> Vec<Span> {
-    let mut elements = Vec::new();
-    walk(text, &(span.start + 1..span.end - 1), false, |item| elements.push(item.value));
-    elements
+/// Yields the elements of the list at `span`.
+pub(super) fn elements(text: &str, span: &Span) -> impl Iterator<Item = Span> {
+    items(text, span.start + 1..span.end - 1, false).map(|item| item.value)
 }
 
-fn walk(text: &str, inside: &Span, is_object: bool, mut found: impl FnMut(Item)) {
+/// Yields the items between the brackets of a list or object.
+fn items(text: &str, inside: Span, is_object: bool) -> impl Iterator<Item = Item> {
     let bytes = text.as_bytes();
     let mut at = skip_blank(bytes, inside.start);
-    while at < inside.end {
+    std::iter::from_fn(move || {
+        if at >= inside.end {
+            return None;
+        }
         let key_start = at;
         let key_end = if is_object { skip_string(bytes, at) } else { at };
         if is_object {
@@ -58,12 +59,13 @@ fn walk(text: &str, inside: &Span, is_object: bool, mut found: impl FnMut(Item))
             at = skip_blank(bytes, skip_blank(bytes, key_end) + 1);
         }
         let end = skip_value(bytes, at);
-        found(Item { key: key_start..key_end, value: at..end });
+        let item = Item { key: key_start..key_end, value: at..end };
         at = skip_blank(bytes, end);
         if bytes[at] == b',' {
             at = skip_blank(bytes, at + 1);
         }
-    }
+        Some(item)
+    })
 }
 
 /// The only value of the text, without the blanks around it; `None` when the text is blank.

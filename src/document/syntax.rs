@@ -6,7 +6,7 @@ use serde::de::IgnoredAny;
 use unicode_width::UnicodeWidthChar;
 
 use super::position::Positions;
-use super::scan;
+use super::{MAX_ENTRIES, scan};
 
 /// How deep brackets may nest, as in serde_json itself.
 const DEPTH: usize = 128;
@@ -19,6 +19,7 @@ pub(super) const BOM: &str = "\u{feff}";
 /// `Display` says where and what: "line 7, column 12: expected `,` or `}`".
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("line {line}, column {column}: {message}")]
+#[non_exhaustive]
 pub struct ParseError {
     /// From 1.
     pub line: usize,
@@ -66,11 +67,10 @@ pub(super) fn check(source: &[u8]) -> Result<&str, ParseError> {
     }
 }
 
-/// Is this one JSON value, without blanks around it, that may stand inside so many brackets?
-pub(super) fn is_value(text: &str, brackets: usize) -> bool {
-    scan::root(text).is_some_and(|span| span.len() == text.len())
-        && serde_json::from_str::<IgnoredAny>(text).is_ok()
-        && scan::deeper_than(text, DEPTH.saturating_sub(brackets)).is_none()
+/// The error of a list with more than [`MAX_ENTRIES`] elements, at the first that is too many.
+pub(super) fn too_many_entries(body: &str, at: usize) -> ParseError {
+    let message = format!("more than {MAX_ENTRIES} entries; name the right file with --file");
+    error_at(body, at, message)
 }
 
 /// serde_json's error, which counts bytes and names the last one it read, and puts line and column

@@ -24,9 +24,8 @@ use tempfile::{NamedTempFile, TempPath};
 
 use crate::text::printable;
 
-/// The largest file that is read, in bytes: 16 MiB, which is some 30,000 entries. What is read takes
-/// many times its size in memory at worst.
-pub const MAX_BYTES: u64 = 16 << 20;
+/// Longest file that is read, in bytes.
+pub const MAX_BYTES: u64 = crate::document::MAX_BYTES as u64;
 
 /// How long a save waits for another instance that is saving. It is done in milliseconds.
 const LOCK_PATIENCE: Duration = Duration::from_secs(2);

@@ -24,6 +24,7 @@ pub(super) type StationIndex = u16;
 
 /// Why a frame broke.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum FrameFault {
     /// Two stations sent different bytes after the same identifier.
     Collision,
@@ -45,6 +46,7 @@ pub(super) enum BusOutcome {
 
 /// Totals since the start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Statistics {
     /// Frames that arrived.
     pub frames: u64,

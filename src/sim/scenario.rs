@@ -11,6 +11,7 @@ use serde::Deserialize;
 
 /// Everything a simulated bus begins with.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Scenario {
     /// Nominal bit rate in bit/s, 10,000–1,000,000.
     pub bitrate: u32,
@@ -76,12 +77,7 @@ impl Scenario {
     #[must_use]
     pub fn at(mut self, time: Duration, device: &str, action: DeviceAction) -> Self {
         let time = Instant::ZERO + time;
-        self.timetable.push(TimetableEvent {
-            time,
-            every: None,
-            device: device.to_owned(),
-            action,
-        });
+        self.timetable.push(TimetableEvent::new(time, device, action));
         self
     }
 
@@ -165,6 +161,7 @@ impl DeviceFraming {
 /// What a device does wrong.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
 pub enum Fault {
     /// Sends no heartbeat.
     NoHeartbeat,
@@ -208,6 +205,7 @@ impl Faults {
 
 /// Something a device sends unasked, over and over: background load.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Chatter {
     /// The service it is data of.
     pub service: Service,
@@ -219,6 +217,7 @@ pub struct Chatter {
 
 /// Descriptor fields (3.2) that nothing else depends on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[non_exhaustive]
 pub struct Descriptor {
     /// DEV_INFO_GID: the type of device.
     pub gid: [u8; 6],
@@ -230,6 +229,7 @@ pub struct Descriptor {
 
 /// A device as it is made and configured.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct DeviceSpec {
     /// How the timetable calls it; no two devices share one.
     pub label: String,
@@ -298,6 +298,13 @@ impl DeviceSpec {
     #[must_use]
     pub fn label(mut self, label: &str) -> Self {
         label.clone_into(&mut self.label);
+        self
+    }
+
+    /// The same with this name; the label stays.
+    #[must_use]
+    pub fn name(mut self, name: &[u8]) -> Self {
+        self.name = name.to_vec();
         self
     }
 
@@ -382,6 +389,7 @@ pub(super) fn uid_of(text: &str) -> Uid {
 
 /// Something that is done to a device.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum DeviceAction {
     /// Switch it on.
     Join,
@@ -416,6 +424,7 @@ pub enum DeviceAction {
 
 /// An entry of the timetable.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct TimetableEvent {
     /// When.
     pub time: Instant,
@@ -427,8 +436,16 @@ pub struct TimetableEvent {
     pub action: DeviceAction,
 }
 
+impl TimetableEvent {
+    /// Returns an event that happens once.
+    pub fn new(time: Instant, device: &str, action: DeviceAction) -> Self {
+        Self { time, every: None, device: device.to_owned(), action }
+    }
+}
+
 /// Why a scenario cannot be used.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum ScenarioError {
     /// Not TOML, or not a scenario.
     #[error("{0}")]

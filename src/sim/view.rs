@@ -15,6 +15,7 @@ pub struct SimDeviceId(pub(super) u16);
 
 /// What an attached station's controller says of itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct StationStatus {
     /// Where it stands in fault confinement.
     pub state: ControllerState,
@@ -36,6 +37,7 @@ pub struct StationStatus {
 
 /// How a device really is: what a test compares with what an inspector found out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct DeviceState<'a> {
     /// Its label in the scenario.
     pub label: &'a str,

@@ -23,10 +23,26 @@ const MAX_DEVICES: usize = 1024;
 /// The most stations attached from outside.
 const MAX_STATIONS: usize = 1024;
 
-/// A bus with devices, running.
+/// A running simulation of one bus with its devices.
 ///
-/// Advance, then poll; what is transmitted goes onto the bus with the next advance. Never
-/// panics, whatever the scenario; all queues are bounded.
+/// [`advance`](Self::advance) it, then [`poll_frame`](Self::poll_frame) each station; a transmitted
+/// frame goes onto the bus with the next advance. Accepts any scenario without a panic. All queues
+/// are bounded.
+///
+/// ```
+/// use descan::frame::Frame;
+/// use descan::sim::{DeviceSpec, Scenario, Sim};
+/// use descan::time::Instant;
+///
+/// let scenario = Scenario::new(125_000).with(DeviceSpec::new("FEED").fixed(12).settled());
+/// let mut sim = Sim::from_scenario(&scenario);
+/// let station = sim.attach();
+/// // A broadcast name request from address 0, as an ISO-TP single frame.
+/// sim.transmit(station, Frame::classic(0x0200_0002, b"\x04DES\x01"));
+/// sim.advance(Instant::from_micros(100_000));
+/// let mut frames = std::iter::from_fn(|| sim.poll_frame(station));
+/// assert!(frames.any(|frame| frame.data() == b"\x06\x01FEED\0"));
+/// ```
 pub struct Sim {
     now: u64,
     bus: SimBus,

@@ -216,7 +216,8 @@ fn odd_scenarios_made_in_code_do_no_harm() {
     let me = sim.attach();
     sim.transmit(me, Frame::classic(0, &[]));
     sim.advance(at_ms(2000));
-    let mut sim = Sim::new(&Scenario { bitrate: 1_000_000, ..scenario }, 1);
+    scenario.bitrate = 1_000_000;
+    let mut sim = Sim::new(&scenario, 1);
     let me = sim.attach();
     after(&mut sim, me, 2000);
 }
