@@ -11,7 +11,7 @@ use crate::status::RateSearch;
 impl App {
     /// Command: ask whether to look for the bit rate of the selected row's bus, or of the one where
     /// frames only break.
-    pub fn ask_bitrate(&mut self) {
+    pub(super) fn ask_bitrate(&mut self) {
         if let Some(bus) = self.searched.and_then(|bus| self.bus(bus)) {
             let name = bus.name.clone();
             return self.show_error(format!("bit rate search on {name} is already running"));

@@ -11,8 +11,8 @@ use super::{App, Change, Effect, Overlay, Question, RowKey};
 use crate::discovery::{Confidence, Device, DeviceId, OwnAddress};
 use crate::document::{Document, EntryKey, ListedService, NewEntry, Operation};
 use crate::frame::{BusIndex, Frame};
+use crate::keymap::Action;
 use crate::text::Escaped;
-use crate::time::Instant;
 use crate::wire::id::{Header, Service};
 use std::path::Path;
 
@@ -20,7 +20,7 @@ impl App {
     // ---- des.json --------------------------------------------------------------------------
 
     /// Command: edit the static address in the selected row.
-    pub fn edit_address(&mut self, _now: Instant) {
+    pub(super) fn edit_address(&mut self) {
         if !self.may_edit() || !self.go_to_row() {
             return;
         }
@@ -44,7 +44,7 @@ impl App {
 
     /// Command: take the selected device into the file, with its services and its address (which
     /// is not pinned by that); where it is listed, take its services.
-    pub fn add_device(&mut self, _now: Instant) {
+    pub(super) fn add_device(&mut self) {
         if !self.may_edit() || !self.go_to_row() {
             return;
         }
@@ -65,7 +65,7 @@ impl App {
 
     /// Command: take all devices that are there into the file, and where it lists other services than
     /// they have, theirs. Entries that cannot be edited are left, and that is said.
-    pub fn add_all(&mut self, _now: Instant) {
+    pub(super) fn add_all(&mut self) {
         if !self.may_edit() {
             return;
         }
@@ -93,7 +93,7 @@ impl App {
                 self.say_of_file("all named devices are already in the file");
             }
             0 => {
-                let (left, key) = (left.len(), self.key_of("add"));
+                let (left, key) = (left.len(), self.key_of(Action::Add));
                 self.say_of_file(format!(
                     "all named devices are in the file; {left} without services ({key} adds them)"
                 ));
@@ -106,14 +106,14 @@ impl App {
     }
 
     /// Command: ask for a new entry.
-    pub fn ask_new_entry(&mut self, _now: Instant) {
+    pub(super) fn ask_new_entry(&mut self) {
         if self.may_edit() {
             self.open_prompt(PromptKind::NewEntry, String::new());
         }
     }
 
     /// Command: ask for the entry's new name.
-    pub fn ask_rename(&mut self, _now: Instant) {
+    pub(super) fn ask_rename(&mut self) {
         if !self.may_edit() || !self.go_to_row() {
             return;
         }
@@ -127,7 +127,7 @@ impl App {
     }
 
     /// Command: ask whether the entry is to be deleted.
-    pub fn ask_delete(&mut self, _now: Instant) {
+    pub(super) fn ask_delete(&mut self) {
         if !self.may_edit() || !self.go_to_row() {
             return;
         }
@@ -138,23 +138,23 @@ impl App {
     }
 
     /// Command: take the last edit back.
-    pub fn undo(&mut self, now: Instant) {
+    pub(super) fn undo(&mut self) {
         match self.file.undo() {
-            Ok(name) => self.edited(now, &format!("undid: {name}")),
+            Ok(name) => self.edited(&format!("undid: {name}")),
             Err(refusal) => self.complain_of_file(refusal.to_string()),
         }
     }
 
     /// Command: make the edit again that was taken back last.
-    pub fn redo(&mut self, now: Instant) {
+    pub(super) fn redo(&mut self) {
         match self.file.redo() {
-            Ok(name) => self.edited(now, &format!("redid: {name}")),
+            Ok(name) => self.edited(&format!("redid: {name}")),
             Err(refusal) => self.complain_of_file(refusal.to_string()),
         }
     }
 
     /// Command: save again what could not be saved.
-    pub fn save(&mut self, _now: Instant) {
+    pub(super) fn save(&mut self) {
         if self.file.conflict().is_some() {
             self.show_conflict();
             // Who asks for the page means it.
@@ -170,11 +170,11 @@ impl App {
 
     /// Command: ask where a copy of the file with all edits is to be written, as where the file
     /// itself cannot be.
-    pub fn ask_copy_path(&mut self, now: Instant) {
+    pub(super) fn ask_copy_path(&mut self) {
         if !self.file.is_there() {
             return self.show_error("nothing to save");
         }
-        let path = format!("des-{}.json", stamp(self.wall_seconds(now)));
+        let path = format!("des-{}.json", stamp(self.wall_seconds(self.now)));
         self.open_prompt(PromptKind::CopyPath, path);
     }
 
@@ -207,7 +207,7 @@ impl App {
     }
 
     /// Command: decide the conflict; where there are several, the next one is shown.
-    pub fn resolve(&mut self, now: Instant, ours: bool) {
+    pub(super) fn resolve(&mut self, ours: bool) {
         // What the file says at the moment is not known: the choice would be between ours and what
         // it said before.
         if let Err(super::EditRefusal::Broken(_)) = self.file.check() {
@@ -229,7 +229,7 @@ impl App {
                 (ours, theirs) => format!("kept {ours} of your values, {theirs} of the file's"),
             };
             self.timeline.push(Line::new(
-                now,
+                self.now,
                 TimelineKind::File,
                 format!("edit conflict: {whose}"),
             ));
@@ -238,21 +238,21 @@ impl App {
     }
 
     /// Command: leave the conflict for later; the edit stays unsaved.
-    pub fn resolve_later(&mut self, _now: Instant) {
+    pub(super) fn resolve_later(&mut self) {
         self.leave_conflict();
-        let key = self.key_of("save");
+        let key = self.key_of(Action::Save);
         self.show_info(format!("edit not saved; {key} reopens the conflict"));
     }
 
     pub(super) fn edit(&mut self, operations: &[Operation]) {
         match self.file.edit(operations) {
-            Ok(name) => self.edited(self.now, &name),
+            Ok(name) => self.edited(&name),
             Err(refusal) => self.complain_of_file(refusal.to_string()),
         }
     }
 
-    fn edited(&mut self, now: Instant, what: &str) {
-        self.timeline.push(Line::new(now, TimelineKind::File, what));
+    fn edited(&mut self, what: &str) {
+        self.timeline.push(Line::new(self.now, TimelineKind::File, what));
         self.say_of_file(what);
         self.save_pending();
         self.refresh();
@@ -287,7 +287,7 @@ impl App {
         let found = row.and_then(|row| self.entry_of(row));
         let found = found.map(|entry| (entry.index, entry.name_text.clone()));
         if found.is_none() {
-            let key = self.key_of("add");
+            let key = self.key_of(Action::Add);
             self.show_error(format!("not in file; {key} adds the device"));
         }
         found
@@ -341,12 +341,12 @@ impl App {
     // ---- the bus ---------------------------------------------------------------------------
 
     /// Command: ask all devices again.
-    pub fn rescan(&mut self, now: Instant) {
+    pub(super) fn rescan(&mut self) {
         let asks = |bus: &&Bus| !bus.engine.config().listen_only;
         let asking = self.buses.iter().filter(asks).count();
         let able = self.buses.iter().filter(asks).filter(|bus| bus.is_up()).count();
         for bus in &mut self.buses {
-            bus.engine.rescan(now);
+            bus.engine.rescan(self.now);
         }
         self.take_events();
         if asking == 0 {
@@ -359,7 +359,7 @@ impl App {
     }
 
     /// Command: forget the devices that are lost.
-    pub fn clear_lost(&mut self, _now: Instant) {
+    pub(super) fn clear_lost(&mut self) {
         let lost = self.counts.lost;
         for bus in &mut self.buses {
             bus.engine.clear_lost();
@@ -374,7 +374,7 @@ impl App {
     }
 
     /// Command: ask whether the device is to blink or beep.
-    pub fn ask_identify(&mut self, _now: Instant) {
+    pub(super) fn ask_identify(&mut self) {
         if !self.go_to_row() {
             return;
         }
@@ -465,7 +465,7 @@ impl App {
     }
 
     /// Command: answers the question.
-    pub fn answer(&mut self, now: Instant, yes: bool) {
+    pub(super) fn answer(&mut self, yes: bool) {
         let Overlay::Question(question) = std::mem::take(&mut self.overlay) else { return };
         if !yes {
             return;
@@ -479,7 +479,7 @@ impl App {
             Question::Delete(key, text) => self.delete(key, &text),
             Question::Identify(id) => match self.identify_frame(id) {
                 Ok(frame) => {
-                    let mut line = Line::new(now, TimelineKind::Bus, "identify command sent");
+                    let mut line = Line::new(self.now, TimelineKind::Bus, "identify command sent");
                     if let Some(device) = self.device(id) {
                         line = line.on(id.bus);
                         (line.device, line.address) = (Some(id), Some(device.address));
@@ -499,7 +499,7 @@ impl App {
         let document = self.file.document();
         match document.find(&entry) {
             Some(at) if document.entry_text(at) != asked_about => {
-                let key = self.key_of("delete-entry");
+                let key = self.key_of(Action::DeleteEntry);
                 self.complain_of_file(format!(
                     "not deleted: {entry:#} changed on disk; press {key} again"
                 ));
@@ -510,7 +510,7 @@ impl App {
 
     /// Command: quit, but ask first while edits are not saved. Quitting goes on by itself once they
     /// are.
-    pub fn ask_quit(&mut self, _now: Instant) {
+    pub(super) fn ask_quit(&mut self) {
         if self.file.unsaved() > 0 {
             self.overlay = Overlay::Question(Question::Quit);
         } else {
@@ -542,16 +542,16 @@ impl App {
     }
 
     /// Command: quit.
-    pub fn quit(&mut self) {
+    pub(super) fn quit(&mut self) {
         self.effects.push_back(Effect::Quit);
     }
 
     /// Command: ask where the captured frames are to be saved.
-    pub fn ask_capture_path(&mut self, now: Instant) {
+    pub(super) fn ask_capture_path(&mut self) {
         if self.capture.end() == 0 {
             return self.show_error("no frames captured yet");
         }
-        let path = format!("descan-{}.log", stamp(self.wall_seconds(now)));
+        let path = format!("descan-{}.log", stamp(self.wall_seconds(self.now)));
         self.open_prompt(PromptKind::CapturePath, path);
     }
 

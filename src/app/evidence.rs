@@ -9,6 +9,7 @@ use super::page::{Focus, Page};
 use super::{App, EvidenceItem, ProblemKey};
 use crate::discovery::FindingKind;
 use crate::frame::Frame;
+use crate::keymap::Action;
 
 /// The evidence that is open.
 #[derive(Debug)]
@@ -137,7 +138,7 @@ impl App {
             return self.show_error("surrounding frames no longer in the capture");
         };
         if number >= self.traffic_end() {
-            let key = self.key_of("freeze");
+            let key = self.key_of(Action::Freeze);
             return self.show_error(format!("newer than the frozen view: {key} unfreezes"));
         }
         self.view.traffic = Some(number);

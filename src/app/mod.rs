@@ -25,6 +25,7 @@
 //! prompt    lines being typed                navigate the commands that only look
 //! ```
 
+mod actions;
 mod bitrate;
 mod buses;
 mod capture;
@@ -76,7 +77,7 @@ use crate::bitrate::{SearchOutcome, SearchProgress};
 use crate::discovery::{Config, DeviceId, Finding, OwnAddress};
 use crate::document::{Document, Entry};
 use crate::frame::{BusIndex, Frame};
-use crate::keymap::{Key, KeyMode, Keymap};
+use crate::keymap::{Action, Key, KeyMode, Keymap};
 use crate::status::{BusStatus, Playback, PlaybackCommand, RecordingStatus};
 use crate::time::{Duration, Epoch, Instant};
 use crate::wire::id::Address;
@@ -441,9 +442,9 @@ impl App {
         self.message = None;
         self.catch_up();
         if matches!(self.overlay, Overlay::Prompt(_)) {
-            self.type_key(now, key);
+            self.type_key(key);
         } else if let Some(action) = self.keymap.lookup(self.mode(), key) {
-            (action.run)(self, now);
+            self.run(action);
             self.note_refused_line(action);
         }
     }
@@ -748,8 +749,8 @@ impl App {
     }
 
     /// The key of an action, for a sentence; its name where it has none.
-    pub fn key_of(&self, action: &str) -> String {
-        self.keymap.hint(action).map_or_else(|| action.to_owned(), |(key, _)| key.to_string())
+    pub fn key_of(&self, action: Action) -> String {
+        self.keymap.key_text(action)
     }
 
     /// The theme's name.

@@ -116,7 +116,7 @@ impl App {
     }
 
     /// Command: stops a log, lets it go on, or changes its pace.
-    pub fn control_playback(&mut self, command: PlaybackCommand) {
+    pub(super) fn control_playback(&mut self, command: PlaybackCommand) {
         if self.playback.is_some() {
             self.effects.push_back(Effect::Playback(command));
         } else {
@@ -125,7 +125,7 @@ impl App {
     }
 
     /// Command: up or down by rows.
-    pub fn move_by(&mut self, delta: isize) {
+    pub(super) fn move_by(&mut self, delta: isize) {
         if self.view.focus == Focus::Details && self.screen().details.height > 0 {
             self.scroll_details(delta);
         } else {
@@ -134,14 +134,14 @@ impl App {
     }
 
     /// Command: up or down by screenfuls.
-    pub fn move_pages(&mut self, pages: isize) {
+    pub(super) fn move_pages(&mut self, pages: isize) {
         let screen = self.screen();
         let height = screen.list_rows().max(usize::from(screen.details.height));
         self.move_by(pages * height.saturating_sub(1).max(1).cast_signed());
     }
 
     /// Command: to the first or to the last row.
-    pub fn move_to_end(&mut self, last: bool) {
+    pub(super) fn move_to_end(&mut self, last: bool) {
         let by_rows = self.evidence_alone().is_some() || self.view.shows_identifiers();
         if last && self.view.focus == Focus::List {
             match self.view.page {
@@ -243,7 +243,7 @@ impl App {
     }
 
     /// Command: another page.
-    pub fn show_page(&mut self, page: Page) {
+    pub(super) fn show_page(&mut self, page: Page) {
         self.close_evidence();
         self.view.from_timeline = false;
         self.view.page = page;
@@ -254,7 +254,7 @@ impl App {
     }
 
     /// Command: the next page or the one before.
-    pub fn turn_page(&mut self, by: isize) {
+    pub(super) fn turn_page(&mut self, by: isize) {
         let count = Page::ALL.len();
         let at = (self.view.page as usize + count).saturating_add_signed(by) % count;
         self.show_page(Page::ALL[at]);
@@ -262,7 +262,7 @@ impl App {
 
     /// Command: opens the details; in the timeline, goes to the frames of that moment, and from a
     /// problem whose details are in view to the frames that prove it.
-    pub fn open_details(&mut self) {
+    pub(super) fn open_details(&mut self) {
         match self.view.page {
             Page::Timeline => self.go_to_frames(),
             Page::Problems if self.screen().details.height > 0 => self.open_evidence(),
@@ -288,7 +288,7 @@ impl App {
     }
 
     /// Command: the keys to the details, or back to the list.
-    pub fn focus_details(&mut self, details: bool) {
+    pub(super) fn focus_details(&mut self, details: bool) {
         let has = self.view.has_details();
         if !details && self.view.page == Page::Traffic {
             self.view.frame_details = false;
@@ -317,7 +317,7 @@ impl App {
     }
 
     /// Command: sorts the rows by the next column.
-    pub fn sort_by_next(&mut self) {
+    pub(super) fn sort_by_next(&mut self) {
         match self.view.page {
             Page::Devices => {
                 self.view.sort = self.view.sort.next();
@@ -331,7 +331,7 @@ impl App {
     }
 
     /// Command: holds the page still, or lets it go on.
-    pub fn toggle_freeze(&mut self, _now: Instant) {
+    pub(super) fn toggle_freeze(&mut self) {
         self.view.frozen = match self.view.frozen {
             Some(_) => None,
             None => Some(Frozen { frames: self.capture.end(), lines: self.timeline.end() }),
@@ -345,7 +345,7 @@ impl App {
     }
 
     /// Command: traffic as frames, or as a row per identifier.
-    pub fn toggle_identifiers(&mut self) {
+    pub(super) fn toggle_identifiers(&mut self) {
         if self.view.page == Page::Traffic {
             self.close_evidence();
             self.view.by_identifier = !self.view.by_identifier;
@@ -357,7 +357,7 @@ impl App {
     }
 
     /// Command: asks for the filter of this page.
-    pub fn ask_filter(&mut self) {
+    pub(super) fn ask_filter(&mut self) {
         self.close_evidence();
         let page = self.view.page;
         let before = self.view.filter(page).to_owned();
@@ -365,7 +365,7 @@ impl App {
     }
 
     /// Command: leaves what is open; else the details; else takes the filter away.
-    pub fn cancel(&mut self) {
+    pub(super) fn cancel(&mut self) {
         let page = self.view.page;
         if !matches!(self.overlay, Overlay::None) {
             self.overlay = Overlay::None;
@@ -387,26 +387,26 @@ impl App {
     }
 
     /// Command: the help.
-    pub fn show_help(&mut self) {
+    pub(super) fn show_help(&mut self) {
         self.overlay = Overlay::Help(0);
     }
 
     /// Command: scrolls the help by lines.
-    pub fn scroll_help(&mut self, by: i16) {
+    pub(super) fn scroll_help(&mut self, by: i16) {
         if let Overlay::Help(at) = &mut self.overlay {
             *at = at.saturating_add_signed(by);
         }
     }
 
     /// Command: scrolls the help by screenfuls.
-    pub fn page_help(&mut self, pages: i16) {
+    pub(super) fn page_help(&mut self, pages: i16) {
         let screen = self.screen();
         let height = screen.footer.y.saturating_sub(screen.tabs.bottom()).max(3) - 2;
         self.scroll_help(pages.saturating_mul(height.cast_signed()));
     }
 
     /// Command: the next theme.
-    pub fn next_theme(&mut self, _now: Instant) {
+    pub(super) fn next_theme(&mut self) {
         let at = self.themes.iter().position(|name| *name == self.theme).map_or(0, |at| at + 1);
         let Some(name) = self.themes.get(at).or(self.themes.first()).cloned() else { return };
         self.theme.clone_from(&name);
@@ -415,17 +415,17 @@ impl App {
     }
 
     /// Command: draw everything anew.
-    pub fn redraw(&mut self) {
+    pub(super) fn redraw(&mut self) {
         self.effects.push_back(Effect::Redraw);
     }
 
     /// Command: stop until the shell continues us.
-    pub fn suspend(&mut self) {
+    pub(super) fn suspend(&mut self) {
         self.effects.push_back(Effect::Suspend);
     }
 
     /// Command: puts the selected row into the clipboard.
-    pub fn copy_row(&mut self, _now: Instant) {
+    pub(super) fn copy_row(&mut self) {
         let text = match self.view.page {
             Page::Devices => self.selected_row().map(|row| {
                 let name = row.name.as_ref().map_or("?".to_owned(), ToString::to_string);
@@ -521,7 +521,7 @@ impl App {
     }
 
     /// Command: from a device to the problem it is in, from a problem to its device.
-    pub fn go_to_problem(&mut self) {
+    pub(super) fn go_to_problem(&mut self) {
         if self.view.page == Page::Problems {
             self.find_row("no device for this problem");
             return;

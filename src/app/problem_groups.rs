@@ -7,6 +7,7 @@
 use super::App;
 use crate::finding::{Confidence, Finding, FindingKey, Grouping};
 use crate::frame::{BusIndex, Frame};
+use crate::keymap::Action;
 use crate::text::Name;
 use crate::time::Instant;
 use crate::wire::id::Address;
@@ -273,7 +274,7 @@ impl App {
     }
 
     /// Command: the selected problem does not count any more, or counts again.
-    pub fn toggle_muted(&mut self) {
+    pub(super) fn toggle_muted(&mut self) {
         if self.view.page != super::Page::Problems {
             return self.show_error("mute works on the Problems page");
         }
@@ -281,7 +282,7 @@ impl App {
             return self.show_error("no problem is selected");
         };
         let (key, title) = (problem.key.clone(), problem.title());
-        let undo = self.key_of("mute");
+        let undo = self.key_of(Action::Mute);
         // The same key undoes it: from here on the selection stays with this one.
         self.view.problems.select(key.clone());
         if self.muted.remove(&key) {

@@ -11,7 +11,6 @@ use crate::document::{Document, Entry, EntryKey, NewEntry, Operation};
 use crate::keymap::{Key, KeyCode, KeyMode};
 use crate::log::LogEntry;
 use crate::text::{Quoted, is_printable};
-use crate::time::Instant;
 use std::fmt::Write;
 use std::path::PathBuf;
 use tui_input::{Input, InputRequest};
@@ -160,13 +159,12 @@ impl App {
     }
 
     /// A key while a line is typed.
-    pub(super) fn type_key(&mut self, now: Instant, key: Key) {
-        let always = ["quit-now", "suspend", "redraw"];
+    pub(super) fn type_key(&mut self, key: Key) {
         if key.ctrl
             && let Some(action) = self.keymap.lookup(KeyMode::Browse, key)
-            && always.contains(&action.name)
+            && action.is_global()
         {
-            (action.run)(self, now);
+            self.run(action);
             return;
         }
         match key.code {

@@ -23,10 +23,9 @@ pub(super) struct TypeAheadGuard {
 
 impl App {
     /// Notes whether an action that opens a line opened none.
-    pub(super) fn note_refused_line(&mut self, action: &Action) {
-        let is_number = action.name == "edit-address";
-        let opens_line = is_number || ["new-entry", "rename"].contains(&action.name);
-        if opens_line && matches!(self.overlay, Overlay::None) {
+    pub(super) fn note_refused_line(&mut self, action: Action) {
+        let is_number = action == Action::EditAddress;
+        if action.is_line_edit() && matches!(self.overlay, Overlay::None) {
             let until = self.now + TYPING_GAP;
             self.type_ahead = Some(TypeAheadGuard { is_number, until, has_text: false });
         }

@@ -1,45 +1,44 @@
-//! The table of actions: name, what it does in a line, its usual keys, its function.
+//! The table of actions: variant, name in `keys.toml`, doc, footer hint, default keys, key mode and
+//! help group.
 //!
-//! Keys, `keys.toml`, the help and the hints in the last line all come from here. What an action
-//! does is [`App`]'s; nothing that transmits beyond discovery happens without a confirmation.
+//! Source of the default keymap, of the names in `keys.toml`, of the help and of the footer hints.
+//! Does not know what an action does: `App::run` executes it.
 
-use crate::app::{App, Page};
-use crate::status::PlaybackCommand;
-use crate::time::Instant;
 use std::fmt;
 
-/// Something the user can do.
-pub struct Action {
-    /// Its name in `keys.toml`.
+/// The facts of an action: one row of [`ACTIONS`].
+#[derive(Clone, Debug)]
+pub struct ActionInfo {
+    /// The action.
+    pub action: Action,
+    /// Name in `keys.toml`; unique.
     pub name: &'static str,
-    /// What it does, in a line.
+    /// Effect in one line, imperative, for the help.
     pub doc: &'static str,
-    /// The word for it in the last line of the screen; empty where it is not shown there.
+    /// Word for the footer; empty for an action that the footer never shows.
     pub hint: &'static str,
-    /// Where its keys count.
+    /// Mode in which its keys apply.
     pub mode: KeyMode,
-    /// Its place in the help.
+    /// Section of the help.
     pub group: ActionGroup,
-    /// Its usual keys, as [`super::Key::parse`] reads them.
+    /// Default keys, in the notation of [`super::Key::parse`]; at least one.
     pub keys: &'static [&'static str],
-    /// Does it.
-    pub run: fn(&mut App, Instant),
 }
 
-/// What the keys mean at the moment.
+/// The state of the screen that decides what a key means.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum KeyMode {
-    /// Looking at a page.
+    /// A page without an overlay.
     Browse,
-    /// A question waits for yes or no.
+    /// A yes-or-no question is open.
     Confirm,
-    /// Another program changed the same value of des.json.
+    /// An edit conflict of des.json is open.
     Conflict,
     /// The help is open.
     Help,
 }
 
-/// The parts of the help.
+/// Sections of the help.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(missing_docs)]
 pub enum ActionGroup {
@@ -52,7 +51,7 @@ pub enum ActionGroup {
 }
 
 impl ActionGroup {
-    /// In the order of the help.
+    /// All sections, in the order of the help.
     pub const ALL: [ActionGroup; 6] = [
         ActionGroup::Look,
         ActionGroup::Bus,
@@ -62,7 +61,7 @@ impl ActionGroup {
         ActionGroup::Answer,
     ];
 
-    /// Its heading.
+    /// Heading of the section.
     pub const fn title(self) -> &'static str {
         match self {
             ActionGroup::Look => "View",
@@ -75,130 +74,146 @@ impl ActionGroup {
     }
 }
 
-impl fmt::Debug for Action {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name)
+impl Action {
+    /// Row of the table.
+    pub fn info(self) -> &'static ActionInfo {
+        // The table has one row per variant, in the order of the variants.
+        &ACTIONS[self as usize]
+    }
+
+    /// Name in `keys.toml`.
+    pub fn name(self) -> &'static str {
+        self.info().name
+    }
+
+    /// Mode in which the keys of the action apply.
+    pub fn mode(self) -> KeyMode {
+        self.info().mode
+    }
+
+    /// Action with this name in `keys.toml`; `None` for an unknown name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        ACTIONS.iter().find(|info| info.name == name).map(|info| info.action)
+    }
+
+    /// Returns true if the action opens a prompt that edits des.json.
+    pub fn is_line_edit(self) -> bool {
+        matches!(self, Action::EditAddress | Action::NewEntry | Action::Rename)
+    }
+
+    /// Returns true if the keys of the action also apply while a prompt is open.
+    pub fn is_global(self) -> bool {
+        matches!(self, Action::QuitNow | Action::Suspend | Action::Redraw)
     }
 }
 
-/// Writes the table: `mode group: name "doc" "hint" [keys] => function;`.
+/// Writes the name in `keys.toml`.
+impl fmt::Display for Action {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+/// Declares [`Action`] and [`ACTIONS`] from rows `Variant "name" "doc" "hint" [keys];`, grouped by
+/// key mode and help section.
 macro_rules! actions {
     ($($mode:ident $group:ident: {
-        $($name:literal $doc:literal $hint:literal [$($key:literal)*] => $run:expr;)*
+        $($action:ident $name:literal $doc:literal $hint:literal [$($key:literal)*];)*
     })*) => {
+        /// A user command that can be bound to keys.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+        pub enum Action {
+            $($(#[doc = $doc] $action,)*)*
+        }
+
         /// All actions, in the order of the help.
-        pub static ACTIONS: &[Action] = &[$($(Action {
+        pub static ACTIONS: &[ActionInfo] = &[$($(ActionInfo {
+            action: Action::$action,
             name: $name,
             doc: $doc,
             hint: $hint,
             mode: KeyMode::$mode,
             group: ActionGroup::$group,
             keys: &[$($key),*],
-            run: $run,
         },)*)*];
     };
 }
 
 actions! {
     Browse Look: {
-        "up" "Up a row" "" ["Up" "k"] => |app, _| app.move_by(-1);
-        "down" "Down a row" "" ["Down" "j"] => |app, _| app.move_by(1);
-        "page-up" "Up a screenful" "" ["PgUp" "Ctrl-b"] => |app, _| app.move_pages(-1);
-        "page-down" "Down a screenful" "" ["PgDn" "Ctrl-f"] => |app, _| app.move_pages(1);
-        "first" "First row" "" ["g" "Home"] => |app, _| app.move_to_end(false);
-        "last" "Last row; follow in Traffic and Timeline" "" ["G" "End"]
-            => |app, _| app.move_to_end(true);
-        "details" "Open details, or the frames of a problem or event" "details" ["Enter"]
-            => |app, _| app.open_details();
-        "into" "Focus the details" "" ["Right" "l"] => |app, _| app.focus_details(true);
-        "back" "Focus the list" "" ["Left" "h"] => |app, _| app.focus_details(false);
-        "next-page" "Next page" "" ["Tab"] => |app, _| app.turn_page(1);
-        "previous-page" "Previous page" "" ["Shift-Tab"] => |app, _| app.turn_page(-1);
-        "devices" "Page 1: devices" "" ["1"] => |app, _| app.show_page(Page::Devices);
-        "traffic" "Page 2: traffic" "" ["2"] => |app, _| app.show_page(Page::Traffic);
-        "timeline" "Page 3: timeline" "" ["3"] => |app, _| app.show_page(Page::Timeline);
-        "problems" "Page 4: problems" "" ["4"] => |app, _| app.show_page(Page::Problems);
-        "filter" "Filter rows" "filter" ["/"] => |app, _| app.ask_filter();
-        "sort" "Sort by next column" "sort" ["s"] => |app, _| app.sort_by_next();
-        "freeze" "Freeze the view; capture continues" "freeze" ["Space"]
-            => |app, now| app.toggle_freeze(now);
-        "identifiers" "Traffic: frames, or one row per identifier" "identifiers" ["v"]
-            => |app, _| app.toggle_identifiers();
-        "problem" "Jump between device and problem" "problem" ["p"]
-            => |app, _| app.go_to_problem();
-        "mute" "Mute or unmute a problem until descan quits" "mute" ["m"]
-            => |app, _| app.toggle_muted();
-        "copy" "Copy the selected row to the clipboard" "" ["y"] => |app, now| app.copy_row(now);
-        "cancel" "Close or leave; clear the filter" "" ["Esc"] => |app, _| app.cancel();
+        Up "up" "Up a row" "" ["Up" "k"];
+        Down "down" "Down a row" "" ["Down" "j"];
+        PageUp "page-up" "Up a screenful" "" ["PgUp" "Ctrl-b"];
+        PageDown "page-down" "Down a screenful" "" ["PgDn" "Ctrl-f"];
+        First "first" "First row" "" ["g" "Home"];
+        Last "last" "Last row; follow in Traffic and Timeline" "" ["G" "End"];
+        Details "details" "Open details, or the frames of a problem or event" "details" ["Enter"];
+        Into "into" "Focus the details" "" ["Right" "l"];
+        Back "back" "Focus the list" "" ["Left" "h"];
+        NextPage "next-page" "Next page" "" ["Tab"];
+        PreviousPage "previous-page" "Previous page" "" ["Shift-Tab"];
+        Devices "devices" "Page 1: devices" "" ["1"];
+        Traffic "traffic" "Page 2: traffic" "" ["2"];
+        Timeline "timeline" "Page 3: timeline" "" ["3"];
+        Problems "problems" "Page 4: problems" "" ["4"];
+        Filter "filter" "Filter rows" "filter" ["/"];
+        Sort "sort" "Sort by next column" "sort" ["s"];
+        Freeze "freeze" "Freeze the view; capture continues" "freeze" ["Space"];
+        Identifiers "identifiers" "Traffic: frames, or one row per identifier" "identifiers" ["v"];
+        Problem "problem" "Jump between device and problem" "problem" ["p"];
+        Mute "mute" "Mute or unmute a problem until descan quits" "mute" ["m"];
+        Copy "copy" "Copy the selected row to the clipboard" "" ["y"];
+        Cancel "cancel" "Close or leave; clear the filter" "" ["Esc"];
     }
     Browse Bus: {
-        "rescan" "Restart the enumeration" "rescan" ["r"] => |app, now| app.rescan(now);
-        "clear-lost" "Remove lost devices from the list" "clear lost" ["c"]
-            => |app, now| app.clear_lost(now);
-        "identify" "Send identify: blink or beep (confirms; needs a profile)" "identify" ["i"]
-            => |app, now| app.ask_identify(now);
-        "bit-rate" "Search the bit rate, listen-only (confirms; needs root)" "bit rate" ["b"]
-            => |app, _| app.ask_bitrate();
-        "save-capture" "Save the captured frames as a candump log" "save log" ["w"]
-            => |app, now| app.ask_capture_path(now);
+        Rescan "rescan" "Restart the enumeration" "rescan" ["r"];
+        ClearLost "clear-lost" "Remove lost devices from the list" "clear lost" ["c"];
+        Identify "identify" "Send identify: blink or beep (confirms; needs a profile)" "identify" ["i"];
+        BitRate "bit-rate" "Search the bit rate, listen-only (confirms; needs root)" "bit rate" ["b"];
+        SaveCapture "save-capture" "Save the captured frames as a candump log" "save log" ["w"];
     }
     Browse Log: {
-        "pause" "Pause or resume the log" "" ["P"]
-            => |app, _| app.control_playback(PlaybackCommand::Pause);
-        "step" "Step to the next frame" "" [">"]
-            => |app, _| app.control_playback(PlaybackCommand::Step);
-        "slower" "Halve the replay speed" "" ["["] => |app, _| app.control_playback(PlaybackCommand::Slower);
-        "faster" "Double the replay speed" "" ["]"] => |app, _| app.control_playback(PlaybackCommand::Faster);
+        Pause "pause" "Pause or resume the log" "" ["P"];
+        Step "step" "Step to the next frame" "" [">"];
+        Slower "slower" "Halve the replay speed" "" ["["];
+        Faster "faster" "Double the replay speed" "" ["]"];
     }
     Browse File: {
-        "edit-address" "Edit the static address in the row" "edit address" ["e"]
-            => |app, now| app.edit_address(now);
-        "add" "Add device to file" "add to file" ["a"] => |app, now| app.add_device(now);
-        "add-all" "Add all devices to file" "" ["A"] => |app, now| app.add_all(now);
-        "new-entry" "New entry: name and address" "new" ["n"] => |app, now| app.ask_new_entry(now);
-        "rename" "Rename the entry" "" ["R"] => |app, now| app.ask_rename(now);
-        "delete-entry" "Delete the entry (confirms)" "" ["D"] => |app, now| app.ask_delete(now);
-        "undo" "Undo" "undo" ["u"] => |app, now| app.undo(now);
-        "redo" "Redo" "" ["Ctrl-r"] => |app, now| app.redo(now);
-        "save" "Retry saving" "save again" ["Ctrl-s"]
-            => |app, now| app.save(now);
-        "save-copy" "Save a copy of des.json, with all edits" "save a copy" ["W"]
-            => |app, now| app.ask_copy_path(now);
+        EditAddress "edit-address" "Edit the static address in the row" "edit address" ["e"];
+        Add "add" "Add device to file" "add to file" ["a"];
+        AddAll "add-all" "Add all devices to file" "" ["A"];
+        NewEntry "new-entry" "New entry: name and address" "new" ["n"];
+        Rename "rename" "Rename the entry" "" ["R"];
+        DeleteEntry "delete-entry" "Delete the entry (confirms)" "" ["D"];
+        Undo "undo" "Undo" "undo" ["u"];
+        Redo "redo" "Redo" "" ["Ctrl-r"];
+        Save "save" "Retry saving" "save again" ["Ctrl-s"];
+        SaveCopy "save-copy" "Save a copy of des.json, with all edits" "save a copy" ["W"];
     }
     Browse Program: {
-        "help" "Keys, symbols and counters" "help" ["?" "F1"] => |app, _| app.show_help();
-        "theme" "Next theme" "" ["t"] => |app, now| app.next_theme(now);
-        "redraw" "Redraw the screen" "" ["Ctrl-l"] => |app, _| app.redraw();
-        "suspend" "Suspend to the shell (fg returns)" "" ["Ctrl-z"] => |app, _| app.suspend();
-        "quit" "Quit; confirms if edits are unsaved" "quit" ["q"] => |app, now| app.ask_quit(now);
-        "quit-now" "Quit immediately" "" ["Ctrl-c"] => |app, _| app.quit();
+        Help "help" "Keys, symbols and counters" "help" ["?" "F1"];
+        Theme "theme" "Next theme" "" ["t"];
+        Redraw "redraw" "Redraw the screen" "" ["Ctrl-l"];
+        Suspend "suspend" "Suspend to the shell (fg returns)" "" ["Ctrl-z"];
+        Quit "quit" "Quit; confirms if edits are unsaved" "quit" ["q"];
+        QuitNow "quit-now" "Quit immediately" "" ["Ctrl-c"];
     }
     Help Answer: {
-        "help-up" "Scroll the help up" "" ["Up" "k"] => |app, _| app.scroll_help(-1);
-        "help-down" "Scroll the help down" "scroll" ["Down" "j"]
-            => |app, _| app.scroll_help(1);
-        "help-page-up" "A screenful up" "" ["PgUp" "Ctrl-b"] => |app, _| app.page_help(-1);
-        "help-page-down" "A screenful down" "" ["PgDn" "Ctrl-f" "Space"]
-            => |app, _| app.page_help(1);
-        "help-first" "First line" "" ["g" "Home"] => |app, _| app.scroll_help(i16::MIN);
-        "help-last" "Last line" "" ["G" "End"] => |app, _| app.scroll_help(i16::MAX);
-        "help-close" "Close the help" "close" ["Esc" "?" "q" "Enter" "F1"]
-            => |app, _| app.cancel();
+        HelpUp "help-up" "Scroll the help up" "" ["Up" "k"];
+        HelpDown "help-down" "Scroll the help down" "scroll" ["Down" "j"];
+        HelpPageUp "help-page-up" "A screenful up" "" ["PgUp" "Ctrl-b"];
+        HelpPageDown "help-page-down" "A screenful down" "" ["PgDn" "Ctrl-f" "Space"];
+        HelpFirst "help-first" "First line" "" ["g" "Home"];
+        HelpLast "help-last" "Last line" "" ["G" "End"];
+        HelpClose "help-close" "Close the help" "close" ["Esc" "?" "q" "Enter" "F1"];
     }
     Confirm Answer: {
-        "yes" "Yes" "yes" ["y"] => |app, now| app.answer(now, true);
-        "no" "No" "no" ["n" "Esc" "q"] => |app, now| app.answer(now, false);
+        Yes "yes" "Yes" "yes" ["y"];
+        No "no" "No" "no" ["n" "Esc" "q"];
     }
     Conflict Answer: {
-        "ours" "Edit conflict: keep ours" "ours" ["o"] => |app, now| app.resolve(now, true);
-        "theirs" "Edit conflict: keep theirs (file)" "theirs" ["t"]
-            => |app, now| app.resolve(now, false);
-        "later" "Edit conflict: decide later; edit stays unsaved" "later" ["Esc"]
-            => |app, now| app.resolve_later(now);
+        Ours "ours" "Edit conflict: keep ours" "ours" ["o"];
+        Theirs "theirs" "Edit conflict: keep theirs (file)" "theirs" ["t"];
+        Later "later" "Edit conflict: decide later; edit stays unsaved" "later" ["Esc"];
     }
-}
-
-/// The action of that name.
-pub fn action(name: &str) -> Option<&'static Action> {
-    ACTIONS.iter().find(|action| action.name == name)
 }

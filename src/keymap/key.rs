@@ -1,20 +1,20 @@
-//! A key as it was pressed, how it is written in `keys.toml`, and where it is on a Russian
-//! keyboard.
+//! A key with modifiers, its notation in `keys.toml`, and the Latin key at the place of a Cyrillic
+//! one.
 //!
-//! Does not know terminals: the shell converts what the terminal reports.
+//! Does not know terminals: the shell converts terminal events.
 
 use std::fmt;
 
 /// A key with its modifiers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Key {
-    /// Which one.
+    /// The key without modifiers.
     pub code: KeyCode,
-    /// With Ctrl.
+    /// Ctrl is held.
     pub ctrl: bool,
-    /// With Alt.
+    /// Alt is held.
     pub alt: bool,
-    /// With Shift. Never set for characters: they come as the character that Shift makes.
+    /// Shift is held. Never set for a character: it arrives as the shifted character.
     pub shift: bool,
 }
 
@@ -40,7 +40,7 @@ pub enum KeyCode {
     F(u8),
 }
 
-/// The keys that have names, as `keys.toml` and the help write them.
+/// Named keys, as `keys.toml` and the help write them.
 const NAMED: [(KeyCode, &str); 16] = [
     (KeyCode::Enter, "Enter"),
     (KeyCode::Esc, "Esc"),
@@ -61,23 +61,23 @@ const NAMED: [(KeyCode, &str); 16] = [
 ];
 
 impl Key {
-    /// A key without modifiers.
+    /// Returns a key without modifiers.
     pub const fn new(code: KeyCode) -> Self {
         Self { code, ctrl: false, alt: false, shift: false }
     }
 
-    /// A character.
+    /// Returns a character key.
     pub const fn char(c: char) -> Self {
         Self::new(KeyCode::Char(c))
     }
 
-    /// A character with Ctrl.
+    /// Returns a character key with Ctrl.
     pub const fn ctrl(c: char) -> Self {
         Self { ctrl: true, ..Self::char(c) }
     }
 
-    /// The key as the keymap knows it: Shift is part of a character, and Ctrl makes no
-    /// difference between small and capital letters.
+    /// Returns the form that the keymap stores: a character without Shift, a Ctrl letter in lower
+    /// case.
     #[must_use]
     pub fn normal(mut self) -> Self {
         if let KeyCode::Char(c) = self.code {
@@ -89,8 +89,8 @@ impl Key {
         self
     }
 
-    /// The key that is at the same place of a Latin keyboard, where the character is one of
-    /// the Russian layout (ЙЦУКЕН).
+    /// Returns the key at the same place of a QWERTY keyboard; `None` for a character that is not
+    /// on the Russian layout (ЙЦУКЕН).
     pub fn on_latin_keyboard(self) -> Option<Self> {
         let KeyCode::Char(c) = self.code else { return None };
         let at = RUSSIAN.chars().position(|russian| russian == c)?;
@@ -98,8 +98,8 @@ impl Key {
         Some(Self { code, ..self })
     }
 
-    /// Reads a key as it is written in `keys.toml`: `r`, `G`, `Space`, `Ctrl-r`, `Shift-Tab`,
-    /// `F5`.
+    /// Parses the notation of `keys.toml`: `r`, `G`, `Space`, `Ctrl-r`, `Shift-Tab`, `F5`. `None`
+    /// for any other text.
     pub fn parse(text: &str) -> Option<Self> {
         let mut key = Key::char('\0');
         let mut rest = text;
@@ -124,7 +124,7 @@ impl Key {
     }
 }
 
-/// As [`Key::parse`] reads it.
+/// Writes the notation of [`Key::parse`].
 impl fmt::Display for Key {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let mut text = String::new();
@@ -141,7 +141,7 @@ impl fmt::Display for Key {
     }
 }
 
-// The same keys in both layouts. The punctuation of the last row lets `/` and `?` be found, too.
+// The same keys in both layouts, with the punctuation of the last row: `/` and `?` are actions.
 const RUSSIAN: &str = "йцукенгшщзхъфывапролджэячсмитьбю.ЙЦУКЕНГШЩЗХЪФЫВАПРОЛДЖЭЯЧСМИТЬБЮ,";
 const LATIN: &str = "qwertyuiop[]asdfghjkl;'zxcvbnm,./QWERTYUIOP{}ASDFGHJKL:\"ZXCVBNM<>?";
 
@@ -150,7 +150,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn keys_are_written_as_they_are_read() {
+    fn key_notation_round_trips() {
         for text in ["r", "G", "?", "Space", "Ctrl-r", "Shift-Tab", "F12", "PgDn", "Alt-Enter"] {
             let key = Key::parse(text).unwrap_or_else(|| panic!("{text}"));
             assert_eq!(key.to_string(), text);
@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn the_russian_layout_goes_by_place() {
+    fn cyrillic_key_maps_to_latin_place() {
         assert_eq!(RUSSIAN.chars().count(), LATIN.chars().count());
         let latin = |c| Key::char(c).on_latin_keyboard().map(|key| key.code);
         assert_eq!(latin('к'), Some(KeyCode::Char('r')));

@@ -4,6 +4,7 @@
 
 use crate::app::{App, Bus, Screen};
 use crate::frame::BusIndex;
+use crate::keymap::Action;
 use crate::text::Escaped;
 use crate::theme::{Role, Theme};
 use ratatui::buffer::Buffer;
@@ -92,7 +93,7 @@ impl Brush<'_> {
 
     /// Says that the filter leaves nothing, and how to take it away.
     pub fn filtered(&mut self, area: Rect, what: &str) {
-        let key = self.app.key_of("cancel");
+        let key = self.app.key_of(Action::Cancel);
         let text = format!("{what}; {key} clears it");
         let lines = labelled(self, "  ", Role::Muted, &text, area.width.saturating_sub(1));
         let below = Rect { y: area.y + 1, height: area.height.saturating_sub(1), ..area };

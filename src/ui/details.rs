@@ -8,6 +8,7 @@ use crate::app::{App, FileStatus, Redundancy, Row, RowState, clock, concerns, sp
 use crate::discovery::{
     Confidence, Device, DeviceService, Finding, FindingKind, Query, QueryState,
 };
+use crate::keymap::Action;
 use crate::theme::Role;
 use crate::time::Duration;
 use ratatui::text::Line;
@@ -167,7 +168,7 @@ impl<'a> DeviceDetails<'_, 'a> {
             }
         }
         if any {
-            let key = self.app().key_of("problem");
+            let key = self.app().key_of(Action::Problem);
             let page = crate::app::Page::Problems;
             let text = format!("→ {} {} ({key})", page.number(), page.title());
             self.lines.push(Line::from(self.brush.span(Role::Muted, text)));
@@ -312,7 +313,7 @@ impl<'a> DeviceDetails<'_, 'a> {
         let (role, text) = match (self.row.file, device) {
             (FileStatus::Nothing, _) => return,
             (FileStatus::New, _) => {
-                (Role::New, format!("not in file ({} adds it)", app.key_of("add")))
+                (Role::New, format!("not in file ({} adds it)", app.key_of(Action::Add)))
             }
             (FileStatus::Listed(None), _) => (Role::Text, "listed without address".to_owned()),
             (FileStatus::Listed(Some(address)), _) => {

@@ -2,7 +2,7 @@
 
 use super::brush::{Brush, cut, fit, wrap};
 use crate::app::{FileProblem, Focus, InputCheck, Page, PromptKind};
-use crate::keymap::{Key, KeyMode};
+use crate::keymap::{Action, Key, KeyMode};
 use crate::theme::Role;
 use ratatui::layout::{Position, Rect};
 use ratatui::text::{Line, Span};
@@ -19,7 +19,7 @@ pub fn draw(brush: &mut Brush) {
     if let (Some(question), Some(in_short)) = (brush.app.question(), brush.app.question_in_short())
     {
         // How to answer is never cut off.
-        let answers = Line::from(hints(brush, &["yes", "no"], usize::MAX));
+        let answers = Line::from(hints(brush, &[Action::Yes, Action::No], usize::MAX));
         let room = area.width.saturating_sub(answers.width() as u16 + 1);
         let own = |question: &str| question.width() as u16 + 3;
         let question = if own(&question) > room { in_short } else { question };
@@ -106,87 +106,96 @@ fn draw_wrapped(brush: &mut Brush, last: Rect, role: Role, text: &str) {
 }
 
 fn hint_line(brush: &Brush, mode: KeyMode, width: usize) -> Vec<Span<'static>> {
+    use Action as A;
     let app = brush.app;
     let view = app.view();
-    let names: &[&str] = match (mode, view.page, view.focus) {
-        (KeyMode::Help, ..) => &["help-close", "help-down"],
-        (KeyMode::Confirm, ..) => &["yes", "no"],
-        (KeyMode::Conflict, ..) => &["ours", "theirs", "later"],
+    let actions: &[Action] = match (mode, view.page, view.focus) {
+        (KeyMode::Help, ..) => &[A::HelpClose, A::HelpDown],
+        (KeyMode::Confirm, ..) => &[A::Yes, A::No],
+        (KeyMode::Conflict, ..) => &[A::Ours, A::Theirs, A::Later],
         (KeyMode::Browse, Page::Devices, Focus::List) => &[
-            "help",
-            "quit",
-            "edit-address",
-            "add",
-            "rescan",
-            "filter",
-            "undo",
-            "details",
-            "freeze",
-            "sort",
-            "problem",
-            "clear-lost",
-            "identify",
+            A::Help,
+            A::Quit,
+            A::EditAddress,
+            A::Add,
+            A::Rescan,
+            A::Filter,
+            A::Undo,
+            A::Details,
+            A::Freeze,
+            A::Sort,
+            A::Problem,
+            A::ClearLost,
+            A::Identify,
         ],
         (KeyMode::Browse, Page::Traffic, _) if view.evidence.is_some() => {
-            &["help", "quit", "details", "cancel", "freeze", "save-capture"]
+            &[A::Help, A::Quit, A::Details, A::Cancel, A::Freeze, A::SaveCapture]
         }
         (KeyMode::Browse, Page::Traffic, _) if view.from_timeline => {
-            &["help", "quit", "details", "cancel", "filter", "freeze", "save-capture"]
+            &[A::Help, A::Quit, A::Details, A::Cancel, A::Filter, A::Freeze, A::SaveCapture]
         }
         (KeyMode::Browse, Page::Traffic, _) => &[
-            "help",
-            "quit",
-            "details",
-            "filter",
-            "freeze",
-            "identifiers",
-            "save-capture",
-            "rescan",
+            A::Help,
+            A::Quit,
+            A::Details,
+            A::Filter,
+            A::Freeze,
+            A::Identifiers,
+            A::SaveCapture,
+            A::Rescan,
         ],
         (KeyMode::Browse, Page::Timeline, _) => {
-            &["help", "quit", "details", "filter", "freeze", "problem", "save-capture"]
+            &[A::Help, A::Quit, A::Details, A::Filter, A::Freeze, A::Problem, A::SaveCapture]
         }
         (KeyMode::Browse, Page::Devices, Focus::Details) => {
-            &["help", "quit", "cancel", "edit-address", "add", "problem", "rescan"]
+            &[A::Help, A::Quit, A::Cancel, A::EditAddress, A::Add, A::Problem, A::Rescan]
         }
-        (KeyMode::Browse, Page::Problems, _) => {
-            &["help", "quit", "details", "mute", "filter", "problem", "edit-address", "rescan"]
-        }
+        (KeyMode::Browse, Page::Problems, _) => &[
+            A::Help,
+            A::Quit,
+            A::Details,
+            A::Mute,
+            A::Filter,
+            A::Problem,
+            A::EditAddress,
+            A::Rescan,
+        ],
     };
     let is_not_saved = app.file().problem().is_some_and(FileProblem::is_not_saved);
-    let first: &[&str] =
-        if is_not_saved && mode == KeyMode::Browse { &["save", "save-copy"] } else { &[] };
-    let names = &[first, names].concat();
+    let first: &[Action] =
+        if is_not_saved && mode == KeyMode::Browse { &[A::Save, A::SaveCopy] } else { &[] };
+    let actions = &[first, actions].concat();
     let mut spans = vec![Span::raw(" ")];
-    spans.extend(hints(brush, names, width.saturating_sub(1)));
+    spans.extend(hints(brush, actions, width.saturating_sub(1)));
     spans
 }
 
 /// The key of an action and the word for what it does here.
-fn hint(brush: &Brush, name: &str) -> Option<(Key, &'static str)> {
-    let (key, word) = brush.app.keymap().hint(name)?;
+fn hint(brush: &Brush, action: Action) -> Option<(Key, &'static str)> {
+    use Action as A;
+    let (key, word) = brush.app.keymap().hint(action)?;
     let view = brush.app.view();
-    let here = match (name, view.page, &view.evidence) {
-        ("details", Page::Timeline, _) => "frames",
-        ("details", Page::Problems, _) if brush.screen.details.height > 0 => {
+    let here = match (action, view.page, &view.evidence) {
+        (A::Details, Page::Timeline, _) => "frames",
+        (A::Details, Page::Problems, _) if brush.screen.details.height > 0 => {
             let is_seen = brush.app.selected_problem().is_none_or(|problem| problem.was_seen());
             if is_seen { "frames" } else { "go to row" }
         }
-        ("details", Page::Traffic, Some(evidence)) if evidence.around => "only evidence",
-        ("details", Page::Traffic, Some(_)) => "all frames",
-        ("problem", Page::Problems, _) => "go to device",
-        ("cancel", ..) => "back",
-        ("mute", ..) if brush.app.selected_problem().is_some_and(|it| it.is_muted) => "unmute",
+        (A::Details, Page::Traffic, Some(evidence)) if evidence.around => "only evidence",
+        (A::Details, Page::Traffic, Some(_)) => "all frames",
+        (A::Problem, Page::Problems, _) => "go to device",
+        (A::Cancel, ..) => "back",
+        (A::Mute, ..) if brush.app.selected_problem().is_some_and(|it| it.is_muted) => "unmute",
         _ => word,
     };
     Some((key, here))
 }
 
 /// Keys and what they do, as many as there is room for.
-fn hints(brush: &Brush, names: &[&str], width: usize) -> Vec<Span<'static>> {
+fn hints(brush: &Brush, actions: &[Action], width: usize) -> Vec<Span<'static>> {
     let mut spans = Vec::new();
     let mut used = 0;
-    for (key, hint) in names.iter().filter_map(|name| hint(brush, name)) {
+    for (key, hint) in actions.iter().filter_map(|action| hint(brush, *action)) {
         let key = key.to_string();
         let gap = if used == 0 { "" } else { "  " };
         let own = gap.len() + key.width() + 1 + hint.width();

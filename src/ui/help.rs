@@ -2,7 +2,7 @@
 
 use super::brush::{Brush, fit, wrap};
 use super::signs::SIGNS;
-use crate::keymap::{ACTIONS, Action, ActionGroup};
+use crate::keymap::{ACTIONS, ActionGroup, ActionInfo};
 use crate::status::size;
 use crate::theme::Role;
 use ratatui::layout::Rect;
@@ -55,9 +55,10 @@ fn keys(brush: &Brush, width: u16) -> Vec<Line<'static>> {
     lines
 }
 
-fn action_lines(brush: &Brush, action: &Action, width: u16) -> Vec<Line<'static>> {
+fn action_lines(brush: &Brush, action: &ActionInfo, width: u16) -> Vec<Line<'static>> {
     const KEYS: usize = 15;
-    let keys: Vec<String> = brush.app.keymap().keys_of(action).map(|key| key.to_string()).collect();
+    let keys: Vec<String> =
+        brush.app.keymap().keys_of(action.action).map(|key| key.to_string()).collect();
     let keys = if keys.is_empty() { "–".to_owned() } else { keys.join(" ") };
     two_columns(brush, (Role::HintKey, &keys), KEYS, action.doc, width)
 }

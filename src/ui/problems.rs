@@ -5,6 +5,7 @@ use super::signs;
 use super::traffic::in_words;
 use crate::app::{Page, Problem, clock, clock_millis, spell};
 use crate::discovery::Confidence;
+use crate::keymap::Action;
 use crate::theme::Role;
 use ratatui::layout::Rect;
 use ratatui::text::Line;
@@ -177,7 +178,7 @@ impl ProblemDetails<'_, '_> {
             self.brush.span(Role::Muted, format!("since {at}, {ago}")),
         ]));
         if self.problem.is_muted {
-            let key = app.key_of("mute");
+            let key = app.key_of(Action::Mute);
             self.add("", Role::Muted, &format!("muted ({key} unmutes)"));
         }
     }
@@ -220,7 +221,7 @@ impl ProblemDetails<'_, '_> {
             return;
         }
         self.lines.push(Line::default());
-        let key = brush.app.key_of("details");
+        let key = brush.app.key_of(Action::Details);
         let count = self.problem.count().max(pieces.len() as u64);
         let kept = pieces.len();
         let text = match count {

@@ -6,7 +6,7 @@ use super::brush::{Brush, end_of, fit};
 use crate::app::{Bus, FileProblem, LoadMeter, Overlay, TxBlocked};
 use crate::discovery::OwnAddress;
 use crate::frame::BusIndex;
-use crate::keymap::action;
+use crate::keymap::Action;
 use crate::status::{BusState, Link, size};
 use crate::theme::Role;
 use ratatui::layout::Rect;
@@ -322,7 +322,7 @@ fn state(brush: &Brush, index: BusIndex, bus: &Bus) -> Span<'static> {
 fn warning(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
     if bus.hears_only_errors() {
         let keymap = brush.app.keymap();
-        let key = action("bit-rate").and_then(|action| keymap.keys_of(action).next());
+        let key = keymap.keys_of(Action::BitRate).next();
         let key = key.map(|key| format!(" ({key})")).unwrap_or_default();
         let text = format!("only bus errors: wrong bit rate?{key}");
         return Some(vec![brush.span(Role::Error, text)]);
@@ -476,7 +476,7 @@ fn file(brush: &Brush, whole: bool) -> Parts {
     if file.conflict().is_some() {
         parts.push(vec![name, brush.span(Role::Error, " ✗ conflict")]);
         if whole && !matches!(brush.app.overlay(), Overlay::Conflict) {
-            let key = brush.app.key_of("save");
+            let key = brush.app.key_of(Action::Save);
             parts.push(vec![brush.span(Role::Muted, format!("{key} resolves it"))]);
         }
     } else if unsaved > 0 {

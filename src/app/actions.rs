@@ -1,0 +1,76 @@
+//! Execution of the actions of [`crate::keymap`].
+//!
+//! Each action is one command of [`App`]; nothing is transmitted beyond discovery without a
+//! confirmation.
+
+use super::{App, Page};
+use crate::keymap::Action;
+use crate::status::PlaybackCommand;
+
+impl App {
+    /// Executes an action.
+    pub(super) fn run(&mut self, action: Action) {
+        match action {
+            Action::Up => self.move_by(-1),
+            Action::Down => self.move_by(1),
+            Action::PageUp => self.move_pages(-1),
+            Action::PageDown => self.move_pages(1),
+            Action::First => self.move_to_end(false),
+            Action::Last => self.move_to_end(true),
+            Action::Details => self.open_details(),
+            Action::Into => self.focus_details(true),
+            Action::Back => self.focus_details(false),
+            Action::NextPage => self.turn_page(1),
+            Action::PreviousPage => self.turn_page(-1),
+            Action::Devices => self.show_page(Page::Devices),
+            Action::Traffic => self.show_page(Page::Traffic),
+            Action::Timeline => self.show_page(Page::Timeline),
+            Action::Problems => self.show_page(Page::Problems),
+            Action::Filter => self.ask_filter(),
+            Action::Sort => self.sort_by_next(),
+            Action::Freeze => self.toggle_freeze(),
+            Action::Identifiers => self.toggle_identifiers(),
+            Action::Problem => self.go_to_problem(),
+            Action::Mute => self.toggle_muted(),
+            Action::Copy => self.copy_row(),
+            Action::Cancel => self.cancel(),
+            Action::Rescan => self.rescan(),
+            Action::ClearLost => self.clear_lost(),
+            Action::Identify => self.ask_identify(),
+            Action::BitRate => self.ask_bitrate(),
+            Action::SaveCapture => self.ask_capture_path(),
+            Action::Pause => self.control_playback(PlaybackCommand::Pause),
+            Action::Step => self.control_playback(PlaybackCommand::Step),
+            Action::Slower => self.control_playback(PlaybackCommand::Slower),
+            Action::Faster => self.control_playback(PlaybackCommand::Faster),
+            Action::EditAddress => self.edit_address(),
+            Action::Add => self.add_device(),
+            Action::AddAll => self.add_all(),
+            Action::NewEntry => self.ask_new_entry(),
+            Action::Rename => self.ask_rename(),
+            Action::DeleteEntry => self.ask_delete(),
+            Action::Undo => self.undo(),
+            Action::Redo => self.redo(),
+            Action::Save => self.save(),
+            Action::SaveCopy => self.ask_copy_path(),
+            Action::Help => self.show_help(),
+            Action::Theme => self.next_theme(),
+            Action::Redraw => self.redraw(),
+            Action::Suspend => self.suspend(),
+            Action::Quit => self.ask_quit(),
+            Action::QuitNow => self.quit(),
+            Action::HelpUp => self.scroll_help(-1),
+            Action::HelpDown => self.scroll_help(1),
+            Action::HelpPageUp => self.page_help(-1),
+            Action::HelpPageDown => self.page_help(1),
+            Action::HelpFirst => self.scroll_help(i16::MIN),
+            Action::HelpLast => self.scroll_help(i16::MAX),
+            Action::HelpClose => self.cancel(),
+            Action::Yes => self.answer(true),
+            Action::No => self.answer(false),
+            Action::Ours => self.resolve(true),
+            Action::Theirs => self.resolve(false),
+            Action::Later => self.resolve_later(),
+        }
+    }
+}
