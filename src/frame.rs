@@ -5,7 +5,7 @@
 pub mod bits;
 
 use crate::time::Instant;
-use std::fmt;
+use core::fmt;
 
 /// Which of the buses given on the command line, counted from 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]

@@ -1,45 +1,82 @@
-//! descan: a terminal instrument for CAN buses that speak DES, the devices enumeration service.
+//! descan finds the devices on a CAN bus that speak DES, the devices enumeration service, and
+//! reports address conflicts between them. This crate is the terminal program and the library it is
+//! made of.
 //!
-//! Reading order:
+//! # Features
 //!
-//! * [`time`], [`frame`]: moments and CAN frames, the two values everything is made of.
-//! * [`error_report`]: what a controller says of errors.
-//! * [`text`]: how bytes from outside are shown.
-//! * [`wire`]: what bytes on the bus mean.
+//! | feature | adds | modules |
+//! |---|---|---|
+//! | none | decoding and encoding without `std` and without an allocator | [`time`], [`frame`], [`wire`] |
+//! | `std` | the library: engine, des.json, simulated bus | and those up to `bitrate` below |
+//! | `program` (default) | the program `descan` | all |
+//!
+//! # Modules in reading order
+//!
+//! * [`time`]: moments and durations, in microseconds. [`frame`]: CAN frames and their length on
+//!   the wire.
+//! * [`wire`]: meaning of the bytes: identifiers, DES messages, ISO-TP, heartbeats, the profile.
+//! * [`error_report`]: error frames of a controller. [`text`]: display of untrusted bytes.
 //! * [`finding`]: what is wrong, with its evidence; one table of all kinds.
-//! * [`discovery`]: the engine that finds devices and collisions on one bus.
+//! * [`discovery`]: the engine of one bus: frames and time in; devices, findings and requests out.
+//! * [`document`]: des.json: parse, edit in place, merge.
 //! * [`log`]: log formats, candump and pcapng.
-//! * [`sim`]: a simulated bus, timed to the bit, with devices on it.
-//! * [`status`]: how a bus is, in plain values; [`speed`]: the search for its bit rate.
-//! * [`document`]: des.json, read, edited in place and merged.
-//! * [`app`]: all state of the program; [`keymap`]: its actions and their keys.
-//! * [`theme`], [`ui`]: how it is drawn.
-//! * [`bus`]: where frames come from and go.
-//! * [`shell`]: files, watching, the terminal, the event loop.
-//! * [`guide`]: the topics of `descan help` and the manual pages.
-//! * [`cli`], [`commands`]: what the command line asks for, done with a screen or without.
-
+//! * [`sim`]: a bit-timed simulated bus with devices.
+//! * [`bitrate`]: the bit rate search.
+//! * [`status`]: state of a bus, in plain values.
+//! * [`app`]: all state of the program, without I/O; [`keymap`]: its actions and keys.
+//! * [`theme`], [`ui`]: colours; drawing.
+//! * [`bus`]: frames from and to interfaces, adapters, servers, logs and simulations.
+//! * [`shell`]: event loop, terminal, files, signals.
+//! * [`guide`]: what a user looks up: `descan help`, `descan man`.
+//! * [`cli`], [`commands`]: the command line and what it runs.
+//!
+//! The engine and [`app`] are state machines without I/O and with the same methods: `handle_*` takes an
+//! input with its time, `poll_*` returns what to do outside, `poll_timeout` when to call
+//! `handle_timeout` next.
+#![doc = ""]
+#![doc = include_str!("glossary.md")]
 // Print macros panic if standard output or error is closed: use `writeln!`, ignore its error.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
+#![cfg_attr(not(any(feature = "std", test)), no_std)]
 
-pub mod app;
-pub mod bitrate;
-pub mod bus;
-pub mod cli;
-pub mod commands;
-pub mod discovery;
-pub mod document;
-pub mod error_report;
-pub mod finding;
 pub mod frame;
-pub mod guide;
-pub mod keymap;
-pub mod log;
-pub mod shell;
-pub mod sim;
-pub mod status;
-pub mod text;
-pub mod theme;
 pub mod time;
-pub mod ui;
 pub mod wire;
+
+#[cfg(feature = "std")]
+pub mod bitrate;
+#[cfg(feature = "std")]
+pub mod discovery;
+#[cfg(feature = "std")]
+pub mod document;
+#[cfg(feature = "std")]
+pub mod error_report;
+#[cfg(feature = "std")]
+pub mod finding;
+#[cfg(feature = "std")]
+pub mod log;
+#[cfg(feature = "std")]
+pub mod sim;
+#[cfg(feature = "std")]
+pub mod text;
+
+#[cfg(feature = "program")]
+pub mod app;
+#[cfg(feature = "program")]
+pub mod bus;
+#[cfg(feature = "program")]
+pub mod cli;
+#[cfg(feature = "program")]
+pub mod commands;
+#[cfg(feature = "program")]
+pub mod guide;
+#[cfg(feature = "program")]
+pub mod keymap;
+#[cfg(feature = "program")]
+pub mod shell;
+#[cfg(feature = "program")]
+pub mod status;
+#[cfg(feature = "program")]
+pub mod theme;
+#[cfg(feature = "program")]
+pub mod ui;

@@ -3,9 +3,9 @@
 //! Knows nothing of clocks. Where a wall clock is wanted (printing, logs, JSON), an
 //! [`Epoch`] says which Unix time the start was.
 
-use std::fmt;
-use std::ops::{Add, AddAssign, Sub};
-pub use std::time::Duration;
+use core::fmt;
+use core::ops::{Add, AddAssign, Sub};
+pub use core::time::Duration;
 
 /// A moment: microseconds since the start of the session, the log or the simulation.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]

@@ -1615,7 +1615,8 @@ fn nothing_beyond_discovery_is_sent_by_one_key() {
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("i");
     assert!(stage.screen().contains("identify needs --profile"), "{}", stage.screen());
-    let profile = descan::wire::profile::Profile { given: true, ..Default::default() };
+    let mut profile = descan::wire::profile::Profile::default();
+    profile.given = true;
     let config = Config { profile: profile.into(), seed: 7, ..Config::default() };
     let scenario = Scenario::builtin("boiler").unwrap();
     let mut stage = Stage::with(&scenario, Some(BOILER), config);

@@ -619,7 +619,7 @@ fn we_reassemble_what_the_kernel_segments() {
         let options = isotp_options(fd, ["00020304", "00010203"], vcan.name());
         let peer = Peer::start_with_input("isotpsend", &options, &hex(&message));
         let go_on = FlowControl { status: FlowStatus::Continue, block_size, st_min: 0 };
-        let mut transfer: Option<Reassembly> = None;
+        let mut transfer: Option<Reassembly<Vec<u8>>> = None;
         let mut seen = 0;
         bus.wait_until("the message", |bus| {
             let now = bus.clock.now();
@@ -630,9 +630,9 @@ fn we_reassemble_what_the_kernel_segments() {
                 }
                 let progress = match Pci::decode(frame.data(), frame.fd).unwrap() {
                     Pci::First { length, data } => {
-                        let first =
-                            Reassembly::start(now, length, data, frame.len(), block_size).unwrap();
-                        transfer = Some(first);
+                        let (len, buffer) = (frame.len(), vec![0; length as usize]);
+                        let first = Reassembly::start(now, length, data, len, block_size, buffer);
+                        transfer = Some(first.unwrap());
                         ReassemblyProgress::BlockEnd
                     }
                     Pci::Consecutive { sequence, data } => {

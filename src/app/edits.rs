@@ -321,7 +321,7 @@ impl App {
                 && finding.addresses.contains(&device.address)
         });
         let uid = device.uid.filter(|uid| !uid.is_blank() && !is_shared);
-        let uid = uid.map(|uid| uid.text(alphabet));
+        let uid = uid.map(|uid| uid.text(alphabet).to_string());
         Some(NewEntry {
             name: device.name.as_ref()?.as_bytes().to_vec(),
             address: Some(device.address.number()).filter(|address| *address > 0),

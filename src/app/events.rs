@@ -305,7 +305,7 @@ impl App {
 
     fn uid_text(&self, bus: BusIndex, uid: Uid) -> String {
         let alphabet = self.bus(bus).map(|bus| &bus.engine.config().profile.uid);
-        let text = alphabet.map_or_else(String::new, |alphabet| uid.text(alphabet));
+        let text = alphabet.map_or_else(String::new, |alphabet| uid.text(alphabet).to_string());
         Escaped(text.as_bytes()).to_string()
     }
 

@@ -38,7 +38,8 @@ impl Matching {
                 let same_uid = |entry: &Entry, device: &Device| {
                     let listed = entry.uid.as_deref().map_or("", str::trim);
                     let own = device.uid.filter(|uid| !uid.is_blank());
-                    !listed.is_empty() && own.is_some_and(|uid| uid.text(alphabet) == listed)
+                    !listed.is_empty()
+                        && own.is_some_and(|uid| uid.text(alphabet).to_string() == listed)
                 };
                 let same_place = |entry: &Entry, device: &Device| {
                     device.is_named(&entry.name) && entry.address == Some(device.address.number())

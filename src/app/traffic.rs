@@ -9,7 +9,9 @@ use crate::error_report::ErrorReport;
 use crate::frame::{BusIndex, CanId, Frame, FrameKind};
 use crate::text::Escaped;
 use crate::time::Instant;
-use crate::wire::des::{Asked, Request, ServicesResponse, TYPE_NAME, TYPE_SERVICES, decode_name};
+use crate::wire::des::{
+    ReceivedRequest, Request, ServicesResponse, TYPE_NAME, TYPE_SERVICES, decode_name,
+};
 use crate::wire::framing::{Framing, classify_request, classify_response, strip_raw_padding};
 use crate::wire::id::{Address, Header, MessageType};
 use crate::wire::isotp::{FlowStatus, Pci};
@@ -331,9 +333,9 @@ fn describe_flow(status: FlowStatus) -> &'static str {
 
 fn describe_request(message: &[u8]) -> String {
     match Request::decode(message) {
-        Some(Asked::Known(Request::Name)) => "name request".to_owned(),
-        Some(Asked::Known(Request::Services)) => "services request".to_owned(),
-        Some(Asked::Reserved(kind)) => format!("reserved DES request {kind:02X}"),
+        Some(ReceivedRequest::Known(Request::Name)) => "name request".to_owned(),
+        Some(ReceivedRequest::Known(Request::Services)) => "services request".to_owned(),
+        Some(ReceivedRequest::Reserved(kind)) => format!("reserved DES request {kind:02X}"),
         None => "not a DES request".to_owned(),
     }
 }
@@ -377,7 +379,7 @@ fn describe_heartbeat(profile: &Profile, data: &[u8]) -> String {
         let _ = write!(text, " {mode}");
     }
     if let Some(uid) = beat.uid.filter(|uid| !uid.is_blank()) {
-        let _ = write!(text, " {}", Escaped(uid.text(&profile.uid).as_bytes()));
+        let _ = write!(text, " {}", Escaped(uid.text(&profile.uid).to_string().as_bytes()));
     }
     if let Some(error) = beat.error.filter(|error| *error != 0) {
         let _ = write!(text, " error {error}");

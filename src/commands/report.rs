@@ -370,7 +370,7 @@ fn of_device(app: &App, bus: &Bus, device: &Device) -> DeviceReport {
         presence: device.presence.name(),
         mode: device.mode.map(crate::wire::node::Mode::name),
         working: device.working,
-        uid: device.uid.map(|uid| uid.text(alphabet)),
+        uid: device.uid.map(|uid| uid.text(alphabet).to_string()),
         framing: device.framing.map(|framing| framing.to_string()),
         services: of_services(services),
         services_known: device.services.is_some(),

@@ -537,7 +537,7 @@ impl ConflictDetector {
 
     /// The text of evidence that shows a heartbeat with this UID.
     fn uid_words(&self, uid: Option<Uid>) -> Cow<'static, str> {
-        let text = uid.map_or(String::new(), |uid| uid.text(&self.alphabet));
+        let text = uid.map_or(String::new(), |uid| uid.text(&self.alphabet).to_string());
         format!("UID {}", Escaped(text.as_bytes())).into()
     }
 

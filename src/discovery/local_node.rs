@@ -7,7 +7,7 @@ use super::config::Config;
 use super::outbox::Outbox;
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
-use crate::wire::des::{self, Asked, Request};
+use crate::wire::des::{self, ReceivedRequest, Request};
 use crate::wire::framing::{Framing, classify_request};
 use crate::wire::id::{Address, Header};
 use crate::wire::isotp::{FlowControl, Pci, Segmenter};
@@ -48,7 +48,7 @@ pub(super) enum AddressChange {
 struct OutgoingResponse {
     id: u32,
     flow_id: u32,
-    segmenter: Segmenter,
+    segmenter: Segmenter<Vec<u8>>,
 }
 
 #[derive(Debug)]
@@ -275,13 +275,13 @@ impl LocalNode {
             return;
         }
         if let Some((framing, message)) = classify_request(frame.data(), frame.fd) {
-            let Some(Asked::Known(request)) = Request::decode(message) else { return };
+            let Some(ReceivedRequest::Known(request)) = Request::decode(message) else { return };
             if self.is_repeated(now, frame) {
                 return;
             }
             let message = match request {
-                Request::Name => des::encode_name(NAME),
-                Request::Services => des::encode_services(&[vec!["DES", "1.0"]]),
+                Request::Name => des::encode_name(NAME).collect(),
+                Request::Services => des::encode_services(&[["DES", "1.0"]]).collect(),
             };
             self.response(header, address, framing, message, outbox);
             self.send_responses(now, outbox);

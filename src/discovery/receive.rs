@@ -8,7 +8,7 @@ use super::{Device, Engine, EventKind, Presence, local_node};
 use crate::frame::{Frame, FrameKind};
 use crate::text::Name;
 use crate::time::{Duration, Instant};
-use crate::wire::des::{self, Asked, Request, ResponseFault, ServicesResponse};
+use crate::wire::des::{self, ReceivedRequest, Request, ResponseFault, ServicesResponse};
 use crate::wire::framing::{Framing, classify_request, classify_response, strip_raw_padding};
 use crate::wire::id::{Address, Header, MessageType};
 use crate::wire::isotp::{FlowControl, FlowStatus, Pci, TransferFault};
@@ -231,7 +231,7 @@ impl Engine {
 
     fn note_request(&mut self, now: Instant, header: Header, frame: &Frame, ours: bool) {
         let Some((framing, message)) = classify_request(frame.data(), frame.fd) else { return };
-        let Some(Asked::Known(request)) = Request::decode(message) else { return };
+        let Some(ReceivedRequest::Known(request)) = Request::decode(message) else { return };
         let asking = QueryParties { by: header.source, targeted: !header.broadcast };
         self.asked_at[header.source.index()] = Some(now);
         if !header.broadcast {

@@ -2,6 +2,7 @@
 
 use crate::frame::Frame;
 use crate::time::Instant;
+use crate::wire::des::MAX_MESSAGE;
 use crate::wire::id::{Address, Header};
 use crate::wire::isotp::{Reassembly, ReassemblyProgress, TransferFault};
 
@@ -12,7 +13,7 @@ const MAX_PER_SOURCE: usize = 4;
 struct RxTransfer {
     id: u32,
     first: Frame,
-    reassembly: Reassembly,
+    reassembly: Reassembly<Vec<u8>>,
 }
 
 /// What a first frame did.
@@ -74,7 +75,9 @@ impl Transfers {
         data: &[u8],
         block_size: u8,
     ) -> Started {
-        let reassembly = match Reassembly::start(now, length, data, frame.len(), block_size) {
+        let buffer = vec![0; MAX_MESSAGE.min(length as usize)];
+        let reassembly = match Reassembly::start(now, length, data, frame.len(), block_size, buffer)
+        {
             Ok(reassembly) => reassembly,
             Err(fault) => return Started::Fault(fault),
         };
@@ -111,7 +114,7 @@ impl Transfers {
             Ok(ReassemblyProgress::BlockEnd) => Continued::BlockEnd,
             Ok(ReassemblyProgress::Done) => {
                 self.open -= 1;
-                Continued::Done(transfers.swap_remove(at).reassembly.into_message())
+                Continued::Done(transfers.swap_remove(at).reassembly.into_buffer())
             }
             Err(fault) => {
                 self.open -= 1;

@@ -39,7 +39,7 @@ impl FrameBits {
     }
 
     /// Those up to and with the ACK slot.
-    pub(crate) const fn until_ack(self) -> Self {
+    pub const fn until_ack(self) -> Self {
         Self { nominal: self.nominal - AFTER_ACK, data: self.data }
     }
 
@@ -171,7 +171,7 @@ impl Content {
     /// The bits as they go over the wire, up to the end of the data.
     fn stuffed(&self) -> impl Iterator<Item = u8> {
         let (mut at, mut state, mut pending) = (0, 0, None);
-        std::iter::from_fn(move || {
+        core::iter::from_fn(move || {
             if let Some(bit) = pending.take() {
                 return Some(bit);
             }

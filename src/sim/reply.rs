@@ -51,7 +51,7 @@ enum Body {
 }
 
 struct TxTransfer {
-    segmenter: Segmenter,
+    segmenter: Segmenter<Vec<u8>>,
     faults: Faults,
     frames: u32,
     sequence: u8,

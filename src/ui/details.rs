@@ -235,7 +235,7 @@ impl<'a> DeviceDetails<'_, 'a> {
                 if uid.is_blank() {
                     return "blank".to_owned();
                 }
-                crate::text::Escaped(uid.text(&profile.uid).as_bytes()).to_string()
+                crate::text::Escaped(uid.text(&profile.uid).to_string().as_bytes()).to_string()
             })
             .collect();
         // The last one heard changes with each heartbeat.

@@ -1,34 +1,36 @@
-//! The messages of DES, the devices enumeration service: requests, name answers and services
-//! answers.
+//! DES messages: requests, name responses and services responses.
 //!
-//! Source: the DES description, "Описание сообщений DES". Does not know how a message is cut
-//! into frames: that is [`super::framing`].
+//! Source: protocol §2 (the DES service document). Input and output are whole messages; decoding
+//! borrows from them, encoding yields bytes, and neither allocates. Does not know how a message is
+//! split into frames: see [`super::framing`] and [`super::isotp`].
 
-/// The most bytes a message may have (what an ISO 15765-2 first frame with 12 bits can say).
+use core::iter;
+
+/// Longest message, in bytes: the largest length in an ISO 15765-2 first frame without escape.
 pub const MAX_MESSAGE: usize = 4095;
-/// The most services an answer may list: their index is one byte.
+/// Most services in one response: their index is one byte.
 pub const MAX_SERVICES: usize = 256;
-/// The type byte of a who-is-there request and of a name answer.
+/// Type byte of a name request and of a name response.
 pub const TYPE_NAME: u8 = 0x01;
-/// The type byte of a services request and of a services answer.
+/// Type byte of a services request and of a services response.
 pub const TYPE_SERVICES: u8 = 0x02;
 
-/// What a device is asked.
+/// A request that DES defines (protocol §2.1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Request {
-    /// Who is there? Answered with the device's name.
+    /// The response carries the device's name.
     Name,
-    /// Which services, in which versions?
+    /// The response carries the device's services with their versions.
     Services,
 }
 
 impl Request {
-    /// The four bytes of the request: "DES" and the type.
+    /// Returns the four bytes of the request: `DES` and the type byte.
     pub const fn encode(self) -> [u8; 4] {
         [b'D', b'E', b'S', self.type_byte()]
     }
 
-    /// The type byte, repeated as the answer's first byte.
+    /// Returns the type byte, which is also the first byte of the response.
     pub const fn type_byte(self) -> u8 {
         match self {
             Request::Name => TYPE_NAME,
@@ -36,55 +38,57 @@ impl Request {
         }
     }
 
-    /// What the bytes of a message ask, where they are a request.
-    pub fn decode(message: &[u8]) -> Option<Asked> {
+    /// Reads a message as a request; `None` if it is not one.
+    pub fn decode(message: &[u8]) -> Option<ReceivedRequest> {
         match message {
-            [b'D', b'E', b'S', TYPE_NAME] => Some(Asked::Known(Request::Name)),
-            [b'D', b'E', b'S', TYPE_SERVICES] => Some(Asked::Known(Request::Services)),
-            [b'D', b'E', b'S', reserved] => Some(Asked::Reserved(*reserved)),
+            [b'D', b'E', b'S', TYPE_NAME] => Some(ReceivedRequest::Known(Request::Name)),
+            [b'D', b'E', b'S', TYPE_SERVICES] => Some(ReceivedRequest::Known(Request::Services)),
+            [b'D', b'E', b'S', reserved] => Some(ReceivedRequest::Reserved(*reserved)),
             _ => None,
         }
     }
 }
 
-/// A request as it was heard.
+/// A request as received (protocol §2.1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Asked {
-    /// One of the two that are defined.
+pub enum ReceivedRequest {
+    /// Name or services.
     Known(Request),
-    /// A reserved type, 00 or 03–FF: shown as such, never sent, never answered.
+    /// A reserved type byte, 00 or 03 to FF. Requires no response.
     Reserved(u8),
 }
 
-/// What is wrong with an answer.
+/// Why a response is malformed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
+#[non_exhaustive]
 pub enum ResponseFault {
-    /// The first byte is not the type that was asked for.
+    /// The first byte of a name response is not [`TYPE_NAME`].
     #[error("not a name response")]
     NotAName,
-    /// The first byte is not 02.
+    /// The first byte of a services response is not [`TYPE_SERVICES`].
     #[error("not a services response")]
     NotServices,
     /// The message ends inside a string or before a service's version.
     #[error("truncated")]
     Truncated,
-    /// The first service's index is not 0.
+    /// The index of the first service is not 0.
     #[error("service index out of order")]
     BadIndex,
-    /// More than [`MAX_SERVICES`].
+    /// More than [`MAX_SERVICES`] services.
     #[error("more than 256 services")]
     TooManyServices,
     /// More than [`MAX_MESSAGE`] bytes.
     #[error("more than 4095 bytes")]
     TooLong,
-    /// Bytes follow the name's terminating zero.
+    /// Bytes follow the terminating zero of the name.
     #[error("bytes after the name")]
     BytesAfterName,
 }
 
-/// The name in a name answer: `01`, the name's bytes, `00`.
+/// Reads a name response: `01`, the bytes of the name, `00` (protocol §2.2).
 ///
-/// What could be read comes even where something is wrong.
+/// Returns the name without its terminating zero, as far as it can be read, and what is wrong with
+/// the message. Both can be present: a name without a terminating zero counts as a name.
 pub fn decode_name(message: &[u8]) -> (Option<&[u8]>, Option<ResponseFault>) {
     if message.len() > MAX_MESSAGE {
         return (None, Some(ResponseFault::TooLong));
@@ -99,57 +103,60 @@ pub fn decode_name(message: &[u8]) -> (Option<&[u8]>, Option<ResponseFault>) {
     }
 }
 
-/// The message of a name answer.
-pub fn encode_name(name: &[u8]) -> Vec<u8> {
-    let mut message = Vec::with_capacity(name.len() + 2);
-    message.push(TYPE_NAME);
-    message.extend_from_slice(name);
-    message.push(0);
-    message
+/// Yields the bytes of a name response. `name` must not contain a zero byte.
+///
+/// ```
+/// use descan::wire::des;
+///
+/// assert!(des::encode_name(b"FEED").eq(*b"\x01FEED\0"));
+/// assert_eq!(des::decode_name(b"\x01FEED\0"), (Some(&b"FEED"[..]), None));
+/// ```
+pub fn encode_name(name: &[u8]) -> impl Iterator<Item = u8> {
+    iter::once(TYPE_NAME).chain(name.iter().copied()).chain(iter::once(0))
 }
 
-/// One service as a device lists it.
+/// One service in a services response.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct ServiceInfo<'a> {
-    /// Its index in the answer.
+    /// Index in the response, 0 to 255.
     pub index: u8,
     strings: &'a [u8],
 }
 
 impl<'a> ServiceInfo<'a> {
-    /// Its strings, without their terminating zeros: name, version, possibly more.
+    /// Yields the strings without their terminating zeros: name, version, possibly more.
     pub fn strings(&self) -> impl Iterator<Item = &'a [u8]> + use<'a> {
         let text = self.strings.strip_suffix(&[0]).unwrap_or(self.strings);
         let mut parts = (!self.strings.is_empty()).then(|| text.split(|&byte| byte == 0));
-        std::iter::from_fn(move || parts.as_mut()?.next())
+        iter::from_fn(move || parts.as_mut()?.next())
     }
 
-    /// The first string: the service's name.
+    /// Returns the first string, the service's name; empty if it is missing.
     pub fn name(&self) -> &'a [u8] {
         self.strings().next().unwrap_or_default()
     }
 
-    /// The second string: the service's version.
+    /// Returns the second string, the service's version; empty if it is missing.
     pub fn version(&self) -> &'a [u8] {
         self.strings().nth(1).unwrap_or_default()
     }
 }
 
-/// How the strings of an answer are divided among its services.
+/// How the strings of a response are assigned to its services.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Division {
-    /// The same number of strings for every service.
+    /// The same number of strings for each service.
     Fixed(usize),
-    /// Byte by byte, where no fixed number fits.
+    /// Byte by byte: no fixed number fits.
     Linear,
 }
 
-/// A services answer: `02`, then per service its index and its strings, each ended by `00`.
+/// A services response: `02`, then for each service its index and its strings, each ended by `00`
+/// (protocol §2.3).
 ///
-/// The description fixes two strings and leaves room for more. So first every fixed number of
-/// strings from 2 to 8 is tried; the smallest with which the indices of at least two services
-/// run exactly to the end is taken. Otherwise a byte equal to the next index opens the next
-/// service where at least two terminated strings follow it.
+/// The number of strings per service is not fixed. The smallest number from 2 to 8 wins with which
+/// the indices of at least two services run exactly to the end. If none does, a byte equal to the
+/// next index begins the next service if at least two terminated strings follow it.
 #[derive(Clone, Copy)]
 pub struct ServicesResponse<'a> {
     body: &'a [u8],
@@ -158,7 +165,7 @@ pub struct ServicesResponse<'a> {
 }
 
 impl<'a> ServicesResponse<'a> {
-    /// Reads an answer. What is wrong with it is its [`fault`](Self::fault).
+    /// Reads a response. A malformed one has a [`fault`](Self::fault) and the services before it.
     pub fn decode(message: &'a [u8]) -> Self {
         let refused = |fault| Self { body: &[], division: Division::Linear, fault: Some(fault) };
         if message.len() > MAX_MESSAGE {
@@ -192,17 +199,17 @@ impl<'a> ServicesResponse<'a> {
         response
     }
 
-    /// What is wrong with the answer; the services read so far are there all the same.
+    /// Returns what is wrong with the response; `None` if it is well-formed.
     pub fn fault(&self) -> Option<ResponseFault> {
         self.fault
     }
 
-    /// The services in the order of the answer.
+    /// Yields the services in the order of the response.
     pub fn services(&self) -> impl Iterator<Item = ServiceInfo<'a>> + use<'a> {
         let division = self.division;
         let mut rest = self.body;
         let mut index = 0u8;
-        std::iter::from_fn(move || {
+        iter::from_fn(move || {
             let (&first, strings) = rest.split_first()?;
             debug_assert_eq!(first, index);
             let length = match division {
@@ -217,7 +224,8 @@ impl<'a> ServicesResponse<'a> {
     }
 }
 
-/// The length of `count` terminated strings at the start of `bytes`, if they are there.
+/// Returns the length of `count` terminated strings at the start of `bytes`, zeros included;
+/// `None` if there are fewer.
 fn after_strings(bytes: &[u8], count: usize) -> Option<usize> {
     if count == 0 {
         return Some(0);
@@ -225,7 +233,7 @@ fn after_strings(bytes: &[u8], count: usize) -> Option<usize> {
     bytes.iter().enumerate().filter(|&(_, &byte)| byte == 0).nth(count - 1).map(|(at, _)| at + 1)
 }
 
-/// Whether services of `strings` strings each, at least two of them, run exactly to the end.
+/// Returns true if at least two services of `strings` strings each run exactly to the end.
 fn fits_fixed(mut body: &[u8], strings: usize) -> bool {
     let mut count = 0usize;
     while let Some((&index, rest)) = body.split_first() {
@@ -239,8 +247,8 @@ fn fits_fixed(mut body: &[u8], strings: usize) -> bool {
     count >= 2
 }
 
-/// How many bytes of `strings` belong to the service they begin with: name and version, then
-/// further strings until a byte equal to `next` with two terminated strings behind it.
+/// Returns how many bytes of `strings` belong to the service at their start: name and version, then
+/// further strings up to a byte equal to `next` that two terminated strings follow.
 fn linear_length(strings: &[u8], next: u8) -> usize {
     let Some(mut length) = after_strings(strings, 2) else { return strings.len() };
     loop {
@@ -257,15 +265,30 @@ fn linear_length(strings: &[u8], next: u8) -> usize {
     }
 }
 
-/// The message of a services answer; each service is its list of strings.
-pub fn encode_services<S: AsRef<[u8]>>(services: &[Vec<S>]) -> Vec<u8> {
-    let mut message = vec![TYPE_SERVICES];
-    for (index, strings) in services.iter().enumerate() {
-        message.push(index as u8);
-        for string in strings {
-            message.extend_from_slice(string.as_ref());
-            message.push(0);
-        }
-    }
-    message
+/// Yields the bytes of a services response. Each service is its list of strings: name, version,
+/// possibly more; at most [`MAX_SERVICES`] services.
+///
+/// ```
+/// use descan::wire::des::{self, ServicesResponse};
+///
+/// let message: Vec<u8> = des::encode_services(&[["DES", "1.0"], ["AUGER", "2.1"]]).collect();
+/// let response = ServicesResponse::decode(&message);
+/// assert_eq!(response.services().nth(1).unwrap().name(), b"AUGER");
+/// ```
+pub fn encode_services<'a, L, S>(services: &'a [L]) -> impl Iterator<Item = u8>
+where
+    L: AsRef<[S]>,
+    S: AsRef<[u8]> + 'a,
+{
+    iter::once(TYPE_SERVICES).chain(
+        services
+            .iter()
+            .enumerate()
+            .flat_map(|(index, list)| iter::once(index as u8).chain(terminated(list.as_ref()))),
+    )
+}
+
+/// Yields the bytes of strings, each followed by a zero.
+fn terminated<S: AsRef<[u8]>>(strings: &[S]) -> impl Iterator<Item = u8> {
+    strings.iter().flat_map(|string| string.as_ref().iter().copied().chain(iter::once(0)))
 }

@@ -1,24 +1,27 @@
-//! The two ways a DES message is laid into frames: as it stands (raw) or by ISO 15765-2
-//! (isotp), and how to tell them apart.
+//! The two framings of a DES message, raw and ISO-TP, and how a received frame is classified.
 //!
-//! The DES description does not name a framing; its advice of five characters "so that the
-//! answer fits one frame" fits ISO 15765-2 single frames. Does not keep transfers in progress.
+//! Source: protocol §3. The DES service document names no framing; its limit of five characters for
+//! a name fits an ISO 15765-2 single frame. Does not hold open transfers: see [`super::isotp`].
 
 use super::des::{ServicesResponse, TYPE_NAME, TYPE_SERVICES};
 use super::isotp::Pci;
-use serde::{Deserialize, Serialize};
-use std::fmt;
+use core::fmt;
 
-/// How a device lays its messages into frames.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
+/// How a device splits its messages into frames.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[cfg_attr(
+    feature = "std",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(rename_all = "lowercase")
+)]
 pub enum Framing {
-    /// ISO 15765-2, normal addressing.
+    /// ISO 15765-2 with normal addressing (protocol §3.1).
     Isotp,
-    /// The message is the frame's data.
+    /// The message is the data of one frame (protocol §3.2).
     Raw,
 }
 
+/// The word in profiles and JSON: `isotp` or `raw`.
 impl fmt::Display for Framing {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.pad(match self {
@@ -28,11 +31,11 @@ impl fmt::Display for Framing {
     }
 }
 
-/// Which framing the frame of an answer has; `None` is neither, a finding.
+/// Returns the framing of a response's frame; `None` if it is neither (protocol §3.3).
 ///
-/// isotp: byte 0 is 01–07 with at least that many bytes behind it and byte 1 is an answer's
-/// type (on FD also `00 LL`); a first frame; or, while a transfer is open, a consecutive frame
-/// or flow control. Else raw, where byte 0 is an answer's type.
+/// ISO-TP: a single frame whose byte 1 (on FD also byte 2) is the type of a response; a first
+/// frame; with `transfer_open`, a consecutive frame or flow control. Otherwise raw if byte 0 is
+/// the type of a response. `transfer_open`: this identifier has a transfer in progress.
 pub fn classify_response(data: &[u8], fd: bool, transfer_open: bool) -> Option<Framing> {
     let is_type = |byte: Option<&u8>| matches!(byte, Some(&(TYPE_NAME | TYPE_SERVICES)));
     let &first = data.first()?;
@@ -55,7 +58,8 @@ pub fn classify_response(data: &[u8], fd: bool, transfer_open: bool) -> Option<F
     }
 }
 
-/// Which framing the frame of a request has, and the request's message.
+/// Returns the framing of a request's frame and the request's message; `None` if it is not a
+/// DES request.
 pub fn classify_request(data: &[u8], fd: bool) -> Option<(Framing, &[u8])> {
     if data.starts_with(b"DES") && data.len() >= 4 {
         return Some((Framing::Raw, &data[..4]));
@@ -66,8 +70,8 @@ pub fn classify_request(data: &[u8], fd: bool) -> Option<(Framing, &[u8])> {
     }
 }
 
-/// The message in a raw frame, without what looks like padding: whatever follows a name's zero,
-/// and after a services answer a uniform tail of 00, 55, AA, CC or FF.
+/// Returns the message of a raw frame without its padding: the bytes behind the zero of a name, and
+/// a uniform tail of 00, 55, AA, CC or FF behind a services response (protocol §3.2).
 pub fn strip_raw_padding(data: &[u8]) -> &[u8] {
     match data {
         [TYPE_NAME, name @ ..] => match name.iter().position(|&byte| byte == 0) {
@@ -78,7 +82,7 @@ pub fn strip_raw_padding(data: &[u8]) -> &[u8] {
             let end = data.iter().rposition(|byte| byte != last).map_or(0, |at| at + 1);
             &data[..end.max(1)]
         }
-        // Zeros end strings too: leave as many as make the answer whole.
+        // Zeros also end strings: keep the fewest with which the response is well-formed.
         [TYPE_SERVICES, .., 0] => {
             let text = data.iter().rposition(|&byte| byte != 0).map_or(0, |at| at + 1);
             (text..data.len())
@@ -95,7 +99,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn padding_of_raw_answers() {
+    fn raw_response_padding_is_stripped() {
         assert_eq!(strip_raw_padding(&[1, b'A', 0, 0x55, 0x12]), [1, b'A', 0]);
         assert_eq!(strip_raw_padding(&[2, 0xCC, 0xCC]), [2]);
         assert_eq!(strip_raw_padding(&[2, 0, 0, 0, 0, 0, 0, 0]), [2]);
@@ -104,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn requests_in_both_framings() {
+    fn request_in_either_framing_is_recognised() {
         let (isotp, raw) = ([4, b'D', b'E', b'S', 2], *b"DES\x02");
         assert_eq!(classify_request(&isotp, false), Some((Framing::Isotp, &raw[..])));
         assert_eq!(classify_request(&raw, false), Some((Framing::Raw, &raw[..])));

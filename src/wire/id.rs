@@ -1,48 +1,49 @@
-//! The 29-bit identifier of the CAN platform (section 4.1) and its nine message types (4.3).
+//! The 29-bit identifier of the CAN platform and its nine message types.
 //!
-//! Does not know what a service number or the data mean.
+//! Source: protocol §1 (CAN platform §4.1 and §4.3). Does not know the meaning of service numbers
+//! and data.
 
 use crate::frame::IdPattern;
-use std::fmt;
+use core::fmt;
 
-/// A node's address, 0–127. 0 is reserved for a debug device; nodes use 1–127.
+/// A node's address, 0 to 127. 0 belongs to the debug device; other nodes use 1 to 127.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 pub struct Address(u8);
 
 impl Address {
-    /// The debug device's address.
+    /// Address of the debug device, 0.
     pub const DEBUG: Address = Address(0);
-    /// The highest address; DST of a DEBUG message.
+    /// Highest address, 127; DST of a DEBUG message.
     pub const MAX: Address = Address(127);
-    /// How many addresses there are.
+    /// Number of addresses, that of the debug device included.
     pub const COUNT: usize = 128;
 
-    /// The address `number`, if it is one (0–127).
+    /// Returns the address `number`; `None` above 127.
     pub const fn new(number: u8) -> Option<Self> {
         if number < 128 { Some(Self(number)) } else { None }
     }
 
-    /// The low seven bits of `bits` as an address.
+    /// Returns the low seven bits of `bits` as an address.
     pub const fn from_bits(bits: u8) -> Self {
         Self(bits & 0x7F)
     }
 
-    /// Its number, 0–127.
+    /// Returns the number, 0 to 127.
     pub const fn number(self) -> u8 {
         self.0
     }
 
-    /// Its number as an index into a table of 128.
+    /// Returns the number as an index into a table of [`Address::COUNT`] elements.
     pub const fn index(self) -> usize {
         self.0 as usize
     }
 
-    /// All of them, 0 first.
+    /// Yields all addresses, 0 first.
     pub fn all() -> impl DoubleEndedIterator<Item = Address> {
         (0..128).map(Address)
     }
 
-    /// Those a node may hold: 1–127.
+    /// Yields the addresses of nodes, 1 to 127.
     pub fn nodes() -> impl DoubleEndedIterator<Item = Address> {
         (1..128).map(Address)
     }
@@ -60,22 +61,22 @@ impl fmt::Display for Address {
     }
 }
 
-/// A 10-bit service number; in a DEBUG message the message code.
+/// A service number of 10 bits (SRV); in a DEBUG message the message code.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 pub struct Service(u16);
 
 impl Service {
-    /// The service `number`, if it is one (0–1023).
+    /// Returns the service `number`; `None` above 1023.
     pub const fn new(number: u16) -> Option<Self> {
         if number < 1024 { Some(Self(number)) } else { None }
     }
 
-    /// The low ten bits of `bits` as a service number.
+    /// Returns the low ten bits of `bits` as a service number.
     pub const fn from_bits(bits: u16) -> Self {
         Self(bits & 0x3FF)
     }
 
-    /// Its number, 0–1023.
+    /// Returns the number, 0 to 1023.
     pub const fn number(self) -> u16 {
         self.0
     }
@@ -87,36 +88,45 @@ impl fmt::Debug for Service {
     }
 }
 
-/// Three hexadecimal digits.
+/// Three hexadecimal digits: `002`.
 impl fmt::Display for Service {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{:03X}", self.0)
     }
 }
 
-/// The fields of an identifier (4.1).
+/// The fields of an identifier (protocol §1.1). All 2^29 identifiers have them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Header {
-    /// U: the sender is in none of the working modes.
+    /// U: the sender is not in a working mode (protocol §7.1).
     pub sender_not_working: bool,
-    /// D: addressed to nodes that are in none of the working modes.
+    /// D: addressed to nodes that are not in a working mode.
     pub to_not_working: bool,
-    /// R: an answer, not a request.
+    /// R: a response, not a request.
     pub response: bool,
-    /// B: to all, not to one.
+    /// B: broadcast, not targeted.
     pub broadcast: bool,
-    /// ERR: on an answer, *no* error. Means nothing on a request.
+    /// ERR: set in a response means no error. Has no meaning in a request.
     pub no_error: bool,
-    /// SRC: who sends.
+    /// SRC: the sender.
     pub source: Address,
-    /// DST: to whom; in a broadcast a fresh random number.
+    /// DST: the receiver; in a broadcast a new random number each time (RND7).
     pub destination: Address,
-    /// SRV: the service.
+    /// SRV: the service number.
     pub service: Service,
 }
 
 impl Header {
-    /// The fields of a 29-bit identifier. Every identifier has them.
+    /// Returns the fields of a 29-bit identifier; higher bits of `id` are ignored.
+    ///
+    /// ```
+    /// use descan::wire::id::{Header, MessageType};
+    ///
+    /// let header = Header::decode(0x0201_5402);
+    /// assert_eq!((header.source.number(), header.service.number()), (0, 2));
+    /// assert_eq!(header.message_type(), MessageType::ReqCcBcst);
+    /// assert_eq!(header.encode(), 0x0201_5402);
+    /// ```
     pub const fn decode(id: u32) -> Self {
         Self {
             sender_not_working: id >> 28 & 1 == 1,
@@ -130,7 +140,7 @@ impl Header {
         }
     }
 
-    /// The 29-bit identifier of these fields.
+    /// Returns the 29-bit identifier of these fields.
     pub const fn encode(self) -> u32 {
         (self.sender_not_working as u32) << 28
             | (self.to_not_working as u32) << 27
@@ -142,8 +152,8 @@ impl Header {
             | self.service.0 as u32
     }
 
-    /// The identifiers of all that concerns one address: what it sends, what is sent to it, and the
-    /// requests of this service to all, which it answers like everybody.
+    /// Returns patterns for all frames that concern one address: those it sends, those targeted at
+    /// it, and broadcast requests of `service`, to which it responds.
     pub const fn patterns_of(address: Address, service: Service) -> [IdPattern; 3] {
         let (broadcast, response) = (1 << 25, 1 << 26);
         let (source, destination) = (0x7F << 17, 0x7F << 10);
@@ -155,7 +165,7 @@ impl Header {
         ]
     }
 
-    /// A request of a working node to one node; `to_not_working` chooses REQ_CU.
+    /// Returns a targeted request of a working node: REQ_CU_TGT with `to_not_working`, else REQ_CC_TGT.
     pub const fn request(
         from: Address,
         to: Address,
@@ -174,7 +184,8 @@ impl Header {
         }
     }
 
-    /// A request of a working node to all nodes, with a fresh RND7 as DST.
+    /// Returns a broadcast request of a working node: REQ_CU_BCST with `to_not_working`, else
+    /// REQ_CC_BCST. `rnd7`: a new random number, 0 to 127, as DST.
     pub const fn broadcast(
         from: Address,
         rnd7: u8,
@@ -186,9 +197,8 @@ impl Header {
         header
     }
 
-    /// The answer (no error) of the node `from` to the request `self`: DST is the asker, D the
-    /// asker's U (4.3 as resolved: its text says DST = the request's DST, which is the
-    /// answerer itself).
+    /// Returns the response (no error) of the node `from` to the request `self`: DST is the
+    /// requester, D the requester's U. CAN platform §4.3 contradicts itself here: see protocol §1.3.
     #[must_use]
     pub const fn response(self, from: Address, not_working: bool) -> Self {
         Self {
@@ -203,7 +213,8 @@ impl Header {
         }
     }
 
-    /// Data sent unasked to all, with a fresh RND7 as DST (a heartbeat, say).
+    /// Returns unsolicited broadcast data, such as a heartbeat. `rnd7`: a new random number, 0 to
+    /// 127, as DST.
     pub const fn unsolicited(from: Address, rnd7: u8, not_working: bool, service: Service) -> Self {
         Self {
             sender_not_working: not_working,
@@ -217,7 +228,7 @@ impl Header {
         }
     }
 
-    /// Which of the nine types this is. Depends on the flags alone.
+    /// Returns the message type, which depends on the flags alone (protocol §1.2).
     pub const fn message_type(self) -> MessageType {
         use MessageType as T;
         match (
@@ -240,8 +251,7 @@ impl Header {
         }
     }
 
-    /// Whether the sender keeps to the platform: one of the nine types, and a DEBUG message has
-    /// DST 127.
+    /// Returns true if this is one of the nine message types and, for DEBUG, DST is 127.
     pub const fn is_conforming(self) -> bool {
         match self.message_type() {
             MessageType::NonConforming => false,
@@ -251,33 +261,33 @@ impl Header {
     }
 }
 
-/// The message types of 4.3, highest priority first.
+/// The message types (protocol §1.2), highest priority first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum MessageType {
-    /// Working → working, answer required.
+    /// Request to one working node.
     ReqCcTgt,
-    /// Working → all working.
+    /// Request to all working nodes.
     ReqCcBcst,
-    /// Answer of a working node.
+    /// Response of a working node.
     RspCcTgt,
-    /// Answer of a working node to many, or data without a request.
+    /// Unsolicited data of a working node.
     RspCcUnsc,
-    /// Working → one that is not working.
+    /// Request to one non-working node.
     ReqCuTgt,
-    /// Working → all that are not working.
+    /// Request to all non-working nodes.
     ReqCuBcst,
-    /// Answer of a node that is not working.
+    /// Response of a non-working node.
     RspCuTgt,
-    /// The same, to many or unasked.
+    /// Unsolicited data of a non-working node.
     RspCuUnsc,
-    /// Debug message: SRV is its code, the data its parameters.
+    /// Debug message: SRV is its code, the data are its parameters.
     Debug,
     /// Any other combination of flags.
     NonConforming,
 }
 
 impl MessageType {
-    /// The name in 4.3 without `MSG_TYPE_`.
+    /// Returns the name in CAN platform §4.3 without `MSG_TYPE_`.
     pub const fn name(self) -> &'static str {
         match self {
             Self::ReqCcTgt => "REQ_CC_TGT",
@@ -305,20 +315,20 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_patterns_of_an_address_are_all_that_concerns_it() {
-        let (us, other, third) =
+    fn address_patterns_match_all_frames_of_the_address() {
+        let (own, other, third) =
             (Address::from_bits(12), Address::from_bits(14), Address::from_bits(99));
         let (des, data) = (Service::from_bits(2), Service::from_bits(0x155));
-        let patterns = Header::patterns_of(us, des);
+        let patterns = Header::patterns_of(own, des);
         let fits = |header: Header| patterns.iter().any(|it| it.fits(header.encode()));
-        let request = Header::request(other, us, true, data);
-        assert!(fits(request) && fits(request.response(us, false)));
-        assert!(fits(Header::request(us, other, false, des)));
-        assert!(fits(Header::broadcast(us, 5, false, data)));
-        assert!(fits(Header::unsolicited(us, 5, true, data)));
-        // Everybody answers a question to all.
+        let request = Header::request(other, own, true, data);
+        assert!(fits(request) && fits(request.response(own, false)));
+        assert!(fits(Header::request(own, other, false, des)));
+        assert!(fits(Header::broadcast(own, 5, false, data)));
+        assert!(fits(Header::unsolicited(own, 5, true, data)));
+        // Each node responds to a broadcast request.
         assert!(fits(Header::broadcast(other, 5, true, des)));
-        // Others among each other, also where the random DST of a broadcast is the address.
+        // Traffic between others, even if the random DST of a broadcast equals the address.
         assert!(!fits(Header::request(other, third, false, des)));
         assert!(!fits(Header::request(other, third, false, des).response(third, false)));
         assert!(!fits(Header::broadcast(other, 12, false, data)));

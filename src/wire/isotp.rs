@@ -1,43 +1,44 @@
-//! ISO 15765-2 with normal addressing and one PCI byte: how messages longer than a frame are
-//! cut up, sent under the receiver's flow control, and put together again.
+//! ISO 15765-2 transfers with normal addressing: messages longer than one frame, segmented and
+//! reassembled under flow control.
 //!
-//! [`Reassembly`] and [`Segmenter`] are one transfer each; which identifiers they travel on,
-//! and how many there are at once, is the caller's. Time is passed in.
+//! Source: ISO 15765-2, protocol §3.1. [`Reassembly`] and [`Segmenter`] are one transfer each, in a
+//! buffer of the caller's (a `Vec<u8>`, an array, a borrowed slice). Time is passed in. Does not
+//! know identifiers or how many transfers are open.
 
 use super::des::MAX_MESSAGE;
 use crate::frame::{Frame, fd_length};
 use crate::time::{Duration, Instant};
 
-/// N_Bs and N_Cr: how long a sender waits for flow control and a receiver for the next
+/// N_Bs and N_Cr: longest wait of a sender for flow control, and of a receiver for the next
 /// consecutive frame.
 pub const TIMEOUT: Duration = Duration::from_secs(1);
-/// How many WAIT flow controls in a row a sender accepts before it gives up.
+/// Most WAIT flow controls in a row that a sender accepts.
 pub const MAX_WAITS: u8 = 16;
 
-/// What a flow control frame says.
+/// Flow status of a flow control frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FlowStatus {
-    /// Send on.
+    /// Continue sending.
     Continue,
     /// Wait for the next flow control.
     Wait,
-    /// The message is too long for the receiver: give up.
+    /// The message is too long for the receiver: abort.
     Overflow,
 }
 
 /// A flow control frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FlowControl {
-    /// What to do.
+    /// Continue, wait or abort.
     pub status: FlowStatus,
-    /// Consecutive frames until the next flow control; 0 = all.
+    /// Block size: consecutive frames until the next flow control; 0 = no further flow control.
     pub block_size: u8,
-    /// STmin as coded: 00–7F milliseconds, F1–F9 hundreds of microseconds.
+    /// STmin as coded: 00 to 7F milliseconds, F1 to F9 hundreds of microseconds.
     pub st_min: u8,
 }
 
 impl FlowControl {
-    /// The three bytes of the frame.
+    /// Returns the three bytes of the frame.
     pub const fn encode(self) -> [u8; 3] {
         let status = match self.status {
             FlowStatus::Continue => 0x30,
@@ -47,8 +48,8 @@ impl FlowControl {
         [status, self.block_size, self.st_min]
     }
 
-    /// The least time between two consecutive frames. Reserved codes count as the longest,
-    /// 127 ms, as the standard demands.
+    /// Returns the minimum time between two consecutive frames. Reserved codes count as 127 ms
+    /// (ISO 15765-2).
     pub const fn separation(self) -> Duration {
         match self.st_min {
             0..=0x7F => Duration::from_millis(self.st_min as u64),
@@ -58,45 +59,49 @@ impl FlowControl {
     }
 }
 
-/// A frame's protocol control information and what it carries.
+/// Protocol control information (PCI) of a frame, with its data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pci<'a> {
-    /// The whole message.
+    /// Single frame: the whole message.
     Single(&'a [u8]),
-    /// The message's length and its first bytes.
+    /// First frame.
     First {
-        /// Length of the whole message in bytes.
+        /// Length of the whole message, in bytes.
         length: u32,
-        /// Its first bytes.
+        /// First bytes of the message.
         data: &'a [u8],
     },
-    /// A further part.
+    /// Consecutive frame.
     Consecutive {
-        /// Sequence number, 0–15.
+        /// Sequence number, 0 to 15.
         sequence: u8,
-        /// The part (and padding, in the last).
+        /// Bytes of the message; in the last frame also padding.
         data: &'a [u8],
     },
-    /// The receiver's word on how to go on.
+    /// Flow control.
     Flow(FlowControl),
 }
 
-/// Why bytes are no ISO 15765-2 frame.
+/// Why the data of a frame are not an ISO 15765-2 frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum PciFault {
-    /// No bytes at all.
+    /// No data.
     #[error("empty frame")]
     Empty,
     /// The length in the PCI does not fit the frame.
     #[error("a length that does not fit the frame")]
     BadLength,
-    /// A frame type that does not exist.
+    /// Reserved frame type or flow status.
     #[error("an unknown frame type")]
     UnknownType,
 }
 
 impl<'a> Pci<'a> {
-    /// Reads a frame's data.
+    /// Reads the data of a frame. `fd`: the frame is a CAN FD frame.
+    ///
+    /// # Errors
+    /// [`PciFault`] if the data are not an ISO 15765-2 frame.
     pub fn decode(data: &'a [u8], fd: bool) -> Result<Self, PciFault> {
         let (&first, rest) = data.split_first().ok_or(PciFault::Empty)?;
         let low = usize::from(first & 0x0F);
@@ -134,7 +139,7 @@ impl<'a> Pci<'a> {
     }
 }
 
-/// The bytes of one frame to be sent.
+/// Data of one frame to be sent, at most 64 bytes.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Segment {
     len: u8,
@@ -152,13 +157,13 @@ impl Segment {
         segment
     }
 
-    /// The bytes.
+    /// Returns the data, without padding.
     pub fn as_bytes(&self) -> &[u8] {
         &self.bytes[..usize::from(self.len)]
     }
 
-    /// As the data of a frame with this identifier; FD frames padded to a DLC's length with
-    /// `padding`.
+    /// Returns a frame with identifier `id` and these data. With `fd`, pads the data with `padding`
+    /// to the next length that a DLC can express.
     pub fn into_frame(self, id: u32, fd: bool, padding: u8) -> Frame {
         if fd {
             Frame::fd(id, self.as_bytes(), padding)
@@ -168,12 +173,12 @@ impl Segment {
     }
 }
 
-/// Most bytes a frame of this format carries.
+/// Returns the most data bytes of a frame: 64 with `fd`, else 8.
 const fn capacity(fd: bool) -> usize {
     if fd { Frame::MAX_DATA } else { Frame::MAX_CLASSIC_DATA }
 }
 
-/// A single frame with `message`, if it fits one.
+/// Returns a single frame with `message`; `None` if the message is empty or too long for one.
 pub fn single_frame(message: &[u8], fd: bool) -> Option<Segment> {
     match message.len() {
         1..=7 => Some(Segment::new(&[&[message.len() as u8], message])),
@@ -182,55 +187,68 @@ pub fn single_frame(message: &[u8], fd: bool) -> Option<Segment> {
     }
 }
 
-/// Why a transfer was given up.
+/// Why a transfer was aborted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
+#[non_exhaustive]
 pub enum TransferFault {
-    /// The next consecutive frame has the wrong number: a frame was lost, or two senders share
-    /// the identifier.
+    /// Unexpected sequence number: a frame was lost, or two senders use the identifier.
     #[error("consecutive frame out of sequence after {after} bytes")]
     OutOfSequence {
-        /// How many bytes of the message had come.
+        /// Bytes of the message received until then.
         after: usize,
     },
-    /// The next consecutive frame did not come (N_Cr).
+    /// No consecutive frame in time (N_Cr).
     #[error("no consecutive frame within 1 s after {after} bytes")]
     SenderSilent {
-        /// How many bytes of the message had come.
+        /// Bytes of the message received until then.
         after: usize,
     },
-    /// No flow control came (N_Bs).
+    /// No flow control in time (N_Bs).
     #[error("no flow control within 1 s")]
     ReceiverSilent,
-    /// The message is longer than we take, or than its first frame may say.
+    /// The length in the first frame, in bytes, exceeds [`MAX_MESSAGE`] or the buffer.
     #[error("{0} bytes exceed the limit of 4095")]
     TooLong(u32),
-    /// A first frame whose length would have fitted a single frame, or that is not filled.
+    /// A first frame whose message fits a single frame, or that is not full.
     #[error("first frame with invalid length")]
     BadFirstFrame,
-    /// The receiver said OVERFLOW.
+    /// The receiver sent OVERFLOW.
     #[error("flow control: overflow")]
     Refused,
-    /// The receiver said WAIT too often.
+    /// The receiver sent more than [`MAX_WAITS`] WAITs in a row.
     #[error("flow control: too many WAIT frames")]
     TooManyWaits,
 }
 
-/// What a consecutive frame did to a transfer.
+/// State of a transfer after a consecutive frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReassemblyProgress {
-    /// More to come.
+    /// More frames follow.
     More,
-    /// More to come, and the sender waits for flow control.
+    /// More frames follow after flow control.
     BlockEnd,
-    /// All bytes are here.
+    /// The message is complete.
     Done,
 }
 
-/// A segmented message that is being received, by us or by somebody we listen to.
+/// A segmented message in reception, addressed to this node or overheard.
+///
+/// ```
+/// use descan::time::Instant;
+/// use descan::wire::isotp::{Reassembly, ReassemblyProgress};
+///
+/// let first = [0x10, 9, 1, b'B', b'O', b'I', b'L', b'E'];
+/// let mut transfer = Reassembly::start(Instant::ZERO, 9, &first[2..], 8, 0, [0; 64]).unwrap();
+/// let progress = transfer.push(Instant::ZERO, 1, b"R2\0").unwrap();
+/// assert_eq!(progress, ReassemblyProgress::Done);
+/// assert_eq!(transfer.message(), b"\x01BOILER2\0");
+/// ```
 #[derive(Debug)]
-pub struct Reassembly {
-    message: Vec<u8>,
+pub struct Reassembly<B> {
+    buffer: B,
+    received: usize,
     length: usize,
+    /// Message bytes in a full consecutive frame.
     part: usize,
     next_sequence: u8,
     block_size: u8,
@@ -238,27 +256,38 @@ pub struct Reassembly {
     deadline: Instant,
 }
 
-impl Reassembly {
-    /// Begins with a first frame of `frame_len` data bytes. `block_size` is what our flow
-    /// control says (0 = all at once).
+impl<B: AsRef<[u8]> + AsMut<[u8]>> Reassembly<B> {
+    /// Starts with a first frame.
+    ///
+    /// `length`: length of the message in bytes; `data`: its first bytes; `frame_len`: data bytes of
+    /// the frame, which all but the last consecutive frame have too; `block_size`: as in the flow
+    /// control sent for it, 0 = no further flow control; `buffer`: takes the message, at least
+    /// `length` bytes.
+    ///
+    /// # Errors
+    /// [`TransferFault::TooLong`] if the message exceeds [`MAX_MESSAGE`] or the buffer,
+    /// [`TransferFault::BadFirstFrame`] if it fits a single frame or the frame is not full.
     pub fn start(
         now: Instant,
         length: u32,
         data: &[u8],
         frame_len: usize,
         block_size: u8,
+        mut buffer: B,
     ) -> Result<Self, TransferFault> {
-        if length as usize > MAX_MESSAGE {
+        let bytes = buffer.as_mut();
+        if length as usize > MAX_MESSAGE.min(bytes.len()) {
             return Err(TransferFault::TooLong(length));
         }
         let fits_single = if frame_len > Frame::MAX_CLASSIC_DATA { frame_len - 2 } else { 7 };
         if length as usize <= fits_single || frame_len < Frame::MAX_CLASSIC_DATA {
             return Err(TransferFault::BadFirstFrame);
         }
-        let mut message = Vec::with_capacity(length as usize);
-        message.extend_from_slice(data);
+        let received = data.len().min(length as usize);
+        bytes[..received].copy_from_slice(&data[..received]);
         Ok(Self {
-            message,
+            buffer,
+            received,
             length: length as usize,
             part: frame_len - 1,
             next_sequence: 1,
@@ -268,22 +297,27 @@ impl Reassembly {
         })
     }
 
-    /// Takes a consecutive frame.
+    /// Takes a consecutive frame: its sequence number and its data, padding included.
+    ///
+    /// # Errors
+    /// [`TransferFault::OutOfSequence`] if the number is not the next one or data are missing. The
+    /// transfer is over then.
     pub fn push(
         &mut self,
         now: Instant,
         sequence: u8,
         data: &[u8],
     ) -> Result<ReassemblyProgress, TransferFault> {
-        let missing = self.length - self.message.len();
-        let take = missing.min(self.part);
+        let take = (self.length - self.received).min(self.part);
         if sequence != self.next_sequence || data.len() < take {
-            return Err(TransferFault::OutOfSequence { after: self.message.len() });
+            return Err(TransferFault::OutOfSequence { after: self.received });
         }
-        self.message.extend_from_slice(&data[..take]);
+        let end = self.received + take;
+        self.buffer.as_mut()[self.received..end].copy_from_slice(&data[..take]);
+        self.received = end;
         self.next_sequence = (sequence + 1) & 0x0F;
         self.deadline = now + TIMEOUT;
-        if self.message.len() == self.length {
+        if self.received == self.length {
             return Ok(ReassemblyProgress::Done);
         }
         if self.block_size > 0 {
@@ -296,17 +330,17 @@ impl Reassembly {
         Ok(ReassemblyProgress::More)
     }
 
-    /// The bytes so far; all of them after [`Progress::Done`].
+    /// Returns the bytes received so far; the whole message after [`ReassemblyProgress::Done`].
     pub fn message(&self) -> &[u8] {
-        &self.message
+        &self.buffer.as_ref()[..self.received]
     }
 
-    /// The bytes so far, for keeping.
-    pub fn into_message(self) -> Vec<u8> {
-        self.message
+    /// Returns the buffer, whose first bytes are the [`message`](Self::message).
+    pub fn into_buffer(self) -> B {
+        self.buffer
     }
 
-    /// When it is to be given up if nothing more comes (N_Cr).
+    /// Returns when to abort the transfer if no frame arrives before (N_Cr).
     pub fn deadline(&self) -> Instant {
         self.deadline
     }
@@ -320,10 +354,10 @@ enum SendState {
     Done,
 }
 
-/// A message that is being sent.
+/// A message in transmission.
 #[derive(Debug)]
-pub struct Segmenter {
-    message: Vec<u8>,
+pub struct Segmenter<B> {
+    message: B,
     sent: usize,
     sequence: u8,
     fd: bool,
@@ -331,44 +365,36 @@ pub struct Segmenter {
     state: SendState,
 }
 
-impl Segmenter {
-    /// Begins to send `message` (1–4095 bytes).
-    pub fn new(message: Vec<u8>, fd: bool) -> Self {
-        Self {
-            message,
-            sent: 0,
-            sequence: 1,
-            fd,
-            separation: Duration::ZERO,
-            state: SendState::First,
-        }
+impl<B: AsRef<[u8]>> Segmenter<B> {
+    /// Starts to send `message`, 1 to 4095 bytes; an empty message is done at once.
+    pub fn new(message: B, fd: bool) -> Self {
+        let state = if message.as_ref().is_empty() { SendState::Done } else { SendState::First };
+        Self { message, sent: 0, sequence: 1, fd, separation: Duration::ZERO, state }
     }
 
-    /// The next frame's bytes, if one may be sent now.
+    /// Returns the next frame's data; `None` if no frame may be sent at `now`.
     pub fn poll(&mut self, now: Instant) -> Option<Segment> {
+        let message = self.message.as_ref();
         match self.state {
             SendState::First => {
-                if let Some(single) = single_frame(&self.message, self.fd) {
+                if let Some(single) = single_frame(message, self.fd) {
                     self.state = SendState::Done;
                     return Some(single);
                 }
-                let length = self.message.len().min(MAX_MESSAGE);
+                let length = message.len().min(MAX_MESSAGE);
                 let take = capacity(self.fd) - 2;
                 self.sent = take;
                 self.state = SendState::AwaitFlow { until: now + TIMEOUT, waits: 0 };
-                Some(Segment::new(&[
-                    &[0x10 | (length >> 8) as u8, length as u8],
-                    &self.message[..take],
-                ]))
+                Some(Segment::new(&[&[0x10 | (length >> 8) as u8, length as u8], &message[..take]]))
             }
             SendState::Sending { block_left, next_at } if now >= next_at => {
-                let take = (self.message.len() - self.sent).min(capacity(self.fd) - 1);
-                let data = &self.message[self.sent..self.sent + take];
+                let take = (message.len() - self.sent).min(capacity(self.fd) - 1);
+                let data = &message[self.sent..self.sent + take];
                 let segment = Segment::new(&[&[0x20 | self.sequence], data]);
                 self.sent += take;
                 self.sequence = (self.sequence + 1) & 0x0F;
                 self.state = match block_left {
-                    _ if self.sent == self.message.len() => SendState::Done,
+                    _ if self.sent == message.len() => SendState::Done,
                     Some(1) => SendState::AwaitFlow { until: now + TIMEOUT, waits: 0 },
                     left => SendState::Sending {
                         block_left: left.map(|left| left - 1),
@@ -381,7 +407,10 @@ impl Segmenter {
         }
     }
 
-    /// Takes the receiver's flow control.
+    /// Takes flow control from the receiver; ignored unless it is awaited.
+    ///
+    /// # Errors
+    /// [`TransferFault::Refused`] for OVERFLOW, [`TransferFault::TooManyWaits`].
     pub fn handle_flow(&mut self, now: Instant, flow: FlowControl) -> Result<(), TransferFault> {
         let SendState::AwaitFlow { waits, .. } = self.state else { return Ok(()) };
         match flow.status {
@@ -402,8 +431,8 @@ impl Segmenter {
         }
     }
 
-    /// When [`poll`](Self::poll) or [`handle_timeout`](Self::handle_timeout) is to be called
-    /// next; `None` when all is sent.
+    /// Returns when to call [`poll`](Self::poll) and [`handle_timeout`](Self::handle_timeout) next;
+    /// `None` once the whole message was sent.
     pub fn poll_timeout(&self) -> Option<Instant> {
         match self.state {
             SendState::First => Some(Instant::ZERO),
@@ -413,7 +442,10 @@ impl Segmenter {
         }
     }
 
-    /// Gives up where flow control is overdue (N_Bs).
+    /// Checks whether flow control is overdue.
+    ///
+    /// # Errors
+    /// [`TransferFault::ReceiverSilent`] if it is (N_Bs).
     pub fn handle_timeout(&self, now: Instant) -> Result<(), TransferFault> {
         match self.state {
             SendState::AwaitFlow { until, .. } if now >= until => {
@@ -423,14 +455,14 @@ impl Segmenter {
         }
     }
 
-    /// Whether every byte has been handed out.
+    /// Returns true if [`poll`](Self::poll) has returned the whole message.
     pub fn is_done(&self) -> bool {
         self.state == SendState::Done
     }
 }
 
-/// How many frames a message of `length` bytes takes, and how many data bytes each carries
-/// (FD frames padded): what a transfer costs on the bus.
+/// Yields the data lengths of the frames that a message of `length` bytes takes, in bytes, FD
+/// frames with their padding: the cost of a transfer on the bus.
 pub fn frame_lengths(length: usize, fd: bool) -> impl Iterator<Item = usize> {
     let whole = capacity(fd);
     let single = if length <= 7 {
@@ -441,10 +473,10 @@ pub fn frame_lengths(length: usize, fd: bool) -> impl Iterator<Item = usize> {
         None
     };
     let mut left = if single.is_some() { 0 } else { length.saturating_sub(whole - 2) };
-    let consecutive = std::iter::from_fn(move || {
+    let consecutive = core::iter::from_fn(move || {
         let take = left.min(whole - 1);
         left -= take;
         (take > 0).then(|| if fd { fd_length(take + 1) } else { take + 1 })
     });
-    std::iter::once(single.unwrap_or(whole)).chain(consecutive)
+    core::iter::once(single.unwrap_or(whole)).chain(consecutive)
 }

@@ -1,11 +1,12 @@
-//! What bytes on the bus mean: the CAN platform's identifiers, the DES service, its two
-//! framings, and what a node says of itself.
+//! Meaning of the bytes on the bus: identifiers of the CAN platform, messages of DES, their two
+//! framings, and the heartbeat.
 //!
-//! Sources: the DES service description and the CAN platform description, sections 3.1–4.3.
-//! What they leave open is never a constant here but a field of the [`profile::Profile`].
+//! Sources: the DES service document and CAN platform §3.1 to §4.3, as collected in protocol §1 to
+//! §3 and §7. Numbers that the sources leave open are fields of [`profile::Profile`], not constants.
 //!
-//! Does no I/O and asks no clock; encoding and decoding do not allocate where the size is
-//! bounded, so the same code could serve firmware.
+//! Without I/O and without a clock: time is passed in. Without the feature `std` it builds
+//! `no_std` and without an allocator; buffers are the caller's. Only [`profile::Profile::parse`]
+//! needs `std`.
 
 pub mod des;
 pub mod framing;
@@ -13,4 +14,3 @@ pub mod id;
 pub mod isotp;
 pub mod node;
 pub mod profile;
-pub use crate::text;

@@ -1,36 +1,36 @@
-//! What a node says of itself: its mode, its heartbeat (MSG_SRV_HR) and its DEV_CFG_UID.
+//! A node's mode, UID (DEV_CFG_UID) and heartbeat (MSG_SRV_HR).
 //!
-//! Source: the CAN platform, 3.2 (descriptor fields) and 3.2.4 (modes). The layout of the
-//! heartbeat is not given there; it comes from the [`super::profile::Profile`].
+//! Source: protocol §7 (CAN platform §3.2 and §3.2.4). The layout of the heartbeat and the alphabet
+//! of the UID are not specified there; they are fields of [`super::profile::Profile`].
 
 use super::profile::{HeartbeatProfile, UidProfile};
-use std::fmt;
+use core::fmt::{self, Write as _};
 
-/// The modes of 3.2.4, without `DEV_MODE_`.
+/// Modes of a node (protocol §7.1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Mode {
-    /// Just powered, or cut off from the bus.
+    /// Just powered up, or disconnected from the bus.
     Init,
     /// Resolving its address.
     Arslv,
-    /// To be configured.
+    /// Waits for configuration.
     Cfg,
-    /// To be configured, its firmware missing or damaged.
+    /// Waits for configuration; the firmware is missing or damaged.
     Boot,
     /// Working.
     Work,
-    /// Working, with an error that keeps it from its task.
+    /// Working, with an error that prevents its task.
     Ufunc,
-    /// Asleep as far as it can be.
+    /// Asleep, as far as the hardware allows.
     Idle,
 }
 
 impl Mode {
-    /// All modes, in the order of 3.2.4.
+    /// All modes, in the order of CAN platform §3.2.4.
     pub const ALL: [Mode; 7] =
         [Mode::Init, Mode::Arslv, Mode::Cfg, Mode::Boot, Mode::Work, Mode::Ufunc, Mode::Idle];
 
-    /// The name as the description has it.
+    /// Returns the name in CAN platform §3.2.4 without `DEV_MODE_`.
     pub const fn name(self) -> &'static str {
         match self {
             Mode::Init => "INIT",
@@ -43,12 +43,13 @@ impl Mode {
         }
     }
 
-    /// The mode of that name.
+    /// Returns the mode with that name, in capitals.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|mode| mode.name() == name)
     }
 
-    /// Whether U = 0 in this mode; `None` for IDLE, where the description leaves it open.
+    /// Returns true if the U bit is 0 in this mode; `None` for IDLE, where it may be either
+    /// (protocol §1.3).
     pub const fn is_working(self) -> Option<bool> {
         match self {
             Mode::Work | Mode::Ufunc => Some(true),
@@ -64,38 +65,39 @@ impl fmt::Display for Mode {
     }
 }
 
-/// DEV_CFG_UID: six bytes that hold eight characters of six bits.
+/// DEV_CFG_UID: six bytes that hold eight characters of six bits (protocol §7.3).
 #[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Uid(pub [u8; 6]);
 
 impl Uid {
-    /// All zeros or all ones: a board that was never given one. Evidence of nothing.
+    /// Returns true if all bits are 0 or all are 1: no UID was ever assigned. Blank UIDs identify
+    /// no device.
     pub fn is_blank(self) -> bool {
         self.0 == [0; 6] || self.0 == [0xFF; 6]
     }
 
-    /// The eight six-bit values, first character first.
+    /// Returns the eight six-bit values, first character first.
     pub fn sextets(self) -> [u8; 8] {
         let bits = self.0.iter().fold(0u64, |bits, &byte| bits << 8 | u64::from(byte));
-        std::array::from_fn(|at| (bits >> (42 - 6 * at) & 0x3F) as u8)
+        core::array::from_fn(|at| (bits >> (42 - 6 * at) & 0x3F) as u8)
     }
 
-    /// The UID of eight six-bit values.
+    /// Returns the UID of eight six-bit values, first character first; higher bits are ignored.
     pub fn from_sextets(sextets: [u8; 8]) -> Self {
         let bits = sextets.iter().fold(0u64, |bits, &six| bits << 6 | u64::from(six & 0x3F));
-        Self(std::array::from_fn(|at| (bits >> (40 - 8 * at)) as u8))
+        Self(core::array::from_fn(|at| (bits >> (40 - 8 * at)) as u8))
     }
 
-    /// As text in the profile's alphabet, without trailing spaces; empty when blank.
-    pub fn text(self, alphabet: &UidProfile) -> String {
-        if self.is_blank() {
-            return String::new();
-        }
-        let text: String = self.sextets().iter().map(|&six| alphabet.character(six)).collect();
-        text.trim_end_matches(' ').to_owned()
+    /// Returns the text in the profile's alphabet, without trailing spaces; empty if blank.
+    pub fn text(self, alphabet: &UidProfile) -> UidText {
+        let characters = self.sextets().map(|six| alphabet.character(six));
+        let last = characters.iter().rposition(|&character| character != ' ');
+        let len = if self.is_blank() { 0 } else { last.map_or(0, |at| at + 1) };
+        UidText { characters, len }
     }
 
-    /// The UID whose text is `text`, if it has at most eight characters, all in the alphabet.
+    /// Returns the UID of `text`; `None` if it has more than eight characters or one that is not in
+    /// the alphabet.
     pub fn parse(text: &str, alphabet: &UidProfile) -> Option<Self> {
         let mut sextets = [alphabet.value(' ').unwrap_or(0); 8];
         for (at, character) in text.chars().enumerate() {
@@ -111,19 +113,34 @@ impl fmt::Debug for Uid {
     }
 }
 
-/// What a heartbeat says; what it is too short for is not known.
+/// The text of a [`Uid`]: at most eight characters, printable if the alphabet is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct UidText {
+    characters: [char; 8],
+    len: usize,
+}
+
+impl fmt::Display for UidText {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.characters[..self.len].iter().try_for_each(|&character| f.write_char(character))
+    }
+}
+
+/// Content of a heartbeat (protocol §7.2). A field is `None` if the heartbeat is too short for it or
+/// does not carry it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub struct Heartbeat {
-    /// DEV_CFG_UID.
+    /// UID.
     pub uid: Option<Uid>,
-    /// The mode, where its code is one.
+    /// Mode; also `None` if its code is unknown.
     pub mode: Option<Mode>,
-    /// The error code.
+    /// Error code; 0 = no error.
     pub error: Option<u8>,
 }
 
 impl Heartbeat {
-    /// Reads a heartbeat's data. Shorter ones than the layout are legal.
+    /// Reads a heartbeat's data, which may be shorter than the layout. `modes`: the codes of
+    /// [`Mode::ALL`], in that order.
     pub fn decode(data: &[u8], layout: &HeartbeatProfile, modes: &[u8; 7]) -> Self {
         let byte = |offset: Option<u8>| data.get(usize::from(offset?)).copied();
         let uid = layout.uid_offset.and_then(|offset| {
@@ -134,7 +151,8 @@ impl Heartbeat {
         Self { uid, mode, error: byte(layout.error_offset) }
     }
 
-    /// The heartbeat's data (at most eight bytes), and how many of them count.
+    /// Returns the heartbeat's data, and how many of the bytes to send. Fields beyond the eighth
+    /// byte are left out.
     pub fn encode(&self, layout: &HeartbeatProfile, modes: &[u8; 7]) -> ([u8; 8], usize) {
         let mut data = [0; 8];
         let mut len = 0;

@@ -1,17 +1,28 @@
-//! Everything the two descriptions leave open, as values that can be given: the profile.
+//! The profile: numbers and layouts that the sources of the protocol leave open.
 //!
-//! The built-in values are assumed; the program says so until a profile is given. A profile is
-//! TOML and may name any part of it; what it leaves out stays as built in.
+//! Source: protocol §9. [`Profile::default`] has the assumed values; [`Profile::parse`] (feature
+//! `std`) reads a TOML file, which may set any part of them. Does not know which values the devices
+//! on a bus really use.
+
+#[cfg(feature = "std")]
+mod file;
+
+#[cfg(feature = "std")]
+pub use file::ProfileError;
 
 use super::des::Request;
 use super::framing::Framing;
 use super::id::Service;
-use serde::{Deserialize, Deserializer};
+use crate::time::Duration;
+#[cfg(feature = "std")]
+use serde::Deserialize;
+#[cfg(feature = "std")]
 use std::collections::BTreeMap;
 
-/// The assumed values, in one place.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+/// All values of the profile. Build one from [`Profile::default`] and change its fields.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+#[cfg_attr(feature = "std", derive(Deserialize), serde(default, deny_unknown_fields))]
 pub struct Profile {
     /// Service numbers of the platform's own services.
     pub services: ServicesProfile,
@@ -19,24 +30,25 @@ pub struct Profile {
     pub descriptor: DescriptorProfile,
     /// Service numbers of commands.
     pub commands: CommandsProfile,
-    /// The heartbeat's layout, period, and whether we send one.
+    /// Layout and period of the heartbeat, and whether descan sends one.
     pub heartbeat: HeartbeatProfile,
-    /// How DES messages are laid into frames.
+    /// Framings of DES messages.
     pub framing: FramingChoice,
     /// ISO 15765-2 parameters.
     pub isotp: IsotpProfile,
-    /// The ERR bit of our requests, 0 or 1.
-    #[serde(deserialize_with = "bit")]
+    /// ERR bit of descan's requests.
+    #[cfg_attr(feature = "std", serde(deserialize_with = "file::bit"))]
     pub request_err: bool,
-    /// The codes of the modes.
+    /// Codes of the modes.
     pub modes: ModesProfile,
-    /// The six-bit alphabet of DEV_CFG_UID.
+    /// Alphabet of the UID.
     pub uid: UidProfile,
-    /// Names of services for the traffic view, by number.
-    #[serde(deserialize_with = "service_names")]
+    /// Names of services on the Traffic page, by service number.
+    #[cfg(feature = "std")]
+    #[serde(deserialize_with = "file::service_names")]
     pub service_names: BTreeMap<u16, String>,
-    /// Whether the values come from a file rather than being assumed.
-    #[serde(skip)]
+    /// True if the values were read from a profile, false if they are assumed.
+    #[cfg_attr(feature = "std", serde(skip))]
     pub given: bool,
 }
 
@@ -52,102 +64,26 @@ impl Default for Profile {
             request_err: false,
             modes: ModesProfile::default(),
             uid: UidProfile::default(),
+            #[cfg(feature = "std")]
             service_names: BTreeMap::new(),
             given: false,
         }
     }
 }
 
-/// Why a profile cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum ProfileError {
-    /// Not TOML, or not a profile.
-    #[error("{0}")]
-    Syntax(#[from] toml::de::Error),
-    /// A value outside its range.
-    #[error("{key}: {value} is not {expected}")]
-    Range {
-        /// Which value.
-        key: &'static str,
-        /// What it is.
-        value: String,
-        /// What it may be.
-        expected: &'static str,
-    },
-}
-
 impl Profile {
-    /// Reads a profile.
-    pub fn parse(text: &str) -> Result<Self, ProfileError> {
-        let mut profile: Self = toml::from_str(text)?;
-        profile.given = true;
-        profile.check()?;
-        Ok(profile)
-    }
-
-    fn check(&self) -> Result<(), ProfileError> {
-        let range =
-            |key, value: String, expected| Err(ProfileError::Range { key, value, expected });
-        let services = [
-            ("services.heartbeat", self.services.heartbeat),
-            ("services.des", self.services.des),
-            ("services.config", self.services.config),
-            ("services.config_mask", self.services.config_mask),
-            ("descriptor.gid", self.descriptor.gid),
-            ("descriptor.uid", self.descriptor.uid),
-            ("descriptor.sn", self.descriptor.sn),
-            ("descriptor.fw", self.descriptor.fw),
-            ("descriptor.caps", self.descriptor.caps),
-            ("descriptor.bspd", self.descriptor.bspd),
-            ("descriptor.addr", self.descriptor.addr),
-            ("descriptor.autostart", self.descriptor.autostart),
-            ("commands.identify", self.commands.identify),
-            ("commands.mode", self.commands.mode),
-        ];
-        for (key, number) in services {
-            if number > 0x3FF {
-                return range(key, number.to_string(), "a service number, 0 to 0x3FF");
-            }
-        }
-        if self.services.heartbeat == self.services.des {
-            let value = self.services.des.to_string();
-            return range("services.des", value, "another number than services.heartbeat");
-        }
-        if !(10..=60_000).contains(&self.heartbeat.period_ms) {
-            let value = self.heartbeat.period_ms.to_string();
-            return range("heartbeat.period_ms", value, "10 to 60000 milliseconds");
-        }
-        let mut codes = self.modes.codes();
-        codes.sort_unstable();
-        if codes.windows(2).any(|pair| pair[0] == pair[1]) {
-            return range("modes", format!("{:?}", self.modes.codes()), "seven different codes");
-        }
-        Ok(())
-    }
-
-    /// MSG_SRV_HR.
+    /// Returns the service number of heartbeats, MSG_SRV_HR.
     pub fn heartbeat_service(&self) -> Service {
         Service::from_bits(self.services.heartbeat)
     }
 
-    /// DES.
+    /// Returns the service number of DES.
     pub fn des_service(&self) -> Service {
         Service::from_bits(self.services.des)
     }
 
-    /// The name of a service for people: the platform's own, or one from `service_names`.
-    pub fn service_name(&self, service: Service) -> Option<&str> {
-        let number = service.number();
-        if number == self.services.heartbeat {
-            Some("HR")
-        } else if number == self.services.des {
-            Some("DES")
-        } else {
-            self.service_names.get(&number).map(String::as_str)
-        }
-    }
-
-    /// In which framings a device is asked: the known one, else as the profile chooses.
+    /// Returns the framings of a request to a device: the one `known` from its responses, else those
+    /// of the profile (protocol §3.3).
     pub fn framings(&self, known: Option<Framing>) -> &'static [Framing] {
         const BOTH: [Framing; 2] = [Framing::Isotp, Framing::Raw];
         match (known, self.framing) {
@@ -157,7 +93,7 @@ impl Profile {
         }
     }
 
-    /// The bytes of a request in one frame of that framing.
+    /// Returns the data of a request's frame in that framing, and how many of the bytes to send.
     pub fn request_bytes(request: Request, framing: Framing) -> ([u8; 5], usize) {
         let [d, e, s, kind] = request.encode();
         match framing {
@@ -167,9 +103,10 @@ impl Profile {
     }
 }
 
-/// Service numbers, 0–0x3FF.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+/// Service numbers of the platform, 0 to 0x3FF.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+#[cfg_attr(feature = "std", derive(Deserialize), serde(default, deny_unknown_fields))]
 pub struct ServicesProfile {
     /// MSG_SRV_HR. Assumed 0x001.
     pub heartbeat: u16,
@@ -187,9 +124,10 @@ impl Default for ServicesProfile {
     }
 }
 
-/// Service numbers of the descriptor fields (3.2), all assumed.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+/// Service numbers of the descriptor fields (protocol §7.4), all assumed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+#[cfg_attr(feature = "std", derive(Deserialize), serde(default, deny_unknown_fields))]
 #[allow(missing_docs)]
 pub struct DescriptorProfile {
     pub gid: u16,
@@ -217,13 +155,14 @@ impl Default for DescriptorProfile {
     }
 }
 
-/// Service numbers of commands, assumed.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+/// Service numbers of commands, all assumed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+#[cfg_attr(feature = "std", derive(Deserialize), serde(default, deny_unknown_fields))]
 pub struct CommandsProfile {
-    /// The platform's TEST: the device blinks or beeps (3.2).
+    /// The identify command, TEST in CAN platform §3.2: the device blinks or beeps.
     pub identify: u16,
-    /// Change of mode; one byte, the mode's code.
+    /// Changes the mode; one byte of data, the mode's code.
     pub mode: u16,
 }
 
@@ -233,22 +172,24 @@ impl Default for CommandsProfile {
     }
 }
 
-/// The heartbeat's layout and period; offsets in bytes, absent: the heartbeat does not carry it.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+/// Layout and period of the heartbeat (protocol §7.2). Offsets in bytes; `None`: the heartbeat does
+/// not carry the field.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+#[cfg_attr(feature = "std", derive(Deserialize), serde(default, deny_unknown_fields))]
 pub struct HeartbeatProfile {
-    /// Where the six bytes of DEV_CFG_UID begin. Assumed 0.
-    #[serde(deserialize_with = "offset")]
+    /// Offset of the six bytes of the UID. Assumed 0.
+    #[cfg_attr(feature = "std", serde(deserialize_with = "file::offset"))]
     pub uid_offset: Option<u8>,
-    /// Where the mode's code is. Assumed 6.
-    #[serde(deserialize_with = "offset")]
+    /// Offset of the mode's code. Assumed 6.
+    #[cfg_attr(feature = "std", serde(deserialize_with = "file::offset"))]
     pub mode_offset: Option<u8>,
-    /// Where the error code is. Assumed 7.
-    #[serde(deserialize_with = "offset")]
+    /// Offset of the error code. Assumed 7.
+    #[cfg_attr(feature = "std", serde(deserialize_with = "file::offset"))]
     pub error_offset: Option<u8>,
-    /// BUS_CFG_HR_TIME in milliseconds: 1,000 (3.1.7).
+    /// BUS_CFG_HR_TIME in milliseconds, 10 to 60,000; 1,000 in CAN platform §3.1.7.
     pub period_ms: u32,
-    /// Whether we send a heartbeat of our own.
+    /// Whether descan sends heartbeats.
     pub announce: Announce,
 }
 
@@ -265,66 +206,48 @@ impl Default for HeartbeatProfile {
 }
 
 impl HeartbeatProfile {
-    /// BUS_CFG_HR_TIME.
-    pub fn period(&self) -> std::time::Duration {
-        std::time::Duration::from_millis(u64::from(self.period_ms))
+    /// Returns the heartbeat period, BUS_CFG_HR_TIME.
+    pub fn period(&self) -> Duration {
+        Duration::from_millis(u64::from(self.period_ms))
     }
 }
 
-/// Whether we send heartbeats.
+/// Whether descan sends heartbeats (protocol §6.2).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum Announce {
-    /// Only once a heartbeat that fits the profile was heard, or when a profile was given: the
-    /// built-in number is assumed and might command a foreign device.
+    /// Only if a profile is given or after a heartbeat that matches the assumed values: the assumed
+    /// service number might be a command of some device.
     #[default]
     Auto,
-    /// Yes.
+    /// Always.
     Always,
-    /// No.
+    /// Never.
     Never,
 }
 
-impl<'de> Deserialize<'de> for Announce {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        #[derive(Deserialize)]
-        #[serde(untagged)]
-        enum Written {
-            Truth(bool),
-            Word(String),
-        }
-        match Written::deserialize(deserializer)? {
-            Written::Truth(true) => Ok(Self::Always),
-            Written::Truth(false) => Ok(Self::Never),
-            Written::Word(word) if word == "auto" => Ok(Self::Auto),
-            Written::Word(word) => Err(serde::de::Error::custom(format!(
-                "announce is true, false or \"auto\", not \"{word}\""
-            ))),
-        }
-    }
-}
-
-/// Which framings are read and sent.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Deserialize)]
-#[serde(rename_all = "lowercase")]
+/// Framings that descan reads and sends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[cfg_attr(feature = "std", derive(Deserialize), serde(rename_all = "lowercase"))]
 pub enum FramingChoice {
-    /// Both, told apart by what devices answer.
+    /// Both, detected per device from its responses (protocol §3.3).
     #[default]
     Auto,
-    /// ISO 15765-2 only.
+    /// ISO-TP only.
     Isotp,
-    /// Messages as they stand.
+    /// Raw only.
     Raw,
 }
 
 /// ISO 15765-2 parameters.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+#[cfg_attr(feature = "std", derive(Deserialize), serde(default, deny_unknown_fields))]
 pub struct IsotpProfile {
-    /// The byte FD frames are padded with. 0xCC.
+    /// Padding byte of FD frames. Default 0xCC.
     pub fd_padding: u8,
-    /// BS of our flow control; 0 = everything at once.
+    /// Block size of descan's flow control; 0 = no further flow control.
     pub block_size: u8,
-    /// STmin of our flow control, as coded.
+    /// STmin of descan's flow control, as coded.
     pub st_min: u8,
 }
 
@@ -334,9 +257,14 @@ impl Default for IsotpProfile {
     }
 }
 
-/// The codes of the modes, assumed 0–6 in the order of 3.2.4.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
-#[serde(default, deny_unknown_fields, rename_all = "UPPERCASE")]
+/// Codes of the modes, assumed 0 to 6 in the order of CAN platform §3.2.4.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+#[cfg_attr(
+    feature = "std",
+    derive(Deserialize),
+    serde(default, deny_unknown_fields, rename_all = "UPPERCASE")
+)]
 #[allow(missing_docs)]
 pub struct ModesProfile {
     pub init: u8,
@@ -355,90 +283,35 @@ impl Default for ModesProfile {
 }
 
 impl ModesProfile {
-    /// The codes in the order of [`super::node::Mode::ALL`].
+    /// Returns the codes in the order of [`super::node::Mode::ALL`].
     pub fn codes(&self) -> [u8; 7] {
         [self.init, self.arslv, self.cfg, self.boot, self.work, self.ufunc, self.idle]
     }
 }
 
-/// The 64 characters of DEV_CFG_UID; assumed: the value + 0x20, space to underscore.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+/// The 64 characters of a UID; assumed: value + 0x20, which is space to underscore.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+#[cfg_attr(feature = "std", derive(Deserialize), serde(default, deny_unknown_fields))]
 pub struct UidProfile {
-    #[serde(deserialize_with = "alphabet")]
+    #[cfg_attr(feature = "std", serde(deserialize_with = "file::alphabet"))]
     alphabet: [char; 64],
 }
 
 impl Default for UidProfile {
     fn default() -> Self {
-        Self { alphabet: std::array::from_fn(|value| char::from(value as u8 + 0x20)) }
+        Self { alphabet: core::array::from_fn(|value| char::from(value as u8 + 0x20)) }
     }
 }
 
 impl UidProfile {
-    /// The character of a six-bit value.
+    /// Returns the character of a six-bit value; higher bits are ignored.
     pub fn character(&self, value: u8) -> char {
         self.alphabet[usize::from(value & 0x3F)]
     }
 
-    /// The six-bit value of a character.
+    /// Returns the six-bit value of a character; `None` if it is not in the alphabet.
     pub fn value(&self, character: char) -> Option<u8> {
         self.alphabet.iter().position(|&known| known == character).map(|at| at as u8)
     }
-}
-
-fn bit<'de, D: Deserializer<'de>>(deserializer: D) -> Result<bool, D::Error> {
-    match u8::deserialize(deserializer)? {
-        0 => Ok(false),
-        1 => Ok(true),
-        other => Err(serde::de::Error::custom(format!("a bit is 0 or 1, not {other}"))),
-    }
-}
-
-/// An offset, or `false` where the heartbeat does not carry the field.
-fn offset<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<u8>, D::Error> {
-    #[derive(Deserialize)]
-    #[serde(untagged)]
-    enum Written {
-        Offset(u8),
-        Truth(bool),
-    }
-    match Written::deserialize(deserializer)? {
-        Written::Offset(at) if at < 64 => Ok(Some(at)),
-        Written::Truth(false) => Ok(None),
-        _ => Err(serde::de::Error::custom("an offset is 0 to 63, or false for none")),
-    }
-}
-
-fn alphabet<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[char; 64], D::Error> {
-    let text = String::deserialize(deserializer)?;
-    let characters: Vec<char> = text.chars().collect();
-    let count = characters.len();
-    if let Some(odd) = characters.iter().find(|&&c| !crate::text::is_printable(c)) {
-        return Err(serde::de::Error::custom(format!("{odd:?} is not printable")));
-    }
-    characters.try_into().map_err(|_| {
-        serde::de::Error::custom(format!("an alphabet has 64 characters, not {count}"))
-    })
-}
-
-fn service_names<'de, D: Deserializer<'de>>(
-    deserializer: D,
-) -> Result<BTreeMap<u16, String>, D::Error> {
-    let written = BTreeMap::<String, String>::deserialize(deserializer)?;
-    written
-        .into_iter()
-        .map(|(key, name)| {
-            let number = key
-                .strip_prefix("0x")
-                .map_or_else(|| key.parse().ok(), |hex| u16::from_str_radix(hex, 16).ok())
-                .filter(|number| *number < 1024);
-            let number = number.ok_or_else(|| {
-                serde::de::Error::custom(format!(
-                    "\"{key}\" is not a service number (0 to 1023, or \"0x…\" up to 3FF)"
-                ))
-            })?;
-            Ok((number, name))
-        })
-        .collect()
 }

@@ -40,7 +40,7 @@ fn crowd(bitrate: u32) -> Scenario {
         device.services = services
             .map(|(name, version)| vec![name.as_bytes().to_vec(), version.as_bytes().to_vec()])
             .to_vec();
-        assert_eq!(descan::wire::des::encode_services(&device.services).len(), 60);
+        assert_eq!(descan::wire::des::encode_services(&device.services).count(), 60);
     }
     scenario
 }

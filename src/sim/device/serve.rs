@@ -8,7 +8,7 @@ use super::{DeviceIo, SimDevice, nanos_of};
 use crate::frame::Frame;
 use crate::sim::reply::Form;
 use crate::sim::scenario::{AddressChoice, DeviceAction, Fault};
-use crate::wire::des::{self, Asked, Request};
+use crate::wire::des::{self, ReceivedRequest, Request};
 use crate::wire::framing::{Framing, classify_request};
 use crate::wire::id::{Address, Header};
 use crate::wire::isotp::Pci;
@@ -48,7 +48,7 @@ impl SimDevice {
             return;
         }
         let Some((framing, message)) = classify_request(frame.data(), frame.fd) else { return };
-        let Some(Asked::Known(request)) = Request::decode(message) else { return };
+        let Some(ReceivedRequest::Known(request)) = Request::decode(message) else { return };
         let faults = self.spec.faults;
         let mute = faults.has(Fault::NoDes)
             || request == Request::Services && (header.broadcast || faults.has(Fault::NoServices));
@@ -63,11 +63,11 @@ impl SimDevice {
 
     fn response(&self, request: Request) -> Vec<u8> {
         match request {
-            Request::Name => des::encode_name(&self.spec.name),
+            Request::Name => des::encode_name(&self.spec.name).collect(),
             // Without its firmware a device has no services to list.
             Request::Services if self.mode == Mode::Boot => vec![des::TYPE_SERVICES],
             Request::Services => {
-                let mut message = des::encode_services(&self.spec.services);
+                let mut message: Vec<u8> = des::encode_services(&self.spec.services).collect();
                 if self.spec.faults.has(Fault::TruncatedServices) {
                     let half = (message.len() - message.len().min(3)).max(2);
                     message.truncate(half);
