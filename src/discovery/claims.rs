@@ -1,87 +1,92 @@
-//! Who claims which address, and who gives way: the story of address resolution (3.2.4.2).
+//! Address claims: which node holds which address, and which node gave one up (CAN platform
+//! §3.2.4.2, protocol §7.5). Input: heartbeats with a UID; output: [`ClaimUpdate`].
 //!
-//! A node that has chosen an address claims it by one heartbeat in ARSLV. One that hears its
-//! address used by another goes back to ARSLV, is silent for 1.5 periods at least, and comes up
-//! elsewhere. Heartbeats carry the UID, so both can be told apart as long as neither is blank.
+//! A node that has chosen an address claims it by one heartbeat in ARSLV. A node that receives a
+//! frame from its own address returns to ARSLV, is silent for at least 1.5 periods, and comes up at
+//! another address. Heartbeats carry the UID, so both can be told apart unless one of them is
+//! blank.
 //!
-//! Remembers, per UID, where it beats and with whom it contends there. Does not know names, nor
-//! anything of rows but which one speaks for whom.
+//! Stores, for each UID, its address and its conflicts there. Does not know names; of rows only
+//! which one stands for which UID.
 
 use super::DeviceId;
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
 use crate::wire::node::{Mode, Uid};
 
-/// How many nodes are remembered; beyond, the one that was silent for the longest goes.
+/// Maximum number of nodes stored; beyond that the one silent for the longest time is dropped.
 const MAX_NODES: usize = 256;
-/// Periods without a heartbeat after which a node missed at least one.
-pub(super) const PAUSE: f64 = 1.4;
+/// Periods without a heartbeat after which at least one is missing.
+pub(super) const GAP_PERIODS: f64 = 1.4;
 /// Periods without a heartbeat for which a node still holds its address.
-const HOLDS_FOR: f64 = 2.5;
-/// Periods for which two nodes beat from one address if one of them gives way; for longer it is
-/// a collision. After as many without a heartbeat, a node has left its address.
-const GIVES_WAY_WITHIN: u32 = 5;
+const HOLD_PERIODS: f64 = 2.5;
+/// Periods in which one of two nodes at an address gives it up; after that it is a conflict. A node
+/// without a heartbeat for as long has left its address.
+const RESOLUTION_PERIODS: u32 = 5;
 
-/// A heartbeat, as far as it matters here.
+/// The part of a heartbeat that matters for claims.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct HeartbeatInput {
     pub now: Instant,
     pub address: Address,
-    /// Not blank.
+    /// UID, not blank.
     pub uid: Uid,
     pub mode: Option<Mode>,
-    /// The row that speaks from the address.
+    /// Active row at the address.
     pub row: DeviceId,
-    /// Whether that row is known to be another one's.
-    pub over: bool,
+    /// True if that row is known to belong to another node.
+    pub over_holder: bool,
 }
 
-/// What a heartbeat tells of its sender.
+/// What a heartbeat shows about its sender.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ClaimUpdate {
-    /// Who it is: a row, or an id that no row has while only its claim is known.
+    /// Row of the sender, or an id without a row while only its claim is known.
     pub device: DeviceId,
-    /// Whether the row at the address is somebody else's, who beats from there too.
-    pub is_another: bool,
-    /// Its own mode before.
+    /// True if the row at the address belongs to another node, which sends heartbeats from there
+    /// too.
+    pub is_other_node: bool,
+    /// Previous mode of the sender; `None` if unknown.
     pub mode_before: Option<Mode>,
-    /// Whether this is a claim of the address, and not a repetition of one.
+    /// True if this is a new claim of the address, not a repeated one.
     pub claims: bool,
-    /// Where it contended before, or claimed without having a row.
+    /// Address that it left, where it was in conflict or had no row.
     pub left: Option<Address>,
-    /// Since when it was not heard there any more, if it gave way and that was not told yet.
+    /// Time of its last heartbeat there, if it gave the address up and that was not reported yet.
     pub gave_way: Option<Instant>,
 }
 
+/// Node known by its UID.
 #[derive(Debug)]
 struct Node {
     uid: Uid,
     device: DeviceId,
-    /// No row has its id: what was told of it is told of nobody known yet.
+    /// True if no row has its id: earlier events are about an unknown node.
     is_rowless: bool,
     address: Address,
     mode: Option<Mode>,
-    /// Its first heartbeat from the address, and its last.
+    /// First and last heartbeat from the address.
     since: Instant,
     last: Instant,
     has_claimed: bool,
-    /// Since when somebody else beats from the address too.
+    /// Time since when another node sends heartbeats from the address too.
     contended: Option<Instant>,
-    told: bool,
+    is_reported: bool,
 }
 
 impl Node {
-    /// Whether it was silent before the contention became a collision.
+    /// Returns true if it stopped before the contention became a conflict.
     fn gave_way_in_time(&self, period: Duration) -> bool {
-        self.contended.is_some_and(|began| self.last < began + period * GIVES_WAY_WITHIN)
+        self.contended.is_some_and(|began| self.last < began + period * RESOLUTION_PERIODS)
     }
 }
 
+/// Nodes of one bus by their UID.
 #[derive(Debug)]
 pub(super) struct AddressClaims {
     period: Duration,
     nodes: Vec<Node>,
-    /// When an address was claimed while somebody else beat from it.
+    /// Time of the last claim of each address while another node sent heartbeats from it.
     claimed_over: [Option<Instant>; Address::COUNT],
 }
 
@@ -90,84 +95,85 @@ impl AddressClaims {
         Self { period, nodes: Vec::new(), claimed_over: [None; Address::COUNT] }
     }
 
-    /// Takes a heartbeat. `reserve` gives an id that no row will have.
-    pub fn hear(
+    /// Processes a heartbeat. `reserve` returns an id that no row will have.
+    pub fn update(
         &mut self,
-        beat: HeartbeatInput,
+        heartbeat: HeartbeatInput,
         reserve: impl FnOnce() -> DeviceId,
     ) -> ClaimUpdate {
-        let HeartbeatInput { now, address, uid, mode, row, over } = beat;
-        let (period, pause) = (self.period, self.period.mul_f64(PAUSE));
-        let patience = period * GIVES_WAY_WITHIN;
-        // A board that was swapped for another one was silent for longer; one that is asleep, too.
+        let HeartbeatInput { now, address, uid, mode, row, over_holder } = heartbeat;
+        let (period, gap) = (self.period, self.period.mul_f64(GAP_PERIODS));
+        let resolution_time = period * RESOLUTION_PERIODS;
+        // A replaced board was silent for longer; so is one that is asleep.
         let is_holder = |node: &Node| {
-            let holds = now.since(node.last) < period.mul_f64(HOLDS_FOR);
+            let holds = now.since(node.last) < period.mul_f64(HOLD_PERIODS);
             let holds = holds || mode == Some(Mode::Arslv);
             node.uid != uid && node.address == address && node.device == row && holds
         };
-        let is_another = over || self.nodes.iter().any(is_holder);
+        let is_other_node = over_holder || self.nodes.iter().any(is_holder);
         let known = self.nodes.iter().position(|node| node.uid == uid);
         let at = known.unwrap_or_else(|| {
-            let device = if is_another { reserve() } else { row };
+            let device = if is_other_node { reserve() } else { row };
             self.remember(Node {
                 uid,
                 device,
-                is_rowless: is_another,
+                is_rowless: is_other_node,
                 address,
                 mode: None,
                 since: now,
                 last: now,
                 has_claimed: false,
                 contended: None,
-                told: false,
+                is_reported: false,
             })
         });
         let node = &mut self.nodes[at];
         let silence = now.since(node.last);
-        let mut heard = ClaimUpdate {
+        let mut update = ClaimUpdate {
             device: node.device,
-            is_another,
+            is_other_node,
             mode_before: node.mode,
             claims: mode == Some(Mode::Arslv)
-                && (node.mode != mode || node.address != address || silence > pause),
+                && (node.mode != mode || node.address != address || silence > gap),
             left: None,
             gave_way: None,
         };
-        let is_new_here = node.address != address || silence >= patience;
+        let is_new_here = node.address != address || silence >= resolution_time;
         if node.address != address {
-            // Who beats from both addresses has left neither.
-            if silence > pause {
+            // A node that sends heartbeats from both addresses has left neither.
+            if silence > gap {
                 let contended = node.gave_way_in_time(period);
-                heard.left = (contended || node.is_rowless).then_some(node.address);
-                heard.gave_way = (contended && !node.told).then_some(node.last);
+                update.left = (contended || node.is_rowless).then_some(node.address);
+                update.gave_way = (contended && !node.is_reported).then_some(node.last);
             }
             node.address = address;
         }
         if is_new_here {
             node.since = now;
-            (node.has_claimed, node.contended, node.told) = (false, None, false);
+            (node.has_claimed, node.contended, node.is_reported) = (false, None, false);
         }
-        node.has_claimed |= heard.claims;
+        node.has_claimed |= update.claims;
         node.mode = mode.or(node.mode);
         node.last = now;
-        self.note_contention(at, over, now);
-        if heard.claims && is_another {
+        self.note_contention(at, over_holder, now);
+        if update.claims && is_other_node {
             self.note_claimed_over(now, address);
         }
-        heard
+        update
     }
 
-    fn note_contention(&mut self, at: usize, over: bool, now: Instant) {
+    /// Updates since when the node at index `at` and the others at its address are in conflict.
+    fn note_contention(&mut self, at: usize, over_holder: bool, now: Instant) {
         let (uid, address) = (self.nodes[at].uid, self.nodes[at].address);
-        let patience = self.period * GIVES_WAY_WITHIN;
-        let recently = self.period.mul_f64(HOLDS_FOR);
-        let (mut near, mut any) = (over, over);
+        let resolution_time = self.period * RESOLUTION_PERIODS;
+        let recently = self.period.mul_f64(HOLD_PERIODS);
+        let (mut near, mut any) = (over_holder, over_holder);
         for other in &mut self.nodes {
             if other.uid == uid || other.address != address {
                 continue;
             }
             let silence = now.since(other.last);
-            any |= silence < patience;
+            any |= silence < resolution_time;
             if silence < recently {
                 near = true;
                 other.contended.get_or_insert(now);
@@ -181,6 +187,7 @@ impl AddressClaims {
         }
     }
 
+    /// Stores a node and returns its index; replaces the one silent for the longest time if full.
     fn remember(&mut self, node: Node) -> usize {
         if self.nodes.len() < MAX_NODES {
             self.nodes.push(node);
@@ -191,7 +198,7 @@ impl AddressClaims {
         oldest
     }
 
-    /// That row speaks for this UID now. Returns the id that stood for it, where it had no row.
+    /// Assigns a row to a UID. Returns the id used for it before, if it had no row.
     pub fn adopt(
         &mut self,
         uid: Uid,
@@ -206,15 +213,15 @@ impl AddressClaims {
         std::mem::take(&mut node.is_rowless).then_some(was)
     }
 
-    /// Nodes that contended with `uid` for `address` and are silent now while it beats on: each
-    /// once, with its UID.
+    /// Returns the nodes that were in conflict with `uid` about `address` and stopped while it
+    /// continues: each once, with its UID.
     pub fn fallen_silent(
         &mut self,
         now: Instant,
         address: Address,
         uid: Uid,
     ) -> Vec<(DeviceId, Uid)> {
-        let patience = self.period * GIVES_WAY_WITHIN;
+        let resolution_time = self.period * RESOLUTION_PERIODS;
         let Some(winner) = self.nodes.iter().find(|node| node.uid == uid) else {
             return Vec::new();
         };
@@ -222,32 +229,33 @@ impl AddressClaims {
         let silent = self.nodes.iter_mut().filter(|node| {
             node.uid != uid
                 && node.address == address
-                && !node.told
-                && now.since(node.last) >= patience
+                && !node.is_reported
+                && now.since(node.last) >= resolution_time
                 && node.gave_way_in_time(period)
-                // Another UID alone may be the same board, configured anew.
+                // Another UID alone may be the same board, reconfigured.
                 && (since <= node.last || has_claimed)
         });
         silent
             .map(|node| {
-                node.told = true;
+                node.is_reported = true;
                 (node.device, node.uid)
             })
             .collect()
     }
 
-    /// Whether somebody else than `uid` still holds `address`.
+    /// Returns true if a node other than `uid` still holds `address`.
     pub fn is_shared(&self, now: Instant, address: Address, uid: Uid) -> bool {
-        let holds = self.period.mul_f64(HOLDS_FOR);
+        let holds = self.period.mul_f64(HOLD_PERIODS);
         let mut others = self.nodes.iter().filter(|it| it.uid != uid && it.address == address);
         others.any(|node| now.since(node.last) < holds)
     }
 
-    /// Whether somebody else than that row beats from `address` now, and only who has a row elsewhere.
+    /// Returns true if other nodes than that row send heartbeats from `address` now, and all of
+    /// them have rows.
     pub fn are_others_known(&self, now: Instant, address: Address, row: DeviceId) -> bool {
-        let pause = self.period.mul_f64(PAUSE);
+        let gap = self.period.mul_f64(GAP_PERIODS);
         let mut others = self.nodes.iter().filter(|node| {
-            node.address == address && node.device != row && now.since(node.last) < pause
+            node.address == address && node.device != row && now.since(node.last) < gap
         });
         let mut any = false;
         others.all(|node| {
@@ -256,46 +264,47 @@ impl AddressClaims {
         }) && any
     }
 
-    /// Notes that `address` was claimed while somebody else beat from it.
+    /// Notes that `address` was claimed while another node sent heartbeats from it.
     pub fn note_claimed_over(&mut self, now: Instant, address: Address) {
         self.claimed_over[address.index()] = Some(now);
     }
 
-    /// When that was last.
+    /// Returns the time of the last such claim.
     pub fn claimed_over(&self, address: Address) -> Option<Instant> {
         self.claimed_over[address.index()]
     }
 
-    /// The UID that a row speaks for. Where two contend, its heartbeats say one and the other.
+    /// Returns the UID of a row. While two nodes are in conflict, its heartbeats carry both.
     pub fn uid_of(&self, row: DeviceId) -> Option<Uid> {
         let nodes = self.nodes.iter().filter(|node| node.device == row);
         nodes.max_by_key(|node| node.last).map(|node| node.uid)
     }
 
-    /// The row that speaks for a UID.
+    /// Returns the row of a UID.
     pub fn row_of(&self, uid: Uid) -> Option<DeviceId> {
         let device = self.nodes.iter().find(|node| node.uid == uid)?.device;
         (self.uid_of(device) == Some(uid)).then_some(device)
     }
 
-    /// The mode that node said last.
+    /// Returns the last mode of the node with this UID.
     pub fn mode_of(&self, uid: Uid) -> Option<Mode> {
         self.nodes.iter().find(|node| node.uid == uid)?.mode
     }
 
-    /// Since when that node beats from `address`.
+    /// Returns since when that node sends heartbeats from `address`.
     pub fn since(&self, uid: Uid, address: Address) -> Option<Instant> {
         let node = self.nodes.iter().find(|node| node.uid == uid && node.address == address)?;
         Some(node.since)
     }
 
-    /// When whoever beats from `address` besides that node began to.
+    /// Returns since when another node than `uid` sends heartbeats from `address`.
     pub fn other_sender_since(&self, address: Address, uid: Uid) -> Option<Instant> {
         let others = self.nodes.iter().filter(|it| it.uid != uid && it.address == address);
         others.max_by_key(|node| node.last).map(|node| node.since)
     }
 
-    /// Who beats from `address` now and went on after `then`.
+    /// Returns the node other than `but` that sends heartbeats from `address` now and did so after
+    /// `then`.
     pub fn is_still_active(
         &self,
         now: Instant,
@@ -303,12 +312,12 @@ impl AddressClaims {
         then: Instant,
         but: Uid,
     ) -> Option<(DeviceId, Uid)> {
-        let pause = self.period.mul_f64(PAUSE);
+        let gap = self.period.mul_f64(GAP_PERIODS);
         let nodes = self.nodes.iter().filter(|node| {
             node.uid != but
                 && node.address == address
                 && node.last > then
-                && now.since(node.last) < pause
+                && now.since(node.last) < gap
         });
         nodes.max_by_key(|node| node.last).map(|node| (node.device, node.uid))
     }

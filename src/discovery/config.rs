@@ -1,4 +1,4 @@
-//! How the engine is to behave: what the user chose on the command line, and the profile.
+//! Settings of the engine, from the command line and the profile.
 
 use crate::frame::BusIndex;
 use crate::time::Duration;
@@ -6,30 +6,32 @@ use crate::wire::id::Address;
 use crate::wire::profile::Profile;
 use std::sync::Arc;
 
-/// Settings of one bus's engine.
+/// Settings of the engine of one bus.
 #[derive(Clone, Debug)]
 pub struct Config {
-    /// Which bus this is.
+    /// Bus that this engine serves.
     pub bus: BusIndex,
-    /// What the descriptions leave open.
+    /// Values that the platform leaves open (protocol §9).
     pub profile: Arc<Profile>,
-    /// Never send anything; learn from what others ask and answer.
+    /// True: send nothing, and learn from the requests and responses of other nodes.
     pub listen_only: bool,
-    /// Ask who is there and for services. Without it only our presence is announced.
+    /// True: send name requests and services requests. False: only descan's heartbeat is sent.
     pub scan: bool,
-    /// Time between rounds once the bus is known; zero = no rounds after the first ones.
+    /// Time between enumeration rounds after those at start; zero: no further rounds.
     pub round_period: Duration,
-    /// The share of the bus that what we send may take while starting, 0–1.
+    /// Share of the bus load that descan's requests may take during the rounds at start, 0 to 1.
     pub start_share: f64,
-    /// The same afterwards.
+    /// Share after the rounds at start, 0 to 1.
     pub steady_share: f64,
-    /// A fixed address for us, instead of 0 or one found by the rules of 3.2.4.2.
+    /// Fixed own address; `None`: address 0, or one chosen by address resolution (CAN platform
+    /// §3.2.4.2).
     pub address: Option<Address>,
-    /// Bits per second, where known; 125,000 is assumed otherwise.
+    /// Bit rate in bit/s; 125,000 is assumed while it is `None`.
     pub bitrate: Option<u32>,
-    /// Whether frames that we send come back as ours once the bus took them.
+    /// True if transmitted frames are received back with
+    /// [`Frame::is_tx`](crate::frame::Frame::is_tx) once they are on the bus.
     pub echo: bool,
-    /// Seed of the random numbers (RND7, back-off, address).
+    /// Seed of the random numbers: RND7, back-off, own address.
     pub seed: u64,
 }
 
@@ -52,12 +54,12 @@ impl Default for Config {
 }
 
 impl Config {
-    /// The bit rate to reckon with.
+    /// Returns the bit rate for timing, in bit/s.
     pub fn bits_per_second(&self) -> u32 {
         self.bitrate.unwrap_or(125_000).max(1)
     }
 
-    /// How long the bus takes for `bits`.
+    /// Returns the time that `bits` take on the bus.
     pub fn bit_time(&self, bits: u64) -> Duration {
         Duration::from_micros(bits * 1_000_000 / u64::from(self.bits_per_second()))
     }

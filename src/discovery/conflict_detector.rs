@@ -1,11 +1,12 @@
-//! Evidence of collisions, from raw frames.
+//! Conflict detector: finds evidence of address and UID conflicts in the frames of one bus. Input:
+//! requests, responses and heartbeats with their frames; output: evidence for the finding tracker.
 //!
-//! Two devices at one address give themselves away in several ways: two answers to one
-//! question, heartbeats at twice the rate in two phases, names, UIDs or service lists that
-//! alternate. One such thing proves nothing: a reboot, a board swap or a bridge that doubles
-//! frames looks the same for a moment. What it all amounts to is for [`super::finding_tracker`] to say.
+//! Two devices at one address cause two responses to one request, heartbeats at twice the rate or
+//! in two phases, and names, UIDs or service lists that alternate (protocol §5.2). One such
+//! observation proves nothing: a reboot, a board swap or a bridge that repeats frames looks the
+//! same for a moment. [`super::finding_tracker`] decides when a finding is confirmed.
 //!
-//! Knows the frames of one bus and nothing of rows, presence, or des.json.
+//! Does not know device rows, presence, or des.json.
 
 use super::address_history::{
     AddressHistory, Alternation, HeartbeatPattern, PAIR_WINDOW, QueryParties,
@@ -25,102 +26,105 @@ use crate::wire::node::Uid;
 use crate::wire::profile::UidProfile;
 use std::borrow::Cow;
 
-/// Heartbeats at twice the rate that are a suspicion: time enough for the follow-ups.
-const DOUBLE_RATE_BEATS: u32 = 16;
+/// Consecutive heartbeats at twice the rate that count as evidence: enough time for the follow-up
+/// requests.
+const MAX_DOUBLE_RATE_HEARTBEATS: u32 = 16;
 
-/// For how many periods answers to questions that went out late may come.
-const EXCUSED_PERIODS: u32 = 5;
+/// Periods after delayed requests in which surplus responses are ignored.
+const DELAYED_RESPONSE_PERIODS: u32 = 5;
 
-/// An answer that begins.
+/// First frame of a response, decoded.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ResponseStart {
     pub from: Address,
-    /// Who asked, where the answer says it.
+    /// Requester; `None` where the response does not carry its address.
     pub to: Option<Address>,
     pub request: Request,
     pub framing: Framing,
-    /// Whether a node in a working mode sends it.
+    /// True if the sender is in a working mode (U bit).
     pub working: bool,
-    /// Whether one that resolves its address does: in another mode for a moment only.
+    /// True if the sender is resolving its address, that is in its mode for a moment only.
     pub resolving: bool,
 }
 
+/// Histories of all addresses of one bus, with the findings made from them.
 #[derive(Debug)]
 pub(super) struct ConflictDetector {
     period: Duration,
-    passive: bool,
-    /// The characters of UIDs, for the texts of evidence.
+    listen_only: bool,
+    /// Alphabet of UIDs, for the text of evidence.
     alphabet: UidProfile,
-    watches: Vec<AddressHistory>,
+    histories: Vec<AddressHistory>,
     duplicate_frames: DuplicateFrameDetector,
     finding_tracker: FindingTracker,
-    /// Until then, an answer too many may be to a question that went out late.
-    excused_until: Instant,
+    /// Surplus responses before this time may belong to delayed requests.
+    ignore_extra_until: Instant,
 }
 
 impl ConflictDetector {
     pub fn new(
         bus: BusIndex,
         period: Duration,
-        passive: bool,
+        listen_only: bool,
         alphabet: UidProfile,
         seed: u64,
     ) -> Self {
         Self {
             period,
-            passive,
+            listen_only,
             alphabet,
-            watches: (0..Address::COUNT).map(|_| AddressHistory::default()).collect(),
+            histories: (0..Address::COUNT).map(|_| AddressHistory::default()).collect(),
             duplicate_frames: DuplicateFrameDetector::new(period),
-            finding_tracker: FindingTracker::new(bus, period, passive, seed),
-            excused_until: Instant::ZERO,
+            finding_tracker: FindingTracker::new(bus, period, listen_only, seed),
+            ignore_extra_until: Instant::ZERO,
         }
     }
 
-    /// What has been found, and how sure it is.
+    /// Findings and their state.
     pub fn finding_tracker(&self) -> &FindingTracker {
         &self.finding_tracker
     }
 
-    pub fn cases_mut(&mut self) -> &mut FindingTracker {
+    pub fn finding_tracker_mut(&mut self) -> &mut FindingTracker {
         &mut self.finding_tracker
     }
 
-    /// Whether the question that goes to `address` now is to go to both kinds of nodes, because one
-    /// in a working mode and one in another seem to share it. Not each time where their answers may
-    /// be equal: those to the first question would wait behind the second one, and merge.
+    /// Returns true if the request about to be sent to `address` is to be sent with both values of
+    /// the D bit, because a working and a non-working node seem to share the address. Where their
+    /// responses may be equal, only every other time: responses to the first request would wait
+    /// behind the second request, and merge on the wire.
     pub fn needs_both_d_bits(&mut self, now: Instant, address: Address) -> bool {
-        let lately =
+        let recently =
             |seen: &Option<Instant>| seen.is_some_and(|at| now.since(at) < self.period * 12);
         let open = self.finding_tracker.is_open_at(address);
         let differ = self.finding_tracker.is_open(FindingKind::OneAddressTwoNames, address);
-        let watch = &mut self.watches[address.index()];
-        let both = open && watch.seen.iter().all(lately) && (differ || !watch.asked_both);
-        watch.asked_both = both;
+        let history = &mut self.histories[address.index()];
+        let both = open && history.seen.iter().all(recently) && (differ || !history.sent_both);
+        history.sent_both = both;
         both
     }
 
-    // --- what was seen -------------------------------------------------------------------
+    // --- input --------------------------------------------------------------------------
 
-    /// A question that reaches `address` passed by.
+    /// Notes a request that `address` receives.
     pub fn note_request(
         &mut self,
         now: Instant,
         address: Address,
         request: Request,
         framing: Framing,
-        asking: QueryParties,
+        parties: QueryParties,
     ) {
         self.finding_tracker.note_request(now, address);
-        self.watches[address.index()].tally(request, framing).ask(now, asking);
+        self.histories[address.index()].matcher(request, framing).note_request(now, parties);
     }
 
-    /// A question to all passed by.
+    /// Notes a broadcast request.
     pub fn note_broadcast(&mut self, now: Instant) {
         self.duplicate_frames.note_broadcast(now);
     }
 
-    /// An answer begins.
+    /// Notes the first frame of a response.
     pub fn note_response(
         &mut self,
         now: Instant,
@@ -129,37 +133,38 @@ impl ConflictDetector {
         frame: &Frame,
     ) {
         let ResponseStart { from: address, to, request, framing, working, resolving } = response;
-        let together = PAIR_WINDOW.min(self.period / 8);
-        let watch = &mut self.watches[address.index()];
+        let window = PAIR_WINDOW.min(self.period / 8);
+        let history = &mut self.histories[address.index()];
         if !resolving {
-            watch.seen[usize::from(working)] = Some(now);
+            history.seen[usize::from(working)] = Some(now);
         }
-        let tally = watch.tally(request, framing);
-        let (to_all, extra) = tally.response(now, to, together, frame);
+        let matcher = history.matcher(request, framing);
+        let (to_all, extra) = matcher.match_response(now, to, window, frame);
         if to_all {
             self.duplicate_frames.note_response(address, extra.is_some());
         }
-        let excused = now < self.excused_until || self.duplicate_frames.asks_twice(now);
-        let Some(extra) = extra.filter(|_| !excused) else { return };
+        let ignored =
+            now < self.ignore_extra_until || self.duplicate_frames.has_duplicate_requests(now);
+        let Some(extra) = extra.filter(|_| !ignored) else { return };
         let first = extra.first;
         if first.same_on_wire(frame) {
             self.duplicate_frames.note_duplicate(now, extra.apart);
         }
-        // Who is in no working mode may answer the question to the one kind of nodes and that to
-        // the other.
-        let weight = if extra.targeted || working {
+        // A non-working node may respond both to the request for working nodes and to that for
+        // non-working ones.
+        let strength = if extra.targeted || working {
             EvidenceStrength::Strong
         } else {
             EvidenceStrength::Weak
         };
         let differ = message(&first, framing) != message(frame, framing);
-        let (kind, weight) = match request {
-            Request::Name if differ => (FindingKind::OneAddressTwoNames, weight),
-            _ if self.has_two_names(address) => (FindingKind::OneAddressTwoNames, weight),
+        let (kind, strength) = match request {
+            Request::Name if differ => (FindingKind::OneAddressTwoNames, strength),
+            _ if self.has_two_names(address) => (FindingKind::OneAddressTwoNames, strength),
             Request::Services if self.had_other_name(now, address) => {
                 (FindingKind::OneAddressTwoNames, EvidenceStrength::Weak)
             }
-            _ => (FindingKind::SameNameSameAddress, weight),
+            _ => (FindingKind::SameNameSameAddress, strength),
         };
         self.finding_tracker.report(
             now,
@@ -177,30 +182,31 @@ impl ConflictDetector {
             name,
             frame,
             "second response to one request",
-            weight,
+            strength,
         );
         self.finding_tracker.mark_response_based(at, address);
     }
 
-    /// Questions that had waited for long went out all at once; devices may answer them one by one.
+    /// Ignores surplus responses for some periods: requests that were delayed have been sent
+    /// together, and devices may respond to each of them.
     pub fn ignore_extra_responses(&mut self, now: Instant) {
-        self.excused_until = now + self.period * EXCUSED_PERIODS;
+        self.ignore_extra_until = now + self.period * DELAYED_RESPONSE_PERIODS;
     }
 
-    /// A whole name answer came from `address`.
+    /// Notes a complete name response.
     pub fn note_name(&mut self, now: Instant, address: Address, name: &Name, frame: &Frame) {
-        let turn = self.alternation_timeout();
-        let watch = &mut self.watches[address.index()];
-        let before = watch.names.now.clone();
-        let returned = watch.names.see(now, name, turn);
-        let since = watch.names.since;
+        let timeout = self.alternation_timeout();
+        let history = &mut self.histories[address.index()];
+        let before = history.names.now.clone();
+        let returned = history.names.observe(now, name, timeout);
+        let since = history.names.since;
         let Some(before) = before.filter(|before| before != name) else { return };
         let kind = FindingKind::OneAddressTwoNames;
-        let weight =
+        let strength =
             if returned.is_some() { EvidenceStrength::Strong } else { EvidenceStrength::Weak };
         let what = format!("name {}", name.quoted());
         let at =
-            self.finding_tracker.report(now, kind, address, Some(&before), frame, what, weight);
+            self.finding_tracker.report(now, kind, address, Some(&before), frame, what, strength);
         self.finding_tracker.mark_response_based(at, address);
         self.finding_tracker.add_name(kind, address, name);
         if returned.is_some() {
@@ -209,7 +215,7 @@ impl ConflictDetector {
         }
     }
 
-    /// A whole services answer came from `address`.
+    /// Notes a complete services response; `digest` is a hash of its message.
     pub fn note_services(
         &mut self,
         now: Instant,
@@ -218,14 +224,14 @@ impl ConflictDetector {
         name: Option<&Name>,
         frame: &Frame,
     ) {
-        let turn = self.alternation_timeout();
-        let services = &mut self.watches[address.index()].services;
-        let returned = services.see(now, &digest, turn);
+        let timeout = self.alternation_timeout();
+        let services = &mut self.histories[address.index()].services;
+        let returned = services.observe(now, &digest, timeout);
         let since = services.since;
         if returned.is_none() || self.has_two_names(address) {
             return;
         }
-        let (kind, weight) = if self.had_other_name(now, address) {
+        let (kind, strength) = if self.had_other_name(now, address) {
             (FindingKind::OneAddressTwoNames, EvidenceStrength::Weak)
         } else {
             (FindingKind::SameNameSameAddress, EvidenceStrength::Strong)
@@ -237,13 +243,13 @@ impl ConflictDetector {
             name,
             frame,
             "service lists alternate",
-            weight,
+            strength,
         );
         self.finding_tracker.mark_response_based(at, address);
         self.finding_tracker.backdate(now, at, since);
     }
 
-    /// A heartbeat came from `address`.
+    /// Notes a heartbeat.
     pub fn note_heartbeat(
         &mut self,
         now: Instant,
@@ -254,21 +260,22 @@ impl ConflictDetector {
         frame: &Frame,
     ) {
         let period = self.period;
-        let watch = &mut self.watches[address.index()];
-        if !watch.beat(now, frame, period) {
+        let history = &mut self.histories[address.index()];
+        if !history.note_heartbeat(now, frame, period) {
             return;
         }
         if !resolving {
-            watch.seen[usize::from(working)] = Some(now);
+            history.seen[usize::from(working)] = Some(now);
         }
-        let previous = watch.beats.iter().rev().nth(1).map(|beat| beat.frame);
+        let previous = history.heartbeats.iter().rev().nth(1).map(|heartbeat| heartbeat.frame);
         let uid = uid.filter(|uid| !uid.is_blank());
-        let uid_returned = uid.and_then(|uid| watch.uids.see(now, &uid, period * 3));
-        // Two take turns with every heartbeat; a change that stays for longer is one's own.
-        let mode_returned = watch.working.see(now, &working, period.mul_f64(1.05));
-        let rhythm = watch.rhythm(period);
-        watch.twice_for = if rhythm.twice { watch.twice_for + 1 } else { 0 };
-        let (uids_since, modes_since) = (watch.uids.since, watch.working.since);
+        let uid_returned = uid.and_then(|uid| history.uids.observe(now, &uid, period * 3));
+        // Two devices alternate with every heartbeat; one device keeps a changed U bit for longer.
+        let mode_returned = history.working.observe(now, &working, period.mul_f64(1.05));
+        let pattern = history.heartbeat_pattern(period);
+        history.double_rate_count =
+            if pattern.double_rate { history.double_rate_count + 1 } else { 0 };
+        let (uids_since, modes_since) = (history.uids.since, history.working.since);
 
         let identity = if address == Address::DEBUG {
             FindingKind::TwoDebugDevices
@@ -278,16 +285,16 @@ impl ConflictDetector {
         let confirmed = self.finding_tracker.is_confirmed(identity, address);
         let alternation = match (uid_returned, mode_returned) {
             (Some(_), _) => {
-                let uids = &self.watches[address.index()].uids;
-                Some((self.uid_words(uids.now), self.uid_words(uids.before), uids_since))
+                let uids = &self.histories[address.index()].uids;
+                Some((self.uid_text(uids.now), self.uid_text(uids.before), uids_since))
             }
-            (None, Some(returns)) if returns >= 2 && (rhythm.twice || confirmed) => {
+            (None, Some(returns)) if returns >= 2 && (pattern.double_rate || confirmed) => {
                 Some(("U bit changed back".into(), "U bit changed".into(), modes_since))
             }
             _ => None,
         };
         if let Some((again, other, since)) = alternation {
-            // Later, the one before is the one that was told before.
+            // Once the finding is open, the previous heartbeat is already part of its evidence.
             if let Some(previous) =
                 previous.filter(|_| !self.finding_tracker.is_open(identity, address))
             {
@@ -301,19 +308,20 @@ impl ConflictDetector {
                     EvidenceStrength::Weak,
                 );
             }
-            // Who only claims the address may yet give way.
-            let weight = if resolving { EvidenceStrength::Weak } else { EvidenceStrength::Strong };
+            // A device that is claiming the address may still give it up.
+            let strength =
+                if resolving { EvidenceStrength::Weak } else { EvidenceStrength::Strong };
             let at =
-                self.finding_tracker.report(now, identity, address, name, frame, again, weight);
+                self.finding_tracker.report(now, identity, address, name, frame, again, strength);
             if !resolving {
                 self.finding_tracker.backdate(now, at, since);
             }
         } else if !self.finding_tracker.is_open(identity, address) {
-            self.note_heartbeat_pattern(now, address, name, frame, previous.as_ref(), rhythm);
+            self.note_heartbeat_pattern(now, address, name, frame, previous.as_ref(), pattern);
         }
     }
 
-    /// Heartbeats that nothing but their rhythm tells apart.
+    /// Notes the pattern of heartbeats whose content does not differ.
     fn note_heartbeat_pattern(
         &mut self,
         now: Instant,
@@ -321,16 +329,17 @@ impl ConflictDetector {
         name: Option<&Name>,
         frame: &Frame,
         previous: Option<&Frame>,
-        rhythm: HeartbeatPattern,
+        pattern: HeartbeatPattern,
     ) {
         let same = FindingKind::SameNameSameAddress;
-        // A device that keeps to another period is looked into, and then left in peace; what is
-        // confirmed by other means goes on as long as they come too often.
+        // A single device with another period is followed up and then ignored; a conflict confirmed
+        // by other means stays confirmed while the rate is double.
         let confirmed = self.finding_tracker.is_confirmed(same, address);
-        let twice_for = self.watches[address.index()].twice_for;
-        let odd_rate = rhythm.twice && (twice_for <= DOUBLE_RATE_BEATS || confirmed);
+        let double_rate_count = self.histories[address.index()].double_rate_count;
+        let double_rate =
+            pattern.double_rate && (double_rate_count <= MAX_DOUBLE_RATE_HEARTBEATS || confirmed);
         let too_often = "heartbeats at twice the rate";
-        let at = if (rhythm.phases || odd_rate) && self.had_other_name(now, address) {
+        let at = if (pattern.two_phases || double_rate) && self.had_other_name(now, address) {
             let two_names = FindingKind::OneAddressTwoNames;
             self.finding_tracker.report(
                 now,
@@ -341,7 +350,7 @@ impl ConflictDetector {
                 too_often,
                 EvidenceStrength::Weak,
             )
-        } else if rhythm.phases {
+        } else if pattern.two_phases {
             if let Some(previous) = previous {
                 let what = "heartbeat, phase 1";
                 self.finding_tracker.report(
@@ -364,7 +373,7 @@ impl ConflictDetector {
                 what,
                 EvidenceStrength::Strong,
             )
-        } else if odd_rate {
+        } else if double_rate {
             self.finding_tracker.report(
                 now,
                 same,
@@ -377,30 +386,38 @@ impl ConflictDetector {
         } else {
             None
         };
-        if let Some(since) = rhythm.since {
+        if let Some(since) = pattern.since {
             self.finding_tracker.backdate(now, at, since);
         }
     }
 
-    /// A frame of ours came back that the bus had already confirmed: something doubles frames.
+    /// Notes a frame sent by descan that was received again after its confirmation: frames are
+    /// repeated.
     pub fn note_own_echo(&mut self, now: Instant) {
         self.duplicate_frames.note_own_echo(now);
     }
 
-    /// Whether a frame from `source` only repeats one that was heard already, because something
-    /// sends everything twice.
-    pub fn is_copy(&mut self, now: Instant, source: Address, beat: bool, frame: &Frame) -> bool {
-        if beat {
-            let was_on = self.duplicate_frames.is_active(now);
+    /// Returns true if a frame from `source` is a repeated copy of an earlier one, while all frames
+    /// are repeated.
+    pub fn is_copy(
+        &mut self,
+        now: Instant,
+        source: Address,
+        is_heartbeat: bool,
+        frame: &Frame,
+    ) -> bool {
+        if is_heartbeat {
+            let was_active = self.duplicate_frames.is_active(now);
             self.duplicate_frames.note_heartbeat(now, source, frame);
-            if !was_on && self.duplicate_frames.is_active(now) {
+            if !was_active && self.duplicate_frames.is_active(now) {
                 self.finding_tracker.reset_suspicion(FindingKind::SameNameSameAddress);
             }
         }
-        self.duplicate_frames.is_copy(now, beat, frame)
+        self.duplicate_frames.is_copy(now, is_heartbeat, frame)
     }
 
-    /// Two addresses beat with one UID, each since the other's last heartbeat; both since `since`.
+    /// Notes that two addresses send heartbeats with one UID, each after the last heartbeat of the
+    /// other; both since `since`.
     pub fn note_same_uid(
         &mut self,
         now: Instant,
@@ -426,7 +443,7 @@ impl ConflictDetector {
         self.finding_tracker.backdate(now, Some(at), since);
     }
 
-    /// Somebody else sent from the address we hold.
+    /// Notes a frame of another node from descan's own address.
     pub fn note_own_address_used(&mut self, now: Instant, address: Address, frame: &Frame) {
         if address == Address::DEBUG {
             let kind = FindingKind::TwoDebugDevices;
@@ -442,7 +459,7 @@ impl ConflictDetector {
         }
     }
 
-    /// An answer could not be used, or only in part.
+    /// Notes a malformed response.
     pub fn note_malformed(
         &mut self,
         now: Instant,
@@ -463,12 +480,12 @@ impl ConflictDetector {
             EvidenceStrength::Proof,
         ) {
             self.finding_tracker
-                .set_text(at, |who| format!("{who} sends malformed DES responses: {fault}."));
+                .set_text(at, |device| format!("{device} sends malformed DES responses: {fault}."));
         }
     }
 
-    /// An answer in several frames broke off where it did before. Three times in a row it may
-    /// still be bad luck; then it is the device.
+    /// Notes a multi-frame response that was aborted at the same place as before. Three times in a
+    /// row may be chance; after that it is the device.
     pub fn note_aborted_response(
         &mut self,
         now: Instant,
@@ -478,30 +495,32 @@ impl ConflictDetector {
         frame: &Frame,
     ) {
         let kind = FindingKind::MalformedAnswer;
-        let weight = if self.finding_tracker.is_open(kind, address) {
+        let strength = if self.finding_tracker.is_open(kind, address) {
             EvidenceStrength::Proof
         } else {
             EvidenceStrength::Weak
         };
         let what = "last frame of an aborted response";
-        if let Some(at) = self.finding_tracker.report(now, kind, address, name, frame, what, weight)
+        if let Some(at) =
+            self.finding_tracker.report(now, kind, address, name, frame, what, strength)
         {
-            self.finding_tracker
-                .set_text(at, |who| format!("{who} aborts every multi-frame response: {fault}."));
+            self.finding_tracker.set_text(at, |device| {
+                format!("{device} aborts every multi-frame response: {fault}.")
+            });
         }
     }
 
-    /// Whether questions seem to reach devices twice, or all frames us.
+    /// Returns true if devices seem to receive requests twice, or descan receives all frames twice.
     pub fn has_duplicate_requests(&self, now: Instant) -> bool {
-        self.duplicate_frames.asks_twice(now)
+        self.duplicate_frames.has_duplicate_requests(now)
     }
 
-    /// A whole answer came: what was malformed before is past.
+    /// Notes a valid response, which clears malformed-answer.
     pub fn note_valid_response(&mut self, now: Instant, address: Address) {
         self.finding_tracker.clear(now, FindingKind::MalformedAnswer, address);
     }
 
-    /// An identifier that is none of the nine types.
+    /// Notes an identifier that is none of the nine message types (protocol §1.2).
     pub fn note_non_conforming(
         &mut self,
         now: Instant,
@@ -514,54 +533,55 @@ impl ConflictDetector {
         self.finding_tracker.report(now, kind, address, name, frame, what, EvidenceStrength::Proof);
     }
 
-    /// The last heartbeat of `address` that is remembered.
+    /// Returns the last heartbeat frame of `address`.
     pub fn last_heartbeat(&self, address: Address) -> Option<Frame> {
-        self.watches[address.index()].beats.back().map(|beat| beat.frame)
+        self.histories[address.index()].heartbeats.back().map(|heartbeat| heartbeat.frame)
     }
 
-    /// Everything at `address` is past: its node is lost.
+    /// Forgets the history of `address` and clears its conflicts: its device is lost.
     pub fn forget(&mut self, now: Instant, address: Address) {
-        self.watches[address.index()] = AddressHistory::default();
+        self.histories[address.index()] = AddressHistory::default();
         self.finding_tracker.forget(now, address);
     }
 
-    /// The device at `address` was found elsewhere: what answers there now is no rival of it.
+    /// Forgets the values of `address` that could alternate: its device moved away, so the next one
+    /// there is not in conflict with it.
     pub fn note_left(&mut self, address: Address) {
-        let watch = &mut self.watches[address.index()];
-        watch.names = Alternation::default();
-        watch.uids = Alternation::default();
-        watch.services = Alternation::default();
+        let history = &mut self.histories[address.index()];
+        history.names = Alternation::default();
+        history.uids = Alternation::default();
+        history.services = Alternation::default();
     }
 
-    // --- what is made of it ---------------------------------------------------------------
+    // --- state --------------------------------------------------------------------------
 
-    /// The text of evidence that shows a heartbeat with this UID.
-    fn uid_words(&self, uid: Option<Uid>) -> Cow<'static, str> {
+    /// Returns the text of evidence that shows a heartbeat with this UID.
+    fn uid_text(&self, uid: Option<Uid>) -> Cow<'static, str> {
         let text = uid.map_or(String::new(), |uid| uid.text(&self.alphabet).to_string());
         format!("UID {}", Escaped(text.as_bytes())).into()
     }
 
-    /// Within which answers that take turns must be back.
+    /// Time within which an alternating response must return to its previous value.
     fn alternation_timeout(&self) -> Duration {
-        if self.passive { self.finding_tracker.longest_memory() } else { self.period * 3 }
+        if self.listen_only { self.finding_tracker.longest_memory() } else { self.period * 3 }
     }
 
-    /// Whether two names take turns at `address`: whatever else its devices have in common, they
-    /// are not of one name.
+    /// Returns true if two names alternate at `address`: other evidence there is then not about
+    /// devices of one name.
     fn has_two_names(&self, address: Address) -> bool {
         self.finding_tracker.has_strong(FindingKind::OneAddressTwoNames, address)
     }
 
-    /// Whether another name answered from `address` not long ago: what tells of two devices there
-    /// more likely tells of that one again than of two that share the present name.
+    /// Returns true if another name responded from `address` in the last 30 periods: further
+    /// evidence then more likely concerns that device than two devices of the present name.
     fn had_other_name(&self, now: Instant, address: Address) -> bool {
-        let names = &self.watches[address.index()].names;
-        let lately = names.before.is_some() && now.since(names.changed) < self.period * 30;
-        lately || self.finding_tracker.is_open(FindingKind::OneAddressTwoNames, address)
+        let names = &self.histories[address.index()].names;
+        let recently = names.before.is_some() && now.since(names.changed) < self.period * 30;
+        recently || self.finding_tracker.is_open(FindingKind::OneAddressTwoNames, address)
     }
 }
 
-/// What the frame with which an answer begins says, without its padding.
+/// Returns the message in the first frame of a response, without padding.
 fn message(frame: &Frame, framing: Framing) -> &[u8] {
     match (framing, Pci::decode(frame.data(), frame.fd)) {
         (Framing::Raw, _) => strip_raw_padding(frame.data()),

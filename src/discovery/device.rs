@@ -1,7 +1,7 @@
-//! What is known of a device: the row that the user sees.
+//! Device rows: everything known about one device, its queries, heartbeat statistics and quirks.
 //!
-//! A device is the pair (name, address) on a bus; a node whose name is not known yet is a row
-//! too. Changed only by the [`super::Engine`].
+//! A device is the pair (name, address) on a bus; a node whose name is not known yet is a row too
+//! (protocol §5.1). Changed only by the [`super::Engine`].
 
 use crate::frame::BusIndex;
 use crate::text::Name;
@@ -14,32 +14,32 @@ use crate::wire::node::{Mode, Uid};
 use std::collections::VecDeque;
 use std::fmt;
 
-/// A device's identity in this session: stays with the row while others come and go.
+/// Identity of a device row while descan runs; stays the same when the device changes its address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct DeviceId {
-    /// The bus it is on.
+    /// Bus of the device.
     pub bus: BusIndex,
-    /// Its number on that bus, in the order of appearance; never given twice.
+    /// Number on that bus, in the order of appearance; never reused.
     pub number: u32,
 }
 
-/// Whether a device is there, judged by the age of what was heard of it.
+/// Presence of a device, by the age of its frames (protocol §4.6).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Presence {
-    /// Its heartbeats come.
+    /// Heartbeats arrive.
     Online,
     /// The last heartbeat is older than 2.5 periods.
     Stale,
-    /// Heartbeats are missing, but other frames of it arrive.
+    /// Heartbeats are missing, other frames arrive.
     Silent,
     /// Heartbeats are missing and its last known mode was IDLE.
     Asleep,
-    /// Nothing for 5 periods.
+    /// No frame for 5 periods.
     Lost,
 }
 
 impl Presence {
-    /// The word for it, as in JSON.
+    /// Returns the name in JSON.
     pub const fn name(self) -> &'static str {
         match self {
             Presence::Online => "online",
@@ -57,53 +57,57 @@ impl fmt::Display for Presence {
     }
 }
 
-/// One service of a device.
+/// One service in a services response (protocol §2.3).
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct DeviceService {
-    /// Its index in the answer.
+    /// Index in the response, from 0.
     pub index: u8,
-    /// Its name.
+    /// Name of the service.
     pub name: Name,
-    /// Its version.
+    /// Version; empty where the response has none.
     pub version: Name,
-    /// The strings after the version.
+    /// Further strings after the version.
     pub extra: Vec<Name>,
 }
 
-/// How regular a device's heartbeats are.
+/// Statistics of a device's heartbeats.
 #[derive(Clone, Debug, Default)]
+#[non_exhaustive]
 pub struct HeartbeatStats {
-    /// How many were heard.
+    /// Number of heartbeats received.
     pub count: u64,
-    /// When the last one was heard.
+    /// Time of the last heartbeat; `None` before the first.
     pub last: Option<Instant>,
-    /// Heartbeats that should have come and did not.
+    /// Number of heartbeats missed while the bus was up.
     pub missed: u64,
     intervals: u64,
     mean_us: f64,
     variance_us: f64,
-    /// The last heartbeat before one that was out of phase.
+    /// Last heartbeat before one that was out of phase.
     in_phase: Option<Instant>,
 }
 
-/// Who was not heard for so many periods may not be there.
+/// Age of the last heartbeat, in periods, at which a device is stale.
 pub(super) const STALE_PERIODS: f64 = 2.5;
-/// A gap of this many periods between heartbeats may be a reboot.
+/// Gap between heartbeats, in periods, that may be a reboot.
 pub(super) const SILENT_PERIODS: f64 = 1.4;
 
 impl HeartbeatStats {
-    /// The mean interval between heartbeats, without gaps; `None` before there is one.
+    /// Returns the mean interval between heartbeats, without gaps; `None` before the first
+    /// interval.
     pub fn period(&self) -> Option<Duration> {
         (self.intervals > 0).then(|| Duration::from_micros(self.mean_us as u64))
     }
 
-    /// The standard deviation of the interval; `None` before there are two.
+    /// Returns the standard deviation of the interval; `None` before the second interval.
     pub fn jitter(&self) -> Option<Duration> {
         (self.intervals > 1).then(|| Duration::from_micros(self.variance_us.max(0.0).sqrt() as u64))
     }
 
-    /// Counts a heartbeat; `period` is the one expected, `unheard` how many were due since the one
-    /// before while none could be heard. Returns the gap since the one before.
+    /// Counts a heartbeat and returns the time since the previous one. `period` is the expected
+    /// interval; `missed_in_outage` is the number of heartbeats due since the previous one while
+    /// the bus was down.
     pub(super) fn record_heartbeat(
         &mut self,
         now: Instant,
@@ -128,14 +132,14 @@ impl HeartbeatStats {
         gap
     }
 
-    /// Another sender's phase is no shift of this one's.
+    /// Forgets the phase, because another device sends the heartbeats now.
     pub(super) fn forget_phase(&mut self) {
         self.in_phase = None;
     }
 
-    /// Whether the heartbeat that came at `now` shows that its sender started anew: the one before
-    /// was no whole number of periods after those before it, and this one keeps to the new phase.
-    /// One that the bus held up is followed by one in the old phase.
+    /// Returns true if the heartbeat at `now` shows that its sender restarted: the previous
+    /// heartbeat was not a whole number of periods after the one before it, and this one keeps the
+    /// new phase. A heartbeat that only the bus delayed is followed by one in the old phase.
     pub(super) fn is_phase_shifted(
         &mut self,
         now: Instant,
@@ -143,7 +147,7 @@ impl HeartbeatStats {
         period: Duration,
         jitter: Option<Duration>,
     ) -> bool {
-        // Who has no rhythm yet has no phase.
+        // Without a known jitter there is no phase.
         let (Some(before), Some(jitter)) = (before, jitter) else { return false };
         let noise = jitter.as_secs_f64() / period.as_secs_f64();
         let off = |since: Instant| {
@@ -160,52 +164,54 @@ impl HeartbeatStats {
     }
 }
 
-/// How far a question to a device has come.
+/// State of a query.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum QueryState {
-    /// Not asked (listen-only, or not its turn yet).
+    /// No request sent: listen-only, or not due yet.
     #[default]
     NotAsked,
-    /// Asked, waiting.
+    /// Request sent, no response yet.
     Asked,
-    /// Its answer is arriving in several frames.
+    /// A multi-frame response is arriving.
     Receiving,
-    /// Answered.
+    /// Response received.
     Answered,
-    /// Asked as often as is sensible, without an answer. Asked again from time to time.
+    /// All attempts used without a response; tried again from time to time.
     Unanswered,
 }
 
-/// One question (for the name, or for the services) and its history.
+/// A query, for the name or for the services, with its retries and its last result.
 #[derive(Clone, Copy, Debug, Default)]
+#[non_exhaustive]
 pub struct Query {
-    /// How far it has come.
+    /// State of the query.
     pub state: QueryState,
-    /// How often it was asked since the last answer.
+    /// Attempts since the last response.
     pub attempts: u32,
-    /// When it was asked last.
+    /// Time of the last request; `None` before the first.
     pub asked_at: Option<Instant>,
-    /// When it was answered last.
+    /// Time of the last response; `None` before the first.
     pub answered_at: Option<Instant>,
-    /// From question to the answer's end, of the last answer.
+    /// Time from the request to the end of the last response.
     pub took: Option<Duration>,
-    /// What was wrong with the last answer.
+    /// Fault of the last response, if any.
     pub fault: Option<QueryFault>,
-    /// It was asked as often as is sensible since the last answer; still so while it is asked again.
+    /// True if all attempts since the last response were used; stays true while the query is
+    /// repeated.
     pub in_vain: bool,
-    /// When it is to be asked (again), where it is.
+    /// Time of the next request, if one is planned.
     pub(super) due: Option<Instant>,
-    /// Until when an answer, or its next frame, is awaited.
+    /// Timeout of the response, or of its next frame.
     pub(super) deadline: Option<Instant>,
 }
 
 impl Query {
-    /// Whether an answer is awaited.
+    /// Returns true if a response is awaited.
     pub fn is_waiting(&self) -> bool {
         matches!(self.state, QueryState::Asked | QueryState::Receiving)
     }
 
-    /// Asks anew at `at`, with all attempts before it.
+    /// Plans a request at `at` with all attempts available, unless a response is awaited.
     pub(super) fn schedule(&mut self, at: Instant) {
         if !self.is_waiting() {
             self.attempts = 0;
@@ -213,22 +219,22 @@ impl Query {
         }
     }
 
-    /// The same where something has changed since it was asked: the attempt under way is the
-    /// first, not the last before it is given up.
+    /// Like [`schedule`](Self::schedule), for a device that has changed: an attempt under way
+    /// counts as the first one.
     pub(super) fn restart(&mut self, at: Instant) {
         self.attempts = self.attempts.min(1);
         self.schedule(at);
     }
 
-    /// Gives up until `again`.
+    /// Ends the query without a response, until `again`.
     pub(super) fn give_up(&mut self, again: Instant) {
         self.state = QueryState::Unanswered;
         self.in_vain = true;
         self.due = Some(again);
     }
 
-    /// Notes an answer.
-    pub(super) fn answered(&mut self, now: Instant, fault: Option<QueryFault>) {
+    /// Records a response, with its fault if any.
+    pub(super) fn record_response(&mut self, now: Instant, fault: Option<QueryFault>) {
         if let (true, Some(asked_at)) = (self.is_waiting(), self.asked_at) {
             self.took = Some(now.since(asked_at));
         }
@@ -242,28 +248,28 @@ impl Query {
     }
 }
 
-/// Why an answer could not be used, or only in part.
+/// Fault of a response that could not be used, or only in part.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum QueryFault {
-    /// Its message is malformed.
+    /// The message is malformed.
     #[error("{0}")]
     Answer(#[from] ResponseFault),
-    /// Its transfer broke off.
+    /// The multi-frame transfer was aborted.
     #[error("{0}")]
     Transfer(#[from] TransferFault),
-    /// The device answered with the error flag.
+    /// The device responded with the error flag (E bit).
     #[error("the device reports an error")]
     Refused,
 }
 
-/// A deviation from the platform that is understood all the same.
+/// Deviation of a device from the platform that descan tolerates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Quirk {
-    /// Answers carry the request's DST instead of the asker's address.
+    /// Responses carry the request's DST instead of the requester's address.
     RspDstEcho,
-    /// Sends identifiers that are none of the nine types.
+    /// Sends identifiers that are none of the nine message types.
     NonConforming,
-    /// Answers in both framings.
+    /// Responds in both framings.
     BothFramings,
     /// Heartbeats are shorter than the profile's layout.
     ShortHeartbeat,
@@ -283,7 +289,7 @@ impl Quirk {
         }
     }
 
-    /// What it means, for people.
+    /// Returns a description for the screen.
     pub const fn describe(self) -> &'static str {
         match self {
             Quirk::RspDstEcho => "responses carry the request's DST, not the requester's address",
@@ -295,84 +301,85 @@ impl Quirk {
     }
 }
 
-/// Modes that are remembered per device.
+/// Maximum number of mode changes stored per device.
 const MAX_MODES: usize = 16;
 
-/// A mode a device was in, and since when.
+/// Mode of a device with the time of its begin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct ModeChange {
-    /// When it was first seen in it.
+    /// Time of the first heartbeat in this mode.
     pub time: Instant,
     /// The mode.
     pub mode: Mode,
 }
 
-/// A row: what is known of a device.
+/// Everything known about one device: a row on the screen.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct Device {
-    /// Its identity in this session.
+    /// Identity of the row.
     pub id: DeviceId,
-    /// Its main address: where its name answer came from.
+    /// Address that its name response came from.
     pub address: Address,
-    /// Its name; `None` while it is known by its frames alone.
+    /// Name; `None` while only its frames are known.
     pub name: Option<Name>,
-    /// Whether it is there.
+    /// Presence.
     pub presence: Presence,
-    /// Since when its presence is what it is.
+    /// Time of the last change of `presence`.
     pub presence_since: Instant,
-    /// Whether it is in a working mode, by the U bit of its last frame.
+    /// True if it is in a working mode, by the U bit of its last frame.
     pub working: bool,
-    /// Its mode, where its heartbeats say it.
+    /// Mode in its heartbeats; `None` where they carry none.
     pub mode: Option<Mode>,
-    /// The error code in its heartbeats.
+    /// Error code in its heartbeats; `None` where they carry none.
     pub error: Option<u8>,
-    /// Its DEV_CFG_UID, where its heartbeats say it.
+    /// DEV_CFG_UID in its heartbeats; `None` where they carry none.
     pub uid: Option<Uid>,
-    /// How it lays its answers into frames.
+    /// Framing of its responses; `None` before the first.
     pub framing: Option<Framing>,
-    /// Its services; `None` while they are not known.
+    /// Services; `None` before the first services response.
     pub services: Option<Vec<DeviceService>>,
-    /// The services before they changed last, where they did.
+    /// Services before their last change; `None` if they never changed.
     pub previous_services: Option<Vec<DeviceService>>,
-    /// Its heartbeats.
+    /// Heartbeat statistics.
     pub heartbeat: HeartbeatStats,
-    /// The question for its name.
+    /// Query for the name.
     pub name_query: Query,
-    /// The question for its services.
+    /// Query for the services.
     pub services_query: Query,
-    /// Deviations noted against it.
+    /// Deviations from the platform, each once.
     pub quirks: Vec<Quirk>,
-    /// The last modes, oldest first, at most 16.
+    /// Mode changes, oldest first, at most 16.
     pub mode_history: VecDeque<ModeChange>,
-    /// When it was first heard.
+    /// Time of the first frame.
     pub first_seen: Instant,
-    /// When it was last heard.
+    /// Time of the last frame.
     pub last_seen: Instant,
-    /// How many frames of it were heard.
+    /// Number of frames received from it.
     pub frames: u64,
-    /// How often it rebooted.
+    /// Number of reboots detected.
     pub reboots: u32,
-    /// When it rebooted last.
+    /// Time of the last reboot; `None` if there was none.
     pub rebooted_at: Option<Instant>,
-    /// When another row began to speak from its address.
+    /// Time at which another row became the active one at its address.
     pub(super) replaced_at: Option<Instant>,
-    /// The UID its heartbeats said before the present one.
+    /// UID in its heartbeats before the present one.
     pub(super) uid_before: Option<Uid>,
-    /// Whether the last heartbeat from its address was one of a node that is about to take another
-    /// mode.
+    /// True if the last heartbeat had mode INIT or ARSLV: the node is about to change its mode.
     pub(super) is_resolving: bool,
-    /// Whether the last heartbeat from its address was another one's, who has no row yet.
+    /// True if the last heartbeat from its address came from another node that has no row yet.
     pub(super) last_heartbeat_was_other_node: bool,
-    /// The address it moved from last.
+    /// Previous address; `None` if it never moved.
     pub moved_from: Option<Address>,
-    /// Whether it is a debug device: at address 0, or one of our kind.
+    /// True if it is a debug device: at address 0, or with descan's own name.
     pub is_debug: bool,
-    /// How many rounds in a row it did not answer.
+    /// Number of successive enumeration rounds without a response.
     pub rounds_missed: u32,
 }
 
 impl Device {
-    /// A node of which one frame was heard.
+    /// Creates the row of a node whose first frame was received at `now`.
     pub(super) fn appear(id: DeviceId, now: Instant, address: Address, working: bool) -> Self {
         Self {
             id,
@@ -407,12 +414,12 @@ impl Device {
         }
     }
 
-    /// Whether it is the same device as an entry with that name (bytes equal).
+    /// Returns true if the device's name has exactly these bytes.
     pub fn is_named(&self, name: &[u8]) -> bool {
         self.name.as_ref().is_some_and(|own| own.as_bytes() == name)
     }
 
-    /// The question of that kind.
+    /// Returns the query of that kind.
     pub fn query(&self, request: Request) -> &Query {
         match request {
             Request::Name => &self.name_query,
@@ -427,7 +434,7 @@ impl Device {
         }
     }
 
-    /// What was heard from its address lately, under another row, is this one's.
+    /// Takes over what was last received from its address under another row.
     pub(super) fn adopt_live_state(&mut self, live: &Self) {
         self.heartbeat = live.heartbeat.clone();
         self.uid = live.uid;
@@ -438,11 +445,11 @@ impl Device {
         self.last_seen = live.last_seen;
     }
 
-    /// Takes note, before anything else of it is, that something is heard of it now: what it was
-    /// asked in vain while it was silent for far longer than it ever was before, it is asked once
-    /// more. It may not have heard us, nor we it. True where something is asked.
+    /// Restarts queries that failed while the device was silent. Call before `last_seen` is
+    /// updated. Applies if the silence exceeds 2.5 heartbeat periods and four times the device's
+    /// mean frame interval. Returns true if a query was restarted.
     pub(super) fn retry_after_silence(&mut self, now: Instant, period: Duration) -> bool {
-        // Or is about to be, once a round is over.
+        // A name query waits without a deadline until the current enumeration round is over.
         let waits_for_round = |it: &Query| it.state == QueryState::Asked && it.deadline.is_none();
         let in_vain = |it: &Query| it.state == QueryState::Unanswered || waits_for_round(it);
         if !in_vain(&self.name_query) && !in_vain(&self.services_query) {
@@ -453,20 +460,20 @@ impl Device {
         if silence < period.mul_f64(STALE_PERIODS) || silence < usual * 4 {
             return false;
         }
-        let mut asks = false;
+        let mut is_scheduled = false;
         for query in [&mut self.name_query, &mut self.services_query] {
             if in_vain(query) && query.asked_at >= Some(self.last_seen) {
                 if query.is_waiting() {
                     query.state = QueryState::NotAsked;
                 }
                 query.restart(now);
-                asks = true;
+                is_scheduled = true;
             }
         }
-        asks
+        is_scheduled
     }
 
-    /// Adds to the modes it was in; the oldest go.
+    /// Appends a mode change; drops the oldest beyond 16.
     pub(super) fn remember_mode(&mut self, change: ModeChange) {
         if self.mode_history.len() == MAX_MODES {
             self.mode_history.pop_front();
@@ -474,19 +481,20 @@ impl Device {
         self.mode_history.push_back(change);
     }
 
-    /// Notes a deviation once.
+    /// Adds a deviation, unless it is known already.
     pub(super) fn note(&mut self, quirk: Quirk) {
         if let Err(at) = self.quirks.binary_search(&quirk) {
             self.quirks.insert(at, quirk);
         }
     }
 
-    /// The UID its heartbeats said before the present one: where two take turns, the other's.
+    /// Returns the UID in its heartbeats before the present one; where two devices alternate, that
+    /// of the other device.
     pub fn uid_before(&self) -> Option<Uid> {
         self.uid_before
     }
 
-    /// Whether it is on the bus as far as can be told.
+    /// Returns true if the device is not lost.
     pub fn is_present(&self) -> bool {
         self.presence != Presence::Lost
     }

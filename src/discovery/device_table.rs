@@ -1,21 +1,22 @@
-//! The rows of one bus, and which of them speaks from which address.
+//! Device rows of one bus, and the active row of each address.
 
 use super::device::{Device, DeviceId, Presence};
 use crate::frame::BusIndex;
 use crate::time::Instant;
 use crate::wire::id::Address;
 
-/// How many rows a bus may have: 127 nodes, what they were before, and room for more.
-/// A device that calls itself something else each time must not fill the memory.
+/// Maximum number of rows: 127 nodes, earlier devices at their addresses, and a margin. Bounds the
+/// memory for a device that changes its name each time.
 pub(super) const MAX_DEVICES: usize = 512;
 
+/// Device rows in the order of appearance, with the active row of each address.
 #[derive(Debug)]
 pub(super) struct DeviceTable {
     bus: BusIndex,
     devices: Vec<Device>,
     current: [Option<u16>; Address::COUNT],
     next_number: u32,
-    /// Counts rows and names that were new: whether a round brought something.
+    /// Number of rows and names found so far, to tell whether a round found something new.
     pub discoveries: u64,
 }
 
@@ -50,16 +51,18 @@ impl DeviceTable {
         self.index_of(id).map(|at| &self.devices[at])
     }
 
+    /// Returns the index of a row; rows are sorted by the number of their id.
     pub fn index_of(&self, id: DeviceId) -> Option<usize> {
         let at = self.devices.binary_search_by_key(&id.number, |device| device.id.number);
         at.ok().filter(|&at| self.devices[at].id == id)
     }
 
-    /// The row that speaks from `address` now.
+    /// Returns the index of the active row at `address`.
     pub fn active_at(&self, address: Address) -> Option<usize> {
         self.current[address.index()].map(usize::from)
     }
 
+    /// Returns the active row at `address`.
     pub fn current_device(&self, address: Address) -> Option<&Device> {
         self.active_at(address).map(|index| &self.devices[index])
     }
@@ -68,17 +71,18 @@ impl DeviceTable {
         self.active_at(address).map(|index| &mut self.devices[index])
     }
 
+    /// Returns true if the row is the active one at its address.
     pub fn is_current(&self, index: usize) -> bool {
         self.active_at(self.devices[index].address) == Some(index)
     }
 
-    /// Lets another row at its address speak.
+    /// Makes a row the active one at its address.
     pub fn activate(&mut self, index: usize) {
         self.current[self.devices[index].address.index()] = Some(index as u16);
     }
 
-    /// A new row that speaks from `address`; `None` when there are too many, and none of them
-    /// is lost.
+    /// Adds an active row at `address`. If the table is full, it replaces the lost row that was
+    /// silent for the longest time; `None` if no row is lost.
     pub fn insert(&mut self, now: Instant, address: Address, working: bool) -> Option<usize> {
         if self.devices.len() >= MAX_DEVICES {
             let oldest = (0..self.devices.len())
@@ -93,7 +97,7 @@ impl DeviceTable {
         Some(self.devices.len() - 1)
     }
 
-    /// An id that no row has or will have.
+    /// Returns a new id that no row will have.
     pub fn reserve(&mut self) -> DeviceId {
         let id = DeviceId { bus: self.bus, number: self.next_number };
         self.next_number += 1;
@@ -113,8 +117,8 @@ impl DeviceTable {
         device
     }
 
-    /// The row `old` goes on as what is known of the row `new`, at its address: one device
-    /// that moved. Returns its index.
+    /// Merges row `new` into row `old`, for one device that moved, and keeps the id of `old` and
+    /// the address of `new`. Returns the index of the merged row.
     pub fn merge_rows(&mut self, old: usize, new: usize) -> usize {
         let was_current = self.is_current(old);
         let fresh = self.remove(new);
@@ -150,7 +154,7 @@ impl DeviceTable {
         old
     }
 
-    /// The row is at another address now, and speaks from there.
+    /// Moves a row to another address and makes it the active one there.
     pub fn move_to_address(&mut self, index: usize, address: Address) {
         let was_current = self.is_current(index);
         let device = &mut self.devices[index];
@@ -163,7 +167,7 @@ impl DeviceTable {
         self.current[address.index()] = Some(index as u16);
     }
 
-    /// Forgets the rows that are lost.
+    /// Removes the lost rows.
     pub fn clear_lost(&mut self) {
         for at in (0..self.devices.len()).rev() {
             if self.devices[at].presence == Presence::Lost {

@@ -1,66 +1,69 @@
-//! Frames that come twice: a bridge, a gateway or an echo sends again what was on the bus.
+//! Detector of repeated frames: a bridge, a gateway or an echo sends every frame again (protocol
+//! §5.4). Input: heartbeats, responses and their times; output: whether a frame is a copy to be
+//! ignored.
 //!
-//! Two devices at one address are given away by frames that come once too often, and so is
-//! something in between that repeats everything. It is told by its repeating *everything*: the
-//! heartbeats of several addresses, RND7 and all, each again after a moment. While that goes on,
-//! the second of two equal frames is left out before anything is learnt from it. Where devices
-//! hear questions twice, they answer twice: then all of those that are asked do, or nearly all.
+//! Repeated frames look like two devices at one address. The difference is that *everything* is
+//! repeated: the heartbeats of several addresses, including RND7, each after a short delay. While
+//! that is so, the second of two equal frames is ignored. If devices receive requests twice, they
+//! respond twice: then all of those addressed do, or nearly all.
 //!
-//! Two boards whose random numbers are equal, as those of new ones may well be, draw the same RND7
-//! each time. Then the phase between their heartbeats gives them away: what sends again is not much
-//! quicker with answers than with heartbeats.
+//! Two boards with equal random numbers, as new ones may have, draw the same RND7 each time. They
+//! differ from a bridge in the phase between their heartbeats: a bridge is not much faster with
+//! responses than with heartbeats.
 //!
 //! Does not judge devices.
 
-use super::address_history::REPEATED_WITHIN;
+use super::address_history::REPEAT_WINDOW;
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
 use std::collections::VecDeque;
 use std::hash::{DefaultHasher, Hash, Hasher};
 
-/// Copies in a row from the only address that beats.
+/// Successive copies that count if only one address sends heartbeats.
 const COPIES_OF_ONE: u32 = 3;
-/// So many answers in a row that come twice much quicker than heartbeats do, are two devices'.
+/// Successive response pairs, much closer than heartbeat pairs, that show two devices.
 const FAST_PAIRS: usize = 3;
-/// By how much quicker, at least: as unsteady as what sends again may be.
+/// Minimum difference between the delays of heartbeat and response pairs: the jitter of a bridge.
 const FAST_PAIR_MARGIN: Duration = Duration::from_millis(5);
-/// Frames of which a copy may still come.
+/// Maximum number of frames whose copy may still arrive.
 const MAX_OPEN: usize = 1024;
 
+/// Last heartbeat of one address.
 #[derive(Clone, Copy, Debug)]
 struct RecentHeartbeat {
     frame: Frame,
     copied: bool,
-    /// Its sender draws a new RND7 each time.
+    /// True if its sender draws a new RND7 for each heartbeat.
     varies: bool,
 }
 
+/// Detector of repeated frames on one bus.
 #[derive(Debug)]
 pub(super) struct DuplicateFrameDetector {
     period: Duration,
-    beats: Vec<Option<RecentHeartbeat>>,
-    /// Heartbeats in a row that came twice, and from which address the last one was.
+    heartbeats: Vec<Option<RecentHeartbeat>>,
+    /// Number of successive copied heartbeats, and the address of the last one.
     copies: u32,
     copied: Option<Address>,
-    /// Whether copies came from several addresses.
+    /// True if heartbeats of several addresses were copied.
     several: bool,
     until: Instant,
-    /// The longest that a copy of a heartbeat took, and the shortest in this row.
+    /// Longest delay of a copied heartbeat, and the shortest in this series.
     delay: Duration,
     shortest: Option<Duration>,
-    /// When the last answers came twice, and how quickly.
+    /// Times and delays of the last pairs of equal responses.
     twice: VecDeque<(Instant, Duration)>,
-    /// Frames that a copy may come of, by the hash of what was on the wire.
+    /// Frames whose copy may still arrive, by the hash of identifier and data.
     open: VecDeque<(Instant, u64)>,
     echoed_until: Instant,
     responses: RoundResponses,
 }
 
-/// Who answered the last question to all, and who did twice.
+/// Addresses that responded to the last broadcast request once and twice, one bit each.
 #[derive(Debug, Default)]
 struct RoundResponses {
-    asked_at: Instant,
+    sent_at: Instant,
     once: u128,
     twice: u128,
 }
@@ -69,7 +72,7 @@ impl DuplicateFrameDetector {
     pub fn new(period: Duration) -> Self {
         Self {
             period,
-            beats: vec![None; Address::COUNT],
+            heartbeats: vec![None; Address::COUNT],
             copies: 0,
             copied: None,
             several: false,
@@ -83,13 +86,14 @@ impl DuplicateFrameDetector {
         }
     }
 
-    /// Whether everything comes twice.
+    /// Returns true if all frames are repeated.
     pub fn is_active(&self, now: Instant) -> bool {
         now < self.until
     }
 
-    /// Whether a frame, a heartbeat or (`beat`) not, is the second of two, to be left out.
-    pub fn is_copy(&mut self, now: Instant, beat: bool, frame: &Frame) -> bool {
+    /// Returns true if a frame is the copy of an earlier one, to be ignored. `heartbeat`: whether
+    /// it is a heartbeat.
+    pub fn is_copy(&mut self, now: Instant, heartbeat: bool, frame: &Frame) -> bool {
         if !self.is_active(now) {
             self.open.clear();
             return false;
@@ -103,7 +107,7 @@ impl DuplicateFrameDetector {
         let hash = hasher.finish();
         let at = self.open.iter().position(|(_, open)| *open == hash);
         if let Some((first, _)) = at.and_then(|at| self.open.remove(at)) {
-            if !beat {
+            if !heartbeat {
                 self.note_duplicate(now, now.since(first));
             }
             return true;
@@ -115,21 +119,27 @@ impl DuplicateFrameDetector {
         false
     }
 
-    /// Takes a heartbeat from `address`, before [`is_copy`](Self::is_copy) is asked about it.
+    /// Notes a heartbeat from `address`; call before [`is_copy`](Self::is_copy).
     pub fn note_heartbeat(&mut self, now: Instant, address: Address, frame: &Frame) {
         let period = self.period;
-        if self.beats.iter().flatten().all(|beat| now.since(beat.frame.time) > period * 3) {
+        if self
+            .heartbeats
+            .iter()
+            .flatten()
+            .all(|heartbeat| now.since(heartbeat.frame.time) > period * 3)
+        {
             self.several = false;
             self.twice.clear();
         }
         let is_on = self.is_active(now);
-        let last = &mut self.beats[address.index()];
-        let copied = last.filter(|beat| !beat.copied && beat.frame.same_on_wire(frame));
-        let late = copied.map(|beat| now.since(beat.frame.time));
-        let varies = last.is_some_and(|beat| beat.varies);
-        let most = if varies { period / 2 } else { REPEATED_WITHIN };
-        if let (Some(late), Some(beat)) = (late.filter(|late| *late <= most), last.as_mut()) {
-            beat.copied = true;
+        let last = &mut self.heartbeats[address.index()];
+        let copied =
+            last.filter(|heartbeat| !heartbeat.copied && heartbeat.frame.same_on_wire(frame));
+        let late = copied.map(|heartbeat| now.since(heartbeat.frame.time));
+        let varies = last.is_some_and(|heartbeat| heartbeat.varies);
+        let most = if varies { period / 2 } else { REPEAT_WINDOW };
+        if let (Some(late), Some(heartbeat)) = (late.filter(|late| *late <= most), last.as_mut()) {
+            heartbeat.copied = true;
             self.copies += 1;
             self.several |= self.copied.is_some_and(|other| other != address);
             self.copied = Some(address);
@@ -141,10 +151,11 @@ impl DuplicateFrameDetector {
             }
             return;
         }
-        // The one before had no copy in all this time.
-        if last.is_some_and(|beat| !beat.copied && now.since(beat.frame.time) > most) {
+        // The previous heartbeat had no copy in time.
+        if last.is_some_and(|heartbeat| !heartbeat.copied && now.since(heartbeat.frame.time) > most)
+        {
             if is_on {
-                // One may be lost: the next copy counts again.
+                // One copy may be lost: the next one counts again.
                 self.copies = self.copies.min(COPIES_OF_ONE - 1);
             } else {
                 self.copies = 0;
@@ -153,7 +164,7 @@ impl DuplicateFrameDetector {
                 self.shortest = None;
             }
         }
-        let other = last.is_some_and(|beat| !beat.frame.same_on_wire(frame));
+        let other = last.is_some_and(|heartbeat| !heartbeat.frame.same_on_wire(frame));
         *last = Some(RecentHeartbeat {
             frame: frame.with_time(now),
             copied: false,
@@ -161,50 +172,54 @@ impl DuplicateFrameDetector {
         });
     }
 
+    /// Returns true if no other address sends heartbeats.
     fn is_single_source(&self, now: Instant, address: Address) -> bool {
-        let mut beats = self.beats.iter().enumerate().filter(|(at, _)| *at != address.index());
-        beats.all(|(_, beat)| beat.is_none_or(|beat| now.since(beat.frame.time) > self.period * 3))
+        let mut heartbeats =
+            self.heartbeats.iter().enumerate().filter(|(at, _)| *at != address.index());
+        heartbeats.all(|(_, heartbeat)| {
+            heartbeat.is_none_or(|heartbeat| now.since(heartbeat.frame.time) > self.period * 3)
+        })
     }
 
-    /// An answer came that is equal to one that long before.
-    pub fn note_duplicate(&mut self, now: Instant, took: Duration) {
-        // What comes in one burst counts once.
+    /// Notes a response equal to one received `delay` before.
+    pub fn note_duplicate(&mut self, now: Instant, delay: Duration) {
+        // A burst counts once.
         let last = self.twice.back_mut().filter(|(at, _)| now.since(*at) < self.period / 4);
         if let Some((_, longest)) = last {
-            *longest = took.max(*longest);
+            *longest = delay.max(*longest);
         } else {
             if self.twice.len() == FAST_PAIRS {
                 self.twice.pop_front();
             }
-            self.twice.push_back((now, took));
+            self.twice.push_back((now, delay));
         }
         if !self.several && self.has_two_responders() {
             self.until = self.until.min(now);
         }
     }
 
-    /// Whether those whose heartbeats seem to come twice answer as two devices do.
+    /// Returns true if responses come in pairs as from two devices, not from a bridge.
     fn has_two_responders(&self) -> bool {
         let Some(shortest) = self.shortest else { return false };
-        let quick = |(_, took): &(Instant, Duration)| {
-            *took <= shortest / 2 && *took + FAST_PAIR_MARGIN <= shortest
+        let quick = |(_, delay): &(Instant, Duration)| {
+            *delay <= shortest / 2 && *delay + FAST_PAIR_MARGIN <= shortest
         };
         self.twice.len() == FAST_PAIRS && self.twice.iter().all(quick)
     }
 
-    /// A frame of ours came back as somebody else's: devices may have heard it twice as well.
+    /// Notes that a frame of descan was repeated: devices may have received it twice as well.
     pub fn note_own_echo(&mut self, now: Instant) {
         self.echoed_until = now + self.period * 3;
     }
 
-    /// A question to all; those of one round belong together.
+    /// Notes a broadcast request; those of one enumeration round belong together.
     pub fn note_broadcast(&mut self, now: Instant) {
-        if now.since(self.responses.asked_at) > self.period / 2 {
-            self.responses = RoundResponses { asked_at: now, once: 0, twice: 0 };
+        if now.since(self.responses.sent_at) > self.period / 2 {
+            self.responses = RoundResponses { sent_at: now, once: 0, twice: 0 };
         }
     }
 
-    /// An answer to a question to all from `address`; `extra`: one more than there were questions.
+    /// Notes a response to a broadcast request; `extra`: it is beyond the number of requests.
     pub fn note_response(&mut self, address: Address, extra: bool) {
         let bit = 1 << address.index();
         self.responses.once |= bit;
@@ -213,9 +228,9 @@ impl DuplicateFrameDetector {
         }
     }
 
-    /// Whether questions reach devices twice, as far as their answers tell: a second answer is
-    /// then nobody else's.
-    pub fn asks_twice(&self, now: Instant) -> bool {
+    /// Returns true if devices seem to receive requests twice, so that a second response is not
+    /// another device's.
+    pub fn has_duplicate_requests(&self, now: Instant) -> bool {
         if self.is_active(now) || now < self.echoed_until {
             return true;
         }
@@ -238,53 +253,54 @@ mod tests {
         Instant::from_micros(millis * 1000)
     }
 
-    /// A heartbeat from `source` with that RND7.
-    fn beat(source: u32, rnd7: u32, millis: u64) -> Frame {
+    /// A heartbeat from `source` with `rnd7`.
+    fn heartbeat(source: u32, rnd7: u32, millis: u64) -> Frame {
         Frame::classic(0x0700_0001 | source << 17 | rnd7 << 10, &[1; 8]).with_time(at(millis))
     }
 
-    fn hear(duplicate_frames: &mut DuplicateFrameDetector, frame: &Frame) -> bool {
+    fn process(duplicate_frames: &mut DuplicateFrameDetector, frame: &Frame) -> bool {
         let source = (frame.platform_id().unwrap() >> 17) as u8;
         duplicate_frames.note_heartbeat(frame.time, address(source), frame);
         duplicate_frames.is_copy(frame.time, true, frame)
     }
 
     #[test]
-    fn what_repeats_everything_is_recognised_and_its_copies_left_out() {
+    fn bridge_repeating_all_frames_is_detected() {
         let mut duplicate_frames = DuplicateFrameDetector::new(PERIOD);
         for second in 0..3 {
             for source in [5, 9] {
                 let start = second * 1000 + u64::from(source) * 50;
-                assert!(!hear(&mut duplicate_frames, &beat(source, second as u32, start)));
-                let copy = hear(&mut duplicate_frames, &beat(source, second as u32, start + 12));
-                assert!(copy || second == 0, "the copy in second {second} is left out");
+                assert!(!process(&mut duplicate_frames, &heartbeat(source, second as u32, start)));
+                let copy =
+                    process(&mut duplicate_frames, &heartbeat(source, second as u32, start + 12));
+                assert!(copy || second == 0, "the copy in second {second} is ignored");
             }
         }
         assert!(duplicate_frames.is_active(at(3000)));
-        assert!(!duplicate_frames.is_active(at(6000)), "it is over when no more copies come");
+        assert!(!duplicate_frames.is_active(at(6000)), "ends without further copies");
     }
 
     #[test]
-    fn two_equal_devices_at_one_address_are_no_bridge() {
+    fn equal_devices_at_one_address_are_not_a_bridge() {
         let mut duplicate_frames = DuplicateFrameDetector::new(PERIOD);
         for second in 0..20 {
             for (source, phase) in [(5, 0), (5, 60), (9, 500)] {
-                hear(&mut duplicate_frames, &beat(source, 0, second * 1000 + phase));
+                process(&mut duplicate_frames, &heartbeat(source, 0, second * 1000 + phase));
             }
         }
         assert!(!duplicate_frames.is_active(at(20_000)));
     }
 
     #[test]
-    fn when_all_devices_answer_twice_they_were_asked_twice() {
+    fn all_devices_responding_twice_got_two_requests() {
         let mut duplicate_frames = DuplicateFrameDetector::new(PERIOD);
         for source in 1..=4 {
             duplicate_frames.note_response(address(source), source == 1);
         }
-        assert!(!duplicate_frames.asks_twice(at(0)), "one of four");
+        assert!(!duplicate_frames.has_duplicate_requests(at(0)), "one of four");
         for source in 2..=4 {
             duplicate_frames.note_response(address(source), true);
         }
-        assert!(duplicate_frames.asks_twice(at(10)), "all four");
+        assert!(duplicate_frames.has_duplicate_requests(at(10)), "all four");
     }
 }

@@ -1,4 +1,4 @@
-//! What happened on a bus, as it happened: the timeline's and `watch`'s raw material.
+//! Events of one bus, in the order in which they occur, for the timeline and for `watch`.
 
 use super::device::{DeviceId, Presence};
 use crate::finding::{Confidence, FindingKey};
@@ -7,116 +7,120 @@ use crate::time::Instant;
 use crate::wire::id::Address;
 use crate::wire::node::{Mode, Uid};
 
-/// Something that happened to a device or on the bus.
+/// An event of a device or of the bus, with its data as of its time.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct Event {
-    /// When.
+    /// Time of the event.
     pub time: Instant,
-    /// To which device, where it is about one.
+    /// Device concerned; `None` where the event is about the bus.
     pub device: Option<DeviceId>,
-    /// Its address then.
+    /// Address of the device at that time.
     pub address: Option<Address>,
-    /// Its name then.
+    /// Name of the device at that time; `None` if unknown.
     pub name: Option<Name>,
-    /// What.
+    /// Kind of the event.
     pub kind: EventKind,
 }
 
-/// The other one of two that want the same address, as far as it is known then.
+/// The other device in a conflict about an address, as far as it is known at that time.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct ConflictParty {
-    /// Its id.
+    /// Identity of the device.
     pub device: DeviceId,
-    /// Its name.
+    /// Name; `None` if unknown.
     pub name: Option<Name>,
-    /// Its UID, where that is not blank.
+    /// UID; `None` if blank or unknown.
     pub uid: Option<Uid>,
 }
 
-/// What happened.
+/// Kind of an event, with its data.
 #[derive(Clone, Debug)]
 pub enum EventKind {
-    /// A frame of a node not known before.
+    /// The first frame of a node was received.
     Appeared,
-    /// Its name is known now.
+    /// The name of the device became known.
     Named,
-    /// Its services are known now, or are others than before.
+    /// The services of the device became known, or changed.
     Services {
-        /// How many.
+        /// Number of services.
         count: usize,
-        /// Whether they differ from what was known before.
+        /// True if they differ from those known before.
         changed: bool,
     },
-    /// It changed its mode.
+    /// The device changed its mode.
     Mode {
-        /// The mode before, where it was known.
+        /// Previous mode; `None` if unknown.
         from: Option<Mode>,
-        /// The mode now.
+        /// Present mode.
         to: Mode,
     },
-    /// It claims the address: a heartbeat in ARSLV.
+    /// The device claimed its address: a heartbeat in ARSLV (protocol §7.5).
     Claimed {
-        /// The UID it claims with, where that is not blank.
+        /// UID in the claim; `None` if blank.
         uid: Option<Uid>,
-        /// Who beats from the address already, where somebody does.
+        /// Device that sends heartbeats from the address already, if any.
         holder: Option<ConflictParty>,
-        /// Whether it is only likely that it is another device than the holder: neither has a
-        /// UID that tells.
+        /// True if it is only likely, not certain, that it is another device than the holder:
+        /// neither has a UID that shows it.
         inferred: bool,
     },
-    /// It used the address, and fell silent there when another one used it.
+    /// The device gave up the address: it sent no more frames there after another device used it.
     GaveWay {
         /// Its UID, where that is not blank.
         uid: Option<Uid>,
-        /// Who beats from the address now.
+        /// Device that sends heartbeats from the address now; `None` if unknown.
         to: Option<ConflictParty>,
-        /// Whether it is only likely: it was not heard elsewhere since, or is known by its name
-        /// alone.
+        /// True if this is only likely: the device was not seen at another address since, or is
+        /// known by its name alone.
         inferred: bool,
     },
-    /// It is at another address than before.
+    /// The device moved to another address.
     Moved {
-        /// The address before.
+        /// Previous address.
         from: Address,
     },
-    /// What was told of another id before was told of this device.
+    /// Earlier events of another id concern this device.
     Joined {
-        /// That id: of a row that is gone, or of nobody known then.
+        /// The other id: of a removed row, or of a node without a row.
         was: DeviceId,
-        /// Only what was told before: since then the row speaks for another device.
+        /// Only events before this time are concerned; since then the id belongs to another device.
+        /// `None`: all events.
         before: Option<Instant>,
     },
-    /// It started anew.
+    /// The device rebooted.
     Rebooted,
-    /// Its presence changed to stale, silent, asleep or lost.
+    /// The presence changed to stale, silent, asleep or lost.
     Presence(Presence),
-    /// It is back after it was stale, silent, asleep or lost.
+    /// The device is online again.
     Returned {
-        /// What it was before.
+        /// Previous presence.
         was: Presence,
     },
-    /// A finding appeared or its confidence changed.
+    /// A finding was opened, or its state changed.
     Finding {
-        /// Which.
+        /// Identity of the finding.
         key: FindingKey,
-        /// How sure it is now.
+        /// Present state.
         confidence: Confidence,
     },
-    /// We took an address of our own.
+    /// descan took this address.
     OwnAddress(Address),
-    /// We gave our address up: somebody else uses it.
+    /// descan gave up this address: another node uses it.
     OwnAddressLost(Address),
-    /// We find no address: the fixed one is used by somebody else, or, without one, all are used.
+    /// descan has no address: the configured one is used by another node, or, with `None`, all
+    /// addresses are used.
     NoAddress(Option<Address>),
-    /// Nobody acknowledges our frames: nothing more is sent until somebody does.
+    /// No node acknowledges descan's frames: it pauses sending (protocol §6.3).
     NobodyAcknowledges,
-    /// Our frames are acknowledged (again).
+    /// descan's frames are acknowledged again.
     Acknowledged,
-    /// A DEBUG message.
+    /// A DEBUG message was received.
     Debug {
-        /// Its message code.
+        /// Message code, 10 bits.
         code: u16,
-        /// Its parameters.
+        /// Payload.
         data: Vec<u8>,
     },
 }

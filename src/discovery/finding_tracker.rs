@@ -1,11 +1,11 @@
-//! What evidence of collisions amounts to: findings, how sure each of them is, when to look into it
-//! again, and when it is over.
+//! Finding tracker: opens, confirms and clears findings. Input: evidence with its strength,
+//! requests seen, time. Output: [`Finding`]s, changes of their state, and addresses to query again.
 //!
-//! One piece of evidence proves nothing: a finding begins as *suspected*, is followed up by
-//! questions, and is *confirmed* only by strong evidence that goes on for five periods; what ends
-//! sooner because a device gave way is told as a contested address.
+//! One observation proves nothing: a finding begins as *suspected*, is followed up by name
+//! requests, and is *confirmed* by strong evidence over five heartbeat periods. One that ends
+//! sooner because a device gave up the address becomes `address-contested` (protocol §5.3).
 //!
-//! Does not know what is evidence: [`super::conflict_detector`] does.
+//! Does not know what counts as evidence: [`super::conflict_detector`] does.
 
 use super::finding_text;
 use crate::finding::{Confidence, Evidence, Finding, FindingKey, FindingKind};
@@ -15,51 +15,56 @@ use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
 use std::borrow::Cow;
 
-/// How many findings a bus may have.
+/// Maximum number of findings of one bus; more are refused and counted.
 const MAX_FINDINGS: usize = 512;
-/// After how long a suspicion is followed up, and again, by a question.
-const CHECK: Duration = Duration::from_secs(1);
-/// Questions that follow up a suspicion.
+/// Delay of the first follow-up request to a suspected finding, and between further ones.
+const FOLLOW_UP_DELAY: Duration = Duration::from_secs(1);
+/// Maximum number of follow-up requests to one suspected finding.
 const MAX_FOLLOW_UPS: u32 = 6;
-/// After how many periods without a question new evidence for a suspicion is followed up again.
-const ASK_AGAIN_PERIODS: u32 = 3;
-/// How often a collision that is confirmed is looked at again: often enough that it does not
-/// seem to be over because two equal answers merged once.
-const CHECK_AGAIN: Duration = Duration::from_secs(2);
-/// For how many periods evidence of heartbeats may pause and still go on.
-const PAUSE: f64 = 2.6;
-/// The same of answers, since somebody asked: two questions.
-const UNANSWERED_PERIODS: f64 = 1.75;
-/// Observations that need no second device to explain them: one may be a stray frame.
+/// Periods without a follow-up request after which new evidence starts a new series of them.
+const FOLLOW_UP_RESTART_PERIODS: u32 = 3;
+/// Interval of the requests that check a confirmed conflict: short enough that it is not cleared
+/// because two equal responses merged once.
+const CONFIRMED_RECHECK_DELAY: Duration = Duration::from_secs(2);
+/// Longest gap between heartbeat evidence that belongs together, in periods.
+const HEARTBEAT_GAP_PERIODS: f64 = 2.6;
+/// Longest gap between response evidence that belongs together, in periods since a request was
+/// seen: two requests.
+const RESPONSE_GAP_PERIODS: f64 = 1.75;
+/// Number of [`EvidenceStrength::Proof`] observations that confirm a finding; a single one may be a
+/// stray frame.
 const CONFIRM_AFTER_PROOFS: u32 = 2;
-/// Strong pieces of evidence that, lasting long enough, confirm a collision.
-const STRONG_CONFIRM: u32 = 3;
+/// Number of strong observations that confirm a conflict, if they last long enough.
+const CONFIRM_AFTER_STRONG: u32 = 3;
 
-/// How much a piece of evidence weighs.
+/// Strength of an observation.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum EvidenceStrength {
-    /// An innocent cause is well possible.
+    /// A harmless cause is likely enough.
     Weak,
-    /// Only a second device explains it, if it goes on.
+    /// Only a second device explains it, if it is seen again.
     Strong,
-    /// An observation: what is seen is so, if it is seen again.
+    /// Sufficient by itself when seen again, without a second device.
     Proof,
 }
 
+/// Evidence of one finding since it was opened.
 #[derive(Debug)]
 struct TrackState {
-    /// Since when there are two, as far as evidence that is more than a hint shows.
+    /// Time since when two devices are present, by evidence stronger than
+    /// [`EvidenceStrength::Weak`].
     began: Option<Instant>,
     strong: u32,
     strong_at: Option<Instant>,
-    /// Whether answers gave it away, not heartbeats alone.
-    responses: bool,
+    /// True if responses are part of the evidence, not heartbeats alone.
+    is_response_based: bool,
     follow_ups: u32,
     next_check: Option<Instant>,
-    /// When it was followed up last.
+    /// Time of the last follow-up request.
     checked_at: Instant,
 }
 
+/// Findings of one bus with the state that decides about them.
 #[derive(Debug)]
 pub(super) struct FindingTracker {
     bus: BusIndex,
@@ -68,8 +73,8 @@ pub(super) struct FindingTracker {
     findings: Vec<Finding>,
     trackers: Vec<TrackState>,
     changed: Vec<(FindingKey, Confidence)>,
-    /// When each address was asked the first time since answers told of a second device there.
-    asked: [Option<Instant>; Address::COUNT],
+    /// Time of the first request to each address since its last response evidence.
+    requested_at: [Option<Instant>; Address::COUNT],
     rng: fastrand::Rng,
     pub refused: u64,
 }
@@ -83,7 +88,7 @@ impl FindingTracker {
             findings: Vec::new(),
             trackers: Vec::new(),
             changed: Vec::new(),
-            asked: [None; Address::COUNT],
+            requested_at: [None; Address::COUNT],
             rng: fastrand::Rng::with_seed(!seed),
             refused: 0,
         }
@@ -93,19 +98,19 @@ impl FindingTracker {
         &self.findings
     }
 
-    /// A finding whose confidence changed since the last call.
+    /// Returns the next finding whose state changed, with its new state.
     pub fn poll_changed(&mut self) -> Option<(FindingKey, Confidence)> {
         if self.changed.is_empty() { None } else { Some(self.changed.remove(0)) }
     }
 
-    /// Whether any suspicion of a collision is open.
+    /// Returns true if a conflict is suspected at any address.
     pub fn is_suspicious(&self) -> bool {
         self.findings
             .iter()
             .any(|f| f.confidence == Confidence::Suspected && f.key.kind.is_conflict())
     }
 
-    /// Whether a collision at `address` is suspected or confirmed.
+    /// Returns true if a conflict at `address` is suspected or confirmed.
     pub fn is_open_at(&self, address: Address) -> bool {
         self.findings.iter().any(|finding| {
             finding.key.address == Some(address)
@@ -114,29 +119,29 @@ impl FindingTracker {
         })
     }
 
-    /// Whether there is a change that [`poll_changed`](Self::poll_changed) will tell.
+    /// Returns true if [`poll_changed`](Self::poll_changed) has a change to return.
     pub fn has_changed(&self) -> bool {
         !self.changed.is_empty()
     }
 
-    // --- what was seen -------------------------------------------------------------------
+    // --- input --------------------------------------------------------------------------
 
-    /// A question that reaches `address` passed by.
+    /// Notes a request that `address` receives.
     pub fn note_request(&mut self, now: Instant, address: Address) {
-        self.asked[address.index()].get_or_insert(now);
+        self.requested_at[address.index()].get_or_insert(now);
     }
 
-    /// What was reported just now of `address` is what answers tell: more is to be expected when
-    /// somebody asks.
+    /// Marks a finding as based on responses: further evidence is expected only after a request.
     pub fn mark_response_based(&mut self, at: Option<usize>, address: Address) {
         if let Some(at) = at {
-            self.trackers[at].responses = true;
-            self.asked[address.index()] = None;
+            self.trackers[at].is_response_based = true;
+            self.requested_at[address.index()] = None;
         }
     }
 
-    /// What [`super::errors`] judged of the errors on the bus, or of those that follow one
-    /// address. The finding comes back where there is one: evidence and words are its affair.
+    /// Sets the state of the bus-errors finding of an address, or of the bus where `address` is
+    /// `None`. Returns the finding, so that [`super::errors`] adds evidence and text; `None` where
+    /// there is none to clear, or too many findings.
     pub fn judge_errors(
         &mut self,
         now: Instant,
@@ -154,7 +159,7 @@ impl FindingTracker {
         self.findings.get_mut(at)
     }
 
-    /// Frames were lost before they reached us: what is missing may have been there.
+    /// Adds `lost` frames to the frames-lost finding and confirms it.
     pub fn note_lost_frames(&mut self, now: Instant, lost: u64) {
         let key = FindingKey::at(FindingKind::FramesLost, self.bus, None);
         if let Some(at) = self.open(now, key) {
@@ -167,9 +172,9 @@ impl FindingTracker {
 
     // --- time ----------------------------------------------------------------------------
 
-    /// Clears what no evidence was seen of for long enough. Addresses that are due to be asked
-    /// who is there, to follow up a suspicion, come back through `ask`.
-    pub fn handle_timeout(&mut self, now: Instant, mut ask: impl FnMut(Address)) {
+    /// Clears findings whose evidence is too old, and calls `query` for addresses that are due for
+    /// a follow-up request.
+    pub fn handle_timeout(&mut self, now: Instant, mut query: impl FnMut(Address)) {
         for at in 0..self.findings.len() {
             let finding = &self.findings[at];
             if finding.confidence == Confidence::Cleared {
@@ -182,14 +187,19 @@ impl FindingTracker {
             if !self.passive && self.trackers[at].next_check.is_some_and(|due| now >= due) {
                 let confirmed = self.findings[at].confidence == Confidence::Confirmed;
                 if let Some(address) = finding.key.address {
-                    ask(address);
+                    query(address);
                 }
-                let next = now + self.with_jitter(if confirmed { CHECK_AGAIN } else { CHECK });
-                let case = &mut self.trackers[at];
-                case.follow_ups += 1;
-                case.checked_at = now;
-                let goes_on = confirmed || case.follow_ups < MAX_FOLLOW_UPS;
-                case.next_check = goes_on.then_some(next);
+                let next = now
+                    + self.with_jitter(if confirmed {
+                        CONFIRMED_RECHECK_DELAY
+                    } else {
+                        FOLLOW_UP_DELAY
+                    });
+                let tracker = &mut self.trackers[at];
+                tracker.follow_ups += 1;
+                tracker.checked_at = now;
+                let goes_on = confirmed || tracker.follow_ups < MAX_FOLLOW_UPS;
+                tracker.next_check = goes_on.then_some(next);
             }
         }
     }
@@ -201,17 +211,17 @@ impl FindingTracker {
             .enumerate()
             .filter(|(_, (finding, _))| finding.confidence != Confidence::Cleared)
             .filter(|(_, (finding, _))| expires_without_evidence(finding))
-            .flat_map(|(at, (_, case))| {
-                let check = if self.passive { None } else { case.next_check };
+            .flat_map(|(at, (_, tracker))| {
+                let check = if self.passive { None } else { tracker.next_check };
                 [Some(self.expires_at(at)), check]
             })
             .flatten()
             .min()
     }
 
-    /// Everything at `address` is past: its node is lost.
+    /// Clears the conflicts at `address`, whose device is lost.
     pub fn forget(&mut self, now: Instant, address: Address) {
-        self.asked[address.index()] = None;
+        self.requested_at[address.index()] = None;
         for at in 0..self.findings.len() {
             let finding = &self.findings[at];
             let concerned = finding.addresses.contains(&address);
@@ -226,31 +236,35 @@ impl FindingTracker {
 
     // --- findings ------------------------------------------------------------------------
 
-    /// Evidence older than this is past: the cause is gone.
+    /// Age at which evidence no longer supports a finding.
     fn evidence_lifetime(&self) -> Duration {
         if self.passive { self.period.mul_f64(7.5) } else { self.period * 5 }
     }
 
-    /// The same where nobody asked since, when only answers would tell. Who only listens waits for
-    /// others to ask, who may do so every ten periods.
+    /// Age at which response evidence no longer supports a finding while no request was seen. In
+    /// listen-only mode other nodes may send requests only every ten periods.
     pub fn longest_memory(&self) -> Duration {
         if self.passive { self.period * 12 } else { self.evidence_lifetime() }
     }
 
-    /// When a finding is over, if no more evidence comes.
+    /// Returns when a finding is cleared if no more evidence is seen.
     fn expires_at(&self, at: usize) -> Instant {
         let finding = &self.findings[at];
-        let asked = finding.key.address.map(|address| self.asked[address.index()]);
+        let requested = finding.key.address.map(|address| self.requested_at[address.index()]);
         let usual = finding.last + self.evidence_lifetime();
-        match asked {
-            Some(None) if self.trackers[at].responses => finding.last + self.longest_memory(),
-            // Give it time to answer.
-            Some(Some(asked)) if self.trackers[at].responses => usual.max(asked + self.period),
+        match requested {
+            Some(None) if self.trackers[at].is_response_based => {
+                finding.last + self.longest_memory()
+            }
+            // The device needs time to respond.
+            Some(Some(requested)) if self.trackers[at].is_response_based => {
+                usual.max(requested + self.period)
+            }
             _ => usual,
         }
     }
 
-    /// What was reported just now has been so since then.
+    /// Sets an earlier beginning of the condition that a finding reports.
     pub fn backdate(&mut self, now: Instant, at: Option<usize>, since: Instant) {
         if let Some(at) = at {
             let began = &mut self.trackers[at].began;
@@ -263,31 +277,34 @@ impl FindingTracker {
         self.findings.iter().position(|f| f.key.kind == kind && f.key.address == Some(address))
     }
 
+    /// Returns true if the finding is suspected or confirmed.
     pub fn is_open(&self, kind: FindingKind, address: Address) -> bool {
         self.find(kind, address)
             .is_some_and(|at| self.findings[at].confidence != Confidence::Cleared)
     }
 
+    /// Returns true if the finding is confirmed.
     pub fn is_confirmed(&self, kind: FindingKind, address: Address) -> bool {
         self.find(kind, address)
             .is_some_and(|at| self.findings[at].confidence == Confidence::Confirmed)
     }
 
-    /// The finding with that key, opened (again) where it is not open.
+    /// Returns the index of the finding with that key; creates it, or opens it again if it was
+    /// cleared. `None` if there are too many.
     fn open(&mut self, now: Instant, key: FindingKey) -> Option<usize> {
-        let check = now + self.with_jitter(CHECK);
-        let case = TrackState {
+        let check = now + self.with_jitter(FOLLOW_UP_DELAY);
+        let tracker = TrackState {
             began: None,
             strong: 0,
             strong_at: None,
-            responses: false,
+            is_response_based: false,
             follow_ups: 0,
             checked_at: now,
             next_check: key.kind.is_conflict().then_some(check),
         };
         if let Some(at) = self.findings.iter().position(|finding| finding.key == key) {
             if self.findings[at].confidence == Confidence::Cleared {
-                self.trackers[at] = case;
+                self.trackers[at] = tracker;
                 self.findings[at].evidence.clear();
                 self.set(now, at, Confidence::Suspected);
             }
@@ -299,10 +316,12 @@ impl FindingTracker {
         }
         self.changed.push((key.clone(), Confidence::Suspected));
         self.findings.push(Finding::new(key, now));
-        self.trackers.push(case);
+        self.trackers.push(tracker);
         Some(self.findings.len() - 1)
     }
 
+    /// Adds an observation to a finding, opens it if needed, and confirms it if the evidence
+    /// suffices. Returns the index of the finding; `None` if there are too many.
     #[allow(clippy::too_many_arguments)]
     pub fn report(
         &mut self,
@@ -312,7 +331,7 @@ impl FindingTracker {
         name: Option<&Name>,
         frame: &Frame,
         what: impl Into<Cow<'static, str>>,
-        weight: EvidenceStrength,
+        strength: EvidenceStrength,
     ) -> Option<usize> {
         let key = FindingKey::at(kind, self.bus, Some(address));
         let at = self.open(now, key)?;
@@ -326,68 +345,69 @@ impl FindingTracker {
             frame: Some(*frame),
         });
         self.findings[at].last = now;
-        let soon = now + self.with_jitter(CHECK / 4);
-        let case = &mut self.trackers[at];
-        // What is seen again only after it was looked for in vain begins anew.
-        // Where answers tell, from when somebody asked.
-        let asked = self.asked[address.index()];
-        let (looked, pause) = match asked {
-            _ if !case.responses => (Some(last), PAUSE),
-            Some(asked) => (Some(asked.max(last)), UNANSWERED_PERIODS),
-            None => (None, PAUSE),
+        let soon = now + self.with_jitter(FOLLOW_UP_DELAY / 4);
+        let tracker = &mut self.trackers[at];
+        // Evidence after a gap starts a new count. For response evidence the gap counts from the
+        // first request.
+        let requested = self.requested_at[address.index()];
+        let (expected_since, pause) = match requested {
+            _ if !tracker.is_response_based => (Some(last), HEARTBEAT_GAP_PERIODS),
+            Some(requested) => (Some(requested.max(last)), RESPONSE_GAP_PERIODS),
+            None => (None, HEARTBEAT_GAP_PERIODS),
         };
-        let in_vain = looked.is_some_and(|since| now.since(since) >= self.period.mul_f64(pause));
-        if in_vain && weight != EvidenceStrength::Proof && case.began.is_some() {
-            case.began = None;
-            case.strong = 0;
+        let interrupted =
+            expected_since.is_some_and(|since| now.since(since) >= self.period.mul_f64(pause));
+        if interrupted && strength != EvidenceStrength::Proof && tracker.began.is_some() {
+            tracker.began = None;
+            tracker.strong = 0;
         }
-        // Evidence counts once in half a period: it must go on, not come in a burst.
-        let apart = case.strong_at.is_none_or(|last| now.since(last) >= self.period / 2);
-        if weight != EvidenceStrength::Weak {
-            case.began.get_or_insert(now);
+        // Strong evidence counts once per half period, so a burst is not enough.
+        let apart = tracker.strong_at.is_none_or(|last| now.since(last) >= self.period / 2);
+        if strength != EvidenceStrength::Weak {
+            tracker.began.get_or_insert(now);
         }
-        if weight != EvidenceStrength::Weak && apart {
-            case.strong += 1;
-            case.strong_at = Some(now);
+        if strength != EvidenceStrength::Weak && apart {
+            tracker.strong += 1;
+            tracker.strong_at = Some(now);
         }
-        // Evidence that comes when the questions are used up is worth asking again.
+        // New evidence after the last follow-up request starts another series.
         if kind.is_conflict()
-            && case.next_check.is_none()
-            && now.since(case.checked_at) >= self.period * ASK_AGAIN_PERIODS
+            && tracker.next_check.is_none()
+            && now.since(tracker.checked_at) >= self.period * FOLLOW_UP_RESTART_PERIODS
         {
-            case.follow_ups = 0;
-            case.next_check = Some(soon);
+            tracker.follow_ups = 0;
+            tracker.next_check = Some(soon);
         }
         self.describe(at);
-        if weight == EvidenceStrength::Proof && self.trackers[at].strong >= CONFIRM_AFTER_PROOFS {
+        if strength == EvidenceStrength::Proof && self.trackers[at].strong >= CONFIRM_AFTER_PROOFS {
             self.set(now, at, Confidence::Confirmed);
         }
-        if weight != EvidenceStrength::Weak {
+        if strength != EvidenceStrength::Weak {
             self.update_confidence(now, at);
         }
         Some(at)
     }
 
-    /// Confirms a finding whose evidence is strong and went on for long enough.
+    /// Confirms a finding with enough strong evidence over five periods.
     fn update_confidence(&mut self, now: Instant, at: usize) {
-        let case = &self.trackers[at];
-        // Five periods, as unsteady as heartbeats are.
+        let tracker = &self.trackers[at];
+        // Five periods, less 1 % for heartbeat jitter.
         let enough = self.period.mul_f64(4.95);
-        let lasts = case.began.is_some_and(|began| now.since(began) >= enough);
-        if case.strong >= STRONG_CONFIRM && lasts {
+        let lasts = tracker.began.is_some_and(|began| now.since(began) >= enough);
+        if tracker.strong >= CONFIRM_AFTER_STRONG && lasts {
             self.set(now, at, Confidence::Confirmed);
         }
     }
 
-    /// Says what a finding is in other words, which may name who it is about.
-    pub fn set_text(&mut self, at: usize, words: impl FnOnce(&str) -> String) {
+    /// Sets the text of a finding; `text` receives the label of its device.
+    pub fn set_text(&mut self, at: usize, text: impl FnOnce(&str) -> String) {
         let finding = &mut self.findings[at];
         if let Some(address) = finding.key.address {
-            finding.text = words(&finding_text::device_label(address, &finding.names));
+            finding.text = text(&finding_text::device_label(address, &finding.names));
         }
     }
 
-    /// A finding is about another address too.
+    /// Adds an address that a finding concerns.
     pub fn add_address(&mut self, at: usize, address: Address) {
         let addresses = &mut self.findings[at].addresses;
         if !addresses.contains(&address) {
@@ -397,13 +417,14 @@ impl FindingTracker {
         }
     }
 
-    /// Whether there is an open finding with evidence that is more than a hint.
+    /// Returns true if an open finding has evidence stronger than [`EvidenceStrength::Weak`].
     pub fn has_strong(&self, kind: FindingKind, address: Address) -> bool {
         self.find(kind, address).is_some_and(|at| {
             self.findings[at].confidence != Confidence::Cleared && self.trackers[at].strong > 0
         })
     }
 
+    /// Adds a name that a finding concerns.
     pub fn add_name(&mut self, kind: FindingKind, address: Address, name: &Name) {
         if let Some(at) = self.find(kind, address) {
             self.findings[at].add_name(name);
@@ -411,17 +432,19 @@ impl FindingTracker {
         }
     }
 
-    /// What made findings of that kind suspected has another explanation.
+    /// Discards the strong evidence of all suspected findings of this kind: it has another
+    /// explanation.
     pub fn reset_suspicion(&mut self, kind: FindingKind) {
-        for (finding, case) in self.findings.iter().zip(&mut self.trackers) {
+        for (finding, tracker) in self.findings.iter().zip(&mut self.trackers) {
             if finding.key.kind == kind && finding.confidence == Confidence::Suspected {
-                case.began = None;
-                case.strong = 0;
+                tracker.began = None;
+                tracker.strong = 0;
             }
         }
     }
 
-    /// What looked like `old` turns out to be `new`: it began then, and is told as that alone.
+    /// Replaces finding `old` by `new`, which takes over its beginning and its count of strong
+    /// evidence if `old` is recent.
     pub fn supersede(
         &mut self,
         now: Instant,
@@ -433,7 +456,7 @@ impl FindingTracker {
             return;
         };
         if self.findings[old].confidence != Confidence::Cleared {
-            if now.since(self.findings[old].last) < self.period.mul_f64(PAUSE) {
+            if now.since(self.findings[old].last) < self.period.mul_f64(HEARTBEAT_GAP_PERIODS) {
                 let (before, began) = (self.trackers[old].began, self.trackers[new].began);
                 self.trackers[new].began = before.into_iter().chain(began).min();
                 self.trackers[new].strong += self.trackers[old].strong;
@@ -443,16 +466,18 @@ impl FindingTracker {
         }
     }
 
+    /// Clears a finding.
     pub fn clear(&mut self, now: Instant, kind: FindingKind, address: Address) {
         if let Some(at) = self.find(kind, address) {
             self.set(now, at, Confidence::Cleared);
         }
     }
 
-    /// The evidence of a finding stopped.
+    /// Clears a finding whose evidence stopped. A suspected conflict with enough strong evidence
+    /// becomes `address-contested`.
     fn end(&mut self, now: Instant, at: usize) {
         let was_suspected = self.findings[at].confidence == Confidence::Suspected;
-        // One answer too many, or one beat in between, is no contest.
+        // A single surplus response or heartbeat is not contention.
         let least = u32::from(self.findings[at].key.kind == FindingKind::SameNameSameAddress);
         let gave_way = was_suspected && self.trackers[at].strong > least;
         self.set(now, at, Confidence::Cleared);
@@ -473,6 +498,7 @@ impl FindingTracker {
         }
     }
 
+    /// Sets the state of a finding and records the change.
     fn set(&mut self, now: Instant, at: usize, confidence: Confidence) {
         let finding = &mut self.findings[at];
         if finding.confidence == confidence {
@@ -482,13 +508,13 @@ impl FindingTracker {
         finding.changed = now;
         self.changed.push((finding.key.clone(), confidence));
         if confidence == Confidence::Confirmed && finding.key.kind.is_conflict() {
-            self.trackers[at].next_check = Some(now + self.with_jitter(CHECK_AGAIN));
+            self.trackers[at].next_check = Some(now + self.with_jitter(CONFIRMED_RECHECK_DELAY));
         }
     }
 
-    /// About as long. What beats each second would otherwise hold up the two answers each time, and
-    /// so would the questions of others who inspect the bus and saw what we saw: equal answers that
-    /// wait together merge.
+    /// Returns `wait` multiplied by a random factor of 0.9 to 1.1. Keeps follow-up requests out of
+    /// step with 1 s heartbeats and with other inspectors, because equal responses that wait
+    /// together merge on the wire.
     fn with_jitter(&mut self, wait: Duration) -> Duration {
         wait.mul_f64(0.9 + 0.2 * self.rng.f64())
     }
@@ -498,8 +524,9 @@ impl FindingTracker {
     }
 }
 
-/// Whether a finding is over when no more evidence comes. Malformed answers are not: only a
-/// sound one ends them, and a device is not asked often. Of errors, [`super::errors`] judges.
+/// Returns true if a finding is cleared when no more evidence is seen. A confirmed malformed-answer
+/// is cleared by a valid response only, because requests are rare; [`super::errors`] clears
+/// bus-errors.
 fn expires_without_evidence(finding: &Finding) -> bool {
     match finding.key.kind {
         FindingKind::BusErrors => false,

@@ -1,4 +1,4 @@
-//! What heartbeats tell: mode, UID, reboots, and who else beats with the same UID.
+//! Heartbeats: updates mode, UID and statistics of a device, detects reboots and duplicate UIDs.
 
 use super::device::{ModeChange, Query, Quirk, SILENT_PERIODS};
 use super::resolution::Claim;
@@ -8,12 +8,12 @@ use crate::time::{Duration, Instant};
 use crate::wire::id::{Address, Header};
 use crate::wire::node::{Heartbeat, Mode, Uid};
 
-/// A heartbeat that is off the beat by more than this part of a period came late.
-const LATE: f64 = 0.1;
-/// So many late ones within a few periods are the bus's doing, not their senders'.
-const LATE_TOGETHER: u32 = 3;
+/// Deviation from the schedule, in periods, from which a heartbeat is late.
+const LATE_FRACTION: f64 = 0.1;
+/// Number of devices with late heartbeats within a few periods from which the bus is the cause.
+const BUS_WIDE_LATE: u32 = 3;
 
-/// Whose heartbeats came late lately. Where several do, it is the bus that holds them up.
+/// Devices whose heartbeats were recently late. If there are several, the bus delays them.
 #[derive(Debug, Default)]
 pub(super) struct BusDelayTracker {
     began: Instant,
@@ -21,24 +21,26 @@ pub(super) struct BusDelayTracker {
 }
 
 impl BusDelayTracker {
-    /// A heartbeat of `address` came `gap` after the one before.
-    fn see(&mut self, now: Instant, address: Address, gap: Duration, period: Duration) {
+    /// Notes a heartbeat of `address` that arrived `gap` after the previous one.
+    fn note_heartbeat(&mut self, now: Instant, address: Address, gap: Duration, period: Duration) {
         if now.since(self.began) >= period * 2 {
             let old = if now.since(self.began) < period * 4 { self.late[0] } else { 0 };
             (self.began, self.late) = (now, [0, old]);
         }
         let periods = gap.as_secs_f64() / period.as_secs_f64();
-        if (periods - periods.round()).abs() > LATE && periods > 1.0 {
+        if (periods - periods.round()).abs() > LATE_FRACTION && periods > 1.0 {
             self.late[0] |= 1 << address.index();
         }
     }
 
+    /// Returns true if the bus delays heartbeats of several devices.
     pub(super) fn is_bus_wide(&self) -> bool {
-        (self.late[0] | self.late[1]).count_ones() >= LATE_TOGETHER
+        (self.late[0] | self.late[1]).count_ones() >= BUS_WIDE_LATE
     }
 }
 
 impl Engine {
+    /// Processes a heartbeat of the device at row `index`.
     pub(super) fn process_heartbeat(
         &mut self,
         now: Instant,
@@ -50,12 +52,12 @@ impl Engine {
         let codes = profile.modes.codes();
         let heartbeat = Heartbeat::decode(frame.data(), &profile.heartbeat, &codes);
         let period = profile.heartbeat.period();
-        let previous_beat = self.device_table.get(index).heartbeat.last;
-        let first = previous_beat.is_none();
-        if let Some(last) = previous_beat {
-            self.lateness.see(now, header.source, now.since(last), period);
+        let previous_heartbeat = self.device_table.get(index).heartbeat.last;
+        let first = previous_heartbeat.is_none();
+        if let Some(last) = previous_heartbeat {
+            self.lateness.note_heartbeat(now, header.source, now.since(last), period);
         }
-        let missed_in_outage = previous_beat
+        let missed_in_outage = previous_heartbeat
             .map_or(0, |last| self.outages.heartbeats_missed_in_outage(last, now, period));
         let device = self.device_table.get_mut(index);
         let expected = device.heartbeat.period();
@@ -86,9 +88,9 @@ impl Engine {
         let claim = Claim { index, address, heartbeat, uid_before, mode_before, gap };
         let sender = self.note_sender(claim);
         let device = self.device_table.get_mut(index);
-        device.last_heartbeat_was_other_node = sender.is_another;
-        // In an early mode after a pause, or off the beat: it started anew. With another UID it is
-        // rather another board.
+        device.last_heartbeat_was_other_node = sender.is_other_node;
+        // An early mode after a gap, or a new phase, is a reboot. With another UID it is more
+        // likely another board.
         let paused = gap.is_some_and(|gap| gap > period.mul_f64(SILENT_PERIODS));
         let early = device.is_resolving && paused && device.mode != heartbeat.mode;
         let period = expected.unwrap_or(period);
@@ -96,17 +98,19 @@ impl Engine {
         if !same {
             device.heartbeat.forget_phase();
         }
-        let shifted = same && device.heartbeat.is_phase_shifted(now, previous_beat, period, jitter);
+        let shifted =
+            same && device.heartbeat.is_phase_shifted(now, previous_heartbeat, period, jitter);
         let restarted = !was_lost
             && (first || !uid_changed || device.uid_before.is_none())
             && (early || shifted && !self.lateness.is_bus_wide());
-        // Somebody else may beat from here too, or take its place. Who changes its mode may say so
-        // at once.
-        let off_beat = gap.is_some_and(|gap| is_off_schedule(gap, period, jitter))
+        // Another device may send heartbeats from this address too, or have replaced this one. A
+        // device that changes its mode may send a heartbeat at once.
+        let off_schedule = gap.is_some_and(|gap| is_off_schedule(gap, period, jitter))
             && device.mode == heartbeat.mode
             && !self.lateness.is_bus_wide();
-        let claimed_by_another = sender.is_another && sender.claims;
-        if (off_beat || claimed_by_another) && !self.conflicts.finding_tracker().is_open_at(address)
+        let claimed_by_another = sender.is_other_node && sender.claims;
+        if (off_schedule || claimed_by_another)
+            && !self.conflicts.finding_tracker().is_open_at(address)
         {
             device.name_query.schedule(now + period);
             device.services_query.schedule(now + period * 6);
@@ -120,16 +124,16 @@ impl Engine {
             } else {
                 device.note(Quirk::ModeContradictsU);
             }
-            // Where two beat from one address, each has a mode of its own.
+            // Two devices at one address each have their own mode.
             let from = sender.mode_before;
-            if !sender.is_another {
+            if !sender.is_other_node {
                 device.mode = Some(mode);
             }
-            if !sender.is_another && from != Some(mode) {
+            if !sender.is_other_node && from != Some(mode) {
                 device.remember_mode(ModeChange { time: now, mode });
-                // Whatever was there before, this one began just now; and not all services are
-                // there in every mode. Where two of one UID beat, one in a working mode and one in
-                // another, this is all that is left of the first when it goes.
+                // The device has just started, or changed between working and non-working, and may
+                // have other services. If two devices with one UID send heartbeats, one working and
+                // one not, this is the only trace when one of them leaves.
                 let began = matches!(from, Some(Mode::Init | Mode::Arslv));
                 let works = mode.is_working();
                 let other = works.is_some() && from.is_some_and(|from| from.is_working() != works);
@@ -153,41 +157,44 @@ impl Engine {
         }
         self.emit_gave_up(address, &sender);
         if uid_changed {
-            self.uid_learnt(now, index, first);
+            self.handle_uid_change(now, index, first);
         }
         self.emit_claim(address, &sender);
-        // Its own heartbeat before must have said the same: boards that swap addresses have not.
-        if let (Some(uid), Some(previous), false) = (heartbeat.uid, previous_beat, uid_changed) {
+        // Compare only if its previous heartbeat had the same UID: boards that swap addresses have
+        // not.
+        if let (Some(uid), Some(previous), false) = (heartbeat.uid, previous_heartbeat, uid_changed)
+        {
             self.compare_uid(now, address, uid, previous, frame);
         }
     }
 
+    /// Records a reboot and queries the device again.
     fn note_reboot(&mut self, now: Instant, index: usize) {
         let address = self.device_table.get(index).address;
-        // Two whose answers destroy each other start anew each time they are asked.
+        // Two devices that destroy each other's responses may reboot with each request.
         let shared =
             self.errors.is_suspect(address) || self.conflicts.finding_tracker().is_open_at(address);
-        let ask = if shared { Query::schedule } else { Query::restart };
+        let schedule = if shared { Query::schedule } else { Query::restart };
         let device = self.device_table.get_mut(index);
         device.reboots += 1;
         device.rebooted_at = Some(now);
         // It may have new firmware.
-        ask(&mut device.services_query, now);
-        ask(&mut device.name_query, now);
+        schedule(&mut device.services_query, now);
+        schedule(&mut device.name_query, now);
         self.emit(index, EventKind::Rebooted);
         self.wake_at(now);
     }
 
-    /// The node at this row has another UID than before, or one for the first time.
-    fn uid_learnt(&mut self, now: Instant, index: usize, first: bool) {
+    /// Handles a new UID in the heartbeats of a row.
+    fn handle_uid_change(&mut self, now: Instant, index: usize, first: bool) {
         let period = self.config.profile.heartbeat.period();
         let device = self.device_table.get(index);
-        // Who is known for longer had no heartbeat until now.
+        // A device known for longer sent no heartbeats before.
         let known = !first || device.name.is_some() && now.since(device.first_seen) > period * 3;
         if known && !self.conflicts.finding_tracker().is_open_at(device.address) {
-            // Another board, perhaps, which may lay its answers into frames in another way: ask
-            // who it is. For its services once it is clear that it is alone: two boards that
-            // answer in several frames at once destroy each other's.
+            // It may be another board with another framing: query its name, and its services once
+            // it is clear that it is alone, because two multi-frame responses at once destroy each
+            // other.
             let device = self.device_table.get_mut(index);
             device.framing = None;
             device.name_query.restart(now);
@@ -197,7 +204,7 @@ impl Engine {
         self.find_move_to(index);
     }
 
-    /// Two addresses that keep beating with one UID.
+    /// Reports two addresses that keep sending heartbeats with one UID.
     fn compare_uid(
         &mut self,
         now: Instant,
@@ -210,7 +217,7 @@ impl Engine {
         if uid.is_blank() || now.since(previous) < period / 2 {
             return;
         }
-        // A row that another one has replaced says nothing any more.
+        // A replaced row does not send anything any more.
         let rows = self.device_table.devices().iter().enumerate();
         let mut current = rows.filter(|(at, _)| self.device_table.is_current(*at));
         let other = current.find_map(|(_, other)| {
@@ -225,8 +232,9 @@ impl Engine {
     }
 }
 
-/// Whether a heartbeat of a steady sender comes too soon or too late: less sure a sign than
-/// [`is_out_of_phase`], and reason enough for a question.
+/// Returns true if a heartbeat of a regular sender is early or late: a weaker sign than
+/// [`is_phase_shifted`](super::device::HeartbeatStats::is_phase_shifted), enough for a name
+/// request.
 fn is_off_schedule(gap: Duration, period: Duration, jitter: Option<Duration>) -> bool {
     let Some(jitter) = jitter else { return false };
     let periods = gap.as_secs_f64() / period.as_secs_f64();

@@ -1,4 +1,5 @@
-//! Which row a node is: another board at a known address, or a known device at another one.
+//! Identity of devices: another board at a known address, or a known device at another address
+//! (protocol §4.7).
 
 use super::device::QueryState;
 use super::{Device, Engine, EventKind, Presence};
@@ -7,8 +8,8 @@ use crate::time::Instant;
 use crate::wire::node::Uid;
 
 impl Engine {
-    /// The row at this address that has that name, or may be given it. Another row than the
-    /// current one means another board at the address.
+    /// Returns the row of the device with that name at this address, creating it if needed. A row
+    /// other than the active one means another board at the address.
     pub(super) fn row_of_name(&mut self, now: Instant, index: usize, name: &Name) -> usize {
         let current = self.device_table.get(index);
         if current.name.as_ref().is_none_or(|own| own == name) {
@@ -22,11 +23,14 @@ impl Engine {
             .position(|device| device.address == address && device.name.as_ref() == Some(name));
         let mut live = self.device_table.get(index).clone();
         self.replace_row(index);
-        // A UID that beat here before the old name was said again is the old one's.
-        let said = live.name_query.answered_at;
+        // A UID seen here before the last response with the old name belongs to the old board.
+        let name_received_at = live.name_query.answered_at;
         let own = live.uid.filter(|uid| self.claims.row_of(*uid) == Some(live.id));
         let since = own.and_then(|uid| self.claims.since(uid, address));
-        if since.zip(said).is_some_and(|(since, said)| since <= said) {
+        if since
+            .zip(name_received_at)
+            .is_some_and(|(since, name_received_at)| since <= name_received_at)
+        {
             live.uid = None;
         }
         let row = match known {
@@ -37,7 +41,7 @@ impl Engine {
             },
         };
         self.device_table.activate(row);
-        // Its own: what the address said last may have been the other board's.
+        // Use its own mode: the last heartbeat may have come from the other board.
         let mode = live.uid.and_then(|uid| self.claims.mode_of(uid)).or(live.mode);
         let device = self.device_table.get_mut(row);
         device.adopt_live_state(&live);
@@ -53,12 +57,13 @@ impl Engine {
         } else if device.presence == Presence::Lost {
             device.services_query.restart(now);
         }
-        self.find_where_it_went(index);
+        self.find_move_of_replaced(index);
         self.device_table.index_of(id).unwrap_or(row)
     }
 
-    /// A row that another board has replaced: its own may have been heard elsewhere already.
-    fn find_where_it_went(&mut self, index: usize) {
+    /// Looks for the device of a replaced row at another address, where it may have been found
+    /// already.
+    fn find_move_of_replaced(&mut self, index: usize) {
         let (uid, from) = (self.uid_of_row(index), self.device_table.get(index).address);
         let went = self.device_table.devices().iter().position(|other| {
             uid.is_some()
@@ -71,8 +76,8 @@ impl Engine {
         }
     }
 
-    /// Whether the row is a known device at a new address: the same UID, else the only one of
-    /// its name, and its old address fell silent.
+    /// Detects that a row is a known device at a new address: the same UID, or else the only device
+    /// of its name, whose old address is silent.
     pub(super) fn find_move_to(&mut self, index: usize) {
         let period = self.config.profile.heartbeat.period();
         let device = self.device_table.get(index);
@@ -80,7 +85,7 @@ impl Engine {
         let (uid, name, address) =
             (device.uid.filter(|uid| !uid.is_blank()), device.name.clone(), device.address);
         let first_seen = device.first_seen;
-        // Who has no heartbeat says nothing between rounds, and is gone only when it is lost.
+        // A device without heartbeats is silent between rounds, and has left only when it is lost.
         let gone = |other: &Device| {
             other.address != address
                 && other.last_seen <= first_seen
@@ -88,9 +93,9 @@ impl Engine {
                 && (other.heartbeat.period().is_some() || !other.is_present())
         };
         let by_uid = uid.and_then(|uid| {
-            let speaks = self.claims.row_of(uid);
+            let row_of_uid = self.claims.row_of(uid);
             self.device_table.devices().iter().position(|other| {
-                let is_it = speaks == Some(other.id)
+                let is_it = row_of_uid == Some(other.id)
                     || (other.uid == Some(uid) && self.claims.uid_of(other.id).is_none());
                 is_it && gone(other)
             })
@@ -101,8 +106,8 @@ impl Engine {
         }
     }
 
-    /// The device of the row `old` is at the address of the row `index` now. Known by its UID, that
-    /// row may be somebody else's, whose place it took.
+    /// Moves the device of row `old` to the address of row `index`. If it is known by its UID, that
+    /// row may belong to another device that it replaced.
     pub(super) fn take_over_row(&mut self, old: usize, index: usize) {
         let name = |at: usize| self.device_table.get(at).name.as_ref();
         if name(old).zip(name(index)).is_some_and(|(old, here)| old != here) {
@@ -112,7 +117,7 @@ impl Engine {
         }
     }
 
-    /// The device of the row `old` is now where another device was, whose row stays.
+    /// Moves the device of row `old` to the address of another device, whose row stays.
     fn move_onto(&mut self, old: usize, other: usize) {
         let (now, from) = (self.now, self.device_table.get(old).address);
         let live = self.device_table.get(other).clone();
@@ -128,7 +133,7 @@ impl Engine {
         self.wake_at(now);
     }
 
-    /// Another row speaks from this one's address from now on.
+    /// Makes a row inactive, because another one is active at its address.
     fn replace_row(&mut self, index: usize) {
         let now = self.now;
         let old = self.device_table.get_mut(index);
@@ -140,10 +145,11 @@ impl Engine {
             }
         }
         old.replaced_at = Some(now);
-        // Heartbeats that came since the other board is there are not this row's.
+        // Heartbeats since the other board is there do not belong to this row.
         old.uid = old.uid_before.take().or(old.uid);
     }
 
+    /// Returns the only other row with that name, if it can be the same device.
     fn only_other_of_name(
         &self,
         index: usize,
@@ -162,7 +168,7 @@ impl Engine {
         (others.next().is_none() && fits).then_some(at)
     }
 
-    /// A lost device may have turned up elsewhere before it was lost here.
+    /// Detects that a lost device was found at another address before it was lost.
     pub(super) fn find_move_of_lost(&mut self, index: usize) {
         let device = self.device_table.get(index);
         let (id, address, last_seen, name) =
@@ -195,11 +201,12 @@ impl Engine {
         }
     }
 
+    /// Merges row `new` into row `old`, for one device that moved, and emits the events.
     pub(super) fn move_row(&mut self, old: usize, new: usize) {
         let from = self.device_table.get(old).address;
         let (id, was) = (self.device_table.get(old).id, self.device_table.get(new).id);
         let is_known_by_uid = self.uid_of_row(old).is_some() && self.uid_of_row(new).is_some();
-        let told = self.device_table.get(new).moved_from == Some(from);
+        let is_reported = self.device_table.get(new).moved_from == Some(from);
         let index = self.device_table.merge_rows(old, new);
         self.emit(index, EventKind::Joined { was, before: None });
         if !is_known_by_uid {
@@ -209,15 +216,15 @@ impl Engine {
         let now = self.now;
         let device = self.device_table.get_mut(index);
         device.services_query.schedule(now);
-        if !told {
+        if !is_reported {
             self.emit(index, EventKind::Moved { from });
         }
         self.wake_at(now);
     }
 }
 
-/// Whether two heartbeats are not one device's: who has a UID says it each time, and who has none
-/// never does.
+/// Returns true if two heartbeats come from different devices: a device sends its UID each time, or
+/// never.
 fn is_different_sender(one: Option<Uid>, other: Option<Uid>) -> bool {
     let known = |uid: Uid| (!uid.is_blank()).then_some(uid);
     one.zip(other).is_some_and(|(one, other)| known(one) != known(other))

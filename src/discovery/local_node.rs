@@ -1,7 +1,7 @@
-//! Ourselves on the bus: which address we hold and how we came by it (3.2.4.2), our heartbeat,
-//! and our answers to the DES questions of others.
+//! Local node: descan's own address (CAN platform §3.2.4.2), its heartbeat, and its responses to
+//! DES requests (protocol §6.1, §6.2).
 //!
-//! Does not know what we ask; only whether we may ask, and from which address.
+//! Does not know which requests descan sends; only whether it may send, and from which address.
 
 use super::config::Config;
 use super::outbox::Outbox;
@@ -15,18 +15,19 @@ use crate::wire::node::{Heartbeat, Mode, Uid};
 use crate::wire::profile::{Announce, Profile};
 use std::collections::VecDeque;
 
-/// The name we answer with.
+/// Name in descan's name response.
 pub(super) const NAME: &[u8] = b"DSCAN";
-/// How many of our services answers may wait for flow control at once.
+/// Maximum number of own responses that wait for flow control.
 const MAX_RESPONSES: usize = 4;
-/// A question that comes again within this was repeated by something on its way: who answers
-/// both looks like two.
-const REPEATED_WITHIN: Duration = Duration::from_millis(200);
-/// Questions that may still come again.
+/// A request received again within this time was repeated on its way: two responses would look like
+/// two devices.
+const REPEAT_WINDOW: Duration = Duration::from_millis(200);
+/// Maximum number of requests stored to detect repeated ones.
 const MAX_REQUESTS: usize = 16;
-/// An address heard within this many periods counts as used.
+/// Periods since its last use in which an address counts as used.
 const USED_FOR_PERIODS: u32 = 5;
 
+/// State of the own address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum AddressState {
     Off,
@@ -35,15 +36,16 @@ enum AddressState {
     Held { address: Address },
 }
 
-/// A change of our address.
+/// Change of descan's own address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum AddressChange {
     Taken(Address),
     Lost(Address),
-    /// The fixed one is used by somebody else, or all are used.
+    /// The configured address is used by another node, or, with `None`, all are used.
     Blocked(Option<Address>),
 }
 
+/// Own multi-frame response that is being sent.
 #[derive(Debug)]
 struct OutgoingResponse {
     id: u32,
@@ -51,20 +53,21 @@ struct OutgoingResponse {
     segmenter: Segmenter<Vec<u8>>,
 }
 
+/// descan's node on one bus.
 #[derive(Debug)]
 pub(super) struct LocalNode {
-    standing: AddressState,
+    state: AddressState,
     wanted: Option<Address>,
-    /// Somebody else wanted our address: who wants it again waits at random before, so that two
-    /// do not do so at the same moment time and again.
+    /// True after another node used the own address: it is then claimed after a random delay, so
+    /// that two nodes do not claim it at the same time again and again.
     contested: bool,
-    /// When we looked last, there was no address to be had.
+    /// True if the last search found no free address.
     blocked: bool,
-    heard: [Option<Instant>; Address::COUNT],
+    last_use: [Option<Instant>; Address::COUNT],
     period: Duration,
     uid: Uid,
     heartbeat_known: bool,
-    next_beat: Option<Instant>,
+    next_heartbeat: Option<Instant>,
     responses: Vec<OutgoingResponse>,
     requests: VecDeque<Frame>,
 }
@@ -78,19 +81,19 @@ impl LocalNode {
                 .take(3)
                 .map(|&character| char::from(character))
                 .collect();
-        // An alphabet without these letters gets other characters, still at random.
+        // An alphabet without these letters gets other random characters.
         let uid = Uid::parse(&format!("DSCAN{random}"), &config.profile.uid)
             .unwrap_or_else(|| Uid::from_sextets(std::array::from_fn(|_| rng.u8(1..63))));
         let mut local_node = Self {
-            standing: AddressState::Off,
+            state: AddressState::Off,
             wanted: config.address,
             contested: false,
             blocked: false,
-            heard: [None; Address::COUNT],
+            last_use: [None; Address::COUNT],
             period,
             uid,
             heartbeat_known: false,
-            next_beat: None,
+            next_heartbeat: None,
             responses: Vec::new(),
             requests: VecDeque::new(),
         };
@@ -100,22 +103,24 @@ impl LocalNode {
         local_node
     }
 
-    /// Begins (again) to listen for used addresses: 1.5 × BUS_CFG_HR_TIME.
+    /// Releases the address and listens for used addresses for 1.5 × BUS_CFG_HR_TIME.
     pub fn listen(&mut self, now: Instant) {
-        self.standing = AddressState::Listening { until: now + self.period.mul_f64(1.5) };
-        self.next_beat = None;
+        self.state = AddressState::Listening { until: now + self.period.mul_f64(1.5) };
+        self.next_heartbeat = None;
         self.responses.clear();
     }
 
+    /// Returns the own address while it is held.
     pub fn held(&self) -> Option<Address> {
-        match self.standing {
+        match self.state {
             AddressState::Held { address } => Some(address),
             _ => None,
         }
     }
 
+    /// Returns the state of the own address for display.
     pub fn own_address(&self) -> super::OwnAddress {
-        match self.standing {
+        match self.state {
             AddressState::Off => super::OwnAddress::None,
             AddressState::Listening { .. } if self.blocked => {
                 super::OwnAddress::Blocked(self.wanted)
@@ -126,28 +131,28 @@ impl LocalNode {
         }
     }
 
-    /// Notes the addresses of a conforming frame of somebody else. `destination_counts` is
-    /// false for a broadcast and for an echoed DST.
+    /// Notes the addresses in a conforming frame of another node. `destination_counts` is false for
+    /// a broadcast and for a repeated DST.
     pub fn note_used(&mut self, now: Instant, header: Header, destination_counts: bool) {
-        self.heard[header.source.index()] = Some(now);
-        // What is sent to us says nothing of anybody else at our address.
+        self.last_use[header.source.index()] = Some(now);
+        // A frame sent to descan does not show another node at its address.
         if destination_counts && self.held() != Some(header.destination) {
-            self.heard[header.destination.index()] = Some(now);
+            self.last_use[header.destination.index()] = Some(now);
         }
     }
 
-    /// A heartbeat that fits the profile was heard: ours will be understood.
+    /// Notes a heartbeat that fits the profile: other nodes can decode descan's heartbeat.
     pub fn note_heartbeat(&mut self) {
         self.heartbeat_known = true;
     }
 
-    /// Somebody else sends from the address we hold or want.
+    /// Handles a frame of another node from the address held or claimed.
     pub fn handle_address_conflict(
         &mut self,
         now: Instant,
         source: Address,
     ) -> Option<AddressChange> {
-        match self.standing {
+        match self.state {
             AddressState::Held { address } if address == source => {
                 self.contested = true;
                 self.listen(now);
@@ -162,11 +167,14 @@ impl LocalNode {
         }
     }
 
+    /// Returns true if another node used `address` recently.
     fn is_used(&self, now: Instant, address: Address) -> bool {
         let window = self.period * USED_FOR_PERIODS;
-        self.heard[address.index()].is_some_and(|heard| now.since(heard) < window)
+        self.last_use[address.index()].is_some_and(|used| now.since(used) < window)
     }
 
+    /// Returns a free address: the configured one, or address 0, or a random one; `None` if there
+    /// is none.
     fn pick_address(&self, now: Instant, rng: &mut fastrand::Rng) -> Option<Address> {
         if let Some(wanted) = self.wanted {
             return (!self.is_used(now, wanted)).then_some(wanted);
@@ -179,6 +187,7 @@ impl LocalNode {
         (!free.is_empty()).then(|| free[rng.usize(..free.len())])
     }
 
+    /// Claims an address when due, and sends heartbeats and responses that are due.
     pub fn handle_timeout(
         &mut self,
         now: Instant,
@@ -186,7 +195,7 @@ impl LocalNode {
         rng: &mut fastrand::Rng,
         outbox: &mut Outbox,
     ) -> Option<AddressChange> {
-        let change = match self.standing {
+        let change = match self.state {
             AddressState::Listening { until } if now >= until => {
                 match self.pick_address(now, rng) {
                     None => {
@@ -194,22 +203,22 @@ impl LocalNode {
                         let news = !std::mem::replace(&mut self.blocked, true);
                         news.then_some(AddressChange::Blocked(self.wanted))
                     }
-                    // 0 is ours by right while nobody contests it.
+                    // Address 0 belongs to the debug device unless another node uses it.
                     Some(Address::DEBUG) if !self.contested => {
                         Some(self.hold_address(now, Address::DEBUG))
                     }
                     Some(address) => {
                         self.blocked = false;
                         let wait = Duration::from_micros(rng.u64(..self.period.as_micros() as u64));
-                        self.standing =
+                        self.state =
                             AddressState::Waiting { address, since: now, until: now + wait };
                         None
                     }
                 }
             }
             AddressState::Waiting { address, since, until } if now >= until => {
-                let heard = self.heard[address.index()].is_some_and(|heard| heard >= since);
-                if heard {
+                let used = self.last_use[address.index()].is_some_and(|used| used >= since);
+                if used {
                     self.listen(now);
                     None
                 } else {
@@ -226,11 +235,12 @@ impl LocalNode {
     fn hold_address(&mut self, now: Instant, address: Address) -> AddressChange {
         self.responses.clear();
         self.blocked = false;
-        self.standing = AddressState::Held { address };
-        self.next_beat = Some(now);
+        self.state = AddressState::Held { address };
+        self.next_heartbeat = Some(now);
         AddressChange::Taken(address)
     }
 
+    /// Returns true if descan sends heartbeats, by the profile's `announce`.
     fn sends_heartbeats(&self, profile: &Profile) -> bool {
         match profile.heartbeat.announce {
             Announce::Always => true,
@@ -247,10 +257,10 @@ impl LocalNode {
         outbox: &mut Outbox,
     ) {
         let Some(address) = self.held() else { return };
-        if self.next_beat.is_none_or(|at| now < at) {
+        if self.next_heartbeat.is_none_or(|at| now < at) {
             return;
         }
-        self.next_beat = Some(now + self.period);
+        self.next_heartbeat = Some(now + self.period);
         if outbox.is_paused() || !self.sends_heartbeats(profile) {
             return;
         }
@@ -261,7 +271,7 @@ impl LocalNode {
         outbox.push(Frame::classic(header.encode(), &data[..len]));
     }
 
-    /// Answers a DES question of another debug device, and takes its flow control.
+    /// Responds to a DES request of another node, and processes its flow control.
     pub fn handle_request(
         &mut self,
         now: Instant,
@@ -283,7 +293,7 @@ impl LocalNode {
                 Request::Name => des::encode_name(NAME).collect(),
                 Request::Services => des::encode_services(&[["DES", "1.0"]]).collect(),
             };
-            self.response(header, address, framing, message, outbox);
+            self.start_response(header, address, framing, message, outbox);
             self.send_responses(now, outbox);
         } else if let Ok(Pci::Flow(flow)) = Pci::decode(frame.data(), frame.fd) {
             let flow_id = Header::request(header.source, address, false, profile.des_service());
@@ -292,9 +302,9 @@ impl LocalNode {
         }
     }
 
-    /// Whether just this question came a moment ago.
+    /// Returns true if the same request was received a moment ago.
     fn is_repeated(&mut self, now: Instant, request: &Frame) -> bool {
-        self.requests.retain(|other| now.since(other.time) < REPEATED_WITHIN);
+        self.requests.retain(|other| now.since(other.time) < REPEAT_WINDOW);
         if self.requests.iter().any(|other| other.same_on_wire(request)) {
             return true;
         }
@@ -305,7 +315,8 @@ impl LocalNode {
         false
     }
 
-    fn response(
+    /// Responds to a request. Raw responses that do not fit one frame are not sent.
+    fn start_response(
         &mut self,
         request: Header,
         from: Address,
@@ -351,13 +362,13 @@ impl LocalNode {
     }
 
     pub fn poll_timeout(&self) -> Option<Instant> {
-        let standing = match self.standing {
+        let state = match self.state {
             AddressState::Off => None,
             AddressState::Listening { until } | AddressState::Waiting { until, .. } => Some(until),
-            AddressState::Held { .. } => self.next_beat,
+            AddressState::Held { .. } => self.next_heartbeat,
         };
         let responses =
             self.responses.iter().filter_map(|response| response.segmenter.poll_timeout());
-        standing.into_iter().chain(responses).min()
+        state.into_iter().chain(responses).min()
     }
 }

@@ -1,28 +1,40 @@
-//! The discovery engine of one bus: finds devices, asks them for names and services, judges
-//! their presence, collects evidence of collisions, and holds our own address.
+//! Discovery engine of one bus: finds devices, queries their names and services, tracks their
+//! presence, collects evidence of conflicts, and holds descan's own address. Protocol: chapters 4
+//! to 6 of the guide's `protocol` topic.
 //!
 //! A state machine without I/O and without a clock:
 //!
-//! * `handle_frame`, `handle_timeout`: the only things, with the commands, that change it;
-//! * commands (`rescan`, …): what the user wants;
-//! * `poll_transmit`, `poll_event`: what is to be sent, what happened;
-//! * `poll_timeout`: when to be called again at the latest.
+//! * `handle_frame`, `handle_timeout` and the other `handle_*`, which together with the commands
+//!   are the only methods that change its state;
+//! * commands (`rescan`, …): requests of the user;
+//! * `poll_transmit`, `poll_event`: frames to send, events that occurred;
+//! * `poll_timeout`: the latest time of the next call.
+//!
+//! After each call that changes the state, drain the polls.
+//!
+//! Does not know des.json, the screen, or where frames come from. Its modules:
 //!
 //! ```text
-//! hearing     what a frame tells; questions and answers    heartbeats   mode, UID, reboots
-//! roster      the rows                                     identity     boards swapped, devices moved
-//! claims      who claims an address, who gives way         resolution   telling so
-//! presence    who is there                                 transfers    answers in several frames
-//! rounds      when everybody is asked                      asking       who is asked what, and when
-//! station     our own address, and our answers             outbox       our share; who acknowledges
-//! collisions  evidence, from raw frames                    cases        what it amounts to
-//! memory      of an address: what takes turns              doubling     what repeats everything
-//! errors      errors of the bus, and of one address        wording      findings in words
-//! device, event, finding: what others read
+//! receive            frames in: requests and responses
+//! heartbeats         mode, UID, reboots
+//! device_table       the device rows
+//! identity           replaced boards, moved devices
+//! claims             address claims and addresses given up
+//! resolution         events about them
+//! presence           online, stale, lost
+//! transfers          multi-frame responses
+//! rounds             enumeration rounds
+//! query_scheduler    which request is sent when
+//! local_node         own address, own responses
+//! outbox             transmit budget, acknowledgement
+//! conflict_detector  evidence of conflicts in frames
+//! address_history    values of one address that alternate
+//! duplicate_frames   frames repeated by a bridge
+//! finding_tracker    state of the findings
+//! finding_text       their text
+//! errors             bus errors
+//! device, event, config: data that other modules read
 //! ```
-//!
-//! Call one that changes it, then drain the polls. It does not know des.json, the screen, or
-//! where frames come from.
 
 mod address_history;
 mod claims;
@@ -70,66 +82,67 @@ use rounds::Rounds;
 use std::collections::VecDeque;
 use transfers::Transfers;
 
-/// Events that wait to be polled; more are dropped, oldest first.
+/// Maximum number of events waiting to be polled; beyond that the oldest is dropped.
 const MAX_EVENTS: usize = 4096;
 
-/// What we are on the bus.
+/// State of descan's own address on a bus (protocol §6.1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OwnAddress {
-    /// Nothing: we only listen.
+    /// None: listen-only.
     None,
-    /// Listening for used addresses before the first word.
+    /// Listening for used addresses; nothing is sent yet.
     Listening,
-    /// About to claim this one.
+    /// About to claim this address.
     Claiming(Address),
-    /// Not to be had: somebody else uses the one we are told to have, or, without one, all are
-    /// used. We go on listening, and take one as soon as it is free.
+    /// No address: the configured one, or with `None` every one, is used by another node. Listening
+    /// continues, and an address is taken as soon as it is free.
     Blocked(Option<Address>),
-    /// Ours.
+    /// Held: requests are sent from this address.
     Held(Address),
 }
 
-/// Where discovery stands.
+/// Progress of discovery on a bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[non_exhaustive]
 pub struct DiscoveryProgress {
-    /// Rounds finished.
+    /// Number of finished enumeration rounds.
     pub rounds: u32,
-    /// Devices here whose name is known.
+    /// Number of present devices with a known name.
     pub named: usize,
-    /// Devices here.
+    /// Number of present devices.
     pub here: usize,
-    /// Devices here whose services are known.
+    /// Number of present devices with known services.
     pub with_services: usize,
-    /// Questions that still wait for an answer or for their turn.
+    /// Number of queries without a response that are sent or due.
     pub open_requests: usize,
-    /// A round brought nothing new, every question is answered or given up, and no suspicion
-    /// is open.
+    /// True if the last rounds found nothing new, no query is open, and no finding is suspected.
     pub settled: bool,
 }
 
-/// The named counters of one bus.
+/// Counters of one bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[non_exhaustive]
 pub struct Counters {
-    /// Data, remote and error frames heard, ours included.
+    /// Data, remote and error frames received, including those sent by descan.
     pub frames: u64,
-    /// Frames we sent and the bus took.
+    /// Frames sent by descan and confirmed.
     pub sent: u64,
     /// Error frames.
     pub errors: u64,
-    /// Standard and remote frames: foreign, never interpreted.
+    /// Frames with an 11-bit identifier and remote frames, which are not decoded.
     pub non_platform: u64,
-    /// Identifiers that are none of the nine types.
+    /// Frames whose identifier is none of the nine message types.
     pub non_conforming: u64,
-    /// Answers that could not be used, or only in part.
+    /// Malformed responses.
     pub malformed: u64,
-    /// Transfers given up.
+    /// Multi-frame transfers aborted.
     pub transfers_failed: u64,
-    /// Device rows, findings or transfers refused because there were too many.
+    /// Device rows and findings refused because there were too many.
     pub refused: u64,
 }
 
 impl Counters {
-    /// Counts a frame by what it is; comes back with its header, where it is the platform's.
+    /// Counts a frame by its kind; returns its identifier if it belongs to the platform.
     fn count(&mut self, frame: &Frame) -> Option<Header> {
         self.frames += 1;
         if frame.kind == FrameKind::Error {
@@ -147,7 +160,45 @@ impl Counters {
     }
 }
 
-/// The engine of one bus. See the module's documentation.
+/// Discovery engine of one bus; see the [module](self).
+///
+/// A bus with one node, FEED at address 12, simulated by hand:
+///
+/// ```
+/// use descan::discovery::{Config, Engine, EventKind};
+/// use descan::frame::Frame;
+/// use descan::time::{Duration, Instant};
+/// use descan::wire::des::TYPE_NAME;
+/// use descan::wire::id::{Address, Header};
+///
+/// // `echo: false`: frames that the engine sends are not received back.
+/// let mut engine = Engine::new(Instant::ZERO, Config { echo: false, ..Config::default() });
+/// let end = Instant::ZERO + Duration::from_secs(10);
+/// let node = Address::new(12).expect("0 to 127");
+/// let mut names = Vec::new();
+///
+/// while let Some(now) = engine.poll_timeout().filter(|now| *now < end) {
+///     engine.handle_timeout(now);
+///     while let Some(request) = engine.poll_transmit(now) {
+///         let header = Header::decode(request.platform_id().expect("a 29-bit identifier"));
+///         // "DES" and the type behind the length byte of ISO-TP; D = 0: to working nodes.
+///         let is_name_request = request.data() == [4, b'D', b'E', b'S', TYPE_NAME];
+///         if is_name_request && !header.to_not_working {
+///             let id = header.response(node, false).encode();
+///             let response = Frame::classic(id, b"\x06\x01FEED\0");
+///             engine.handle_frame(&response.with_time(now));
+///         }
+///     }
+///     while let Some(event) = engine.poll_event() {
+///         if let (EventKind::Named, Some(name)) = (event.kind, event.name) {
+///             names.push((event.address, name.to_string()));
+///         }
+///     }
+/// }
+///
+/// assert_eq!(names, [(Some(node), "FEED".to_owned())]);
+/// assert!(engine.findings().is_empty());
+/// ```
 #[derive(Debug)]
 pub struct Engine {
     config: Config,
@@ -164,25 +215,25 @@ pub struct Engine {
     lateness: BusDelayTracker,
     outages: Outages,
     broadcasts: VecDeque<PendingBroadcast>,
-    /// When each address asked something last.
-    asked_at: [Option<Instant>; Address::COUNT],
+    /// Time of the last request from each address.
+    last_request_at: [Option<Instant>; Address::COUNT],
     events: VecDeque<Event>,
     counters: Counters,
-    /// Questions that await an answer, counted anew whenever anybody is to be asked.
+    /// Number of queries that await a response, updated before requests are sent.
     waiting: usize,
     wake: Instant,
 }
 
-/// A who-is-there to all that answers may still come to.
+/// A broadcast name request that may still be answered.
 #[derive(Clone, Copy, Debug)]
 struct PendingBroadcast {
     time: Instant,
     rnd7: Address,
-    ours: bool,
+    is_own: bool,
 }
 
 impl Engine {
-    /// An engine that starts at `now`.
+    /// Creates an engine that starts at `now`.
     pub fn new(now: Instant, config: Config) -> Self {
         let mut rng = fastrand::Rng::with_seed(config.seed);
         let period = config.profile.heartbeat.period();
@@ -204,7 +255,7 @@ impl Engine {
             claims: AddressClaims::new(period),
             outages: Outages::default(),
             broadcasts: VecDeque::new(),
-            asked_at: [None; Address::COUNT],
+            last_request_at: [None; Address::COUNT],
             events: VecDeque::new(),
             counters: Counters::default(),
             waiting: 0,
@@ -215,8 +266,7 @@ impl Engine {
         }
     }
 
-    /// Takes a frame, dated by its own time. Time never goes back: a frame dated before the
-    /// last moment known counts as of that moment.
+    /// Processes a frame at its own time. A time before the last known one counts as that one.
     pub fn handle_frame(&mut self, frame: &Frame) {
         self.advance(frame.time);
         self.process_frame(frame);
@@ -226,21 +276,22 @@ impl Engine {
         }
     }
 
-    /// Counts a frame that may be older than it says: nothing is learnt from it.
+    /// Updates the counters only. For frames that waited during a stall, whose time may be wrong:
+    /// devices, presence and findings do not change.
     pub fn count_only(&mut self, frame: &Frame) {
         self.counters.count(frame);
     }
 
-    /// Takes note that `count` frames were lost before they could be read.
+    /// Notes that `count` frames were lost before descan could read them.
     pub fn handle_lost(&mut self, now: Instant, count: u64) {
         self.advance(now);
-        self.conflicts.cases_mut().note_lost_frames(self.now, count);
+        self.conflicts.finding_tracker_mut().note_lost_frames(self.now, count);
         self.errors.note_lost_frames();
         self.emit_finding_changes();
         self.wake_at(self.now);
     }
 
-    /// Does what is due at `now`.
+    /// Processes everything that is due at `now`.
     pub fn handle_timeout(&mut self, now: Instant) {
         self.advance(now);
         if self.now < self.wake {
@@ -248,14 +299,14 @@ impl Engine {
         }
         let now = self.now;
         let change = self.outbox.handle_timeout(now);
-        self.acknowledgement(change);
+        self.handle_ack_change(change);
         let change = self.local_node.handle_timeout(
             now,
             &self.config.profile,
             &mut self.rng,
             &mut self.outbox,
         );
-        self.address_changed(change);
+        self.handle_address_change(change);
         self.expire_transfers();
         self.judge_presence();
         self.check_suspicions();
@@ -265,12 +316,13 @@ impl Engine {
         self.wake = self.next_wake();
     }
 
-    /// When [`handle_timeout`](Self::handle_timeout) is to be called at the latest.
+    /// Returns the latest time of the next call of [`handle_timeout`](Self::handle_timeout); `None`
+    /// if nothing is due.
     pub fn poll_timeout(&self) -> Option<Instant> {
         (self.wake != NO_TIMEOUT).then_some(self.wake)
     }
 
-    /// The next frame to send.
+    /// Returns the next frame to send, if any.
     pub fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
         let frame = self.outbox.pop(now)?;
         if !self.config.echo {
@@ -281,8 +333,8 @@ impl Engine {
         Some(frame.with_bus(self.config.bus))
     }
 
-    /// There is no bus at the moment: forgets what was to be sent, and what was sent and not
-    /// taken yet, and takes no address before it has listened again.
+    /// Handles a bus that cannot be used at present: discards frames not sent or not confirmed, and
+    /// releases the own address, which is claimed again after listening.
     pub fn wait_for_bus(&mut self, now: Instant) {
         self.outbox.clear();
         if !self.config.listen_only {
@@ -290,12 +342,12 @@ impl Engine {
         }
     }
 
-    /// The next thing that happened.
+    /// Returns the next event, oldest first.
     pub fn poll_event(&mut self) -> Option<Event> {
         self.events.pop_front()
     }
 
-    /// Command: ask everybody again now, services included.
+    /// Command: starts enumeration rounds again and queries all services.
     pub fn rescan(&mut self, now: Instant) {
         self.advance(now);
         let now = self.now;
@@ -303,7 +355,7 @@ impl Engine {
             self.rounds.restart(now);
         }
         for address in Address::all() {
-            // A row at whose address another one speaks cannot be asked.
+            // A row that was replaced at its address cannot be queried.
             if let Some(device) = self.device_table.current_device_mut(address)
                 && device.is_present()
                 && self.config.scan
@@ -314,28 +366,28 @@ impl Engine {
         self.wake_at(now);
     }
 
-    /// Command: forget the devices that are lost.
+    /// Command: removes the lost devices.
     pub fn clear_lost(&mut self) {
         self.device_table.clear_lost();
     }
 
-    /// No frame can reach us from now on, because the bus is down: who is there cannot be judged
-    /// until [`restart`](Self::restart), or until somebody is heard.
+    /// Notes that the bus is down: presence is not judged until [`restart`](Self::restart), or
+    /// until a frame is received.
     pub fn suspend(&mut self, now: Instant) {
         self.advance(now);
         self.outages.begin(self.now);
     }
 
-    /// Whether [`suspend`](Self::suspend) still holds.
+    /// Returns true while the engine is suspended by [`suspend`](Self::suspend).
     pub fn is_suspended(&self) -> bool {
         self.outages.is_on()
     }
 
-    /// Command: begin anew with our address and rounds, as after bus-off or when the interface
-    /// came back. What is known stays.
+    /// Command: claims an address and starts enumeration rounds again, as after bus-off or when the
+    /// interface came up. Devices and findings stay.
     pub fn restart(&mut self, now: Instant) {
         self.advance(now);
-        // It may be over before it was told.
+        // The outage may end before `suspend` was called.
         self.outages.begin(self.now);
         self.end_outage();
         self.outbox.clear();
@@ -348,8 +400,8 @@ impl Engine {
         self.wake_at(self.now);
     }
 
-    /// Questions of ours that had waited for long went out all at once: who answers more than one of
-    /// them, now or a little later, is not two.
+    /// Notes that delayed requests were sent all at once: a device that responds to several of
+    /// them, now or a little later, is not in conflict.
     pub fn handle_delayed_requests(&mut self, now: Instant) {
         self.advance(now);
         self.conflicts.ignore_extra_responses(self.now);
@@ -362,42 +414,42 @@ impl Engine {
         }
     }
 
-    /// Tells the bit rate, once it is known.
+    /// Sets the bit rate in bit/s; `None` if unknown.
     pub fn set_bitrate(&mut self, bitrate: Option<u32>) {
         self.config.bitrate = bitrate;
     }
 
-    /// All rows, in the order of appearance.
+    /// Returns all device rows, in the order of appearance.
     pub fn devices(&self) -> &[Device] {
         self.device_table.devices()
     }
 
-    /// One row.
+    /// Returns the row with that id.
     pub fn device(&self, id: DeviceId) -> Option<&Device> {
         self.device_table.by_id(id)
     }
 
-    /// The row that speaks from `address` now.
+    /// Returns the active row at `address`.
     pub fn device_at(&self, address: Address) -> Option<&Device> {
         self.device_table.current_device(address)
     }
 
-    /// All findings, by the time of their first evidence, cleared ones included.
+    /// Returns all findings in the order of their first evidence, including cleared ones.
     pub fn findings(&self) -> &[Finding] {
         self.conflicts.finding_tracker().findings()
     }
 
-    /// What we are on the bus.
+    /// Returns the state of descan's own address.
     pub fn own_address(&self) -> OwnAddress {
         self.local_node.own_address()
     }
 
-    /// Whether we keep silent because nobody acknowledges our frames.
+    /// Returns true while sending is paused because no node acknowledges descan's frames.
     pub fn is_unacknowledged(&self) -> bool {
         self.outbox.is_missing()
     }
 
-    /// Where discovery stands.
+    /// Returns the progress of discovery.
     pub fn progress(&self) -> DiscoveryProgress {
         let here = self.devices().iter().filter(|device| device.is_present());
         let mut progress =
@@ -418,7 +470,7 @@ impl Engine {
         progress
     }
 
-    /// The named counters.
+    /// Returns the counters.
     pub fn counters(&self) -> Counters {
         Counters {
             refused: self.counters.refused + self.conflicts.finding_tracker().refused,
@@ -426,12 +478,12 @@ impl Engine {
         }
     }
 
-    /// The settings it runs with.
+    /// Returns the settings.
     pub fn config(&self) -> &Config {
         &self.config
     }
 
-    // --- inside --------------------------------------------------------------------------
+    // --- private --------------------------------------------------------------------------
 
     fn advance(&mut self, now: Instant) {
         self.now = self.now.max(now);
@@ -451,6 +503,7 @@ impl Engine {
         }
     }
 
+    /// Emits an event of the device at row `index`.
     fn emit(&mut self, index: usize, kind: EventKind) {
         let device = self.device_table.get(index);
         let (id, address, name) = (device.id, device.address, device.name.clone());
@@ -463,7 +516,7 @@ impl Engine {
         });
     }
 
-    /// Tells something of a device that may have no row, at an address that may be another's.
+    /// Emits an event of a device that may have no row, at an address that another row may use.
     fn emit_for(&mut self, device: Option<DeviceId>, address: Address, kind: EventKind) {
         let name = device.and_then(|id| self.device_table.by_id(id)?.name.clone());
         self.push_event(Event { time: self.now, device, address: Some(address), name, kind });
@@ -480,8 +533,9 @@ impl Engine {
         self.events.push_back(event);
     }
 
+    /// Emits changed findings; after a cleared conflict the remaining device is queried again.
     fn emit_finding_changes(&mut self) {
-        while let Some((key, confidence)) = self.conflicts.cases_mut().poll_changed() {
+        while let Some((key, confidence)) = self.conflicts.finding_tracker_mut().poll_changed() {
             let shared = key.kind.is_conflict() || key.kind == FindingKind::BusErrors;
             if let (true, Confidence::Cleared, Some(address)) = (shared, confidence, key.address) {
                 self.requery(address);
@@ -494,7 +548,8 @@ impl Engine {
         }
     }
 
-    /// Whoever is left at `address` after a collision: what is known may be the other's.
+    /// Queries the device that remains at `address` after a conflict: known data may be that of the
+    /// other one.
     fn requery(&mut self, address: Address) {
         let now = self.now;
         if let Some(device) = self.device_table.current_device_mut(address)
@@ -506,11 +561,11 @@ impl Engine {
         }
     }
 
-    fn acknowledgement(&mut self, change: Option<Acknowledgement>) {
+    fn handle_ack_change(&mut self, change: Option<Acknowledgement>) {
         match change {
             Some(Acknowledgement::Missing) => {
                 self.emit_bus_event(EventKind::NobodyAcknowledges);
-                // Nobody heard the question: it is asked again when we try again.
+                // No node received the request: repeat it with the next attempt.
                 if self.local_node.held().is_some() && self.config.scan {
                     self.rounds.restart(self.now);
                 }
@@ -526,7 +581,7 @@ impl Engine {
         }
     }
 
-    fn address_changed(&mut self, change: Option<AddressChange>) {
+    fn handle_address_change(&mut self, change: Option<AddressChange>) {
         match change {
             Some(AddressChange::Taken(address)) => {
                 self.emit_bus_event(EventKind::OwnAddress(address));
@@ -549,7 +604,7 @@ impl Engine {
     fn check_suspicions(&mut self) {
         let now = self.now;
         let device_table = &mut self.device_table;
-        self.conflicts.cases_mut().handle_timeout(now, |address| {
+        self.conflicts.finding_tracker_mut().handle_timeout(now, |address| {
             if let Some(device) = device_table.current_device_mut(address)
                 && device.is_present()
             {
@@ -558,12 +613,13 @@ impl Engine {
         });
     }
 
-    /// Sets the presence of every row, and tells what changed.
+    /// Updates the presence of every row and emits the changes.
     fn judge_presence(&mut self) {
         if self.outages.is_on() {
             return;
         }
-        // A row that turns out to have moved takes another one's place: the number changes.
+        // A row that turns out to have moved is merged with another one, which changes the number
+        // of rows.
         let mut index = 0;
         while index < self.device_table.devices().len() {
             self.judge_device(index);
@@ -580,25 +636,26 @@ impl Engine {
             self.judge_replaced(device)
         };
         let was = device.presence;
-        // What another one beats does not bring it back, nor is it this one that is silent then.
-        let beaten_for =
+        // Heartbeats of another node neither return this device nor make it silent.
+        let was_other_node =
             device.last_heartbeat_was_other_node && self.device_table.is_current(index);
-        let gone = matches!(was, Presence::Lost | Presence::Asleep);
-        let anothers = presence == Presence::Online || presence == Presence::Stale && gone;
+        let was_gone = matches!(was, Presence::Lost | Presence::Asleep);
+        let may_be_other_node =
+            presence == Presence::Online || presence == Presence::Stale && was_gone;
         if presence == Presence::Lost {
             self.device_table.get_mut(index).last_heartbeat_was_other_node = false;
         }
-        if presence == was || (anothers && beaten_for) {
+        if presence == was || (may_be_other_node && was_other_node) {
             return;
         }
         let address = self.device_table.get(index).address;
         let device = self.device_table.get_mut(index);
         device.presence = presence;
         device.presence_since = self.now;
-        // Whether it still does, nobody knows.
+        // Its mode is unknown while no heartbeats arrive.
         device.is_resolving &= presence == Presence::Online;
         if presence == Presence::Online {
-            // It may have been away for new firmware.
+            // It may have been offline for a firmware update.
             let suspect = self.errors.is_suspect(address);
             let query = &mut self.device_table.get_mut(index).services_query;
             if suspect {
@@ -620,18 +677,19 @@ impl Engine {
         }
     }
 
-    /// A row at whose address another one speaks: there while it still answers for itself.
+    /// Returns the presence of a row that was replaced at its address: present while it still
+    /// responds.
     fn judge_replaced(&self, device: &Device) -> Presence {
         if matches!(device.presence, Presence::Lost | Presence::Asleep) {
             return device.presence;
         }
-        let patience =
+        let periods =
             if self.conflicts.finding_tracker().is_open_at(device.address) { 8 } else { 4 };
-        let answered = device.name_query.answered_at.max(device.replaced_at);
-        let answered = answered.unwrap_or(device.last_seen);
+        let responded = device.name_query.answered_at.max(device.replaced_at);
+        let responded = responded.unwrap_or(device.last_seen);
         let period = self.config.profile.heartbeat.period();
         match device.mode {
-            _ if self.now.since(answered) < period * patience => device.presence,
+            _ if self.now.since(responded) < period * periods => device.presence,
             Some(Mode::Idle) => Presence::Asleep,
             _ => Presence::Lost,
         }
@@ -649,7 +707,7 @@ impl Engine {
                 at(Some(self.now + Duration::from_secs(1)));
             }
         }
-        at(self.asking_timeout());
+        at(self.query_timeout());
         at(self.local_node.poll_timeout());
         at(self.transfers.poll_timeout());
         at(self.conflicts.finding_tracker().poll_timeout());
@@ -659,9 +717,10 @@ impl Engine {
     }
 }
 
+/// Stands for no timeout.
 const NO_TIMEOUT: Instant = Instant::from_micros(u64::MAX);
 
-/// Whether an answer is awaited or the question is still to be asked the first times.
+/// Returns true if a response is awaited, or the query is due and did not fail before.
 fn is_open(query: &Query) -> bool {
     query.is_waiting() || (query.due.is_some() && query.state != QueryState::Unanswered)
 }

@@ -1,41 +1,42 @@
-//! What is to be sent: how much of the bus it may take, and whether anybody acknowledges it.
+//! Transmit queue with its budget and the supervision of acknowledgement.
 //!
-//! Questions wait for the budget; flow control, answers and heartbeats go at once and are
-//! charged all the same.
+//! Requests wait for the budget; flow control, responses and heartbeats are sent at once and
+//! charged to it (protocol §4.4).
 
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
 use crate::wire::id::Header;
 use std::collections::VecDeque;
 
-/// How long a frame may stay without the bus having taken it before nothing more is sent.
-const ACKNOWLEDGE_WITHIN: Duration = Duration::from_millis(500);
-/// How often a silent bus is tried again.
-const TRY_AGAIN: Duration = Duration::from_secs(5);
-/// Frames that are remembered to recognise them when something sends them back to us.
+/// Time without a confirmed frame after which sending is paused.
+const ACK_TIMEOUT: Duration = Duration::from_millis(500);
+/// Interval between attempts while sending is paused.
+const ACK_RETRY_DELAY: Duration = Duration::from_secs(5);
+/// Number of sent frames stored, to recognise repeated ones.
 const SENT_HISTORY: usize = 256;
-/// For how long they are.
-const REMEMBERED_FOR: Duration = Duration::from_secs(1);
+/// Age at which a stored frame is no longer compared.
+const SENT_HISTORY_AGE: Duration = Duration::from_secs(1);
 
-/// A change in whether anybody acknowledges us.
+/// Change of the acknowledgement of descan's frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Acknowledgement {
     Missing,
     Back,
 }
 
+/// Transmit queue of one bus.
 #[derive(Debug)]
 pub(super) struct Outbox {
     queue: VecDeque<Frame>,
     sent: VecDeque<Frame>,
-    /// The addresses that we sent from, a bit each.
+    /// Addresses that descan sent from, one bit each.
     senders: u128,
     tokens: f64,
     refilled: Instant,
     echo: bool,
     unconfirmed: u32,
     unconfirmed_since: Instant,
-    held_until: Option<Instant>,
+    paused_until: Option<Instant>,
     missing: bool,
 }
 
@@ -50,35 +51,36 @@ impl Outbox {
             echo,
             unconfirmed: 0,
             unconfirmed_since: now,
-            held_until: None,
+            paused_until: None,
             missing: false,
         }
     }
 
-    /// Lets the budget grow to `now` at `rate` bits per second, up to `burst` bits.
+    /// Increases the budget to `now` at `rate` bits per second, up to `burst` bits.
     pub fn refill(&mut self, now: Instant, rate: f64, burst: f64) {
         let passed = now.since(self.refilled).as_secs_f64();
         self.refilled = self.refilled.max(now);
         self.tokens = (self.tokens + passed * rate).min(burst);
     }
 
-    /// Whether the budget lets a question go.
+    /// Returns true if the budget allows a request.
     pub fn has_budget(&self) -> bool {
         self.tokens > 0.0
     }
 
-    /// When it will.
+    /// Returns when the budget allows a request.
     pub fn budget_at(&self, rate: f64) -> Instant {
         let missing = (-self.tokens).max(0.0) + 1.0;
         self.refilled + Duration::from_micros((missing / rate.max(1.0) * 1e6) as u64)
     }
 
+    /// Appends a frame and charges it to the budget, which may become negative.
     pub fn push(&mut self, frame: Frame) {
         self.tokens -= nominal_bits(&frame);
         self.queue.push_back(frame);
     }
 
-    /// Hands out the next frame.
+    /// Removes the next frame and stores it as sent.
     pub fn pop(&mut self, now: Instant) -> Option<Frame> {
         let frame = self.queue.pop_front()?;
         if self.sent.len() == SENT_HISTORY {
@@ -95,19 +97,20 @@ impl Outbox {
         Some(frame)
     }
 
-    /// Whether we sent just this frame within the last second: then it came back to us.
+    /// Returns true if descan sent exactly this frame within the last second, so that it was
+    /// repeated.
     pub fn is_own_echo(&self, now: Instant, frame: &Frame) -> bool {
-        // Asked of every frame: hardly any is from our address.
+        // Called for every frame; the bit mask excludes almost all of them.
         self.senders & sender_bit(frame) != 0
             && self
                 .sent
                 .iter()
-                .any(|own| own.same_on_wire(frame) && now.since(own.time) < REMEMBERED_FOR)
+                .any(|own| own.same_on_wire(frame) && now.since(own.time) < SENT_HISTORY_AGE)
     }
 
-    /// The bus took a frame of ours.
-    pub fn confirmed(&mut self, now: Instant, frame: &Frame) -> Option<Acknowledgement> {
-        // It may have waited for long; what comes back of it comes after this.
+    /// Notes that a frame of descan is on the bus.
+    pub fn note_sent(&mut self, now: Instant, frame: &Frame) -> Option<Acknowledgement> {
+        // The frame may have waited for long; copies of it follow this moment.
         if let Some(own) = self.sent.iter_mut().find(|own| own.same_on_wire(frame)) {
             own.time = now;
         }
@@ -116,8 +119,8 @@ impl Outbox {
         self.resume()
     }
 
-    /// Somebody else sent a frame: there is somebody to acknowledge ours. One of ours that is
-    /// still not sent waits behind frames of higher priority.
+    /// Notes a frame of another node, which can acknowledge descan's frames. A frame that is still
+    /// not confirmed waits behind frames of higher priority.
     pub fn note_other_frame(&mut self, now: Instant) -> Option<Acknowledgement> {
         self.unconfirmed_since = now;
         if !self.missing {
@@ -128,61 +131,61 @@ impl Outbox {
     }
 
     fn resume(&mut self) -> Option<Acknowledgement> {
-        self.held_until = None;
+        self.paused_until = None;
         std::mem::take(&mut self.missing).then_some(Acknowledgement::Back)
     }
 
-    /// Whether nothing may be sent now because nobody acknowledges.
+    /// Returns true while sending is paused for lack of acknowledgement.
     pub fn is_paused(&self) -> bool {
-        self.held_until.is_some()
+        self.paused_until.is_some()
     }
 
-    /// Whether nobody acknowledges, as far as is known.
+    /// Returns true if frames are not acknowledged.
     pub fn is_missing(&self) -> bool {
         self.missing
     }
 
+    /// Pauses sending without acknowledgement, and ends the pause for another attempt.
     pub fn handle_timeout(&mut self, now: Instant) -> Option<Acknowledgement> {
-        match self.held_until {
+        match self.paused_until {
             Some(until) if now >= until => {
-                // The frame that waited may have been thrown away below us: try another.
-                self.held_until = None;
+                // The driver may have dropped the frame that waited: try another one.
+                self.paused_until = None;
                 self.unconfirmed = 0;
                 None
             }
-            None if self.unconfirmed > 0
-                && now.since(self.unconfirmed_since) >= ACKNOWLEDGE_WITHIN =>
-            {
-                self.held_until = Some(now + TRY_AGAIN);
+            None if self.unconfirmed > 0 && now.since(self.unconfirmed_since) >= ACK_TIMEOUT => {
+                self.paused_until = Some(now + ACK_RETRY_DELAY);
                 self.queue.clear();
-                let news = !std::mem::replace(&mut self.missing, true);
-                news.then_some(Acknowledgement::Missing)
+                let is_new = !std::mem::replace(&mut self.missing, true);
+                is_new.then_some(Acknowledgement::Missing)
             }
             _ => None,
         }
     }
 
     pub fn poll_timeout(&self) -> Option<Instant> {
-        match self.held_until {
+        match self.paused_until {
             Some(until) => Some(until),
-            None => (self.unconfirmed > 0).then(|| self.unconfirmed_since + ACKNOWLEDGE_WITHIN),
+            None => (self.unconfirmed > 0).then(|| self.unconfirmed_since + ACK_TIMEOUT),
         }
     }
 
+    /// Discards all frames and ends the pause.
     pub fn clear(&mut self) {
         self.queue.clear();
         self.unconfirmed = 0;
-        self.held_until = None;
+        self.paused_until = None;
         self.missing = false;
     }
 }
 
-/// The address that a frame says it is from, as a bit.
+/// Returns the SRC address of a frame as a bit.
 fn sender_bit(frame: &Frame) -> u128 {
     frame.platform_id().map_or(0, |id| 1 << Header::decode(id).source.index())
 }
 
-/// About how many bits a frame takes, with an allowance for stuffing: for the budget alone.
+/// Approximate length of a frame in bits with stuff bits, for the budget only.
 fn nominal_bits(frame: &Frame) -> f64 {
     (67 + 8 * frame.len()) as f64 * 1.1
 }

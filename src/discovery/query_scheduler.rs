@@ -1,5 +1,6 @@
-//! Whom we ask what, and when: rounds, names of nodes known by their frames alone, services;
-//! with time-outs, bounded retries, back-off, and within our share of the bus.
+//! Query scheduler: decides which request is sent to which device when. Enumeration rounds, names
+//! of nodes found between rounds, services; with timeouts, limited attempts, back-off, and within
+//! the transmit budget (protocol §4).
 
 use super::device::{QueryFault, QueryState};
 use super::presence::is_claim_only;
@@ -13,21 +14,21 @@ use crate::wire::id::{Address, Header};
 use crate::wire::isotp;
 use crate::wire::profile::Profile;
 
-/// Questions that wait for an answer at the same time: enough to keep a slow bus busy.
+/// Maximum number of queries that wait for a response: enough to keep a slow bus busy.
 const MAX_WAITING: usize = 12;
-/// How often a node is asked for its services before it is left alone for a while.
+/// Attempts to query services before a pause.
 const SERVICES_ATTEMPTS: u32 = 4;
-/// How often a node is asked for its name, before everybody is.
+/// Attempts to query a name before an enumeration round.
 const NAME_ATTEMPTS: u32 = 2;
-/// When a question that was given up is tried again.
+/// Pause after the last attempt of a query.
 const RETRY_DELAY: Duration = Duration::from_secs(30);
-/// How long a round may take until nodes it should have asked are asked one by one.
+/// Time after the start of a round at which nodes without a name are queried one by one.
 const ROUND_WAIT_LIMIT: Duration = Duration::from_secs(2);
-/// Broadcasts that late answers are still matched with.
+/// Maximum number of broadcasts stored to match late responses.
 const MAX_BROADCASTS: usize = 16;
 
 impl Engine {
-    /// Sends what is due, and gives up what is overdue.
+    /// Sends the requests that are due and expires those without a response.
     pub(super) fn send_due_queries(&mut self) {
         self.expire_queries();
         let Some(own) = self.local_node.held() else { return };
@@ -36,9 +37,10 @@ impl Engine {
         }
         self.refill();
         self.step_round(own);
-        self.ask_devices(own);
+        self.send_device_queries(own);
     }
 
+    /// Returns the share of the bus for requests, in bit/s.
     fn share(&self) -> f64 {
         let busy = self.rounds.is_starting();
         let share = if busy { self.config.start_share } else { self.config.steady_share };
@@ -46,21 +48,22 @@ impl Engine {
     }
 
     fn refill(&mut self) {
-        // Up to a tenth of a second's worth may be saved up, and a round's frames at least.
+        // The budget holds at most 0.1 s of the share, and at least one round.
         let rate = self.share();
         self.outbox.refill(self.now, rate, (rate / 10.0).max(800.0));
     }
 
+    /// Starts or finishes an enumeration round when due.
     fn step_round(&mut self, own: Address) {
         let now = self.now;
         let known = self.device_table.discoveries;
         let open = self.open_requests();
         match self.rounds.step(now, &self.config, open, known) {
             RoundStep::None => {}
-            RoundStep::Ask if !self.outbox.has_budget() => {
+            RoundStep::Send if !self.outbox.has_budget() => {
                 self.rounds.postpone(self.outbox.budget_at(self.share()));
             }
-            RoundStep::Ask => {
+            RoundStep::Send => {
                 self.defer_to_round();
                 let framings = self.config.profile.framings(None);
                 for to_not_working in [true, false] {
@@ -71,11 +74,11 @@ impl Engine {
                 let count = if self.config.echo { 2 * framings.len() as u32 } else { 0 };
                 self.rounds.note_requests(count);
             }
-            RoundStep::Over { began } => self.round_is_over(began),
+            RoundStep::Over { began } => self.finish_round(began),
         }
     }
 
-    /// Nodes whose name is to be asked for are asked by the round that begins now.
+    /// Delays single name queries, because the round that begins now includes them.
     fn defer_to_round(&mut self) {
         let after = self.now + ROUND_WAIT_LIMIT;
         for device in self.device_table.devices_mut() {
@@ -85,21 +88,22 @@ impl Engine {
         }
     }
 
-    /// Questions whose answers a repeat round waits for.
+    /// Returns the number of services queries that a round at start waits for.
     fn open_requests(&self) -> usize {
         if !self.rounds.is_starting() {
             return 0;
         }
-        let here = self.device_table.devices().iter().filter(|device| device.is_present());
-        here.filter(|device| super::is_open(&device.services_query)).count()
+        let present = self.device_table.devices().iter().filter(|device| device.is_present());
+        present.filter(|device| super::is_open(&device.services_query)).count()
     }
 
-    fn round_is_over(&mut self, began: Instant) {
+    /// Updates presence and queries after an enumeration round that began at `began`.
+    fn finish_round(&mut self, began: Instant) {
         let period = self.config.profile.heartbeat.period();
         for device in self.device_table.devices_mut() {
-            let beats = device.heartbeat.last.is_some() && !is_claim_only(device, period);
-            let there = beats || device.last_seen >= began;
-            device.rounds_missed = if there { 0 } else { device.rounds_missed + 1 };
+            let has_heartbeats = device.heartbeat.last.is_some() && !is_claim_only(device, period);
+            let is_present = has_heartbeats || device.last_seen >= began;
+            device.rounds_missed = if is_present { 0 } else { device.rounds_missed + 1 };
         }
         self.judge_presence();
         let now = self.now;
@@ -108,9 +112,10 @@ impl Engine {
             if device.name.is_none() && query.state == QueryState::NotAsked && query.due.is_some() {
                 query.due = Some(now);
             }
-            // A node that was asked in vain answered this round neither: leave it for a while.
-            let asked_all = query.state == QueryState::Asked && query.deadline.is_none();
-            if device.name.is_none() && asked_all && query.asked_at <= Some(began) {
+            // A node without a response to single requests did not respond to this round either:
+            // pause its query.
+            let waits_for_round = query.state == QueryState::Asked && query.deadline.is_none();
+            if device.name.is_none() && waits_for_round && query.asked_at <= Some(began) {
                 query.give_up(now + RETRY_DELAY);
             }
         }
@@ -127,11 +132,12 @@ impl Engine {
         self.send_request(header, Request::Name, framing);
     }
 
-    pub(super) fn note_broadcast(&mut self, rnd7: Address, ours: bool) {
+    /// Stores a broadcast request, so that late responses are matched to it.
+    pub(super) fn note_broadcast(&mut self, rnd7: Address, is_own: bool) {
         if self.broadcasts.len() == MAX_BROADCASTS {
             self.broadcasts.pop_front();
         }
-        self.broadcasts.push_back(PendingBroadcast { time: self.now, rnd7, ours });
+        self.broadcasts.push_back(PendingBroadcast { time: self.now, rnd7, is_own });
     }
 
     fn send_request(&mut self, mut header: Header, request: Request, framing: Framing) {
@@ -140,15 +146,16 @@ impl Engine {
         self.outbox.push(Frame::classic(header.encode(), &data[..len]));
     }
 
-    fn ask_devices(&mut self, own: Address) {
+    /// Sends the targeted requests that are due.
+    fn send_device_queries(&mut self, own: Address) {
         let now = self.now;
         if self.rounds.priority_until(now).is_some() {
             return;
         }
         let window = self.response_window();
         for request in [Request::Name, Request::Services] {
-            // By address: lower ones have priority on the bus, so who was asked first is done
-            // first, and nobody waits behind the answers of those that are asked later.
+            // In the order of addresses: responses of lower ones have priority on the bus, so
+            // requests are answered in the order sent and none waits behind later ones.
             for address in Address::all() {
                 if self.waiting >= MAX_WAITING || !self.outbox.has_budget() {
                     return;
@@ -157,16 +164,16 @@ impl Engine {
                     && self.conflicts.finding_tracker().is_open_at(address)
                     && !self.errors.is_suspect(address);
                 let Some(device) = self.device_table.current_device_mut(address) else { continue };
-                // Two that answer in several frames at once destroy each other's: what is known
-                // must do until one of them is gone, unless that is just what is looked into.
+                // Two multi-frame responses at once destroy each other: keep the known services
+                // until one device has left, unless that effect itself is under test.
                 if shared && device.services.is_some() {
                     device.services_query.due = None;
                     continue;
                 }
                 let (working, framing) = (device.working, device.framing);
-                // While it resolves its address, the mode it takes next is not known.
+                // During address resolution its next mode is unknown.
                 let undecided = device.is_resolving && !working;
-                // Where one is lost another may be, who claimed its address.
+                // Another node may have claimed the address of a lost device.
                 let is_there =
                     device.presence != Presence::Lost || device.last_heartbeat_was_other_node;
                 let usable = is_there && address != own;
@@ -178,8 +185,8 @@ impl Engine {
                     query.due = None;
                     continue;
                 }
-                if let Some(alone) = self.errors.postpone_recheck(now, address, window) {
-                    query.due = Some(alone);
+                if let Some(later) = self.errors.postpone_recheck(now, address, window) {
+                    query.due = Some(later);
                     continue;
                 }
                 query.state = QueryState::Asked;
@@ -188,7 +195,7 @@ impl Engine {
                 query.due = None;
                 query.deadline = Some(now + response_timeout(&self.config, query.attempts));
                 self.waiting += 1;
-                // What does not answer in its framing any more may be another board.
+                // A device that no longer responds in its framing may be another board.
                 let framing = framing.filter(|_| query.attempts < max_attempts(request));
                 let service = self.config.profile.des_service();
                 let both = undecided
@@ -206,10 +213,11 @@ impl Engine {
         }
     }
 
+    /// Records queries whose response is overdue as failed.
     fn expire_queries(&mut self) {
         let now = self.now;
         let mut waiting = 0;
-        let mut hurry = false;
+        let mut needs_round = false;
         for device in self.device_table.devices_mut() {
             let named = device.name.is_some();
             for (request, query) in [
@@ -222,18 +230,18 @@ impl Engine {
                     Some(deadline) if deadline > now => waiting += 1,
                     Some(_) => {
                         let fault = query.fault;
-                        hurry |= record_failure(query, request, named, now, fault);
+                        needs_round |= record_failure(query, request, named, now, fault);
                     }
                 }
             }
         }
         self.waiting = waiting;
-        if hurry {
+        if needs_round {
             self.rounds.request_round(now);
         }
     }
 
-    /// A question's answer broke off or was refused: ask again, as long as that is sensible.
+    /// Handles an aborted or failed response: repeats the request while attempts are left.
     pub(super) fn response_failed(&mut self, index: usize, request: Request, fault: QueryFault) {
         let now = self.now;
         let device = self.device_table.get_mut(index);
@@ -241,7 +249,7 @@ impl Engine {
         let query = device.query_mut(request);
         let before = query.fault.replace(fault);
         if query.is_waiting() {
-            // Once may be because of the framing it was asked in.
+            // A single error response may be due to the framing of the request.
             if fault == QueryFault::Refused && before == Some(fault) {
                 query.attempts = query.attempts.max(max_attempts(request));
             }
@@ -252,22 +260,22 @@ impl Engine {
         self.wake_at(now);
     }
 
-    /// When something of this is due.
-    pub(super) fn asking_timeout(&self) -> Option<Instant> {
+    /// Returns when the next request or timeout is due.
+    pub(super) fn query_timeout(&self) -> Option<Instant> {
         let mut due = NO_TIMEOUT;
-        let asking =
+        let sending =
             self.local_node.held().is_some() && self.config.scan && !self.outbox.is_paused();
         for (index, device) in self.device_table.devices().iter().enumerate() {
-            let asking = asking && self.device_table.is_current(index);
+            let sending = sending && self.device_table.is_current(index);
             for query in [&device.name_query, &device.services_query] {
                 if let Some(deadline) = query.deadline.filter(|_| query.is_waiting()) {
                     due = due.min(deadline);
-                } else if asking && self.waiting < MAX_WAITING {
+                } else if sending && self.waiting < MAX_WAITING {
                     due = due.min(query.due.unwrap_or(NO_TIMEOUT));
                 }
             }
         }
-        if asking {
+        if sending {
             let round = self.rounds.poll_timeout(&self.config, self.open_requests());
             due = due.min(round.unwrap_or(NO_TIMEOUT));
             if let Some(until) = self.rounds.priority_until(self.now) {
@@ -280,14 +288,15 @@ impl Engine {
         (due != NO_TIMEOUT).then_some(due)
     }
 
+    /// Returns the next timeout of a query that waits for a response.
     fn next_deadline(&self) -> Instant {
         let queries =
             self.device_table.devices().iter().flat_map(|d| [&d.name_query, &d.services_query]);
         queries.filter(|q| q.is_waiting()).filter_map(|q| q.deadline).min().unwrap_or(NO_TIMEOUT)
     }
 
-    /// Extends a question's time while its answer arrives.
-    pub(super) fn response_started(&mut self, index: usize, request: Request) {
+    /// Extends the timeout of a query while its response arrives.
+    pub(super) fn extend_deadline(&mut self, index: usize, request: Request) {
         let now = self.now;
         let device = self.device_table.get_mut(index);
         let query = device.query_mut(request);
@@ -298,14 +307,14 @@ impl Engine {
     }
 }
 
-/// How long the first frame of an answer may take: what devices need, and what a slow and busy
-/// bus adds; twice as long with every attempt.
+/// Returns the timeout of the first frame of a response: what devices need, plus what a slow and
+/// busy bus adds; doubled with every attempt, at most 3 s.
 fn response_timeout(config: &super::Config, attempts: u32) -> Duration {
     let base = Duration::from_millis(200) + config.bit_time(180 * 150);
     (base * 2u32.saturating_pow(attempts.saturating_sub(1))).min(Duration::from_secs(3))
 }
 
-/// How often in a row a question is asked.
+/// Returns the attempts of a query before its pause.
 const fn max_attempts(request: Request) -> u32 {
     match request {
         Request::Name => NAME_ATTEMPTS,
@@ -313,7 +322,8 @@ const fn max_attempts(request: Request) -> u32 {
     }
 }
 
-/// Notes a failed attempt and plans the next. Whether everybody should be asked instead.
+/// Records a failed attempt and plans the next one. Returns true if an enumeration round is needed
+/// instead.
 fn record_failure(
     query: &mut Query,
     request: Request,
@@ -330,9 +340,9 @@ fn record_failure(
         query.due = Some(now + back_off);
         return false;
     }
-    let ask_all = request == Request::Name && !named && query.state == QueryState::Asked;
-    if ask_all && query.attempts == limit {
-        // Stays open until the round that asks everybody is over.
+    let needs_round_query = request == Request::Name && !named && query.state == QueryState::Asked;
+    if needs_round_query && query.attempts == limit {
+        // Stays open until the enumeration round is over.
         query.attempts += 1;
         query.asked_at = Some(now);
         query.due = None;

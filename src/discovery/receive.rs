@@ -1,4 +1,4 @@
-//! What is learnt from a frame: who is there, what it says of itself, which answers arrive.
+//! Reception: updates devices, queries and evidence from each received frame.
 
 use super::address_history::QueryParties;
 use super::conflict_detector::ResponseStart;
@@ -14,14 +14,14 @@ use crate::wire::id::{Address, Header, MessageType};
 use crate::wire::isotp::{FlowControl, FlowStatus, Pci, TransferFault};
 use std::hash::{DefaultHasher, Hash, Hasher};
 
-/// How long answers that repeat the DST of our question are matched with it.
-const BROADCAST_OPEN: Duration = Duration::from_secs(3);
-/// For how long whoever asked and left may still be sent answers: each of several that wait for
-/// flow control is given up only after a second.
-const ASKED_LATELY: Duration = Duration::from_secs(10);
+/// Time after a request in which responses that repeat its DST are matched to it.
+const BROADCAST_RESPONSE_WINDOW: Duration = Duration::from_secs(3);
+/// Time after a request in which its address still counts as a requester: a device aborts each of
+/// several responses that wait for flow control only after 1 s.
+const REQUESTER_WINDOW: Duration = Duration::from_secs(10);
 
 impl Engine {
-    /// Learns from a frame at `self.now`.
+    /// Processes a frame at `self.now`.
     pub(super) fn process_frame(&mut self, frame: &Frame) {
         let now = self.now;
         if self.errors.note_frame(now, self.counters.frames) {
@@ -37,13 +37,13 @@ impl Engine {
         }
         let Some(header) = header else { return };
         if frame.is_tx {
-            let back = self.outbox.confirmed(now, frame);
-            self.acknowledgement(back);
+            let back = self.outbox.note_sent(now, frame);
+            self.handle_ack_change(back);
             self.note_own_request(now, frame);
             return;
         }
         let back = self.outbox.note_other_frame(now);
-        self.acknowledgement(back);
+        self.handle_ack_change(back);
         if !header.is_conforming() {
             self.process_non_conforming(now, header, frame);
             if header.message_type() == MessageType::NonConforming {
@@ -54,8 +54,9 @@ impl Engine {
             self.conflicts.note_own_echo(now);
             return;
         }
-        let beat = header.response && header.service == self.config.profile.heartbeat_service();
-        if self.conflicts.is_copy(now, header.source, beat, frame) {
+        let is_heartbeat =
+            header.response && header.service == self.config.profile.heartbeat_service();
+        if self.conflicts.is_copy(now, header.source, is_heartbeat, frame) {
             return;
         }
         self.process_platform_frame(now, header, frame);
@@ -78,7 +79,7 @@ impl Engine {
         {
             self.conflicts.note_own_address_used(now, own, frame);
             let change = self.local_node.handle_address_conflict(now, own);
-            self.address_changed(change);
+            self.handle_address_change(change);
             self.wake_at(now);
         }
         if header.message_type() == MessageType::Debug {
@@ -102,7 +103,7 @@ impl Engine {
                 self.process_request(now, header, frame);
             }
         }
-        // Rows may have moved meanwhile.
+        // Rows may have changed their index.
         if let Some(index) = self.device_table.active_at(header.source)
             && self.device_table.get(index).presence != Presence::Online
         {
@@ -110,6 +111,7 @@ impl Engine {
         }
     }
 
+    /// Returns the own address while it is held or claimed.
     fn is_own_claim(&self) -> Option<Address> {
         match self.local_node.own_address() {
             super::OwnAddress::Held(address) | super::OwnAddress::Claiming(address) => {
@@ -119,7 +121,8 @@ impl Engine {
         }
     }
 
-    /// Whether an answer's DST repeats the question's instead of naming the asker.
+    /// Returns true if a response's DST repeats that of the request instead of naming the
+    /// requester.
     fn is_echoed_destination(&self, now: Instant, header: Header) -> bool {
         if !header.response || header.broadcast {
             return false;
@@ -127,21 +130,22 @@ impl Engine {
         if header.destination == header.source {
             return true;
         }
-        let asked = self.asked_at[header.destination.index()];
+        let last_request = self.last_request_at[header.destination.index()];
         if self.local_node.held() == Some(header.destination)
             || self.device_table.active_at(header.destination).is_some()
-            || asked.is_some_and(|at| now.since(at) < ASKED_LATELY)
+            || last_request.is_some_and(|at| now.since(at) < REQUESTER_WINDOW)
         {
             return false;
         }
         self.broadcasts.iter().any(|broadcast| {
-            broadcast.rnd7 == header.destination && now.since(broadcast.time) < BROADCAST_OPEN
+            broadcast.rnd7 == header.destination
+                && now.since(broadcast.time) < BROADCAST_RESPONSE_WINDOW
         })
     }
 
-    /// Whether an answer is for us: to our address, or with an echoed DST while a question of
-    /// ours is open.
-    fn is_for_us(&self, index: usize, header: Header, echoed: bool) -> bool {
+    /// Returns true if a response is for descan: sent to its address, or with a repeated DST while
+    /// a request of descan is open.
+    fn is_for_own_address(&self, index: usize, header: Header, echoed: bool) -> bool {
         let Some(own) = self.local_node.held() else { return false };
         if header.destination == own {
             return true;
@@ -150,23 +154,25 @@ impl Engine {
             return false;
         }
         let device = self.device_table.get(index);
-        // A refusal in one framing may have ended the waiting: the answer in the other comes yet.
+        // An error response in one framing may have ended the query: the response in the other
+        // framing follows.
         let now = self.now;
-        let lately = |asked: Instant| now.since(asked) < BROADCAST_OPEN;
-        let asked = [&device.services_query, &device.name_query];
-        let asked = asked.iter().any(|query| query.asked_at.is_some_and(lately));
-        let targeted = header.destination == header.source && asked;
+        let recently = |sent: Instant| now.since(sent) < BROADCAST_RESPONSE_WINDOW;
+        let queries = [&device.services_query, &device.name_query];
+        let is_open = queries.iter().any(|query| query.asked_at.is_some_and(recently));
+        let targeted = header.destination == header.source && is_open;
         targeted
             || self.broadcasts.iter().any(|broadcast| {
-                broadcast.ours
+                broadcast.is_own
                     && broadcast.rnd7 == header.destination
-                    && self.now.since(broadcast.time) < BROADCAST_OPEN
+                    && self.now.since(broadcast.time) < BROADCAST_RESPONSE_WINDOW
             })
     }
 
-    /// The row of a frame's source, a new one where it is not known yet.
+    /// Returns the row of a frame's sender; creates it for an unknown address. `None` if there are
+    /// too many rows.
     fn device_for_source(&mut self, now: Instant, header: Header) -> Option<usize> {
-        // In a DEBUG message U says nothing of the sender's mode.
+        // In a DEBUG message the U bit does not give the sender's mode.
         let says_mode = header.message_type() != MessageType::Debug;
         let working = !(header.sender_not_working && says_mode);
         let Some(index) = self.device_table.active_at(header.source) else {
@@ -186,17 +192,18 @@ impl Engine {
         device.last_seen = now;
         device.frames += 1;
         device.rounds_missed = 0;
-        // Without heartbeats this is all that tells of another mode, in which it may have other
-        // services, or of another board.
+        // Without heartbeats only the U bit shows another mode, which may have other services, or
+        // another board.
         if says_mode && device.working != working {
             device.working = working;
-            let beats = device.heartbeat.last.is_some_and(|last| now.since(last) < period * 3);
-            if !beats && device.services.is_some() {
+            let has_heartbeats =
+                device.heartbeat.last.is_some_and(|last| now.since(last) < period * 3);
+            if !has_heartbeats && device.services.is_some() {
                 device.services_query.schedule(now);
             }
         }
         if device.presence == Presence::Lost {
-            // It may have come back as something else.
+            // A returned device may be another board or have new firmware.
             device.name_query.restart(now);
             device.services_query.restart(now);
             self.wake_at(now);
@@ -204,7 +211,7 @@ impl Engine {
         Some(index)
     }
 
-    // --- questions -----------------------------------------------------------------------
+    // --- requests --------------------------------------------------------------------------
 
     fn process_request(&mut self, now: Instant, header: Header, frame: &Frame) {
         self.note_request(now, header, frame, false);
@@ -215,7 +222,7 @@ impl Engine {
         }
     }
 
-    /// A frame of ours is on the bus: answers are now set against it.
+    /// Notes a request of descan that is on the bus, so that responses are matched to it.
     pub(super) fn note_own_request(&mut self, now: Instant, frame: &Frame) {
         if let Some(id) = frame.platform_id() {
             let header = Header::decode(id);
@@ -229,33 +236,34 @@ impl Engine {
         }
     }
 
-    fn note_request(&mut self, now: Instant, header: Header, frame: &Frame, ours: bool) {
+    fn note_request(&mut self, now: Instant, header: Header, frame: &Frame, is_own: bool) {
         let Some((framing, message)) = classify_request(frame.data(), frame.fd) else { return };
         let Some(ReceivedRequest::Known(request)) = Request::decode(message) else { return };
-        let asking = QueryParties { by: header.source, targeted: !header.broadcast };
-        self.asked_at[header.source.index()] = Some(now);
+        let parties = QueryParties { by: header.source, targeted: !header.broadcast };
+        self.last_request_at[header.source.index()] = Some(now);
         if !header.broadcast {
-            let asked = header.destination;
-            let known = self.device_table.current_device(asked);
-            // Who works does not answer what is for others.
+            let destination = header.destination;
+            let known = self.device_table.current_device(destination);
+            // A working node does not respond to requests for non-working ones.
             if !(header.to_not_working && known.is_some_and(|device| device.working)) {
-                self.conflicts.note_request(now, asked, request, framing, asking);
+                self.conflicts.note_request(now, destination, request, framing, parties);
             }
             if known.is_some_and(|device| device.framing.is_none_or(|it| it == framing)) {
                 let ends = self.response_window();
-                self.errors.note_request(asked, request, ends, frame);
+                self.errors.note_request(destination, request, ends, frame);
                 self.wake_at(ends);
             }
             return;
         }
         let ends = self.response_window();
-        if !ours {
+        if !is_own {
             self.note_broadcast(header.destination, false);
         }
         self.conflicts.note_broadcast(now);
         let mut awaited = 0;
         for address in Address::all() {
-            // Of the same question to both kinds of nodes a node answers one.
+            // The request is sent to working and to non-working nodes; a node responds to one of
+            // them.
             let known = self.device_table.current_device(address);
             let may_respond = known.is_some_and(|device| {
                 address != header.source
@@ -268,7 +276,7 @@ impl Engine {
             let fits =
                 |device: &Device| device.working != header.to_not_working || device.is_resolving;
             if known.is_none_or(fits) {
-                self.conflicts.note_request(now, address, request, framing, asking);
+                self.conflicts.note_request(now, address, request, framing, parties);
             }
         }
         if let Request::Name = request {
@@ -276,8 +284,9 @@ impl Engine {
         }
     }
 
-    // --- answers -------------------------------------------------------------------------
+    // --- responses --------------------------------------------------------------------------
 
+    /// Processes a response frame; `echoed`: it repeats the DST of the request.
     fn process_response(
         &mut self,
         now: Instant,
@@ -286,17 +295,17 @@ impl Engine {
         frame: &Frame,
         echoed: bool,
     ) {
-        let for_us = self.is_for_us(index, header, echoed);
+        let for_own_address = self.is_for_own_address(index, header, echoed);
         self.errors.note_partial_response(header.source, self.response_window());
         if echoed {
             self.device_table.get_mut(index).note(Quirk::RspDstEcho);
         }
         if !header.no_error {
-            // To somebody else's question, or to the one of two in the other framing.
+            // It answers another node's request, or the request in the other framing.
             let device = self.device_table.get(index);
             let arriving = [&device.name_query, &device.services_query];
             let arriving = arriving.iter().any(|query| query.state == QueryState::Receiving);
-            if arriving || (self.local_node.held().is_some() && !for_us) {
+            if arriving || (self.local_node.held().is_some() && !for_own_address) {
                 return;
             }
             let request = self.open_request(index).unwrap_or(Request::Services);
@@ -304,21 +313,21 @@ impl Engine {
             return;
         }
         let open = self.transfers.is_open(header);
-        // Who repeats the question's DST may happen to name another asker.
+        // A repeated DST may by chance be the address of another requester.
         let repeats = self.device_table.get(index).quirks.contains(&Quirk::RspDstEcho);
         let to = (!repeats).then_some(header.destination);
         match classify_response(frame.data(), frame.fd, open) {
             Some(Framing::Raw) => {
                 let message = strip_raw_padding(frame.data());
                 let request = request_of(message);
-                self.response_begins(now, index, request, Framing::Raw, to, frame);
+                self.note_response_start(now, index, request, Framing::Raw, to, frame);
                 self.process_message(now, index, Framing::Raw, message, frame);
             }
             Some(Framing::Isotp) => {
-                self.process_isotp_frame(now, index, header, frame, for_us, to);
+                self.process_isotp_frame(now, index, header, frame, for_own_address, to);
             }
             None => {
-                // A late or lost transfer's frames are no fault of the device's.
+                // Frames of a late or incomplete transfer are not malformed.
                 let stray = matches!(frame.data().first(), Some(0x20..=0x3F));
                 if !stray {
                     self.report_malformed(now, index, &"neither ISO-TP nor raw", frame);
@@ -327,7 +336,7 @@ impl Engine {
         }
     }
 
-    /// Which question to this node waits for an answer.
+    /// Returns the request to this node that waits for a response.
     fn open_request(&self, index: usize) -> Option<Request> {
         let device = self.device_table.get(index);
         if device.services_query.is_waiting() {
@@ -337,7 +346,7 @@ impl Engine {
         }
     }
 
-    fn response_begins(
+    fn note_response_start(
         &mut self,
         now: Instant,
         index: usize,
@@ -355,7 +364,7 @@ impl Engine {
         self.conflicts.note_response(now, response, name.as_ref(), frame);
     }
 
-    /// The node at this row answered in that framing.
+    /// Notes the framing of a device's response.
     fn note_framing(&mut self, now: Instant, index: usize, framing: Framing) {
         let device = self.device_table.get_mut(index);
         if device.framing.is_none_or(|known| known == framing) {
@@ -363,7 +372,7 @@ impl Engine {
             return;
         }
         device.note(Quirk::BothFramings);
-        // Only this one can carry services that do not fit one frame.
+        // Only ISO-TP carries services that do not fit one frame.
         let was_raw = device.framing.replace(Framing::Isotp) == Some(Framing::Raw);
         if was_raw && device.name.is_some() && device.services.is_none() {
             device.services_query.schedule(now);
@@ -377,40 +386,41 @@ impl Engine {
         index: usize,
         header: Header,
         frame: &Frame,
-        for_us: bool,
+        for_own_address: bool,
         to: Option<Address>,
     ) {
         match Pci::decode(frame.data(), frame.fd) {
             Ok(Pci::Single(message)) => {
                 let request = request_of(message);
-                self.response_begins(now, index, request, Framing::Isotp, to, frame);
+                self.note_response_start(now, index, request, Framing::Isotp, to, frame);
                 self.process_message(now, index, Framing::Isotp, message, frame);
             }
             Ok(Pci::First { length, data }) => {
-                let told = request_of(data);
-                // With an absurd length there may be no type byte: it is what was asked for.
-                let absurd = length as usize > des::MAX_MESSAGE;
-                let asked = if absurd { self.open_request(index) } else { None };
-                let request = told.or(asked);
+                let first_type = request_of(data);
+                // With an invalid length there may be no type byte: assume the type requested.
+                let oversized = length as usize > des::MAX_MESSAGE;
+                let requested = if oversized { self.open_request(index) } else { None };
+                let request = first_type.or(requested);
                 if request.is_none() {
                     self.report_malformed(now, index, &ResponseFault::NotServices, frame);
                     return;
                 }
-                self.response_begins(now, index, told, Framing::Isotp, to, frame);
-                let block_size = if for_us { self.config.profile.isotp.block_size } else { 0 };
+                self.note_response_start(now, index, first_type, Framing::Isotp, to, frame);
+                let block_size =
+                    if for_own_address { self.config.profile.isotp.block_size } else { 0 };
                 match self.transfers.start(now, header, frame, length, data, block_size) {
                     Started::Open => {
                         if let Some(request) = request {
-                            self.response_started(index, request);
+                            self.extend_deadline(index, request);
                         }
-                        if for_us {
+                        if for_own_address {
                             self.send_flow_control(header, FlowStatus::Continue);
                         }
                         self.wake_at(now);
                     }
                     Started::Fault(fault) => {
                         self.counters.transfers_failed += 1;
-                        if for_us {
+                        if for_own_address {
                             self.send_flow_control(header, FlowStatus::Overflow);
                         }
                         self.report_malformed(now, index, &fault, frame);
@@ -425,7 +435,7 @@ impl Engine {
                     Continued::Done(message) => {
                         self.process_message(now, index, Framing::Isotp, &message, frame);
                     }
-                    Continued::BlockEnd if for_us => {
+                    Continued::BlockEnd if for_own_address => {
                         self.send_flow_control(header, FlowStatus::Continue);
                     }
                     Continued::Fault(fault, first) => {
@@ -434,7 +444,7 @@ impl Engine {
                     }
                     Continued::More | Continued::BlockEnd => {
                         if let Some(request) = self.open_request(index) {
-                            self.response_started(index, request);
+                            self.extend_deadline(index, request);
                         }
                     }
                     Continued::Unknown => {}
@@ -445,7 +455,7 @@ impl Engine {
         }
     }
 
-    /// Flow control for an answer goes on the answerer's targeted request identifier.
+    /// Sends flow control, with the responder's targeted request identifier (protocol §3.1).
     fn send_flow_control(&mut self, response: Header, status: FlowStatus) {
         let Some(own) = self.local_node.held() else { return };
         let mut header =
@@ -456,7 +466,7 @@ impl Engine {
         self.outbox.push(Frame::classic(header.encode(), &flow.encode()));
     }
 
-    /// Gives up transfers whose next frame is overdue.
+    /// Aborts transfers whose next frame is overdue (N_Cr).
     pub(super) fn expire_transfers(&mut self) {
         while let Some(expired) = self.transfers.expire(self.now) {
             let Some(index) = self.device_table.active_at(expired.header.source) else { continue };
@@ -465,8 +475,8 @@ impl Engine {
         }
     }
 
-    /// An answer in several frames broke off: once is a lost frame, and so is another time
-    /// elsewhere in it; at the same place in a row it is the device's doing, and a finding.
+    /// Handles an aborted multi-frame response. Aborted once, or at different places, frames were
+    /// lost; aborted repeatedly at the same place, it is a fault of the device and a finding.
     fn abort_transfer(
         &mut self,
         now: Instant,
@@ -479,8 +489,8 @@ impl Engine {
         let Some(request) = request else { return };
         let device = self.device_table.get(index);
         let again = device.query(request).fault == Some(QueryFault::Transfer(fault));
-        // Where frames come twice or late, or answers to several have one identifier, it is not
-        // the device that breaks them off.
+        // Repeated or late frames, or responses to several requesters with one identifier, are not
+        // a fault of the device.
         let excused = self.conflicts.has_duplicate_requests(now)
             || self.lateness.is_bus_wide()
             || device.quirks.contains(&Quirk::RspDstEcho);
@@ -493,7 +503,7 @@ impl Engine {
         self.response_failed(index, request, fault.into());
     }
 
-    /// A whole message came from the node at this row.
+    /// Processes a complete message of the device.
     fn process_message(
         &mut self,
         now: Instant,
@@ -526,7 +536,7 @@ impl Engine {
         }
         let Some(name) = name.map(Name::new) else { return };
         let device = self.device_table.get(index);
-        // With frames lost, the rest of another answer may stand at its end.
+        // If frames were lost, the end of another response may follow the name.
         if fault.is_some() && device.name.as_ref().is_some_and(|known| *known != name) {
             return;
         }
@@ -535,20 +545,21 @@ impl Engine {
         self.errors.note_response(now, address, Request::Name, frame, self.counters.frames);
         let index = self.row_of_name(now, index, &name);
         let device = self.device_table.get_mut(index);
-        device.name_query.answered(now, fault.map(QueryFault::from));
+        device.name_query.record_response(now, fault.map(QueryFault::from));
         device.is_debug |= name.as_bytes() == local_node::NAME;
         device.last_seen = now;
-        // What claimed its address in its absence is itself, under another UID.
+        // The node that claimed the address while this device was lost is this device, with another
+        // UID.
         device.last_heartbeat_was_other_node &= device.presence != Presence::Lost;
-        let news = device.name.is_none();
-        if news {
+        let is_new = device.name.is_none();
+        if is_new {
             device.name = Some(name);
             device.services_query.restart(now);
             self.device_table.discoveries += 1;
             self.emit(index, EventKind::Named);
         }
         self.note_framing(now, index, framing);
-        if news {
+        if is_new {
             self.find_move_to(index);
         }
         self.wake_at(now);
@@ -567,8 +578,9 @@ impl Engine {
             self.report_malformed(now, index, &fault, frame);
         }
         let device = self.device_table.get_mut(index);
-        device.services_query.answered(now, fault.map(QueryFault::from));
-        // Who answers one question answers the other, which was given up too early.
+        device.services_query.record_response(now, fault.map(QueryFault::from));
+        // A device that responds to one query can be queried again for the other, which ended too
+        // early.
         if device.name_query.state == QueryState::Unanswered {
             device.name_query.schedule(now);
         }
@@ -597,7 +609,7 @@ impl Engine {
         self.errors.note_response(now, address, Request::Services, frame, self.counters.frames);
         let count = services.len();
         let changed = device.services.as_ref().is_some_and(|known| *known != services);
-        let news = changed || device.services.is_none();
+        let is_new = changed || device.services.is_none();
         let before = device.services.replace(services);
         if changed {
             device.previous_services = before;
@@ -606,12 +618,13 @@ impl Engine {
             self.conflicts.note_valid_response(now, address);
         }
         self.conflicts.note_services(now, address, digest, name.as_ref(), frame);
-        if news {
+        if is_new {
             self.emit(index, EventKind::Services { count, changed });
         }
         self.wake_at(now);
     }
 
+    /// Counts a malformed response and reports it as evidence.
     fn report_malformed(
         &mut self,
         now: Instant,
@@ -627,7 +640,7 @@ impl Engine {
     }
 }
 
-/// What kind of answer a message is, by its first byte.
+/// Returns the type of a response by its first byte; `None` for a reserved type.
 fn request_of(message: &[u8]) -> Option<Request> {
     match message.first() {
         Some(&des::TYPE_NAME) => Some(Request::Name),

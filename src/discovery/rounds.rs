@@ -1,55 +1,57 @@
-//! Rounds: when everybody is asked who is there, and when a round is over.
+//! Enumeration rounds: when one starts and when it is over (protocol §4.1).
 //!
-//! Rounds repeat at start until two in a row bring nothing new, each waiting until the services
-//! of what was found are known; then at a slow period. Does not send anything itself.
+//! Rounds repeat at start until two in a row find nothing new, each waiting until the services of
+//! the devices found are known; then at a slow period. Does not send anything itself.
 
 use super::config::Config;
 use crate::time::{Duration, Instant};
 
-/// Rounds in a row without news that end the start.
+/// Successive rounds without anything new that end the phase at start.
 const QUIET_ROUNDS: u32 = 2;
-/// Bits of a usual frame, for windows that grow with slower buses.
+/// Bits of a typical frame, for windows that grow on slower buses.
 const FRAME_BITS: u64 = 150;
-/// How long a round's questions may hold up others.
+/// Longest time that a round's requests delay other requests.
 const ROUND_PRIORITY_WINDOW: Duration = Duration::from_millis(500);
-/// How long a round waits for the bus to take its questions at the most.
-const SENT_WITHIN: Duration = Duration::from_secs(2);
-/// How long a round goes on while answers come, beside what they take on the bus: others' answers
-/// to others must not keep it open for ever.
-const LONGEST: Duration = Duration::from_secs(2);
-/// How long a repeat round waits for services at the most.
-const WAIT_FOR_SERVICES: Duration = Duration::from_secs(2);
+/// Longest time that a round waits until its requests are on the bus.
+const SEND_TIMEOUT: Duration = Duration::from_secs(2);
+/// Longest collection time, besides the time the responses take on the bus: responses to other
+/// nodes must not keep a round open for ever.
+const MAX_COLLECTION: Duration = Duration::from_secs(2);
+/// Longest time that a round at start waits for services.
+const SERVICES_WAIT_LIMIT: Duration = Duration::from_secs(2);
 
+/// Phase of the rounds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum RoundPhase {
-    /// Until our address is ours.
+    /// No own address yet.
     NotYet,
-    /// Answers come in.
+    /// Responses are collected.
     Collecting { began: Instant, last_response: Instant, responses: u32, known: u64 },
-    /// The next round is due at `at`, or, while starting, as soon as no question is open.
-    Waiting { at: Instant, patience: Instant },
+    /// The next round is due at `at`, or, at start, when no query is open, at `latest`.
+    Waiting { at: Instant, latest: Instant },
     /// No further rounds.
     Never,
 }
 
+/// State of the enumeration rounds.
 #[derive(Debug)]
 pub(super) struct Rounds {
     phase: RoundPhase,
     quiet: u32,
     pub finished: u32,
-    /// Questions of this round that the bus has not taken yet.
+    /// Requests of this round that are not confirmed yet.
     unsent: u32,
-    /// Somebody waits for a round that begins after this one.
-    hurried: bool,
+    /// True if another round was requested while this one runs.
+    another_requested: bool,
 }
 
-/// What is to be done about rounds now.
+/// Action for the caller of [`Rounds::step`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum RoundStep {
     None,
-    /// Send the questions of a round.
-    Ask,
-    /// A round that began at this moment is over.
+    /// Send the requests of a round.
+    Send,
+    /// The round that began at `began` is over.
     Over {
         began: Instant,
     },
@@ -57,10 +59,16 @@ pub(super) enum RoundStep {
 
 impl Rounds {
     pub fn new() -> Self {
-        Self { phase: RoundPhase::NotYet, quiet: 0, finished: 0, unsent: 0, hurried: false }
+        Self {
+            phase: RoundPhase::NotYet,
+            quiet: 0,
+            finished: 0,
+            unsent: 0,
+            another_requested: false,
+        }
     }
 
-    /// Whether the rounds at start are not over yet.
+    /// Returns true until the rounds at start are over.
     pub fn is_starting(&self) -> bool {
         self.quiet < QUIET_ROUNDS
     }
@@ -69,19 +77,19 @@ impl Rounds {
         matches!(self.phase, RoundPhase::Collecting { .. })
     }
 
-    /// Makes a round as soon as possible, and repeats as at start.
+    /// Starts a round as soon as possible, and repeats as at start.
     pub fn restart(&mut self, now: Instant) {
         self.quiet = 0;
         self.unsent = 0;
-        self.phase = RoundPhase::Waiting { at: now, patience: now };
+        self.phase = RoundPhase::Waiting { at: now, latest: now };
     }
 
-    /// Makes one round soon: where one is being made, another after it.
+    /// Requests one round; while one is running, another after it.
     pub fn request_round(&mut self, at: Instant) {
         match &mut self.phase {
             RoundPhase::Waiting { at: due, .. } => *due = (*due).min(at),
-            RoundPhase::Never => self.phase = RoundPhase::Waiting { at, patience: at },
-            RoundPhase::Collecting { .. } => self.hurried = true,
+            RoundPhase::Never => self.phase = RoundPhase::Waiting { at, latest: at },
+            RoundPhase::Collecting { .. } => self.another_requested = true,
             RoundPhase::NotYet => {}
         }
     }
@@ -92,12 +100,12 @@ impl Rounds {
         self.quiet = 0;
     }
 
-    /// So many questions of this round were handed out.
+    /// Sets the number of requests of this round that await confirmation.
     pub fn note_requests(&mut self, count: u32) {
         self.unsent = count;
     }
 
-    /// The bus took one of them: from now on it may be answered.
+    /// Notes that one of them is on the bus and may be answered from now on.
     pub fn note_sent(&mut self, now: Instant) {
         self.unsent = self.unsent.saturating_sub(1);
         if let RoundPhase::Collecting { last_response, .. } = &mut self.phase {
@@ -105,8 +113,8 @@ impl Rounds {
         }
     }
 
-    /// Until when other questions, which may be of higher priority, are to let this round's
-    /// pass: the one to nodes that are not working would starve behind those to working ones.
+    /// Returns until when other requests, which may have a higher priority on the bus, let those of
+    /// this round pass: the request to non-working nodes would wait behind those to working ones.
     pub fn priority_until(&self, now: Instant) -> Option<Instant> {
         match self.phase {
             RoundPhase::Collecting { began, .. } if self.unsent > 0 => {
@@ -116,6 +124,7 @@ impl Rounds {
         }
     }
 
+    /// Notes a response, which extends the collection.
     pub fn note_response(&mut self, now: Instant) {
         if let RoundPhase::Collecting { last_response, responses, .. } = &mut self.phase {
             *last_response = now;
@@ -123,13 +132,13 @@ impl Rounds {
         }
     }
 
-    /// How long the bus must be quiet of answers until a round is over.
+    /// Returns the time without responses after which a round is over.
     fn quiet_window(config: &Config, responses: u32) -> Duration {
         let frames = 60 + u64::from(responses.min(127));
         Duration::from_millis(60) + config.bit_time(frames * FRAME_BITS)
     }
 
-    /// When the round that is being made is over if nothing more is heard.
+    /// Returns when the current round is over if no more responses arrive.
     fn end_of_round(
         &self,
         config: &Config,
@@ -139,13 +148,14 @@ impl Rounds {
     ) -> Instant {
         let quiet = last_response + Self::quiet_window(config, responses);
         if self.unsent > 0 {
-            return quiet.max(began + SENT_WITHIN);
+            return quiet.max(began + SEND_TIMEOUT);
         }
-        let longest = SENT_WITHIN + LONGEST + config.bit_time(4 * 127 * FRAME_BITS);
+        let longest = SEND_TIMEOUT + MAX_COLLECTION + config.bit_time(4 * 127 * FRAME_BITS);
         quiet.min(began + longest)
     }
 
-    /// `open` questions are waiting for answers; `known` counts what was ever found.
+    /// Advances the rounds. `open`: queries without a response; `known`: number of things found so
+    /// far.
     pub fn step(&mut self, now: Instant, config: &Config, open: usize, known: u64) -> RoundStep {
         match self.phase {
             RoundPhase::Collecting { began, last_response, responses, known: before } => {
@@ -155,29 +165,29 @@ impl Rounds {
                 self.finished += 1;
                 self.quiet = if known > before { 0 } else { self.quiet + 1 };
                 self.phase = if self.is_starting() {
-                    RoundPhase::Waiting { at: now, patience: now + WAIT_FOR_SERVICES }
-                } else if std::mem::take(&mut self.hurried) {
-                    RoundPhase::Waiting { at: now, patience: now }
+                    RoundPhase::Waiting { at: now, latest: now + SERVICES_WAIT_LIMIT }
+                } else if std::mem::take(&mut self.another_requested) {
+                    RoundPhase::Waiting { at: now, latest: now }
                 } else if config.round_period.is_zero() {
                     RoundPhase::Never
                 } else {
-                    RoundPhase::Waiting { at: now + config.round_period, patience: now }
+                    RoundPhase::Waiting { at: now + config.round_period, latest: now }
                 };
                 RoundStep::Over { began }
             }
-            RoundPhase::Waiting { at, patience } if now >= at && (open == 0 || now >= patience) => {
-                self.hurried = false;
+            RoundPhase::Waiting { at, latest } if now >= at && (open == 0 || now >= latest) => {
+                self.another_requested = false;
                 self.phase =
                     RoundPhase::Collecting { began: now, last_response: now, responses: 0, known };
-                RoundStep::Ask
+                RoundStep::Send
             }
             _ => RoundStep::None,
         }
     }
 
-    /// Puts the round that [`step`](Self::step) wanted off until `at`.
+    /// Postpones the round that [`step`](Self::step) started until `at`.
     pub fn postpone(&mut self, at: Instant) {
-        self.phase = RoundPhase::Waiting { at, patience: at };
+        self.phase = RoundPhase::Waiting { at, latest: at };
     }
 
     pub fn poll_timeout(&self, config: &Config, open: usize) -> Option<Instant> {
@@ -186,7 +196,7 @@ impl Rounds {
             RoundPhase::Collecting { began, last_response, responses, .. } => {
                 Some(self.end_of_round(config, began, last_response, responses))
             }
-            RoundPhase::Waiting { at, patience } if open > 0 => Some(at.max(patience)),
+            RoundPhase::Waiting { at, latest } if open > 0 => Some(at.max(latest)),
             RoundPhase::Waiting { at, .. } => Some(at),
         }
     }
@@ -200,16 +210,16 @@ mod tests {
         Instant::ZERO + Duration::from_millis(millis)
     }
 
-    fn begun() -> Rounds {
+    fn collecting() -> Rounds {
         let mut rounds = Rounds::new();
         rounds.restart(at(0));
-        assert_eq!(rounds.step(at(0), &Config::default(), 0, 0), RoundStep::Ask);
+        assert_eq!(rounds.step(at(0), &Config::default(), 0, 0), RoundStep::Send);
         rounds
     }
 
     #[test]
-    fn answers_without_end_do_not_keep_a_round_open() {
-        let mut rounds = begun();
+    fn round_with_endless_responses_ends() {
+        let mut rounds = collecting();
         let over = (1..100).find(|tenth| {
             rounds.note_response(at(tenth * 100));
             rounds.step(at(tenth * 100), &Config::default(), 0, 0) != RoundStep::None
@@ -218,8 +228,8 @@ mod tests {
     }
 
     #[test]
-    fn a_round_waits_until_the_bus_took_its_questions() {
-        let mut rounds = begun();
+    fn round_with_unsent_requests_stays_open() {
+        let mut rounds = collecting();
         rounds.note_requests(1);
         assert_eq!(rounds.step(at(900), &Config::default(), 0, 0), RoundStep::None);
         rounds.note_sent(at(1000));
@@ -228,12 +238,12 @@ mod tests {
     }
 
     #[test]
-    fn whoever_hurries_gets_a_round_that_begins_afterwards() {
+    fn round_requested_during_another_follows_it() {
         let config = Config { round_period: Duration::ZERO, ..Config::default() };
-        let mut rounds = begun();
+        let mut rounds = collecting();
         rounds.quiet = QUIET_ROUNDS;
         rounds.request_round(at(50));
         assert!(matches!(rounds.step(at(1000), &config, 0, 0), RoundStep::Over { .. }));
-        assert_eq!(rounds.step(at(1000), &config, 0, 0), RoundStep::Ask);
+        assert_eq!(rounds.step(at(1000), &config, 0, 0), RoundStep::Send);
     }
 }

@@ -1,4 +1,4 @@
-//! Answers that arrive in several frames: one reassembly per identifier, bounded per source.
+//! Multi-frame responses: one ISO-TP reassembly per identifier, bounded per source.
 
 use crate::frame::Frame;
 use crate::time::Instant;
@@ -6,9 +6,10 @@ use crate::wire::des::MAX_MESSAGE;
 use crate::wire::id::{Address, Header};
 use crate::wire::isotp::{Reassembly, ReassemblyProgress, TransferFault};
 
-/// How many transfers one source may have open at once: one per asker that is sensible.
+/// Maximum number of open transfers of one source: one for each of four requesters.
 const MAX_PER_SOURCE: usize = 4;
 
+/// Transfer that is being received.
 #[derive(Debug)]
 struct RxTransfer {
     id: u32,
@@ -16,39 +17,40 @@ struct RxTransfer {
     reassembly: Reassembly<Vec<u8>>,
 }
 
-/// What a first frame did.
+/// Result of a first frame.
 #[derive(Debug)]
 pub(super) enum Started {
-    /// A transfer is open; one that the identifier had open before is given up.
+    /// A transfer is open; an earlier one of the identifier is dropped.
     Open,
     /// Refused.
     Fault(TransferFault),
 }
 
-/// What a consecutive frame did.
+/// Result of a consecutive frame.
 #[derive(Debug)]
 pub(super) enum Continued {
-    /// No transfer is open for it: a foreign or late frame.
+    /// No transfer is open for it: a late frame.
     Unknown,
-    /// More to come.
+    /// More frames follow.
     More,
-    /// More to come after our flow control.
+    /// More frames follow after flow control.
     BlockEnd,
-    /// The whole message.
+    /// The message is complete.
     Done(Vec<u8>),
-    /// The transfer broke off; its first frame comes back.
+    /// The transfer was aborted; with its first frame.
     Fault(TransferFault, Frame),
 }
 
-/// A transfer that was given up.
+/// A transfer that was aborted by its timeout.
 #[derive(Debug)]
 pub(super) struct Expired {
     pub header: Header,
     pub fault: TransferFault,
-    /// Its first frame.
+    /// First frame of the transfer.
     pub first: Frame,
 }
 
+/// Open transfers of one bus.
 #[derive(Debug)]
 pub(super) struct Transfers {
     by_source: Vec<Vec<RxTransfer>>,
@@ -60,12 +62,14 @@ impl Transfers {
         Self { by_source: (0..Address::COUNT).map(|_| Vec::new()).collect(), open: 0 }
     }
 
-    /// Whether the identifier has a transfer open.
+    /// Returns true if a transfer of this identifier is open.
     pub fn is_open(&self, header: Header) -> bool {
         let id = header.encode();
         self.by_source[header.source.index()].iter().any(|transfer| transfer.id == id)
     }
 
+    /// Starts a transfer from a first frame; drops the oldest one of the source if there are too
+    /// many.
     pub fn start(
         &mut self,
         now: Instant,
@@ -97,6 +101,7 @@ impl Transfers {
         Started::Open
     }
 
+    /// Adds a consecutive frame to its transfer.
     pub fn push_consecutive(
         &mut self,
         now: Instant,
@@ -123,7 +128,7 @@ impl Transfers {
         }
     }
 
-    /// Gives up a transfer that is overdue (N_Cr), one at a call.
+    /// Aborts one transfer whose next frame is overdue (N_Cr), if any.
     pub fn expire(&mut self, now: Instant) -> Option<Expired> {
         if self.open == 0 {
             return None;

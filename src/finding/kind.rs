@@ -8,6 +8,7 @@ use std::fmt;
 
 /// Everything that depends on the kind of a finding alone.
 #[derive(Clone, Copy, Debug)]
+#[non_exhaustive]
 pub struct FindingFacts {
     /// Name in JSON, in events and in the filter of the Problems page; stable across releases.
     pub name: &'static str,
@@ -25,6 +26,7 @@ pub struct FindingFacts {
 
 /// Texts that a kind of finding has on the screen and in reports.
 #[derive(Clone, Copy, Debug)]
+#[non_exhaustive]
 pub struct Wording {
     /// What is wrong, without address and names, which stand beside it.
     pub headline: &'static str,
@@ -125,10 +127,13 @@ impl Wording {
     }
 }
 
+/// Confirmation hint of all conflicts.
 const CONFLICT_CONFIRMATION: Option<&str> = Some(
     "Confirmed after five heartbeat periods; a reboot or a board swap looks the same at first.",
 );
+/// Remedy for two devices at one address.
 const SEPARATE_DEVICES: &str = "Switch one of them off, then give it a free address.";
+/// Confirmation hint of observations that are confirmed when repeated.
 const SEEN_AGAIN: Option<&str> = Some("Seen once; confirmed when seen again.");
 
 /// Makes the enum, the list of all kinds and the table of facts from one list.

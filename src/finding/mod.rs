@@ -47,6 +47,7 @@ impl fmt::Display for Confidence {
 
 /// One observation that supports a finding.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct Evidence {
     /// Time of the observation.
     pub time: Instant,
@@ -58,6 +59,7 @@ pub struct Evidence {
 
 /// Identity of a finding: one of a kind for one address (or pair of addresses) on one bus.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[non_exhaustive]
 pub struct FindingKey {
     /// Kind of the finding.
     pub kind: FindingKind,
@@ -90,6 +92,7 @@ impl FindingKey {
 
 /// A fault with its evidence, open or cleared.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct Finding {
     /// Identity.
     pub key: FindingKey,

@@ -1,29 +1,30 @@
-//! Error frames as evidence: of a bus that is disturbed, and of one address at which two
-//! devices destroy each other's frames.
+//! Bus errors from error frames: of the bus as a whole, and of one address at which two devices
+//! destroy each other's frames (protocol §5.5).
 //!
-//! An error frame does not say whose frame broke. But two devices at one address that answer
-//! one question with different bytes break each other's answer again and again, some sixteen
-//! times, until both are error-passive: a burst of errors between the question and the answer,
-//! or instead of it, each time that address is asked, while the rest of the bus is clean. So a
-//! *window* is kept open while an address is expected to send, from a question to its answer,
-//! or about a heartbeat that is due, and what breaks in it is set against what breaks outside.
+//! An error frame does not show whose frame failed. But two devices at one address that answer one
+//! request with different bytes destroy each other's response again and again, some sixteen times,
+//! until both are error-passive: a burst of errors between the request and the response, or instead
+//! of it, each time that address is requested, while the rest of the bus is clean. So a *window* is
+//! open while an address is expected to send, from a request to its response, or around a heartbeat
+//! that is due, and the errors in it are compared with those outside.
 //!
-//! An address is named only where
+//! An address is named only if
 //!
-//! * in each of three windows three frames or more broke, with fewer whole ones between, at a
-//!   time at which nobody else was expected to send; or in each of two windows eight or more,
-//!   with next to no whole ones between;
+//! * three or more frames failed in each of three windows, with fewer valid ones between, while no
+//!   other node was expected to send; or eight or more in each of two windows, with next to no
+//!   valid ones between;
 //! * and of other bursts, when it was not expected to send, there are at most a third as many,
-//!   but for those that follow another address;
-//! * and its windows are not clean when it is asked again, some seconds later;
-//! * and outside of windows next to nothing breaks: at most three frames and 2 % of all, and
-//!   not more than one in a second. On a
-//!   bus that is disturbed, at a wrong rate or badly terminated, nobody is named.
+//!   except those that follow another address;
+//! * and its windows are not clean when the request is repeated, some seconds later;
+//! * and outside of windows next to nothing fails: at most three frames and 2 % of all, and not
+//!   more than one in a second. On a disturbed bus, with a wrong bit rate or bad termination, no
+//!   address is named.
 //!
-//! Even then it is only suspected: a bad transceiver looks the same.
+//! Even then it is only suspected: a faulty transceiver looks the same.
 //!
-//! `window` holds what broke while an address was expected to send, `background` what broke
-//! otherwise, `rate` the errors of the bus as a whole; `telling` is what the engine does with them.
+//! `window` holds the errors while an address is expected to send, `background` all others, `rate`
+//! the errors of the bus as a whole; `report` turns them into findings. Does not know the texts of
+//! findings.
 
 mod background;
 mod rate;
@@ -38,121 +39,124 @@ use crate::frame::Frame;
 use crate::time::{Duration, Instant};
 use crate::wire::des::Request;
 use crate::wire::id::Address;
-use background::{Background, RUN_COUNTS};
+use background::{Background, MAX_RUN_COUNT};
 use rate::ErrorRate;
 use std::collections::VecDeque;
 use window::{BURST, BroadcastWindow, LONGEST_BURST, Window};
 
-/// Windows that are open at the same time; beyond that the oldest is forgotten.
+/// Maximum number of open windows; beyond that the oldest is dropped.
 const MAX_WINDOWS: usize = 32;
-/// Addresses that are looked into at the same time; beyond that nobody new is.
+/// Maximum number of suspects; beyond that no further address is added.
 const MAX_SUSPECTS: usize = 16;
-/// How much names an address.
-const NAMED_FROM: u32 = 6;
-/// Clean windows in a row that end a suspicion, and that clear an address that was named.
-const CLEAN: u32 = 2;
-const CLEAN_NAMED: u32 = 3;
-/// The same for heartbeats, of which there are more.
-const CLEAN_BEATS: u32 = 10;
-/// For so long after a burst a clean window says nothing: of two devices that gave up one may
+/// Sum of the weights of its bursts from which an address is named.
+const NAME_FROM_WEIGHT: u32 = 6;
+/// Successive clean windows that drop a suspect, and that clear an address that was named.
+const CLEAN_TO_DROP: u32 = 2;
+const CLEAN_TO_CLEAR: u32 = 3;
+/// Successive clean heartbeats that do so.
+const CLEAN_HEARTBEATS: u32 = 10;
+/// Time after a burst in which a clean window does not count: of two devices that stopped, one may
 /// be back.
-const RESTART: Duration = Duration::from_secs(5);
-/// Questions to look into a suspicion, at most, and how far apart, more with each: no part of
-/// the heartbeat's period, or what happens with every heartbeat would meet every question.
-const FOLLOW_UPS: u32 = 6;
-const FOLLOW_UP_AFTER: Duration = Duration::from_millis(770);
-/// How often an address that was named is asked again. Seldom: its devices may begin anew with
+const RESTART_TIME: Duration = Duration::from_secs(5);
+/// Maximum number of requests that check a suspect, and the delay of the first, longer with each:
+/// not a fraction of the heartbeat period, or an effect of every heartbeat would meet every
+/// request.
+const MAX_FOLLOW_UPS: u32 = 6;
+const FOLLOW_UP_DELAY: Duration = Duration::from_millis(770);
+/// Interval of the requests to an address that was named. Long, because its devices may reboot with
 /// each burst.
-const ASK_NAMED: Duration = Duration::from_millis(20_370);
-/// A suspicion without another burst ends after this, and so does a finding.
-const MEMORY: Duration = Duration::from_secs(45);
-/// How far the receive error counter must have gone up since it was last reported to tell of a
-/// burst just now.
-const COUNTED: u8 = 16;
-/// How long it must go on: what disturbs the bus meets others meanwhile.
-const LASTING: Duration = Duration::from_millis(2500);
-/// Bursts that are remembered.
+const NAMED_RECHECK_DELAY: Duration = Duration::from_millis(20_370);
+/// Time without another burst after which a suspect is dropped, or its finding cleared.
+const SUSPECT_LIFETIME: Duration = Duration::from_secs(45);
+/// Increase of the receive error counter (REC) since its last report that shows a burst.
+const MIN_REC_STEP: u8 = 16;
+/// Minimum time from the first burst to naming an address: a disturbance of the bus affects others
+/// meanwhile.
+const MIN_SUSPECT_TIME: Duration = Duration::from_millis(2500);
+/// Maximum number of bursts stored.
 const MAX_BURSTS: usize = 64;
-/// How often the finding about the bus is worded: error frames may come by the thousand.
-const WORDS: Duration = Duration::from_millis(200);
+/// Minimum interval between updates of the text of the bus finding: error frames may arrive by the
+/// thousand.
+const TEXT_INTERVAL: Duration = Duration::from_millis(200);
 
-/// What an address is expected to send.
+/// Frame that an address is expected to send.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Due {
-    Answer(Request),
+    Response(Request),
     Heartbeat,
 }
 
-/// An address in whose windows frames broke.
+/// An address with errors in its windows.
 #[derive(Debug)]
 struct Suspect {
     address: Address,
     due: Due,
-    /// What its bursts count together, and how many they are.
+    /// Sum of the weights of its bursts, and their number.
     weight: u32,
     hits: u32,
     /// Clean windows since the last burst.
     clean: u32,
     began: Instant,
     last: Instant,
-    /// Evidence until the address is named.
+    /// Evidence collected until the address is named.
     evidence: Vec<Evidence>,
-    /// Whether it did not answer when a burst may have been its own, or another's.
-    silent: bool,
-    /// Until when it may answer our last question.
-    asked_until: Option<Instant>,
-    /// Whether it was put off when it was to be asked.
-    waits: bool,
+    /// True if it did not respond when a burst may have been its own or another's.
+    has_not_responded: bool,
+    /// Time until which it may answer descan's last request.
+    response_until: Option<Instant>,
+    /// True if its request was postponed.
+    is_postponed: bool,
     follow_ups: u32,
-    ask_at: Option<Instant>,
+    next_follow_up: Option<Instant>,
     named: bool,
 }
 
 impl Suspect {
+    /// Returns when the suspect is dropped without another burst.
     fn ends(&self) -> Instant {
-        self.last + MEMORY
+        self.last + SUSPECT_LIFETIME
     }
 }
 
-/// What becomes of an address that was looked into.
+/// Result of checking a suspect.
 #[derive(Debug)]
 enum SuspectOutcome {
-    /// Errors follow it; with the evidence that is new.
+    /// Errors follow the address; with the new evidence.
     Named(Address, Due, Vec<Evidence>),
-    /// They do not, or no more.
+    /// Errors do not follow the address, or no longer.
     Cleared(Address),
 }
 
-/// What is known of the errors on a bus.
+/// State of the errors on one bus.
 #[derive(Debug, Default)]
 pub(super) struct BusErrorTracker {
     rate: ErrorRate,
-    /// When the finding about the bus was worded last, and whether it is to be anew.
-    worded: Instant,
-    outdated: bool,
-    /// The controller's error counters, as they were reported last.
+    /// Time of the last update of the bus finding's text, and whether another is needed.
+    text_written_at: Instant,
+    is_text_outdated: bool,
+    /// Error counters (TEC, REC) of the controller in the last report.
     counters: Option<(u8, u8)>,
     windows: Vec<Window>,
     suspects: Vec<Suspect>,
     background: Background,
     broadcast: Option<BroadcastWindow>,
-    /// The last bursts, and who was expected to send then: one bit for each address.
+    /// Last bursts, and the addresses expected to send at that time, one bit each.
     bursts: VecDeque<(Instant, u128)>,
-    /// The number of the last frame that broke, and how many broke in a row.
+    /// Number of the last failed frame, and how many failed in a row.
     run: (u64, u64),
-    verdicts: VecDeque<SuspectOutcome>,
-    /// Frames heard, as far as it was told.
+    outcomes: VecDeque<SuspectOutcome>,
+    /// Number of frames received.
     frames: u64,
 }
 
 impl BusErrorTracker {
-    /// A frame comes; `frames` came before it. Whether that changes when
+    /// Notes a frame; `frames` were received before it. Returns true if that changes when
     /// [`handle_timeout`](Self::handle_timeout) is due.
     pub fn note_frame(&mut self, now: Instant, frames: u64) -> bool {
         self.rate.note_frame(now, frames)
     }
 
-    /// A question to `address` passed by; its answer is awaited until `ends`.
+    /// Notes a request to `address` whose response is awaited until `ends`.
     pub fn note_request(
         &mut self,
         address: Address,
@@ -160,26 +164,26 @@ impl BusErrorTracker {
         ends: Instant,
         frame: &Frame,
     ) {
-        let due = Due::Answer(request);
+        let due = Due::Response(request);
         if let Some(open) = self.window(address, due) {
-            // Asked in another framing, or again.
+            // Repeated, or in another framing.
             open.ends = open.ends.max(ends);
         } else {
             self.open(address, due, ends, Some(*frame));
         }
     }
 
-    /// A question to all passed by, which the addresses `awaited` (one bit each) may answer until
+    /// Notes a broadcast request that the addresses `awaited` (one bit each) may answer until
     /// `ends`.
     pub fn note_broadcast(&mut self, now: Instant, ends: Instant, awaited: u128, frame: &Frame) {
         let before = self.broadcast.take().filter(|it| now < it.ends);
-        // Asked in two framings, or in two modes, whoever answered once has answered.
-        let (more, answered) = before.map_or((0, 0), |it| (it.awaited, it.answered));
-        let awaited = (awaited | more) & !answered;
-        self.broadcast = Some(BroadcastWindow { request: *frame, ends, awaited, answered });
+        // The request is sent in two framings and to two modes; a node responds once.
+        let (more, responded) = before.map_or((0, 0), |it| (it.awaited, it.responded));
+        let awaited = (awaited | more) & !responded;
+        self.broadcast = Some(BroadcastWindow { request: *frame, ends, awaited, responded });
     }
 
-    /// Part of an answer came: the rest is awaited until `ends`.
+    /// Notes a part of a response; the rest is awaited until `ends`.
     pub fn note_partial_response(&mut self, address: Address, ends: Instant) {
         for window in &mut self.windows {
             if window.address == address && window.due != Due::Heartbeat {
@@ -188,7 +192,7 @@ impl BusErrorTracker {
         }
     }
 
-    /// A whole answer came; `frames` were heard in all.
+    /// Notes a complete response; `frames` were received in all.
     pub fn note_response(
         &mut self,
         now: Instant,
@@ -200,12 +204,12 @@ impl BusErrorTracker {
         self.frames = frames;
         if let Some(broadcast) = &mut self.broadcast {
             broadcast.awaited &= !(1 << address.index());
-            broadcast.answered |= 1 << address.index();
+            broadcast.responded |= 1 << address.index();
         }
-        self.close(now, address, Due::Answer(request), Some(frame));
+        self.close(now, address, Due::Response(request), Some(frame));
     }
 
-    /// A heartbeat came.
+    /// Notes a heartbeat.
     pub fn note_heartbeat(&mut self, now: Instant, address: Address, frame: &Frame) {
         if self.windows.is_empty() && self.suspects.is_empty() {
             return;
@@ -213,12 +217,12 @@ impl BusErrorTracker {
         self.close(now, address, Due::Heartbeat, Some(frame));
     }
 
-    /// Frames were lost before they reached us: an answer may have been among them.
+    /// Notes lost frames: a response may have been among them.
     pub fn note_lost_frames(&mut self) {
         self.windows.clear();
     }
 
-    /// The node at `address` is lost.
+    /// Forgets `address`, whose device is lost.
     pub fn forget(&mut self, address: Address) {
         self.windows.retain(|window| window.address != address);
         let named = self.suspects.iter().position(|it| it.address == address && it.named);
@@ -227,27 +231,27 @@ impl BusErrorTracker {
         }
     }
 
-    /// The controller begins anew.
+    /// Handles a restart of the controller.
     pub fn restart(&mut self) {
         self.rate.restart();
         self.windows.clear();
     }
 
-    /// Whether an address is being looked into that may yet be named.
+    /// Returns true if a suspect may still be named.
     pub fn has_pending_suspect(&self) -> bool {
         let mut open = self.suspects.iter().filter(|suspect| !suspect.named);
-        open.any(|suspect| suspect.weight > 0 && suspect.ask_at.is_some())
+        open.any(|suspect| suspect.weight > 0 && suspect.next_follow_up.is_some())
     }
 
-    /// Whether errors followed `address`, so that asking it shows more.
+    /// Returns true if `address` is a suspect, so that further requests show more.
     pub fn is_suspect(&self, address: Address) -> bool {
         self.suspects.iter().any(|suspect| suspect.address == address)
     }
 
-    /// `address` is about to be asked, and may answer until `until`. When it is to be asked
-    /// instead, where that is not now: of those that are looked into each is asked alone, or it
-    /// would never be known whose frames break. They take turns: who was asked before it and waits
-    /// comes first.
+    /// Decides whether a request may be sent to `address` now, whose response may take until
+    /// `until`; returns a later time otherwise. Only one suspect is requested at a time, because
+    /// errors could not be attributed otherwise. Suspects take turns: the one requested longest ago
+    /// that waits comes first.
     pub fn postpone_recheck(
         &mut self,
         now: Instant,
@@ -255,25 +259,26 @@ impl BusErrorTracker {
         until: Instant,
     ) -> Option<Instant> {
         let at = self.suspects.iter().position(|suspect| suspect.address == address)?;
-        let own = self.suspects[at].asked_until;
+        let own = self.suspects[at].response_until;
         let others = self.suspects.iter().filter(|suspect| suspect.address != address);
-        let busy = others.filter_map(|suspect| suspect.asked_until).max();
+        let busy = others.filter_map(|suspect| suspect.response_until).max();
         let later = busy.filter(|until| now < *until).or_else(|| {
-            let before = self.suspects.iter_mut().filter(|it| it.waits && it.asked_until < own);
-            // Only once: it may not be to be asked any more.
-            before.min_by_key(|it| it.asked_until)?.waits = false;
+            let before =
+                self.suspects.iter_mut().filter(|it| it.is_postponed && it.response_until < own);
+            // Only once: its request may no longer be planned.
+            before.min_by_key(|it| it.response_until)?.is_postponed = false;
             Some(until)
         });
         let suspect = &mut self.suspects[at];
-        suspect.waits = later.is_some();
+        suspect.is_postponed = later.is_some();
         if later.is_none() {
-            suspect.asked_until = Some(until);
+            suspect.response_until = Some(until);
         }
         later
     }
 
-    /// How many frames broke, as far as a report tells. Drivers that do not report each broken
-    /// frame report the counters when they pass a limit.
+    /// Returns how many frames failed according to a report. Drivers that do not report each error
+    /// report the counters when they pass a limit.
     fn broken(&mut self, report: &ErrorReport) -> u64 {
         let before = self.counters;
         self.counters = report.counters().or(before);
@@ -283,20 +288,20 @@ impl BusErrorTracker {
         let (true, Some((_, received))) = (report.is_error_state(), report.counters()) else {
             return 0;
         };
-        // The transmit counter goes up where nobody acknowledges, too.
+        // The transmit error counter (TEC) also rises without acknowledgement.
         let risen = received.saturating_sub(before.map_or(0, |(_, received)| received));
-        if risen >= COUNTED { BURST } else { 0 }
+        if risen >= MIN_REC_STEP { BURST } else { 0 }
     }
 
-    /// Sets broken frames against who is expected to send. `beating` finds the one address
-    /// whose heartbeat is due now, its last one, and when the next is overdue.
+    /// Attributes failed frames to the addresses expected to send. `due_heartbeat` returns the only
+    /// address whose heartbeat is due now, its last heartbeat, and when the next is overdue.
     fn attribute(
         &mut self,
         now: Instant,
         report: &ErrorReport,
         broken: u64,
         frame: &Frame,
-        beating: impl FnOnce() -> Option<(Address, Option<Frame>, Instant)>,
+        due_heartbeat: impl FnOnce() -> Option<(Address, Option<Frame>, Instant)>,
     ) {
         self.background.advance(now, self.frames);
         if report.is_while_sending() {
@@ -310,7 +315,7 @@ impl BusErrorTracker {
         let expected: u128 = windows | broadcast.map_or(0, |(awaited, ..)| awaited);
         self.note_burst(now, broken, expected);
         if expected == 0 {
-            match beating() {
+            match due_heartbeat() {
                 Some((address, last, overdue)) => self.open(address, Due::Heartbeat, overdue, last),
                 None => self.background.count(now, broken, self.frames),
             }
@@ -320,25 +325,25 @@ impl BusErrorTracker {
         } else if windows == 0
             && let Some((_, request, ends)) = broadcast
         {
-            // All others have answered.
+            // All other addresses have responded.
             let address = Address::from_bits(expected.trailing_zeros() as u8);
-            self.open(address, Due::Answer(Request::Name), ends, Some(request));
+            self.open(address, Due::Response(Request::Name), ends, Some(request));
         }
-        // Of several questions to one address the first is answered first.
+        // The first of several requests to one address is answered first.
         let number = self.frames;
         if let Some(window) = self.windows.first_mut() {
             window.note(broken, number, frame);
         }
     }
 
-    /// Remembers bursts, with who was expected to send, one bit each.
+    /// Stores a burst with the addresses expected to send, one bit each.
     fn note_burst(&mut self, now: Instant, broken: u64, expected: u128) {
         let (last, before) = self.run;
         let before = if self.frames == last + 1 { before } else { 0 };
         let count = before + broken;
         self.run = (self.frames, count);
         let passes = |limit: u64| before < limit && count >= limit;
-        // What goes on for longer is no burst of anybody's.
+        // A longer series is not a burst of one address.
         let endless = passes(LONGEST_BURST + 1);
         if passes(BURST) || endless {
             if self.bursts.len() == MAX_BURSTS {
@@ -348,38 +353,38 @@ impl BusErrorTracker {
         }
     }
 
-    /// How many of the bursts that are remembered neither this suspect explains nor another one
-    /// that is as suspicious.
+    /// Returns how many of the stored bursts neither this suspect explains nor another one with
+    /// several bursts.
     fn unexplained(&self, now: Instant, suspect: &Suspect) -> u32 {
         let others = self.suspects.iter().filter(|it| it.hits > 1);
         let explained = others.fold(0u128, |bits, it| bits | 1 << it.address.index());
         let own = 1u128 << suspect.address.index();
         let unexplained = self.bursts.iter().filter(|(at, expected)| {
             let others = expected.is_power_of_two() && expected & explained != 0;
-            now.since(*at) < MEMORY && expected & own == 0 && !others
+            now.since(*at) < SUSPECT_LIFETIME && expected & own == 0 && !others
         });
         unexplained.count() as u32
     }
 
-    /// Names those against whom there is enough, and takes back who was named wrongly.
+    /// Names suspects with enough evidence, and clears those named wrongly.
     fn judge(&mut self, now: Instant) {
         let clean = self.background.is_clean();
         let mut at = 0;
         while at < self.suspects.len() {
             let suspect = &self.suspects[at];
             let unexplained = self.unexplained(now, suspect);
-            let (hits, enough) = (suspect.hits, suspect.weight >= NAMED_FROM);
+            let (hits, enough) = (suspect.hits, suspect.weight >= NAME_FROM_WEIGHT);
             if suspect.named && unexplained > hits || !suspect.named && enough && !clean {
                 self.end(at);
                 continue;
             }
             let suspect = &mut self.suspects[at];
-            let lasting = now.since(suspect.began) >= LASTING;
+            let lasting = now.since(suspect.began) >= MIN_SUSPECT_TIME;
             if enough && lasting && !suspect.named && unexplained * 3 <= hits {
                 suspect.named = true;
-                suspect.ask_at = Some(now + ASK_NAMED);
+                suspect.next_follow_up = Some(now + NAMED_RECHECK_DELAY);
                 let evidence = std::mem::take(&mut suspect.evidence);
-                self.verdicts.push_back(SuspectOutcome::Named(
+                self.outcomes.push_back(SuspectOutcome::Named(
                     suspect.address,
                     suspect.due,
                     evidence,
@@ -410,7 +415,7 @@ impl BusErrorTracker {
         });
     }
 
-    /// What was expected came, or did not in time.
+    /// Closes a window: the expected frame arrived, or did not in time (`came` is `None`).
     fn close(&mut self, now: Instant, address: Address, due: Due, came: Option<&Frame>) {
         let at = self.windows.iter().position(|it| it.address == address && it.due == due);
         let Some(at) = at else {
@@ -432,17 +437,17 @@ impl BusErrorTracker {
         } else if window.shared >= BURST && window.errors < BURST {
             self.schedule_recheck(now, &window, came.is_some());
         } else {
-            // Here and there, in time all the same, or without end.
-            let run = if window.errors > LONGEST_BURST { f64::MAX } else { RUN_COUNTS };
+            // Scattered errors, errors before a heartbeat in time, or an endless series.
+            let run = if window.errors > LONGEST_BURST { f64::MAX } else { MAX_RUN_COUNT };
             self.background.broken += (window.errors as f64).min(run);
         }
     }
 
-    /// There was a burst in a window of an address, and in nobody else's.
+    /// Records a burst in a window of this address alone.
     fn record_burst(&mut self, now: Instant, window: &Window, weight: u32, came: Option<&Frame>) {
         if let (Some(first), true) = (window.first, self.background.is_clean()) {
             self.rate.exclude(first.time, now, window.errors);
-            self.outdated = false;
+            self.is_text_outdated = false;
         }
         let Some(suspect) = self.suspect(now, window) else { return };
         suspect.weight += weight;
@@ -456,32 +461,33 @@ impl BusErrorTracker {
         if suspect.evidence.len() < 16 {
             suspect.evidence.extend(window.evidence(came));
         }
-        let after = if suspect.named { ASK_NAMED } else { FOLLOW_UP_AFTER };
-        suspect.ask_at = Some(now + after);
+        let after = if suspect.named { NAMED_RECHECK_DELAY } else { FOLLOW_UP_DELAY };
+        suspect.next_follow_up = Some(now + after);
         if !self.background.is_clean() {
             self.suspects.retain(|suspect| suspect.named);
         }
         self.judge(now);
     }
 
-    /// There was a burst that may have been this address's or another's: ask it alone.
-    fn schedule_recheck(&mut self, now: Instant, window: &Window, answered: bool) {
+    /// Plans a separate request after a burst that may have been this address's or another's.
+    fn schedule_recheck(&mut self, now: Instant, window: &Window, responded: bool) {
         if !self.background.is_clean() {
             return;
         }
-        // One after the other, so that each window stands alone; first who did not answer.
-        let queue = self.suspects.iter().filter(|suspect| answered || suspect.silent);
-        let queue = queue.filter_map(|suspect| suspect.ask_at).max();
-        let at = queue.unwrap_or(now).max(now) + FOLLOW_UP_AFTER;
+        // One after the other, so that windows do not overlap; addresses without a response first.
+        let queue = self.suspects.iter().filter(|suspect| responded || suspect.has_not_responded);
+        let queue = queue.filter_map(|suspect| suspect.next_follow_up).max();
+        let at = queue.unwrap_or(now).max(now) + FOLLOW_UP_DELAY;
         if let Some(suspect) = self.suspect(now, window) {
-            if !answered {
-                suspect.silent = true;
+            if !responded {
+                suspect.has_not_responded = true;
                 suspect.last = now;
             }
-            suspect.ask_at.get_or_insert(at);
+            suspect.next_follow_up.get_or_insert(at);
         }
     }
 
+    /// Returns the suspect of a window, new if needed; `None` if there are too many.
     fn suspect(&mut self, now: Instant, window: &Window) -> Option<&mut Suspect> {
         let known = self.suspects.iter().position(|suspect| suspect.address == window.address);
         if known.is_none() {
@@ -497,11 +503,11 @@ impl BusErrorTracker {
                 began: now,
                 last: now,
                 evidence: Vec::new(),
-                silent: false,
-                asked_until: None,
-                waits: false,
+                has_not_responded: false,
+                response_until: None,
+                is_postponed: false,
                 follow_ups: 0,
-                ask_at: None,
+                next_follow_up: None,
                 named: false,
             });
         }
@@ -509,20 +515,22 @@ impl BusErrorTracker {
         self.suspects.get_mut(at)
     }
 
-    /// What was expected of an address came, and nothing broke.
+    /// Records an expected frame without errors.
     fn record_clean_window(&mut self, now: Instant, address: Address, due: Due) {
         let at = self.suspects.iter().position(|it| it.address == address && it.due == due);
         let Some(at) = at else { return };
         let suspect = &mut self.suspects[at];
-        if now.since(suspect.last) < RESTART && (suspect.silent || suspect.weight > 0) {
+        if now.since(suspect.last) < RESTART_TIME
+            && (suspect.has_not_responded || suspect.weight > 0)
+        {
             return;
         }
         suspect.clean += 1;
         let enough = match (due, suspect.named) {
-            (Due::Heartbeat, _) => CLEAN_BEATS,
-            (_, true) => CLEAN_NAMED,
+            (Due::Heartbeat, _) => CLEAN_HEARTBEATS,
+            (_, true) => CLEAN_TO_CLEAR,
             (_, false) if suspect.weight == 0 => 1,
-            (_, false) => CLEAN,
+            (_, false) => CLEAN_TO_DROP,
         };
         if suspect.clean >= enough {
             self.end(at);
@@ -532,24 +540,25 @@ impl BusErrorTracker {
     fn end(&mut self, at: usize) {
         let suspect = self.suspects.remove(at);
         if suspect.named {
-            self.verdicts.push_back(SuspectOutcome::Cleared(suspect.address));
+            self.outcomes.push_back(SuspectOutcome::Cleared(suspect.address));
         }
     }
 
     fn poll_timeout(&self, frames: u64) -> Option<Instant> {
         let windows = self.windows.iter().map(|window| window.ends);
         let suspects =
-            self.suspects.iter().flat_map(|suspect| [Some(suspect.ends()), suspect.ask_at]);
-        let words = self.outdated.then(|| self.worded + WORDS);
-        windows.chain(suspects.flatten()).chain(self.rate.poll_timeout(frames)).chain(words).min()
+            self.suspects.iter().flat_map(|suspect| [Some(suspect.ends()), suspect.next_follow_up]);
+        let text = self.is_text_outdated.then(|| self.text_written_at + TEXT_INTERVAL);
+        windows.chain(suspects.flatten()).chain(self.rate.poll_timeout(frames)).chain(text).min()
     }
 
-    /// Closes what is over. Who is to be asked once more comes back through `ask`, with when it
-    /// was last under suspicion; true where it was asked.
+    /// Closes windows that are over and drops old suspects. Calls `query` for addresses to be
+    /// requested again, with the time of their last burst; it returns true if the request is
+    /// planned.
     fn handle_timeout(
         &mut self,
         now: Instant,
-        mut ask: impl FnMut(Address, Request, Instant) -> bool,
+        mut query: impl FnMut(Address, Request, Instant) -> bool,
     ) {
         while let Some(window) = self.windows.iter().find(|window| window.ends <= now) {
             let (address, due) = (window.address, window.due);
@@ -561,20 +570,22 @@ impl BusErrorTracker {
         if self.suspects.iter().any(|suspect| suspect.named) {
             self.judge(now);
         }
-        for suspect in self.suspects.iter_mut().filter(|it| it.ask_at.is_some_and(|at| at <= now)) {
-            let Due::Answer(request) = suspect.due else {
-                suspect.ask_at = None;
+        for suspect in
+            self.suspects.iter_mut().filter(|it| it.next_follow_up.is_some_and(|at| at <= now))
+        {
+            let Due::Response(request) = suspect.due else {
+                suspect.next_follow_up = None;
                 continue;
             };
-            let asked = ask(suspect.address, request, suspect.last);
-            suspect.follow_ups += u32::from(asked);
+            let is_sent = query(suspect.address, request, suspect.last);
+            suspect.follow_ups += u32::from(is_sent);
             let after = if suspect.named {
-                ASK_NAMED
+                NAMED_RECHECK_DELAY
             } else {
-                FOLLOW_UP_AFTER + Duration::from_secs(suspect.follow_ups.into())
+                FOLLOW_UP_DELAY + Duration::from_secs(suspect.follow_ups.into())
             };
-            let more = suspect.named || suspect.follow_ups < FOLLOW_UPS;
-            suspect.ask_at = more.then(|| now + after);
+            let more = suspect.named || suspect.follow_ups < MAX_FOLLOW_UPS;
+            suspect.next_follow_up = more.then(|| now + after);
         }
     }
 }

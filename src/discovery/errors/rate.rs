@@ -1,114 +1,121 @@
-//! How often frames break on the bus, and how: the finding about the bus as a whole.
+//! Rate and kind of bus errors: the finding about the bus as a whole.
 //!
-//! * *Suspected*: three broken frames (or missing acknowledges) within ten seconds. One or two
-//!   are counted, and nothing is said: a plug that is touched does as much.
-//! * *Confirmed*: some in each of three successive seconds; or in three of ten seconds, and then
-//!   at least 1 % of the frames: however busy or quiet the bus is, that is no chance. Bus-off is
-//!   a fact, and confirmed at once.
-//!   Bursts that follow one address do not count: those are another finding.
-//! * *Cleared*: none for ten seconds, thirty where it was confirmed. Bus-off: once the
-//!   controller takes part again.
+//! * *Suspected*: three failed frames (or missing acknowledgements) within ten seconds. One or two
+//!   are counted only: touching a plug causes as many.
+//! * *Confirmed*: errors in each of three successive seconds; or in three of ten seconds, and then
+//!   in at least 1 % of the frames, which is not chance on a busy or a quiet bus. Bus-off is a
+//!   fact, and confirmed at once. Bursts that follow one address do not count: they are another
+//!   finding.
+//! * *Cleared*: no errors for ten seconds, thirty if it was confirmed. Bus-off: once the controller
+//!   is on the bus again.
 
 use crate::error_report::{ErrorReport, Violation};
 use crate::finding::Confidence;
 use crate::time::{Duration, Instant};
 use std::collections::VecDeque;
 
-/// How long errors are remembered, in seconds.
-const MEMORY: u64 = 10;
-/// Errors within the memory that are a suspicion.
-const SUSPECT: u64 = 3;
-/// Seconds with errors that confirm it: in a row, or within the memory.
+/// Time in which errors count, in seconds.
+const MEMORY_SECONDS: u64 = 10;
+/// Errors within that time from which the finding is suspected.
+const SUSPECT_FROM_ERRORS: u64 = 3;
+/// Seconds with errors that confirm it: in a row, or within that time.
 const CONFIRM_SECONDS: usize = 3;
-/// One frame in so many, where the seconds are not in a row.
+/// One error in this many frames confirms it if the seconds are not in a row.
 const CONFIRM_SHARE: u64 = 100;
-/// How long no errors end what was suspected, and what was confirmed.
-const QUIET: Duration = Duration::from_secs(10);
-const QUIET_CONFIRMED: Duration = Duration::from_secs(30);
+/// Time without errors after which the finding is cleared, if it was suspected and if it was
+/// confirmed.
+const CLEAR_AFTER: Duration = Duration::from_secs(10);
+const CLEAR_CONFIRMED_AFTER: Duration = Duration::from_secs(30);
 
-/// What the errors are, as far as the reports say it.
+/// Cause of the errors, as far as the reports show it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::discovery) enum Cause {
-    /// Our controller has left the bus.
+    /// The controller is bus-off.
     BusOff,
-    /// Nobody acknowledges our frames.
+    /// descan's frames are not acknowledged.
     NoAcknowledge,
-    /// The transceiver says that the wires are at fault.
+    /// The transceiver reports a wiring fault.
     Wires,
-    /// Bits of our own frames are overwritten.
+    /// Errors occur in descan's own frames.
     OwnFrames,
-    /// Frames break, most of them in this way.
+    /// Bus errors, most of them of this kind; `None` if the kind is unknown.
     Broken(Option<Violation>),
 }
 
-/// What there is to say of the errors of the last ten seconds.
+/// Summary of the errors of the last ten seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::discovery) struct BusErrorSummary {
-    /// What most of them are.
+    /// Most frequent cause.
     pub cause: Cause,
-    /// Errors per second, while they come.
+    /// Errors per second.
     pub rate: f64,
-    /// Their share of all frames while they come, 0–1.
+    /// Share of all frames, 0 to 1.
     pub share: f64,
 }
 
-/// A second in which there were errors.
+/// Errors of one second.
 #[derive(Clone, Copy, Debug, Default)]
 struct ErrorSecond {
-    /// Which, since the beginning of time.
+    /// Number of the second since [`Instant::ZERO`].
     number: u64,
     broken: u64,
     no_acknowledge: u64,
-    /// Of the broken ones, ours.
+    /// Of the failed frames, those sent by descan.
     sending: u64,
-    /// Of the broken ones, by [`Violation`].
+    /// Failed frames by [`Violation`].
     violations: [u64; 3],
 }
 
+/// Errors of the last seconds on one bus.
 #[derive(Debug, Default)]
 pub(super) struct ErrorRate {
     seconds: VecDeque<ErrorSecond>,
-    /// When a second began, and how many frames had been heard by then: as far back as errors
-    /// are remembered.
-    heard: VecDeque<(Instant, u64)>,
-    /// When the next second begins.
+    /// Begin of each second and the number of frames received by then, for as long as errors count.
+    frames_at: VecDeque<(Instant, u64)>,
+    /// Begin of the next second.
     next_second: Instant,
-    /// What was told last, while it is not cleared.
-    told: Option<Confidence>,
+    /// State reported last; `None` if cleared.
+    reported: Option<Confidence>,
     last: Instant,
-    /// Since when our controller is off the bus: frames heard until then.
+    /// Number of frames received when the controller became bus-off; `None` while it is on the bus.
     bus_off: Option<u64>,
     wires: bool,
-    /// What was told is over before it was quiet for long.
+    /// True if the finding is over without waiting.
     over: bool,
 }
 
 impl ErrorRate {
-    /// Takes note that `frames` were heard before now. Called with every frame. Whether it is the
-    /// first that is heard since the controller left the bus.
+    /// Notes that `frames` were received before now; called for every frame. Returns true if this
+    /// is the first frame since the controller became bus-off.
     pub fn note_frame(&mut self, now: Instant, frames: u64) -> bool {
         if now >= self.next_second {
             self.next_second = Instant::from_micros((second_of(now) + 1) * 1_000_000);
-            if self.heard.len() as u64 == MEMORY {
-                self.heard.pop_front();
+            if self.frames_at.len() as u64 == MEMORY_SECONDS {
+                self.frames_at.pop_front();
             }
-            self.heard.push_back((now, frames));
+            self.frames_at.push_back((now, frames));
         }
         let is_back = self.bus_off == Some(frames);
         if is_back {
-            // Nothing is heard off the bus: only from now on it can be quiet.
+            // A bus-off controller receives nothing: time without errors starts now.
             self.last = now;
         }
         is_back
     }
 
-    /// Takes a report in; `broken` frames broke, of `frames` heard in all, errors included.
-    /// Whether it is an error at all.
-    pub fn see(&mut self, now: Instant, report: &ErrorReport, broken: u64, frames: u64) -> bool {
+    /// Notes an error report with `broken` failed frames, of `frames` received in all, errors
+    /// included. Returns true if it is an error.
+    pub fn note_report(
+        &mut self,
+        now: Instant,
+        report: &ErrorReport,
+        broken: u64,
+        frames: u64,
+    ) -> bool {
         self.forget(now);
         if report.is_recovery() {
-            // Where there was nothing else, it is over.
-            self.over = self.bus_off.take().is_some() && self.count() < SUSPECT;
+            // Without other errors, the finding is over.
+            self.over = self.bus_off.take().is_some() && self.count() < SUSPECT_FROM_ERRORS;
         }
         let no_acknowledge = u64::from(report.is_missing_acknowledge());
         let off = report.is_bus_off();
@@ -117,7 +124,7 @@ impl ErrorRate {
         }
         self.last = now;
         self.over = false;
-        self.wires = report.is_transceiver_fault() || self.wires && self.told.is_some();
+        self.wires = report.is_transceiver_fault() || self.wires && self.reported.is_some();
         if off {
             self.bus_off = Some(frames);
         }
@@ -134,21 +141,21 @@ impl ErrorRate {
         true
     }
 
-    /// How sure it is now that something is wrong, where that is anything.
+    /// Returns the state of the finding; `None` if there is none.
     pub fn confidence(&mut self, frames: u64) -> Option<Confidence> {
         let now = if self.bus_off.is_some() || self.is_lasting(frames) {
             Some(Confidence::Confirmed)
-        } else if self.wires || self.count() >= SUSPECT {
+        } else if self.wires || self.count() >= SUSPECT_FROM_ERRORS {
             Some(Confidence::Suspected)
         } else {
             None
         };
-        // What is told stays until it is quiet.
-        self.told = self.told.max(now);
-        self.told
+        // The state does not decrease until the errors stop.
+        self.reported = self.reported.max(now);
+        self.reported
     }
 
-    /// The errors in numbers.
+    /// Returns the summary of the errors.
     pub fn summary(&self, now: Instant, frames: u64) -> BusErrorSummary {
         let sum = |of: fn(&ErrorSecond) -> u64| self.seconds.iter().map(of).sum::<u64>();
         let (broken, no_acknowledge) = (sum(|s| s.broken), sum(|s| s.no_acknowledge));
@@ -169,13 +176,13 @@ impl ErrorRate {
             Cause::Broken(most.filter(|_| known))
         };
         let errors = self.count() as f64;
-        let since = self.heard.front().map_or(now, |(since, _)| *since);
-        let seconds = now.since(since).as_secs_f64().clamp(1.0, MEMORY as f64);
+        let since = self.frames_at.front().map_or(now, |(since, _)| *since);
+        let seconds = now.since(since).as_secs_f64().clamp(1.0, MEMORY_SECONDS as f64);
         let frames = self.frames(frames).max(1) as f64;
         BusErrorSummary { cause, rate: errors / seconds, share: (errors / frames).min(1.0) }
     }
 
-    /// Of the errors between two moments `count` have another cause than the bus.
+    /// Removes `count` errors between two times, which have another cause than the bus.
     pub fn exclude(&mut self, from: Instant, to: Instant, mut count: u64) {
         let (from, to) = (second_of(from), second_of(to));
         for second in &mut self.seconds {
@@ -188,43 +195,43 @@ impl ErrorRate {
         self.seconds.retain(|second| second.broken + second.no_acknowledge > 0);
     }
 
-    /// When [`handle_timeout`](Self::handle_timeout) is to be called; `frames` were heard in all.
+    /// Returns when [`handle_timeout`](Self::handle_timeout) is due; `frames` were received in all.
     pub fn poll_timeout(&self, frames: u64) -> Option<Instant> {
-        let told = self.told?;
+        let reported = self.reported?;
         if self.over {
             return Some(self.last);
         }
-        if self.bus_off.is_some_and(|heard| heard >= frames) {
+        if self.bus_off.is_some_and(|frames_at| frames_at >= frames) {
             return None;
         }
-        let quiet = match told {
-            Confidence::Confirmed => QUIET_CONFIRMED,
-            Confidence::Suspected | Confidence::Cleared => QUIET,
+        let quiet = match reported {
+            Confidence::Confirmed => CLEAR_CONFIRMED_AFTER,
+            Confidence::Suspected | Confidence::Cleared => CLEAR_AFTER,
         };
         Some(self.last + quiet)
     }
 
-    /// Whether it was quiet long enough.
+    /// Returns true if the errors have stopped for long enough, and clears the state.
     pub fn handle_timeout(&mut self, now: Instant, frames: u64) -> bool {
         if self.poll_timeout(frames).is_none_or(|due| now < due) {
             return false;
         }
-        self.told = None;
+        self.reported = None;
         self.wires = false;
         self.bus_off = None;
         self.over = false;
         true
     }
 
-    /// The controller begins anew.
+    /// Handles a restart of the controller.
     pub fn restart(&mut self) {
         self.bus_off = None;
     }
 
-    /// Forgets the errors that are past.
+    /// Drops errors that no longer count.
     fn forget(&mut self, now: Instant) {
         let number = second_of(now);
-        while self.seconds.front().is_some_and(|second| second.number + MEMORY <= number) {
+        while self.seconds.front().is_some_and(|second| second.number + MEMORY_SECONDS <= number) {
             self.seconds.pop_front();
         }
     }
@@ -238,15 +245,17 @@ impl ErrorRate {
         &mut self.seconds[last]
     }
 
+    /// Returns the number of errors that count.
     fn count(&self) -> u64 {
         self.seconds.iter().map(|second| second.broken + second.no_acknowledge).sum()
     }
 
-    /// Of all frames heard, those of the last ten seconds.
+    /// Returns how many of all frames were received in the last ten seconds.
     fn frames(&self, frames: u64) -> u64 {
-        frames - self.heard.front().map_or(0, |(_, before)| *before)
+        frames - self.frames_at.front().map_or(0, |(_, before)| *before)
     }
 
+    /// Returns true if the errors last long enough to be confirmed.
     fn is_lasting(&self, frames: u64) -> bool {
         let count = self.seconds.len();
         if count < CONFIRM_SECONDS {
@@ -258,6 +267,7 @@ impl ErrorRate {
     }
 }
 
+/// Returns the number of the second since [`Instant::ZERO`].
 fn second_of(now: Instant) -> u64 {
     now.as_micros() / 1_000_000
 }

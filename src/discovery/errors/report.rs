@@ -1,10 +1,10 @@
-//! What the engine does with error frames: takes them in, asks who is looked into, tells what comes
-//! of it.
+//! Error frames in the engine: updates the tracker, repeats requests to suspects, and turns results
+//! into findings.
 
 use super::super::conflict_detector::ConflictDetector;
 use super::super::device_table::DeviceTable;
 use super::super::{Engine, Presence, finding_text};
-use super::{Due, SuspectOutcome, WORDS};
+use super::{Due, SuspectOutcome, TEXT_INTERVAL};
 use crate::error_report::ErrorReport;
 use crate::finding::{Confidence, Evidence};
 use crate::frame::Frame;
@@ -12,18 +12,18 @@ use crate::text::Name;
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
 
-/// How late a heartbeat is missing, in periods.
-const OVERDUE: f64 = 0.3;
+/// Delay of a heartbeat, in periods, from which it is missing.
+const OVERDUE_PERIODS: f64 = 0.3;
 
 impl Engine {
-    /// Takes an error frame in.
+    /// Processes an error frame.
     pub(in crate::discovery) fn process_error_frame(&mut self, frame: &Frame) {
         let Some(report) = ErrorReport::of(frame) else { return };
         let (now, frames) = (self.now, self.counters.frames);
         let errors = &mut self.errors;
         errors.frames = frames;
         let broken = errors.broken(&report);
-        if errors.rate.see(now, &report, broken, frames) {
+        if errors.rate.note_report(now, &report, broken, frames) {
             self.judge_bus(frame);
         }
         if broken > 0 {
@@ -36,69 +36,76 @@ impl Engine {
         self.wake_at(now);
     }
 
-    /// Tells what is to be told about the bus as a whole, after an error.
+    /// Updates the finding about the bus after an error.
     fn judge_bus(&mut self, frame: &Frame) {
         let (now, frames) = (self.now, self.counters.frames);
         let Some(confidence) = self.errors.rate.confidence(frames) else { return };
-        let Some(finding) = self.conflicts.cases_mut().judge_errors(now, None, confidence) else {
+        let Some(finding) =
+            self.conflicts.finding_tracker_mut().judge_errors(now, None, confidence)
+        else {
             return;
         };
         finding.add(Evidence { time: frame.time, what: "error frame".into(), frame: Some(*frame) });
         if finding.changed == now || finding.text.is_empty() {
             self.write_bus_text();
         } else {
-            self.errors.outdated = true;
+            self.errors.is_text_outdated = true;
         }
     }
 
+    /// Updates the text of the bus finding.
     fn write_bus_text(&mut self) {
         let (now, frames) = (self.now, self.counters.frames);
-        self.errors.outdated = false;
-        self.errors.worded = now;
+        self.errors.is_text_outdated = false;
+        self.errors.text_written_at = now;
         let Some(confidence) = self.errors.rate.confidence(frames) else { return };
-        if let Some(finding) = self.conflicts.cases_mut().judge_errors(now, None, confidence) {
+        if let Some(finding) =
+            self.conflicts.finding_tracker_mut().judge_errors(now, None, confidence)
+        {
             let summary = self.errors.rate.summary(now, frames);
             (finding.text, finding.remedy) = finding_text::bus_errors(&summary);
         }
     }
 
-    /// How long an answer may take, on a busy and slow bus too, until its window closes.
+    /// Returns when the window of a request sent now closes: the response time on a busy and slow
+    /// bus.
     pub(in crate::discovery) fn response_window(&self) -> Instant {
         self.now + Duration::from_millis(200) + self.config.bit_time(180 * 150)
     }
 
-    /// Closes windows that are over, and asks again where that shows more.
+    /// Closes windows that are over, and repeats requests to suspects.
     pub(in crate::discovery) fn check_errors(&mut self) {
         let (now, frames) = (self.now, self.counters.frames);
         self.errors.frames = frames;
-        let (device_table, asks) =
+        let (device_table, may_send) =
             (&mut self.device_table, self.local_node.held().is_some() && self.config.scan);
         self.errors.handle_timeout(now, |address, request, since| {
-            // After a burst devices may begin anew, and answer nothing for some seconds.
+            // After a burst devices may reboot, and not respond for some seconds.
             let Some(device) = device_table.current_device_mut(address) else { return false };
-            let there = asks && device.is_present() && device.last_seen > since;
-            if there {
+            let is_sent = may_send && device.is_present() && device.last_seen > since;
+            if is_sent {
                 device.query_mut(request).schedule(now);
             }
-            there
+            is_sent
         });
         if self.errors.rate.handle_timeout(now, frames) {
-            self.errors.outdated = false;
-            self.conflicts.cases_mut().judge_errors(now, None, Confidence::Cleared);
-        } else if self.errors.outdated && now >= self.errors.worded + WORDS {
+            self.errors.is_text_outdated = false;
+            self.conflicts.finding_tracker_mut().judge_errors(now, None, Confidence::Cleared);
+        } else if self.errors.is_text_outdated && now >= self.errors.text_written_at + TEXT_INTERVAL
+        {
             self.write_bus_text();
         }
         self.emit_bus_errors();
     }
 
-    /// Tells who is named, or no more.
+    /// Turns new results about addresses into findings.
     pub(in crate::discovery) fn emit_bus_errors(&mut self) {
         let now = self.now;
-        while let Some(verdict) = self.errors.verdicts.pop_front() {
-            let (address, due, evidence) = match verdict {
+        while let Some(outcome) = self.errors.outcomes.pop_front() {
+            let (address, due, evidence) = match outcome {
                 SuspectOutcome::Named(address, due, evidence) => (address, due, evidence),
                 SuspectOutcome::Cleared(address) => {
-                    self.conflicts.cases_mut().judge_errors(
+                    self.conflicts.finding_tracker_mut().judge_errors(
                         now,
                         Some(address),
                         Confidence::Cleared,
@@ -110,7 +117,7 @@ impl Engine {
                 self.device_table.current_device(address).and_then(|device| device.name.clone());
             let suspected = Confidence::Suspected;
             let Some(finding) =
-                self.conflicts.cases_mut().judge_errors(now, Some(address), suspected)
+                self.conflicts.finding_tracker_mut().judge_errors(now, Some(address), suspected)
             else {
                 continue;
             };
@@ -129,7 +136,8 @@ impl Engine {
     }
 }
 
-/// The one address whose heartbeat is due now, its last one, and when the next is overdue.
+/// Returns the only address whose heartbeat is due now, its last heartbeat, and when the next is
+/// overdue; `None` if there is none or more than one.
 fn due_heartbeat(
     device_table: &DeviceTable,
     conflicts: &ConflictDetector,
@@ -138,19 +146,19 @@ fn due_heartbeat(
 ) -> Option<(Address, Option<Frame>, Instant)> {
     let mut found = None;
     for device in device_table.devices() {
-        let beats = &device.heartbeat;
-        let (Some(last), Presence::Online) = (beats.last, device.presence) else { continue };
-        let period = beats.period().unwrap_or(period);
-        let jitter = beats.jitter().unwrap_or_default() * 3;
+        let heartbeats = &device.heartbeat;
+        let (Some(last), Presence::Online) = (heartbeats.last, device.presence) else { continue };
+        let period = heartbeats.period().unwrap_or(period);
+        let jitter = heartbeats.jitter().unwrap_or_default() * 3;
         let due = last + period;
-        // A burst takes some milliseconds from the moment at which the heartbeat began.
+        // A burst starts with the heartbeat and takes some milliseconds.
         let early = due - (jitter + Duration::from_millis(2));
         let late = due + jitter + Duration::from_millis(30);
         if (early..=late).contains(&now) {
             if found.is_some() {
                 return None;
             }
-            let overdue = due + period.mul_f64(OVERDUE);
+            let overdue = due + period.mul_f64(OVERDUE_PERIODS);
             found = Some((device.address, conflicts.last_heartbeat(device.address), overdue));
         }
     }

@@ -1,4 +1,4 @@
-//! The time in which an address is expected to send, and what broke in it.
+//! Windows: times in which an address is expected to send, with the errors in them.
 
 use super::Due;
 use crate::finding::Evidence;
@@ -6,35 +6,36 @@ use crate::frame::Frame;
 use crate::time::Instant;
 use crate::wire::id::Address;
 
-/// Frames that break in a window until it counts: fewer is chance.
+/// Failed frames from which a window counts; fewer are chance.
 pub(super) const BURST: u64 = 3;
-/// Frames that break in a row as only two senders break them: two such windows are enough.
+/// Failed frames in a row that only two senders cause: two such windows are enough.
 pub(super) const LONG_BURST: u64 = 8;
-/// More than two senders can break until both are error-passive, or off the bus.
+/// Maximum number of frames that two senders destroy until both are error-passive or bus-off.
 pub(super) const LONGEST_BURST: u64 = 40;
-/// What a window with a burst counts, and with a long one.
+/// Weight of a window with a burst, and with a long one.
 const WEIGHT: u32 = 2;
 const LONG_WEIGHT: u32 = 3;
 
-/// A time in which an address is expected to send.
+/// Time in which an address is expected to send.
 #[derive(Debug)]
 pub(super) struct Window {
     pub(super) address: Address,
     pub(super) due: Due,
-    /// The question, or the last heartbeat.
+    /// Request, or last heartbeat, that opened the window.
     pub(super) cause: Option<Frame>,
     pub(super) ends: Instant,
-    /// Frames that broke while nobody else was expected to send.
+    /// Frames that failed while no other address was expected to send.
     pub(super) errors: u64,
-    /// And while others were.
+    /// Frames that failed while others were expected to send.
     pub(super) shared: u64,
-    /// The number of the first and of the last frame that broke, all frames counted.
+    /// Numbers of the first and of the last failed frame, counting all frames.
     pub(super) span: Option<(u64, u64)>,
     pub(super) first: Option<Frame>,
     pub(super) last: Option<Frame>,
 }
 
 impl Window {
+    /// Adds failed frames; `number` is that of the error frame.
     pub(super) fn note(&mut self, broken: u64, number: u64, frame: &Frame) {
         self.errors += broken;
         self.span = Some((self.span.map_or(number, |(first, _)| first), number));
@@ -42,25 +43,27 @@ impl Window {
         self.last = Some(*frame);
     }
 
-    /// What it counts, where frames broke one after the other, and not here and there.
+    /// Returns the weight of the window if frames failed one after the other; `None` if the errors
+    /// are too few, scattered or endless.
     pub(super) fn weight(&self) -> Option<u32> {
         let (first, last) = self.span?;
         if self.errors > LONGEST_BURST {
             return None;
         }
-        let whole = (last + 1 - first).saturating_sub(self.errors);
-        // A heartbeat that is overdue was not even asked for.
-        let asked = self.due != Due::Heartbeat;
-        if asked && self.errors >= LONG_BURST && whole * 8 <= self.errors {
+        let valid = (last + 1 - first).saturating_sub(self.errors);
+        // A heartbeat is not requested, so it never has the weight of a long burst.
+        let is_requested = self.due != Due::Heartbeat;
+        if is_requested && self.errors >= LONG_BURST && valid * 8 <= self.errors {
             Some(LONG_WEIGHT)
         } else {
-            (self.errors >= BURST && whole <= self.errors).then_some(WEIGHT)
+            (self.errors >= BURST && valid <= self.errors).then_some(WEIGHT)
         }
     }
 
+    /// Returns the evidence of this window, with the late response if there was one.
     pub(super) fn evidence(&self, response: Option<&Frame>) -> impl Iterator<Item = Evidence> {
         let (cause, broken, late) = match self.due {
-            Due::Answer(_) => ("request", "bus error before the response", "late response"),
+            Due::Response(_) => ("request", "bus error before the response", "late response"),
             Due::Heartbeat => ("previous heartbeat", "bus error when the next was due", ""),
         };
         let last = self.last.filter(|_| self.errors > 1);
@@ -72,12 +75,12 @@ impl Window {
     }
 }
 
-/// A question to all, and who has yet to answer it.
+/// A broadcast request, and the addresses without a response.
 #[derive(Debug)]
 pub(super) struct BroadcastWindow {
     pub(super) request: Frame,
     pub(super) ends: Instant,
     /// One bit for each address.
     pub(super) awaited: u128,
-    pub(super) answered: u128,
+    pub(super) responded: u128,
 }
