@@ -221,16 +221,16 @@ fn the_caret_is_below_the_place() {
 fn of_very_many_findings_the_first_are_kept() {
     let bad = |count: usize| format!("[{}{{\"name\":\"A\"}}]", "1,".repeat(count));
     assert_eq!(parsed(&bad(1000)).findings().len(), 1000);
-    let document = parsed(&bad(500_000));
+    let document = parsed(&bad(15_000));
     assert_eq!(document.findings().len(), 1001);
     let last = document.findings().last().unwrap();
-    assert_eq!(last.message, "499000 more errors after this one");
+    assert_eq!(last.message, "14000 more errors after this one");
     assert_eq!(last.position.column, 2000);
     // It is edited as any other.
     let edited = document.apply(&set(&document, "A", 5)).unwrap();
     assert_eq!(
         text(&edited).len(),
-        1_000_002 + "{\"name\":\"A\",\"address\":5,\"static\":true}".len()
+        30_002 + "{\"name\":\"A\",\"address\":5,\"static\":true}".len()
     );
     assert_eq!(edited.findings(), document.findings());
 }

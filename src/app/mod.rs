@@ -509,8 +509,8 @@ impl App {
         let clash = self.file.on_disk().zip(on_disk.as_ref()).filter(|_| change == Change::Saved);
         let clash = clash.and_then(|(now, before)| {
             let entries = now.entries();
-            let clash: Vec<&Entry> =
-                now.new_clash(before)?.entries.iter().filter_map(|&at| entries.get(at)).collect();
+            let clash = now.new_duplicate_address(before)?.entries.iter();
+            let clash: Vec<&Entry> = clash.filter_map(|&at| entries.get(at)).collect();
             let address = clash.first()?.address?;
             let names: Vec<&str> = clash.iter().map(|entry| &*entry.name_text).collect();
             let (count, names) = (names.len(), names.join(", "));

@@ -1,4 +1,4 @@
-//! What somebody else changed in the file, in a few words.
+//! Differences between two versions of the file, in words.
 
 use super::Document;
 use super::entry::{Entry, Member};
@@ -6,10 +6,10 @@ use super::merge::counterparts;
 use super::operation::EntryKey;
 use super::text::brief;
 
-/// What differs between two versions of a file, entry by entry: "SENS: 13 → 15", "DISP at 20
+/// Returns the differences between two versions, entry by entry: "SENS: 13 → 15", "DISP at 20
 /// removed", "new ACT at 14". Safe on a terminal.
 ///
-/// Empty where nothing does that means something here, and where that is more than `most` entries.
+/// Empty if no entry differs in a known member, or if more than `most` do.
 pub fn changes(before: &Document, after: &Document, most: usize) -> Vec<String> {
     let pairs = counterparts(before, after);
     let mut is_new = vec![true; after.entries().len()];
@@ -28,7 +28,7 @@ pub fn changes(before: &Document, after: &Document, most: usize) -> Vec<String> 
     if words.len() > most { Vec::new() } else { words }
 }
 
-/// What became of one entry.
+/// Describes the difference of one entry; `None` if its known members are equal.
 fn change(before: &Entry, after: &Entry) -> Option<String> {
     let address =
         |entry: &Entry| entry.address.map_or_else(|| "none".to_owned(), |it| it.to_string());
@@ -43,7 +43,7 @@ fn change(before: &Entry, after: &Entry) -> Option<String> {
     if differs(Member::Static) {
         words.push(if after.is_static { "static" } else { "not static" }.to_owned());
     }
-    // One for another bus is another one.
+    // Not the bus: an entry for another bus is another entry.
     for (member, word) in [(Member::Services, "services"), (Member::Uid, "UID")] {
         if differs(member) {
             words.push(format!("{word} changed"));
@@ -56,36 +56,36 @@ fn change(before: &Entry, after: &Entry) -> Option<String> {
 mod tests {
     use super::*;
 
-    fn told(before: &str, after: &str) -> String {
+    fn described(before: &str, after: &str) -> String {
         let parse = |text: &str| Document::parse(text.as_bytes()).unwrap();
         changes(&parse(before), &parse(after), 3).join("; ")
     }
 
     #[test]
-    fn what_changed_is_named() {
+    fn changes_name_each_entry_with_its_difference() {
         let sens = r#"[{"name":"SENS","address":13,"static":true,"note":1}]"#;
-        let told = |after: &str| told(sens, after);
-        assert_eq!(told(sens), "");
-        assert_eq!(told(&sens.replace(":1}", ":2}")), "");
-        assert_eq!(told(&sens.replace("13", "15")), "SENS: 13 → 15");
-        assert_eq!(told(&sens.replace("true", "false")), "SENS: not static");
+        let described = |after: &str| described(sens, after);
+        assert_eq!(described(sens), "");
+        assert_eq!(described(&sens.replace(":1}", ":2}")), "");
+        assert_eq!(described(&sens.replace("13", "15")), "SENS: 13 → 15");
+        assert_eq!(described(&sens.replace("true", "false")), "SENS: not static");
         let both = sens.replace("13", "15").replace("true", "false");
-        assert_eq!(told(&both), "SENS: 13 → 15, not static");
-        assert_eq!(told(&sens.replace("SENS", "S\\u001b")), "SENS: renamed to S\\x1B");
-        assert_eq!(told(&sens.replace("\"address\":13,", "")), "SENS: 13 → none");
+        assert_eq!(described(&both), "SENS: 13 → 15, not static");
+        assert_eq!(described(&sens.replace("SENS", "S\\u001b")), "SENS: renamed to S\\x1B");
+        assert_eq!(described(&sens.replace("\"address\":13,", "")), "SENS: 13 → none");
         let more = sens.replace("note\":1", r#"uid":"U","services":[{"name":"DES"}]"#);
-        assert_eq!(told(&more), "SENS: services changed, UID changed");
+        assert_eq!(described(&more), "SENS: services changed, UID changed");
         let elsewhere = sens.replace("note\":1", "bus\":\"can1\"");
-        assert_eq!(told(&elsewhere), "SENS at 13 removed; new SENS at 13");
-        assert_eq!(told("[]"), "SENS at 13 removed");
+        assert_eq!(described(&elsewhere), "SENS at 13 removed; new SENS at 13");
+        assert_eq!(described("[]"), "SENS at 13 removed");
         let new = sens.replace("}]", r#"},{"name":"DISP","address":20}]"#);
-        assert_eq!(told(&new), "new DISP at 20");
+        assert_eq!(described(&new), "new DISP at 20");
         let swapped = r#"[{"name":"ACT"}]"#;
-        assert_eq!(told(swapped), "SENS at 13 removed; new ACT");
+        assert_eq!(described(swapped), "SENS at 13 removed; new ACT");
     }
 
     #[test]
-    fn of_many_changes_none_is_named() {
+    fn changes_beyond_the_limit_are_not_named() {
         let list = |addresses: &[u8]| {
             let entry = |(at, address)| format!(r#"{{"name":"N{at}","address":{address}}}"#);
             let entries: Vec<String> = addresses.iter().enumerate().map(entry).collect();
@@ -93,7 +93,7 @@ mod tests {
         };
         let before = list(&[1, 2, 3, 4]);
         let three = "N0: 1 → 11; N1: 2 → 12; N2: 3 → 13";
-        assert_eq!(told(&before, &list(&[11, 12, 13, 4])), three);
-        assert_eq!(told(&before, &list(&[11, 12, 13, 14])), "");
+        assert_eq!(described(&before, &list(&[11, 12, 13, 4])), three);
+        assert_eq!(described(&before, &list(&[11, 12, 13, 14])), "");
     }
 }

@@ -1,4 +1,5 @@
-//! Entries of one file that cannot both be right.
+//! Contradictory entries that share a bus: the same static address twice, or the same name and
+//! address twice. Pure; returns [`DocumentFinding`]s with line numbers.
 
 use super::entry::Entry;
 use super::finding::{DocumentFinding, DocumentFindingKind};
@@ -6,11 +7,11 @@ use super::text::brief;
 use std::collections::HashMap;
 use std::fmt::Write as _;
 
-/// Entries that cannot both be right.
+/// Finds contradictory entries.
 ///
-/// An entry without `bus` stands for every bus. Entries of one name and one address are reported
-/// once, as duplicate entries, whether or not the address is static.
-pub(super) fn collisions(entries: &[Entry]) -> Vec<DocumentFinding> {
+/// An entry without `bus` applies to all buses. Entries with the same name and address are reported
+/// once, as duplicate entries, static or not.
+pub(super) fn duplicates(entries: &[Entry]) -> Vec<DocumentFinding> {
     let mut same_entry: HashMap<(u8, &[u8]), Vec<&Entry>> = HashMap::new();
     let mut same_address: HashMap<u8, Vec<&Entry>> = HashMap::new();
     for entry in entries {
@@ -29,7 +30,7 @@ pub(super) fn collisions(entries: &[Entry]) -> Vec<DocumentFinding> {
                 group.len(),
                 enumerate(&group, |entry| format!("line {}", entry.position.line)),
             );
-            findings.push(collision(DocumentFindingKind::DuplicateEntry, message, &group));
+            findings.push(duplicate(DocumentFindingKind::DuplicateEntry, message, &group));
         }
     }
     for (address, group) in same_address {
@@ -44,13 +45,13 @@ pub(super) fn collisions(entries: &[Entry]) -> Vec<DocumentFinding> {
                     format!("{} (line {})", brief(&entry.name), entry.position.line)
                 }),
             );
-            findings.push(collision(DocumentFindingKind::DuplicateAddress, message, &group));
+            findings.push(duplicate(DocumentFindingKind::DuplicateAddress, message, &group));
         }
     }
     findings
 }
 
-/// The groups of two or more that share a bus.
+/// Returns the groups of two or more entries that share a bus.
 fn on_one_bus(group: Vec<&Entry>) -> Vec<Vec<&Entry>> {
     if group.len() < 2 {
         return Vec::new();
@@ -65,7 +66,7 @@ fn on_one_bus(group: Vec<&Entry>) -> Vec<Vec<&Entry>> {
     buses.into_values().filter(|group| group.len() > 1).collect()
 }
 
-fn collision(kind: DocumentFindingKind, message: String, group: &[&Entry]) -> DocumentFinding {
+fn duplicate(kind: DocumentFindingKind, message: String, group: &[&Entry]) -> DocumentFinding {
     DocumentFinding {
         kind,
         position: group[1].address_position.unwrap_or(group[1].position),
@@ -74,7 +75,7 @@ fn collision(kind: DocumentFindingKind, message: String, group: &[&Entry]) -> Do
     }
 }
 
-/// "A, B and C", with a bound.
+/// Lists entries as "A, B and C", at most four of them.
 fn enumerate(group: &[&Entry], describe: impl Fn(&Entry) -> String) -> String {
     const SHOWN: usize = 4;
     let mut out = String::new();

@@ -1,4 +1,5 @@
-//! Edits carried out: one value spliced, the result read again and compared with what was meant.
+//! Application of edits: splices values into the text, parses the result and compares it with the
+//! intended content.
 
 use super::entry::{Entry, Member, read_service_noting};
 use super::layout::{self, EntryStyle, Layout, Members, ServicesStyle, newline, spliced};
@@ -10,62 +11,63 @@ use super::text::{from_json, to_hex, to_json};
 use super::{Document, MAX_ENTRIES, Root};
 use crate::text::printable;
 
-/// Why an edit was not made. The document is as it was.
+/// Why an edit was rejected. The document is unchanged.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum EditError {
-    /// There is no such entry (any more).
+    /// The entry is not in the file, or no longer.
     #[error("entry no longer in the file: {entry}")]
     NotFound {
         /// Its name and address.
         entry: String,
     },
-    /// The address is not one.
+    /// The address is out of range.
     #[error("{address} is not an address (1 to 127)")]
     AddressRange {
-        /// What was asked for.
+        /// The requested address.
         address: u8,
     },
-    /// Two members of one key, on the way to the value: readers disagree which one counts.
+    /// Two members with the same key on the path to the value; readers differ in which they use.
     #[error("{position}: duplicate `{key}`: remove one of them first")]
     DuplicateMember {
-        /// The key.
+        /// Key of both members.
         key: String,
-        /// Where the second one is.
+        /// Position of the second one.
         position: Position,
     },
-    /// The file is JSON, but there is no list of devices in it, nor a place for one.
+    /// The file has another value where the list of devices belongs.
     #[error("{position}: expected a list of devices, found {found}")]
     NotDevices {
-        /// Where.
+        /// Position of the value.
         position: Position,
-        /// What is there.
+        /// Kind of the value, with its article.
         found: String,
     },
-    /// Something in `services` is no service: setting them would remove it.
+    /// An element of `services` is not a service; setting the services would remove it.
     #[error("{position}: expected a service, found {found}: fix it first")]
     NotService {
-        /// Where.
+        /// Position of the value.
         position: Position,
-        /// What is there.
+        /// Kind of the value, with its article.
         found: String,
     },
-    /// The file has as many entries as it may have.
+    /// The file has [`MAX_ENTRIES`] elements already.
     #[error("no room for another entry: the file has {MAX_ENTRIES}; delete one first")]
     Full,
-    /// The edited text would not say what was meant. This is a fault in descan; the file is safe.
+    /// The edited text does not have the intended content: a fault in descan. The file is not
+    /// written.
     #[error("edit rejected: the result would not read back as intended: {reason}")]
     Unfaithful {
-        /// What differs.
+        /// The difference.
         reason: String,
     },
 }
 
 impl Document {
-    /// The document with one edit made. Only the bytes of the values concerned change.
+    /// Returns the document with one edit applied. Only the bytes of the values concerned change.
     ///
     /// # Errors
-    /// [`EditError`]; nothing is edited by half.
+    /// [`EditError`]; no edit is applied in part.
     pub fn apply(&self, operation: &Operation) -> Result<Self, EditError> {
         self.check_path()?;
         if let Operation::TakeOutFirst { former, .. } = operation
@@ -147,7 +149,7 @@ impl Document {
         Ok(spliced(self.body(), span, &text))
     }
 
-    /// The members that are to be written, and what; none: the member is to go.
+    /// Returns the members to write with their text; `None`: remove the member.
     fn member_texts(&self, index: usize, operation: &Operation) -> Vec<(Member, Option<String>)> {
         let entry = &self.entries()[index];
         let mut texts = Vec::new();
@@ -185,7 +187,7 @@ impl Document {
         texts
     }
 
-    /// How other entries write their services, or else how this one would.
+    /// Returns the layout of `services` in other entries, or else one that suits this entry.
     fn services_style(&self, own: Option<EntryStyle>) -> ServicesStyle {
         let own_layout = own.map_or_else(Layout::spaced, EntryStyle::into_layout);
         match self.sample(Some(Member::Services)) {
@@ -197,7 +199,8 @@ impl Document {
         }
     }
 
-    /// The members that stand before this one where the file has it, else by our own order.
+    /// Returns the members that come before `member` in the file's entries, or else in the order of
+    /// [`Member::ALL`].
     fn members_before(&self, member: Member) -> Vec<&'static str> {
         let sample =
             self.sample(Some(member)).and_then(|index| Members::of(self.entry_text(index)));
@@ -205,13 +208,13 @@ impl Document {
         order.into_iter().take_while(|other| *other != member).map(Member::key).collect()
     }
 
-    /// The last entry, or the last that has a member: what is new is to look like it.
+    /// Returns the last entry, or the last with a member: the model for new text.
     fn sample(&self, with: Option<Member>) -> Option<usize> {
         let has = |entry: &Entry| with.is_none_or(|member| entry.present.has(member));
         self.entries().iter().rposition(has)
     }
 
-    /// The last of the entries that show best how one with these members looks.
+    /// Returns the last of the entries that have most of the new entry's members.
     fn sample_of(&self, entry: &NewEntry) -> Option<usize> {
         let wanted = [
             (!entry.services.is_empty(), Member::Services),
@@ -222,7 +225,7 @@ impl Document {
         let shows = |entry: &Entry| {
             let shown =
                 |&(is_wanted, member): &(bool, Member)| is_wanted && entry.present.has(member);
-            // Services matter most: they have a layout of their own.
+            // Services first: they have a layout of their own.
             (shown(&wanted[0]), wanted.iter().filter(|it| shown(it)).count())
         };
         let entries = self.entries().iter().enumerate();
@@ -254,8 +257,8 @@ impl Document {
         self.with_element(index, &removed.text, Some(&removed.before), Some(&removed.after))
     }
 
-    /// Puts an element in at a place of the list. `before` and `after` are what may stand there:
-    /// used where they have the comma that is needed.
+    /// Returns the body with an element inserted at `index` of the list. `before` and `after`: the
+    /// preferred text around it, used if it has the required comma.
     fn with_element(
         &self,
         index: usize,
@@ -292,7 +295,7 @@ impl Document {
         }
     }
 
-    /// Fills the list when it is empty, or begins it where there is none.
+    /// Returns the body with the first element of the list; creates the list if it is missing.
     fn with_only_element(&self, before: &str, text: &str, after: &str) -> String {
         let body = self.body();
         let list = format!("[{before}{text}{after}]");
@@ -323,7 +326,7 @@ impl Document {
         spliced(self.body(), cut, "")
     }
 
-    /// What is needed to put an entry back.
+    /// Returns what [`Operation::PutBack`] needs to restore an entry.
     pub(super) fn removed(&self, index: usize) -> RemovedEntry {
         let entry = &self.entries()[index];
         let elements = self.elements();
@@ -339,7 +342,7 @@ impl Document {
         }
     }
 
-    /// What stands between two elements: as at the list's end, or after its bracket.
+    /// Returns the text between two elements, as between the last two or after the bracket.
     fn separator(&self) -> String {
         let body = self.body();
         match (self.elements(), self.list()) {
@@ -353,7 +356,7 @@ impl Document {
         }
     }
 
-    /// Is this an object without a blank between its members?
+    /// Returns true if the element is an object without white space between its members.
     fn is_compact(&self, element: &Span) -> bool {
         let text = &self.body()[element.clone()];
         let container = scan::container(text, &(0..text.len()));
@@ -367,7 +370,7 @@ impl Document {
         Some((span.start + 1..span.end - 1, items))
     }
 
-    /// The indent of the line on which the list begins, or would.
+    /// Returns the indent of the line on which the list begins, or would begin.
     fn list_indent(&self) -> String {
         let body = self.body();
         let at = match self.root() {
@@ -386,29 +389,29 @@ impl Document {
         line[..line.len() - line.trim_start_matches([' ', '\t']).len()].to_owned()
     }
 
-    /// The indent of elements, where there are none to look at.
+    /// Returns the indent of elements for an empty list.
     fn element_indent(&self) -> String {
         let outer = self.list_indent();
         let unit = if outer.is_empty() { "  " } else { &outer };
         format!("{outer}{unit}")
     }
 
-    // ---- what is refused ----
+    // ---- checks ----
 
-    /// Whether entries can be added at all, and this one, if one is given, be edited: so that it is
-    /// told before anything is typed. Cheap.
+    /// Checks whether entries can be added, and whether `entry`, if given, can be edited. Fast
+    /// enough to call before a prompt opens.
     ///
     /// # Errors
-    /// [`EditError`], as [`Document::apply`] would give it.
+    /// [`EditError`], as from [`Document::apply`].
     pub fn check_edit(&self, entry: Option<usize>) -> Result<(), EditError> {
         self.check_path()?;
         entry.map_or(Ok(()), |index| self.check_members(index))
     }
 
-    /// Whether an edit would be refused for what stands there already. Cheap.
+    /// Checks whether the present content prevents an edit. Fast.
     ///
     /// # Errors
-    /// [`EditError`], as [`Document::apply`] would give it.
+    /// [`EditError`], as from [`Document::apply`].
     pub fn check_operation(&self, operation: &Operation) -> Result<(), EditError> {
         self.check_path()?;
         match operation {
@@ -426,7 +429,7 @@ impl Document {
         if self.elements().len() < MAX_ENTRIES { Ok(()) } else { Err(EditError::Full) }
     }
 
-    /// The way to the list must be clear.
+    /// Fails if the list of devices is ambiguous or another value is in its place.
     fn check_path(&self) -> Result<(), EditError> {
         match self.root() {
             Root::Other(span) => Err(self.not_devices(span)),
@@ -440,7 +443,7 @@ impl Document {
         }
     }
 
-    /// So must be the way to the values in the entry.
+    /// Fails if a member of the entry occurs twice.
     fn check_members(&self, index: usize) -> Result<(), EditError> {
         let span = self.entry_span(index);
         let Some(members) = Members::of(self.entry_text(index)) else { return Ok(()) };
@@ -476,13 +479,13 @@ impl Document {
                 return Err(self.duplicate(key, *at));
             }
             if service.is_none() {
-                return Err(self.no_service(&item.value));
+                return Err(self.not_service(&item.value));
             }
         }
         Ok(())
     }
 
-    fn no_service(&self, span: &Span) -> EditError {
+    fn not_service(&self, span: &Span) -> EditError {
         let found = JsonKind(&self.body()[span.clone()]).to_string();
         EditError::NotService { position: Positions::new(self.body()).at(span.start), found }
     }
@@ -512,7 +515,7 @@ fn check_address(address: Option<u8>) -> Result<(), EditError> {
     }
 }
 
-/// An object that has nothing but the list, whose lines are indented for it.
+/// Returns a new top-level object with the list.
 fn begun_object(list: &str, newline: &str) -> String {
     format!("{{{newline}  \"devices\": {list}{newline}}}")
 }
@@ -533,7 +536,7 @@ fn entry_text(entry: &NewEntry, style: &EntryStyle) -> String {
     style.entry(&members)
 }
 
-/// The values of `name` and, where it is needed, of `name_hex`.
+/// Returns the text of `name` and, for a name that is not UTF-8, of `name_hex`.
 fn name_texts(name: &[u8]) -> (String, Option<String>) {
     match str::from_utf8(name) {
         Ok(text) => (to_json(text), None),

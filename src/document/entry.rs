@@ -1,4 +1,4 @@
-//! Entries: what the file says about a device.
+//! Entries of des.json and how they are read.
 
 use std::collections::HashMap;
 
@@ -8,48 +8,46 @@ use super::scan::{self, Span};
 use super::syntax::JsonKind;
 use super::text;
 
-/// What the file says about one device. Members of the wrong shape count as absent, and there is a
-/// finding about them.
-///
-/// Source: product, "Inline editing of des.json".
+/// One device in the file. Members with a value of the wrong type count as absent and have a
+/// finding.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Entry {
-    /// The name's bytes: `name_hex` where it is given, else the UTF-8 of `name`.
+    /// Bytes of the name: `name_hex` if given, else the UTF-8 of `name`.
     pub name: Vec<u8>,
-    /// The name as [`printable`](crate::text::printable) text.
+    /// Name as [`printable`](crate::text::printable) text.
     pub name_text: String,
-    /// 1 to 127: the static address, or the last main address. See `is_static`.
+    /// Address, 1 to 127: the static address, or the last one seen. See `is_static`.
     pub address: Option<u8>,
-    /// The address is pinned; discovery never changes it.
+    /// The address is static (pinned).
     pub is_static: bool,
-    /// The bus the device is on; none: whichever bus.
+    /// Name of the bus; `None`: any bus.
     pub bus: Option<String>,
-    /// `DEV_CFG_UID` as the file spells it.
+    /// UID as spelled in the file.
     pub uid: Option<String>,
-    /// The services in the file's order; none: the file does not say.
+    /// Services in the file's order; `None`: not listed.
     pub services: Option<Vec<ListedService>>,
-    /// They are a list: members of an object have no order.
+    /// The services are a list, whose order counts; in an object it does not.
     pub has_ordered_services: bool,
-    /// Where the entry begins.
+    /// Start of the entry.
     pub position: Position,
-    /// Where the value of `address` begins, whether or not it is a good one.
+    /// Start of the value of `address`, valid or not; `None` if it is missing.
     pub address_position: Option<Position>,
-    /// The entry's place in [`Document::entries`](super::Document::entries).
+    /// Index in [`Document::entries`](super::Document::entries).
     pub index: usize,
-    /// Its place in the file's list, where elements that are no entries have places too.
+    /// Index in the file's list, which may have elements that are not entries.
     pub(super) element: usize,
-    /// The members it has, of whatever value.
+    /// Members present, of any value.
     pub(super) present: Present,
 }
 
 impl Entry {
-    /// Its services, where it lists any: an empty list says no more than none.
+    /// Returns the services; `None` if the list is missing or empty.
     pub fn listed_services(&self) -> Option<&[ListedService]> {
         self.services.as_deref().filter(|listed| !listed.is_empty())
     }
 
-    /// All that the entry says, without where it says it.
+    /// Returns the content of the entry, without positions.
     pub(super) fn meaning(&self) -> impl PartialEq + '_ {
         (&self.name, self.address, self.is_static, &self.bus, &self.uid, &self.services)
     }
@@ -58,15 +56,15 @@ impl Entry {
 /// A service of a device, as the file lists it.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub struct ListedService {
-    /// For example `AUGER`.
+    /// Name, for example `AUGER`.
     pub name: String,
-    /// For example `2.1`; empty where the file does not say.
+    /// Version, for example `2.1`; empty if missing.
     pub version: String,
-    /// The strings after the version.
+    /// Strings after the version.
     pub extra: Vec<String>,
 }
 
-/// The members of an entry that mean something here. All others are the user's own, and kept.
+/// Members of an entry that descan reads. All others are kept unchanged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) enum Member {
     Name,
@@ -79,7 +77,7 @@ pub(super) enum Member {
 }
 
 impl Member {
-    /// In the order in which a new entry has them, unless the file has its own.
+    /// All, in the order of a new entry unless the file has its own order.
     pub const ALL: [Self; 7] = [
         Self::Name,
         Self::NameHex,
@@ -102,13 +100,13 @@ impl Member {
         }
     }
 
-    /// The member that a key in the source, with its quotes, stands for.
+    /// Returns the member of a key in the source, given with its quotes; `None` for other keys.
     pub fn of(raw_key: &str) -> Option<Self> {
         let key = text::from_json(raw_key)?;
         Self::ALL.into_iter().find(|member| member.key() == key)
     }
 
-    /// Do two entries say the same here?
+    /// Returns true if two entries have the same value of this member.
     pub fn agrees(self, a: &Entry, b: &Entry) -> bool {
         match self {
             Self::Name | Self::NameHex => a.name == b.name,
@@ -135,10 +133,10 @@ impl Present {
     }
 }
 
-/// The members of a service that mean something here.
+/// Members of a service that descan reads.
 const SERVICE_MEMBERS: [&str; 3] = ["name", "version", "extra"];
 
-/// Reads the elements of the list of devices. An element without a name is no entry.
+/// Reads the elements of the list of devices. An element without a name is not an entry.
 pub(super) fn read_all(body: &str, elements: &[Span], findings: &mut Findings) -> Vec<Entry> {
     let mut entries: Vec<Entry> = Vec::with_capacity(elements.len());
     for (element, span) in elements.iter().enumerate() {
@@ -147,7 +145,7 @@ pub(super) fn read_all(body: &str, elements: &[Span], findings: &mut Findings) -
     entries
 }
 
-/// Reads one element, the entry of this index if it is one.
+/// Reads one element; `None` if it is not an entry. `index`: the entry's index if it is one.
 fn read(
     body: &str,
     span: &Span,
@@ -159,13 +157,12 @@ fn read(
     EntryReader { body, findings, index, element, is_entry: false, present }.read(span)
 }
 
-/// A service's name and version as the file has them, from an item of `services` in either shape;
-/// none when it is not one.
+/// Reads an item of `services`, a list or an object; `None` if it is not a service.
 pub(super) fn read_service(body: &str, item: &scan::Item) -> Option<ListedService> {
     read_service_noting(body, item, &mut Vec::new())
 }
 
-/// The same; members that are there again are noted, with where they are.
+/// As [`read_service`]; adds duplicate members with their offsets to `again`.
 pub(super) fn read_service_noting(
     body: &str,
     item: &scan::Item,
@@ -219,7 +216,7 @@ struct EntryReader<'r, 'f> {
     findings: &'r mut Findings<'f>,
     index: usize,
     element: usize,
-    /// Whether the element has a name, so that findings can refer to its entry.
+    /// The element has a name, so findings can refer to its entry.
     is_entry: bool,
     present: Present,
 }
@@ -265,7 +262,7 @@ impl EntryReader<'_, '_> {
         })
     }
 
-    /// The last value of each member that means something here; null is as good as absent.
+    /// Returns the last value of each known member; null counts as absent.
     fn members(&mut self, span: &Span) -> Vec<(Member, Span)> {
         let mut found: Vec<(Member, Span)> = Vec::with_capacity(Member::ALL.len());
         let mut duplicates = Vec::new();
@@ -359,7 +356,7 @@ impl EntryReader<'_, '_> {
         let address = value.parse().ok().filter(|address| (1..=127).contains(address));
         if address.is_none() {
             let shown = text::brief(value.as_bytes());
-            // JSON has many spellings of one number.
+            // JSON has several spellings of a number: 1e1, 10.0.
             let meant = value.parse().ok().filter(|it: &f64| it.fract() == 0.0);
             let message = match meant.filter(|it| (1.0..=127.0).contains(it)) {
                 Some(meant) => format!("`address` is {shown}; write it in plain digits: {meant}"),

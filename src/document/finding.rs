@@ -1,22 +1,22 @@
-//! What is wrong in a file that is JSON: values of the wrong shape, and entries that collide.
+//! Findings about a file that is valid JSON: values of the wrong type, and contradictory entries.
 
 use std::fmt;
 
 use super::position::{Position, Positions};
 use super::syntax::JsonKind;
 
-/// Something in the file that a person should look at. The rest of the file stays in force.
+/// A fault in the file. The rest of the file is used.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct DocumentFinding {
-    /// What it is.
+    /// Kind of the finding.
     pub kind: DocumentFindingKind,
-    /// Where: the value concerned, in collisions that of the second entry.
+    /// Position of the value concerned; for contradictory entries that of the second one.
     pub position: Position,
-    /// What is wrong, in one sentence, safe on a terminal.
+    /// One sentence, safe on a terminal.
     pub message: String,
-    /// The entries concerned, as indexes into [`Document::entries`](super::Document::entries);
-    /// empty when it is about the file as a whole or about an element that is no entry.
+    /// Indexes of the entries concerned in [`Document::entries`](super::Document::entries); empty
+    /// for the file as a whole and for an element that is not an entry.
     pub entries: Vec<usize>,
 }
 
@@ -24,28 +24,28 @@ pub struct DocumentFinding {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum DocumentFindingKind {
-    /// Neither an object nor a list of devices, or `devices` is no list.
+    /// The file is neither an object nor a list, or `devices` is not a list.
     NotDevices,
-    /// An element of the list is no object.
+    /// An element of the list is not an object.
     NotAnEntry,
     /// An entry without a name.
     MissingName,
-    /// A member has a value of another type than it should.
+    /// A member has a value of the wrong type.
     WrongType,
     /// An address that is not a whole number from 1 to 127.
     AddressRange,
-    /// `name_hex` says another name than `name`.
+    /// `name_hex` and `name` are different names.
     NamesDiffer,
-    /// A member is there twice, and readers disagree which one counts. Here it is the last.
+    /// A member occurs twice; the last one is used.
     DuplicateMember,
-    /// Two entries have one static address on one bus.
+    /// Several entries have the same static address on one bus.
     DuplicateAddress,
-    /// Two entries have one name and one address on one bus.
+    /// Several entries have the same name and address on one bus.
     DuplicateEntry,
 }
 
 impl DocumentFindingKind {
-    /// The name that scripts rely on (interfaces, `kind`).
+    /// Returns the kind's name in JSON output, on which scripts rely.
     pub fn name(self) -> &'static str {
         match self {
             Self::DuplicateAddress => "file-duplicate-address",
@@ -56,7 +56,7 @@ impl DocumentFindingKind {
 }
 
 impl DocumentFinding {
-    /// What is wrong, without how it should be.
+    /// Returns the message up to its first semicolon: what is wrong, without the remedy.
     pub fn brief(&self) -> &str {
         self.message.split(';').next().unwrap_or_default()
     }
@@ -68,15 +68,15 @@ impl fmt::Display for DocumentFinding {
     }
 }
 
-/// How many findings are kept: a wrong file of megabytes may have as many as it has bytes.
-const MOST: usize = 1000;
+/// Most findings kept: a wrong file may have as many as it has bytes.
+const MAX_FINDINGS: usize = 1000;
 
-/// Keeps the first findings of many, in the order of the file; of `more` others only the number is
-/// known.
+/// Sorts findings by position and keeps the first [`MAX_FINDINGS`], followed by one with the number of
+/// further findings. `more`: findings that were left out before.
 pub(super) fn keep_first(findings: &mut Vec<DocumentFinding>, more: usize) {
     findings.sort_by(|a, b| (a.position, &a.message).cmp(&(b.position, &b.message)));
-    let more = more + findings.len().saturating_sub(MOST);
-    findings.truncate(MOST);
+    let more = more + findings.len().saturating_sub(MAX_FINDINGS);
+    findings.truncate(MAX_FINDINGS);
     if let Some(last) = findings.last().filter(|_| more > 0) {
         let (kind, position) = (last.kind, last.position);
         let message = format!("{more} more errors after this one");
@@ -84,12 +84,12 @@ pub(super) fn keep_first(findings: &mut Vec<DocumentFinding>, more: usize) {
     }
 }
 
-/// Collects findings while the file is read.
+/// Findings collected while the file is read.
 pub(super) struct Findings<'a> {
     positions: &'a Positions<'a>,
-    /// The first ones.
+    /// The first [`MAX_FINDINGS`].
     pub found: Vec<DocumentFinding>,
-    /// How many others there are.
+    /// Number of further ones.
     pub more: usize,
 }
 
@@ -109,7 +109,7 @@ impl<'a> Findings<'a> {
         message: String,
         entry: Option<usize>,
     ) {
-        if self.found.len() == MOST {
+        if self.found.len() == MAX_FINDINGS {
             self.more += 1;
             return;
         }
@@ -126,7 +126,7 @@ impl<'a> Findings<'a> {
         self.add(DocumentFindingKind::DuplicateMember, at, message, entry);
     }
 
-    /// `what` is no `expected`: a member, or something in one.
+    /// Adds a finding: `what`, a member or a part of one, is `found` instead of `expected`.
     pub fn wrong_type(
         &mut self,
         what: &str,

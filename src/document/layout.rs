@@ -1,20 +1,19 @@
-//! How the file is laid out: blanks and commas as its author set them, so that what is added looks
-//! like what is there.
+//! Layout of the file: white space and commas, so that added text looks like the text around it.
 //!
-//! Works on the text of one list or object at a time; every function returns the new text and
-//! keeps all that it was not asked to change.
+//! Works on the text of one list or object at a time. Each function returns the new text, in which
+//! all other bytes are unchanged.
 
 use super::entry::{ListedService, Member, read_service, version};
 use super::scan::{self, Container};
 use super::text::{from_json, to_json};
 use std::collections::{HashMap, VecDeque};
 
-/// What stands between the parts of a list or object.
+/// Text between the parts of a list or object.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Layout {
     /// After the opening bracket.
     pub open: String,
-    /// Between two items: the comma and the blanks around it.
+    /// Between two items: the comma and the white space around it.
     pub gap: String,
     /// Before the closing bracket.
     pub close: String,
@@ -28,7 +27,7 @@ impl Layout {
         Self { open: " ".into(), gap: ", ".into(), close: " ".into(), colon: ": ".into() }
     }
 
-    /// The layout of the container that `text` is; none when it is empty.
+    /// Returns the layout of a container; `None` if it is empty.
     pub fn of(text: &str, container: &Container) -> Option<Self> {
         let (first, last) = (container.items.first()?, container.items.last()?);
         let open = text[container.inside.start..first.span().start].to_owned();
@@ -46,12 +45,12 @@ impl Layout {
         Some(Self { open, gap, close, colon: colon.to_owned() })
     }
 
-    /// The layout for a list inside something that is laid out like this.
+    /// Returns the layout of a list inside a container of this layout.
     fn inner(&self) -> Self {
         let Some((_, line)) = self.gap.rsplit_once('\n') else {
             return self.clone();
         };
-        // Some put the comma there.
+        // Some files have the comma at the start of the line.
         let indent = &line[..line.len() - line.trim_start_matches([' ', '\t']).len()];
         let newline = newline(&self.gap);
         let outer = self.close.rsplit_once('\n').map_or("", |(_, outer)| outer);
@@ -64,7 +63,7 @@ impl Layout {
         }
     }
 
-    /// The same on one line.
+    /// Returns the same layout on one line.
     fn inline(&self) -> Self {
         if !self.gap.contains('\n') {
             return self.clone();
@@ -92,12 +91,12 @@ impl Layout {
     }
 }
 
-/// The line ending of a text.
+/// Returns the line ending of a text.
 pub(super) fn newline(text: &str) -> &'static str {
     if text.contains("\r\n") { "\r\n" } else { "\n" }
 }
 
-/// An item, with the comma and blanks that are no longer needed when it is taken out.
+/// Returns the span to remove with an item: the item, and its comma and white space.
 pub(super) fn cut(container: &Container, index: usize) -> scan::Span {
     let items = &container.items;
     if items.len() == 1 {
@@ -109,19 +108,19 @@ pub(super) fn cut(container: &Container, index: usize) -> scan::Span {
     }
 }
 
-/// The text with `span` replaced.
+/// Returns the text with `span` replaced.
 pub(super) fn spliced(text: &str, span: scan::Span, new: &str) -> String {
     [&text[..span.start], new, &text[span.end..]].concat()
 }
 
-/// The members of an object, with their keys decoded.
+/// Members of an object, with decoded keys.
 pub(super) struct Members<'t> {
     text: &'t str,
     container: Container,
 }
 
 impl<'t> Members<'t> {
-    /// `None` when the text is no object.
+    /// Returns the members; `None` if the text is not an object.
     pub fn of(text: &'t str) -> Option<Self> {
         if !text.starts_with('{') {
             return None;
@@ -140,19 +139,19 @@ impl<'t> Members<'t> {
         self.keys().position(|found| found == key)
     }
 
-    /// The text of a member's value.
+    /// Returns the text of a member's value; `None` if it is missing.
     pub fn value(&self, key: &str) -> Option<&'t str> {
         Some(&self.text[self.container.items[self.position(key)?].value.clone()])
     }
 
-    /// The offset of the second member that has this key.
+    /// Returns the offset of the second member with this key; `None` if there is none.
     pub fn duplicate(&self, key: &str) -> Option<usize> {
         let second = self.keys().enumerate().filter(|(_, found)| found == key).nth(1)?.0;
         Some(self.container.items[second].key.start)
     }
 
-    /// The object with a member set; one that was not there is put behind the last of `after` that is
-    /// there, or to the beginning.
+    /// Returns the object with a member set. A new member is placed behind the last of `after` that
+    /// is present, or at the start.
     pub fn with(&self, key: &str, value: &str, after: &[&str]) -> String {
         let items = &self.container.items;
         if let Some(index) = self.position(key) {
@@ -179,7 +178,7 @@ impl<'t> Members<'t> {
         }
     }
 
-    /// The object without a member.
+    /// Returns the object without a member.
     pub fn without(&self, key: &str) -> String {
         match self.position(key) {
             Some(index) => spliced(self.text, cut(&self.container, index), ""),
@@ -187,18 +186,18 @@ impl<'t> Members<'t> {
         }
     }
 
-    /// The members that mean something in an entry, in their order.
+    /// Returns the members that descan reads, in their order.
     pub fn known(&self) -> Vec<Member> {
         let raw = |item: &scan::Item| Member::of(&self.text[item.key.clone()]);
         self.container.items.iter().filter_map(raw).collect()
     }
 
-    /// The key of the last member.
+    /// Returns the key of the last member; `None` if there are none.
     pub fn last_key(&self) -> Option<String> {
         self.keys().last()
     }
 
-    /// What stands before a member that is not the first.
+    /// Returns the text before a member; `None` for the first and for a missing one.
     fn gap_before(&self, key: &str) -> Option<String> {
         let index = self.position(key)?;
         let before = index.checked_sub(1)?;
@@ -211,17 +210,17 @@ impl<'t> Members<'t> {
     }
 }
 
-/// How entries look: as `sample`, an entry of the file, or as the product's own example.
+/// Layout of entries: that of `sample`, an entry of the file, or descan's default.
 pub(super) struct EntryStyle<'t> {
     sample: Option<Members<'t>>,
     layout: Layout,
     services: ServicesStyle,
-    /// The line ending and indent of lines inside an entry, where there is no sample.
+    /// Line ending and indent of lines inside an entry, used without a sample.
     line: String,
 }
 
 impl<'t> EntryStyle<'t> {
-    /// The style of a sample, which must be an object that is not empty.
+    /// Returns the layout of a sample; `None` if it is not an object or is empty.
     pub fn of(sample: &'t str) -> Option<Self> {
         let members = Members::of(sample)?;
         let layout = members.layout()?;
@@ -232,7 +231,7 @@ impl<'t> EntryStyle<'t> {
         Some(Self { sample: Some(members), layout, services, line: String::new() })
     }
 
-    /// The style of entries that begin on a line of their own, where there is none to learn from.
+    /// Returns the default layout for entries on lines of their own.
     pub fn begun(newline: &str, indent: &str) -> Self {
         Self {
             sample: None,
@@ -242,7 +241,7 @@ impl<'t> EntryStyle<'t> {
         }
     }
 
-    /// The blanks between an entry's members.
+    /// Returns the layout of an entry's members.
     pub fn into_layout(self) -> Layout {
         self.layout
     }
@@ -251,12 +250,12 @@ impl<'t> EntryStyle<'t> {
         &self.services
     }
 
-    /// Does the file write this member even where it could be left out?
+    /// Returns true if the sample has this member.
     pub fn writes(&self, member: Member) -> bool {
         self.sample.as_ref().is_some_and(|sample| sample.position(member.key()).is_some())
     }
 
-    /// An entry of these members, in the order of the sample.
+    /// Returns the text of an entry with these members, in the order of the sample.
     pub fn entry(&self, members: &[(Member, String)]) -> String {
         let present = |member| members.iter().find(|(found, _)| *found == member);
         let known = self.sample.as_ref().map(Members::known).unwrap_or_default();
@@ -267,7 +266,7 @@ impl<'t> EntryStyle<'t> {
             }
             let place = |earlier| order.iter().position(|present| *present == earlier);
             let mut earlier = members[..index].iter().rev().filter_map(place);
-            // `static` belongs to the address; the rest comes after what comes before it elsewhere.
+            // `static` follows the address; others follow the members that precede them elsewhere.
             let after = if added.0 == Member::Static { earlier.next() } else { earlier.max() };
             order.insert(after.map_or(0, |after| after + 1), added);
         }
@@ -294,19 +293,19 @@ impl<'t> EntryStyle<'t> {
     }
 }
 
-/// How `services` looks: a list of objects, or an object of names and versions.
+/// Layout of `services`: a list of objects, or an object of names and versions.
 pub(super) struct ServicesStyle {
     is_object: bool,
     outer: Layout,
-    /// For the services in a list.
+    /// For each service in a list.
     item: Layout,
-    /// For a list where an object cannot hold what is to be said.
+    /// For a list that replaces an object, which cannot hold all content.
     fallback: Layout,
 }
 
 impl ServicesStyle {
-    /// As the value `sample` has it, and where it leaves a question, as fits into an entry that is
-    /// laid out like `entry`.
+    /// Returns the layout of the value `sample`; what it leaves open follows `entry`, the layout of
+    /// its entry.
     pub fn of(sample: &str, entry: &Layout) -> Self {
         let default = Self::within(entry);
         let Some(container) = scan::container(sample, &(0..sample.len())) else {
@@ -316,7 +315,7 @@ impl ServicesStyle {
         let Some(mut outer) = Layout::of(sample, &container) else {
             return Self { is_object, ..default };
         };
-        // One item does not say what stands between two.
+        // A single item does not show the text between two.
         if container.items.len() == 1 && !outer.open.contains('\n') {
             outer.gap = entry.inline().gap;
         }
@@ -326,14 +325,14 @@ impl ServicesStyle {
         Self { is_object, outer, item, fallback: default.outer }
     }
 
-    /// A list that fits into an entry that is laid out like `entry`.
+    /// Returns the layout of a list inside an entry of layout `entry`.
     pub fn within(entry: &Layout) -> Self {
         let outer = entry.inner();
         Self { is_object: false, outer: outer.clone(), item: entry.inline(), fallback: outer }
     }
 
-    /// The value of `services` that says this. An object cannot hold one name twice, or strings
-    /// after the version; there it becomes a list.
+    /// Returns the text of `services`. An object becomes a list if a name occurs twice or strings
+    /// follow a version.
     pub fn services(&self, services: &[ListedService]) -> String {
         if self.is_object && fits_object(services) {
             let pair = |service: &ListedService| to_json(&service.version);
@@ -344,8 +343,8 @@ impl ServicesStyle {
         outer.list(&items)
     }
 
-    /// The value `old` changed so that it says this. Services that stay keep their members, their
-    /// text and, as long as they stand in the same order, what stands between them.
+    /// Returns the value `old` changed to these services. Services that stay keep their members and
+    /// their text and, while in the same order, the text between them.
     pub fn edited(&self, old: &str, services: &[ListedService]) -> String {
         let Some(container) = scan::container(old, &(0..old.len())) else {
             return self.services(services);
@@ -364,7 +363,7 @@ impl ServicesStyle {
             }
         }
         let mut text = old[..first.span().start].to_owned();
-        // Those before it are behind us, or gone.
+        // Items before this one are written already, or removed.
         let mut next = 0;
         for (place, service) in services.iter().enumerate() {
             let index = known.get_mut(&service.name).and_then(VecDeque::pop_front);

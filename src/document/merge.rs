@@ -1,8 +1,8 @@
-//! Edits made again on content that somebody else has changed meanwhile.
+//! Three-way merge of unsaved edits with changes on disk.
 //!
-//! Three documents meet: the base, which both sides started from; ours, which is the base and some
-//! operations; theirs, which is on disk. Values that only one side touched come from that side, to
-//! the byte. A value that both changed, to different things, is a [`Conflict`] for a person.
+//! Input: the base, from which both sides started; operations on it (ours); the content on disk
+//! (theirs). A value that one side changed comes from that side, byte for byte. A value that both
+//! changed differently is an [`EditConflict`], for which the user chooses.
 
 use std::collections::HashMap;
 use std::hash::Hash;
@@ -13,24 +13,23 @@ use super::operation::{EntryKey, Operation};
 use super::text::brief;
 use super::{Document, EditError};
 
-/// What is said of an entry that one side has no more.
+/// Description of an entry that one side deleted.
 const DELETED: &str = "deleted";
 
-/// What came of a merge.
+/// Result of a merge.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Merge {
-    /// Both sides are in it.
+    /// The operations were applied to theirs.
     Rebased {
-        /// Theirs, with our operations made on it.
+        /// Theirs with the operations applied.
         document: Document,
-        /// The operations as they were made on theirs, in order; those that theirs already had are
-        /// left out.
+        /// Operations as applied to theirs, in order; without those that theirs already contains.
         operations: Vec<Operation>,
-        /// Of those, for each conflict in which ours was chosen, in order, the ones that overrule
-        /// theirs.
+        /// For each conflict in which ours was chosen, in order: the range of `operations` that
+        /// overwrites theirs.
         overruling: Vec<Range<usize>>,
     },
-    /// A person has to choose.
+    /// The user has to choose.
     Conflict(EditConflict),
 }
 
@@ -38,31 +37,31 @@ pub enum Merge {
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct EditConflict {
-    /// Our operation.
+    /// Operation of ours.
     pub operation: Operation,
-    /// What the value is to be, after us: "address 16, static". Safe on a terminal.
+    /// Value after the operation: "address 16, static". Safe on a terminal.
     pub ours: String,
-    /// What it is in theirs: "address 13, static", "deleted". Safe on a terminal.
+    /// Value in theirs: "address 13, static", "deleted". Safe on a terminal.
     pub theirs: String,
-    /// Which one of all conflicts of the merge it is, from 1.
+    /// Number among the conflicts of the merge, from 1.
     pub number: usize,
-    /// How many there are.
+    /// Number of conflicts of the merge.
     pub of: usize,
 }
 
-/// Whose value stands where both sides changed it.
+/// Which value to use if both sides changed it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum MergePreference {
-    /// Nobody's: the first conflict is returned, so that a person can choose.
+    /// Neither: the merge returns the first conflict.
     Neither,
-    /// Ours; an entry that they deleted comes back.
+    /// Ours; an entry that theirs deleted is restored.
     Ours,
-    /// Theirs: our operation is left out.
+    /// Theirs; the operation is left out.
     Theirs,
 }
 
-/// What a person chose, conflict by conflict. Each choice is for one alone: nothing is overwritten
-/// or dropped that was not shown.
+/// Choices of the user. Each is for one conflict, so that no value is overwritten or dropped that
+/// was not shown.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Choices {
     /// For the first conflicts, in order.
@@ -103,7 +102,7 @@ pub fn merge_chosen(
     let mut document = theirs.clone();
     let mut operations = Vec::new();
     let mut overruling = Vec::new();
-    let mut given_up = GivenUp::default();
+    let mut dropped = DroppedValues::default();
     let mut conflicts = 0;
     // The first that nobody has chosen in. The others are counted.
     let mut open: Option<EditConflict> = None;
@@ -111,7 +110,7 @@ pub fn merge_chosen(
         let next = base.apply(operation)?;
         let mut step = step(operation, &base, &next, &document, &ours[at + 1..]);
         if let (MergeStep::Make(operation), true) = (&step, choices.asks_for_new)
-            && let Some(entry) = operation.brought()
+            && let Some(entry) = operation.added()
         {
             let (ours, theirs) = (describe_all(&entry), DELETED.to_owned());
             step = MergeStep::Conflict { ours, theirs, insist: vec![operation.clone()] };
@@ -119,7 +118,7 @@ pub fn merge_chosen(
         let steps = match step {
             MergeStep::Done => Vec::new(),
             MergeStep::Make(operation) => vec![operation],
-            MergeStep::Conflict { .. } if given_up.has(operation) => Vec::new(),
+            MergeStep::Conflict { .. } if dropped.has(operation) => Vec::new(),
             MergeStep::Conflict { ours, theirs, insist } => {
                 let choice = choices.chosen.get(conflicts).copied().unwrap_or(rest);
                 conflicts += 1;
@@ -132,7 +131,7 @@ pub fn merge_chosen(
                     insist
                 } else {
                     let is_deleted = matches!(insist[..], [Operation::PutBack { .. }]);
-                    given_up.add(operation, is_deleted);
+                    dropped.add(operation, is_deleted);
                     Vec::new()
                 }
             }
@@ -141,7 +140,7 @@ pub fn merge_chosen(
             document = document.apply(&step)?;
             operations.push(step);
         }
-        given_up.follow(operation, &base, &next);
+        dropped.follow(operation, &base, &next);
         base = next;
     }
     Ok(match open {
@@ -150,17 +149,17 @@ pub fn merge_chosen(
     })
 }
 
-/// The values in which theirs stands, in entries as our operations know them. A later operation on
-/// such a value goes the same way: it is one value, and one choice.
+/// Values for which theirs is used, with their entries under the keys of our operations. A later
+/// operation on such a value is left out too: one value, one choice.
 #[derive(Default)]
-struct GivenUp {
+struct DroppedValues {
     values: Vec<(EntryKey, Vec<Member>)>,
 }
 
-impl GivenUp {
+impl DroppedValues {
     fn add(&mut self, operation: &Operation, is_deleted: bool) {
         if let Some(key) = operation.entry() {
-            // Of an entry that is not there no value is.
+            // A deleted entry has no values.
             let members = if is_deleted { Member::ALL.to_vec() } else { operation.members() };
             self.values.push((key.clone(), members));
         }
@@ -169,12 +168,12 @@ impl GivenUp {
     fn has(&self, operation: &Operation) -> bool {
         let members = operation.members();
         !members.is_empty()
-            && self.values.iter().any(|(key, given_up)| {
-                Some(key) == operation.entry() && members.iter().all(|it| given_up.contains(it))
+            && self.values.iter().any(|(key, dropped)| {
+                Some(key) == operation.entry() && members.iter().all(|it| dropped.contains(it))
             })
     }
 
-    /// An operation gave an entry another key.
+    /// Updates the keys after an operation that may change one.
     fn follow(&mut self, operation: &Operation, base: &Document, next: &Document) {
         if operation.members().is_empty() {
             return;
@@ -183,25 +182,26 @@ impl GivenUp {
         else {
             return;
         };
-        for (given_up, _) in &mut self.values {
-            if given_up == key {
-                *given_up = next.key(index);
+        for (dropped, _) in &mut self.values {
+            if dropped == key {
+                *dropped = next.key(index);
             }
         }
     }
 }
 
-/// What becomes of one operation.
+/// Result for one operation.
 enum MergeStep {
-    /// Theirs says so already.
+    /// Theirs already contains it.
     Done,
-    /// This is to be made on theirs.
+    /// Apply this operation to theirs.
     Make(Operation),
-    /// These would make it ours.
+    /// Conflict; `insist` overwrites theirs.
     Conflict { ours: String, theirs: String, insist: Vec<Operation> },
 }
 
-/// `next` is `base` with the operation made; `later` are those that come after it.
+/// Merges one operation. `next`: `base` with the operation applied; `later`: the operations after
+/// it.
 fn step(
     operation: &Operation,
     base: &Document,
@@ -247,7 +247,7 @@ fn step(
     } else if agree(found, before) {
         MergeStep::Make(operation)
     } else if final_key(next, index, later).is_some_and(|ours| agree(found, &ours)) {
-        // Theirs says already what later operations make of it.
+        // Theirs already has the value that later operations set.
         MergeStep::Done
     } else {
         let (ours, theirs) = (describe(&members, &wanted), describe(&members, found));
@@ -259,7 +259,7 @@ fn step(
     }
 }
 
-/// What becomes of an entry by further operations; none where one takes it out.
+/// Returns an entry after further operations; `None` if one of them removes it.
 fn final_key(document: &Document, index: usize, operations: &[Operation]) -> Option<Entry> {
     let (mut document, mut index) = (document.clone(), index);
     for operation in operations {
@@ -276,16 +276,16 @@ fn final_key(document: &Document, index: usize, operations: &[Operation]) -> Opt
     Some(document.entries()[index].clone())
 }
 
-/// For an operation that brings an entry: theirs may have brought it too.
+/// Merges an operation that adds an entry, which theirs may have added too.
 fn step_new(operation: &Operation, base: &Document, theirs: &Document) -> MergeStep {
-    let Some(entry) = operation.brought() else { return MergeStep::Make(operation.clone()) };
+    let Some(entry) = operation.added() else { return MergeStep::Make(operation.clone()) };
     let is_same = |other: &&Entry| {
         (&other.bus, &other.name, other.address) == (&entry.bus, &entry.name, entry.address)
     };
     let known = base.entries().iter().filter(is_same).count();
     let same = theirs.entries().iter().filter(is_same).nth(known);
     let is_new = matches!(operation, Operation::Add { .. });
-    let Some(found) = same.or_else(|| namesake(&entry, base, theirs).filter(|_| is_new)) else {
+    let Some(found) = same.or_else(|| twin(&entry, base, theirs).filter(|_| is_new)) else {
         return MergeStep::Make(operation.clone());
     };
     if found.meaning() == entry.meaning() {
@@ -302,21 +302,21 @@ fn step_new(operation: &Operation, base: &Document, theirs: &Document) -> MergeS
     }
 }
 
-/// The entry that they brought of the same device, as far as can be told: where each side brought
-/// only one of its name.
-fn namesake<'d>(entry: &Entry, base: &Document, theirs: &'d Document) -> Option<&'d Entry> {
-    let is_namesake = |other: &&Entry| (&other.bus, &other.name) == (&entry.bus, &entry.name);
-    if base.entries().iter().any(|other| is_namesake(&other)) {
+/// Returns the entry that theirs added for the same device: each side added exactly one of its
+/// name. `None` if that cannot be decided.
+fn twin<'d>(entry: &Entry, base: &Document, theirs: &'d Document) -> Option<&'d Entry> {
+    let is_twin = |other: &&Entry| (&other.bus, &other.name) == (&entry.bus, &entry.name);
+    if base.entries().iter().any(|other| is_twin(&other)) {
         return None;
     }
-    let mut found = theirs.entries().iter().filter(is_namesake);
+    let mut found = theirs.entries().iter().filter(is_twin);
     let only = found.next().filter(|_| found.next().is_none())?;
     let is_other = only.uid.is_some() && entry.uid.is_some() && only.uid != entry.uid;
     (!is_other).then_some(only)
 }
 
-/// For a new entry of ours whose device theirs has too: what ours says is set in theirs, all else
-/// stays. None where that is not enough.
+/// Merges a new entry whose device theirs lists too: sets the values of ours in theirs, and keeps
+/// all others. `None` if that is not sufficient.
 fn step_known(entry: &Entry, found: &Entry, theirs: &Document) -> Option<MergeStep> {
     if found.uid.is_some() && entry.uid.is_some() && found.uid != entry.uid {
         return None;
@@ -324,18 +324,18 @@ fn step_known(entry: &Entry, found: &Entry, theirs: &Document) -> Option<MergeSt
     let mut members = Vec::new();
     let mut insist = Vec::new();
     let key = theirs.key(found.index);
-    // An address that is not pinned is only where it was seen.
+    // An address that is not static is only the one last seen.
     if entry.is_static && (entry.address, true) != (found.address, found.is_static) {
         members.extend([Member::Address, Member::Static]);
         insist.push(Operation::SetAddress { entry: key, from: found.address, to: entry.address? });
     }
-    // Where it lists none, that is how its author wants it.
+    // An entry without services stays without.
     let lists_others = found.services.as_ref().is_some_and(|it| !it.is_empty())
         && entry.services != found.services;
     if let Some(services) = entry.services.clone().filter(|_| lists_others) {
         members.push(Member::Services);
         let entry = theirs.key(found.index);
-        // Before the address, which is part of the key.
+        // Before the address: it is part of the key.
         insist.insert(0, Operation::SetServices { entry, services });
     }
     if members.is_empty() {
@@ -346,22 +346,21 @@ fn step_known(entry: &Entry, found: &Entry, theirs: &Document) -> Option<MergeSt
 }
 
 impl Document {
-    /// The place in newer content of the entry that the one at this place has become, wherever it
-    /// stands, and whether its address or its name was changed; none where it was deleted, or
-    /// cannot be told.
+    /// Returns the index in newer content of the entry at `index`, even if it moved or its address
+    /// or name changed; `None` if it was deleted or is ambiguous.
     ///
     /// # Panics
-    /// When `index` is not one of [`Document::entries`].
+    /// If `index` is not an index of [`Document::entries`].
     pub fn counterpart(&self, index: usize, newer: &Self) -> Option<usize> {
         newer.find(&self.key(index)).or_else(|| counterparts(self, newer)[index])
     }
 }
 
-/// For each entry of the base, the entry of theirs that it has become.
+/// Returns, for each entry of the base, the index of the corresponding entry of theirs.
 ///
-/// Entries that are equal in bus, name, address and UID belong together, in their order. Of the
-/// others, those do that are the only ones of their UID, of their name, or of everything but their
-/// name. What is left was deleted, or cannot be told: the same thing for an edit.
+/// Entries that are equal in bus, name, address and UID correspond, in their order. Of the rest,
+/// those do that are the only ones with their UID, with their name, or with all members but the
+/// name. `None`: deleted or ambiguous, which are the same for an edit.
 pub(super) fn counterparts(base: &Document, theirs: &Document) -> Vec<Option<usize>> {
     let mut exact: HashMap<EntryKey, Vec<usize>> = HashMap::new();
     for entry in theirs.entries().iter().rev() {
@@ -390,7 +389,7 @@ pub(super) fn counterparts(base: &Document, theirs: &Document) -> Vec<Option<usi
     pairs.of_base
 }
 
-/// Entries of the base and of theirs that are the same one, as far as is known.
+/// Corresponding entries of the base and of theirs, as far as found.
 struct Pairs<'d> {
     base: &'d [Entry],
     theirs: &'d [Entry],
@@ -404,7 +403,7 @@ impl<'d> Pairs<'d> {
         self.taken[theirs] = true;
     }
 
-    /// Pairs what is still alone and the only one of its key on its side, on both sides.
+    /// Pairs the entries without a counterpart that are the only ones with their key on each side.
     fn add_unique<K: Eq + Hash>(&mut self, key: impl Fn(&'d Entry) -> Option<K>) {
         let alone = |entry: &&Entry| self.of_base[entry.index].is_none();
         let ours = unique(self.base.iter().filter(alone), &key);
@@ -418,7 +417,7 @@ impl<'d> Pairs<'d> {
     }
 }
 
-/// The index of the entry of each key; none where it has several.
+/// Returns the index of the entry with each key; `None` for a key with several entries.
 fn unique<'d, K: Eq + Hash>(
     entries: impl Iterator<Item = &'d Entry>,
     key: impl Fn(&'d Entry) -> Option<K>,
@@ -432,27 +431,27 @@ fn unique<'d, K: Eq + Hash>(
     found
 }
 
-/// Do two texts say the same, however they are laid out?
+/// Returns true if two texts are the same JSON value, regardless of layout.
 fn same_value(a: &str, b: &str) -> bool {
     let value = |text| serde_json::from_str::<serde_json::Value>(text).ok();
     a == b || value(a).is_some_and(|a| value(b) == Some(a))
 }
 
-/// How `entry` differs from `other`, for a person.
+/// Describes the members in which `entry` differs from `other`.
 fn differences(other: &Entry, entry: &Entry) -> String {
     let members: Vec<Member> =
         Member::ALL.into_iter().filter(|member| !member.agrees(other, entry)).collect();
     if members.is_empty() { "other members changed".to_owned() } else { describe(&members, entry) }
 }
 
-/// What an entry says, its name aside, for a person.
+/// Describes an entry without its name.
 fn describe_all(entry: &Entry) -> String {
     let mut members = vec![Member::Address, Member::Static];
     members.extend(entry.services.is_some().then_some(Member::Services));
     describe(&members, entry)
 }
 
-/// What an entry says in these members, for a person.
+/// Describes these members of an entry.
 fn describe(members: &[Member], entry: &Entry) -> String {
     let text = |text: &Option<String>| {
         text.as_ref().map_or_else(|| "none".to_owned(), |text| brief(text.as_bytes()))

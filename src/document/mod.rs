@@ -1,27 +1,27 @@
-//! `des.json`: read, checked, edited in place, and merged with what others wrote meanwhile.
+//! des.json: parsing, checks, edits in place, and a three-way merge with changes on disk.
 //!
-//! The file is the user's, so an edit is an [`Operation`] that changes the bytes of its own values
-//! and no others: [`Document::apply`] splices them into the source, reads the result again and
-//! compares it with what was meant before it hands it out. Operations find their entry by
-//! [`EntryKey`], hence can be made again on newer content ([`merge`]) and taken back
-//! ([`Operation::inverse`]).
+//! Input and output are the bytes of the file. An edit is an [`Operation`], which changes the bytes
+//! of its own values only: [`Document::apply`] splices them into the source, parses the result and
+//! compares it with the intended content. An operation finds its entry by [`EntryKey`], so that it
+//! can be applied to newer content ([`merge`]) and undone ([`Operation::inverse`]).
 //!
-//! What it deliberately does not know: files, time, the bus, the devices on it, and the rest of the
-//! program. Bytes in, bytes out.
+//! Limits: [`MAX_ENTRIES`], [`MAX_BYTES`], 128 levels of nesting. Does not know files, time, buses
+//! or devices.
 //!
 //! ```text
-//! mod        Document: what the file says
-//! syntax     is it JSON? ParseError
-//! scan       byte spans of containers and their items
+//! mod        Document: content of the file
+//! syntax     JSON syntax, ParseError
+//! scan       byte spans of lists, objects and their items
 //! position   lines and columns
-//! entry      reading entries
-//! finding    what is wrong with them
-//! duplicates entries that cannot both be right
-//! operation  edits as values, their keys, names and inverses
-//! edit       edits carried out
-//! layout     the file's own style
-//! merge      edits on newer content
-//! text       names: JSON, hexadecimal
+//! entry      reading of entries
+//! finding    findings about entries
+//! duplicates contradictory entries
+//! operation  edits as values: keys, names, inverses
+//! edit       application of edits
+//! layout     the file's own layout
+//! merge      three-way merge
+//! changes    differences between two versions, for messages
+//! text       strings: JSON, hexadecimal
 //! ```
 
 mod changes;
@@ -58,8 +58,8 @@ use syntax::{BOM, JsonKind};
 /// Most elements in the list of devices. A bus has 127 addresses.
 pub const MAX_ENTRIES: usize = 20_000;
 
-/// Longest file, in bytes: [`MAX_ENTRIES`] entries of some 800 bytes. Callers that read a file check
-/// it before they parse the content.
+/// Longest file, in bytes: [`MAX_ENTRIES`] entries of some 800 bytes. Checked by the caller that
+/// reads the file, before it parses the content.
 pub const MAX_BYTES: usize = 16 << 20;
 
 /// The JSON Schema (2020-12) of the file.
@@ -90,29 +90,28 @@ struct Inner {
     /// The elements of the list of devices, whether or not they are entries.
     elements: Vec<Span>,
     entries: Vec<Entry>,
-    /// Of each entry, how many before it have its key.
+    /// For each entry, the number of earlier entries with its key.
     occurrences: Vec<usize>,
     findings: Vec<DocumentFinding>,
-    /// Of each entry, whether there is a finding about it.
+    /// For each entry, true if a finding concerns it.
     is_flawed: Vec<bool>,
 }
 
-/// What the file's one value is, in spans of the body: the source without a byte order mark.
+/// The top-level value, with spans of the body: the source without its byte order mark.
 #[derive(Debug)]
 enum Root {
-    /// Nothing but blanks.
+    /// Only white space.
     Blank,
     /// A bare list of devices.
     List(Span),
-    /// An object, the value of `devices`, unless that is null, and where `devices` is for the
-    /// second time.
+    /// An object; the value of `devices`, unless it is null; the offset of a second `devices`.
     Object { span: Span, devices: Option<Span>, again: Option<usize> },
-    /// Something else.
+    /// Any other value.
     Other(Span),
 }
 
 impl Root {
-    /// What stands in the place of the list of devices.
+    /// Returns the span of the list of devices, or of the value in its place.
     fn list(&self) -> Option<&Span> {
         match self {
             Self::List(span) | Self::Object { devices: Some(span), .. } => Some(span),
@@ -122,11 +121,12 @@ impl Root {
 }
 
 impl Document {
-    /// Reads the content of a file. Blank content is an empty document; JSON of another shape is
-    /// one with findings.
+    /// Parses the content of a file. Blank content is an empty document; JSON of another shape is
+    /// a document with findings.
     ///
     /// # Errors
-    /// [`ParseError`] when it is not JSON in UTF-8, or nests deeper than 128 levels.
+    /// [`ParseError`] if it is not JSON in UTF-8, nests deeper than 128 levels, or lists more than
+    /// [`MAX_ENTRIES`] devices.
     pub fn parse(source: &[u8]) -> Result<Self, ParseError> {
         let source = syntax::check(source)?.to_owned();
         let body = source.strip_prefix(BOM).unwrap_or(&source);
@@ -144,8 +144,8 @@ impl Document {
         Ok(Self::of(source, root, elements, entries, found, more))
     }
 
-    /// Of what was read, with the findings about single elements, and the number of those that are
-    /// too many.
+    /// Builds a document from its parts. `findings`: those about single elements; `more`: the
+    /// number of findings that were left out.
     fn of(
         source: String,
         root: Root,
@@ -154,7 +154,7 @@ impl Document {
         mut findings: Vec<DocumentFinding>,
         more: usize,
     ) -> Self {
-        findings.extend(duplicates::collisions(&entries));
+        findings.extend(duplicates::duplicates(&entries));
         finding::keep_first(&mut findings, more);
         let occurrences = occurrences(&entries);
         let mut is_flawed = vec![false; entries.len()];
@@ -165,36 +165,36 @@ impl Document {
         Self { inner: Arc::new(inner) }
     }
 
-    /// The document of a file that is missing or empty.
+    /// Returns the document of a missing or empty file.
     pub fn empty() -> Self {
         Self::of(String::new(), Root::Blank, Vec::new(), Vec::new(), Vec::new(), 0)
     }
 
-    /// The bytes of the file.
+    /// Returns the bytes of the file.
     pub fn source(&self) -> &[u8] {
         self.inner.source.as_bytes()
     }
 
-    /// Whether there is nothing in it but blanks.
+    /// Returns true if it has only white space.
     pub fn is_blank(&self) -> bool {
         matches!(self.root(), Root::Blank)
     }
 
-    /// What the file says about devices, in its order.
+    /// Returns the entries in the order of the file.
     pub fn entries(&self) -> &[Entry] {
         &self.inner.entries
     }
 
-    /// What is wrong in it, in the order of the file; of very many things the first, and then how
-    /// many more there are.
+    /// Returns the findings in the order of the file: at most 1,000, then one with the number of
+    /// further findings.
     pub fn findings(&self) -> &[DocumentFinding] {
         &self.inner.findings
     }
 
-    /// How the entry at this place is found again in other content.
+    /// Returns the key of an entry, by which it is found in other content.
     ///
     /// # Panics
-    /// When `index` is not one of [`Document::entries`].
+    /// If `index` is not an index of [`Document::entries`].
     pub fn key(&self, index: usize) -> EntryKey {
         EntryKey {
             occurrence: self.inner.occurrences[index],
@@ -202,33 +202,34 @@ impl Document {
         }
     }
 
-    /// The place in [`Document::entries`] of the entry that has exactly this key.
+    /// Returns the index of the entry with exactly this key; `None` if there is none.
     pub fn find(&self, key: &EntryKey) -> Option<usize> {
         let mut fitting = self.entries().iter().filter(|entry| key.fits(entry));
         fitting.nth(key.occurrence).map(|entry| entry.index)
     }
 
-    /// A static address of several entries, which it was not yet in the document before.
-    pub fn new_clash(&self, before: &Document) -> Option<&DocumentFinding> {
+    /// Returns the finding about a static address of several entries that `before` does not have;
+    /// `None` if there is none.
+    pub fn new_duplicate_address(&self, before: &Document) -> Option<&DocumentFinding> {
         let address = |document: &Document, finding: &DocumentFinding| {
             let first = finding.entries.first().and_then(|&index| document.entries().get(index));
             first.and_then(|entry| entry.address)
         };
-        let is_clash =
+        let is_duplicate_address =
             |finding: &&DocumentFinding| finding.kind == DocumentFindingKind::DuplicateAddress;
-        self.findings().iter().filter(is_clash).find(|clash| {
-            let mut known = before.findings().iter().filter(is_clash);
-            known.all(|known| address(before, known) != address(self, clash))
+        self.findings().iter().filter(is_duplicate_address).find(|duplicate| {
+            let mut known = before.findings().iter().filter(is_duplicate_address);
+            known.all(|known| address(before, known) != address(self, duplicate))
         })
     }
 
-    /// What is wrong with the entry at this place.
+    /// Yields the findings about an entry.
     pub fn findings_of(&self, index: usize) -> impl Iterator<Item = &DocumentFinding> {
         let findings = if self.is_flawed(index) { self.findings() } else { &[] };
         findings.iter().filter(move |finding| finding.entries.contains(&index))
     }
 
-    /// Is there a finding about the entry at this place?
+    /// Returns true if a finding concerns the entry.
     pub fn is_flawed(&self, index: usize) -> bool {
         self.inner.is_flawed.get(index) == Some(&true)
     }
@@ -253,10 +254,10 @@ impl Document {
         self.elements()[self.entries()[index].element].clone()
     }
 
-    /// The entry at this place as it stands in the file, to the byte.
+    /// Returns the exact text of an entry in the file.
     ///
     /// # Panics
-    /// When `index` is not one of [`Document::entries`].
+    /// If `index` is not an index of [`Document::entries`].
     pub fn entry_text(&self, index: usize) -> &str {
         &self.body()[self.entry_span(index)]
     }
@@ -295,7 +296,7 @@ fn read_root(body: &str, findings: &mut Findings) -> Root {
     Root::Object { span, devices, again }
 }
 
-/// Of each entry, how many before it have its key.
+/// Returns, for each entry, the number of earlier entries with its key.
 fn occurrences(entries: &[Entry]) -> Vec<usize> {
     let mut seen = HashMap::with_capacity(entries.len());
     let mut occurrences = Vec::with_capacity(entries.len());

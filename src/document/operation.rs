@@ -1,4 +1,4 @@
-//! Edits as values: what is to be changed, in whose entry, and how to take it back.
+//! Edits as values: what to change in which entry, and how to undo it.
 
 use std::fmt;
 
@@ -8,96 +8,94 @@ use super::text::brief;
 use super::{Document, EditError};
 use crate::text::printable;
 
-/// One edit, as a person would name it.
+/// One edit of the file.
 ///
-/// It refers to entries by [`EntryKey`], not by place, so that it can be applied to newer content
-/// of the file too; see [`merge`](super::merge). `Display` names it for the timeline and for undo,
+/// Refers to an entry by [`EntryKey`], not by index, so that it can be applied to newer content of
+/// the file; see [`merge`](super::merge). `Display` describes it for the timeline and for undo,
 /// safe on a terminal: "address of the entry FEED: 12 → 16".
-///
-/// Source: product, "Inline editing of des.json".
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Operation {
-    /// Pins the address: writes `address`, and `static` true.
+    /// Pins an address: sets `address`, and `static` to true.
     SetAddress {
-        /// Whose.
+        /// The entry concerned.
         entry: EntryKey,
-        /// The address before.
+        /// Address before the edit.
         from: Option<u8>,
-        /// 1 to 127.
+        /// New address, 1 to 127.
         to: u8,
     },
-    /// Unpins the address: `static` false. The address stays, as the last main address.
+    /// Unpins the address: sets `static` to false. `address` stays as the last one seen.
     ClearAddress {
-        /// Whose.
+        /// The entry concerned.
         entry: EntryKey,
-        /// The address before.
+        /// Address before the edit.
         from: Option<u8>,
     },
-    /// A new entry at the end of the list, in the file's own style.
+    /// Adds an entry at the end of the list, in the file's own layout.
     Add {
-        /// What it says.
+        /// Content of the entry.
         entry: NewEntry,
     },
-    /// Takes the entry out.
+    /// Removes the entry.
     Remove {
-        /// Which.
+        /// The entry concerned.
         entry: EntryKey,
     },
-    /// Gives the entry another name.
+    /// Changes the name.
     Rename {
-        /// Which.
+        /// The entry concerned.
         entry: EntryKey,
-        /// The new name's bytes.
+        /// Bytes of the new name.
         to: Vec<u8>,
     },
-    /// Lists these services and no others, in the shape the entry or the file has for them.
+    /// Replaces the list of services, in the layout of the entry or of the file.
     SetServices {
-        /// Whose.
+        /// The entry concerned.
         entry: EntryKey,
-        /// In the order in which they are to be listed.
+        /// Services in the order in which to list them.
         services: Vec<ListedService>,
     },
-    /// Takes back an edit of members; made by [`Operation::inverse`].
+    /// Undoes an edit of members; made by [`Operation::inverse`].
     Restore {
-        /// Whose.
+        /// The entry concerned.
         entry: EntryKey,
-        /// What the members said before.
+        /// The members before the edit.
         former: FormerMembers,
     },
-    /// Takes back a removal; made by [`Operation::inverse`].
+    /// Undoes a removal; made by [`Operation::inverse`].
     PutBack {
-        /// What was taken out.
+        /// The removed entry.
         removed: RemovedEntry,
     },
-    /// Takes the first entry back; made by [`Operation::inverse`]. Where nothing was changed since,
-    /// what stood in the place of the list comes back to the byte.
+    /// Undoes the addition of the first entry; made by [`Operation::inverse`]. If nothing was
+    /// changed since, restores the exact bytes of the file.
     TakeOutFirst {
-        /// Which.
+        /// The entry concerned.
         entry: EntryKey,
-        /// What was there before.
+        /// The file before the addition.
         former: FormerContent,
     },
 }
 
-/// How an entry is found again, wherever it has moved to in the list. See [`Document::key`].
+/// Key of an entry, independent of its place in the list. See [`Document::key`].
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub struct EntryKey {
-    /// As in [`Entry`].
+    /// Bus, as in [`Entry`].
     pub bus: Option<String>,
-    /// As in [`Entry`].
+    /// Bytes of the name, as in [`Entry`].
     pub name: Vec<u8>,
-    /// The address before the edit.
+    /// Address before the edit.
     pub address: Option<u8>,
-    /// As in [`Entry`].
+    /// UID, as in [`Entry`].
     pub uid: Option<String>,
-    /// Which one, from 0, of several entries that are equal in all of the above.
+    /// Number, from 0, among the entries that are equal in all of the above.
     pub occurrence: usize,
 }
 
 impl EntryKey {
-    /// The key of an entry that is the only one of its kind.
+    /// Returns the key of an entry that no other entry equals in bus, name, address and UID.
     pub fn of(entry: &Entry) -> Self {
         Self {
             bus: entry.bus.clone(),
@@ -108,16 +106,16 @@ impl EntryKey {
         }
     }
 
-    /// Is this an entry that the key may mean, `occurrence` aside?
+    /// Returns true if the entry has this key, apart from `occurrence`.
     pub(super) fn fits(&self, entry: &Entry) -> bool {
-        // What is compared fastest comes first: it is asked for each pair of entries.
+        // Fastest comparison first: called for each pair of entries.
         self.address == entry.address
             && self.name == entry.name
             && self.bus == entry.bus
             && self.uid == entry.uid
     }
 
-    /// The key of an entry, given those before it.
+    /// Returns the key of an entry, given the entries before it.
     pub(super) fn among(entry: &Entry, earlier: &[Entry]) -> Self {
         let mut key = Self::of(entry);
         key.occurrence = earlier.iter().filter(|other| key.fits(other)).count();
@@ -125,8 +123,8 @@ impl EntryKey {
     }
 }
 
-/// The name, and which one of equal entries it is; `{:#}` with the address, which tells twins apart:
-/// "SENS at 13".
+/// The name, and the number among equal entries; `{:#}` adds the address, which distinguishes
+/// twins: "SENS at 13".
 impl fmt::Display for EntryKey {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&brief(&self.name))?;
@@ -140,26 +138,26 @@ impl fmt::Display for EntryKey {
     }
 }
 
-/// An entry that is to be added.
+/// Content of an entry to add.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct NewEntry {
-    /// The name's bytes. A name that is not UTF-8 is written as printable text, and exactly in
-    /// `name_hex`.
+    /// Bytes of the name. If they are not UTF-8, `name` is written as printable text and `name_hex`
+    /// has the bytes.
     pub name: Vec<u8>,
-    /// 1 to 127.
+    /// Address, 1 to 127; `None`: not written.
     pub address: Option<u8>,
-    /// Whether the address is pinned. False is written only where the file's other entries do.
+    /// The address is static. False is written only if the file's other entries have `static`.
     pub is_static: bool,
-    /// Written when given.
+    /// Name of the bus; `None`: not written.
     pub bus: Option<String>,
-    /// Written when given.
+    /// UID; `None`: not written.
     pub uid: Option<String>,
-    /// Written when there are any.
+    /// Services; not written if empty.
     pub services: Vec<ListedService>,
 }
 
 impl NewEntry {
-    /// What the file will say, at a place that is not known yet.
+    /// Returns the entry that the file will have, at an unknown position.
     pub(super) fn meant(&self) -> Entry {
         Entry {
             name: self.name.clone(),
@@ -179,25 +177,25 @@ impl NewEntry {
     }
 }
 
-/// What an entry's members said before an edit, to the byte.
+/// Exact text of an entry's members before an edit.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FormerMembers {
     pub(super) members: Vec<(Member, Option<String>)>,
     pub(super) entry: Box<Entry>,
 }
 
-/// An entry that was taken out, with its text and the blanks around it.
+/// A removed entry, with its text and the white space around it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RemovedEntry {
     pub(super) entry: Box<Entry>,
     pub(super) text: String,
-    /// Between the element before, or the bracket, and the entry.
+    /// Text between the previous element, or the bracket, and the entry.
     pub(super) before: String,
-    /// Between the entry and the element behind, or the bracket.
+    /// Text between the entry and the next element, or the bracket.
     pub(super) after: String,
 }
 
-/// The content of a file without devices, and what brought the first one.
+/// Content of a file without devices, and the operation that added the first one.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FormerContent {
     pub(super) document: Document,
@@ -205,17 +203,15 @@ pub struct FormerContent {
 }
 
 impl Operation {
-    /// The operation that takes this one back, as a new edit, given the document that this one is
-    /// to be applied to.
+    /// Returns the operation that undoes this one. `before`: the document to which this one is
+    /// applied.
     ///
-    /// It holds for the document that this operation makes; to take the edit back later, when the
-    /// file has been changed further, [`merge`](super::merge) it from there.
-    ///
-    /// Taking back restores what the file said, and the exact text where it is still known. The
-    /// inverse of an inverse does the edit again.
+    /// The inverse applies to the document that this operation makes. To undo the edit after later
+    /// changes of the file, [`merge`](super::merge) the inverse from there. It restores the content
+    /// and, if it is still known, the exact text. The inverse of an inverse redoes the edit.
     ///
     /// # Errors
-    /// [`EditError::NotFound`] when `before` has no such entry.
+    /// [`EditError::NotFound`] if `before` does not have the entry.
     pub fn inverse(&self, before: &Document) -> Result<Self, EditError> {
         let entries = before.entries();
         let key = match self {
@@ -247,7 +243,7 @@ impl Operation {
         Ok(Self::Restore { entry: EntryKey::among(&meant, &entries[..index]), former })
     }
 
-    /// The entry concerned, unless the operation brings it.
+    /// Returns the entry concerned; `None` if the operation adds it.
     pub fn entry(&self) -> Option<&EntryKey> {
         match self {
             Self::Add { .. } | Self::PutBack { .. } => None,
@@ -261,7 +257,7 @@ impl Operation {
         }
     }
 
-    /// The same, but that a list stays where the first entry is taken out.
+    /// Returns the same operation, except that removing the first entry leaves an empty list.
     #[must_use]
     pub fn leaving_list(self) -> Self {
         match self {
@@ -270,7 +266,7 @@ impl Operation {
         }
     }
 
-    /// What takes back an entry that this brings to `before`.
+    /// Returns the operation that removes the entry that this one adds to `before`.
     fn removal(&self, entry: EntryKey, before: &Document) -> Self {
         if before.elements().is_empty() {
             let by = Box::new(self.clone());
@@ -280,19 +276,19 @@ impl Operation {
         }
     }
 
-    /// Does it take an entry out?
+    /// Returns true if it removes an entry.
     pub(super) fn is_removal(&self) -> bool {
         matches!(self, Self::Remove { .. } | Self::TakeOutFirst { .. })
     }
 
-    /// The entry concerned, told from its twins: "SENS at 13". Safe on a terminal.
+    /// Returns the entry concerned with its address: "SENS at 13". Safe on a terminal.
     pub fn subject(&self) -> String {
-        let brought = || self.brought().map(|entry| EntryKey::of(&entry));
-        let key = self.entry().cloned().or_else(brought);
+        let added = || self.added().map(|entry| EntryKey::of(&entry));
+        let key = self.entry().cloned().or_else(added);
         key.map(|key| format!("{key:#}")).unwrap_or_default()
     }
 
-    /// The same for another entry, or for the same one under its newer key.
+    /// Returns the same operation for another entry, or for the same one under its newer key.
     pub(super) fn with_key(&self, key: EntryKey) -> Self {
         let mut operation = self.clone();
         match &mut operation {
@@ -308,7 +304,7 @@ impl Operation {
         operation
     }
 
-    /// The same where the address was another one before.
+    /// Returns the same operation with another address before the edit.
     pub(super) fn with_former_address(mut self, address: Option<u8>) -> Self {
         if let Self::SetAddress { from, .. } | Self::ClearAddress { from, .. } = &mut self {
             *from = address;
@@ -316,8 +312,8 @@ impl Operation {
         self
     }
 
-    /// The entry that this brings, if it brings one.
-    pub(super) fn brought(&self) -> Option<Entry> {
+    /// Returns the entry that this adds; `None` if it adds none.
+    pub(super) fn added(&self) -> Option<Entry> {
         match self {
             Self::Add { entry } => Some(entry.meant()),
             Self::PutBack { removed } => Some((*removed.entry).clone()),
@@ -325,7 +321,7 @@ impl Operation {
         }
     }
 
-    /// The members whose values this changes, in an entry that stays.
+    /// Returns the members that this changes in an entry; empty if it adds or removes one.
     pub(super) fn members(&self) -> Vec<Member> {
         match self {
             Self::SetAddress { .. } | Self::ClearAddress { .. } => {
@@ -343,7 +339,7 @@ impl Operation {
         }
     }
 
-    /// Does to an entry's meaning what the edit does to its text.
+    /// Applies the edit to the content of an entry.
     pub(super) fn change(&self, entry: &mut Entry) {
         match self {
             Self::SetAddress { to, .. } => {
@@ -367,7 +363,7 @@ impl Operation {
 }
 
 impl FormerContent {
-    /// What was there before, if since then nothing was done but what brought the first entry.
+    /// Returns the document before the addition; `None` if anything else was changed since.
     pub(super) fn before(&self, after: &Document) -> Option<&Document> {
         let begun = self.document.apply(&self.by);
         begun.is_ok_and(|begun| begun == *after).then_some(&self.document)
@@ -375,7 +371,7 @@ impl FormerContent {
 }
 
 impl FormerMembers {
-    /// The address as the file had it: one that is none, too.
+    /// Returns the address as the file had it, valid or not.
     fn address(&self) -> String {
         let written = || {
             let is_address = |(member, _): &&(Member, _)| *member == Member::Address;
@@ -400,12 +396,15 @@ impl FormerMembers {
 }
 
 impl Document {
-    /// The place of the entry, or why there is none.
+    /// Returns the index of the entry.
+    ///
+    /// # Errors
+    /// [`EditError::NotFound`].
     pub(super) fn require(&self, key: &EntryKey) -> Result<usize, EditError> {
         self.find(key).ok_or_else(|| EditError::NotFound { entry: format!("{key:#}") })
     }
 
-    /// How many entries come before a place in the file's list.
+    /// Returns the number of entries before an index of the file's list.
     pub(super) fn entries_before(&self, element: usize) -> usize {
         self.entries().partition_point(|entry| entry.element < element)
     }
@@ -429,7 +428,7 @@ impl fmt::Display for Operation {
             Self::SetAddress { entry, from: Some(from), to } => {
                 write!(f, "address of the entry {entry}: {from} → {to}")
             }
-            // There was none, or something else that is none.
+            // No address before, or an invalid one.
             Self::SetAddress { entry, from: None, to } => {
                 write!(f, "address of the entry {entry} set to {to}")
             }

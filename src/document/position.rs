@@ -1,18 +1,18 @@
-//! Lines and columns.
+//! Lines and columns of byte offsets.
 
 use std::fmt;
 
-/// A place in the file, as editors count it.
+/// A position in the file, as text editors count it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Position {
-    /// From 1; a line ends with LF.
+    /// Line, from 1; a line ends with LF.
     pub line: usize,
-    /// From 1, in characters; a byte order mark does not count.
+    /// Column in characters, from 1; a byte order mark does not count.
     pub column: usize,
 }
 
 impl Position {
-    /// Where every file begins.
+    /// Start of the file.
     pub(super) const START: Self = Self { line: 1, column: 1 };
 }
 
@@ -22,11 +22,10 @@ impl fmt::Display for Position {
     }
 }
 
-/// Finds positions in a text, in any order, without walking from its beginning each time: a file
-/// may be one line of megabytes.
+/// Positions in a text. A query reads at most one block: a file may be one long line.
 pub(super) struct Positions<'a> {
     text: &'a [u8],
-    /// The position at the start of every block.
+    /// Position of the start of each block.
     blocks: Vec<Position>,
 }
 
@@ -51,7 +50,7 @@ impl<'a> Positions<'a> {
     }
 }
 
-/// The position behind a text that begins at this one.
+/// Returns the position behind a text that starts at `from`.
 fn advance(from: Position, text: &[u8]) -> Position {
     match text.iter().rposition(|&byte| byte == b'\n') {
         None => Position { column: from.column + characters(text), ..from },
@@ -62,7 +61,7 @@ fn advance(from: Position, text: &[u8]) -> Position {
     }
 }
 
-/// How many characters begin in these bytes: all but the continuation bytes of UTF-8.
+/// Returns the number of characters: all bytes but the continuation bytes of UTF-8.
 fn characters(text: &[u8]) -> usize {
     text.iter().filter(|&&byte| byte & 0xC0 != 0x80).count()
 }

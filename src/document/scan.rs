@@ -1,33 +1,33 @@
-//! Where things are in JSON that is known to be well formed: one container at a time, as byte
-//! spans, without recursion and without building values.
+//! Byte spans in well-formed JSON, one list or object at a time, without recursion and without
+//! building values.
 
 use std::ops::Range;
 
 /// A range of bytes of the text.
 pub(super) type Span = Range<usize>;
 
-/// A list or an object: what lies between its brackets, and its items.
+/// A list or an object.
 pub(super) struct Container {
-    /// Everything between the brackets.
+    /// Span between the brackets.
     pub inside: Span,
     pub items: Vec<Item>,
 }
 
 /// An element of a list, or a member of an object.
 pub(super) struct Item {
-    /// The key with its quotes; empty, at the value's start, in a list.
+    /// Key with its quotes; in a list empty, at the start of the value.
     pub key: Span,
     pub value: Span,
 }
 
 impl Item {
-    /// Key, colon and value.
+    /// Returns the span of key, colon and value.
     pub fn span(&self) -> Span {
         self.key.start..self.value.end
     }
 }
 
-/// The items of the list or object at `span`; `None` when a scalar is there.
+/// Returns the list or object at `span`; `None` for a scalar.
 pub(super) fn container(text: &str, span: &Span) -> Option<Container> {
     let is_object = match text.as_bytes()[span.start] {
         b'{' => true,
@@ -68,13 +68,13 @@ fn items(text: &str, inside: Span, is_object: bool) -> impl Iterator<Item = Item
     })
 }
 
-/// The only value of the text, without the blanks around it; `None` when the text is blank.
+/// Returns the span of the text's only value, without white space; `None` if the text is blank.
 pub(super) fn root(text: &str) -> Option<Span> {
     let start = skip_blank(text.as_bytes(), 0);
     (start < text.len()).then(|| start..text.trim_end_matches(BLANKS).len())
 }
 
-/// The first place where brackets nest deeper than `limit`.
+/// Returns the first offset at which brackets nest deeper than `limit`; `None` if nowhere.
 pub(super) fn deeper_than(text: &str, limit: usize) -> Option<usize> {
     let bytes = text.as_bytes();
     let (mut at, mut depth) = (0, 0);
@@ -96,7 +96,7 @@ pub(super) fn deeper_than(text: &str, limit: usize) -> Option<usize> {
     None
 }
 
-/// What JSON counts as white space.
+/// White space of JSON.
 pub(super) const BLANKS: [char; 4] = [' ', '\t', '\n', '\r'];
 
 fn skip_blank(bytes: &[u8], mut at: usize) -> usize {
@@ -106,7 +106,7 @@ fn skip_blank(bytes: &[u8], mut at: usize) -> usize {
     at
 }
 
-/// From an opening quote to behind the closing one.
+/// Returns the offset behind the string whose opening quote is at `at`.
 fn skip_string(bytes: &[u8], mut at: usize) -> usize {
     at += 1;
     loop {

@@ -1,4 +1,4 @@
-//! Is it JSON at all? And if not: where, and what is wrong.
+//! JSON syntax: whether the file is JSON and, if not, where and why not.
 
 use std::fmt;
 
@@ -8,33 +8,31 @@ use unicode_width::UnicodeWidthChar;
 use super::position::Positions;
 use super::{MAX_ENTRIES, scan};
 
-/// How deep brackets may nest, as in serde_json itself.
+/// Deepest nesting of brackets; the limit of serde_json.
 const DEPTH: usize = 128;
 
-/// The byte order mark that some editors write at the beginning.
+/// Byte order mark, which some editors write at the start of a file.
 pub(super) const BOM: &str = "\u{feff}";
 
-/// The file is not JSON.
-///
-/// `Display` says where and what: "line 7, column 12: expected `,` or `}`".
+/// Why a file cannot be parsed. `Display`: "line 7, column 12: expected `,` or `}`".
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("line {line}, column {column}: {message}")]
 #[non_exhaustive]
 pub struct ParseError {
-    /// From 1.
+    /// Line, from 1.
     pub line: usize,
-    /// From 1, in characters.
+    /// Column in characters, from 1.
     pub column: usize,
-    /// What is wrong there, in a few words.
+    /// What is wrong, in a few words.
     pub message: String,
-    /// The line, or the part of it around the error when it is long; safe on a terminal.
+    /// The line; if it is long, the part around the error. Safe on a terminal.
     pub line_text: String,
-    /// Which character of `line_text`, from 0, the error is at; it may be just behind its end.
+    /// Index of the error in the characters of `line_text`; may be just behind the last one.
     pub caret: usize,
 }
 
 impl ParseError {
-    /// The line, and below it a caret that points at the place; none where there is nothing to see.
+    /// Returns the line, and a second one with a caret below the error; `None` if it is blank.
     pub fn excerpt(&self) -> Option<[String; 2]> {
         let before = self.line_text.chars().take(self.caret);
         let cells: usize = before.filter_map(UnicodeWidthChar::width).sum();
@@ -43,7 +41,10 @@ impl ParseError {
     }
 }
 
-/// The source as text, once it is sure to be JSON or blank.
+/// Returns the source as text if it is JSON or blank.
+///
+/// # Errors
+/// [`ParseError`] if it is neither, or not UTF-8.
 pub(super) fn check(source: &[u8]) -> Result<&str, ParseError> {
     let text = str::from_utf8(source).map_err(|error| {
         let (good, bad) = source.split_at(error.valid_up_to());
@@ -73,8 +74,8 @@ pub(super) fn too_many_entries(body: &str, at: usize) -> ParseError {
     error_at(body, at, message)
 }
 
-/// serde_json's error, which counts bytes and names the last one it read, and puts line and column
-/// into its text.
+/// Converts an error of serde_json, which counts in bytes, points at the last byte read, and has
+/// line and column in its text.
 fn syntax_error(body: &str, error: &serde_json::Error) -> ParseError {
     let text = error.to_string();
     let message = text.rsplit_once(" at line ").map_or(text.as_str(), |(message, _)| message);
@@ -85,7 +86,7 @@ fn syntax_error(body: &str, error: &serde_json::Error) -> ParseError {
     let line: usize = body.split_inclusive('\n').take(error.line() - 1).map(str::len).sum();
     let at = body.floor_char_boundary((line + error.column()).saturating_sub(1));
     if message.starts_with("control character") {
-        // It names the character before.
+        // serde_json points at the character before.
         let at = at + body[at..].find(char::is_control).unwrap_or_default();
         let message = match body[at..].chars().next() {
             Some(control) if !['\n', '\r'].contains(&control) => {
@@ -112,7 +113,7 @@ fn syntax_error(body: &str, error: &serde_json::Error) -> ParseError {
 }
 
 fn error_at(text: &str, at: usize, message: String) -> ParseError {
-    /// How much of the line is shown on either side.
+    /// Characters of the line shown on each side of the error.
     const CHARACTERS: usize = 36;
     let text_before =
         text.strip_prefix(BOM).map_or(&text[..at], |body| &body[..at.saturating_sub(BOM.len())]);
@@ -138,7 +139,8 @@ fn error_at(text: &str, at: usize, message: String) -> ParseError {
     }
 }
 
-/// A tab would shift the caret, and the backslashes here are JSON's own.
+/// Makes text printable. Tabs become spaces, so that the caret stays in place; backslashes are
+/// JSON's own and stay.
 fn shown(text: &str) -> String {
     text.chars().fold(String::new(), |mut out, c| {
         match c {
@@ -150,7 +152,7 @@ fn shown(text: &str) -> String {
     })
 }
 
-/// Which kind of value a piece of JSON is, with its article, for messages.
+/// Kind of a JSON value, with its article, for messages.
 pub(super) struct JsonKind<'a>(pub &'a str);
 
 impl fmt::Display for JsonKind<'_> {

@@ -1,11 +1,11 @@
-//! Names and strings: how JSON spells them.
+//! Conversion of names and strings to and from JSON and hexadecimal.
 
 use std::borrow::Cow;
 use std::fmt::Write as _;
 
 use crate::text::{Quoted, is_printable};
 
-/// [`Called`], cut to what a message can carry.
+/// Returns a name for a message: [`Quoted`], at most 40 characters.
 pub(super) fn brief(bytes: &[u8]) -> String {
     const CHARACTERS: usize = 40;
     let text = Quoted(bytes).to_string();
@@ -15,8 +15,8 @@ pub(super) fn brief(bytes: &[u8]) -> String {
     }
 }
 
-/// A JSON string. What is not printable is escaped: a device's name must not carry control codes
-/// into a file that somebody will `cat`.
+/// Returns a JSON string. Unprintable characters are escaped, so that a device's name puts no
+/// control codes into the file.
 pub(super) fn to_json(text: &str) -> String {
     let mut out = String::with_capacity(text.len() + 2);
     out.push('"');
@@ -35,8 +35,8 @@ pub(super) fn to_json(text: &str) -> String {
     out
 }
 
-/// The string that a piece of JSON stands for; `None` when it is no string, or has half of a
-/// surrogate pair, which no string can hold.
+/// Returns the value of a JSON string; `None` if it is not a string or has half of a surrogate
+/// pair.
 pub(super) fn from_json(raw: &str) -> Option<Cow<'_, str>> {
     let inner = raw.strip_prefix('"')?.strip_suffix('"')?;
     if inner.contains('\\') {
