@@ -1,6 +1,6 @@
-//! What all regions draw with: text in cells, by role.
-//!
-//! Knows how wide text is, not what it says.
+//! Drawing tools of all regions: lines, lists and rules in cells, styled by [`Role`]. Inputs: lines
+//! of text and an area. Text that does not fit is cut with `…`, scrolled, or wrapped. Widths are in
+//! cells of the terminal (a wide character takes two). Does not know what the text means.
 
 use crate::app::{App, Bus, Screen};
 use crate::frame::BusIndex;
@@ -13,40 +13,47 @@ use ratatui::style::{Modifier, Style};
 use ratatui::text::{Line, Span};
 use unicode_width::{UnicodeWidthChar, UnicodeWidthStr};
 
-/// The app, the theme, and where to draw.
+/// State of one draw: what is shown, its colours, the regions, and the cells to fill.
 pub struct Brush<'a> {
+    /// What is shown; read only.
     pub app: &'a App,
+    /// The style of each role.
     pub theme: &'a Theme,
+    /// The regions, for the size of the buffer.
     pub screen: Screen,
+    /// The cells of the terminal.
     pub buffer: &'a mut Buffer,
-    /// Where the terminal's cursor is to stand, where something is typed.
+    /// Position of the terminal's cursor; `None` hides it (no prompt is open).
     pub cursor: Option<Position>,
-    /// How far the text that scrolls is scrolled, where there is one.
+    /// Lines by which the scrolled text (details, help) is scrolled, at most to its end; `None` if
+    /// the page has none.
     pub scrolled: Option<u16>,
 }
 
-/// An area without a blank column at either side.
+/// Returns `area` without its first and last column.
 pub fn inner(area: Rect) -> Rect {
     Rect { x: area.x + 1, width: area.width.saturating_sub(2), ..area }
 }
 
 impl Brush<'_> {
+    /// Returns the style of a role in the theme.
     pub fn style(&self, role: Role) -> Style {
         self.theme.style(role)
     }
 
+    /// Returns text in the style of a role.
     pub fn span(&self, role: Role, text: impl Into<String>) -> Span<'static> {
         Span::styled(text.into(), self.style(role))
     }
 
-    /// Draws a line into the `row`th row of an area, cut at its end with `…`.
+    /// Draws a line into row `row` of an area, cut at its end with `…`; nothing below the area.
     pub fn line(&mut self, area: Rect, row: u16, line: &Line) {
         if row >= area.height {
             return;
         }
         let width = usize::from(area.width);
         let (x, y) = (area.x, area.y + row);
-        // A role without a colour has the text's, not that of what was drawn here before.
+        // A role without a colour gets the colour of text, not the one drawn here before.
         let plain = Style::reset().patch(self.style(Role::Text));
         let covered = line.width().min(width) as u16;
         self.buffer.set_style(Rect { x, y, width: covered, height: 1 }, plain);
@@ -72,8 +79,8 @@ impl Brush<'_> {
         }
     }
 
-    /// Draws lines from the top of an area, the first `scroll` of them left out, but never more
-    /// than there is to see.
+    /// Draws lines from the top of an area without the first `scroll`; `scroll` is limited so that
+    /// the last line stays at the bottom. The last row gives the number of lines below the area.
     pub fn lines(&mut self, area: Rect, lines: &[Line], scroll: u16) {
         let height = usize::from(area.height);
         let hidden = lines.len().saturating_sub(height);
@@ -91,16 +98,17 @@ impl Brush<'_> {
         }
     }
 
-    /// Says that the filter leaves nothing, and how to take it away.
+    /// Draws, in place of an empty list, that the filter matches nothing (`what`) and the key that
+    /// clears it.
     pub fn filtered(&mut self, area: Rect, what: &str) {
         let key = self.app.key_of(Action::Cancel);
         let text = format!("{what}; {key} clears it");
-        let lines = labelled(self, "  ", Role::Muted, &text, area.width.saturating_sub(1));
         let below = Rect { y: area.y + 1, height: area.height.saturating_sub(1), ..area };
+        let lines = labelled(self, "  ", Role::Muted, &text, area.width.saturating_sub(1));
         self.lines(below, &lines, 0);
     }
 
-    /// Says why a list is empty, and what keeps us from seeing a bus.
+    /// Draws, in place of an empty list, why it is empty, and for each bus that is not up the cause.
     pub fn nothing(&mut self, list: Rect, why: &str) {
         let mut lines = vec![Line::from(self.span(Role::Muted, format!("   {why}")))];
         for bus in self.app.buses().iter().filter(|bus| bus.is_blind()) {
@@ -116,12 +124,12 @@ impl Brush<'_> {
         self.lines(below, &lines, 0);
     }
 
-    /// Whether there is a bus that nothing can be seen of.
+    /// Returns true if at least one bus is not up.
     pub fn is_blind(&self) -> bool {
         self.app.buses().iter().any(Bus::is_blind)
     }
 
-    /// Draws a horizontal rule.
+    /// Fills an area with a horizontal rule.
     pub fn rule(&mut self, area: Rect, role: Role) {
         let style = self.style(role);
         for y in area.top()..area.bottom() {
@@ -137,7 +145,7 @@ impl Brush<'_> {
             let row = Rect { y: area.y + row, height: 1, ..area };
             let style = self.style(Role::Selected);
             if style.add_modifier.contains(Modifier::REVERSED) {
-                // One even bar: colours turned over would make patches of it.
+                // Reversed colours of each span would break the bar into patches.
                 let plain = self.style(Role::Text);
                 for x in row.left()..row.right() {
                     let cell = &mut self.buffer[(x, row.y)];
@@ -150,7 +158,7 @@ impl Brush<'_> {
     }
 }
 
-/// The beginning of `text` that fits `width` cells.
+/// Returns the longest beginning of `text` that fits `width` cells.
 pub fn cut(text: &str, width: usize) -> &str {
     let mut used = 0;
     for (at, c) in text.char_indices() {
@@ -162,7 +170,7 @@ pub fn cut(text: &str, width: usize) -> &str {
     text
 }
 
-/// `text` in exactly `width` cells: cut with `…`, or filled with blanks behind.
+/// Returns `text` in exactly `width` cells: cut with `…`, or padded with blanks at the right.
 pub fn fit(text: &str, width: usize) -> String {
     let own = text.width();
     if own <= width {
@@ -174,13 +182,14 @@ pub fn fit(text: &str, width: usize) -> String {
     format!("{start}{dots}{}", " ".repeat(rest))
 }
 
-/// The same with the blanks in front.
+/// Returns `text` in exactly `width` cells: cut with `…`, or padded with blanks at the left.
 pub fn fit_right(text: &str, width: usize) -> String {
     let own = text.width();
     if own < width { format!("{}{text}", " ".repeat(width - own)) } else { fit(text, width) }
 }
 
-/// `text`, or its end behind a `…` where it does not fit: for names that differ at their end.
+/// Returns `text` if it fits `width` cells, else `…` and its end: for names that differ at their
+/// end.
 pub fn end_of(text: &str, width: usize) -> String {
     if text.width() <= width || width == 0 {
         return cut(text, width).to_owned();
@@ -192,13 +201,14 @@ pub fn end_of(text: &str, width: usize) -> String {
     format!("…{}", rest.as_str())
 }
 
-/// The bus of a line, in its narrow column.
+/// Returns the name of a bus for the BUS column of Traffic and Timeline, 7 cells; blank for `None`.
 pub fn bus_cell(app: &App, bus: Option<BusIndex>) -> String {
     let name = bus.and_then(|bus| app.bus(bus)).map_or("", Bus::name_without_rates);
     format!("{} ", fit(&end_of(name, 6), 6))
 }
 
-/// Breaks `text` into lines of at most `width` cells, at blanks where there are any.
+/// Breaks `text` into lines of at most `width` cells (at least 4), at blanks; a longer word is
+/// broken inside.
 pub fn wrap(text: &str, width: usize) -> Vec<String> {
     let width = width.max(4);
     let mut lines = Vec::new();
@@ -223,7 +233,7 @@ pub fn wrap(text: &str, width: usize) -> Vec<String> {
     lines
 }
 
-/// A label and text behind it, broken into lines that stay behind the label.
+/// Returns lines of `width` cells: the label, muted, and the text wrapped at the right of it.
 pub fn labelled(
     brush: &Brush,
     label: &str,
@@ -247,7 +257,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn text_fits_its_cells() {
+    fn fit_text_has_exact_width() {
         assert_eq!(fit("FEED", 6), "FEED  ");
         assert_eq!(fit("FEEDER", 5), "FEED…");
         assert_eq!(fit("温度計", 5), "温度…");
@@ -257,8 +267,8 @@ mod tests {
     }
 
     #[test]
-    fn text_is_broken_at_blanks() {
-        assert_eq!(wrap("two devices answer", 11), ["two devices", "answer"]);
+    fn wrap_long_text_breaks_at_blanks() {
+        assert_eq!(wrap("two devices respond", 11), ["two devices", "respond"]);
         assert_eq!(wrap("a0123456789", 5), ["a0123", "45678", "9"]);
         assert!(wrap("", 5).is_empty());
     }

@@ -1,10 +1,12 @@
-//! Two values for one thing in des.json, ours and the one in the file: the user chooses.
+//! The dialog of an edit conflict: an unsaved edit and des.json on disk changed the same value
+//! ("ours" and "theirs", as in git), and the user chooses one. Takes the place of the page.
 
 use super::brush::{Brush, labelled};
 use crate::theme::Role;
 use ratatui::layout::Rect;
 use ratatui::text::Line;
 
+/// Draws the dialog; nothing but its rule if no conflict is open.
 pub fn draw(brush: &mut Brush) {
     let whole = brush.screen.whole;
     let top = brush.screen.tabs.y;

@@ -1,5 +1,5 @@
-//! The details of the selected device: who it is, what it says, what is wrong with it, and why
-//! it is not there where it should be.
+//! The details of the selected row of Devices: presence, findings, reasons for a missing device,
+//! heartbeat, identity, services, the entry of des.json, history, and state of the requests.
 
 use super::brush::{Brush, fit, inner, labelled, wrap};
 use super::devices::state_role;
@@ -14,6 +14,7 @@ use crate::time::Duration;
 use ratatui::text::Line;
 use unicode_width::UnicodeWidthStr;
 
+/// Draws the details at the right of the list, below it, or in its place.
 pub fn draw(brush: &mut Brush) {
     let area = inner(brush.screen.details);
     if area.height == 0 {
@@ -27,6 +28,7 @@ pub fn draw(brush: &mut Brush) {
     brush.lines(area, &lines, scroll);
 }
 
+/// The lines of the details, collected top to bottom.
 struct DeviceDetails<'b, 'a> {
     brush: &'b Brush<'a>,
     row: &'a Row,
@@ -35,6 +37,7 @@ struct DeviceDetails<'b, 'a> {
 }
 
 impl<'a> DeviceDetails<'_, 'a> {
+    /// All lines; a section without content has none.
     fn all(mut self) -> Vec<Line<'static>> {
         let app = self.brush.app;
         let device = app.device_of(self.row);
@@ -49,7 +52,7 @@ impl<'a> DeviceDetails<'_, 'a> {
         self.file(device);
         if let Some(device) = device {
             self.history(device);
-            self.questions(device);
+            self.requests(device);
             self.quirks(device);
         }
         self.lines
@@ -59,21 +62,25 @@ impl<'a> DeviceDetails<'_, 'a> {
         self.brush.app
     }
 
+    /// Time from `at` to the time shown on the screen.
     fn ago(&self, at: crate::time::Instant) -> Duration {
         self.app().display_time().since(at)
     }
 
+    /// Begins a section: adds an empty line unless the last line is empty.
     fn blank(&mut self) {
         if self.lines.last().is_some_and(|line| !line.spans.is_empty()) {
             self.lines.push(Line::default());
         }
     }
 
+    /// Adds a label of 10 columns and wrapped text; with an empty label the text has no indent.
     fn add(&mut self, label: &str, role: Role, text: &str) {
         let label = if label.is_empty() { String::new() } else { fit(label, 10) };
         self.lines.extend(labelled(self.brush, &label, role, text, self.width));
     }
 
+    /// State word, duration, bus if there are several, last frame, redundant buses, twins.
     fn state(&mut self, device: Option<&Device>) {
         let row = self.row;
         let since = device
@@ -111,7 +118,7 @@ impl<'a> DeviceDetails<'_, 'a> {
         }
     }
 
-    /// The same device on other buses.
+    /// The same device on other buses: redundant ones with their state, separate networks.
     fn other_buses(&mut self, device: Option<&Device>) {
         let Some(device) = device else { return };
         let app = self.app();
@@ -137,6 +144,7 @@ impl<'a> DeviceDetails<'_, 'a> {
         }
     }
 
+    /// Findings about the device that are not cleared, and the key that opens Problems.
     fn findings(&mut self, device: Option<&Device>) {
         let of_row = |finding: &Finding| {
             finding.key.name.is_some()
@@ -175,6 +183,7 @@ impl<'a> DeviceDetails<'_, 'a> {
         }
     }
 
+    /// Why the device is missing, or why its name or services are not known, likeliest cause first.
     fn why(&mut self, device: Option<&Device>) {
         let app = self.app();
         let reasons = match (device, app.entry_of(self.row)) {
@@ -189,13 +198,14 @@ impl<'a> DeviceDetails<'_, 'a> {
         }
     }
 
+    /// Heartbeat period and jitter, missed heartbeats, mode, error code, the last six modes.
     fn heartbeat(&mut self, device: &Device) {
         let beats = &device.heartbeat;
         let is_shared = self.app().is_shared(device);
         self.blank();
         let text = match (beats.period(), beats.jitter()) {
             _ if beats.count == 0 => "none received".to_owned(),
-            // Counted together they would be those of one that is not there.
+            // Period and jitter of two senders mixed describe neither of them.
             _ if is_shared => "mixed: two senders".to_owned(),
             (Some(period), Some(jitter)) => {
                 let millis = jitter.as_micros() as f64 / 1000.0;
@@ -225,6 +235,7 @@ impl<'a> DeviceDetails<'_, 'a> {
         }
     }
 
+    /// UIDs in use at the address, framing, debug device.
     fn identity(&mut self, device: &Device) {
         let profile = self.app().profile(device.id.bus);
         let mut uids: Vec<String> = self
@@ -238,7 +249,7 @@ impl<'a> DeviceDetails<'_, 'a> {
                 crate::text::Escaped(uid.text(&profile.uid).to_string().as_bytes()).to_string()
             })
             .collect();
-        // The last one heard changes with each heartbeat.
+        // Sorted: the order of reception changes with each heartbeat.
         uids.sort();
         if !uids.is_empty() {
             let is_blank = uids == ["blank"];
@@ -253,6 +264,7 @@ impl<'a> DeviceDetails<'_, 'a> {
         }
     }
 
+    /// Services with their versions, compared with the versions before and with the entry.
     fn services(&mut self, device: &Device) {
         self.blank();
         let Some(services) = &device.services else {
@@ -297,15 +309,16 @@ impl<'a> DeviceDetails<'_, 'a> {
             }
             self.lines.push(line);
         }
-        let gone = listed.unwrap_or_default().iter().filter(|listed| {
+        let missing = listed.unwrap_or_default().iter().filter(|listed| {
             !services.iter().any(|own| own.name.to_string() == printable(&listed.name))
         });
-        for listed in gone {
+        for listed in missing {
             let text = format!("  ✗ {} listed, missing", printable(&listed.name));
             self.lines.push(Line::from(self.brush.span(Role::FileDiffers, text)));
         }
     }
 
+    /// The entry of des.json: its address against the device's, its position, invalid values.
     fn file(&mut self, device: Option<&Device>) {
         let app = self.app();
         self.blank();
@@ -348,6 +361,7 @@ impl<'a> DeviceDetails<'_, 'a> {
         }
     }
 
+    /// First frame, reboots, the address before a move.
     fn history(&mut self, device: &Device) {
         let app = self.app();
         self.blank();
@@ -366,18 +380,20 @@ impl<'a> DeviceDetails<'_, 'a> {
         }
     }
 
-    fn questions(&mut self, device: &Device) {
+    /// State of the name and services requests.
+    fn requests(&mut self, device: &Device) {
         let lines: Vec<String> = [("name", device.name_query), ("services", device.services_query)]
             .into_iter()
-            .filter_map(|(what, query)| self.question(what, query))
+            .filter_map(|(what, query)| self.request(what, query))
             .collect();
         for (at, text) in lines.iter().enumerate() {
             self.add(if at == 0 { "requests" } else { " " }, Role::Muted, text);
         }
     }
 
-    fn question(&self, what: &str, query: Query) -> Option<String> {
-        // Moments, not ages: what need not change each second should not.
+    /// Time of the response and how long it took, or the attempts so far; `None` before the first.
+    fn request(&self, what: &str, query: Query) -> Option<String> {
+        // Times of day, not ages: an age would redraw the line each second.
         let at = |time| clock(self.app(), time);
         match (query.answered_at, query.asked_at) {
             (Some(answered), _) => {
@@ -391,6 +407,7 @@ impl<'a> DeviceDetails<'_, 'a> {
         }
     }
 
+    /// Deviations from the protocol.
     fn quirks(&mut self, device: &Device) {
         for quirk in &device.quirks {
             for (at, line) in
@@ -404,11 +421,13 @@ impl<'a> DeviceDetails<'_, 'a> {
     }
 }
 
+/// Returns text of des.json with unprintable characters escaped.
 fn printable(text: &str) -> String {
     crate::text::Escaped(text.as_bytes()).to_string()
 }
 
-/// The version that a service had before it changed.
+/// Returns the version of a service before it changed, or `missing` if it was not in the list then;
+/// `None` if it did not change.
 fn before(device: &Device, service: &DeviceService) -> Option<String> {
     let previous = device.previous_services.as_ref()?;
     match previous.iter().find(|before| before.name == service.name) {
@@ -418,13 +437,17 @@ fn before(device: &Device, service: &DeviceService) -> Option<String> {
     }
 }
 
-/// What the file says of a service.
+/// A service compared with the entry of des.json.
 enum InFile {
+    /// Same version, or none listed to compare with.
     Same,
+    /// Not listed.
     New,
+    /// Listed with this version.
     Other(String),
 }
 
+/// Compares a service with those listed in the entry; an entry without services matches all.
 fn in_file(listed: Option<&[crate::document::ListedService]>, service: &DeviceService) -> InFile {
     let Some(listed) = listed.filter(|listed| !listed.is_empty()) else { return InFile::Same };
     let own = service.name.to_string();

@@ -1,4 +1,5 @@
-//! The table of devices. Columns give way, least important first, where the screen is narrow.
+//! The table of page 1, Devices: a row per device and per entry of des.json. Columns are dropped on
+//! narrow screens in the order SVC, MODE, AGE, BUS.
 
 use super::brush::{Brush, end_of, fit, fit_right};
 use crate::app::{App, FileStatus, PromptKind, Row, RowKey, RowState, SortBy};
@@ -10,7 +11,7 @@ use ratatui::style::Modifier;
 use ratatui::text::{Line, Span};
 use unicode_width::UnicodeWidthStr;
 
-/// A column: its heading, its width, and how early it gives way (0: never).
+/// A column of the table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Column {
     Bus,
@@ -28,8 +29,9 @@ use Column as C;
 impl Column {
     const ALL: [Column; 8] =
         [C::Bus, C::Address, C::Name, C::State, C::Mode, C::Services, C::Age, C::File];
-    /// In the order in which they give way.
+    /// Columns that a narrow list drops, first dropped first.
     const DROP_ORDER: [Column; 4] = [C::Services, C::Mode, C::Age, C::Bus];
+    /// Cells of NAME: as many as are left, within this range.
     const NAME_WIDTH: std::ops::RangeInclusive<usize> = 5..=20;
 
     const fn title(self) -> &'static str {
@@ -45,7 +47,7 @@ impl Column {
         }
     }
 
-    /// Its width; the name's is what is left.
+    /// Cells of the column. For BUS and ADDR the least width; for NAME see [`Self::NAME_WIDTH`].
     const fn width(self) -> usize {
         match self {
             C::Bus | C::File => 6,
@@ -56,10 +58,12 @@ impl Column {
         }
     }
 
+    /// Returns true if the column is aligned to the right.
     const fn is_number(self) -> bool {
         matches!(self, C::Address | C::Services | C::Age)
     }
 
+    /// The sort order that marks this column; `None`: rows cannot be sorted by it.
     const fn sorted_by(self) -> Option<SortBy> {
         match self {
             C::Address => Some(SortBy::Address),
@@ -73,17 +77,18 @@ impl Column {
     }
 }
 
-/// Which columns there are, how wide, and what is between them.
+/// The columns that fit, their widths, and the blanks between them.
 struct Columns {
     shown: Vec<(Column, usize)>,
     gap: usize,
 }
 
-/// The sign of the selection and the sign of the state.
+/// Cells in front of the first column: selection, state sign, blank.
 const SIGNS: usize = 3;
 
 impl Columns {
-    /// `bus` and `address` are what these take.
+    /// Fits the columns into `width` cells. BUS needs at least two buses; `bus` and `address` are the
+    /// widest texts in these columns.
     fn new(width: usize, buses: usize, (bus, address): (usize, usize)) -> Self {
         let own = |column: Column| match column {
             C::Bus => column.width().max(bus),
@@ -118,19 +123,20 @@ impl Columns {
         Self { shown, gap }
     }
 
-    /// Where a column begins.
+    /// First cell of a column, counted from the left of the list.
     fn start(&self, column: Column) -> usize {
         let before = self.shown.iter().take_while(|(other, _)| *other != column);
         SIGNS + before.map(|(_, width)| width + self.gap).sum::<usize>()
     }
 }
 
+/// Draws the column headings and the rows that fit; on the row being edited the address prompt.
 pub fn draw(brush: &mut Brush) {
     let (header, list) = (brush.screen.header, brush.screen.list);
     let app = brush.app;
     let rows = app.rows();
     let address = rows.iter().map(|row| addresses(app, row).width()).max().unwrap_or(0);
-    // Half as wide again where there is room: names of buses can be long.
+    // Names of buses can be long (slcan:/dev/ttyACM0); a narrow list keeps their ends.
     let most = if list.width < 60 { 6 } else { 14 };
     let bus = rows.iter().map(|row| buses(app, row, most).width()).max().unwrap_or(0);
     let columns = Columns::new(usize::from(list.width), app.buses().len(), (bus, address));
@@ -169,6 +175,7 @@ fn draw_header(brush: &mut Brush, area: Rect, columns: &Columns) {
     brush.line(area, 0, &line);
 }
 
+/// Draws why there is no row.
 fn draw_nothing(brush: &mut Brush, list: Rect) {
     let app = brush.app;
     if !app.view().filter(crate::app::Page::Devices).is_empty() {
@@ -199,6 +206,7 @@ fn row_line(brush: &Brush, row: &Row, columns: &Columns, selected: bool) -> Line
     Line::from(spans)
 }
 
+/// Returns the text of a cell in exactly `width` cells.
 fn cell(
     brush: &Brush,
     row: &Row,
@@ -206,7 +214,7 @@ fn cell(
     column: Column,
     width: usize,
 ) -> Span<'static> {
-    let gone = matches!(
+    let is_absent = matches!(
         row.state,
         RowState::Lost
             | RowState::Unknown
@@ -214,7 +222,7 @@ fn cell(
             | RowState::Pending
             | RowState::Duplicate
     );
-    let plain = if gone { Role::Muted } else { Role::Text };
+    let plain = if is_absent { Role::Muted } else { Role::Text };
     let (role, text) = match column {
         C::Bus => (Role::Muted, buses(brush.app, row, width)),
         C::Address => (plain, addresses(brush.app, row)),
@@ -252,7 +260,7 @@ fn cell(
     brush.span(role, text)
 }
 
-/// What the file says, and the role of that.
+/// Returns the text of the FILE column and its role.
 fn file_word(row: &Row) -> (Role, String) {
     match row.file {
         FileStatus::Nothing => (Role::Muted, String::new()),
@@ -266,7 +274,7 @@ fn file_word(row: &Row) -> (Role, String) {
     }
 }
 
-/// Its address; where it has others on redundant buses, all of them.
+/// Returns the address of a row; on redundant buses all of them (`12/13`); `–` if it has none.
 fn addresses(app: &App, row: &Row) -> String {
     let mut all: Vec<String> =
         app.devices_of(row).map(|device| device.address.to_string()).collect();
@@ -277,14 +285,15 @@ fn addresses(app: &App, row: &Row) -> String {
     all.join("/")
 }
 
-/// The bus of a row; where there are redundant ones, all of them.
+/// Returns the bus of a row; for a redundant device all its buses.
 fn buses(app: &App, row: &Row, width: usize) -> String {
     let all = row.bus.into_iter().chain(row.also.iter().map(|id| id.bus));
     let names: Vec<&str> = all.filter_map(|bus| Some(app.bus(bus)?.name_without_rates())).collect();
     bus_range(&names, width)
 }
 
-/// The names of redundant buses in few cells: `can0+1`.
+/// Returns the names of redundant buses, shortened: `can0+1`, `3 bus`; `any` for an entry without
+/// a bus.
 fn bus_range(names: &[&str], width: usize) -> String {
     let Some((first, others)) = names.split_first() else { return "any".to_owned() };
     let stem = first.trim_end_matches(|c: char| c.is_ascii_digit());
@@ -296,18 +305,18 @@ fn bus_range(names: &[&str], width: usize) -> String {
     if text.width() > width && !others.is_empty() {
         text = format!("{} bus", names.len());
     }
-    // What tells two long names apart is at their end.
+    // Long names of buses differ at their end.
     end_of(&text, width)
 }
 
-/// The name with the sign of a twin behind it.
+/// Returns a name followed by `²`, the sign of a twin, in at most `width` cells.
 fn twin_name(name: &str, width: usize) -> String {
     let name = fit(name, width.saturating_sub(1));
     let trimmed = name.trim_end();
     format!("{trimmed}²")
 }
 
-/// The sign in front of a row.
+/// Returns the sign in front of a row and its role.
 fn sign(row: &Row) -> (&'static str, Role) {
     match row.state {
         RowState::Conflict => ("⚠", Role::Collision),
@@ -323,6 +332,7 @@ fn sign(row: &Row) -> (&'static str, Role) {
     }
 }
 
+/// Returns the role of the STATE column.
 pub(super) fn state_role(state: RowState) -> Role {
     match state {
         RowState::Conflict => Role::Collision,
@@ -336,7 +346,7 @@ pub(super) fn state_role(state: RowState) -> Role {
     }
 }
 
-/// A duration in one unit.
+/// Returns a duration in one unit, at most 3 digits below 1000 days: `12s`, `5m`, `7h`, `2d`.
 fn age(duration: Duration) -> String {
     match duration.as_secs() {
         seconds @ 0..=99 => format!("{seconds}s"),
@@ -346,7 +356,7 @@ fn age(duration: Duration) -> String {
     }
 }
 
-/// The address being typed stands where the file's word is.
+/// Draws the address prompt into the FILE column of the row being edited.
 fn draw_editor(brush: &mut Brush, list: Rect, line: u16, row: &Row, columns: &Columns) {
     let Some(prompt) = brush.app.prompt() else { return };
     let is_here = |key: &RowKey| match key {
@@ -379,7 +389,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn columns_give_way_in_order() {
+    fn narrow_list_drops_columns_in_order() {
         let titles = |width: usize| -> Vec<&str> {
             let columns = Columns::new(width, 1, (6, 3));
             let end = columns.start(C::File) + 6;
@@ -393,7 +403,7 @@ mod tests {
     }
 
     #[test]
-    fn ages_have_one_unit() {
+    fn age_has_one_unit() {
         for (seconds, text) in [(0, "0s"), (99, "99s"), (100, "1m"), (7200, "2h"), (200_000, "2d")]
         {
             assert_eq!(age(Duration::from_secs(seconds)), text);

@@ -1,4 +1,5 @@
-//! The last line: a question, the line being typed, a message, or which keys do what here.
+//! The last line of the screen, in this order of precedence: a prompt, a confirmation, a message, the
+//! keys of the open page. A message or a rejected input that needs more room takes up to three lines.
 
 use super::brush::{Brush, cut, fit, wrap};
 use crate::app::{FileProblem, Focus, InputCheck, Page, PromptKind};
@@ -8,6 +9,7 @@ use ratatui::layout::{Position, Rect};
 use ratatui::text::{Line, Span};
 use unicode_width::UnicodeWidthStr;
 
+/// Draws the footer.
 pub fn draw(brush: &mut Brush) {
     let area = brush.screen.footer;
     if area.height == 0 {
@@ -16,17 +18,16 @@ pub fn draw(brush: &mut Brush) {
     if brush.app.prompt().is_some() {
         return draw_prompt(brush, area);
     }
-    if let (Some(question), Some(in_short)) = (brush.app.question(), brush.app.question_in_short())
-    {
-        // How to answer is never cut off.
-        let answers = Line::from(hints(brush, &[Action::Yes, Action::No], usize::MAX));
-        let room = area.width.saturating_sub(answers.width() as u16 + 1);
-        let own = |question: &str| question.width() as u16 + 3;
-        let question = if own(&question) > room { in_short } else { question };
-        let width = own(&question).min(room);
-        let question = fit(&format!(" {question}"), usize::from(width.saturating_sub(2))) + "  ";
-        let mut line = Line::from(brush.span(Role::Warning, question));
-        line.spans.extend(answers.spans);
+    if let (Some(long), Some(short)) = (brush.app.question(), brush.app.question_in_short()) {
+        // The keys are never cut; the confirmation is.
+        let keys = Line::from(hints(brush, &[Action::Yes, Action::No], usize::MAX));
+        let room = area.width.saturating_sub(keys.width() as u16 + 1);
+        let own = |text: &str| text.width() as u16 + 3;
+        let text = if own(&long) > room { short } else { long };
+        let width = own(&text).min(room);
+        let text = fit(&format!(" {text}"), usize::from(width.saturating_sub(2))) + "  ";
+        let mut line = Line::from(brush.span(Role::Warning, text));
+        line.spans.extend(keys.spans);
         return brush.line(area, 0, &line);
     }
     let mode = brush.app.mode();
@@ -38,11 +39,12 @@ pub fn draw(brush: &mut Brush) {
     brush.line(area, 0, &line);
 }
 
-/// What is typed, and what is to be said of it.
+/// Draws the prompt: its label, the text typed so far, and the check of that text. On Devices the
+/// address is typed in the row (`brush.cursor` is set), and the footer has only the check.
 fn draw_prompt(brush: &mut Brush, area: Rect) {
     let app = brush.app;
-    let (Some(prompt), Some(verdict)) = (app.prompt(), app.verdict()) else { return };
-    let (sign, role, said) = match &verdict {
+    let (Some(prompt), Some(check)) = (app.prompt(), app.verdict()) else { return };
+    let (sign, role, note) = match &check {
         InputCheck::Accepted(text) => ("", Role::Muted, text),
         InputCheck::Warning(text) => ("! ", Role::Warning, text),
         InputCheck::Rejected(text) => ("✗ ", Role::Error, text),
@@ -54,24 +56,24 @@ fn draw_prompt(brush: &mut Brush, area: Rect) {
     let label_width = label.width() as u16;
     let mut line = Line::from(brush.span(Role::Title, label));
     if in_row {
-        if line.width() + sign.width() + said.width() > usize::from(area.width) {
+        if line.width() + sign.width() + note.width() > usize::from(area.width) {
             line = Line::from(" ");
         }
-        line.push_span(brush.span(role, format!("{sign}{said}")));
+        line.push_span(brush.span(role, format!("{sign}{note}")));
         return brush.line(area, 0, &line);
     }
     let left = area.width.saturating_sub(label_width);
-    let said_width = (sign.width() + said.width()) as u16 + 2;
+    let note_width = (sign.width() + note.width()) as u16 + 2;
     let text_width = prompt.input.value().width() as u16;
-    // With room for the cursor behind the text, and for scrolling to begin after that.
+    // Two cells more than the text: the cursor stands behind it without scrolling.
     let wanted = (text_width + 2).max(24);
     let least = match prompt.kind {
         PromptKind::Address(_) => 6,
-        // What is said of a path, such as how many entries will be there, is less than the path.
-        _ if prompt.kind.is_path() && matches!(verdict, InputCheck::Accepted(_)) => wanted,
+        // The path matters more than the note on it (the number of entries).
+        _ if prompt.kind.is_path() && matches!(check, InputCheck::Accepted(_)) => wanted,
         _ => 12,
     };
-    let width = wanted.min(left.saturating_sub(said_width).max(least)).min(left);
+    let width = wanted.min(left.saturating_sub(note_width).max(least)).min(left);
     brush.line(area, 0, &line);
     let at = Rect { x: area.x + label_width, width, ..area };
     let scroll = prompt.input.visual_scroll(usize::from(width.saturating_sub(1)));
@@ -82,18 +84,19 @@ fn draw_prompt(brush: &mut Brush, area: Rect) {
     let cursor = prompt.input.visual_cursor().saturating_sub(scroll) as u16;
     brush.cursor = Some(Position::new(at.x + cursor.min(width.saturating_sub(1)), at.y));
     let behind = Rect { x: at.right(), width: left.saturating_sub(width), ..area };
-    let is_fine = matches!(verdict, InputCheck::Accepted(_));
-    if said_width > behind.width && !is_fine && area.y > 0 {
-        // What blocks or warns is read whole: above the line, where there is no room behind it.
+    let is_fine = matches!(check, InputCheck::Accepted(_));
+    if note_width > behind.width && !is_fine && area.y > 0 {
+        // A warning or a rejection is never cut: it goes above the line.
         let above = Rect { y: area.y - 1, ..area };
-        return draw_wrapped(brush, above, role, &format!("{sign}{said}"));
+        return draw_wrapped(brush, above, role, &format!("{sign}{note}"));
     }
-    let line = Line::from(brush.span(role, format!("  {sign}{said}")));
+    let line = Line::from(brush.span(role, format!("  {sign}{note}")));
     brush.line(behind, 0, &line);
 }
 
-/// Draws a text that ends in the line `last`, and begins above it where one line is too short.
+/// Draws a text that ends in the line `last` and takes up to two lines above it.
 fn draw_wrapped(brush: &mut Brush, last: Rect, role: Role, text: &str) {
+    /// Most lines of a text; the rest is cut with `…`.
     const LINES: usize = 3;
     let width = usize::from(last.width);
     let parts = wrap(text, width.saturating_sub(1));
@@ -105,6 +108,7 @@ fn draw_wrapped(brush: &mut Brush, last: Rect, role: Role, text: &str) {
     }
 }
 
+/// Returns the keys of the open page, most important first, as many as fit `width` cells.
 fn hint_line(brush: &Brush, mode: KeyMode, width: usize) -> Vec<Span<'static>> {
     use Action as A;
     let app = brush.app;
@@ -170,7 +174,7 @@ fn hint_line(brush: &Brush, mode: KeyMode, width: usize) -> Vec<Span<'static>> {
     spans
 }
 
-/// The key of an action and the word for what it does here.
+/// Returns the first key of an action and what it does on the open page; `None` if it has no key.
 fn hint(brush: &Brush, action: Action) -> Option<(Key, &'static str)> {
     use Action as A;
     let (key, word) = brush.app.keymap().hint(action)?;
@@ -191,7 +195,7 @@ fn hint(brush: &Brush, action: Action) -> Option<(Key, &'static str)> {
     Some((key, here))
 }
 
-/// Keys and what they do, as many as there is room for.
+/// Returns keys with their hints, without those that do not fit `width` cells.
 fn hints(brush: &Brush, actions: &[Action], width: usize) -> Vec<Span<'static>> {
     let mut spans = Vec::new();
     let mut used = 0;

@@ -1,13 +1,17 @@
-//! All keys, from the keymap, what the signs mean, and the counters.
+//! The help: keys of the keymap, symbols, filter terms, and the counters of each bus. Takes the place
+//! of the page, in two columns from 112 columns on.
 
 use super::brush::{Brush, fit, wrap};
 use super::signs::SIGNS;
+use crate::app::{FILTER_FIELDS, FILTER_WORDS};
 use crate::keymap::{ACTIONS, ActionGroup, ActionInfo};
 use crate::status::size;
 use crate::theme::Role;
 use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
+use unicode_width::UnicodeWidthStr;
 
+/// Draws the help without its first `scroll` lines.
 pub fn draw(brush: &mut Brush, scroll: u16) {
     let whole = brush.screen.whole;
     let top = brush.screen.tabs.y;
@@ -40,10 +44,10 @@ pub fn draw(brush: &mut Brush, scroll: u16) {
 /// Every action with its keys, by groups.
 fn keys(brush: &Brush, width: u16) -> Vec<Line<'static>> {
     let mut lines = Vec::new();
-    // Where there is no log, nothing of it is said.
-    let is_here =
+    // The keys of a log do nothing on a live bus.
+    let is_used =
         |group: &ActionGroup| *group != ActionGroup::Log || brush.app.playback().is_some();
-    for group in ActionGroup::ALL.into_iter().filter(is_here) {
+    for group in ActionGroup::ALL.into_iter().filter(is_used) {
         if !lines.is_empty() {
             lines.push(Line::default());
         }
@@ -55,6 +59,7 @@ fn keys(brush: &Brush, width: u16) -> Vec<Line<'static>> {
     lines
 }
 
+/// An action: its keys (`–`: none) and what it does.
 fn action_lines(brush: &Brush, action: &ActionInfo, width: u16) -> Vec<Line<'static>> {
     const KEYS: usize = 15;
     let keys: Vec<String> =
@@ -63,6 +68,7 @@ fn action_lines(brush: &Brush, action: &ActionInfo, width: u16) -> Vec<Line<'sta
     two_columns(brush, (Role::HintKey, &keys), KEYS, action.doc, width)
 }
 
+/// Symbols and filter terms.
 fn signs(brush: &Brush, width: u16) -> Vec<Line<'static>> {
     let mut lines = vec![Line::from(brush.span(Role::Title, "Symbols"))];
     for (role, sign, meaning) in SIGNS {
@@ -70,26 +76,23 @@ fn signs(brush: &Brush, width: u16) -> Vec<Line<'static>> {
     }
     lines.push(Line::default());
     lines.push(Line::from(brush.span(Role::Title, "Filter")));
-    for (term, meaning) in [
-        ("feed", "rows containing the word; several words: all"),
-        ("at:12 name:FEED", "address, name; on Traffic either side's"),
-        ("is:suspected", "state; is:confirmed, is:cleared, is:muted, is:stale, is:new"),
-        ("kind:conflict", "the kind of a problem"),
-        ("src:FEED dst:0", "sender, receiver; dev: either"),
-        ("srv:des type:rsp", "service, message type; id: digits of the identifier"),
-        ("bus:can1", "the bus"),
-        ("err  tx", "errors; frames sent by descan"),
-        ("!word", "rows without the word"),
-    ] {
-        lines.extend(two_columns(brush, (Role::HintKey, term), 18, meaning, width));
+    let fields = FILTER_FIELDS.iter().map(|field| {
+        let words: Vec<String> = field.words.iter().map(|word| format!("{word}:")).collect();
+        (words.join(" "), field.doc)
+    });
+    let words = FILTER_WORDS.iter().map(|&(word, doc)| (word.to_owned(), doc));
+    let any = ("feed".to_owned(), "rows that contain the word; several terms: all must match");
+    for (term, doc) in std::iter::once(any).chain(fields).chain(words) {
+        lines.extend(two_columns(brush, (Role::HintKey, &term), 18, doc, width));
     }
     lines
 }
 
-/// What the kernel reckons for a frame that waits to be read, about.
+/// Approximate size of a waiting frame in the kernel's receive buffer, in bytes.
 const KERNEL_BYTES_PER_FRAME: u32 = 800;
 
-/// Everything that is counted, of each bus: what is lost is never lost unseen.
+/// The counters of each bus and the size of the kernel's receive buffer. All places where frames
+/// can be lost are listed, also while their counters are 0.
 fn counters(brush: &Brush, width: u16) -> Vec<Line<'static>> {
     let mut lines = Vec::new();
     for bus in brush.app.buses() {
@@ -112,7 +115,7 @@ fn counters(brush: &Brush, width: u16) -> Vec<Line<'static>> {
             ("not sent", status.transmit_failures, "rejected or timed out"),
             ("unreadable", status.unreadable, "messages of the adapter or server"),
         ] {
-            // Where there is nobody to misunderstand, it would only be one line more.
+            // Only adapters and servers send messages; a CAN interface never has any.
             if name == "unreadable" && count == 0 {
                 continue;
             }
@@ -136,6 +139,7 @@ fn counters(brush: &Brush, width: u16) -> Vec<Line<'static>> {
     lines
 }
 
+/// Two columns, both wrapped: `left_width` cells, and the rest of `width`.
 fn two_columns(
     brush: &Brush,
     (role, left): (Role, &str),
@@ -144,13 +148,15 @@ fn two_columns(
     width: u16,
 ) -> Vec<Line<'static>> {
     let room = usize::from(width).saturating_sub(left_width + 3);
-    wrap(right, room)
-        .into_iter()
-        .enumerate()
-        .map(|(at, part)| {
-            let left = if at == 0 { fit(left, left_width) } else { " ".repeat(left_width) };
-            let left = brush.span(role, left);
-            Line::from(vec![Span::raw("  "), left, brush.span(Role::Text, format!(" {part}"))])
+    let fits = left.width() <= left_width;
+    let left = if fits { vec![left.to_owned()] } else { wrap(left, left_width) };
+    let right = wrap(right, room);
+    (0..left.len().max(right.len()))
+        .map(|at| {
+            let part = |parts: &[String]| parts.get(at).cloned().unwrap_or_default();
+            let left = brush.span(role, fit(&part(&left), left_width));
+            let right = brush.span(Role::Text, format!(" {}", part(&right)));
+            Line::from(vec![Span::raw("  "), left, right])
         })
         .collect()
 }

@@ -1,23 +1,26 @@
-//! Draws [`App`]: one file per region of the screen.
+//! Draws [`App`] into the cells of a terminal: one file per region of the screen. At 80 columns:
 //!
 //! ```text
-//!  can0 125k active  load  37% ▁▂▃▅▂  412 f/s  err 0  lost 0  me 0    status.rs
-//!  des.json ✓ 12 entries         ● 14 present  ○ 1 missing  ⚠ 2  ? 1
-//! ─ 1 Devices ─ 2 Traffic ─ 3 Timeline ─ 4 Problems 2 ┬─ FEED @12 ──   tabs.rs
-//!    ADDR  NAME   STATE   MODE    SVC   AGE   FILE    │ online 3m12s   devices.rs │ details.rs
-//! ▸  12   FEED   online  WORK      4    0s   ✓ 12     │ …              (or traffic.rs,
-//!    13   SENS   online  WORK      3    0s   + new    │                 timeline.rs,
-//! ⚠  14   ACT    CONFLICT WORK     ?    0s   ✗ 16     │                 problems.rs)
-//! ─ latest ───────────────────────────────────────────┴─────────────   timeline.rs
-//!  12:03:11  ACT @14  collision confirmed: …
-//!  e edit address  a add to file  u undo  r rescan  …        ? help    footer.rs
+//!  can0 125k  active  load  37% ▁▂▃▅▂▁  412 f/s  err 0  lost 0  own 0              status.rs
+//!  des.json ✓ 6 entries                              ● 4 present  ○ 1 missing  ⚠ 2
+//!  1 Devices  2 Traffic  3 Timeline  4 Problems 2 ─┬─ FEED @10 ───────────────────  tabs.rs
+//!    ADDR NAME       STATE    MODE  SVC  AGE FILE  │ online 3m12s                   devices.rs
+//! ▸●   10 FEED       online   WORK   5≠   0s ✓ 10  │                                │ details.rs
+//!  ●   13 SENS       online   WORK    5   0s + new │ heartbeat 1.00 s ±0 ms
+//!  ⚠   14 ACT        CONFLICT WORK    4   0s ✓ 14  │ mode      WORK                 or traffic.rs,
+//!  ○   17 IGNITER    missing                 ✗ 17  │ UID       BOILER01             timeline.rs,
+//!  ●   30 PSU        online   WORK    3   0s   30  │ framing   isotp                problems.rs
+//! ─ latest ────────────────────────────────────────┴──────────────────────────────  timeline.rs
+//!  12:03:11 ⚠ ACT @14      confirmed: Two devices answer as ACT at address 14.
+//!  ? help  q quit  e edit address  a add to file  r rescan  / filter  u undo        footer.rs
 //! ```
 //!
-//! The help (`help.rs`) and a conflict (`conflict.rs`) take the place of the page.
+//! The help (`help.rs`) and an edit conflict (`conflict.rs`) take the place of the page. The regions
+//! are computed by [`crate::app::Screen`].
 //!
-//! Reads, never changes; no state survives a draw. Colours only by [`Role`]. What devices say
-//! comes here as [`crate::text::Name`] or as text the app made of it, never as bytes.
-//! Where the regions are is [`crate::app::Screen`]'s.
+//! Inputs: the app, read only, and a theme. Output: cells, and the limit of the scrolled text. No
+//! state survives a draw. Colours only by [`Role`]. Bytes that devices send arrive here escaped: as
+//! [`crate::text::Name`], or as text made by the app.
 
 mod brush;
 mod conflict;
@@ -39,13 +42,14 @@ use ratatui::Frame;
 
 pub use signs::SIGNS;
 
-/// Draws all of it. Comes back with how far the text that scrolls (details, help) is scrolled,
-/// where there is one: not past its end, which is known only here.
+/// Draws the whole screen. Returns the lines by which the scrolled text (details, help) is scrolled,
+/// limited to its end; `None` if the screen has none. The app stores it, since the length of wrapped
+/// text is known only after drawing.
 pub fn draw(app: &App, theme: &Theme, frame: &mut Frame) -> Option<u16> {
     let area = frame.area();
     let mut screen = app.screen();
     if screen.whole != area {
-        // The terminal was resized and the app was not told yet: the next draw will fit.
+        // The event of a resize is still in the queue: draw nothing but the background.
         screen = crate::app::Screen::default();
     }
     let mut brush =

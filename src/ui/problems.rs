@@ -1,4 +1,6 @@
-//! Problems: what is wrong, how sure that is, the frames that prove it, and what to do.
+//! Page 4, Problems: a row per problem, and the details of the selected one: confidence, finding
+//! texts, remedy, evidence with its frames, addresses and names. Why des.json cannot be used stands
+//! below the list.
 
 use super::brush::{Brush, fit, inner, labelled};
 use super::signs;
@@ -11,12 +13,13 @@ use ratatui::layout::Rect;
 use ratatui::text::Line;
 use unicode_width::UnicodeWidthStr;
 
+/// Draws the list and the details.
 pub fn draw(brush: &mut Brush) {
     draw_list(brush);
     draw_details(brush);
 }
 
-/// The sign of a problem, and the role of its text.
+/// Returns the sign of a problem, the role of the sign, and that of the text.
 fn roles(problem: &Problem) -> (&'static str, Role, Role) {
     let (sign, role) = signs::of_confidence(problem.confidence());
     match problem.confidence() {
@@ -26,7 +29,7 @@ fn roles(problem: &Problem) -> (&'static str, Role, Role) {
     }
 }
 
-/// How wide the list is where there is room for the time.
+/// Columns from which the list has the column SINCE.
 const WITH_TIME: u16 = 56;
 
 fn draw_list(brush: &mut Brush) {
@@ -45,7 +48,7 @@ fn draw_list(brush: &mut Brush) {
         if !app.view().filter(Page::Problems).is_empty() {
             return brush.filtered(list, "no problem matches the filter");
         }
-        // Where a bus cannot be seen, nothing may be said of it.
+        // A bus that is not up may have problems that were not received.
         let text = if brush.is_blind() { "no problems so far" } else { "no problems found" };
         return brush.nothing(list, text);
     }
@@ -62,7 +65,8 @@ fn draw_list(brush: &mut Brush) {
     }
 }
 
-/// Why des.json cannot be used as it is, below the list; the area that is left for the problems.
+/// Draws why des.json cannot be used, with the lines of the mistake, at the bottom of the list.
+/// Returns the area that is left for the problems.
 fn draw_file_problem(brush: &mut Brush, list: Rect) -> Rect {
     let file = brush.app.file();
     let Some(problem) = file.problem() else { return list };
@@ -100,10 +104,10 @@ fn problem_line(brush: &Brush, problem: &Problem, list: Rect, selected: bool) ->
     Line::from(spans)
 }
 
-/// How wide an address is, with its sign.
+/// Cells of an address with its `@`.
 const ADDRESS: usize = 5;
 
-/// How wide the names of buses are, where there are several.
+/// Cells of the bus in front of the address, with its blank; 0 for a single bus.
 fn bus_width(brush: &Brush) -> usize {
     let buses = brush.app.buses();
     let longest = buses.iter().map(|bus| bus.name.width()).max().unwrap_or(0);
@@ -111,7 +115,7 @@ fn bus_width(brush: &Brush) -> usize {
     if buses.len() > 1 { longest.min(most) + 1 } else { 0 }
 }
 
-/// Where it is: the bus, where there are several, and the address.
+/// Returns the column WHERE: the bus if there are several, then the address, `bus` or `file`.
 fn place(brush: &Brush, problem: &Problem) -> String {
     let name = problem.bus().and_then(|bus| brush.app.bus(bus)).map(|bus| bus.name.as_str());
     let (bus, address) = match (problem.head().key.address, name) {
@@ -140,6 +144,7 @@ fn draw_details(brush: &mut Brush) {
     brush.lines(area, &lines, scroll);
 }
 
+/// The lines of the details, collected top to bottom.
 struct ProblemDetails<'b, 'a> {
     brush: &'b Brush<'a>,
     problem: Problem<'a>,
@@ -148,12 +153,13 @@ struct ProblemDetails<'b, 'a> {
 }
 
 impl ProblemDetails<'_, '_> {
+    /// All lines; a section without content has none.
     fn all(mut self) -> Vec<Line<'static>> {
-        self.certainty();
+        self.confidence();
         self.text();
         self.others();
         self.evidence();
-        self.concerned();
+        self.subject();
         self.lines
     }
 
@@ -161,8 +167,9 @@ impl ProblemDetails<'_, '_> {
         self.lines.extend(labelled(self.brush, label, role, text, self.width));
     }
 
-    /// How sure, and since when. What is simply so has no word for it.
-    fn certainty(&mut self) {
+    /// Confidence, time and age. A confirmed problem that is not a conflict has no word: it is an
+    /// observation, not a conclusion.
+    fn confidence(&mut self) {
         let (app, head) = (self.brush.app, self.problem.head());
         let (sign, role, _) = roles(&self.problem);
         let since = self.problem.since();
@@ -183,14 +190,15 @@ impl ProblemDetails<'_, '_> {
         }
     }
 
+    /// Text of the first finding, what would confirm it, and the remedy.
     fn text(&mut self) {
         let head = self.problem.head();
         let headline = self.problem.headline();
         let text = if head.text.is_empty() { &*headline } else { &head.text };
         self.add("", Role::Text, text);
-        if let Some(awaits) = self.problem.confirmation_hint() {
+        if let Some(hint) = self.problem.confirmation_hint() {
             self.lines.push(Line::default());
-            self.add("? ", Role::Muted, awaits);
+            self.add("? ", Role::Muted, hint);
         }
         if !head.remedy.is_empty() && head.confidence != Confidence::Cleared {
             self.lines.push(Line::default());
@@ -198,7 +206,7 @@ impl ProblemDetails<'_, '_> {
         }
     }
 
-    /// What else shows it.
+    /// Texts of the other findings of the problem.
     fn others(&mut self) {
         if self.problem.findings.len() > 1 {
             self.lines.push(Line::default());
@@ -215,6 +223,7 @@ impl ProblemDetails<'_, '_> {
         }
     }
 
+    /// Number of events, and each stored one with its time and frame.
     fn evidence(&mut self) {
         let (brush, pieces) = (self.brush, self.problem.evidence());
         if pieces.is_empty() {
@@ -223,10 +232,10 @@ impl ProblemDetails<'_, '_> {
         self.lines.push(Line::default());
         let key = brush.app.key_of(Action::Details);
         let count = self.problem.count().max(pieces.len() as u64);
-        let kept = pieces.len();
+        let stored = pieces.len();
         let text = match count {
             1 => "1 event".to_owned(),
-            _ if count > kept as u64 => format!("{count} events, {kept} stored"),
+            _ if count > stored as u64 => format!("{count} events, {stored} stored"),
             _ => format!("{count} events"),
         };
         self.lines.push(Line::from(brush.span(Role::Title, text)));
@@ -241,8 +250,8 @@ impl ProblemDetails<'_, '_> {
         }
     }
 
-    /// Addresses, names, when it was seen, and what the kinds are called in JSON.
-    fn concerned(&mut self) {
+    /// Bus, addresses, names, first and last event, and the finding kinds as in JSON.
+    fn subject(&mut self) {
         let (app, problem) = (self.brush.app, &self.problem);
         let addresses: Vec<String> = problem.addresses().iter().map(ToString::to_string).collect();
         let names: Vec<String> = problem.names().iter().map(|it| it.quoted().to_string()).collect();
@@ -263,9 +272,11 @@ impl ProblemDetails<'_, '_> {
             let label = if all.len() > 1 { several } else { one };
             self.add(&fit(label, 10), Role::Muted, &all.join(", "));
         }
+        // The longest kind has 26 characters and is not broken.
+        let label_width = if self.width >= 36 { 10 } else { 5 };
         for at in 0..self.problem.findings.len() {
-            let label = if at == 0 { "kind " } else { "     " };
-            self.add(label, Role::Muted, self.problem.findings[at].key.kind.name());
+            let label = fit(if at == 0 { "kind" } else { "" }, label_width);
+            self.add(&label, Role::Muted, self.problem.findings[at].key.kind.name());
         }
     }
 }

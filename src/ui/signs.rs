@@ -1,17 +1,19 @@
-//! What the signs on the screen are, and what they mean.
+//! Symbols and state words of the screen with their meanings, for the help and the guide.
 
 use crate::discovery::Confidence;
 use crate::theme::Role;
 
-/// The role, the sign as it is shown, and its meaning: for the help.
-pub const SIGNS: [(Role, &str, &str); 25] = [
+/// Each symbol: its role, the text as shown on the screen, and its meaning.
+pub const SIGNS: [(Role, &str, &str); 27] = [
     (Role::Online, "● online", "heartbeats arrive"),
     (Role::Stale, "◐ stale", "heartbeat overdue"),
     (Role::Silent, "◌ silent", "frames but no heartbeats"),
     (Role::Asleep, "◒ asleep", "no heartbeats; last mode was IDLE"),
     (Role::Muted, "· unknown", "was online when its bus went down"),
+    (Role::Stale, "◑ partial", "lost on one of its redundant buses"),
     (Role::Lost, "○ lost", "no frame for five heartbeat periods"),
     (Role::Missing, "○ missing", "listed in the file, not on the bus"),
+    (Role::Muted, "· pending", "listed; too early to be missing"),
     (Role::Muted, "· dup", "duplicate entry"),
     (Role::Collision, "⚠ CONFLICT", "confirmed address conflict: see Problems"),
     (Role::Collision, "⚠ 2", "confirmed problems"),
@@ -32,7 +34,7 @@ pub const SIGNS: [(Role, &str, &str); 25] = [
     (Role::Warning, "FROZEN", "view frozen; the same key unfreezes"),
 ];
 
-/// The sign and the role of a confidence.
+/// Returns the sign of a confidence and its role.
 pub fn of_confidence(confidence: Confidence) -> (&'static str, Role) {
     match confidence {
         Confidence::Confirmed => ("⚠", Role::Collision),

@@ -1,6 +1,6 @@
-//! The lines at the top: each bus, the file, and how many devices are there.
-//!
-//! What matters most comes first and stays longest when the screen is narrow.
+//! The status lines at the top: one per bus (bit rate, state, load, frames per second, errors, lost
+//! frames, own address), and one for des.json and the counts of devices and problems. On a screen
+//! with one status line both share it. Parts that do not fit are left out, least important first.
 
 use super::brush::{Brush, end_of, fit};
 use crate::app::{Bus, FileProblem, LoadMeter, Overlay, TxBlocked};
@@ -13,12 +13,13 @@ use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
 use std::fmt::Write;
 
-/// The sign of values that are assumed.
+/// Stands in front of assumed values.
 const ASSUMED: &str = "≈";
 
-/// Text that is left out, from the end, where it does not fit.
+/// Parts of a line, most important first; a part is shown whole or left out.
 type Parts = Vec<Vec<Span<'static>>>;
 
+/// Draws the status lines.
 pub fn draw(brush: &mut Brush) {
     let area = brush.screen.status;
     let buses = brush.app.buses().len();
@@ -28,7 +29,7 @@ pub fn draw(brush: &mut Brush) {
             let left = bus_parts(brush, BusIndex(bus_to_show(brush, 0) as u8));
             let mut right: Parts = assumed(brush).into_iter().collect();
             let file = file(brush, false);
-            // What is not on the disk, or cannot be read, gives way to nothing.
+            // Unsaved edits and an unreadable file are the last to be left out.
             let (first, last) =
                 if has_file_trouble(brush) { (None, Some(file)) } else { (Some(file), None) };
             right.extend(first.into_iter().flatten());
@@ -63,7 +64,7 @@ pub fn draw(brush: &mut Brush) {
     }
 }
 
-/// Whether edits are not on the disk, or the file there cannot be used.
+/// Returns true if edits are unsaved or the file on disk cannot be used.
 fn has_file_trouble(brush: &Brush) -> bool {
     let file = brush.app.file();
     file.unsaved() > 0
@@ -72,8 +73,8 @@ fn has_file_trouble(brush: &Brush) -> bool {
         || file.emptied_since().is_some()
 }
 
-/// The place of the bus that a line is for where not all fit: the selected row's, or another where
-/// that is up and the other is not.
+/// Returns the index of the bus shown on the last bus line if there are more buses than lines: of
+/// those from `from` on, the first that is not up, else the bus of the selected row.
 fn bus_to_show(brush: &Brush, from: usize) -> usize {
     let selected = brush.app.selected_row().and_then(|row| row.bus).unwrap_or_default();
     let selected = usize::from(selected.0).max(from);
@@ -82,10 +83,10 @@ fn bus_to_show(brush: &Brush, from: usize) -> usize {
     std::iter::once(selected).chain(others).find(is_hidden).unwrap_or(selected)
 }
 
-/// Where the name of the bus and what stands at the right do not fit beside each other, that values
-/// are assumed gives way, then the beginning of the name, then, from the first, what stands there.
+/// Makes room on a single status line: leaves out `≈ assumed`, then cuts the beginning of the bus
+/// name, then leaves out the right parts from the first.
 fn fit_parts(area: Rect, left: &mut Parts, right: &mut Parts) {
-    /// So much of the name tells it from others.
+    /// Cells that are left of a long bus name.
     const LEAST: usize = 6;
     let width = usize::from(area.width);
     let Some(part) = left.first_mut().filter(|part| !part.is_empty()) else { return };
@@ -101,9 +102,9 @@ fn fit_parts(area: Rect, left: &mut Parts, right: &mut Parts) {
     part[0] = Span::styled(end_of(&part[0].content, room), part[0].style);
 }
 
-/// Where not all fit, the beginning of a long name of the bus gives way first.
+/// Cuts the beginning of a long bus name if not all parts fit.
 fn shorten_name(area: Rect, parts: &mut Parts) {
-    /// So much of the name tells it from others, beside what is said of it.
+    /// Cells that are left of a long bus name.
     const LEAST: usize = 12;
     let missing = (whole(parts).saturating_sub(2)).saturating_sub(usize::from(area.width));
     let Some(name) = parts.first_mut().and_then(|part| part.first_mut()) else { return };
@@ -111,8 +112,8 @@ fn shorten_name(area: Rect, parts: &mut Parts) {
     *name = Span::styled(end_of(&name.content, room), name.style);
 }
 
-/// Draws parts from the left and others from the right. Where not all fit, those in the middle
-/// are left out: the last of the left ones, the first of the right ones.
+/// Draws `left` from the left and `right` to the right end of a row. If not all fit, the last parts
+/// of `left` and the first of `right` are left out.
 fn pair(brush: &mut Brush, area: Rect, row: u16, left: Parts, mut right: Parts) {
     let width = usize::from(area.width);
     let first = left.first().map_or(0, |part| own(part) + 1);
@@ -125,7 +126,7 @@ fn pair(brush: &mut Brush, area: Rect, row: u16, left: Parts, mut right: Parts) 
         let space = if line.spans.is_empty() { " " } else { "  " };
         let free = room.saturating_sub(line.width() + space.len());
         if own(&part) > free && !line.spans.is_empty() {
-            // A sentence is cut; numbers are shown whole or not at all.
+            // Text is cut; numbers are shown whole or not at all.
             if let (Some(text), 12..) = (part.first(), free) {
                 line.push_span(Span::raw(space));
                 line.push_span(Span::styled(fit(&text.content, free), text.style));
@@ -145,12 +146,12 @@ fn pair(brush: &mut Brush, area: Rect, row: u16, left: Parts, mut right: Parts) 
     brush.line(Rect { x: area.right() - taken, width: taken, ..area }, row, &line);
 }
 
-/// The width of a part.
+/// Returns the cells of a part.
 fn own(part: &[Span]) -> usize {
     part.iter().map(Span::width).sum()
 }
 
-/// The width of parts with the space between them.
+/// Returns the cells of parts with the blanks between them.
 fn whole(parts: &Parts) -> usize {
     match parts.len() {
         0 => 0,
@@ -158,7 +159,7 @@ fn whole(parts: &Parts) -> usize {
     }
 }
 
-/// How many problems are muted: only where nothing else gives way to it.
+/// Adds the number of muted problems if nothing else has to be left out for it.
 fn add_muted(brush: &Brush, area: Rect, left: &Parts, right: &mut Parts) {
     let muted = brush.app.counts().muted;
     if muted > 0 {
@@ -169,6 +170,7 @@ fn add_muted(brush: &Brush, area: Rect, left: &Parts, right: &mut Parts) {
     }
 }
 
+/// Returns the parts of the line of a bus.
 fn bus_parts(brush: &Brush, index: BusIndex) -> Parts {
     let Some(bus) = brush.app.bus(index) else {
         return vec![vec![brush.span(Role::Muted, "no bus")]];
@@ -191,7 +193,7 @@ fn bus_parts(brush: &Brush, index: BusIndex) -> Parts {
         parts.push(name);
         parts.push(vec![state(brush, index, bus)]);
     } else {
-        // What is wrong is never left out.
+        // One part with the name: a state that is not good is never left out.
         name.push(Span::raw("  "));
         name.push(state(brush, index, bus));
         parts.push(name);
@@ -203,7 +205,7 @@ fn bus_parts(brush: &Brush, index: BusIndex) -> Parts {
     let is_searched = brush.app.searches_bitrate_of(index);
     let message = bus.status.message.as_ref().filter(|_| !bus.is_up() && !is_searched);
     if let Some(message) = message {
-        // That is said before it already.
+        // The state in front of the message already is BUS-OFF.
         let known = format!("{} is bus-off: ", bus.name);
         let message = message.strip_prefix(&*known).unwrap_or(message);
         let message = crate::text::Escaped(message.as_bytes()).to_string();
@@ -235,7 +237,7 @@ fn bus_parts(brush: &Brush, index: BusIndex) -> Parts {
     parts
 }
 
-/// How far a log is played, and how.
+/// Returns position, percent and speed of a replay, and whether it is paused; `None` without a log.
 fn place_in_log(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
     let playback = brush.app.playback()?;
     let mut spans = Vec::new();
@@ -266,7 +268,7 @@ fn counter(brush: &Brush, label: &str, count: u64, bad: Role) -> Vec<Span<'stati
     vec![brush.span(Role::Muted, format!("{label} ")), brush.span(role, short(count))]
 }
 
-/// Where frames were lost: `(9 kernel, 3 queue)`.
+/// Returns where frames were lost: `(9 kernel, 3 queue)`; `None` if none were.
 fn lost_where(brush: &Brush, bus: &Bus) -> Option<Span<'static>> {
     let places = [
         (bus.status.kernel_drops, "kernel"),
@@ -278,7 +280,7 @@ fn lost_where(brush: &Brush, bus: &Bus) -> Option<Span<'static>> {
     (!some.is_empty()).then(|| brush.span(Role::Muted, format!(" ({})", some.join(", "))))
 }
 
-/// A count in at most five characters.
+/// Returns a count in at most five characters up to 9999M.
 fn short(count: u64) -> String {
     match count {
         0..=99_999 => count.to_string(),
@@ -287,7 +289,7 @@ fn short(count: u64) -> String {
     }
 }
 
-/// `125k`, `1M`.
+/// Returns a bit rate as `125k`, `1M`, or in bit/s if it is not a multiple of 1000.
 fn rate(bits: u32) -> String {
     match bits {
         0 => "0".to_owned(),
@@ -297,6 +299,7 @@ fn rate(bits: u32) -> String {
     }
 }
 
+/// Returns the state of the interface and the controller as a word.
 fn state(brush: &Brush, index: BusIndex, bus: &Bus) -> Span<'static> {
     let (word, role) = match (bus.status.link, bus.status.state) {
         (Link::Opening, _) => ("opening", Role::Muted),
@@ -318,7 +321,7 @@ fn state(brush: &Brush, index: BusIndex, bus: &Bus) -> Span<'static> {
     brush.span(role, word)
 }
 
-/// What keeps us from asking.
+/// Returns why descan sends no requests; `None` if it does.
 fn warning(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
     if bus.hears_only_errors() {
         let keymap = brush.app.keymap();
@@ -328,7 +331,7 @@ fn warning(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
         return Some(vec![brush.span(Role::Error, text)]);
     }
     if bus.engine.config().listen_only {
-        // Without its own listen-only mode our controller still acknowledges frames.
+        // A controller that is not in listen-only mode itself still acknowledges frames.
         let acks = if bus.status.listen_only { "" } else { ", acks" };
         return Some(vec![brush.span(Role::Warning, format!("listen-only{acks}"))]);
     }
@@ -339,6 +342,7 @@ fn warning(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
     Some(vec![brush.span(Role::Error, why)])
 }
 
+/// Returns descan's own address or the state of its claim; `None` with `--listen-only`.
 fn own_address(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
     if bus.engine.config().listen_only {
         return None;
@@ -362,7 +366,8 @@ fn own_address(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
     })
 }
 
-/// The load of the last seconds, newest at the right; the bars stand for eighths of the bus.
+/// Returns the bus load of the last `width` seconds, newest at the right, a bar step per eighth of
+/// the bit rate; a second without frames is blank.
 fn sparkline(bus: &Bus, width: usize) -> String {
     const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
     let bitrate = bus.bits_per_second();
@@ -378,12 +383,13 @@ fn sparkline(bus: &Bus, width: usize) -> String {
     bars.iter().rev().collect()
 }
 
-/// The profile's values are assumed.
+/// Returns the sign that a bus is read with assumed values (no profile given).
 fn assumed(brush: &Brush) -> Option<Vec<Span<'static>>> {
     let assumed = brush.app.buses().iter().any(|bus| !bus.engine.config().profile.given);
     assumed.then(|| vec![brush.span(Role::Suspected, ASSUMED), brush.span(Role::Muted, " assumed")])
 }
 
+/// Returns the counts of devices and problems; with words from 60 columns on.
 fn counts(brush: &Brush) -> Parts {
     let counts = brush.app.counts();
     let narrow = brush.screen.whole.width < 60;
@@ -398,7 +404,7 @@ fn counts(brush: &Brush) -> Parts {
     if counts.unseen > 0 {
         parts.push(one(Role::Muted, "·", counts.unseen, "unknown"));
     }
-    // Without their words the two look the same.
+    // Without words the signs of missing and lost are the same.
     let (missing, lost) =
         if narrow { (counts.missing + counts.lost, 0) } else { (counts.missing, counts.lost) };
     if missing > 0 {
@@ -416,7 +422,8 @@ fn counts(brush: &Brush) -> Parts {
     parts
 }
 
-/// That all is recorded, or not any more; at the place that is given up last.
+/// Returns size and lost frames of the recording, or that it stopped; `None` without `--record`.
+/// Last of the right parts, so that it is left out last.
 fn recording(brush: &Brush) -> Option<Vec<Span<'static>>> {
     let status = brush.app.recording()?;
     if status.failure.is_some() {
@@ -432,6 +439,7 @@ fn recording(brush: &Brush) -> Option<Vec<Span<'static>>> {
     Some(spans)
 }
 
+/// Returns the state of des.json; with `whole` also the cause of an error and the next step.
 fn file(brush: &Brush, whole: bool) -> Parts {
     let file = brush.app.file();
     let name = brush.span(Role::Title, file.name());
@@ -449,7 +457,7 @@ fn file(brush: &Brush, whole: bool) -> Parts {
             };
             parts.push(vec![name, brush.span(Role::Error, text)]);
             if whole && file.was_good() {
-                // Where there is no room for the number, it is left out, not cut.
+                // A part of its own: without room it is left out, not cut.
                 let word = if entries == 1 { " entry" } else { " entries" };
                 let text = format!(": {entries}{word}");
                 parts.push(vec![
@@ -495,9 +503,9 @@ fn file(brush: &Brush, whole: bool) -> Parts {
             (true, count) => format!(" {count} entries"),
         };
         parts.push(vec![name, brush.span(Role::FileOk, " ✓"), brush.span(Role::Text, words)]);
-        let odd = file.document().findings().len();
-        if odd > 0 {
-            parts.push(vec![brush.span(Role::Warning, format!("! {odd}"))]);
+        let findings = file.document().findings().len();
+        if findings > 0 {
+            parts.push(vec![brush.span(Role::Warning, format!("! {findings}"))]);
         }
     } else {
         parts.push(vec![name, brush.span(Role::Muted, " not found")]);

@@ -1,4 +1,5 @@
-//! The rule with the names of the pages; behind them, the name of what the details show.
+//! The rule below the status lines: names of the pages, the filter or the title of the evidence, and
+//! the title of the details; and the divider in front of the details.
 
 use super::brush::{Brush, fit};
 use crate::app::{Focus, Page, RowKey, tabs};
@@ -7,9 +8,10 @@ use ratatui::layout::Rect;
 use ratatui::text::Line;
 use unicode_width::UnicodeWidthStr;
 
-/// A filter is not shown in fewer cells.
+/// Least cells in which a filter is shown.
 const LEAST: usize = 8;
 
+/// Draws the rule and the divider.
 pub fn draw(brush: &mut Brush) {
     let area = brush.screen.tabs;
     if area.height == 0 {
@@ -35,7 +37,7 @@ pub fn draw(brush: &mut Brush) {
             .filter(|filter| !filter.is_empty())
             .map(|filter| format!(" /{filter} ")),
     };
-    // Where the details have the list's place, the name of what they show is here.
+    // Details in the place of the list are named here instead.
     let mut shown = shown.filter(|_| !screen.details_alone());
     let room = if details.height > 0 && screen.divider.height > 0 {
         screen.divider.x.saturating_sub(end)
@@ -43,7 +45,7 @@ pub fn draw(brush: &mut Brush) {
         area.width.saturating_sub(end)
     };
     let room_for_text = usize::from(room.saturating_sub(1));
-    // On narrow screens the names of the pages leave no room.
+    // On narrow screens the filter moves to the right end, in front of the details.
     let is_beside = |text: &String| room_for_text >= text.width().min(LEAST);
     if let Some(text) = shown.take_if(|text| is_beside(text)) {
         let text = if text.width() > room_for_text { fit(&text, room_for_text) } else { text };
@@ -88,6 +90,7 @@ pub fn draw(brush: &mut Brush) {
     }
 }
 
+/// Returns the title of the details; `None` on the Timeline and without a selection.
 fn title(brush: &Brush) -> Option<String> {
     let app = brush.app;
     match app.view().page {

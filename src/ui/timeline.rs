@@ -1,4 +1,4 @@
-//! The timeline: as a page, and its latest lines below the devices.
+//! Page 3, Timeline: an event per line, newest at the bottom; and its latest lines below Devices.
 
 use super::brush::{Brush, bus_cell, cut, end_of, fit};
 use crate::app::{Page, TimelineEntry, TimelineKind, clock};
@@ -6,6 +6,7 @@ use crate::theme::Role;
 use ratatui::text::Line;
 use unicode_width::UnicodeWidthStr;
 
+/// Draws the page.
 pub fn draw(brush: &mut Brush) {
     let (header, list) = (brush.screen.header, brush.screen.list);
     let bus = if shows_bus(brush) { "BUS    " } else { "" };
@@ -42,6 +43,7 @@ pub fn draw(brush: &mut Brush) {
     }
 }
 
+/// Draws the latest lines, at most those before the view was frozen.
 pub fn draw_latest(brush: &mut Brush) {
     let (rule, area) = (brush.screen.lower_rule, brush.screen.latest);
     if area.height == 0 {
@@ -64,7 +66,8 @@ pub fn draw_latest(brush: &mut Brush) {
     }
 }
 
-fn entry_line(brush: &Brush, entry: &TimelineEntry, who_width: usize) -> Line<'static> {
+/// Returns a line: time, sign, bus if there are several, source in `source_width` cells, event.
+fn entry_line(brush: &Brush, entry: &TimelineEntry, source_width: usize) -> Line<'static> {
     let (sign, role) = match entry.kind {
         TimelineKind::Good => ("+", Role::Online),
         TimelineKind::Change => ("~", Role::Text),
@@ -76,38 +79,38 @@ fn entry_line(brush: &Brush, entry: &TimelineEntry, who_width: usize) -> Line<'s
         TimelineKind::Bus | TimelineKind::File => ("·", Role::Text),
         TimelineKind::Error => ("!", Role::Error),
     };
-    // Only what deserves a look has the colour of its sign.
-    let calm = matches!(
+    // Only problems, losses and the bus have coloured text.
+    let is_plain = matches!(
         entry.kind,
         TimelineKind::Good | TimelineKind::Change | TimelineKind::Late | TimelineKind::Cleared
     );
-    let text_role = if calm { Role::Text } else { role };
-    let who = who(brush, entry, who_width);
+    let text_role = if is_plain { Role::Text } else { role };
+    let source = source(brush, entry, source_width);
     let times = if entry.times > 1 { format!(" ×{}", entry.times) } else { String::new() };
     let mut spans = vec![
         brush.span(Role::Muted, format!(" {} ", clock(brush.app, entry.last))),
         brush.span(role, format!("{sign} ")),
     ];
     if shows_bus(brush) {
-        // A line about the bus itself has its name beside it.
+        // An event of the bus itself has the bus as its source.
         let bus = entry.bus.filter(|_| entry.address.is_some());
         spans.push(brush.span(Role::Muted, bus_cell(brush.app, bus)));
     }
     spans.extend([
-        brush.span(Role::Text, format!("{} ", fit(&who, who_width))),
+        brush.span(Role::Text, format!("{} ", fit(&source, source_width))),
         brush.span(text_role, entry.text.clone()),
         brush.span(Role::Muted, times),
     ]);
     Line::from(spans)
 }
 
-/// Whether lines say on which bus something happened.
+/// Returns true if the column BUS is shown.
 fn shows_bus(brush: &Brush) -> bool {
     brush.app.buses().len() > 1 && brush.screen.whole.width >= 60
 }
 
-/// The device's name and address, else the bus, else the file.
-fn who(brush: &Brush, entry: &TimelineEntry, width: usize) -> String {
+/// Returns the column SOURCE: name and address of the device, else the bus, else the file.
+fn source(brush: &Brush, entry: &TimelineEntry, width: usize) -> String {
     let app = brush.app;
     match (app.name_on_line(entry), entry.address) {
         (Some(name), Some(address)) => {

@@ -1,4 +1,5 @@
-//! Traffic: frames in words, newest last; or a row per identifier with its rate.
+//! Page 2, Traffic: a row per frame, newest last, decoded; or a row per identifier with its frames per
+//! second and count; or the evidence of a problem. Below the frames the details of the selected one.
 
 use super::brush::{Brush, bus_cell, fit, fit_right, inner, labelled};
 use crate::app::{Decoded, Focus, IdentifierKind, IdentifierStats, Page, clock_millis, hex};
@@ -6,7 +7,9 @@ use crate::frame::{Frame, FrameKind};
 use crate::theme::Role;
 use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
+use unicode_width::UnicodeWidthStr;
 
+/// Draws the list and the details.
 pub fn draw(brush: &mut Brush) {
     if brush.app.evidence_alone().is_some() {
         draw_evidence(brush);
@@ -19,13 +22,16 @@ pub fn draw(brush: &mut Brush) {
     }
 }
 
-/// How wide names are.
+/// Cells of a name in the columns FROM and TO.
 const NAME: usize = 6;
 
-/// Whether there is room for the message type and for the bytes.
+/// Optional columns of a list of frames.
 struct Room {
+    /// BUS, with several buses from 60 columns on.
     bus: bool,
+    /// TYPE, from 96 columns on.
     kind: bool,
+    /// The first bytes behind the text, from 72 columns on.
     bytes: bool,
 }
 
@@ -83,12 +89,12 @@ fn frame_line(
     selected: bool,
 ) -> Line<'static> {
     let decoded = Decoded::of(brush.app, frame);
-    let proves = brush.app.piece_of(frame).is_some();
+    let is_evidence = brush.app.piece_of(frame).is_some();
     let plain = if frame.is_tx { Role::Muted } else { Role::Text };
     let text = |role: Role, text: String| brush.span(role, text);
     let mut spans: Vec<Span> = vec![
         text(Role::Text, if selected { "▸" } else { " " }.to_owned()),
-        text(Role::Match, if proves { IN_CAPTURE } else { " " }.to_owned()),
+        text(Role::Match, if is_evidence { IN_CAPTURE } else { " " }.to_owned()),
         text(Role::Muted, format!("{} ", clock_millis(brush.app, frame.time))),
     ];
     if room.bus {
@@ -113,7 +119,7 @@ fn frame_line(
     Line::from(spans)
 }
 
-/// Who to whom, and which service; for frames that have none of these the identifier.
+/// Returns sender, receiver and service; for a frame without them the identifier.
 fn route(brush: &Brush, frame: &Frame, decoded: &Decoded, role: Role) -> Vec<Span<'static>> {
     if decoded.header.is_none() {
         return vec![brush.span(role, format!("{} ", fit(&frame.id.to_string(), 2 * NAME + 6)))];
@@ -126,24 +132,25 @@ fn route(brush: &Brush, frame: &Frame, decoded: &Decoded, role: Role) -> Vec<Spa
     ]
 }
 
-/// A frame in a line of its own: who to whom, which service, what it says.
+/// Returns a frame as text: sender, receiver, service, content.
 pub(super) fn in_words(brush: &Brush, frame: &Frame) -> String {
     let decoded = Decoded::of(brush.app, frame);
-    let says = if decoded.text.is_empty() { decoded.kind } else { &decoded.text };
+    let content = if decoded.text.is_empty() { decoded.kind } else { &decoded.text };
     match decoded.header {
         Some(_) => {
-            format!("{}→{} {} {says}", decoded.source, decoded.destination, decoded.service)
+            format!("{}→{} {} {content}", decoded.source, decoded.destination, decoded.service)
         }
-        None if frame.kind == FrameKind::Error => format!("error: {says}"),
-        None => format!("{} {says}", frame.id),
+        None if frame.kind == FrameKind::Error => format!("error: {content}"),
+        None => format!("{} {content}", frame.id),
     }
 }
 
-/// The sign of evidence that the capture still holds, and of what only the finding has kept.
+/// Marks evidence whose frame is in the capture.
 const IN_CAPTURE: &str = "◆";
+/// Marks evidence whose frame has left the capture; the finding has a copy.
 const STORED_ONLY: &str = "◇";
 
-/// The pieces of evidence, a row each: what they show before what they say.
+/// Draws the evidence of a problem, an event per row: its meaning, then the content of the frame.
 fn draw_evidence(brush: &mut Brush) {
     let (header, list) = (brush.screen.header, brush.screen.list);
     let Some(evidence) = brush.app.evidence_alone() else { return };
@@ -200,7 +207,7 @@ fn draw_evidence(brush: &mut Brush) {
     }
 }
 
-/// The first eight bytes, and whether there are more.
+/// Returns the first eight bytes in hexadecimal, `…` behind them if there are more.
 fn first_bytes(data: &[u8]) -> String {
     let more = if data.len() > 8 { "…" } else { "" };
     hex(&data[..data.len().min(8)], "") + more
@@ -226,17 +233,17 @@ fn draw_details(brush: &mut Brush) {
         lines.extend(labelled(brush, &fit(label, 9), role, text, area.width));
     };
     let bus = app.bus(frame.bus).map_or("", |bus| bus.name_without_rates());
-    let ours = if frame.is_tx { ", sent by descan" } else { "" };
-    add("frame", Role::Text, &format!("{} on {bus}{ours}", clock_millis(app, frame.time)));
+    let tx = if frame.is_tx { ", sent by descan" } else { "" };
+    add("frame", Role::Text, &format!("{} on {bus}{tx}", clock_millis(app, frame.time)));
     add("id", Role::Text, &describe_id(frame, &decoded));
     if let Some(header) = decoded.header {
-        let who = |name: &str, address: crate::wire::id::Address| {
+        let node = |name: &str, address: crate::wire::id::Address| {
             if name == address.to_string() { name.to_owned() } else { format!("{name} @{address}") }
         };
         let to = if header.broadcast {
             format!("broadcast (RND7 {})", header.destination)
         } else {
-            who(&decoded.destination, header.destination)
+            node(&decoded.destination, header.destination)
         };
         let number = header.service;
         let service = if decoded.service == number.to_string() {
@@ -244,7 +251,7 @@ fn draw_details(brush: &mut Brush) {
         } else {
             format!("service {} ({number})", decoded.service)
         };
-        let from = who(&decoded.source, header.source);
+        let from = node(&decoded.source, header.source);
         add("route", Role::Text, &format!("{from} → {to}, {service}"));
     }
     let role = if decoded.is_error { Role::Error } else { Role::Text };
@@ -279,7 +286,7 @@ fn draw_details(brush: &mut Brush) {
     brush.lines(area, &lines, scroll);
 }
 
-/// The identifier, its type and its flags.
+/// Returns the identifier, the message type, the flags, and `FD`, `BRS` for FD frames.
 fn describe_id(frame: &Frame, decoded: &Decoded) -> String {
     let mut text = format!("{}  {}", frame.id, decoded.kind);
     if let Some(header) = decoded.header {
@@ -362,7 +369,10 @@ fn identifier_line(
     let bytes = first_bytes(row.last.data());
     let role = if decoded.is_error { Role::Error } else { Role::Text };
     if left > 17 + 12 {
-        spans.push(brush.span(role, format!("{} ", fit(&decoded.text, left - 18))));
+        // Text that is too long takes the blanks behind a short frame.
+        let most = left.saturating_sub(bytes.width() + 2);
+        let width = decoded.text.width().clamp(left - 18, most.max(left - 18));
+        spans.push(brush.span(role, format!("{} ", fit(&decoded.text, width))));
         spans.push(brush.span(Role::Muted, bytes));
     } else {
         spans.push(brush.span(Role::Muted, bytes));
