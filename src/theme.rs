@@ -1,5 +1,5 @@
-//! Colours by meaning: a theme gives every [`Role`] a style. Five are built in; the user's are
-//! TOML files of the same form:
+//! Themes: a style for each [`Role`], the meaning of a text on the screen. Input: TOML, of the five
+//! built-in themes or of a user's file:
 //!
 //! ```toml
 //! inherits = "dark"
@@ -10,8 +10,9 @@
 //! selected = { bg = "#303030", bold = true }
 //! ```
 //!
-//! A role that a theme does not name is as in the theme it inherits from (`terminal`, where it
-//! names none). A role given as a colour alone has that foreground and no attributes.
+//! A role that a theme does not name has the style of the theme it inherits from, by default
+//! `terminal`. A role given as a colour alone has that foreground and no attributes. Colours are
+//! reduced to those of the terminal by [`Theme::limited`].
 //!
 //! Does not know what is drawn, nor where theme files are kept.
 
@@ -23,20 +24,20 @@ use toml::de::{DeString, DeTable, DeValue};
 
 macro_rules! roles {
     ($($variant:ident $name:literal $doc:literal,)*) => {
-        /// What something on the screen means.
+        /// The meaning of a text on the screen.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
         pub enum Role { $(#[doc = $doc] $variant,)* }
 
         impl Role {
-            /// All of them.
+            /// All roles, in the order of the guide.
             pub const ALL: &[Role] = &[$(Role::$variant),*];
 
-            /// Its name in theme files.
+            /// Name in theme files.
             pub const fn name(self) -> &'static str {
                 match self { $(Role::$variant => $name,)* }
             }
 
-            /// What it is for.
+            /// What the role is used for, as `descan help settings` prints it.
             pub const fn doc(self) -> &'static str {
                 match self { $(Role::$variant => $doc,)* }
             }
@@ -47,42 +48,42 @@ macro_rules! roles {
 roles! {
     Text "text" "Ordinary text.",
     Muted "muted" "Secondary text: labels, units, old values.",
-    Title "title" "Headings and the names of panes.",
-    Tab "tab" "A page that is not open.",
-    TabActive "tab_active" "The page that is open.",
-    Border "border" "Lines between panes.",
-    BorderFocus "border_focus" "Lines of the focused pane.",
+    Title "title" "Headings, names of buses and of the file.",
+    Tab "tab" "Names of the pages that are not open.",
+    TabActive "tab_active" "Name of the open page or dialog.",
+    Border "border" "Lines between the regions of the screen.",
+    BorderFocus "border_focus" "The same around the region that has the focus.",
     Header "header" "Column headings.",
-    Selected "selected" "The selected row, laid over its other styles.",
-    Online "online" "Online devices.",
-    Stale "stale" "Devices with an overdue heartbeat.",
-    Silent "silent" "Devices that send, but no heartbeats.",
-    Asleep "asleep" "Sleeping devices.",
+    Selected "selected" "The selected row, on top of its other styles.",
+    Online "online" "Online devices, a bus that works.",
+    Stale "stale" "Devices with an overdue heartbeat; partial.",
+    Silent "silent" "Devices that send frames but no heartbeats.",
+    Asleep "asleep" "Devices that are asleep.",
     Lost "lost" "Lost devices.",
-    Missing "missing" "Listed devices not on the bus.",
-    Collision "collision" "Confirmed address conflicts.",
-    Suspected "suspected" "Suspected problems.",
-    FileOk "file_ok" "The entry matches the bus.",
-    FileDiffers "file_differs" "The entry differs from the bus.",
-    New "new" "Devices that are not in the file.",
-    Input "input" "Text being typed.",
-    Error "error" "Errors.",
-    Warning "warning" "Warnings.",
-    HintKey "hint_key" "Keys in the last line and in the help.",
-    Bar "bar" "The load bars.",
-    Recording "recording" "The recording indicator.",
-    Match "match" "Filter matches, and the filter itself.",
+    Missing "missing" "Devices listed in the file but not on the bus.",
+    Collision "collision" "Confirmed problems, such as address conflicts.",
+    Suspected "suspected" "Suspected problems, assumed values.",
+    FileOk "file_ok" "Entries that match the bus.",
+    FileDiffers "file_differs" "Entries and services that differ from the bus.",
+    New "new" "Devices that are not in the file; remedies.",
+    Input "input" "Text typed into a prompt.",
+    Error "error" "Errors: an interface that is down, lost frames.",
+    Warning "warning" "Warnings: listen-only, FROZEN, unsaved edits.",
+    HintKey "hint_key" "Keys in the last line and in the help; filter terms.",
+    Bar "bar" "Bars of the bus load.",
+    Recording "recording" "Sign of a running recording.",
+    Match "match" "The filter, evidence and its frames.",
 }
 
-/// A style for every role.
+/// A style for each role.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Theme {
-    /// Its name.
+    /// Name of a built-in theme, or of the user's file without `.toml`.
     pub name: String,
     styles: [Style; Role::ALL.len()],
 }
 
-/// The themes that are built in, and their files.
+/// Name and TOML text of the built-in themes.
 pub const BUILT_IN: [(&str, &str); 5] = [
     ("terminal", include_str!("../themes/terminal.toml")),
     ("dark", include_str!("../themes/dark.toml")),
@@ -91,36 +92,41 @@ pub const BUILT_IN: [(&str, &str); 5] = [
     ("mono", include_str!("../themes/mono.toml")),
 ];
 
-/// How many colours the terminal has.
+/// Number of colours of the terminal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Colours {
-    /// The sixteen of the user's own terminal.
+    /// 16, with the values that the user's terminal gives them.
     Sixteen,
-    /// 256.
+    /// 256: the 16, a cube of 6×6×6, and 24 greys.
     Indexed,
-    /// 24 bits.
+    /// Any, 8 bits each of red, green and blue.
     Full,
 }
 
-/// Why a theme cannot be used.
+/// A mistake in the text of a theme; the theme cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("line {line}: {message}")]
 pub struct ThemeError {
-    /// From 1.
+    /// Line of the mistake, from 1; a mistake in a parent theme has the line of `inherits`.
     pub line: usize,
-    /// What is wrong there.
+    /// What is wrong, and what is accepted instead.
     pub message: String,
 }
 
 impl Theme {
-    /// The built-in theme of that name.
+    /// Returns the built-in theme of that name; `None` if there is none.
     pub fn built_in(name: &str) -> Option<Self> {
         let (_, text) = BUILT_IN.iter().find(|(known, _)| *known == name)?;
         Self::parse(name, text, |_| None).ok()
     }
 
-    /// Reads a theme. `find` gives the text of another theme of the user's by its name; the
-    /// built-in ones are known here.
+    /// Reads a theme. `find` returns the text of another user theme by its name, for `inherits`;
+    /// built-in themes need no `find`.
+    ///
+    /// # Errors
+    ///
+    /// The first mistake: TOML syntax, an unknown key, role or colour, a parent theme that is not
+    /// found or inherits from this one.
     pub fn parse(
         name: &str,
         text: &str,
@@ -129,6 +135,7 @@ impl Theme {
         Self::parse_below(name, text, &find, &[name])
     }
 
+    /// As [`Self::parse`]; `above` are the themes that inherit from this one, itself last.
     fn parse_below(
         name: &str,
         text: &str,
@@ -173,12 +180,12 @@ impl Theme {
         Ok(theme)
     }
 
-    /// The style of a role.
+    /// Returns the style of a role.
     pub fn style(&self, role: Role) -> Style {
         self.styles[role as usize]
     }
 
-    /// The same theme in the colours that the terminal has.
+    /// Returns the theme with each colour replaced by the nearest one that the terminal has.
     #[must_use]
     pub fn limited(mut self, colours: Colours) -> Self {
         for style in &mut self.styles {
@@ -190,7 +197,7 @@ impl Theme {
     }
 }
 
-/// The text of a theme, for saying where something is wrong.
+/// The text of a theme, from which spans of values become line numbers.
 struct ThemeText<'t> {
     text: &'t str,
 }
@@ -202,10 +209,12 @@ impl ThemeText<'_> {
         ThemeError { line: self.text[..span.start].matches('\n').count() + 1, message }
     }
 
+    /// Returns the error of a value that is not what `expected` describes.
     fn refuse<T>(&self, value: &Value, expected: impl fmt::Display) -> Result<T, ThemeError> {
         Err(self.error(value.span(), format!("expected {expected}")))
     }
 
+    /// Returns the theme named by `inherits`.
     fn parent(
         &self,
         name: &str,
@@ -230,6 +239,7 @@ impl ThemeText<'_> {
         }
     }
 
+    /// Returns the style of a role: a colour, or a table of colours and attributes.
     fn style(&self, value: &Value, palette: Option<&DeTable>) -> Result<Style, ThemeError> {
         let DeValue::Table(table) = value.get_ref() else {
             return Ok(Style { fg: self.colour(value, palette)?, ..Style::new() });
@@ -267,7 +277,7 @@ impl ThemeText<'_> {
         Ok(style)
     }
 
-    /// A colour; `None` is the terminal's own.
+    /// Returns a colour; `None` for "default", the terminal's own.
     fn colour(
         &self,
         value: &Value,
@@ -297,13 +307,15 @@ impl ThemeText<'_> {
 }
 
 impl Theme {
-    /// The built-in theme of that name, unless its text is this one.
+    /// Returns the built-in theme of that name, unless `text` is its own: then it would inherit from
+    /// itself.
     fn built_in_other_than(name: &str, text: &str) -> Option<Self> {
         let other = BUILT_IN.iter().any(|(known, own)| *known == name && *own != text);
         other.then(|| Self::built_in(name)).flatten()
     }
 }
 
+/// Name, colour and usual value of the 16 colours.
 const SIXTEEN: [(&str, Color, [u8; 3]); 16] = [
     ("black", Color::Black, [0, 0, 0]),
     ("red", Color::Red, [205, 0, 0]),
@@ -323,6 +335,7 @@ const SIXTEEN: [(&str, Color, [u8; 3]); 16] = [
     ("bright-white", Color::White, [255, 255, 255]),
 ];
 
+/// Returns the colour of a name (`red`, `default`) or of `#rrggbb`; `None` if it is neither.
 fn named(name: &str) -> Option<Color> {
     if name == "default" {
         return Some(Color::Reset);
@@ -336,7 +349,7 @@ fn named(name: &str) -> Option<Color> {
     found.map(|(_, colour, _)| *colour)
 }
 
-/// The colour that comes nearest, among those the terminal has.
+/// Returns the nearest colour that the terminal has, by weighted distance of red, green and blue.
 fn nearest(colour: Color, colours: Colours) -> Color {
     let rgb = match colour {
         Color::Rgb(red, green, blue) if colours < Colours::Full => [red, green, blue],
@@ -355,7 +368,7 @@ fn nearest(colour: Color, colours: Colours) -> Color {
     best.map_or(colour, |(_, colour, _)| *colour)
 }
 
-/// The usual values of the 256 colours.
+/// Returns red, green and blue of a colour of the 256, as terminals usually show it.
 fn rgb_of(index: u8) -> [u8; 3] {
     let level = |part: u8| if part == 0 { 0 } else { 55 + 40 * part };
     match index {
@@ -382,7 +395,7 @@ mod tests {
     }
 
     #[test]
-    fn built_in_themes_are_whole() {
+    fn built_in_theme_names_all_roles() {
         for (name, text) in BUILT_IN {
             let theme = Theme::built_in(name).unwrap();
             assert!(theme.styles.iter().any(|style| *style != Style::new()), "{name}");
@@ -395,14 +408,14 @@ mod tests {
     }
 
     #[test]
-    fn mono_has_no_colours() {
+    fn mono_theme_has_no_colours() {
         let theme = Theme::built_in("mono").unwrap();
         assert!(theme.styles.iter().all(|style| style.fg.is_none() && style.bg.is_none()));
         assert!(theme.style(Role::Selected).add_modifier.contains(Modifier::REVERSED));
     }
 
     #[test]
-    fn a_theme_inherits_and_has_a_palette() {
+    fn theme_with_parent_and_palette_has_their_colours() {
         let theme = parse(
             "inherits = \"warm\"\n[palette]\namber = \"#ffaf5f\"\n\
              [roles]\nwarning = \"amber\"\nerror = { fg = \"bright-red\", bold = true }",
@@ -417,7 +430,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_say_where_and_what_there_is() {
+    fn wrong_theme_reports_line_and_choices() {
         let message = |text| parse(text).unwrap_err().to_string();
         assert!(
             message("[roles]\n\nerorr = \"red\"").starts_with("line 3: unknown role \"erorr\"; ")
