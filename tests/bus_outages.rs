@@ -268,7 +268,7 @@ fn nobody_is_judged_by_the_time_in_which_the_program_was_held_up() {
     stage.run(0.3);
     stage.begins_anew();
     stage.run(20.0);
-    assert!(stage.is_told("descan was stopped for 7.0 s"));
+    assert!(stage.is_told("stopped for 7.0 s"));
     for word in ["suspected", "confirmed", "lost", "silent", "stale", "returned", "rebooted"] {
         assert!(!stage.is_told(word), "{word}");
     }

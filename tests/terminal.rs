@@ -193,7 +193,7 @@ fn what_was_not_heard_while_it_was_stopped_is_held_against_nobody() {
     // Nothing is drawn meanwhile; heartbeats are due.
     assert_eq!(pty.count_for(Duration::from_secs(4)), 0);
     pty.signal(Signal::SIGCONT);
-    pty.wait_for("descan       descan was stopped for");
+    pty.wait_for("descan       stopped for");
     // It begins anew.
     pty.wait_for("using address 0");
     pty.send("3");

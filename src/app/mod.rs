@@ -411,7 +411,7 @@ impl App {
             bus.begin_quarantine(since, now + STALL_BACKLOG);
         }
         let seconds = now.since(since).as_secs_f64();
-        let text = format!("descan was stopped for {seconds:.1} s; not counted against devices");
+        let text = format!("stopped for {seconds:.1} s; not counted against devices");
         let mut line = TimelineEntry::new(now, TimelineKind::Error, text);
         line.name = Some("descan".into());
         self.report_line(line);
