@@ -146,8 +146,8 @@ pub struct ScanArgs {
 /// `descan check`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Compares the bus with des.json and prints: missing entries; devices at another address than the
-static one, with another name, or not in the file; services and versions that differ, where the file
+Compares the bus with des.json and prints: missing entries; devices at another address than the \
+static one, with another name, or not in the file; services and versions that differ, where the file \
 has them (order counts in a list); address conflicts.
 
 Exit code: 0 no difference, 1 one or more, 2 wrong usage, 3 bus or file not usable, 130 interrupted.
@@ -177,18 +177,18 @@ pub struct CheckArgs {
 /// `descan watch`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Without --speed, a log is read at full speed; times are those of the log. Lines from standard
-input are processed as they arrive. A bus that goes down or is unplugged after it was open is
+Without --speed, a log is read at full speed; times are those of the log. Lines from standard \
+input are processed as they arrive. A bus that goes down or is unplugged after it was open is \
 opened again when it returns.
 
---filter takes the words and fields of the filter line in the UI; all of them must match: at:12,14
-name:FEED is:confirmed bus:can1 lost !debug. Bus state, lost frames, descan's own address and
-descan's errors are always printed. With at: and --listen-only, frames of other addresses are
-not read from a SocketCAN interface: other devices are not found, and the bus load is unknown.
-Without --listen-only, and with --record, all frames are read: descan needs them for its own
+--filter takes the words and fields of the filter line in the UI; all of them must match: at:12,14 \
+name:FEED is:confirmed bus:can1 lost !debug. Bus state, lost frames, descan's own address and \
+descan's errors are always printed. With at: and --listen-only, frames of other addresses are \
+not read from a SocketCAN interface: other devices are not found, and the bus load is unknown. \
+Without --listen-only, and with --record, all frames are read: descan needs them for its own \
 address, or to record them.
 
-Exit code: 0 ended by a signal, --time or the end of the log, 2 wrong usage, 3 bus or file not
+Exit code: 0 ended by a signal, --time or the end of the log, 2 wrong usage, 3 bus or file not \
 usable.
 
 Examples:
@@ -218,11 +218,11 @@ pub struct WatchArgs {
 /// `descan speed`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Listens at 125, 250, 500 and 1000 kbit/s, beginning with the current rate, 1.5 s at each, until a
-valid frame arrives; the interface then keeps that rate. Otherwise the previous settings are
+Listens at 125, 250, 500 and 1000 kbit/s, beginning with the current rate, 1.5 s at each, until a \
+valid frame arrives; the interface then keeps that rate. Otherwise the previous settings are \
 restored. Setting an interface needs root.
 
-A device alone on the bus gets no ACK, so listen-only search cannot find it.
+A device alone on the bus gets no ACK, so listen-only search cannot find it. \
 --active joins the bus at each rate, which at a wrong rate destroys other nodes' frames.
 
 Exit code: 0 found, 1 not found, 2 wrong usage, 3 interface not usable, 130 interrupted.
