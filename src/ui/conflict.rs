@@ -26,22 +26,61 @@ pub fn draw(brush: &mut Brush) {
         height: brush.screen.footer.y.saturating_sub(top + rule.height),
     };
     let name = brush.app.file().name();
-    let mut lines = vec![Line::default()];
     let text = format!("You and another program changed the same value in {name}.");
-    lines.extend(labelled(brush, "", Role::Text, &text, area.width));
-    lines.push(Line::default());
+    let cause = labelled(brush, "", Role::Text, &text, area.width);
     let edit = conflict.operation.to_string();
-    lines.extend(labelled(brush, "your edit  ", Role::Text, &edit, area.width));
-    lines.push(Line::default());
-    lines.extend(labelled(brush, "ours       ", Role::New, &conflict.ours, area.width));
-    lines.extend(labelled(brush, "theirs     ", Role::Suspected, &conflict.theirs, area.width));
-    lines.push(Line::default());
+    let edit = labelled(brush, "your edit  ", Role::Text, &edit, area.width);
+    let mut values = labelled(brush, "ours       ", Role::New, &conflict.ours, area.width);
+    values.extend(labelled(brush, "theirs     ", Role::Suspected, &conflict.theirs, area.width));
     let is_broken = brush.app.file().problem().is_some_and(|problem| !problem.is_not_saved());
     let text = if is_broken {
         "The file cannot be read now; choose later."
     } else {
         "Nothing is written until you choose."
     };
-    lines.extend(labelled(brush, "", Role::Muted, text, area.width));
+    let note = labelled(brush, "", Role::Muted, text, area.width);
+    let lines = arranged(cause, edit, values, note, usize::from(area.height));
     brush.lines(area, &lines, 0);
+}
+
+/// Returns the sections of the dialog with an empty line before each, or, if that is more than
+/// `height` lines, without empty lines and with the two values first.
+fn arranged<'l>(
+    cause: Vec<Line<'l>>,
+    edit: Vec<Line<'l>>,
+    values: Vec<Line<'l>>,
+    note: Vec<Line<'l>>,
+    height: usize,
+) -> Vec<Line<'l>> {
+    const SECTIONS: usize = 4;
+    let count = cause.len() + edit.len() + values.len() + note.len();
+    if count + SECTIONS > height {
+        return [values, edit, note, cause].concat();
+    }
+    [cause, edit, values, note]
+        .into_iter()
+        .flat_map(|section| std::iter::once(Line::default()).chain(section))
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn low_screen_has_both_values_first() {
+        let section = |name: &str, count: usize| vec![Line::from(name.to_owned()); count];
+        let lines = |height: usize| -> Vec<String> {
+            let lines = arranged(
+                section("cause", 2),
+                section("edit", 2),
+                section("values", 2),
+                section("note", 1),
+                height,
+            );
+            lines.iter().map(ToString::to_string).collect()
+        };
+        assert_eq!(lines(11)[..5], ["", "cause", "cause", "", "edit"]);
+        assert_eq!(lines(10), ["values", "values", "edit", "edit", "note", "cause", "cause"]);
+    }
 }

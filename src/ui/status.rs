@@ -460,10 +460,9 @@ fn file(brush: &Brush, whole: bool) -> Parts {
                 // A part of its own: without room it is left out, not cut.
                 let word = if entries == 1 { " entry" } else { " entries" };
                 let text = format!(": {entries}{word}");
-                parts.push(vec![
-                    brush.span(Role::Muted, "using last valid"),
-                    brush.span(Role::Muted, text),
-                ]);
+                let is_narrow = brush.screen.whole.width < 100;
+                let valid = if is_narrow { "last valid" } else { "using last valid" };
+                parts.push(vec![brush.span(Role::Muted, valid), brush.span(Role::Muted, text)]);
             }
             return parts;
         }
