@@ -1,6 +1,6 @@
-//! Markdown as a list of blocks, the form from which both the terminal text and the manual pages
-//! are made. Input: the text of a topic. Knows what the topics use: headings, paragraphs, lists,
-//! code blocks, tables, code spans, strong text and links. Does not know how a block looks.
+//! Markdown reader: turns the text of a topic into blocks, from which the terminal text and the
+//! manual pages are made. Covers what the topics use: headings, paragraphs, lists, code blocks,
+//! tables, code spans, strong text and links. Does not know how a block looks.
 
 use pulldown_cmark::{CodeBlockKind, Event, HeadingLevel, Options, Parser, Tag, TagEnd};
 use std::iter::Peekable;
@@ -8,27 +8,27 @@ use std::iter::Peekable;
 /// A block of a page.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum GuideBlock {
-    /// A heading; 1 is the title of the page.
+    /// A heading of level 1 (the title of the page) to 3.
     Heading(u8, GuideLine),
     /// Text that is wrapped.
     Paragraph(GuideLine),
-    /// Text that is not wrapped, and the words behind the fence (` ```sh run ` gives `sh run`).
+    /// Text that is not wrapped.
     Code {
-        /// The words behind the fence.
+        /// The words behind the fence: ` ```sh run ` gives `sh run`.
         info: String,
         /// The lines, without the last line end.
         text: String,
     },
-    /// A list; numbered from `first` where it is given.
+    /// A list.
     List {
-        /// Number of the first item.
+        /// Number of the first item; `None`: not numbered.
         first: Option<u64>,
-        /// The items.
+        /// The items, each as blocks.
         items: Vec<Vec<GuideBlock>>,
     },
     /// A table with a header.
     Table {
-        /// The cells of the header.
+        /// The cells of the header; as many as in each row.
         header: Vec<GuideLine>,
         /// The cells of each row.
         rows: Vec<Vec<GuideLine>>,
@@ -43,51 +43,53 @@ pub type GuideLine = Vec<GuideSpan>;
 pub struct GuideSpan {
     /// The text; a line end in the source is a space.
     pub text: String,
-    /// How it is marked.
+    /// Its mark.
     pub style: SpanStyle,
-    /// Where it leads: a file of the guide (`buses.md`, `protocol.md#...`) or a URL.
+    /// Target of the link around it: a file of the guide (`buses.md`, `protocol.md#...`) or a URL;
+    /// `None`: no link.
     pub link: Option<String>,
 }
 
 impl GuideSpan {
-    /// Text without marks.
+    /// Returns text without marks.
     pub fn plain(text: &str) -> Self {
         Self { text: text.to_owned(), style: SpanStyle::Plain, link: None }
     }
 
-    /// Literal text.
+    /// Returns literal text.
     pub fn code(text: &str) -> Self {
         Self { style: SpanStyle::Code, ..Self::plain(text) }
     }
 }
 
-/// How a piece of text is marked.
+/// Mark of a piece of text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SpanStyle {
-    /// Not at all.
+    /// None.
     Plain,
     /// Strong or emphasised.
     Strong,
-    /// What is typed or shown literally.
+    /// Literal: typed or shown as it stands.
     Code,
 }
 
-/// Reads Markdown. HTML is left out.
+/// Reads Markdown. HTML is ignored.
 pub fn parse(text: &str) -> Vec<GuideBlock> {
     MarkdownReader { events: Parser::new_ext(text, Options::ENABLE_TABLES).peekable() }.blocks()
 }
 
-/// The text of a line without its marks.
+/// Returns the text of a line without its marks.
 pub fn plain(line: &[GuideSpan]) -> String {
     line.iter().map(|span| span.text.as_str()).collect()
 }
 
+/// The events of the parser, from which blocks are collected.
 struct MarkdownReader<'t> {
     events: Peekable<Parser<'t>>,
 }
 
 impl MarkdownReader<'_> {
-    /// The blocks up to the end of what encloses them; that end is consumed.
+    /// Reads blocks up to the end of the enclosing element, and consumes that end.
     fn blocks(&mut self) -> Vec<GuideBlock> {
         let mut blocks = Vec::new();
         while let Some(event) = self.events.peek() {
@@ -110,6 +112,7 @@ impl MarkdownReader<'_> {
         blocks
     }
 
+    /// Reads the block that `tag` begins; `None` for elements that the topics do not use.
     fn block(&mut self, tag: Tag<'_>) -> Option<GuideBlock> {
         Some(match tag {
             Tag::Heading { level, .. } => {
@@ -169,7 +172,7 @@ impl MarkdownReader<'_> {
         })
     }
 
-    /// The text up to the next block or the end of this one, which is not consumed.
+    /// Reads text up to the next block or the end of this one, which is not consumed.
     fn line(&mut self) -> GuideLine {
         let mut spans = GuideLine::new();
         let mut strong = 0u32;
@@ -203,6 +206,7 @@ impl MarkdownReader<'_> {
     }
 }
 
+/// Returns true if the element is a block, not a mark inside a line.
 fn is_block(tag: &Tag<'_>) -> bool {
     !matches!(tag, Tag::Strong | Tag::Emphasis | Tag::Strikethrough | Tag::Link { .. })
 }
@@ -212,7 +216,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn markdown_blocks_are_read() {
+    fn parse_reads_all_kinds_of_blocks() {
         let blocks =
             parse("# T `c`\n\na\nb **c** [d](e.md)\n\n- x\n- y\n\n  z\n\n| h |\n|---|\n| `1` |\n");
         assert_eq!(blocks.len(), 4);

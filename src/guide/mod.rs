@@ -1,7 +1,7 @@
-//! The guide: the topics of `descan help` and the manual pages of `descan man`.
+//! The guide: topics of `descan help` and manual pages of `descan man`.
 //!
-//! Input: the Markdown files of this folder, compiled in; the tables of the code, for the places
-//! where a topic names one; the command tree, for pages about commands. Output: text for a
+//! Inputs: the Markdown files of this folder, compiled in; the tables of [`tables`], for the places
+//! where a topic names one; the command tree of clap, for pages about commands. Output: text for a
 //! terminal, or roff. Pure: opens nothing, prints nothing. Does not know what the commands do.
 
 pub mod markdown;
@@ -19,14 +19,15 @@ use std::io;
 /// A chapter of the guide.
 #[derive(Debug)]
 pub struct Topic {
-    /// What it is called on the command line.
+    /// Name on the command line.
     pub name: &'static str,
-    /// Its file without `.md`: the same, but without a dot.
+    /// Name of its file without `.md`: the name with a dash for a dot.
     pub slug: &'static str,
-    /// What it is about, in a few words.
+    /// Subject in a few words, for the list of topics and the section NAME.
     pub summary: &'static str,
-    /// The commands whose usage is followed by it.
+    /// Commands whose help is followed by the topic.
     pub commands: &'static [&'static str],
+    /// Markdown, with a comment line for each table of the code.
     text: &'static str,
 }
 
@@ -57,23 +58,23 @@ topics! {
     "protocol" "protocol" [] "the protocol on the bus, numbered for reference";
 }
 
-/// The topic of that name.
+/// Returns the topic of a name (in any case) or slug; `None` if there is none.
 pub fn topic(name: &str) -> Option<&'static Topic> {
     TOPICS.iter().find(|topic| topic.name.eq_ignore_ascii_case(name) || topic.slug == name)
 }
 
 impl Topic {
-    /// Its text as Markdown, with the tables made from the code.
+    /// Returns the text as Markdown, with the tables made from the code.
     pub fn markdown(&self) -> String {
         tables::expand(self.text)
     }
 
-    /// The same as blocks.
+    /// Returns the text as blocks.
     pub fn blocks(&self) -> Vec<GuideBlock> {
         markdown::parse(&self.markdown())
     }
 
-    /// The name of its manual page, in section 7.
+    /// Returns the name of the manual page, in section 7.
     fn page(&self) -> String {
         format!("descan-{}", self.slug)
     }
@@ -96,7 +97,7 @@ impl UnknownTopic {
     }
 }
 
-/// What `descan help` prints: the commands and the topics.
+/// Returns the text of `descan help`: usage, commands, topics.
 pub fn overview(program: &Command, layout: TextLayout) -> String {
     let about = program.get_about().map(ToString::to_string).unwrap_or_default();
     let commands = program.get_subcommands().map(|command| {
@@ -128,12 +129,16 @@ pub fn overview(program: &Command, layout: TextLayout) -> String {
     render::render(&blocks, layout)
 }
 
-/// What `descan help NAME` prints: a topic, or the usage of a command and its topic.
+/// Returns the text of `descan help NAME`: a topic, or the usage of a command and its topic.
+///
+/// # Errors
+///
+/// `name` is neither a command nor a topic.
 pub fn help(program: Command, name: &str, layout: TextLayout) -> Result<String, UnknownTopic> {
     let mut program = program.term_width(layout.width);
     program.build();
     if let Some(command) = program.find_subcommand_mut(name) {
-        let usage = command.render_long_help();
+        let usage = command.render_help();
         let mut text = if layout.has_styles { usage.ansi().to_string() } else { usage.to_string() };
         if let Some(topic) = TOPICS.iter().find(|topic| topic.commands.contains(&name)) {
             text = format!("{}\n\n{}", text.trim_end(), render::render(&topic.blocks(), layout));
@@ -144,8 +149,12 @@ pub fn help(program: Command, name: &str, layout: TextLayout) -> Result<String, 
     Ok(render::render(&topic.blocks(), layout))
 }
 
-/// What `descan man [NAME]` prints: the page of the program, of a command (section 1), or of a
-/// topic (section 7), in roff.
+/// Returns the roff of `descan man [NAME]`: the page of the program, of a command (section 1), or of
+/// a topic (section 7).
+///
+/// # Errors
+///
+/// `name` is neither a command nor a topic.
 pub fn manual(mut program: Command, name: Option<&str>) -> Result<String, UnknownTopic> {
     program.build();
     let Some(name) = name.filter(|name| *name != "descan") else {
@@ -158,7 +167,7 @@ pub fn manual(mut program: Command, name: Option<&str>) -> Result<String, Unknow
     Ok(topic_page(topic))
 }
 
-/// The name and the section of every manual page.
+/// Returns the name and the section of every manual page.
 pub fn pages(program: &Command) -> Vec<(String, u8)> {
     let commands =
         program.get_subcommands().map(|command| format!("descan-{}", command.get_name()));
@@ -167,11 +176,12 @@ pub fn pages(program: &Command) -> Vec<(String, u8)> {
     commands.chain(topics).collect()
 }
 
+/// Returns the manual page of a topic.
 fn topic_page(topic: &Topic) -> String {
     let blocks = topic.blocks();
     let mut text = roff::title(&topic.page(), 7, env!("CARGO_PKG_VERSION"));
     text += &roff::name(&topic.page(), topic.summary);
-    // What stands between the title and the first heading.
+    // Text between the title and the first heading.
     if !matches!(blocks.get(1), Some(GuideBlock::Heading(..))) {
         text += &roff::section("Description");
     }
@@ -188,7 +198,7 @@ fn topic_page(topic: &Topic) -> String {
     text + &see_also(&others)
 }
 
-/// The page of the program (`name` absent) or of a command.
+/// Returns the manual page of the program (`name` is `None`) or of a command.
 fn command_page(command: &Command, name: Option<&str>) -> String {
     let page = name.map_or_else(|| "descan".to_owned(), |name| format!("descan-{name}"));
     let notes = command.get_after_help().map(ToString::to_string).unwrap_or_default();
@@ -226,7 +236,8 @@ fn command_page(command: &Command, name: Option<&str>) -> String {
     text + &see_also(&others)
 }
 
-/// What clap_mangen makes of a command: NAME, SYNOPSIS, DESCRIPTION, OPTIONS, SUBCOMMANDS.
+/// Returns the sections that clap_mangen generates: NAME, SYNOPSIS, DESCRIPTION, OPTIONS,
+/// SUBCOMMANDS.
 fn generated(command: &Command) -> String {
     let man = Man::new(command.clone());
     let mut text = Vec::new();
@@ -248,7 +259,7 @@ fn generated(command: &Command) -> String {
     roff::ascii(&String::from_utf8_lossy(&text))
 }
 
-/// The paragraphs behind the options: examples, exit codes, and others.
+/// Sorts the paragraphs behind the options: examples, exit codes, others.
 fn sorted_notes(notes: &str) -> [Vec<String>; 3] {
     let mut sorted = [const { Vec::new() }; 3];
     for note in notes.split("\n\n").filter(|note| !note.trim().is_empty()) {
@@ -265,7 +276,8 @@ fn sorted_notes(notes: &str) -> [Vec<String>; 3] {
     sorted
 }
 
-/// The blocks of a topic under the heading of that text.
+/// Returns the blocks of the topic `name` under the heading `title`, up to the next heading of level
+/// 1 or 2.
 fn part(name: &str, title: &str) -> Vec<GuideBlock> {
     let blocks = topic(name).map(Topic::blocks).unwrap_or_default();
     let is_heading = |block: &GuideBlock| matches!(block, GuideBlock::Heading(1 | 2, _));
@@ -275,20 +287,21 @@ fn part(name: &str, title: &str) -> Vec<GuideBlock> {
     behind.take_while(|block| !is_heading(block)).collect()
 }
 
+/// Returns the section SEE ALSO.
 fn see_also(pages: &[(String, u8)]) -> String {
     let pages: Vec<String> =
         pages.iter().map(|(name, section)| roff::reference(name, *section)).collect();
     format!("{}{}\n", roff::section("See also"), pages.join(",\n"))
 }
 
-/// The manual page that a link between topics leads to.
+/// Returns the manual page of a link between topics (`buses.md#...`); `None` for other links.
 fn page_of_link(link: &str) -> Option<(String, u8)> {
     let slug = link.split('#').next()?.strip_suffix(".md")?;
     let topic = TOPICS.iter().find(|topic| topic.slug == slug)?;
     Some((topic.page(), 7))
 }
 
-/// Where the links in these blocks lead.
+/// Returns the targets of all links in the blocks.
 pub fn links(blocks: &[GuideBlock]) -> Vec<String> {
     let mut found = Vec::new();
     for block in blocks {

@@ -1,6 +1,6 @@
-//! Blocks as text for a terminal, wrapped to its width. Input: blocks, the width in columns,
-//! whether styles may be used. Output: lines that end with a line feed. Code blocks and words that
-//! are longer than a line are not wrapped.
+//! Terminal text of the guide. Inputs: blocks, the width in columns, whether styles may be used.
+//! Output: wrapped lines that end with a line feed. Code blocks and words that are longer than a line
+//! are not wrapped.
 
 use super::markdown::{GuideBlock, GuideLine, GuideSpan, SpanStyle};
 use unicode_width::UnicodeWidthStr;
@@ -10,16 +10,16 @@ use unicode_width::UnicodeWidthStr;
 pub struct TextLayout {
     /// Columns of a line, at least [`TextLayout::MIN_WIDTH`].
     pub width: usize,
-    /// Whether headings and literal text are bold (SGR 1): for a terminal only.
+    /// True: headings and literal text are bold (SGR 1), for a terminal only.
     pub has_styles: bool,
 }
 
 impl TextLayout {
-    /// Without a terminal lines have this many columns.
+    /// Columns without a terminal.
     pub const DEFAULT_WIDTH: usize = 80;
-    /// Narrower terminals break lines themselves.
+    /// Least columns; narrower terminals break the lines.
     pub const MIN_WIDTH: usize = 20;
-    /// Longer lines are hard to read: wider terminals keep the rest empty.
+    /// Most columns; longer lines are hard to read.
     pub const MAX_WIDTH: usize = 100;
 
     /// Text without styles for a file or a pipe.
@@ -31,20 +31,20 @@ impl TextLayout {
         Self { width: columns.clamp(Self::MIN_WIDTH, Self::MAX_WIDTH), has_styles: true }
     }
 
-    /// `text` in bold, where styles may be used.
+    /// Returns `text` in bold if styles may be used.
     pub fn bold(self, text: &str) -> String {
         if self.has_styles { format!("\x1b[1m{text}\x1b[0m") } else { text.to_owned() }
     }
 }
 
-/// Columns by which text stands behind its heading.
+/// Columns by which text is indented below its heading.
 const INDENT: usize = 2;
-/// Code spans of up to this many columns are kept on one line.
+/// Longest code span, in columns, that is kept on one line.
 const UNBROKEN_CODE: usize = 30;
 /// Columns between the cells of a table.
 const CELL_GAP: usize = 2;
 
-/// The blocks as text.
+/// Returns the blocks as text.
 pub fn render(blocks: &[GuideBlock], layout: TextLayout) -> String {
     let mut writer = TextWriter { layout, text: String::new() };
     for (at, block) in blocks.iter().enumerate() {
@@ -63,12 +63,14 @@ type StyledText = (String, SpanStyle);
 /// What a line is broken between.
 type UnbrokenText = Vec<StyledText>;
 
+/// The text written so far.
 struct TextWriter {
     layout: TextLayout,
     text: String,
 }
 
 impl TextWriter {
+    /// Writes a block, indented by `indent` columns; headings have an indent of their own.
     fn block(&mut self, block: &GuideBlock, indent: usize) {
         match block {
             GuideBlock::Heading(level, line) => {
@@ -80,7 +82,7 @@ impl TextWriter {
                 }
             }
             GuideBlock::Paragraph(line) => {
-                // Without styles literal text is told by its quotes.
+                // Without styles, quotes mark literal text.
                 let quote = if self.layout.has_styles { "" } else { "`" };
                 for line in wrap(&units(line, quote), self.room(indent)) {
                     self.line(indent, &line);
@@ -117,7 +119,7 @@ impl TextWriter {
                 }
                 self.block(block, inner);
             }
-            // The marker takes the place of blanks in front of the first line.
+            // The marker replaces blanks in front of the first line.
             if self.text[begin..].starts_with(&" ".repeat(inner)) {
                 let place = begin + indent..begin + indent + marker.len();
                 self.text.replace_range(place, &marker);
@@ -154,7 +156,7 @@ fn width(unit: &[StyledText]) -> usize {
     unit.iter().map(|(text, _)| text.width()).sum()
 }
 
-/// The words of a line, with what is not to be broken in one piece.
+/// Splits a line into words; short code spans stay in one piece.
 fn units(line: &[GuideSpan], quote: &str) -> Vec<UnbrokenText> {
     let mut units: Vec<UnbrokenText> = Vec::new();
     let mut is_open = false;
@@ -185,7 +187,7 @@ fn units(line: &[GuideSpan], quote: &str) -> Vec<UnbrokenText> {
         let quoted =
             if is_code { format!("{quote}{}{quote}", span.text) } else { span.text.clone() };
         add(&quoted, span.style, is_code && span.text.width() <= UNBROKEN_CODE);
-        // A page of the guide is named by the text itself.
+        // A link to a topic has the name of the topic as its text.
         if let Some(url) = span.link.as_deref().filter(|link| link.contains("://"))
             && url != span.text
         {
@@ -199,7 +201,7 @@ fn units_of(text: &str, style: SpanStyle) -> Vec<UnbrokenText> {
     units(&[GuideSpan { text: text.to_owned(), style, link: None }], "")
 }
 
-/// Lines of at most `room` columns; a longer unit has a line of its own.
+/// Breaks units into lines of at most `room` columns; a longer unit has a line of its own.
 fn wrap(units: &[UnbrokenText], room: usize) -> Vec<Vec<UnbrokenText>> {
     let mut lines: Vec<Vec<UnbrokenText>> = Vec::new();
     let mut used = 0;
@@ -219,7 +221,7 @@ fn wrap(units: &[UnbrokenText], room: usize) -> Vec<Vec<UnbrokenText>> {
     lines
 }
 
-/// A table in at most `room` columns, as far as its words allow.
+/// Returns a table in at most `room` columns; more if its longest words need more.
 pub(super) fn table_lines(
     header: &[GuideLine],
     rows: &[Vec<GuideLine>],
@@ -262,7 +264,7 @@ pub(super) fn table_lines(
     lines
 }
 
-/// As wide as the content, or, where that is too much, the widest columns narrowed.
+/// Returns the widths of the columns: those of the content, the widest narrowed until all fit.
 fn column_widths(rows: &[Vec<Vec<UnbrokenText>>], room: usize) -> Vec<usize> {
     let count = rows.first().map_or(0, Vec::len);
     let natural = |units: &Vec<UnbrokenText>| {
@@ -284,7 +286,7 @@ fn column_widths(rows: &[Vec<Vec<UnbrokenText>>], room: usize) -> Vec<usize> {
     widths
 }
 
-/// The lines of one row, each as a single unit padded to the columns.
+/// Returns the lines of a row, each as a single unit padded to the columns.
 fn row_lines(row: &[Vec<UnbrokenText>], widths: &[usize]) -> Vec<Vec<UnbrokenText>> {
     let wrapped: Vec<Vec<Vec<UnbrokenText>>> =
         row.iter().zip(widths).map(|(cell, &width)| wrap(cell, width)).collect();

@@ -1,15 +1,16 @@
-//! Blocks as roff with the man macros, for `man -l`, groff and mandoc. Input: blocks. Output:
-//! ASCII text; other characters are written as `\[uXXXX]`. Tables of two columns are tagged
+//! Manual pages in roff with the man macros, for `man -l`, groff and mandoc. Input: blocks. Output:
+//! ASCII; other characters are written as `\[uXXXX]`. Tables of two columns are tagged
 //! paragraphs, wider ones are set in [`TABLE_WIDTH`] columns. Does not know which pages exist.
 
 use super::markdown::{GuideBlock, GuideLine, GuideSpan, SpanStyle, plain};
 use super::render::table_lines;
 use std::fmt::Write;
 
-/// Columns of a table of three columns or more: a line of 80 without the indentation of man.
+/// Width of a table of three columns or more: 80 without the indentation of man.
 const TABLE_WIDTH: usize = 70;
 
-/// The line that begins a page, and no words broken or stretched: they are typed as they stand.
+/// Returns the line that begins a page, without hyphenation and justification: literal text must
+/// stay as it is typed.
 pub fn title(name: &str, section: u8, version: &str) -> String {
     let name = escape(&name.to_uppercase());
     format!(
@@ -18,23 +19,23 @@ pub fn title(name: &str, section: u8, version: &str) -> String {
     )
 }
 
-/// The section NAME.
+/// Returns the section NAME.
 pub fn name(name: &str, summary: &str) -> String {
     format!(".SH NAME\n{} \\- {}\n", escape(name), escape(summary))
 }
 
-/// The heading of a section.
+/// Returns the heading of a section.
 pub fn section(title: &str) -> String {
     format!(".SH \"{}\"\n", escape(&title.to_uppercase()))
 }
 
-/// A reference to another page.
+/// Returns a reference to another page.
 pub fn reference(name: &str, section: u8) -> String {
     format!("\\fB{}\\fR({section})", escape(name))
 }
 
-/// The blocks; headings of level 1 are left out, those of level 2 are sections. `page` gives the
-/// name and section of the page that a file of the guide has become.
+/// Returns the blocks as roff: headings of level 1 are left out, those of level 2 are sections.
+/// `page` returns the name and section of the manual page of a file of the guide.
 pub fn body(blocks: &[GuideBlock], page: &dyn Fn(&str) -> Option<(String, u8)>) -> String {
     let mut writer = RoffWriter { page, text: String::new() };
     for block in blocks {
@@ -43,7 +44,7 @@ pub fn body(blocks: &[GuideBlock], page: &dyn Fn(&str) -> Option<(String, u8)>) 
     writer.text
 }
 
-/// Lines that are kept as they are.
+/// Returns lines that are not wrapped.
 pub fn literal(text: &str) -> String {
     let mut out = String::from(".PP\n.RS 4\n.nf\n");
     for line in text.lines() {
@@ -53,17 +54,19 @@ pub fn literal(text: &str) -> String {
     out
 }
 
-/// Text that is wrapped.
+/// Returns a paragraph, which man wraps.
 pub fn paragraph(text: &str) -> String {
     format!(".PP\n{}\n", guarded(&escape(text)))
 }
 
+/// The roff written so far.
 struct RoffWriter<'p> {
     page: &'p dyn Fn(&str) -> Option<(String, u8)>,
     text: String,
 }
 
 impl RoffWriter<'_> {
+    /// Writes a block; `continues`: it is the first of a list item and needs no `.PP`.
     fn block(&mut self, block: &GuideBlock, continues: bool) {
         match block {
             GuideBlock::Heading(1, _) => {}
@@ -145,7 +148,7 @@ fn styled(text: &str, style: SpanStyle) -> String {
     }
 }
 
-/// Text in which nothing is an escape.
+/// Escapes all characters with a meaning in roff.
 fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
@@ -157,7 +160,7 @@ fn escape(text: &str) -> String {
             '^' => out.push_str("\\(ha"),
             '~' => out.push_str("\\(ti"),
             '"' => out.push_str("\\(dq"),
-            // groff knows characters with a slash by their parts.
+            // groff composes ≠ from = and a slash; the name avoids a warning.
             '≠' => out.push_str("\\(!="),
             c => push_ascii(&mut out, c),
         }
@@ -165,7 +168,7 @@ fn escape(text: &str) -> String {
     out
 }
 
-/// Roff with its other characters as escapes.
+/// Replaces all characters of roff text that are not ASCII by escapes.
 pub fn ascii(roff: &str) -> String {
     let mut out = String::with_capacity(roff.len());
     roff.chars().for_each(|c| push_ascii(&mut out, c));
@@ -180,7 +183,7 @@ fn push_ascii(out: &mut String, c: char) {
     }
 }
 
-/// The same line where it would begin a request.
+/// Protects a line that would begin a request.
 fn guarded(line: &str) -> String {
     if line.starts_with('.') || line.starts_with('\'') {
         format!("\\&{line}")

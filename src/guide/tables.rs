@@ -1,5 +1,6 @@
-//! The tables of the guide that are made from the code: keys, symbols, findings, filter fields,
-//! theme roles. A line `<!-- table: keys -->` in a topic stands for one. Output: Markdown.
+//! Tables of the guide that are generated from the code: keys, symbols, findings, filter fields,
+//! theme roles. Input: Markdown in which a line `<!-- table: keys -->` stands for a table. Output:
+//! Markdown.
 
 use crate::app::{FILTER_FIELDS, FILTER_WORDS};
 use crate::finding::FindingKind;
@@ -8,7 +9,7 @@ use crate::theme::Role;
 use crate::ui::SIGNS;
 use std::fmt::Write;
 
-/// The Markdown with the tables in place of the lines that stand for them.
+/// Replaces the lines that stand for tables by the tables.
 pub fn expand(text: &str) -> String {
     let mut out = String::with_capacity(text.len() * 2);
     for line in text.lines() {
@@ -19,7 +20,7 @@ pub fn expand(text: &str) -> String {
     out
 }
 
-/// The table of that name; empty where there is none, which a test of the topics finds.
+/// Returns the table of that name; empty if there is none (the tests of the guide report that).
 fn table(name: &str) -> String {
     match name {
         "keys" => keys(),
@@ -31,7 +32,7 @@ fn table(name: &str) -> String {
     }
 }
 
-/// All actions with their default keys, a table for each group.
+/// Returns all actions with their default keys and names in `keys.toml`, a table for each group.
 pub fn keys() -> String {
     let mut out = String::new();
     for group in ActionGroup::ALL {
@@ -50,6 +51,7 @@ pub fn keys() -> String {
     out
 }
 
+/// Returns the symbols of the screen with their meanings.
 fn symbols() -> String {
     let mut out = String::from("| on the screen | meaning |\n|---|---|\n");
     for (_, sign, meaning) in SIGNS {
@@ -58,7 +60,8 @@ fn symbols() -> String {
     out
 }
 
-/// All kinds of findings, the most severe first.
+/// Returns the kinds of findings, most severe first, their headlines, and the commands whose exit code
+/// they change.
 fn findings() -> String {
     let mut out = String::from("| kind | on the screen | counts for |\n|---|---|---|\n");
     let mut kinds = FindingKind::ALL.to_vec();
@@ -75,6 +78,7 @@ fn findings() -> String {
     out
 }
 
+/// Returns the fields and words of the filter.
 fn filter() -> String {
     let mut out = String::from("| term | matches |\n|---|---|\n");
     for field in FILTER_FIELDS {
@@ -87,6 +91,7 @@ fn filter() -> String {
     out
 }
 
+/// Returns the roles of themes.
 fn roles() -> String {
     let mut out = String::from("| role | used for |\n|---|---|\n");
     for role in Role::ALL {
@@ -95,12 +100,12 @@ fn roles() -> String {
     out
 }
 
-/// Literal text in a cell.
+/// Returns a cell of literal text.
 fn code(text: &str) -> String {
     format!("`{}`", text.replace('|', "\\|"))
 }
 
-/// Prose in a cell, in which nothing is Markdown.
+/// Returns a cell of prose in which nothing is Markdown.
 fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
