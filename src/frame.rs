@@ -3,6 +3,7 @@
 //! Knows nothing of what its bytes mean: that is [`crate::wire`].
 
 pub mod bits;
+pub mod socketcan;
 
 use crate::time::Instant;
 use core::fmt;
@@ -18,6 +19,24 @@ pub enum CanId {
     Standard(u16),
     /// 29 bits.
     Extended(u32),
+}
+
+impl CanId {
+    /// The largest 11-bit identifier.
+    pub const MAX_STANDARD: u16 = 0x7FF;
+    /// The largest 29-bit identifier.
+    pub const MAX_EXTENDED: u32 = 0x1FFF_FFFF;
+
+    /// An 11-bit identifier; `None` if `id` is larger than [`Self::MAX_STANDARD`].
+    pub fn standard(id: u32) -> Option<Self> {
+        let id = u16::try_from(id).ok().filter(|id| *id <= Self::MAX_STANDARD);
+        id.map(CanId::Standard)
+    }
+
+    /// A 29-bit identifier; `None` if `id` is larger than [`Self::MAX_EXTENDED`].
+    pub fn extended(id: u32) -> Option<Self> {
+        (id <= Self::MAX_EXTENDED).then_some(CanId::Extended(id))
+    }
 }
 
 impl fmt::Debug for CanId {
@@ -141,7 +160,7 @@ impl Frame {
 
     /// An error report: class bits and details as in Linux `can/error.h`.
     pub fn error(class: u32, details: &[u8]) -> Self {
-        let mut frame = Self::classic(class & 0x1FFF_FFFF, details);
+        let mut frame = Self::classic(class & CanId::MAX_EXTENDED, details);
         frame.kind = FrameKind::Error;
         frame
     }
@@ -206,10 +225,7 @@ impl Frame {
 impl fmt::Display for Frame {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match (self.kind, self.id) {
-            (FrameKind::Error, CanId::Extended(id)) => write!(f, "{:08X}#", id | 0x2000_0000)?,
-            (FrameKind::Error, CanId::Standard(id)) => {
-                write!(f, "{:08X}#", u32::from(id) | 0x2000_0000)?;
-            }
+            (FrameKind::Error, _) => write!(f, "{:08X}#", socketcan::id_word(self))?,
             (FrameKind::Remote, id) => {
                 write!(f, "{id}#R")?;
                 if self.len > 0 {
@@ -217,8 +233,7 @@ impl fmt::Display for Frame {
                 }
             }
             (FrameKind::Data, id) if self.fd => {
-                let flags = u8::from(self.bit_rate_switch) | u8::from(self.error_state) << 1;
-                write!(f, "{id}##{flags:X}")?;
+                write!(f, "{id}##{:X}", socketcan::fd_flags(self))?;
             }
             (FrameKind::Data, id) => write!(f, "{id}#")?,
         }

@@ -5,6 +5,7 @@
 //! bus numbers: [`super::LogSummary`] assigns them.
 
 use super::{DecodeStep, FormatMatch, LogDecoder, LogEncoder, LogEntry, LogFormat, LogSummary};
+use crate::frame::socketcan::{ERROR_FLAG, with_fd_flags};
 use crate::frame::{CanId, Frame};
 use crate::text::is_printable;
 use crate::time::Epoch;
@@ -26,13 +27,6 @@ const BYTE_ORDER_MARK: &[u8] = b"\xEF\xBB\xBF";
 
 /// Longer lines are not read. A line with an FD frame has at most some 250 bytes.
 pub const MAX_LINE: usize = 512;
-
-const STANDARD_ID_MASK: u32 = 0x7FF;
-const EXTENDED_ID_MASK: u32 = 0x1FFF_FFFF;
-/// Set in the eight digits of an error report.
-const ERROR_FLAG: u32 = 0x2000_0000;
-const BIT_RATE_SWITCH: u8 = 0x1;
-const ERROR_STATE: u8 = 0x2;
 
 /// Why a line cannot be read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
@@ -241,13 +235,14 @@ fn parse_head(text: &[u8]) -> Result<Head, LineFault> {
     let number = text.iter().try_fold(0_u32, |number, &digit| {
         hex_value(digit).map(|value| number << 4 | u32::from(value)).ok_or(LineFault::Id)
     })?;
-    let (id, flags) = (number & EXTENDED_ID_MASK, number & !EXTENDED_ID_MASK);
-    match (text.len(), flags) {
-        (3, 0) if id <= STANDARD_ID_MASK => Ok(Head::Id(CanId::Standard(id as u16))),
-        (8, 0) => Ok(Head::Id(CanId::Extended(id))),
-        (8, ERROR_FLAG) => Ok(Head::ErrorClass(id)),
-        _ => Err(LineFault::Id),
-    }
+    let head = match text.len() {
+        3 => CanId::standard(number).map(Head::Id),
+        _ if number & !CanId::MAX_EXTENDED == ERROR_FLAG => {
+            Some(Head::ErrorClass(number & CanId::MAX_EXTENDED))
+        }
+        _ => CanId::extended(number).map(Head::Id),
+    };
+    head.ok_or(LineFault::Id)
 }
 
 /// Lengths without a DLC are padded with zeros to the next that has one, as cansend does it.
@@ -259,11 +254,7 @@ fn parse_fd(id: CanId, body: &[u8]) -> Result<Frame, LineFault> {
     if !rest.is_empty() {
         return Err(LineFault::Data);
     }
-    let mut frame = Frame::fd(0, &data[..len], 0);
-    frame.id = id;
-    frame.bit_rate_switch = flags & BIT_RATE_SWITCH != 0;
-    frame.error_state = flags & ERROR_STATE != 0;
-    Ok(frame)
+    Ok(with_fd_flags(id, &data[..len], flags))
 }
 
 fn parse_remote(id: CanId, body: &[u8]) -> Result<Frame, LineFault> {

@@ -7,7 +7,8 @@
 //! what a length says. Does not know moments or bus numbers: [`super::LogSummary`] assigns them.
 
 use super::{DecodeStep, FormatMatch, LogDecoder, LogEncoder, LogEntry, LogFormat, LogSummary};
-use crate::frame::{BusIndex, CanId, Frame, FrameKind};
+use crate::frame::socketcan::{self as fields, ERROR_FLAG, EXTENDED_FLAG, FD_FORMAT};
+use crate::frame::{BusIndex, CanId, Frame};
 use std::io::{self, Write};
 
 pub(super) const FORMAT: LogFormat = LogFormat {
@@ -37,13 +38,6 @@ const BYTE_ORDER: u32 = 0x1A2B_3C4D;
 const SOCKETCAN: u16 = 227;
 /// What stands before a packet's data: identifier, length, FD flags, two more bytes.
 const CAN_HEAD: usize = 8;
-const EXTENDED_FLAG: u32 = 0x8000_0000;
-const REMOTE_FLAG: u32 = 0x4000_0000;
-const ERROR_FLAG: u32 = 0x2000_0000;
-const EXTENDED_MASK: u32 = 0x1FFF_FFFF;
-const BIT_RATE_SWITCH: u8 = 0x01;
-const ERROR_STATE: u8 = 0x02;
-const FD_FORMAT: u8 = 0x04;
 /// Set where the length of a CAN FD frame would be: a CAN XL frame.
 const XL_FORMAT: u8 = 0x80;
 
@@ -394,35 +388,13 @@ fn decode(packet: &[u8]) -> Result<Frame, PacketFault> {
     if head[4] & XL_FORMAT != 0 {
         return Err(PacketFault::Xl);
     }
-    let id = if raw & (EXTENDED_FLAG | ERROR_FLAG) != 0 {
-        CanId::Extended(raw & EXTENDED_MASK)
-    } else {
-        CanId::Standard(u16::try_from(raw & EXTENDED_MASK).map_err(|_| PacketFault::NoFrame)?)
-    };
-    if matches!(id, CanId::Standard(0x800..)) {
+    let has_id = raw & (EXTENDED_FLAG | ERROR_FLAG) != 0;
+    if !has_id && raw & CanId::MAX_EXTENDED > u32::from(CanId::MAX_STANDARD) {
         return Err(PacketFault::NoFrame);
     }
-    // Those who wrote before there was a flag for it are known by the length alone.
+    // Writers older than the FDF flag mark FD frames by their length alone.
     let fd = flags & FD_FORMAT != 0 || len > Frame::MAX_CLASSIC_DATA;
-    let most = if fd { Frame::MAX_DATA } else { Frame::MAX_CLASSIC_DATA };
-    if len > most {
-        return Err(PacketFault::NoFrame);
-    }
-    if raw & ERROR_FLAG == 0 && raw & REMOTE_FLAG != 0 {
-        return Ok(Frame::remote(id, len));
-    }
-    let data = data.get(..len).ok_or(PacketFault::NoFrame)?;
-    if raw & ERROR_FLAG != 0 {
-        return Ok(Frame::error(raw & EXTENDED_MASK, data));
-    }
-    if !fd {
-        return Ok(Frame::with(id, data));
-    }
-    let mut frame = Frame::fd(0, data, 0);
-    frame.id = id;
-    frame.bit_rate_switch = flags & BIT_RATE_SWITCH != 0;
-    frame.error_state = flags & ERROR_STATE != 0;
-    Ok(frame)
+    fields::decode(raw, len, fd.then_some(flags), data).ok_or(PacketFault::NoFrame)
 }
 
 // --- writing ------------------------------------------------------------------------------
@@ -466,25 +438,9 @@ pub fn write_frame(
     let len = (CAN_HEAD + frame.data().len()) as u32;
     block.u32(len);
     block.u32(len);
-    let id = match frame.id {
-        CanId::Extended(id) => id,
-        CanId::Standard(id) => u32::from(id),
-    };
-    let flags = match (frame.kind, frame.id) {
-        (FrameKind::Error, _) => ERROR_FLAG,
-        (FrameKind::Remote, CanId::Standard(_)) => REMOTE_FLAG,
-        (FrameKind::Remote, CanId::Extended(_)) => REMOTE_FLAG | EXTENDED_FLAG,
-        (FrameKind::Data, CanId::Standard(_)) => 0,
-        (FrameKind::Data, CanId::Extended(_)) => EXTENDED_FLAG,
-    };
-    let fd = if frame.fd {
-        FD_FORMAT
-            | if frame.bit_rate_switch { BIT_RATE_SWITCH } else { 0 }
-            | if frame.error_state { ERROR_STATE } else { 0 }
-    } else {
-        0
-    };
-    block.bytes(&(id | flags).to_be_bytes());
+    let fd = if frame.fd { FD_FORMAT | fields::fd_flags(frame) } else { 0 };
+    let word = fields::id_word(frame);
+    block.bytes(&word.to_be_bytes());
     block.bytes(&[frame.len() as u8, fd, 0, 0]);
     block.bytes(frame.data());
     block.pad();

@@ -117,11 +117,7 @@ fn frame(kind: u8, rest: &[u8]) -> Option<AdapterReply> {
     let is_extended = kind.is_ascii_uppercase();
     let (id, rest) = rest.split_at_checked(if is_extended { 8 } else { 3 })?;
     let id = number(id, 16)?;
-    let id = match is_extended {
-        true if id <= 0x1FFF_FFFF => CanId::Extended(id),
-        false if id <= 0x7FF => CanId::Standard(id as u16),
-        _ => return None,
-    };
+    let id = if is_extended { CanId::extended(id)? } else { CanId::standard(id)? };
     let (code, rest) = rest.split_at_checked(1)?;
     let code = number(code, 16)? as usize;
     let kind = kind.to_ascii_lowercase();

@@ -2,7 +2,8 @@
 //!
 //! Does not know what state the interface is in, nor what is to be done about it.
 
-use crate::frame::{CanId, Frame, FrameKind, IdPattern};
+use crate::frame::socketcan::{self as fields, EXTENDED_FLAG, FD_FORMAT, REMOTE_FLAG};
+use crate::frame::{Frame, IdPattern};
 use nix::cmsg_space;
 use nix::libc::{MSG_DONTWAIT, MSG_PEEK, SO_RCVBUF, SO_RCVBUFFORCE, SO_RXQ_OVFL, SOL_SOCKET};
 use nix::sys::socket::{ControlMessageOwned, MsgFlags, MultiHeaders, RecvMsg, recvmmsg, recvmsg};
@@ -35,14 +36,6 @@ const MIN_BUFFER_FRAMES: usize = 64;
 const CLASSIC_LEN: usize = 16;
 const FD_LEN: usize = 72;
 const DATA_AT: usize = 8;
-const EXTENDED_FLAG: u32 = 0x8000_0000;
-const REMOTE_FLAG: u32 = 0x4000_0000;
-const ERROR_FLAG: u32 = 0x2000_0000;
-const EXTENDED_MASK: u32 = 0x1FFF_FFFF;
-const STANDARD_MASK: u32 = 0x7FF;
-const BIT_RATE_SWITCH: u8 = 0x01;
-const ERROR_STATE: u8 = 0x02;
-const FD_FORMAT: u8 = 0x04;
 
 /// A frame as the kernel delivers it: ours or not, and when.
 #[derive(Clone, Copy, Debug)]
@@ -260,45 +253,17 @@ fn decode(bytes: &[u8]) -> Option<Frame> {
         _ => return None,
     };
     let (head, data) = bytes.split_at(DATA_AT);
-    let raw = u32::from_ne_bytes(*head.first_chunk()?);
-    let (len, flags) = (usize::from(head[4]), head[5]);
-    let data = data.get(..len)?;
-    let id = if raw & EXTENDED_FLAG != 0 {
-        CanId::Extended(raw & EXTENDED_MASK)
-    } else {
-        CanId::Standard((raw & STANDARD_MASK) as u16)
-    };
-    if raw & ERROR_FLAG != 0 {
-        return Some(Frame::error(raw & EXTENDED_MASK, data));
-    }
-    if raw & REMOTE_FLAG != 0 {
-        return Some(Frame::remote(id, len));
-    }
-    let mut frame = Frame::with(id, data);
-    frame.fd = is_fd;
-    frame.bit_rate_switch = is_fd && flags & BIT_RATE_SWITCH != 0;
-    frame.error_state = is_fd && flags & ERROR_STATE != 0;
-    Some(frame)
+    let word = u32::from_ne_bytes(*head.first_chunk()?);
+    fields::decode(word, usize::from(head[4]), is_fd.then_some(head[5]), data)
 }
 
 /// Writes `can_frame` or `canfd_frame`; says how long it is.
 fn encode(frame: &Frame) -> ([u8; FD_LEN], usize) {
     let mut bytes = [0; FD_LEN];
-    let id = match frame.id {
-        CanId::Extended(id) => id | EXTENDED_FLAG,
-        CanId::Standard(id) => u32::from(id),
-    };
-    let kind = match frame.kind {
-        FrameKind::Data => 0,
-        FrameKind::Remote => REMOTE_FLAG,
-        FrameKind::Error => ERROR_FLAG,
-    };
-    bytes[..4].copy_from_slice(&(id | kind).to_ne_bytes());
+    bytes[..4].copy_from_slice(&fields::id_word(frame).to_ne_bytes());
     bytes[4] = frame.len() as u8;
     if frame.fd {
-        bytes[5] = FD_FORMAT
-            | if frame.bit_rate_switch { BIT_RATE_SWITCH } else { 0 }
-            | if frame.error_state { ERROR_STATE } else { 0 };
+        bytes[5] = FD_FORMAT | fields::fd_flags(frame);
     }
     bytes[DATA_AT..][..frame.data().len()].copy_from_slice(frame.data());
     (bytes, if frame.fd { FD_LEN } else { CLASSIC_LEN })
@@ -307,6 +272,7 @@ fn encode(frame: &Frame) -> ([u8; FD_LEN], usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::frame::CanId;
 
     #[test]
     fn frames_survive_the_kernel_layout() {

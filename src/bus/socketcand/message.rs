@@ -82,15 +82,15 @@ pub(super) fn encode(frame: &Frame) -> Option<String> {
 fn identifier(text: &str) -> Option<CanId> {
     let id = hex(text.as_bytes())?;
     match text.len() {
-        3 if id <= 0x7FF => Some(CanId::Standard(id as u16)),
-        8 if id <= 0x1FFF_FFFF => Some(CanId::Extended(id)),
+        3 => CanId::standard(id),
+        8 => CanId::extended(id),
         _ => None,
     }
 }
 
 fn error_class(text: &str) -> Option<u32> {
     let is_class = (3..=8).contains(&text.len());
-    hex(text.as_bytes()).filter(|class| is_class && *class <= 0x1FFF_FFFF)
+    hex(text.as_bytes()).filter(|class| is_class && *class <= CanId::MAX_EXTENDED)
 }
 
 /// A number all of whose digits are there: no sign.

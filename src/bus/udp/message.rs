@@ -8,9 +8,6 @@ use crate::frame::{CanId, Frame, FrameKind};
 use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize, Serializer};
 
-const MAX_STANDARD: u32 = 0x7FF;
-const MAX_EXTENDED: u32 = 0x1FFF_FFFF;
-
 /// The largest datagram: one that is larger is none of ours.
 pub(super) const MAX_DATAGRAM: usize = 2_048;
 
@@ -85,18 +82,14 @@ pub(super) fn encode(frame: &Frame, unix_seconds: f64) -> Option<Vec<u8>> {
 /// The frame of a datagram; `None` where it is no msgpack, or says what cannot be.
 pub(super) fn decode(datagram: &[u8]) -> Option<Frame> {
     let incoming: Incoming = rmp_serde::from_slice(datagram).ok()?;
-    let most = if incoming.is_extended_id { MAX_EXTENDED } else { MAX_STANDARD };
-    if incoming.is_error_frame && incoming.arbitration_id <= MAX_EXTENDED {
+    if incoming.is_error_frame && incoming.arbitration_id <= CanId::MAX_EXTENDED {
         let fits = incoming.data.len() <= Frame::MAX_CLASSIC_DATA && !incoming.is_remote_frame;
         return fits.then(|| Frame::error(incoming.arbitration_id, incoming.data));
     }
-    if incoming.arbitration_id > most {
-        return None;
-    }
     let id = if incoming.is_extended_id {
-        CanId::Extended(incoming.arbitration_id)
+        CanId::extended(incoming.arbitration_id)?
     } else {
-        CanId::Standard(incoming.arbitration_id as u16)
+        CanId::standard(incoming.arbitration_id)?
     };
     let len = usize::try_from(incoming.dlc).ok()?;
     if incoming.is_remote_frame {
