@@ -20,6 +20,7 @@ mod socketcan;
 mod socketcand;
 mod spec;
 mod tuner;
+mod tx_queue;
 mod udp;
 mod waker;
 

@@ -9,6 +9,7 @@ use super::{Backoff, Delivery};
 use crate::bus::clock::Clock;
 use crate::bus::kind::{OpenError, OpenRequest};
 use crate::bus::port::{Port, PortShared};
+use crate::bus::tx_queue::{TxAttempt, TxQueue};
 use crate::frame::Frame;
 use crate::status::{BusState, BusStatus, Link};
 use crate::time::Instant;
@@ -141,12 +142,12 @@ fn start_worker<E: Endpoint, D: Protocol>(
     let mut port = Port::new(&name, Arc::clone(&line), options.listen_only);
     let mut carrier = StreamWorker {
         delivery: Delivery::new(Arc::clone(&line), index),
+        tx: TxQueue::new(Arc::clone(&line), SEND_WITHIN),
         line,
         endpoint: Arc::new(endpoint),
         dialogue,
         exchange: ProtocolIo { status, ..ProtocolIo::default() },
         clock,
-        waiting: None,
         was_open: false,
     };
     port.serve(move |line| {
@@ -165,8 +166,8 @@ struct StreamWorker<E, D> {
     exchange: ProtocolIo,
     delivery: Delivery,
     clock: Clock,
-    /// A frame for which there was no room yet, and since when it waits.
-    waiting: Option<(Frame, Monotonic)>,
+    /// Frames to send.
+    tx: TxQueue,
     /// Whether it was ever open: then its absence means that it went away.
     was_open: bool,
 }
@@ -290,8 +291,7 @@ impl<E: Endpoint, D: Protocol> StreamWorker<E, D> {
         let due = self.dialogue.poll_timeout();
         debug_assert!(due.is_none_or(|due| due > now), "due at {due:?}, handled until {now:?}");
         let due = self.dialogue.poll_timeout().map(|due| self.clock.until(due));
-        let give_up = self.waiting.map(|(_, since)| SEND_WITHIN.saturating_sub(since.elapsed()));
-        [due, give_up].into_iter().flatten().min()
+        [due, self.tx.time_left()].into_iter().flatten().min()
     }
 
     /// Writes what can be written.
@@ -312,30 +312,21 @@ impl<E: Endpoint, D: Protocol> StreamWorker<E, D> {
             }
             return;
         }
-        loop {
-            let next = self.waiting.take();
-            let next = next.or_else(|| Some((self.line.pop_tx()?, Monotonic::now())));
-            let Some((frame, since)) = next else { return };
-            if self.exchange.output.len() < OUTPUT_LIMIT && self.dialogue.has_room() {
-                self.dialogue.send(self.clock.now(), &frame, &mut self.exchange);
-                continue;
+        let report = self.tx.transmit(|frame| {
+            if self.exchange.output.len() >= OUTPUT_LIMIT || !self.dialogue.has_room() {
+                return TxAttempt::NoRoom;
             }
-            self.waiting = Some((frame, since));
-            if since.elapsed() >= SEND_WITHIN && last_written.elapsed() >= SEND_WITHIN {
-                self.refuse_posted();
-            } else if since.elapsed() >= SEND_WITHIN {
-                self.waiting = None;
-                self.exchange.status.transmit_failures += 1;
-                continue;
-            }
-            return;
+            self.dialogue.send(self.clock.now(), frame, &mut self.exchange);
+            TxAttempt::Sent
+        });
+        self.exchange.status.transmit_failures += report.failures;
+        if report.failures > 0 && last_written.elapsed() >= SEND_WITHIN {
+            self.refuse_posted();
         }
     }
 
     fn refuse_posted(&mut self) {
-        let waiting = self.waiting.take().into_iter().count() as u64;
-        let posted = std::iter::from_fn(|| self.line.pop_tx()).count() as u64;
-        self.exchange.status.transmit_failures += waiting + posted;
+        self.exchange.status.transmit_failures += self.tx.clear();
         self.delivery.tell(&self.exchange.status);
     }
 

@@ -16,6 +16,7 @@ pub(super) use name::{KIND, interface_name, interface_name as parse, looks_like_
 use super::clock::RxTimestamps;
 use super::kind::{OpenError, OpenRequest};
 use super::port::{Port, PortShared};
+use super::tx_queue::{TxAttempt, TxQueue};
 use crate::error_report::ErrorReport;
 use crate::frame::{BusIndex, Frame, IdPattern};
 use crate::status::{BusState, BusStatus, Link, RateSearch};
@@ -28,7 +29,7 @@ use std::io;
 use std::os::fd::AsFd;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
-use std::time::{Duration, Instant as Monotonic};
+use std::time::Duration;
 
 /// How often to look for an interface that is not there, and at one that is.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
@@ -64,7 +65,7 @@ fn start(name: &str, request: OpenRequest) -> io::Result<Port> {
         told: (0, 0),
         was_there: false,
         only: options.only,
-        waiting: None,
+        tx: TxQueue::new(Arc::clone(&line), RETRY_FOR),
         is_full: false,
     };
     let socket = reader.find();
@@ -218,9 +219,9 @@ struct SocketReader {
     was_there: bool,
     /// The only identifiers of interest; none: all.
     only: Vec<IdPattern>,
-    /// A frame that the kernel had no room for, and until when it is offered again.
-    waiting: Option<(Frame, Monotonic)>,
-    /// Whether one of those was given up since the last that was taken.
+    /// Frames to send.
+    tx: TxQueue,
+    /// Whether the status has the transmit queue as full.
     is_full: bool,
 }
 
@@ -379,39 +380,34 @@ impl SocketReader {
     }
 
     fn send_posted(&mut self, socket: &mut RawSocket) {
-        loop {
-            let next = self.waiting.take();
-            let next = next.or_else(|| Some((self.line.pop_tx()?, Monotonic::now() + RETRY_FOR)));
-            let Some((frame, give_up)) = next else { return };
-            let Err(error) = socket.send(&frame) else {
-                self.report_transmit_queue(false);
-                continue;
-            };
-            let has_no_room = matches!(errno(&error), Errno::ENOBUFS | Errno::EAGAIN);
-            if has_no_room && Monotonic::now() < give_up {
-                self.waiting = Some((frame, give_up));
-                return;
+        let report = self.tx.transmit(|frame| match socket.send(frame) {
+            Ok(()) => TxAttempt::Sent,
+            Err(error) if matches!(errno(&error), Errno::ENOBUFS | Errno::EAGAIN) => {
+                TxAttempt::NoRoom
             }
-            self.line.queue.update_status(|status| status.transmit_failures += 1);
-            self.report_transmit_queue(has_no_room);
+            Err(_) => TxAttempt::Rejected,
+        });
+        let is_full = report.is_full.unwrap_or(self.is_full);
+        if std::mem::replace(&mut self.is_full, is_full) != is_full || report.failures > 0 {
+            self.line.queue.update_status(|status| {
+                status.transmit_failures += report.failures;
+                status.is_transmit_queue_full = is_full;
+            });
         }
     }
 
-    fn report_transmit_queue(&mut self, is_full: bool) {
-        if std::mem::replace(&mut self.is_full, is_full) != is_full {
-            self.line.queue.update_status(|status| status.is_transmit_queue_full = is_full);
-        }
-    }
-
+    /// How soon to offer a frame again for which the kernel had no room.
     fn retry_wait(&self) -> Option<Duration> {
-        self.waiting.is_some().then_some(RETRY_EVERY)
+        self.tx.time_left().map(|_| RETRY_EVERY)
     }
 
     fn refuse_posted(&mut self) {
-        self.report_transmit_queue(false);
-        let waiting = self.waiting.take().into_iter().count() as u64;
-        let posted = std::iter::from_fn(|| self.line.pop_tx()).count() as u64;
-        self.line.queue.update_status(|status| status.transmit_failures += waiting + posted);
+        let refused = self.tx.clear();
+        self.is_full = false;
+        self.line.queue.update_status(|status| {
+            status.transmit_failures += refused;
+            status.is_transmit_queue_full = false;
+        });
     }
 }
 

@@ -14,6 +14,7 @@ use super::clock::{Clock, RxTimestamps};
 use super::kind::{OpenError, OpenRequest};
 use super::port::{Port, PortShared};
 use super::remote::{Backoff, Delivery};
+use super::tx_queue::{TxAttempt, TxQueue};
 use crate::frame::Frame;
 use crate::status::{BusStatus, Link, RateSearch};
 use nix::errno::Errno;
@@ -53,6 +54,8 @@ fn start(address: &UdpAddress, request: OpenRequest) -> io::Result<Port> {
         group,
         speaks: !options.listen_only,
         delivery: Delivery::new(Arc::clone(&line), index),
+        // Waiting for room would delay receiving.
+        tx: TxQueue::new(Arc::clone(&line), Duration::ZERO),
         line: Arc::clone(&line),
         dating: RxTimestamps::new(clock.clone()),
         clock,
@@ -75,6 +78,7 @@ struct Multicast {
     speaks: bool,
     line: Arc<PortShared>,
     delivery: Delivery,
+    tx: TxQueue,
     dating: RxTimestamps,
     clock: Clock,
     status: BusStatus,
@@ -205,30 +209,38 @@ impl Multicast {
         Ok(true)
     }
 
-    /// Sends what waits. An error is the network's: the group is not reached.
+    /// Sends what waits.
+    ///
+    /// # Errors
+    ///
+    /// The group cannot be reached.
     fn send_posted(&mut self, sockets: &Sockets) -> io::Result<()> {
-        while let Some(frame) = self.line.pop_tx() {
+        let mut failure = None;
+        let report = self.tx.transmit(|frame| {
             let time = self.clock.epoch().unix_secs(self.clock.now());
-            let Some(datagram) = message::encode(&frame, time) else {
-                self.status.transmit_failures += 1;
-                continue;
-            };
-            let Err(error) = sockets.send(&datagram) else { continue };
-            self.status.transmit_failures += 1;
-            if error.kind() != ErrorKind::WouldBlock
-                && error.raw_os_error() != Some(nix::libc::ENOBUFS)
-            {
-                return Err(error);
+            let Some(datagram) = message::encode(frame, time) else { return TxAttempt::Rejected };
+            match sockets.send(&datagram) {
+                Ok(()) => TxAttempt::Sent,
+                Err(error) if has_no_room(&error) => TxAttempt::NoRoom,
+                Err(error) => {
+                    failure = Some(error);
+                    TxAttempt::Failed
+                }
             }
-        }
-        Ok(())
+        });
+        self.status.transmit_failures += report.failures;
+        failure.map_or(Ok(()), Err)
     }
 
     fn refuse_posted(&mut self) {
-        let posted = std::iter::from_fn(|| self.line.pop_tx()).count() as u64;
-        if posted > 0 {
-            self.status.transmit_failures += posted;
+        let refused = self.tx.clear();
+        if refused > 0 {
+            self.status.transmit_failures += refused;
             self.delivery.tell(&self.status);
         }
     }
+}
+
+fn has_no_room(error: &io::Error) -> bool {
+    error.kind() == ErrorKind::WouldBlock || error.raw_os_error() == Some(nix::libc::ENOBUFS)
 }
