@@ -1,7 +1,5 @@
-//! A port: the two ends of one open bus. The loop holds a [`Port`]; the bus's thread holds the
-//! [`Line`] behind it.
-//!
-//! Knows nothing of what kind of bus it is.
+//! Port: the two ends of one open bus. The session holds a [`Port`], the bus's threads hold the
+//! [`PortShared`] behind it. Does not know kinds of bus.
 
 use super::queue::Queue;
 use super::waker::Waker;
@@ -16,21 +14,21 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-/// Frames that may wait to be sent: far more than discovery ever has under way.
+/// Frames that may wait to be sent: more than discovery has under way at a time.
 const OUTBOX_CAPACITY: usize = 256;
 
 /// Why a frame was not taken for sending.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum TransmitError {
-    /// As many wait as may wait: the bus does not take them.
+    /// 256 frames wait already: the bus does not accept them fast enough.
     #[error("send queue full")]
     Full,
-    /// Opened to listen only, or a log.
+    /// The bus was opened listen-only, or is a log.
     #[error("bus is listen-only")]
     ListenOnly,
 }
 
-/// An open bus. Dropping it stops its threads.
+/// An open bus. Dropping it stops its threads and waits for them.
 #[derive(Debug)]
 pub struct Port {
     name: String,
@@ -40,12 +38,16 @@ pub struct Port {
 }
 
 impl Port {
-    /// A port whose threads are yet to be started.
+    /// A port without threads.
     pub(super) fn new(name: &str, line: Arc<PortShared>, listen_only: bool) -> Self {
         Self { name: name.to_owned(), line, listen_only, threads: Vec::new() }
     }
 
-    /// Starts a thread that serves the line; should it panic, the status says so.
+    /// Starts a thread of the bus. If it panics, the link becomes [`Link::Failed`].
+    ///
+    /// # Errors
+    ///
+    /// The system has no thread left.
     pub(super) fn serve(
         &mut self,
         work: impl FnOnce(&Arc<PortShared>) + Send + 'static,
@@ -56,23 +58,28 @@ impl Port {
         Ok(())
     }
 
-    /// What the user called it.
+    /// The BUS argument it was opened with.
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// Where its frames and its status arrive.
+    /// The receive queue, with frames and status.
     pub fn queue(&self) -> &Queue {
         &self.line.queue
     }
 
-    /// Ends the wait of its threads: the clock goes otherwise than they thought.
+    /// Ends the wait of its threads, after the clock was paused, resumed or changed its speed.
     pub fn wake(&self) {
-        self.line.bell.wake();
+        self.line.waker.wake();
     }
 
-    /// Has a frame sent; never waits. What the kernel refuses later is counted in the status,
-    /// and a frame that got onto the bus comes back marked as ours.
+    /// Queues a frame to be sent; never blocks. A frame that is rejected later is counted in
+    /// [`BusStatus::transmit_failures`](crate::status::BusStatus::transmit_failures); one that was
+    /// on the bus is received back with `is_tx`.
+    ///
+    /// # Errors
+    ///
+    /// The queue is full, or the port is listen-only.
     pub fn transmit(&self, frame: &Frame) -> Result<(), TransmitError> {
         if self.listen_only {
             return Err(TransmitError::ListenOnly);
@@ -85,19 +92,19 @@ impl Drop for Port {
     fn drop(&mut self) {
         self.line.stop();
         for thread in self.threads.drain(..) {
-            // Its panic has been reported in the status.
+            // Its panic is in the status.
             let _ = thread.join();
         }
     }
 }
 
-/// The thread's end of a port.
+/// The threads' end of a port.
 #[derive(Debug)]
 pub(super) struct PortShared {
     pub(super) queue: Queue,
     outbox: Mutex<VecDeque<Frame>>,
     stopped: AtomicBool,
-    bell: Waker,
+    waker: Waker,
 }
 
 impl PortShared {
@@ -106,31 +113,31 @@ impl PortShared {
             queue: Queue::new(Queue::CAPACITY),
             outbox: Mutex::default(),
             stopped: AtomicBool::new(false),
-            bell: Waker::new()?,
+            waker: Waker::new()?,
         })
     }
 
-    /// Whether the port was dropped: return.
+    /// Returns true if the port was dropped: the thread must return.
     pub(super) fn is_stopped(&self) -> bool {
         self.stopped.load(Ordering::Acquire)
     }
 
-    /// The next frame to send.
+    /// Takes the next frame to send.
     pub(super) fn pop_tx(&self) -> Option<Frame> {
         self.outbox.lock().unwrap_or_else(PoisonError::into_inner).pop_front()
     }
 
-    /// Waits until there is something to read, to send or to stop for, at most `timeout`; says
-    /// whether there is something to read.
+    /// Waits for input, a frame to send, or the end of the port, at most `timeout`. Returns true if
+    /// there is input.
     pub(super) fn wait(
         &self,
         input: Option<BorrowedFd<'_>>,
         timeout: Option<Duration>,
     ) -> io::Result<bool> {
-        self.bell.wait(input, timeout)
+        self.waker.wait(input, timeout)
     }
 
-    /// The same for a stream that is also written to: waits for room as well, if `to_write`.
+    /// The same for a stream; waits for room to write as well, if `to_write`.
     pub(super) fn wait_for_stream(
         &self,
         stream: BorrowedFd<'_>,
@@ -138,12 +145,12 @@ impl PortShared {
         timeout: Option<Duration>,
     ) -> io::Result<bool> {
         let room = if to_write { PollFlags::POLLOUT } else { PollFlags::empty() };
-        self.bell.wait_for(Some((stream, PollFlags::POLLIN | room)), timeout)
+        self.waker.wait_for(Some((stream, PollFlags::POLLIN | room)), timeout)
     }
 
     /// Ends the wait that is under way, or the next one.
     pub(super) fn wake(&self) {
-        self.bell.wake();
+        self.waker.wake();
     }
 
     fn push_tx(&self, frame: Frame) -> Result<(), TransmitError> {
@@ -153,18 +160,18 @@ impl PortShared {
         }
         outbox.push_back(frame);
         drop(outbox);
-        self.bell.wake();
+        self.waker.wake();
         Ok(())
     }
 
     fn stop(&self) {
         self.stopped.store(true, Ordering::Release);
-        self.bell.wake();
+        self.waker.wake();
     }
 }
 
-/// Says in the status that a thread panicked: frames that silently stop coming look like a
-/// quiet bus.
+/// Reports a panic of a thread in the status. Without it, a bus without its thread looks like a
+/// quiet one.
 struct PanicReporter {
     line: Arc<PortShared>,
     name: String,
@@ -188,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn the_outbox_is_bounded_and_in_order() {
+    fn outbox_is_bounded_and_in_order() {
         let port = port(false);
         for id in 0..OUTBOX_CAPACITY as u32 {
             port.transmit(&Frame::classic(id, &[])).unwrap();
@@ -200,14 +207,14 @@ mod tests {
     }
 
     #[test]
-    fn a_listening_port_sends_nothing() {
+    fn listen_only_port_sends_nothing() {
         let port = port(true);
         assert_eq!(port.transmit(&Frame::classic(1, &[])), Err(TransmitError::ListenOnly));
         assert_eq!(port.line.pop_tx(), None);
     }
 
     #[test]
-    fn dropping_it_ends_the_wait_of_its_thread() {
+    fn dropped_port_ends_the_wait_of_its_thread() {
         let mut port = port(false);
         port.serve(|line| {
             while !line.is_stopped() {
@@ -219,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn a_panic_of_its_thread_is_a_status() {
+    fn panic_of_a_thread_is_reported_in_the_status() {
         let mut port = port(false);
         port.serve(|_| std::panic::resume_unwind(Box::new(()))).unwrap();
         for thread in port.threads.drain(..) {

@@ -1,7 +1,7 @@
-//! The bounded queue between a bus's own thread and the loop that owns the state.
+//! Receive queue: bounded, between a bus's thread and the session.
 //!
-//! The thread never waits for the loop: what does not fit is left out and counted. Knows
-//! nothing of where frames come from.
+//! The thread never waits for the session: frames that do not fit are dropped and counted. Does not
+//! know where frames come from.
 
 use crate::frame::Frame;
 use crate::status::{BusStatus, Link};
@@ -9,7 +9,7 @@ use std::collections::VecDeque;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use tokio::sync::Notify;
 
-/// Frames that came in and were not taken yet, and the latest status.
+/// Received frames that were not taken yet, and the latest status. For one consumer.
 #[derive(Debug)]
 pub struct Queue {
     capacity: usize,
@@ -34,15 +34,14 @@ impl Queue {
         Self { capacity, contents: Mutex::default(), news: Notify::new() }
     }
 
-    /// Waits until there are frames to take or the status has changed since it was taken.
-    /// May be dropped while waiting. For one consumer.
+    /// Waits until there are frames, or the status differs from the one taken last. Cancel safe.
     pub async fn ready(&self) {
         while !self.contents().has_news() {
             self.news.notified().await;
         }
     }
 
-    /// Moves at most `max` frames to the end of `frames`; says how many.
+    /// Appends at most `max` frames to `frames`, oldest first. Returns how many.
     pub fn drain(&self, frames: &mut Vec<Frame>, max: usize) -> usize {
         let mut contents = self.contents();
         let count = max.min(contents.frames.len());
@@ -50,8 +49,8 @@ impl Queue {
         count
     }
 
-    /// The status, if it has changed since it was last taken. That the bus is over is told after
-    /// the last frame.
+    /// The status; `None` if it has not changed since it was last taken. A final link state is
+    /// reported only after the last frame was taken.
     pub fn take_status(&self) -> Option<BusStatus> {
         let mut contents = self.contents();
         if contents.status.link.is_final() && !contents.frames.is_empty() {
@@ -61,24 +60,25 @@ impl Queue {
         std::mem::take(&mut contents.status_is_new).then(|| contents.status.clone())
     }
 
-    /// The status as it is.
+    /// The present status, whether it was taken or not.
     pub fn status(&self) -> BusStatus {
         self.contents().status.clone()
     }
 
-    /// Whether every frame has been taken and none will come any more.
+    /// Returns true if the link is final and every frame was taken.
     pub fn is_finished(&self) -> bool {
         let contents = self.contents();
         contents.status.link.is_final() && contents.frames.is_empty()
     }
 
-    /// The names of the buses whose frames these are: the port's own index first, the next
-    /// indices after it. More than one where a log of several buses is read.
+    /// The bus names by bus number, counted from the port's own. A log of several interfaces has
+    /// more than one.
     pub fn names(&self) -> Vec<String> {
         self.contents().names.clone()
     }
 
-    /// Puts frames in; those that do not fit are left out, counted, and the status says so.
+    /// Appends frames. Those that do not fit are dropped and counted in
+    /// [`BusStatus::queue_drops`].
     pub fn push(&self, frames: &[Frame]) {
         let mut contents = self.contents();
         let room = self.capacity - contents.frames.len();
@@ -92,17 +92,17 @@ impl Queue {
         self.news.notify_one();
     }
 
-    /// Whether there are frames to take.
+    /// Returns true if there are frames to take.
     pub fn has_frames(&self) -> bool {
         !self.contents().frames.is_empty()
     }
 
-    /// How many frames would still fit: for sources that can wait.
+    /// How many frames still fit: for sources that can wait.
     pub fn room(&self) -> usize {
         self.capacity - self.contents().frames.len()
     }
 
-    /// Changes the status; wakes the consumer only if it is another one then.
+    /// Changes the status; wakes the consumer only if it differs afterwards.
     pub fn update_status(&self, change: impl FnOnce(&mut BusStatus)) {
         let mut contents = self.contents();
         let before = contents.status.clone();
@@ -115,12 +115,12 @@ impl Queue {
         self.news.notify_one();
     }
 
-    /// Gives the next bus of this port its name.
+    /// Adds the name of the next bus of this port.
     pub fn add_name(&self, name: &str) {
         self.contents().names.push(name.to_owned());
     }
 
-    /// Says that nothing more will come, unless that was said before.
+    /// Sets a final link state and its message, unless the link is final already.
     pub fn finish(&self, link: Link, message: String) {
         self.update_status(|status| {
             if !status.link.is_final() {
@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn hands_over_in_order_and_in_batches() {
+    fn drain_returns_frames_in_order_and_in_batches() {
         let queue = Queue::new(10);
         queue.push(&frames(0..5));
         let mut taken = Vec::new();
@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn leaves_out_the_newest_and_counts_them() {
+    fn full_queue_drops_the_newest_and_counts_them() {
         let queue = Queue::new(3);
         queue.push(&frames(0..5));
         queue.push(&frames(5..6));
@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn is_ready_for_frames_and_for_a_changed_status_only() {
+    fn queue_is_ready_for_frames_and_changed_status_only() {
         let queue = Queue::new(3);
         assert!(!is_ready(&queue));
         queue.update_status(|status| status.link = Link::Up);
@@ -196,22 +196,26 @@ mod tests {
     }
 
     #[test]
-    fn is_finished_when_the_last_frame_is_taken() {
+    fn final_link_is_reported_after_the_last_frame() {
         let queue = Queue::new(3);
         queue.push(&frames(0..1));
         queue.finish(Link::Ended, "end of log".into());
         queue.finish(Link::Failed, "a later word does not count".into());
         assert!(!queue.is_finished());
-        let told = queue.take_status().expect("news");
-        assert_eq!((told.link, told.message), (Link::Up, None), "while there are frames to take");
+        let status = queue.take_status().expect("news");
+        assert_eq!(
+            (status.link, status.message),
+            (Link::Up, None),
+            "while there are frames to take"
+        );
         queue.drain(&mut Vec::new(), 9);
         assert!(queue.is_finished());
-        let told = queue.take_status().expect("the last word");
-        assert_eq!((told.link, told.message.as_deref()), (Link::Ended, Some("end of log")));
+        let status = queue.take_status().expect("the last word");
+        assert_eq!((status.link, status.message.as_deref()), (Link::Ended, Some("end of log")));
     }
 
     #[test]
-    fn wakes_a_consumer_in_another_thread() {
+    fn push_wakes_a_consumer_in_another_thread() {
         let queue = Arc::new(Queue::new(3));
         let producer = Arc::clone(&queue);
         let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();

@@ -1,7 +1,7 @@
-//! Sets a bus to one bit rate after the other, while it is looked for: an interface by netlink, an
-//! adapter by how it is opened. What was found is put back, unless it is told to keep what is set.
+//! Sets the bit rate of a bus during a bit rate search: an interface by netlink, an adapter by how it
+//! is opened. Restores the previous setting, unless [`BitRateSetter::keep`] is called.
 //!
-//! Does not know which rate is the right one.
+//! Does not know which rate is right.
 
 use super::BusSpec;
 use super::slcan::{SlcanAddress, rate_code};
@@ -13,10 +13,10 @@ use std::path::PathBuf;
 /// Why a bus cannot be set to a bit rate.
 #[derive(Debug, thiserror::Error)]
 pub enum TuneError {
-    /// A kind of bus that has no bit rate of its own, or whose rate others set.
+    /// The kind of bus has no bit rate of its own, or another machine sets it.
     #[error("{0}: bit rate cannot be set; use a controller's interface, such as can0")]
     NoRate(String),
-    /// Only root may.
+    /// Setting an interface needs root.
     #[error(
         "setting {name} needs root: sudo descan speed {name}; or try a rate by hand: sudo ip link \
          set {name} down && sudo ip link set {name} up type can bitrate {bitrate} listen-only on, then \
@@ -25,16 +25,16 @@ pub enum TuneError {
     NotPermitted {
         /// The interface.
         name: String,
-        /// The rate that was to be set, in bit/s.
+        /// The rate to be set, in bit/s.
         bitrate: u32,
     },
-    /// The controller cannot only listen.
+    /// The controller has no listen-only mode.
     #[error(
         "{0} has no listen-only mode; \
          descan speed {0} --active tries actively and destroys frames at wrong rates"
     )]
     NoListening(String),
-    /// The controller cannot have this rate; others may do.
+    /// The controller does not support this rate.
     #[error("{name} does not support {bitrate} bit/s")]
     NotThisRate {
         /// The interface.
@@ -42,20 +42,20 @@ pub enum TuneError {
         /// In bit/s.
         bitrate: u32,
     },
-    /// There is no such interface, or it is none of a controller.
+    /// The interface does not exist, or is not a CAN interface.
     #[error("{0}")]
     NotThere(String),
-    /// The system did not do as it should.
+    /// The system failed to set it.
     #[error("cannot configure {name}: {cause}")]
     Failed {
         /// The interface.
         name: String,
-        /// What the system said.
+        /// The error of the system.
         cause: io::Error,
     },
 }
 
-/// A bus whose bit rate can be set. When it is dropped, what was found is put back.
+/// A bus whose bit rate can be set. Dropping it restores the previous setting.
 #[derive(Debug)]
 pub struct BitRateSetter(SetterTarget);
 
@@ -66,7 +66,11 @@ enum SetterTarget {
 }
 
 impl BitRateSetter {
-    /// The bus as it is. Changes nothing yet.
+    /// Reads the present setting of a bus; changes nothing.
+    ///
+    /// # Errors
+    ///
+    /// The bus does not exist, or its bit rate cannot be set.
     pub fn of(bus: &BusSpec) -> Result<Self, TuneError> {
         match bus {
             BusSpec::SocketCan(name) => match CanController::of(name) {
@@ -80,7 +84,7 @@ impl BitRateSetter {
         }
     }
 
-    /// The rate it had, in bit/s, where that is known.
+    /// The previous bit rate in bit/s; `None` if it is not known.
     pub fn found_at(&self) -> Option<u32> {
         match &self.0 {
             SetterTarget::Interface(controller) => controller.bitrate(),
@@ -88,7 +92,11 @@ impl BitRateSetter {
         }
     }
 
-    /// Sets it to `bitrate`. Comes back with the bus to be opened.
+    /// Sets the bit rate, in bit/s. Returns the bus to open at that rate.
+    ///
+    /// # Errors
+    ///
+    /// The controller does not support the rate or the mode, or root is needed.
     pub fn set(&mut self, bitrate: u32, manner: ListenMode) -> Result<BusSpec, TuneError> {
         match &mut self.0 {
             SetterTarget::Interface(controller) => {
@@ -97,7 +105,7 @@ impl BitRateSetter {
                 done.map_err(|refusal| explain(refusal, &name, bitrate))?;
                 Ok(BusSpec::SocketCan(name))
             }
-            // It would stay at the rate that it had.
+            // The adapter would keep its present rate.
             SetterTarget::Adapter { device, .. } if rate_code(bitrate).is_none() => {
                 Err(TuneError::NotThisRate { name: device.display().to_string(), bitrate })
             }
@@ -109,7 +117,11 @@ impl BitRateSetter {
         }
     }
 
-    /// Leaves it at `bitrate`; whether it takes part is as it was.
+    /// Leaves the bus at `bitrate`, active or listen-only as before.
+    ///
+    /// # Errors
+    ///
+    /// As of [`set`](Self::set).
     pub fn keep(mut self, bitrate: u32) -> Result<(), TuneError> {
         if let SetterTarget::Interface(controller) = &mut self.0 {
             let done = controller.set(bitrate, controller.listened_only());
@@ -119,7 +131,11 @@ impl BitRateSetter {
         Ok(())
     }
 
-    /// Puts back what was found. Dropping it does the same, and says nothing where that fails.
+    /// Restores the previous setting. Dropping does the same, without an error.
+    ///
+    /// # Errors
+    ///
+    /// As of [`set`](Self::set).
     pub fn restore(mut self) -> Result<(), TuneError> {
         match &mut self.0 {
             SetterTarget::Interface(controller) => {
@@ -148,7 +164,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_adapter_is_not_opened_at_a_rate_that_it_has_no_code_for() {
+    fn adapter_rejects_a_rate_without_an_slcan_code() {
         let bus = "slcan:/dev/ttyACM0".parse().unwrap();
         let mut tuner = BitRateSetter::of(&bus).unwrap();
         assert!(matches!(

@@ -1,6 +1,5 @@
-//! A bell that a thread hears while it waits in poll(2).
-//!
-//! A pipe with at most one byte in it, so ringing never blocks. Knows nothing of why it rings.
+//! Waker: ends another thread's `poll(2)` wait through a pipe that holds at most one byte, so `wake`
+//! never blocks. Does not know why it wakes.
 
 use nix::errno::Errno;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
@@ -9,10 +8,10 @@ use std::os::fd::{AsFd, BorrowedFd};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-/// Rung by anybody, heard by one.
+/// Woken by any thread, waited for by one.
 #[derive(Debug)]
 pub(super) struct Waker {
-    rung: AtomicBool,
+    is_woken: AtomicBool,
     reader: PipeReader,
     writer: PipeWriter,
 }
@@ -20,21 +19,25 @@ pub(super) struct Waker {
 impl Waker {
     pub(super) fn new() -> io::Result<Self> {
         let (reader, writer) = io::pipe()?;
-        Ok(Self { rung: AtomicBool::new(false), reader, writer })
+        Ok(Self { is_woken: AtomicBool::new(false), reader, writer })
     }
 
     /// Ends the wait that is under way, or the next one.
     pub(super) fn wake(&self) {
-        if !self.rung.swap(true, Ordering::AcqRel) {
+        if !self.is_woken.swap(true, Ordering::AcqRel) {
             // Both ends live as long as `self`, so the pipe cannot be closed or full.
             let _ = (&self.writer).write(&[0]);
         }
     }
 
-    /// Waits until the bell rings, `timeout` (rounded up to milliseconds) is over, or there is
-    /// something to read (or an error to learn of) at `input`. Says whether there is.
+    /// Waits until [`wake`](Self::wake) is called, `timeout` (rounded up to milliseconds; `None`:
+    /// no limit) has passed, or `input` has data or an error. Returns true if `input` has.
     ///
-    /// Look for what the bell announces after this, not before.
+    /// Check the reason for a wake after this call, not before.
+    ///
+    /// # Errors
+    ///
+    /// Those of poll(2).
     pub(super) fn wait(
         &self,
         input: Option<BorrowedFd<'_>>,
@@ -43,7 +46,7 @@ impl Waker {
         self.wait_for(input.map(|input| (input, PollFlags::POLLIN)), timeout)
     }
 
-    /// The same, for other events than input: room to write in particular.
+    /// The same for other poll events, such as room to write.
     pub(super) fn wait_for(
         &self,
         events: Option<(BorrowedFd<'_>, PollFlags)>,
@@ -53,18 +56,18 @@ impl Waker {
             let millis = timeout.as_nanos().div_ceil(1_000_000);
             PollTimeout::try_from(millis).unwrap_or(PollTimeout::MAX)
         });
-        let bell = PollFd::new(self.reader.as_fd(), PollFlags::POLLIN);
-        let mut watched = Vec::from([bell]);
+        let wakeups = PollFd::new(self.reader.as_fd(), PollFlags::POLLIN);
+        let mut watched = Vec::from([wakeups]);
         watched.extend(events.map(|(source, events)| PollFd::new(source, events)));
         match poll(&mut watched, timeout) {
             Ok(_) | Err(Errno::EINTR) => {}
             Err(error) => return Err(error.into()),
         }
         let has_event = |at: usize| watched.get(at).and_then(PollFd::any) == Some(true);
-        let (bell_heard, is_ready) = (has_event(0), has_event(1));
-        if bell_heard {
+        let (was_woken, is_ready) = (has_event(0), has_event(1));
+        if was_woken {
             (&self.reader).read_exact(&mut [0])?;
-            self.rung.store(false, Ordering::Release);
+            self.is_woken.store(false, Ordering::Release);
         }
         Ok(is_ready)
     }
@@ -75,23 +78,23 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rings_once_however_often_it_is_rung() {
-        let bell = Waker::new().unwrap();
+    fn many_wakes_end_one_wait() {
+        let waker = Waker::new().unwrap();
         for _ in 0..100_000 {
-            bell.wake();
+            waker.wake();
         }
-        bell.wait(None, None).unwrap();
-        assert!(!bell.rung.load(Ordering::Acquire));
-        bell.wake();
-        bell.wait(None, None).unwrap();
+        waker.wait(None, None).unwrap();
+        assert!(!waker.is_woken.load(Ordering::Acquire));
+        waker.wake();
+        waker.wait(None, None).unwrap();
     }
 
     #[test]
-    fn hears_the_input() {
-        let bell = Waker::new().unwrap();
+    fn input_ends_the_wait() {
+        let waker = Waker::new().unwrap();
         let (reader, mut writer) = io::pipe().unwrap();
-        assert!(!bell.wait(Some(reader.as_fd()), Some(Duration::ZERO)).unwrap());
+        assert!(!waker.wait(Some(reader.as_fd()), Some(Duration::ZERO)).unwrap());
         writer.write_all(b"x").unwrap();
-        assert!(bell.wait(Some(reader.as_fd()), None).unwrap());
+        assert!(waker.wait(Some(reader.as_fd()), None).unwrap());
     }
 }

@@ -1,8 +1,8 @@
-//! Pauses between attempts that grow while nothing comes of them.
+//! Backoff: pauses between attempts to open a bus, which grow while attempts fail.
 
 use std::time::Duration;
 
-/// Gives a pause for each attempt: twice the one before, up to the longest.
+/// Pauses, each twice the one before, up to the longest.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::bus) struct Backoff {
     first: Duration,
@@ -22,8 +22,8 @@ impl Backoff {
         pause
     }
 
-    /// What was opened lasted so long. Only what lasts makes the pauses short again: a server
-    /// that takes everybody in and throws them out at once is not asked ten times a second.
+    /// Notes how long the opened bus lasted. The first pause applies again only if that is at least
+    /// the longest pause, so that a server that accepts and then closes is not tried every second.
     pub fn lasted(&mut self, time: Duration) {
         if time >= self.longest {
             self.next = self.first;
@@ -36,7 +36,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pauses_grow_until_something_lasts() {
+    fn pauses_grow_until_a_connection_lasts() {
         let seconds = Duration::from_secs;
         let mut backoff = Backoff::new(seconds(1), seconds(5));
         let pauses: Vec<_> = (0..5).map(|_| backoff.pause().as_secs()).collect();

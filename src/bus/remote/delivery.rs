@@ -1,5 +1,5 @@
-//! What came of a bus, put into its queue: frames with the bus's number and in the order of
-//! their times, the status, and what error reports say of losses.
+//! Delivery of a bus's frames and status into its receive queue: frames get the bus number and
+//! times that do not run backwards; error frames are counted in the status.
 
 use crate::bus::port::PortShared;
 use crate::error_report::ErrorReport;
@@ -8,12 +8,12 @@ use crate::status::BusStatus;
 use crate::time::Instant;
 use std::sync::Arc;
 
-/// The way from a bus's thread into its queue.
+/// The producer's side of a receive queue.
 #[derive(Debug)]
 pub(in crate::bus) struct Delivery {
     line: Arc<PortShared>,
     bus: BusIndex,
-    /// The time of the last frame: none is dated before it.
+    /// The time of the last frame; the next is not earlier.
     last: Instant,
 }
 
@@ -23,8 +23,8 @@ impl Delivery {
         Self { line, bus, last: Instant::ZERO }
     }
 
-    /// Delivers frames, and leaves `frames` empty; what error reports among them say is counted
-    /// in the status. The status goes first, so that nobody sees frames newer than it.
+    /// Delivers and empties `frames`; counts missing ACKs and controller overruns of error frames
+    /// in `status`. The status goes first: the consumer never sees frames newer than it.
     pub fn deliver(&mut self, frames: &mut Vec<Frame>, status: &mut BusStatus) {
         for frame in frames.iter_mut() {
             self.last = self.last.max(frame.time);
@@ -35,19 +35,19 @@ impl Delivery {
                 status.controller_overruns += u64::from(report.is_receive_overflow());
             }
         }
-        self.tell(status);
+        self.deliver_status(status);
         if !frames.is_empty() {
             self.line.queue.push(frames);
             frames.clear();
         }
     }
 
-    /// Says how the bus is. What the queue itself had no room for, it counts itself.
-    pub fn tell(&self, status: &BusStatus) {
-        self.line.queue.update_status(|told| {
-            let queue_drops = told.queue_drops;
-            told.clone_from(status);
-            told.queue_drops = queue_drops;
+    /// Delivers the status, except for `queue_drops`, which the queue counts.
+    pub fn deliver_status(&self, status: &BusStatus) {
+        self.line.queue.update_status(|current| {
+            let queue_drops = current.queue_drops;
+            current.clone_from(status);
+            current.queue_drops = queue_drops;
         });
     }
 }
@@ -57,7 +57,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn frames_are_numbered_ordered_and_counted() {
+    fn frames_get_bus_number_and_ordered_times() {
         let line = Arc::new(PortShared::new().unwrap());
         let mut delivery = Delivery::new(Arc::clone(&line), BusIndex(2));
         let at = |micros| Frame::classic(1, &[]).with_time(Instant::from_micros(micros));
@@ -75,10 +75,10 @@ mod tests {
     }
 
     #[test]
-    fn what_the_queue_has_lost_stays_counted() {
+    fn queue_drops_survive_a_status_update() {
         let line = Arc::new(PortShared::new().unwrap());
         line.queue.update_status(|status| status.queue_drops = 7);
-        Delivery::new(Arc::clone(&line), BusIndex(0)).tell(&BusStatus::default());
+        Delivery::new(Arc::clone(&line), BusIndex(0)).deliver_status(&BusStatus::default());
         assert_eq!(line.queue.status().queue_drops, 7);
     }
 }

@@ -1,15 +1,12 @@
-//! What buses share that no kernel driver stands behind: adapters and servers that are spoken to
-//! in messages.
+//! Shared parts of buses without a kernel driver: adapters and servers with a message protocol.
 //!
-//! * `stream`: the thread of a bus at the other end of a byte stream: opens it, moves bytes,
-//!   waits for it to come back.
-//! * `own_frames`: frames of ours until they are put back among those heard, as SocketCAN's echo
-//!   does.
-//! * `stamps`: the other end's time stamps on our clock.
-//! * `delivery`: frames and status into the queue.
-//! * `backoff`: how long to wait before the next attempt.
+//! * `stream`: the thread of a bus behind a byte stream: opens it, moves bytes, reconnects.
+//! * `tx_echo`: sent frames until they are received back, as SocketCAN's loopback does it.
+//! * `remote_clock`: timestamps of the adapter or server on descan's clock.
+//! * `delivery`: frames and status into the receive queue.
+//! * `backoff`: pauses between attempts.
 //!
-//! Does not know what the messages are.
+//! Does not know the messages.
 
 mod backoff;
 mod delivery;

@@ -1,21 +1,18 @@
-//! The time stamps of another clock, on ours.
+//! Maps timestamps of a remote clock (adapter, server) to descan's clock, in microseconds.
 //!
-//! Only their differences count: the other end's clock may be wrong by years and may be set. The
-//! frame that was the fastest to reach us in the last ten to twenty seconds says how the clocks
-//! stand to each other, and every other is as late as its stamp says: so what a line, a
-//! USB adapter or a network held back and delivered together is dated as far apart as it was on
-//! the bus. Dated by its arrival, a heartbeat would seem to shake by as much, and two senders
-//! could not be told by their rhythms.
+//! The least delayed frame of the last 10 to 20 s sets the offset; all others keep their distance to
+//! it. So buffering on USB or TCP does not appear as heartbeat jitter. Only differences count: the
+//! remote clock may have any origin. A clock that jumps back restarts the window.
 
 use crate::time::{Duration, Instant};
 
-/// How long the fastest frame counts; twice that at most. The clocks drift apart by less than
-/// a few milliseconds meanwhile.
+/// How long the least delayed frame counts; twice that at most. Two clocks drift apart by less than
+/// a few milliseconds in that time.
 const WINDOW: Duration = Duration::from_secs(10);
-/// A frame that is later than this was not late: the other clock was set back.
+/// Microseconds. A larger delay means that the remote clock was set back.
 const MAX_DELAY: i64 = 5_000_000;
 
-/// Another clock as far as its stamps show it.
+/// The offset of a remote clock, as far as its timestamps show it.
 #[derive(Debug, Default)]
 pub(in crate::bus) struct RemoteClock {
     window: Instant,
@@ -26,7 +23,8 @@ pub(in crate::bus) struct RemoteClock {
 }
 
 impl RemoteClock {
-    /// When a frame was on the bus that arrived now, with a stamp in microseconds of any origin.
+    /// The time at which a frame was on the bus: its timestamp, in microseconds of any origin, on
+    /// descan's clock. Never later than `arrival`.
     pub fn to_local_time(&mut self, stamp_micros: i64, arrival: Instant) -> Instant {
         if arrival.since(self.window) >= WINDOW {
             self.window = arrival;
@@ -55,7 +53,7 @@ mod tests {
     }
 
     #[test]
-    fn what_comes_late_and_together_is_dated_apart() {
+    fn frames_delivered_together_keep_their_distance() {
         let mut clock = RemoteClock::default();
         let offset = 1_700_000_000_000_000;
         // On the bus at 100, 110, 120 ms; 2 ms of way, then a line that delivers at 150 ms.
@@ -65,7 +63,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_is_set_is_believed_again() {
+    fn clock_that_was_set_is_followed_again() {
         let mut clock = RemoteClock::default();
         assert_eq!(clock.to_local_time(50_000_000, at(1_000)), at(1_000));
         // Set forward: at once.
@@ -78,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn stamps_that_lie_date_nothing_into_the_future() {
+    fn wrong_timestamps_never_give_a_future_time() {
         let mut clock = RemoteClock::default();
         for (step, stamp) in (0..).zip([0, i64::MAX, i64::MIN, 5, i64::MAX, 0]) {
             let arrival = at(step * 100);

@@ -327,7 +327,7 @@ impl<E: Endpoint, D: Protocol> StreamWorker<E, D> {
 
     fn refuse_posted(&mut self) {
         self.exchange.status.transmit_failures += self.tx.clear();
-        self.delivery.tell(&self.exchange.status);
+        self.delivery.deliver_status(&self.exchange.status);
     }
 
     fn deliver(&mut self) {

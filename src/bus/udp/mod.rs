@@ -112,7 +112,7 @@ impl Multicast {
             Ok(sockets) => {
                 self.was_there = true;
                 (self.status.link, self.status.message) = (Link::Up, None);
-                self.delivery.tell(&self.status);
+                self.delivery.deliver_status(&self.status);
                 Some(sockets)
             }
             Err(error) => {
@@ -156,7 +156,7 @@ impl Multicast {
         };
         self.status.link = if self.was_there { Link::Unplugged } else { Link::Down };
         self.status.message = Some(message);
-        self.delivery.tell(&self.status);
+        self.delivery.deliver_status(&self.status);
     }
 
     /// Moves frames until the group is not reached any more or the port is dropped.
@@ -236,7 +236,7 @@ impl Multicast {
         let refused = self.tx.clear();
         if refused > 0 {
             self.status.transmit_failures += refused;
-            self.delivery.tell(&self.status);
+            self.delivery.deliver_status(&self.status);
         }
     }
 }
