@@ -6,7 +6,7 @@ use super::buses::{Bus, TxBlocked, is_up, lost};
 use super::traffic::hex;
 
 use super::timeline::{TimelineEntry, TimelineKind};
-use super::{App, Change, Effect, ProblemKey};
+use super::{App, AppEvent, Change, Effect, ProblemKey};
 use crate::discovery::{
     Confidence, ConflictParty, DeviceId, Event, EventKind, Finding, FindingKey, Presence,
 };
@@ -17,23 +17,6 @@ use crate::time::Instant;
 use crate::wire::id::Address;
 use crate::wire::node::{Mode, Uid};
 use std::collections::BTreeMap;
-
-/// Something that happened, for those who watch without a screen.
-#[derive(Clone, Debug)]
-pub enum AppEvent {
-    /// Anything at all, in the words of the timeline, each line as often as it happens; what
-    /// it says in words comes as a value beside it.
-    Line(TimelineEntry),
-    /// To a device or on a bus; findings come as [`Happening::Finding`].
-    Event(BusIndex, Event),
-    /// A finding, the engine's or one of comparing file and bus: it appeared, its confidence
-    /// changed, or it is gone (cleared).
-    Finding(Instant, Box<Finding>),
-    /// To a bus: link, bit rate, state, frames lost.
-    Bus(BusIndex, Instant),
-    /// To des.json.
-    File(Instant),
-}
 
 /// A line that is about to be told, or to become part of one.
 struct TimelineDraft {
@@ -53,7 +36,7 @@ impl App {
                 self.take_event(BusIndex(index as u8), event, &mut lines);
             }
             for line in lines.into_iter().filter(|line| line.is_told) {
-                self.report(AppEvent::Line(line.entry));
+                self.report(self.line_event(&line.entry));
             }
         }
         if any {
@@ -107,9 +90,9 @@ impl App {
                 .cloned()
                 .unwrap_or_else(|| Finding::new(key.clone(), event.time));
             finding.confidence = *confidence;
-            self.report(AppEvent::Finding(event.time, Box::new(finding)));
-        } else {
-            self.report(AppEvent::Event(bus, event));
+            self.report(self.finding_event(finding, event.time));
+        } else if let Some(event) = self.engine_event(bus, event) {
+            self.report(event);
         }
     }
 
@@ -171,8 +154,8 @@ impl App {
             line.address = finding.key.address;
             line.name.clone_from(&finding.key.name);
             if self.is_of_interest(&line, &finding.addresses) {
-                self.report(AppEvent::Line(line));
-                self.report(AppEvent::Finding(now, Box::new(finding)));
+                self.report(self.line_event(&line));
+                self.report(self.finding_event(finding, now));
             }
         }
     }
@@ -180,7 +163,7 @@ impl App {
     /// A line of the timeline, which `watch` tells too.
     pub(super) fn report_line(&mut self, line: TimelineEntry) {
         if self.report && self.is_of_interest(&line, &[]) {
-            self.report(AppEvent::Line(line.clone()));
+            self.report(self.line_event(&line));
         }
         self.timeline.push(line);
     }
@@ -354,8 +337,11 @@ impl App {
             let line = TimelineEntry::new(now, kind, text).on(index);
             self.report_line(line);
         }
-        if is_news {
-            self.report(AppEvent::Bus(index, now));
+        if is_news
+            && self.report
+            && let Some(event) = self.bus_event(index, now)
+        {
+            self.report(event);
         }
         let Some(bus) = self.buses.get_mut(usize::from(index.0)) else { return };
         if goes_down {
@@ -473,6 +459,7 @@ impl App {
             is_told |= self.is_of_interest(&line, &[]);
             self.report_line(line);
         }
+        let is_told = is_told && self.report;
         if let Some(excerpt) = self.file.problem().filter(|_| change == Change::Broken)
             && let Some(lines) = excerpt.excerpt()
         {
@@ -480,13 +467,13 @@ impl App {
             for text in lines {
                 let line = TimelineEntry::new(self.now, TimelineKind::Error, text);
                 if is_told {
-                    self.report(AppEvent::Line(line.clone()));
+                    self.report(self.line_event(&line));
                 }
                 self.timeline.push(line);
             }
         }
         if is_told {
-            self.report(AppEvent::File(self.now));
+            self.report(AppEvent::File(self.now, self.file_snapshot()));
         }
         self.leave_conflict_that_is_over(change);
         if change != Change::Broken {

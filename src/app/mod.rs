@@ -26,6 +26,7 @@
 //! ```
 
 mod actions;
+mod app_event;
 mod bitrate;
 mod buses;
 mod capture;
@@ -51,11 +52,13 @@ mod traffic;
 mod type_ahead;
 mod view;
 
+pub use app_event::{
+    AppEvent, BusSnapshot, DeviceEvent, EventContext, EventLine, FileSnapshot,
+};
 pub use buses::{Bus, LoadMeter, LoadSecond, TxBlocked};
 pub use capture::{Capture, IdentifierKey, IdentifierKind, IdentifierStats};
 pub use cursor::Cursor;
 pub use devices::concerns;
-pub use events::AppEvent;
 pub use evidence::EvidenceView;
 pub use file::{Change, EditRefusal, FileProblem, FileReading, FileState, SaveOutcome, Saving};
 pub use filter::{FILTER_FIELDS, FILTER_WORDS, Filter, FilterField};

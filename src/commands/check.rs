@@ -1,7 +1,7 @@
 //! `descan check`: whether a bus is what des.json says. Looks as `scan` does, and prints the
 //! differences.
 
-use super::headless::{self, Limits, RunOutcome, warn_tx_blocked};
+use super::headless::{self, Limits, RunOutcome, warn_all_tx_blocked};
 use super::open::{self, Setup};
 use super::report::{self, ScanReport};
 use super::scan::{DEFAULT_TIME, is_settled, look};
@@ -44,9 +44,7 @@ pub fn run(check: &CheckArgs) -> Result<u8, Failure> {
         let why = "timed out before all responses arrived; use a longer --time";
         let _ = writeln!(io::stderr(), "descan: {why}");
     }
-    for at in 0..app.buses().len() {
-        warn_tx_blocked(&app, crate::frame::BusIndex(at as u8));
-    }
+    warn_all_tx_blocked(&app, now);
     let report = ScanReport::new(&app, now, Scope::Check);
     let text = if check.json { report.json() } else { differences(&app, now) };
     print(text.as_bytes())?;
@@ -81,7 +79,7 @@ impl FileGate {
 fn has_file(app: &App) -> Result<(), Failure> {
     let file = app.file();
     let path = || report::path_of(app);
-    if let Some(text) = report::of_file(app).problem {
+    if let Some(text) = report::of_file(app.file_snapshot()).problem {
         return Err(Failure::Unusable(text));
     }
     if !file.is_there() {

@@ -3,9 +3,8 @@
 
 use super::Failure;
 use super::open::{self, Setup};
-use crate::app::{App, AppOptions, Bus, TxBlocked};
+use crate::app::{App, AppOptions, Bus, BusSnapshot, TxBlocked};
 use crate::bus::{self, BusSpec, UdpAddress};
-use crate::discovery::OwnAddress;
 use crate::frame::BusIndex;
 use crate::log::LogSummary;
 use crate::shell::log_session::{LogPace, LogRange, LogSession, LogWake, Read};
@@ -189,39 +188,44 @@ fn cause(bus: &Bus) -> String {
     }
 }
 
-/// Says on standard error what keeps us from asking on a bus: its controller is off, its adapter
-/// does not answer, nobody acknowledges, or we have no address.
-pub fn warn_tx_blocked(app: &App, index: BusIndex) {
-    let Some(bus) = app.bus(index) else { return };
-    let say = |why: &str| {
+/// Prints on standard error why descan cannot transmit on a bus: controller off, adapter without
+/// responses, no acknowledgement, no own address.
+pub fn warn_tx_blocked(bus: &BusSnapshot) {
+    let warn = |why: &str| {
         let _ = writeln!(io::stderr(), "descan: {}: {why}", bus.name);
     };
-    if bus.status.link == Link::Up && !bus.is_up() {
+    if bus.status.link == Link::Up && !bus.is_up {
         let why = bus.status.message.as_deref().unwrap_or(bus.status.state.name());
-        say(why.strip_prefix(&bus.name).map_or(why, str::trim_start));
-    } else if bus.status.unanswered && bus.is_up() {
-        say("the adapter answered no command: is it slcan, is the baud rate right?");
+        warn(why.strip_prefix(&bus.name).map_or(why, str::trim_start));
+    } else if bus.status.unanswered && bus.is_up {
+        warn("the adapter answered no command: is it slcan, is the baud rate right?");
     } else {
-        match (bus.tx_blocked(), bus.name.parse()) {
+        match (bus.tx_blocked, bus.name.parse()) {
             (None, _) => {}
-            (Some(TxBlocked::QueueFull), _) => {
-                say("transmit queue stuck: is another node on, at the \
-                 same bit rate? Does the adapter still work? See: ip -statistics link")
-            }
-            // There is no cable that could be wrong.
-            (_, Ok(BusSpec::Udp(UdpAddress { group, .. }))) => say(&format!(
+            (Some(TxBlocked::QueueFull), _) => warn(
+                "transmit queue stuck: is another node on, at the \
+                 same bit rate? Does the adapter still work? See: ip -statistics link",
+            ),
+            // No cable is involved.
+            (_, Ok(BusSpec::Udp(UdpAddress { group, .. }))) => warn(&format!(
                 "own datagrams are not received back; does a route lead to {group} (ip route get \
                  {group}), and does its interface have multicast?"
             )),
-            _ => say("no ACK on the bus; is another node on, at the same bit rate, and are \
-                 both ends terminated?"),
+            _ => warn(
+                "no ACK on the bus; is another node on, at the same bit rate, and are \
+                 both ends terminated?",
+            ),
         }
     }
-    if let OwnAddress::Blocked(wanted) = bus.engine.own_address()
-        && let Some(why) = app.why_no_address(index, wanted)
-    {
-        say(&why);
+    if let Some(why) = &bus.why_no_address {
+        warn(why);
     }
+}
+
+/// The same for all buses, at the end of a run.
+pub fn warn_all_tx_blocked(app: &App, now: Instant) {
+    let buses = (0..=u8::MAX).map_while(|at| app.bus_snapshot(BusIndex(at), now));
+    buses.for_each(|bus| warn_tx_blocked(&bus));
 }
 
 /// A log that ends before `--from` is an error, not a log without devices.

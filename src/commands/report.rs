@@ -2,11 +2,11 @@
 //!
 //! The JSON's names, types and meanings are relied on by scripts. What is not known is null.
 
-use crate::app::{App, Bus, Redundancy, RedundantDevice, Scope};
+use crate::app::{App, Bus, BusSnapshot, FileSnapshot, Redundancy, RedundantDevice, Scope};
 use crate::bitrate::kbit;
 use crate::discovery::{Device, DeviceService, OwnAddress};
 use crate::finding::{Confidence, CountsFor, Evidence, Finding};
-use crate::frame::Frame;
+use crate::frame::{BusIndex, Frame};
 use crate::status::Link;
 use crate::text::Name;
 use crate::time::{Duration, Epoch, Instant};
@@ -164,13 +164,20 @@ impl ScanReport {
             let severity = Reverse(finding.key.kind.severity());
             (finding.first, confidence, severity, finding.key.clone())
         });
-        let findings = findings.iter().map(|it| of_finding(app, epoch, it, scope)).collect();
+        let findings = findings.iter().map(|it| {
+            let bus = it.key.bus.and_then(|index| app.bus(index)).map(|bus| bus.name.clone());
+            of_finding(bus, epoch, it, scope)
+        });
+        let findings = findings.collect();
         Self {
             descan: env!("CARGO_PKG_VERSION"),
-            buses: app.buses().iter().map(|bus| of_bus(bus, now)).collect(),
+            buses: (0..=u8::MAX)
+                .map_while(|at| app.bus_snapshot(BusIndex(at), now))
+                .map(of_bus)
+                .collect(),
             devices,
             findings,
-            file: of_file(app),
+            file: of_file(app.file_snapshot()),
         }
     }
 
@@ -304,26 +311,23 @@ pub(super) fn counted(count: u64, what: &str) -> String {
     format!("{count} {what}{}", if count == 1 { "" } else { "s" })
 }
 
-pub(super) fn of_bus(bus: &Bus, now: Instant) -> BusReport {
-    let counters = bus.engine.counters();
-    let bitrate = bus.status.bitrate.filter(|_| !bus.status.filtered);
-    let load = bitrate.map(|bitrate| bus.meter.mean_load(now, bitrate));
-    // What we wrote to an adapter that says nothing was perhaps never on a bus.
-    let (frames, load, address) = match bus.engine.own_address() {
+pub(super) fn of_bus(bus: BusSnapshot) -> BusReport {
+    // Frames written to an adapter that never responded may not have reached a bus.
+    let (frames, load, address) = match bus.own_address {
         _ if bus.status.unanswered => (0, None, None),
-        OwnAddress::Held(address) => (counters.frames, load, Some(address.number())),
-        _ => (counters.frames, load, None),
+        OwnAddress::Held(address) => (bus.counters.frames, bus.mean_load, Some(address.number())),
+        _ => (bus.counters.frames, bus.mean_load, None),
     };
     BusReport {
-        name: bus.name.clone(),
+        name: bus.name,
         bitrate: bus.status.bitrate,
         state: match bus.status.link {
             Link::Down | Link::Missing | Link::Unplugged | Link::NotCan | Link::NoKernel => "down",
             _ => bus.status.state.name(),
         },
         frames,
-        errors: counters.errors,
-        lost: bus.lost(),
+        errors: bus.counters.errors,
+        lost: bus.lost,
         load: load.map(|load| (load * 1000.0).round() / 1000.0),
         address,
         lost_where: LostReport {
@@ -409,17 +413,17 @@ fn of_entry(app: &App, device: &Device) -> EntryReport {
     }
 }
 
+/// A finding; `bus` is the name of its bus.
 pub(super) fn of_finding(
-    app: &App,
+    bus: Option<String>,
     epoch: Epoch,
     finding: &Finding,
     scope: Scope,
 ) -> FindingReport {
-    let bus = finding.key.bus.and_then(|index| app.bus(index));
     FindingReport {
         kind: finding.key.kind.name(),
         confidence: finding.confidence.name(),
-        bus: bus.map(|bus| bus.name.clone()),
+        bus,
         address: finding.key.address.map(crate::wire::id::Address::number),
         addresses: finding.addresses.iter().map(|address| address.number()).collect(),
         names: finding.names.iter().map(ToString::to_string).collect(),
@@ -444,19 +448,17 @@ fn of_evidence(epoch: Epoch, piece: &Evidence) -> EvidenceReport {
     }
 }
 
-pub(super) fn of_file(app: &App) -> FileReport {
-    let file = app.file();
-    let error = file.problem().map(ToString::to_string);
-    let path = path_of(app);
-    let problem = file.problem().map(|problem| {
+pub(super) fn of_file(file: FileSnapshot) -> FileReport {
+    let path = file.path.as_deref().map(shown).unwrap_or_default();
+    let problem = file.problem.as_ref().map(|problem| {
         let excerpt = problem.excerpt().into_iter().flatten();
         excerpt.fold(problem.of_file(&path), |text, line| text + "\n    " + &line)
     });
     FileReport {
         path,
-        ok: if problem.is_some() { Some(false) } else { file.is_there().then_some(true) },
-        entries: file.is_there().then(|| file.document().entries().len()),
-        error,
+        ok: if problem.is_some() { Some(false) } else { file.entries.map(|_| true) },
+        entries: file.entries,
+        error: file.problem.as_ref().map(ToString::to_string),
         problem,
     }
 }

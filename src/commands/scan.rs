@@ -1,7 +1,7 @@
 //! `descan scan`: one enumeration, printed. On a live bus it ends when everything is known; a
 //! log is read to its end as fast as it can be, by its own clock.
 
-use super::headless::{self, Limits, RunOutcome, warn_tx_blocked, why_not_open, why_unusable};
+use super::headless::{self, Limits, RunOutcome, warn_all_tx_blocked, why_not_open, why_unusable};
 use super::open::{self, Setup};
 use super::report::ScanReport;
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, print};
@@ -10,7 +10,6 @@ use crate::bus::BusSpec;
 use crate::cli::ScanArgs;
 use crate::discovery::DiscoveryProgress;
 use crate::document::{Document, Operation};
-use crate::frame::BusIndex;
 use crate::shell::log_session::LogPace;
 use crate::shell::stop::StopReason;
 use crate::shell::store::Store;
@@ -52,7 +51,7 @@ pub fn run(scan: &ScanArgs) -> Result<u8, Failure> {
     if ending == Some(StopReason::Interrupted) {
         return Ok(EXIT_INTERRUPTED);
     }
-    (0..app.buses().len()).for_each(|at| warn_tx_blocked(&app, BusIndex(at as u8)));
+    warn_all_tx_blocked(&app, now);
     let report = ScanReport::new(&app, now, Scope::Screen);
     let text = if scan.json { report.json() } else { report.tables() };
     print(text.as_bytes())?;

@@ -9,16 +9,18 @@ use super::report::{
     BusReport, FileReport, FindingReport, ServiceReport, of_bus, of_file, of_finding, of_services,
 };
 use super::{EXIT_OK, Failure, print};
-use crate::app::{App, AppEvent, AppOptions, Filter, Scope, TimelineEntry, clock_millis, hex};
+use crate::app::{
+    App, AppEvent, AppOptions, DeviceEvent, EventLine, Filter, Scope, clock_millis, hex,
+};
 use crate::cli::WatchArgs;
-use crate::discovery::{Event, EventKind, Finding, Presence};
-use crate::frame::{BusIndex, IdPattern};
+use crate::discovery::{EventKind, Finding, Presence};
+use crate::frame::IdPattern;
 use crate::shell::log_session::LogPace;
 use crate::shell::session::Session;
 use crate::shell::stop::StopReason;
 use crate::status::Link;
 use crate::text::printable;
-use crate::time::Instant;
+use crate::time::{Epoch, Instant};
 use crate::wire::id::{Address, Header};
 use crate::wire::node::Mode;
 use anyhow::Context;
@@ -45,13 +47,15 @@ pub fn run(watch: &WatchArgs) -> Result<u8, Failure> {
     let mut event_writer = EventWriter { json: watch.json, text: Vec::new() };
     if let Some(log) = open::log(&buses, "watch", watch.from)? {
         let pace = watch.session.speed.map(LogPace::Timed);
-        headless::recorded(log, &setup, options, (pace, limits), |app| event_writer.tell(app))?;
+        headless::recorded(log, &setup, options, (pace, limits), |app| {
+            event_writer.write_events(app)
+        })?;
     } else {
         let mut patience = StartupGate::default();
         let outcome = headless::live(&buses, &setup, options, limits, |session| {
             // What cannot be used from the start is told as that, and nothing else.
             if patience.check(session)? {
-                event_writer.tell(&mut session.app)?;
+                event_writer.write_events(&mut session.app)?;
             }
             Ok(ControlFlow::Continue(()))
         })?;
@@ -116,22 +120,18 @@ struct EventWriter {
 }
 
 impl EventWriter {
-    /// Tells what happened since it was called last.
-    fn tell(&mut self, app: &mut App) -> Result<(), Failure> {
+    /// Prints the events that wait in `app`. Every value is as of its event.
+    fn write_events(&mut self, app: &mut App) -> Result<(), Failure> {
         self.text.clear();
-        while let Some(happening) = app.poll_app_event() {
-            match (self.json, &happening) {
-                (false, AppEvent::Line(line)) => {
-                    self.text.extend_from_slice(in_words(app, line).as_bytes());
+        while let Some(event) = app.poll_app_event() {
+            if self.json {
+                if let Some(value) = as_value(app.epoch(), event) {
+                    serde_json::to_writer(&mut self.text, &value).context("JSON")?;
                     self.text.push(b'\n');
                 }
-                (false, _) => {}
-                (true, _) => {
-                    if let Some(told) = as_value(app, happening) {
-                        serde_json::to_writer(&mut self.text, &told).context("JSON")?;
-                        self.text.push(b'\n');
-                    }
-                }
+            } else if let AppEvent::Line(line) = event {
+                let time = clock_millis(app, line.time);
+                self.text.extend_from_slice(text_line(&time, &line).as_bytes());
             }
         }
         if !self.text.is_empty() {
@@ -141,28 +141,15 @@ impl EventWriter {
     }
 }
 
-// --- in words -------------------------------------------------------------------------------
+// --- as text --------------------------------------------------------------------------------
 
-/// `07:08:55.123 can0   12 FEED        identified as FEED`: the bus where there are several.
-fn in_words(app: &App, line: &TimelineEntry) -> String {
-    const NAME: usize = 12;
-    let bus = line.bus.and_then(|index| app.bus(index)).map_or("", |bus| &bus.name);
-    let name = app.name_on_line(line).map(ToString::to_string);
-    let several = app.buses().len() > 1;
-    let who = match (line.address, name) {
-        (Some(address), name) => format!("{address:>3} {}", name.as_deref().unwrap_or("?")),
-        (None, Some(name)) => name,
-        (None, None) if line.bus.is_none() => app.file().name(),
-        (None, None) if several => String::new(),
-        (None, None) => bus.to_owned(),
-    };
-    let mut text = clock_millis(app, line.time);
-    if several {
-        let width = app.buses().iter().map(|bus| bus.name.width()).max().unwrap_or(0);
-        text = format!("{text} {bus}{}", " ".repeat(width.saturating_sub(bus.width())));
-    }
-    let space = " ".repeat((4 + NAME).saturating_sub(who.width()));
-    format!("{text} {who}{space} {}", line.text)
+/// `07:08:55.123 can0   12 FEED        identified as FEED`: the bus column if there are several.
+fn text_line(time: &str, line: &EventLine) -> String {
+    /// Address, space and name, in columns.
+    const SOURCE: usize = 16;
+    let bus = line.bus_column.as_ref().map_or(String::new(), |bus| format!(" {bus}"));
+    let space = " ".repeat(SOURCE.saturating_sub(line.source.width()));
+    format!("{time}{bus} {}{space} {}\n", line.source, line.text)
 }
 
 // --- as JSON --------------------------------------------------------------------------------
@@ -228,32 +215,39 @@ enum EventDetails {
     },
 }
 
-fn as_value(app: &App, happening: AppEvent) -> Option<JsonEvent> {
-    let time = |at: Instant| app.epoch().unix_secs(at);
-    Some(match happening {
+fn as_value(epoch: Epoch, event: AppEvent) -> Option<JsonEvent> {
+    let time = |at: Instant| epoch.unix_secs(at);
+    Some(match event {
         AppEvent::Line(_) => return None,
-        AppEvent::Event(bus, event) => return of_event(app, bus, event),
-        AppEvent::Finding(at, finding) => {
-            JsonEvent { time: time(at), event: "finding", what: what_finding(app, &finding) }
+        AppEvent::Event(event) => return of_event(epoch, *event),
+        AppEvent::Finding(context, finding) => {
+            let what = what_finding(context.bus, epoch, &finding);
+            JsonEvent { time: time(context.time), event: "finding", what }
         }
-        AppEvent::Bus(bus, at) => of_bus_now(app, bus, at)?,
-        AppEvent::File(at) => JsonEvent {
-            time: time(at),
-            event: "file",
-            what: EventBody::File { file: of_file(app) },
-        },
+        AppEvent::Bus(at, bus) => {
+            JsonEvent { time: time(at), event: "bus", what: EventBody::Bus { bus: of_bus(*bus) } }
+        }
+        // Not an event for scripts; the warning is for people.
+        AppEvent::TxBlocked(bus) => {
+            headless::warn_tx_blocked(&bus);
+            return None;
+        }
+        AppEvent::File(at, file) => {
+            let what = EventBody::File { file: of_file(file) };
+            JsonEvent { time: time(at), event: "file", what }
+        }
     })
 }
 
-fn of_event(app: &App, bus: BusIndex, event: Event) -> Option<JsonEvent> {
+fn of_event(
+    epoch: Epoch,
+    DeviceEvent { context, event, services }: DeviceEvent,
+) -> Option<JsonEvent> {
     let (word, more) = match event.kind {
         EventKind::Appeared => ("appeared", EventDetails::Nothing {}),
         EventKind::Named => ("named", EventDetails::Nothing {}),
         EventKind::Services { changed, .. } => {
-            let device = event.device.and_then(|id| app.device(id));
-            let services = device.and_then(|device| device.services.as_deref());
-            let services = of_services(services.unwrap_or_default());
-            ("services", EventDetails::Services { services, changed })
+            ("services", EventDetails::Services { services: of_services(&services), changed })
         }
         EventKind::Mode { from, to } => {
             ("mode", EventDetails::Mode { mode: to.name(), from: from.map(Mode::name) })
@@ -267,18 +261,13 @@ fn of_event(app: &App, bus: BusIndex, event: Event) -> Option<JsonEvent> {
         EventKind::Debug { code, data } => {
             ("debug", EventDetails::Debug { code, data: hex(&data, "") })
         }
-        // The bus says which address is ours.
-        EventKind::OwnAddress(_) | EventKind::OwnAddressLost(_) => {
-            return of_bus_now(app, bus, event.time);
-        }
-        // No event of those that scripts know; but whoever reads the words should.
-        EventKind::NobodyAcknowledges | EventKind::NoAddress(_) => {
-            headless::warn_tx_blocked(app, bus);
-            return None;
-        }
-        // Findings come as values of their own, and who is online again has returned. The others are
-        // no events that scripts know: what comes of a claim is.
+        // Findings and bus states are events of their own, `returned` reports a device that is
+        // online again, and the outcome of an address claim follows it.
         EventKind::Finding { .. }
+        | EventKind::OwnAddress(_)
+        | EventKind::OwnAddressLost(_)
+        | EventKind::NoAddress(_)
+        | EventKind::NobodyAcknowledges
         | EventKind::Presence(_)
         | EventKind::Claimed { .. }
         | EventKind::GaveWay { .. }
@@ -286,28 +275,23 @@ fn of_event(app: &App, bus: BusIndex, event: Event) -> Option<JsonEvent> {
         | EventKind::Acknowledged => return None,
     };
     let what = EventBody::Device {
-        bus: app.bus(bus).map(|bus| bus.name.clone()),
+        bus: context.bus,
         address: event.address.map(Address::number),
         name: event.name.as_ref().map(ToString::to_string),
         more,
     };
-    Some(JsonEvent { time: app.epoch().unix_secs(event.time), event: word, what })
+    Some(JsonEvent { time: epoch.unix_secs(context.time), event: word, what })
 }
 
-fn what_finding(app: &App, finding: &Finding) -> EventBody {
+fn what_finding(bus: Option<String>, epoch: Epoch, finding: &Finding) -> EventBody {
     let name = match &finding.names[..] {
         [only] => Some(only.to_string()),
         _ => None,
     };
     EventBody::Finding {
-        bus: finding.key.bus.and_then(|index| app.bus(index)).map(|bus| bus.name.clone()),
+        bus: bus.clone(),
         address: finding.key.address.map(Address::number),
         name,
-        finding: of_finding(app, app.epoch(), finding, Scope::Screen),
+        finding: of_finding(bus, epoch, finding, Scope::Screen),
     }
-}
-
-fn of_bus_now(app: &App, bus: BusIndex, at: Instant) -> Option<JsonEvent> {
-    let bus = of_bus(app.bus(bus)?, at);
-    Some(JsonEvent { time: app.epoch().unix_secs(at), event: "bus", what: EventBody::Bus { bus } })
 }
