@@ -1,5 +1,4 @@
-//! How strings of bytes that come from devices and files are shown: nothing of them can steer a
-//! terminal.
+//! Display of untrusted bytes from devices and files without control characters (protocol §2.4).
 //!
 //! Does not know where the text goes or how wide it may be.
 
@@ -7,7 +6,8 @@ use std::fmt;
 use std::sync::Arc;
 use unicode_general_category::{GeneralCategory, get_general_category};
 
-/// Whether a character may be shown as it is: all but Unicode's Cc, Cf, Zl, Zp, Co and Cn.
+/// Returns true if a character is shown unchanged: all but the Unicode categories Cc, Cf, Zl, Zp,
+/// Co and Cn.
 pub fn is_printable(c: char) -> bool {
     if c.is_ascii() {
         return !c.is_ascii_control();
@@ -24,8 +24,8 @@ pub fn is_printable(c: char) -> bool {
     )
 }
 
-/// Bytes shown as text: UTF-8 where it is valid and printable, `\xNN` for every other byte,
-/// `\\` for a backslash. Reversible.
+/// Bytes displayed as text: valid, printable UTF-8 unchanged, `\xNN` for any other byte, `\\` for a
+/// backslash. Reversible.
 #[derive(Clone, Copy)]
 pub struct Escaped<'a>(pub &'a [u8]);
 
@@ -49,7 +49,7 @@ impl fmt::Display for Escaped<'_> {
     }
 }
 
-/// A name in a sentence: [`Escaped`], in quotes where nothing of it would be seen.
+/// A name in a sentence: [`Escaped`], in quotes if it has no visible character.
 #[derive(Clone, Copy)]
 pub struct Quoted<'a>(pub &'a [u8]);
 
@@ -62,13 +62,13 @@ impl fmt::Display for Quoted<'_> {
     }
 }
 
-/// [`Escaped`], as a string.
+/// Returns the bytes as [`Escaped`] text.
 pub fn printable(bytes: &[u8]) -> String {
     Escaped(bytes).to_string()
 }
 
-/// A message on one line: TOML's errors draw the place on several, of which the first says where and
-/// the last says what.
+/// Returns a message on one line, printable. Of several lines, as in the errors of TOML, the first
+/// (the position) and the last (the cause) are kept.
 pub fn on_one_line(message: &str) -> String {
     let lines: Vec<&str> = message.lines().filter(|line| !line.trim().is_empty()).collect();
     match lines[..] {
@@ -82,27 +82,27 @@ fn hex_escapes(f: &mut fmt::Formatter<'_>, bytes: &[u8]) -> fmt::Result {
     bytes.iter().try_for_each(|byte| write!(f, "\\x{byte:02X}"))
 }
 
-/// The name a device gave itself: any bytes but 0. Cheap to clone; equal when the bytes are.
+/// A device's name: any bytes but 0. Cheap to clone.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Name(Arc<[u8]>);
 
 impl Name {
-    /// The name with these bytes.
+    /// Creates a name from its bytes.
     pub fn new(bytes: &[u8]) -> Self {
         Self(bytes.into())
     }
 
-    /// Its bytes.
+    /// Returns the bytes.
     pub fn as_bytes(&self) -> &[u8] {
         &self.0
     }
 
-    /// The name in a sentence, or in a place of its own.
+    /// Returns the name for display, in quotes if it has no visible character.
     pub fn quoted(&self) -> Quoted<'_> {
         Quoted(&self.0)
     }
 
-    /// Its bytes as hexadecimal digits, exact.
+    /// Returns the bytes as hexadecimal digits.
     pub fn hex(&self) -> String {
         use fmt::Write;
         self.0.iter().fold(String::new(), |mut hex, byte| {
@@ -118,7 +118,7 @@ impl From<&str> for Name {
     }
 }
 
-/// Escaped as [`Escaped`] says: safe for a terminal.
+/// As [`Escaped`]: safe on a terminal.
 impl fmt::Display for Name {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if f.width().is_none() && f.precision().is_none() {
@@ -140,7 +140,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn nothing_that_steers_a_terminal_passes() {
+    fn control_characters_are_escaped() {
         let shown = |bytes: &[u8]| Escaped(bytes).to_string();
         assert_eq!(shown("Котёл".as_bytes()), "Котёл");
         assert_eq!(shown(b"\x1b]0;x\x07"), "\\x1B]0;x\\x07");
@@ -150,12 +150,12 @@ mod tests {
     }
 
     #[test]
-    fn a_name_of_which_nothing_is_seen_is_quoted() {
-        let called = |name: &[u8]| Quoted(name).to_string();
-        assert_eq!(called(b""), "\"\"");
-        assert_eq!(called("  \u{3000}".as_bytes()), "\"  \u{3000}\"");
-        assert_eq!(called(b"\t"), "\"\\x09\"");
-        assert_eq!(called(b"A B"), "A B");
-        assert_eq!(called(b"\xff"), "\\xFF");
+    fn name_without_visible_character_is_quoted() {
+        let quoted = |name: &[u8]| Quoted(name).to_string();
+        assert_eq!(quoted(b""), "\"\"");
+        assert_eq!(quoted("  \u{3000}".as_bytes()), "\"  \u{3000}\"");
+        assert_eq!(quoted(b"\t"), "\"\\x09\"");
+        assert_eq!(quoted(b"A B"), "A B");
+        assert_eq!(quoted(b"\xff"), "\\xFF");
     }
 }

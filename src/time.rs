@@ -1,7 +1,7 @@
-//! Time as the program sees it: microseconds since a start, passed in and never asked for.
+//! Moments and durations, in microseconds since a start.
 //!
-//! Knows nothing of clocks. Where a wall clock is wanted (printing, logs, JSON), an
-//! [`Epoch`] says which Unix time the start was.
+//! Time is an argument everywhere: no clock is read here. For wall-clock time (display, logs,
+//! JSON), an [`Epoch`] has the Unix time of the start.
 
 use core::fmt;
 use core::ops::{Add, AddAssign, Sub};
@@ -12,25 +12,25 @@ pub use core::time::Duration;
 pub struct Instant(u64);
 
 impl Instant {
-    /// The start itself.
+    /// The start.
     pub const ZERO: Instant = Instant(0);
 
-    /// The moment `micros` microseconds after the start.
+    /// Returns the moment `micros` microseconds after the start.
     pub const fn from_micros(micros: u64) -> Self {
         Self(micros)
     }
 
-    /// Microseconds since the start.
+    /// Returns the microseconds since the start.
     pub const fn as_micros(self) -> u64 {
         self.0
     }
 
-    /// Seconds since the start.
+    /// Returns the seconds since the start.
     pub fn as_secs_f64(self) -> f64 {
         self.0 as f64 / 1e6
     }
 
-    /// How long ago `earlier` was, zero if it lies in the future.
+    /// Returns the duration since `earlier`; zero if `earlier` is later.
     pub const fn since(self, earlier: Instant) -> Duration {
         Duration::from_micros(self.0.saturating_sub(earlier.0))
     }
@@ -69,29 +69,30 @@ impl fmt::Display for Instant {
     }
 }
 
-/// Which Unix time [`Instant::ZERO`] was.
+/// The Unix time of [`Instant::ZERO`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub struct Epoch {
     unix_micros: u64,
 }
 
 impl Epoch {
-    /// The start was `micros` microseconds after 1970-01-01 00:00 UTC.
+    /// Creates an epoch `micros` microseconds after 1970-01-01 00:00 UTC.
     pub const fn from_unix_micros(micros: u64) -> Self {
         Self { unix_micros: micros }
     }
 
-    /// Microseconds since 1970 of `at`.
+    /// Returns the Unix time of `at`, in microseconds.
     pub const fn unix_micros(self, at: Instant) -> u64 {
         self.unix_micros.saturating_add(at.0)
     }
 
-    /// Unix seconds of `at`, exact to the microsecond.
+    /// Returns the Unix time of `at`, in seconds, exact to the microsecond.
     pub fn unix_secs(self, at: Instant) -> f64 {
         self.unix_micros(at) as f64 / 1e6
     }
 
-    /// Microseconds from the start to a Unix time in microseconds; below zero before the start.
+    /// Returns the microseconds from the start to a Unix time in microseconds; negative before the
+    /// start.
     pub fn since_start(self, micros: u64) -> i128 {
         i128::from(micros) - i128::from(self.unix_micros)
     }
@@ -102,12 +103,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn prints_whole_microseconds() {
+    fn instant_prints_whole_microseconds() {
         assert_eq!(Instant::from_micros(12_000_345).to_string(), "12.000345");
     }
 
     #[test]
-    fn never_goes_below_the_start() {
+    fn instant_saturates_at_the_start() {
         let at = Instant::from_micros(5);
         assert_eq!(at - Duration::from_secs(1), Instant::ZERO);
         assert_eq!(at.since(Instant::from_micros(9)), Duration::ZERO);

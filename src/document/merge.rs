@@ -64,20 +64,20 @@ pub enum MergePreference {
 /// was not shown.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Choices {
-    /// For the first conflicts, in order.
+    /// Choice for each of the first conflicts, in order.
     pub chosen: Vec<MergePreference>,
-    /// The file went while a choice was open: whether a new entry of ours is to begin another one
-    /// is to be chosen too.
+    /// The file was deleted while a choice was open: whether to create it again with a new entry of
+    /// ours is a conflict too.
     pub asks_for_new: bool,
 }
 
-/// Makes our operations, which were made on `base` in this order, on `theirs`.
+/// Applies operations made on `base`, in their order, to `theirs`.
 ///
-/// It is no conflict when both sides made the same change, or changed different members of one
-/// entry, or when their entries stand in another order.
+/// Equal changes on both sides, changes of different members of one entry, and a different order of
+/// entries are not conflicts.
 ///
 /// # Errors
-/// [`EditError`] when an operation does not apply to `base`, or theirs must not be edited.
+/// [`EditError`] if an operation does not apply to `base`, or theirs cannot be edited.
 pub fn merge(
     base: &Document,
     ours: &[Operation],
@@ -87,7 +87,7 @@ pub fn merge(
     merge_chosen(base, ours, theirs, &Choices::default(), prefer)
 }
 
-/// The same, where a person has chosen in some conflicts already; `rest` is for the others.
+/// As [`merge`], with the user's choices for the first conflicts; `rest` is for the others.
 ///
 /// # Errors
 /// As in [`merge`].
@@ -104,7 +104,7 @@ pub fn merge_chosen(
     let mut overruling = Vec::new();
     let mut dropped = DroppedValues::default();
     let mut conflicts = 0;
-    // The first that nobody has chosen in. The others are counted.
+    // The first conflict without a choice; the others are counted.
     let mut open: Option<EditConflict> = None;
     for (at, operation) in ours.iter().enumerate() {
         let next = base.apply(operation)?;

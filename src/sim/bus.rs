@@ -1,77 +1,77 @@
-//! The bus: arbitration, acknowledge, collisions and error frames between controllers, timed to
-//! the bit.
+//! The simulated bus: arbitration, acknowledgement, collisions and error flags, timed to the bit
+//! (ISO 11898-1).
 //!
-//! Deterministic and driven from outside: [`Bus::next_event`] says when, [`Bus::step`] does it.
-//! Times are nanoseconds since the start. Knows nothing of devices or of what frames mean; of
-//! the wire it leaves out propagation delay, overload frames and the difference between the bit
-//! errors of one station and of all.
+//! Deterministic and driven by the caller: [`SimBus::next_event`] returns when to call
+//! [`SimBus::step`]. Times in nanoseconds since the start. Not simulated: propagation delay,
+//! overload frames, bit errors seen by a single station. Does not know devices or the meaning of
+//! frames.
 
 use super::controller::Controller;
 use crate::frame::Frame;
 use crate::frame::bits::{FrameBits, INTERMISSION, bit_nanos, divergence};
 
-/// Superposed error flags: 6 to 12 dominant bits.
+/// Length of superposed error flags in bits, 6 to 12 on a real bus.
 const ERROR_FLAGS: u32 = 8;
-/// The error delimiter.
+/// Length of the error delimiter, in bits.
 const ERROR_DELIMITER: u32 = 8;
-/// What an error-passive transmitter waits before it sends again.
+/// Suspend transmission of an error-passive transmitter, in bits.
 const SUSPENSION: u32 = 8;
-/// Bits until a station at another rate spoils a frame.
+/// Bits until a station at another bit rate destroys a frame.
 const UNREADABLE_AFTER: u32 = 12;
 
-/// A station on the bus, counted from 0 in the order of attachment.
+/// Index of a station, from 0 in the order of attachment.
 pub(super) type StationIndex = u16;
 
-/// Why a frame broke.
+/// Cause of a bus error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum FrameFault {
-    /// Two stations sent different bytes after the same identifier.
+    /// Several stations sent different data with the same identifier.
     Collision,
-    /// Nobody acknowledged.
+    /// No station acknowledged.
     NoAcknowledge,
     /// A disturbance, or a station at another bit rate.
     Disturbance,
 }
 
-/// What a step of the bus brought about.
+/// Result of a step.
 pub(super) enum BusOutcome {
-    /// A frame arrived at everybody; [`Bus::senders`] sent it.
+    /// All stations received a frame of [`SimBus::senders`].
     Frame(Frame),
-    /// A frame of [`Bus::senders`] broke.
+    /// A frame of [`SimBus::senders`] was destroyed.
     Broken(FrameFault),
-    /// A passive station ([`Bus::losers`]) saw its own frame spoilt, nobody else did.
-    Spoilt,
+    /// Error-passive stations ([`SimBus::losers`]) had an error that no other station noticed.
+    PassiveError,
 }
 
 /// Totals since the start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Statistics {
-    /// Frames that arrived.
+    /// Frames received by all stations.
     pub frames: u64,
     /// Frames that were destroyed.
     pub errors: u64,
-    /// Nanoseconds in which the bus was not idle, intermission included.
+    /// Time in which the bus was not idle, in nanoseconds, including intermission.
     pub busy_nanos: u64,
-    /// Bits of the frames that arrived, stuff bits and intermission included.
+    /// Bits of the received frames, including stuff bits and intermission.
     pub bits: u64,
 }
 
 #[derive(Clone, Copy)]
 enum BusPhase {
     Idle,
-    /// The first bit of a frame, in which everybody who wants may join.
+    /// First bit of a frame, in which stations may join arbitration.
     Start {
         at: u64,
     },
-    /// A frame that will arrive.
+    /// A frame that will be received.
     Frame {
         frame: Frame,
         ends: u64,
         free: u64,
     },
-    /// A frame that will break.
+    /// A frame that will be destroyed.
     Broken {
         error: FrameFault,
         ends: u64,
@@ -86,15 +86,15 @@ enum BusPhase {
 pub(super) struct SimBus {
     bitrate: u32,
     data_bitrate: u32,
-    /// The share of frames that a disturbance destroys, 0–1.
+    /// Share of frames destroyed by a disturbance, 0 to 1.
     pub error_rate: f64,
     controllers: Vec<Controller>,
-    /// Those that may want the bus, each once.
+    /// Stations that may have frames to send, each once.
     waiting: Vec<StationIndex>,
-    /// Those with a receive error counter above 0, each once.
-    troubled: Vec<StationIndex>,
-    /// Those at another bit rate.
-    strangers: Vec<StationIndex>,
+    /// Stations with a receive error counter above 0, each once.
+    with_receive_errors: Vec<StationIndex>,
+    /// Stations at another bit rate.
+    off_rate: Vec<StationIndex>,
     senders: Vec<StationIndex>,
     losers: Vec<StationIndex>,
     abandoned: Vec<StationIndex>,
@@ -111,8 +111,8 @@ impl SimBus {
             error_rate,
             controllers: Vec::new(),
             waiting: Vec::new(),
-            troubled: Vec::new(),
-            strangers: Vec::new(),
+            with_receive_errors: Vec::new(),
+            off_rate: Vec::new(),
             senders: Vec::new(),
             losers: Vec::new(),
             abandoned: Vec::new(),
@@ -134,7 +134,7 @@ impl SimBus {
         self.statistics
     }
 
-    /// Adds a station that is off, with room for `capacity` waiting frames.
+    /// Adds a station that is off, with a transmit queue of `capacity` frames.
     pub fn add(&mut self, capacity: usize) -> StationIndex {
         self.controllers.push(Controller::new(capacity));
         (self.controllers.len() - 1) as StationIndex
@@ -144,13 +144,13 @@ impl SimBus {
         &self.controllers[usize::from(station)]
     }
 
-    /// For switches; frames go through [`Bus::transmit`].
+    /// Returns a controller to change its settings; send frames with [`SimBus::transmit`].
     pub fn controller_mut(&mut self, station: StationIndex) -> &mut Controller {
         &mut self.controllers[usize::from(station)]
     }
 
-    /// Connects or cuts off a station; either way it begins afresh. A frame that only it was
-    /// sending breaks.
+    /// Connects or disconnects a station and resets it. A frame that only it was sending is
+    /// destroyed.
     pub fn set_attached(&mut self, station: StationIndex, attached: bool) {
         let controller = self.controller_mut(station);
         controller.reset();
@@ -158,16 +158,16 @@ impl SimBus {
         self.withdraw(station);
     }
 
-    /// Sets a station to the bus's bit rate or to another.
+    /// Sets whether a station's bit rate differs from that of the bus.
     pub fn set_wrong_rate(&mut self, station: StationIndex, wrong: bool) {
         self.controller_mut(station).wrong_rate = wrong;
-        self.strangers.retain(|&other| other != station);
+        self.off_rate.retain(|&other| other != station);
         if wrong {
-            self.strangers.push(station);
+            self.off_rate.push(station);
         }
     }
 
-    /// Takes a station's frames back, the one on the wire included.
+    /// Removes a station's frames, including the one on the wire.
     fn withdraw(&mut self, station: StationIndex) {
         let was_sending = self.senders.contains(&station);
         self.senders.retain(|&sender| sender != station);
@@ -180,8 +180,8 @@ impl SimBus {
         }
     }
 
-    /// Queues a frame; `once`: it is not repeated after an error. False when it was refused:
-    /// no room, or the station is off.
+    /// Queues a frame; `once`: without repetition after an error. Returns false if it is rejected:
+    /// queue full, or the station off.
     pub fn transmit(&mut self, now: u64, station: StationIndex, frame: Frame, once: bool) -> bool {
         if !self.controller_mut(station).enqueue(frame, once) {
             return false;
@@ -190,7 +190,7 @@ impl SimBus {
         true
     }
 
-    /// Lets a station that has frames waiting take part in arbitration again.
+    /// Lets a station with queued frames take part in the next arbitration.
     pub fn wake(&mut self, now: u64, station: StationIndex) {
         if !self.controller(station).wants_bus() {
             return;
@@ -206,7 +206,7 @@ impl SimBus {
         }
     }
 
-    /// When [`Bus::step`] is to be called next.
+    /// Returns when to call [`SimBus::step`] next; `None` while the bus is idle.
     pub fn next_event(&self) -> Option<u64> {
         match self.phase {
             BusPhase::Idle => None,
@@ -216,7 +216,7 @@ impl SimBus {
         }
     }
 
-    /// Does what is due at [`Bus::next_event`].
+    /// Processes the event that is due at [`SimBus::next_event`].
     pub fn step(&mut self) -> Option<BusOutcome> {
         match self.phase {
             BusPhase::Idle => None,
@@ -240,22 +240,22 @@ impl SimBus {
         }
     }
 
-    /// Who sent the frame of the last outcome; several where equal frames merged.
+    /// Returns the senders of the last frame; several if equal frames merged.
     pub fn senders(&self) -> &[StationIndex] {
         &self.senders
     }
 
-    /// Who noticed alone that its frame was spoilt: [`Outcome::Spoilt`].
+    /// Returns the stations of the last [`BusOutcome::PassiveError`].
     pub fn losers(&self) -> &[StationIndex] {
         &self.losers
     }
 
-    /// Whose frame was given up with the last outcome.
+    /// Returns the stations whose frame was dropped in the last step.
     pub fn take_abandoned(&mut self) -> Vec<StationIndex> {
         std::mem::take(&mut self.abandoned)
     }
 
-    /// When the bus may be used again: everybody idle or the end of intermission.
+    /// Starts the next arbitration after intermission, or leaves the bus idle.
     fn rest_over(&mut self, free: u64) {
         self.senders.clear();
         let controllers = &self.controllers;
@@ -288,7 +288,7 @@ impl SimBus {
             }
         }
         if self.senders.is_empty() {
-            // Whoever wanted the bus was cut off meanwhile.
+            // The waiting stations were disconnected meanwhile.
             self.rest_over(start);
             return None;
         }
@@ -300,7 +300,7 @@ impl SimBus {
         let bits = FrameBits::of(&frame);
         let broken = if let Some(bits) = broken_at {
             Some((FrameFault::Collision, self.early_nanos(&frame, bits)))
-        } else if self.is_spoilt_by_rate() {
+        } else if self.is_destroyed_by_rate() {
             Some((FrameFault::Disturbance, bit_nanos(UNREADABLE_AFTER, self.bitrate)))
         } else if self.error_rate > 0.0 && self.rng.f64() < self.error_rate {
             let at = self.rng.u32(1..bits.until_ack().total());
@@ -323,12 +323,12 @@ impl SimBus {
             self.statistics.bits += u64::from(bits.total());
             BusPhase::Frame { frame, ends, free }
         };
-        (!self.losers.is_empty()).then_some(BusOutcome::Spoilt)
+        (!self.losers.is_empty()).then_some(BusOutcome::PassiveError)
     }
 
-    /// Lets the senders of one identifier find out what they differ in. Whoever sends recessive
-    /// and reads dominant notices: error-active, it destroys the frame, at the returned bit;
-    /// error-passive, it drops out and the dominant frame goes on.
+    /// Resolves a collision: several senders of one identifier with different data. A station that
+    /// sends recessive and reads dominant has a bit error: if error-active, it destroys the frame
+    /// at the returned bit; if error-passive, it stops and the dominant frame continues.
     fn resolve_collision(&mut self) -> Option<u32> {
         let mut destroyed: Option<u32> = None;
         let mut at = 1;
@@ -365,7 +365,7 @@ impl SimBus {
         destroyed
     }
 
-    /// How long the first `bits` bits of a frame take.
+    /// Returns the time of the first `bits` bits of a frame, in nanoseconds.
     fn early_nanos(&self, frame: &Frame, bits: u32) -> u64 {
         let all = FrameBits::of(frame);
         let tail = all.nominal - all.until_ack().nominal + 2;
@@ -373,9 +373,9 @@ impl SimBus {
         FrameBits { nominal: slow, data: bits - slow }.nanos(self.bitrate, self.data_bitrate)
     }
 
-    fn is_spoilt_by_rate(&self) -> bool {
+    fn is_destroyed_by_rate(&self) -> bool {
         self.senders.iter().any(|&sender| self.controller(sender).wrong_rate)
-            || self.strangers.iter().any(|&other| self.controller(other).is_destructive())
+            || self.off_rate.iter().any(|&other| self.controller(other).is_destructive())
     }
 
     fn is_acknowledged(&self) -> bool {
@@ -393,7 +393,7 @@ impl SimBus {
             }
         }
         let (controllers, senders) = (&mut self.controllers, &self.senders);
-        self.troubled.retain(|&station| {
+        self.with_receive_errors.retain(|&station| {
             let controller = &mut controllers[usize::from(station)];
             if !senders.contains(&station) && controller.is_active() && !controller.wrong_rate {
                 controller.count_received();
@@ -404,7 +404,7 @@ impl SimBus {
 
     fn finish_broken(&mut self, error: FrameFault, free: u64) {
         let suspended_until = free + bit_nanos(SUSPENSION, self.bitrate);
-        self.troubled.clear();
+        self.with_receive_errors.clear();
         for (station, controller) in self.controllers.iter_mut().enumerate() {
             let station = station as StationIndex;
             if !controller.is_active() {
@@ -422,7 +422,7 @@ impl SimBus {
                 controller.count_receive_error();
             }
             if controller.counters().1 > 0 {
-                self.troubled.push(station);
+                self.with_receive_errors.push(station);
             }
         }
     }

@@ -1,5 +1,5 @@
-//! A station's CAN controller: its transmit queue in order of priority, its error counters and
-//! the states that follow from them (ISO 11898-1, fault confinement).
+//! CAN controller of a station: transmit queue by priority, error counters, and the states of fault
+//! confinement (ISO 11898-1).
 //!
 //! Does not know the bus, time or other stations.
 
@@ -12,28 +12,29 @@ use std::collections::BinaryHeap;
 const PASSIVE_ABOVE: u16 = 127;
 /// TEC above which a controller is bus-off.
 const BUS_OFF_ABOVE: u16 = 255;
-/// TEC or REC from which a controller warns.
+/// TEC or REC from which a controller is in error-warning.
 const WARNING_FROM: u16 = 96;
-/// What a failed transmission adds to TEC.
-const FAILURE: u16 = 8;
+/// Increment of TEC for a failed transmission.
+const TEC_STEP: u16 = 8;
 
-/// Where a controller stands in fault confinement.
+/// State of a controller in fault confinement (ISO 11898-1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum ControllerState {
-    /// Takes part fully.
+    /// Both counters are below 96.
     ErrorActive,
-    /// Takes part fully; a counter has reached 96.
+    /// A counter is 96 or above; otherwise as error-active.
     ErrorWarning,
-    /// A counter is above 127: destroys nobody's frames and waits before it repeats its own.
+    /// A counter is above 127: no active error flags, and a pause before each repetition.
     ErrorPassive,
-    /// TEC was above 255: sends and acknowledges nothing until restarted.
+    /// TEC was above 255: neither sends nor acknowledges until a restart.
     BusOff,
-    /// Its link is down.
+    /// The link is down.
     Down,
 }
 
 impl ControllerState {
-    /// As scripts read it: `error-active`, `error-warning`, `error-passive`, `bus-off`, `down`.
+    /// Returns the name in JSON output: `error-active`, `error-warning`, `error-passive`,
+    /// `bus-off`, `down`.
     pub const fn name(self) -> &'static str {
         match self {
             Self::ErrorActive => "error-active",
@@ -45,7 +46,7 @@ impl ControllerState {
     }
 }
 
-/// A frame that waits for the bus.
+/// A queued frame.
 #[derive(Clone, Copy)]
 struct Waiting {
     key: u32,
@@ -68,29 +69,29 @@ impl PartialOrd for Waiting {
     }
 }
 
-/// The greatest is the one to be sent first: lowest identifier, then first come.
+/// The greatest is sent first: lowest identifier, then oldest.
 impl Ord for Waiting {
     fn cmp(&self, other: &Self) -> Ordering {
         (other.key, other.order).cmp(&(self.key, self.order))
     }
 }
 
-/// One station's controller.
+/// Controller of one station.
 pub(super) struct Controller {
     queue: BinaryHeap<Waiting>,
-    /// The frame that won arbitration and is on the wire.
+    /// Frame on the wire, which won arbitration.
     on_wire: Option<Waiting>,
     capacity: usize,
     order: u64,
-    /// Frames refused because the queue was full.
+    /// Frames rejected because the queue was full.
     pub dropped: u64,
     /// Switched on and connected.
     pub attached: bool,
-    /// Receives only: sends, acknowledges and destroys nothing.
+    /// Listen-only.
     pub silent: bool,
-    /// Set to another bit rate than the bus: understands nothing and spoils everything.
+    /// Its bit rate differs from that of the bus: receives nothing and destroys frames.
     pub wrong_rate: bool,
-    /// A passive transmitter may not start before this, in nanoseconds.
+    /// End of suspend transmission, in nanoseconds.
     pub suspended_until: u64,
     tec: u16,
     rec: u16,
@@ -98,7 +99,7 @@ pub(super) struct Controller {
 }
 
 impl Controller {
-    /// A controller that is off, with room for `capacity` waiting frames.
+    /// Creates a controller that is off, with a queue of `capacity` frames.
     pub fn new(capacity: usize) -> Self {
         Self {
             queue: BinaryHeap::new(),
@@ -116,7 +117,7 @@ impl Controller {
         }
     }
 
-    /// As after power-on: nothing queued, no errors.
+    /// Resets to the state after power-on: queue empty, counters 0.
     pub fn reset(&mut self) {
         self.queue.clear();
         self.on_wire = None;
@@ -126,7 +127,7 @@ impl Controller {
         self.bus_off = false;
     }
 
-    /// Queues a frame; `once`: it is not repeated after an error. False when there is no room.
+    /// Queues a frame; `once`: without repetition after an error. Returns false if it is rejected.
     pub fn enqueue(&mut self, frame: Frame, once: bool) -> bool {
         if self.queue.len() >= self.capacity || self.bus_off || !self.attached {
             self.dropped += 1;
@@ -137,62 +138,62 @@ impl Controller {
         true
     }
 
-    /// Whether it takes part in arbitration as soon as its suspension is over.
+    /// Returns true if it takes part in arbitration once suspend transmission is over.
     pub fn wants_bus(&self) -> bool {
         self.is_active() && !self.queue.is_empty()
     }
 
-    /// How many frames wait, the one on the wire included.
+    /// Returns the number of queued frames, including the one on the wire.
     pub fn queued(&self) -> usize {
         self.queue.len() + usize::from(self.on_wire.is_some())
     }
 
-    /// The arbitration field of the frame it would send now.
+    /// Returns the arbitration field of its next frame; `None` if the queue is empty.
     pub fn key(&self) -> Option<u32> {
         self.queue.peek().map(|waiting| waiting.key)
     }
 
-    /// Puts its first frame on the wire.
+    /// Moves its next frame to the wire.
     pub fn begin(&mut self) {
         self.on_wire = self.queue.pop();
     }
 
-    /// The frame it has on the wire.
+    /// Returns its frame on the wire.
     pub fn on_wire(&self) -> Option<&Frame> {
         self.on_wire.as_ref().map(|waiting| &waiting.frame)
     }
 
-    /// Whether it sends, acknowledges, and counts errors.
+    /// Returns true if it sends, acknowledges and counts errors.
     pub fn is_active(&self) -> bool {
         self.attached && !self.silent && !self.bus_off
     }
 
-    /// Whether it sees what is on the bus.
-    pub fn hears(&self) -> bool {
+    /// Returns true if it receives frames.
+    pub fn is_receiving(&self) -> bool {
         self.attached && !self.bus_off
     }
 
-    /// Whether it would acknowledge somebody's frame.
+    /// Returns true if it acknowledges frames of others.
     pub fn acknowledges(&self) -> bool {
         self.is_active() && !self.wrong_rate
     }
 
-    /// Whether its error flags destroy frames.
+    /// Returns true if its error flags destroy frames.
     pub fn is_destructive(&self) -> bool {
         self.is_active() && !self.is_passive()
     }
 
-    /// Whether a counter is above 127.
+    /// Returns true if a counter is above 127.
     pub fn is_passive(&self) -> bool {
         self.tec > PASSIVE_ABOVE || self.rec > PASSIVE_ABOVE
     }
 
-    /// Transmit and receive error counters.
+    /// Returns TEC and REC.
     pub fn counters(&self) -> (u16, u16) {
         (self.tec, self.rec)
     }
 
-    /// The state the counters put it in.
+    /// Returns its state.
     pub fn state(&self) -> ControllerState {
         let worst = self.tec.max(self.rec);
         if !self.attached {
@@ -208,19 +209,19 @@ impl Controller {
         }
     }
 
-    /// Its frame went out and was acknowledged.
+    /// Counts an acknowledged transmission.
     pub fn count_sent(&mut self) {
         self.on_wire = None;
         self.tec = self.tec.saturating_sub(1);
     }
 
-    /// Its frame was destroyed and waits again. Returns true when it is given up instead.
+    /// Counts a transmit error and queues the frame again. Returns true if the frame is dropped.
     ///
-    /// An error-passive transmitter that misses only the acknowledge does not count it, so a
-    /// station alone on a bus never becomes bus-off.
+    /// An error-passive transmitter does not count a missing acknowledgement, so a station alone on
+    /// a bus never becomes bus-off (ISO 11898-1).
     pub fn count_send_error(&mut self, acknowledge: bool) -> bool {
         if !(acknowledge && self.is_passive()) {
-            self.tec += FAILURE;
+            self.tec += TEC_STEP;
         }
         let broken = self.on_wire.take();
         if self.tec > BUS_OFF_ABOVE {
@@ -237,18 +238,18 @@ impl Controller {
         }
     }
 
-    /// Its frame was destroyed after it had withdrawn to listening: it waits again.
+    /// Queues the frame on the wire again, after the controller became passive to the bus.
     pub fn restore(&mut self) {
         self.queue.extend(self.on_wire.take());
     }
 
-    /// It received a frame without errors.
+    /// Counts a frame received without errors.
     pub fn count_received(&mut self) {
-        // From the passive range the counter falls back to 127 at most.
+        // ISO 11898-1: from above 127 the counter is set to at most 127.
         self.rec = self.rec.saturating_sub(1).min(PASSIVE_ABOVE - 1);
     }
 
-    /// It saw a frame break.
+    /// Counts a receive error.
     pub fn count_receive_error(&mut self) {
         self.rec = (self.rec + 1).min(BUS_OFF_ABOVE);
     }
@@ -265,12 +266,12 @@ mod tests {
     }
 
     #[test]
-    fn lowest_identifier_first_equal_ones_in_order() {
+    fn queue_sends_lowest_identifier_first_then_oldest() {
         let mut controller = controller();
         for (id, byte) in [(9, 0), (5, 1), (5, 2), (1, 3)] {
             controller.enqueue(Frame::classic(id, &[byte]), false);
         }
-        assert_eq!(controller.dropped, 1, "the fourth finds no room");
+        assert_eq!(controller.dropped, 1, "the fourth exceeds the capacity");
         let mut sent = Vec::new();
         while controller.wants_bus() {
             controller.begin();
@@ -281,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn counters_lead_to_bus_off_and_back_only_by_restart() {
+    fn repeated_errors_cause_bus_off_until_reset() {
         let mut controller = controller();
         controller.enqueue(Frame::classic(1, &[]), false);
         let states: Vec<_> = (0..32)
@@ -302,7 +303,7 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_acknowledge_stops_counting_at_passive() {
+    fn missing_ack_stops_counting_at_error_passive() {
         let mut controller = controller();
         controller.enqueue(Frame::classic(1, &[]), false);
         for _ in 0..1000 {

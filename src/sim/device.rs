@@ -1,9 +1,7 @@
-//! A simulated device: the platform's modes (3.2.4), its address, its heartbeat and what it says
-//! when it is asked.
+//! A simulated device: modes, address resolution, heartbeat and periodic data (protocol §7).
 //!
-//! A state machine without a clock: it is told what it hears and when its time has come, and
-//! acts through a [`Port`]. Does not know of other devices except by what it hears; what it
-//! answers to requests is in [`serve`].
+//! A state machine without a clock: input is received frames and the time; it sends through a
+//! [`DeviceIo`]. Responses to requests are in [`serve`]. Knows other devices by their frames only.
 
 mod serve;
 
@@ -16,14 +14,14 @@ use crate::wire::id::{Address, Header};
 use crate::wire::node::{Heartbeat, Mode};
 use crate::wire::profile::Profile;
 
-/// BUS_CFG_TXERR_MAX: an error counter at which a device leaves the bus and begins anew.
+/// BUS_CFG_TXERR_MAX: error counter at which a device disconnects and starts again.
 const MAX_ERRORS: u16 = 128;
-/// The shortest period of anything a device repeats, in nanoseconds.
+/// Shortest period of a device's timers, in nanoseconds.
 const SHORTEST_PERIOD: u64 = 100_000;
-/// The longest time a device counts, in nanoseconds: a year.
+/// Longest time of a device's timers, in nanoseconds: a year.
 const LONGEST_TIME: u64 = 366 * 86_400 * 1_000_000_000;
 
-/// A device's hands: its controller on the bus, and the numbers of the profile.
+/// Access of a device to its controller and to the profile.
 pub(super) struct DeviceIo<'a> {
     pub now: u64,
     pub bus: &'a mut SimBus,
@@ -41,34 +39,34 @@ impl DeviceIo<'_> {
         self.bus.transmit(self.now, self.station, frame, true)
     }
 
-    /// BUS_CFG_HR_TIME in nanoseconds.
+    /// Returns BUS_CFG_HR_TIME in nanoseconds.
     fn heartbeat_time(&self) -> u64 {
         u64::from(self.profile.heartbeat.period_ms.max(1)) * 1_000_000
     }
 }
 
-/// Where a device stands between power-on and its task.
+/// Stage of a device between power-on and its final mode (protocol §7.5).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum DeviceStage {
     Off,
-    /// INIT: silent, until a frame or the end of 1.5 × BUS_CFG_HR_TIME.
+    /// INIT: listen-only until a frame arrives or 1.5 × BUS_CFG_HR_TIME ends.
     Init {
         until: u64,
     },
-    /// ARSLV: silent, notes who uses which address.
+    /// ARSLV: listen-only, collects the addresses in use.
     Listen {
         until: u64,
     },
-    /// ARSLV: has chosen, waits a random part of BUS_CFG_HR_TIME.
+    /// ARSLV: address chosen, waits a random part of BUS_CFG_HR_TIME.
     Wait {
         choice: Address,
         until: u64,
     },
-    /// ARSLV: the heartbeat that claims the address is on its way.
+    /// ARSLV: the address claim is queued.
     Claim {
         choice: Address,
     },
-    /// In one of the other modes.
+    /// Any other mode.
     Run,
 }
 
@@ -78,20 +76,20 @@ pub(super) struct SimDevice {
     stage: DeviceStage,
     mode: Mode,
     address: Option<Address>,
-    /// Addresses heard while listening, one bit each.
+    /// Addresses in use, found while listening, one bit each.
     heard: u128,
-    /// The heartbeat's grid: the next beat comes at `beat` or up to the jitter later.
+    /// Time grid of heartbeats: the next one is sent at `beat` or up to the jitter later.
     beat: u64,
     beat_at: Option<u64>,
     chatter_at: Vec<u64>,
     chatter_count: u16,
     replies: Replies,
-    /// What it was told to do, once the answer with this identifier is out.
+    /// Action to apply when the response with this identifier was sent.
     ordered: Option<(u32, DeviceAction)>,
 }
 
 impl SimDevice {
-    /// A device that is off.
+    /// Creates a device that is off.
     pub fn new(spec: DeviceSpec, rng: fastrand::Rng) -> Self {
         let chatter_at = vec![u64::MAX; spec.chatter.len()];
         Self {
@@ -118,12 +116,12 @@ impl SimDevice {
         self.mode
     }
 
-    /// The address it holds.
+    /// Returns its address; `None` before the end of address resolution.
     pub fn address(&self) -> Option<Address> {
         self.address
     }
 
-    /// Whether it wants to hear every frame: it is looking for an address.
+    /// Returns true if it needs all frames, during address resolution.
     pub fn is_listening(&self) -> bool {
         !matches!(self.stage, DeviceStage::Off | DeviceStage::Run)
     }
@@ -132,11 +130,11 @@ impl SimDevice {
         self.mode.is_working() == Some(true)
     }
 
-    fn gives_way(&self) -> bool {
+    fn can_give_up(&self) -> bool {
         !self.spec.faults.has(Fault::NeverGivesWay)
     }
 
-    /// When [`Device::handle_timeout`] is to be called next, in nanoseconds.
+    /// Returns when to call [`SimDevice::handle_timeout`] next, in nanoseconds; `None` if off.
     pub fn poll_timeout(&self) -> Option<u64> {
         let stage = match self.stage {
             DeviceStage::Init { until }
@@ -148,7 +146,7 @@ impl SimDevice {
         [stage, self.beat_at, chatter, self.replies.next()].into_iter().flatten().min()
     }
 
-    /// Does what is due.
+    /// Processes what is due.
     pub fn handle_timeout(&mut self, port: &mut DeviceIo) {
         match self.stage {
             DeviceStage::Init { until } if until <= port.now => self.listen(port),
@@ -158,7 +156,7 @@ impl SimDevice {
         }
         if self.beat_at.is_some_and(|at| at <= port.now) {
             self.send_heartbeat(port);
-            self.schedule_beat(port);
+            self.schedule_heartbeat(port);
         }
         for at in 0..self.chatter_at.len() {
             if self.chatter_at[at] <= port.now {
@@ -193,7 +191,7 @@ impl SimDevice {
         self.address = None;
     }
 
-    /// INIT, the beginning of everything: not yet to be heard on the bus.
+    /// Enters INIT, listen-only.
     fn begin(&mut self, port: &mut DeviceIo) {
         self.stop();
         port.bus.set_attached(port.station, true);
@@ -203,7 +201,7 @@ impl SimDevice {
         self.stage = DeviceStage::Init { until: port.now + port.heartbeat_time() * 3 / 2 };
     }
 
-    /// Into its mode at once, as if everything had been resolved before.
+    /// Enters its final mode at once, without address resolution.
     fn settle(&mut self, port: &mut DeviceIo) {
         let address = match self.spec.address {
             AddressChoice::Preferred(address) | AddressChoice::Fixed(address) => address,
@@ -212,12 +210,12 @@ impl SimDevice {
         self.settle_at(address, port);
     }
 
-    /// Begins to run at `address`, its heartbeat in a phase of its own.
+    /// Enters its final mode at `address`, with a random heartbeat phase.
     fn settle_at(&mut self, address: Address, port: &mut DeviceIo) {
         port.bus.set_attached(port.station, true);
         port.bus.controller_mut(port.station).silent = false;
         self.run(address, port);
-        let period = self.beat_period(port);
+        let period = self.heartbeat_period(port);
         self.beat = port.now + self.rng.u64(0..period);
         self.beat_at = self.beat_at.map(|_| self.beat);
     }
@@ -229,7 +227,7 @@ impl SimDevice {
         self.chatter_at.fill(u64::MAX);
     }
 
-    /// ARSLV from its first point: silent again, the table of used addresses empty.
+    /// Starts ARSLV: listen-only, no addresses in use known.
     fn listen(&mut self, port: &mut DeviceIo) {
         self.stop();
         port.bus.set_attached(port.station, true);
@@ -246,7 +244,7 @@ impl SimDevice {
             AddressChoice::Any => None,
             AddressChoice::Preferred(address) | AddressChoice::Fixed(address) => Some(address),
         };
-        let wanted = wanted.filter(|&address| is_free(address) || !self.gives_way());
+        let wanted = wanted.filter(|&address| is_free(address) || !self.can_give_up());
         let choice = if wanted.is_some() || matches!(self.spec.address, AddressChoice::Fixed(_)) {
             wanted
         } else {
@@ -258,8 +256,7 @@ impl SimDevice {
         self.stage = DeviceStage::Wait { choice, until };
     }
 
-    /// Leaves silence and sends the heartbeat that claims the address, not to be repeated by
-    /// the controller.
+    /// Ends listen-only and sends the address claim, without repetition by the controller.
     fn claim(&mut self, choice: Address, port: &mut DeviceIo) {
         port.bus.controller_mut(port.station).silent = false;
         self.stage = DeviceStage::Claim { choice };
@@ -267,14 +264,14 @@ impl SimDevice {
         port.send_once(frame);
     }
 
-    /// The claim failed: try again after another random time. The controller stays on, so that
-    /// two devices on an empty bus find each other: somebody has to acknowledge.
+    /// Repeats a failed claim after another random time. The controller stays active: two devices
+    /// on an empty bus need each other's acknowledgement.
     fn claim_again(&mut self, choice: Address, port: &mut DeviceIo) {
         let until = port.now + self.rng.u64(0..port.heartbeat_time());
         self.stage = DeviceStage::Wait { choice, until };
     }
 
-    /// The address is its own: on to the mode that its configuration asks for.
+    /// Enters the configured mode at its address.
     fn run(&mut self, address: Address, port: &mut DeviceIo) {
         self.address = Some(address);
         self.stage = DeviceStage::Run;
@@ -287,7 +284,7 @@ impl SimDevice {
             Some(mode) => mode,
         };
         self.beat = port.now;
-        self.schedule_beat(port);
+        self.schedule_heartbeat(port);
         self.schedule_chatter(port);
     }
 
@@ -297,20 +294,20 @@ impl SimDevice {
         }
     }
 
-    fn beat_period(&self, port: &DeviceIo) -> u64 {
+    fn heartbeat_period(&self, port: &DeviceIo) -> u64 {
         let period = self.spec.heartbeat.map_or(port.heartbeat_time(), nanos_of);
         self.by_own_crystal(period)
     }
 
-    /// A length of time as this device measures it.
+    /// Returns a duration as measured by the device's clock.
     fn by_own_crystal(&self, nanos: u64) -> u64 {
         let millionths = 1_000_000 + i64::from(self.spec.tolerance_ppm.max(-900_000));
         let own = u128::from(nanos) * millionths.unsigned_abs() as u128 / 1_000_000;
         (own as u64).max(SHORTEST_PERIOD)
     }
 
-    fn schedule_beat(&mut self, port: &DeviceIo) {
-        self.beat += self.beat_period(port);
+    fn schedule_heartbeat(&mut self, port: &DeviceIo) {
+        self.beat += self.heartbeat_period(port);
         let late = self.rng.u64(0..=nanos_of(self.spec.jitter));
         let beats = !self.spec.faults.has(Fault::NoHeartbeat) && self.mode != Mode::Idle;
         self.beat_at = beats.then_some((self.beat + late).max(port.now));
@@ -332,7 +329,7 @@ impl SimDevice {
         port.send(frame);
     }
 
-    /// Values that wander, as a sensor's do.
+    /// Sends periodic data with slowly changing values, like a sensor's.
     fn send_chatter(&mut self, at: usize, port: &mut DeviceIo) {
         let chatter = self.spec.chatter[at];
         let period = self.by_own_crystal(nanos_of(chatter.period));
@@ -359,7 +356,7 @@ impl SimDevice {
         }
     }
 
-    /// Hears somebody else's frame.
+    /// Handles a frame of another node.
     pub fn handle_frame(&mut self, frame: &Frame, header: Header, port: &mut DeviceIo) {
         if !header.is_conforming() {
             return;
@@ -373,7 +370,7 @@ impl SimDevice {
             DeviceStage::Listen { .. } => self.note_addresses(header),
             DeviceStage::Wait { choice, .. } | DeviceStage::Claim { choice } => {
                 self.note_addresses(header);
-                if header.source == choice && self.gives_way() {
+                if header.source == choice && self.can_give_up() {
                     self.listen(port);
                     self.note_addresses(header);
                 }
@@ -391,8 +388,8 @@ impl SimDevice {
 
     fn handle_while_running(&mut self, frame: &Frame, header: Header, port: &mut DeviceIo) {
         let other_works = !header.sender_not_working;
-        // Asleep it does not watch who else uses its address (3.2.4.5).
-        if self.gives_way() && self.mode != Mode::Idle {
+        // In IDLE it does not check for other users of its address (CAN platform §3.2.4.5).
+        if self.can_give_up() && self.mode != Mode::Idle {
             let matters = other_works || !self.is_working();
             if Some(header.source) == self.address && matters {
                 return self.listen(port);
@@ -411,7 +408,7 @@ impl SimDevice {
         }
     }
 
-    /// One of its own frames is out.
+    /// Handles that one of its frames was sent.
     pub fn handle_sent(&mut self, frame: &Frame, port: &mut DeviceIo) {
         if let DeviceStage::Claim { choice } = self.stage {
             self.run(choice, port);
@@ -423,14 +420,14 @@ impl SimDevice {
         }
     }
 
-    /// One of its frames was given up: the claim of an address, the only one not repeated.
+    /// Handles a dropped frame: the address claim, the only one that is not repeated.
     pub fn handle_abandoned(&mut self, port: &mut DeviceIo) {
         if let DeviceStage::Claim { choice } = self.stage {
             self.claim_again(choice, port);
         }
     }
 
-    /// Looks at its error counters after something broke: too many, and it begins anew.
+    /// Checks its error counters after a bus error; starts again if they are too high.
     pub fn handle_bus_error(&mut self, port: &mut DeviceIo) {
         let (tec, rec) = port.bus.controller(port.station).counters();
         if self.is_on() && tec.max(rec) >= MAX_ERRORS {
@@ -438,7 +435,7 @@ impl SimDevice {
         }
     }
 
-    /// Does what the timetable or a test wants of it.
+    /// Applies an action of the timetable or of the caller.
     pub fn apply(&mut self, action: DeviceAction, port: &mut DeviceIo) {
         match action {
             DeviceAction::Join => self.power_on(port),
@@ -475,11 +472,11 @@ impl SimDevice {
         self.spec.faults.set(fault, present);
         if fault == Fault::NoHeartbeat && self.stage == DeviceStage::Run {
             self.beat = port.now;
-            self.schedule_beat(port);
+            self.schedule_heartbeat(port);
         }
     }
 
-    /// Into `mode` while it runs. Into IDLE it says so in one last heartbeat and falls asleep.
+    /// Changes the mode. Before IDLE it sends a last heartbeat with that mode.
     fn set_mode(&mut self, mode: Mode, port: &mut DeviceIo) {
         match (self.stage, mode) {
             (DeviceStage::Off, _) => {}
@@ -493,7 +490,7 @@ impl SimDevice {
                     self.stop();
                 } else if slept {
                     self.beat = port.now;
-                    self.schedule_beat(port);
+                    self.schedule_heartbeat(port);
                     self.schedule_chatter(port);
                 }
             }

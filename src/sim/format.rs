@@ -1,4 +1,4 @@
-//! The TOML of scenarios: what may be written, and what is said when it cannot be used.
+//! The TOML format of scenarios, and its errors.
 //!
 //! ```toml
 //! bitrate = 125000                    # needed; then optional: data_bitrate, seed, error_rate,
@@ -6,20 +6,20 @@
 //!
 //! [[device]]                          # all but the name is optional
 //! name = "ACT"                        # or name_hex = "414354"
-//! label = "the valve"                 # how the timetable calls it; else its name
+//! label = "the valve"                 # label in the timetable; else its name
 //! address = { preferred = 14 }        # or { fixed = 14 }, or "any"
 //! uid = "BOILER03"                    # "" = blank; else made of the label
 //! services = [["DES", "1.0"], ["VALVE", "1.2", "more"]]
 //! autostart = true
-//! mode = "WORK"                       # whatever the configuration says
+//! mode = "WORK"                       # instead of the configured one
 //! power_on = 4.0                      # seconds; false = off
-//! settled = true                      # has its address when it is first switched on
+//! settled = true                      # has its address at the first power-on
 //! framing = "isotp"                   # or "raw", "both"
 //! fd = false
 //! heartbeat_ms = 1000
 //! jitter_ms = 0.5
 //! tolerance_ppm = 40
-//! delay_us = [200, 1000]              # before answers
+//! delay_us = [200, 1000]              # before responses
 //! faults = ["drop-frame"]             # see Fault
 //! chatter = [{ service = 0x130, period_ms = 250, length = 8 }]
 //! gid = "010203040506"
@@ -34,7 +34,7 @@
 //! # name_hex), uid (uid), break and mend (fault); without a device: error-rate (rate)
 //! ```
 //!
-//! Only translates; what the values mean is in [`super::scenario`].
+//! Translation only; the meaning of the values is in [`super::scenario`].
 
 use super::scenario::{
     AddressChoice, Chatter, Descriptor, DeviceAction, DeviceFraming, DeviceSpec, Fault, Faults,
@@ -48,9 +48,9 @@ use serde::Deserialize;
 use std::collections::BTreeSet;
 use std::fmt::Display;
 
-/// The longest time a scenario may name: a year, in seconds.
+/// Longest time in a scenario, in seconds: a year.
 const LONGEST: f64 = 366.0 * 86_400.0;
-/// The most devices on one bus: every address twice and some.
+/// Most devices on one bus: each address twice and some more.
 const MAX_DEVICES: usize = 512;
 
 #[derive(Deserialize)]
@@ -102,7 +102,7 @@ struct DeviceWritten {
     chatter: Vec<ChatterWritten>,
 }
 
-/// Seconds, or `false` for a device that is off until the timetable says otherwise.
+/// Seconds, or `false` for a device that only the timetable switches on.
 #[derive(Deserialize)]
 #[serde(untagged, expecting = "power_on is a time in seconds, or false")]
 enum PowerOn {
@@ -160,7 +160,10 @@ enum EventAction {
 }
 
 impl Scenario {
-    /// Reads a scenario.
+    /// Reads a scenario from TOML.
+    ///
+    /// # Errors
+    /// [`ScenarioError`] if it is not TOML, has unknown names, or a value is out of range.
     pub fn parse(text: &str) -> Result<Self, ScenarioError> {
         let written: ScenarioWritten = toml::from_str(text)?;
         let bus = ScenarioPath("the bus".to_owned());
@@ -343,7 +346,7 @@ impl EventWritten {
     }
 }
 
-/// Where in the scenario a value stands, for what is said about it.
+/// Path of a value in the scenario, for messages.
 struct ScenarioPath(String);
 
 impl ScenarioPath {
@@ -403,7 +406,7 @@ impl ScenarioPath {
             .ok_or_else(|| self.out_of_range("uid", &text, expected))
     }
 
-    /// A name in either spelling, if one is given.
+    /// Returns the name from `name` or `name_hex`; `None` if neither is given.
     fn name(
         &self,
         text: Option<String>,

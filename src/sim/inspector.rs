@@ -1,7 +1,7 @@
-//! What a station from outside sees of the bus: frames, error reports and changes of its
-//! controller's state, as Linux reports them (`can/error.h`).
+//! Receive side of an attached station: frames, error frames and changes of its controller's state,
+//! encoded as in Linux `can/error.h`.
 //!
-//! Does not know devices, nor what frames mean.
+//! Does not know devices or the meaning of frames.
 
 use super::bus::{FrameFault, StationIndex};
 use super::controller::ControllerState;
@@ -9,10 +9,10 @@ use crate::frame::Frame;
 use crate::time::Instant;
 use std::collections::VecDeque;
 
-/// The most frames that wait to be polled; what comes beyond is dropped and counted.
+/// Most frames that wait to be polled; further ones are dropped and counted.
 const MAX_INBOX: usize = 1 << 17;
 
-// Classes of error reports, in the identifier.
+// Error classes, in the identifier.
 const CAN_ERR_CRTL: u32 = 0x04;
 const CAN_ERR_PROT: u32 = 0x08;
 const CAN_ERR_ACK: u32 = 0x20;
@@ -33,15 +33,15 @@ const CAN_ERR_PROT_TX: u8 = 0x80;
 const CAN_ERR_PROT_LOC_DATA: u8 = 0x0A;
 const CAN_ERR_PROT_LOC_ACK: u8 = 0x19;
 
-/// The outside end of an attached station.
+/// Receive side of an attached station.
 pub(super) struct Inspector {
     /// Its station on the bus.
     pub station: StationIndex,
     inbox: VecDeque<Frame>,
     state: ControllerState,
-    /// Frames that found no room because nobody polled.
+    /// Frames dropped because the inbox was full.
     pub overflowed: u64,
-    /// Frames of others that this observer missed, as the scenario's `observer_loss` has it.
+    /// Frames of others not received, because of the scenario's `observer_loss`.
     pub missed: u64,
 }
 
@@ -68,7 +68,7 @@ impl Inspector {
         }
     }
 
-    /// Reports a frame that broke, as its sender or a receiver sees it.
+    /// Adds an error frame for a bus error, as its sender (`sent`) or a receiver reports it.
     pub fn push_error(&mut self, at: Instant, error: FrameFault, sent: bool, counters: (u16, u16)) {
         if self.state == ControllerState::BusOff {
             return;
@@ -83,7 +83,7 @@ impl Inspector {
         self.push(Frame::error(class | CAN_ERR_BUSERROR | CAN_ERR_CNT, &details).with_time(at));
     }
 
-    /// Reports the controller's state where it has changed.
+    /// Adds an error frame if the controller's state has changed.
     pub fn push_state(&mut self, at: Instant, state: ControllerState, counters: (u16, u16)) {
         let before = std::mem::replace(&mut self.state, state);
         if before == state {

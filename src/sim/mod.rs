@@ -1,15 +1,13 @@
-//! A simulated CAN bus, timed to the bit, with simulated devices of the platform on it, in
-//! virtual time.
+//! A simulated CAN bus with devices of the platform, timed to the bit, in virtual time.
 //!
-//! * [`scenario`]: which devices there are and what happens when; TOML, built in or in code.
-//! * [`Sim`]: all of it, running: attach a station, send, advance, poll.
+//! * [`scenario`]: devices and a timetable; from TOML, built in, or built in code.
+//! * [`Sim`]: the running simulation: attach a station, transmit, advance, poll.
 //!
-//! One deterministic state machine: the same scenario, seed and inputs give the same run to the
-//! byte. No I/O, no clock, no threads. It does not know the program that looks at it: that one
-//! attaches like any other station and sees frames only.
+//! Deterministic: the same scenario, seed and inputs give the same frames. No I/O, no clock, no
+//! threads. Does not know descan: it attaches like any other station.
 //!
-//! Inside, times are nanoseconds, because a bit is 200 of them at 5 Mbit/s; outside, they are
-//! [`Instant`]s of whole microseconds.
+//! Internal times are in nanoseconds, because a bit takes 200 ns at 5 Mbit/s; public ones are
+//! [`Instant`]s in microseconds.
 
 mod bus;
 mod controller;
@@ -32,12 +30,12 @@ pub use world::Sim;
 
 use crate::time::Instant;
 
-/// The whole microseconds of a time in nanoseconds.
+/// Converts nanoseconds to an instant, rounded down to microseconds.
 const fn instant(nanos: u64) -> Instant {
     Instant::from_micros(nanos / 1000)
 }
 
-/// A time in nanoseconds.
+/// Converts an instant to nanoseconds.
 const fn nanos(at: Instant) -> u64 {
     at.as_micros().saturating_mul(1000)
 }

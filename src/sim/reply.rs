@@ -1,7 +1,7 @@
-//! A device's DES answers on their way: the delay before them, their framing, the transfers
-//! under flow control, and what a faulty device does to them.
+//! Pending DES responses of a device: delay, framing, transfers under flow control, and the effects
+//! of faults.
 //!
-//! Does not know what was asked or who the device is.
+//! Does not know the requests or the device.
 
 use super::scenario::{Fault, Faults};
 use crate::frame::Frame;
@@ -9,37 +9,36 @@ use crate::time::Duration;
 use crate::wire::framing::Framing;
 use crate::wire::isotp::{FlowControl, FlowStatus, Segmenter, single_frame};
 
-/// The most answers that wait or are under way; what is asked beyond that is not answered.
+/// Most pending responses; further requests are ignored.
 const MAX_REPLIES: usize = 16;
-/// How long a device that never ends pauses between two frames, in nanoseconds.
+/// Frame interval of an endless transfer, in nanoseconds.
 const ENDLESS_PACE: u64 = 1_000_000;
 
-/// How the frames of an answer are made.
+/// Form of a response's frames.
 #[derive(Clone, Copy)]
 pub(super) struct Form {
-    /// The identifier they travel on.
+    /// Identifier of the response.
     pub id: u32,
-    /// The identifier without the bit ERR, on which a message too long for its framing is
-    /// refused.
+    /// Identifier with ERR = 0, for a message that is too long for its framing.
     pub refusal_id: u32,
     pub framing: Framing,
     pub fd: bool,
     pub padding: u8,
-    /// Whose flow control counts, 0–127.
+    /// Address whose flow control counts, 0 to 127.
     pub peer: u8,
 }
 
-/// The answers of one device.
+/// Pending responses of one device.
 #[derive(Default)]
 pub(super) struct Replies(Vec<Reply>);
 
 struct Reply {
     form: Form,
-    /// Not to be continued before, in nanoseconds.
+    /// Earliest time of the next frame, in nanoseconds.
     not_before: u64,
-    /// A frame of it is queued: go on when it is out.
+    /// A frame of it is queued; the next one follows when it was sent.
     in_flight: bool,
-    /// Least time between two frames, as flow control says.
+    /// Minimum time between two frames, from flow control.
     separation: Duration,
     body: Body,
 }
@@ -55,12 +54,12 @@ struct TxTransfer {
     faults: Faults,
     frames: u32,
     sequence: u8,
-    /// When an endless one goes on, in nanoseconds.
+    /// Time of the next frame of an endless transfer, in nanoseconds.
     resume: u64,
 }
 
 impl Replies {
-    /// Answers `message` not before `at`.
+    /// Adds a response, to be sent at `at` (nanoseconds) or later.
     pub fn push(&mut self, at: u64, form: Form, message: Vec<u8>, faults: Faults) {
         if self.0.len() >= MAX_REPLIES || message.is_empty() {
             return;
@@ -78,17 +77,17 @@ impl Replies {
         self.0.push(Reply { form, not_before: at, in_flight: false, separation, body });
     }
 
-    /// Forgets all of them.
+    /// Removes all responses.
     pub fn clear(&mut self) {
         self.0.clear();
     }
 
-    /// When [`Replies::poll`] is to be called next, in nanoseconds.
+    /// Returns when to call [`Replies::poll`] next, in nanoseconds; `None` if none is pending.
     pub fn next(&self) -> Option<u64> {
         self.ready().map(|(_, reply)| reply.due()).min()
     }
 
-    /// The next frame to be queued, if one is due.
+    /// Returns the next frame to send; `None` if none is due.
     pub fn poll(&mut self, now: u64) -> Option<Frame> {
         let due = self.ready().find(|(_, reply)| reply.due() <= now);
         let (at, _) = due?;
@@ -101,7 +100,7 @@ impl Replies {
         frame
     }
 
-    /// Takes note that a frame with this identifier is out.
+    /// Handles that a frame with this identifier was sent.
     pub fn handle_sent(&mut self, now: u64, id: u32) {
         let sent =
             |reply: &Reply| reply.in_flight && (reply.form.id == id || reply.form.refusal_id == id);
@@ -114,7 +113,7 @@ impl Replies {
         }
     }
 
-    /// Takes flow control from `peer`.
+    /// Handles flow control from the address `peer`.
     pub fn handle_flow(&mut self, now: u64, peer: u8, flow: FlowControl) {
         let position = self.ready().find_map(|(at, reply)| {
             (reply.form.peer == peer && matches!(reply.body, Body::Transfer(_))).then_some(at)
@@ -133,7 +132,7 @@ impl Replies {
         }
     }
 
-    /// Those that may go on: of several on one identifier the first.
+    /// Yields the responses that may continue: for each identifier the first.
     fn ready(&self) -> impl Iterator<Item = (usize, &Reply)> {
         let all = &self.0;
         all.iter().enumerate().filter(move |(at, reply)| {
@@ -178,7 +177,7 @@ impl TxTransfer {
         Self { segmenter, faults, frames: 0, sequence: 0, resume: 0 }
     }
 
-    /// Whether it goes on although all is sent; a message of one frame ends all the same.
+    /// Returns true if it continues after its last byte; a single frame does not.
     fn is_endless(&self) -> bool {
         self.faults.has(Fault::Endless) && self.frames > 1
     }
@@ -224,7 +223,7 @@ impl Form {
         if self.fd { Frame::MAX_DATA } else { Frame::MAX_CLASSIC_DATA }
     }
 
-    /// The whole message in a frame; where it does not fit, the platform's "could not".
+    /// Returns the message in one frame, or a frame with ERR = 0 if it is too long.
     pub fn raw(&self, message: &[u8]) -> Frame {
         if message.len() <= self.capacity() {
             self.frame(self.id, message)
@@ -233,7 +232,7 @@ impl Form {
         }
     }
 
-    /// A first frame that announces more than anybody takes.
+    /// Returns a first frame with a length of 4 GiB.
     fn oversized(&self) -> Frame {
         let mut data = [0; Frame::MAX_DATA];
         data[..6].copy_from_slice(&[0x10, 0x00, 0xFF, 0xFF, 0xFF, 0xFF]);

@@ -1,7 +1,7 @@
-//! Scenarios: which devices are on a bus, how they behave, and what happens to them when.
+//! Scenarios: the devices of a simulated bus, their behaviour, and a timetable.
 //!
-//! Built in ([`Scenario::builtin`]), read from TOML ([`Scenario::parse`]) or put together in
-//! code ([`Scenario::new`], [`DeviceSpec::new`]). Does not know how any of it is simulated.
+//! Built in ([`Scenario::builtin`]), from TOML ([`Scenario::parse`]) or built in code
+//! ([`Scenario::new`], [`DeviceSpec::new`]). Does not know how they are simulated.
 
 use crate::time::{Duration, Instant};
 use crate::wire::framing::Framing;
@@ -9,23 +9,23 @@ use crate::wire::id::{Address, Service};
 use crate::wire::node::{Mode, Uid};
 use serde::Deserialize;
 
-/// Everything a simulated bus begins with.
+/// Initial state of a simulated bus, and what happens on it.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Scenario {
-    /// Nominal bit rate in bit/s, 10,000–1,000,000.
+    /// Nominal bit rate in bit/s, 10,000 to 1,000,000.
     pub bitrate: u32,
     /// Bit rate of the data phase of FD frames in bit/s, up to 8,000,000.
     pub data_bitrate: u32,
-    /// What the random numbers begin with, unless the caller gives another seed.
+    /// Seed of the random numbers, unless the caller gives another one.
     pub seed: u64,
-    /// The share of frames that a disturbance destroys on the wire, 0–1; they are repeated.
+    /// Share of frames destroyed on the wire, 0 to 1; their senders repeat them.
     pub error_rate: f64,
-    /// The share of others' frames that an attached station misses, 0–1.
+    /// Share of others' frames that an attached station does not receive, 0 to 1.
     pub observer_loss: f64,
     /// The devices.
     pub devices: Vec<DeviceSpec>,
-    /// What happens to them.
+    /// Actions on devices and their times.
     pub timetable: Vec<TimetableEvent>,
 }
 
@@ -44,36 +44,40 @@ impl Default for Scenario {
 }
 
 impl Scenario {
-    /// The names [`Scenario::builtin`] knows.
+    /// Names of the built-in scenarios.
     pub const BUILTIN: [&'static str; 2] = ["boiler", "drone"];
 
-    /// An empty bus.
+    /// Returns a bus without devices. `bitrate` in bit/s.
     pub fn new(bitrate: u32) -> Self {
         Self { bitrate, ..Self::default() }
     }
 
-    /// The text of a built-in scenario: a template for one's own.
+    /// Returns the text of a built-in scenario, a template for others; `None` if there is none with
+    /// that name.
     pub fn builtin_text(name: &str) -> Option<&'static str> {
         let texts = [include_str!("scenarios/boiler.toml"), include_str!("scenarios/drone.toml")];
         let at = Self::BUILTIN.iter().position(|known| *known == name)?;
         Some(texts[at])
     }
 
-    /// A built-in scenario.
+    /// Returns a built-in scenario.
+    ///
+    /// # Errors
+    /// [`ScenarioError::NoSuchScenario`].
     pub fn builtin(name: &str) -> Result<Self, ScenarioError> {
         let text = Self::builtin_text(name)
             .ok_or_else(|| ScenarioError::NoSuchScenario { name: name.to_owned() })?;
         Self::parse(text)
     }
 
-    /// The same with one more device.
+    /// Adds a device.
     #[must_use]
     pub fn with(mut self, device: DeviceSpec) -> Self {
         self.devices.push(device);
         self
     }
 
-    /// The same with `action` on the device labelled `device` at `time`.
+    /// Adds an action on the device with label `device`, at `time` after the start.
     #[must_use]
     pub fn at(mut self, time: Duration, device: &str, action: DeviceAction) -> Self {
         let time = Instant::ZERO + time;
@@ -81,8 +85,8 @@ impl Scenario {
         self
     }
 
-    /// A bus with `count` (1–127) working devices at the addresses from 1, `services` services
-    /// each, settled: nothing to resolve, heartbeats from the start.
+    /// Returns a bus with `count` (1 to 127) working devices at the addresses from 1, each with
+    /// `services` services. They are settled: no address resolution, heartbeats from the start.
     pub fn crowd(bitrate: u32, count: usize, services: usize) -> Self {
         let mut scenario = Self::new(bitrate);
         for address in Address::nodes().take(count) {
@@ -98,13 +102,13 @@ impl Scenario {
     }
 }
 
-/// DEV_CFG_ADDR: which address a device wants.
+/// DEV_CFG_ADDR: the address that a device uses (protocol §7.5).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(try_from = "AddressWritten")]
 pub enum AddressChoice {
-    /// Any free one; such a device does not work but waits to be configured.
+    /// Any free one; such a device waits for configuration in mode CFG.
     Any,
-    /// This one if it is free, else any.
+    /// This one if it is free, else any other.
     Preferred(Address),
     /// This one or none.
     Fixed(Address),
@@ -134,21 +138,21 @@ impl TryFrom<AddressWritten> for AddressChoice {
     }
 }
 
-/// In which framings a device understands requests and answers them.
+/// Framings in which a device reads requests and responds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum DeviceFraming {
-    /// ISO 15765-2.
+    /// ISO-TP.
     #[default]
     Isotp,
-    /// Messages as they stand.
+    /// Raw.
     Raw,
-    /// Each request in its own.
+    /// Both; the response has the framing of the request.
     Both,
 }
 
 impl DeviceFraming {
-    /// Whether a request in this framing is understood.
+    /// Returns true if a request in this framing is read.
     pub fn understands(self, framing: Framing) -> bool {
         match self {
             Self::Both => true,
@@ -158,64 +162,64 @@ impl DeviceFraming {
     }
 }
 
-/// What a device does wrong.
+/// A fault of a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Fault {
     /// Sends no heartbeat.
     NoHeartbeat,
-    /// Answers nothing of DES.
+    /// Responds to no DES request.
     NoDes,
-    /// Answers its name but not its services.
+    /// Responds to name requests but not to services requests.
     NoServices,
-    /// Leaves the second consecutive frame of each long answer out.
+    /// Omits the second frame of each segmented response.
     DropFrame,
-    /// Numbers the second consecutive frame wrongly.
+    /// Sends the second frame of each segmented response with a wrong sequence number.
     WrongSequence,
-    /// Never ends a long answer.
+    /// Never ends a segmented response.
     Endless,
-    /// Announces four gigabytes and sends nothing.
+    /// Sends a first frame with a length of 4 GiB, and nothing more.
     HugeLength,
-    /// Ends its services answer in the middle of a string.
+    /// Ends the services response inside a string.
     TruncatedServices,
-    /// Answers everything twice.
+    /// Sends each response twice.
     AnswersTwice,
-    /// Sends answers to the request's DST, as the platform description says literally.
+    /// Copies the DST of the request to the response (protocol §1.3).
     EchoDestination,
-    /// Keeps its address and its mode whatever it hears: an offender.
+    /// Never gives up its address or its mode.
     NeverGivesWay,
 }
 
-/// The faults of a device.
+/// A set of faults.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub struct Faults(u16);
 
 impl Faults {
-    /// Whether the device has this one.
+    /// Returns true if the fault is in the set.
     pub const fn has(self, fault: Fault) -> bool {
         self.0 >> fault as u16 & 1 == 1
     }
 
-    /// Adds or mends one.
+    /// Adds or removes a fault.
     pub fn set(&mut self, fault: Fault, present: bool) {
         self.0 = self.0 & !(1 << fault as u16) | u16::from(present) << fault as u16;
     }
 }
 
-/// Something a device sends unasked, over and over: background load.
+/// Periodic unsolicited data of a device: background load.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Chatter {
-    /// The service it is data of.
+    /// Service number.
     pub service: Service,
-    /// Every so often.
+    /// Period.
     pub period: Duration,
-    /// Bytes per frame, 0–8 (0–64 for a device with FD).
+    /// Bytes per frame, 0 to 8 (0 to 64 for a device with FD).
     pub length: u8,
 }
 
-/// Descriptor fields (3.2) that nothing else depends on.
+/// Descriptor fields on which nothing else depends (protocol §7.4).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct Descriptor {
@@ -227,50 +231,51 @@ pub struct Descriptor {
     pub firmware: (u16, u16),
 }
 
-/// A device as it is made and configured.
+/// Configuration of a simulated device.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct DeviceSpec {
-    /// How the timetable calls it; no two devices share one.
+    /// Label in the timetable; unique.
     pub label: String,
-    /// The name it gives itself: any bytes but 0.
+    /// Name, any bytes but 0.
     pub name: Vec<u8>,
     /// DEV_CFG_ADDR.
     pub address: AddressChoice,
-    /// DEV_CFG_UID; blank: the device does not work but waits to be configured.
+    /// UID; if blank, the device waits for configuration in mode CFG.
     pub uid: Uid,
-    /// What else its descriptor says.
+    /// Further descriptor fields.
     pub descriptor: Descriptor,
-    /// Its services, each a list of strings: name, version, possibly more.
+    /// Services, each a list of strings: name, version, possibly more.
     pub services: Vec<Vec<Vec<u8>>>,
-    /// DEV_CFG_AUTOSTART: whether it works as soon as it has an address.
+    /// DEV_CFG_AUTOSTART: enters mode WORK once it has an address.
     pub autostart: bool,
-    /// The mode it takes whatever its configuration says.
+    /// Mode after address resolution; `None`: as configured.
     pub mode: Option<Mode>,
-    /// When it is switched on; `None`: not until the timetable says so.
+    /// Time of power-on after the start; `None`: by the timetable only.
     pub power_on: Option<Duration>,
-    /// Has its address already when it is first switched on: no listening, no claim.
+    /// Has its address at the first power-on: no address resolution.
     pub settled: bool,
-    /// How it lays DES messages into frames.
+    /// Framing of DES messages.
     pub framing: DeviceFraming,
-    /// Answers, beats and chatters in FD frames.
+    /// Sends FD frames.
     pub fd: bool,
     /// Heartbeat period; `None`: BUS_CFG_HR_TIME.
     pub heartbeat: Option<Duration>,
-    /// Each heartbeat is late by a random part of this.
+    /// Largest random delay of a heartbeat.
     pub jitter: Duration,
-    /// How much its crystal is off, in millionths: positive is slow.
+    /// Deviation of its clock in ppm; positive is slow.
     pub tolerance_ppm: i32,
-    /// It answers after a random time between these.
+    /// Shortest and longest random delay of a response.
     pub delay: (Duration, Duration),
-    /// What it does wrong.
+    /// Faults.
     pub faults: Faults,
-    /// What it sends unasked.
+    /// Periodic unsolicited data.
     pub chatter: Vec<Chatter>,
 }
 
 impl DeviceSpec {
-    /// A working device of that name, any address, with a UID made of the name. Services: DES.
+    /// Returns a working device with that name and label, any address, a UID derived from the name,
+    /// and the service DES.
     pub fn new(name: &str) -> Self {
         Self {
             label: name.to_owned(),
@@ -294,82 +299,82 @@ impl DeviceSpec {
         }
     }
 
-    /// The same under another label.
+    /// Sets the label.
     #[must_use]
     pub fn label(mut self, label: &str) -> Self {
         label.clone_into(&mut self.label);
         self
     }
 
-    /// The same with this name; the label stays.
+    /// Sets the name; the label stays.
     #[must_use]
     pub fn name(mut self, name: &[u8]) -> Self {
         self.name = name.to_vec();
         self
     }
 
-    /// The same with this DEV_CFG_ADDR.
+    /// Sets the address.
     #[must_use]
     pub fn address(mut self, address: AddressChoice) -> Self {
         self.address = address;
         self
     }
 
-    /// The same with the fixed address `number`, of which the low seven bits count.
+    /// Sets the fixed address `number`; only the low seven bits count.
     #[must_use]
     pub fn fixed(self, number: u8) -> Self {
         self.address(AddressChoice::Fixed(Address::from_bits(number)))
     }
 
-    /// The same with the preferred address `number`, of which the low seven bits count.
+    /// Sets the preferred address `number`; only the low seven bits count.
     #[must_use]
     pub fn preferred(self, number: u8) -> Self {
         self.address(AddressChoice::Preferred(Address::from_bits(number)))
     }
 
-    /// The same with this UID.
+    /// Sets the UID.
     #[must_use]
     pub fn uid(mut self, uid: Uid) -> Self {
         self.uid = uid;
         self
     }
 
-    /// The same with one more service.
+    /// Adds a service.
     #[must_use]
     pub fn service(mut self, name: &str, version: &str) -> Self {
         self.services.push(vec![name.as_bytes().to_vec(), version.as_bytes().to_vec()]);
         self
     }
 
-    /// The same with one more fault.
+    /// Adds a fault.
     #[must_use]
     pub fn fault(mut self, fault: Fault) -> Self {
         self.faults.set(fault, true);
         self
     }
 
-    /// The same, settled: see the field.
+    /// Sets [`settled`](Self#structfield.settled).
     #[must_use]
     pub fn settled(mut self) -> Self {
         self.settled = true;
         self
     }
 
-    /// The same, switched on at `at`.
+    /// Sets the time of power-on after the start.
     #[must_use]
     pub fn power_on(mut self, at: Duration) -> Self {
         self.power_on = Some(at);
         self
     }
 
-    /// The same with this framing.
+    /// Sets the framing.
     #[must_use]
     pub fn framing(mut self, framing: DeviceFraming) -> Self {
         self.framing = framing;
         self
     }
 
-    /// The same with one more thing it sends unasked.
+    /// Adds periodic unsolicited data. `length` in bytes.
     #[must_use]
     pub fn chatter(mut self, service: u16, period: Duration, length: u8) -> Self {
         self.chatter.push(Chatter { service: Service::from_bits(service), period, length });
@@ -377,7 +382,7 @@ impl DeviceSpec {
     }
 }
 
-/// A UID that spells as much of `text` as its alphabet has.
+/// Returns a UID with the first eight characters of `text`, as far as the alphabet has them.
 pub(super) fn uid_of(text: &str) -> Uid {
     let sextets = std::array::from_fn(|at| match text.as_bytes().get(at) {
         Some(byte @ 0x20..=0x5F) => byte - 0x20,
@@ -387,52 +392,51 @@ pub(super) fn uid_of(text: &str) -> Uid {
     Uid::from_sextets(sextets)
 }
 
-/// Something that is done to a device.
+/// An action on a device.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum DeviceAction {
-    /// Switch it on.
+    /// Switches it on.
     Join,
-    /// Switch it off: it is gone without a word.
+    /// Switches it off.
     Leave,
-    /// Off and on again, its address to be resolved anew; with new services after a firmware
-    /// update.
+    /// Switches it off and on; it resolves its address again.
     Reboot {
-        /// The services it has afterwards; `None`: the same.
+        /// New services, as after a firmware update; `None`: unchanged.
         services: Option<Vec<Vec<Vec<u8>>>>,
     },
-    /// Off and on again within a bit or two, as by a watchdog: it keeps its address and says
-    /// nothing of it; only its heartbeat's phase and what it was about to answer are lost.
+    /// Restarts it at once, as a watchdog does: it keeps its address; the heartbeat phase changes
+    /// and pending responses are lost.
     QuickReboot,
-    /// Configure another address; it resolves anew.
+    /// Configures another address, which it resolves.
     Move(AddressChoice),
-    /// Change its services without a reboot.
+    /// Changes its services without a reboot.
     Services(Vec<Vec<Vec<u8>>>),
-    /// Put it into another mode; INIT and ARSLV begin the resolution of its address.
+    /// Changes its mode; INIT and ARSLV start address resolution.
     Mode(Mode),
-    /// Change its name.
+    /// Changes its name.
     Name(Vec<u8>),
-    /// Change its UID.
+    /// Changes its UID.
     Uid(Uid),
-    /// It begins to do something wrong.
+    /// Adds a fault.
     Break(Fault),
-    /// It stops doing something wrong.
+    /// Removes a fault.
     Mend(Fault),
-    /// Change how often frames break on the wire, 0–1. Concerns the bus, not the device.
+    /// Sets the share of frames destroyed on the wire, 0 to 1. Concerns the bus, not the device.
     ErrorRate(f64),
 }
 
-/// An entry of the timetable.
+/// An event of the timetable.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct TimetableEvent {
-    /// When.
+    /// Time of the event.
     pub time: Instant,
-    /// And again each time this has passed.
+    /// Period of repetitions; `None`: once.
     pub every: Option<Duration>,
-    /// To which device, by its label; empty for what concerns the bus.
+    /// Label of the device; empty for actions on the bus.
     pub device: String,
-    /// What.
+    /// The action.
     pub action: DeviceAction,
 }
 

@@ -1,11 +1,10 @@
-//! What can be seen of a simulation from outside: handles, the state of stations, and how
-//! devices really are.
+//! Public view of a simulation: handles, status of stations, true state of devices.
 
 use super::controller::ControllerState;
 use crate::wire::id::Address;
 use crate::wire::node::{Mode, Uid};
 
-/// A station attached from outside: the inspector, or another tester.
+/// An attached station.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct SimStation(pub(super) u16);
 
@@ -13,43 +12,43 @@ pub struct SimStation(pub(super) u16);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct SimDeviceId(pub(super) u16);
 
-/// What an attached station's controller says of itself.
+/// Status of an attached station's controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct StationStatus {
-    /// Where it stands in fault confinement.
+    /// State of fault confinement.
     pub state: ControllerState,
     /// Transmit error counter.
     pub tec: u16,
     /// Receive error counter.
     pub rec: u16,
-    /// The bus's nominal bit rate in bit/s.
+    /// Nominal bit rate of the bus, in bit/s.
     pub bitrate: u32,
-    /// Frames waiting to be sent.
+    /// Frames in the transmit queue.
     pub queued: usize,
-    /// Frames refused because the queue was full or the station off.
+    /// Frames rejected because the queue was full or the station off.
     pub refused: u64,
-    /// Frames of others that it missed, as the scenario's `observer_loss` has it.
+    /// Frames of others not received, because of the scenario's `observer_loss`.
     pub missed: u64,
-    /// Frames dropped because nobody polled them.
+    /// Frames dropped because they were not polled.
     pub overflowed: u64,
 }
 
-/// How a device really is: what a test compares with what an inspector found out.
+/// True state of a device, for comparison with what an observer found out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct DeviceState<'a> {
-    /// Its label in the scenario.
+    /// Label in the scenario.
     pub label: &'a str,
-    /// The name it gives itself.
+    /// Name.
     pub name: &'a [u8],
-    /// Its DEV_CFG_UID.
+    /// UID.
     pub uid: Uid,
-    /// Its mode; `None` while it is off.
+    /// Mode; `None` while it is off.
     pub mode: Option<Mode>,
-    /// The address it holds.
+    /// Address; `None` before the end of address resolution.
     pub address: Option<Address>,
-    /// Its services.
+    /// Services, each a list of strings.
     pub services: &'a [Vec<Vec<u8>>],
     /// Transmit and receive error counters.
     pub counters: (u16, u16),

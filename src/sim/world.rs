@@ -1,5 +1,4 @@
-//! The running simulation: bus, devices, attached stations and the timetable, one event after
-//! the other.
+//! The running simulation: bus, devices, attached stations and timetable, one event at a time.
 
 use super::bus::{BusOutcome, FrameFault, SimBus, StationIndex, Statistics};
 use super::device::{DeviceIo, SimDevice};
@@ -14,13 +13,13 @@ use crate::wire::profile::Profile;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-/// Frames a device's controller holds.
+/// Capacity of a device's transmit queue, in frames.
 const DEVICE_QUEUE: usize = 32;
-/// Frames an attached station may have waiting.
+/// Capacity of an attached station's transmit queue, in frames.
 const STATION_QUEUE: usize = 1024;
-/// The most devices of one simulation.
+/// Most devices in a simulation.
 const MAX_DEVICES: usize = 1024;
-/// The most stations attached from outside.
+/// Most attached stations.
 const MAX_STATIONS: usize = 1024;
 
 /// A running simulation of one bus with its devices.
@@ -47,15 +46,15 @@ pub struct Sim {
     now: u64,
     bus: SimBus,
     devices: Vec<SimDevice>,
-    /// Station of each device, and which device or inspector a station is.
+    /// Station of each device; device or inspector of each station.
     stations: Vec<StationIndex>,
     owners: Vec<Owner>,
     inspectors: Vec<Inspector>,
-    /// Devices by the address they hold.
+    /// Devices by address.
     by_address: [Vec<u16>; Address::COUNT],
-    /// Devices that look for an address and hear everything.
+    /// Devices without an address, which receive all frames.
     listening: Vec<u16>,
-    /// When each device wants to be called; stale entries of the queue differ from it.
+    /// Next call of each device, in nanoseconds; other entries of the queue are outdated.
     calls: Vec<u64>,
     call_queue: BinaryHeap<Reverse<(u64, u16)>>,
     timetable: Vec<DeviceSlot>,
@@ -79,17 +78,17 @@ struct DeviceSlot {
 }
 
 impl Sim {
-    /// A simulation of `scenario` with the built-in profile.
+    /// Creates a simulation of `scenario` with the default profile.
     pub fn new(scenario: &Scenario, seed: u64) -> Self {
         Self::with_profile(scenario, seed, Profile::default())
     }
 
-    /// The same with the scenario's own seed.
+    /// Creates a simulation with the default profile and the scenario's own seed.
     pub fn from_scenario(scenario: &Scenario) -> Self {
         Self::new(scenario, scenario.seed)
     }
 
-    /// A simulation whose devices use the numbers of `profile`.
+    /// Creates a simulation whose devices use `profile`.
     pub fn with_profile(scenario: &Scenario, seed: u64, profile: Profile) -> Self {
         let mut rng = fastrand::Rng::with_seed(seed);
         let bus =
@@ -123,18 +122,18 @@ impl Sim {
         sim
     }
 
-    /// The virtual time.
+    /// Returns the virtual time.
     pub fn now(&self) -> Instant {
         super::instant(self.now)
     }
 
-    /// When something happens next, if nothing is transmitted or done meanwhile; never in the
-    /// past.
+    /// Returns the time of the next event, at least `now()`, provided that nothing is transmitted
+    /// before; `None` if there is none.
     pub fn next_event(&self) -> Option<Instant> {
         self.next_nanos().map(|at| Instant::from_micros(at.max(self.now).div_ceil(1000)))
     }
 
-    /// Runs bus and devices up to and with `until`. Does nothing where that is in the past.
+    /// Runs bus and devices up to and including `until`; no effect if that is in the past.
     pub fn advance(&mut self, until: Instant) {
         let until = super::nanos(until);
         while let Some(at) = self.next_nanos().filter(|&at| at <= until) {
@@ -144,8 +143,7 @@ impl Sim {
         self.now = self.now.max(until);
     }
 
-    /// Attaches a station, its link up and its controller active. At most 1,024; beyond that
-    /// the last one is shared.
+    /// Attaches a station with its link up. At most 1,024; further calls return the last one.
     pub fn attach(&mut self) -> SimStation {
         if self.inspectors.len() < MAX_STATIONS {
             let station = self.bus.add(STATION_QUEUE);
@@ -158,27 +156,27 @@ impl Sim {
         SimStation(last.unwrap_or(0) as u16)
     }
 
-    /// Queues a frame for sending. False when it is refused: the queue (1,024 frames) is full,
-    /// or the station is down or bus-off. Its own copy comes back with `ours` once the bus took
-    /// it.
+    /// Queues a frame. Returns false if it is rejected: the queue (1,024 frames) is full, or the
+    /// station is down or bus-off. The station receives its own frame, with `is_tx`, when it was
+    /// acknowledged.
     pub fn transmit(&mut self, station: SimStation, frame: Frame) -> bool {
         self.bus.transmit(self.now, station.0, frame, false)
     }
 
-    /// Passes on a frame that `station` heard on another bus: everybody here hears it now. It won
-    /// its arbitration there, so that nothing here contends or merges with it. The station's own
-    /// copy comes back with `ours`.
+    /// Forwards a frame that `station` received on another bus: all stations here receive it at
+    /// once, without arbitration, since it won arbitration there. The station receives its own
+    /// frame with `is_tx`.
     pub fn relay(&mut self, station: SimStation, frame: Frame) {
         self.deliver(&frame.with_time(self.now()), &[station.0]);
     }
 
-    /// The next frame as this station sees it, dated: others' frames, its own (`ours`), error
-    /// reports.
+    /// Returns the next frame that this station received, with its time: frames of others, its own
+    /// (`is_tx`) and error frames; `None` if there is none.
     pub fn poll_frame(&mut self, station: SimStation) -> Option<Frame> {
         self.inspector_mut(station.0)?.poll()
     }
 
-    /// What its controller says of itself.
+    /// Returns the status of a station's controller.
     pub fn status(&self, station: SimStation) -> StationStatus {
         let controller = self.bus.controller(station.0);
         let (tec, rec) = controller.counters();
@@ -201,27 +199,26 @@ impl Sim {
         }
     }
 
-    /// Takes a station's link down (what it has queued is lost) or up, which also restarts it
-    /// from bus-off.
+    /// Sets a station's link down, which drops its queue, or up, which also ends bus-off.
     pub fn set_link(&mut self, station: SimStation, up: bool) {
         self.bus.set_attached(station.0, up);
         self.report_states();
     }
 
-    /// Lets a station only listen: it sends, acknowledges and destroys nothing.
+    /// Sets a station listen-only: no frames, no acknowledgement, no error flags.
     pub fn set_listen_only(&mut self, station: SimStation, listen_only: bool) {
         self.bus.controller_mut(station.0).silent = listen_only;
         self.bus.wake(self.now, station.0);
     }
 
-    /// Sets a station's bit rate. At another than the bus's it understands nothing, and unless
-    /// it only listens it destroys what it hears.
+    /// Sets a station's bit rate, in bit/s. If it is not that of the bus, the station receives no
+    /// frames and, unless listen-only, destroys those of others.
     pub fn set_bitrate(&mut self, station: SimStation, bitrate: u32) {
         self.bus.set_wrong_rate(station.0, bitrate != self.bus.bitrate());
     }
 
-    /// Adds a device, which is switched on at its `power_on` or now where that has passed. At
-    /// most 1,024; beyond that the last one is meant.
+    /// Adds a device, switched on at its `power_on`, or now if that has passed. At most 1,024;
+    /// further calls return the last one.
     pub fn insert(&mut self, spec: DeviceSpec) -> SimDeviceId {
         if self.devices.len() >= MAX_DEVICES {
             return SimDeviceId((self.devices.len() - 1) as u16);
@@ -240,18 +237,18 @@ impl Sim {
         SimDeviceId(index)
     }
 
-    /// The device with this label.
+    /// Returns the device with this label; `None` if there is none.
     pub fn device(&self, label: &str) -> Option<SimDeviceId> {
         let at = self.devices.iter().position(|device| device.spec.label == label)?;
         Some(SimDeviceId(at as u16))
     }
 
-    /// All devices, those that are off included.
+    /// Yields all devices, including those that are off.
     pub fn devices(&self) -> impl Iterator<Item = SimDeviceId> + use<> {
         (0..self.devices.len() as u16).map(SimDeviceId)
     }
 
-    /// How a device really is.
+    /// Returns the true state of a device.
     pub fn device_state(&self, device: SimDeviceId) -> DeviceState<'_> {
         let index = usize::from(device.0);
         let it = &self.devices[index];
@@ -266,7 +263,7 @@ impl Sim {
         }
     }
 
-    /// Does something to a device, now.
+    /// Applies an action to a device now.
     pub fn control(&mut self, device: SimDeviceId, action: DeviceAction) {
         if let DeviceAction::ErrorRate(rate) = action {
             self.bus.error_rate = rate;
@@ -275,17 +272,17 @@ impl Sim {
         }
     }
 
-    /// Changes how often frames break on the wire, 0–1.
+    /// Sets the share of frames destroyed on the wire, 0 to 1.
     pub fn set_error_rate(&mut self, rate: f64) {
         self.bus.error_rate = rate;
     }
 
-    /// Totals of the bus since the start.
+    /// Returns the totals of the bus since the start.
     pub fn statistics(&self) -> Statistics {
         self.bus.statistics()
     }
 
-    /// How long `frame` keeps this bus busy, stuff bits and intermission included.
+    /// Returns the time that `frame` takes on this bus, including stuff bits and intermission.
     pub fn frame_duration(&self, frame: &Frame) -> Duration {
         let bits = FrameBits::of(frame);
         Duration::from_nanos(bits.nanos(self.bus.bitrate(), self.bus.data_bitrate()))
@@ -297,7 +294,7 @@ impl Sim {
         [self.bus.next_event(), call, entry].into_iter().flatten().min()
     }
 
-    /// The one thing that is next: the timetable before the bus before devices.
+    /// Processes one event: of the timetable first, then of the bus, then of devices.
     fn step(&mut self) {
         if let Some(&Reverse((at, entry))) = self.timetable_queue.peek()
             && at <= self.now
@@ -346,7 +343,7 @@ impl Sim {
                 let senders = self.bus.senders().to_vec();
                 self.report_error(error, &senders, false);
             }
-            Some(BusOutcome::Spoilt) => {
+            Some(BusOutcome::PassiveError) => {
                 let losers = self.bus.losers().to_vec();
                 self.report_error(FrameFault::Collision, &losers, true);
             }
@@ -365,11 +362,11 @@ impl Sim {
         }
     }
 
-    /// Only those devices that may care are told.
+    /// Delivers a frame to the devices that may react to it.
     fn deliver_to_devices(&mut self, frame: &Frame, header: Header, senders: &[StationIndex]) {
-        let is_beat = header.response && header.service == self.profile.heartbeat_service();
-        let to_all = is_beat || header.broadcast && !header.response;
-        let mut hearers: Vec<u16> = if to_all {
+        let is_heartbeat = header.response && header.service == self.profile.heartbeat_service();
+        let to_all = is_heartbeat || header.broadcast && !header.response;
+        let mut receivers: Vec<u16> = if to_all {
             (0..self.devices.len() as u16).collect()
         } else {
             let mut some = self.listening.clone();
@@ -379,17 +376,17 @@ impl Sim {
             }
             some
         };
-        hearers.retain(|&device| !senders.contains(&self.stations[usize::from(device)]));
-        for &device in &hearers {
+        receivers.retain(|&device| !senders.contains(&self.stations[usize::from(device)]));
+        for &device in &receivers {
             self.with_device(device, |device, port| device.handle_frame(frame, header, port));
         }
     }
 
-    /// Shows a frame to the stations from outside.
+    /// Delivers a frame to the attached stations.
     fn show(&mut self, frame: &Frame, senders: &[StationIndex]) {
         for inspector in &mut self.inspectors {
             let controller = self.bus.controller(inspector.station);
-            if !controller.hears() {
+            if !controller.is_receiving() {
                 continue;
             }
             let counters = controller.counters();
@@ -406,7 +403,7 @@ impl Sim {
         }
     }
 
-    /// Something broke: everybody sees it, or (`privately`) those who sent it.
+    /// Reports a bus error to all stations or, with `privately`, to its senders only.
     fn report_error(&mut self, error: FrameFault, senders: &[StationIndex], privately: bool) {
         let at = super::instant(self.now);
         for inspector in &mut self.inspectors {
@@ -442,8 +439,8 @@ impl Sim {
         }
     }
 
-    /// Lets a device do something, then takes note of what changed: its address, whether it
-    /// listens, when it wants to be called.
+    /// Runs `act` on a device, then updates its address, whether it receives all frames, and its
+    /// next call.
     fn with_device(&mut self, index: u16, act: impl FnOnce(&mut SimDevice, &mut DeviceIo)) {
         let at = usize::from(index);
         let Some(device) = self.devices.get_mut(at) else { return };

@@ -1,8 +1,8 @@
-//! What a device answers to requests: DES, its descriptor fields, and commands.
+//! Responses of a device to requests: DES, descriptor fields and commands (protocol §2, §7.4).
 //!
-//! The descriptor's service numbers and layouts are the profile's, assumed. An empty request
-//! reads a field, any other writes it where it may be written. Does not know how answers are
-//! cut into frames: that is [`super::super::reply`].
+//! Service numbers and layouts of the descriptor come from the profile. A request without data
+//! reads a field; any other writes it if it is writable. Does not know how responses are split into
+//! frames: see [`super::super::reply`].
 
 use super::{DeviceIo, SimDevice, nanos_of};
 use crate::frame::Frame;
@@ -14,28 +14,28 @@ use crate::wire::id::{Address, Header};
 use crate::wire::isotp::Pci;
 use crate::wire::node::{Mode, Uid};
 
-/// What becomes of a request for a descriptor field or a command.
+/// Result of a request for a descriptor field or of a command.
 enum Served {
-    /// Answered with these bytes.
+    /// Response with these bytes.
     Value(Vec<u8>),
-    /// Answered without bytes, then done.
+    /// Empty response, then this action.
     Done(Option<DeviceAction>),
-    /// Answered with ERR = 0.
+    /// Response with ERR = 0.
     Refused,
 }
 
 impl SimDevice {
-    /// Takes a conforming request to this device or to all.
+    /// Handles a conforming request, targeted at this device or broadcast.
     pub(super) fn handle_request(&mut self, frame: &Frame, header: Header, port: &mut DeviceIo) {
         if header.service == port.profile.des_service() {
             self.handle_des(frame, header, port);
-        } else if !header.broadcast && self.hears(header) {
+        } else if !header.broadcast && self.accepts(header) {
             self.handle_common(frame, header, port);
         }
     }
 
-    /// Whether a request is meant for nodes in its mode, and it is awake.
-    fn hears(&self, header: Header) -> bool {
+    /// Returns true if a request addresses nodes in its mode and it is not in IDLE.
+    fn accepts(&self, header: Header) -> bool {
         header.to_not_working != self.is_working() && self.mode != Mode::Idle
     }
 
@@ -44,7 +44,7 @@ impl SimDevice {
             self.replies.handle_flow(port.now, header.source.number(), flow);
             return;
         }
-        if !self.hears(header) {
+        if !self.accepts(header) {
             return;
         }
         let Some((framing, message)) = classify_request(frame.data(), frame.fd) else { return };
@@ -64,7 +64,7 @@ impl SimDevice {
     fn response(&self, request: Request) -> Vec<u8> {
         match request {
             Request::Name => des::encode_name(&self.spec.name).collect(),
-            // Without its firmware a device has no services to list.
+            // Without firmware a device has no services.
             Request::Services if self.mode == Mode::Boot => vec![des::TYPE_SERVICES],
             Request::Services => {
                 let mut message: Vec<u8> = des::encode_services(&self.spec.services).collect();
@@ -84,7 +84,7 @@ impl SimDevice {
         self.replies.push(port.now + delay, form, message, self.spec.faults);
     }
 
-    /// How the frames of the answer to `header` are made.
+    /// Returns the form of the response's frames; `None` without an address.
     fn form(&self, header: Header, framing: Framing, port: &DeviceIo) -> Option<Form> {
         let mut response = header.response(self.address?, !self.is_working());
         if self.spec.faults.has(Fault::EchoDestination) {
@@ -109,7 +109,7 @@ impl SimDevice {
             Served::Done(action) => (form, Vec::new(), action),
             Served::Refused => (Form { id: form.refusal_id, ..form }, Vec::new(), None),
         };
-        // What was asked for takes effect once the answer is out.
+        // The action takes effect when the response was sent.
         let sent = port.send(form.raw(&data));
         self.ordered = action.filter(|_| sent).map(|action| (form.id, action));
     }
