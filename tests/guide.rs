@@ -3,9 +3,9 @@
 use descan::app::{FILTER_FIELDS, FILTER_WORDS};
 use descan::cli;
 use descan::document::Document;
+use descan::finding::FindingKind;
 use descan::guide::markdown::{GuideBlock, plain};
 use descan::guide::render::{TextLayout, render};
-use descan::finding::FindingKind;
 use descan::guide::{self, TOPICS, Topic};
 use descan::keymap::{ACTIONS, Keymap};
 use descan::sim::Scenario;

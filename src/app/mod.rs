@@ -52,9 +52,7 @@ mod traffic;
 mod type_ahead;
 mod view;
 
-pub use app_event::{
-    AppEvent, BusSnapshot, DeviceEvent, EventContext, EventLine, FileSnapshot,
-};
+pub use app_event::{AppEvent, BusSnapshot, DeviceEvent, EventContext, EventLine, FileSnapshot};
 pub use buses::{Bus, LoadMeter, LoadSecond, TxBlocked};
 pub use capture::{Capture, IdentifierKey, IdentifierKind, IdentifierStats};
 pub use cursor::Cursor;

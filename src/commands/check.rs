@@ -1,15 +1,14 @@
 //! `descan check`: whether a bus is what des.json says. Looks as `scan` does, and prints the
 //! differences.
 
-use super::headless::{self, Limits, RunOutcome, warn_all_tx_blocked};
+use super::headless::{RunOutcome, warn_all_tx_blocked};
 use super::open::{self, Setup};
 use super::report::{self, ScanReport};
-use super::scan::{DEFAULT_TIME, is_settled, look};
+use super::scan::{DEFAULT_TIME, is_settled, look, read_log};
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, print};
-use crate::app::{App, AppOptions, Scope};
+use crate::app::{App, Scope};
 use crate::cli::CheckArgs;
 use crate::finding::{CheckSection, Confidence, Finding, FindingKind};
-use crate::shell::log_session::LogPace;
 use crate::shell::stop::StopReason;
 use crate::time::Instant;
 use std::fmt::Write as _;
@@ -21,10 +20,7 @@ pub fn run(check: &CheckArgs) -> Result<u8, Failure> {
     let setup = Setup::new(&check.session.common)?;
     let log = open::log(&buses, "check", check.from)?;
     let RunOutcome { app, now, ending } = if let Some(log) = log {
-        let (time, from) = (check.time, check.from);
-        let limits = Limits { time, from, stuck: EXIT_INTERRUPTED, ..Limits::default() };
-        let read = (Some(LogPace::AtOnce), limits);
-        headless::recorded(log, &setup, AppOptions::default(), read, |app| has_file(app))?
+        read_log(log, (check.from, check.time), &setup, has_file)?
     } else {
         let mut patience = FileGate::default();
         look(&buses, &setup, check.time.unwrap_or(DEFAULT_TIME), |app, now| {

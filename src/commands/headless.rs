@@ -1,5 +1,6 @@
-//! The app without a screen, on buses and on logs, until there is enough, something ends it, or
-//! the log is at its end. What is done meanwhile is for the commands to say.
+//! Sessions without a screen, on buses or on one log, until a command has enough, a limit is
+//! reached, or the log ends. Also the warnings that they share. Does not know what the commands
+//! print.
 
 use super::Failure;
 use super::open::{self, Setup};
@@ -7,9 +8,10 @@ use crate::app::{App, AppOptions, Bus, BusSnapshot, TxBlocked};
 use crate::bus::{self, BusSpec, UdpAddress};
 use crate::frame::BusIndex;
 use crate::log::LogSummary;
-use crate::shell::log_session::{LogPace, LogRange, LogSession, LogWake, Read};
-use crate::shell::session::Session;
+use crate::shell::log_input::{LogBatch, LogInput, LogPace, LogRange};
+use crate::shell::session::{InputEnd, Session, SessionWake};
 use crate::shell::stop::{StopReason, StopWaiter};
+use crate::shell::store::Store;
 use crate::status::{BusState, Link, RecordingStatus};
 use crate::time::Instant;
 use anyhow::Context;
@@ -19,135 +21,190 @@ use std::ops::ControlFlow;
 use std::os::fd::AsFd;
 use std::time::Duration;
 
-/// How long an interface may take to be looked at, on a machine that is busy.
+/// Time for an interface to open, on a busy machine.
 const OPENING: Duration = Duration::from_secs(10);
 
-/// What ends it, beside signals.
+/// What ends a run, besides signals.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Limits {
-    /// After so long; where lines of a log have their own times, by these.
+    /// Longest duration; in log time for a log that is not read live.
     pub time: Option<Duration>,
     /// Start of the part of a log that is read, after its first frame.
     pub from: Option<Duration>,
-    /// When standard output is closed.
+    /// Stop when standard output is closed.
     pub while_read: bool,
-    /// The exit code where a signal ends it and it cannot finish: nobody reads its output.
+    /// Exit code if a signal stops it and it cannot finish, as its output is not read.
     pub stuck: u8,
 }
 
-/// What became of it.
+/// Result of a run.
 pub struct RunOutcome {
     /// All state.
     pub app: App,
-    /// The moment it is of.
+    /// Time of the state.
     pub now: Instant,
-    /// What ended it; none where there was enough, or the log is at its end.
+    /// What stopped the run; `None` if the command had enough or the log ended.
     pub ending: Option<StopReason>,
 }
 
-/// On buses. `turn` is called whenever something may have changed, and breaks when there is enough.
-pub fn live(
-    buses: &[BusSpec],
+/// Input of a run.
+#[derive(Clone, Copy, Debug)]
+pub enum RunInput<'a> {
+    /// Buses, in real time.
+    Buses(&'a [BusSpec]),
+    /// One log, at this pace; `None` reads a file at once, and anything else live.
+    Log(&'a BusSpec, Option<LogPace>),
+}
+
+/// Runs a session until `turn` breaks, a limit is reached or the log ends. `turn` is called after
+/// each wake-up. Prints unreadable lines of a log on standard error, once.
+///
+/// # Errors
+/// An input or the recording cannot be used, or `turn` failed.
+pub fn run(
+    input: RunInput<'_>,
     setup: &Setup,
     options: AppOptions,
     limits: Limits,
     mut turn: impl FnMut(&mut Session) -> Result<ControlFlow<()>, Failure>,
 ) -> Result<RunOutcome, Failure> {
     runtime()?.block_on(async {
-        let clock = open::clock(buses, 1.0)?;
-        // First: an adapter that was opened is closed again, however soon a signal comes.
-        let mut endings = endings(limits, limits.time)?;
-        let mut session = open::session(buses, setup, clock, options)?;
-        let mut failure = RecordingFailure::default();
-        let ending = loop {
-            session.flush_effects();
-            if turn(&mut session)?.is_break() {
-                break None;
+        let (mut stop, mut session, first) = match input {
+            RunInput::Buses(buses) => {
+                let clock = open::clock(buses, 1.0)?;
+                // First: an opened adapter is closed again, however soon a signal arrives.
+                let stop = stop_waiter(limits, limits.time)?;
+                (stop, open::session(buses, setup, clock, options)?, Ok(None))
             }
-            tokio::select! {
-                biased;
-                ending = endings.next() => break Some(ending),
-                wake = session.next() => session.take(wake),
-            }
-            failure.tell(session.app.recording());
+            RunInput::Log(spec, pace) => open_log(spec, pace, setup, options, limits).await?,
         };
-        let now = session.now();
-        open::report_recording(session.finish_recording());
+        let mut failure = RecordingFailure::default();
+        let ending = match first {
+            Err(reason) => Some(reason),
+            Ok(mut wake) => loop {
+                if let Some(wake) = wake.take() {
+                    session.take(wake);
+                    failure.report(session.recording().as_ref());
+                }
+                let end = session.take_input_end();
+                check_end(input, limits, end.as_ref())?;
+                session.flush_effects();
+                if turn(&mut session)?.is_break() {
+                    break None;
+                }
+                if let Some(end) = end {
+                    if matches!(end, InputEnd::Range) {
+                        session.end_range();
+                    }
+                    break None;
+                }
+                tokio::select! {
+                    biased;
+                    reason = stop.next() => break Some(reason),
+                    next = session.next() => wake = Some(next),
+                }
+            },
+        };
+        let recorded = session.finish_recording();
+        let now = if let RunInput::Log(spec, _) = input {
+            // A script may delete the log once it is recorded in another format.
+            if let Some(status) = recorded.as_ref().filter(|status| status.failure.is_some()) {
+                return Err(Failure::Unusable(format!("recorded {status}")));
+            }
+            open::report_recording(recorded);
+            report_unreadable(spec, session.log_summary())?;
+            session.app.now()
+        } else {
+            let now = session.now();
+            open::report_recording(recorded);
+            now
+        };
         Ok(RunOutcome { app: session.app, now, ending })
     })
 }
 
-/// On one log, at this pace, or that of its kind. `turn` is called after each frame and when time
-/// passed. Lines that cannot be read are told on standard error, once.
-pub fn recorded(
+/// What a run begins with: its session, and the first wake-up or why there is none.
+type RunStart = (StopWaiter, Session, Result<Option<SessionWake>, StopReason>);
+
+/// Opens a log. The session starts at the first frame: before it, the time is unknown.
+async fn open_log(
     spec: &BusSpec,
+    pace: Option<LogPace>,
     setup: &Setup,
     options: AppOptions,
-    (pace, limits): (Option<LogPace>, Limits),
-    mut turn: impl FnMut(&mut App) -> Result<(), Failure>,
-) -> Result<RunOutcome, Failure> {
-    let unusable = |error: io::Error| Failure::Unusable(format!("{spec} cannot be read: {error}"));
-    let log = open_log(spec).map_err(unusable)?;
-    // A file is all there; of anything else lines come as they are written.
-    let is_file = log.metadata().is_ok_and(|it| it.is_file());
+    limits: Limits,
+) -> Result<RunStart, Failure> {
+    let unusable = |error: io::Error| unreadable(spec, &error);
+    let file = match spec {
+        BusSpec::File(path) => bus::open_log(path).map_err(unusable)?,
+        _ => File::from(io::stdin().as_fd().try_clone_to_owned().map_err(unusable)?),
+    };
+    // All of a file is there; lines of anything else arrive as they are written.
+    let is_file = file.metadata().is_ok_and(|it| it.is_file());
     let pace = pace.unwrap_or(if is_file { LogPace::AtOnce } else { LogPace::Live });
-    runtime()?.block_on(async {
-        let (real, own) =
-            if pace == LogPace::Live { (limits.time, None) } else { (None, limits.time) };
-        let mut endings = endings(limits, real)?;
-        let range = LogRange { from: limits.from.unwrap_or_default(), time: own };
-        let with = (options, setup.config.clone());
-        let mut recording =
-            LogSession::new(log, pace, range, with, &setup.file).context("no thread")?;
-        if let Some(recorder) = setup.recorder()? {
-            recording.record(recorder);
-        }
-        let mut failure = RecordingFailure::default();
-        let ending = loop {
-            let wake = tokio::select! {
-                biased;
-                ending = endings.next() => break Some(ending),
-                wake = recording.next() => wake,
-            };
-            let wake = wake.map_err(unusable)?;
-            if let LogWake::Read(Read::End(tally)) = &wake {
-                needs_frames(spec, range, tally)?;
-            }
-            if recording.take(wake, &mut turn)?.is_break() {
-                break None;
-            }
-            failure.tell(recording.take_recording_status().as_ref());
-        };
-        let recorded = recording.finish_recording();
-        let (app, tally) = recording.finish();
-        // Who makes one log of another may delete the first then.
-        if let Some(status) = recorded.as_ref().filter(|status| status.failure.is_some()) {
-            return Err(Failure::Unusable(format!("recorded {status}")));
-        }
-        open::report_recording(recorded);
-        report_unreadable(spec, tally)?;
-        let now = app.now();
-        Ok(RunOutcome { app, now, ending })
-    })
+    let (real_time, log_time) =
+        if pace == LogPace::Live { (limits.time, None) } else { (None, limits.time) };
+    let mut stop = stop_waiter(limits, real_time)?;
+    let range = LogRange { from: limits.from.unwrap_or_default(), time: log_time };
+    let mut log = LogInput::spawn(file, pace, range).context("no thread")?;
+    let recorder = setup.recorder()?;
+    let first = tokio::select! {
+        biased;
+        reason = stop.next() => Err(reason),
+        batch = log.first() => Ok(batch.map_err(unusable)?),
+    };
+    let (epoch, start) = first.as_ref().map_or_else(|_| Default::default(), LogBatch::start);
+    let options = AppOptions { epoch, file_path: Some(setup.file.clone()), ..options };
+    let store = Some(Store::new(&setup.file));
+    let mut session = Session::of_log(App::new(start, options), log, setup.config.clone(), store);
+    if let Some(recorder) = recorder {
+        session.record(recorder);
+    }
+    Ok((stop, session, first.map(|batch| Some(SessionWake::Log(Ok(batch))))))
 }
 
-/// Says on standard error that recording is over before the session is, once.
+/// A log that cannot be read, or that ends before `--from`, is an error.
+fn check_end(input: RunInput<'_>, limits: Limits, end: Option<&InputEnd>) -> Result<(), Failure> {
+    let RunInput::Log(spec, _) = input else { return Ok(()) };
+    match end {
+        Some(InputEnd::Failed(error)) => Err(unreadable(spec, error)),
+        Some(InputEnd::Log(summary)) => {
+            let last = summary.last.since(Instant::ZERO);
+            let from = limits.from.unwrap_or_default();
+            if from <= last || summary.frames == 0 {
+                return Ok(());
+            }
+            let (last, from) = (last.as_secs_f64(), from.as_secs_f64());
+            Err(Failure::Unusable(format!(
+                "{spec}: last frame {last:.1} s after the first; use a --from below {last:.1}, not \
+                 {from}"
+            )))
+        }
+        Some(InputEnd::Range) | None => Ok(()),
+    }
+}
+
+fn unreadable(spec: &BusSpec, error: &io::Error) -> Failure {
+    Failure::Unusable(format!("{spec} cannot be read: {error}"))
+}
+
+/// Prints on standard error, once, that recording stopped before the session did.
 #[derive(Default)]
 struct RecordingFailure {
-    was_told: bool,
+    is_reported: bool,
 }
 
 impl RecordingFailure {
-    fn tell(&mut self, status: Option<&RecordingStatus>) {
+    fn report(&mut self, status: Option<&RecordingStatus>) {
         let failure = status.and_then(|status| Some((&status.path, status.failure.as_ref()?)));
-        if let Some((path, why)) = failure.filter(|_| !self.was_told) {
-            self.was_told = true;
+        if let Some((path, why)) = failure.filter(|_| !self.is_reported) {
+            self.is_reported = true;
             let _ = writeln!(io::stderr(), "descan: recording to {path} stopped: {why}");
         }
     }
 }
 
-/// Why a bus cannot be used now, where nobody waits for it to come up.
+/// Why a bus cannot be used now, for a command that does not wait for it to come up.
 pub fn why_unusable(bus: &Bus, now: Instant) -> Option<String> {
     let is_dead = match bus.status.link {
         Link::Up => is_off_for_good(bus) && bus.engine.counters().frames == 0,
@@ -158,7 +215,7 @@ pub fn why_unusable(bus: &Bus, now: Instant) -> Option<String> {
     is_dead.then(|| cause(bus))
 }
 
-/// Whether its controller takes no part in it, and will not by itself.
+/// Returns true if its controller is off the bus and does not restart by itself.
 fn is_off_for_good(bus: &Bus) -> bool {
     match bus.status.state {
         BusState::BusOff => bus.status.restart_ms.unwrap_or(0) == 0,
@@ -167,7 +224,7 @@ fn is_off_for_good(bus: &Bus) -> bool {
     }
 }
 
-/// Why a bus cannot be used, where it is still not open and nobody waits any longer.
+/// Why a bus is still not open, at the end of a run.
 pub fn why_not_open(bus: &Bus) -> Option<String> {
     (bus.status.link == Link::Opening).then(|| cause(bus))
 }
@@ -228,44 +285,27 @@ pub fn warn_all_tx_blocked(app: &App, now: Instant) {
     buses.for_each(|bus| warn_tx_blocked(&bus));
 }
 
-/// A log that ends before `--from` is an error, not a log without devices.
-fn needs_frames(spec: &BusSpec, range: LogRange, tally: &LogSummary) -> Result<(), Failure> {
-    let last = tally.last.since(Instant::ZERO);
-    if range.from <= last || tally.frames == 0 {
-        return Ok(());
+/// Prints on standard error which lines could not be read; if that is all of them, it is an error.
+fn report_unreadable(spec: &BusSpec, summary: Option<&LogSummary>) -> Result<(), Failure> {
+    let Some(summary) = summary else { return Ok(()) };
+    let is_damaged = summary.unreadable > 0 || summary.damage.is_some();
+    if summary.frames == 0 && is_damaged {
+        return Err(Failure::Unusable(format!(
+            "{spec}: {summary}; use a candump -L log or pcapng"
+        )));
     }
-    let (last, from) = (last.as_secs_f64(), range.from.as_secs_f64());
-    Err(Failure::Unusable(format!(
-        "{spec}: last frame {last:.1} s after the first; use a --from below {last:.1}, not {from}"
-    )))
-}
-
-/// Says which lines could not be read. Where that is all of them, it is no log.
-fn report_unreadable(spec: &BusSpec, tally: Option<LogSummary>) -> Result<(), Failure> {
-    let Some(tally) = tally else { return Ok(()) };
-    let is_damaged = tally.unreadable > 0 || tally.damage.is_some();
-    if tally.frames == 0 && is_damaged {
-        return Err(Failure::Unusable(format!("{spec}: {tally}; use a candump -L log or pcapng")));
-    }
-    if is_damaged || tally.frames == 0 {
-        let _ = writeln!(io::stderr(), "descan: {spec}: {tally}");
+    if is_damaged || summary.frames == 0 {
+        let _ = writeln!(io::stderr(), "descan: {spec}: {summary}");
     }
     Ok(())
 }
 
-fn open_log(spec: &BusSpec) -> io::Result<File> {
-    match spec {
-        BusSpec::File(path) => bus::open_log(path),
-        _ => Ok(File::from(io::stdin().as_fd().try_clone_to_owned()?)),
-    }
+fn stop_waiter(limits: Limits, time: Option<Duration>) -> Result<StopWaiter, Failure> {
+    let stop = StopWaiter::new(time, limits.stuck).context("no signals")?;
+    Ok(if limits.while_read { stop.or_stdout_closed() } else { stop })
 }
 
-fn endings(limits: Limits, time: Option<Duration>) -> Result<StopWaiter, Failure> {
-    let endings = StopWaiter::new(time, limits.stuck).context("no signals")?;
-    Ok(if limits.while_read { endings.or_stdout_closed() } else { endings })
-}
-
-/// The event loop.
+/// The runtime of the event loop.
 pub fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     Ok(runtime.context("no event loop")?)

@@ -1,7 +1,9 @@
 //! `descan scan`: one enumeration, printed. On a live bus it ends when everything is known; a
 //! log is read to its end as fast as it can be, by its own clock.
 
-use super::headless::{self, Limits, RunOutcome, warn_all_tx_blocked, why_not_open, why_unusable};
+use super::headless::{
+    self, Limits, RunInput, RunOutcome, warn_all_tx_blocked, why_not_open, why_unusable,
+};
 use super::open::{self, Setup};
 use super::report::ScanReport;
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, print};
@@ -10,7 +12,7 @@ use crate::bus::BusSpec;
 use crate::cli::ScanArgs;
 use crate::discovery::DiscoveryProgress;
 use crate::document::{Document, Operation};
-use crate::shell::log_session::LogPace;
+use crate::shell::log_input::LogPace;
 use crate::shell::stop::StopReason;
 use crate::shell::store::Store;
 use crate::status::Link;
@@ -40,12 +42,7 @@ pub fn run(scan: &ScanArgs) -> Result<u8, Failure> {
     let buses = open::buses(&scan.session)?;
     let setup = Setup::new(&scan.session.common)?;
     let RunOutcome { app, now, ending } = match open::log(&buses, "scan", scan.from)? {
-        Some(log) => {
-            let (time, from) = (scan.time, scan.from);
-            let limits = Limits { time, from, stuck: EXIT_INTERRUPTED, ..Limits::default() };
-            let read = (Some(LogPace::AtOnce), limits);
-            headless::recorded(log, &setup, AppOptions::default(), read, |_| Ok(()))?
-        }
+        Some(log) => read_log(log, (scan.from, scan.time), &setup, |_| Ok(()))?,
         None => look(&buses, &setup, scan.time.unwrap_or(DEFAULT_TIME), |_, _| Ok(true))?,
     };
     if ending == Some(StopReason::Interrupted) {
@@ -64,6 +61,22 @@ pub fn run(scan: &ScanArgs) -> Result<u8, Failure> {
 /// `--time` of a live bus, unless given.
 pub const DEFAULT_TIME: Duration = Duration::from_secs(15);
 
+/// Reads a log at once: the part that begins `from` after its first frame and lasts `time`.
+/// `check` is called after each batch.
+pub fn read_log(
+    log: &BusSpec,
+    (from, time): (Option<Duration>, Option<Duration>),
+    setup: &Setup,
+    check: impl Fn(&App) -> Result<(), Failure>,
+) -> Result<RunOutcome, Failure> {
+    let limits = Limits { time, from, stuck: EXIT_INTERRUPTED, ..Limits::default() };
+    let input = RunInput::Log(log, Some(LogPace::AtOnce));
+    headless::run(input, setup, AppOptions::default(), limits, |session| {
+        check(&session.app)?;
+        Ok(ControlFlow::Continue(()))
+    })
+}
+
 /// One enumeration of live buses, until everything is known and `enough` says so, at most for
 /// `time`.
 pub fn look(
@@ -74,7 +87,8 @@ pub fn look(
 ) -> Result<RunOutcome, Failure> {
     let limits = Limits { time: Some(time), stuck: EXIT_INTERRUPTED, ..Limits::default() };
     let mut bar = Bar::new();
-    let outcome = headless::live(buses, setup, AppOptions::default(), limits, |session| {
+    let input = RunInput::Buses(buses);
+    let outcome = headless::run(input, setup, AppOptions::default(), limits, |session| {
         // Nobody waits for an interface to come up.
         let mut buses = session.app.buses().iter();
         if let Some(why) = buses.find_map(|bus| why_unusable(bus, session.now())) {

@@ -3,7 +3,7 @@
 //!
 //! The JSON's names, types and meanings are relied on by scripts.
 
-use super::headless::{self, Limits, why_not_open, why_unusable};
+use super::headless::{self, Limits, RunInput, why_not_open, why_unusable};
 use super::open::{self, Setup};
 use super::report::{
     BusReport, FileReport, FindingReport, ServiceReport, of_bus, of_file, of_finding, of_services,
@@ -15,7 +15,7 @@ use crate::app::{
 use crate::cli::WatchArgs;
 use crate::discovery::{EventKind, Finding, Presence};
 use crate::frame::IdPattern;
-use crate::shell::log_session::LogPace;
+use crate::shell::log_input::LogPace;
 use crate::shell::session::Session;
 use crate::shell::stop::StopReason;
 use crate::status::Link;
@@ -47,13 +47,15 @@ pub fn run(watch: &WatchArgs) -> Result<u8, Failure> {
     let mut event_writer = EventWriter { json: watch.json, text: Vec::new() };
     if let Some(log) = open::log(&buses, "watch", watch.from)? {
         let pace = watch.session.speed.map(LogPace::Timed);
-        headless::recorded(log, &setup, options, (pace, limits), |app| {
-            event_writer.write_events(app)
+        headless::run(RunInput::Log(log, pace), &setup, options, limits, |session| {
+            event_writer.write_events(&mut session.app)?;
+            Ok(ControlFlow::Continue(()))
         })?;
     } else {
         let mut patience = StartupGate::default();
-        let outcome = headless::live(&buses, &setup, options, limits, |session| {
-            // What cannot be used from the start is told as that, and nothing else.
+        let input = RunInput::Buses(&buses);
+        let outcome = headless::run(input, &setup, options, limits, |session| {
+            // A bus that is unusable from the start is an error, without events before it.
             if patience.check(session)? {
                 event_writer.write_events(&mut session.app)?;
             }

@@ -15,7 +15,7 @@
 pub mod bitrate_search;
 pub mod config;
 pub mod file_watcher;
-pub mod log_session;
+pub mod log_input;
 pub mod recorder;
 pub mod recovery;
 pub mod session;

@@ -1,22 +1,27 @@
-//! A session: the app, its buses and its file, and everything that passes between them.
+//! A session: the app, its input, its file and its recording, and the event loop between them.
 //!
-//! The screen is not part of it: the terminal UI and the commands without a screen drive the
-//! same session. Everything is bounded: a batch of frames a turn, the newest reading of the
-//! file, one save at a time.
+//! The input is a set of buses, or one log that is read by its own clock: at once, as timed, or
+//! live. The terminal UI and the commands without a screen drive the same session. Everything is
+//! bounded: a batch of frames a turn, the newest content of the file, one save at a time. Does not
+//! know the screen.
 
 use super::bitrate_search::{RunningSearch, SearchNews};
 use super::file_watcher::FileWatcher;
+use super::log_input::{LogBatch, LogInput, LogPace};
 use super::recorder::Recorder;
 use super::store::{SaveError, Saved, Store, write_new};
 use super::waiting::{file_changed, sleep_for};
 use crate::app::{App, Effect, FileReading, SaveOutcome};
 use crate::bus::{Clock, Port};
+use crate::discovery::Config;
 use crate::document::Document;
 use crate::frame::{BusIndex, Frame};
-use crate::status::RecordingStatus;
+use crate::log::LogSummary;
+use crate::status::{BusStatus, Link, RecordingStatus};
 use crate::time::Instant;
 use futures_util::future::select_all;
 use std::future::{Future, pending};
+use std::io;
 use std::path::PathBuf;
 use std::pin::Pin;
 use std::time::Duration;
@@ -25,8 +30,7 @@ use tokio::task::{JoinHandle, spawn_blocking};
 /// Frames taken in one turn, so that keys and the screen get theirs.
 const BATCH: usize = 1024;
 
-/// So much later than is due is no busy machine any more: the program was stopped, or could not
-/// write to its terminal.
+/// Lateness from which the program counts as stalled: stopped, or blocked by its terminal.
 const STALL_THRESHOLD: Duration = Duration::from_millis(1500);
 
 /// Why a session woke.
@@ -36,61 +40,97 @@ pub enum SessionWake {
     Due,
     /// A bus has frames, or its status changed.
     Buses,
-    /// des.json was changed by somebody else.
+    /// Frames of the log were read, or its end; or it cannot be read.
+    Log(io::Result<LogBatch>),
+    /// Another program changed des.json.
     File(FileReading),
     /// Work on files is done.
     Done(Finished),
-    /// The recording is longer, or over.
+    /// The recording grew or stopped.
     Recording,
-    /// The search for a bit rate has come further.
+    /// The bit rate search progressed or ended.
     Search(SearchNews),
 }
 
-/// What work on files came to.
+/// How the input of a session ended. Buses do not end.
+#[derive(Debug)]
+pub enum InputEnd {
+    /// The end of the log, with what was read.
+    Log(LogSummary),
+    /// The end of the range of the log that is read.
+    Range,
+    /// The log cannot be read.
+    Failed(io::Error),
+}
+
+/// Result of work on files.
 #[derive(Debug)]
 pub enum Finished {
-    /// des.json was saved, or not.
+    /// Saving des.json, with the content.
     Saved(SaveOutcome, Vec<u8>),
-    /// Another file was written, or not.
+    /// Writing another file.
     Written(PathBuf, Result<(), String>),
 }
 
-/// Work on files, on a thread of its own.
+/// Work on files, on a separate thread.
 struct Work {
     handle: JoinHandle<Finished>,
-    /// Of des.json, not of another file.
+    /// It saves des.json, not another file.
     is_save: bool,
+}
+
+/// Where frames come from, and the clock that counts their time.
+enum Input {
+    /// Buses, in real time; or logs among the buses' ports, at the pace of the clock.
+    Ports {
+        clock: Clock,
+        ports: Vec<Port>,
+        /// Number of interface names taken from each port.
+        named: Vec<usize>,
+    },
+    /// One log, at its own pace. The settings are those of the engine of each interface.
+    Log(Box<LogInput>, Box<Config>),
 }
 
 /// See the module's documentation.
 pub struct Session {
     /// All state.
     pub app: App,
-    clock: Clock,
-    ports: Vec<Port>,
-    /// How many of its interfaces' names each port has told.
-    named: Vec<usize>,
+    input: Input,
+    input_end: Option<InputEnd>,
     store: Option<Store>,
     watch: Option<FileWatcher>,
-    /// What was found is being parsed: not on the thread that draws.
+    /// Parses new content of des.json, off the thread that draws.
     reading: Option<JoinHandle<FileReading>>,
     work: Vec<Work>,
     recorder: Option<Recorder>,
     searching: Option<RunningSearch>,
     batch: Vec<Frame>,
-    /// When it began, or went on after it was held up.
+    /// Start of the session, or the end of the last stall.
     resumed: Instant,
 }
 
 impl Session {
-    /// Joins app, buses and file. The port at place n carries the bus of index n.
+    /// A session on buses. The port at position n carries the bus of index n.
     pub fn new(app: App, clock: Clock, ports: Vec<Port>, store: Option<Store>) -> Self {
+        let resumed = clock.now();
+        let named = vec![0; ports.len()];
+        Self::with_input(app, Input::Ports { clock, ports, named }, resumed, store)
+    }
+
+    /// A session on one log. Its interfaces become buses with settings `config` as they are named.
+    pub fn of_log(app: App, log: LogInput, config: Config, store: Option<Store>) -> Self {
+        let resumed = app.now();
+        let config = Config { listen_only: true, ..config };
+        Self::with_input(app, Input::Log(Box::new(log), Box::new(config)), resumed, store)
+    }
+
+    fn with_input(app: App, input: Input, resumed: Instant, store: Option<Store>) -> Self {
         let mut session = Self {
             app,
-            resumed: clock.now(),
-            clock,
-            named: vec![0; ports.len()],
-            ports,
+            input,
+            input_end: None,
+            resumed,
             store,
             watch: None,
             reading: None,
@@ -104,22 +144,49 @@ impl Session {
         session
     }
 
-    /// Records all frames from now on.
+    /// Records all frames from now on; of a log, the app is not told.
     pub fn record(&mut self, recorder: Recorder) {
-        recorder.set_epoch(self.clock.epoch());
-        self.app.handle_recording(self.now(), recorder.status());
+        recorder.set_epoch(self.app.epoch());
+        if let Input::Ports { .. } = self.input {
+            self.app.handle_recording(self.now(), recorder.status());
+        }
         self.recorder = Some(recorder);
     }
 
-    /// Ends the recording, where there is one; says what it came to.
+    /// State of the recording; `None` without one.
+    pub fn recording(&self) -> Option<RecordingStatus> {
+        self.recorder.as_ref().map(Recorder::status)
+    }
+
+    /// Ends the recording and returns its final state; `None` without one.
     pub fn finish_recording(&mut self) -> Option<RecordingStatus> {
         self.recorder.take().map(Recorder::finish)
+    }
+
+    /// How the input ended, once.
+    pub fn take_input_end(&mut self) -> Option<InputEnd> {
+        self.input_end.take()
+    }
+
+    /// The log's summary; `None` for buses, and before the end of the log.
+    pub fn log_summary(&self) -> Option<&LogSummary> {
+        match &self.input {
+            Input::Log(log, _) => log.summary(),
+            Input::Ports { .. } => None,
+        }
     }
 
     fn open_file(&mut self) {
         let Some(store) = &self.store else { return };
         let reading = store.read().map_err(|error| error.in_short());
-        self.watch = Some(FileWatcher::spawn(store.clone(), reading.clone()));
+        // A log that is all there is compared with the file as it is at the start.
+        let is_live = match &self.input {
+            Input::Ports { .. } => true,
+            Input::Log(log, _) => log.pace() == LogPace::Live,
+        };
+        if is_live {
+            self.watch = Some(FileWatcher::spawn(store.clone(), reading.clone()));
+        }
         let missing_folder = store.missing_folder();
         self.app.handle_file(self.now(), reading.into());
         if let Some(folder) = missing_folder {
@@ -127,18 +194,31 @@ impl Session {
         }
     }
 
-    /// The moment it is. Where frames of a log wait to be taken, it is not later than they are.
+    /// The session's time. While frames of a replayed log wait, not later than they are.
     pub fn now(&self) -> Instant {
-        // In this order: a frame may come in between.
-        let now = self.clock.now();
-        let waits = || self.ports.iter().any(|port| port.queue().has_frames());
-        if self.clock.playback().is_some() && waits() { now.min(self.app.now()) } else { now }
+        match &self.input {
+            Input::Ports { clock, ports, .. } => {
+                // In this order: a frame may arrive in between.
+                let now = clock.now();
+                let waits = || ports.iter().any(|port| port.queue().has_frames());
+                if clock.playback().is_some() && waits() { now.min(self.app.now()) } else { now }
+            }
+            Input::Log(log, _) => log.now().map_or(self.app.now(), |now| now.max(self.app.now())),
+        }
+    }
+
+    /// Returns true if time can leap, as in a log: deadlines between two frames are handled at
+    /// their own times, and lateness is not a stall.
+    fn is_replay(&self) -> bool {
+        match &self.input {
+            Input::Ports { clock, .. } => clock.playback().is_some(),
+            Input::Log(..) => true,
+        }
     }
 
     /// Waits for the next reason to do something. May be dropped while waiting.
     pub async fn next(&mut self) -> SessionWake {
-        let deadline = self.app.poll_timeout().map(|at| self.clock.until(at));
-        let due = sleep_for(deadline);
+        let timeout = self.app.poll_timeout();
         let (watch, reading) = (self.watch.as_ref(), &mut self.reading);
         let file = async {
             let parsing = if let Some(parsing) = reading {
@@ -165,8 +245,26 @@ impl Session {
                 None => pending().await,
             }
         };
-        let ports = &self.ports;
+        // Deadlines before frames of a bus, whose time is their own; frames of a log before
+        // deadlines, as their arrival is what moves its time.
+        let (log, ports) = match &mut self.input {
+            Input::Ports { clock, ports, .. } => (None, Some((&*clock, &*ports))),
+            Input::Log(log, _) => (Some(log), None),
+        };
+        let batch_or_due = async {
+            let Some(log) = log else { return pending().await };
+            if let Some(batch) = log.next_or_due(timeout).await {
+                SessionWake::Log(batch)
+            } else {
+                SessionWake::Due
+            }
+        };
+        let due = async {
+            let Some((clock, _)) = ports else { return pending().await };
+            sleep_for(timeout.map(|at| clock.until(at))).await;
+        };
         let buses = async {
+            let Some((_, ports)) = ports else { return pending().await };
             let ready: Vec<Pin<Box<dyn Future<Output = ()> + '_>>> =
                 ports.iter().map(|port| Box::pin(port.queue().ready()) as _).collect();
             if ready.is_empty() {
@@ -184,6 +282,7 @@ impl Session {
         };
         tokio::select! {
             biased;
+            wake = batch_or_due => wake,
             () = due => SessionWake::Due,
             reading = file => SessionWake::File(reading),
             (result, at) = done => {
@@ -202,10 +301,10 @@ impl Session {
         }
     }
 
-    /// The moment it is; notices that it was not asked for long.
+    /// Returns the time; handles a stall.
     fn begin_turn(&mut self) -> Instant {
         let now = self.now();
-        if self.clock.playback().is_some() {
+        if self.is_replay() {
             return now;
         }
         let due = self.app.poll_timeout();
@@ -213,21 +312,28 @@ impl Session {
             due.filter(|due| *due >= self.resumed && now.since(*due) >= STALL_THRESHOLD)
         {
             self.resumed = now;
-            // Since it last did something, it may have been stopped.
+            // It may have been stopped since its last turn.
             let since = due.min(self.app.now());
             self.app.handle_stall(since, now);
         }
         now
     }
 
-    /// Takes in what a wake brought.
+    /// Handles what [`Session::next`] returned.
     pub fn take(&mut self, wake: SessionWake) {
         let now = self.begin_turn();
         match wake {
             SessionWake::Due => {}
             SessionWake::Buses => self.take_buses(now),
+            SessionWake::Log(Ok(batch)) => {
+                if let Input::Log(log, _) = &mut self.input {
+                    log.take(batch);
+                }
+            }
+            SessionWake::Log(Err(error)) => self.input_end = Some(InputEnd::Failed(error)),
             SessionWake::Recording => {
-                if let Some(status) = self.recorder.as_ref().and_then(Recorder::take_status) {
+                let status = self.recorder.as_ref().and_then(Recorder::take_status);
+                if let (Input::Ports { .. }, Some(status)) = (&self.input, status) {
                     self.app.handle_recording(now, status);
                 }
             }
@@ -249,6 +355,75 @@ impl Session {
                 self.app.handle_written(now, &path, result);
             }
         }
+        self.advance_log();
+    }
+
+    /// Handles the frames of the log that are due, and lets time pass.
+    fn advance_log(&mut self) {
+        let Input::Log(log, config) = &mut self.input else { return };
+        if self.input_end.is_some() {
+            return;
+        }
+        self.batch.clear();
+        while let Some(frame) = log.pop_due() {
+            if self.recorder.is_some() {
+                self.batch.push(frame);
+            }
+            while let at @ 0..=255 = self.app.buses().len()
+                && at <= usize::from(frame.bus.0)
+                && let Some(name) = log.interfaces().get(at)
+            {
+                self.app.add_bus(frame.time, name.clone(), (**config).clone());
+                set_link(&mut self.app, frame.time, at, Link::Up);
+            }
+            self.app.advance_to(frame.time);
+            // The node that recorded the log is a device like the others.
+            let mut received = frame;
+            received.is_tx = false;
+            self.app.handle_frames(frame.time, &[received]);
+        }
+        if let Some(summary) = log.summary() {
+            // Presence is judged at the last frame.
+            let now = self.app.now();
+            self.app.advance_to(now);
+            self.input_end = Some(InputEnd::Log(summary.clone()));
+            self.end_buses(now);
+            return;
+        }
+        if log.is_range_over() {
+            self.app.advance_to(log.until().unwrap_or_default());
+            self.input_end = Some(InputEnd::Range);
+        } else if let Some(now) = log.now() {
+            self.app.advance_to(now);
+        }
+        self.record_log_batch();
+    }
+
+    fn record_log_batch(&mut self) {
+        let (Input::Log(log, _), Some(recorder)) = (&self.input, &self.recorder) else { return };
+        for (at, name) in log.interfaces().iter().enumerate().take(256) {
+            recorder.name_bus(BusIndex(at as u8), name);
+        }
+        // A file can wait until all is written; a program that sends lines may not.
+        match log.pace() {
+            LogPace::AtOnce => recorder.record_all(&self.batch),
+            LogPace::Timed(_) | LogPace::Live => recorder.record(&self.batch),
+        }
+    }
+
+    /// Ends the session at the end of the log's range: presence is judged at that moment, whatever
+    /// follows in the log.
+    pub fn end_range(&mut self) {
+        let Input::Log(log, _) = &self.input else { return };
+        let Some(until) = log.until() else { return };
+        self.app.handle_timeout(until);
+        self.end_buses(until);
+    }
+
+    fn end_buses(&mut self, now: Instant) {
+        for at in 0..self.app.buses().len() {
+            set_link(&mut self.app, now, at, Link::Ended);
+        }
     }
 
     fn take_search(&mut self, now: Instant, news: SearchNews) {
@@ -263,17 +438,20 @@ impl Session {
     }
 
     fn report_playback(&mut self) {
-        if let Some(playback) = self.clock.playback() {
+        if let Input::Ports { clock, .. } = &self.input
+            && let Some(playback) = clock.playback()
+        {
             self.app.handle_playback(self.now(), playback);
         }
     }
 
     fn take_buses(&mut self, now: Instant) {
-        for (port_at, port) in self.ports.iter().enumerate() {
+        let Input::Ports { clock, ports, named } = &mut self.input else { return };
+        for (port_at, port) in ports.iter().enumerate() {
             let index = BusIndex(port_at as u8);
             if let Some(status) = port.queue().take_status() {
-                // The further interfaces of a log are as their log is.
-                for further in 0..self.named[port_at].max(1) {
+                // The status of a log applies to all its interfaces.
+                for further in 0..named[port_at].max(1) {
                     let Ok(further) = u8::try_from(further) else { break };
                     let bus = BusIndex(index.0.saturating_add(further));
                     self.app.handle_bus(now, bus, status.clone());
@@ -281,9 +459,8 @@ impl Session {
             }
             self.batch.clear();
             port.queue().drain(&mut self.batch, BATCH);
-            // A log tells its interfaces' names as they turn up; the first is the port's bus.
-            for (at, name) in port.queue().names().into_iter().enumerate().skip(self.named[port_at])
-            {
+            // A log names its interfaces as they occur; the first is the port's bus.
+            for (at, name) in port.queue().names().into_iter().enumerate().skip(named[port_at]) {
                 let Ok(further) = u8::try_from(at) else { break };
                 let bus = BusIndex(index.0.saturating_add(further));
                 if at == 0 || self.app.bus(bus).is_some() {
@@ -293,7 +470,7 @@ impl Session {
                     self.app.add_bus(now, name, config);
                     self.app.handle_bus(now, bus, port.queue().status());
                 }
-                self.named[port_at] = at + 1;
+                named[port_at] = at + 1;
             }
             if let Some(recorder) = &self.recorder {
                 for (at, bus) in self.app.buses().iter().enumerate() {
@@ -303,37 +480,41 @@ impl Session {
                 }
                 recorder.record(&self.batch);
             }
-            if self.clock.playback().is_none() {
+            if clock.playback().is_none() {
                 self.app.handle_frames(now, &self.batch);
                 continue;
             }
-            // Time may have leapt: what was due between two frames happens between them.
+            // Time may have leapt: deadlines between two frames are handled between them.
             for frame in &self.batch {
                 self.app.advance_to(frame.time);
                 self.app.handle_frames(frame.time, std::slice::from_ref(frame));
             }
         }
-        // At the end of all logs time stands.
+        // Time stops at the end of all logs.
         self.report_playback();
     }
 
-    /// Does what is due, sends what is to be sent, starts what is to be saved. What concerns
-    /// the screen or the program itself comes back.
+    /// Handles what is due, transmits frames, starts saving. Returns the effects for the screen or
+    /// the program itself.
     pub fn flush_effects(&mut self) -> Vec<Effect> {
         let now = self.begin_turn();
-        if self.clock.playback().is_some() {
+        let is_log = matches!(self.input, Input::Log(..));
+        // The time of a log passes as its frames are handled.
+        if self.is_replay() && !is_log {
             self.app.advance_to(now);
         }
-        // Bounded: what is due can make something else due, but not for ever at one moment.
+        // Bounded: handling a deadline may set another one, but not endlessly at one moment.
         for _ in 0..8 {
-            if self.app.poll_timeout().is_none_or(|at| at > now) {
+            if is_log || self.app.poll_timeout().is_none_or(|at| at > now) {
                 break;
             }
             self.app.handle_timeout(now);
         }
         while let Some(frame) = self.app.poll_transmit(now) {
-            if let Some(port) = self.ports.get(usize::from(frame.bus.0)) {
-                // A full outbox is in the port's status; the engine notices that no echo comes.
+            if let Input::Ports { ports, .. } = &self.input
+                && let Some(port) = ports.get(usize::from(frame.bus.0))
+            {
+                // The port's status reports a full outbox; the engine notices the missing echo.
                 let _ = port.transmit(&frame);
             }
         }
@@ -355,8 +536,10 @@ impl Session {
                     self.searching = Some(RunningSearch::begin(index, &bus.name, period));
                 }
                 Effect::Playback(command) => {
-                    self.clock.control(command);
-                    self.ports.iter().for_each(Port::wake);
+                    if let Input::Ports { clock, ports, .. } = &self.input {
+                        clock.control(command);
+                        ports.iter().for_each(Port::wake);
+                    }
                     self.report_playback();
                 }
                 other => rest.push(other),
@@ -365,7 +548,7 @@ impl Session {
         rest
     }
 
-    /// fsync may take long on a network file system: not on the thread that draws.
+    /// Saves on a separate thread: fsync may take long on a network file system.
     fn start_save(&mut self, expected: Option<Document>, content: Document) {
         let Some(store) = self.store.clone() else { return };
         let handle = spawn_blocking(move || {
@@ -383,13 +566,12 @@ impl Session {
         self.work.push(Work { handle, is_save: true });
     }
 
-    /// Waits for work on files that has begun, unless it is ended by Ctrl-C: nothing half-written is
-    /// left behind. For the save of des.json only where that is wanted: whenever it breaks off, the
-    /// file is whole, and as it was or as it was to be.
-    /// Where nobody may be there to end it, it waits no longer than `patience`.
-    pub async fn finish_work(&mut self, waits_for_save: bool, patience: Option<Duration>) {
+    /// Waits for work on files that has started, until Ctrl-C or for `timeout`, so that no file is
+    /// left half-written. Waits for a save of des.json only if `waits_for_save`: an interrupted
+    /// save leaves either the old or the new content.
+    pub async fn finish_work(&mut self, waits_for_save: bool, timeout: Option<Duration>) {
         let wanted = |work: &Work| waits_for_save || !work.is_save;
-        let deadline = patience.map(|patience| tokio::time::Instant::now() + patience);
+        let deadline = timeout.map(|timeout| tokio::time::Instant::now() + timeout);
         for work in std::mem::take(&mut self.work).into_iter().filter(wanted) {
             let is_late = async {
                 match deadline {
@@ -404,4 +586,10 @@ impl Session {
             }
         }
     }
+}
+
+fn set_link(app: &mut App, now: Instant, at: usize, link: Link) {
+    let Some(bus) = app.buses().get(at) else { return };
+    let status = BusStatus { link, ..bus.status.clone() };
+    app.handle_bus(now, BusIndex(at as u8), status);
 }

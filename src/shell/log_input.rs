@@ -1,0 +1,253 @@
+//! A log read by its own clock, as the input of a session without a screen.
+//!
+//! A thread reads the log up to a few batches ahead. Everything happens at log time, however fast
+//! the log is read. Does not know what is done with the frames.
+
+use super::waiting::sleep_for;
+use crate::frame::Frame;
+use crate::log::{LogReader, LogSummary};
+use crate::time::{Epoch, Instant};
+use std::collections::VecDeque;
+use std::fs::File;
+use std::io::{self, BufReader};
+use std::thread;
+use std::time::{Duration, Instant as Monotonic};
+use tokio::sync::mpsc::{Receiver, Sender, channel};
+
+/// Frames in one batch at most.
+const BATCH: usize = 1024;
+/// Batches that wait at most.
+const BATCHES: usize = 4;
+/// Delay of log time while the next line is not known: longer than a network usually delays it.
+const INPUT_GRACE: Duration = Duration::from_secs(1);
+
+const NEVER: Instant = Instant::from_micros(u64::MAX);
+
+/// How log time passes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum LogPace {
+    /// At once: from frame to frame, as fast as they can be read.
+    AtOnce,
+    /// As timed, this many times as fast as recorded.
+    Timed(f64),
+    /// Live: frames are due when they are read; between them time passes as in reality.
+    Live,
+}
+
+/// Part of a log that is read, in log time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LogRange {
+    /// Start, from the log's first frame; earlier frames are skipped.
+    pub from: Duration,
+    /// Length, from the first frame read; `None` reads to the end of the log.
+    pub time: Option<Duration>,
+}
+
+/// What was read of a log.
+#[derive(Debug)]
+pub enum LogBatch {
+    /// Frames, at least one.
+    Frames {
+        /// Unix time of the log's first frame.
+        epoch: Epoch,
+        /// The frames, by time.
+        frames: Vec<Frame>,
+        /// The interfaces first named in this batch.
+        interfaces: Vec<String>,
+    },
+    /// The end of the log, with what was read in all.
+    End(LogSummary),
+}
+
+impl LogBatch {
+    /// Unix time of the log's first frame, and the log time at which a session that begins with
+    /// this batch starts.
+    pub fn start(&self) -> (Epoch, Instant) {
+        match self {
+            Self::Frames { epoch, frames, .. } => {
+                (*epoch, frames.first().map_or(Instant::ZERO, |frame| frame.time))
+            }
+            Self::End(summary) => (summary.epoch.unwrap_or_default(), summary.last),
+        }
+    }
+}
+
+/// See the module's documentation.
+pub struct LogInput {
+    batches: Receiver<io::Result<LogBatch>>,
+    interfaces: Vec<String>,
+    /// Frames that were read and are not due yet.
+    waiting: VecDeque<Frame>,
+    summary: Option<LogSummary>,
+    pace: LogPace,
+    range: LogRange,
+    /// Time of the first frame that is read, and the end of the range.
+    start: Option<Instant>,
+    until: Option<Instant>,
+    /// A real time and the log time that it was: the origin of the log's clock.
+    anchor: Option<(Monotonic, Instant)>,
+}
+
+impl LogInput {
+    /// Starts to read `log`.
+    ///
+    /// # Errors
+    /// No thread could be started.
+    pub fn spawn(log: File, pace: LogPace, range: LogRange) -> io::Result<Self> {
+        let (sender, batches) = channel(BATCHES);
+        // Detached: it may wait for a line forever.
+        thread::Builder::new().name("log".into()).spawn(move || {
+            if let Err(error) = read(log, range.from, &sender) {
+                let _ = sender.blocking_send(Err(error));
+            }
+        })?;
+        Ok(Self {
+            batches,
+            interfaces: Vec::new(),
+            waiting: VecDeque::new(),
+            summary: None,
+            pace,
+            range,
+            start: None,
+            until: None,
+            anchor: None,
+        })
+    }
+
+    /// How log time passes.
+    pub fn pace(&self) -> LogPace {
+        self.pace
+    }
+
+    /// Names of the interfaces, in the order of their bus indices, as far as known.
+    pub fn interfaces(&self) -> &[String] {
+        &self.interfaces
+    }
+
+    /// What was read in all; `None` before the end of the log.
+    pub fn summary(&self) -> Option<&LogSummary> {
+        self.summary.as_ref()
+    }
+
+    /// The end of the range that is read; `None` if that is the log's end.
+    pub fn until(&self) -> Option<Instant> {
+        self.until
+    }
+
+    /// Waits for the next batch, or, with `None`, until a frame, the app's `timeout` or the end of
+    /// the range is due. No batch is read while frames wait, nor after the end. May be dropped while
+    /// waiting.
+    ///
+    /// # Errors
+    /// The log cannot be read.
+    pub async fn next_or_due(&mut self, timeout: Option<Instant>) -> Option<io::Result<LogBatch>> {
+        let frame = self.waiting.front().map(|frame| frame.time);
+        let at = [frame, timeout, self.until].into_iter().flatten().min();
+        // Without a log clock only a batch moves time.
+        let has_clock = self.pace != LogPace::AtOnce && self.start.is_some();
+        let due = sleep_for(at.filter(|_| has_clock).map(|at| self.wait_until(at)));
+        let may_read = self.waiting.is_empty() && self.summary.is_none();
+        tokio::select! {
+            biased;
+            batch = self.batches.recv(), if may_read => {
+                let broken = || io::Error::other("reader stopped: this is a bug in descan");
+                Some(batch.unwrap_or_else(|| Err(broken())))
+            }
+            () = due => None,
+        }
+    }
+
+    /// Waits for the first batch. May be dropped while waiting.
+    ///
+    /// # Errors
+    /// The log cannot be read.
+    pub async fn first(&mut self) -> io::Result<LogBatch> {
+        self.next_or_due(None).await.unwrap_or_else(|| Err(io::ErrorKind::UnexpectedEof.into()))
+    }
+
+    /// Takes a batch; its frames are due by log time.
+    pub fn take(&mut self, batch: LogBatch) {
+        let (_, first) = batch.start();
+        let start = *self.start.get_or_insert(first);
+        self.until = self.range.time.map(|time| start + time);
+        match batch {
+            LogBatch::Frames { frames, interfaces, .. } => {
+                self.interfaces.extend(interfaces);
+                let last = frames.last().map_or(Instant::ZERO, |frame| frame.time);
+                match self.pace {
+                    LogPace::AtOnce => {}
+                    LogPace::Timed(_) => {
+                        self.anchor.get_or_insert((Monotonic::now(), start));
+                    }
+                    LogPace::Live => self.anchor = Some((Monotonic::now(), last)),
+                }
+                self.waiting.extend(frames);
+            }
+            LogBatch::End(summary) => self.summary = Some(summary),
+        }
+    }
+
+    /// Removes the next frame that is due, within the range.
+    pub fn pop_due(&mut self) -> Option<Frame> {
+        let now = self.now().unwrap_or(NEVER).min(self.until.unwrap_or(NEVER));
+        self.waiting.pop_front_if(|frame| frame.time <= now)
+    }
+
+    /// Returns true if the range ends before the log does, and all of it is read.
+    pub fn is_range_over(&self) -> bool {
+        let Some(until) = self.until else { return false };
+        match self.now() {
+            Some(now) => now >= until,
+            None => !self.waiting.is_empty(),
+        }
+    }
+
+    /// Log time; `None` without a clock: before the first frame, and if the log is read at once.
+    pub fn now(&self) -> Option<Instant> {
+        let (since, from) = self.anchor?;
+        Some(from + since.elapsed().saturating_sub(self.grace()).mul_f64(self.speed()))
+    }
+
+    fn wait_until(&self, at: Instant) -> Duration {
+        let Some((since, from)) = self.anchor else { return Duration::ZERO };
+        let wait = at.since(from).div_f64(self.speed()) + self.grace();
+        wait.saturating_sub(since.elapsed())
+    }
+
+    fn speed(&self) -> f64 {
+        if let LogPace::Timed(speed) = self.pace { speed } else { 1.0 }
+    }
+
+    /// Delay of log time: the next line may be on its way.
+    fn grace(&self) -> Duration {
+        if self.waiting.is_empty() { INPUT_GRACE } else { Duration::ZERO }
+    }
+}
+
+/// Reads the log and hands over what is there from `from` on, before it waits for more.
+fn read(log: File, from: Duration, to: &Sender<io::Result<LogBatch>>) -> io::Result<()> {
+    let mut reader = LogReader::new(BufReader::with_capacity(1 << 16, log));
+    let mut named = 0;
+    while let Some(frame) = reader.next_frame()? {
+        let mut frames = vec![frame];
+        while frames.len() < BATCH
+            && let Some(frame) = reader.next_buffered()
+        {
+            frames.push(frame);
+        }
+        frames.retain(|frame| frame.time >= Instant::ZERO + from);
+        if frames.is_empty() {
+            continue;
+        }
+        let summary = reader.tally();
+        let epoch = summary.epoch.unwrap_or_default();
+        let interfaces = summary.interfaces[named..].to_vec();
+        named = summary.interfaces.len();
+        if to.blocking_send(Ok(LogBatch::Frames { epoch, frames, interfaces })).is_err() {
+            return Ok(());
+        }
+    }
+    // The receiver may be gone.
+    let _ = to.blocking_send(Ok(LogBatch::End(reader.tally().clone())));
+    Ok(())
+}
