@@ -44,7 +44,7 @@ impl Stage {
         let mut stage = Self { app, sim, station, status, sent: Vec::new(), queue: None };
         stage.becomes(|_| {});
         stage.run(8.0);
-        assert!(stage.app.buses()[0].engine.progress().settled);
+        assert!(stage.app.buses()[0].progress().settled);
         stage.sent.clear();
         stage
     }
@@ -98,7 +98,7 @@ impl Stage {
     }
 
     fn own_address(&self) -> OwnAddress {
-        self.app.buses()[0].engine.own_address()
+        self.app.buses()[0].own_address()
     }
 
     /// Whether everybody was asked who is there.
@@ -125,7 +125,7 @@ impl Stage {
         assert!(self.has_asked_everybody(), "{:?}", self.sent);
         let first = self.sent[0].time;
         assert!(first.since(back) > Duration::from_millis(500), "{first} is too soon after {back}");
-        let here = self.app.buses()[0].engine.devices().iter().filter(|it| it.is_present()).count();
+        let here = self.app.buses()[0].devices().iter().filter(|it| it.is_present()).count();
         assert_eq!(here, 2);
     }
 }
@@ -189,7 +189,7 @@ fn a_bus_that_is_back_before_it_is_told_counts_no_heartbeat_as_missed() {
     stage.run(1.5);
     stage.becomes(|status| (status.link, status.state) = (Link::Up, BusState::ErrorActive));
     stage.begins_anew();
-    for device in stage.app.buses()[0].engine.devices() {
+    for device in stage.app.buses()[0].devices() {
         assert_eq!(device.heartbeat.missed, 0, "{:?}", device.name);
         assert!(device.is_present() && device.heartbeat.count > 10);
     }
@@ -208,7 +208,7 @@ fn a_bus_that_goes_away_again_before_it_was_told_to_be_back_counts_nobody_out() 
     stage.run(20.0);
     stage.becomes(|status| (status.link, status.state) = (Link::Up, BusState::ErrorActive));
     stage.begins_anew();
-    for device in stage.app.buses()[0].engine.devices() {
+    for device in stage.app.buses()[0].devices() {
         assert_eq!(device.heartbeat.missed, 0, "{:?}", device.name);
     }
     assert!(!stage.is_told("lost") && !stage.is_told("stale"));
@@ -249,7 +249,7 @@ fn what_else_the_adapter_says_disturbs_nothing() {
 #[test]
 fn nobody_is_judged_by_the_time_in_which_the_program_was_held_up() {
     let mut stage = Stage::settled();
-    let counted = |stage: &Stage| stage.app.buses()[0].engine.counters();
+    let counted = |stage: &Stage| stage.app.buses()[0].counters();
     let before = counted(&stage);
     let now = stage.hold_up(7);
     let mut count = 0;
@@ -272,7 +272,7 @@ fn nobody_is_judged_by_the_time_in_which_the_program_was_held_up() {
     for word in ["suspected", "confirmed", "lost", "silent", "stale", "returned", "rebooted"] {
         assert!(!stage.is_told(word), "{word}");
     }
-    for device in stage.app.buses()[0].engine.devices() {
+    for device in stage.app.buses()[0].devices() {
         assert_eq!(device.heartbeat.missed, 0, "{:?}", device.name);
         assert!(device.is_present());
     }

@@ -183,7 +183,7 @@ fn a_name_and_no_services() {
     let mute = DeviceSpec::new("PUMP").fixed(44).settled().fault(Fault::NoServices);
     let mut stage = Stage::new(&[bus().with(mute)], &Config::default(), PUMP);
     stage.until(20.0);
-    let device = stage.app.buses()[0].engine.device_at(Address::new(44).unwrap()).unwrap();
+    let device = stage.app.buses()[0].device_at(Address::new(44).unwrap()).unwrap();
     let why = stage.app.why_incomplete(device);
     assert_eq!(why, ["name received, no services response (requested 4 times)"]);
 }

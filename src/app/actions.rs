@@ -3,7 +3,7 @@
 //! Each action is one command of [`App`]; nothing is transmitted beyond discovery without a
 //! confirmation.
 
-use super::{App, Page};
+use super::{App, Effect, Overlay, Page};
 use crate::keymap::Action;
 use crate::status::PlaybackCommand;
 
@@ -18,8 +18,8 @@ impl App {
             Action::First => self.move_to_end(false),
             Action::Last => self.move_to_end(true),
             Action::Details => self.open_details(),
-            Action::Into => self.focus_details(true),
-            Action::Back => self.focus_details(false),
+            Action::Into => self.view.focus_details(true),
+            Action::Back => self.view.focus_details(false),
             Action::NextPage => self.turn_page(1),
             Action::PreviousPage => self.turn_page(-1),
             Action::Devices => self.show_page(Page::Devices),
@@ -53,18 +53,18 @@ impl App {
             Action::Redo => self.redo(),
             Action::Save => self.save(),
             Action::SaveCopy => self.ask_copy_path(),
-            Action::Help => self.show_help(),
+            Action::Help => self.input.open(Overlay::Help(0)),
             Action::Theme => self.next_theme(),
-            Action::Redraw => self.redraw(),
-            Action::Suspend => self.suspend(),
+            Action::Redraw => self.effects.push_back(Effect::Redraw),
+            Action::Suspend => self.effects.push_back(Effect::Suspend),
             Action::Quit => self.ask_quit(),
             Action::QuitNow => self.quit(),
-            Action::HelpUp => self.scroll_help(-1),
-            Action::HelpDown => self.scroll_help(1),
+            Action::HelpUp => self.input.scroll_help(-1),
+            Action::HelpDown => self.input.scroll_help(1),
             Action::HelpPageUp => self.page_help(-1),
             Action::HelpPageDown => self.page_help(1),
-            Action::HelpFirst => self.scroll_help(i16::MIN),
-            Action::HelpLast => self.scroll_help(i16::MAX),
+            Action::HelpFirst => self.input.scroll_help(i16::MIN),
+            Action::HelpLast => self.input.scroll_help(i16::MAX),
             Action::HelpClose => self.cancel(),
             Action::Yes => self.answer(true),
             Action::No => self.answer(false),

@@ -105,11 +105,11 @@ impl App {
     pub fn bus_snapshot(&self, index: BusIndex, now: Instant) -> Option<BusSnapshot> {
         let bus = self.bus(index)?;
         let bitrate = bus.status.bitrate.filter(|_| !bus.status.filtered);
-        let own_address = bus.engine.own_address();
+        let own_address = bus.own_address();
         Some(BusSnapshot {
             name: bus.name.clone(),
             status: bus.status.clone(),
-            counters: bus.engine.counters(),
+            counters: bus.counters(),
             lost: bus.lost(),
             mean_load: bitrate.map(|bitrate| bus.meter.mean_load(now, bitrate)),
             own_address,

@@ -1,22 +1,22 @@
-//! The search for a bus's bit rate, as far as the user sees it: asked for, told of, ended.
+//! Wiring of the bit rate search: question, progress and result for the user.
 //!
-//! Sets and hears nothing itself.
+//! Does not search: the shell executes [`Effect::FindBitrate`].
 
-use super::timeline::{TimelineEntry, TimelineKind};
-use super::{App, Effect, Overlay, Question};
+use super::notices::{TimelineEntry, TimelineKind};
+use super::{App, Effect, Question};
 use crate::bitrate::{SearchOutcome, SearchProgress, kbit};
 use crate::frame::BusIndex;
 use crate::status::RateSearch;
 
 impl App {
-    /// Command: ask whether to look for the bit rate of the selected row's bus, or of the one where
-    /// frames only break.
+    /// Asks whether to search the bit rate of the bus with bus errors only, else of the bus of the
+    /// selected row.
     pub(super) fn ask_bitrate(&mut self) {
-        if let Some(bus) = self.searched.and_then(|bus| self.bus(bus)) {
+        if let Some(bus) = self.buses.searched().and_then(|bus| self.bus(bus)) {
             let name = bus.name.clone();
             return self.show_error(format!("bit rate search on {name} is already running"));
         }
-        let broken = self.buses.iter().position(super::Bus::hears_only_errors);
+        let broken = self.buses().iter().position(super::Bus::hears_only_errors);
         let broken = broken.and_then(|at| u8::try_from(at).ok()).map(BusIndex);
         let selected = self.selected_row().and_then(|row| row.bus);
         let bus = broken.or(selected).unwrap_or_default();
@@ -35,20 +35,17 @@ impl App {
         if let Some(refusal) = refusal {
             return self.show_error(refusal);
         }
-        self.overlay = Overlay::Question(Question::FindBitrate(bus));
-        self.dirty = true;
+        self.input.ask(Question::FindBitrate(bus));
+        self.notices.redraw.set_dirty();
     }
 
-    /// Whether the bit rate of that bus is being looked for.
-    pub fn searches_bitrate_of(&self, bus: BusIndex) -> bool {
-        self.searched == Some(bus)
-    }
-
+    /// Begins the search.
     pub(super) fn find_bitrate(&mut self, bus: BusIndex) {
-        self.searched = Some(bus);
+        self.buses.set_searched(Some(bus));
         self.effects.push_back(Effect::FindBitrate(bus));
     }
 
+    /// Reports the progress of the search.
     pub(super) fn report_bitrate_search(&mut self, bus: BusIndex, progress: SearchProgress) {
         let Some(name) = self.bus(bus).map(|bus| bus.name.clone()) else { return };
         match progress {
@@ -70,11 +67,12 @@ impl App {
                 );
             }
         }
-        self.dirty = true;
+        self.notices.redraw.set_dirty();
     }
 
+    /// Reports the result of the search.
     pub(super) fn bitrate_found(&mut self, bus: BusIndex, result: Result<SearchOutcome, String>) {
-        self.searched = None;
+        self.buses.set_searched(None);
         let Some(name) = self.bus(bus).map(|bus| bus.name.clone()) else { return };
         match result {
             Ok(SearchOutcome::Found(rate)) => {
@@ -94,10 +92,10 @@ impl App {
                 self.show_error(why);
             }
         }
-        self.dirty = true;
+        self.notices.redraw.set_dirty();
     }
 
     fn report_bus(&mut self, bus: BusIndex, kind: TimelineKind, text: String) {
-        self.report_line(TimelineEntry::new(self.now, kind, text).on(bus));
+        self.report_line(TimelineEntry::new(self.now(), kind, text).on(bus));
     }
 }

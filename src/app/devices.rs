@@ -1,15 +1,14 @@
-//! Makes the rows of the Devices page: of every device, and of every entry of des.json that has none.
+//! The rows of the Devices page: one per device, and one per entry of des.json without a device.
 //!
-//! A row says which device and which entry it is, and what the two say of each other; what is
-//! known of the device itself stays with its engine. Does not know how rows are drawn.
+//! Inputs: the buses, the file, the problems and the view. Output: rows, sorted and filtered, and
+//! their counts. Does not know how rows are drawn.
 
-use super::App;
-use super::buses::Bus;
+use super::Facts;
+use super::buses::{Bus, Buses};
 use super::filter::Filter;
-use super::matching::is_for;
-use super::problem_groups::Problem;
-use super::problems::other_services;
-use super::rows::{Counts, FileStatus, Row, RowKey, RowState, SortBy};
+use super::listing::other_services;
+use super::problems::{Problem, is_for};
+use super::view::{Counts, FileStatus, Page, Row, RowKey, RowState, SortBy, View};
 use crate::discovery::{Confidence, Device, Finding};
 use crate::document::Entry;
 use crate::frame::BusIndex;
@@ -17,32 +16,63 @@ use crate::text::Name;
 use crate::wire::id::Address;
 use std::cmp::{Ordering, Reverse};
 
-impl App {
-    /// Builds the rows anew after something changed; the selection stays on its device.
-    pub(super) fn refresh_rows(&mut self) {
-        let mut rows = self.all_rows();
-        self.counts = self.count(&rows);
-        let filter = Filter::parse(self.view.filter(super::Page::Devices));
-        rows.retain(|row| filter.matches_row(self, row));
-        self.sort(&mut rows);
-        if self.view.frozen.is_some() {
-            // Rows stay where they are; what is new goes to the end.
+/// The rows, and what they count.
+#[derive(Debug, Default)]
+pub(super) struct DeviceRows {
+    rows: Vec<Row>,
+    counts: Counts,
+}
+
+impl DeviceRows {
+    /// The rows, sorted and filtered.
+    pub fn rows(&self) -> &[Row] {
+        &self.rows
+    }
+
+    /// Number of rows by state, whatever the filter, and of problems.
+    pub fn counts(&self) -> Counts {
+        self.counts
+    }
+
+    /// Identities of the rows.
+    pub fn keys(&self) -> Vec<RowKey> {
+        self.rows.iter().map(|row| row.key.clone()).collect()
+    }
+
+    /// Place of the selected row.
+    pub fn selected_index(&self, view: &View) -> Option<usize> {
+        view.devices.index(self.rows.iter().map(|row| &row.key))
+    }
+
+    /// Drops the order of the rows, which a frozen view would keep.
+    pub fn forget_order(&mut self) {
+        self.rows.clear();
+    }
+
+    /// Makes the rows anew; the selection stays on its device.
+    pub fn refresh(&mut self, facts: Facts, problems: &[Problem], view: &mut View) {
+        let mut rows = facts.all_rows();
+        self.counts = count(&rows, problems);
+        let filter = Filter::parse(view.filter(Page::Devices));
+        rows.retain(|row| filter.matches_row(facts.buses, row));
+        sort(&mut rows, facts.buses, view.sort);
+        if view.frozen.is_some() {
+            // Known rows keep their places; new ones come last.
             let old: Vec<&RowKey> = self.rows.iter().map(|row| &row.key).collect();
             rows.sort_by_cached_key(|row| {
                 old.iter().position(|key| **key == row.key).unwrap_or(usize::MAX)
             });
         }
         let before = std::mem::replace(&mut self.rows, rows);
-        self.follow_selection(&before);
-        let height = self.screen().list_rows();
-        let keys: Vec<RowKey> = self.rows.iter().map(|row| row.key.clone()).collect();
-        self.view.devices.settle(&keys, height);
+        self.follow_selection(&before, view);
+        let height = view.screen(facts.buses.len()).list_rows();
+        view.devices.settle(&self.keys(), height);
     }
 
-    /// A listed device that appears, or one that is forgotten, goes on in another row: the
-    /// selection goes with it.
-    fn follow_selection(&mut self, before: &[Row]) {
-        let Some(selected) = self.view.devices.selected() else { return };
+    /// Moves the selection with its device to another row: a listed device appears, or a lost one
+    /// is removed.
+    fn follow_selection(&self, before: &[Row], view: &mut View) {
+        let Some(selected) = view.devices.selected() else { return };
         if self.rows.iter().any(|row| row.key == *selected) {
             return;
         }
@@ -53,18 +83,20 @@ impl App {
             (number(row) - number(old)).abs()
         });
         if let Some(key) = nearest.map(|row| row.key.clone()) {
-            self.view.devices.replace(key);
+            view.devices.replace(key);
         }
     }
+}
 
+/// The making of rows.
+impl Facts<'_> {
     fn all_rows(&self) -> Vec<Row> {
         let entries = self.file.document().entries();
         let mut rows = Vec::new();
-        for bus in &self.buses {
-            let devices = bus.engine.devices().iter();
-            // Where buses are redundant, the first has the row.
-            let own =
-                devices.filter(|it| self.siblings.redundant(it.id).all(|other| other > it.id));
+        for bus in self.buses.iter() {
+            let devices = bus.devices().iter();
+            // A device on redundant buses has its row on the first.
+            let own = devices.filter(|it| self.buses.redundant(it.id).all(|other| other > it.id));
             rows.extend(own.map(|device| self.merged_row(bus, device)));
         }
         for entry in entries {
@@ -75,11 +107,13 @@ impl App {
         rows
     }
 
-    /// The row of a device and of the same on redundant buses.
+    /// Row of a device, merged with the same device on redundant buses.
     fn merged_row(&self, bus: &Bus, device: &Device) -> Row {
         let mut row = self.device_row(bus, device);
-        for id in self.siblings.redundant(device.id) {
-            let (Some(bus), Some(other)) = (self.bus(id.bus), self.device(id)) else { continue };
+        for id in self.buses.redundant(device.id) {
+            let (Some(bus), Some(other)) = (self.buses.get(id.bus), self.buses.device(id)) else {
+                continue;
+            };
             let other = self.device_row(bus, other);
             let here = |row: &Row| !matches!(row.state, RowState::Lost | RowState::Unknown);
             row.state = match (row.state, other.state) {
@@ -105,11 +139,11 @@ impl App {
     fn device_row(&self, bus: &Bus, device: &Device) -> Row {
         let entry = self.matching.entry_of(device.id);
         let about = |finding: &&Finding| concerns(finding, device);
-        let findings = || bus.engine.findings().iter().filter(about);
+        let findings = || bus.findings().iter().filter(about);
         let confirmed = findings()
             .any(|it| it.confidence == Confidence::Confirmed && it.key.kind.is_conflict());
         let twin = device.is_present()
-            && bus.engine.devices().iter().any(|other| {
+            && bus.devices().iter().any(|other| {
                 other.id != device.id
                     && other.is_present()
                     && other.name.is_some()
@@ -151,7 +185,7 @@ impl App {
         }
     }
 
-    /// `None` where the entry names a bus that is not open: nothing can be said.
+    /// Row of an entry without a device; `None` where its bus is not open.
     fn entry_row(&self, entry: &Entry) -> Option<Row> {
         let bus = match &entry.bus {
             Some(_) => Some(self.buses.iter().position(|bus| is_for(entry, &bus.name))?),
@@ -159,15 +193,15 @@ impl App {
             None => None,
         };
         let bus = bus.map(|at| BusIndex(at as u8));
-        let is_said_again = self.matching.is_duplicate(entry.index);
-        let awaited = is_said_again || !self.is_missing(entry);
+        let is_duplicate = self.matching.is_duplicate(entry.index);
+        let pending = is_duplicate || !self.is_missing(entry);
         Some(Row {
             key: RowKey::Entry(self.file.document().key(entry.index)),
             bus,
             address: entry.address.and_then(Address::new),
             name: Some(Name::new(&entry.name)),
-            state: match awaited {
-                _ if is_said_again => RowState::Duplicate,
+            state: match pending {
+                _ if is_duplicate => RowState::Duplicate,
                 true => RowState::Pending,
                 false => RowState::Missing,
             },
@@ -175,7 +209,7 @@ impl App {
             twin: false,
             also: Vec::new(),
             file: match entry.address {
-                Some(address) if entry.is_static && awaited => FileStatus::Pinned(address),
+                Some(address) if entry.is_static && pending => FileStatus::Pinned(address),
                 Some(address) if entry.is_static => FileStatus::Differs(address),
                 address => FileStatus::Listed(address),
             },
@@ -184,65 +218,66 @@ impl App {
             entry: Some(entry.index),
         })
     }
+}
 
-    fn count(&self, rows: &[Row]) -> Counts {
-        let with =
-            |state: &dyn Fn(RowState) -> bool| rows.iter().filter(|row| state(row.state)).count();
-        let problems = self.problems_unsorted();
-        let sure = |confidence| {
-            problems.iter().filter(|it| it.counts() && it.confidence() == confidence).count()
-        };
-        let open = |it: &&Problem| it.is_muted && it.confidence() != Confidence::Cleared;
-        Counts {
-            here: with(&|state| {
-                let gone = [
-                    RowState::Missing,
-                    RowState::Pending,
-                    RowState::Duplicate,
-                    RowState::Lost,
-                    RowState::Unknown,
-                ];
-                !gone.contains(&state)
-            }),
-            unseen: with(&|state| state == RowState::Unknown),
-            missing: with(&|state| state == RowState::Missing),
-            lost: with(&|state| state == RowState::Lost),
-            confirmed: sure(Confidence::Confirmed),
-            suspected: sure(Confidence::Suspected),
-            muted: problems.iter().filter(open).count(),
-        }
-    }
-
-    fn sort(&self, rows: &mut [Row]) {
-        rows.sort_by(|a, b| {
-            let seen = |row: &Row| Reverse(self.device_of(row).map(|device| device.first_seen));
-            let mode = |row: &Row| {
-                let mode = self.device_of(row).and_then(|device| device.mode);
-                (mode.is_none(), mode)
-            };
-            match self.view.sort {
-                SortBy::Address => Ordering::Equal,
-                SortBy::Name => name(a).cmp(&name(b)),
-                SortBy::State => {
-                    let urgency =
-                        |row: &Row| (row.state != RowState::Conflict, !row.suspected, row.state);
-                    urgency(a).cmp(&urgency(b))
-                }
-                SortBy::Mode => mode(a).cmp(&mode(b)),
-                SortBy::Seen => seen(a).cmp(&seen(b)),
-                SortBy::File => difference(a).cmp(&difference(b)),
-            }
-            .then_with(|| place(a).cmp(&place(b)))
-        });
+/// Counts rows and problems.
+fn count(rows: &[Row], problems: &[Problem]) -> Counts {
+    let with =
+        |state: &dyn Fn(RowState) -> bool| rows.iter().filter(|row| state(row.state)).count();
+    let sure = |confidence| {
+        problems.iter().filter(|it| it.counts() && it.confidence() == confidence).count()
+    };
+    let open = |it: &&Problem| it.is_muted && it.confidence() != Confidence::Cleared;
+    Counts {
+        here: with(&|state| {
+            let gone = [
+                RowState::Missing,
+                RowState::Pending,
+                RowState::Duplicate,
+                RowState::Lost,
+                RowState::Unknown,
+            ];
+            !gone.contains(&state)
+        }),
+        unseen: with(&|state| state == RowState::Unknown),
+        missing: with(&|state| state == RowState::Missing),
+        lost: with(&|state| state == RowState::Lost),
+        confirmed: sure(Confidence::Confirmed),
+        suspected: sure(Confidence::Suspected),
+        muted: problems.iter().filter(open).count(),
     }
 }
 
-/// By name, those without one last.
+/// Sorts rows; equal ones by bus, address and name.
+fn sort(rows: &mut [Row], buses: &Buses, by: SortBy) {
+    rows.sort_by(|a, b| {
+        let seen = |row: &Row| Reverse(buses.device_of(row).map(|device| device.first_seen));
+        let mode = |row: &Row| {
+            let mode = buses.device_of(row).and_then(|device| device.mode);
+            (mode.is_none(), mode)
+        };
+        match by {
+            SortBy::Address => Ordering::Equal,
+            SortBy::Name => name(a).cmp(&name(b)),
+            SortBy::State => {
+                let urgency =
+                    |row: &Row| (row.state != RowState::Conflict, !row.suspected, row.state);
+                urgency(a).cmp(&urgency(b))
+            }
+            SortBy::Mode => mode(a).cmp(&mode(b)),
+            SortBy::Seen => seen(a).cmp(&seen(b)),
+            SortBy::File => difference(a).cmp(&difference(b)),
+        }
+        .then_with(|| place(a).cmp(&place(b)))
+    });
+}
+
+/// Sort key: name, rows without one last.
 fn name(row: &Row) -> impl Ord {
     (row.name.is_none(), row.name.as_ref())
 }
 
-/// By how much the file has to do with it; what is listed and not there differs most.
+/// Sort key: difference from the file, missing devices first.
 fn difference(row: &Row) -> u8 {
     match row.file {
         _ if row.state == RowState::Missing => 0,
@@ -256,12 +291,12 @@ fn difference(row: &Row) -> u8 {
     }
 }
 
-/// By where it is.
+/// Sort key: bus, address, name.
 fn place(row: &Row) -> impl Ord {
     (row.bus, row.address, row.name.as_ref())
 }
 
-/// Whether a finding of its bus is about this device.
+/// Returns true if a finding of its bus concerns this device.
 pub fn concerns(finding: &Finding, device: &Device) -> bool {
     let named = |name: &Name| finding.names.is_empty() || finding.names.contains(name);
     finding.key.bus == Some(device.id.bus)

@@ -18,12 +18,12 @@
 //!
 //! Upper and lower case make no difference.
 
-use super::App;
-use super::page::Page;
-use super::problem_groups::Problem;
-use super::rows::{Row, RowState};
-use super::timeline;
-use super::traffic::Decoded;
+use super::buses::Buses;
+use super::capture::Decoded;
+use super::notices as timeline;
+use super::notices::name_on_line;
+use super::problems::Problem;
+use super::view::{Page, Row, RowState};
 use crate::discovery::{Confidence, FindingKind};
 use crate::frame::{Frame, FrameKind};
 use crate::wire::id::Address;
@@ -180,17 +180,17 @@ impl Filter {
     }
 
     /// Whether a row of the Devices page fits.
-    pub fn matches_row(&self, app: &App, row: &Row) -> bool {
+    pub fn matches_row(&self, buses: &Buses, row: &Row) -> bool {
         if self.is_empty() {
             return true;
         }
         let name = row.name.as_ref().map(ToString::to_string).unwrap_or_default().to_lowercase();
         let has_address =
-            |word: &str| app.addresses_of(row).any(|address| is_one_of(address, word));
-        let buses = row.bus.into_iter().chain(row.also.iter().map(|id| id.bus));
-        let buses = buses.filter_map(|bus| Some(app.bus(bus)?.name.to_lowercase()));
-        let buses: Vec<String> = buses.collect();
-        let device = app.device_of(row);
+            |word: &str| buses.addresses_of(row).any(|address| is_one_of(address, word));
+        let own = row.bus.into_iter().chain(row.also.iter().map(|id| id.bus));
+        let own = own.filter_map(|bus| Some(buses.get(bus)?.name.to_lowercase()));
+        let own: Vec<String> = own.collect();
+        let device = buses.device_of(row);
         let mode = device.and_then(|device| device.mode).map_or("", |mode| mode.name());
         let services = device.and_then(|device| device.services.as_deref()).unwrap_or_default();
         let service = |word: &str| {
@@ -203,7 +203,7 @@ impl Filter {
                     || has_address(word)
                     || has_state(row.state, |own| own.eq_ignore_ascii_case(word))
                     || mode.eq_ignore_ascii_case(word)
-                    || buses.contains(word)
+                    || own.contains(word)
                     || service(word)
                     || (word == "new" && row.file == super::FileStatus::New)
                     || (word == "twin" && row.twin)
@@ -214,7 +214,7 @@ impl Filter {
             TermTest::Field(Field::Address, value) => has_address(value),
             TermTest::Field(Field::Name, value) => name.contains(value),
             TermTest::Field(Field::Service, value) => service(value),
-            TermTest::Field(Field::Bus, value) => buses.iter().any(|bus| bus.contains(value)),
+            TermTest::Field(Field::Bus, value) => own.iter().any(|bus| bus.contains(value)),
             TermTest::Field(Field::State, value) => {
                 has_state(row.state, |own| contains_word(own, value))
                     || (row.suspected && starts("suspected", value))
@@ -227,20 +227,20 @@ impl Filter {
     }
 
     /// Whether a line of the timeline fits.
-    pub fn matches_entry(&self, app: &App, entry: &timeline::TimelineEntry) -> bool {
-        self.matches_entry_of(app, entry, &[])
+    pub fn matches_entry(&self, buses: &Buses, entry: &timeline::TimelineEntry) -> bool {
+        self.matches_entry_of(buses, entry, &[])
     }
 
     /// The same of a line that is about `others` beside its own address.
     pub(super) fn matches_entry_of(
         &self,
-        app: &App,
+        buses: &Buses,
         entry: &timeline::TimelineEntry,
         others: &[Address],
     ) -> bool {
-        let name = || app.name_on_line(entry).map(ToString::to_string).unwrap_or_default();
+        let name = || name_on_line(buses, entry).map(ToString::to_string).unwrap_or_default();
         let address = || entry.address.map(|address| address.to_string()).unwrap_or_default();
-        let bus = || entry.bus.and_then(|bus| app.bus(bus)).map_or("", |bus| &bus.name);
+        let bus = || entry.bus.and_then(|bus| buses.get(bus)).map_or("", |bus| &bus.name);
         self.all(|what| match what {
             TermTest::Word(word) => {
                 contains_word(&entry.text, word)
@@ -269,11 +269,11 @@ impl Filter {
     }
 
     /// Whether a problem fits.
-    pub fn matches_problem(&self, app: &App, problem: &Problem) -> bool {
+    pub fn matches_problem(&self, buses: &Buses, problem: &Problem) -> bool {
         if self.is_empty() {
             return true;
         }
-        let bus = || problem.bus().and_then(|bus| app.bus(bus)).map_or("", |bus| &bus.name);
+        let bus = || problem.bus().and_then(|bus| buses.get(bus)).map_or("", |bus| &bus.name);
         let confidence = problem.confidence();
         let at = |word: &str| problem.addresses().iter().any(|it| is_one_of(*it, word));
         let named =
@@ -308,11 +308,11 @@ impl Filter {
     }
 
     /// Whether a frame fits.
-    pub fn matches_frame(&self, app: &App, frame: &Frame) -> bool {
+    pub fn matches_frame(&self, buses: &Buses, frame: &Frame) -> bool {
         if self.is_empty() {
             return true;
         }
-        let decoded = Decoded::of(app, frame);
+        let decoded = Decoded::new(buses, frame);
         self.all(|what| match what {
             TermTest::Word(word) => {
                 contains_word(&decoded.text, word)
@@ -330,7 +330,7 @@ impl Filter {
             TermTest::Field(Field::Type, value) => starts(decoded.kind, value),
             TermTest::Field(Field::Id, value) => contains_word(&frame.id.to_string(), value),
             TermTest::Field(Field::Bus, value) => {
-                app.bus(frame.bus).is_some_and(|bus| contains_word(&bus.name, value))
+                buses.get(frame.bus).is_some_and(|bus| contains_word(&bus.name, value))
             }
             TermTest::Field(Field::Address, value) => decoded.header.is_some_and(|header| {
                 let is_it = |address: Address| is_one_of(address, value);

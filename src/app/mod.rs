@@ -1,366 +1,249 @@
-//! All state of the program: the engines, des.json, the capture, the timeline, and what the user
-//! looks at. A state machine without I/O and without a clock, with four families of methods:
+//! State of the program: buses, des.json, capture, problems, timeline, input and view.
 //!
-//! * `handle_*`: frames, time, keys, file contents, the words of adapters: with the commands (that
-//!   keys run) the only things that change it;
-//! * commands: what the actions of [`crate::keymap`] do;
-//! * `poll_transmit`, `poll_effect`: what is to be done outside;
-//! * `poll_timeout`: when [`App::handle_timeout`] is to be called at the latest.
+//! A state machine without I/O and without a clock:
 //!
-//! Call one that changes it, drain the polls, draw if it is dirty. It does not know how it is
-//! drawn, where frames come from, or how files are kept.
+//! * `handle_*` takes frames, time, keys, file contents and adapter statuses; together with the
+//!   actions of [`crate::keymap`] these are the only methods that change it;
+//! * `poll_transmit`, `poll_effect` and `poll_app_event` return work for the shell;
+//! * `poll_timeout` returns when [`App::handle_timeout`] is due.
+//!
+//! Call a method that changes it, drain the polls, draw if it is dirty. Does not know how it is
+//! drawn, where frames come from, or how files are stored.
+//!
+//! [`App`] owns parts that do not know it, and wires them:
 //!
 //! ```text
-//! buses     engine, adapter's words and meter of each bus
-//! capture   the frames of the last while; statistics per identifier
-//! timeline  what happened, in lines          events   from the engines' events to those lines
-//! matching  which entry is which device
-//! rows      what a row of Devices is         devices  how those rows are made
-//! file      des.json, edits, undo            edits    the commands that edit it
-//! problems  findings                         groups   from them to the rows of Problems
-//! evidence  the frames of a problem          why      why a device is missing
-//! traffic   frames in words                  filter   the filter line
-//! page      which page, which part of it     cursor   what is selected
-//! view      all that the user looks at       screen   where the regions are
-//! prompt    lines being typed                navigate the commands that only look
+//! clock     time, wall clock, playback       buses     engines, adapter statuses, load
+//! traffic   frame ring, filter, decoding     file      des.json, edits, undo, saving
+//! problems  findings, grouped and muted      devices   rows of the Devices page
+//! view      page, selections, regions        input     keymap, overlays, prompts
+//! notices   message, timeline, events        listing   devices as entries of des.json
+//! filter    the filter line
 //! ```
+//!
+//! The wiring stands in `mod` (handlers, polls, accessors), `actions`, `events` (from parts to the
+//! timeline), `edits` (commands that change the file or the bus) and `navigate` (commands that
+//! change the view).
 
 mod actions;
 mod app_event;
 mod bitrate;
 mod buses;
 mod capture;
-mod cursor;
+mod clock;
 mod devices;
 mod edits;
 mod events;
-mod evidence;
 mod file;
 mod filter;
-mod matching;
-mod missing_reason;
+mod input;
+mod listing;
 mod navigate;
-mod page;
-mod problem_groups;
+mod notices;
 mod problems;
-mod prompt;
-mod redundancy;
-mod rows;
-mod screen;
-mod timeline;
-mod traffic;
-mod type_ahead;
 mod view;
 
 pub use app_event::{AppEvent, BusSnapshot, DeviceEvent, EventContext, EventLine, FileSnapshot};
-pub use buses::{Bus, LoadMeter, LoadSecond, TxBlocked};
-pub use capture::{Capture, IdentifierKey, IdentifierKind, IdentifierStats};
-pub use cursor::Cursor;
+pub use buses::{Bus, Buses, LoadMeter, LoadSecond, Redundancy, RedundantDevice, TxBlocked};
+pub use capture::{Capture, Decoded, IdentifierKey, IdentifierKind, IdentifierStats, hex};
 pub use devices::concerns;
-pub use evidence::EvidenceView;
 pub use file::{Change, EditRefusal, FileProblem, FileReading, FileState, SaveOutcome, Saving};
 pub use filter::{FILTER_FIELDS, FILTER_WORDS, Filter, FilterField};
-pub use matching::Matching;
-pub use missing_reason::spell;
+pub use input::{InputCheck, Overlay, Prompt, PromptKind, Question};
+pub use listing::same_services;
 pub use navigate::{Mouse, MouseKind};
-pub use page::{Focus, Frozen, Page};
-pub use problem_groups::{EvidenceItem, Problem, ProblemKey};
-pub use problems::{Scope, same_services};
-pub use prompt::{InputCheck, Prompt, PromptKind};
-pub use redundancy::{Redundancy, RedundantDevice};
-pub use rows::{Counts, FileStatus, Row, RowKey, RowState, SortBy};
-pub use screen::{SPLIT_WIDTH, Screen, tabs};
-pub use timeline::{Timeline, TimelineEntry, TimelineKind};
-pub use traffic::{Decoded, clock, clock_millis, hex};
-pub use view::View;
+pub use notices::{StatusMessage, Timeline, TimelineEntry, TimelineKind};
+pub use problems::{EvidenceItem, Matching, Problem, ProblemKey, Scope, spell};
+pub use view::{
+    Counts, Cursor, EvidenceView, FileStatus, Focus, Frozen, Page, Row, RowKey, RowState,
+    SPLIT_WIDTH, Screen, SortBy, View, tabs,
+};
 
 use crate::bitrate::{SearchOutcome, SearchProgress};
-use crate::discovery::{Config, DeviceId, Finding, OwnAddress};
-use crate::document::{Document, Entry};
+use crate::discovery::{Config, Device, DeviceId, Finding};
+use crate::document::{Document, Entry, NewEntry};
 use crate::frame::{BusIndex, Frame};
 use crate::keymap::{Action, Key, KeyMode, Keymap};
 use crate::status::{BusStatus, Playback, PlaybackCommand, RecordingStatus};
-use crate::time::{Duration, Epoch, Instant};
+use crate::text::Name;
+use crate::time::{Epoch, Instant};
 use crate::wire::id::Address;
-use std::collections::{BTreeSet, VecDeque};
-use std::path::PathBuf;
-use traffic::FilteredFrames;
+use crate::wire::profile::Profile;
+use capture::Traffic;
+use clock::AppClock;
+use devices::DeviceRows;
+use file::{EMPTY_SETTLES_AFTER, FileEditor};
+use input::{Input, PromptContext, PromptKey, PromptOutcome};
+use notices::Notices;
+use problems::Problems;
+use std::collections::VecDeque;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
-/// What the program was started with.
+/// Start parameters.
 #[derive(Clone, Debug, Default)]
 pub struct AppOptions {
-    /// Which Unix time [`Instant::ZERO`] was.
+    /// Unix time of [`Instant::ZERO`].
     pub epoch: Epoch,
-    /// How far the wall clock is ahead of UTC.
+    /// Offset of the wall clock from UTC, in seconds.
     pub utc_offset_seconds: i32,
-    /// The buses, with their names and the settings of their engines.
+    /// Names of the buses, and settings of their engines.
     pub buses: Vec<(String, Config)>,
-    /// Where des.json is, or will be.
+    /// Path of des.json, which need not exist; `None` without a file.
     pub file_path: Option<PathBuf>,
-    /// Which key does what.
+    /// Keymap.
     pub keymap: Keymap,
-    /// The theme's name.
+    /// Name of the theme.
     pub theme: String,
-    /// The themes to choose from.
+    /// Names of all themes.
     pub themes: Vec<String>,
-    /// What is wrong in the user's settings.
+    /// Errors in the settings, for the user.
     pub warnings: Vec<String>,
-    /// Keep happenings for [`App::poll_happening`].
+    /// Queue events for [`App::poll_app_event`].
     pub emit_events: bool,
-    /// Of these only what fits, and what is about a whole bus or about us.
+    /// Queue only events that match, and those about a whole bus or the program.
     pub event_filter: Filter,
 }
 
-/// What is to be done outside.
+/// Work for the shell.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Effect {
-    /// Write des.json, if what is on disk is what is expected; then call [`App::handle_saved`].
+    /// Write des.json if the content on disk is `expected`; then call [`App::handle_saved`].
     Save {
-        /// What is to be on disk; `None`: no file.
+        /// Content on disk before; `None`: no file.
         expected: Option<Document>,
-        /// What is to be there afterwards.
+        /// Content to write.
         content: Document,
     },
     /// Write a new file; then call [`App::handle_written`].
     WriteFile {
-        /// Where.
+        /// Path.
         path: PathBuf,
-        /// What.
+        /// Content.
         bytes: Vec<u8>,
     },
-    /// Put text into the user's clipboard.
+    /// Copy text to the clipboard.
     Copy(String),
-    /// Draw with this theme from now on; then call [`App::handle_theme`].
+    /// Use this theme; then call [`App::handle_theme`].
     UseTheme(String),
-    /// Look for the bit rate of this bus, listening only; meanwhile call
-    /// [`App::handle_bitrate_search`], then [`App::handle_bitrate`].
+    /// Search the bit rate of this bus, listen-only; call [`App::handle_bitrate_search`] with the
+    /// progress, [`App::handle_bitrate`] with the result.
     FindBitrate(BusIndex),
-    /// Do this to the playing of logs; then call [`App::handle_playback`].
+    /// Control the playback of logs; then call [`App::handle_playback`].
     Playback(PlaybackCommand),
-    /// Ring.
+    /// Ring the terminal bell.
     Bell,
-    /// Draw everything anew.
+    /// Redraw the whole screen.
     Redraw,
-    /// Stop until the shell continues us.
+    /// Suspend the process.
     Suspend,
-    /// End.
+    /// Quit.
     Quit,
 }
 
-/// A word to the user, shown in the last line for a while.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct StatusMessage {
-    /// What.
-    pub text: String,
-    /// It says that something did not work.
-    pub is_error: bool,
-    /// It is about des.json: it may not hold any more when somebody else changes that.
-    is_of_file: bool,
-    until: Instant,
+/// The parts that rows, findings and texts are made from.
+#[derive(Clone, Copy)]
+pub(crate) struct Facts<'a> {
+    now: Instant,
+    buses: &'a Buses,
+    file: &'a FileState,
+    matching: &'a Matching,
 }
 
-/// A question that waits for yes or no.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Question {
-    /// Quit although edits are not saved?
-    Quit,
-    /// Delete this entry, while it is in these words?
-    Delete(crate::document::EntryKey, String),
-    /// Send the identify command to this device?
-    Identify(DeviceId),
-    /// Look for the bit rate of this bus?
-    FindBitrate(BusIndex),
+/// Borrows [`Facts`] from the fields of an [`App`], so that its other fields can be changed.
+macro_rules! facts {
+    ($app:expr) => {
+        $crate::app::Facts {
+            now: $app.clock.now(),
+            buses: &$app.buses,
+            file: &$app.editor.file,
+            matching: $app.problems.matching(),
+        }
+    };
+}
+use facts;
+
+/// The themes to choose from.
+#[derive(Debug)]
+struct Themes {
+    current: String,
+    all: Vec<String>,
 }
 
-/// What is open over the page.
-#[derive(Clone, Debug, Default)]
-pub enum Overlay {
-    /// Nothing.
-    #[default]
-    None,
-    /// The help, scrolled by so many lines.
-    Help(u16),
-    /// A question.
-    Question(Question),
-    /// A line being typed.
-    Prompt(Prompt),
-    /// The two values of a conflict.
-    Conflict,
+impl Themes {
+    /// Selects the next theme and returns its name; `None` without themes.
+    fn next(&mut self) -> Option<String> {
+        let at = self.all.iter().position(|name| *name == self.current).map_or(0, |at| at + 1);
+        let name = self.all.get(at).or(self.all.first())?;
+        self.current.clone_from(name);
+        Some(name.clone())
+    }
 }
 
-/// All state of the program. See the module's documentation.
+/// State of the program; see the documentation of the module.
 #[derive(Debug)]
 pub struct App {
-    /// The latest moment that was told.
-    now: Instant,
-    started: Instant,
-    epoch: Epoch,
-    utc_offset_seconds: i32,
-    buses: Vec<Bus>,
-    file: FileState,
-    /// When a save that failed is tried again.
-    save_again_at: Option<Instant>,
-    /// It is being tried again, unasked.
-    is_saving_again: bool,
-    /// The copies of des.json with our edits: the one being written, and the last that is.
-    copy_pending: Option<(PathBuf, Document)>,
-    copy_saved: Option<(PathBuf, Document)>,
-    /// The user quits although edits are not saved.
-    edits_discarded: bool,
-    capture: Capture,
-    matches: FilteredFrames,
-    timeline: Timeline,
-    matching: Matching,
-    file_findings: Vec<Finding>,
-    /// Which entry such a finding is about.
-    entries_of_findings: Vec<Option<usize>>,
-    /// The problems that are not to count, for as long as the program runs.
-    muted: BTreeSet<ProblemKey>,
-    /// All problems in the order in which they were shown last.
-    problem_order: Vec<ProblemKey>,
-    rows: Vec<Row>,
-    counts: Counts,
+    clock: AppClock,
+    buses: Buses,
+    traffic: Traffic,
+    editor: FileEditor,
+    problems: Problems,
+    devices: DeviceRows,
     view: View,
-    overlay: Overlay,
-    /// The line being typed when a conflict came up; it goes on afterwards.
-    suspended_prompt: Option<Prompt>,
-    message: Option<StatusMessage>,
-    recording: Option<RecordingStatus>,
-    playback: Option<Playback>,
-    siblings: redundancy::RedundantDevices,
-    /// The bus whose bit rate is being looked for.
-    searched: Option<BusIndex>,
-    type_ahead: Option<type_ahead::TypeAheadGuard>,
-    keymap: Keymap,
-    theme: String,
-    themes: Vec<String>,
-    outbox: VecDeque<Frame>,
+    input: Input,
+    notices: Notices,
+    themes: Themes,
     effects: VecDeque<Effect>,
-    report: bool,
-    interest: Filter,
-    app_events: VecDeque<AppEvent>,
-    /// A screen's size was told. Without one nothing waits until it is to be seen.
-    has_screen: bool,
-    /// Something happened since bus and file were compared.
-    outdated: bool,
-    /// Something on the screen changed.
-    dirty: bool,
-    /// Something changed that need not be seen at once; when it is to be seen.
-    dirty_at: Option<Instant>,
-    last_calm_draw: Instant,
-    /// The next whole second, at which ages and rates change.
-    next_second: Instant,
 }
 
-/// What the bus changes is drawn at most this often, however much the devices chatter.
-const BUS_REDRAW_INTERVAL: Duration = Duration::from_millis(250);
-/// How long a file that has become empty is held to be one that is being written.
-const EMPTY_FOR: Duration = Duration::from_secs(1);
-/// How long after a save failed it is tried again: there may be room on the disk by then.
-const SAVE_AGAIN_AFTER: Duration = Duration::from_secs(10);
-const MESSAGE_FOR: Duration = Duration::from_secs(6);
-const SECOND: Duration = Duration::from_secs(1);
-/// So long after the program was held up frames may still come that waited meanwhile.
-const STALL_BACKLOG: Duration = Duration::from_millis(250);
-
 impl App {
-    /// The program at its start.
+    /// Returns the program at its start.
     pub fn new(now: Instant, options: AppOptions) -> Self {
-        let buses = options.buses.into_iter().enumerate().map(|(index, (name, config))| {
-            let bus = BusIndex(index as u8);
-            Bus::new(now, name, Config { bus, ..config })
-        });
         let mut app = Self {
-            now,
-            started: now,
-            epoch: options.epoch,
-            utc_offset_seconds: options.utc_offset_seconds,
-            buses: buses.collect(),
-            file: FileState::new(options.file_path),
-            capture: Capture::new(),
-            matches: FilteredFrames::default(),
-            timeline: Timeline::default(),
-            matching: Matching::default(),
-            save_again_at: None,
-            is_saving_again: false,
-            copy_pending: None,
-            copy_saved: None,
-            edits_discarded: false,
-            file_findings: Vec::new(),
-            entries_of_findings: Vec::new(),
-            muted: BTreeSet::new(),
-            problem_order: Vec::new(),
-            rows: Vec::new(),
-            counts: Counts::default(),
+            clock: AppClock::new(now, options.epoch, options.utc_offset_seconds),
+            buses: Buses::new(now, options.buses),
+            traffic: Traffic::new(),
+            editor: FileEditor::new(options.file_path),
+            problems: Problems::default(),
+            devices: DeviceRows::default(),
             view: View { size: (80, 24), ..View::default() },
-            overlay: Overlay::None,
-            suspended_prompt: None,
-            message: None,
-            recording: None,
-            playback: None,
-            siblings: redundancy::RedundantDevices::default(),
-            searched: None,
-            type_ahead: None,
-            keymap: options.keymap,
-            theme: options.theme,
-            themes: options.themes,
-            outbox: VecDeque::new(),
+            input: Input::new(options.keymap),
+            notices: Notices::new(now, options.emit_events, options.event_filter),
+            themes: Themes { current: options.theme, all: options.themes },
             effects: VecDeque::new(),
-            report: options.emit_events,
-            interest: options.event_filter,
-            app_events: VecDeque::new(),
-            has_screen: false,
-            outdated: false,
-            dirty: true,
-            dirty_at: None,
-            last_calm_draw: now,
-            next_second: whole_second_after(now),
         };
         for warning in options.warnings {
             let mut line = TimelineEntry::new(now, TimelineKind::Error, &warning);
             line.name = Some("settings".into());
-            app.timeline.push(line);
+            app.notices.timeline_mut().push(line);
             app.show_error(warning);
         }
         app
     }
 
-    /// Gives a bus the name that is known now: a log says which interface it was taken from.
+    /// Renames a bus: the name of its interface is found in the log.
     pub fn name_bus(&mut self, index: BusIndex, name: String) {
-        if let Some(bus) = self.buses.get_mut(usize::from(index.0)) {
-            bus.name = name;
+        if self.buses.rename(index, name) {
             self.refresh();
-            self.dirty = true;
+            self.notices.redraw.set_dirty();
         }
     }
 
-    /// One more bus, as when a log turns out to have several. At most 256.
+    /// Adds a bus that starts at `now`, as for a log with several; at most 256 buses.
     pub fn add_bus(&mut self, now: Instant, name: String, config: Config) {
-        if let Ok(index) = u8::try_from(self.buses.len()) {
-            let bus = BusIndex(index);
-            self.buses.push(Bus::new(now, name, Config { bus, ..config }));
+        if self.buses.add(now, name, config) {
             self.refresh();
-            self.dirty = true;
+            self.notices.redraw.set_dirty();
         }
     }
 
-    // ---- handle_*: what comes from outside ------------------------------------------------
+    // ---- handle_*: input -------------------------------------------------------------------
 
-    /// Takes frames, each dated by its own time.
+    /// Takes frames, each with its own time.
     pub fn handle_frames(&mut self, now: Instant, frames: &[Frame]) {
-        self.now = self.now.max(now);
-        for frame in frames {
-            let Some(bus) = self.buses.get_mut(usize::from(frame.bus.0)) else { continue };
-            if bus.in_quarantine(frame.time) {
-                bus.engine.count_only(frame);
-            } else {
-                bus.engine.handle_frame(frame);
-            }
-            // The end may be told before the last frames come.
-            bus.ended = bus.ended.map(|ended| ended.max(frame.time));
-            let (bitrate, data_bitrate) = (bus.bits_per_second(), bus.status.data_bitrate);
-            bus.meter.add(frame, bitrate, data_bitrate);
-            self.capture.push(frame);
+        self.clock.set(now);
+        for frame in frames.iter().filter(|frame| self.buses.receive(frame)) {
+            self.traffic.capture.push(frame);
         }
         if !frames.is_empty() && self.view.page == Page::Traffic && self.view.frozen.is_none() {
             self.request_redraw();
@@ -370,62 +253,44 @@ impl App {
 
     /// Does what is due at `now`.
     pub fn handle_timeout(&mut self, now: Instant) {
-        self.now = self.now.max(now);
-        for bus in &mut self.buses {
-            if bus.poll_timeout().is_some_and(|at| at <= now) && !bus.in_quarantine(now) {
-                if bus.is_unreachable() {
-                    bus.engine.wait_for_bus(now);
-                }
-                bus.engine.handle_timeout(now);
-            }
-        }
+        self.clock.set(now);
+        self.buses.handle_timeout(now);
         self.take_events();
-        if self.next_second <= now {
-            self.next_second = whole_second_after(now);
+        if self.clock.take_second(now) {
             self.tick();
         }
-        if self.message.as_ref().is_some_and(|message| message.until <= now) {
-            self.message = None;
-            self.dirty = true;
-        }
-        if self.save_again_at.is_some_and(|at| at <= now) {
-            self.save_again_at = None;
-            self.is_saving_again = true;
+        self.notices.expire(now);
+        if self.editor.start_retry(now) {
             self.save_pending();
         }
-        if self.believes_empty_at().is_some_and(|at| at <= now) {
-            let change = self.file.accept_empty();
+        if self.empty_settles_at().is_some_and(|at| at <= now) {
+            let change = self.editor.file.accept_empty();
             self.file_changed(change);
         }
-        if self.dirty_at.is_some_and(|at| at <= now) {
-            self.dirty = true;
+        if self.notices.redraw.check_due(now) {
             self.catch_up();
         }
     }
 
-    /// Nothing could be done since `since`, as where the program was stopped: what came meanwhile
-    /// is shown, but nobody is judged by it, and nobody by his silence.
+    /// Takes that the program was stopped from `since` to `now`: frames of that time are shown and
+    /// do not count as evidence, and silence does not count against devices.
     pub fn handle_stall(&mut self, since: Instant, now: Instant) {
-        self.now = self.now.max(now);
-        for bus in self.buses.iter_mut().filter(|bus| !bus.is_unreachable() && bus.ended.is_none())
-        {
-            bus.begin_quarantine(since, now + STALL_BACKLOG);
-        }
+        self.clock.set(now);
+        self.buses.handle_stall(since, now);
         let seconds = now.since(since).as_secs_f64();
         let text = format!("stopped for {seconds:.1} s; not counted against devices");
         let mut line = TimelineEntry::new(now, TimelineKind::Error, text);
         line.name = Some("descan".into());
         self.report_line(line);
-        self.dirty = true;
+        self.notices.redraw.set_dirty();
     }
 
-    /// Lets everything happen on the buses that is due until `until`, each at its time, as where
-    /// time leaps from one line of a log to the next.
+    /// Runs all timers up to `until`, each at its time: time leaps from one frame of a log to the
+    /// next.
     pub fn advance_to(&mut self, until: Instant) {
-        // Not what only the screen waits for: there may be years of seconds where the clock was
-        // set while the log was written.
-        let next = |app: &App| app.buses.iter().filter_map(Bus::poll_timeout).min();
-        while let Some(due) = next(self).filter(|due| *due <= until) {
+        // Only the timers of the buses: the clock of the recording computer may have leapt by
+        // years, and each of their seconds would be one timeout of the screen.
+        while let Some(due) = self.buses.poll_timeout().filter(|due| *due <= until) {
             self.handle_timeout(due);
         }
         if self.poll_timeout().is_some_and(|due| due <= until) {
@@ -433,456 +298,660 @@ impl App {
         }
     }
 
-    /// Takes a key: a prompt's, or an action's.
+    /// Takes a key: it goes to the open prompt, or executes its action.
     pub fn handle_key(&mut self, now: Instant, key: Key) {
-        self.now = self.now.max(now);
-        if self.is_typed_ahead(key) {
+        let now = self.clock.set(now);
+        if self.input.is_typed_ahead(now, key) {
             return;
         }
-        self.dirty = true;
-        self.message = None;
+        self.notices.redraw.set_dirty();
+        self.notices.clear_message();
         self.catch_up();
-        if matches!(self.overlay, Overlay::Prompt(_)) {
+        if self.input.prompt().is_some() {
             self.type_key(key);
-        } else if let Some(action) = self.keymap.lookup(self.mode(), key) {
+        } else if let Some(action) = self.input.lookup(key) {
             self.run(action);
-            self.note_refused_line(action);
+            self.input.note_executed(now, action);
         }
     }
 
-    /// Takes text that was pasted: into the line being typed, nowhere else.
+    /// Takes pasted text: it goes to the open prompt, else nowhere.
     pub fn handle_paste(&mut self, now: Instant, text: &str) {
-        self.now = self.now.max(now);
-        self.paste(text);
+        self.clock.set(now);
+        if let Some(prompt) = self.input.prompt_mut() {
+            prompt.paste(text);
+            self.prompt_changed();
+        }
     }
 
-    /// Takes the size of the screen.
+    /// Takes the size of the screen, in columns and rows.
     pub fn handle_resize(&mut self, columns: u16, rows: u16) {
         self.view.size = (columns, rows);
-        if !std::mem::replace(&mut self.has_screen, true) {
+        if !std::mem::replace(&mut self.view.has_screen, true) {
             self.settle_problems();
         }
-        self.dirty = true;
+        self.notices.redraw.set_dirty();
         self.refresh_rows();
     }
 
-    /// Takes what was found at des.json's path.
+    /// Takes the line to which the details or the help were scrolled when they were drawn; `None`
+    /// if nothing scrolls.
+    pub fn handle_drawn(&mut self, scrolled: Option<u16>) {
+        let Some(scrolled) = scrolled else { return };
+        if !self.input.set_help_scroll(scrolled) {
+            self.view.details_scroll = scrolled;
+        }
+    }
+
+    /// Takes a reading of des.json.
     pub fn handle_file(&mut self, now: Instant, reading: FileReading) {
-        self.now = self.now.max(now);
-        let was_emptied = self.file.emptied_since().is_some();
-        let change = self.file.read(self.now, reading);
+        let now = self.clock.set(now);
+        let was_emptied = self.editor.file.emptied_since().is_some();
+        let change = self.editor.file.read(now, reading);
         self.file_changed(change);
-        let is_emptied = self.file.emptied_since().is_some();
-        self.dirty |= was_emptied || is_emptied;
+        let is_emptied = self.editor.file.emptied_since().is_some();
+        if was_emptied || is_emptied {
+            self.notices.redraw.set_dirty();
+        }
         if was_emptied && !is_emptied && change == Change::None {
-            // It is as it was: what waited is saved.
+            // The former content is back: edits that waited are saved.
             self.save_pending();
         }
     }
 
-    /// Takes that the folder does not exist in which des.json is to be begun; `folder` as it is to be
-    /// shown.
+    /// Takes that the folder of a new des.json does not exist; `folder` as it is shown.
     pub fn handle_missing_folder(&mut self, now: Instant, folder: &str) {
-        self.now = self.now.max(now);
+        let now = self.clock.set(now);
         let text = format!("no such folder yet: mkdir -p {folder}");
-        self.timeline.push(TimelineEntry::new(self.now, TimelineKind::Error, &text));
-        self.complain_of_file(format!("{}: {text}", self.file.name()));
+        self.add_line(TimelineKind::Error, &text);
+        let name = self.editor.file.name();
+        self.notices.file_error(now, format!("{name}: {text}"));
     }
 
-    /// Takes what became of an [`Effect::Save`].
+    /// Takes the result of an [`Effect::Save`].
     pub fn handle_saved(&mut self, now: Instant, outcome: SaveOutcome) {
-        self.now = self.now.max(now);
-        let before = self.file.problem().filter(|it| it.is_not_saved()).cloned();
-        let is_retry = std::mem::take(&mut self.is_saving_again);
-        let on_disk = self.file.on_disk().cloned();
-        let parted = match &outcome {
-            SaveOutcome::Parted(1) => {
-                Some("; the other hard link keeps the old content".to_owned())
-            }
-            SaveOutcome::Parted(names) => {
-                Some(format!("; {names} other hard links keep the old content"))
-            }
-            _ => None,
-        };
-        let change = self.file.handle_saved(self.now, outcome);
-        // No edit is let through that pins a taken address, but the file may have been changed
-        // while it waited to be saved.
-        let clash = self.file.on_disk().zip(on_disk.as_ref()).filter(|_| change == Change::Saved);
-        let clash = clash.and_then(|(now, before)| {
-            let entries = now.entries();
-            let clash = now.new_duplicate_address(before)?.entries.iter();
-            let clash: Vec<&Entry> = clash.filter_map(|&at| entries.get(at)).collect();
-            let address = clash.first()?.address?;
-            let names: Vec<&str> = clash.iter().map(|entry| &*entry.name_text).collect();
-            let (count, names) = (names.len(), names.join(", "));
-            Some(format!("; warning: {count} entries share address {address}: {names}"))
-        });
-        let but: String = clash.into_iter().chain(parted).collect();
-        let problem = self.file.problem().filter(|it| it.is_not_saved());
-        self.save_again_at = problem.map(|_| self.now + SAVE_AGAIN_AFTER);
-        let is_known = before.is_some() && before.as_ref() == problem;
-        if is_retry && is_known {
-            // It was told when it failed first.
-            self.dirty = true;
+        let now = self.clock.set(now);
+        let report = self.editor.handle_saved(now, outcome);
+        self.notices.redraw.set_dirty();
+        if report.is_silent {
             return;
         }
-        if change == Change::Saved && (before.is_some() || !but.is_empty()) {
-            let saved = if before.is_some() { "saved after retry" } else { "saved" };
-            let text = format!("{saved}{but}");
-            self.timeline.push(TimelineEntry::new(self.now, TimelineKind::File, &text));
-            if but.is_empty() { self.say_of_file(text) } else { self.complain_of_file(text) }
+        if let Some((text, is_warning)) = report.text {
+            self.add_line(TimelineKind::File, &text);
+            if is_warning {
+                self.notices.file_error(now, text);
+            } else {
+                self.notices.file_info(now, text);
+            }
         }
-        // Why it is not saved is known where the edit before was not either; what was done is news.
-        let done = self.message.take_if(|it| is_known && it.is_of_file && !it.is_error);
-        self.file_changed(change);
-        if done.is_some() {
-            self.message = done;
+        // A known problem does not replace the message about the edit.
+        let done = if report.is_known { self.notices.take_edit_message() } else { None };
+        self.file_changed(report.change);
+        if let Some(done) = done {
+            self.notices.restore_message(done);
         }
-        if self.file.problem().is_none() {
-            // What was read meanwhile may be why it was not saved.
+        if self.editor.file.problem().is_none() {
+            // The save may have been refused because of a newer content that was read meanwhile.
             self.save_pending();
         }
-        // What could not be saved may have been taken back: then that is no change of the file.
+        // An unsaved edit may have been undone, which is not a change of the file.
         self.quit_if_saved();
-        self.dirty = true;
     }
 
-    /// Takes what became of an [`Effect::WriteFile`].
-    pub fn handle_written(
-        &mut self,
-        now: Instant,
-        path: &std::path::Path,
-        result: Result<(), String>,
-    ) {
-        self.now = self.now.max(now);
-        let is_copy = |copying: &mut (PathBuf, Document)| copying.0 == path;
-        let copy = self.copy_pending.take_if(is_copy);
+    /// Takes the result of an [`Effect::WriteFile`]; `Err` with the cause.
+    pub fn handle_written(&mut self, now: Instant, path: &Path, result: Result<(), String>) {
+        self.clock.set(now);
+        let is_copy = self.editor.handle_written(path, result.is_ok());
         let path = crate::text::printable(path.as_os_str().as_encoded_bytes());
         match result {
-            Ok(()) if copy.is_some() => {
-                self.copy_saved = copy;
+            Ok(()) if is_copy => {
                 let line = format!("a copy with all edits: {path}");
                 self.show_info(&line);
-                self.timeline.push(TimelineEntry::new(self.now, TimelineKind::File, line));
+                self.add_line(TimelineKind::File, line);
             }
             Ok(()) => self.show_info(format!("saved: {path}")),
             Err(why) => self.show_error(format!("not saved: {why}")),
         }
     }
 
-    /// Takes what became of an [`Effect::UseTheme`].
+    /// Takes the result of an [`Effect::UseTheme`]; `Err` with the cause.
     pub fn handle_theme(&mut self, now: Instant, result: Result<(), String>) {
-        self.now = self.now.max(now);
+        self.clock.set(now);
         match result {
-            Ok(()) => self.dirty = true,
-            Err(why) => self.show_error(format!("theme {}: {why}", self.theme)),
+            Ok(()) => self.notices.redraw.set_dirty(),
+            Err(why) => self.show_error(format!("theme {}: {why}", self.themes.current)),
         }
     }
 
-    /// Takes what an adapter says of its bus.
+    /// Takes the adapter status of a bus.
     pub fn handle_bus(&mut self, now: Instant, index: BusIndex, status: BusStatus) {
-        self.now = self.now.max(now);
+        self.clock.set(now);
         self.bus_changed(index, status);
     }
 
-    /// Takes how the recording is.
+    /// Takes the state of the recording.
     pub fn handle_recording(&mut self, now: Instant, status: RecordingStatus) {
-        self.now = self.now.max(now);
+        self.clock.set(now);
         self.recording_changed(status);
     }
 
-    /// Takes how far the search for a bus's bit rate has come.
+    /// Takes the progress of an [`Effect::FindBitrate`].
     pub fn handle_bitrate_search(&mut self, now: Instant, bus: BusIndex, progress: SearchProgress) {
-        self.now = self.now.max(now);
+        self.clock.set(now);
         self.report_bitrate_search(bus, progress);
     }
 
-    /// Takes what the search for a bus's bit rate came to.
+    /// Takes the result of an [`Effect::FindBitrate`]; `Err` with the cause.
     pub fn handle_bitrate(
         &mut self,
         now: Instant,
         bus: BusIndex,
         result: Result<SearchOutcome, String>,
     ) {
-        self.now = self.now.max(now);
+        self.clock.set(now);
         self.bitrate_found(bus, result);
     }
 
-    /// Takes how logs are played, where there are nothing but logs.
+    /// Takes the state of the playback, where all buses are logs.
     pub fn handle_playback(&mut self, now: Instant, playback: Playback) {
-        self.now = self.now.max(now);
-        if self.playback.replace(playback) != Some(playback) {
-            // While time stands, nothing else becomes due.
+        self.clock.set(now);
+        if self.clock.set_playback(playback) {
+            // While the log is paused no timer becomes due.
             self.catch_up();
-            self.dirty = true;
+            self.notices.redraw.set_dirty();
         }
     }
 
-    // ---- poll_*: what is to be done outside, and when -------------------------------------
+    // ---- poll_*: output --------------------------------------------------------------------
 
-    /// The next frame to send; `frame.bus` says where.
+    /// The next frame to transmit; `frame.bus` is the bus to transmit on.
     pub fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
-        if let Some(frame) = self.outbox.pop_front() {
-            return Some(frame);
-        }
-        self.buses.iter_mut().enumerate().find_map(|(index, bus)| {
-            if bus.is_unreachable() {
-                // It would be late when the bus is back, and that nobody takes it says nothing.
-                bus.engine.wait_for_bus(now);
-            }
-            bus.engine.poll_transmit(now).map(|frame| frame.with_bus(BusIndex(index as u8)))
-        })
+        self.buses.poll_transmit(now)
     }
 
-    /// The next thing to be done.
+    /// The next work for the shell.
     pub fn poll_effect(&mut self) -> Option<Effect> {
         self.effects.pop_front()
     }
 
-    /// The next thing that happened, where [`AppOptions::report`] is set.
+    /// The next event, where [`AppOptions::emit_events`] is set.
     pub fn poll_app_event(&mut self) -> Option<AppEvent> {
-        self.app_events.pop_front()
+        self.notices.poll_event()
     }
 
-    /// When [`App::handle_timeout`] is to be called at the latest.
+    /// The moment at which [`App::handle_timeout`] is due.
     pub fn poll_timeout(&self) -> Option<Instant> {
-        let engines = self.buses.iter().filter_map(Bus::poll_timeout);
-        let message = self.message.as_ref().map(|message| message.until);
-        let calm = self.dirty_at.filter(|_| !self.dirty);
-        let second = (!self.is_idle()).then_some(self.next_second);
-        let file = self.save_again_at.into_iter().chain(self.believes_empty_at());
-        engines.chain(message).chain(calm).chain(second).chain(file).min()
+        let second = (!self.is_idle()).then_some(self.clock.next_second());
+        let file = self.editor.poll_timeout().into_iter().chain(self.empty_settles_at());
+        let parts = self.buses.poll_timeout().into_iter().chain(self.notices.poll_timeout());
+        parts.chain(second).chain(file).min()
     }
 
-    /// Whether the screen is not what it should be.
+    /// Returns true if the screen is out of date.
     pub fn is_dirty(&self) -> bool {
-        self.dirty
+        self.notices.redraw.is_dirty()
     }
 
-    /// The same; afterwards it is as if drawn.
+    /// Returns true if the screen is out of date, and counts it as drawn.
     pub fn take_dirty(&mut self) -> bool {
-        let dirty = std::mem::take(&mut self.dirty);
-        if dirty {
-            self.dirty_at = None;
-            self.last_calm_draw = self.now;
-        }
-        dirty
+        self.notices.redraw.take_dirty(self.clock.now())
     }
 
-    // ---- what it is ------------------------------------------------------------------------
+    // ---- the state of the parts ------------------------------------------------------------
 
-    /// The latest moment that was told.
+    /// The latest moment that a handler was called with.
     pub fn now(&self) -> Instant {
-        self.now
+        self.clock.now()
     }
 
-    /// The moment that ages are counted to: now, or, where nothing more will come, the end of
-    /// the log.
+    /// The moment up to which ages are counted: now, or the end of the last log.
     pub fn display_time(&self) -> Instant {
-        let ended = self.buses.iter().map(|bus| bus.ended).collect::<Option<Vec<_>>>();
-        ended.and_then(|ended| ended.into_iter().max()).unwrap_or(self.now)
+        self.buses.display_time(self.clock.now())
     }
 
-    /// Which Unix time the start was.
+    /// Unix time of [`Instant::ZERO`].
     pub fn epoch(&self) -> Epoch {
-        self.epoch
+        self.clock.epoch()
     }
 
-    /// Seconds since midnight 1970 on the wall clock.
+    /// Seconds since 1970-01-01 00:00 on the wall clock.
     pub fn wall_seconds(&self, at: Instant) -> u64 {
-        (self.epoch.unix_micros(at) / 1_000_000)
-            .saturating_add_signed(i64::from(self.utc_offset_seconds))
+        self.clock.wall_seconds(at)
     }
 
-    /// The buses.
+    /// State of the playback; `None` unless all buses are logs.
+    pub fn playback(&self) -> Option<Playback> {
+        self.clock.playback()
+    }
+
+    /// The buses, in the order of their indices.
     pub fn buses(&self) -> &[Bus] {
-        &self.buses
+        self.buses.as_slice()
     }
 
-    /// des.json.
+    /// The bus with this index; `None` for an unknown index.
+    pub fn bus(&self, index: BusIndex) -> Option<&Bus> {
+        self.buses.get(index)
+    }
+
+    /// The device with this identity; `None` after its removal.
+    pub fn device(&self, id: DeviceId) -> Option<&Device> {
+        self.buses.device(id)
+    }
+
+    /// The device of a row; `None` for the row of an entry.
+    pub fn device_of(&self, row: &Row) -> Option<&Device> {
+        self.buses.device_of(row)
+    }
+
+    /// The devices of a row: several where buses are redundant.
+    pub fn devices_of<'a>(&'a self, row: &'a Row) -> impl Iterator<Item = &'a Device> {
+        self.buses.devices_of(row)
+    }
+
+    /// The same device on other buses.
+    pub fn siblings(&self, id: DeviceId) -> &[RedundantDevice] {
+        self.buses.siblings(id)
+    }
+
+    /// Returns true if an address conflict is confirmed at the address of a device: its heartbeat
+    /// statistics are those of two devices then.
+    pub fn is_shared(&self, device: &Device) -> bool {
+        self.buses.is_shared(device)
+    }
+
+    /// UIDs in the heartbeats of a device; two where alternating UIDs are confirmed.
+    pub fn uids_of(&self, device: &Device) -> Vec<crate::wire::node::Uid> {
+        self.buses.uids_of(device)
+    }
+
+    /// Profile of a bus; the default one for an unknown index.
+    pub fn profile(&self, bus: BusIndex) -> Arc<Profile> {
+        self.buses.profile(bus)
+    }
+
+    /// Returns true if descan holds this address on this bus.
+    pub fn is_own_address(&self, bus: BusIndex, address: Address) -> bool {
+        self.buses.is_own_address(bus, address)
+    }
+
+    /// The reason why descan has no address on a bus: the `wanted` one is used by another node, or
+    /// with `None` all are used.
+    pub fn why_no_address(&self, bus: BusIndex, wanted: Option<Address>) -> Option<String> {
+        self.buses.no_address_reason(bus, wanted)
+    }
+
+    /// Returns true if a bus was searched long enough to report a device as missing.
+    pub fn is_search_complete(&self, bus: BusIndex) -> bool {
+        self.buses.is_search_complete(bus, self.clock.now())
+    }
+
+    /// Returns true if the bit rate of a bus is being searched.
+    pub fn searches_bitrate_of(&self, bus: BusIndex) -> bool {
+        self.buses.searched() == Some(bus)
+    }
+
+    /// des.json: content and edits.
     pub fn file(&self) -> &FileState {
-        &self.file
+        &self.editor.file
+    }
+
+    /// Number of edits that would be lost if the program ended now, and the file with them; `None`
+    /// if they are saved, also in a copy, or discarded by the user.
+    pub fn edits_at_risk(&self) -> Option<(usize, Document)> {
+        self.editor.edits_at_risk()
+    }
+
+    /// The entry of a row.
+    pub fn entry_of(&self, row: &Row) -> Option<&Entry> {
+        self.editor.file.document().entries().get(row.entry?)
+    }
+
+    /// Entry of des.json for a device; `None` while its name is not known.
+    pub fn new_entry(&self, device: &Device) -> Option<NewEntry> {
+        listing::new_entry(&self.buses, device)
+    }
+
+    /// The assignment of entries to devices.
+    pub fn matching(&self) -> &Matching {
+        self.problems.matching()
+    }
+
+    /// Reasons why no device matches an entry, the likeliest first.
+    pub fn why_missing(&self, entry: &Entry) -> Vec<String> {
+        facts!(self).missing_reasons(entry)
+    }
+
+    /// Reasons why the name or the services of a device are not known.
+    pub fn why_incomplete(&self, device: &Device) -> Vec<String> {
+        facts!(self).incomplete_reasons(device)
+    }
+
+    /// All findings: bus by bus, then those of the comparison with the file.
+    pub fn findings(&self) -> impl Iterator<Item = &Finding> {
+        self.problems.findings(&self.buses)
+    }
+
+    /// Differences between file and buses at `now`.
+    pub fn compare(&self, now: Instant, scope: Scope) -> Vec<Finding> {
+        let facts = Facts { now, ..facts!(self) };
+        problems::compare(facts, scope)
+    }
+
+    /// All problems: confirmed, suspected, cleared, muted; by severity within each. A frozen view
+    /// keeps the order of its rows.
+    pub fn problems(&self) -> Vec<Problem<'_>> {
+        self.problems.list(&self.buses, self.view.frozen.is_some())
+    }
+
+    /// The problems that match the filter.
+    pub fn problems_shown(&self) -> Vec<Problem<'_>> {
+        let filter = Filter::parse(self.view.filter(Page::Problems));
+        let mut problems = self.problems();
+        problems.retain(|problem| filter.matches_problem(&self.buses, problem));
+        problems
+    }
+
+    /// The selected problem.
+    pub fn selected_problem(&self) -> Option<Problem<'_>> {
+        let mut shown = self.problems_shown();
+        let index = self.view.problems.index(shown.iter().map(|problem| &problem.key))?;
+        Some(shown.swap_remove(index))
+    }
+
+    /// The rows of the Devices page, sorted and filtered.
+    pub fn rows(&self) -> &[Row] {
+        self.devices.rows()
+    }
+
+    /// Number of rows by state, whatever the filter, and of problems.
+    pub fn counts(&self) -> Counts {
+        self.devices.counts()
+    }
+
+    /// The selected row.
+    pub fn selected_row(&self) -> Option<&Row> {
+        self.rows().get(self.selected_row_index()?)
+    }
+
+    /// Place of the selected row.
+    pub fn selected_row_index(&self) -> Option<usize> {
+        self.devices.selected_index(&self.view)
+    }
+
+    /// The device of the selected row.
+    pub fn selected_device(&self) -> Option<&Device> {
+        self.device_of(self.selected_row()?)
     }
 
     /// The captured frames.
     pub fn capture(&self) -> &Capture {
-        &self.capture
+        &self.traffic.capture
     }
 
-    /// What happened.
+    /// State of the recording; `None` without one.
+    pub fn recording(&self) -> Option<&RecordingStatus> {
+        self.traffic.recording()
+    }
+
+    /// Numbers of the frames on `height` lines, oldest first, and the selected one.
+    pub fn frames_shown(&self, height: usize) -> (Vec<u64>, Option<u64>) {
+        self.traffic.shown(&self.view, height)
+    }
+
+    /// Rows of the identifier view that match the filter.
+    pub fn identifiers_shown(&self) -> Vec<&IdentifierStats> {
+        self.traffic.identifiers_shown(&self.view, &self.buses)
+    }
+
+    /// Text of the ISO 15765-2 transfer that a captured frame is part of.
+    pub fn message_of(&self, number: u64) -> Option<String> {
+        self.traffic.transfer_text(&self.buses, number)
+    }
+
+    /// Number of a frame in the capture; `None` once it was dropped.
+    pub fn captured(&self, frame: &Frame) -> Option<u64> {
+        self.traffic.number_of(frame)
+    }
+
+    /// The evidence, if only its own frames are shown.
+    pub fn evidence_alone(&self) -> Option<&EvidenceView> {
+        self.view.evidence_alone()
+    }
+
+    /// The piece of the open evidence that a captured frame is.
+    pub fn piece_of(&self, frame: &Frame) -> Option<&EvidenceItem> {
+        let pieces = &self.view.evidence.as_ref()?.pieces;
+        pieces.iter().find(|piece| piece.frame.as_ref() == Some(frame))
+    }
+
+    /// The selected frame on the Traffic page.
+    pub fn selected_frame(&self) -> Option<&Frame> {
+        match self.view.evidence_alone() {
+            Some(evidence) => evidence.selected()?.1.frame.as_ref(),
+            None => self.traffic.capture.get(self.view.traffic?),
+        }
+    }
+
+    /// The timeline.
     pub fn timeline(&self) -> &Timeline {
-        &self.timeline
+        self.notices.timeline()
     }
 
-    /// Which entry is which device.
-    pub fn matching(&self) -> &Matching {
-        &self.matching
+    /// Numbers of the timeline lines that match the filter, oldest first.
+    pub fn lines_shown(&self) -> Vec<u64> {
+        let filter = Filter::parse(self.view.filter(Page::Timeline));
+        let end = self.view.frozen.map_or(u64::MAX, |frozen| frozen.lines);
+        let entries = self.timeline().entries().filter(|entry| entry.number < end);
+        entries
+            .filter(|entry| filter.is_empty() || filter.matches_entry(&self.buses, entry))
+            .map(|entry| entry.number)
+            .collect()
     }
 
-    /// What the user looks at.
+    /// Name of the device that a line is about.
+    pub fn name_on_line<'a>(&'a self, entry: &'a TimelineEntry) -> Option<&'a Name> {
+        notices::name_on_line(&self.buses, entry)
+    }
+
+    /// The message in the footer.
+    pub fn message(&self) -> Option<&StatusMessage> {
+        self.notices.message()
+    }
+
+    /// The view.
     pub fn view(&self) -> &View {
         &self.view
     }
 
-    /// What is open over the page.
-    pub fn overlay(&self) -> &Overlay {
-        &self.overlay
-    }
-
-    /// The word to the user.
-    pub fn message(&self) -> Option<&StatusMessage> {
-        self.message.as_ref()
-    }
-
-    /// How logs are played, where there are nothing but logs.
-    pub fn playback(&self) -> Option<Playback> {
-        self.playback
-    }
-
-    /// How the recording is, where there is one.
-    pub fn recording(&self) -> Option<&RecordingStatus> {
-        self.recording.as_ref()
-    }
-
-    /// Which key does what.
-    pub fn keymap(&self) -> &Keymap {
-        &self.keymap
-    }
-
-    /// The key of an action, for a sentence; its name where it has none.
-    pub fn key_of(&self, action: Action) -> String {
-        self.keymap.key_text(action)
-    }
-
-    /// The theme's name.
-    pub fn theme(&self) -> &str {
-        &self.theme
-    }
-
-    /// Where the regions of the screen are.
+    /// Regions of the screen.
     pub fn screen(&self) -> Screen {
-        Screen::new(&self.view, self.buses.len())
+        self.view.screen(self.buses.len())
     }
 
-    /// What keys mean at the moment; lines being typed take them before.
+    /// The overlay over the page.
+    pub fn overlay(&self) -> &Overlay {
+        self.input.overlay()
+    }
+
+    /// Mode in which keys are looked up; an open prompt takes keys before that.
     pub fn mode(&self) -> KeyMode {
-        match self.overlay {
-            Overlay::None | Overlay::Prompt(_) => KeyMode::Browse,
-            Overlay::Help(_) => KeyMode::Help,
-            Overlay::Question(_) => KeyMode::Confirm,
-            Overlay::Conflict => KeyMode::Conflict,
-        }
+        self.input.mode()
     }
 
-    /// Whether an address on a bus is ours.
-    pub fn is_own_address(&self, bus: BusIndex, address: Address) -> bool {
-        let own = self.bus(bus).map(|bus| bus.engine.own_address());
-        own == Some(OwnAddress::Held(address))
+    /// The open prompt.
+    pub fn prompt(&self) -> Option<&Prompt> {
+        self.input.prompt()
     }
 
-    // ---- what all parts need ---------------------------------------------------------------
+    /// Validation of the open prompt.
+    pub fn verdict(&self) -> Option<InputCheck> {
+        Some(self.prompt()?.validate(self.prompt_context()))
+    }
+
+    /// Text before the line of the open prompt.
+    pub fn prompt_label(&self) -> Option<String> {
+        let prompt = self.prompt()?;
+        let label = prompt.kind.label();
+        let id = match &prompt.kind {
+            PromptKind::Address(prompt) => match prompt.key {
+                RowKey::Device(id) => Some(id),
+                RowKey::Entry(_) => None,
+            },
+            _ => None,
+        };
+        let joined =
+            |id: &DeviceId| self.rows().iter().any(|row| row.has(*id) && !row.also.is_empty());
+        let bus = id.filter(joined).and_then(|id| self.bus(id.bus));
+        Some(bus.map_or(label.to_owned(), |bus| format!("{label} on {} (Tab: next)", bus.name)))
+    }
+
+    /// The keymap.
+    pub fn keymap(&self) -> &Keymap {
+        self.input.keymap()
+    }
+
+    /// First key of an action, for a sentence; its name where it is unbound.
+    pub fn key_of(&self, action: Action) -> String {
+        self.keymap().key_text(action)
+    }
+
+    /// Name of the theme.
+    pub fn theme(&self) -> &str {
+        &self.themes.current
+    }
+
+    // ---- wiring that all commands need -----------------------------------------------------
 
     fn show_info(&mut self, text: impl Into<String>) {
-        let until = self.now + MESSAGE_FOR;
-        self.message =
-            Some(StatusMessage { text: text.into(), is_error: false, is_of_file: false, until });
-        self.dirty = true;
+        self.notices.info(self.clock.now(), text);
     }
 
     fn show_error(&mut self, text: impl Into<String>) {
-        self.show_info(text);
-        if let Some(message) = &mut self.message {
-            message.is_error = true;
+        self.notices.error(self.clock.now(), text);
+    }
+
+    fn file_info(&mut self, text: impl Into<String>) {
+        self.notices.file_info(self.clock.now(), text);
+    }
+
+    fn file_error(&mut self, text: impl Into<String>) {
+        self.notices.file_error(self.clock.now(), text);
+    }
+
+    /// Adds a line to the timeline only.
+    fn add_line(&mut self, kind: TimelineKind, text: impl Into<String>) {
+        let line = TimelineEntry::new(self.clock.now(), kind, text);
+        self.notices.timeline_mut().push(line);
+    }
+
+    /// Adds a line to the timeline and to the events.
+    fn report_line(&mut self, line: TimelineEntry) {
+        if self.notices.emits_events() && self.notices.is_of_interest(&self.buses, &line, &[]) {
+            let event = self.line_event(&line);
+            self.notices.emit(event);
         }
+        self.notices.timeline_mut().push(line);
     }
 
-    /// The same of what des.json says, or of what is wrong with it: for as long as that is so.
-    fn say_of_file(&mut self, text: impl Into<String>) {
-        self.show_info(text);
-        if let Some(message) = &mut self.message {
-            message.is_of_file = true;
-        }
+    fn list_height(&self) -> usize {
+        self.screen().list_rows()
     }
 
-    fn complain_of_file(&mut self, text: impl Into<String>) {
-        self.show_error(text);
-        if let Some(message) = &mut self.message {
-            message.is_of_file = true;
-        }
-    }
-
-    /// The file changed: what was said of it gives way, unless our edits, made again, keep it true.
-    fn clear_file_message(&mut self, is_rebased: bool) {
-        let gives_way = |it: &mut StatusMessage| it.is_of_file && (it.is_error || !is_rebased);
-        self.message.take_if(gives_way);
-    }
-
-    /// The bus changed something: to be seen soon, but not at the bus's pace.
+    /// Requests a redraw after a change on the bus, at most every 250 ms.
     fn request_redraw(&mut self) {
-        let calm = self.scale_to_playback(BUS_REDRAW_INTERVAL);
-        if self.dirty_at.is_none() {
-            self.dirty_at = Some((self.last_calm_draw + calm).max(self.now));
-        }
+        let interval = self.clock.scale_to_playback(notices::BUS_REDRAW_INTERVAL);
+        self.notices.redraw.request(self.clock.now(), interval);
     }
 
-    /// So much of a person's time, in that of a log, which may be faster or stand still.
-    fn scale_to_playback(&self, time: Duration) -> Duration {
-        match self.playback {
-            Some(playback) if playback.is_standing() => Duration::ZERO,
-            Some(playback) => time.mul_f64(playback.speed),
-            None => time,
-        }
+    /// When a file that has become empty is no longer assumed to be in writing.
+    fn empty_settles_at(&self) -> Option<Instant> {
+        let since = self.editor.file.emptied_since()?;
+        Some(since + self.clock.scale_to_playback(EMPTY_SETTLES_AFTER))
     }
 
-    /// When a file that has become empty is taken for an empty one.
-    fn believes_empty_at(&self) -> Option<Instant> {
-        Some(self.file.emptied_since()? + self.scale_to_playback(EMPTY_FOR))
-    }
-
-    /// Nothing on the screen counts seconds.
+    /// Returns true if nothing on the screen changes with time.
     fn is_idle(&self) -> bool {
-        let quiet = |bus: &Bus| {
-            bus.ended.is_some() || bus.meter.is_idle() && bus.engine.devices().is_empty()
-        };
-        // What costs most comes last: this is asked at every turn.
+        // The most expensive test comes last: this is called in every turn of the event loop.
         let waits = || (0..self.buses.len()).any(|at| !self.is_search_complete(BusIndex(at as u8)));
-        self.buses.iter().all(quiet) && !(self.file.is_there() && waits())
+        self.buses.is_quiet() && !(self.editor.file.is_there() && waits())
     }
 
-    /// A second is over: rates and ages change.
+    /// Renews rates and ages, once per second.
     fn tick(&mut self) {
-        let at_rest = self.is_idle();
-        for bus in &mut self.buses {
-            bus.meter.advance(self.now);
-        }
-        self.capture.tick();
-        if !at_rest {
+        let was_idle = self.is_idle();
+        self.buses.tick(self.clock.now());
+        self.traffic.capture.tick();
+        if !was_idle {
             self.refresh();
             self.filter_frames();
-            self.dirty = true;
+            self.notices.redraw.set_dirty();
         }
     }
 
-    /// Before there is something to draw: compares bus and file anew, if something happened since,
-    /// and filters the frames that came.
+    /// Renews rows and problems before they are drawn, if an engine reported something since, and
+    /// filters new frames.
     fn catch_up(&mut self) {
-        if std::mem::take(&mut self.outdated) {
+        if self.notices.redraw.take_stale() {
             self.refresh();
         }
         self.filter_frames();
     }
 
+    fn filter_frames(&mut self) {
+        self.traffic.renew_filter(&self.view, &self.buses);
+    }
+
+    /// Renews everything that is made from buses and file.
     fn refresh(&mut self) {
-        self.outdated = false;
-        self.refresh_siblings();
-        self.refresh_problems(self.now);
-        if self.has_screen {
+        self.notices.redraw.take_stale();
+        self.refresh_redundancy();
+        self.refresh_problems();
+        if self.view.has_screen {
             self.settle_problems();
             self.refresh_rows();
         }
     }
+
+    fn refresh_rows(&mut self) {
+        let problems = self.problems.list(&self.buses, false);
+        self.devices.refresh(facts!(self), &problems, &mut self.view);
+    }
+
+    fn problem_keys(&self) -> Vec<ProblemKey> {
+        self.problems_shown().into_iter().map(|problem| problem.key).collect()
+    }
+
+    /// After a change of the problems: keeps the selection on its problem.
+    fn settle_problems(&mut self) {
+        let order = self.problems().into_iter().map(|problem| problem.key).collect();
+        let shown = self.problem_keys();
+        self.problems.set_order(order);
+        let height = self.list_height();
+        if self.view.page == Page::Problems {
+            // A new first problem must not move under the key that is about to be pressed.
+            self.view.problems.keep(&shown, height);
+        } else {
+            self.view.problems.settle(&shown, height);
+        }
+    }
 }
 
-fn whole_second_after(now: Instant) -> Instant {
-    Instant::from_micros(now.as_micros() / 1_000_000 * 1_000_000) + SECOND
+impl Decoded {
+    /// Decodes a frame with the names and the profile of its bus.
+    pub fn of(app: &App, frame: &Frame) -> Self {
+        Self::new(&app.buses, frame)
+    }
+}
+
+/// A moment on the wall clock: `12:03:11`.
+pub fn clock(app: &App, at: Instant) -> String {
+    let seconds = app.wall_seconds(at);
+    format!("{:02}:{:02}:{:02}", seconds / 3600 % 24, seconds / 60 % 60, seconds % 60)
+}
+
+/// A moment on the wall clock with milliseconds: `12:03:11.204`.
+pub fn clock_millis(app: &App, at: Instant) -> String {
+    let millis = app.epoch().unix_micros(at) / 1000 % 1000;
+    format!("{}.{millis:03}", clock(app, at))
 }

@@ -1,35 +1,40 @@
-//! The commands that only look: pages, rows, details, freezing, the mouse.
+//! Commands that change the view: pages, rows, details, evidence, freezing, the mouse.
 
-use super::capture::{IdentifierKey, IdentifierStats};
-use super::page::{Focus, Frozen, Page};
-use super::prompt::PromptKind;
-use super::{App, Decoded, Effect, Filter, Overlay, Problem, Row, RowKey, tabs};
+use super::capture::{Decoded, IdentifierKey};
+use super::input::{FilterPrompt, Overlay};
+use super::view::{Focus, Frozen, Page, Row, tabs};
+use super::{App, Effect, EvidenceItem, Problem, PromptKind};
+use crate::discovery::FindingKind;
 use crate::frame::BusIndex;
+use crate::keymap::Action;
 use crate::status::PlaybackCommand;
 use crate::text::Name;
 use crate::time::Instant;
 use crate::wire::id::Address;
 use ratatui::layout::{Position, Rect};
 
-/// What the mouse did, and where.
+/// Rows per step of the mouse wheel.
+const WHEEL_ROWS: isize = 3;
+
+/// A mouse event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Mouse {
-    /// What.
+    /// Kind.
     pub kind: MouseKind,
-    /// From 0.
+    /// Column, from 0.
     pub column: u16,
-    /// From 0.
+    /// Row, from 0.
     pub row: u16,
 }
 
-/// What the mouse did.
+/// Kind of a mouse event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MouseKind {
     /// The first button was pressed.
     Press,
-    /// The wheel was turned, up.
+    /// The wheel was turned up.
     WheelUp,
-    /// The wheel was turned, down.
+    /// The wheel was turned down.
     WheelDown,
 }
 
@@ -39,35 +44,33 @@ impl Mouse {
     }
 }
 
-/// How many rows a notch of the wheel is.
-const NOTCH: isize = 3;
-
 impl App {
-    /// Takes what the mouse did.
+    // ---- the mouse -------------------------------------------------------------------------
+
+    /// Takes a mouse event.
     pub fn handle_mouse(&mut self, now: Instant, mouse: Mouse) {
-        self.now = self.now.max(now);
+        self.clock.set(now);
         let delta = match mouse.kind {
             MouseKind::Press => return self.press(mouse),
-            MouseKind::WheelUp => -NOTCH,
-            MouseKind::WheelDown => NOTCH,
+            MouseKind::WheelUp => -WHEEL_ROWS,
+            MouseKind::WheelDown => WHEEL_ROWS,
         };
-        self.dirty = true;
-        match self.overlay {
-            Overlay::None if mouse.is_in(self.screen().details) => self.scroll_details(delta),
+        self.notices.redraw.set_dirty();
+        match self.overlay() {
+            Overlay::None if mouse.is_in(self.screen().details) => self.view.scroll_details(delta),
             Overlay::None => self.move_list(delta),
-            Overlay::Help(_) => self.scroll_help(delta as i16),
-            _ => {}
+            _ => self.input.scroll_help(delta as i16),
         }
     }
 
     fn press(&mut self, mouse: Mouse) {
-        if !matches!(self.overlay, Overlay::None) {
+        if self.input.has_overlay() {
             return;
         }
-        self.dirty = true;
+        self.notices.redraw.set_dirty();
         let screen = self.screen();
         if mouse.row == screen.tabs.y && screen.tabs.height > 0 {
-            let tabs = tabs(screen.whole.width, self.view.page, self.counts);
+            let tabs = tabs(screen.whole.width, self.view.page, self.counts());
             let hit = tabs.into_iter().find(|(_, start, text)| {
                 (*start..start + text.chars().count() as u16).contains(&mouse.column)
             });
@@ -85,23 +88,22 @@ impl App {
     }
 
     fn click_row(&mut self, line: usize) {
-        let height = self.screen().list_rows();
+        let height = self.list_height();
         self.view.details_scroll = 0;
         match self.view.page {
-            Page::Devices => {
-                let keys = self.row_keys();
-                self.view.devices.click(&keys, line, height);
-            }
+            Page::Devices => self.view.devices.click(&self.devices.keys(), line, height),
             Page::Problems => {
                 let keys = self.problem_keys();
                 self.view.problems.click(&keys, line, height);
             }
             Page::Timeline => {
                 let keys = self.lines_shown();
-                self.hold_timeline(&keys, height);
+                self.view.hold_timeline(&keys, height);
                 self.view.timeline.click(&keys, line, height);
             }
-            Page::Traffic if self.evidence_alone().is_some() => self.click_evidence(line),
+            Page::Traffic if self.view.evidence_alone().is_some() => {
+                self.view.click_evidence(line, height);
+            }
             Page::Traffic if self.view.shows_identifiers() => {
                 let keys = self.identifier_keys();
                 self.view.identifiers.click(&keys, line, height);
@@ -115,34 +117,27 @@ impl App {
         }
     }
 
-    /// Command: stops a log, lets it go on, or changes its pace.
-    pub(super) fn control_playback(&mut self, command: PlaybackCommand) {
-        if self.playback.is_some() {
-            self.effects.push_back(Effect::Playback(command));
-        } else {
-            self.show_error("only a log can be paused");
-        }
-    }
+    // ---- rows ------------------------------------------------------------------------------
 
-    /// Command: up or down by rows.
+    /// Moves the selection, or scrolls the details that have the focus, by rows.
     pub(super) fn move_by(&mut self, delta: isize) {
         if self.view.focus == Focus::Details && self.screen().details.height > 0 {
-            self.scroll_details(delta);
+            self.view.scroll_details(delta);
         } else {
             self.move_list(delta);
         }
     }
 
-    /// Command: up or down by screenfuls.
+    /// Moves by screenfuls.
     pub(super) fn move_pages(&mut self, pages: isize) {
         let screen = self.screen();
         let height = screen.list_rows().max(usize::from(screen.details.height));
         self.move_by(pages * height.saturating_sub(1).max(1).cast_signed());
     }
 
-    /// Command: to the first or to the last row.
+    /// Moves to the first or the last row; behind the last row Timeline and Traffic follow.
     pub(super) fn move_to_end(&mut self, last: bool) {
-        let by_rows = self.evidence_alone().is_some() || self.view.shows_identifiers();
+        let by_rows = self.view.evidence_alone().is_some() || self.view.shows_identifiers();
         if last && self.view.focus == Focus::List {
             match self.view.page {
                 Page::Timeline => return self.view.timeline.release(),
@@ -154,7 +149,7 @@ impl App {
             }
         }
         if !last && self.view.page == Page::Traffic && !by_rows {
-            let first = self.frames_from(0).next();
+            let first = self.traffic.from(&self.view, 0).next();
             self.view.traffic = first;
             self.view.traffic_line = 0;
             return;
@@ -162,106 +157,57 @@ impl App {
         self.move_by(if last { isize::MAX / 2 } else { isize::MIN / 2 });
     }
 
-    fn scroll_details(&mut self, delta: isize) {
-        let scroll = usize::from(self.view.details_scroll).saturating_add_signed(delta);
-        // Where the text ends is only known when it is drawn, and told back then.
-        self.view.details_scroll = u16::try_from(scroll).unwrap_or(u16::MAX);
-    }
-
-    /// Takes how far the text that scrolls was scrolled as it was drawn: not past its end.
-    pub fn handle_drawn(&mut self, scrolled: Option<u16>) {
-        let Some(scrolled) = scrolled else { return };
-        match &mut self.overlay {
-            Overlay::Help(at) => *at = scrolled,
-            _ => self.view.details_scroll = scrolled,
-        }
-    }
-
     fn move_list(&mut self, delta: isize) {
-        let height = self.screen().list_rows();
+        let height = self.list_height();
         self.view.details_scroll = 0;
         match self.view.page {
-            Page::Devices => {
-                let keys = self.row_keys();
-                self.view.devices.move_by(&keys, delta, height);
-            }
+            Page::Devices => self.view.devices.move_by(&self.devices.keys(), delta, height),
             Page::Problems => {
                 let keys = self.problem_keys();
                 self.view.problems.move_by(&keys, delta, height);
             }
             Page::Timeline => {
                 let keys = self.lines_shown();
-                self.hold_timeline(&keys, height);
+                self.view.hold_timeline(&keys, height);
                 self.view.timeline.move_by(&keys, delta, height);
                 if delta > 0 && self.view.timeline.selected() == keys.last() {
                     self.view.timeline.release();
                 }
             }
-            Page::Traffic if self.evidence_alone().is_some() => self.move_in_evidence(delta),
+            Page::Traffic if self.view.evidence_alone().is_some() => {
+                self.view.move_in_evidence(delta, height);
+            }
             Page::Traffic if self.view.shows_identifiers() => {
                 let keys = self.identifier_keys();
                 self.view.identifiers.settle(&keys, height);
                 self.view.identifiers.move_by(&keys, delta, height);
             }
-            Page::Traffic => self.move_in_traffic(delta, height),
+            Page::Traffic => self.traffic.move_by(&mut self.view, delta, height),
         }
     }
 
-    /// The timeline follows until something is selected: that begins at its newest line.
-    fn hold_timeline(&mut self, keys: &[u64], height: usize) {
-        if self.view.timeline.selected().is_none() {
-            self.view.timeline.move_to(keys, keys.len(), height);
-            let line = keys.len().min(height).saturating_sub(1);
-            self.view.timeline.click(keys, line, height);
-        }
+    fn identifier_keys(&self) -> Vec<IdentifierKey> {
+        self.identifiers_shown().iter().map(|row| row.key).collect()
     }
 
-    fn move_in_traffic(&mut self, delta: isize, height: usize) {
-        let bottom = height.saturating_sub(1);
-        let (shown, selected) = self.frames_shown(height);
-        let (from, line) = match selected {
-            Some(selected) => {
-                (selected, shown.iter().position(|&number| number == selected).unwrap_or(0))
-            }
-            None => match shown.last() {
-                Some(&newest) => (newest, shown.len() - 1),
-                None => return,
-            },
-        };
-        let steps = delta.unsigned_abs();
-        let to = if delta > 0 {
-            self.frames_from(from + 1).take(steps).last()
-        } else {
-            self.frames_before(from).take(steps).last()
-        };
-        let Some(to) = to else {
-            self.view.traffic = (delta < 0).then_some(from);
-            return;
-        };
-        self.view.traffic = Some(to);
-        self.view.traffic_line = line.saturating_add_signed(delta).min(bottom);
-    }
+    // ---- pages and details -----------------------------------------------------------------
 
-    /// Command: another page.
+    /// Opens a page.
     pub(super) fn show_page(&mut self, page: Page) {
-        self.close_evidence();
-        self.view.from_timeline = false;
-        self.view.page = page;
+        self.view.open_page(page);
         self.filter_frames();
-        self.view.focus = Focus::List;
-        self.view.details_scroll = 0;
-        self.dirty = true;
+        self.notices.redraw.set_dirty();
     }
 
-    /// Command: the next page or the one before.
+    /// Opens the next page, or with -1 the previous one.
     pub(super) fn turn_page(&mut self, by: isize) {
         let count = Page::ALL.len();
         let at = (self.view.page as usize + count).saturating_add_signed(by) % count;
         self.show_page(Page::ALL[at]);
     }
 
-    /// Command: opens the details; in the timeline, goes to the frames of that moment, and from a
-    /// problem whose details are in view to the frames that prove it.
+    /// Opens the details. On Timeline: the frames at the time of the line; on Problems, with
+    /// details in view: the evidence; on evidence: all frames around it.
     pub(super) fn open_details(&mut self) {
         match self.view.page {
             Page::Timeline => self.go_to_frames(),
@@ -275,54 +221,45 @@ impl App {
                     self.view.focus = Focus::Details;
                 }
                 if self.view.traffic.is_none() {
-                    let newest = self.frames_before(self.traffic_end()).next();
+                    let end = self.traffic.end(&self.view);
+                    let newest = self.traffic.before(&self.view, end).next();
                     self.view.traffic = newest;
                     self.view.traffic_line = usize::MAX / 2;
                 }
             }
             Page::Devices | Page::Problems => {
                 let open = self.view.focus == Focus::List;
-                self.focus_details(open);
+                self.view.focus_details(open);
             }
         }
     }
 
-    /// Command: the keys to the details, or back to the list.
-    pub(super) fn focus_details(&mut self, details: bool) {
-        let has = self.view.has_details();
-        if !details && self.view.page == Page::Traffic {
-            self.view.frame_details = false;
-        }
-        self.view.focus = if details && has { Focus::Details } else { Focus::List };
-        self.view.details_scroll = 0;
-    }
-
+    /// Shows the frames at the time of the selected timeline line.
     fn go_to_frames(&mut self) {
         let lines = self.lines_shown();
         let selected = self.view.timeline.selected().or(lines.last());
-        let Some(line) = selected.and_then(|&number| self.timeline.get(number)) else { return };
-        let time = line.time;
-        let number = self.capture.at_time(time);
-        if self.capture.get(number).is_none()
-            || self.capture.get(self.capture.first()).is_some_and(|first| first.time > time)
+        let Some(line) = selected.and_then(|&number| self.timeline().get(number)) else { return };
+        let (time, capture) = (line.time, &self.traffic.capture);
+        let number = capture.at_time(time);
+        if capture.get(number).is_none()
+            || capture.get(capture.first()).is_some_and(|first| first.time > time)
         {
             return self.show_error("frames no longer in the capture");
         }
         self.show_page(Page::Traffic);
         self.view.by_identifier = false;
         self.view.set_filter(Page::Traffic, String::new());
-        self.view.traffic = Some(number);
-        self.view.traffic_line = self.screen().list_rows() / 2;
+        self.view.select_frame(number, self.list_height());
         self.view.from_timeline = true;
     }
 
-    /// Command: sorts the rows by the next column.
+    /// Sorts the Devices page by the next column.
     pub(super) fn sort_by_next(&mut self) {
         match self.view.page {
             Page::Devices => {
                 self.view.sort = self.view.sort.next();
-                // Rows that are held are in the wanted order all the same.
-                self.rows.clear();
+                // A new order applies to a frozen view, too.
+                self.devices.forget_order();
                 self.refresh_rows();
                 self.show_info(format!("sorted {}", self.view.sort.describe()));
             }
@@ -330,13 +267,16 @@ impl App {
         }
     }
 
-    /// Command: holds the page still, or lets it go on.
+    /// Freezes the view, or unfreezes it.
     pub(super) fn toggle_freeze(&mut self) {
         self.view.frozen = match self.view.frozen {
             Some(_) => None,
-            None => Some(Frozen { frames: self.capture.end(), lines: self.timeline.end() }),
+            None => {
+                let (frames, lines) = (self.traffic.capture.end(), self.timeline().end());
+                Some(Frozen { frames, lines })
+            }
         };
-        self.timeline.pin_lines(self.view.frozen.is_some());
+        self.notices.timeline_mut().pin_lines(self.view.frozen.is_some());
         self.refresh_rows();
         self.show_info(match self.view.frozen {
             Some(_) => "frozen; capture continues",
@@ -344,33 +284,35 @@ impl App {
         });
     }
 
-    /// Command: traffic as frames, or as a row per identifier.
+    /// Shows Traffic as frames, or as one row per identifier.
     pub(super) fn toggle_identifiers(&mut self) {
         if self.view.page == Page::Traffic {
-            self.close_evidence();
+            self.view.close_evidence();
             self.view.by_identifier = !self.view.by_identifier;
-            let (keys, height) = (self.identifier_keys(), self.screen().list_rows());
+            let (keys, height) = (self.identifier_keys(), self.list_height());
             self.view.identifiers.settle(&keys, height);
         } else {
             self.show_error("identifier view works on the Traffic page");
         }
     }
 
-    /// Command: asks for the filter of this page.
+    /// Opens the prompt for the filter of the page.
     pub(super) fn ask_filter(&mut self) {
-        self.close_evidence();
+        self.view.close_evidence();
         let page = self.view.page;
         let before = self.view.filter(page).to_owned();
-        self.open_prompt(PromptKind::Filter(page, before.clone()), before);
+        let prompt = FilterPrompt { page, before: before.clone() };
+        self.open_prompt(PromptKind::Filter(prompt), before);
     }
 
-    /// Command: leaves what is open; else the details; else takes the filter away.
+    /// Closes the overlay, else leaves the details, the evidence or the frame details, else clears
+    /// the filter, else returns to the timeline or follows the newest rows.
     pub(super) fn cancel(&mut self) {
         let page = self.view.page;
-        if !matches!(self.overlay, Overlay::None) {
-            self.overlay = Overlay::None;
+        if self.input.has_overlay() {
+            self.input.close();
         } else if self.view.focus == Focus::Details {
-            self.focus_details(false);
+            self.view.focus_details(false);
         } else if self.leave_evidence() {
         } else if page == Page::Traffic && self.view.frame_details {
             self.view.frame_details = false;
@@ -386,45 +328,30 @@ impl App {
         }
     }
 
-    /// Command: the help.
-    pub(super) fn show_help(&mut self) {
-        self.overlay = Overlay::Help(0);
-    }
-
-    /// Command: scrolls the help by lines.
-    pub(super) fn scroll_help(&mut self, by: i16) {
-        if let Overlay::Help(at) = &mut self.overlay {
-            *at = at.saturating_add_signed(by);
-        }
-    }
-
-    /// Command: scrolls the help by screenfuls.
+    /// Scrolls the help by screenfuls.
     pub(super) fn page_help(&mut self, pages: i16) {
         let screen = self.screen();
         let height = screen.footer.y.saturating_sub(screen.tabs.bottom()).max(3) - 2;
-        self.scroll_help(pages.saturating_mul(height.cast_signed()));
+        self.input.scroll_help(pages.saturating_mul(height.cast_signed()));
     }
 
-    /// Command: the next theme.
+    /// Selects the next theme.
     pub(super) fn next_theme(&mut self) {
-        let at = self.themes.iter().position(|name| *name == self.theme).map_or(0, |at| at + 1);
-        let Some(name) = self.themes.get(at).or(self.themes.first()).cloned() else { return };
-        self.theme.clone_from(&name);
+        let Some(name) = self.themes.next() else { return };
         self.show_info(format!("theme {name}"));
         self.effects.push_back(Effect::UseTheme(name));
     }
 
-    /// Command: draw everything anew.
-    pub(super) fn redraw(&mut self) {
-        self.effects.push_back(Effect::Redraw);
+    /// Controls the playback of a log.
+    pub(super) fn control_playback(&mut self, command: PlaybackCommand) {
+        if self.clock.playback().is_some() {
+            self.effects.push_back(Effect::Playback(command));
+        } else {
+            self.show_error("only a log can be paused");
+        }
     }
 
-    /// Command: stop until the shell continues us.
-    pub(super) fn suspend(&mut self) {
-        self.effects.push_back(Effect::Suspend);
-    }
-
-    /// Command: puts the selected row into the clipboard.
+    /// Copies the selected row to the clipboard.
     pub(super) fn copy_row(&mut self) {
         let text = match self.view.page {
             Page::Devices => self.selected_row().map(|row| {
@@ -438,7 +365,7 @@ impl App {
             }
             Page::Timeline => {
                 let number = self.view.timeline.selected().copied();
-                let line = number.and_then(|number| self.timeline.get(number));
+                let line = number.and_then(|number| self.timeline().get(number));
                 line.map(|line| format!("{} {}", super::clock(self, line.time), line.text))
             }
             Page::Traffic => self.selected_frame().map(ToString::to_string),
@@ -452,7 +379,9 @@ impl App {
         }
     }
 
-    /// What the selection is about: bus, address, name, as far as it says.
+    // ---- from page to page -----------------------------------------------------------------
+
+    /// Bus, address and name of the selected row, as far as known.
     fn subject(&self) -> (Option<BusIndex>, Option<Address>, Option<Name>) {
         match self.view.page {
             Page::Devices => self
@@ -464,7 +393,7 @@ impl App {
             }),
             Page::Timeline => {
                 let number = self.view.timeline.selected();
-                let line = number.and_then(|&number| self.timeline.get(number));
+                let line = number.and_then(|&number| self.timeline().get(number));
                 line.map_or((None, None, None), |line| (line.bus, line.address, line.name.clone()))
             }
             Page::Traffic => {
@@ -475,33 +404,34 @@ impl App {
         }
     }
 
-    /// Edits are made on the page Devices: from another page, goes to the row that its selection is
-    /// about. Whether there is one.
+    /// From another page, goes to the row of the selection on Devices, where edits are made.
+    /// Returns true if there is one.
     pub(super) fn go_to_row(&mut self) -> bool {
         self.view.page == Page::Devices || self.find_row("select a device first")
     }
 
-    /// Goes to the row that the selection is about; where there is none, says so with `otherwise`.
-    pub(super) fn find_row(&mut self, otherwise: &str) -> bool {
+    /// Goes to the row of the selection on Devices; returns true if there is one, else shows the
+    /// error `otherwise`.
+    fn find_row(&mut self, otherwise: &str) -> bool {
         let (bus, address, name) = self.subject();
         let problem = self.selected_problem().filter(|_| self.view.page == Page::Problems);
-        let entry = problem.and_then(|problem| self.entry_of_finding(&problem.head().key));
+        let entry = problem.and_then(|problem| self.problems.entry_of(&problem.head().key));
         let on_bus = |row: &&Row| bus.is_none_or(|bus| row.is_on(bus));
         let fits = |app: &Self, row: &Row| {
             let named = name.is_some() && row.name == name;
             let there =
-                address.is_some_and(|address| app.addresses_of(row).any(|it| it == address));
+                address.is_some_and(|address| app.buses.addresses_of(row).any(|it| it == address));
             let its_own = entry.is_some() && row.entry == entry;
             (its_own, named && there, named, there && name.is_none())
         };
         let best = |app: &Self| {
-            let best = app.rows.iter().filter(on_bus).max_by_key(|row| fits(app, row));
+            let best = app.rows().iter().filter(on_bus).max_by_key(|row| fits(app, row));
             best.filter(|row| fits(app, row) > (false, false, false, false))
                 .map(|row| row.key.clone())
         };
         let mut found = best(self);
         if found.is_none() && !self.view.filter(Page::Devices).is_empty() {
-            // It may be there, and not fit the filter.
+            // The filter may hide it.
             let filter = self.view.filter(Page::Devices).to_owned();
             self.view.set_filter(Page::Devices, String::new());
             self.refresh_rows();
@@ -520,7 +450,7 @@ impl App {
         true
     }
 
-    /// Command: from a device to the problem it is in, from a problem to its device.
+    /// Goes from a device to its problem, from a problem to its device.
     pub(super) fn go_to_problem(&mut self) {
         if self.view.page == Page::Problems {
             self.find_row("no device for this problem");
@@ -541,34 +471,95 @@ impl App {
         self.refresh();
     }
 
-    // ---- what is on the lists --------------------------------------------------------------
-
-    fn row_keys(&self) -> Vec<RowKey> {
-        self.rows.iter().map(|row| row.key.clone()).collect()
+    /// Mutes the selected problem, or unmutes it.
+    pub(super) fn toggle_muted(&mut self) {
+        if self.view.page != Page::Problems {
+            return self.show_error("mute works on the Problems page");
+        }
+        let Some(problem) = self.selected_problem() else {
+            return self.show_error("no problem is selected");
+        };
+        let (key, title) = (problem.key.clone(), problem.title());
+        let undo = self.key_of(Action::Mute);
+        // The selection follows the problem to its new place: the same key unmutes it.
+        self.view.problems.select(key.clone());
+        if self.problems.toggle_muted(key) {
+            self.show_info(format!("muted until descan quits ({undo} unmutes): {title}"));
+        } else {
+            self.show_info(format!("unmuted: {title}"));
+        }
+        self.refresh();
     }
 
-    /// The numbers of the timeline's lines that the filter lets through, oldest first.
-    pub fn lines_shown(&self) -> Vec<u64> {
-        let filter = Filter::parse(self.view.filter(Page::Timeline));
-        let end = self.view.frozen.map_or(u64::MAX, |frozen| frozen.lines);
-        let entries = self.timeline.entries().filter(|entry| entry.number < end);
-        entries
-            .filter(|entry| filter.is_empty() || filter.matches_entry(self, entry))
-            .map(|entry| entry.number)
-            .collect()
+    // ---- evidence --------------------------------------------------------------------------
+
+    /// Opens the evidence of the selected problem; for a difference from the file, goes to its row.
+    fn open_evidence(&mut self) {
+        let Some(problem) = self.selected_problem() else { return };
+        let (key, title) = (problem.key.clone(), problem.title());
+        let (kind, pieces, count) = (problem.head().key.kind, problem.evidence(), problem.count());
+        if pieces.is_empty() {
+            if kind == FindingKind::FramesLost {
+                return self.show_error("lost frames cannot be shown");
+            }
+            self.find_row("no frames: this concerns the file as a whole");
+            return;
+        }
+        // Esc returns to this problem, even if another one is first by then.
+        self.view.problems.select(key.clone());
+        let is_captured = |piece: &EvidenceItem| {
+            piece.frame.as_ref().is_some_and(|it| self.captured(it).is_some())
+        };
+        let first = pieces.iter().position(is_captured).unwrap_or(0);
+        self.view.open_evidence(key, title, pieces, count, first);
+        self.filter_frames();
+        self.notices.redraw.set_dirty();
+        self.view.move_in_evidence(0, self.list_height());
     }
 
-    /// The rows of the view by identifier that the filter lets through, in order.
-    pub fn identifiers_shown(&self) -> Vec<&IdentifierStats> {
-        let filter = Filter::parse(self.view.filter(Page::Traffic));
-        let rows = self.capture.identifiers().rows().iter();
-        let mut shown: Vec<&IdentifierStats> =
-            rows.filter(|row| filter.matches_frame(self, &row.last)).collect();
-        shown.sort_by_key(|row| row.key);
-        shown
+    /// Shows all frames around the selected piece of evidence, or only the evidence again.
+    fn toggle_around(&mut self) {
+        let Some(evidence) = &self.view.evidence else { return };
+        if evidence.around {
+            // The selection may have moved to another piece.
+            let pieces = evidence.pieces.iter().map(|piece| piece.frame.as_ref());
+            let selected = self.selected_frame();
+            let place =
+                selected.and_then(|frame| pieces.into_iter().position(|it| it == Some(frame)));
+            if let (Some(evidence), Some(place)) = (&mut self.view.evidence, place) {
+                evidence.cursor.select(place);
+            }
+            return self.view.set_around(false);
+        }
+        let Some((_, piece)) = evidence.selected() else { return };
+        let capture = &self.traffic.capture;
+        let number = match &piece.frame {
+            Some(frame) => self.captured(frame),
+            None => Some(capture.at_time(piece.time))
+                .filter(|&number| number > capture.first() && number < capture.end()),
+        };
+        let Some(number) = number else {
+            return self.show_error("surrounding frames no longer in the capture");
+        };
+        if number >= self.traffic.end(&self.view) {
+            let key = self.key_of(Action::Freeze);
+            return self.show_error(format!("newer than the frozen view: {key} unfreezes"));
+        }
+        self.view.select_frame(number, self.list_height());
+        self.view.set_around(true);
     }
 
-    fn identifier_keys(&self) -> Vec<IdentifierKey> {
-        self.identifiers_shown().iter().map(|row| row.key).collect()
+    /// Returns from the frames around the evidence to the evidence, from there to the problem.
+    /// Returns false if there is no evidence to leave.
+    fn leave_evidence(&mut self) -> bool {
+        match self.view.evidence.as_ref().map(|it| (it.around, it.was_opened_in_details())) {
+            None => return false,
+            Some((true, _)) => self.view.set_around(false),
+            Some((false, in_details)) => {
+                self.show_page(Page::Problems);
+                self.view.focus_details(in_details);
+            }
+        }
+        true
     }
 }

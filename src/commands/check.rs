@@ -103,7 +103,7 @@ fn is_complete(app: &App, now: Instant) -> bool {
 /// For people: a line for each difference, in groups, and a summary.
 fn differences(app: &App, now: Instant) -> String {
     let compared = app.compare(now, Scope::Check);
-    let engines = app.buses().iter().flat_map(|bus| bus.engine.findings());
+    let engines = app.buses().iter().flat_map(|bus| bus.findings());
     let found: Vec<&Finding> =
         engines.chain(&compared).filter(|it| it.confidence == Confidence::Confirmed).collect();
     let mut text = String::new();
@@ -130,7 +130,7 @@ fn differences(app: &App, now: Instant) -> String {
         sums.push(format!("{} {title}", group.len()));
     }
     let here = |bus: &crate::app::Bus| {
-        bus.engine.devices().iter().filter(|it| it.is_present() && !it.is_debug).count()
+        bus.devices().iter().filter(|it| it.is_present() && !it.is_debug).count()
     };
     let buses: Vec<String> = app
         .buses()

@@ -207,7 +207,7 @@ impl RecordingFailure {
 /// Why a bus cannot be used now, for a command that does not wait for it to come up.
 pub fn why_unusable(bus: &Bus, now: Instant) -> Option<String> {
     let is_dead = match bus.status.link {
-        Link::Up => is_off_for_good(bus) && bus.engine.counters().frames == 0,
+        Link::Up => is_off_for_good(bus) && bus.counters().frames == 0,
         Link::Ended => false,
         Link::Opening => now.since(Instant::ZERO) > OPENING,
         _ => true,

@@ -147,14 +147,14 @@ impl ScanReport {
         let mut devices: Vec<DeviceReport> = app
             .buses()
             .iter()
-            .flat_map(|bus| bus.engine.devices().iter().map(|device| of_device(app, bus, device)))
+            .flat_map(|bus| bus.devices().iter().map(|device| of_device(app, bus, device)))
             .collect();
         devices.sort_by(|a, b| (&a.bus, a.address, &a.name).cmp(&(&b.bus, b.address, &b.name)));
         let compared = if scope == Scope::Check { app.compare(now, scope) } else { Vec::new() };
         let mut findings: Vec<&Finding> = match scope {
             Scope::Screen => app.findings().collect(),
             Scope::Check => {
-                let engines = app.buses().iter().flat_map(|bus| bus.engine.findings());
+                let engines = app.buses().iter().flat_map(|bus| bus.findings());
                 engines.chain(&compared).collect()
             }
         };
@@ -359,9 +359,9 @@ fn of_siblings(app: &App, device: &Device) -> Vec<SiblingReport> {
 
 fn of_device(app: &App, bus: &Bus, device: &Device) -> DeviceReport {
     let millis = |duration: Duration| (duration.as_secs_f64() * 1e4).round() / 10.0;
-    let alphabet = &bus.engine.config().profile.uid;
+    let alphabet = &bus.config().profile.uid;
     let services = device.services.as_deref().unwrap_or_default();
-    let clash = bus.engine.findings().iter().any(|finding| {
+    let clash = bus.findings().iter().any(|finding| {
         finding.confidence == Confidence::Confirmed
             && finding.key.kind.is_conflict()
             && crate::app::concerns(finding, device)

@@ -108,7 +108,7 @@ pub fn look(
 
 /// Whether all is asked and answered, as far as it ever will be.
 pub fn is_settled(app: &App) -> bool {
-    app.buses().iter().all(|bus| bus.status.link != Link::Opening && bus.engine.progress().settled)
+    app.buses().iter().all(|bus| bus.status.link != Link::Opening && bus.progress().settled)
 }
 
 /// A line on standard error while scanning, where that is a terminal.
@@ -129,7 +129,7 @@ impl Bar {
         }
         let mut sum = DiscoveryProgress::default();
         for bus in app.buses() {
-            let progress = bus.engine.progress();
+            let progress = bus.progress();
             sum.here += progress.here;
             sum.named += progress.named;
             sum.with_services += progress.with_services;
@@ -176,12 +176,8 @@ fn write_document(app: &App, path: &Path) -> Result<(), Failure> {
     let mut document = Document::empty();
     let mut count = 0;
     for bus in app.buses() {
-        let mut devices: Vec<_> = bus
-            .engine
-            .devices()
-            .iter()
-            .filter(|device| device.is_present() && !device.is_debug)
-            .collect();
+        let mut devices: Vec<_> =
+            bus.devices().iter().filter(|device| device.is_present() && !device.is_debug).collect();
         devices.sort_by_key(|device| device.address);
         for device in devices {
             let Some(entry) = app.new_entry(device) else { continue };

@@ -466,7 +466,7 @@ impl Session {
                 if at == 0 || self.app.bus(bus).is_some() {
                     self.app.name_bus(bus, name);
                 } else if let Some(first) = self.app.bus(index) {
-                    let config = first.engine.config().clone();
+                    let config = first.config().clone();
                     self.app.add_bus(now, name, config);
                     self.app.handle_bus(now, bus, port.queue().status());
                 }
@@ -532,7 +532,7 @@ impl Session {
                 }
                 Effect::FindBitrate(index) => {
                     let Some(bus) = self.app.bus(index) else { continue };
-                    let period = bus.engine.config().profile.heartbeat.period();
+                    let period = bus.config().profile.heartbeat.period();
                     self.searching = Some(RunningSearch::begin(index, &bus.name, period));
                 }
                 Effect::Playback(command) => {

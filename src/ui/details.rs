@@ -109,7 +109,7 @@ impl<'a> DeviceDetails<'_, 'a> {
         if row.twin
             && let Some(device) = device
         {
-            let twins = self.app().buses()[usize::from(device.id.bus.0)].engine.devices().iter();
+            let twins = self.app().buses()[usize::from(device.id.bus.0)].devices().iter();
             let twins: Vec<String> = twins
                 .filter(|it| it.id != device.id && it.is_present() && it.name == device.name)
                 .map(|it| it.address.to_string())

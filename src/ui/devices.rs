@@ -363,7 +363,7 @@ fn draw_editor(brush: &mut Brush, list: Rect, line: u16, row: &Row, columns: &Co
         RowKey::Device(id) => row.has(*id),
         RowKey::Entry(_) => *key == row.key,
     };
-    if !matches!(&prompt.kind, PromptKind::Address(key) if is_here(key)) {
+    if !matches!(&prompt.kind, PromptKind::Address(it) if is_here(&it.key)) {
         return;
     }
     let start = columns.start(C::File) as u16;

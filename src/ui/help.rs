@@ -96,7 +96,7 @@ const KERNEL_BYTES_PER_FRAME: u32 = 800;
 fn counters(brush: &Brush, width: u16) -> Vec<Line<'static>> {
     let mut lines = Vec::new();
     for bus in brush.app.buses() {
-        let (engine, status) = (bus.engine.counters(), &bus.status);
+        let (engine, status) = (bus.counters(), &bus.status);
         lines.push(Line::default());
         let title = format!("Counters of {}", bus.name);
         lines.push(Line::from(brush.span(Role::Title, title)));

@@ -216,7 +216,7 @@ fn bus_parts(brush: &Brush, index: BusIndex) -> Parts {
     let load = bus.meter.last().load(bus.bits_per_second()) * 100.0;
     let guess = if bus.status.bitrate.is_none() { ASSUMED } else { "" };
     let frames = bus.meter.last().frames;
-    let errors = bus.engine.counters().errors;
+    let errors = bus.counters().errors;
     let lost = bus.lost();
     parts.push(vec![
         brush.span(Role::Muted, "load "),
@@ -330,7 +330,7 @@ fn warning(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
         let text = format!("only bus errors: wrong bit rate?{key}");
         return Some(vec![brush.span(Role::Error, text)]);
     }
-    if bus.engine.config().listen_only {
+    if bus.config().listen_only {
         // A controller that is not in listen-only mode itself still acknowledges frames.
         let acks = if bus.status.listen_only { "" } else { ", acks" };
         return Some(vec![brush.span(Role::Warning, format!("listen-only{acks}"))]);
@@ -344,12 +344,12 @@ fn warning(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
 
 /// Returns descan's own address or the state of its claim; `None` with `--listen-only`.
 fn own_address(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
-    if bus.engine.config().listen_only {
+    if bus.config().listen_only {
         return None;
     }
     let own = if brush.screen.whole.width < 110 { "own" } else { "own addr" };
     let label = |text: String| vec![brush.span(Role::Muted, text)];
-    Some(match bus.engine.own_address() {
+    Some(match bus.own_address() {
         OwnAddress::Held(address) => {
             vec![
                 brush.span(Role::Muted, format!("{own} ")),
@@ -385,7 +385,7 @@ fn sparkline(bus: &Bus, width: usize) -> String {
 
 /// Returns the sign that a bus is read with assumed values (no profile given).
 fn assumed(brush: &Brush) -> Option<Vec<Span<'static>>> {
-    let assumed = brush.app.buses().iter().any(|bus| !bus.engine.config().profile.given);
+    let assumed = brush.app.buses().iter().any(|bus| !bus.config().profile.given);
     assumed.then(|| vec![brush.span(Role::Suspected, ASSUMED), brush.span(Role::Muted, " assumed")])
 }
 

@@ -41,7 +41,7 @@ fn main() {
     }
     let rate = passed as f64 / busy.as_secs_f64();
     println!("frames through decoding and state: {:.2} million/s ({passed} frames)", rate / 1e6);
-    let devices = app.buses()[0].engine.devices().len();
+    let devices = app.buses()[0].devices().len();
     println!("devices: {devices}; findings: {}", app.findings().count());
     println!(
         "resident: {:.1} MiB (the recorded frames, {:.1} MiB, left out)",

@@ -1,770 +1,227 @@
-//! des.json as the program holds it: what is on disk, the edits that are not, undo and redo.
+//! des.json in the program: content and edits, retries of saving, copies, and quitting with
+//! unsaved edits.
 //!
-//! The file is the user's. Edits are operations on what was read last; where the file changed
-//! meanwhile they are made again on the newer content, and where both changed the same value a
-//! person chooses. Does not read or write anything itself, and does not know the bus.
-//!
-//! `news` is what is found on disk and what becomes of it, `steps` what can be taken back.
+//! Inputs: readings of the file, edits, results of writing. Outputs: documents to write and texts
+//! for the user. Does not read or write files and does not know the bus.
 
 mod change;
+mod state;
 mod undo_stack;
 
 pub use change::{Change, EditRefusal, FileProblem, FileReading, SaveOutcome};
+pub use state::{FileState, Saving};
 
-use crate::document::{
-    Choices, Document, EditConflict, EditError, Merge, MergePreference, Operation, changes, merge,
-    merge_chosen,
-};
-use crate::time::Instant;
-use std::ops::Range;
+use crate::document::{Document, Entry};
+use crate::time::{Duration, Instant};
 use std::path::{Path, PathBuf};
-use undo_stack::{UndoStack, UndoStep, apply_all, name_of};
 
-/// What is being saved.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Saving {
-    /// What is to be on disk for the save to be made; `None`: no file.
-    pub expected: Option<Document>,
-    /// What is to be there afterwards.
-    pub content: Document,
-    /// How many of the pending edits are in it.
-    operations: usize,
-    /// It was seen on disk, though that it stays there has not been told yet.
-    is_there: bool,
-    /// Something else was seen on disk since: what is there when the save is over is to be read
-    /// again.
-    is_overtaken: bool,
-    /// And our edits were made again on that: what becomes of the save says nothing any more of what
-    /// they are made on.
-    is_superseded: bool,
-}
+/// Time between a failed save and the next attempt.
+const SAVE_RETRY_AFTER: Duration = Duration::from_secs(10);
+/// Time after which a file that has become empty is no longer assumed to be in writing.
+pub(super) const EMPTY_SETTLES_AFTER: Duration = Duration::from_secs(1);
 
-/// Both changed the same value; until a person has chosen in all conflicts nothing is written.
-#[derive(Clone, Debug)]
-struct PendingConflict {
-    /// The one to be decided next.
-    conflict: EditConflict,
-    /// What is on disk.
-    theirs: Document,
-    /// What was chosen so far, for this content alone: where the file changes again, all is asked
-    /// again.
-    choices: Choices,
-}
-
-/// The file has just become empty. Many who write a file empty it first: what it says is not known
-/// until there is something in it again, or it has stayed so for a while.
+/// The file, with the work around saving it.
 #[derive(Debug)]
-struct Emptied {
-    since: Instant,
-    /// The blanks that are in it.
-    content: Document,
+pub(super) struct FileEditor {
+    /// Content and edits.
+    pub file: FileState,
+    /// When a failed save is repeated.
+    retry_at: Option<Instant>,
+    /// The save in progress is such a repetition.
+    is_retry: bool,
+    /// The copy with all edits that is being written.
+    copy_pending: Option<(PathBuf, Document)>,
+    /// The last copy that was written.
+    copy_saved: Option<(PathBuf, Document)>,
+    /// The user quits without saving the edits.
+    edits_discarded: bool,
 }
 
-/// The state of des.json.
-#[derive(Debug)]
-pub struct FileState {
-    path: Option<PathBuf>,
-    /// What is on disk, as it was last good; `None` before the first reading.
-    disk: Option<Document>,
-    is_on_disk: bool,
-    /// What was there before somebody else changed it last.
-    former: Option<Document>,
-    /// What is in force: disk, and the edits that are not saved yet.
-    document: Document,
-    pending: Vec<Operation>,
-    saving: Option<Saving>,
-    emptied: Option<Emptied>,
-    problem: Option<FileProblem>,
-    dispute: Option<PendingConflict>,
-    undo: UndoStack,
-    redo: UndoStack,
+/// The result of a save, for the user.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) struct SaveReport {
+    /// What changed.
+    pub change: Change,
+    /// Text for the timeline and the footer; true for a warning.
+    pub text: Option<(String, bool)>,
+    /// The problem was reported before.
+    pub is_known: bool,
+    /// A repeated save failed as before: there is nothing to report.
+    pub is_silent: bool,
 }
 
-impl FileState {
-    /// The file at this path, not read yet.
+impl FileEditor {
+    /// Returns the file at this path, not read yet.
     pub fn new(path: Option<PathBuf>) -> Self {
         Self {
-            path,
-            disk: None,
-            is_on_disk: false,
-            former: None,
-            document: Document::empty(),
-            pending: Vec::new(),
-            saving: None,
-            emptied: None,
-            problem: None,
-            dispute: None,
-            undo: UndoStack::default(),
-            redo: UndoStack::default(),
+            file: FileState::new(path),
+            retry_at: None,
+            is_retry: false,
+            copy_pending: None,
+            copy_saved: None,
+            edits_discarded: false,
         }
     }
 
-    /// Where it is.
-    pub fn path(&self) -> Option<&Path> {
-        self.path.as_deref()
+    /// Returns true if a failed save is to be repeated now; that repetition has begun then.
+    pub fn start_retry(&mut self, now: Instant) -> bool {
+        let is_due = self.retry_at.take_if(|at| *at <= now).is_some();
+        self.is_retry |= is_due;
+        is_due
     }
 
-    /// Its name without folders, for the screen.
-    pub fn name(&self) -> String {
-        let name = self.path.as_deref().and_then(Path::file_name).unwrap_or_default();
-        crate::text::printable(name.as_encoded_bytes())
+    /// The moment at which a failed save is repeated.
+    pub fn poll_timeout(&self) -> Option<Instant> {
+        self.retry_at
     }
 
-    /// What is in force: the last good content with our edits.
-    pub fn document(&self) -> &Document {
-        &self.document
-    }
-
-    /// What is on disk, as it was last good.
-    pub fn on_disk(&self) -> Option<&Document> {
-        self.disk.as_ref()
-    }
-
-    /// What somebody else changed last, entry by entry in words; empty where that are many.
-    pub fn changed_by_others(&self) -> Vec<String> {
-        /// Of so many entries one reads what became of each.
-        const FEW: usize = 3;
-        match (&self.former, &self.disk) {
-            (Some(former), Some(disk)) => changes(former, disk, FEW),
-            _ => Vec::new(),
-        }
-    }
-
-    /// The file with all our edits. While there are conflicts those that were decided are in it as
-    /// they were decided, and in the others our value stands.
-    pub fn with_all_edits(&self) -> Document {
-        let merged =
-            self.dispute.as_ref().and_then(|PendingConflict { theirs, choices, .. }| {
-                let base = self.disk.clone().unwrap_or_else(Document::empty);
-                merge_chosen(&base, &self.pending, theirs, choices, MergePreference::Ours).ok()
-            });
-        match merged {
-            Some(Merge::Rebased { document, .. }) => document,
-            _ => self.document.clone(),
-        }
-    }
-
-    /// Whether there is a file, or content that will be one: rows can be listed or not.
-    pub fn is_there(&self) -> bool {
-        self.is_on_disk || !self.pending.is_empty()
-    }
-
-    /// Whether it was read.
-    pub fn is_read(&self) -> bool {
-        self.disk.is_some() || self.problem.is_some()
-    }
-
-    /// Whether it could be used, once: what it said then stays in force.
-    pub fn was_good(&self) -> bool {
-        self.disk.is_some()
-    }
-
-    /// Why it cannot be used as it is.
-    pub fn problem(&self) -> Option<&FileProblem> {
-        self.problem.as_ref()
-    }
-
-    /// The conflict that waits for a decision.
-    pub fn conflict(&self) -> Option<&EditConflict> {
-        self.dispute.as_ref().map(|dispute| &dispute.conflict)
-    }
-
-    /// How many edits are not on disk.
-    pub fn unsaved(&self) -> usize {
-        self.pending.len()
-    }
-
-    /// Whether a save is on its way.
-    pub fn is_saving(&self) -> bool {
-        self.saving.is_some()
-    }
-
-    /// Since when the file is empty and perhaps being written: until [`Self::believe_empty`], or
-    /// until there is something in it, what it said before is in force, and nothing is saved.
-    pub fn emptied_since(&self) -> Option<Instant> {
-        self.emptied.as_ref().map(|emptied| emptied.since)
-    }
-
-    /// Whether something else was found on disk since the save that is on its way began: then,
-    /// when it is over, what is there is to be read again, whatever became of it.
-    pub fn is_superseded(&self) -> bool {
-        self.saving.as_ref().is_some_and(|saving| saving.is_overtaken)
-    }
-
-    /// Takes what was found on disk. A save that is on its way may take long, or for ever: what
-    /// somebody else writes meanwhile is taken in all the same.
-    pub fn read(&mut self, now: Instant, reading: FileReading) -> Change {
-        let found = reading.found();
-        if self.is_what_we_write(&found) {
-            return Change::None;
-        }
-        let found = match found {
-            Ok(found) => found,
-            Err(problem) => {
-                self.emptied = None;
-                let change = if self.problem.as_ref() == Some(&problem) {
-                    Change::None
-                } else {
-                    Change::Broken
-                };
-                self.problem = Some(problem);
-                return change;
+    /// Takes the result of a save.
+    pub fn handle_saved(&mut self, now: Instant, outcome: SaveOutcome) -> SaveReport {
+        let unsaved = |file: &FileState| file.problem().filter(|it| it.is_not_saved()).cloned();
+        let before = unsaved(&self.file);
+        let is_retry = std::mem::take(&mut self.is_retry);
+        let on_disk = self.file.on_disk().cloned();
+        let parted = match &outcome {
+            SaveOutcome::Parted(1) => {
+                Some("; the other hard link keeps the old content".to_owned())
             }
+            SaveOutcome::Parted(names) => {
+                Some(format!("; {names} other hard links keep the old content"))
+            }
+            _ => None,
         };
-        let is_there = found.is_some();
-        let theirs = found.unwrap_or_else(Document::empty);
-        // What it was compared with last. Where there is a conflict it may be what it was before:
-        // then there is none any more.
-        let known = self.dispute.as_ref().map(|it| &it.theirs).or(self.disk.as_ref());
-        let was_empty =
-            known.is_none_or(|known| self.is_on_disk && known.is_blank()) || !theirs.is_blank();
-        if is_there && !was_empty {
-            let since = self.emptied.as_ref().map_or(now, |emptied| emptied.since);
-            self.emptied = Some(Emptied { since, content: theirs });
-            return Change::None;
+        let change = self.file.handle_saved(now, outcome);
+        // An edit that pins a used address is refused, but the file may have changed since.
+        let clash = on_disk.filter(|_| change == Change::Saved);
+        let clash = clash.and_then(|before| address_clash(self.file.on_disk()?, &before));
+        let warning: String = clash.into_iter().chain(parted).collect();
+        let after = unsaved(&self.file);
+        self.retry_at = after.as_ref().map(|_| now + SAVE_RETRY_AFTER);
+        let is_known = before.is_some() && before == after;
+        let is_news = change == Change::Saved && (before.is_some() || !warning.is_empty());
+        let saved = if before.is_some() { "saved after retry" } else { "saved" };
+        SaveReport {
+            change,
+            text: is_news.then(|| (format!("{saved}{warning}"), !warning.is_empty())),
+            is_known,
+            is_silent: is_retry && is_known,
         }
-        self.emptied = None;
-        self.supersede_save(&theirs);
-        let known = self.dispute.as_ref().map(|it| &it.theirs).or(self.disk.as_ref());
-        if known == Some(&theirs) && self.is_on_disk == is_there {
-            let was_broken =
-                matches!(self.problem, Some(FileProblem::Syntax(_) | FileProblem::Unreadable(_)));
-            if was_broken {
-                self.problem = None;
-                self.former = None;
-            }
-            return if was_broken { Change::Content } else { Change::None };
-        }
-        self.load(theirs, is_there)
     }
 
-    /// The file has stayed empty: takes it as it is.
-    pub fn accept_empty(&mut self) -> Change {
-        let Some(Emptied { content, .. }) = self.emptied.take() else { return Change::None };
-        self.supersede_save(&content);
-        self.load(content, true)
+    /// Begins a copy with all edits at this path; returns the bytes to write.
+    pub fn start_copy(&mut self, path: PathBuf) -> Vec<u8> {
+        let document = self.file.with_all_edits();
+        let bytes = document.source().to_vec();
+        self.copy_pending = Some((path, document));
+        bytes
     }
 
-    /// Takes content that is not what was known.
-    fn load(&mut self, theirs: Document, is_there: bool) -> Change {
-        let is_first = self.disk.is_none();
-        self.former = self.disk.clone().filter(|_| self.is_on_disk && is_there);
-        self.is_on_disk = is_there;
-        self.problem = None;
-        if self.pending.is_empty() {
-            self.document = theirs.clone();
-            self.disk = Some(theirs);
-            return if is_first { Change::First } else { Change::Content };
-        }
-        let asks_for_new = self.dispute.take().is_some() && !is_there;
-        self.rebase(theirs, Choices { asks_for_new, ..Choices::default() })
+    /// Takes the result of writing a file; returns true if it was the copy and succeeded.
+    pub fn handle_written(&mut self, path: &Path, is_written: bool) -> bool {
+        let copy = self.copy_pending.take_if(|copy| copy.0 == path).filter(|_| is_written);
+        let is_copy = copy.is_some();
+        self.copy_saved = copy.or(self.copy_saved.take());
+        is_copy
     }
 
-    /// While a save is on its way: whether what was found is only what we write. Anything else but
-    /// what was there before overtakes the save.
-    fn is_what_we_write(&mut self, found: &Result<Option<Document>, FileProblem>) -> bool {
-        let Some(saving) = self.saving.as_mut().filter(|saving| !saving.is_superseded) else {
-            return false;
+    /// Path of a copy that contains all edits.
+    pub fn copy_of_edits(&self) -> Option<&Path> {
+        let copy = self.copy_saved.as_ref().filter(|(_, copy)| *copy == self.file.with_all_edits());
+        copy.map(|(path, _)| path.as_path())
+    }
+
+    /// Accepts that unsaved edits are lost.
+    pub fn discard_edits(&mut self) {
+        self.edits_discarded = true;
+    }
+
+    /// Number of edits that would be lost if the program ended now, and the file with them; `None`
+    /// if they are saved, also in a copy, or discarded by the user.
+    pub fn edits_at_risk(&self) -> Option<(usize, Document)> {
+        let count = self.file.unsaved();
+        let is_at_risk = count > 0 && self.copy_of_edits().is_none() && !self.edits_discarded;
+        is_at_risk.then(|| (count, self.file.with_all_edits()))
+    }
+
+    /// The question whether to quit with unsaved edits.
+    pub fn quit_question(&self) -> String {
+        let edits = match self.file.unsaved() {
+            1 => "1 edit is".to_owned(),
+            many => format!("{many} edits are"),
         };
-        if found.as_ref().is_ok_and(|found| found.as_ref() == Some(&saving.content)) {
-            saving.is_there = true;
-            self.emptied = None;
-            return true;
-        }
-        let is_as_before = found.as_ref().is_ok_and(|found| *found == saving.expected);
-        saving.is_overtaken |= !is_as_before || saving.is_there;
-        false
-    }
-
-    /// While a save is on its way, what somebody else wrote is to be taken in. Were our edits in what
-    /// they wrote over?
-    fn supersede_save(&mut self, theirs: &Document) {
-        let Some(saving) = self.saving.as_mut().filter(|saving| !saving.is_superseded) else {
-            return;
-        };
-        if !saving.is_there && saving.expected.as_ref() == Some(theirs) {
-            return;
-        }
-        saving.is_superseded = true;
-        let ours = &self.pending[..saving.operations.min(self.pending.len())];
-        let base = self.disk.clone().unwrap_or_else(Document::empty);
-        // They were there, though unseen, where theirs has all of them.
-        let has_ours = || match merge(&base, ours, theirs, MergePreference::Neither) {
-            Ok(Merge::Rebased { document, .. }) => document == *theirs,
-            _ => false,
-        };
-        if saving.is_there || has_ours() {
-            self.disk = Some(saving.content.clone());
-            self.is_on_disk = true;
-            self.pending.drain(..ours.len());
+        if let Some(path) = self.copy_of_edits() {
+            let path = crate::text::Escaped(path.as_os_str().as_encoded_bytes());
+            format!("{edits} saved only in {path}. Quit anyway?")
+        } else if self.file.is_saving() {
+            format!("{edits} still being saved. Quit without waiting?")
+        } else {
+            format!("{edits} not saved. Quit anyway?")
         }
     }
+}
 
-    /// Makes our edits again on newer content.
-    fn rebase(&mut self, theirs: Document, choices: Choices) -> Change {
-        let base = self.disk.clone().unwrap_or_else(Document::empty);
-        match merge_chosen(&base, &self.pending, &theirs, &choices, MergePreference::Neither) {
-            Ok(Merge::Rebased { document, operations, overruling }) => {
-                if let Err(error) = self.add_steps_to_theirs(&theirs, &operations, &overruling) {
-                    self.problem = Some(FileProblem::NotSaved(error.to_string()));
-                    return Change::Broken;
-                }
-                self.disk = Some(theirs);
-                self.document = document;
-                self.pending = operations;
-                Change::Rebased
-            }
-            Ok(Merge::Conflict(conflict)) => {
-                self.dispute = Some(PendingConflict { conflict, theirs, choices });
-                Change::Conflict
-            }
-            Err(error) => {
-                self.problem = Some(FileProblem::NotSaved(error.to_string()));
-                Change::Broken
-            }
-        }
-    }
-
-    /// What overrules theirs can be taken back as any other edit: to theirs.
-    fn add_steps_to_theirs(
-        &mut self,
-        theirs: &Document,
-        operations: &[Operation],
-        overruling: &[Range<usize>],
-    ) -> Result<(), EditError> {
-        let mut made = 0;
-        let mut document = theirs.clone();
-        for range in overruling {
-            for operation in &operations[made..range.start] {
-                document = document.apply(operation)?;
-            }
-            made = range.end;
-            let ours = &operations[range.clone()];
-            let name = ours.last().map(ToString::to_string).unwrap_or_default();
-            let (after, inverses) = apply_all(&document, ours)?;
-            let step = UndoStep::new(after.clone(), inverses, name, self.is_on_disk);
-            self.undo.push(step, &document);
-            self.redo.clear();
-            document = after;
-        }
-        Ok(())
-    }
-
-    /// Decides the conflict; [`Change::Conflict`] where another one is to be decided next.
-    pub fn resolve(&mut self, ours: bool) -> Change {
-        let Some(PendingConflict { theirs, mut choices, .. }) = self.dispute.take() else {
-            return Change::None;
-        };
-        choices.chosen.push(if ours { MergePreference::Ours } else { MergePreference::Theirs });
-        self.rebase(theirs, choices)
-    }
-
-    /// In how many conflicts ours was chosen so far, and in how many theirs.
-    pub fn chosen(&self) -> (usize, usize) {
-        let chosen = self.dispute.iter().flat_map(|dispute| &dispute.choices.chosen);
-        let ours = chosen.clone().filter(|it| **it == MergePreference::Ours).count();
-        (ours, chosen.count() - ours)
-    }
-
-    /// Whether an edit can be made at all.
-    pub fn check(&self) -> Result<(), EditRefusal> {
-        if self.path.is_none() {
-            return Err(EditRefusal::NoFile);
-        }
-        match &self.problem {
-            Some(problem @ (FileProblem::Syntax(_) | FileProblem::Unreadable(_))) => {
-                Err(EditRefusal::Broken(problem.to_string()))
-            }
-            _ if self.disk.is_none() => Err(EditRefusal::NotRead),
-            _ if self.dispute.is_some() => Err(EditRefusal::Conflict),
-            _ => Ok(()),
-        }
-    }
-
-    /// Whether entries can be added, and the one at this place, if one is given, be edited: what
-    /// cannot is told before anything is typed.
-    pub fn check_edit(&self, entry: Option<usize>) -> Result<(), EditRefusal> {
-        self.check()?;
-        Ok(self.document.check_edit(entry)?)
-    }
-
-    /// Whether this edit would be refused for what stands there already.
-    pub fn check_operation(&self, operation: &Operation) -> Result<(), EditRefusal> {
-        self.check()?;
-        Ok(self.document.check_operation(operation)?)
-    }
-
-    /// Makes an edit; what it did, in words.
-    pub fn edit(&mut self, operations: &[Operation]) -> Result<String, EditRefusal> {
-        self.check()?;
-        let name = match operations {
-            [only] => only.to_string(),
-            many => name_of(many),
-        };
-        let before = self.document.clone();
-        let undo = self.apply_operations(operations, name.clone())?;
-        self.undo.push(undo, &before);
-        self.redo.clear();
-        Ok(name)
-    }
-
-    /// Takes the last edit back; its name, with what is left as it is, because somebody else changed
-    /// it since. One that is refused is not asked for again: the next time it is the turn of the one
-    /// before.
-    pub fn undo(&mut self) -> Result<String, EditRefusal> {
-        self.check()?;
-        let step = self.undo.pop().ok_or(EditRefusal::NothingToUndo)?;
-        let before = self.document.clone();
-        let (redo, name) = self.apply_step(step, "undone")?;
-        self.redo.push(redo, &before);
-        Ok(name)
-    }
-
-    /// Makes it again; its name. What is left or refused is as in [`Self::undo`].
-    pub fn redo(&mut self) -> Result<String, EditRefusal> {
-        self.check()?;
-        let step = self.redo.pop().ok_or(EditRefusal::NothingToRedo)?;
-        let before = self.document.clone();
-        let (undo, name) = self.apply_step(step, "redone")?;
-        self.undo.push(undo, &before);
-        Ok(name)
-    }
-
-    /// Makes a step's operations on what is there now; the step that leads back, and what it was in
-    /// words. Where somebody else changed the same value since, theirs stands: taking back is no
-    /// reason to overwrite it.
-    fn apply_step(
-        &mut self,
-        mut step: UndoStep,
-        done: &'static str,
-    ) -> Result<(UndoStep, String), EditRefusal> {
-        let mut told = step.shown();
-        if self.is_on_disk && !step.had_file {
-            // The file is not deleted, and one with nothing in it is not JSON.
-            let operations = step.operations.into_iter();
-            step.operations = operations.map(Operation::leaving_list).collect();
-        }
-        if let Some(on) = step.on.filter(|on| *on != self.document) {
-            let again = |prefer| merge(&on, &step.operations, &self.document, prefer);
-            let conflict = match again(MergePreference::Neither)? {
-                Merge::Conflict(conflict) => Some(conflict),
-                Merge::Rebased { .. } => None,
-            };
-            let operations = match again(MergePreference::Theirs)? {
-                Merge::Rebased { operations, .. } => operations,
-                Merge::Conflict(_) => Vec::new(),
-            };
-            match conflict {
-                Some(EditConflict { theirs, .. }) if operations.is_empty() => {
-                    return Err(EditRefusal::ChangedSince { done, name: told, theirs });
-                }
-                None if operations.is_empty() => {
-                    return Err(EditRefusal::SoAlready { done, name: told });
-                }
-                Some(EditConflict { operation, of, .. }) => {
-                    let first = operation.subject();
-                    let more = if of > 1 { format!(" and {} more", of - 1) } else { String::new() };
-                    told = format!("{told}, except {first}{more} (changed on disk)");
-                }
-                None => {}
-            }
-            step.operations = operations;
-        }
-        let made = self.apply_operations(&step.operations, step.name)?;
-        self.drop_what_cancels_out(2 * step.operations.len());
-        Ok((UndoStep { whole: step.whole, ..made }, told))
-    }
-
-    /// Makes operations on the document in force; the step that takes them back.
-    fn apply_operations(
-        &mut self,
-        operations: &[Operation],
-        name: String,
-    ) -> Result<UndoStep, EditRefusal> {
-        let (document, inverses) = apply_all(&self.document, operations)?;
-        self.pending.extend_from_slice(operations);
-        self.document = document.clone();
-        self.drop_what_is_on_disk();
-        Ok(UndoStep::new(document, inverses, name, self.is_on_disk))
-    }
-
-    /// An edit and what takes it back are nothing that is to be saved, as long as neither of them is
-    /// being saved: drops the last `count` of the pending operations where without them it comes to
-    /// the same.
-    fn drop_what_cancels_out(&mut self, count: usize) {
-        let (from, being_saved) = match &self.saving {
-            Some(saving) if !saving.is_superseded => (Some(&saving.content), saving.operations),
-            _ => (self.disk.as_ref(), 0),
-        };
-        let (Some(from), Some(keep)) = (from, self.pending.len().checked_sub(count)) else {
-            return;
-        };
-        let Some(kept) = self.pending.get(being_saved..keep) else { return };
-        let without = kept.iter().try_fold(from.clone(), |on, operation| on.apply(operation));
-        if without.is_ok_and(|without| without == self.document) {
-            self.pending.truncate(keep);
-        }
-    }
-
-    /// There is a file now that was begun meanwhile: what took its first entry back leaves a list, for
-    /// a file with nothing in it is not JSON.
-    fn leave_list(&mut self) {
-        let Some(disk) = &self.disk else { return };
-        let operations: Vec<_> =
-            self.pending.iter().cloned().map(Operation::leaving_list).collect();
-        if let Ok((document, _)) = apply_all(disk, &operations) {
-            self.document = document;
-            self.pending = operations;
-        }
-    }
-
-    /// Where what is in force is what is on disk, nothing is to be saved.
-    fn drop_what_is_on_disk(&mut self) {
-        if self.saving.is_none() && self.disk.as_ref() == Some(&self.document) {
-            self.pending.clear();
-        }
-        if self.pending.is_empty() && self.problem.as_ref().is_some_and(FileProblem::is_not_saved) {
-            self.problem = None;
-        }
-    }
-
-    /// What is to be saved now, if anything; the save counts as on its way.
-    pub fn start_saving(&mut self) -> Option<Saving> {
-        let waits = self.saving.is_some() || self.dispute.is_some() || self.emptied.is_some();
-        if waits || self.pending.is_empty() || self.check().is_err() {
-            return None;
-        }
-        let expected = self.disk.as_ref().filter(|_| self.is_on_disk);
-        let saving = Saving {
-            expected: expected.cloned(),
-            content: self.document.clone(),
-            operations: self.pending.len(),
-            is_there: false,
-            is_overtaken: false,
-            is_superseded: false,
-        };
-        self.saving = Some(saving.clone());
-        Some(saving)
-    }
-
-    /// Takes what became of a save. What came of it and was not to be saved then is to be saved
-    /// next.
-    pub fn handle_saved(&mut self, now: Instant, outcome: SaveOutcome) -> Change {
-        let Some(saving) = self.saving.take() else { return Change::None };
-        match outcome {
-            SaveOutcome::Saved | SaveOutcome::Parted(_) => {
-                if !saving.is_superseded {
-                    self.disk = Some(saving.content);
-                    self.is_on_disk = true;
-                    self.pending.drain(..saving.operations.min(self.pending.len()));
-                    if saving.expected.is_none() {
-                        self.leave_list();
-                    }
-                }
-                if self.problem.as_ref().is_some_and(FileProblem::is_not_saved) {
-                    self.problem = None;
-                }
-                self.drop_what_is_on_disk();
-                Change::Saved
-            }
-            // What was read since is newer, or will be read again.
-            SaveOutcome::Changed(_) if saving.is_overtaken => {
-                self.drop_what_is_on_disk();
-                Change::None
-            }
-            SaveOutcome::Changed(found) => self.read(now, found),
-            SaveOutcome::Failed(why) => {
-                let is_told = self.check().is_err();
-                if !is_told {
-                    self.problem = Some(FileProblem::NotSaved(why));
-                }
-                // What was to be saved may have been taken back meanwhile.
-                self.drop_what_is_on_disk();
-                if is_told || self.pending.is_empty() { Change::None } else { Change::Broken }
-            }
-        }
-    }
+/// Warning about entries that share an address since this save.
+fn address_clash(now: &Document, before: &Document) -> Option<String> {
+    let entries = now.entries();
+    let clash = now.new_duplicate_address(before)?;
+    let clash: Vec<&Entry> = clash.entries.iter().filter_map(|&at| entries.get(at)).collect();
+    let address = clash.first()?.address?;
+    let names: Vec<&str> = clash.iter().map(|entry| &*entry.name_text).collect();
+    let (count, names) = (names.len(), names.join(", "));
+    Some(format!("; warning: {count} entries share address {address}: {names}"))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::document::EntryKey;
+    use crate::document::Operation;
 
     const NOW: Instant = Instant::ZERO;
     const FILE: &str = r#"{"devices":[{"name":"FEED","address":12,"static":true}]}"#;
 
-    fn content(text: &str) -> FileReading {
-        FileReading::Content(Some(text.as_bytes().to_vec()))
-    }
-
-    fn opened() -> FileState {
-        let mut file = FileState::new(Some("des.json".into()));
-        assert_eq!(file.read(NOW, content(FILE)), Change::First);
-        file
-    }
-
-    fn set_address(file: &FileState, to: u8) -> Operation {
-        let entry: EntryKey = file.document().key(0);
-        let from = entry.address;
-        Operation::SetAddress { entry, from, to }
-    }
-
-    fn source(file: &FileState) -> &str {
-        std::str::from_utf8(file.document().source()).unwrap()
+    /// A file with one edit that is being saved.
+    fn saving() -> FileEditor {
+        let mut editor = FileEditor::new(Some("des.json".into()));
+        editor.file.read(NOW, FileReading::Content(Some(FILE.into())));
+        let (entry, from) = (editor.file.document().key(0), Some(12));
+        editor.file.edit(&[Operation::SetAddress { entry, from, to: 16 }]).unwrap();
+        editor.file.start_saving().unwrap();
+        editor
     }
 
     #[test]
-    fn an_edit_is_saved_and_taken_back() {
-        let mut file = opened();
-        let name = file.edit(&[set_address(&file, 16)]).unwrap();
-        assert_eq!(name, "address of the entry FEED: 12 → 16");
-        let saving = file.start_saving().unwrap();
-        assert_eq!(saving.expected.unwrap().source(), FILE.as_bytes());
-        assert_eq!(saving.content.source(), FILE.replace("12", "16").as_bytes());
-        assert_eq!(file.handle_saved(NOW, SaveOutcome::Saved), Change::Saved);
-        assert_eq!((file.unsaved(), file.start_saving()), (0, None));
-        file.undo().unwrap();
-        assert_eq!(source(&file), FILE);
-        assert_eq!(file.unsaved(), 1);
-        file.redo().unwrap();
-        assert_eq!(source(&file), FILE.replace("12", "16"));
-        assert_eq!(file.redo(), Err(EditRefusal::NothingToRedo));
+    fn failed_save_is_repeated_and_reported_once() {
+        let mut editor = saving();
+        let failed = || SaveOutcome::Failed("no space left".into());
+        let report = editor.handle_saved(NOW, failed());
+        assert!(report.change == Change::Broken && !report.is_known && !report.is_silent);
+        assert_eq!(editor.poll_timeout(), Some(NOW + SAVE_RETRY_AFTER));
+        assert!(!editor.start_retry(NOW));
+        let later = NOW + SAVE_RETRY_AFTER;
+        assert!(editor.start_retry(later));
+        editor.file.start_saving().unwrap();
+        assert!(editor.handle_saved(later, failed()).is_silent);
+        assert!(editor.start_retry(later + SAVE_RETRY_AFTER));
+        editor.file.start_saving().unwrap();
+        let report = editor.handle_saved(later, SaveOutcome::Saved);
+        assert_eq!(report.text, Some(("saved after retry".to_owned(), false)));
+        assert_eq!(editor.poll_timeout(), None);
     }
 
     #[test]
-    fn a_save_never_overwrites_what_others_wrote() {
-        let mut file = opened();
-        file.edit(&[set_address(&file, 16)]).unwrap();
-        file.start_saving().unwrap();
-        let theirs = FILE.replace("FEED", "FEEDX").replace("true", "true, \"note\":1");
-        let outcome = SaveOutcome::Changed(content(&theirs));
-        assert_eq!(file.handle_saved(NOW, outcome), Change::Rebased);
-        let saving = file.start_saving().unwrap();
-        assert_eq!(saving.expected.unwrap().source(), theirs.as_bytes());
-        assert_eq!(saving.content.source(), theirs.replace("12", "16").as_bytes());
-    }
-
-    #[test]
-    fn edits_are_taken_back_across_what_others_wrote_and_few_documents_are_kept() {
-        let mut file = opened();
-        let kept = |file: &FileState| file.undo.kept();
-        let saved = |file: &mut FileState| {
-            file.start_saving().unwrap();
-            file.handle_saved(NOW, SaveOutcome::Saved);
-        };
-        for to in 13..=20 {
-            file.edit(&[set_address(&file, to)]).unwrap();
-            saved(&mut file);
-        }
-        assert_eq!(kept(&file), 1);
-        let noted = |address: &str| FILE.replace("12", address).replace("true", "true, \"x\":1");
-        assert_eq!(file.read(NOW, content(&noted("20"))), Change::Content);
-        for to in 21..=25 {
-            file.edit(&[set_address(&file, to)]).unwrap();
-        }
-        assert_eq!(kept(&file), 2);
-        while file.undo().is_ok() {}
-        assert_eq!(source(&file), noted("12"));
-        while file.redo().is_ok() {}
-        assert_eq!(source(&file), noted("25"));
-        assert!(kept(&file) <= 2);
-        (0..9).for_each(|_| drop(file.undo().unwrap()));
-        assert_eq!(source(&file), noted("16"));
-    }
-
-    /// On a slow disk the new content is seen long before the save is over.
-    #[test]
-    fn what_is_found_during_a_save_is_taken_in_at_once() {
-        let ours = FILE.replace("12", "16");
-        for (found, change) in [
-            (ours.clone(), Change::None),
-            (ours.replace("true", "true, \"note\":1"), Change::Rebased),
-            (FILE.replace("true", "true, \"note\":1"), Change::Rebased),
-        ] {
-            let mut file = opened();
-            file.edit(&[set_address(&file, 16)]).unwrap();
-            file.start_saving().unwrap();
-            file.edit(&[set_address(&file, 17)]).unwrap();
-            assert_eq!(file.read(NOW, content(&found)), change);
-            let both = found.replace("12", "16").replace("16", "17");
-            assert_eq!(source(&file), both);
-            assert_eq!(file.start_saving(), None);
-            assert_eq!(file.is_superseded(), found != ours);
-            assert_eq!(file.handle_saved(NOW, SaveOutcome::Saved), Change::Saved);
-            let saving = file.start_saving().unwrap();
-            assert_eq!(saving.expected.unwrap().source(), found.as_bytes());
-            assert_eq!(saving.content.source(), both.as_bytes());
-            // The disk fails: it is still an edit that is not saved.
-            file.handle_saved(NOW, SaveOutcome::Failed("no room".into()));
-            assert!(file.unsaved() > 0);
-        }
-    }
-
-    /// What they wrote over ours, once that was there, is not overwritten in turn.
-    #[test]
-    fn ours_that_was_seen_on_disk_counts_as_saved_when_it_is_overtaken() {
-        let mut file = opened();
-        file.edit(&[set_address(&file, 16)]).unwrap();
-        file.start_saving().unwrap();
-        assert_eq!(file.read(NOW, content(&FILE.replace("12", "16"))), Change::None);
-        assert_eq!(file.unsaved(), 1, "that it stays there is not known");
-        assert_eq!(file.read(NOW, content(&FILE.replace("12", "13"))), Change::Content);
-        assert_eq!(file.handle_saved(NOW, SaveOutcome::Saved), Change::Saved);
-        assert_eq!((file.unsaved(), source(&file)), (0, &*FILE.replace("12", "13")));
-    }
-
-    #[test]
-    fn what_a_save_found_is_older_than_what_was_read_since() {
-        let mut file = opened();
-        file.edit(&[set_address(&file, 16)]).unwrap();
-        file.start_saving().unwrap();
-        let newest = FILE.replace("true", "true, \"note\":2");
-        assert_eq!(file.read(NOW, content(&newest)), Change::Rebased);
-        let older = FILE.replace("true", "true, \"note\":1");
-        file.handle_saved(NOW, SaveOutcome::Changed(content(&older)));
-        let saving = file.start_saving().unwrap();
-        assert_eq!(saving.expected.unwrap().source(), newest.as_bytes());
-        assert_eq!(saving.content.source(), newest.replace("12", "16").as_bytes());
-    }
-
-    #[test]
-    fn the_same_value_is_for_a_person_to_choose() {
-        for (ours, address) in [(true, "16"), (false, "13")] {
-            let mut file = opened();
-            file.edit(&[set_address(&file, 16)]).unwrap();
-            assert_eq!(file.read(NOW, content(&FILE.replace("12", "13"))), Change::Conflict);
-            assert_eq!(file.start_saving(), None);
-            assert_eq!(file.edit(&[]), Err(EditRefusal::Conflict));
-            assert_eq!(file.resolve(ours), Change::Rebased);
-            assert_eq!(source(&file), FILE.replace("12", address));
-            assert_eq!(file.unsaved(), usize::from(ours));
-        }
-    }
-
-    #[test]
-    fn a_broken_file_is_never_written_and_the_last_good_content_stays() {
-        let mut file = opened();
-        assert_eq!(file.read(NOW, content("{\"devices\": [")), Change::Broken);
-        assert_eq!(source(&file), FILE);
-        assert!(matches!(file.edit(&[set_address(&file, 16)]), Err(EditRefusal::Broken(_))));
-        assert_eq!(file.start_saving(), None);
-        assert_eq!(file.read(NOW, content(FILE)), Change::Content);
-        assert!(file.problem().is_none());
-    }
-
-    #[test]
-    fn a_missing_file_is_begun() {
-        let mut file = FileState::new(Some("des.json".into()));
-        assert_eq!(file.read(NOW, FileReading::Content(None)), Change::First);
-        let entry = crate::document::NewEntry {
-            name: b"FEED".to_vec(),
-            address: Some(12),
-            is_static: true,
-            ..Default::default()
-        };
-        file.edit(&[Operation::Add { entry }]).unwrap();
-        assert_eq!(file.start_saving().unwrap().expected, None);
-        assert!(file.is_there());
+    fn copied_or_discarded_edits_are_not_at_risk() {
+        let mut editor = saving();
+        assert_eq!(editor.edits_at_risk().map(|(count, _)| count), Some(1));
+        let path = Path::new("copy.json");
+        let bytes = editor.start_copy(path.into());
+        assert!(String::from_utf8(bytes).unwrap().contains("16"));
+        assert!(!editor.handle_written(path, false), "it failed");
+        assert!(editor.edits_at_risk().is_some());
+        editor.start_copy(path.into());
+        assert!(editor.handle_written(path, true));
+        assert_eq!((editor.copy_of_edits(), editor.edits_at_risk()), (Some(path), None));
+        let mut editor = saving();
+        editor.discard_edits();
+        assert_eq!(editor.edits_at_risk(), None);
     }
 }

@@ -3,7 +3,7 @@
 //! Bounded; a line that repeats within moments is counted instead of written again, and stands where
 //! it was last true: what came between stays before it. Does not know where lines are shown.
 
-use crate::discovery::DeviceId;
+use crate::discovery::{DeviceId, Event};
 use crate::frame::BusIndex;
 use crate::text::Name;
 use crate::time::{Duration, Instant};
@@ -184,6 +184,14 @@ impl TimelineEntry {
             kind,
             times: 1,
         }
+    }
+
+    /// The line of an engine event.
+    pub fn of_event(bus: BusIndex, event: &Event, kind: TimelineKind, text: String) -> Self {
+        let mut line = Self::new(event.time, kind, text).on(bus);
+        (line.device, line.address) = (event.device, event.address);
+        line.name.clone_from(&event.name);
+        line
     }
 
     /// The same line, about a bus.

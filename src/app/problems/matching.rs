@@ -1,31 +1,31 @@
-//! Which entry of des.json is which device.
+//! The assignment of entries of des.json to devices.
 //!
-//! By UID, then by name and address, then the only device of its name that no other entry
-//! matches; devices that are there before devices that are lost. An entry without a bus may
-//! match a device on every bus. Does not judge what differs.
+//! An entry is assigned by UID, then by name and address, then to the only unassigned device with
+//! its name; present devices come before lost ones. An entry without a bus may have a device on
+//! every bus. Does not compare the values of entry and device.
 
-use super::buses::Bus;
+use crate::app::buses::Bus;
 use crate::discovery::{Device, DeviceId};
 use crate::document::Entry;
 use crate::frame::BusIndex;
 use std::collections::BTreeMap;
 
-/// Which belongs to which.
+/// Entries and their devices.
 #[derive(Debug, Default)]
 pub struct Matching {
     entry_of: BTreeMap<DeviceId, usize>,
     devices_of: Vec<Vec<DeviceId>>,
-    /// By entry: whether it only says what another one says whose device is there.
-    said_again: Vec<bool>,
+    /// By entry: it repeats another entry that has a device.
+    duplicates: Vec<bool>,
 }
 
 impl Matching {
-    /// Compares entries and devices.
+    /// Assigns the entries to the devices of the buses.
     pub fn new(entries: &[Entry], buses: &[Bus]) -> Self {
         let mut matching = Self {
             entry_of: BTreeMap::new(),
             devices_of: vec![Vec::new(); entries.len()],
-            said_again: Vec::new(),
+            duplicates: Vec::new(),
         };
         for (index, bus) in buses.iter().enumerate() {
             let index = BusIndex(index as u8);
@@ -33,8 +33,8 @@ impl Matching {
                 entries.iter().filter(|entry| is_for(entry, &bus.name)).collect();
             let mut open = Unmatched { entries, matching: &mut matching, bus: index };
             for here in [true, false] {
-                let devices = || bus.engine.devices().iter().filter(|it| it.is_present() == here);
-                let alphabet = &bus.engine.config().profile.uid;
+                let devices = || bus.devices().iter().filter(|it| it.is_present() == here);
+                let alphabet = &bus.config().profile.uid;
                 let same_uid = |entry: &Entry, device: &Device| {
                     let listed = entry.uid.as_deref().map_or("", str::trim);
                     let own = device.uid.filter(|uid| !uid.is_blank());
@@ -44,7 +44,7 @@ impl Matching {
                 let same_place = |entry: &Entry, device: &Device| {
                     device.is_named(&entry.name) && entry.address == Some(device.address.number())
                 };
-                // Where several have one UID, which they should not, each has its own entry.
+                // Devices with equal UIDs, as in a UID conflict, keep their own entries.
                 open.pair(devices, |entry, device| {
                     same_uid(entry, device) && same_place(entry, device)
                 });
@@ -53,50 +53,50 @@ impl Matching {
                 open.pair_unique(devices);
             }
         }
-        matching.said_again = matching.find_duplicates(entries);
+        matching.duplicates = matching.find_duplicates(entries);
         matching
     }
 
     fn find_duplicates(&self, entries: &[Entry]) -> Vec<bool> {
-        let says = |entry: &Entry| (entry.address, entry.name.clone());
+        let content = |entry: &Entry| (entry.address, entry.name.clone());
         let matched = |entry: &&Entry| !self.devices_of(entry.index).is_empty();
         let mut buses_of: BTreeMap<_, Vec<Option<&str>>> = BTreeMap::new();
         for entry in entries.iter().filter(|entry| entry.address.is_some()).filter(matched) {
-            buses_of.entry(says(entry)).or_default().push(entry.bus.as_deref());
+            buses_of.entry(content(entry)).or_default().push(entry.bus.as_deref());
         }
         let is_again = |entry: &Entry| {
             let own = entry.bus.as_deref();
             let on_it = |other: Option<&str>| other.is_none() || own.is_none() || other == own;
             !matched(&entry)
                 && !buses_of.is_empty()
-                && buses_of.get(&says(entry)).is_some_and(|it| it.iter().copied().any(on_it))
+                && buses_of.get(&content(entry)).is_some_and(|it| it.iter().copied().any(on_it))
         };
         entries.iter().map(is_again).collect()
     }
 
-    /// Whether the entry at this place only says again, by name and address, what another one says
-    /// that has a device.
+    /// Returns true if the entry at this place repeats name and address of another entry that has a
+    /// device.
     pub fn is_duplicate(&self, entry: usize) -> bool {
-        self.said_again.get(entry) == Some(&true)
+        self.duplicates.get(entry) == Some(&true)
     }
 
-    /// The place of the device's entry.
+    /// Place of the entry of a device; `None` for a device that is not in the file.
     pub fn entry_of(&self, device: DeviceId) -> Option<usize> {
         self.entry_of.get(&device).copied()
     }
 
-    /// The devices of the entry at this place, at most one on each bus.
+    /// Devices of the entry at this place, at most one per bus.
     pub fn devices_of(&self, entry: usize) -> &[DeviceId] {
         self.devices_of.get(entry).map_or(&[], Vec::as_slice)
     }
 }
 
-/// Whether an entry speaks of a bus of that name.
+/// Returns true if an entry applies to the bus with this name: it names that bus, or none.
 pub fn is_for(entry: &Entry, bus: &str) -> bool {
     entry.bus.as_deref().is_none_or(|named| named == bus)
 }
 
-/// What is not matched yet on one bus.
+/// Entries of one bus without a device.
 struct Unmatched<'e, 'm> {
     entries: Vec<&'e Entry>,
     matching: &'m mut Matching,

@@ -1,14 +1,12 @@
-//! What a frame says, in words: who to whom, which service, which DES message.
+//! The text of a frame: sender, receiver, service, DES message.
 //!
-//! A frame is decoded when it is looked at, never when it arrives. Everything that devices say
-//! comes out through [`Escaped`]. Does not know how it is drawn.
+//! Input: a frame and the devices of its bus. A frame is decoded when it is shown, not when it is
+//! received. Text from devices is escaped ([`Escaped`]). Does not know how it is drawn.
 
-use super::{App, Filter, Page};
-use crate::discovery::Device;
+use crate::app::buses::Buses;
 use crate::error_report::ErrorReport;
-use crate::frame::{BusIndex, CanId, Frame, FrameKind};
+use crate::frame::{CanId, Frame, FrameKind};
 use crate::text::Escaped;
-use crate::time::Instant;
 use crate::wire::des::{
     ReceivedRequest, Request, ServicesResponse, TYPE_NAME, TYPE_SERVICES, decode_name,
 };
@@ -17,31 +15,30 @@ use crate::wire::id::{Address, Header, MessageType};
 use crate::wire::isotp::{FlowStatus, Pci};
 use crate::wire::node::Heartbeat;
 use crate::wire::profile::Profile;
-use std::collections::VecDeque;
 use std::fmt::Write;
 
-/// A frame in words.
+/// A frame as text.
 #[derive(Clone, Debug, Default)]
 pub struct Decoded {
-    /// The identifier's fields, where the frame has any.
+    /// Fields of the identifier (CAN platform §3); `None` for a non-platform frame.
     pub header: Option<Header>,
-    /// Who sent it: the name, else the address; empty for foreign frames.
+    /// Sender: name, else address; empty for a non-platform frame.
     pub source: String,
-    /// To whom: the name, else the address; `*` for all.
+    /// Receiver: name, else address; `*` for a broadcast.
     pub destination: String,
-    /// The service: its name, else its number.
+    /// Service: name, else number.
     pub service: String,
-    /// The message type, or what else it is.
+    /// Message type, `error`, `remote` or `standard`.
     pub kind: &'static str,
-    /// What its data say.
+    /// Content of the data field.
     pub text: String,
-    /// A failed answer, a malformed message or an error frame.
+    /// An error response, a malformed or non-conforming message, or an error frame.
     pub is_error: bool,
 }
 
 impl Decoded {
-    /// Reads a frame.
-    pub fn of(app: &App, frame: &Frame) -> Self {
+    /// Decodes a frame; names and profile are those of its bus.
+    pub fn new(buses: &Buses, frame: &Frame) -> Self {
         match (frame.kind, frame.id) {
             (FrameKind::Error, _) => Self {
                 kind: "error",
@@ -49,7 +46,7 @@ impl Decoded {
                 is_error: true,
                 ..Self::default()
             },
-            (FrameKind::Data, CanId::Extended(id)) => Self::decode_platform(app, frame, id),
+            (FrameKind::Data, CanId::Extended(id)) => Self::decode_platform(buses, frame, id),
             (FrameKind::Remote, _) => {
                 let text = "remote frame (non-platform)".to_owned();
                 Self { kind: "remote", text, ..Self::default() }
@@ -61,11 +58,11 @@ impl Decoded {
         }
     }
 
-    fn decode_platform(app: &App, frame: &Frame, id: u32) -> Self {
+    fn decode_platform(buses: &Buses, frame: &Frame, id: u32) -> Self {
         let header = Header::decode(id);
         let kind = header.message_type();
-        let profile = app.profile(frame.bus);
-        let name = |address| app.name_at(frame.bus, address);
+        let profile = buses.profile(frame.bus);
+        let name = |address| buses.name_at(frame.bus, address);
         let service = match (kind, profile.service_name(header.service)) {
             (MessageType::Debug, _) => format!("{:03X}", header.service.number()),
             (_, Some(name)) => Escaped(name.as_bytes()).to_string(),
@@ -87,12 +84,12 @@ impl Decoded {
         }
     }
 
-    pub(super) fn is_source(&self, value: &str) -> bool {
+    pub(in crate::app) fn is_source(&self, value: &str) -> bool {
         let Some(header) = self.header else { return false };
         is_endpoint(&self.source, header.source, value)
     }
 
-    pub(super) fn is_destination(&self, value: &str) -> bool {
+    pub(in crate::app) fn is_destination(&self, value: &str) -> bool {
         let Some(header) = self.header else { return false };
         if header.broadcast {
             return value == "*";
@@ -100,7 +97,7 @@ impl Decoded {
         is_endpoint(&self.destination, header.destination, value)
     }
 
-    pub(super) fn is_service(&self, value: &str) -> bool {
+    pub(in crate::app) fn is_service(&self, value: &str) -> bool {
         let Some(header) = self.header else { return false };
         let number = match value.strip_prefix("0x") {
             Some(hex) => u16::from_str_radix(hex, 16).ok(),
@@ -114,150 +111,10 @@ fn is_endpoint(name: &str, address: Address, value: &str) -> bool {
     name.to_lowercase() == value || address.to_string() == value
 }
 
-/// The captured frames that the filter line lets through: found once per frame, not per draw.
-#[derive(Debug, Default)]
-pub(super) struct FilteredFrames {
-    line: String,
-    numbers: VecDeque<u64>,
-    /// Frames before this number were looked at.
-    seen: u64,
-}
-
-impl App {
-    /// The profile that a bus runs on.
-    pub fn profile(&self, bus: BusIndex) -> std::sync::Arc<Profile> {
-        self.bus(bus).map_or_else(Default::default, |bus| bus.engine.config().profile.clone())
-    }
-
-    /// Whoever holds an address now: its name, else the number.
-    pub fn name_at(&self, bus: BusIndex, address: Address) -> String {
-        let here = |device: &&Device| device.address == address && device.is_present();
-        let devices = self.bus(bus).map_or(&[][..], |bus| bus.engine.devices());
-        let named = devices.iter().filter(here).find_map(|device| device.name.as_ref());
-        match named {
-            Some(name) => name.to_string(),
-            None if self.is_own_address(bus, address) => "own".to_owned(),
-            None => address.to_string(),
-        }
-    }
-
-    /// The whole ISO 15765-2 message that a frame is part of, in words, where the capture still
-    /// has it.
-    pub fn message_of(&self, number: u64) -> Option<String> {
-        let frame = self.capture.get(number)?;
-        let id = frame.platform_id()?;
-        if Header::decode(id).service != self.profile(frame.bus).des_service() {
-            return None;
-        }
-        let same = |other: &&Frame| other.bus == frame.bus && other.platform_id() == Some(id);
-        let is_first =
-            |other: &&Frame| matches!(Pci::decode(other.data(), other.fd), Ok(Pci::First { .. }));
-        if !matches!(
-            Pci::decode(frame.data(), frame.fd),
-            Ok(Pci::First { .. } | Pci::Consecutive { .. })
-        ) {
-            return None;
-        }
-        let (start, first) = (self.capture.first()..=number)
-            .rev()
-            .take(4096)
-            .filter_map(|at| Some((at, self.capture.get(at)?)))
-            .filter(|(_, other)| same(other))
-            .find(|(_, other)| is_first(other))?;
-        let message = reassemble(
-            first,
-            (start + 1..self.capture.end())
-                .take(4096)
-                .filter_map(|at| self.capture.get(at))
-                .filter(same),
-        )?;
-        Some(describe_response(&message).0)
-    }
-
-    /// The numbers of the frames that the filter lets through, from `number` on, oldest first.
-    pub fn frames_from(&self, number: u64) -> Box<dyn Iterator<Item = u64> + '_> {
-        let (first, end) = (number.max(self.capture.first()), self.traffic_end());
-        if !self.is_filtered() {
-            return Box::new(first..end);
-        }
-        let numbers = &self.matches.numbers;
-        let start = numbers.partition_point(|&other| other < first);
-        Box::new(numbers.range(start..).copied().take_while(move |&number| number < end))
-    }
-
-    /// The same before `number`, newest first.
-    pub fn frames_before(&self, number: u64) -> Box<dyn Iterator<Item = u64> + '_> {
-        let (first, end) = (self.capture.first(), number.min(self.traffic_end()));
-        if !self.is_filtered() {
-            return Box::new((first..end).rev());
-        }
-        let numbers = &self.matches.numbers;
-        let stop = numbers.partition_point(|&other| other < end);
-        Box::new(numbers.range(..stop).rev().copied().take_while(move |&number| number >= first))
-    }
-
-    /// Whether the filter line chooses frames: around evidence all are shown.
-    fn is_filtered(&self) -> bool {
-        !self.view.filter(Page::Traffic).is_empty() && self.view.evidence.is_none()
-    }
-
-    /// Filters the frames that came since it was done last, where that is to be seen.
-    pub(super) fn filter_frames(&mut self) {
-        let line = self.view.filter(Page::Traffic);
-        if self.view.page != Page::Traffic || line.is_empty() {
-            return;
-        }
-        let mut matches = std::mem::take(&mut self.matches);
-        if matches.line != line {
-            matches = FilteredFrames { line: line.to_owned(), ..FilteredFrames::default() };
-        }
-        let (first, end) = (self.capture.first(), self.capture.end());
-        while matches.numbers.front().is_some_and(|&number| number < first) {
-            matches.numbers.pop_front();
-        }
-        let filter = Filter::parse(line);
-        for number in matches.seen.max(first)..end {
-            let frame = self.capture.get(number);
-            if frame.is_some_and(|frame| filter.matches_frame(self, frame)) {
-                matches.numbers.push_back(number);
-            }
-        }
-        matches.seen = end;
-        self.matches = matches;
-    }
-
-    /// Behind the last frame that is shown: a held page stays where it is.
-    pub fn traffic_end(&self) -> u64 {
-        self.view.frozen.map_or(self.capture.end(), |frozen| frozen.frames)
-    }
-
-    /// The frames on the screen, oldest first, and which of them is selected.
-    pub fn frames_shown(&self, height: usize) -> (Vec<u64>, Option<u64>) {
-        let end = self.traffic_end();
-        let kept = |number: &u64| *number >= self.capture.first() && *number < end;
-        let Some(selected) = self.view.traffic.filter(kept) else {
-            let mut shown: Vec<u64> = self.frames_before(end).take(height).collect();
-            shown.reverse();
-            return (shown, None);
-        };
-        let above = self.view.traffic_line.min(height.saturating_sub(1));
-        let mut shown: Vec<u64> = self.frames_before(selected).take(above).collect();
-        shown.reverse();
-        shown.push(selected);
-        let below = height.saturating_sub(shown.len());
-        shown.extend(self.frames_from(selected + 1).take(below));
-        if shown.len() < height {
-            let missing = height - shown.len();
-            let mut older: Vec<u64> = self.frames_before(shown[0]).take(missing).collect();
-            older.reverse();
-            older.append(&mut shown);
-            shown = older;
-        }
-        (shown, Some(selected))
-    }
-}
-
-fn reassemble<'f>(first: &Frame, rest: impl Iterator<Item = &'f Frame>) -> Option<Vec<u8>> {
+pub(super) fn reassemble<'f>(
+    first: &Frame,
+    rest: impl Iterator<Item = &'f Frame>,
+) -> Option<Vec<u8>> {
     let Ok(Pci::First { length, data }) = Pci::decode(first.data(), first.fd) else { return None };
     let wanted = (length as usize).min(crate::wire::des::MAX_MESSAGE);
     let mut message = data.to_vec();
@@ -279,7 +136,7 @@ fn reassemble<'f>(first: &Frame, rest: impl Iterator<Item = &'f Frame>) -> Optio
     Some(message)
 }
 
-/// What the data of a platform frame say, and whether something is wrong with them.
+/// Text of the data of a platform frame; true if they are malformed.
 fn describe_data(profile: &Profile, header: Header, frame: &Frame) -> (String, bool) {
     let data = frame.data();
     let kind = header.message_type();
@@ -340,7 +197,7 @@ fn describe_request(message: &[u8]) -> String {
     }
 }
 
-fn describe_response(message: &[u8]) -> (String, bool) {
+pub(super) fn describe_response(message: &[u8]) -> (String, bool) {
     match message.first() {
         Some(&TYPE_NAME) => {
             let (name, fault) = decode_name(message);
@@ -387,7 +244,7 @@ fn describe_heartbeat(profile: &Profile, data: &[u8]) -> String {
     text
 }
 
-/// Bytes in hexadecimal, with something between them.
+/// Bytes in hexadecimal with a separator.
 pub fn hex(data: &[u8], between: &str) -> String {
     let mut text = String::with_capacity(data.len() * (2 + between.len()));
     for (at, byte) in data.iter().enumerate() {
@@ -395,16 +252,4 @@ pub fn hex(data: &[u8], between: &str) -> String {
         let _ = write!(text, "{between}{byte:02X}");
     }
     text
-}
-
-/// A moment as the wall clock shows it: `12:03:11`.
-pub fn clock(app: &App, at: Instant) -> String {
-    let seconds = app.wall_seconds(at);
-    format!("{:02}:{:02}:{:02}", seconds / 3600 % 24, seconds / 60 % 60, seconds % 60)
-}
-
-/// The same with milliseconds: `12:03:11.204`.
-pub fn clock_millis(app: &App, at: Instant) -> String {
-    let millis = app.epoch().unix_micros(at) / 1000 % 1000;
-    format!("{}.{millis:03}", clock(app, at))
 }

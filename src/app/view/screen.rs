@@ -14,9 +14,9 @@
 //!
 //! Knows sizes only, not what is drawn.
 
+use super::View;
 use super::page::{Focus, Page};
 use super::rows::Counts;
-use super::view::View;
 use ratatui::layout::Rect;
 use std::fmt::Write;
 

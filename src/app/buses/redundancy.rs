@@ -1,29 +1,28 @@
-//! Devices that are on several buses at once, recognised by name and UID. With equal services on
-//! each the buses are redundant; with different ones they are two networks.
+//! Devices that are on several buses, recognised by name and UID.
 //!
-//! A device without a UID is not recognised: its name alone may be a twin's.
+//! Input: the devices of all buses. Output: for each device the same device on other buses. Equal
+//! services make two buses redundant, different services make them separate networks. A device
+//! without a UID is not recognised: a twin has the same name.
 
-use super::App;
-use super::buses::Bus;
-use super::timeline::{TimelineEntry, TimelineKind};
+use super::bus::Bus;
 use crate::discovery::{Device, DeviceId};
 use crate::text::Name;
 use crate::wire::node::Uid;
 use std::collections::{BTreeMap, HashMap};
 
-/// What the same device on two buses makes of them.
+/// The relation of two buses that have a device in common.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Redundancy {
-    /// The same services on both: either bus will do.
+    /// Equal services on both.
     Redundant,
-    /// Different services.
+    /// Different services on each.
     TwoNetworks,
-    /// Its services are not known on both.
+    /// The services are not known on both.
     Open,
 }
 
 impl Redundancy {
-    /// What it is, for people.
+    /// Description for the user.
     pub const fn words(self) -> &'static str {
         match self {
             Redundancy::Redundant => "same services: redundant",
@@ -36,22 +35,22 @@ impl Redundancy {
 /// The same device on another bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RedundantDevice {
-    /// Which.
+    /// The device on the other bus.
     pub id: DeviceId,
-    /// What it makes of the two buses.
+    /// Relation of the two buses.
     pub kinship: Redundancy,
 }
 
-/// Who is the same device as whom.
+/// The devices that are on several buses.
 #[derive(Debug, Default)]
 pub(super) struct RedundantDevices {
     of: HashMap<DeviceId, Vec<RedundantDevice>>,
-    told: BTreeMap<(DeviceId, DeviceId), Redundancy>,
+    known: BTreeMap<(DeviceId, DeviceId), Redundancy>,
 }
 
 impl RedundantDevices {
-    /// Looks at all buses anew. Comes back with the pairs, in the order of their buses, of which
-    /// something else is known than before.
+    /// Recognises the devices of all buses anew; returns the pairs whose relation changed, in the
+    /// order of their buses.
     pub fn refresh(&mut self, buses: &[Bus]) -> Vec<(DeviceId, DeviceId, Redundancy)> {
         self.of.clear();
         if buses.len() < 2 {
@@ -59,11 +58,11 @@ impl RedundantDevices {
         }
         let mut groups: HashMap<(Name, Uid), Vec<&Device>> = HashMap::new();
         for bus in buses {
-            for device in bus.engine.devices().iter().filter(|device| !device.is_debug) {
+            for device in bus.devices().iter().filter(|device| !device.is_debug) {
                 let uid = device.uid.filter(|uid| !uid.is_blank());
                 let (Some(name), Some(uid)) = (&device.name, uid) else { continue };
                 let group = groups.entry((name.clone(), uid)).or_default();
-                // Of several on one bus, the one that is there, or was last.
+                // Of several on one bus: a present one, else the last seen.
                 match group.last_mut().filter(|other| other.id.bus == device.id.bus) {
                     Some(other) => {
                         let weight = |it: &Device| (it.is_present(), it.last_seen);
@@ -75,7 +74,7 @@ impl RedundantDevices {
                 }
             }
         }
-        let mut news = Vec::new();
+        let mut changed = Vec::new();
         for group in groups.values().filter(|group| group.len() > 1) {
             for (at, one) in group.iter().enumerate() {
                 for other in &group[at + 1..] {
@@ -88,17 +87,17 @@ impl RedundantDevices {
                         .entry(other.id)
                         .or_default()
                         .push(RedundantDevice { id: one.id, kinship });
-                    if self.told.insert((one.id, other.id), kinship) != Some(kinship) {
-                        news.push((one.id, other.id, kinship));
+                    if self.known.insert((one.id, other.id), kinship) != Some(kinship) {
+                        changed.push((one.id, other.id, kinship));
                     }
                 }
             }
         }
-        self.told.retain(|(one, other), _| {
+        self.known.retain(|(one, other), _| {
             self.of.get(one).is_some_and(|all| all.iter().any(|it| it.id == *other))
         });
-        news.sort_by_key(|(one, other, _)| (*one, *other));
-        news
+        changed.sort_by_key(|(one, other, _)| (*one, *other));
+        changed
     }
 
     /// The same device on other buses.
@@ -110,51 +109,6 @@ impl RedundantDevices {
     pub fn redundant(&self, id: DeviceId) -> impl Iterator<Item = DeviceId> {
         let redundant = self.of(id).iter().filter(|it| it.kinship == Redundancy::Redundant);
         redundant.map(|it| it.id)
-    }
-}
-
-impl App {
-    /// Looks who is on several buses, and tells what is new.
-    pub(super) fn refresh_siblings(&mut self) {
-        for (one, other, kinship) in self.siblings.refresh(&self.buses) {
-            let Some(text) = self.report_redundancy(one, other, kinship) else { continue };
-            let mut line = TimelineEntry::new(self.now, TimelineKind::Bus, text).on(one.bus);
-            if let Some(device) = self.device(one) {
-                line.device = Some(one);
-                line.address = Some(device.address);
-                line.name.clone_from(&device.name);
-            }
-            self.report_line(line);
-        }
-    }
-
-    fn report_redundancy(
-        &self,
-        one: DeviceId,
-        other: DeviceId,
-        kinship: Redundancy,
-    ) -> Option<String> {
-        let place = |id: DeviceId| {
-            let (device, bus) = (self.device(id)?, self.bus(id.bus)?);
-            Some(format!("{} @{}", bus.name, device.address))
-        };
-        let (here, there) = (place(one)?, place(other)?);
-        match kinship {
-            Redundancy::Redundant => {
-                Some(format!("on {here} and {there}, same services: redundant"))
-            }
-            Redundancy::TwoNetworks => {
-                Some(format!("on {here} and {there}, different services: separate networks"))
-            }
-            Redundancy::Open => None,
-        }
-    }
-
-    /// Where the same device still is, on redundant buses.
-    pub(super) fn still_on(&self, id: DeviceId) -> Vec<String> {
-        let others = self.siblings.redundant(id).filter(|other| other.bus != id.bus);
-        let here = others.filter(|other| self.device(*other).is_some_and(Device::is_present));
-        here.filter_map(|other| Some(self.bus(other.bus)?.name.clone())).collect()
     }
 }
 

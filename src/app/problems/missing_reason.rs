@@ -1,11 +1,11 @@
-//! Why a device that should be there is not, as far as can be told.
+//! Reasons why a listed device is missing, or a device is known incompletely.
 //!
-//! Looks at the bus from the nearest cause to the farthest. Says what was observed; what follows
-//! from it is marked as a guess.
+//! Checks causes from the nearest (the bus is down) to the farthest (no frame was received); the
+//! texts state observations. Does not know how reasons are shown.
 
-use super::App;
-use super::buses::{Bus, TxBlocked};
 use super::matching::is_for;
+use crate::app::Facts;
+use crate::app::buses::{Bus, TxBlocked};
 use crate::discovery::{Device, OwnAddress, QueryState};
 use crate::document::Entry;
 use crate::frame::BusIndex;
@@ -14,20 +14,9 @@ use crate::text::{Escaped, Quoted};
 use crate::time::Duration;
 use crate::wire::id::Address;
 
-/// How long to listen before a listed device counts as missing, where nobody is asked.
-const LISTEN: Duration = Duration::from_secs(5);
-
-impl App {
-    /// Whether a bus was asked or heard long enough to call a device missing.
-    pub fn is_search_complete(&self, bus: BusIndex) -> bool {
-        let Some(bus) = self.bus(bus) else { return false };
-        let progress = bus.engine.progress();
-        let listened = self.now.since(self.started) >= LISTEN;
-        progress.settled || progress.rounds >= 2 || listened || bus.ended.is_some()
-    }
-
-    /// Whether an entry that no device matches can be said to be missing: every bus it is for was
-    /// looked at, and nobody without a known name sits where it should be.
+impl Facts<'_> {
+    /// Returns true if an entry without a device can be reported as missing: the search is complete
+    /// on each of its buses, and no device with an unknown name uses its address.
     pub fn is_missing(&self, entry: &Entry) -> bool {
         let perhaps = |device: &Device| {
             entry.address == Some(device.address.number())
@@ -37,13 +26,13 @@ impl App {
         };
         let buses = self.buses.iter().enumerate().filter(|(_, bus)| is_for(entry, &bus.name));
         buses.into_iter().all(|(index, bus)| {
-            self.is_search_complete(BusIndex(index as u8))
-                && !bus.engine.devices().iter().any(perhaps)
+            self.buses.is_search_complete(BusIndex(index as u8), self.now)
+                && !bus.devices().iter().any(perhaps)
         })
     }
 
-    /// Why no device matches this entry: the likeliest cause first.
-    pub fn why_missing(&self, entry: &Entry) -> Vec<String> {
+    /// Reasons why no device matches an entry, the likeliest first; never empty.
+    pub fn missing_reasons(&self, entry: &Entry) -> Vec<String> {
         let buses = self.buses.iter().enumerate().filter(|(_, bus)| is_for(entry, &bus.name));
         let mut by_bus: Vec<(&str, Vec<String>)> = buses
             .map(|(at, bus)| (bus.name.as_str(), self.why_on(BusIndex(at as u8), bus, entry)))
@@ -72,7 +61,7 @@ impl App {
         }
         let mut elsewhere = Vec::new();
         let mut taken = Vec::new();
-        for device in bus.engine.devices() {
+        for device in bus.devices() {
             let owner = self.matching.entry_of(device.id);
             let is_it = owner == Some(entry.index);
             let is_namesake = device.is_named(&entry.name);
@@ -94,7 +83,7 @@ impl App {
             let (name, at) = (Quoted(&entry.name), at.join(" and "));
             reasons.push(format!("{name} found at {at}{not}: ambiguous"));
         }
-        if reasons.is_empty() && !self.is_search_complete(index) {
+        if reasons.is_empty() && !self.buses.is_search_complete(index, self.now) {
             reasons.push("search still running".to_owned());
         } else if reasons.is_empty() {
             why_silent(bus, entry, &mut reasons);
@@ -106,18 +95,18 @@ impl App {
     }
 
     fn was_at(&self, device: &Device) -> String {
-        let ago = spell(self.display_time().since(device.last_seen));
+        let ago = spell(self.buses.display_time(self.now).since(device.last_seen));
         format!("last seen at {}, {ago} ago", device.address)
     }
 
-    /// Who or what is, or was, where the file has it.
+    /// Reasons at the address of an entry: another device that uses or used it.
     fn why_at_its_address(&self, bus: &Bus, entry: &Entry, reasons: &mut Vec<String>) {
         let Some(address) = entry.address.and_then(Address::new) else { return };
-        if bus.engine.own_address() == OwnAddress::Held(address) {
+        if bus.own_address() == OwnAddress::Held(address) {
             reasons.push(format!("descan itself uses address {address}"));
         }
         let mut gone = None;
-        for other in bus.engine.devices() {
+        for other in bus.devices() {
             if other.moved_from == Some(address) && other.is_present() && other.address != address {
                 gone = Some(format!(
                     "{} moved from {address} to {}",
@@ -138,7 +127,7 @@ impl App {
                 }
                 (None, true) => reasons.extend(self.why_unnamed(other)),
                 (_, false) => {
-                    let ago = spell(self.display_time().since(other.last_seen));
+                    let ago = spell(self.buses.display_time(self.now).since(other.last_seen));
                     gone = Some(format!(
                         "only {} was at {address}, last seen {ago} ago",
                         device_name(other)
@@ -151,10 +140,10 @@ impl App {
         }
     }
 
-    /// What keeps a device from being whole: no heartbeats, no name, no services.
-    pub fn why_incomplete(&self, device: &Device) -> Vec<String> {
+    /// Reasons why the name or the services of a device are not known.
+    pub fn incomplete_reasons(&self, device: &Device) -> Vec<String> {
         let mut reasons = Vec::new();
-        if let Some(bus) = self.bus(device.id.bus)
+        if let Some(bus) = self.buses.get(device.id.bus)
             && (!device.is_present() || bus.is_blind())
         {
             why_bus(bus, &mut reasons);
@@ -166,7 +155,7 @@ impl App {
             match query.state {
                 QueryState::Unanswered => reasons
                     .push(format!("name received, no services response{}", asked(query.attempts))),
-                QueryState::NotAsked if !self.asks(device.id.bus) => {
+                QueryState::NotAsked if !self.buses.sends_requests(device.id.bus) => {
                     reasons.push("services unknown: requests are off".to_owned());
                 }
                 _ => {}
@@ -181,7 +170,7 @@ impl App {
     fn why_unnamed(&self, device: &Device) -> Option<String> {
         let what = if device.heartbeat.count > 0 { "a heartbeat" } else { "frames" };
         let (address, query) = (device.address, device.name_query);
-        let own = self.bus(device.id.bus).map(|bus| bus.engine.own_address());
+        let own = self.buses.get(device.id.bus).map(|bus| bus.own_address());
         match query.state {
             QueryState::Unanswered => {
                 Some(format!("{what} at {address}, but no DES response{}", asked(query.attempts)))
@@ -190,12 +179,13 @@ impl App {
                 "{what} at {address}, but no DES response yet{}",
                 asked(query.attempts)
             )),
-            QueryState::NotAsked if !self.asks(device.id.bus) => {
+            QueryState::NotAsked if !self.buses.sends_requests(device.id.bus) => {
                 Some(format!("{what} at {address}; name unknown: requests are off"))
             }
             QueryState::NotAsked => Some(match own {
                 Some(OwnAddress::Blocked(wanted)) => {
-                    let why = self.why_no_address(device.id.bus, wanted).unwrap_or_default();
+                    let why =
+                        self.buses.no_address_reason(device.id.bus, wanted).unwrap_or_default();
                     format!("{what} at {address}, but {why}")
                 }
                 _ => format!("{what} at {address}, not queried yet"),
@@ -203,29 +193,9 @@ impl App {
             _ => None,
         }
     }
-
-    /// Why we have no address on a bus, where that is the case: the fixed one is used by somebody
-    /// else, or all are used.
-    pub fn why_no_address(&self, bus: BusIndex, wanted: Option<Address>) -> Option<String> {
-        let Some(wanted) = wanted else {
-            return Some("no free address: requests paused until one is free".to_owned());
-        };
-        let user = self.bus(bus)?.engine.device_at(wanted);
-        let user = user.and_then(|device| device.name.as_ref());
-        let user = user.map_or_else(|| "another node".to_owned(), ToString::to_string);
-        Some(format!("{user} uses address {wanted}: requests paused until it is free"))
-    }
-
-    /// Whether discovery asks anything on a bus.
-    pub fn asks(&self, bus: BusIndex) -> bool {
-        self.bus(bus).is_some_and(|bus| {
-            let config = bus.engine.config();
-            config.scan && !config.listen_only
-        })
-    }
 }
 
-/// Why nothing at all was heard of a device.
+/// Reasons why no frame of a device was received.
 fn why_silent(bus: &Bus, entry: &Entry, reasons: &mut Vec<String>) {
     let ended = bus.status.link == Link::Ended;
     let log = if ended { "in this log " } else { "" };
@@ -233,8 +203,8 @@ fn why_silent(bus: &Bus, entry: &Entry, reasons: &mut Vec<String>) {
         Some(address) => format!("{log}no frame received from address {address}"),
         None => format!("{log}no device named {} seen", Quoted(&entry.name)),
     });
-    let config = bus.engine.config();
-    let others = || bus.engine.devices().iter().filter(|it| !it.is_debug && it.is_present());
+    let config = bus.config();
+    let others = || bus.devices().iter().filter(|it| !it.is_debug && it.is_present());
     let nameless = others().filter(|it| it.name.is_none()).count();
     if entry.address.is_none() && nameless > 0 {
         reasons.push(match nameless {
@@ -244,7 +214,7 @@ fn why_silent(bus: &Bus, entry: &Entry, reasons: &mut Vec<String>) {
     }
     reasons.push(if ended || config.listen_only || !config.scan {
         "requests are off: silent devices are not found".to_owned()
-    } else if let OwnAddress::Blocked(_) = bus.engine.own_address() {
+    } else if let OwnAddress::Blocked(_) = bus.own_address() {
         "descan has no address: no requests were sent".to_owned()
     } else if others().next().is_none() {
         "no device responds: check bit rate and termination".to_owned()
@@ -300,7 +270,7 @@ fn times(count: u32) -> String {
     }
 }
 
-/// A duration in its largest unit, or two: `7s`, `3m12s`, `2h05m`, `4d`.
+/// Text of a duration in its largest one or two units: `7s`, `3m12s`, `2h05m`, `4d03h`.
 pub fn spell(duration: Duration) -> String {
     let seconds = duration.as_secs();
     match seconds {

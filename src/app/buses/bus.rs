@@ -1,0 +1,297 @@
+//! One bus: its discovery engine, its adapter status and its load.
+//!
+//! Inputs: frames, adapter statuses, time. Does not know how frames are received.
+
+use super::load_meter::LoadMeter;
+use super::status_changes::status_changes;
+use crate::app::notices::TimelineKind;
+use crate::discovery::{
+    Config, Counters, Device, DeviceId, DiscoveryProgress, Engine, Event, Finding, OwnAddress,
+};
+use crate::frame::Frame;
+use crate::status::{BusState, BusStatus, Link};
+use crate::time::{Duration, Instant};
+use crate::wire::id::Address;
+
+/// A transmit queue that was full for this long contains outdated requests.
+const QUEUE_STALE_AFTER: Duration = Duration::from_millis(1500);
+/// Bus errors in 3 s, without a valid frame, that indicate a wrong bit rate.
+const ONLY_ERRORS_MIN: u32 = 64;
+
+/// One bus.
+#[derive(Debug)]
+pub struct Bus {
+    /// Name, for example `can0`.
+    pub name: String,
+    /// Adapter status, as last reported.
+    pub status: BusStatus,
+    /// Frame rate and load.
+    pub meter: LoadMeter,
+    /// End of its log; `None` while frames can arrive. No time passes on an ended bus.
+    pub ended: Option<Instant>,
+    engine: Engine,
+    /// Start of the period in which the transmit queue is full.
+    full_since: Option<Instant>,
+    /// End of the quarantine after a stall: until then frames may be late and are only counted.
+    quarantined_until: Option<Instant>,
+}
+
+impl Bus {
+    /// Returns a bus that starts at `now`.
+    pub fn new(now: Instant, name: String, config: Config) -> Self {
+        let status = BusStatus { bitrate: config.bitrate, ..BusStatus::default() };
+        let (engine, meter) = (Engine::new(now, config), LoadMeter::new(now));
+        let (ended, full_since, quarantined_until) = (None, None, None);
+        Self { name, status, meter, ended, engine, full_since, quarantined_until }
+    }
+
+    /// The name without the bit rates at which an slcan adapter is opened: `slcan:/dev/ttyACM0`
+    /// for `slcan:/dev/ttyACM0@500000`.
+    pub fn name_without_rates(&self) -> &str {
+        let is_rates = |text: &str| text.chars().all(|c| c.is_ascii_digit() || c == '/');
+        let parts = self.name.rsplit_once('@').filter(|_| self.name.starts_with("slcan:"));
+        parts.filter(|(_, rates)| is_rates(rates)).map_or(&self.name, |(name, _)| name)
+    }
+
+    // ---- the engine's results --------------------------------------------------------------
+
+    /// Devices of the bus, lost ones included.
+    pub fn devices(&self) -> &[Device] {
+        self.engine.devices()
+    }
+
+    /// The device with this identity; `None` after its removal.
+    pub fn device(&self, id: DeviceId) -> Option<&Device> {
+        self.engine.device(id)
+    }
+
+    /// The present device at an address.
+    pub fn device_at(&self, address: Address) -> Option<&Device> {
+        self.engine.device_at(address)
+    }
+
+    /// Findings of the engine.
+    pub fn findings(&self) -> &[Finding] {
+        self.engine.findings()
+    }
+
+    /// Frame and error counters of the engine.
+    pub fn counters(&self) -> Counters {
+        self.engine.counters()
+    }
+
+    /// Progress of the enumeration.
+    pub fn progress(&self) -> DiscoveryProgress {
+        self.engine.progress()
+    }
+
+    /// State of descan's own address.
+    pub fn own_address(&self) -> OwnAddress {
+        self.engine.own_address()
+    }
+
+    /// Settings of the engine.
+    pub fn config(&self) -> &Config {
+        self.engine.config()
+    }
+
+    // ---- the bus itself --------------------------------------------------------------------
+
+    /// Nominal bit rate in bit/s: the adapter's, else the configured or assumed one.
+    pub fn bits_per_second(&self) -> u32 {
+        self.status.bitrate.unwrap_or_else(|| self.config().bits_per_second())
+    }
+
+    /// Returns true if frames can be received and transmitted.
+    pub fn is_up(&self) -> bool {
+        is_up(&self.status)
+    }
+
+    /// Returns true if no frames can be received, and not because the log ended or the bus is
+    /// still being opened.
+    pub fn is_blind(&self) -> bool {
+        !self.is_up() && self.ended.is_none() && self.status.link != Link::Opening
+    }
+
+    /// Returns true if at least 64 bus errors and no valid frame were received in the last 3 s: the
+    /// bit rate is probably wrong. A missing acknowledgement does not count as a bus error.
+    pub fn hears_only_errors(&self) -> bool {
+        let recent = || self.meter.seconds().rev().take(3);
+        self.is_up()
+            && recent().all(|second| second.frames == second.errors)
+            && recent().map(|second| second.broken).sum::<u32>() >= ONLY_ERRORS_MIN
+    }
+
+    /// Why frames of descan do not reach the bus; `None` if they do, or the bus is down.
+    pub fn tx_blocked(&self) -> Option<TxBlocked> {
+        if !self.is_up() {
+            None
+        } else if self.status.is_transmit_queue_full {
+            Some(TxBlocked::QueueFull)
+        } else {
+            self.engine.is_unacknowledged().then_some(TxBlocked::Unacknowledged)
+        }
+    }
+
+    /// Number of received frames that were lost in controller, kernel or receive queue.
+    pub fn lost(&self) -> u64 {
+        lost(&self.status)
+    }
+
+    /// Returns true if nothing can be transmitted: down, bus-off or stopped.
+    pub(super) fn is_unreachable(&self) -> bool {
+        !matches!(self.status.link, Link::Opening | Link::Up)
+            || matches!(self.status.state, BusState::BusOff | BusState::Stopped)
+    }
+
+    // ---- changes ---------------------------------------------------------------------------
+
+    /// Passes a frame to the engine and the load meter.
+    pub(super) fn receive(&mut self, frame: &Frame) {
+        if self.is_quarantined(frame.time) {
+            self.engine.count_only(frame);
+        } else {
+            self.engine.handle_frame(frame);
+        }
+        // The end of a log may be reported before its last frames are received.
+        self.ended = self.ended.map(|ended| ended.max(frame.time));
+        let (bitrate, data_bitrate) = (self.bits_per_second(), self.status.data_bitrate);
+        self.meter.add(frame, bitrate, data_bitrate);
+    }
+
+    /// The moment at which [`Self::handle_timeout`] is due.
+    pub(super) fn poll_timeout(&self) -> Option<Instant> {
+        let due = self.quarantined_until.or_else(|| self.engine.poll_timeout());
+        due.filter(|_| self.ended.is_none())
+    }
+
+    /// Runs the timers of the engine, unless the bus is quarantined.
+    pub(super) fn handle_timeout(&mut self, now: Instant) {
+        if self.is_quarantined(now) {
+            return;
+        }
+        if self.is_unreachable() {
+            self.engine.wait_for_bus(now);
+        }
+        self.engine.handle_timeout(now);
+    }
+
+    /// The next frame to transmit.
+    pub(super) fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
+        if self.is_unreachable() {
+            // A frame queued now would be late, and its missing ACK would prove nothing.
+            self.engine.wait_for_bus(now);
+        }
+        self.engine.poll_transmit(now)
+    }
+
+    /// The next engine event.
+    pub(super) fn poll_event(&mut self) -> Option<Event> {
+        self.engine.poll_event()
+    }
+
+    /// Restarts the enumeration.
+    pub(super) fn rescan(&mut self, now: Instant) {
+        self.engine.rescan(now);
+    }
+
+    /// Removes the lost devices.
+    pub(super) fn clear_lost(&mut self) {
+        self.engine.clear_lost();
+    }
+
+    /// Suspends the engine from `since` on; frames received before `until` are only counted, since
+    /// their time may be that of their late reception.
+    pub(super) fn quarantine(&mut self, since: Instant, until: Instant) {
+        self.engine.suspend(since);
+        self.quarantined_until = Some(until);
+    }
+
+    /// Returns true if the bus is quarantined at `now`; ends a quarantine that is over.
+    fn is_quarantined(&mut self, now: Instant) -> bool {
+        let Some(until) = self.quarantined_until else { return false };
+        if now < until {
+            return true;
+        }
+        self.quarantined_until = None;
+        self.engine.restart(until);
+        false
+    }
+
+    /// Takes a new adapter status; returns the timeline texts of what changed, or `None` for an
+    /// unchanged one.
+    pub(super) fn update_status(
+        &mut self,
+        now: Instant,
+        status: BusStatus,
+    ) -> Option<Vec<(TimelineKind, String)>> {
+        if self.status == status {
+            return None;
+        }
+        let old = std::mem::replace(&mut self.status, status);
+        let new = &self.status;
+        let lines = status_changes(&old, new);
+        let was_open = !matches!(old.link, Link::Opening | Link::Ended);
+        // The counters show an outage that began and ended between two statuses.
+        let was_away = !is_up(&old) || old.outages < new.outages || old.bus_offs < new.bus_offs;
+        let waits_for_adapter = self.quarantined_until.is_none() && self.engine.is_suspended();
+        let came_back = is_up(new) && (was_away && was_open || waits_for_adapter);
+        let is_down = !is_up(new) && new.link != Link::Ended;
+        // The bus may have come up and gone down again between two statuses.
+        let goes_down = is_down
+            && (is_up(&old) || old.bus_offs < new.bus_offs || old.state != new.state && was_open);
+        let newly_lost = lost(new).saturating_sub(lost(&old));
+        if old.bitrate != new.bitrate {
+            self.engine.set_bitrate(new.bitrate);
+        }
+        match new.link {
+            Link::Ended => {
+                self.ended.get_or_insert(now);
+            }
+            _ => self.ended = None,
+        }
+        self.note_queue(now);
+        if goes_down {
+            self.engine.suspend(now);
+            self.quarantined_until = None;
+        }
+        if came_back {
+            self.engine.restart(now);
+        }
+        if newly_lost > 0 {
+            self.engine.handle_lost(now, newly_lost);
+        }
+        Some(lines)
+    }
+
+    /// Tells the engine that requests were delayed, once a queue that was full for a long time is
+    /// not full any more.
+    fn note_queue(&mut self, now: Instant) {
+        if self.status.is_transmit_queue_full {
+            self.full_since.get_or_insert(now);
+        } else if self.full_since.take().is_some_and(|since| now.since(since) >= QUEUE_STALE_AFTER)
+        {
+            self.engine.handle_delayed_requests(now);
+        }
+    }
+}
+
+/// The reason why frames of descan do not reach a bus that is up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TxBlocked {
+    /// The transmit queue is full: earlier frames are not transmitted either.
+    QueueFull,
+    /// Frames are not acknowledged, or do not return as loopback.
+    Unacknowledged,
+}
+
+/// Returns true if frames can be received and transmitted in this status.
+fn is_up(status: &BusStatus) -> bool {
+    let off = matches!(status.state, BusState::BusOff | BusState::Stopped | BusState::Down);
+    status.link == Link::Up && !off
+}
+
+/// Number of received frames that were lost in controller, kernel or receive queue.
+fn lost(status: &BusStatus) -> u64 {
+    status.kernel_drops + status.queue_drops + status.controller_overruns
+}

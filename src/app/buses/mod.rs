@@ -1,0 +1,411 @@
+//! The buses: engine, adapter status and load of each, redundant devices, the bit rate search.
+//!
+//! Inputs: frames, adapter statuses, time. Outputs: frames to transmit, engine events, timeline
+//! texts of status changes. Read by the other parts of the application to look up devices and
+//! names. Does not know des.json, the timeline or the screen.
+
+mod bus;
+mod load_meter;
+mod redundancy;
+mod status_changes;
+
+pub use bus::{Bus, TxBlocked};
+pub use load_meter::{LoadMeter, LoadSecond};
+pub use redundancy::{Redundancy, RedundantDevice};
+
+use super::notices::TimelineKind;
+use super::view::{Row, RowKey};
+use crate::discovery::{
+    Confidence, Config, Device, DeviceId, Event, Finding, FindingKey, FindingKind, OwnAddress,
+};
+use crate::frame::{BusIndex, Frame};
+use crate::status::BusStatus;
+use crate::time::{Duration, Instant};
+use crate::wire::id::Address;
+use crate::wire::node::Uid;
+use crate::wire::profile::Profile;
+use redundancy::RedundantDevices;
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+/// Listening time after which a listed device counts as missing where no requests are sent.
+const LISTEN_TIME: Duration = Duration::from_secs(5);
+/// Time after a stall in which frames that waited meanwhile may still arrive.
+const STALL_BACKLOG: Duration = Duration::from_millis(250);
+
+/// All buses.
+#[derive(Debug)]
+pub struct Buses {
+    list: Vec<Bus>,
+    redundant: RedundantDevices,
+    /// The bus whose bit rate is being searched.
+    searched: Option<BusIndex>,
+    /// Frames to transmit that no engine generated.
+    outbox: VecDeque<Frame>,
+    started: Instant,
+    /// Incremented by every mutable access.
+    revision: u64,
+}
+
+impl Buses {
+    /// Returns buses that start at `now`.
+    pub(super) fn new(now: Instant, buses: Vec<(String, Config)>) -> Self {
+        let mut all = Self {
+            list: Vec::new(),
+            redundant: RedundantDevices::default(),
+            searched: None,
+            outbox: VecDeque::new(),
+            started: now,
+            revision: 0,
+        };
+        for (name, config) in buses {
+            all.add(now, name, config);
+        }
+        all
+    }
+
+    /// Appends a bus that starts at `now`; returns false at 256 buses, the most there can be.
+    pub(super) fn add(&mut self, now: Instant, name: String, config: Config) -> bool {
+        let Ok(index) = u8::try_from(self.list.len()) else { return false };
+        let bus = BusIndex(index);
+        self.revision += 1;
+        self.list.push(Bus::new(now, name, Config { bus, ..config }));
+        true
+    }
+
+    // ---- reading ---------------------------------------------------------------------------
+
+    /// All buses, in the order of their indices.
+    pub fn as_slice(&self) -> &[Bus] {
+        &self.list
+    }
+
+    /// Iterates over the buses in the order of their indices.
+    pub fn iter(&self) -> std::slice::Iter<'_, Bus> {
+        self.list.iter()
+    }
+
+    /// Number of buses.
+    pub fn len(&self) -> usize {
+        self.list.len()
+    }
+
+    /// The bus with this index; `None` for an unknown index.
+    pub fn get(&self, index: BusIndex) -> Option<&Bus> {
+        self.list.get(usize::from(index.0))
+    }
+
+    /// Counter that changes whenever a device or a finding may have changed.
+    pub fn revision(&self) -> u64 {
+        self.revision
+    }
+
+    /// The device with this identity; `None` after its removal.
+    pub fn device(&self, id: DeviceId) -> Option<&Device> {
+        self.get(id.bus)?.device(id)
+    }
+
+    /// Devices of all buses.
+    pub fn devices(&self) -> impl Iterator<Item = &Device> {
+        self.list.iter().flat_map(Bus::devices)
+    }
+
+    /// The device of a row; `None` for the row of an entry.
+    pub fn device_of(&self, row: &Row) -> Option<&Device> {
+        match row.key {
+            RowKey::Device(id) => self.device(id),
+            RowKey::Entry(_) => None,
+        }
+    }
+
+    /// The devices of a row: several where buses are redundant.
+    pub fn devices_of<'a>(&'a self, row: &'a Row) -> impl Iterator<Item = &'a Device> {
+        let also = row.also.iter().filter_map(|id| self.device(*id));
+        self.device_of(row).into_iter().chain(also)
+    }
+
+    /// The addresses of a row on all of its buses; may contain duplicates.
+    pub fn addresses_of<'a>(&'a self, row: &'a Row) -> impl Iterator<Item = Address> + 'a {
+        row.address.into_iter().chain(self.devices_of(row).map(|device| device.address))
+    }
+
+    /// Profile of a bus; the default one for an unknown index.
+    pub fn profile(&self, bus: BusIndex) -> Arc<Profile> {
+        self.get(bus).map_or_else(Default::default, |bus| bus.config().profile.clone())
+    }
+
+    /// Name of the present device at an address; `own` for descan's own address, else the number.
+    pub fn name_at(&self, bus: BusIndex, address: Address) -> String {
+        let here = |device: &&Device| device.address == address && device.is_present();
+        let devices = self.get(bus).map_or(&[][..], Bus::devices);
+        let named = devices.iter().filter(here).find_map(|device| device.name.as_ref());
+        match named {
+            Some(name) => name.to_string(),
+            None if self.is_own_address(bus, address) => "own".to_owned(),
+            None => address.to_string(),
+        }
+    }
+
+    /// Returns true if descan holds this address on this bus.
+    pub fn is_own_address(&self, bus: BusIndex, address: Address) -> bool {
+        self.get(bus).map(Bus::own_address) == Some(OwnAddress::Held(address))
+    }
+
+    /// Name of the bus for an entry of des.json; `None` with a single bus, which entries need not
+    /// name.
+    pub fn entry_bus(&self, bus: Option<BusIndex>) -> Option<String> {
+        let bus = self.get(bus?)?;
+        (self.list.len() > 1).then(|| bus.name.clone())
+    }
+
+    /// Findings of all engines, bus by bus.
+    pub fn findings(&self) -> impl Iterator<Item = &Finding> {
+        self.list.iter().flat_map(Bus::findings)
+    }
+
+    /// The finding with this key on a bus.
+    pub fn finding(&self, bus: BusIndex, key: &FindingKey) -> Option<&Finding> {
+        self.get(bus)?.findings().iter().find(|finding| finding.key == *key)
+    }
+
+    /// Returns true if an address conflict is confirmed at the device's address: its heartbeat
+    /// statistics are those of two devices then.
+    pub fn is_shared(&self, device: &Device) -> bool {
+        self.is_confirmed(device, FindingKind::SameNameSameAddress)
+            || self.is_confirmed(device, FindingKind::OneAddressTwoNames)
+            || self.is_confirmed(device, FindingKind::OneAddressTwoIdentities)
+    }
+
+    /// UIDs in the heartbeats of a device; two where alternating UIDs are confirmed.
+    pub fn uids_of(&self, device: &Device) -> Vec<Uid> {
+        let two = self.is_confirmed(device, FindingKind::OneAddressTwoIdentities);
+        let other = device.uid_before().filter(|_| two);
+        device.uid.into_iter().chain(other).collect()
+    }
+
+    fn is_confirmed(&self, device: &Device, kind: FindingKind) -> bool {
+        self.get(device.id.bus).is_some_and(|bus| {
+            bus.findings().iter().any(|finding| {
+                finding.key.kind == kind
+                    && finding.key.address == Some(device.address)
+                    && finding.confidence == Confidence::Confirmed
+            })
+        })
+    }
+
+    /// The same device on other buses.
+    pub fn siblings(&self, id: DeviceId) -> &[RedundantDevice] {
+        self.redundant.of(id)
+    }
+
+    /// The same device on redundant buses.
+    pub fn redundant(&self, id: DeviceId) -> impl Iterator<Item = DeviceId> {
+        self.redundant.redundant(id)
+    }
+
+    /// Names of the redundant buses on which the same device is present.
+    pub fn still_on(&self, id: DeviceId) -> Vec<String> {
+        let others = self.redundant(id).filter(|other| other.bus != id.bus);
+        let here = others.filter(|other| self.device(*other).is_some_and(Device::is_present));
+        here.filter_map(|other| Some(self.get(other.bus)?.name.clone())).collect()
+    }
+
+    /// Returns true if a bus was searched long enough to report a device as missing: the
+    /// enumeration settled or ran twice, 5 s passed since the start, or the log ended.
+    pub fn is_search_complete(&self, bus: BusIndex, now: Instant) -> bool {
+        let Some(bus) = self.get(bus) else { return false };
+        let progress = bus.progress();
+        let listened = now.since(self.started) >= LISTEN_TIME;
+        progress.settled || progress.rounds >= 2 || listened || bus.ended.is_some()
+    }
+
+    /// Returns true if the engine of a bus sends requests.
+    pub fn sends_requests(&self, bus: BusIndex) -> bool {
+        self.get(bus).is_some_and(|bus| {
+            let config = bus.config();
+            config.scan && !config.listen_only
+        })
+    }
+
+    /// The reason why descan has no address on a bus: the `wanted` one is used by another node, or
+    /// with `None` all are used. Returns `None` for an unknown bus.
+    pub fn no_address_reason(&self, bus: BusIndex, wanted: Option<Address>) -> Option<String> {
+        let Some(wanted) = wanted else {
+            return Some("no free address: requests paused until one is free".to_owned());
+        };
+        let user = self.get(bus)?.device_at(wanted);
+        let user = user.and_then(|device| device.name.as_ref());
+        let user = user.map_or_else(|| "another node".to_owned(), ToString::to_string);
+        Some(format!("{user} uses address {wanted}: requests paused until it is free"))
+    }
+
+    /// The moment up to which ages are counted: `now`, or the end of the last log where all buses
+    /// are logs that ended.
+    pub fn display_time(&self, now: Instant) -> Instant {
+        let ended = self.list.iter().map(|bus| bus.ended).collect::<Option<Vec<_>>>();
+        ended.and_then(|ended| ended.into_iter().max()).unwrap_or(now)
+    }
+
+    /// The bus whose bit rate is being searched.
+    pub fn searched(&self) -> Option<BusIndex> {
+        self.searched
+    }
+
+    /// The moment at which [`Self::handle_timeout`] is due; `None` with no timer running.
+    pub fn poll_timeout(&self) -> Option<Instant> {
+        self.list.iter().filter_map(Bus::poll_timeout).min()
+    }
+
+    /// Returns true if no bus has a device or recent traffic.
+    pub fn is_quiet(&self) -> bool {
+        let quiet =
+            |bus: &Bus| bus.ended.is_some() || bus.meter.is_idle() && bus.devices().is_empty();
+        self.list.iter().all(quiet)
+    }
+
+    // ---- changing --------------------------------------------------------------------------
+
+    fn get_mut(&mut self, index: BusIndex) -> Option<&mut Bus> {
+        self.revision += 1;
+        self.list.get_mut(usize::from(index.0))
+    }
+
+    fn iter_mut(&mut self) -> std::slice::IterMut<'_, Bus> {
+        self.revision += 1;
+        self.list.iter_mut()
+    }
+
+    /// Renames a bus; returns false for an unknown index.
+    pub(super) fn rename(&mut self, index: BusIndex, name: String) -> bool {
+        let Some(bus) = self.get_mut(index) else { return false };
+        bus.name = name;
+        true
+    }
+
+    /// Passes a frame to the engine and the load meter of its bus; returns false for an unknown
+    /// bus.
+    pub(super) fn receive(&mut self, frame: &Frame) -> bool {
+        let Some(bus) = self.get_mut(frame.bus) else { return false };
+        bus.receive(frame);
+        true
+    }
+
+    /// Runs the timers that are due at `now`.
+    pub(super) fn handle_timeout(&mut self, now: Instant) {
+        let is_due = |bus: &Bus| bus.poll_timeout().is_some_and(|at| at <= now);
+        if self.list.iter().any(is_due) {
+            self.iter_mut().filter(|bus| is_due(bus)).for_each(|bus| bus.handle_timeout(now));
+        }
+    }
+
+    /// Quarantines the buses after a stall from `since` to `now`: frames of that time are shown
+    /// and do not count as evidence, and silence does not count against devices.
+    pub(super) fn handle_stall(&mut self, since: Instant, now: Instant) {
+        for bus in self.iter_mut().filter(|bus| !bus.is_unreachable() && bus.ended.is_none()) {
+            bus.quarantine(since, now + STALL_BACKLOG);
+        }
+    }
+
+    /// Updates the adapter status of a bus. Returns the timeline texts of what changed (none
+    /// during a bit rate search, which takes the bus down and up), or `None` if nothing did.
+    pub(super) fn update_status(
+        &mut self,
+        now: Instant,
+        index: BusIndex,
+        status: BusStatus,
+    ) -> Option<Vec<(TimelineKind, String)>> {
+        let is_searched = self.searched == Some(index);
+        let changes = self.get_mut(index)?.update_status(now, status)?;
+        Some(if is_searched { Vec::new() } else { changes })
+    }
+
+    /// The next engine event of a bus.
+    pub(super) fn poll_event(&mut self, index: BusIndex) -> Option<Event> {
+        self.list.get_mut(usize::from(index.0))?.poll_event()
+    }
+
+    /// The next frame to transmit; `frame.bus` is the bus to transmit on.
+    pub(super) fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
+        if let Some(frame) = self.outbox.pop_front() {
+            return Some(frame);
+        }
+        let frame = self.list.iter_mut().enumerate().find_map(|(index, bus)| {
+            bus.poll_transmit(now).map(|frame| frame.with_bus(BusIndex(index as u8)))
+        });
+        self.revision += u64::from(frame.is_some());
+        frame
+    }
+
+    /// Queues a frame for transmission.
+    pub(super) fn transmit(&mut self, frame: Frame) {
+        self.outbox.push_back(frame);
+    }
+
+    /// Restarts the enumeration on all buses.
+    pub(super) fn rescan(&mut self, now: Instant) {
+        self.iter_mut().for_each(|bus| bus.rescan(now));
+    }
+
+    /// Removes the lost devices of all buses.
+    pub(super) fn clear_lost(&mut self) {
+        self.iter_mut().for_each(Bus::clear_lost);
+    }
+
+    /// Closes the load seconds that are over.
+    pub(super) fn tick(&mut self, now: Instant) {
+        for bus in &mut self.list {
+            bus.meter.advance(now);
+        }
+    }
+
+    /// Starts or ends a bit rate search.
+    pub(super) fn set_searched(&mut self, bus: Option<BusIndex>) {
+        self.searched = bus;
+    }
+
+    /// Recognises anew which devices are on several buses; returns the pairs whose redundancy
+    /// changed, in the order of their buses.
+    pub(super) fn refresh_redundancy(&mut self) -> Vec<(DeviceId, DeviceId, Redundancy)> {
+        self.redundant.refresh(&self.list)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::status::Link;
+
+    fn two_buses() -> Buses {
+        let config = Config::default;
+        Buses::new(Instant::ZERO, vec![("can0".into(), config()), ("can1".into(), config())])
+    }
+
+    #[test]
+    fn mutable_access_changes_revision() {
+        let mut buses = two_buses();
+        let before = buses.revision();
+        assert_eq!(buses.revision(), before);
+        assert!(buses.receive(&Frame::classic(1, &[])));
+        assert_ne!(buses.revision(), before);
+        assert!(!buses.receive(&Frame::classic(1, &[]).with_bus(BusIndex(2))));
+    }
+
+    #[test]
+    fn entry_bus_is_named_with_several_buses_only() {
+        let mut buses = two_buses();
+        assert_eq!(buses.entry_bus(Some(BusIndex(1))).as_deref(), Some("can1"));
+        buses.list.truncate(1);
+        assert_eq!(buses.entry_bus(Some(BusIndex(0))), None);
+    }
+
+    #[test]
+    fn status_changes_during_bit_rate_search_are_not_reported() {
+        let mut buses = two_buses();
+        let up = || BusStatus { link: Link::Up, ..BusStatus::default() };
+        buses.set_searched(Some(BusIndex(1)));
+        let mut update = |at| buses.update_status(Instant::ZERO, BusIndex(at), up());
+        assert_eq!(update(0).map(|lines| lines.len()), Some(1));
+        assert_eq!(update(1), Some(Vec::new()));
+        assert_eq!(update(1), None, "nothing changed");
+    }
+}

@@ -1,0 +1,90 @@
+//! The changes between two adapter statuses, as timeline texts.
+//!
+//! Pure: two statuses in, lines out.
+
+use crate::app::notices::TimelineKind;
+use crate::status::{BusState, BusStatus, Link};
+use crate::text::Escaped;
+
+/// Returns the changes from `old` to `status`, one line each.
+pub(super) fn status_changes(old: &BusStatus, status: &BusStatus) -> Vec<(TimelineKind, String)> {
+    let shown = |text: &String| Escaped(text.as_bytes()).to_string();
+    let message = status.message.as_ref().map(shown);
+    let mut lines = Vec::new();
+    if old.link != status.link {
+        lines.push(match status.link {
+            Link::Opening => (TimelineKind::Bus, "opening".to_owned()),
+            Link::Up if old.link == Link::Ended => {
+                (TimelineKind::Bus, "log has grown: replay continues".to_owned())
+            }
+            Link::Up => (TimelineKind::Bus, "open".to_owned()),
+            Link::Ended => (TimelineKind::Bus, "end of log".to_owned()),
+            _ => (TimelineKind::Error, message.unwrap_or_else(|| "down".to_owned())),
+        });
+    }
+    if status.filtered && !old.filtered {
+        lines.push((
+            TimelineKind::Bus,
+            "receive filter on: only matching frames are read".to_owned(),
+        ));
+    }
+    let stays_up = old.link == Link::Up && status.link == Link::Up;
+    if stays_up && old.outages < status.outages {
+        lines.push((TimelineKind::Error, "was briefly down".to_owned()));
+    }
+    let was_off = old.state == BusState::BusOff || status.state == BusState::BusOff;
+    if stays_up && old.bus_offs < status.bus_offs && !was_off {
+        lines.push((TimelineKind::Error, "was briefly bus-off".to_owned()));
+    }
+    if old.renamed != status.renamed {
+        let text = match &status.renamed {
+            Some(name) => format!("interface renamed to {}", shown(name)),
+            None if status.link == Link::Up => "interface has its old name again".to_owned(),
+            None => "renamed interface not found".to_owned(),
+        };
+        lines.push((TimelineKind::Bus, text));
+    }
+    if old.state != status.state && status.state != BusState::Unknown {
+        let kind = match status.state {
+            BusState::ErrorActive => TimelineKind::Bus,
+            BusState::ErrorWarning => TimelineKind::Late,
+            _ => TimelineKind::Error,
+        };
+        let counters = match (status.tec, status.rec) {
+            (Some(tec), Some(rec)) => format!(" (error counters: tx {tec}, rx {rec})"),
+            _ => String::new(),
+        };
+        lines.push((kind, format!("{}{counters}", status.state)));
+    }
+    if old.bitrate != status.bitrate
+        && let Some(bitrate) = status.bitrate
+    {
+        lines.push((TimelineKind::Bus, format!("{bitrate} bit/s")));
+    }
+    if let Some(note) = status.note.as_ref().filter(|note| old.note.as_ref() != Some(note)) {
+        lines.push((TimelineKind::Bus, shown(note)));
+    }
+    match (old.is_transmit_queue_full, status.is_transmit_queue_full) {
+        (false, true) => {
+            lines.push((TimelineKind::Error, "transmit queue full: frames not sent".to_owned()));
+        }
+        (true, false) if status.link == Link::Up => {
+            lines.push((TimelineKind::Bus, "transmit queue no longer full".to_owned()));
+        }
+        _ => {}
+    }
+    // Reported once: unreadable data arrives in bursts.
+    if old.unreadable == 0 && status.unreadable > 0 {
+        lines.push((TimelineKind::Error, "unreadable data received (counted)".to_owned()));
+    }
+    for (before, now, why) in [
+        (old.kernel_drops, status.kernel_drops, "the kernel's receive buffer was full"),
+        (old.queue_drops, status.queue_drops, "descan's receive queue was full"),
+        (old.controller_overruns, status.controller_overruns, "controller overrun"),
+    ] {
+        if before < now {
+            lines.push((TimelineKind::Error, format!("frames lost: {why}")));
+        }
+    }
+    lines
+}

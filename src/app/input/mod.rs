@@ -1,0 +1,263 @@
+//! What keys and text go to: the keymap, the overlay over the page, prompts, and the guard against
+//! keys typed ahead.
+//!
+//! Inputs: keys and pasted text. Outputs: the action of a key, what a prompt wants to be done. Does
+//! not execute actions and does not know how overlays are drawn.
+
+mod prompt;
+mod prompt_kinds;
+mod type_ahead;
+
+pub use prompt::{InputCheck, Prompt, PromptKind};
+pub(super) use prompt::{PromptContext, PromptKey, PromptOutcome};
+pub(super) use prompt_kinds::{
+    AddressPrompt, CapturePathPrompt, CopyPathPrompt, FilterPrompt, NewEntryPrompt, RenamePrompt,
+};
+
+use crate::discovery::DeviceId;
+use crate::document::EntryKey;
+use crate::frame::BusIndex;
+use crate::keymap::{Action, Key, KeyMode, Keymap};
+use crate::time::Instant;
+use type_ahead::TypeAheadGuard;
+
+/// A question that is answered with yes or no.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Question {
+    /// Quit with unsaved edits?
+    Quit,
+    /// Delete this entry, while its text in the file is this?
+    Delete(EntryKey, String),
+    /// Send the identify command to this device?
+    Identify(DeviceId),
+    /// Search the bit rate of this bus?
+    FindBitrate(BusIndex),
+}
+
+/// What is open over the page.
+#[derive(Clone, Debug, Default)]
+pub enum Overlay {
+    /// Nothing.
+    #[default]
+    None,
+    /// The help, scrolled by this many lines.
+    Help(u16),
+    /// A question.
+    Question(Question),
+    /// A prompt.
+    Prompt(Prompt),
+    /// The two values of an edit conflict.
+    Conflict,
+}
+
+/// Keymap, overlay and type-ahead guard.
+#[derive(Debug)]
+pub(super) struct Input {
+    keymap: Keymap,
+    overlay: Overlay,
+    /// The prompt that was open when a conflict came up; it is opened again afterwards.
+    suspended_prompt: Option<Prompt>,
+    guard: Option<TypeAheadGuard>,
+}
+
+impl Input {
+    /// Returns an input without an overlay.
+    pub fn new(keymap: Keymap) -> Self {
+        Self { keymap, overlay: Overlay::None, suspended_prompt: None, guard: None }
+    }
+
+    /// The keymap.
+    pub fn keymap(&self) -> &Keymap {
+        &self.keymap
+    }
+
+    /// The overlay.
+    pub fn overlay(&self) -> &Overlay {
+        &self.overlay
+    }
+
+    /// Returns true if an overlay is open.
+    pub fn has_overlay(&self) -> bool {
+        !matches!(self.overlay, Overlay::None)
+    }
+
+    /// Mode in which keys are looked up; an open prompt takes keys before that.
+    pub fn mode(&self) -> KeyMode {
+        match self.overlay {
+            Overlay::None | Overlay::Prompt(_) => KeyMode::Browse,
+            Overlay::Help(_) => KeyMode::Help,
+            Overlay::Question(_) => KeyMode::Confirm,
+            Overlay::Conflict => KeyMode::Conflict,
+        }
+    }
+
+    /// The action of a key in the present mode.
+    pub fn lookup(&self, key: Key) -> Option<Action> {
+        self.keymap.lookup(self.mode(), key)
+    }
+
+    /// The open prompt.
+    pub fn prompt(&self) -> Option<&Prompt> {
+        match &self.overlay {
+            Overlay::Prompt(prompt) => Some(prompt),
+            _ => None,
+        }
+    }
+
+    /// The open prompt, for changes.
+    pub fn prompt_mut(&mut self) -> Option<&mut Prompt> {
+        match &mut self.overlay {
+            Overlay::Prompt(prompt) => Some(prompt),
+            _ => None,
+        }
+    }
+
+    /// The open question.
+    pub fn question(&self) -> Option<&Question> {
+        match &self.overlay {
+            Overlay::Question(question) => Some(question),
+            _ => None,
+        }
+    }
+
+    /// Opens an overlay in place of the present one.
+    pub fn open(&mut self, overlay: Overlay) {
+        self.overlay = overlay;
+    }
+
+    /// Opens a question.
+    pub fn ask(&mut self, question: Question) {
+        self.overlay = Overlay::Question(question);
+    }
+
+    /// Closes the overlay and returns it.
+    pub fn close(&mut self) -> Overlay {
+        std::mem::take(&mut self.overlay)
+    }
+
+    /// Closes the prompt and returns it; another overlay stays open.
+    pub fn close_prompt(&mut self) -> Option<Prompt> {
+        match self.close() {
+            Overlay::Prompt(prompt) => Some(prompt),
+            other => {
+                self.overlay = other;
+                None
+            }
+        }
+    }
+
+    /// Closes the question and returns it; another overlay stays open.
+    pub fn close_question(&mut self) -> Option<Question> {
+        match self.close() {
+            Overlay::Question(question) => Some(question),
+            other => {
+                self.overlay = other;
+                None
+            }
+        }
+    }
+
+    /// Scrolls the help by lines; the end is known when it is drawn.
+    pub fn scroll_help(&mut self, by: i16) {
+        if let Overlay::Help(at) = &mut self.overlay {
+            *at = at.saturating_add_signed(by);
+        }
+    }
+
+    /// Takes the line to which the help was scrolled when it was drawn; returns false if the help
+    /// is not open.
+    pub fn set_help_scroll(&mut self, line: u16) -> bool {
+        let Overlay::Help(at) = &mut self.overlay else { return false };
+        *at = line;
+        true
+    }
+
+    // ---- edit conflicts --------------------------------------------------------------------
+
+    /// Returns true if an edit conflict is open.
+    pub fn shows_conflict(&self) -> bool {
+        matches!(self.overlay, Overlay::Conflict)
+    }
+
+    /// Opens the edit conflict; an open prompt is suspended.
+    pub fn show_conflict(&mut self, now: Instant) {
+        if !self.shows_conflict() {
+            self.guard = Some(TypeAheadGuard::for_conflict(now));
+        }
+        if let Overlay::Prompt(prompt) = std::mem::replace(&mut self.overlay, Overlay::Conflict) {
+            self.suspended_prompt = Some(prompt);
+        }
+    }
+
+    /// Closes the edit conflict and opens a suspended prompt again.
+    pub fn leave_conflict(&mut self) {
+        self.guard = None;
+        self.overlay = self.suspended_prompt.take().map_or(Overlay::None, Overlay::Prompt);
+    }
+
+    // ---- keys typed ahead ------------------------------------------------------------------
+
+    /// Takes note of an action that was executed: where its prompt was refused, text typed for it
+    /// is ignored.
+    pub fn note_executed(&mut self, now: Instant, action: Action) {
+        if action.is_line_edit() && !self.has_overlay() {
+            self.guard = Some(TypeAheadGuard::for_refused_prompt(now, action));
+        }
+    }
+
+    /// Accepts keys at once: the user opened the present overlay on purpose.
+    pub fn accept_keys(&mut self) {
+        self.guard = None;
+    }
+
+    /// Returns true if a key was typed ahead and is to be ignored.
+    pub fn is_typed_ahead(&mut self, now: Instant, key: Key) -> bool {
+        let Some(mut guard) = self.guard.take() else { return false };
+        let is_ignored = guard.ignores(now, key);
+        self.guard = Some(guard).filter(|_| is_ignored);
+        is_ignored
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::time::Duration;
+
+    const NOW: Instant = Instant::ZERO;
+
+    #[test]
+    fn conflict_suspends_and_restores_prompt() {
+        let mut input = Input::new(Keymap::default());
+        let prompt = Prompt::new(PromptKind::CopyPath(CopyPathPrompt), "a.json".to_owned());
+        input.open(Overlay::Prompt(prompt));
+        input.show_conflict(NOW);
+        assert_eq!(input.lookup(Key::char('o')), Some(Action::Ours));
+        assert!(input.prompt().is_none() && input.close_prompt().is_none());
+        input.leave_conflict();
+        assert_eq!(input.prompt().map(|it| it.input.value()), Some("a.json"));
+    }
+
+    #[test]
+    fn letters_typed_into_refused_prompt_are_ignored() {
+        let mut input = Input::new(Keymap::default());
+        let later = |millis| NOW + Duration::from_millis(millis);
+        input.note_executed(NOW, Action::EditAddress);
+        assert!(input.is_typed_ahead(later(100), Key::char('1')));
+        assert!(input.is_typed_ahead(later(200), Key::char('6')));
+        assert!(!input.is_typed_ahead(later(900), Key::char('1')), "that is a new key");
+        input.note_executed(NOW, Action::EditAddress);
+        assert!(!input.is_typed_ahead(later(100), Key::char('q')), "not a digit");
+    }
+
+    #[test]
+    fn help_scrolls_only_while_open() {
+        let mut input = Input::new(Keymap::default());
+        assert!(!input.set_help_scroll(3));
+        input.open(Overlay::Help(0));
+        input.scroll_help(5);
+        input.scroll_help(-9);
+        assert!(matches!(input.overlay(), Overlay::Help(0)));
+        assert!(input.set_help_scroll(3) && matches!(input.close(), Overlay::Help(3)));
+    }
+}

@@ -1,0 +1,283 @@
+//! A line of text that the user types: filter, address, name, new entry, path.
+//!
+//! Inputs: keys and pasted text. The line is validated with every change ([`InputCheck`]); Enter
+//! commits it ([`PromptOutcome`]), Esc drops it. Does not know how the line is drawn and executes
+//! nothing.
+
+use super::prompt_kinds::{
+    AddressPrompt, CapturePathPrompt, CopyPathPrompt, FilterPrompt, NewEntryPrompt, RenamePrompt,
+};
+use crate::app::buses::Buses;
+use crate::app::file::FileState;
+use crate::app::problems::Matching;
+use crate::app::view::Page;
+use crate::document::{NewEntry, Operation};
+use crate::frame::BusIndex;
+use crate::keymap::{Key, KeyCode};
+use crate::text::is_printable;
+use std::path::PathBuf;
+use tui_input::{Input as LineInput, InputRequest};
+
+/// Longest line, in bytes.
+const MAX_LENGTH: usize = 1000;
+
+/// An open prompt.
+#[derive(Clone, Debug)]
+pub struct Prompt {
+    /// Purpose of the line.
+    pub kind: PromptKind,
+    /// Text and cursor.
+    pub input: LineInput,
+    /// The text is the present value: the first typed character replaces it.
+    pub untouched: bool,
+}
+
+/// Purpose of a prompt, with its own state.
+#[derive(Clone, Debug)]
+pub enum PromptKind {
+    /// Filter of a page.
+    Filter(FilterPrompt),
+    /// Static address of a device or an entry, edited in its row.
+    Address(AddressPrompt),
+    /// New name of an entry.
+    Rename(RenamePrompt),
+    /// Name and address of a new entry.
+    NewEntry(NewEntryPrompt),
+    /// Path of a log of the captured frames.
+    CapturePath(CapturePathPrompt),
+    /// Path of a copy of des.json.
+    CopyPath(CopyPathPrompt),
+}
+
+/// Result of the validation of a line.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum InputCheck {
+    /// Enter works; the text says what it does, or what can be typed.
+    Accepted(String),
+    /// Enter works; the text says what to consider before.
+    Warning(String),
+    /// Enter does nothing; the text says why.
+    Rejected(String),
+}
+
+/// What prompts are validated against.
+#[derive(Clone, Copy)]
+pub(in crate::app) struct PromptContext<'a> {
+    pub file: &'a FileState,
+    pub matching: &'a Matching,
+    pub buses: &'a Buses,
+    /// Bus of the selected row, for a new entry.
+    pub selected_bus: Option<BusIndex>,
+    /// Number of captured frames.
+    pub frames: u64,
+}
+
+/// What a committed prompt wants to be done.
+#[derive(Debug, PartialEq, Eq)]
+pub(in crate::app) enum PromptOutcome {
+    /// Nothing.
+    Nothing,
+    /// Set the filter of a page; then show the error in it, if there is one.
+    SetFilter(Page, String, Option<String>),
+    /// Edit des.json.
+    Edit(Vec<Operation>),
+    /// Add an entry to des.json and select it.
+    AddEntry(NewEntry),
+    /// Show a message about the content of des.json.
+    FileInfo(String),
+    /// Write the captured frames to this path.
+    SaveCapture(PathBuf),
+    /// Write a copy of des.json to this path.
+    SaveCopy(PathBuf),
+}
+
+/// What a key in a prompt leads to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::app) enum PromptKey {
+    /// The line changed, or the key has no meaning.
+    Typed,
+    /// Enter: commit the line.
+    Commit,
+    /// Esc: drop the line.
+    Cancel,
+    /// Tab: edit the address on the next redundant bus.
+    NextBus,
+}
+
+/// The behaviour of one kind of prompt.
+pub(super) trait PromptLogic {
+    /// Text before the line.
+    fn label(&self) -> &'static str;
+
+    /// The same for a narrow screen.
+    fn short_label(&self) -> &'static str {
+        self.label()
+    }
+
+    /// Returns true if committing it edits des.json; `place` of the entry that is edited then.
+    fn edited_place(&self, _context: PromptContext) -> Option<Option<usize>> {
+        None
+    }
+
+    /// Validates the line, which has no blanks at its ends.
+    fn validate(&self, text: &str, context: PromptContext) -> InputCheck;
+
+    /// Returns what Enter does with a line that is not rejected.
+    fn commit(&self, text: &str, context: PromptContext) -> PromptOutcome;
+}
+
+impl PromptKind {
+    fn logic(&self) -> &dyn PromptLogic {
+        match self {
+            PromptKind::Filter(prompt) => prompt,
+            PromptKind::Address(prompt) => prompt,
+            PromptKind::Rename(prompt) => prompt,
+            PromptKind::NewEntry(prompt) => prompt,
+            PromptKind::CapturePath(prompt) => prompt,
+            PromptKind::CopyPath(prompt) => prompt,
+        }
+    }
+
+    /// Text before the line.
+    pub fn label(&self) -> &'static str {
+        self.logic().label()
+    }
+
+    /// Text before the line on a narrow screen.
+    pub fn short_label(&self) -> &'static str {
+        self.logic().short_label()
+    }
+
+    /// Returns true if the line is a path: both of its ends tell it from others.
+    pub const fn is_path(&self) -> bool {
+        matches!(self, PromptKind::CapturePath(_) | PromptKind::CopyPath(_))
+    }
+
+    /// Returns true if the prompt edits des.json.
+    pub const fn is_edit(&self) -> bool {
+        matches!(self, PromptKind::Address(_) | PromptKind::Rename(_) | PromptKind::NewEntry(_))
+    }
+}
+
+impl Prompt {
+    /// Returns a prompt that begins with this text.
+    pub(in crate::app) fn new(kind: PromptKind, text: String) -> Self {
+        let untouched = matches!(kind, PromptKind::Address(_)) && !text.is_empty();
+        Self { kind, input: LineInput::new(text), untouched }
+    }
+
+    /// The line without blanks at its ends.
+    fn text(&self) -> &str {
+        self.input.value().trim()
+    }
+
+    /// Validates the line.
+    pub(in crate::app) fn validate(&self, context: PromptContext) -> InputCheck {
+        let logic = self.kind.logic();
+        if let Some(place) = logic.edited_place(context)
+            && let Err(refusal) = context.file.check_edit(place)
+        {
+            return InputCheck::Rejected(refusal.to_string());
+        }
+        logic.validate(self.text(), context)
+    }
+
+    /// Returns what Enter does.
+    pub(in crate::app) fn commit(&self, context: PromptContext) -> PromptOutcome {
+        self.kind.logic().commit(self.text(), context)
+    }
+
+    /// Takes a key.
+    pub(in crate::app) fn handle_key(&mut self, key: Key) -> PromptKey {
+        match key.code {
+            KeyCode::Enter => return PromptKey::Commit,
+            KeyCode::Esc => return PromptKey::Cancel,
+            // Tab goes on from the name to the address of a new entry, as a space does.
+            KeyCode::Tab if self.is_in_name() => self.change(&[InputRequest::InsertChar(' ')]),
+            KeyCode::Tab => return PromptKey::NextBus,
+            _ => {
+                if let Some(request) = request(key) {
+                    self.change(&[request]);
+                }
+            }
+        }
+        PromptKey::Typed
+    }
+
+    /// Returns true if the name of a new entry is being typed.
+    fn is_in_name(&self) -> bool {
+        let text = self.input.value();
+        matches!(self.kind, PromptKind::NewEntry(_)) && !text.is_empty() && !text.ends_with(' ')
+    }
+
+    /// Inserts the first line of pasted text.
+    pub(in crate::app) fn paste(&mut self, text: &str) {
+        let line = text.trim().lines().next().unwrap_or_default();
+        let printable = line.chars().filter(|&c| is_printable(c));
+        let requests: Vec<InputRequest> = printable.map(InputRequest::InsertChar).collect();
+        self.change(&requests);
+    }
+
+    fn change(&mut self, requests: &[InputRequest]) {
+        for &request in requests {
+            let grows = matches!(request, InputRequest::InsertChar(_));
+            if std::mem::take(&mut self.untouched) && grows {
+                self.input.reset();
+            }
+            if !grows || self.input.value().len() < MAX_LENGTH {
+                self.input.handle(request);
+            }
+        }
+    }
+}
+
+/// The change of the line that a key requests; `None` for a key without one.
+fn request(key: Key) -> Option<InputRequest> {
+    use InputRequest as R;
+    Some(match (key.code, key.ctrl, key.alt) {
+        (KeyCode::Char(c), false, false) if is_printable(c) => R::InsertChar(c),
+        (KeyCode::Backspace, false, false) | (KeyCode::Char('h'), true, _) => R::DeletePrevChar,
+        (KeyCode::Delete, ..) => R::DeleteNextChar,
+        (KeyCode::Left, true, _) => R::GoToPrevWord,
+        (KeyCode::Right, true, _) => R::GoToNextWord,
+        (KeyCode::Left, ..) => R::GoToPrevChar,
+        (KeyCode::Right, ..) => R::GoToNextChar,
+        (KeyCode::Home, ..) | (KeyCode::Char('a'), true, _) => R::GoToStart,
+        (KeyCode::End, ..) | (KeyCode::Char('e'), true, _) => R::GoToEnd,
+        (KeyCode::Char('u'), true, _) => R::DeleteLine,
+        (KeyCode::Char('k'), true, _) => R::DeleteTillEnd,
+        (KeyCode::Char('w'), true, _) | (KeyCode::Backspace, ..) => R::DeletePrevWord,
+        _ => return None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn typed(prompt: &mut Prompt, keys: &str) {
+        for c in keys.chars() {
+            assert_eq!(prompt.handle_key(Key::char(c)), PromptKey::Typed);
+        }
+    }
+
+    #[test]
+    fn tab_in_new_entry_separates_name_and_address() {
+        let mut prompt =
+            Prompt::new(PromptKind::NewEntry(NewEntryPrompt::default()), String::new());
+        typed(&mut prompt, "PUMP");
+        assert_eq!(prompt.handle_key(Key::new(KeyCode::Tab)), PromptKey::Typed);
+        typed(&mut prompt, "12");
+        assert_eq!(prompt.input.value(), "PUMP 12");
+        assert_eq!(prompt.handle_key(Key::new(KeyCode::Enter)), PromptKey::Commit);
+    }
+
+    #[test]
+    fn pasted_text_is_cut_to_its_first_line() {
+        let mut prompt = Prompt::new(PromptKind::CopyPath(CopyPathPrompt), String::new());
+        prompt.paste(" a\u{7}b.json\nsecond");
+        assert_eq!(prompt.input.value(), "ab.json");
+        prompt.paste(&"x".repeat(2 * MAX_LENGTH));
+        assert_eq!(prompt.input.value().len(), MAX_LENGTH);
+    }
+}

@@ -1,0 +1,631 @@
+//! The kinds of prompts: what each accepts, and what Enter does with it.
+//!
+//! A prompt that edits des.json refers to its entry by key, and to the content of the file when it
+//! was opened: the file may change on disk while the user types.
+
+use super::prompt::{InputCheck as C, PromptContext, PromptLogic, PromptOutcome};
+use crate::app::filter::Filter;
+use crate::app::listing::new_entry;
+use crate::app::problems::is_for;
+use crate::app::view::{Page, RowKey};
+use crate::discovery::DeviceId;
+use crate::document::{Document, Entry, EntryKey, NewEntry, Operation};
+use crate::text::Quoted;
+use std::path::PathBuf;
+
+/// What Enter does after the file was deleted or emptied while the user typed.
+const CREATES_FILE: &str = "Enter creates a new file";
+
+// ---- filter --------------------------------------------------------------------------------
+
+/// Prompt for the filter of a page.
+#[derive(Clone, Debug)]
+pub struct FilterPrompt {
+    /// The page.
+    pub page: Page,
+    /// The filter before, for Esc.
+    pub before: String,
+}
+
+impl PromptLogic for FilterPrompt {
+    fn label(&self) -> &'static str {
+        "filter"
+    }
+
+    fn validate(&self, _text: &str, _context: PromptContext) -> C {
+        C::Accepted(Filter::syntax_hint(self.page).to_owned())
+    }
+
+    fn commit(&self, text: &str, _context: PromptContext) -> PromptOutcome {
+        PromptOutcome::SetFilter(self.page, text.to_owned(), Filter::parse(text).error())
+    }
+}
+
+// ---- the entry that a prompt edits ---------------------------------------------------------
+
+/// The entry that a prompt edits, and the file as it was when the prompt was opened.
+#[derive(Clone, Debug)]
+struct EntryTarget {
+    /// Content of the file when the prompt was opened.
+    on: Document,
+    /// Place of the entry in it; `None` for a device that was not listed.
+    place: Option<usize>,
+    /// The device whose entry it is: its entry may be another one by now.
+    device: Option<DeviceId>,
+}
+
+impl EntryTarget {
+    fn new(key: &RowKey, context: PromptContext) -> Self {
+        let on = context.file.document().clone();
+        let place = place_of(key, context);
+        let device = match key {
+            RowKey::Device(id) => Some(*id),
+            RowKey::Entry(_) => None,
+        };
+        Self { on, place, device }
+    }
+
+    /// The entry as it is now; `None` if it was deleted.
+    fn entry<'a>(&self, context: PromptContext<'a>) -> Option<&'a Entry> {
+        match self.device {
+            Some(id) => entry_of(&RowKey::Device(id), context),
+            None => self.counterpart(context),
+        }
+    }
+
+    /// What the entry has become that the prompt was opened on.
+    fn counterpart<'a>(&self, context: PromptContext<'a>) -> Option<&'a Entry> {
+        let document = context.file.document();
+        document.entries().get(self.on.counterpart(self.place?, document)?)
+    }
+
+    /// The entry as it was when the prompt was opened.
+    fn before(&self) -> Option<&Entry> {
+        self.on.entries().get(self.place?)
+    }
+
+    /// What happened to the entry, where it is not the one to edit any more.
+    fn gone_text(&self, context: PromptContext) -> String {
+        if let Some(gone) = file_gone(&self.on, context) {
+            return gone;
+        }
+        match self.counterpart(context) {
+            Some(entry) if self.before().is_some_and(|before| before.name != entry.name) => {
+                format!("entry {}", renamed(entry))
+            }
+            // A twin may have appeared, or the changed entry matches another device better.
+            Some(_) => "entry may belong to another device now".to_owned(),
+            None => "entry deleted on disk".to_owned(),
+        }
+    }
+}
+
+fn place_of(key: &RowKey, context: PromptContext) -> Option<usize> {
+    match key {
+        RowKey::Device(id) => context.matching.entry_of(*id),
+        RowKey::Entry(key) => context.file.document().find(key),
+    }
+}
+
+fn entry_of<'a>(key: &RowKey, context: PromptContext<'a>) -> Option<&'a Entry> {
+    context.file.document().entries().get(place_of(key, context)?)
+}
+
+/// What happened to a file that had content when the prompt was opened and has none now.
+fn file_gone(on: &Document, context: PromptContext) -> Option<String> {
+    let name = context.file.name();
+    if on.is_blank() {
+        None
+    } else if !context.file.is_there() {
+        Some(format!("{name} was deleted"))
+    } else {
+        context.file.document().is_blank().then(|| format!("{name} is empty now"))
+    }
+}
+
+// ---- static address ------------------------------------------------------------------------
+
+/// Prompt for the static address of a device or an entry, in its row.
+#[derive(Clone, Debug)]
+pub struct AddressPrompt {
+    /// The row.
+    pub key: RowKey,
+    /// The text with which it was opened: the static address then.
+    before: String,
+    target: EntryTarget,
+}
+
+impl AddressPrompt {
+    /// Returns the prompt for a row, and the text that it begins with.
+    pub(in crate::app) fn new(key: RowKey, context: PromptContext) -> (Self, String) {
+        let before = pinned(entry_of(&key, context));
+        let target = EntryTarget::new(&key, context);
+        (Self { key, before: before.clone(), target }, before)
+    }
+
+    /// Result where the entry, its address or the whole file changed on disk while the user typed.
+    fn check_concurrent_change(&self, text: &str, context: PromptContext) -> Option<C> {
+        let entry = self.target.entry(context);
+        let gone = file_gone(&self.target.on, context).map(|gone| (gone, CREATES_FILE));
+        let unlisted = || (self.target.gone_text(context), "Enter adds it again");
+        let gone = gone.or_else(|| self.target.place.is_some().then(unlisted));
+        if let Some((gone, what)) = gone.filter(|_| entry.is_none()) {
+            return Some(C::Warning(if text.is_empty() {
+                gone
+            } else {
+                format!("{gone}; {what}")
+            }));
+        }
+        if let Some((now, typed)) = entry.zip(parse_address(text))
+            && self.target.before().is_some_and(|before| before.name != now.name)
+        {
+            // A renamed entry, or another one in its place: the two look the same.
+            return Some(C::Warning(format!("entry {}; Enter pins it to {typed}", renamed(now))));
+        }
+        let theirs = self.changed_on_disk(context)?;
+        let typed = parse_address(text).map(|it| it.to_string()).unwrap_or_default();
+        Some(if typed == pinned(entry) {
+            C::Accepted(format!("already {theirs}"))
+        } else {
+            C::Warning(format!("{theirs}; Enter overwrites it"))
+        })
+    }
+
+    /// How the static address changed on disk while the user typed; `None` if it did not.
+    fn changed_on_disk(&self, context: PromptContext) -> Option<String> {
+        let now = pinned(self.target.entry(context));
+        let theirs = match now.as_str() {
+            now if now == self.before => return None,
+            "" => "unpinned".to_owned(),
+            now => format!("changed to {now}"),
+        };
+        Some(format!("{theirs} on disk"))
+    }
+
+    fn check_address(&self, text: &str, context: PromptContext) -> C {
+        let entry = self.target.entry(context);
+        if entry.is_none() && matches!(self.key, RowKey::Entry(_)) {
+            return C::Rejected(self.target.gone_text(context));
+        }
+        if text.is_empty() {
+            return match entry {
+                Some(entry) if entry.is_static => C::Accepted("empty: Enter unpins it".to_owned()),
+                _ => C::Accepted("1 to 127, decimal or 0x…".to_owned()),
+            };
+        }
+        let Some(address) = parse_address(text) else {
+            return C::Rejected("not an address: 1 to 127, or 0x01 to 0x7F".to_owned());
+        };
+        let device = match &self.key {
+            RowKey::Device(id) => context.buses.device(*id),
+            RowKey::Entry(_) => None,
+        };
+        if device.is_some_and(|device| device.name.is_none()) {
+            return C::Rejected("name not known yet".to_owned());
+        }
+        let bus = device.and_then(|it| context.buses.get(it.id.bus)).map(|bus| bus.name.as_str());
+        let bus = bus.or(entry.and_then(|entry| entry.bus.as_deref()));
+        let own = entry.map(|entry| entry.index);
+        if let Some(blocked) = pinned_elsewhere(context, address, bus, own) {
+            return blocked;
+        }
+        let own = |id| match &self.key {
+            RowKey::Device(own) => *own == id,
+            RowKey::Entry(_) => false,
+        };
+        let is_pinned = entry.is_some_and(|it| it.is_static && it.address == Some(address));
+        address_in_use(context, address, bus, own).unwrap_or_else(|| {
+            C::Accepted(if is_pinned {
+                format!("already pinned to {address}")
+            } else {
+                format!("Enter pins it to {address}")
+            })
+        })
+    }
+}
+
+impl PromptLogic for AddressPrompt {
+    fn label(&self) -> &'static str {
+        "static address"
+    }
+
+    fn edited_place(&self, context: PromptContext) -> Option<Option<usize>> {
+        Some(self.target.entry(context).map(|entry| entry.index))
+    }
+
+    fn validate(&self, text: &str, context: PromptContext) -> C {
+        match self.check_address(text, context) {
+            C::Rejected(why) => C::Rejected(why),
+            check => self.check_concurrent_change(text, context).unwrap_or(check),
+        }
+    }
+
+    fn commit(&self, text: &str, context: PromptContext) -> PromptOutcome {
+        let entry = self.target.entry(context);
+        let key = |entry: &Entry| context.file.document().key(entry.index);
+        let operation = match (parse_address(text), entry) {
+            (None, Some(entry)) if entry.is_static => {
+                Some(Operation::ClearAddress { entry: key(entry), from: entry.address })
+            }
+            (Some(to), Some(entry)) if !entry.is_static || entry.address != Some(to) => {
+                let from = entry.address;
+                Some(Operation::SetAddress { entry: key(entry), from, to })
+            }
+            (Some(to), None) => match self.key {
+                RowKey::Device(id) => context.buses.device(id).and_then(|device| {
+                    let mut entry = new_entry(context.buses, device)?;
+                    (entry.address, entry.is_static) = (Some(to), true);
+                    Some(Operation::Add { entry })
+                }),
+                RowKey::Entry(_) => None,
+            },
+            _ => None,
+        };
+        match (operation, entry.and_then(|_| self.changed_on_disk(context))) {
+            (Some(operation), _) => PromptOutcome::Edit(vec![operation]),
+            (None, Some(theirs)) => PromptOutcome::FileInfo(format!("already {theirs}")),
+            (None, None) => PromptOutcome::Nothing,
+        }
+    }
+}
+
+/// Rejects an address that another entry pins on the bus, or on any.
+fn pinned_elsewhere(
+    context: PromptContext,
+    address: u8,
+    bus: Option<&str>,
+    own: Option<usize>,
+) -> Option<C> {
+    let other = context.file.document().entries().iter().find(|entry| {
+        Some(entry.index) != own
+            && entry.is_static
+            && entry.address == Some(address)
+            && bus.is_none_or(|bus| is_for(entry, bus))
+    })?;
+    let line = other.position.line;
+    let name = Quoted(&other.name);
+    Some(C::Rejected(format!("{address} is the static address of {name} (line {line})")))
+}
+
+/// Warns of an address that another present device uses.
+fn address_in_use(
+    context: PromptContext,
+    address: u8,
+    bus: Option<&str>,
+    is_own: impl Fn(crate::discovery::DeviceId) -> bool,
+) -> Option<C> {
+    let buses = context.buses.iter().filter(|it| bus.is_none_or(|bus| it.name == bus));
+    let other = buses.flat_map(|bus| bus.devices()).find(|device| {
+        device.address.number() == address && device.is_present() && !is_own(device.id)
+    })?;
+    let who = other.name.as_ref().map_or("a device".to_owned(), ToString::to_string);
+    Some(C::Warning(format!("{address} is used by {who}; Enter pins it anyway")))
+}
+
+// ---- another name --------------------------------------------------------------------------
+
+/// Prompt for the new name of an entry.
+#[derive(Clone, Debug)]
+pub struct RenamePrompt {
+    /// The entry, as it was when the prompt was opened.
+    key: EntryKey,
+    target: EntryTarget,
+}
+
+impl RenamePrompt {
+    /// Returns the prompt for an entry.
+    pub(in crate::app) fn new(key: EntryKey, context: PromptContext) -> Self {
+        let target = EntryTarget::new(&RowKey::Entry(key.clone()), context);
+        Self { key, target }
+    }
+}
+
+impl PromptLogic for RenamePrompt {
+    fn label(&self) -> &'static str {
+        "name"
+    }
+
+    fn edited_place(&self, context: PromptContext) -> Option<Option<usize>> {
+        Some(self.target.entry(context).map(|entry| entry.index))
+    }
+
+    fn validate(&self, text: &str, context: PromptContext) -> C {
+        let Some(entry) = self.target.entry(context) else {
+            return C::Rejected(self.target.gone_text(context));
+        };
+        let check = check_name(text);
+        if entry.name == self.key.name || matches!(check, C::Rejected(_)) {
+            return check;
+        }
+        let theirs = renamed(entry);
+        if unescaped(text).as_ref() == Ok(&entry.name) {
+            C::Accepted(format!("already {theirs}"))
+        } else {
+            C::Warning(format!("{theirs}; Enter overwrites it"))
+        }
+    }
+
+    fn commit(&self, text: &str, context: PromptContext) -> PromptOutcome {
+        let (Ok(to), Some(entry)) = (unescaped(text), self.target.entry(context)) else {
+            return PromptOutcome::Nothing;
+        };
+        if entry.name != to {
+            let entry = context.file.document().key(entry.index);
+            PromptOutcome::Edit(vec![Operation::Rename { entry, to }])
+        } else if self.key.name != to {
+            PromptOutcome::FileInfo(format!("already {}", renamed(entry)))
+        } else {
+            PromptOutcome::Nothing
+        }
+    }
+}
+
+// ---- new entry -----------------------------------------------------------------------------
+
+/// Prompt for name and address of a new entry.
+#[derive(Clone, Debug)]
+pub struct NewEntryPrompt {
+    /// Content of the file when the prompt was opened.
+    on: Document,
+}
+
+impl Default for NewEntryPrompt {
+    fn default() -> Self {
+        Self { on: Document::empty() }
+    }
+}
+
+impl NewEntryPrompt {
+    /// Returns the prompt for this content of the file.
+    pub(in crate::app) fn new(on: Document) -> Self {
+        Self { on }
+    }
+
+    fn check_entry(text: &str, context: PromptContext) -> C {
+        let (name, address) = match split_new_entry(text) {
+            Ok(split) => split,
+            Err(why) => return C::Rejected(why.to_owned()),
+        };
+        let bus = context.buses.entry_bus(context.selected_bus);
+        let exists = |entry: &&Entry| entry.name == name && entry.address == address;
+        if let Some(other) = context.file.document().entries().iter().find(exists) {
+            let line = other.position.line;
+            return C::Rejected(format!("entry already exists (line {line})"));
+        }
+        let Some(address) = address else {
+            let shown = Quoted(&name);
+            let last = text.rsplit(char::is_whitespace).next().unwrap_or_default();
+            return if is_number(text.trim()) {
+                C::Rejected(NEW_ENTRY_SYNTAX.to_owned())
+            } else if is_number(last) {
+                C::Rejected(format!("{last} is not an address (1 to 127)"))
+            } else if last.starts_with(|c: char| c.is_ascii_digit()) {
+                C::Warning(format!("all of it is the name: {last} is not an address"))
+            } else {
+                C::Accepted(format!("{shown}, not pinned (space, then address)"))
+            };
+        };
+        if let Some(blocked) = pinned_elsewhere(context, address, bus.as_deref(), None) {
+            return blocked;
+        }
+        let named = |id| context.buses.device(id).is_some_and(|device| device.is_named(&name));
+        address_in_use(context, address, bus.as_deref(), named)
+            .unwrap_or_else(|| C::Accepted(format!("{}, pinned to {address}", Quoted(&name))))
+    }
+}
+
+impl PromptLogic for NewEntryPrompt {
+    fn label(&self) -> &'static str {
+        "new entry: name address"
+    }
+
+    fn short_label(&self) -> &'static str {
+        "name address"
+    }
+
+    fn edited_place(&self, _context: PromptContext) -> Option<Option<usize>> {
+        Some(None)
+    }
+
+    fn validate(&self, text: &str, context: PromptContext) -> C {
+        match (Self::check_entry(text, context), file_gone(&self.on, context)) {
+            (C::Rejected(why), _) => C::Rejected(why),
+            (_, Some(gone)) => C::Warning(format!("{gone}; {CREATES_FILE}")),
+            (check, None) => check,
+        }
+    }
+
+    fn commit(&self, text: &str, context: PromptContext) -> PromptOutcome {
+        let Ok((name, address)) = split_new_entry(text) else { return PromptOutcome::Nothing };
+        let bus = context.buses.entry_bus(context.selected_bus);
+        let is_static = address.is_some();
+        let entry = NewEntry { name, address, is_static, bus, ..NewEntry::default() };
+        PromptOutcome::AddEntry(entry)
+    }
+}
+
+// ---- paths ---------------------------------------------------------------------------------
+
+const NO_PATH: &str = "a path is needed";
+
+/// Prompt for the path of a log of the captured frames.
+#[derive(Clone, Copy, Debug)]
+pub struct CapturePathPrompt;
+
+impl PromptLogic for CapturePathPrompt {
+    fn label(&self) -> &'static str {
+        "save frames to"
+    }
+
+    fn short_label(&self) -> &'static str {
+        "frames to"
+    }
+
+    fn validate(&self, text: &str, context: PromptContext) -> C {
+        match text {
+            "" => C::Rejected(NO_PATH.to_owned()),
+            _ => C::Accepted(format!("{} frames, candump format", context.frames)),
+        }
+    }
+
+    fn commit(&self, text: &str, _context: PromptContext) -> PromptOutcome {
+        PromptOutcome::SaveCapture(PathBuf::from(text))
+    }
+}
+
+/// Prompt for the path of a copy of des.json with all edits.
+#[derive(Clone, Copy, Debug)]
+pub struct CopyPathPrompt;
+
+impl PromptLogic for CopyPathPrompt {
+    fn label(&self) -> &'static str {
+        "save a copy as"
+    }
+
+    fn short_label(&self) -> &'static str {
+        "copy as"
+    }
+
+    fn validate(&self, text: &str, context: PromptContext) -> C {
+        match context.file.with_all_edits().entries().len() {
+            _ if text.is_empty() => C::Rejected(NO_PATH.to_owned()),
+            1 => C::Accepted("1 entry".to_owned()),
+            entries => C::Accepted(format!("{entries} entries")),
+        }
+    }
+
+    fn commit(&self, text: &str, _context: PromptContext) -> PromptOutcome {
+        PromptOutcome::SaveCopy(PathBuf::from(text))
+    }
+}
+
+// ---- parsing -------------------------------------------------------------------------------
+
+/// Syntax of a new entry.
+const NEW_ENTRY_SYNTAX: &str = "name, space, address";
+
+/// Returns true if the text looks like a number.
+fn is_number(text: &str) -> bool {
+    let digits = text.trim_start_matches(['-', '+']);
+    let hex = digits.strip_prefix("0x").or_else(|| digits.strip_prefix("0X"));
+    hex.is_some_and(|hex| hex.chars().all(|c| c.is_ascii_hexdigit()))
+        || !digits.is_empty() && digits.chars().all(|c| c.is_ascii_digit())
+}
+
+/// The static address of an entry as text; empty for none.
+fn pinned(entry: Option<&Entry>) -> String {
+    let listed = entry.filter(|entry| entry.is_static);
+    listed.and_then(|entry| entry.address).map(|it| it.to_string()).unwrap_or_default()
+}
+
+/// What happened to an entry whose name changed on disk.
+fn renamed(entry: &Entry) -> String {
+    format!("renamed to {} on disk", Quoted(&entry.name))
+}
+
+/// Parses an address, 1 to 127, decimal or hexadecimal (`0x10`); `None` for any other text.
+pub fn parse_address(text: &str) -> Option<u8> {
+    let hex = text.strip_prefix("0x").or_else(|| text.strip_prefix("0X"));
+    let digits = hex.unwrap_or(text);
+    let number = digits
+        .bytes()
+        .all(|byte| byte.is_ascii_hexdigit())
+        .then(|| u8::from_str_radix(digits, if hex.is_some() { 16 } else { 10 }).ok())??;
+    (1..=127).contains(&number).then_some(number)
+}
+
+/// Decodes `\xNN` and `\\` in a name as it is shown.
+///
+/// # Errors
+///
+/// An unknown escape, or byte 0.
+fn unescaped(text: &str) -> Result<Vec<u8>, &'static str> {
+    const UNKNOWN: &str = "write \\\\ for a backslash, \\x1B for the byte 1B";
+    let mut bytes = Vec::new();
+    let mut rest = text;
+    while let Some(at) = rest.find('\\') {
+        bytes.extend_from_slice(&rest.as_bytes()[..at]);
+        rest = &rest[at + 1..];
+        if let Some(behind) = rest.strip_prefix('\\') {
+            bytes.push(b'\\');
+            rest = behind;
+        } else {
+            let digits = rest.strip_prefix('x').and_then(|rest| rest.get(..2));
+            let byte = digits.and_then(|digits| u8::from_str_radix(digits, 16).ok());
+            match byte.ok_or(UNKNOWN)? {
+                0 => return Err("a name cannot contain byte 0 (DES terminator)"),
+                byte => bytes.push(byte),
+            }
+            rest = &rest[3..];
+        }
+    }
+    bytes.extend_from_slice(rest.as_bytes());
+    Ok(bytes)
+}
+
+/// Validates a new name.
+fn check_name(text: &str) -> C {
+    match unescaped(text) {
+        Err(why) => C::Rejected(why.to_owned()),
+        Ok(name) if name.is_empty() => C::Rejected("a name is needed".to_owned()),
+        Ok(name) if name.len() > 5 => {
+            let bytes = name.len();
+            C::Warning(format!("{bytes} bytes: over 5 needs a multi-frame response"))
+        }
+        Ok(_) => C::Accepted("Enter renames the entry; the device keeps its name".to_owned()),
+    }
+}
+
+/// Splits `PUMP 12` into name and address; without an address at the end all of it is the name.
+///
+/// # Errors
+///
+/// The name is empty or has an unknown escape.
+fn split_new_entry(text: &str) -> Result<(Vec<u8>, Option<u8>), &'static str> {
+    let split = text.rsplit_once(char::is_whitespace);
+    let with_address = split.and_then(|(name, last)| Some((name.trim_end(), parse_address(last)?)));
+    let (name, address) = match with_address {
+        Some((name, address)) => (name, Some(address)),
+        None => (text, None),
+    };
+    match unescaped(name)? {
+        name if name.is_empty() => Err(NEW_ENTRY_SYNTAX),
+        name => Ok((name, address)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::text::Escaped;
+
+    #[test]
+    fn address_is_decimal_or_hexadecimal() {
+        for (text, address) in [("1", 1), ("127", 127), ("0x10", 16), ("0X7f", 127), ("007", 7)] {
+            assert_eq!(parse_address(text), Some(address), "{text}");
+        }
+        for wrong in ["", "0", "128", "-1", "+5", "0x", "0x80", "12a", "1.5", "٣", "1 2"] {
+            assert_eq!(parse_address(wrong), None, "{wrong}");
+        }
+    }
+
+    #[test]
+    fn name_escapes_round_trip() {
+        for name in [&b"FEED"[..], b"a\\b", b"\x1b[2J", "Котёл".as_bytes(), b"\xff\xfe"] {
+            let shown = Escaped(name).to_string();
+            assert_eq!(unescaped(&shown).as_deref(), Ok(name), "{shown}");
+        }
+        for wrong in ["\\", "\\x", "\\x1", "\\xzz", "\\n", "\\x00", "\\xé"] {
+            assert!(unescaped(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn new_entry_has_name_and_optional_address() {
+        assert_eq!(split_new_entry("PUMP 12"), Ok((b"PUMP".to_vec(), Some(12))));
+        assert_eq!(split_new_entry("PUMP"), Ok((b"PUMP".to_vec(), None)));
+        assert_eq!(split_new_entry("BIG PUMP"), Ok((b"BIG PUMP".to_vec(), None)));
+        assert_eq!(split_new_entry("12"), Ok((b"12".to_vec(), None)));
+        assert!(split_new_entry("").is_err());
+    }
+}

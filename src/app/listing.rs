@@ -1,0 +1,155 @@
+//! Devices as entries of des.json: new entries, and the comparison of services.
+//!
+//! Pure: devices and entries in, entries and texts out.
+
+use super::Facts;
+use super::buses::Buses;
+use crate::discovery::{Confidence, Device, DeviceService};
+use crate::document::{Entry, ListedService, NewEntry, Operation};
+use crate::text::{Escaped, Name};
+
+/// Entry of des.json for a device, with its present address, not pinned; `None` while its name is
+/// not known.
+pub fn new_entry(buses: &Buses, device: &Device) -> Option<NewEntry> {
+    let bus = buses.get(device.id.bus)?;
+    let alphabet = &bus.config().profile.uid;
+    // At a shared address the last UID may be the other device's.
+    let is_shared = bus.findings().iter().any(|finding| {
+        finding.key.kind.is_conflict()
+            && finding.confidence != Confidence::Cleared
+            && finding.addresses.contains(&device.address)
+    });
+    let uid = device.uid.filter(|uid| !uid.is_blank() && !is_shared);
+    let uid = uid.map(|uid| uid.text(alphabet).to_string());
+    Some(NewEntry {
+        name: device.name.as_ref()?.as_bytes().to_vec(),
+        address: Some(device.address.number()).filter(|address| *address > 0),
+        is_static: false,
+        bus: buses.entry_bus(Some(device.id.bus)),
+        uid: uid.filter(|uid| !uid.trim().is_empty()),
+        services: listed_services(device),
+    })
+}
+
+/// The operation that adds a device to the file, or updates the services of its entry; `None` where
+/// the file matches the device or its name is not known.
+pub(super) fn update_operation(facts: Facts, device: &Device) -> Option<Operation> {
+    let document = facts.file.document();
+    let Some(at) = facts.matching.entry_of(device.id) else {
+        return Some(Operation::Add { entry: new_entry(facts.buses, device)? });
+    };
+    let own = device.services.as_ref()?;
+    let entry = &document.entries()[at];
+    if same_services(entry, own) {
+        return None;
+    }
+    let listed = entry.services.as_deref().unwrap_or_default();
+    let mut services = listed_services(device);
+    leave_open(&mut services, listed);
+    Some(Operation::SetServices { entry: document.key(at), services })
+}
+
+fn listed_services(device: &Device) -> Vec<ListedService> {
+    let services = device.services.iter().flatten();
+    services
+        .map(|service| ListedService {
+            name: as_listed(&service.name),
+            version: as_listed(&service.version),
+            extra: service.extra.iter().map(as_listed).collect(),
+        })
+        .collect()
+}
+
+/// Clears versions and further strings that the entry leaves out, so that they stay left out.
+fn leave_open(services: &mut [ListedService], listed: &[ListedService]) {
+    for place in 0..services.len() {
+        let (earlier, later) = services.split_at_mut(place);
+        let service = &mut later[0];
+        let nth = earlier.iter().filter(|it| it.name == service.name).count();
+        let Some(listed) = listed.iter().filter(|it| it.name == service.name).nth(nth) else {
+            continue;
+        };
+        if listed.version.is_empty() {
+            service.version.clear();
+        }
+        if listed.extra.is_empty() {
+            service.extra.clear();
+        }
+    }
+}
+
+/// Services of an entry and of its device, where both are known and differ.
+pub fn other_services<'a>(
+    entry: &'a Entry,
+    device: &'a Device,
+) -> Option<(&'a [ListedService], &'a [DeviceService])> {
+    let both = entry.listed_services().zip(device.services.as_deref());
+    both.filter(|(_, own)| !same_services(entry, own))
+}
+
+/// Returns true if the services of an entry and of a device are equal. An entry without a version
+/// matches any version; the order counts only where the entry says so.
+pub fn same_services(entry: &Entry, own: &[DeviceService]) -> bool {
+    let listed = entry.services.as_deref().unwrap_or_default();
+    let same = |listed: &ListedService, own: &DeviceService| {
+        as_listed(&own.name) == listed.name
+            && (listed.version.is_empty() || as_listed(&own.version) == listed.version)
+    };
+    if listed.len() != own.len() {
+        return false;
+    }
+    if entry.has_ordered_services {
+        return listed.iter().zip(own).all(|(listed, own)| same(listed, own));
+    }
+    // Names are unique here.
+    listed.iter().all(|listed| own.iter().any(|own| same(listed, own)))
+}
+
+/// Number of differences that are listed; the others are counted.
+const LISTED_DIFFERENCES: usize = 4;
+
+/// Differences between the services of an entry and of a device, as text.
+pub(super) fn service_differences(listed: &[ListedService], own: &[DeviceService]) -> String {
+    let show = |text: &str| Escaped(text.as_bytes()).to_string();
+    let mut words = Vec::new();
+    for entry in listed {
+        let mut same_name = own.iter().filter(|it| as_listed(&it.name) == entry.name);
+        let is_there = same_name
+            .clone()
+            .any(|it| entry.version.is_empty() || as_listed(&it.version) == entry.version);
+        match same_name.next() {
+            _ if is_there => {}
+            Some(other) => words.push(format!(
+                "{} is {}, not {}",
+                show(&entry.name),
+                show(&as_listed(&other.version)),
+                show(&entry.version)
+            )),
+            None => words.push(format!("{} is missing", show(&entry.name))),
+        }
+    }
+    for service in own {
+        let name = as_listed(&service.name);
+        if !listed.iter().any(|entry| entry.name == name) {
+            let version = as_listed(&service.version);
+            words.push(format!("{} is not listed", show(&format!("{name} {version}"))));
+        }
+    }
+    if words.is_empty() {
+        return "different order or duplicates".to_owned();
+    }
+    let more = words.len().saturating_sub(LISTED_DIFFERENCES);
+    words.truncate(LISTED_DIFFERENCES);
+    if more > 0 {
+        words.push(format!("and {more} more"));
+    }
+    words.join("; ")
+}
+
+/// Text of a device's string in des.json: the text itself where it is UTF-8, else escaped.
+pub fn as_listed(name: &Name) -> String {
+    match std::str::from_utf8(name.as_bytes()) {
+        Ok(text) => text.to_owned(),
+        Err(_) => name.to_string(),
+    }
+}

@@ -1,0 +1,178 @@
+//! The timeline texts of engine events and findings.
+//!
+//! Pure: an event and the buses in, kind and text out.
+
+use super::timeline::{TimelineEntry, TimelineKind};
+use crate::app::buses::{Bus, Buses, TxBlocked};
+use crate::app::capture::hex;
+use crate::discovery::{
+    Confidence, ConflictParty, DeviceId, Event, EventKind, FindingKey, Presence,
+};
+use crate::frame::BusIndex;
+use crate::text::{Escaped, Name};
+use crate::wire::node::{Mode, Uid};
+
+/// Kind and text of the timeline line of an engine event; `None` for an event without a line.
+pub fn event_text(buses: &Buses, bus: BusIndex, event: &Event) -> Option<(TimelineKind, String)> {
+    Some(match &event.kind {
+        EventKind::Appeared => (TimelineKind::Good, "appeared".to_owned()),
+        EventKind::Named => (TimelineKind::Good, identified(event)),
+        EventKind::Services { count, changed } => {
+            let plural = if *count == 1 { "" } else { "s" };
+            let kind = if *changed { TimelineKind::Change } else { TimelineKind::Good };
+            let now = if *changed { " (changed)" } else { "" };
+            (kind, format!("{count} service{plural}{now}"))
+        }
+        // The row shows the first mode of a device; ARSLV is reported as an address claim.
+        EventKind::Mode { from: None, .. }
+        | EventKind::Mode { to: Mode::Arslv, .. }
+        | EventKind::Joined { .. } => return None,
+        EventKind::Mode { from: Some(from), to } => {
+            (TimelineKind::Change, format!("{from} → {to}"))
+        }
+        EventKind::Moved { from } => (TimelineKind::Change, format!("moved from {from}")),
+        EventKind::Claimed { uid, holder, inferred: guess } => {
+            let holder = holder.as_ref().map(|holder| party_label(buses, holder));
+            let held = match (holder, guess) {
+                (Some(holder), false) => format!(" (held by {holder})"),
+                (Some(holder), true) => format!(" (probably not {holder})"),
+                (None, _) => String::new(),
+            };
+            let by = uid_label(buses, bus, event.device, *uid);
+            (TimelineKind::Change, format!("{by}claims {}{held}", address(event)))
+        }
+        EventKind::GaveWay { uid, to, inferred: guess } => {
+            let to = match to {
+                Some(to) => format!(" to {}", party_label(buses, to)),
+                None => " (claimed by another device)".to_owned(),
+            };
+            let guess = if *guess { " (probable)" } else { "" };
+            let by = uid_label(buses, bus, event.device, *uid);
+            (TimelineKind::Change, format!("{by}gave up {}{to}{guess}", address(event)))
+        }
+        EventKind::Rebooted => (TimelineKind::Change, "rebooted".to_owned()),
+        EventKind::Presence(Presence::Online) => (TimelineKind::Good, "online".to_owned()),
+        EventKind::Presence(Presence::Stale) => {
+            (TimelineKind::Late, "stale: heartbeat overdue".to_owned())
+        }
+        EventKind::Presence(Presence::Silent) => {
+            (TimelineKind::Late, "silent: frames but no heartbeat".to_owned())
+        }
+        EventKind::Presence(Presence::Asleep) => (TimelineKind::Late, "asleep".to_owned()),
+        EventKind::Presence(Presence::Lost) => {
+            let still = event.device.map_or_else(Vec::new, |id| buses.still_on(id));
+            let own = buses.get(bus).map_or("", |bus| &bus.name);
+            let text = if still.is_empty() {
+                "lost".to_owned()
+            } else {
+                format!("lost on {own}, still on {}", still.join(" and "))
+            };
+            (TimelineKind::Lost, text)
+        }
+        EventKind::Returned { was } => {
+            let elsewhere = event.device.is_some_and(|id| !buses.still_on(id).is_empty());
+            let own = buses.get(bus).filter(|_| elsewhere);
+            let place = own.map_or(String::new(), |bus| format!(" on {}", bus.name));
+            (TimelineKind::Good, format!("returned{place} (was {was})"))
+        }
+        EventKind::Finding { key, confidence } => {
+            let found = buses.finding(bus, key);
+            let text = found.map_or("", |finding| finding.text.as_str());
+            finding_line(*confidence, key, text)
+        }
+        EventKind::OwnAddress(address) => (TimelineKind::Bus, format!("using address {address}")),
+        EventKind::OwnAddressLost(address) => {
+            (TimelineKind::Bus, format!("released address {address}: used by another node"))
+        }
+        EventKind::NoAddress(wanted) => {
+            (TimelineKind::Error, buses.no_address_reason(bus, *wanted).unwrap_or_default())
+        }
+        EventKind::NobodyAcknowledges => {
+            let text = match buses.get(bus).and_then(Bus::tx_blocked) {
+                Some(TxBlocked::QueueFull) => "transmit queue stuck: sending paused",
+                _ => "no ACK on the bus: sending paused",
+            };
+            (TimelineKind::Error, text.to_owned())
+        }
+        EventKind::Acknowledged => {
+            (TimelineKind::Bus, "frames are acknowledged: sending resumed".to_owned())
+        }
+        EventKind::Debug { code, data } => {
+            (TimelineKind::Change, format!("debug message {code:03X} {}", hex(data, " ")))
+        }
+    })
+}
+
+fn party_label(buses: &Buses, party: &ConflictParty) -> String {
+    let known = || buses.device(party.device)?.name.as_ref();
+    match (party.name.as_ref().or_else(known), party.uid) {
+        (Some(name), _) => name.to_string(),
+        (None, Some(uid)) => format!("UID {}", uid_text(buses, party.device.bus, uid)),
+        (None, None) => "another device".to_owned(),
+    }
+}
+
+/// UID of a device without a row, and therefore without a name, with a space; else empty.
+fn uid_label(buses: &Buses, bus: BusIndex, device: Option<DeviceId>, uid: Option<Uid>) -> String {
+    let has_row = device.is_some_and(|id| buses.device(id).is_some());
+    match uid {
+        Some(uid) if !has_row => format!("{} ", uid_text(buses, bus, uid)),
+        _ => String::new(),
+    }
+}
+
+fn uid_text(buses: &Buses, bus: BusIndex, uid: Uid) -> String {
+    let alphabet = buses.get(bus).map(|bus| &bus.config().profile.uid);
+    let text = alphabet.map_or_else(String::new, |alphabet| uid.text(alphabet).to_string());
+    Escaped(text.as_bytes()).to_string()
+}
+
+/// Name of the device that a line is about: the name at the time of the line, else the present one.
+pub fn name_on_line<'a>(buses: &'a Buses, entry: &'a TimelineEntry) -> Option<&'a Name> {
+    let known = || buses.device(entry.device?)?.name.as_ref();
+    entry.name.as_ref().or_else(known)
+}
+
+fn identified(event: &Event) -> String {
+    let named = |name: &Name| format!("identified as {name}");
+    event.name.as_ref().map_or_else(|| "identified".to_owned(), named)
+}
+
+fn address(event: &Event) -> String {
+    event.address.map_or_else(String::new, |address| address.to_string())
+}
+
+/// Joins two lines that one frame caused: a device appeared, moved or rebooted, and claims its
+/// address. `None` for any other pair.
+pub fn join_lines(first: &str, second: &str) -> Option<String> {
+    let moved = second.starts_with("moved");
+    match first {
+        "appeared" if moved => Some(second.to_owned()),
+        "appeared" | "rebooted" if !moved => Some(format!("{first}, {second}")),
+        _ if first.starts_with("moved") && !moved => Some(format!("{first}, {second}")),
+        _ => None,
+    }
+}
+
+/// Joins changes to one line where they fit into it.
+pub fn join_short(changes: Vec<String>) -> Vec<String> {
+    /// Width of the changes in a line of 80 columns.
+    const WIDTH: usize = 36;
+    let joined = changes.join("; ");
+    if changes.len() > 1 && joined.chars().count() <= WIDTH { vec![joined] } else { changes }
+}
+
+/// Kind and text of the timeline line of a finding; the name of its kind where it has no text yet.
+pub fn finding_line(
+    confidence: Confidence,
+    key: &FindingKey,
+    text: &str,
+) -> (TimelineKind, String) {
+    let kind = match confidence {
+        Confidence::Cleared => TimelineKind::Cleared,
+        Confidence::Suspected => TimelineKind::Suspected,
+        Confidence::Confirmed => TimelineKind::Confirmed,
+    };
+    let text = if text.is_empty() { key.kind.name() } else { text };
+    (kind, format!("{confidence}: {text}"))
+}

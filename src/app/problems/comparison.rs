@@ -1,0 +1,248 @@
+//! Differences between des.json and the buses, as findings.
+//!
+//! Pure: entries and devices in, findings out. Does not know how findings are shown.
+
+use super::matching::is_for;
+use crate::app::Facts;
+use crate::app::listing::{other_services, service_differences};
+use crate::discovery::Device;
+use crate::document::{Document, DocumentFindingKind, Entry};
+use crate::finding::{Confidence, Finding, FindingKey, FindingKind};
+use crate::frame::BusIndex;
+use crate::text::{Name, Quoted};
+use crate::wire::id::Address;
+
+/// Extent of the comparison.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scope {
+    /// For the screen: without devices that are not in the file, and without services.
+    Screen,
+    /// Every difference, for `check`.
+    Check,
+}
+
+/// Values of the placeholders in a remedy.
+type Values<'a> = &'a [(&'a str, &'a dyn std::fmt::Display)];
+
+/// Differences between des.json and the buses.
+pub(super) struct Comparison<'a> {
+    facts: Facts<'a>,
+    pub found: Vec<Finding>,
+    /// Places of the entries that the findings are about, in the same order.
+    pub entries: Vec<Option<usize>>,
+}
+
+impl<'a> Comparison<'a> {
+    /// Compares; without a file there are no differences.
+    pub fn new(facts: Facts<'a>, scope: Scope) -> Self {
+        let mut comparison = Self { facts, found: Vec::new(), entries: Vec::new() };
+        if !facts.file.is_there() {
+            return comparison;
+        }
+        comparison.file_alone(facts.file.document());
+        for entry in facts.file.document().entries() {
+            comparison.entry(entry, scope);
+        }
+        if scope == Scope::Check {
+            comparison.unlisted();
+        }
+        comparison
+    }
+
+    fn file_alone(&mut self, document: &Document) {
+        for finding in document.findings() {
+            let kind = match finding.kind {
+                DocumentFindingKind::DuplicateAddress => FindingKind::FileDuplicateAddress,
+                DocumentFindingKind::DuplicateEntry => FindingKind::FileDuplicateEntry,
+                DocumentFindingKind::NotDevices
+                | DocumentFindingKind::NotAnEntry
+                | DocumentFindingKind::MissingName
+                | DocumentFindingKind::WrongType
+                | DocumentFindingKind::AddressRange
+                | DocumentFindingKind::NamesDiffer
+                | DocumentFindingKind::DuplicateMember => FindingKind::FileShape,
+            };
+            let entries = finding.entries.iter().filter_map(|&at| document.entries().get(at));
+            let names: Vec<Name> = entries.clone().map(|entry| Name::new(&entry.name)).collect();
+            let address = entries.clone().find_map(|entry| Address::new(entry.address?));
+            let text = format!("{} ({})", finding.message, finding.position);
+            let name = names.first().cloned();
+            self.add(kind, None, address, name, text, &[]);
+            if let Some(added) = self.found.last_mut() {
+                if kind == FindingKind::FileShape {
+                    // One entry may have several.
+                    added.key.part = Some(finding.brief().into());
+                    added.place = Some((finding.position.line, finding.position.column));
+                }
+                for name in &names {
+                    added.add_name(name);
+                }
+            }
+            self.is_about(finding.entries.first().copied());
+        }
+    }
+
+    fn entry(&mut self, entry: &Entry, scope: Scope) {
+        let facts = self.facts;
+        let devices: Vec<&Device> = facts
+            .matching
+            .devices_of(entry.index)
+            .iter()
+            .filter_map(|&id| facts.buses.device(id))
+            .filter(|device| device.is_present())
+            .collect();
+        let name = Quoted(&entry.name);
+        let pinned = entry.address.filter(|_| entry.is_static).and_then(Address::new);
+        if facts.matching.is_duplicate(entry.index) {
+            // Reported as a finding about the file.
+            return;
+        }
+        if devices.is_empty() {
+            self.missing(entry, scope);
+        }
+        for device in &devices {
+            if let Some(pinned) = pinned.filter(|pinned| *pinned != device.address) {
+                let text = format!(
+                    "{name} is at address {}; the file pins it to {pinned}.",
+                    device.address
+                );
+                let values: Values = &[("static address", &pinned), ("address", &device.address)];
+                let bus = Some(device.id.bus);
+                let named = device.name.clone();
+                self.add(FindingKind::WrongAddress, bus, Some(device.address), named, text, values);
+                self.is_about(Some(entry.index));
+            }
+            self.name(entry, device);
+            if scope == Scope::Check {
+                self.services(entry, device);
+            }
+        }
+        let Some(pinned) = pinned else { return };
+        for (index, bus) in
+            facts.buses.iter().enumerate().filter(|(_, bus)| is_for(entry, &bus.name))
+        {
+            let other = bus.devices().iter().find(|device| {
+                let is_it = facts.matching.devices_of(entry.index).contains(&device.id);
+                device.address == pinned && device.is_present() && !is_it
+            });
+            // A device without a known name may be the listed one.
+            let Some(other) =
+                other.filter(|other| other.name.is_some() || other.name_query.in_vain)
+            else {
+                continue;
+            };
+            let who = other.name.as_ref().map_or("an unnamed device".to_owned(), |it| {
+                format!("a device named {}", it.quoted())
+            });
+            let text = format!("Static address {pinned} of {name} is used by {who}.");
+            let values: Values = &[("name", &name)];
+            let named = Some(Name::new(&entry.name));
+            let bus = Some(BusIndex(index as u8));
+            self.add(FindingKind::StaticAddressTaken, bus, Some(pinned), named, text, values);
+            self.is_about(Some(entry.index));
+            if let (Some(found), Some(name)) = (self.found.last_mut(), &other.name) {
+                found.add_name(name);
+            } else if let Some(found) = self.found.last_mut() {
+                found.confidence = Confidence::Suspected;
+            }
+        }
+    }
+
+    fn missing(&mut self, entry: &Entry, scope: Scope) {
+        let facts = self.facts;
+        let bus = facts.buses.iter().position(|bus| is_for(entry, &bus.name));
+        let Some(bus) = bus.map(|at| BusIndex(at as u8)) else { return };
+        if scope == Scope::Screen && !facts.is_missing(entry) {
+            return;
+        }
+        let address = entry.address.and_then(Address::new);
+        let at = address.map(|address| format!(" (at {address})")).unwrap_or_default();
+        let why = facts.missing_reasons(entry);
+        let (first, rest) = why.split_first().map_or(("", &[][..]), |(it, rest)| (it, rest));
+        let text = format!("{}{at} is listed but not on the bus: {first}.", Quoted(&entry.name));
+        let values: Values = &[("further reasons", &rest.join("; "))];
+        let name = Some(Name::new(&entry.name));
+        self.add(FindingKind::Missing, Some(bus), address, name, text, values);
+        self.is_about(Some(entry.index));
+    }
+
+    fn name(&mut self, entry: &Entry, device: &Device) {
+        let Some(own) = device.name.as_ref().filter(|_| !device.is_named(&entry.name)) else {
+            return;
+        };
+        let (listed, own, address) = (Quoted(&entry.name), own.quoted(), device.address);
+        let text = format!("{listed} at {address} reports the name {own} (matched by UID).");
+        let values: Values = &[("reported name", &own), ("name", &listed)];
+        let named = Some(Name::new(&entry.name));
+        let bus = Some(device.id.bus);
+        self.add(FindingKind::NameDiffers, bus, Some(address), named, text, values);
+        self.is_about(Some(entry.index));
+    }
+
+    fn services(&mut self, entry: &Entry, device: &Device) {
+        let Some((listed, own)) = other_services(entry, device) else { return };
+        let text = format!(
+            "{} at {}: services differ from the file: {}.",
+            Quoted(&entry.name),
+            device.address,
+            service_differences(listed, own)
+        );
+        let (bus, name) = (Some(device.id.bus), device.name.clone());
+        self.add(FindingKind::ServicesDiffer, bus, Some(device.address), name, text, &[]);
+    }
+
+    fn unlisted(&mut self) {
+        for bus in self.facts.buses.iter() {
+            for device in bus.devices() {
+                let listed = self.facts.matching.entry_of(device.id).is_some();
+                if listed || device.is_debug || !device.is_present() {
+                    continue;
+                }
+                // Probably the listed device; the finding about its entry reports why it is not identified.
+                if device.name.is_none() && self.is_awaited_at(device.address) {
+                    continue;
+                }
+                let who = device
+                    .name
+                    .as_ref()
+                    .map_or("An unnamed device".to_owned(), ToString::to_string);
+                let text = format!("{who} at {} is not in the file.", device.address);
+                let (bus, name) = (Some(device.id.bus), device.name.clone());
+                self.add(FindingKind::Unlisted, bus, Some(device.address), name, text, &[]);
+            }
+        }
+    }
+
+    /// Returns true if an entry without a device has this address.
+    fn is_awaited_at(&self, address: Address) -> bool {
+        let entries = self.facts.file.document().entries().iter();
+        let mut here = entries.filter(|entry| entry.address == Some(address.number()));
+        here.any(|entry| self.facts.matching.devices_of(entry.index).is_empty())
+    }
+
+    /// Sets the entry of the last finding.
+    fn is_about(&mut self, entry: Option<usize>) {
+        if let Some(last) = self.entries.last_mut() {
+            *last = entry;
+        }
+    }
+
+    fn add(
+        &mut self,
+        kind: FindingKind,
+        bus: Option<BusIndex>,
+        address: Option<Address>,
+        name: Option<Name>,
+        text: String,
+        values: Values,
+    ) {
+        let key = FindingKey { kind, bus, address, name, part: None };
+        let remedy = key.wording().remedy_with(values);
+        let mut finding = Finding::new(key, self.facts.now);
+        finding.confidence = Confidence::Confirmed;
+        finding.text = text;
+        finding.remedy = remedy;
+        self.found.push(finding);
+        self.entries.push(None);
+    }
+}

@@ -1,0 +1,198 @@
+//! Problems: findings grouped to the rows of page 4.
+//!
+//! An address conflict causes several findings, which are one problem. A muted problem stays in
+//! the list and does not count. Does not know how findings are made.
+
+use crate::finding::{Confidence, Finding, FindingKey, Grouping};
+use crate::frame::{BusIndex, Frame};
+use crate::text::Name;
+use crate::time::Instant;
+use crate::wire::id::Address;
+use std::borrow::Cow;
+use std::cmp::Reverse;
+
+/// Identity of a problem, stable while its findings change.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum ProblemKey {
+    /// All findings that an address conflict causes at one address of a bus.
+    Shared(BusIndex, Address),
+    /// Any other finding is a problem by itself.
+    Finding(FindingKey),
+}
+
+impl ProblemKey {
+    /// Identity of the problem that a finding belongs to.
+    pub fn of(key: &FindingKey) -> Self {
+        let shared = key.kind.facts().grouping == Grouping::Address;
+        match (key.bus, key.address) {
+            (Some(bus), Some(address)) if shared => Self::Shared(bus, address),
+            _ => Self::Finding(key.clone()),
+        }
+    }
+}
+
+/// One or more findings with a common cause.
+#[derive(Clone, Debug)]
+pub struct Problem<'a> {
+    /// Identity.
+    pub key: ProblemKey,
+    /// Its findings, at least one: by confidence, then by severity.
+    pub findings: Vec<&'a Finding>,
+    /// The user muted it.
+    pub is_muted: bool,
+}
+
+/// One piece of evidence.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct EvidenceItem {
+    /// Time of its frame or event.
+    pub time: Instant,
+    /// Text, for the user.
+    pub what: String,
+    /// The frame; `None` for an event without one.
+    pub frame: Option<Frame>,
+}
+
+impl<'a> Problem<'a> {
+    /// The first finding: most certain, most severe.
+    pub fn head(&self) -> &'a Finding {
+        self.findings[0]
+    }
+
+    /// Confidence of the first finding.
+    pub fn confidence(&self) -> Confidence {
+        self.head().confidence
+    }
+
+    /// Time of the last change of the confidence.
+    pub fn since(&self) -> Instant {
+        let confidence = self.confidence();
+        let moments = self.findings.iter().filter(|it| it.confidence == confidence);
+        let moments = moments.map(|finding| finding.changed);
+        // It is cleared with the last of its findings.
+        let since = if confidence == Confidence::Cleared { moments.max() } else { moments.min() };
+        since.unwrap_or(self.head().changed)
+    }
+
+    /// Returns true if it counts: neither cleared nor muted.
+    pub fn counts(&self) -> bool {
+        !self.is_muted && self.confidence() != Confidence::Cleared
+    }
+
+    /// Its bus; `None` for a problem of des.json alone.
+    pub fn bus(&self) -> Option<BusIndex> {
+        self.head().key.bus
+    }
+
+    /// Its addresses, ascending, without duplicates.
+    pub fn addresses(&self) -> Vec<Address> {
+        let all = self.findings.iter().flat_map(|finding| &finding.addresses);
+        let mut addresses: Vec<Address> = all.copied().collect();
+        addresses.sort_unstable();
+        addresses.dedup();
+        addresses
+    }
+
+    /// Its names, without duplicates.
+    pub fn names(&self) -> Vec<&'a Name> {
+        let mut names = Vec::new();
+        for name in self.findings.iter().flat_map(|finding| &finding.names) {
+            if !names.contains(&name) {
+                names.push(name);
+            }
+        }
+        names
+    }
+
+    /// Returns true if it is about this address of this bus, or about this name where no address is
+    /// known.
+    pub fn is_about(
+        &self,
+        bus: Option<BusIndex>,
+        address: Option<Address>,
+        name: Option<&Name>,
+    ) -> bool {
+        self.findings.iter().any(|finding| {
+            let on_bus = finding.key.bus.is_none() || bus.is_none() || finding.key.bus == bus;
+            let there = address.is_some_and(|it| finding.addresses.contains(&it));
+            let named =
+                name.is_none_or(|it| finding.names.is_empty() || finding.names.contains(it));
+            let nowhere = finding.addresses.is_empty() || address.is_none();
+            let so_named = name.is_some_and(|it| finding.names.contains(it));
+            on_bus && (there && named || nowhere && so_named)
+        })
+    }
+
+    /// Time of the first evidence.
+    pub fn first(&self) -> Instant {
+        self.findings.iter().map(|it| it.first).min().unwrap_or(Instant::ZERO)
+    }
+
+    /// Time of the last evidence.
+    pub fn last(&self) -> Instant {
+        self.findings.iter().map(|it| it.last).max().unwrap_or(Instant::ZERO)
+    }
+
+    /// Returns true if it has evidence; a difference from the file has none.
+    pub fn was_seen(&self) -> bool {
+        self.findings.iter().any(|finding| !finding.evidence.is_empty())
+    }
+
+    /// Number of pieces of evidence; [`Self::evidence`] has the first and the last of each
+    /// finding.
+    pub fn count(&self) -> u64 {
+        self.findings.iter().map(|finding| finding.count).sum()
+    }
+
+    /// Stored evidence, oldest first; a frame that is evidence of two findings appears once.
+    pub fn evidence(&self) -> Vec<EvidenceItem> {
+        let mut pieces: Vec<EvidenceItem> = Vec::new();
+        for evidence in self.findings.iter().flat_map(|finding| &finding.evidence) {
+            let same = pieces.iter_mut().find(|piece| {
+                piece.frame.is_some()
+                    && piece.frame == evidence.frame
+                    && piece.time == evidence.time
+            });
+            match same {
+                Some(piece) if piece.what.contains(&*evidence.what) => {}
+                Some(piece) => piece.what = format!("{}; {}", piece.what, evidence.what),
+                None => pieces.push(EvidenceItem {
+                    time: evidence.time,
+                    what: evidence.what.to_string(),
+                    frame: evidence.frame,
+                }),
+            }
+        }
+        pieces.sort_by_key(|piece| piece.time);
+        pieces
+    }
+
+    /// Short text without addresses and names.
+    pub fn headline(&self) -> Cow<'static, str> {
+        let head = self.head();
+        if let (Some((line, _)), Some(part)) = (head.place, &head.key.part) {
+            return format!("line {line}: {part}").into();
+        }
+        head.key.wording().headline.into()
+    }
+
+    /// Short text with the addresses.
+    pub fn title(&self) -> String {
+        let words = std::iter::once(self.headline().into_owned());
+        let places = self.addresses().into_iter().map(|address| format!("@{address}"));
+        words.chain(places).collect::<Vec<String>>().join(" ")
+    }
+
+    /// What confirms a suspected problem; `None` for any other, or without such a rule.
+    pub fn confirmation_hint(&self) -> Option<&'static str> {
+        let is_suspected = self.confidence() == Confidence::Suspected;
+        self.head().key.wording().confirmation.filter(|_| is_suspected)
+    }
+
+    /// Sort key: confirmed, suspected, cleared, muted; by severity within each.
+    pub(super) fn rank(&self) -> impl Ord + use<> {
+        let head = self.head();
+        let severity = Reverse(head.key.kind.severity());
+        (self.is_muted, Reverse(head.confidence), severity, head.place, head.key.clone())
+    }
+}

@@ -1,0 +1,269 @@
+//! Problems: findings of the engines and of the comparison with des.json, grouped, sorted, muted.
+//!
+//! Inputs: the buses and the file. Outputs: the rows of page 4, the assignment of entries to
+//! devices, the findings that changed. The list is kept and renewed when a bus, the file or the
+//! muting changed. Does not know how problems are shown.
+
+mod comparison;
+mod group;
+mod matching;
+mod missing_reason;
+
+pub use comparison::Scope;
+pub use group::{EvidenceItem, Problem, ProblemKey};
+pub use matching::{Matching, is_for};
+pub use missing_reason::spell;
+
+use super::Facts;
+use super::buses::Buses;
+use super::file::FileState;
+use crate::finding::{Confidence, Finding, FindingKey};
+use crate::time::Instant;
+use comparison::Comparison;
+use std::cell::RefCell;
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::rc::Rc;
+
+/// Findings of the comparison with des.json, muted problems, and the list of problems.
+#[derive(Debug, Default)]
+pub(super) struct Problems {
+    matching: Matching,
+    file_findings: Vec<Finding>,
+    /// Places of the entries that these findings are about, in the same order.
+    finding_entries: Vec<Option<usize>>,
+    /// Muted until the program ends.
+    muted: BTreeSet<ProblemKey>,
+    /// All problems in the order in which they were shown last.
+    order: Vec<ProblemKey>,
+    /// Incremented when the findings of the file or the muting change.
+    revision: u64,
+    /// The list for the revisions of the buses and of `self`.
+    list: RefCell<Option<(u64, u64, Rc<[StoredProblem]>)>>,
+}
+
+/// A problem whose findings are stored with the buses and the file.
+#[derive(Debug)]
+struct StoredProblem {
+    key: ProblemKey,
+    findings: Vec<FindingPlace>,
+    is_muted: bool,
+}
+
+/// Where a finding is stored.
+#[derive(Clone, Copy, Debug)]
+enum FindingPlace {
+    /// With the bus at this index.
+    Bus(usize, usize),
+    /// With the findings of the file.
+    File(usize),
+}
+
+/// Returns the differences between file and buses.
+pub(super) fn compare(facts: Facts, scope: Scope) -> Vec<Finding> {
+    Comparison::new(facts, scope).found
+}
+
+impl Problems {
+    /// The assignment of entries to devices.
+    pub fn matching(&self) -> &Matching {
+        &self.matching
+    }
+
+    /// All findings: bus by bus, then those of the comparison with the file.
+    pub fn findings<'a>(&'a self, buses: &'a Buses) -> impl Iterator<Item = &'a Finding> {
+        buses.findings().chain(&self.file_findings)
+    }
+
+    /// Place of the entry that a finding of the comparison is about.
+    pub fn entry_of(&self, key: &FindingKey) -> Option<usize> {
+        let at = self.file_findings.iter().position(|finding| finding.key == *key)?;
+        self.finding_entries[at]
+    }
+
+    /// Compares file and buses anew; a finding that persists keeps its times. Returns the findings
+    /// before.
+    pub fn refresh(&mut self, buses: &Buses, file: &FileState, now: Instant) -> Vec<Finding> {
+        self.matching = Matching::new(file.document().entries(), buses.as_slice());
+        let facts = Facts { now, buses, file, matching: &self.matching };
+        let Comparison { mut found, entries, .. } = Comparison::new(facts, Scope::Screen);
+        self.finding_entries = entries;
+        let known: HashMap<&FindingKey, &Finding> =
+            self.file_findings.iter().map(|finding| (&finding.key, finding)).collect();
+        for finding in &mut found {
+            if let Some(old) = known.get(&finding.key) {
+                finding.first = old.first;
+                if old.confidence == finding.confidence {
+                    finding.changed = old.changed;
+                }
+            }
+        }
+        self.revision += 1;
+        std::mem::replace(&mut self.file_findings, found)
+    }
+
+    /// Findings of the comparison that appeared or changed their confidence since `before`, behind
+    /// those that were cleared.
+    pub fn changes_since(&self, before: &[Finding], now: Instant) -> Vec<Finding> {
+        let confidences = |findings: &[Finding]| -> BTreeMap<FindingKey, Confidence> {
+            findings.iter().map(|finding| (finding.key.clone(), finding.confidence)).collect()
+        };
+        let (was, is) = (confidences(before), confidences(&self.file_findings));
+        let mut changed = Vec::new();
+        for mut finding in before.iter().filter(|it| !is.contains_key(&it.key)).cloned() {
+            (finding.confidence, finding.changed) = (Confidence::Cleared, now);
+            changed.push(finding);
+        }
+        let is_news = |found: &&Finding| was.get(&found.key) != Some(&found.confidence);
+        changed.extend(self.file_findings.iter().filter(is_news).cloned());
+        changed
+    }
+
+    // ---- the list --------------------------------------------------------------------------
+
+    /// All problems: confirmed, suspected, cleared, muted; by severity within each. While the view
+    /// is frozen, rows keep the order in which they were shown and new ones come last.
+    pub fn list<'a>(&'a self, buses: &'a Buses, is_frozen: bool) -> Vec<Problem<'a>> {
+        let stored = self.stored(buses);
+        let mut problems: Vec<Problem> =
+            stored.iter().filter_map(|problem| self.problem(buses, problem)).collect();
+        if is_frozen {
+            problems.sort_by_cached_key(|problem| {
+                let place = self.order.iter().position(|key| *key == problem.key);
+                place.unwrap_or(usize::MAX)
+            });
+        }
+        problems
+    }
+
+    fn problem<'a>(&'a self, buses: &'a Buses, stored: &StoredProblem) -> Option<Problem<'a>> {
+        let finding = |place: &FindingPlace| match *place {
+            FindingPlace::Bus(bus, at) => buses.as_slice().get(bus)?.findings().get(at),
+            FindingPlace::File(at) => self.file_findings.get(at),
+        };
+        let findings: Vec<&Finding> = stored.findings.iter().filter_map(finding).collect();
+        let (key, is_muted) = (stored.key.clone(), stored.is_muted);
+        (!findings.is_empty()).then_some(Problem { key, findings, is_muted })
+    }
+
+    /// The list, made anew if a bus, the file or the muting changed.
+    fn stored(&self, buses: &Buses) -> Rc<[StoredProblem]> {
+        let mut list = self.list.borrow_mut();
+        match &*list {
+            Some((bus, own, stored)) if (*bus, *own) == (buses.revision(), self.revision) => {
+                stored.clone()
+            }
+            _ => {
+                let stored: Rc<[StoredProblem]> = self.group(buses).into();
+                *list = Some((buses.revision(), self.revision, stored.clone()));
+                stored
+            }
+        }
+    }
+
+    fn group(&self, buses: &Buses) -> Vec<StoredProblem> {
+        let mut groups: BTreeMap<ProblemKey, Vec<(&Finding, FindingPlace)>> = BTreeMap::new();
+        let of_buses = buses.iter().enumerate().flat_map(|(bus, it)| {
+            let findings = it.findings().iter().enumerate();
+            findings.map(move |(at, finding)| (finding, FindingPlace::Bus(bus, at)))
+        });
+        let of_file = self.file_findings.iter().enumerate();
+        let of_file = of_file.map(|(at, finding)| (finding, FindingPlace::File(at)));
+        for (finding, place) in of_buses.chain(of_file) {
+            groups.entry(ProblemKey::of(&finding.key)).or_default().push((finding, place));
+        }
+        let mut problems = Vec::with_capacity(groups.len());
+        for (key, mut findings) in groups {
+            findings.sort_by_key(|(it, _)| {
+                (Reverse(it.confidence), Reverse(it.key.kind.severity()), it.key.kind)
+            });
+            let (findings, places) = findings.into_iter().unzip();
+            let is_muted = self.muted.contains(&key);
+            problems.push((Problem { key, findings, is_muted }, places));
+        }
+        problems.sort_by_cached_key(|(problem, _)| problem.rank());
+        let stored =
+            |(Problem { key, is_muted, .. }, findings)| StoredProblem { key, findings, is_muted };
+        problems.into_iter().map(stored).collect()
+    }
+
+    /// Stores the order in which problems are shown, for a frozen view.
+    pub fn set_order(&mut self, order: Vec<ProblemKey>) {
+        self.order = order;
+    }
+
+    /// Returns true if a problem is muted.
+    pub fn is_muted(&self, key: &ProblemKey) -> bool {
+        self.muted.contains(key)
+    }
+
+    /// Mutes a problem, or unmutes a muted one; returns true if it is muted now.
+    pub fn toggle_muted(&mut self, key: ProblemKey) -> bool {
+        self.revision += 1;
+        let was_muted = self.muted.remove(&key);
+        if !was_muted {
+            self.muted.insert(key);
+        }
+        !was_muted
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::app::FileReading;
+    use crate::discovery::Config;
+
+    const NOW: Instant = Instant::ZERO;
+    const FILE: &str = r#"{"devices":[{"name":"A","address":12,"static":true},
+        {"name":"B","address":12,"static":true},{"name":5}]}"#;
+
+    fn parts() -> (Buses, FileState) {
+        let buses = Buses::new(NOW, vec![("can0".into(), Config::default())]);
+        let mut file = FileState::new(Some("des.json".into()));
+        file.read(NOW, FileReading::Content(Some(FILE.into())));
+        (buses, file)
+    }
+
+    #[test]
+    fn list_is_kept_until_something_changes() {
+        let (mut buses, file) = parts();
+        let mut problems = Problems::default();
+        problems.refresh(&buses, &file, NOW);
+        let first = problems.stored(&buses);
+        assert!(!first.is_empty() && Rc::ptr_eq(&first, &problems.stored(&buses)));
+        buses.clear_lost();
+        let second = problems.stored(&buses);
+        assert!(!Rc::ptr_eq(&first, &second));
+        problems.toggle_muted(second[0].key.clone());
+        assert!(!Rc::ptr_eq(&second, &problems.stored(&buses)));
+    }
+
+    #[test]
+    fn muted_problem_is_last_and_does_not_count() {
+        let (buses, file) = parts();
+        let mut problems = Problems::default();
+        problems.refresh(&buses, &file, NOW);
+        let key = problems.list(&buses, false)[0].key.clone();
+        assert!(problems.toggle_muted(key.clone()) && problems.is_muted(&key));
+        let list = problems.list(&buses, false);
+        let last = list.last().unwrap();
+        assert!(last.key == key && !last.counts());
+        assert!(!problems.toggle_muted(key));
+    }
+
+    #[test]
+    fn cleared_finding_is_reported_once() {
+        let (buses, mut file) = parts();
+        let mut problems = Problems::default();
+        let before = problems.refresh(&buses, &file, NOW);
+        assert!(!problems.changes_since(&before, NOW).is_empty());
+        let before = problems.refresh(&buses, &file, NOW);
+        assert!(problems.changes_since(&before, NOW).is_empty());
+        file.read(NOW, FileReading::Content(Some(br#"{"devices":[]}"#.to_vec())));
+        let before = problems.refresh(&buses, &file, NOW);
+        let changes = problems.changes_since(&before, NOW);
+        assert!(!changes.is_empty());
+        assert!(changes.iter().all(|it| it.confidence == Confidence::Cleared));
+    }
+}

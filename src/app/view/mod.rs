@@ -1,0 +1,240 @@
+//! The view: page, selection and scroll position of each list, filters, freezing, the regions of
+//! the screen.
+//!
+//! Inputs: keys of rows, the size of the screen. Does not know the content of rows, or how they
+//! are drawn.
+
+mod cursor;
+mod evidence;
+mod page;
+mod rows;
+mod screen;
+
+pub use cursor::Cursor;
+pub use evidence::EvidenceView;
+pub use page::{Focus, Frozen, Page};
+pub use rows::{Counts, FileStatus, Row, RowKey, RowState, SortBy};
+pub use screen::{SPLIT_WIDTH, Screen, tabs};
+
+use super::capture::IdentifierKey;
+use super::problems::{EvidenceItem, ProblemKey};
+
+/// State of the view.
+#[derive(Debug, Default)]
+pub struct View {
+    /// Open page.
+    pub page: Page,
+    /// Part of the page that takes the keys.
+    pub focus: Focus,
+    /// The details of a frame are open.
+    pub frame_details: bool,
+    /// Traffic was opened from a line of the timeline; Esc returns there.
+    pub from_timeline: bool,
+    /// First line of the details that is shown.
+    pub details_scroll: u16,
+    /// Sort order of the Devices page.
+    pub sort: SortBy,
+    /// End of a frozen view; `None` while it is live.
+    pub frozen: Option<Frozen>,
+    /// Traffic shows one row per identifier.
+    pub by_identifier: bool,
+    /// Size of the screen: columns, rows.
+    pub size: (u16, u16),
+    /// Selection of the Devices page.
+    pub devices: Cursor<RowKey>,
+    /// Selection of the Problems page.
+    pub problems: Cursor<ProblemKey>,
+    /// Number of the selected timeline line; none while the newest are followed.
+    pub timeline: Cursor<u64>,
+    /// Selection of the identifier view.
+    pub identifiers: Cursor<IdentifierKey>,
+    /// Number of the selected frame; `None` while the newest are followed.
+    pub traffic: Option<u64>,
+    /// Line of the list on which it is shown.
+    pub traffic_line: usize,
+    /// Evidence that Traffic shows.
+    pub evidence: Option<EvidenceView>,
+    pub(in crate::app) filters: [String; 4],
+    /// The size of the screen is known; without a screen nothing waits for drawing.
+    pub(in crate::app) has_screen: bool,
+}
+
+impl View {
+    /// Returns true if the page has details beside, below or in place of its list.
+    pub fn has_details(&self) -> bool {
+        match self.page {
+            Page::Devices | Page::Problems => true,
+            Page::Traffic if self.evidence.is_some() => true,
+            Page::Traffic => self.frame_details && !self.by_identifier,
+            Page::Timeline => false,
+        }
+    }
+
+    /// Returns true if Traffic shows one row per identifier; evidence is always shown as frames.
+    pub fn shows_identifiers(&self) -> bool {
+        self.by_identifier && self.evidence.is_none()
+    }
+
+    /// Filter of a page.
+    pub fn filter(&self, page: Page) -> &str {
+        &self.filters[page as usize]
+    }
+
+    /// Sets the filter of a page.
+    pub fn set_filter(&mut self, page: Page, text: String) {
+        self.filters[page as usize] = text;
+    }
+
+    /// Regions of the screen, for this many buses.
+    pub fn screen(&self, buses: usize) -> Screen {
+        Screen::new(self, buses)
+    }
+
+    /// Opens a page with its list in focus; evidence is closed.
+    pub(in crate::app) fn open_page(&mut self, page: Page) {
+        self.close_evidence();
+        self.from_timeline = false;
+        self.page = page;
+        self.focus_list();
+    }
+
+    fn focus_list(&mut self) {
+        self.focus = Focus::List;
+        self.details_scroll = 0;
+    }
+
+    /// Moves the focus to the details, if there are any, or to the list. On Traffic, leaving the
+    /// details closes them.
+    pub(in crate::app) fn focus_details(&mut self, details: bool) {
+        let has = self.has_details();
+        if !details && self.page == Page::Traffic {
+            self.frame_details = false;
+        }
+        self.focus = if details && has { Focus::Details } else { Focus::List };
+        self.details_scroll = 0;
+    }
+
+    /// Scrolls the details by lines; the end is known when they are drawn.
+    pub(in crate::app) fn scroll_details(&mut self, delta: isize) {
+        let scroll = usize::from(self.details_scroll).saturating_add_signed(delta);
+        self.details_scroll = u16::try_from(scroll).unwrap_or(u16::MAX);
+    }
+
+    /// Selects the newest line of the timeline, if its newest lines are followed.
+    pub(in crate::app) fn hold_timeline(&mut self, keys: &[u64], height: usize) {
+        if self.timeline.selected().is_none() {
+            self.timeline.move_to(keys, keys.len(), height);
+            let line = keys.len().min(height).saturating_sub(1);
+            self.timeline.click(keys, line, height);
+        }
+    }
+
+    /// Shows this frame in the middle of a list of `height` lines.
+    pub(in crate::app) fn select_frame(&mut self, number: u64, height: usize) {
+        self.traffic = Some(number);
+        self.traffic_line = height / 2;
+    }
+
+    // ---- evidence --------------------------------------------------------------------------
+
+    /// The evidence, if only its own frames are shown.
+    pub fn evidence_alone(&self) -> Option<&EvidenceView> {
+        self.evidence.as_ref().filter(|evidence| !evidence.around)
+    }
+
+    /// Opens evidence on Traffic, with the piece at `first` selected.
+    pub(in crate::app) fn open_evidence(
+        &mut self,
+        problem: ProblemKey,
+        title: String,
+        pieces: Vec<EvidenceItem>,
+        count: u64,
+        first: usize,
+    ) {
+        let before = (self.traffic, self.traffic_line, self.focus);
+        let mut cursor = Cursor::default();
+        cursor.select(first);
+        self.open_page(Page::Traffic);
+        let around = false;
+        self.evidence =
+            Some(EvidenceView { problem, title, pieces, count, cursor, around, before });
+    }
+
+    /// Shows only the evidence, or all frames around it.
+    pub(in crate::app) fn set_around(&mut self, around: bool) {
+        self.focus_list();
+        if let Some(evidence) = &mut self.evidence {
+            evidence.around = around;
+        }
+    }
+
+    /// Closes the evidence; Traffic is again as before.
+    pub(in crate::app) fn close_evidence(&mut self) {
+        if let Some(evidence) = self.evidence.take() {
+            (self.traffic, self.traffic_line, _) = evidence.before;
+        }
+    }
+
+    /// Moves the selection of the evidence by `delta` pieces.
+    pub(in crate::app) fn move_in_evidence(&mut self, delta: isize, height: usize) {
+        if let Some(evidence) = &mut self.evidence {
+            let places = evidence.places();
+            evidence.cursor.move_by(&places, delta, height);
+        }
+    }
+
+    /// Selects the piece of evidence on a line of the list.
+    pub(in crate::app) fn click_evidence(&mut self, line: usize, height: usize) {
+        if let Some(evidence) = &mut self.evidence {
+            let places = evidence.places();
+            evidence.cursor.click(&places, line, height);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::BusIndex;
+    use crate::time::Instant;
+    use crate::wire::id::Address;
+
+    #[test]
+    fn selection_stays_on_its_row_and_line() {
+        let mut cursor = Cursor::default();
+        let mut keys: Vec<u32> = (10..30).collect();
+        cursor.settle(&keys, 5);
+        cursor.move_by(&keys, 8, 5);
+        assert_eq!(cursor.selected(), Some(&18));
+        let top = |cursor: &Cursor<u32>, keys: &[u32]| {
+            cursor.top(cursor.index(keys.iter()), keys.len(), 5)
+        };
+        assert_eq!(top(&cursor, &keys), 4);
+        keys.insert(0, 1);
+        cursor.settle(&keys, 5);
+        assert_eq!((cursor.selected(), top(&cursor, &keys)), (Some(&18), 5));
+        keys.retain(|key| *key != 18);
+        cursor.settle(&keys, 5);
+        assert_eq!(cursor.selected(), Some(&19));
+        cursor.move_by(&keys, -2, 5);
+        assert_eq!((cursor.selected(), top(&cursor, &keys)), (Some(&16), 5));
+        cursor.settle(&[], 5);
+        assert_eq!(cursor.selected(), None);
+    }
+
+    #[test]
+    fn closed_evidence_restores_traffic() {
+        let mut view = View { traffic: Some(7), traffic_line: 3, ..View::default() };
+        let piece = EvidenceItem { time: Instant::ZERO, what: String::new(), frame: None };
+        let key = ProblemKey::Shared(BusIndex(0), Address::from_bits(12));
+        view.open_evidence(key, "conflict".to_owned(), vec![piece; 3], 3, 1);
+        view.move_in_evidence(1, 10);
+        let selected = view.evidence_alone().and_then(EvidenceView::selected);
+        assert_eq!(selected.map(|(place, _)| place), Some(2));
+        view.select_frame(9, 10);
+        view.set_around(true);
+        assert!(view.evidence_alone().is_none());
+        view.open_page(Page::Devices);
+        assert_eq!((view.traffic, view.traffic_line), (Some(7), 3));
+    }
+}

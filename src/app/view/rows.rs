@@ -1,0 +1,187 @@
+//! Rows of the Devices page: types and sort orders.
+//!
+//! Does not know how rows are made or drawn.
+
+use crate::discovery::{DeviceId, Presence};
+use crate::document::EntryKey;
+use crate::frame::BusIndex;
+use crate::text::Name;
+use crate::wire::id::Address;
+
+/// Identity of a row, stable while other rows appear and disappear.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum RowKey {
+    /// Row of a device.
+    Device(DeviceId),
+    /// Row of an entry without a device.
+    Entry(EntryKey),
+}
+
+/// A row of the Devices page.
+#[derive(Clone, Debug)]
+pub struct Row {
+    /// Identity.
+    pub key: RowKey,
+    /// Bus; `None` for an entry without a bus where there are several.
+    pub bus: Option<BusIndex>,
+    /// Address of the device, else of the entry.
+    pub address: Option<Address>,
+    /// Name of the device, else of the entry.
+    pub name: Option<Name>,
+    /// State, for the STATE column.
+    pub state: RowState,
+    /// A suspected finding concerns it.
+    pub suspected: bool,
+    /// Another present device on its bus has the same name.
+    pub twin: bool,
+    /// The same device on redundant buses.
+    pub also: Vec<DeviceId>,
+    /// Relation to des.json.
+    pub file: FileStatus,
+    /// Place of its entry in the file.
+    pub entry: Option<usize>,
+    /// Its entry has an invalid value or is a duplicate.
+    pub is_flawed: bool,
+    /// The services of its entry differ from those of the device.
+    pub has_other_services: bool,
+}
+
+impl Row {
+    /// Returns true if it is the row of this device on one of its buses.
+    pub fn has(&self, id: DeviceId) -> bool {
+        self.key == RowKey::Device(id) || self.also.contains(&id)
+    }
+
+    /// Returns true if it belongs to this bus, or to no bus in particular.
+    pub(in crate::app) fn is_on(&self, bus: BusIndex) -> bool {
+        self.bus.is_none_or(|own| own == bus) || self.also.iter().any(|id| id.bus == bus)
+    }
+}
+
+/// State of a row.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum RowState {
+    /// Confirmed address conflict.
+    Conflict,
+    /// Listed and not on the bus.
+    Missing,
+    /// Presence as the engine reports it.
+    Lost,
+    /// Present on some, not on all of its redundant buses.
+    Partial,
+    /// Present when its bus went down.
+    Unknown,
+    /// Presence as the engine reports it.
+    Stale,
+    /// Presence as the engine reports it.
+    Silent,
+    /// Presence as the engine reports it.
+    Asleep,
+    /// Listed, and the search is not complete.
+    Pending,
+    /// Entry that repeats another one.
+    Duplicate,
+    /// Presence as the engine reports it.
+    Online,
+}
+
+impl RowState {
+    /// Text for the STATE column.
+    pub const fn word(self) -> &'static str {
+        match self {
+            RowState::Conflict => "CONFLICT",
+            RowState::Missing => "missing",
+            RowState::Lost => "lost",
+            RowState::Partial => "partial",
+            RowState::Unknown => "unknown",
+            RowState::Stale => "stale",
+            RowState::Silent => "silent",
+            RowState::Asleep => "asleep",
+            RowState::Pending => "pending",
+            RowState::Duplicate => "dup",
+            RowState::Online => "online",
+        }
+    }
+}
+
+impl From<Presence> for RowState {
+    fn from(presence: Presence) -> Self {
+        match presence {
+            Presence::Online => RowState::Online,
+            Presence::Stale => RowState::Stale,
+            Presence::Silent => RowState::Silent,
+            Presence::Asleep => RowState::Asleep,
+            Presence::Lost => RowState::Lost,
+        }
+    }
+}
+
+/// Relation of a row to des.json.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FileStatus {
+    /// No file, no known name, or a debug device.
+    Nothing,
+    /// Device that is not in the file.
+    New,
+    /// Listed without a static address; the listed address.
+    Listed(Option<u8>),
+    /// Static address, equal to that of the device.
+    Agrees(u8),
+    /// Static address, different from that of the device.
+    Differs(u8),
+    /// Static address of an entry whose device is not known yet.
+    Pinned(u8),
+}
+
+/// Sort order of the rows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[allow(missing_docs)]
+pub enum SortBy {
+    #[default]
+    Address,
+    Name,
+    State,
+    Mode,
+    Seen,
+    File,
+}
+
+impl SortBy {
+    /// Next sort order, column by column.
+    #[must_use]
+    pub const fn next(self) -> Self {
+        match self {
+            SortBy::Address => SortBy::Name,
+            SortBy::Name => SortBy::State,
+            SortBy::State => SortBy::Mode,
+            SortBy::Mode => SortBy::Seen,
+            SortBy::Seen => SortBy::File,
+            SortBy::File => SortBy::Address,
+        }
+    }
+
+    /// Text for the message.
+    pub const fn describe(self) -> &'static str {
+        match self {
+            SortBy::Address => "by address",
+            SortBy::Name => "by name",
+            SortBy::State => "by severity",
+            SortBy::Mode => "by mode",
+            SortBy::Seen => "newest first",
+            SortBy::File => "by difference from the file",
+        }
+    }
+}
+
+/// Number of rows by state, and of problems by confidence.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[allow(missing_docs)]
+pub struct Counts {
+    pub here: usize,
+    pub unseen: usize,
+    pub missing: usize,
+    pub lost: usize,
+    pub confirmed: usize,
+    pub suspected: usize,
+    pub muted: usize,
+}
