@@ -4,14 +4,15 @@
 //!
 //! A figure of bus time, not of this machine: the same on every run.
 
-#[path = "../common/mod.rs"]
-mod common;
+#[allow(dead_code, reason = "a part is used")]
+#[path = "../it/common/inspection.rs"]
+mod inspection;
 
-use common::Inspection;
 use descan::discovery::Config;
 use descan::sim::Scenario;
 use descan::time::{Duration, Instant};
 use descan::wire::id::Header;
+use inspection::Inspection;
 
 fn main() {
     println!("discovery of 127 devices with 5 services (60-byte answers), auto framing");

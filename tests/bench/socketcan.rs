@@ -6,7 +6,8 @@
 //! CPU measure takes, slices of each, seconds of each measure of losses (0: none), rates; without
 //! them it measures nothing. With `send RATE SECONDS` it only sends, to ds-measure: for a profiler.
 
-#[path = "../common/pty.rs"]
+#[allow(dead_code, reason = "a part is used")]
+#[path = "../it/common/pty.rs"]
 mod pty;
 
 use descan::wire::id::{Address, Header, Service};

@@ -4,7 +4,8 @@
 //! 60 devices at 1 Mbit/s that chatter: about 7,000 frames a second on a simulated bus in the
 //! same process.
 
-#[path = "../common/pty.rs"]
+#[allow(dead_code, reason = "a part is used")]
+#[path = "../it/common/pty.rs"]
 mod pty;
 
 use pty::Pty;

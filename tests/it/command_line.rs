@@ -1,0 +1,725 @@
+//! The command line, from outside: what it prints, where, and the exit codes.
+
+use crate::common::inspection::log;
+use descan::frame::Frame;
+use descan::log::candump::write_line;
+use descan::sim::{DeviceAction, DeviceSpec, Scenario};
+use descan::time::{Duration, Epoch};
+use serde_json::Value;
+use std::io::Write;
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+fn descan(arguments: &[&str], folder: &Path) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_descan"))
+        .args(arguments)
+        .current_dir(folder)
+        .env("XDG_CONFIG_HOME", folder.join("config"))
+        .env_remove("NO_COLOR")
+        .stdin(Stdio::null())
+        .output()
+        .expect("the program starts")
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8(bytes.to_vec()).expect("output is UTF-8")
+}
+
+fn json(output: &Output) -> Value {
+    serde_json::from_slice(&output.stdout)
+        .unwrap_or_else(|error| panic!("{error}: {}", text(&output.stdout)))
+}
+
+fn two_devices() -> Scenario {
+    Scenario::new(125_000)
+        .with(DeviceSpec::new("FEED").fixed(12).settled().service("AUGER", "2.1"))
+        .with(DeviceSpec::new("SENS").fixed(13).settled().service("TEMP", "1.7"))
+}
+
+#[test]
+fn a_device_on_two_buses_says_where_else_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut others = two_devices();
+    others.devices[1] = DeviceSpec::new("SENS").fixed(14).settled().service("LOG", "0.1");
+    let mut lines: Vec<String> = log(&two_devices(), 12).lines().map(str::to_owned).collect();
+    lines.extend(log(&others, 12).lines().map(|line| line.replace(" can0 ", " can1 ")));
+    lines.sort_by_key(|line| line.split(' ').next().map(str::to_owned));
+    std::fs::write(folder.path().join("both.log"), lines.join("\n")).unwrap();
+    let report = json(&descan(&["scan", "file:both.log", "--json"], folder.path()));
+    let devices = report["devices"].as_array().unwrap();
+    let also = |bus: &str, name: &str| {
+        let device = devices.iter().find(|it| it["bus"] == bus && it["name"] == name).unwrap();
+        assert_eq!(device["also"].as_array().unwrap().len(), 1, "{device}");
+        let also = &device["also"][0];
+        format!("{} {} {}", also["bus"], also["address"], also["redundant"])
+    };
+    assert_eq!(also("can0", "FEED"), r#""can1" 12 true"#);
+    assert_eq!(also("can1", "FEED"), r#""can0" 12 true"#);
+    assert_eq!(also("can0", "SENS"), r#""can1" 14 false"#);
+    let table = text(&descan(&["scan", "file:both.log"], folder.path()).stdout);
+    assert!(
+        table.contains("FEED is on can0 @12 and can1 @12, same services: redundant\n"),
+        "{table}"
+    );
+    assert!(
+        table.contains("SENS is on can0 @13 and can1 @14, different services: separate networks")
+    );
+}
+
+#[test]
+fn a_log_is_scanned_by_its_own_clock() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("session.log"), log(&two_devices(), 12)).unwrap();
+    let output = descan(&["scan", "file:session.log", "--json"], folder.path());
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let report = json(&output);
+    assert_eq!(report["descan"], "0.1.0");
+    let bus = &report["buses"][0];
+    assert_eq!(bus["name"], "can0");
+    assert_eq!(bus["bitrate"], Value::Null, "a log does not say");
+    assert_eq!(bus["load"], Value::Null, "nor can the load be known then");
+    assert_eq!(bus["state"], "unknown");
+    assert_eq!(
+        (&bus["errors"], &bus["lost"], &bus["address"]),
+        (&0.into(), &0.into(), &Value::Null)
+    );
+    let devices = report["devices"].as_array().unwrap();
+    let named: Vec<_> =
+        devices.iter().map(|it| (it["address"].as_u64().unwrap(), it["name"].clone())).collect();
+    assert_eq!(named[1..], [(12, "FEED".into()), (13, "SENS".into())]);
+    let feed = &devices[1];
+    assert_eq!(feed["bus"], "can0");
+    assert_eq!(feed["name_hex"], "46454544");
+    assert_eq!(feed["presence"], "online");
+    assert_eq!(feed["mode"], "WORK");
+    assert_eq!(feed["working"], true);
+    assert_eq!(feed["uid"], "FEED");
+    assert_eq!(feed["framing"], "isotp");
+    assert_eq!(feed["services_known"], true);
+    let services = serde_json::json!([
+        { "index": 0, "name": "DES", "version": "1.0", "extra": [] },
+        { "index": 1, "name": "AUGER", "version": "2.1", "extra": [] },
+    ]);
+    assert_eq!(feed["services"], services);
+    assert_eq!(feed["heartbeat"]["missed"], 0);
+    let period = feed["heartbeat"]["period_ms"].as_f64().unwrap();
+    assert!((990.0..1010.0).contains(&period), "{period}");
+    assert_eq!(feed["quirks"], serde_json::json!([]));
+    assert_eq!(report["findings"], serde_json::json!([]));
+    assert_eq!(report["file"]["ok"], Value::Null, "there is no des.json");
+}
+
+/// A log of 40 s: heartbeats of node 12 until 20 s, of node 20 from 10 s on.
+fn log_with_two_shifts() -> String {
+    let mut lines = Vec::new();
+    for second in 0..=40 {
+        for (_, id) in [(0..=20, "07183C01"), (10..=40, "07283C01")]
+            .into_iter()
+            .filter(|(seconds, _)| seconds.contains(&second))
+        {
+            lines.push(format!("({}.5) can0 {id}#8AFA6C9724110400\n", 1_436_509_052 + second));
+        }
+    }
+    lines.concat()
+}
+
+/// The devices of `descan scan` on this log: address, presence, number of heartbeats.
+fn shifts(options: &[&str]) -> Vec<(u64, String, u64)> {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("session.log"), log_with_two_shifts()).unwrap();
+    let arguments = [&["scan", "file:session.log", "--json"], options].concat();
+    let output = descan(&arguments, folder.path());
+    assert_eq!(text(&output.stderr), "");
+    assert_eq!(output.status.code(), Some(0));
+    let report = json(&output);
+    let devices = report["devices"].as_array().unwrap().iter();
+    devices
+        .map(|device| {
+            let presence = device["presence"].as_str().unwrap().to_owned();
+            let beats = device["heartbeat"]["count"].as_u64().unwrap();
+            (device["address"].as_u64().unwrap(), presence, beats)
+        })
+        .collect()
+}
+
+#[test]
+fn log_scanned_with_time_is_judged_at_that_moment() {
+    let device = |address, presence: &str, beats| (address, presence.to_owned(), beats);
+    assert_eq!(shifts(&[]), [device(12, "lost", 21), device(20, "online", 31)]);
+    assert_eq!(shifts(&["--time", "5"]), [device(12, "online", 6)]);
+    assert_eq!(shifts(&["--time", "15"]), [device(12, "online", 16), device(20, "online", 6)]);
+    // The log is shorter.
+    assert_eq!(shifts(&["--time", "1000"]), shifts(&[]));
+}
+
+#[test]
+fn log_scanned_from_a_moment_has_nothing_from_before_it() {
+    let device = |address, presence: &str, beats| (address, presence.to_owned(), beats);
+    assert_eq!(shifts(&["--from", "25"]), [device(20, "online", 16)]);
+    // The time counts from the first frame that is read.
+    assert_eq!(shifts(&["--from", "4.5", "--time", "3"]), [device(12, "online", 4)]);
+    assert_eq!(shifts(&["--from", "0"]), shifts(&[]));
+}
+
+#[test]
+fn log_time_advances_between_distant_frames() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut lines = Vec::new();
+    for second in [0, 1, 2, 3, 4, 60] {
+        let id = if second == 60 { "07283C01" } else { "07183C01" };
+        lines.push(format!("({second}.0) can0 {id}#8AFA6C9724110400\n"));
+    }
+    std::fs::write(folder.path().join("session.log"), lines.concat()).unwrap();
+    let arguments = ["scan", "file:session.log", "--json", "--time", "20"];
+    let report = json(&descan(&arguments, folder.path()));
+    assert_eq!(report["devices"].as_array().unwrap().len(), 1);
+    assert_eq!(report["devices"][0]["presence"], "lost");
+}
+
+#[test]
+fn log_watched_from_a_moment_begins_there() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("session.log"), log_with_two_shifts()).unwrap();
+    for speed in [None, Some("100")] {
+        let mut arguments =
+            vec!["watch", "file:session.log", "--json", "--from", "25", "--time", "2"];
+        arguments.extend(speed.iter().flat_map(|speed| ["--speed", speed]));
+        let output = descan(&arguments, folder.path());
+        let told: Vec<Value> =
+            text(&output.stdout).lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+        let appeared = told.iter().filter(|it| it["event"] == "appeared");
+        let appeared: Vec<_> = appeared.map(|it| (it["time"].as_f64(), &it["address"])).collect();
+        assert_eq!(appeared, [(Some(1_436_509_077.5), &Value::from(20))]);
+        assert!(told.iter().all(|it| it["time"].as_f64() >= Some(1_436_509_077.5)), "{told:?}");
+        assert_eq!(output.status.code(), Some(0));
+    }
+}
+
+#[test]
+fn unusable_from_is_refused_with_remedy() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("session.log"), log_with_two_shifts()).unwrap();
+    std::fs::write(folder.path().join("des.json"), "[]").unwrap();
+    for command in ["scan", "check", "watch"] {
+        for (arguments, code, cause, way_out) in [
+            (&["sim:boiler", "--from", "5"][..], 2, "--from", "file:LOG"),
+            (&["nocan7", "--from", "5"], 2, "--from", "file:LOG"),
+            (&["file:session.log", "--from", "soon"], 2, "--from", "a number of seconds"),
+            (&["file:session.log", "--from", "-1"], 2, "--from", "a number of seconds"),
+            (&["file:session.log", "--time", "soon"], 2, "--time", "a number of seconds"),
+            (&["file:session.log", "--from", "100"], 3, "40.0 s", "--from"),
+        ] {
+            let output = descan(&[&[command], arguments].concat(), folder.path());
+            let stderr = text(&output.stderr);
+            assert_eq!(output.status.code(), Some(code), "{command} {arguments:?}: {stderr}");
+            assert!(stderr.contains(cause) && stderr.contains(way_out), "{stderr}");
+            assert_eq!(stderr.lines().count(), 1, "{stderr}");
+            assert_eq!(text(&output.stdout), "", "{command} {arguments:?}");
+        }
+    }
+}
+
+#[test]
+fn a_clock_that_was_set_meanwhile_takes_no_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = "(1.0) can0 07180001#8AFA6C9724110400\n\
+               (1780000000.0) can0 07180401#8AFA6C9724110400\n\
+               (18446744073709.551615) can0 07180801#8AFA6C9724110400\n";
+    std::fs::write(folder.path().join("session.log"), log).unwrap();
+    let report = json(&descan(&["scan", "file:session.log", "--json"], folder.path()));
+    assert_eq!(report["devices"][0]["presence"], "online");
+    assert_eq!(report["devices"][0]["heartbeat"]["count"], 3);
+}
+
+#[test]
+fn a_controller_that_is_off_the_bus_for_years_takes_no_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = "(1.0) can0 07180001#8AFA6C9724110400\n\
+               (1.5) can0 20000040#0000000000000000\n\
+               (1780000000.0) can0 07180401#8AFA6C9724110400\n\
+               (1780000029.0) can0 07180801#8AFA6C9724110400\n";
+    let bus_errors = |log: &str| {
+        std::fs::write(folder.path().join("session.log"), log).unwrap();
+        let report = json(&descan(&["scan", "file:session.log", "--json"], folder.path()));
+        let finding = &report["findings"][0];
+        assert_eq!(finding["kind"], "bus-errors");
+        finding["confidence"].clone()
+    };
+    assert_eq!(bus_errors(log), "confirmed", "it may be off again in a moment");
+    let quiet = format!("{log}(1780000031.0) can0 07180C01#8AFA6C9724110400\n");
+    assert_eq!(bus_errors(&quiet), "cleared", "it took part for half a minute");
+}
+
+#[test]
+fn a_device_that_left_before_the_logs_end_is_lost() {
+    let scenario = two_devices().at(Duration::from_secs(4), "SENS", DeviceAction::Leave);
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("session.log"), log(&scenario, 12)).unwrap();
+    let report = json(&descan(&["scan", "file:session.log", "--json"], folder.path()));
+    let sens = report["devices"].as_array().unwrap().iter().find(|it| it["name"] == "SENS");
+    assert_eq!(sens.unwrap()["presence"], "lost");
+}
+
+#[test]
+fn a_collision_in_a_log_makes_the_exit_code_1() {
+    let twin = DeviceSpec::new("FEED")
+        .label("second")
+        .fixed(12)
+        .settled()
+        .uid(descan::wire::node::Uid([1, 2, 3, 4, 5, 6]))
+        .fault(descan::sim::Fault::NeverGivesWay);
+    let first = two_devices();
+    let mut scenario = first.with(twin);
+    scenario.devices[0].faults.set(descan::sim::Fault::NeverGivesWay, true);
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("session.log"), log(&scenario, 20)).unwrap();
+    let output = descan(&["scan", "file:session.log", "--json"], folder.path());
+    assert_eq!(output.status.code(), Some(1));
+    let report = json(&output);
+    let finding = report["findings"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .find(|it| it["confidence"] == "confirmed")
+        .expect("a confirmed finding");
+    assert_eq!(finding["address"], 12);
+    assert_eq!(finding["addresses"], serde_json::json!([12]));
+    assert_eq!(finding["bus"], "can0");
+    assert!(finding["first"].as_f64().unwrap() > 1_436_509_052.0);
+    let evidence = &finding["evidence"][0];
+    assert!(evidence["frame"].as_str().unwrap().contains('#'));
+    assert!(!finding["text"].as_str().unwrap().is_empty());
+    assert!(!finding["remedy"].as_str().unwrap().is_empty());
+    let tables = descan(&["scan", "file:session.log"], folder.path());
+    assert!(text(&tables.stdout).contains("CONFLICT"), "{}", text(&tables.stdout));
+}
+
+/// Two boards answer as FEED and as PUMP from address 12, for as long as anybody listens; in the
+/// end the one at 40 sends an identifier that is none of the nine types.
+fn two_boards_at_12() -> Vec<String> {
+    let mut lines = Vec::new();
+    let mut add = |millis: u32, frame: String| {
+        lines.push(format!(
+            "({}.{:03}000) can0 {frame}",
+            1_436_509_052 + millis / 1000,
+            millis % 1000
+        ));
+    };
+    for second in 0..14 {
+        let rnd7 = (second * 3 + 1) << 10;
+        let at = second * 1000;
+        // Who is there? Then both answers, and both heartbeats.
+        add(at + 100, format!("{:08X}#0444455301", 0x0200_0002 | rnd7));
+        add(at + 110, "05180002#06014645454400".to_owned());
+        add(at + 115, "05180002#060150554D5000".to_owned());
+        add(at + 200, format!("{:08X}#8AFA6C9724110400", 0x0718_0001 | rnd7));
+        add(
+            at + 700,
+            format!("{:08X}#112233445566 0400", 0x0718_0001 | rnd7 ^ 0x400).replace(' ', ""),
+        );
+    }
+    add(13_800, "07500001#0102030405060400".to_owned());
+    add(13_900, "10500001#00".to_owned());
+    lines
+}
+
+#[test]
+fn findings_are_proved_by_lines_of_the_log() {
+    let folder = tempfile::tempdir().unwrap();
+    let lines = two_boards_at_12();
+    std::fs::write(folder.path().join("session.log"), lines.join("\n") + "\n").unwrap();
+    let output = descan(&["scan", "file:session.log", "--json"], folder.path());
+    assert_eq!(output.status.code(), Some(1));
+    let report = json(&output);
+    let findings = report["findings"].as_array().unwrap();
+    let members = [
+        "addresses",
+        "address",
+        "bus",
+        "confidence",
+        "evidence",
+        "first",
+        "kind",
+        "names",
+        "remedy",
+        "text",
+    ];
+    for finding in findings {
+        let mut own: Vec<&str> = finding.as_object().unwrap().keys().map(String::as_str).collect();
+        own.sort_unstable_by_key(|it| members.iter().position(|member| member == it));
+        assert_eq!(own, members, "{finding:#}");
+        assert_eq!(finding["bus"], "can0");
+        assert!(
+            ["suspected", "confirmed", "cleared"]
+                .contains(&finding["confidence"].as_str().unwrap())
+        );
+        let text = |member: &str| finding[member].as_str().unwrap().to_owned();
+        assert!(text("text").ends_with('.') && text("remedy").ends_with('.'), "{finding:#}");
+        let evidence = finding["evidence"].as_array().unwrap();
+        assert!((1..=8).contains(&evidence.len()), "{finding:#}");
+        assert_eq!(finding["first"], evidence[0]["time"]);
+        for piece in evidence {
+            assert!(!piece["what"].as_str().unwrap().is_empty());
+            let time = piece["time"].as_f64().unwrap();
+            let line = format!("({time:.6}) can0 {}", piece["frame"].as_str().unwrap());
+            assert!(lines.contains(&line), "{line} is not in the log: {finding:#}");
+        }
+        let times: Vec<f64> = evidence.iter().map(|it| it["time"].as_f64().unwrap()).collect();
+        assert!(times.is_sorted(), "{finding:#}");
+    }
+    let firsts: Vec<f64> = findings.iter().map(|it| it["first"].as_f64().unwrap()).collect();
+    assert!(firsts.is_sorted(), "{firsts:?}");
+    let of_kind = |kind: &str| {
+        let found = findings.iter().find(|it| it["kind"] == kind);
+        found.unwrap_or_else(|| panic!("no {kind}: {findings:#?}"))
+    };
+    let names = of_kind("one-address-two-names");
+    assert_eq!(names["confidence"], "confirmed");
+    assert_eq!((&names["address"], &names["addresses"]), (&12.into(), &serde_json::json!([12])));
+    let mut both: Vec<&str> =
+        names["names"].as_array().unwrap().iter().filter_map(Value::as_str).collect();
+    both.sort_unstable();
+    assert_eq!(both, ["FEED", "PUMP"]);
+    let identities = of_kind("one-address-two-identities");
+    assert_eq!(
+        (&identities["confidence"], &identities["address"]),
+        (&"confirmed".into(), &12.into())
+    );
+    let odd = of_kind("non-conforming");
+    assert_eq!((&odd["confidence"], &odd["address"]), (&"suspected".into(), &40.into()));
+    assert_eq!(odd["evidence"][0]["frame"], "10500001#00");
+}
+
+#[test]
+fn standard_input_is_a_log_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut child = Command::new(env!("CARGO_BIN_EXE_descan"))
+        .args(["scan", "-", "--json"])
+        .current_dir(folder.path())
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = log(&two_devices(), 5);
+    lines.push_str("this is no line of a log\n");
+    child.stdin.take().unwrap().write_all(lines.as_bytes()).unwrap();
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(json(&output)["devices"].as_array().unwrap().len(), 3);
+}
+
+#[test]
+fn unreadable_lines_are_named_once_on_standard_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let lines = format!("{}what?\nand this?\n", log(&two_devices(), 3));
+    let number = lines.lines().count() - 1;
+    std::fs::write(folder.path().join("session.log"), lines).unwrap();
+    let output = descan(&["scan", "file:session.log"], folder.path());
+    let said = text(&output.stderr);
+    assert!(
+        said.contains(&format!("2 lines cannot be read, the first is line {number}")),
+        "{said}"
+    );
+}
+
+#[test]
+fn a_log_may_begin_with_a_byte_order_mark() {
+    let folder = tempfile::tempdir().unwrap();
+    let lines = format!("\u{feff}{}", log(&two_devices(), 3));
+    let number = lines.lines().count();
+    std::fs::write(folder.path().join("session.log"), lines).unwrap();
+    let output = descan(&["scan", "file:session.log", "--json"], folder.path());
+    assert_eq!(text(&output.stderr), "");
+    assert_eq!(json(&output)["buses"][0]["frames"], number);
+}
+
+#[test]
+fn what_cannot_be_printed_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("session.log"), log(&two_devices(), 3)).unwrap();
+    std::fs::write(folder.path().join("des.json"), "{}").unwrap();
+    let log = "file:session.log";
+    for arguments in [&["scan", log][..], &["check", log], &["watch", log], &["schema"], &["man"]] {
+        let output = Command::new(env!("CARGO_BIN_EXE_descan"))
+            .args(arguments)
+            .current_dir(folder.path())
+            .stdout(std::fs::File::options().write(true).open("/dev/full").unwrap())
+            .output()
+            .unwrap();
+        let said = text(&output.stderr);
+        let expected = "descan: cannot write to standard output: No space left on device";
+        assert!(said.lines().any(|line| line.starts_with(expected)), "{arguments:?}: {said}");
+        assert_eq!(output.status.code(), Some(3), "{arguments:?}");
+    }
+}
+
+#[test]
+fn hostile_names_reach_no_terminal() {
+    let hostile = DeviceSpec::new("x").name(b"\x1b[2J\x07").fixed(9).settled();
+    let hostile = hostile.service("\u{202e}evil", "\u{9b}1");
+    let folder = tempfile::tempdir().unwrap();
+    let lines = log(&Scenario::new(125_000).with(hostile), 5);
+    std::fs::write(folder.path().join("session.log"), lines).unwrap();
+    for arguments in [&["scan", "file:session.log"][..], &["scan", "file:session.log", "--json"]] {
+        let shown = text(&descan(arguments, folder.path()).stdout);
+        assert!(shown.contains("x1B[2J"), "{shown}");
+        assert!(!shown.chars().any(|c| c.is_control() && c != '\n'), "{shown:?}");
+        assert!(!shown.contains('\u{202e}'));
+    }
+}
+
+#[test]
+fn an_interface_name_in_a_log_steers_no_terminal() {
+    let folder = tempfile::tempdir().unwrap();
+    let lines = "(1.0) ca\u{1b}[2Jn0 07183C01#\n(1.1) ca\u{9b}n0 07183C01#\n(1.2) can0 07183C01#\n";
+    std::fs::write(folder.path().join("session.log"), lines).unwrap();
+    let output = descan(&["scan", "file:session.log"], folder.path());
+    let shown = text(&output.stdout) + &text(&output.stderr);
+    assert!(!shown.chars().any(|c| c.is_control() && c != '\n'), "{shown:?}");
+    assert!(shown.contains("can0: ") && shown.contains("2 lines cannot be read"), "{shown}");
+}
+
+#[test]
+fn what_was_found_becomes_a_des_json_and_nothing_is_overwritten() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("session.log"), log(&two_devices(), 5)).unwrap();
+    let arguments = ["scan", "file:session.log", "--write", "found.json"];
+    assert_eq!(descan(&arguments, folder.path()).status.code(), Some(0));
+    let written = std::fs::read(folder.path().join("found.json")).unwrap();
+    let document = descan::document::Document::parse(&written).unwrap();
+    let listed: Vec<_> =
+        document.entries().iter().map(|it| (it.name_text.as_str(), it.address)).collect();
+    assert_eq!(listed, [("FEED", Some(12)), ("SENS", Some(13))]);
+    let again = descan(&arguments, folder.path());
+    assert_eq!(again.status.code(), Some(3));
+    assert!(text(&again.stderr).contains("found.json already exists"));
+    let a_folder = descan(&["scan", "sim:drone", "--write", "."], folder.path());
+    assert_eq!(a_folder.status.code(), Some(3));
+    assert!(text(&a_folder.stderr).contains("is a folder; name a file in it: --write ./des.json"));
+    assert_eq!(std::fs::read(folder.path().join("found.json")).unwrap(), written);
+}
+
+#[test]
+fn the_file_is_compared_with_the_bus() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("session.log"), log(&two_devices(), 8)).unwrap();
+    std::fs::write(
+        folder.path().join("des.json"),
+        r#"{"devices":[{"name":"FEED","address":16,"static":true},{"name":"GONE","address":40,"static":true},{"name":"SENS","address":13,"static":true}]}"#,
+    )
+    .unwrap();
+    let report = json(&descan(&["scan", "file:session.log", "--json"], folder.path()));
+    assert_eq!(report["file"]["ok"], true);
+    assert_eq!(report["file"]["entries"], 3);
+    let file = |name: &str| {
+        let devices = report["devices"].as_array().unwrap();
+        devices.iter().find(|it| it["name"] == name).unwrap()["file"].clone()
+    };
+    let says = |address: u8, agrees: bool| serde_json::json!({ "listed": true, "address": address, "static": true, "agrees": agrees });
+    assert_eq!(file("FEED"), says(16, false));
+    assert_eq!(file("SENS"), says(13, true));
+    let kinds: Vec<&str> = report["findings"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|finding| finding["kind"].as_str().unwrap())
+        .collect();
+    assert!(kinds.contains(&"wrong-address") && kinds.contains(&"missing"), "{kinds:?}");
+}
+
+#[test]
+fn a_broken_file_is_told_with_line_and_column() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("session.log"), log(&two_devices(), 3)).unwrap();
+    std::fs::write(folder.path().join("des.json"), "{\"devices\": [\n  { \"name\": }\n]}").unwrap();
+    let report = json(&descan(&["scan", "file:session.log", "--json"], folder.path()));
+    assert_eq!(report["file"]["ok"], false);
+    let error = report["file"]["error"].as_str().unwrap();
+    assert_eq!(error, "line 2, column 13: expected value");
+    let said = String::from_utf8(descan(&["scan", "file:session.log"], folder.path()).stdout);
+    let excerpt = "      { \"name\": }\n                ^\n";
+    let whole = format!("\ndes.json: {error}\n{excerpt}");
+    assert!(said.as_ref().unwrap().ends_with(&whole), "{said:?}");
+}
+
+#[test]
+fn a_simulated_bus_is_scanned_in_a_few_seconds() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = descan(&["scan", "sim:drone", "--json"], folder.path());
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let report = json(&output);
+    assert_eq!(report["buses"][0]["bitrate"], 1_000_000);
+    assert_eq!(report["buses"][0]["address"], 0);
+    let devices = report["devices"].as_array().unwrap();
+    assert!(devices.len() >= 9);
+    assert!(devices.iter().all(|device| device["services_known"] == true));
+}
+
+#[test]
+fn a_bus_on_which_nobody_acknowledges_is_said_to_be_one() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("empty.toml"), "bitrate = 125000\n").unwrap();
+    let output = descan(&["scan", "sim:empty.toml", "--time", "3", "--json"], folder.path());
+    let said = text(&output.stderr);
+    assert!(said.contains("no ACK"), "{said}");
+    assert_eq!(json(&output)["devices"], serde_json::json!([]));
+}
+
+#[test]
+fn a_controller_that_is_bus_off_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("noise.toml"), "bitrate = 125000\nerror_rate = 1.0\n")
+        .unwrap();
+    let output = descan(&["scan", "sim:noise.toml", "--time", "3"], folder.path());
+    let said = text(&output.stderr);
+    assert!(said.contains("bus-off"), "{said}");
+    assert!(text(&output.stdout).contains("bus-off"));
+}
+
+#[test]
+fn wrong_arguments_are_one_line_that_says_what_would_be_right() {
+    let folder = tempfile::tempdir().unwrap();
+    for (arguments, hint) in [
+        (&["scan", "--jsn"][..], "--json"),
+        (&["session.log"], "file:session.log"),
+        (&["scan", "--time", "soon"], "a number of seconds"),
+        (&["--address", "200"], "0 to 127"),
+        (&["demo", "submarine"], "boiler"),
+        (&["scan", "-", "-"], "only once"),
+        (&["scan", "can0", "can0"], "can0 is the same bus as can0"),
+        (&["scan", "slcan:/dev/ttyS0@125000", "slcan:/dev/ttyS0"], "the same bus"),
+        (&["sim", "sim:boiler"], "descan demo"),
+        (&[], "descan scan or descan watch"),
+        (&["demo"], "descan scan or descan watch"),
+    ] {
+        let output = descan(arguments, folder.path());
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {said}");
+        assert_eq!(said.lines().count(), 1, "{said}");
+        assert!(said.starts_with("descan: ") && said.contains(hint), "{arguments:?}: {said}");
+        assert!(output.stdout.is_empty());
+    }
+}
+
+#[test]
+fn what_cannot_be_used_is_named_and_exits_with_3() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("odd.toml"), "bitrate = 125000\nnoise = 1\n").unwrap();
+    std::fs::write(folder.path().join("bad.toml"), "framing = \"morse\"").unwrap();
+    for (arguments, hint) in [
+        (&["scan", "file:nothing.log"][..], "nothing.log"),
+        (&["scan", "nocan7"], "nocan7"),
+        (&["scan", "sim:nothing"], "boiler"),
+        (&["scan", "sim:boiler", "--profile", "nothing.toml"], "file not found"),
+        (&["scan", "sim:boiler", "--profile", "bad.toml"], "morse"),
+        (&["scan", "sim:odd.toml"], "line 2, column 1: unknown field `noise`"),
+        (&["sim", "udp:", "--scenario", "odd.toml"], "odd.toml: TOML parse error at line 2"),
+    ] {
+        let output = descan(arguments, folder.path());
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(3), "{arguments:?}: {said}");
+        assert_eq!(said.lines().count(), 1, "{said}");
+        assert!(said.contains(hint), "{arguments:?}: {said}");
+    }
+}
+
+#[test]
+fn help_teaches_and_a_closed_pipe_is_no_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let help = descan(&["--help"], folder.path());
+    assert_eq!(help.status.code(), Some(0));
+    assert!(text(&help.stdout).contains("descan scan can0 --json"));
+    let completions = text(&descan(&["completions", "bash"], folder.path()).stdout);
+    assert!(completions.contains("descan__subcmd__watch"), "{completions}");
+    let manual = text(&descan(&["man"], folder.path()).stdout);
+    assert!(manual.contains(".TH") && manual.contains("descan\\-watch(1)"), "{manual}");
+    let schema: Value = serde_json::from_slice(&descan(&["schema"], folder.path()).stdout).unwrap();
+    assert!(schema["$schema"].as_str().unwrap().contains("2020-12"));
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    let status = Command::new(env!("CARGO_BIN_EXE_descan"))
+        .arg("schema")
+        .stdout(writer)
+        .stderr(Stdio::piped())
+        .output()
+        .unwrap();
+    assert_eq!((status.status.code(), text(&status.stderr)), (Some(0), String::new()));
+}
+
+#[test]
+fn frames_are_printed_as_candump_does() {
+    let mut line = Vec::new();
+    let frame = Frame::classic(0x0201_5402, &[4, 0x44]);
+    write_line(&mut line, Epoch::from_unix_micros(1_436_509_052_249_713), "can0", &frame).unwrap();
+    assert_eq!(text(&line), "(1436509052.249713) can0 02015402#0444\n");
+}
+
+#[test]
+fn a_file_that_is_no_log_cannot_be_used_and_is_not_a_silent_bus() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("notes.txt"), "hello\nworld\n").unwrap();
+    std::fs::write(folder.path().join("silent.log"), "").unwrap();
+    for command in ["scan", "watch"] {
+        let output = descan(&[command, "file:notes.txt"], folder.path());
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(3), "{command}: {said}");
+        assert!(said.contains("2 lines cannot be read") && said.contains("candump -L"), "{said}");
+        let output = descan(&[command, "file:silent.log"], folder.path());
+        assert_eq!(output.status.code(), Some(0), "{command}: {}", text(&output.stderr));
+    }
+}
+
+#[test]
+fn what_a_log_does_not_say_is_left_out_and_what_is_over_needs_no_remedy() {
+    let folder = tempfile::tempdir().unwrap();
+    // A spare ACT comes at 28 s and is gone at 50 s.
+    let scenario = Scenario::builtin("boiler").unwrap();
+    std::fs::write(folder.path().join("session.log"), log(&scenario, 75)).unwrap();
+    let output = descan(&["scan", "file:session.log"], folder.path());
+    let table = text(&output.stdout);
+    assert!(table.starts_with("can0: bit rate unknown, ") && !table.contains("unknown, unknown"));
+    assert!(table.contains("\ncleared ") && table.contains("No longer present."), "{table}");
+    assert!(!table.contains("Switch one of them off"), "{table}");
+}
+
+#[test]
+fn unwritable_output_ends_with_exit_code_without_panic() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("session.log"), log(&two_devices(), 12) + "garbage\n")
+        .unwrap();
+    std::fs::write(folder.path().join("broken.json"), "[\n oops").unwrap();
+    let config = folder.path().join("config/descan");
+    std::fs::create_dir_all(&config).unwrap();
+    // Causes a warning on standard error.
+    std::fs::write(config.join("keys.toml"), "rescan = 5").unwrap();
+    for (arguments, code) in [
+        (&["--help"][..], 0),
+        (&["--nonsense"], 2),
+        (&[], 2),
+        (&["demo"], 2),
+        (&["man"], 3),
+        (&["schema"], 3),
+        (&["completions", "bash"], 3),
+        (&["scan", "file:session.log"], 3),
+        (&["scan", "file:session.log", "--json", "--record", "copy.log"], 3),
+        (&["scan", "sim:boiler", "--time", "1", "--write", "new.json"], 3),
+        (&["check", "file:session.log"], 3),
+        (&["check", "file:session.log", "--file", "broken.json"], 3),
+        (&["watch", "file:session.log"], 3),
+        (&["watch", "file:session.log", "--json"], 3),
+        (&["watch", "sim:boiler", "--time", "1"], 3),
+        (&["speed", "nocan7"], 3),
+        (&["sim", "nocan7", "--time", "1"], 3),
+    ] {
+        let full = || std::fs::File::options().write(true).open("/dev/full").unwrap();
+        let status = Command::new(env!("CARGO_BIN_EXE_descan"))
+            .args(arguments)
+            .current_dir(folder.path())
+            .env("XDG_CONFIG_HOME", folder.path().join("config"))
+            .stdin(Stdio::null())
+            .stdout(full())
+            .stderr(full())
+            .status()
+            .expect("the program starts");
+        assert_eq!(status.code(), Some(code), "{arguments:?}");
+    }
+}

@@ -1,0 +1,284 @@
+//! A simulated bus, the program on it, and a file: what stands around the program elsewhere.
+
+use descan::app::{App, AppOptions, Effect, FileReading, Overlay, SaveOutcome};
+use descan::discovery::Config;
+use descan::document::Document;
+use descan::frame::BusIndex;
+use descan::keymap::Key;
+use descan::sim::{Scenario, Sim, SimStation};
+use descan::status::{BusState, BusStatus, Link};
+use descan::theme::{BUILT_IN, Theme};
+use descan::time::{Duration, Epoch, Instant};
+use descan::ui;
+use ratatui::Terminal;
+use ratatui::backend::TestBackend;
+use ratatui::buffer::Buffer;
+
+/// A bus, the program on it, and a file: what stands around the program elsewhere.
+pub struct Stage {
+    pub app: App,
+    pub sim: Sim,
+    pub station: SimStation,
+    pub file: Option<Vec<u8>>,
+    pub effects: Vec<Effect>,
+    /// Saves whose end has not been told yet, where the disk is slow.
+    pub unfinished: Option<Vec<SaveOutcome>>,
+    /// Saves that nothing has come of yet, where the disk hangs.
+    pub hanging: Option<Vec<Effect>>,
+    /// Why the disk takes nothing.
+    pub refusal: Option<String>,
+    pub size: (u16, u16),
+}
+
+pub const BOILER: &str = r#"{
+  "devices": [
+    { "name": "FEED", "address": 10, "static": true,
+      "services": [ { "name": "DES", "version": "1.0" }, { "name": "AUGER", "version": "2.1" } ] },
+    { "name": "SENS", "address": 12, "static": true },
+    { "name": "ACT", "address": 16, "static": true },
+    { "name": "DISP", "address": 20 },
+    { "name": "PUMP", "address": 44, "static": true }
+  ]
+}
+"#;
+
+impl Stage {
+    pub fn new(scenario: &Scenario, file: Option<&str>) -> Self {
+        Self::with(scenario, file, Config { seed: 7, ..Config::default() })
+    }
+
+    pub fn with(scenario: &Scenario, file: Option<&str>, config: Config) -> Self {
+        Self::with_bytes(scenario, file.map(|text| text.as_bytes().to_vec()), config)
+    }
+
+    pub fn with_bytes(scenario: &Scenario, file: Option<Vec<u8>>, config: Config) -> Self {
+        let mut sim = Sim::new(scenario, 1);
+        let station = sim.attach();
+        sim.set_listen_only(station, config.listen_only);
+        // 2026-11-21 12:00:00 UTC.
+        let epoch = Epoch::from_unix_micros(1_795_262_400_000_000);
+        let app = App::new(
+            Instant::ZERO,
+            AppOptions {
+                epoch,
+                buses: vec![("can0".to_owned(), config)],
+                file_path: Some("des.json".into()),
+                theme: "terminal".to_owned(),
+                themes: BUILT_IN.iter().map(|(name, _)| (*name).to_owned()).collect(),
+                ..AppOptions::default()
+            },
+        );
+        let mut stage = Self {
+            app,
+            sim,
+            station,
+            file,
+            effects: Vec::new(),
+            unfinished: None,
+            hanging: None,
+            refusal: None,
+            size: (80, 24),
+        };
+        stage.size(80, 24);
+        let bitrate = Some(scenario.bitrate);
+        let status = BusStatus {
+            link: Link::Up,
+            state: BusState::ErrorActive,
+            bitrate,
+            ..BusStatus::default()
+        };
+        stage.app.handle_bus(Instant::ZERO, BusIndex(0), status);
+        let content = stage.file.clone();
+        stage.app.handle_file(Instant::ZERO, FileReading::Content(content));
+        stage
+    }
+
+    pub fn boiler() -> Self {
+        Self::new(&Scenario::builtin("boiler").unwrap(), Some(BOILER))
+    }
+
+    /// Lets everything run until `seconds` after the start.
+    pub fn until(&mut self, seconds: f64) -> &mut Self {
+        let end = Instant::ZERO + Duration::from_secs_f64(seconds);
+        let mut now = self.app.now();
+        while now < end {
+            let next = [self.sim.next_event(), self.app.poll_timeout(), Some(end)];
+            now = next.into_iter().flatten().min().unwrap().max(now + Duration::from_micros(1));
+            self.sim.advance(now);
+            while let Some(frame) = self.sim.poll_frame(self.station) {
+                self.app.handle_frames(now, &[frame]);
+            }
+            if self.app.poll_timeout().is_some_and(|at| at <= now) {
+                self.app.handle_timeout(now);
+            }
+            self.drain(now);
+        }
+        self
+    }
+
+    pub fn drain(&mut self, now: Instant) {
+        while let Some(frame) = self.app.poll_transmit(now) {
+            self.sim.transmit(self.station, frame);
+        }
+        while let Some(effect) = self.app.poll_effect() {
+            if let (Effect::Save { .. }, Some(hanging)) = (&effect, &mut self.hanging) {
+                hanging.push(effect.clone());
+            } else {
+                self.save(now, &effect);
+            }
+            self.effects.push(effect);
+        }
+    }
+
+    /// Writes the file, where that is what is to be done.
+    fn save(&mut self, now: Instant, effect: &Effect) {
+        let Effect::Save { expected, content } = effect else { return };
+        let expected = expected.as_ref().map(Document::source);
+        let outcome = if let Some(why) = &self.refusal {
+            SaveOutcome::Failed(why.clone())
+        } else if expected == self.file.as_deref() {
+            self.file = Some(content.source().to_vec());
+            SaveOutcome::Saved
+        } else {
+            SaveOutcome::Changed(FileReading::Content(self.file.clone()))
+        };
+        match &mut self.unfinished {
+            Some(unfinished) => unfinished.push(outcome),
+            None => self.app.handle_saved(now, outcome),
+        }
+    }
+
+    /// From now on nothing comes of a save, until [`Self::go_on`].
+    pub fn hang(&mut self) -> &mut Self {
+        self.hanging = Some(Vec::new());
+        self
+    }
+
+    pub fn go_on(&mut self) -> &mut Self {
+        let now = self.app.now();
+        for effect in self.hanging.take().into_iter().flatten() {
+            self.save(now, &effect);
+        }
+        self.drain(now);
+        self
+    }
+
+    /// From now on the end of a save is told by [`Self::finish_saves`].
+    pub fn slow_disk(&mut self) -> &mut Self {
+        self.unfinished = Some(Vec::new());
+        self
+    }
+
+    pub fn finish_saves(&mut self) -> &mut Self {
+        for outcome in std::mem::take(self.unfinished.as_mut().unwrap()) {
+            self.app.handle_saved(self.app.now(), outcome);
+        }
+        self.drain(self.app.now());
+        self
+    }
+
+    /// The saves that are on their way fail.
+    pub fn refuse_saves(&mut self) -> &mut Self {
+        for outcome in self.unfinished.as_mut().into_iter().flatten() {
+            *outcome = SaveOutcome::Failed("no space left on the disk".to_owned());
+        }
+        self.finish_saves()
+    }
+
+    /// Presses keys, written as in keys.toml, with blanks between; where there is something to
+    /// choose, after reading it.
+    pub fn keys(&mut self, keys: &str) -> &mut Self {
+        if matches!(self.app.overlay(), Overlay::Conflict) {
+            self.until(self.app.now().as_micros() as f64 / 1e6 + 1.0);
+        }
+        for text in keys.split_whitespace() {
+            let key = Key::parse(text).unwrap_or_else(|| panic!("{text} is no key"));
+            self.app.handle_key(self.app.now(), key);
+            self.drain(self.app.now());
+        }
+        self
+    }
+
+    /// Types text into the line being typed.
+    pub fn text(&mut self, text: &str) -> &mut Self {
+        for c in text.chars() {
+            self.app.handle_key(self.app.now(), Key::char(c));
+        }
+        self
+    }
+
+    /// Somebody else writes the file.
+    pub fn write(&mut self, text: &str) -> &mut Self {
+        self.file = Some(text.as_bytes().to_vec());
+        self.notice()
+    }
+
+    /// Somebody else deletes the file.
+    pub fn remove(&mut self) -> &mut Self {
+        self.file = None;
+        self.notice()
+    }
+
+    /// The program is told what is on the disk now.
+    pub fn notice(&mut self) -> &mut Self {
+        let reading = FileReading::Content(self.file.clone()).parsed();
+        self.app.handle_file(self.app.now(), reading);
+        self.drain(self.app.now());
+        self
+    }
+
+    pub fn size(&mut self, columns: u16, rows: u16) -> &mut Self {
+        self.size = (columns, rows);
+        self.app.handle_resize(columns, rows);
+        self
+    }
+
+    pub fn buffer(&self, theme: &str) -> Buffer {
+        let mut terminal = Terminal::new(TestBackend::new(self.size.0, self.size.1)).unwrap();
+        let theme = Theme::built_in(theme).unwrap();
+        terminal
+            .draw(|frame| {
+                ui::draw(&self.app, &theme, frame);
+            })
+            .unwrap();
+        terminal.backend().buffer().clone()
+    }
+
+    /// Draws, and tells the app how far its text could be scrolled.
+    pub fn drawn(&mut self) -> &mut Self {
+        let mut terminal = Terminal::new(TestBackend::new(self.size.0, self.size.1)).unwrap();
+        let theme = Theme::built_in("terminal").unwrap();
+        let mut scrolled = None;
+        terminal.draw(|frame| scrolled = ui::draw(&self.app, &theme, frame)).unwrap();
+        self.app.handle_drawn(scrolled);
+        self
+    }
+
+    /// The screen as text.
+    pub fn screen(&self) -> String {
+        text_of(&self.buffer("terminal"))
+    }
+
+    /// The text of the file.
+    pub fn file(&self) -> &str {
+        std::str::from_utf8(self.file.as_deref().unwrap_or_default()).unwrap()
+    }
+}
+
+pub fn text_of(buffer: &Buffer) -> String {
+    let mut text = String::new();
+    for row in buffer.content().chunks(usize::from(buffer.area.width).max(1)) {
+        let mut line = String::new();
+        let mut skip = 0;
+        for cell in row {
+            if skip == 0 {
+                line.push_str(cell.symbol());
+                skip = unicode_width::UnicodeWidthStr::width(cell.symbol()).max(1);
+            }
+            skip -= 1;
+        }
+        text.push_str(line.trim_end());
+        text.push('\n');
+    }
+    text
+}

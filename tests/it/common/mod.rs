@@ -1,0 +1,12 @@
+//! What several test modules share. The benches include single files of it.
+
+pub mod can;
+pub mod frames;
+pub mod harness;
+pub mod inspection;
+pub mod open_bus;
+pub mod pty;
+pub mod python;
+pub mod scenario_files;
+pub mod serial;
+pub mod watch_process;

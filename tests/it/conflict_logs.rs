@@ -1,0 +1,525 @@
+//! Logs as others write them, by hand or by a program of their own, and what `scan --json` and
+//! `watch --json` make of the collisions in them. Whoever reads a log can ask nobody.
+
+use crate::common::watch_process::command;
+use serde_json::Value;
+use std::collections::BTreeSet;
+use std::fmt::Write;
+use std::path::Path;
+
+const FEED: &str = "8AFA6C972411";
+const SENS: &str = "C35B70000000";
+const PUMP: &str = "9338E1BB0AD9";
+const BLANK: &str = "000000000000";
+
+/// A finding: kind, confidence, address.
+type Told = (String, String, u64);
+
+/// Kinds and addresses.
+type Confirmed = &'static [(&'static str, u64)];
+
+/// What it is, and what must be confirmed in it.
+type Case = (String, Log, Confirmed);
+
+/// How a name is put into an answer's data.
+type Encode<'a> = &'a dyn Fn(&str) -> String;
+
+/// A log in the making. Times are in seconds since its first second.
+#[derive(Clone, Default)]
+struct Log {
+    lines: Vec<(f64, String)>,
+    rnd7: u32,
+    /// The DST of heartbeats and of questions to all, where it is not drawn at random.
+    constant: Option<u32>,
+}
+
+impl Log {
+    fn frame(&mut self, at: f64, id: u32, data: &str) {
+        self.lines.push((at, format!("{id:08X}#{data}")));
+    }
+
+    fn random(&mut self) -> u32 {
+        self.rnd7 = (self.rnd7 + 5) % 128;
+        self.constant.unwrap_or(self.rnd7)
+    }
+
+    /// Heartbeats of a working node, one each `period`, with that data.
+    fn beats(mut self, source: u32, from: f64, until: f64, period: f64, data: &str) -> Self {
+        for count in 0.. {
+            let at = from + f64::from(count) * period;
+            if at >= until {
+                return self;
+            }
+            let rnd7 = self.random();
+            self.frame(at, 0x0700_0001 | source << 17 | rnd7 << 10, data);
+        }
+        self
+    }
+
+    /// Heartbeats each second, of DEV_CFG_UID, mode WORK and no error.
+    fn lives(self, source: u32, from: f64, until: f64, uid: &str) -> Self {
+        self.beats(source, from, until, 1.0, &format!("{uid}0400"))
+    }
+
+    /// Somebody asks everybody who is there.
+    fn asks(&mut self, at: f64, by: u32, data: &str) {
+        let rnd7 = self.random();
+        self.frame(at, 0x0200_0002 | by << 17 | rnd7 << 10, data);
+    }
+
+    fn answers(&mut self, at: f64, source: u32, to: u32, data: &str) {
+        self.frame(at, 0x0500_0002 | source << 17 | to << 10, data);
+    }
+
+    /// Each `every` seconds somebody at `by` asks everybody, and these names answer from 14.
+    fn asked(mut self, until: f64, every: f64, by: u32, names: &[&str]) -> Self {
+        for count in 0.. {
+            let at = 0.7 + f64::from(count) * every;
+            if at >= until {
+                return self;
+            }
+            self.asks(at, by, "0444455301");
+            for (place, name) in names.iter().enumerate() {
+                self.answers(at + 0.002 * (place as f64 + 1.0), 14, by, &isotp(name));
+            }
+        }
+        self
+    }
+
+    fn and(mut self, other: &Log, later: f64) -> Self {
+        self.lines.extend(other.lines.iter().map(|(at, line)| (at + later, line.clone())));
+        self
+    }
+
+    fn text(mut self) -> String {
+        self.lines.sort_by(|one, other| one.0.total_cmp(&other.0));
+        let line = |(at, frame)| format!("({:.6}) can0 {frame}\n", 1_436_509_052.0 + at);
+        self.lines.into_iter().map(line).collect()
+    }
+}
+
+fn raw(name: &str) -> String {
+    let bytes = name.bytes().fold("01".to_owned(), |mut text, byte| {
+        write!(text, "{byte:02X}").unwrap();
+        text
+    });
+    bytes + "00"
+}
+
+fn isotp(name: &str) -> String {
+    format!("{:02X}{}", name.len() + 2, raw(name))
+}
+
+fn run(folder: &Path, arguments: &[&str], log: &str) -> Vec<Value> {
+    std::fs::write(folder.join("session.log"), log).unwrap();
+    let arguments = [arguments, &["--json", "file:session.log"]].concat();
+    let output = command(&arguments, folder).output().expect("the program starts");
+    let text = String::from_utf8(output.stdout).unwrap();
+    let values = serde_json::Deserializer::from_str(&text).into_iter();
+    values.map(|value| value.expect("JSON")).collect()
+}
+
+fn told(finding: &Value) -> Told {
+    let word = |key: &str| finding[key].as_str().unwrap().to_owned();
+    (word("kind"), word("confidence"), finding["address"].as_u64().unwrap_or(999))
+}
+
+/// What `watch` tells of findings, in its order.
+fn watched(folder: &Path, log: &str) -> Vec<Told> {
+    let values = run(folder, &["watch"], log);
+    let findings = values.iter().filter(|value| value["event"] == "finding");
+    findings.map(|value| told(&value["finding"])).collect()
+}
+
+/// What `scan` says in the end.
+fn scanned(folder: &Path, log: &str) -> Vec<Told> {
+    let values = run(folder, &["scan"], log);
+    values[0]["findings"].as_array().unwrap().iter().map(told).collect()
+}
+
+/// Whether a log ends with exactly these findings confirmed, and `watch` never confirmed others.
+fn fault(folder: &Path, log: &str, confirmed: Confirmed) -> Option<String> {
+    let sure = |findings: Vec<Told>| -> BTreeSet<(String, u64)> {
+        let sure = findings.into_iter().filter(|told| told.1 == "confirmed");
+        sure.map(|(kind, _, address)| (kind, address)).collect()
+    };
+    let wanted = confirmed.iter().map(|(kind, address)| ((*kind).to_owned(), *address)).collect();
+    let (watched, scanned) = (sure(watched(folder, log)), sure(scanned(folder, log)));
+    (watched != wanted || scanned != wanted)
+        .then(|| format!("expected {wanted:?}, watch {watched:?}, scan {scanned:?}"))
+}
+
+#[track_caller]
+fn check(cases: Vec<Case>) {
+    let folder = tempfile::tempdir().unwrap();
+    let faults = cases.into_iter().filter_map(|(label, log, confirmed)| {
+        fault(folder.path(), &log.text(), confirmed).map(|fault| format!("{label}: {fault}\n"))
+    });
+    let faults: String = faults.collect();
+    assert!(faults.is_empty(), "{faults}");
+}
+
+const SAME_NAME: Confirmed = &[("same-name-same-address", 14)];
+const TWO_NAMES: Confirmed = &[("one-address-two-names", 14)];
+const TWO_IDENTITIES: Confirmed = &[("one-address-two-identities", 14)];
+const NOTHING: Confirmed = &[];
+
+#[test]
+fn two_heartbeats_from_one_address() {
+    let mut cases: Vec<Case> = Vec::new();
+    for constant in [None, Some(0), Some(127)] {
+        for seconds in [6.0, 10.0] {
+            for gap in [0.05, 0.3, 0.45, 0.65, 0.95] {
+                for data in ["8AFA6C9724110400", "0000000000000400", "8AFA6C97241104", FEED, ""] {
+                    let log = Log { constant, ..Log::default() }
+                        .lives(20, 0.73, seconds, PUMP)
+                        .beats(14, 0.1, seconds, 1.0, data)
+                        .beats(14, 0.1 + gap, seconds, 1.0, data);
+                    let label = format!("{data} {gap} s apart for {seconds} s, DST {constant:?}");
+                    // One that begins a whole second later is there for hardly five. And where DST
+                    // is constant, the first that follows so close may be a repetition.
+                    let is_unsure = gap > 0.9 || gap < 0.1 && constant.is_some();
+                    if !(is_unsure && seconds < 10.0) {
+                        cases.push((label, log, SAME_NAME));
+                    }
+                }
+            }
+            for gap in [0.0005, 0.3, 0.5] {
+                let log = Log { constant, ..Log::default() }.lives(14, 0.1, seconds, FEED).lives(
+                    14,
+                    0.1 + gap,
+                    seconds,
+                    SENS,
+                );
+                cases.push((format!("two UIDs {gap} s apart, {seconds} s"), log, TWO_IDENTITIES));
+            }
+        }
+    }
+    check(cases);
+}
+
+#[test]
+fn boards_with_equal_random_numbers_are_no_bridge() {
+    let mut cases: Vec<Case> = Vec::new();
+    for (seconds, every) in [(12.0, 0.7), (20.0, 1.0), (30.0, 1.9)] {
+        for uid in [BLANK, FEED] {
+            let one = Log::default().lives(14, 0.1, seconds, uid);
+            let questions = |names| Log::default().asked(seconds, every, 5, names);
+            for apart in [0.02, 0.045, 0.3, 0.44] {
+                let two = one.clone().and(&one, apart).and(&questions(&["FEED", "FEED"]), 0.0);
+                let label = format!("two of {uid} {apart} s apart, asked each {every} s");
+                cases.push((label, two, SAME_NAME));
+                let alone = one.clone().and(&questions(&["FEED"]), 0.0);
+                let mut copies = alone.clone();
+                let doubled = alone.clone().and(&copies, apart);
+                let label = format!("a bridge, {apart} s later, asked each {every} s");
+                cases.push((label, doubled, NOTHING));
+                copies.lines.retain(|(_, line)| !line.starts_with("02"));
+                let doubled = alone.and(&copies, apart);
+                let label = format!("a bridge to us, {apart} s later, asked each {every} s");
+                cases.push((label, doubled, NOTHING));
+            }
+        }
+    }
+    check(cases);
+}
+
+#[test]
+fn what_a_bridge_repeats_is_no_contest() {
+    let folder = tempfile::tempdir().unwrap();
+    for apart in [0.0003, 0.02, 0.045] {
+        let alone = Log::default().lives(14, 0.1, 20.0, FEED).asked(20.0, 0.7, 5, &["FEED"]);
+        let mut copies = alone.clone();
+        // The copy of one heartbeat is lost.
+        let is_lost = |at: f64, line: &str| line.starts_with("07") && (10.0..10.9).contains(&at);
+        copies.lines.retain(|(at, line)| !line.starts_with("02") && !is_lost(*at, line));
+        assert_eq!(copies.lines.len(), 20 + 28 - 1, "{:?}", copies.lines);
+        let log = alone.and(&copies, apart).text();
+        for told in [watched(folder.path(), &log), scanned(folder.path(), &log)] {
+            let mut kinds = told.iter().map(|(kind, ..)| kind);
+            assert!(kinds.all(|kind| kind != "address-contested"), "{apart} s later: {told:?}");
+            let suspected = told.iter().filter(|(_, confidence, _)| confidence == "suspected");
+            assert!(suspected.count() <= 1, "{apart} s later: {told:?}");
+        }
+    }
+}
+
+#[test]
+fn what_cannot_be_told_from_one_device_is_suspected_at_most() {
+    let mut cases: Vec<Case> = Vec::new();
+    for seconds in [6.0, 10.0, 30.0] {
+        let half = Log::default().lives(14, 0.1, seconds, FEED).lives(14, 0.6, seconds, FEED);
+        cases.push((format!("half a period apart for {seconds} s"), half, NOTHING));
+        for period in [0.1, 0.25, 0.5, 0.7, 2.0, 5.0] {
+            let odd = Log::default().beats(14, 0.1, seconds, period, "8AFA6C9724110400");
+            cases.push((format!("a period of {period} s for {seconds} s"), odd, NOTHING));
+        }
+    }
+    let short = Log::default().lives(14, 0.1, 4.0, FEED).lives(14, 0.4, 4.0, SENS);
+    cases.push(("two UIDs for four seconds".to_owned(), short, NOTHING));
+    check(cases);
+    // It is suspected.
+    let folder = tempfile::tempdir().unwrap();
+    let half = Log::default().lives(14, 0.1, 10.0, FEED).lives(14, 0.6, 10.0, FEED);
+    let suspected = ("same-name-same-address".to_owned(), "suspected".to_owned(), 14);
+    assert_eq!(scanned(folder.path(), &half.text()), [suspected]);
+}
+
+#[test]
+fn two_answers_to_questions_of_somebody_else() {
+    let mut cases: Vec<Case> = Vec::new();
+    for (seconds, every) in [(6.0, 1.0), (7.0, 2.0), (10.0, 3.0), (12.0, 5.0), (31.0, 10.0)] {
+        for by in [0, 5] {
+            for beats in [true, false] {
+                let log = Log::default();
+                let log = if beats { log.lives(14, 0.1, seconds, FEED) } else { log };
+                let label = format!("each {every} s for {seconds} s by {by}, beats: {beats}");
+                let asked = |names| log.clone().asked(seconds, every, by, names);
+                cases.push((format!("one name {label}"), asked(&["ACT", "ACT"]), SAME_NAME));
+                cases.push((format!("two names {label}"), asked(&["FEED", "SENS"]), TWO_NAMES));
+                cases.push((format!("innocent {label}"), asked(&["ACT"]), NOTHING));
+            }
+        }
+    }
+    check(cases);
+}
+
+#[test]
+fn answers_in_whatever_framing() {
+    let fd = |name: &str| format!("#0{}", isotp(name));
+    let padded = |name: &str| format!("{:0<16}", isotp(name));
+    let framings: [(&str, &str, Encode<'_>); 4] = [
+        ("raw", "44455301", &raw),
+        ("ISO-TP, padded", "0444455301000000", &padded),
+        ("ISO-TP on FD", "#00444455301", &fd),
+        ("ISO-TP", "0444455301", &isotp),
+    ];
+    let mut cases: Vec<Case> = Vec::new();
+    for (framing, question, answer) in framings {
+        for (names, confirmed) in [
+            (["ACT", "ACT"].as_slice(), SAME_NAME),
+            (&["FEED", "SENS"], TWO_NAMES),
+            (&["ACT"], NOTHING),
+        ] {
+            let mut log = Log::default().lives(14, 0.1, 10.0, FEED);
+            for round in 0..5 {
+                let at = 0.7 + f64::from(round) * 2.0;
+                log.asks(at, 0, question);
+                for (place, name) in names.iter().enumerate() {
+                    log.answers(at + 0.002 + 0.002 * place as f64, 14, 0, &answer(name));
+                }
+            }
+            cases.push((format!("{names:?} in {framing}"), log, confirmed));
+        }
+    }
+    check(cases);
+}
+
+#[test]
+fn names_without_questions() {
+    let mut cases: Vec<Case> = Vec::new();
+    for (seconds, every) in [(8.0, 1.0), (22.0, 5.0), (42.0, 10.0)] {
+        let mut log = Log::default().lives(14, 0.1, seconds, FEED).asked(
+            seconds,
+            every,
+            0,
+            &["FEED", "SENS"],
+        );
+        log.lines.retain(|(_, line)| !line.ends_with("#0444455301"));
+        cases.push((format!("each {every} s"), log, TWO_NAMES));
+    }
+    check(cases);
+}
+
+#[test]
+fn one_uid_and_two_debug_devices() {
+    let mut cases: Vec<Case> = Vec::new();
+    for seconds in [6.0, 10.0, 30.0] {
+        let uid = Log::default().lives(12, 0.1, seconds, FEED).lives(13, 0.4, seconds, FEED);
+        let what: Confirmed = &[("one-uid-two-addresses", 12)];
+        cases.push((format!("one UID for {seconds} s"), uid, what));
+        let blank = Log::default().lives(12, 0.1, seconds, BLANK).lives(13, 0.4, seconds, BLANK);
+        cases.push((format!("blank UIDs for {seconds} s"), blank, NOTHING));
+        let debug = Log::default().lives(0, 0.1, seconds, FEED).lives(0, 0.4, seconds, SENS);
+        let what: Confirmed = &[("two-debug-devices", 0)];
+        cases.push((format!("two at 0 for {seconds} s"), debug, what));
+    }
+    check(cases);
+}
+
+/// Three devices, asked each two seconds.
+fn peace(seconds: f64) -> Log {
+    let log = Log::default()
+        .lives(14, 0.1, seconds, FEED)
+        .lives(20, 0.23, seconds, PUMP)
+        .lives(21, 0.36, seconds, SENS);
+    log.asked(seconds, 2.0, 5, &["FEED"])
+}
+
+#[test]
+fn what_only_looks_like_a_collision() {
+    let mut cases: Vec<Case> = Vec::new();
+    for delay in [0.0003, 0.004, 0.03] {
+        let doubled = peace(20.0).and(&peace(20.0), delay);
+        cases.push((format!("a bridge repeats everything {delay} s later"), doubled, NOTHING));
+        let alone = Log::default().lives(14, 0.1, 20.0, FEED);
+        let doubled = alone.clone().and(&alone, delay);
+        cases.push((format!("a bridge repeats the only device {delay} s later"), doubled, NOTHING));
+    }
+    for pause in [0.0, 0.35, 0.9, 7.0] {
+        let twice = peace(10.2).and(&peace(10.2), 10.2 + pause);
+        cases.push((format!("replayed twice, {pause} s between"), twice, NOTHING));
+    }
+    for pause in [0.2, 0.4, 0.8, 1.3, 2.35] {
+        let reboot = Log::default().lives(14, 0.1, 6.0, FEED).lives(14, 5.1 + pause, 20.0, FEED);
+        cases.push((format!("a reboot, {pause} s without a heartbeat"), reboot, NOTHING));
+        let swap = Log::default().lives(14, 0.1, 6.0, FEED).lives(14, 5.1 + pause, 20.0, SENS);
+        let mut old = Log::default().asked(5.0, 1.0, 0, &["FEED"]);
+        old.lines.extend(Log::default().asked(14.0, 1.0, 0, &["SENS"]).and_at(6.0));
+        cases.push((format!("a board swap in {pause} s"), swap.and(&old, 0.0), NOTHING));
+    }
+    let mut bursts = peace(30.0);
+    bursts.lines.retain(|(at, _)| !(10.0..12.5).contains(at) && !(18.0..18.7003).contains(at));
+    cases.push(("bursts of lost frames".to_owned(), bursts, NOTHING));
+    let mut unheard = Log::default().asked(30.0, 0.5, 0, &["FEED"]);
+    let mut questions = 0..;
+    unheard.lines.retain(|(_, line)| {
+        !line.ends_with("#0444455301") || questions.next().is_some_and(|count| count % 3 != 2)
+    });
+    cases.push(("each third question is lost".to_owned(), unheard, NOTHING));
+    let mut broken = peace(20.0);
+    for count in 0..100 {
+        broken.frame(f64::from(count) * 0.2 + 0.03, 0x2000_0088, "0000000000000000");
+    }
+    let what: Confirmed = &[("bus-errors", 999)];
+    cases.push(("error frames in between".to_owned(), broken, what));
+    check(cases);
+}
+
+impl Log {
+    /// Its lines, so many seconds later.
+    fn and_at(self, later: f64) -> Vec<(f64, String)> {
+        Log::default().and(&self, later).lines
+    }
+}
+
+#[test]
+fn clocks_that_jump_and_logs_that_begin_anywhere() {
+    let folder = tempfile::tempdir().unwrap();
+    let collision = Log::default().lives(14, 0.1, 20.0, FEED).lives(14, 0.4, 20.0, FEED);
+    for (log, confirmed) in [(peace(20.0), NOTHING), (collision, SAME_NAME)] {
+        let text = log.text();
+        for (from, jump) in [3600.0, 60.0, 1.4, 0.6, -0.6, -1.4, -60.0, -3600.0]
+            .into_iter()
+            .flat_map(|jump| [(2.9, jump), (9.9, jump)])
+        {
+            let mut moved = String::new();
+            for line in text.lines() {
+                let (time, rest) = line[1..].split_once(") ").unwrap();
+                let time: f64 = time.parse().unwrap();
+                let time = if time > 1_436_509_052.0 + from { time + jump } else { time };
+                writeln!(moved, "({time:.6}) {rest}").unwrap();
+            }
+            let fault = fault(folder.path(), &moved, confirmed);
+            assert_eq!(fault, None, "the clock jumps by {jump} s after {from} s");
+        }
+        for skipped in [1, 8, 11, 17] {
+            let rest: String = text.lines().skip(skipped).flat_map(|line| [line, "\n"]).collect();
+            assert_eq!(fault(folder.path(), &rest, confirmed), None, "{skipped} lines skipped");
+        }
+        // Two logs of the same in one file.
+        assert_eq!(fault(folder.path(), &text.repeat(2), confirmed), None, "twice in a file");
+    }
+}
+
+#[test]
+fn each_interface_of_a_log_is_a_bus_of_its_own() {
+    let folder = tempfile::tempdir().unwrap();
+    let one = Log::default().lives(14, 0.1, 10.0, FEED).text();
+    let other = Log::default().lives(14, 0.4, 10.0, SENS).text().replace("can0", "vcan7");
+    let mut lines: Vec<&str> = one.lines().chain(other.lines()).collect();
+    lines.sort_unstable();
+    assert_eq!(fault(folder.path(), &(lines.join("\n") + "\n"), NOTHING), None);
+    let collision = Log::default().lives(14, 0.1, 10.0, FEED).lives(14, 0.4, 10.0, SENS).text();
+    let quiet = Log::default().lives(14, 0.2, 10.0, PUMP).text().replace("can0", "vcan7");
+    let mut lines: Vec<&str> = collision.lines().chain(quiet.lines()).collect();
+    lines.sort_unstable();
+    let values = run(folder.path(), &["scan"], &(lines.join("\n") + "\n"));
+    let findings = values[0]["findings"].as_array().unwrap();
+    assert_eq!(findings.len(), 1, "{findings:?}");
+    assert_eq!((&findings[0]["bus"], &findings[0]["address"]), (&"can0".into(), &14.into()));
+}
+
+/// What a scenario's transcript tells of findings.
+fn transcript(scenario: &str) -> Vec<Told> {
+    let lines = scenario.lines().filter_map(|line| line.split_once(" * finding "));
+    let told = lines.map(|(_, finding)| {
+        let words: Vec<&str> = finding.split(' ').collect();
+        let address = words.get(3).map_or(999, |address| address.parse().unwrap());
+        (words[0].to_owned(), words[1].to_owned(), address)
+    });
+    told.collect()
+}
+
+#[test]
+fn a_scenario_is_told_of_its_log_as_it_was_of_the_bus() {
+    let folder = tempfile::tempdir().unwrap();
+    let scenarios = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/scenarios");
+    let mut compared = 0;
+    for entry in std::fs::read_dir(scenarios).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_stem().unwrap().to_string_lossy().into_owned();
+        let scenario = std::fs::read_to_string(&path).unwrap();
+        let mut settings = scenario.lines().filter(|line| line.starts_with("set "));
+        // Who asks on its own hears other things than a log tells.
+        let asks = scenario.lines().any(|line| line.starts_with(' ') && line.contains(" > "));
+        let is_heard = !asks && settings.all(|setting| setting == "set listen-only");
+        if !is_heard || !(name.starts_with("row_") || name.starts_with("innocent_")) {
+            continue;
+        }
+        let (mut log, mut end) = (String::new(), String::new());
+        for line in scenario.lines().filter(|line| line.starts_with(|first: char| first != ' ')) {
+            let words: Vec<&str> = line.split(' ').collect();
+            match words[..] {
+                ["#" | "set", ..] => {}
+                [time, "show"] => time.clone_into(&mut end),
+                [time, frame] => writeln!(log, "({time}) can0 {frame}").unwrap(),
+                _ => panic!("{name}: {line}"),
+            }
+        }
+        // A log ends with its last line: one of a foreign frame makes it as long.
+        writeln!(log, "({end}) can0 7FF#").unwrap();
+        let told = watched(folder.path(), &log);
+        assert_eq!(told, transcript(&scenario), "{name}");
+        let confirmed = told.iter().any(|told| told.1 == "confirmed");
+        assert!(!(confirmed && name.starts_with("innocent_")), "{name}");
+        compared += 1;
+    }
+    assert!(compared > 25, "{compared} scenarios");
+}
+
+#[test]
+fn what_the_file_pins() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut log = Log::default().lives(12, 0.1, 8.0, FEED).lives(31, 0.4, 8.0, SENS);
+    log.asks(0.7, 0, "0444455301");
+    log.answers(0.702, 12, 0, &isotp("FEED"));
+    log.answers(0.704, 31, 0, &isotp("SENS"));
+    let log = log.text();
+    let with = |entries: &str| {
+        let file = format!("{{ \"devices\": [ {entries} ] }}");
+        std::fs::write(folder.path().join("des.json"), file).unwrap();
+        scanned(folder.path(), &log).into_iter().map(|told| (told.0, told.2)).collect::<Vec<_>>()
+    };
+    let kind = |kind: &str, address: u64| (kind.to_owned(), address);
+    let feed = r#"{ "name": "FEED", "address": 31, "static": true }"#;
+    let told = with(feed);
+    assert!(told.contains(&kind("wrong-address", 12)), "FEED answers from 12: {told:?}");
+    assert!(told.contains(&kind("static-address-taken", 31)), "SENS is at 31: {told:?}");
+    let told = with(&format!(r#"{feed}, {{ "name": "ACT", "address": 31, "static": true }}"#));
+    assert!(told.contains(&kind("file-duplicate-address", 31)), "{told:?}");
+    let told = with(&format!("{feed}, {feed}"));
+    assert!(told.iter().any(|told| told.0 == "file-duplicate-entry"), "{told:?}");
+    let told = with(r#"{ "name": "FEED", "address": 12, "static": true }"#);
+    assert_eq!(told, [], "all as it should be");
+}

@@ -1,0 +1,644 @@
+//! Discovery on simulated buses: every kind of device is found, with its services, whatever its
+//! framing; what we send keeps to its share; listening only sends nothing.
+
+use crate::common::inspection;
+use crate::common::inspection::Inspection;
+use descan::discovery::{
+    Confidence, Config, Engine, Event, EventKind, FindingKind, OwnAddress, Presence, QueryState,
+    Quirk,
+};
+use descan::frame::Frame;
+use descan::sim::{DeviceAction, DeviceFraming, DeviceSpec, Fault, Scenario, Sim, SimStation};
+use descan::time::{Duration, Instant};
+use descan::wire::framing::Framing;
+use descan::wire::id::{Address, Header};
+use descan::wire::profile::Profile;
+use std::sync::Arc;
+
+fn seconds(seconds: f64) -> Instant {
+    Instant::from_micros((seconds * 1e6) as u64)
+}
+
+fn settled(scenario: &Scenario, config: Config) -> Inspection {
+    let mut it = Inspection::new(scenario, 3, config);
+    let done = it.run_until(seconds(20.0), |engine| engine.progress().settled);
+    assert!(done, "it settles: {:?}", it.engine.progress());
+    it
+}
+
+fn device(it: &Inspection, address: u8) -> &descan::discovery::Device {
+    it.engine.device_at(Address::new(address).unwrap()).expect("a device at that address")
+}
+
+#[test]
+fn every_framing_is_understood() {
+    let long = "a-version-that-takes-many-frames-to-say".repeat(4);
+    let make = |name: &str, address| DeviceSpec::new(name).fixed(address).settled();
+    let mut fd = make("FD", 4).service("WIDE", &long);
+    fd.fd = true;
+    let mut cfg = make("CFG", 5).service("SETUP", "1");
+    cfg.autostart = false;
+    let mut scenario = Scenario::new(500_000)
+        .with(make("A-NAME-LONGER-THAN-A-FRAME", 1).service("LONG", &long))
+        .with(make("RAW", 2).framing(DeviceFraming::Raw))
+        .with(make("BOTH", 3).framing(DeviceFraming::Both).service("X", "2"))
+        .with(fd)
+        .with(cfg)
+        .with(make("ECHO", 6).fault(Fault::EchoDestination).service("Y", "3"));
+    scenario.data_bitrate = 2_000_000;
+    // What fits one frame raw: no service at all.
+    scenario.devices[1].services = vec![vec![b"A".to_vec(), b"1".to_vec()]];
+    let it = settled(&scenario, Config::default());
+    let services = |address: u8| {
+        let known = device(&it, address).services.as_ref().expect("services");
+        known.iter().map(|s| format!("{} {}", s.name, s.version)).collect::<Vec<_>>()
+    };
+    assert!(device(&it, 1).is_named(b"A-NAME-LONGER-THAN-A-FRAME"));
+    assert_eq!(services(1), ["DES 1.0".to_owned(), format!("LONG {long}")]);
+    assert_eq!(services(2), ["A 1"]);
+    assert_eq!(device(&it, 2).framing, Some(Framing::Raw));
+    assert_eq!(services(3), ["DES 1.0", "X 2"]);
+    assert_eq!(services(4), ["DES 1.0".to_owned(), format!("WIDE {long}")]);
+    assert!(it.frames.iter().any(|frame| frame.fd), "answers came in FD frames");
+    assert_eq!(services(5), ["DES 1.0", "SETUP 1"]);
+    assert!(!device(&it, 5).working);
+    assert_eq!(services(6), ["DES 1.0", "Y 3"]);
+    assert!(device(&it, 6).quirks.contains(&Quirk::RspDstEcho));
+}
+
+#[test]
+fn another_profile_has_other_numbers() {
+    let profile = Profile::parse(
+        "framing = \"isotp\"\n[services]\nheartbeat = 0x155\ndes = 0x2AA\n[heartbeat]\nperiod_ms = 500\n\
+         uid_offset = 1\nmode_offset = 0\nerror_offset = 7\n[modes]\nWORK = 40\nINIT = 41\n",
+    )
+    .unwrap();
+    let scenario = Scenario::new(250_000)
+        .with(DeviceSpec::new("FEED").fixed(12).settled().service("AUGER", "2.1"));
+    let config = Config { profile: Arc::new(profile.clone()), ..Config::default() };
+    let mut it = Inspection::new(&scenario, 3, config);
+    it.sim = Sim::with_profile(&scenario, 3, profile);
+    it.station = it.sim.attach();
+    assert!(it.run_until(seconds(10.0), |engine| engine.progress().settled));
+    let feed = device(&it, 12);
+    assert!(feed.is_named(b"FEED"));
+    assert_eq!(feed.mode.map(descan::wire::node::Mode::name), Some("WORK"));
+    assert_eq!(feed.services.as_ref().map(Vec::len), Some(2));
+    let asked = it.frames.iter().filter(|frame| frame.is_tx && frame.data().starts_with(b"DES"));
+    assert_eq!(asked.count(), 0, "asked in ISO 15765-2 alone, as the profile says");
+}
+
+#[test]
+fn faults_are_told_and_end() {
+    let faulty = |name: &str, address, fault| {
+        let device = DeviceSpec::new(name).fixed(address).settled().fault(fault);
+        device.service("SOME", "1.0").service("MORE", "2.0")
+    };
+    let scenario = Scenario::new(250_000)
+        .with(faulty("MUTE", 1, Fault::NoServices))
+        .with(faulty("GHOST", 2, Fault::NoDes))
+        .with(faulty("DROPS", 3, Fault::DropFrame))
+        .with(faulty("ORDER", 4, Fault::WrongSequence))
+        .with(faulty("ENDLS", 5, Fault::Endless))
+        .with(faulty("HUGE", 6, Fault::HugeLength))
+        .with(faulty("CUT", 7, Fault::TruncatedServices))
+        .with(DeviceSpec::new("GOOD").fixed(9).settled());
+    let mut it = Inspection::new(&scenario, 3, Config::default());
+    it.run_until(seconds(25.0), |_| false);
+    assert_eq!(device(&it, 1).services_query.state, QueryState::Unanswered);
+    assert!(device(&it, 1).is_named(b"MUTE"), "a name without services is shown as just that");
+    assert_eq!(device(&it, 2).name, None);
+    assert_eq!(device(&it, 2).presence, Presence::Online);
+    for address in [3, 4, 6] {
+        let query = &device(&it, address).services_query;
+        let given_up = query.fault.is_some() && query.state != QueryState::Answered;
+        assert!(given_up, "{address}: {query:?}");
+    }
+    for (address, what) in [(3, "out of sequence"), (4, "out of sequence"), (6, "4095")] {
+        let malformed = it.engine.findings().iter().find(|finding| {
+            finding.key.kind == FindingKind::MalformedAnswer
+                && finding.key.address == Address::new(address)
+        });
+        let finding = malformed.unwrap_or_else(|| panic!("a finding at {address}"));
+        assert!(finding.text.contains(what), "{}", finding.text);
+        assert!(finding.evidence.iter().all(|piece| piece.frame.is_some()));
+    }
+    // The frames behind a message that is whole are nobody's.
+    assert!(device(&it, 5).services.is_some());
+    assert!(device(&it, 9).services.is_some());
+    assert!(it.engine.progress().settled, "{:?}", it.engine.progress());
+    assert!(it.engine.counters().transfers_failed > 0);
+}
+
+/// The share of the bus that our frames took between the first and the last of them.
+fn our_share(it: &Inspection, from: Instant, to: Instant) -> f64 {
+    let ours = it.frames.iter().filter(|it| it.is_tx && it.time >= from && it.time < to);
+    let taken: Duration = ours.map(|frame| it.sim.frame_duration(frame)).sum();
+    taken.as_secs_f64() / to.since(from).as_secs_f64()
+}
+
+#[test]
+fn what_we_send_keeps_to_its_share() {
+    let scenario = Scenario::crowd(125_000, 60, 3);
+    let slow = Config { start_share: 0.02, ..Config::default() };
+    let mut it = Inspection::new(&scenario, 3, slow);
+    assert!(it.run_until(seconds(60.0), |engine| engine.progress().with_services == 60));
+    let end = it.sim.now();
+    let share = our_share(&it, seconds(1.5), end);
+    assert!(share <= 0.025, "{share}");
+    // And with nothing in the way it uses what it may.
+    let mut quick = Inspection::new(&scenario, 3, Config::default());
+    assert!(quick.run_until(seconds(60.0), |engine| engine.progress().with_services == 60));
+    assert!(quick.sim.now().since(seconds(1.5)) * 3 < end.since(seconds(1.5)));
+    quick.run_until(seconds(60.0), |_| false);
+    let steady = our_share(&quick, seconds(20.0), seconds(60.0));
+    assert!(steady <= 0.05, "{steady}");
+}
+
+#[test]
+fn listening_only_sends_nothing_and_learns_from_others() {
+    let scenario = Scenario::crowd(250_000, 10, 2);
+    let [asker, listener] = inspection::asker_and_listener(&scenario, 5, seconds(8.0));
+    let known = |engine: &descan::discovery::Engine| engine.progress().with_services;
+    // The asker itself is a debug device that answers nobody here: it knows ten.
+    assert_eq!((known(&asker), known(&listener)), (10, 10));
+}
+
+#[test]
+fn without_scan_nobody_is_asked() {
+    let scenario = Scenario::crowd(250_000, 5, 1);
+    let mut it = Inspection::new(&scenario, 3, Config { scan: false, ..Config::default() });
+    it.run_until(seconds(6.0), |_| false);
+    let profile = Profile::default();
+    let asked = |frame: &&Frame| {
+        frame.is_tx && Header::decode(frame.platform_id().unwrap()).service == profile.des_service()
+    };
+    assert_eq!(it.frames.iter().filter(asked).count(), 0);
+    assert_eq!(it.engine.progress().here, 5, "their heartbeats make them rows");
+}
+
+#[test]
+fn new_firmware_after_a_reboot_is_noticed() {
+    let services = vec![vec![b"DES".to_vec(), b"1.1".to_vec()]];
+    let scenario = Scenario::crowd(125_000, 3, 1).at(
+        Duration::from_secs(6),
+        "N002",
+        DeviceAction::Reboot { services: Some(services) },
+    );
+    let mut it = Inspection::new(&scenario, 3, Config::default());
+    it.run_until(seconds(14.0), |_| false);
+    let rebooted = device(&it, 2);
+    let known: Vec<_> = rebooted.services.iter().flatten().map(|s| s.version.to_string()).collect();
+    assert_eq!(known, ["1.1"]);
+    assert_eq!(rebooted.previous_services.as_ref().map(Vec::len), Some(2), "what it had before");
+    assert_eq!(rebooted.reboots, 1);
+}
+
+/// Several inspectors on one simulated bus.
+struct Company {
+    sim: Sim,
+    members: Vec<Member>,
+}
+
+struct Member {
+    station: SimStation,
+    engine: Engine,
+    events: Vec<Event>,
+}
+
+impl Company {
+    fn new(scenario: &Scenario, seed: u64) -> Self {
+        Self { sim: Sim::new(scenario, seed), members: Vec::new() }
+    }
+
+    /// One more, that starts now.
+    fn join(&mut self, config: Config) {
+        let station = self.sim.attach();
+        let config = Config { bitrate: Some(250_000), ..config };
+        let engine = Engine::new(self.sim.now(), config);
+        self.members.push(Member { station, engine, events: Vec::new() });
+    }
+
+    fn run_until(&mut self, end: Instant) {
+        self.run_with(end, |_, _| {});
+    }
+
+    /// Runs, and calls `act` whenever something happened.
+    fn run_with(&mut self, end: Instant, mut act: impl FnMut(Instant, &mut Sim)) {
+        while self.sim.now() < end {
+            let now = self.sim.now();
+            act(now, &mut self.sim);
+            for Member { station, engine, events } in &mut self.members {
+                while let Some(frame) = self.sim.poll_frame(*station) {
+                    engine.handle_frame(&frame);
+                }
+                engine.handle_timeout(now);
+                while let Some(frame) = engine.poll_transmit(now) {
+                    self.sim.transmit(*station, frame);
+                }
+                while let Some(event) = engine.poll_event() {
+                    events.push(event);
+                }
+            }
+            let due = self.members.iter().filter_map(|member| member.engine.poll_timeout());
+            let next = due.chain(self.sim.next_event()).min().unwrap_or(end);
+            self.sim.advance(next.clamp(now + Duration::from_micros(1), end));
+        }
+    }
+
+    fn held(&self) -> Vec<Option<u8>> {
+        let held = self.members.iter().map(|member| match member.engine.own_address() {
+            OwnAddress::Held(address) => Some(address.number()),
+            _ => None,
+        });
+        held.collect()
+    }
+}
+
+fn told(events: &[Event]) -> Vec<String> {
+    events.iter().map(inspection::describe).collect()
+}
+
+/// Each holds an address of its own and knows the others as debug devices; none ever called the
+/// others a collision that is confirmed.
+fn assert_live_together(company: &Company, what: &str) {
+    let held = company.held();
+    for (at, member) in company.members.iter().enumerate() {
+        let own = held[at].unwrap_or_else(|| panic!("{what}: {held:?}"));
+        for (other, address) in held.iter().enumerate().filter(|(other, _)| *other != at) {
+            let address = address.unwrap();
+            assert_ne!(own, address, "{what}: {at} and {other}");
+            let row = member.engine.device_at(Address::new(address).unwrap());
+            let row = row.unwrap_or_else(|| panic!("{what}: {at} does not know {other}"));
+            assert!(row.is_debug && row.is_named(b"DSCAN"), "{what}: {row:?}");
+            assert_eq!(row.services.as_ref().map(Vec::len), Some(1), "{what}");
+        }
+        let confirmed = member.events.iter().find(|event| {
+            matches!(&event.kind, EventKind::Finding { key, confidence: Confidence::Confirmed }
+                if key.kind.is_conflict())
+        });
+        assert!(confirmed.is_none(), "{what}: {}", inspection::describe(confirmed.unwrap()));
+    }
+}
+
+#[test]
+fn inspectors_live_together() {
+    for seed in 0..10 {
+        for count in [2_u32, 4] {
+            // With devices there are heartbeats, and so ours; alone there are only questions.
+            for devices in [5, 0] {
+                for apart in [0.0, 0.001, 0.7, 3.0] {
+                    let what =
+                        format!("seed {seed}, {count} with {devices} devices, {apart} s apart");
+                    let mut company = Company::new(&Scenario::crowd(250_000, devices, 1), seed);
+                    for at in 0..count {
+                        company.run_until(seconds(apart * f64::from(at)));
+                        let seed = seed * 100 + u64::from(at);
+                        company.join(Config { seed, ..Config::default() });
+                    }
+                    company.run_until(seconds(60.0));
+                    assert_live_together(&company, &what);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn two_that_are_both_told_to_take_0_do_not_fight_for_ever() {
+    for seed in 0..20 {
+        let mut company = Company::new(&Scenario::crowd(250_000, 3, 1), seed);
+        for at in 0..2 {
+            let config =
+                Config { seed: seed * 2 + at, address: Some(Address::DEBUG), ..Config::default() };
+            company.join(config);
+        }
+        company.run_until(seconds(30.0));
+        let mut held = company.held();
+        held.sort_unstable();
+        assert_eq!(held, [None, Some(0)], "seed {seed}");
+        let told: Vec<_> = company.members.iter().map(|it| told(&it.events)).collect();
+        let won = told.iter().flatten().filter(|told| *told == "we are 0").count();
+        assert!(won <= 3, "seed {seed}: both at first, then one: {told:#?}");
+    }
+}
+
+/// A heartbeat from an address, of that UID.
+fn beat(at: u8, uid: &str) -> Frame {
+    let profile = Profile::default();
+    let uid = descan::wire::node::Uid::parse(uid, &profile.uid);
+    let mode = Some(descan::wire::node::Mode::Work);
+    let beat = descan::wire::node::Heartbeat { uid, mode, error: Some(0) };
+    let (data, len) = beat.encode(&profile.heartbeat, &profile.modes.codes());
+    let from = Address::new(at).unwrap();
+    let header = Header::unsolicited(from, 77, false, profile.heartbeat_service());
+    Frame::classic(header.encode(), &data[..len])
+}
+
+/// An engine that heard nobody for 1.5 s, and its events so far.
+fn alone(config: Config) -> (Engine, Vec<String>) {
+    let mut engine = Engine::new(Instant::ZERO, Config { echo: false, ..config });
+    let events = run(&mut engine, seconds(1.6), |_| None);
+    (engine, events)
+}
+
+/// Runs an engine to `end` against frames that come each at its time.
+fn run(
+    engine: &mut Engine,
+    end: Instant,
+    mut next: impl FnMut(Instant) -> Option<Frame>,
+) -> Vec<String> {
+    let mut events = Vec::new();
+    let mut now = Instant::ZERO;
+    while now < end {
+        now += Duration::from_millis(1);
+        if let Some(frame) = next(now) {
+            engine.handle_frame(&frame.with_time(now));
+        }
+        engine.handle_timeout(now);
+        while engine.poll_transmit(now).is_some() {}
+        while let Some(event) = engine.poll_event() {
+            events.push(inspection::describe(&event));
+        }
+    }
+    events
+}
+
+/// A name question to one node, and its answers.
+fn question(by: u8, to: u8) -> Frame {
+    let [by, to] = [by, to].map(|at| Address::new(at).unwrap());
+    let header = Header::request(by, to, false, Profile::default().des_service());
+    Frame::classic(header.encode(), b"\x04DES\x01")
+}
+
+fn answer(from: u8, to: u8) -> Frame {
+    let header = Header::decode(question(to, from).platform_id().unwrap());
+    let id = header.response(Address::new(from).unwrap(), false).encode();
+    Frame::classic(id, b"\x06\x01FEED\x00")
+}
+
+/// Runs an engine that keeps what it sends, in milliseconds, as [`run`] does.
+fn sent(
+    engine: &mut Engine,
+    end: u64,
+    mut next: impl FnMut(u64) -> Vec<Frame>,
+) -> Vec<(u64, Frame)> {
+    let mut sent = Vec::new();
+    for millis in 1..end {
+        let now = Instant::from_micros(millis * 1000);
+        for frame in next(millis) {
+            engine.handle_frame(&frame.with_time(now));
+        }
+        engine.handle_timeout(now);
+        while let Some(frame) = engine.poll_transmit(now) {
+            sent.push((millis, frame));
+        }
+        while engine.poll_event().is_some() {}
+    }
+    sent
+}
+
+/// When `sent` asks that node for its name.
+fn asked(sent: &[(u64, Frame)], from: u8, to: u8) -> Vec<u64> {
+    let same = sent.iter().filter(|(_, frame)| frame.same_on_wire(&question(from, to)));
+    same.map(|(at, _)| *at).collect()
+}
+
+#[test]
+fn a_question_that_comes_twice_is_answered_once() {
+    let config = Config { echo: false, ..Config::default() };
+    let mut engine = Engine::new(Instant::ZERO, config);
+    // Through a bridge that sends everything again 23 ms later; then it is asked anew.
+    let questions = [3000, 3023, 3500];
+    let sent = sent(&mut engine, 4000, |millis| {
+        questions.contains(&millis).then(|| question(9, 0)).into_iter().collect()
+    });
+    let answers = sent.iter().filter(|(_, frame)| {
+        let header = Header::decode(frame.platform_id().unwrap());
+        header.response && !header.broadcast && header.service.number() == 2
+    });
+    assert_eq!(answers.map(|(at, _)| *at).collect::<Vec<_>>(), [3000, 3500]);
+}
+
+#[test]
+fn inspectors_do_not_follow_up_in_step() {
+    // What both saw at the same moment would make them ask at the same moment, and equal answers
+    // that wait behind the other's question merge.
+    let [one, other] = [1, 2].map(|seed| {
+        let config = Config { echo: false, seed, ..Config::default() };
+        let mut engine = Engine::new(Instant::ZERO, config);
+        let sent = sent(&mut engine, 12_000, |millis| match millis {
+            3000 => vec![question(9, 5), answer(5, 9)],
+            3001 | 6000 | 8000 => vec![answer(5, 9)],
+            _ => Vec::new(),
+        });
+        asked(&sent, 0, 5)
+    });
+    let [one, other]: [Vec<u64>; 2] =
+        [one, other].map(|all| all.into_iter().filter(|at| (3100..7900).contains(at)).collect());
+    assert!(one.len() >= 4 && other.len() >= 4, "{one:?} {other:?}");
+    for (a, b) in one.iter().zip(&other) {
+        assert!(a.abs_diff(*b) >= 2, "{one:?} {other:?}");
+    }
+}
+
+#[test]
+fn a_steady_heartbeat_off_its_beat_is_reason_to_ask() {
+    let mut engine = Engine::new(
+        Instant::ZERO,
+        Config { echo: false, round_period: Duration::ZERO, ..Config::default() },
+    );
+    // Another board takes the place of FEED, a tenth of a second later than FEED was due.
+    let sent = sent(&mut engine, 14_000, |millis| {
+        let due = if millis < 9000 { 0 } else { 100 };
+        let mut frames = Vec::new();
+        if millis % 1000 == due {
+            frames.push(beat(5, "FEED01"));
+        }
+        if [1600, 2100].contains(&millis) {
+            frames.push(answer(5, 0));
+        }
+        frames
+    });
+    let asked = asked(&sent, 0, 5);
+    assert!(!asked.iter().any(|at| (4000..9100).contains(at)), "{asked:?}");
+    assert!(asked.iter().any(|at| (9100..10_500).contains(at)), "{asked:?}");
+}
+
+#[test]
+fn what_could_not_be_heard_is_not_missed() {
+    let config = Config { echo: false, listen_only: true, ..Config::default() };
+    let mut engine = Engine::new(Instant::ZERO, config);
+    let beats = |engine: &mut Engine, from: u64, to: u64| {
+        for second in from..=to {
+            engine.handle_frame(&beat(5, "FEED01").with_time(seconds(second as f64 + 0.1)));
+        }
+    };
+    beats(&mut engine, 0, 3);
+    engine.suspend(seconds(3.6));
+    engine.restart(seconds(13.6));
+    beats(&mut engine, 14, 16);
+    let missed = |engine: &Engine| engine.devices()[0].heartbeat.missed;
+    assert_eq!(missed(&engine), 0);
+    beats(&mut engine, 19, 19);
+    assert_eq!(missed(&engine), 2);
+}
+
+#[test]
+fn a_heartbeat_that_a_short_outage_swallowed_is_not_missed() {
+    let beats_missed = |outage: (Option<f64>, f64), next: u64| {
+        let config = Config { echo: false, listen_only: true, ..Config::default() };
+        let mut engine = Engine::new(Instant::ZERO, config);
+        let beats = |engine: &mut Engine, second: u64| {
+            engine.handle_frame(&beat(5, "FEED01").with_time(seconds(second as f64 + 0.1)));
+        };
+        (0..=3).for_each(|second| beats(&mut engine, second));
+        if let Some(begin) = outage.0 {
+            engine.suspend(seconds(begin));
+        }
+        engine.restart(seconds(outage.1));
+        (next..=next + 2).for_each(|second| beats(&mut engine, second));
+        engine.devices()[0].heartbeat.missed
+    };
+    // That of 4.1 s: told as it was, somewhat late, and when it was over.
+    assert_eq!(beats_missed((Some(4.08), 4.12), 5), 0);
+    assert_eq!(beats_missed((Some(4.15), 4.3), 5), 0);
+    assert_eq!(beats_missed((None, 4.15), 5), 0);
+    // The next was due when it was over, or before it began.
+    assert_eq!(beats_missed((Some(4.08), 4.12), 6), 1);
+    assert_eq!(beats_missed((Some(4.6), 4.7), 5), 1);
+    assert_eq!(beats_missed((Some(4.6), 5.0), 5), 1);
+    assert_eq!(beats_missed((Some(4.05), 6.3), 8), 1);
+}
+
+fn confidence(engine: &Engine, kind: FindingKind) -> Option<Confidence> {
+    engine.findings().iter().find(|it| it.key.kind == kind).map(|it| it.confidence)
+}
+
+#[test]
+fn one_that_never_gives_0_up_has_it() {
+    let mut engine = Engine::new(Instant::ZERO, Config { echo: false, ..Config::default() });
+    // It starts when we hold 0.
+    let events = run(&mut engine, seconds(30.0), |now| {
+        let beats = now >= seconds(3.0) && now.as_micros() % 1_000_000 == 0;
+        beats.then(|| beat(0, "TOOL"))
+    });
+    let OwnAddress::Held(own) = engine.own_address() else { panic!("{events:#?}") };
+    assert_ne!(own, Address::DEBUG);
+    let ours: Vec<_> = events.iter().filter(|it| it.starts_with("we ")).collect();
+    assert_eq!(ours, ["we are 0", "we gave up 0", &format!("we are {own}")]);
+    // Ours was a suspicion, for it is alone there now.
+    let findings: Vec<_> = events.iter().filter(|it| it.starts_with("finding")).collect();
+    assert_eq!(
+        findings,
+        [
+            "finding two-debug-devices suspected at 0",
+            "finding two-debug-devices cleared at 0",
+            "finding address-contested suspected at 0",
+            "finding address-contested cleared at 0",
+        ]
+    );
+}
+
+#[test]
+fn two_foreign_tools_at_0_are_confirmed() {
+    let mut engine = Engine::new(Instant::ZERO, Config { echo: false, ..Config::default() });
+    let events = run(&mut engine, seconds(15.0), |now| match now.as_micros() % 1_000_000 {
+        100_000 => Some(beat(0, "TOOL")),
+        600_000 => Some(beat(0, "OTHER")),
+        _ => None,
+    });
+    assert!(matches!(engine.own_address(), OwnAddress::Held(own) if own != Address::DEBUG));
+    assert_eq!(confidence(&engine, FindingKind::TwoDebugDevices), Some(Confidence::Confirmed));
+    let found = engine.findings().iter().find(|it| it.key.kind == FindingKind::TwoDebugDevices);
+    let found = found.unwrap();
+    assert_eq!(
+        found.text,
+        "Two debug devices use address 0: heartbeats alternate between two UIDs."
+    );
+    assert!(!found.remedy.contains("moves to another"), "{}", found.remedy);
+    assert!(!events.iter().any(|it| it.contains("gave way")), "{events:#?}");
+}
+
+#[test]
+fn a_rival_that_only_asks_is_one() {
+    let question = {
+        let header = Header::broadcast(Address::DEBUG, 33, false, Profile::default().des_service());
+        Frame::classic(header.encode(), &[4, b'D', b'E', b'S', 1])
+    };
+    let (mut engine, _) = alone(Config::default());
+    assert_eq!(engine.own_address(), OwnAddress::Held(Address::DEBUG));
+    engine.handle_frame(&question.with_time(seconds(2.0)));
+    assert_eq!(engine.own_address(), OwnAddress::Listening);
+    assert!(engine.poll_transmit(seconds(2.0)).is_none(), "no more from an address of others");
+}
+
+#[test]
+fn a_rival_between_our_claim_and_our_first_frame_silences_us() {
+    let mut profile = Profile::default();
+    profile.heartbeat.announce = descan::wire::profile::Announce::Always;
+    let config = Config { profile: Arc::new(profile), echo: false, ..Config::default() };
+    let mut engine = Engine::new(Instant::ZERO, config);
+    let due = seconds(1.5);
+    engine.handle_timeout(due);
+    assert_eq!(engine.own_address(), OwnAddress::Held(Address::DEBUG));
+    engine.handle_frame(&beat(0, "TOOL").with_time(due));
+    assert_eq!(engine.own_address(), OwnAddress::Listening);
+    assert!(engine.poll_transmit(due).is_none(), "what was to be sent is not sent");
+}
+
+#[test]
+fn who_speaks_first_from_the_address_we_chose_has_it() {
+    let mut engine = Engine::new(Instant::ZERO, Config { echo: false, ..Config::default() });
+    let (mut now, mut chosen, mut sent) = (Instant::ZERO, None, Vec::new());
+    while now < seconds(15.0) {
+        now += Duration::from_millis(1);
+        // A tool has 0, and another device takes what we chose while we wait to claim it.
+        if now.as_micros() % 1_000_000 == 0 {
+            engine.handle_frame(&beat(0, "TOOL").with_time(now));
+            if let Some(chosen) = chosen {
+                engine.handle_frame(&beat(chosen, "OTHER").with_time(now));
+            }
+        }
+        if let (None, OwnAddress::Claiming(address)) = (chosen, engine.own_address()) {
+            chosen = Some(address.number());
+            engine.handle_frame(&beat(address.number(), "OTHER").with_time(now));
+            assert_eq!(engine.own_address(), OwnAddress::Listening);
+        }
+        engine.handle_timeout(now);
+        while let Some(frame) = engine.poll_transmit(now) {
+            sent.push(Header::decode(frame.platform_id().unwrap()).source.number());
+        }
+    }
+    let OwnAddress::Held(own) = engine.own_address() else { panic!("{:?}", engine.own_address()) };
+    assert_ne!(Some(own.number()), chosen);
+    assert!(!sent.is_empty() && sent.iter().all(|source| *source == own.number()), "{sent:?}");
+}
+
+#[test]
+fn without_a_free_address_we_listen_until_there_is_one() {
+    let mut engine = Engine::new(Instant::ZERO, Config { echo: false, ..Config::default() });
+    // All beat each second, 0 included; from 10 s on, 77 does not.
+    let events = run(&mut engine, seconds(20.0), |now| {
+        let at = now.as_micros() % 1_000_000 / 1000;
+        let at = u8::try_from(at).ok().filter(|at| *at < 128)?;
+        (at != 77 || now < seconds(10.0)).then(|| beat(at, &format!("N{at}")))
+    });
+    let ours: Vec<_> =
+        events.iter().filter(|it| it.starts_with("we ") || it.contains("free")).collect();
+    assert_eq!(ours, ["no address is free", "we are 77"]);
+}
+
+#[test]
+fn a_fixed_address_that_is_used_is_waited_for() {
+    let wanted = Address::new(5).unwrap();
+    let config = Config { address: Some(wanted), echo: false, ..Config::default() };
+    let mut engine = Engine::new(Instant::ZERO, config);
+    let events = run(&mut engine, seconds(30.0), |now| {
+        let beats = now < seconds(10.0) && now.as_micros() % 1_000_000 == 0;
+        beats.then(|| beat(5, "N5"))
+    });
+    let ours: Vec<_> =
+        events.iter().filter(|it| it.starts_with("we ") || it.contains("free")).collect();
+    assert_eq!(ours, ["5 is not free", "we are 5"]);
+}

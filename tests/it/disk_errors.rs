@@ -1,0 +1,279 @@
+//! The real binary on disks that do not take what it writes: the edit is kept, the cause named, and
+//! it is saved as soon as that is possible.
+//!
+//! Disks are made in mount namespaces of their own. Where only root may do that, the tests say so
+//! and pass; in CI they must run.
+
+use crate::common::pty;
+use crate::common::pty::Pty;
+use std::fs::{self, Permissions};
+use std::io::Write;
+use std::os::unix::fs::PermissionsExt as _;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
+
+const BEFORE: &str = "[\n  {\"name\": \"FEED\", \"address\": 9}\n]\n";
+const AFTER: &str = "[\n  {\"name\": \"FEED\", \"address\": 47, \"static\": true}\n]\n";
+
+fn may_mount() -> bool {
+    let probe = Command::new("unshare").args(["--mount", "true"]).output();
+    let why = match probe {
+        Ok(output) if output.status.success() => return true,
+        Ok(output) => String::from_utf8_lossy(&output.stderr).trim().to_owned(),
+        Err(error) => format!("unshare: {error}"),
+    };
+    assert!(!std::env::var("CI").is_ok_and(|ci| ci == "true"), "cannot run: {why}");
+    // Not by println: the test harness would keep it to itself.
+    let _ = writeln!(std::io::stderr(), "skipped: {why}");
+    false
+}
+
+/// The program with a file on a disk of its own.
+struct Disk {
+    folder: TempDir,
+    pty: Pty,
+}
+
+impl Disk {
+    /// `mounts`: what the shell does before it starts the program, in the folder of the file.
+    fn new(mounts: &str) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        // Others than root start the program too.
+        fs::set_permissions(folder.path(), Permissions::from_mode(0o755)).unwrap();
+        let program = folder.path().join("descan");
+        fs::copy(env!("CARGO_BIN_EXE_descan"), &program).unwrap();
+        let disk = folder.path().join("disk");
+        fs::create_dir(&disk).unwrap();
+        fs::write(disk.join("des.json"), BEFORE).unwrap();
+        let script = format!(
+            "as='' && cd disk && {mounts} && cd .. && exec $as ./descan sim:boiler --file disk/des.json"
+        );
+        let arguments = ["--mount", "sh", "-ec", &script];
+        let mut pty = Pty::run("unshare", &arguments, folder.path(), (200, 30));
+        pty.wait_for("SENS");
+        Self { folder, pty }
+    }
+
+    /// A path as the program sees it.
+    fn seen(&self, path: &str) -> PathBuf {
+        let inside = self.folder.path().join(path);
+        Path::new(&format!("/proc/{}/root", self.pty.pid())).join(inside.strip_prefix("/").unwrap())
+    }
+
+    fn content(&self) -> Option<String> {
+        fs::read_to_string(self.seen("disk/des.json")).ok()
+    }
+
+    /// Runs a command among the program's mounts.
+    fn among_its_mounts(&self, command: &[&str]) {
+        let pid = self.pty.pid().to_string();
+        let status = Command::new("nsenter").args(["-t", &pid, "-m", "--"]).args(command).status();
+        assert!(status.unwrap().success(), "{command:?}");
+    }
+
+    /// Pins FEED to 47, which is not saved because of this; nothing is lost by wanting to quit;
+    /// and a copy is written elsewhere.
+    fn is_kept(&mut self, cause: &str) {
+        self.pty.send("ge\x1547\r");
+        self.pty.wait_for("✗ not saved");
+        self.pty.wait_for(cause);
+        assert_eq!(self.content().as_deref(), Some(BEFORE));
+        self.pty.send("q");
+        self.pty.wait_for("1 edit is not saved. Quit anyway?");
+        self.pty.send("n");
+        self.pty.wait_for("Ctrl-s save again  W save a copy");
+        let copy = self.folder.path().join("copy.json");
+        self.pty.send(&format!("W\x15{}\r", copy.display()));
+        self.pty.wait_for("a copy with all edits: ");
+        assert_eq!(fs::read_to_string(&copy).unwrap(), AFTER);
+        self.pty.send("q");
+        self.pty.wait_for("1 edit is saved only in ");
+        self.pty.send("n");
+        assert_eq!(self.content().as_deref(), Some(BEFORE));
+    }
+
+    /// Chooses on the page of a conflict, as soon as it lets one: not before it can be read.
+    fn choose(&mut self, key: &str) {
+        let deadline = Instant::now() + pty::PATIENCE;
+        while self.pty.screen().contains("Edit conflict") {
+            assert!(Instant::now() < deadline, "{}", self.pty.screen());
+            self.pty.send(key);
+            self.pty.count_for(Duration::from_millis(400));
+        }
+    }
+
+    /// The cause is gone: it is saved without being asked.
+    fn is_saved_at_last(&mut self) {
+        let deadline = Instant::now() + pty::PATIENCE;
+        while self.content().as_deref() != Some(AFTER) {
+            assert!(Instant::now() < deadline, "{:?}\n{}", self.content(), self.pty.screen());
+            self.pty.count_for(Duration::from_millis(20));
+        }
+        self.pty.wait_until("the file saved", |screen| !screen.contents().contains("not saved"));
+        let beside = fs::read_dir(self.seen("disk")).unwrap().map(|it| it.unwrap().file_name());
+        let left: Vec<_> = beside.filter(|it| it.to_string_lossy().contains("descan-")).collect();
+        assert!(left.is_empty(), "{left:?}");
+        self.pty.send("q");
+        assert_eq!(self.pty.wait(), 0);
+        self.pty.assert_given_back();
+    }
+}
+
+#[test]
+fn a_full_disk() {
+    if !may_mount() {
+        return;
+    }
+    let mut disk = Disk::new(
+        "cp des.json .. && mount -t tmpfs -o size=64k tmpfs . && cd ../disk && cp ../des.json . \
+         && { head -c 1M /dev/zero >filling 2>/dev/null || true; }",
+    );
+    disk.is_kept("the disk is full: make room");
+    fs::remove_file(disk.seen("disk/filling")).unwrap();
+    disk.is_saved_at_last();
+}
+
+#[test]
+fn a_disk_that_is_mounted_read_only() {
+    if !may_mount() {
+        return;
+    }
+    let mut disk = Disk::new("mount --bind . . && mount -o remount,ro,bind \"$PWD\"");
+    disk.is_kept("mounted read-only: remount it");
+    let folder = disk.folder.path().join("disk");
+    disk.among_its_mounts(&["mount", "-o", "remount,rw,bind", folder.to_str().unwrap()]);
+    disk.is_saved_at_last();
+}
+
+#[test]
+fn a_file_that_is_a_mount_point() {
+    if !may_mount() {
+        return;
+    }
+    let mut disk = Disk::new("cp des.json ../real.json && mount --bind ../real.json des.json");
+    disk.is_kept("a bind mount: mount its folder");
+    let file = disk.folder.path().join("disk/des.json");
+    disk.among_its_mounts(&["umount", file.to_str().unwrap()]);
+    disk.is_saved_at_last();
+}
+
+/// A network file system may take its time, or all the time there is.
+#[test]
+fn a_disk_that_does_not_come_to_an_end() {
+    if !may_mount() {
+        return;
+    }
+    let never = || {
+        Disk::new(
+            "printf '#include <unistd.h>\nint fsync(int file) { for (;;) pause(); }\n' >../never.c \
+         && cc -shared -fPIC -o ../never.so ../never.c && as=\"env LD_PRELOAD=$PWD/../never.so\"",
+        )
+    };
+    let mut disk = never();
+    disk.pty.send("ge\x1547\r");
+    disk.pty.wait_for("… saving 1");
+    // It is worked with meanwhile.
+    disk.pty.send("R\x15PUMP\r");
+    disk.pty.wait_for("… saving 2");
+    disk.pty.send("3");
+    disk.pty.wait_for("entry FEED at 47 renamed to PUMP");
+    // What somebody else writes is seen all the same, with ours.
+    let theirs = BEFORE.replace("9}", "9},\n  {\"name\": \"VALVE\", \"address\": 77}");
+    fs::write(disk.seen("disk/des.json"), &theirs).unwrap();
+    disk.pty.send("1");
+    disk.pty.wait_for("VALVE");
+    disk.pty.wait_for("PUMP");
+    disk.pty.wait_for("… saving 2");
+    disk.pty.send("q");
+    disk.pty.wait_for("2 edits are still being saved. Quit without waiting?");
+    disk.pty.send("y");
+    assert_eq!(disk.pty.wait(), 0);
+    disk.pty.assert_given_back();
+    let content = |disk: &Disk| fs::read_to_string(disk.folder.path().join("disk/des.json"));
+    assert_eq!(content(&disk).unwrap(), theirs);
+
+    // Nor does it hold up whoever shuts the machine down.
+    let mut disk = never();
+    disk.pty.send("ge\x1547\r");
+    disk.pty.wait_for("… saving 1");
+    disk.pty.signal(nix::sys::signal::Signal::SIGTERM);
+    assert_eq!(disk.pty.wait(), 130);
+    disk.pty.assert_given_back();
+    assert_eq!(content(&disk).unwrap(), BEFORE);
+}
+
+#[test]
+fn a_folder_that_others_own() {
+    if !may_mount() {
+        return;
+    }
+    let nobody = "as='setpriv --reuid 65534 --regid 65534 --clear-groups'";
+    let mut disk = Disk::new(&format!("chmod 666 des.json && chmod 777 .. && {nobody}"));
+    disk.is_kept("no permission for its folder");
+    fs::set_permissions(disk.folder.path().join("disk"), Permissions::from_mode(0o777)).unwrap();
+    disk.is_saved_at_last();
+
+    // And a file that is write-protected, in a folder that is not.
+    let mut disk = Disk::new(&format!("chmod 444 des.json && chmod 777 . .. && {nobody}"));
+    disk.is_kept("belongs to another user: save a copy");
+    fs::set_permissions(disk.seen("disk/des.json"), Permissions::from_mode(0o666)).unwrap();
+    disk.is_saved_at_last();
+}
+
+#[test]
+fn a_folder_that_is_moved_away() {
+    if !may_mount() {
+        return;
+    }
+    let mut disk = Disk::new("true");
+    let (here, away) = (disk.folder.path().join("disk"), disk.folder.path().join("away"));
+    // While a line is typed.
+    disk.pty.send("ge\x154");
+    fs::rename(&here, &away).unwrap();
+    disk.pty.wait_for("deleted: the next edit creates it again");
+    disk.pty.send("7\r");
+    disk.pty.wait_for("✗ not saved");
+    disk.pty.wait_for("no such folder: mkdir -p");
+    assert_eq!(fs::read_to_string(away.join("des.json")).unwrap(), BEFORE);
+    fs::rename(&away, &here).unwrap();
+    // The entry that we began anew is the one that went away with the folder.
+    disk.pty.wait_for("Edit conflict");
+    disk.pty.wait_for("new entry FEED at 47");
+    disk.pty.wait_for("address 9, not static");
+    assert_eq!(disk.content().as_deref(), Some(BEFORE));
+    disk.choose("o");
+    disk.is_saved_at_last();
+}
+
+#[test]
+fn what_both_changed_while_it_could_not_be_saved_is_for_a_person_to_choose() {
+    if !may_mount() {
+        return;
+    }
+    let theirs = BEFORE.replace('9', "11");
+    for key in ["t", "o"] {
+        let mut disk = Disk::new("cp des.json ../real.json && mount --bind ../real.json des.json");
+        disk.pty.send("ge\x1547\r");
+        disk.pty.wait_for("✗ not saved");
+        fs::write(disk.seen("disk/des.json"), &theirs).unwrap();
+        disk.pty.wait_for("Edit conflict");
+        disk.pty.wait_for("address of the entry FEED: 9 → 47");
+        disk.choose(key);
+        if key == "t" {
+            disk.pty.wait_for("✓");
+        } else {
+            // The mount is put aside, and theirs in its place.
+            disk.pty.wait_for("✗ not saved");
+            let file = disk.folder.path().join("disk/des.json");
+            fs::write(&file, &theirs).unwrap();
+            disk.among_its_mounts(&["umount", file.to_str().unwrap()]);
+            disk.is_saved_at_last();
+            continue;
+        }
+        assert_eq!(disk.content().as_ref(), Some(&theirs));
+        disk.pty.send("q");
+        assert_eq!(disk.pty.wait(), 0);
+    }
+}

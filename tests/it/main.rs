@@ -1,0 +1,49 @@
+//! The integration tests, in one program: one module for each subject.
+//!
+//! `cargo test --test it slcan` runs one module. Tests share the process: none of them changes
+//! the environment, the current directory or the signal handlers. Programs of their own are
+//! `no_allocation` (its own allocator) and `interrupted_saves` (starts itself under strace).
+
+mod bitrate_search;
+mod builtin_scenarios;
+mod bus_outages;
+mod candump;
+mod check;
+mod command_line;
+mod common;
+mod conflict_evidence;
+mod conflict_logs;
+mod discovery;
+mod disk_errors;
+mod document;
+mod document_fuzz;
+mod document_properties;
+mod editing;
+mod error_frames;
+mod external_editors;
+mod guide;
+mod log;
+mod malicious_input;
+mod missing_reasons;
+mod pcapng;
+mod random_buses;
+mod random_input;
+mod readme;
+mod recording;
+mod replay_speed;
+mod scenarios;
+mod schema;
+mod screen;
+mod sim;
+mod simulation;
+mod slcan;
+mod socketcan;
+mod socketcand;
+mod store;
+mod terminal;
+mod udp;
+mod undo_redo;
+mod vm_bitrate_search;
+mod vm_end_to_end;
+mod watch;
+mod wire_vectors;

@@ -1,0 +1,489 @@
+//! `--record`, from outside: what is in the files, how they end, and what is said.
+
+use crate::common::frames::any_frame;
+use crate::common::pty::{PATIENCE, Pty};
+use crate::common::watch_process::command;
+use descan::frame::{BusIndex, Frame};
+use descan::log::{LogReader, LogSummary};
+use descan::shell::recorder::{RecordError, Recorder, Target};
+use descan::time::{Duration, Epoch, Instant};
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use proptest::prelude::*;
+use std::fmt::Write as _;
+use std::fs::{self, File};
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+
+const EPOCH: Epoch = Epoch::from_unix_micros(1_436_509_052_249_713);
+
+fn read(path: &Path) -> (Vec<Frame>, LogSummary) {
+    let file = File::open(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    let mut reader = LogReader::new(BufReader::new(file));
+    let frames = reader.by_ref().collect::<Result<_, _>>().unwrap();
+    (frames, reader.tally().clone())
+}
+
+fn create(path: &Path, max_bytes: Option<u64>) -> Recorder {
+    let recorder = Recorder::create(&Target { path: path.to_owned(), max_bytes }).unwrap();
+    recorder.set_epoch(EPOCH);
+    recorder.name_bus(BusIndex(0), "can0");
+    recorder.name_bus(BusIndex(1), "can1");
+    recorder
+}
+
+/// Frames of two buses, a millisecond apart, each with its number.
+fn numbered(count: u32) -> Vec<Frame> {
+    let frame = |number: u32| {
+        let frame = Frame::classic(0x0719_A510, &number.to_be_bytes());
+        let time = Instant::from_micros(u64::from(number) * 1000);
+        frame.with_time(time).with_bus(BusIndex((number % 2) as u8))
+    };
+    (0..count).map(frame).collect()
+}
+
+/// The blocks of a pcapng file of ours: kind and body.
+fn blocks(path: &Path) -> Vec<(u32, Vec<u8>)> {
+    let file = fs::read(path).unwrap();
+    let number = |at: usize| u32::from_le_bytes(file[at..at + 4].try_into().unwrap());
+    let mut blocks = Vec::new();
+    let mut at = 0;
+    while at < file.len() {
+        let len = number(at + 4) as usize;
+        blocks.push((number(at), file[at + 8..at + len - 4].to_vec()));
+        at += len;
+    }
+    blocks
+}
+
+/// Interface, frames and losses, as the statistics at the end of a file say.
+fn statistics(path: &Path) -> Vec<(u32, u64, u64)> {
+    let of = |body: &[u8]| {
+        // Two options of eight bytes behind the interface and its time.
+        let number = |at: usize| u64::from_le_bytes(body[at..at + 8].try_into().unwrap());
+        assert_eq!((&body[12..16], &body[24..28]), (&[4, 0, 8, 0][..], &[5, 0, 8, 0][..]));
+        (u32::from_le_bytes(body[..4].try_into().unwrap()), number(16), number(28))
+    };
+    blocks(path).iter().filter(|(kind, _)| *kind == 5).map(|(_, body)| of(body)).collect()
+}
+
+// --- the files ------------------------------------------------------------------------------
+
+#[test]
+fn frames_of_two_buses_are_in_order_of_time_however_their_batches_come() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["a.log", "a.pcapng"] {
+        let path = folder.path().join(name);
+        let recorder = create(&path, None);
+        let frames = numbered(40_000);
+        // A tenth of a second of the one, then of the other; at first there is only one.
+        let of = |bus: u8| move |frame: &&Frame| frame.bus == BusIndex(bus);
+        recorder.record(&frames[..1]);
+        for batch in frames[1..].chunks(100) {
+            recorder.record(&batch.iter().filter(of(1)).copied().collect::<Vec<_>>());
+            recorder.record(&batch.iter().filter(of(0)).copied().collect::<Vec<_>>());
+        }
+        assert_eq!(recorder.finish().frames, 40_000);
+        let (there, tally) = read(&path);
+        assert_eq!(tally.backwards, 0);
+        assert!(there == frames, "{name}");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(40))]
+
+    #[test]
+    fn what_is_recorded_is_read_back(
+        frames in proptest::collection::vec((any_frame(), 0_u64..5_000_000, 0_u8..2), 1..60),
+        pcapng in any::<bool>(),
+    ) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(if pcapng { "a.pcapng" } else { "a.log" });
+        let mut moment = Instant::ZERO;
+        let frames: Vec<Frame> = frames
+            .into_iter()
+            .enumerate()
+            .map(|(at, (frame, gap, bus))| {
+                let (gap, bus) = if at == 0 { (0, 0) } else { (gap, bus) };
+                moment += Duration::from_micros(gap);
+                frame.with_time(moment).with_bus(BusIndex(bus))
+            })
+            .collect();
+        let recorder = create(&path, None);
+        recorder.record(&frames);
+        let status = recorder.finish();
+        prop_assert_eq!((status.frames, status.lost, status.failure), (frames.len() as u64, 0, None));
+        prop_assert_eq!(status.bytes, fs::metadata(&path).unwrap().len());
+        let (there, tally) = read(&path);
+        prop_assert_eq!(tally.epoch, Some(EPOCH));
+        prop_assert_eq!((tally.unreadable, tally.damage, tally.backwards), (0, None, 0));
+        prop_assert_eq!(there, frames);
+        prop_assert!(["can0", "can1"].starts_with(&tally.interfaces.iter().map(String::as_str).collect::<Vec<_>>()));
+    }
+}
+
+#[test]
+fn no_file_outgrows_its_size_and_no_frame_is_missing_between_two() {
+    for extension in ["log", "pcapng"] {
+        let folder = tempfile::tempdir().unwrap();
+        let first = folder.path().join(format!("a.{extension}"));
+        let recorder = create(&first, Some(20_000));
+        // This one is of somebody else, who came after we began.
+        let taken = folder.path().join(format!("a_00003.{extension}"));
+        fs::write(&taken, "mine").unwrap();
+        let frames = numbered(2_000);
+        recorder.record_all(&frames);
+        let status = recorder.finish();
+        assert_eq!(fs::read(&taken).unwrap(), b"mine");
+        fs::remove_file(&taken).unwrap();
+        let mut paths: Vec<PathBuf> =
+            fs::read_dir(folder.path()).unwrap().map(|it| it.unwrap().path()).collect();
+        paths.sort();
+        assert!(paths.len() > 4, "{paths:?}");
+        assert_eq!(paths[0], first, "the first sorts first");
+        assert_eq!(paths[1], folder.path().join(format!("a_00002.{extension}")));
+        assert_eq!(status.path, paths.last().unwrap().to_str().unwrap());
+        assert_eq!((status.files as usize, status.frames), (paths.len(), 2_000));
+        let mut all = Vec::new();
+        for path in &paths {
+            assert!(fs::metadata(path).unwrap().len() <= 20_000 + 200, "{path:?}");
+            let (frames, tally) = read(path);
+            assert_eq!((tally.damage, tally.interfaces.len()), (None, 2), "each can be read alone");
+            let epoch = tally.epoch.unwrap();
+            all.extend(frames.iter().map(|it| (epoch.unix_micros(it.time), it.data().to_vec())));
+        }
+        let told = |it: &Frame| (EPOCH.unix_micros(it.time), it.data().to_vec());
+        assert_eq!(all, frames.iter().map(told).collect::<Vec<_>>());
+    }
+}
+
+#[test]
+fn pcapng_says_how_many_frames_were_lost_in_each_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.pcapng");
+    let recorder = create(&path, None);
+    recorder.note_lost(BusIndex(1), 17);
+    // More at once than may wait: 65,536.
+    recorder.record(&numbered(70_000));
+    let status = recorder.finish();
+    assert_eq!((status.frames, status.lost), (65_536, 4_464));
+    assert_eq!(statistics(&path), [(0, 32_768, 2_232), (1, 32_768, 2_232 + 17)]);
+    assert_eq!(read(&path).0.len(), 65_536);
+
+    // Of two files each tells its own.
+    let path = folder.path().join("b.pcapng");
+    let recorder = create(&path, Some(20_000));
+    recorder.note_lost(BusIndex(0), 5);
+    recorder.record_all(&numbered(500));
+    recorder.finish();
+    let second = folder.path().join("b_00002.pcapng");
+    assert_eq!(statistics(&path)[0].2 + statistics(&second)[0].2, 5);
+}
+
+#[test]
+fn nothing_that_is_there_is_touched() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.log");
+    fs::write(&path, "mine").unwrap();
+    let refused = |max_bytes| match Recorder::create(&Target { path: path.clone(), max_bytes }) {
+        Err(RecordError::Exists(there)) => there,
+        other => panic!("{other:?}"),
+    };
+    assert_eq!(refused(None), path.to_str().unwrap());
+    assert_eq!(fs::read(&path).unwrap(), b"mine");
+    // Files of an earlier recording that would come in between.
+    fs::rename(&path, folder.path().join("a_00007.log")).unwrap();
+    assert!(refused(Some(10_000)).ends_with("a_00007.log"));
+    assert!(!path.exists());
+    create(&path, None).finish();
+    assert!(!path.exists(), "nothing came, so there is no file in the way of the next try");
+}
+
+// --- the program ----------------------------------------------------------------------------
+
+fn descan(arguments: &[&str], folder: &Path) -> Output {
+    command(arguments, folder).output().expect("the program starts")
+}
+
+fn words(output: &Output) -> String {
+    String::from_utf8(output.stderr.clone()).unwrap()
+}
+
+/// A log of FEED's heartbeats on two interfaces, and of frames of every kind.
+fn write_log(path: &Path) {
+    let mut log = String::new();
+    for beat in 0..300 {
+        let (second, micros) = (1_436_509_052 + beat / 10, beat % 10 * 100_000 + 17);
+        let bus = if beat % 3 == 0 { "can8" } else { "can7" };
+        let own = if beat % 5 == 0 { " T" } else { "" };
+        let frame = match beat {
+            1 => "123#R4",
+            2 => "20000024#0001020304050607",
+            3 => "00000123##30102030405060708",
+            4 => "123##0",
+            _ => "07183C01#8AFA6C9724110400",
+        };
+        writeln!(log, "({second}.{micros:06}) {bus} {frame}{own}").unwrap();
+    }
+    fs::write(path, log).unwrap();
+}
+
+#[test]
+fn a_log_becomes_pcapng_and_the_same_log_again() {
+    let folder = tempfile::tempdir().unwrap();
+    write_log(&folder.path().join("a.log"));
+    let output = descan(&["scan", "file:a.log", "--record", "b.pcapng"], folder.path());
+    assert!(words(&output).contains("descan: recorded b.pcapng: 300 frames, 18 kB"), "{output:?}");
+    let output = descan(&["watch", "file:b.pcapng", "--record", "c.log"], folder.path());
+    assert!(words(&output).contains("recorded c.log: 300 frames"), "{output:?}");
+    let text = |name| fs::read_to_string(folder.path().join(name)).unwrap();
+    assert_eq!(text("c.log"), text("a.log"));
+    // And a third of it, by the log's own clock.
+    let arguments = ["watch", "file:a.log", "--time", "10", "--record", "d.log"];
+    descan(&arguments, folder.path());
+    assert_eq!(text("d.log").lines().count(), 101);
+}
+
+#[test]
+fn a_damaged_file_is_read_as_far_as_it_goes_and_told() {
+    let folder = tempfile::tempdir().unwrap();
+    write_log(&folder.path().join("a.log"));
+    descan(&["scan", "file:a.log", "--record", "b.pcapng"], folder.path());
+    let path = folder.path().join("b.pcapng");
+    let whole = fs::read(&path).unwrap();
+    fs::write(&path, &whole[..whole.len() / 2]).unwrap();
+    let output = descan(&["scan", "file:b.pcapng"], folder.path());
+    assert!(
+        words(&output).contains("frames of 2 interfaces; truncated inside a block"),
+        "{output:?}"
+    );
+    assert_eq!(output.status.code(), Some(0));
+    fs::write(&path, [b"\n\r\r\n", &[7; 40][..]].concat()).unwrap();
+    let output = descan(&["scan", "file:b.pcapng"], folder.path());
+    assert_eq!(output.status.code(), Some(3), "{output:?}");
+}
+
+#[test]
+fn what_is_wrong_with_the_arguments_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    write_log(&folder.path().join("a.log"));
+    for (arguments, code, hint) in [
+        (&["--record", "b.pcap"][..], 2, ".pcapng"),
+        (&["--record", "b"], 2, ".log"),
+        (&["--record-size", "1M"], 2, "--record <FILE>"),
+        (&["--record", "b.log", "--record-size", "1"], 2, "100M"),
+        (&["--record", "a.log"], 3, "a.log already exists"),
+        (&["--record", "nowhere/b.log"], 3, "cannot record to nowhere/b.log"),
+    ] {
+        let output = descan(&[&["scan", "file:a.log"], arguments].concat(), folder.path());
+        assert!(words(&output).contains(hint), "{output:?}");
+        assert_eq!(output.status.code(), Some(code), "{output:?}");
+        assert_eq!(words(&output).lines().count(), 1, "{output:?}");
+    }
+}
+
+/// `descan watch` on a simulated bus that is recorded.
+struct Recording {
+    child: Child,
+    path: PathBuf,
+}
+
+impl Recording {
+    fn start(command: &mut Command, path: PathBuf) -> Self {
+        let child = command
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("the program starts");
+        Self { child, path }
+    }
+
+    fn boiler(folder: &Path, name: &str) -> Self {
+        // Whoever runs the tests may ignore SIGHUP, as under nohup, and children would too.
+        let mut command = Command::new("env");
+        command.args(["--default-signal=HUP", env!("CARGO_BIN_EXE_descan")]);
+        command.args(["watch", "sim:boiler", "--record", name]).current_dir(folder);
+        Self::start(command.stdin(Stdio::null()), folder.join(name))
+    }
+
+    /// Waits until so many bytes are in the file.
+    fn wait_for_bytes(&mut self, bytes: u64) {
+        let deadline = std::time::Instant::now() + PATIENCE;
+        while !fs::metadata(&self.path).is_ok_and(|it| it.len() >= bytes) {
+            assert!(std::time::Instant::now() < deadline, "the file does not grow");
+            assert!(self.child.try_wait().unwrap().is_none(), "it runs");
+            std::thread::yield_now();
+        }
+    }
+
+    fn signal(&self, signal: Signal) {
+        kill(Pid::from_raw(self.child.id().cast_signed()), signal).unwrap();
+    }
+
+    fn end(mut self) -> (Option<i32>, String) {
+        let mut words = String::new();
+        std::io::Read::read_to_string(&mut self.child.stderr.take().unwrap(), &mut words).unwrap();
+        (self.child.wait().unwrap().code(), words)
+    }
+}
+
+#[test]
+fn what_a_bus_says_and_what_we_say_is_recorded_and_complete_after_a_signal() {
+    for signal in [Signal::SIGTERM, Signal::SIGINT, Signal::SIGHUP] {
+        let folder = tempfile::tempdir().unwrap();
+        let mut recording = Recording::boiler(folder.path(), "a.pcapng");
+        // By then we have asked.
+        recording.wait_for_bytes(12_000);
+        recording.signal(signal);
+        let path = recording.path.clone();
+        let (code, words) = recording.end();
+        assert_eq!(code, Some(0), "{signal}: {words}");
+        let (frames, tally) = read(&path);
+        assert_eq!((tally.damage, tally.unreadable), (None, 0));
+        assert_eq!(tally.interfaces, ["sim:boiler"]);
+        assert!(frames.iter().any(|it| it.is_tx) && frames.iter().any(|it| !it.is_tx));
+        // Which can only be there if it ended well.
+        assert_eq!(statistics(&path), [(0, frames.len() as u64, 0)]);
+        assert!(words.contains(&format!("recorded a.pcapng: {} frames", frames.len())), "{words}");
+        let age = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap();
+        let first = tally.epoch.unwrap().unix_secs(Instant::ZERO);
+        assert!((age.as_secs_f64() - first).abs() < 120.0, "dated by the wall clock");
+    }
+}
+
+#[test]
+fn under_nohup_a_lost_connection_does_not_end_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let script = format!(
+        "trap '' HUP; exec {} watch sim:boiler --record a.log",
+        env!("CARGO_BIN_EXE_descan")
+    );
+    let mut command = Command::new("sh");
+    command.args(["-c", &script]).current_dir(folder.path()).stdin(Stdio::null());
+    let mut recording = Recording::start(&mut command, folder.path().join("a.log"));
+    recording.wait_for_bytes(1_000);
+    recording.signal(Signal::SIGHUP);
+    let there = fs::metadata(&recording.path).unwrap().len();
+    recording.wait_for_bytes(there + 1_000);
+    recording.signal(Signal::SIGTERM);
+    assert_eq!(recording.end().0, Some(0));
+}
+
+#[test]
+fn killed_it_loses_no_more_than_the_last_second() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut recording = Recording::boiler(folder.path(), "a.pcapng");
+    // Not the first time that it is flushed.
+    recording.wait_for_bytes(200);
+    let there = fs::metadata(&recording.path).unwrap().len();
+    recording.wait_for_bytes(there + 1_000);
+    recording.signal(Signal::SIGKILL);
+    let path = recording.path.clone();
+    let _ = recording.end();
+    let (frames, tally) = read(&path);
+    assert!(frames.len() > 20 && tally.damage.is_none(), "{tally:?}");
+    // Some 45 a second: they did not have to gather until there was a buffer full of them.
+    assert!(frames.len() < 600, "{}", frames.len());
+}
+
+#[test]
+fn where_the_disk_is_full_recording_is_over_and_the_rest_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    // No file may grow beyond 8 blocks of 512 bytes.
+    let script = format!(
+        "trap '' XFSZ; ulimit -f 8; exec {} watch sim:boiler --record a.log --time 8",
+        env!("CARGO_BIN_EXE_descan")
+    );
+    let mut command = Command::new("sh");
+    command.args(["-c", &script]).current_dir(folder.path()).stdin(Stdio::null());
+    let recording = Recording::start(&mut command, folder.path().join("a.log"));
+    let path = recording.path.clone();
+    let (code, words) = recording.end();
+    assert_eq!(code, Some(0), "{words}");
+    let over = "descan: recording to a.log stopped: file size limit reached";
+    assert_eq!(words.matches(over).count(), 1, "{words}");
+    assert!(words.contains("incomplete: "), "{words}");
+    let (frames, tally) = read(&path);
+    assert!(frames.len() > 10 && tally.unreadable == 0, "no half line stays behind: {tally:?}");
+    assert!(words.contains(&format!("recorded a.log: {} frames, ", frames.len())), "{words}");
+}
+
+#[test]
+fn what_a_full_disk_took_nothing_of_is_not_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    write_log(&folder.path().join("long.log"));
+    for (name, told) in [("a.pcapng", "0 frames, 48 B"), ("a.log", "0 frames, 0 B")] {
+        // One block of 512 bytes takes the head of the file, and not all that is flushed at once.
+        let script = format!(
+            "trap '' XFSZ; ulimit -f 1; exec {} scan file:long.log --record {name}",
+            env!("CARGO_BIN_EXE_descan")
+        );
+        let mut command = Command::new("sh");
+        command.args(["-c", &script]).current_dir(folder.path()).stdin(Stdio::null());
+        let output = command.output().unwrap();
+        // Whoever makes one log of another must not take it for done.
+        assert_eq!(output.status.code(), Some(3));
+        let words = words(&output);
+        let told = format!("recorded {name}: {told}; incomplete: file size limit reached");
+        assert!(words.contains(&told), "{words}");
+        assert_eq!(read(&folder.path().join(name)).0, []);
+    }
+}
+
+#[test]
+fn a_file_that_is_deleted_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut recording = Recording::boiler(folder.path(), "a.log");
+    recording.wait_for_bytes(100);
+    fs::remove_file(&recording.path).unwrap();
+    let mut reader = BufReader::new(recording.child.stderr.take().unwrap());
+    let mut line = String::new();
+    std::io::BufRead::read_line(&mut reader, &mut line).unwrap();
+    assert_eq!(line, "descan: recording to a.log stopped: the file was deleted\n");
+    recording.signal(Signal::SIGTERM);
+    assert_eq!(recording.child.wait().unwrap().code(), Some(0));
+}
+
+fn wait_for_recording(pty: &mut Pty) {
+    pty.wait_until("the size", |screen| {
+        let text = screen.contents();
+        let size = text.split("● rec ").nth(1).and_then(|it| it.split_once(" kB"));
+        size.is_some_and(|(count, _)| count.parse::<u32>().is_ok())
+    });
+}
+
+#[test]
+fn the_screen_shows_it_and_the_end_says_what_there_is() {
+    for hangs_up in [false, true] {
+        let folder = tempfile::tempdir().unwrap();
+        let arguments = ["sim:boiler", "--record", "a.pcapng"];
+        let mut pty = Pty::start(&arguments, folder.path(), (80, 24));
+        wait_for_recording(&mut pty);
+        if hangs_up {
+            pty.hang_up();
+            pty.wait();
+        } else {
+            pty.send("q");
+            assert_eq!(pty.wait(), 0);
+            assert!(pty.screen().contains("descan: recorded a.pcapng: "), "{}", pty.screen());
+        }
+        let path = folder.path().join("a.pcapng");
+        let (frames, _) = read(&path);
+        assert_eq!(statistics(&path), [(0, frames.len() as u64, 0)], "it ended well");
+    }
+}
+
+#[test]
+fn the_screen_says_that_it_is_over() {
+    let folder = tempfile::tempdir().unwrap();
+    let arguments = ["sim:boiler", "--record", "a.log"];
+    let mut pty = Pty::start(&arguments, folder.path(), (80, 24));
+    wait_for_recording(&mut pty);
+    fs::remove_file(folder.path().join("a.log")).unwrap();
+    pty.wait_for("recording to a.log stopped: the file was deleted");
+    pty.wait_for("✗ rec stopped");
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}

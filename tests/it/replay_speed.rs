@@ -1,0 +1,86 @@
+//! A log on the screen, played faster than frames can be taken: it tells what it tells at its own
+//! pace, however far the clock could have run meanwhile.
+
+use crate::common::inspection;
+use crate::common::pty;
+use crate::common::pty::Pty;
+use descan::sim::{DeviceSpec, Scenario};
+use descan::time::Duration;
+use nix::sys::stat::Mode;
+use std::fs::{self, OpenOptions};
+use std::path::Path;
+use std::time::Instant;
+
+/// A log of nine devices and of who asks them, with more frames than are taken in one turn.
+fn write_log(path: &Path) {
+    let mut scenario = Scenario::new(125_000);
+    for number in 1..=9 {
+        let device = DeviceSpec::new(&format!("N{number}")).fixed(number).settled();
+        scenario = scenario.with(device.chatter(0x100, Duration::from_millis(50), 8));
+    }
+    fs::write(path, inspection::log(&scenario, 40)).unwrap();
+}
+
+#[test]
+fn however_fast_a_log_is_played_nothing_else_happens_in_it() {
+    let folder = tempfile::tempdir().unwrap();
+    write_log(&folder.path().join("session.log"));
+    for (speed, keys) in [("100000", ""), ("1000", ""), ("4", "P]]]]]]]]]]]]]]]]]]]]P")] {
+        let arguments = ["file:session.log", "--file", "des.json", "--speed", speed];
+        let mut pty = Pty::start(&arguments, folder.path(), (100, 40));
+        pty.wait_for("N9");
+        pty.send(keys);
+        pty.wait_for("end of log");
+        pty.send("3G");
+        pty.wait_for("06:18:12 · can0         end of log");
+        let screen = pty.screen();
+        for word in ["suspected", "rebooted", "lost", "silent", "returned"] {
+            assert!(!screen.contains(&format!(" {word}")), "speed {speed}: {word}: {screen}");
+        }
+        assert!(screen.contains("10 present"), "and who asked: {screen}");
+        pty.send("q");
+        assert_eq!(pty.wait(), 0);
+    }
+}
+
+/// The second log is a pipe, which opens when somebody writes to it: the first has run for long then.
+#[test]
+fn a_log_that_runs_while_another_is_opened_is_told_from_its_beginning() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("session.log");
+    write_log(&log);
+    let pipe = folder.path().join("pipe");
+    nix::unistd::mkfifo(&pipe, Mode::S_IRWXU).unwrap();
+    let arguments = ["file:session.log", "file:pipe", "--file", "des.json", "--speed", "1000"];
+    let mut pty = Pty::start(&arguments, folder.path(), (100, 60));
+    wait_until_read(pty.pid().as_raw(), &log);
+    OpenOptions::new().write(true).open(&pipe).unwrap();
+    pty.wait_for(" can0  end of log");
+    pty.send("3g");
+    pty.wait_for("06:17:33 + can0   N9 @9        identified as N9");
+    pty.wait_for("06:17:33 + can0   N9 @9        1 service");
+    let screen = pty.screen();
+    assert!(!screen.contains("suspected"), "{screen}");
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}
+
+/// Waits until a process stands at the end of a file that it reads.
+fn wait_until_read(pid: i32, path: &Path) {
+    let size = fs::metadata(path).unwrap().len();
+    let place = || -> Option<u64> {
+        for file in fs::read_dir(format!("/proc/{pid}/fd")).ok()?.flatten() {
+            if fs::read_link(file.path()).is_ok_and(|target| target == path) {
+                let name = file.file_name().into_string().ok()?;
+                let info = fs::read_to_string(format!("/proc/{pid}/fdinfo/{name}")).ok()?;
+                return info.lines().next()?.strip_prefix("pos:")?.trim().parse().ok();
+            }
+        }
+        None
+    };
+    let since = Instant::now();
+    while place() != Some(size) {
+        assert!(since.elapsed() < pty::PATIENCE, "the log is not read: {:?} of {size}", place());
+        std::thread::yield_now();
+    }
+}

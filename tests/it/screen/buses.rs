@@ -1,0 +1,378 @@
+//! What the status lines and pages show of a bus.
+
+use super::snapshot;
+use crate::common::harness::{BOILER, Stage};
+use descan::app::{Effect, FileReading};
+use descan::discovery::Config;
+use descan::frame::{BusIndex, Frame};
+use descan::sim::Scenario;
+use descan::status::{
+    BusState, BusStatus, Link, Playback, PlaybackCommand, RateSearch, RecordingStatus,
+};
+use descan::time::{Duration, Instant};
+
+/// After some seconds on a bus on which there is only this, a hundred times a second.
+fn hearing_only(frame: Frame) -> Stage {
+    let mut stage = Stage::new(&Scenario::new(125_000), None);
+    for millis in 1..4500 {
+        let now = Instant::from_micros(millis * 1000);
+        if millis % 10 == 0 {
+            stage.app.handle_frames(now, &[frame.with_time(now)]);
+        }
+        stage.app.handle_timeout(now);
+        stage.drain(now);
+    }
+    stage
+}
+
+#[test]
+fn a_log_that_is_over_shows_what_was_there_at_its_end() {
+    let config = Config { seed: 7, listen_only: true, ..Config::default() };
+    let mut stage = Stage::with(&Scenario::builtin("boiler").unwrap(), Some(BOILER), config);
+    stage.until(24.0).link(Link::Ended).wait_until(24.5);
+    stage.app.handle_file(stage.app.now(), FileReading::Content(stage.file.clone()));
+    let before = stage.screen();
+    assert!(before.contains("end of log") && before.contains("9 present"), "{before}");
+    stage.wait_until(600.0).app.handle_resize(80, 24);
+    assert_eq!(stage.screen(), before);
+    // An edit beside it long afterwards changes no device either.
+    let at = Instant::ZERO + Duration::from_secs_f64(600.0);
+    stage.app.handle_file(at, FileReading::Content(Some(b"[]".to_vec())));
+    let screen = stage.screen();
+    assert!(screen.contains("9 present") && screen.contains("online 23s"), "{screen}");
+    assert_eq!(stage.app.poll_timeout(), None, "nothing is due any more");
+}
+
+#[test]
+fn that_nobody_acknowledges_is_not_said_of_a_bus_that_is_not_there() {
+    for link in [Link::Missing, Link::Down, Link::NoKernel] {
+        let config = Config { seed: 7, echo: true, ..Config::default() };
+        let mut stage = Stage::with(&Scenario::builtin("boiler").unwrap(), None, config);
+        stage.link(link).wait_until(20.0).keys("3");
+        let screen = stage.screen();
+        assert!(!screen.contains("no ACK"), "{screen}");
+        assert!(!screen.contains("using address"), "{screen}");
+        stage.link(Link::Up).wait_until(40.0).keys("3");
+        let screen = stage.screen();
+        assert!(screen.contains("using address 0"), "{screen}");
+        assert!(screen.contains("no ACK on the bus"), "{screen}");
+    }
+}
+
+#[test]
+fn where_a_bus_cannot_be_seen_it_is_not_said_that_nothing_is_wrong() {
+    let mut stage = Stage::boiler();
+    let status = BusStatus {
+        link: Link::Down,
+        message: Some(
+            "can0 is down, and its bit rate is not set: sudo ip link set can0 up type can bitrate \
+             125000"
+                .to_owned(),
+        ),
+        ..BusStatus::default()
+    };
+    stage.app.handle_file(stage.app.now(), FileReading::Content(None));
+    stage.app.handle_bus(Instant::ZERO, BusIndex(0), status);
+    for (page, says) in [("1", "no device: no bus is up"), ("4", "no problems so far")] {
+        let screen = stage.keys(page).screen();
+        assert!(screen.contains(says), "{screen}");
+        assert!(!screen.contains("no problems found"), "{screen}");
+        // The way out, on several lines where one is too short.
+        let words = screen.split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>();
+        assert!(words.join(" ").contains("can bitrate 125000"), "{screen}");
+    }
+    stage.link(Link::Up);
+    let screen = stage.keys("4").screen();
+    assert!(screen.contains("no problems found"), "{screen}");
+}
+
+#[test]
+fn what_an_interface_is_called_now_and_where_frames_were_lost_is_shown() {
+    let mut stage = Stage::boiler();
+    let status = BusStatus {
+        link: Link::Up,
+        renamed: Some("front".to_owned()),
+        kernel_drops: 9,
+        queue_drops: 3,
+        receive_buffer: Some(425_984),
+        note: Some("there is\u{1b}more to know".to_owned()),
+        ..BusStatus::default()
+    };
+    stage.app.handle_bus(Instant::ZERO, BusIndex(0), status);
+    let screen = stage.screen();
+    assert!(screen.contains("can0 (now front)") && screen.contains("lost 12"), "{screen}");
+    let screen = stage.size(120, 60).screen();
+    assert!(screen.contains("lost 12 (9 kernel, 3 queue)"), "{screen}");
+    let screen = stage.size(120, 200).keys("?").screen();
+    assert!(screen.contains("receive buffer 425 kB, about 532 frames"), "{screen}");
+    assert!(screen.contains("there is\\x1Bmore to know"), "{screen}");
+}
+
+#[test]
+fn what_cannot_be_read_is_a_line_of_the_timeline_once_whatever_came_with_it() {
+    let mut stage = Stage::boiler();
+    for unreadable in [0, 3, 4, 700] {
+        let note = (unreadable > 0).then(|| "adapter: V1013".to_owned());
+        let status = BusStatus { link: Link::Up, unreadable, note, ..BusStatus::default() };
+        stage.app.handle_bus(stage.app.now(), BusIndex(0), status);
+    }
+    let screen = stage.keys("3").screen();
+    assert_eq!(screen.matches("unreadable data received").count(), 1, "{screen}");
+    assert_eq!(screen.matches("adapter: V1013").count(), 1, "{screen}");
+}
+
+#[test]
+fn a_log_is_played_by_keys_and_a_bus_is_not() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("P");
+    assert!(stage.screen().contains("only a log can be paused"), "{}", stage.screen());
+    let mut playback = Playback { speed: 1.0, is_paused: false, is_ended: false };
+    let now = stage.app.now();
+    stage.app.handle_playback(now, playback);
+    stage.effects.clear();
+    let asked = [
+        PlaybackCommand::Pause,
+        PlaybackCommand::Step,
+        PlaybackCommand::Slower,
+        PlaybackCommand::Faster,
+    ];
+    stage.keys("P > [ ]");
+    assert_eq!(stage.effects, asked.map(Effect::Playback));
+    (playback.speed, playback.is_paused) = (0.5, true);
+    stage.app.handle_playback(now, playback);
+    assert!(stage.screen().contains("PAUSED 0:24 ×1/2"), "{}", stage.screen());
+    // While time stands, what a step brings is drawn at once.
+    stage.app.take_dirty();
+    let heartbeat = Frame::classic(0x07B4_3C01, &[0x8A, 0xFA, 0x6C, 0x97, 0x24, 0x12, 4, 0]);
+    stage.app.handle_frames(now, &[heartbeat.with_time(now)]);
+    stage.app.handle_timeout(now);
+    assert!(stage.app.is_dirty());
+}
+
+#[test]
+fn a_recording_is_seen_on_every_screen_and_so_is_its_end() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0);
+    let mut status = RecordingStatus {
+        path: "session.log".to_owned(),
+        files: 1,
+        frames: 5_123,
+        bytes: 312_456,
+        ..RecordingStatus::default()
+    };
+    let now = stage.app.now();
+    stage.app.handle_recording(now, status.clone());
+    for (columns, rows) in [(80, 24), (120, 40), (160, 40), (40, 10), (60, 12)] {
+        let text = stage.size(columns, rows).screen();
+        assert!(text.contains("● rec 312 kB"), "{columns}×{rows}\n{text}");
+    }
+    assert!(stage.size(80, 24).keys("3").screen().contains("recording to session.log"));
+    (status.bytes, status.lost) = (12_345_678, 34);
+    stage.app.handle_recording(now, status.clone());
+    assert!(stage.screen().contains("● rec 12 MB lost 34"), "{}", stage.screen());
+    status.failure = Some("the disk is full".to_owned());
+    stage.app.handle_recording(now, status);
+    let text = stage.screen();
+    assert!(text.contains("✗ rec stopped"), "{text}");
+    assert_eq!(text.matches("recording to session.log stopped: the disk is full").count(), 2);
+}
+
+#[test]
+fn where_frames_only_break_another_bit_rate_is_offered() {
+    use descan::bitrate::{RateResult, SearchOutcome, SearchProgress};
+    let mut stage = hearing_only(Frame::error(0x88, &[0, 0, 4, 0, 0, 0, 0, 0]));
+    snapshot!("only_broken_frames", stage);
+    stage.effects.clear();
+    stage.keys("b");
+    let asked = "Search can0's bit rate, listen-only? The interface restarts.";
+    assert!(stage.screen().contains(asked), "{}", stage.screen());
+    stage.keys("n");
+    assert!(!stage.effects.contains(&Effect::FindBitrate(BusIndex(0))), "asked, and refused");
+    stage.keys("b y");
+    assert!(stage.effects.contains(&Effect::FindBitrate(BusIndex(0))));
+    stage.keys("b");
+    assert!(stage.screen().contains("bit rate search on can0 is already running"), "not twice");
+
+    let (now, can0) = (stage.app.now(), BusIndex(0));
+    let mut told = |progress| stage.app.handle_bitrate_search(now, can0, progress);
+    told(SearchProgress::Trying(125_000));
+    told(SearchProgress::Heard(125_000, RateResult { frames: 0, broken: 64 }));
+    told(SearchProgress::Heard(250_000, RateResult::default()));
+    told(SearchProgress::Trying(500_000));
+    assert!(stage.screen().contains("can0: listening at 500 kbit/s"), "{}", stage.screen());
+    assert!(!stage.screen().contains("wrong bit rate"), "what is done is not offered");
+    // Meanwhile it goes down and up, which is nothing to act on.
+    stage.link(Link::Down);
+    assert!(stage.screen().contains("searching bit rate"), "{}", stage.screen());
+    assert!(!stage.screen().contains("DOWN") && !stage.screen().contains("can0 down"));
+    stage.link(Link::Up);
+    stage.app.handle_bitrate(now, can0, Ok(SearchOutcome::Found(500_000)));
+    snapshot!("bit_rate_found", stage.keys("3"));
+    stage.keys("b y").app.handle_bitrate(now, can0, Ok(SearchOutcome::Silence));
+    assert!(
+        stage.screen().contains("if only one device is on, run: descan speed can0"),
+        "{}",
+        stage.screen()
+    );
+    // A whole frame, and nothing is offered any more.
+    let heartbeat = Frame::classic(0x0718_0001, &[0, 0, 0, 0, 0, 0, 4, 0]);
+    stage.app.handle_frames(now, &[heartbeat.with_time(now)]);
+    stage.wait_until(6.0);
+    assert!(!stage.screen().contains("wrong bit rate"), "{}", stage.screen());
+}
+
+#[test]
+fn where_nobody_acknowledges_no_other_bit_rate_is_offered() {
+    let stage = hearing_only(Frame::error(0xA8, &[0, 0, 0x80, 0x19, 0, 0, 128, 0]));
+    let screen = stage.screen();
+    assert!(screen.contains("err 4"), "{screen}");
+    assert!(!screen.contains("wrong bit rate"), "{screen}");
+}
+
+#[test]
+fn a_bus_without_a_rate_of_its_own_is_not_asked_about() {
+    let mut stage = Stage::boiler();
+    stage.app.name_bus(BusIndex(0), "slcan:/dev/ttyACM0@125000".to_owned());
+    for (rate_search, refusal) in [
+        (RateSearch::NoRate, "ttyACM0@125000: bit rate cannot be set from here"),
+        (RateSearch::WhenClosed, " quit descan, then run: descan speed slcan:/dev/ttyACM0\n"),
+    ] {
+        let status = BusStatus { link: Link::Up, rate_search, ..BusStatus::default() };
+        stage.app.handle_bus(Instant::ZERO, BusIndex(0), status);
+        let screen = stage.keys("b").screen() + "\n";
+        assert!(screen.contains(refusal), "{screen}");
+    }
+    assert!(!stage.effects.contains(&Effect::FindBitrate(BusIndex(0))));
+}
+
+#[test]
+fn who_cannot_ask_says_why() {
+    let mut stage = Stage::boiler();
+    stage.link(Link::Down).keys("r");
+    assert!(stage.screen().contains("no bus is up: cannot send requests"), "{}", stage.screen());
+
+    let full = BusStatus { link: Link::Up, is_transmit_queue_full: true, ..BusStatus::default() };
+    stage.app.handle_bus(stage.app.now(), BusIndex(0), full.clone());
+    let screen = stage.keys("3").screen();
+    assert!(screen.contains(" transmit queue full "), "{screen}");
+    assert!(screen.contains("transmit queue full: frames not sent"), "{screen}");
+    let room = BusStatus { is_transmit_queue_full: false, ..full };
+    stage.app.handle_bus(stage.app.now(), BusIndex(0), room);
+    let screen = stage.screen();
+    assert!(screen.contains("transmit queue no longer full"), "{screen}");
+    assert!(!screen.contains(" transmit queue full "), "{screen}");
+}
+
+#[test]
+fn a_bus_that_is_down_says_so_everywhere() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0);
+    let status = BusStatus {
+        link: Link::Down,
+        state: BusState::Down,
+        message: Some("can0 is down: sudo ip link set can0 up type can bitrate 125000".to_owned()),
+        ..BusStatus::default()
+    };
+    let now = stage.app.now();
+    stage.app.handle_bus(now, BusIndex(0), status);
+    stage.sim.set_link(stage.station, false);
+    stage.until(40.0).keys("G");
+    snapshot!("bus_down", stage);
+}
+
+#[test]
+fn listening_only_says_what_it_does() {
+    let config = Config { listen_only: true, seed: 7, ..Config::default() };
+    let scenario = Scenario::builtin("boiler").unwrap();
+    let mut stage = Stage::with(&scenario, Some(BOILER), config);
+    stage.until(24.0);
+    assert!(stage.screen().contains("listen-only, acks"), "{}", stage.screen());
+    snapshot!("listen_only", stage);
+    assert!(!stage.app.capture().iter().any(|(_, frame)| frame.is_tx));
+    stage.keys("r");
+    assert!(stage.screen().contains("listen-only: no requests are sent"));
+}
+
+/// What is not on the disk, and that it is not, is seen whatever the bus and the file are called.
+#[test]
+fn long_names_give_way_to_the_state_of_the_file() {
+    for (bus, short) in [("sim:../bus.toml", "s.toml"), (&*"x".repeat(58), "…xxxxx")] {
+        let mut stage = Stage::boiler();
+        stage.app.name_bus(BusIndex(0), bus.to_owned());
+        stage.until(9.0).size(40, 10);
+        let first = |stage: &Stage| stage.screen().lines().next().unwrap_or_default().to_owned();
+        let line = first(&stage);
+        assert!(line.contains("125k") && line.contains("● 5"), "{line}");
+        stage.refusal = Some("mounted read-only".to_owned());
+        stage.keys("e").text("100").keys("Enter");
+        let line = first(&stage);
+        assert!(line.contains("des.json ✗ not saved"), "{line}");
+        assert!(line.contains(&short[short.len() - 4..]), "{line}");
+        stage.write(&BOILER.replace("\"address\": 10", "\"address\": 99")).keys("Esc");
+        assert!(first(&stage).contains("✗ conflict"), "{}", stage.screen());
+        // Where there is room, nothing is left out.
+        assert!(stage.size(120, 10).screen().contains(bus));
+    }
+}
+
+/// Frames lost, and what to do about a bus that is away, are seen whatever it is called.
+#[test]
+fn a_long_name_of_a_bus_gives_way_to_its_numbers_and_to_what_is_wrong_with_it() {
+    let mut stage = Stage::boiler();
+    let name = "udp:ff15:7079:7468:6f6e:6465:6d6f:6d63:6173";
+    stage.app.name_bus(BusIndex(0), name.to_owned());
+    let first = |stage: &Stage| stage.screen().lines().next().unwrap_or_default().to_owned();
+    let line = first(stage.until(9.0));
+    assert!(line.contains(":6173 "), "{line}");
+    assert!(line.contains("err 0") && line.contains("lost 0"), "{line}");
+    let message = Some("127.0.0.1:29536: connection refused; is socketcand running?".to_owned());
+    let status = BusStatus { link: Link::Down, message, ..BusStatus::default() };
+    stage.app.handle_bus(stage.app.now(), BusIndex(0), status);
+    let line = first(&stage);
+    assert!(line.ends_with("is socketcand running?"), "{line}");
+    assert!(stage.size(120, 24).screen().contains(name), "{}", stage.screen());
+
+    stage.app.name_bus(BusIndex(0), "can0".to_owned());
+    let way_out = "check wiring, then sudo ip link set can0 type can restart";
+    let status = BusStatus {
+        link: Link::Up,
+        state: BusState::BusOff,
+        bitrate: Some(250_000),
+        message: Some(format!("can0 is bus-off: {way_out}")),
+        ..BusStatus::default()
+    };
+    stage.app.handle_bus(stage.app.now(), BusIndex(0), status);
+    let line = first(stage.size(80, 24));
+    assert!(line.ends_with(way_out) && line.contains("BUS-OFF"), "{line}");
+}
+
+/// The way out is not cut off where there are no more than 80 columns.
+#[test]
+fn the_way_out_is_read_to_its_end() {
+    let mut stage = Stage::boiler();
+    stage.until(9.0);
+    for (content, way_out) in [
+        (&b"\xff\xfe[\0]\0"[..], "line 1, column 1: the file is UTF-16: save it as UTF-8"),
+        (b"[{ \"name\": \"\xff\" }]", "line 1, column 13: 0xFF is not UTF-8: save it as UTF-8"),
+    ] {
+        stage.file = Some(content.to_vec());
+        stage.notice();
+        let screen = stage.screen();
+        // In the status, in the timeline, and below; and when one wants to edit.
+        assert_eq!(screen.matches(way_out).count(), 3, "{screen}");
+        let screen = stage.keys("e").screen();
+        let words = screen.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(words.contains(&format!("file has errors, fix it first: {way_out}")), "{screen}");
+    }
+    stage.write("[{\n  \"name\": 1\n  ]");
+    for columns in 80..121 {
+        let screen = stage.size(columns, 24).screen();
+        assert!(screen.contains("des.json ✗ line 3, column 3: expected `,` or `}`"), "{screen}");
+        assert_eq!(
+            screen.contains("last valid:"),
+            screen.contains("last valid: 5 entries"),
+            "{screen}"
+        );
+        assert!(columns < 118 || screen.contains("last valid: 5 "), "{screen}");
+    }
+}

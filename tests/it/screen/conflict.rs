@@ -1,0 +1,129 @@
+//! The page of an edit conflict.
+
+use super::snapshot;
+use super::with_two_unsaved_edits;
+use crate::common::harness::{BOILER, Stage};
+use descan::keymap::Key;
+
+#[test]
+fn a_conflict_shows_both_and_lets_choose() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0);
+    // Somebody else writes in the moment before our save.
+    let theirs = BOILER.replace("10", "11");
+    stage.file = Some(theirs.clone().into_bytes());
+    stage.keys("e").text("47").keys("Enter");
+    snapshot!("conflict", stage);
+    assert_eq!(stage.file(), theirs, "nothing is written before the choice");
+    stage.keys("Esc j");
+    assert!(stage.screen().contains("✗ conflict  Ctrl-s resolves it"), "{}", stage.screen());
+    // Who asks for the page chooses as soon as he likes.
+    stage.keys("Ctrl-s o");
+    assert_eq!(stage.file(), BOILER.replace("10", "47"));
+}
+
+#[test]
+fn each_of_two_conflicts_is_decided_alone() {
+    let theirs = BOILER.replace("10", "100").replace("12", "103");
+    for (keys, feed, sens, told) in [
+        (["o", "o"], "70", "71", "kept your 2 values"),
+        (["o", "t"], "70", "103", "kept 1 of your values, 1 of the file's"),
+        (["t", "o"], "100", "71", "kept 1 of your values, 1 of the file's"),
+        (["t", "t"], "100", "103", "kept the file's 2 values"),
+    ] {
+        let mut stage = with_two_unsaved_edits();
+        stage.write(&theirs);
+        let screen = stage.screen();
+        assert!(screen.contains("Edit conflict 1 of 2"), "{screen}");
+        assert!(screen.contains("entry FEED: 10 → 70"), "{screen}");
+        let screen = stage.keys(keys[0]).screen();
+        assert_eq!(stage.file(), theirs, "nothing is written before the last choice");
+        assert!(screen.contains("Edit conflict 2 of 2"), "{screen}");
+        assert!(screen.contains("entry SENS: 12 → 71"), "{screen}");
+        assert!(screen.contains("theirs     address 103, static"), "{screen}");
+        let screen = stage.keys(keys[1]).screen();
+        assert!(!screen.contains("Edit conflict"), "{screen}");
+        assert!(screen.contains(told), "{screen}");
+        stage.unfinished.as_mut().into_iter().for_each(Vec::clear);
+        assert_eq!(stage.file(), BOILER.replace("10", feed).replace("12", sens));
+    }
+}
+
+#[test]
+fn a_choice_is_asked_for_again_where_the_file_changed_after_it() {
+    let mut stage = with_two_unsaved_edits();
+    stage.write(&BOILER.replace("10", "100").replace("12", "103")).keys("o");
+    let theirs = BOILER.replace("10", "101").replace("12", "103");
+    let screen = stage.write(&theirs).screen();
+    assert!(screen.contains("Edit conflict 1 of 2"), "{screen}");
+    assert!(screen.contains("theirs     address 101, static"), "{screen}");
+    stage.keys("Esc").write(&theirs);
+    assert!(!stage.screen().contains("Edit conflict 1"), "the same content is no news");
+    stage.keys("Ctrl-s t t");
+    assert_eq!(stage.file(), theirs);
+}
+
+#[test]
+fn where_the_file_goes_while_a_choice_is_open_it_stays_open() {
+    for (key, after) in [("t", None), ("o", Some("\"NEW\", \"address\": 64"))] {
+        let mut stage = Stage::boiler();
+        stage.slow_disk().until(24.0).keys("n").text("NEW 64").keys("Enter");
+        stage.file = Some(BOILER.as_bytes().to_vec());
+        let theirs =
+            BOILER.replace("\"PUMP\"", "\"NEW\", \"address\": 63 },\n    { \"name\": \"PUMP\"");
+        stage.refuse_saves().write(&theirs);
+        assert!(stage.screen().contains("theirs     address 63"), "{}", stage.screen());
+        let screen = stage.remove().screen();
+        assert_eq!(stage.file, None, "nothing is written before the choice");
+        assert!(screen.contains("your edit  new entry NEW at 64"), "{screen}");
+        assert!(screen.contains("ours       address 64, static"), "{screen}");
+        assert!(screen.contains("theirs     deleted"), "{screen}");
+        stage.keys(key);
+        assert_eq!(stage.file.is_some(), after.is_some());
+        assert!(stage.file().contains(after.unwrap_or_default()), "{}", stage.file());
+        assert!(!stage.screen().contains("Edit conflict"), "{}", stage.screen());
+    }
+}
+
+#[test]
+fn the_page_of_a_conflict_closes_with_the_conflict() {
+    let theirs = BOILER.replace("10", "100");
+    // The change is taken back, or the file was only empty while it was being written, for longer
+    // than is waited for.
+    for contents in [[&theirs, BOILER], ["", BOILER], ["", &BOILER.replace("12", "13")]] {
+        let mut stage = Stage::boiler();
+        stage.slow_disk().until(24.0).keys("e").text("70").keys("Enter");
+        stage.file = Some(BOILER.as_bytes().to_vec());
+        stage.refuse_saves().write(contents[0]).until(25.1);
+        assert!(stage.screen().contains("Edit conflict"), "{}", stage.screen());
+        let screen = stage.write(contents[1]).screen();
+        assert!(!screen.contains("Edit conflict"), "{screen}");
+        assert!(screen.contains("conflict resolved"), "{screen}");
+        assert_eq!(stage.file(), contents[1].replace("10", "70"));
+    }
+}
+
+#[test]
+fn nothing_is_chosen_while_the_file_is_broken() {
+    let mut stage = with_two_unsaved_edits();
+    stage.write(&BOILER.replace("10", "100")).write("{ broken").keys("o");
+    let screen = stage.screen();
+    assert!(screen.contains("Edit conflict"), "{screen}");
+    assert!(screen.contains("The file cannot be read now; choose later."), "{screen}");
+    stage.write(&BOILER.replace("10", "100")).keys("t");
+    assert_eq!(stage.file(), BOILER.replace("10", "100").replace("12", "71"));
+}
+
+#[test]
+fn a_line_being_typed_goes_on_after_a_conflict() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0);
+    // Not drained: the save is on its way while somebody else writes.
+    for key in ["e", "4", "7", "Enter", "j", "e", "5"] {
+        stage.app.handle_key(stage.app.now(), Key::parse(key).unwrap());
+    }
+    stage.write(&BOILER.replace("10", "11"));
+    assert!(stage.screen().contains("Edit conflict"), "{}", stage.screen());
+    stage.keys("t").text("0").keys("Enter");
+    assert_eq!(stage.file(), BOILER.replace("10", "11").replace("12", "50"));
+}

@@ -1,0 +1,185 @@
+//! The page Devices.
+
+use super::snapshot;
+use crate::common::harness::{BOILER, Stage};
+use descan::discovery::Config;
+use descan::sim::Scenario;
+use descan::wire::id::Address;
+
+#[test]
+fn devices_at_three_sizes() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0);
+    snapshot!("devices_80x24", stage);
+    snapshot!("devices_120x40", stage.size(120, 40));
+    snapshot!("devices_40x10", stage.size(40, 10));
+    snapshot!("devices_40x10_details", stage.size(40, 10).keys("j Enter"));
+}
+
+#[test]
+fn the_first_second() {
+    let mut stage = Stage::boiler();
+    snapshot!("start_80x24", stage);
+    snapshot!("first_second_80x24", stage.until(1.0));
+}
+
+#[test]
+fn details_of_a_clash_and_of_what_is_missing() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0).size(100, 30);
+    snapshot!("clash", stage.keys("j j j"));
+    snapshot!("missing", stage.keys("j j j j"));
+}
+
+#[test]
+fn a_device_that_never_came_is_not_said_to_be_seen() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("4 /").text("missing").keys("Enter");
+    let screen = stage.screen();
+    assert!(screen.contains("kind missing") && !screen.contains("first 12:"), "{screen}");
+}
+
+#[test]
+fn the_selection_follows_its_device() {
+    let mut stage = Stage::boiler();
+    stage.until(3.0);
+    let select = |stage: &mut Stage, name: &str| {
+        for _ in 0..20 {
+            let row = stage.app.selected_row().unwrap();
+            if row.name.as_ref().is_some_and(|it| it.to_string() == name) {
+                return;
+            }
+            stage.keys("j");
+        }
+        panic!("no {name}\n{}", stage.screen());
+    };
+    select(&mut stage, "PSU");
+    stage.until(22.0);
+    assert_eq!(stage.app.selected_row().unwrap().name.as_ref().unwrap().to_string(), "PSU");
+    // A listed device that comes: from the file's row to the device's.
+    let mut stage = Stage::boiler();
+    stage.until(3.0);
+    select(&mut stage, "ACT");
+    assert!(stage.app.selected_device().is_none());
+    stage.until(22.0);
+    assert!(stage.app.selected_device().unwrap().is_named(b"ACT"));
+}
+
+#[test]
+fn an_address_of_ours_that_another_uses_is_named_as_the_cause() {
+    let address = Address::new(12);
+    let config = Config { seed: 7, address, ..Config::default() };
+    let mut stage = Stage::with(&Scenario::builtin("boiler").unwrap(), Some(BOILER), config);
+    stage.until(8.0);
+    snapshot!("address_in_use_80x24", stage);
+    snapshot!("address_in_use_40x10", stage.size(40, 10));
+    let lines: Vec<_> = stage.app.timeline().entries().map(|line| line.text.as_str()).collect();
+    let ours: Vec<_> = lines.iter().filter(|line| line.contains("uses address")).collect();
+    assert_eq!(ours, [&"another node uses address 12: requests paused until it is free"]);
+}
+
+#[test]
+fn rows_are_sorted_by_each_column_in_turn() {
+    let file = r#"{"devices": [
+  {"name": "FEED", "services": [{"name": "OTHER"}]},
+  {"name": "SENS", "address": 12, "static": true},
+  {"name": "DISP", "address": 21, "static": true},
+  {"name": "IGNITER", "address": 17, "static": true}
+]}
+"#;
+    let mut stage =
+        Stage::with(&Scenario::builtin("boiler").unwrap(), Some(file), Config::default());
+    stage.until(36.0);
+    let first = |stage: &Stage, count: usize| -> Vec<String> {
+        let rows = stage.app.rows().iter().take(count);
+        rows.map(|row| row.name.as_ref().unwrap().to_string()).collect()
+    };
+    for (sorted, expected) in [
+        ("by name", ["ACT", "DIN", "DISP"]),
+        ("by severity", ["ACT", "IGNITER", "FEED"]),
+        ("by mode", ["NEW", "FEED", "SENS"]),
+        ("newest first", ["NEW", "GSM-MODEM", "DIN"]),
+        ("by difference from the file", ["IGNITER", "FEED", "DISP"]),
+        ("by address", ["FEED", "SENS", "SENS"]),
+    ] {
+        let screen = stage.keys("s").screen();
+        assert!(screen.contains(&format!("sorted {sorted}")), "{screen}");
+        assert_eq!(first(&stage, 3), expected, "{sorted}\n{screen}");
+        let header = screen.lines().nth(3).unwrap();
+        assert_eq!(header.contains('↓'), sorted != "by address", "{screen}");
+    }
+}
+
+#[test]
+fn rows_that_are_held_are_sorted_when_asked() {
+    let mut stage = Stage::boiler();
+    stage.until(20.0).keys("Space").until(24.0).keys("s");
+    let mut names: Vec<String> = Vec::new();
+    for row in stage.app.rows() {
+        names.extend(row.name.as_ref().map(ToString::to_string));
+    }
+    assert!(names.is_sorted(), "{names:?}");
+}
+
+#[test]
+fn hostile_names_never_reach_the_terminal() {
+    use descan::sim::DeviceSpec;
+    let mut scenario = Scenario::new(500_000);
+    let names: [&[u8]; 4] = [
+        b"\x1b]0;pwned\x07",
+        b"\x1b[2J\x9b31m",
+        "\u{202e}\u{200b}\u{2028}\u{9b}".as_bytes(),
+        b"a\r\nb\tc",
+    ];
+    for (at, name) in names.into_iter().enumerate() {
+        let mut device = DeviceSpec::new("x").label(&format!("device {at}")).settled();
+        device.name = name.to_vec();
+        device = device.fixed(20 + at as u8);
+        device.services = vec![vec![name.to_vec(), name.to_vec(), name.to_vec()]];
+        scenario = scenario.with(device);
+    }
+    let mut stage = Stage::new(&scenario, None);
+    stage.until(8.0).keys("A");
+    for (columns, rows) in [(80, 24), (140, 50), (40, 10)] {
+        stage.size(columns, rows);
+        for keys in [
+            "1",
+            "j",
+            "j",
+            "j",
+            "Enter",
+            "Esc 2",
+            "v",
+            "v k k Enter",
+            "Esc 3",
+            "4",
+            "Enter",
+            "Enter",
+            "Enter",
+            "4 m",
+            "1 R",
+        ] {
+            stage.keys(keys);
+            let buffer = stage.buffer("terminal");
+            for cell in buffer.content() {
+                let odd = cell.symbol().chars().find(|&c| !descan::text::is_printable(c));
+                assert_eq!(odd, None, "{keys} {:?}", cell.symbol());
+            }
+        }
+        stage.keys("Esc");
+    }
+    snapshot!("hostile_names", stage.size(80, 24).keys("1"));
+}
+
+#[test]
+fn frames_alone_do_not_make_the_devices_page_dirty() {
+    let mut stage = Stage::new(&Scenario::crowd(500_000, 20, 2), None);
+    stage.until(30.0);
+    stage.app.take_dirty();
+    let mut draws = 0;
+    for step in 1..=400 {
+        stage.until(30.0 + f64::from(step) * 0.025);
+        draws += u32::from(stage.app.take_dirty());
+    }
+    assert!(draws <= 12, "{draws} draws in ten quiet seconds");
+}

@@ -1,0 +1,467 @@
+//! des.json: edits, saves and what is wrong with the file.
+
+use super::snapshot;
+use super::text_snapshot;
+use super::with_two_unsaved_edits;
+use crate::common::harness::{BOILER, Stage};
+use descan::app::{Effect, FileReading, Page, SaveOutcome};
+use descan::keymap::Key;
+use descan::sim::Scenario;
+
+#[test]
+fn an_address_is_edited_in_its_row() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("j j");
+    stage.keys("e").text("12");
+    snapshot!("editor_blocked", stage);
+    stage.keys("Enter");
+    assert_eq!(stage.file(), BOILER, "a blocked address is not saved");
+    stage.keys("Ctrl-u").text("0x1E");
+    snapshot!("editor_warning", stage);
+    stage.keys("Ctrl-u").text("13").keys("Enter");
+    assert!(stage.file().contains(r#""address": 13"#), "{}", stage.file());
+    assert!(stage.screen().contains("✓ 13"));
+    stage.keys("u");
+    assert_eq!(stage.file(), BOILER, "undo restores every byte");
+    stage.keys("Ctrl-r");
+    assert!(stage.file().contains(r#""address": 13"#));
+}
+
+#[test]
+fn a_file_that_is_deleted_is_said_to_be_gone() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0);
+    stage.app.handle_file(stage.app.now(), FileReading::Content(None));
+    assert!(stage.screen().contains("des.json     deleted"), "{}", stage.screen());
+}
+
+#[test]
+fn a_new_entry_is_selected_and_a_wrong_address_in_it_is_told() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("n").text("PUMP 200");
+    let screen = stage.screen();
+    assert!(screen.contains("✗ 200 is not an address (1 to 127)"), "{screen}");
+    stage.keys("Enter Ctrl-u").text("PUMP 2nd");
+    let screen = stage.screen();
+    assert!(screen.contains("! all of it is the name: 2nd is not an address"), "{screen}");
+    stage.keys("Ctrl-u").text("VALVE 99").keys("Enter");
+    assert_eq!(stage.app.selected_row().unwrap().name.as_ref().unwrap().to_string(), "VALVE");
+}
+
+#[test]
+fn what_blocks_and_how_to_answer_are_never_cut_off() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0).size(40, 10).keys("n");
+    assert!(stage.screen().contains("✗ name, space, address"), "{}", stage.screen());
+    stage.keys("Esc e").text("128");
+    assert!(stage.screen().contains("✗ not an address: 1 to 127"), "{}", stage.screen());
+    stage.keys("Esc D");
+    assert!(stage.screen().contains("y yes  n no"), "{}", stage.screen());
+    stage.keys("n").size(80, 24).keys("n").text("PUMP 12");
+    assert!(stage.screen().contains("static address of SENS (line 5)"), "{}", stage.screen());
+}
+
+#[test]
+fn what_somebody_else_changed_since_is_neither_taken_back_nor_made_again() {
+    let with = |address: &str| BOILER.replace("10", address);
+    let told = |stage: &Stage, start: &str| {
+        stage.app.timeline().entries().any(|line| line.text.starts_with(start))
+    };
+    let refused = |stage: &mut Stage, key: &str, why: &str| {
+        let before = stage.file().to_owned();
+        stage.keys(key);
+        let screen = stage.screen();
+        assert!(screen.contains(why), "{screen}");
+        assert_eq!(stage.file(), before);
+        assert!(!told(stage, "redid"));
+    };
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("j e").text("71").keys("Enter k e").text("100").keys("Enter");
+    stage.write(&with("101").replace("12", "71"));
+    let why = "not undone: address of the entry FEED: 10 → 100; on disk: address 101, static";
+    refused(&mut stage, "u", why);
+    assert!(!told(&stage, "undid"));
+    refused(&mut stage, "Ctrl-r", "nothing to redo");
+    // What is below it can be.
+    stage.keys("u");
+    assert_eq!(stage.file(), with("101"));
+
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("e").text("100").keys("Enter u").write(&with("11"));
+    let why = "not redone: address of the entry FEED: 10 → 100; on disk: address 11, static";
+    refused(&mut stage, "Ctrl-r", why);
+
+    // They did the same.
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("e").text("100").keys("Enter").write(BOILER);
+    refused(&mut stage, "u", "already undone: address of the entry");
+
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("n").text("NEW 64").keys("Enter");
+    let theirs = stage.file().replace("64", "65");
+    stage.write(&theirs);
+    refused(&mut stage, "u", "not undone: new entry NEW at 64; on disk: address 65");
+
+    let mut stage = with_two_unsaved_edits();
+    stage.write(&BOILER.replace("10", "100").replace("12", "103")).keys("t t");
+    refused(
+        &mut stage,
+        "u",
+        "not undone: address of the entry SENS: 12 → 71; on disk: address 103",
+    );
+    refused(
+        &mut stage,
+        "u",
+        "not undone: address of the entry FEED: 10 → 70; on disk: address 100",
+    );
+    refused(&mut stage, "u", "nothing to undo");
+}
+
+#[test]
+fn an_unsaved_edit_that_is_taken_back_leaves_nothing_to_save() {
+    // While the disk refuses it, one of two, then both.
+    let mut stage = with_two_unsaved_edits();
+    assert_eq!(stage.app.file().unsaved(), 2);
+    stage.keys("u");
+    stage.file = Some(BOILER.as_bytes().to_vec());
+    stage.refuse_saves();
+    assert_eq!(stage.app.file().unsaved(), 1);
+    stage.keys("u").effects.clear();
+    let screen = stage.screen();
+    assert!(screen.contains("✓ 5 entries"), "{screen}");
+    stage.keys("q");
+    assert!(stage.effects.contains(&Effect::Quit), "{}", stage.screen());
+    stage.keys("Ctrl-r");
+    assert_eq!(stage.file(), BOILER.replace("10", "70"));
+
+    // While it is being saved, which then fails; it quits without asking.
+    let mut stage = Stage::boiler();
+    stage.slow_disk().until(24.0).keys("e").text("70").keys("Enter u q");
+    stage.file = Some(BOILER.as_bytes().to_vec());
+    stage.refuse_saves();
+    assert_eq!(stage.app.file().unsaved(), 0);
+    assert!(stage.effects.contains(&Effect::Quit), "{}", stage.screen());
+
+    // While it is being saved, and is: what is on disk is to be taken back too.
+    let mut stage = Stage::boiler();
+    stage.slow_disk().until(24.0).keys("e").text("70").keys("Enter u");
+    stage.finish_saves();
+    stage.finish_saves();
+    assert_eq!((stage.file(), stage.app.file().unsaved()), (BOILER, 0));
+}
+
+#[test]
+fn a_clash_that_two_made_together_is_named_when_it_is_saved() {
+    let mut stage = Stage::boiler();
+    stage.slow_disk().until(24.0).keys("e").text("71").keys("Enter");
+    stage.file = Some(BOILER.as_bytes().to_vec());
+    let clash = "2 entries share address 71: FEED, SENS";
+    // They give the address, which is still free in the file, to another.
+    let theirs = BOILER.replace("12", "71");
+    stage.refuse_saves().write(&theirs);
+    stage.file = Some(theirs.clone().into_bytes());
+    stage.refuse_saves();
+    stage.keys("Ctrl-s").finish_saves();
+    assert_eq!(stage.file(), theirs.replace("10", "71"));
+    let told = format!("saved after retry; warning: {clash}");
+    assert!(stage.screen().contains(&told), "{}", stage.screen());
+    assert!(stage.app.timeline().entries().any(|line| line.text == told));
+
+    // Nor is it silent where it is saved at once; later saves do not tell it again.
+    let mut stage = Stage::boiler();
+    stage.slow_disk().until(24.0).keys("e").text("71").keys("Enter");
+    stage.file = Some(BOILER.as_bytes().to_vec());
+    stage.refuse_saves().write(&theirs).finish_saves();
+    assert!(stage.screen().contains(&format!("saved; warning: {clash}")), "{}", stage.screen());
+    stage.keys("R").text("X").keys("Enter").finish_saves();
+    assert!(stage.file().contains("\"FEEDX\""));
+    assert_eq!(
+        stage.app.timeline().entries().filter(|line| line.text.contains("2 entries share")).count(),
+        1
+    );
+}
+
+#[test]
+fn a_failed_save_is_tried_again_when_asked() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0);
+    for key in ["e", "4", "7", "Enter"] {
+        stage.app.handle_key(stage.app.now(), Key::parse(key).unwrap());
+    }
+    let now = stage.app.now();
+    while stage.app.poll_effect().is_some() {}
+    stage.app.handle_saved(now, SaveOutcome::Failed("no space left on the disk".to_owned()));
+    assert_eq!(stage.app.poll_effect(), None, "not again and again");
+    assert!(stage.screen().contains("not saved: no space left"), "{}", stage.screen());
+    // Nor does it give way on the smallest screen, when something else is said.
+    for (columns, rows) in [(40, 10), (60, 14)] {
+        let screen = stage.keys("r").size(columns, rows).screen();
+        assert!(screen.lines().next().unwrap().contains("✗ not saved"), "{screen}");
+    }
+    stage.size(80, 24);
+    stage.keys("Ctrl-s");
+    assert_eq!(stage.file(), BOILER.replace("10", "47"));
+    assert!(stage.screen().contains("✓ 5 entries"));
+}
+
+#[test]
+fn a_failed_save_is_tried_again_after_a_while_and_told_once() {
+    let mut stage = Stage::boiler();
+    let refused = || SaveOutcome::Failed("no space left on the disk".to_owned());
+    stage.slow_disk().until(24.0).keys("e").text("47").keys("Enter");
+    for failures in 1..=3 {
+        stage.file = Some(BOILER.as_bytes().to_vec());
+        stage.unfinished = Some(vec![refused()]);
+        stage.finish_saves();
+        let entries = stage.app.timeline().entries();
+        let told = entries.filter(|entry| entry.text.contains("no space left")).count();
+        assert_eq!(told, 1, "after {failures}");
+        let message = stage.app.message().is_some_and(|message| message.is_error);
+        assert_eq!(message, failures == 1);
+        let seconds = 24.0 + 11.0 * f64::from(failures);
+        stage.unfinished = Some(Vec::new());
+        stage.until(seconds);
+        assert_eq!(stage.unfinished.as_ref().unwrap().len(), 1, "tried once more");
+        assert!(stage.screen().contains("not saved: no space left"), "{}", stage.screen());
+    }
+    stage.finish_saves();
+    assert_eq!(stage.file(), BOILER.replace("10", "47"));
+    assert!(stage.screen().contains("saved after retry"), "{}", stage.screen());
+    stage.unfinished = Some(Vec::new());
+    stage.until(90.0);
+    assert!(stage.unfinished.unwrap().is_empty(), "and not again");
+}
+
+#[test]
+fn a_copy_is_saved_elsewhere() {
+    let mut stage = Stage::boiler();
+    stage.slow_disk().until(24.0).keys("e").text("47").keys("Enter");
+    stage.unfinished = Some(vec![SaveOutcome::Failed("disk full".to_owned())]);
+    stage.finish_saves().until(31.0);
+    assert!(stage.screen().contains("Ctrl-s save again  W save a copy"), "{}", stage.screen());
+    stage.keys("W");
+    assert!(stage.screen().contains("save a copy as: des-20261121-120031.json"));
+    stage.keys("Ctrl-u").text("/else/b.json").keys("Enter");
+    let path = std::path::PathBuf::from("/else/b.json");
+    let bytes = BOILER.replace("10", "47").into_bytes();
+    assert_eq!(stage.effects.last(), Some(&Effect::WriteFile { path: path.clone(), bytes }));
+    stage.app.handle_written(stage.app.now(), &path, Err("no such folder".to_owned()));
+    assert!(stage.screen().contains(" not saved: no such folder"), "{}", stage.screen());
+    assert!(stage.keys("q").screen().contains("1 edit is not saved. Quit anyway?"));
+    stage.keys("n W Ctrl-u").text("/else/b.json").keys("Enter");
+    stage.app.handle_written(stage.app.now(), &path, Ok(()));
+    assert!(stage.screen().contains("a copy with all edits: /else/b.json"));
+    assert!(
+        stage.keys("q").screen().contains("1 edit is saved only in /else/b.json. Quit anyway?")
+    );
+    // What was edited since is not in it.
+    stage.keys("n R").text("X").keys("Enter");
+    stage.unfinished = Some(vec![SaveOutcome::Failed("disk full".to_owned())]);
+    stage.finish_saves().keys("q");
+    assert!(stage.screen().contains("2 edits are not saved. Quit anyway?"));
+}
+
+#[test]
+fn a_broken_file_is_shown_and_never_written() {
+    let mut stage = Stage::boiler();
+    let broken = BOILER.replace("\"SENS\",", "\"SENS\"");
+    stage.until(24.0).write(&broken).keys("j");
+    snapshot!("broken_file", stage);
+    stage.keys("e");
+    assert!(stage.app.prompt().is_none());
+    stage.keys("A");
+    assert_eq!(stage.file(), broken);
+    assert!(stage.screen().contains("✓ 10"), "the last good content stays in force");
+    for page in ["3", "4"] {
+        let screen = stage.keys(page).screen();
+        let lines: Vec<&str> = screen.lines().collect();
+        let at = lines
+            .iter()
+            .position(|line| line.contains("{ \"name\": \"SENS\" \"address\""))
+            .unwrap();
+        let place = |line: &str, what: &str| line.split(what).next().unwrap().chars().count();
+        assert_eq!(place(lines[at], "\"address\""), place(lines[at + 1], "^"), "{screen}");
+        assert!(lines[at - 2..at].concat().contains("line 5, column 22"), "{screen}");
+    }
+}
+
+#[test]
+fn where_no_content_was_ever_good_none_is_said_to_stay() {
+    let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some("[{]"));
+    let screen = stage.until(9.0).size(120, 40).screen();
+    assert!(screen.contains("des.json ✗ line 1, column 3"), "{screen}");
+    assert!(!screen.contains("last valid"), "{screen}");
+    stage.write("[]").write("[{]");
+    assert!(stage.screen().contains("using last valid: 0 entries"), "{}", stage.screen());
+}
+
+#[test]
+fn a_wrong_value_leads_to_its_row() {
+    let file = BOILER.replace("16, \"static\": true", "16, \"static\": 1").replace("\"PUMP\"", "7");
+    let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some(&file));
+    stage.until(24.0).keys("4 /").text("invalid").keys("Enter g");
+    assert!(stage.screen().contains("`static` is a number"), "{}", stage.screen());
+    assert!(stage.screen().contains("Enter go to row"), "{}", stage.screen());
+    stage.keys("Enter");
+    let name = stage.app.selected_row().and_then(|row| row.name.clone()).unwrap().to_string();
+    assert_eq!((stage.app.view().page, name), (Page::Devices, "ACT".to_owned()));
+    // And the row says it.
+    let screen = stage.size(120, 40).screen();
+    assert!(screen.contains("  16!"), "{screen}");
+    assert!(screen.contains("! `static` is a number; it must"), "{screen}");
+    // What readers disagree about is not edited, and that is told before anything is typed.
+    let twice = BOILER.replace("\"address\": 10", "\"address\": 9, \"address\": 10");
+    for key in ["e", "R"] {
+        let screen = stage.write(&twice).size(80, 24).keys("1 g").keys(key).screen();
+        assert!(stage.app.prompt().is_none());
+        let said = "line 3, column 37: duplicate `address`: remove one of them first";
+        assert!(screen.contains(said), "{screen}");
+    }
+    stage.write(&file).size(120, 40).wait_until(60.0);
+    // What is no entry has no row.
+    stage.keys("4 g j");
+    assert!(stage.screen().contains("has no `name`"), "{}", stage.screen());
+    stage.keys("Enter");
+    assert_eq!(stage.app.view().page, Page::Problems);
+    assert!(stage.screen().contains("concerns the file as a whole"), "{}", stage.screen());
+}
+
+#[test]
+fn wrong_values_are_told_apart_in_their_rows() {
+    let file = BOILER
+        .replace("16, \"static\": true", "300, \"static\": 1")
+        .replace("\"address\": 20", "\"address\": 200, \"services\": [1, 2]")
+        .replace("\"address\": 44", "\"address\": 44, \"address\": 45")
+        .replace("]\n}", ", 7, {}, {}]\n}");
+    let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some(&file));
+    let screen = stage.until(24.0).keys("4 /").text("file-shape").keys("Enter").screen();
+    let rows = [
+        "line 6: `address` is 300  ACT",
+        "line 6: `static` is a number  ACT",
+        "line 7: `address` is 200  DISP",
+        "line 7: `services` item 1 is a number  DISP",
+        "line 7: `services` item 2 is a number  DISP",
+        "line 8: duplicate `address`  PUMP",
+        "line 9: element 6 is a number, not a device",
+        "line 9: device 7 has no `name`",
+        "line 9: device 8 has no `name`",
+    ];
+    // What is too long for its row is cut off, and what it says first is enough.
+    for (row, line) in rows.iter().zip(screen.lines().skip(4)) {
+        let shown: String = row.chars().take(31).collect();
+        assert!(line.contains(&shown), "{row}\n{screen}");
+    }
+    // What is muted is one of them, and stays it when lines are put in above.
+    let muted = |stage: &Stage| {
+        let screen = stage.screen();
+        let mut rows = screen.lines().filter(|line| line.contains("muted · line"));
+        (rows.next().map(str::to_owned), rows.count())
+    };
+    stage.keys("Ctrl-u /").keys("Ctrl-u").text("static").keys("Enter m / Ctrl-u Enter");
+    assert!(muted(&stage).0.is_some_and(|row| row.contains("line 6: `static`")));
+    stage.write(&file.replace("  \"devices\"", "\n  \"devices\""));
+    let (row, others) = muted(&stage);
+    assert!(row.is_some_and(|row| row.contains("line 7: `static`")), "{}", stage.screen());
+    assert_eq!(others, 0);
+}
+
+#[test]
+fn devices_are_taken_into_a_file_that_is_begun() {
+    let mut stage = Stage::new(&Scenario::crowd(500_000, 3, 2), None);
+    stage.until(5.0).keys("A");
+    text_snapshot!("begun_file", stage.file());
+    stage.keys("D");
+    assert!(stage.screen().contains("Delete the entry N001 at"));
+    stage.keys("n");
+    assert_eq!(stage.file().matches("name").count(), 3 + 9);
+    stage.keys("D y");
+    assert_eq!(stage.file().matches("name").count(), 2 + 6);
+    stage.keys("n").text("PUMP 44").keys("Enter");
+    assert!(stage.file().contains("PUMP"));
+    stage.keys("u u u");
+    assert_eq!(stage.file().trim(), "{\n  \"devices\": []\n}");
+}
+
+#[test]
+fn of_two_at_one_address_no_uid_is_taken_into_the_file() {
+    let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some("[]"));
+    stage.until(40.0).keys("A");
+    let file = stage.file();
+    assert!(file.contains("ACT") && file.contains("BOILER01"), "{file}");
+    assert!(!file.contains("BOILER03") && !file.contains("SPARE01"), "{file}");
+}
+
+#[test]
+fn quitting_asks_while_edits_are_not_saved() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("q");
+    assert!(stage.effects.contains(&Effect::Quit));
+    stage.effects.clear();
+    stage.file = Some(b"{".to_vec());
+    stage.keys("e").text("47").keys("Enter q");
+    assert!(stage.screen().contains("1 edit is not saved. Quit anyway?"));
+    stage.keys("n q y");
+    assert!(stage.effects.contains(&Effect::Quit));
+}
+
+#[test]
+fn quitting_goes_on_once_everything_is_saved() {
+    // Two edits, of which the second waits for the first: quitting waits for both.
+    let mut stage = Stage::boiler();
+    stage.slow_disk().until(24.0).keys("e").text("47").keys("Enter R").text("X").keys("Enter q");
+    assert!(stage.screen().contains("2 edits are still being saved"), "{}", stage.screen());
+    stage.finish_saves();
+    assert!(stage.screen().contains("1 edit is still being saved"), "{}", stage.screen());
+    assert!(!stage.effects.contains(&Effect::Quit));
+    stage.finish_saves();
+    assert!(stage.effects.contains(&Effect::Quit));
+    assert!(!stage.screen().contains("Quit"), "{}", stage.screen());
+
+    // No is no, whatever is saved afterwards.
+    let mut stage = Stage::boiler();
+    stage.slow_disk().until(24.0).keys("e").text("47").keys("Enter q n");
+    stage.finish_saves();
+    assert!(!stage.effects.contains(&Effect::Quit));
+
+    // A save that fails is a reason to ask, not to go.
+    let mut stage = Stage::boiler();
+    stage.slow_disk().until(24.0).keys("e").text("47").keys("Enter q");
+    stage.unfinished = Some(vec![SaveOutcome::Failed("disk full".to_owned())]);
+    stage.finish_saves();
+    assert!(!stage.effects.contains(&Effect::Quit));
+    let screen = stage.screen();
+    assert!(screen.contains("1 edit is not saved. Quit anyway?"), "{screen}");
+    stage.keys("n");
+    assert!(stage.screen().contains("disk full"), "{}", stage.screen());
+}
+
+#[test]
+fn that_an_address_is_pinned_already_is_said() {
+    let mut stage = Stage::boiler();
+    stage.until(3.0).keys("g e");
+    assert!(stage.screen().contains("already pinned to 10"), "{}", stage.screen());
+    stage.keys("Backspace").text("1");
+    assert!(stage.screen().contains("Enter pins it to 11"), "{}", stage.screen());
+}
+
+#[test]
+fn a_folder_that_is_to_be_made_is_named_at_the_start() {
+    let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), None);
+    stage.app.handle_missing_folder(stage.app.now(), "../nodir");
+    let screen = stage.screen();
+    assert!(screen.contains(" des.json: no such folder yet: mkdir -p ../nodir"), "{screen}");
+    assert!(screen.contains("! des.json     no such folder yet: mkdir -p ../nodir"), "{screen}");
+}
+
+/// While there are conflicts, too: what was decided is in it as it was decided.
+#[test]
+fn a_copy_has_all_edits_as_they_were_decided() {
+    let mut stage = with_two_unsaved_edits();
+    let theirs = BOILER.replace("10", "100").replace("12", "103").replace("44", "45");
+    stage.write(&theirs).keys("t");
+    assert!(stage.screen().contains("Edit conflict 2 of 2"), "{}", stage.screen());
+    stage.keys("Esc W Enter");
+    let Some(Effect::WriteFile { bytes, .. }) = stage.effects.last() else { panic!() };
+    let copy = std::str::from_utf8(bytes).unwrap();
+    assert_eq!(copy, theirs.replace("103", "71"));
+}

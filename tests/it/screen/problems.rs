@@ -1,0 +1,348 @@
+//! The page Problems and the evidence of a problem.
+
+use super::snapshot;
+use super::{one_line, problems};
+use crate::common::harness::{BOILER, Stage};
+use descan::app::{Capture, Effect, EvidenceItem, Mouse, MouseKind, Page};
+use descan::discovery::Config;
+use descan::frame::{BusIndex, CanId, Frame};
+use descan::sim::Scenario;
+use descan::status::{BusStatus, Link};
+use descan::time::{Duration, Instant};
+
+fn selected(stage: &Stage) -> String {
+    stage.app.selected_problem().map_or_else(String::new, |problem| problem.title())
+}
+
+/// So many foreign frames that the capture has room for no others.
+fn flood(stage: &mut Stage) {
+    let now = stage.app.now();
+    let frame = Frame::with(CanId::Standard(0x123), &[]).with_time(now);
+    stage.app.handle_frames(now, &vec![frame; Capture::FRAMES]);
+}
+
+#[test]
+fn what_is_broken_takes_the_bus_too() {
+    let config = Config { seed: 7, listen_only: true, ..Config::default() };
+    let mut stage = Stage::with(&Scenario::new(125_000), None, config);
+    stage.link(Link::Up);
+    // A stuff error a millisecond, each at least 17 bits; that the state changed is no frame.
+    for millis in 0..1000 {
+        let at = Instant::ZERO + Duration::from_millis(millis);
+        let stuff = Frame::error(0x88, &[0, 0, 4, 0, 0, 0, 0, 0]).with_time(at);
+        let passive = Frame::error(0x04, &[0, 4, 0, 0, 0, 0, 0, 96]).with_time(at);
+        stage.app.handle_frames(at, &[stuff, passive]);
+    }
+    let screen = stage.wait_until(1.5).screen();
+    assert!(screen.contains("load ≈14%"), "{screen}");
+    let status = BusStatus { link: Link::Up, bitrate: Some(125_000), ..BusStatus::default() };
+    stage.app.handle_bus(stage.app.now(), BusIndex(0), status);
+    assert!(stage.screen().contains("load  14%"), "{}", stage.screen());
+}
+
+#[test]
+fn what_is_sure_comes_before_suspicions_and_these_before_what_is_over() {
+    let mut stage = Stage::boiler();
+    stage.until(30.5).keys("4");
+    assert_eq!(
+        problems(&stage),
+        [
+            "confirmed static address taken @16",
+            "confirmed wrong address @14",
+            "confirmed missing @44",
+            "suspected address conflict (same name) @14",
+        ]
+    );
+    snapshot!("problems_suspected_120x40", stage.size(120, 40).keys("G"));
+    for (size, status) in [((80, 24), "○ 1 missing  ⚠ 3  ? 1"), ((40, 10), "○ 1  ⚠ 3  ? 1")]
+    {
+        let screen = stage.size(size.0, size.1).screen();
+        assert!(screen.contains(status), "{screen}");
+    }
+    assert!(stage.screen().contains(" 4 Problems ⚠3 ?1 "), "{}", stage.screen());
+    stage.until(45.0);
+    assert_eq!(problems(&stage)[0], "confirmed address conflict (same name) @14");
+    stage.until(130.0);
+    let last = problems(&stage).pop().unwrap();
+    assert!(last.starts_with("cleared "), "{:?}", problems(&stage));
+    snapshot!("problems_over_80x24", stage.size(80, 24).keys("G"));
+}
+
+#[test]
+fn a_collision_is_one_problem_whatever_shows_it() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0).keys("4");
+    let findings = stage.app.findings().filter(|finding| finding.key.kind.is_conflict()).count();
+    let problem = stage.app.selected_problem().unwrap();
+    assert_eq!((findings, problem.findings.len()), (2, 2));
+    let evidence = problem.evidence();
+    assert!(evidence.is_sorted_by_key(|piece| piece.time));
+    for finding in &problem.findings {
+        for piece in &finding.evidence {
+            let is_it = |own: &&EvidenceItem| own.time == piece.time && own.frame == piece.frame;
+            let kept = evidence.iter().find(is_it).unwrap();
+            assert!(kept.what.contains(&*piece.what), "{kept:?} is not {piece:?}");
+        }
+    }
+    let counts = stage.app.counts();
+    assert_eq!((counts.confirmed, counts.suspected), (4, 0));
+    let screen = stage.size(80, 100).screen();
+    for words in [
+        "Two devices answer as ACT",
+        "heartbeats alternate between",
+        "same-name-same-address",
+        "one-address-two-identities",
+        "ACT→own DES name ACT",
+        "051C0002#050141435400",
+    ] {
+        assert!(screen.contains(words), "{words}\n{screen}");
+    }
+}
+
+#[test]
+fn errors_that_follow_an_address_belong_to_its_problem() {
+    use descan::sim::{DeviceSpec, Fault};
+    let act = |label: &str, service: &str| {
+        let mut device = DeviceSpec::new("ACT").label(label).fixed(101).settled();
+        device.delay = (Duration::from_millis(2), Duration::from_millis(2));
+        device.service(service, "1.0").fault(Fault::NeverGivesWay)
+    };
+    let scenario =
+        Scenario::crowd(125_000, 10, 3).with(act("one", "PUMP")).with(act("other", "VALVE"));
+    let mut stage = Stage::new(&scenario, None);
+    stage.until(15.0).keys("4").size(80, 40);
+    snapshot!("problems_errors", stage);
+    snapshot!("evidence_errors", stage.keys("Enter").size(100, 30));
+}
+
+#[test]
+fn a_muted_problem_does_not_count_and_stays_muted() {
+    let mut stage = Stage::boiler();
+    stage.until(30.5).keys("4 G m");
+    assert_eq!(selected(&stage), "address conflict (same name) @14");
+    assert!(stage.screen().contains("○ 1 missing  ⚠ 3  1 muted"), "{}", stage.screen());
+    stage.effects.clear();
+    stage.until(45.0);
+    assert_eq!(problems(&stage)[3], "muted confirmed address conflict (same name) @14");
+    assert_eq!(stage.app.counts().confirmed, 3);
+    assert!(!stage.effects.contains(&Effect::Bell), "nobody wants to hear of it");
+    snapshot!("problems_muted_80x24", stage);
+    snapshot!("problems_muted_40x10", stage.size(40, 10));
+    stage.size(80, 24).keys("1");
+    assert!(
+        stage.screen().contains("⚠   14 ACT        CONFLICT"),
+        "the device says it all the same"
+    );
+    stage.keys("4 m");
+    assert_eq!(stage.app.counts().confirmed, 4);
+    assert_eq!(problems(&stage)[0], "confirmed address conflict (same name) @14");
+    assert_eq!(selected(&stage), "address conflict (same name) @14");
+    stage.keys("1 m");
+    assert_eq!(stage.app.counts().confirmed, 4, "only on the page itself");
+    // Where nothing was selected by hand, too, the key undoes what it did.
+    let mut stage = Stage::boiler();
+    stage.until(45.0).keys("4 m");
+    assert_eq!(selected(&stage), "address conflict (same name) @14");
+    stage.keys("m");
+    assert_eq!(stage.app.counts().confirmed, 4);
+}
+
+#[test]
+fn problems_are_filtered_by_words_and_fields() {
+    let mut stage = Stage::boiler();
+    stage.until(30.5).keys("4");
+    let mut filtered = |filter: &str| {
+        stage.keys("/").text(filter).keys("Enter");
+        let shown = problems(&stage).len();
+        stage.keys("Esc");
+        (shown, problems(&stage).len())
+    };
+    for (filter, shown) in [
+        ("is:confirmed", 3),
+        ("is:suspected", 1),
+        ("is:cleared", 0),
+        ("is:muted", 0),
+        ("at:14", 2),
+        ("at:1", 0),
+        ("name:pump", 1),
+        ("name:a", 3),
+        ("bus:can0", 4),
+        ("bus:can1", 0),
+        ("kind:conflict", 1),
+        ("kind:same-name", 1),
+        ("kind:missing", 1),
+        ("pump", 1),
+        ("address", 4),
+        ("!is:confirmed", 1),
+        ("at:14 is:confirmed", 1),
+    ] {
+        assert_eq!(filtered(filter), (shown, 4), "{filter}");
+    }
+    stage.keys("g m /").text("is:muted").keys("Enter");
+    assert_eq!(problems(&stage), ["muted confirmed static address taken @16"]);
+    stage.keys("m");
+    let screen = one_line(&stage.screen());
+    assert!(screen.contains("no problem matches the filter; Esc │ clears it"), "{screen}");
+}
+
+#[test]
+fn a_problem_leads_to_its_frames_and_back() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0).keys("4 Enter");
+    snapshot!("evidence_80x24", stage);
+    snapshot!("evidence_120x40", stage.size(120, 40));
+    stage.size(80, 24).keys("j Enter");
+    snapshot!("evidence_around", stage);
+    let frame = *stage.app.selected_frame().unwrap();
+    assert_eq!(stage.app.piece_of(&frame).unwrap().what, "first response to one request");
+    // To the next one among all frames: the list of evidence goes with it.
+    stage.keys("j");
+    let next = *stage.app.selected_frame().unwrap();
+    assert_ne!(next, frame);
+    stage.keys("Enter");
+    assert_eq!(stage.app.selected_frame(), Some(&next));
+    assert!(stage.app.evidence_alone().is_some());
+    stage.keys("Esc");
+    assert_eq!(stage.app.view().page, Page::Problems);
+    assert_eq!(selected(&stage), "address conflict (same name) @14");
+    stage.keys("2");
+    assert!(stage.screen().contains("following"), "the traffic is as it was before");
+    assert!(!stage.screen().contains('◆'));
+}
+
+#[test]
+fn the_evidence_is_left_as_anything_else_is() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0).keys("2 v /").text("srv:des").keys("Enter 4 Enter");
+    let shown = |stage: &Stage| stage.screen().contains("EVIDENCE");
+    assert!(shown(&stage), "{}", stage.screen());
+    assert!(!stage.screen().contains("/srv:des"), "no filter stands before evidence");
+    stage.keys("Enter Esc");
+    assert!(shown(&stage), "first back to the evidence alone");
+    stage.keys("Tab Shift-Tab");
+    assert!(!shown(&stage) && stage.screen().contains("COUNT"), "{}", stage.screen());
+    stage.keys("4 Enter v");
+    assert!(!shown(&stage) && stage.screen().contains("following"), "{}", stage.screen());
+    stage.keys("4 Enter /");
+    assert!(!shown(&stage) && stage.screen().contains("filter: srv:des"), "{}", stage.screen());
+}
+
+#[test]
+fn evidence_is_there_when_the_capture_has_forgotten_it() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0).keys("4");
+    flood(&mut stage);
+    stage.keys("Enter");
+    snapshot!("evidence_forgotten", stage);
+    stage.keys("Enter");
+    let screen = stage.screen();
+    assert!(screen.contains("surrounding frames no longer in the capture"), "{screen}");
+    // What was open before the frames went out of the capture stays, too.
+    let mut stage = Stage::boiler();
+    stage.until(28.0).keys("Space").until(45.0).keys("4 G Enter G Enter");
+    assert!(stage.screen().contains("newer than the frozen view"), "{}", stage.screen());
+    stage.keys("Space g Enter");
+    flood(&mut stage);
+    stage.keys("Enter");
+    assert!(stage.screen().contains("▸◇12:00:"), "{}", stage.screen());
+}
+
+#[test]
+fn small_screens_show_what_is_wrong_before_the_frames() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0).size(40, 10).keys("4 Enter");
+    snapshot!("problem_40x10", stage);
+    snapshot!("evidence_40x10", stage.keys("Enter"));
+    snapshot!("evidence_40x10_frame", stage.keys("Right"));
+    stage.keys("Esc Enter");
+    snapshot!("evidence_around_40x10", stage);
+    stage.keys("Esc Esc");
+    assert!(stage.screen().contains("Two devices answer as ACT"), "{}", stage.screen());
+    stage.keys("Esc j j j Enter Enter");
+    assert!(stage.screen().contains("▸○   44 PUMP"), "{}", stage.screen());
+}
+
+#[test]
+fn from_a_device_to_its_problem_and_back() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0).keys("j j j");
+    assert!(stage.screen().contains("→ 4 Problems (p)"), "{}", stage.screen());
+    stage.keys("4 /").text("pump").keys("Enter 1 p");
+    assert_eq!(stage.app.view().page, Page::Problems);
+    assert_eq!(selected(&stage), "address conflict (same name) @14", "a filter does not hide it");
+    stage.keys("G p");
+    let name = |stage: &Stage| stage.app.selected_row().unwrap().name.clone().unwrap().to_string();
+    assert_eq!((stage.app.view().page, name(&stage)), (Page::Devices, "PUMP".to_owned()));
+    stage.keys("p");
+    assert_eq!(selected(&stage), "missing @44", "also of what is not there");
+    stage.keys("1 g p");
+    assert!(stage.screen().contains("no problem for this device"), "{}", stage.screen());
+    stage.keys("3 /").text("is:suspected").keys("Enter k k p");
+    assert_eq!(
+        selected(&stage),
+        "address conflict (same name) @14",
+        "from a line of the timeline, too"
+    );
+    stage.keys("3 Esc");
+    // Rows that do not fit the filter are found all the same.
+    stage.keys("1 g");
+    stage.keys("/").text("feed").keys("Enter 4 g p");
+    assert_eq!((stage.app.view().page, name(&stage)), (Page::Devices, "ACT".to_owned()));
+}
+
+#[test]
+fn the_selection_follows_its_problem() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("4 G");
+    assert_eq!(selected(&stage), "missing @44");
+    stage.until(45.0);
+    assert_eq!(selected(&stage), "missing @44");
+    stage.keys("g").write(&BOILER.replace("44", "45"));
+    assert_eq!(selected(&stage), "address conflict (same name) @14");
+    // Also where it was not selected by hand: what is read is not pushed away by what comes on top.
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("4");
+    let first = selected(&stage);
+    stage.until(45.0);
+    assert_eq!(selected(&stage), first);
+    assert_ne!(problems(&stage)[0], format!("confirmed {first}"));
+    stage.keys("1").until(46.0).keys("4");
+    assert_eq!(
+        selected(&stage),
+        "address conflict (same name) @14",
+        "the page opens with the first"
+    );
+    // While the screen is held, no row moves, and what is new comes last.
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("4 Space");
+    let before = problems(&stage);
+    stage.until(45.0);
+    assert_eq!(problems(&stage)[..before.len()], before);
+    assert_eq!(problems(&stage).last().unwrap(), "confirmed address conflict (same name) @14");
+    stage.keys("Space");
+    assert_eq!(problems(&stage)[0], "confirmed address conflict (same name) @14");
+}
+
+#[test]
+fn problems_by_mouse_and_in_russian() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0).keys("4");
+    let press = |stage: &mut Stage, column, row| {
+        let mouse = Mouse { kind: MouseKind::Press, column, row };
+        stage.app.handle_mouse(stage.app.now(), mouse);
+    };
+    press(&mut stage, 10, 7);
+    assert_eq!(selected(&stage), "missing @44");
+    stage.keys("ь");
+    assert_eq!(stage.app.counts().confirmed, 3, "ь is m");
+    stage.keys("з");
+    assert_eq!(stage.app.view().page, Page::Devices, "з is p");
+    stage.keys("4 g Enter");
+    press(&mut stage, 10, 6);
+    let (place, _) = stage.app.evidence_alone().unwrap().selected().unwrap();
+    assert_eq!(place, 2);
+    let wheel = Mouse { kind: MouseKind::WheelDown, column: 10, row: 6 };
+    stage.app.handle_mouse(stage.app.now(), wheel);
+    let (place, _) = stage.app.evidence_alone().unwrap().selected().unwrap();
+    assert_eq!(place, 5);
+}

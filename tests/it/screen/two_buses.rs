@@ -1,0 +1,184 @@
+//! Two buses on one screen.
+
+use super::text_snapshot;
+use crate::common::harness::{Stage, text_of};
+use descan::app::{App, AppOptions, FileReading, InputCheck};
+use descan::discovery::Config;
+use descan::frame::BusIndex;
+use descan::keymap::Key;
+use descan::sim::{DeviceAction, Scenario, Sim, SimStation};
+use descan::status::{BusStatus, Link};
+use descan::theme::Theme;
+use descan::time::{Duration, Instant};
+use descan::ui;
+use ratatui::Terminal;
+use ratatui::backend::TestBackend;
+
+/// Two simulated buses under one view.
+struct Pair {
+    app: App,
+    sims: [(Sim, SimStation); 2],
+}
+
+impl Pair {
+    fn new(scenarios: [&Scenario; 2]) -> Self {
+        let buses = ["can0", "can1"].map(|name| (name.to_owned(), Config::default()));
+        let file_path = Some("des.json".into());
+        let options = AppOptions { buses: buses.to_vec(), file_path, ..AppOptions::default() };
+        let mut app = App::new(Instant::ZERO, options);
+        app.handle_file(Instant::ZERO, FileReading::Content(None));
+        let mut seed = 0;
+        let sims = scenarios.map(|scenario| {
+            let index = BusIndex(seed as u8);
+            seed += 1;
+            let bitrate = Some(scenario.bitrate);
+            let status = BusStatus { link: Link::Up, bitrate, ..BusStatus::default() };
+            app.handle_bus(Instant::ZERO, index, status);
+            let mut sim = Sim::new(scenario, seed);
+            let station = sim.attach();
+            (sim, station)
+        });
+        Self { app, sims }
+    }
+
+    fn run(&mut self, seconds: std::ops::Range<u64>) -> &mut Self {
+        for millis in seconds.start * 1000 + 1..=seconds.end * 1000 {
+            let now = Instant::from_micros(millis * 1000);
+            for (index, (sim, station)) in self.sims.iter_mut().enumerate() {
+                sim.advance(now);
+                while let Some(frame) = sim.poll_frame(*station) {
+                    self.app.handle_frames(now, &[frame.with_bus(BusIndex(index as u8))]);
+                }
+            }
+            self.app.handle_timeout(now);
+            while let Some(frame) = self.app.poll_transmit(now) {
+                let (sim, station) = &mut self.sims[usize::from(frame.bus.0)];
+                sim.transmit(*station, frame);
+            }
+        }
+        self
+    }
+
+    fn keys(&mut self, keys: &str) -> &mut Self {
+        for key in keys.split(' ') {
+            self.app.handle_key(self.app.now(), Key::parse(key).unwrap());
+        }
+        self
+    }
+
+    fn screen(&mut self, width: u16, height: u16) -> String {
+        self.app.handle_resize(width, height);
+        let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
+        let theme = Theme::built_in("dark").unwrap();
+        terminal
+            .draw(|frame| {
+                ui::draw(&self.app, &theme, frame);
+            })
+            .unwrap();
+        text_of(terminal.backend().buffer())
+    }
+}
+
+#[test]
+fn two_buses_are_one_view() {
+    let scenarios = ["boiler", "drone"].map(|name| Scenario::builtin(name).unwrap());
+    let mut pair = Pair::new([&scenarios[0], &scenarios[1]]);
+    text_snapshot!("two_buses", pair.run(0..20).screen(100, 30));
+    text_snapshot!("two_buses_problems", pair.run(20..36).keys("4").screen(100, 30));
+}
+
+/// Adapters at one rate differ in what stands before it.
+#[test]
+fn two_adapters_at_one_rate_are_told_apart() {
+    let scenarios = ["boiler", "drone"].map(|name| Scenario::builtin(name).unwrap());
+    let mut pair = Pair::new([&scenarios[0], &scenarios[1]]);
+    for (index, name) in [(0, "slcan:/dev/ttyACM0@500000"), (1, "slcan:/dev/ttyACM1@500000")] {
+        pair.app.name_bus(BusIndex(index), name.to_owned());
+    }
+    pair.run(0..20);
+    for (page, width) in [("1", 80), ("2", 80), ("3", 80), ("3", 120)] {
+        let screen = pair.keys(page).screen(width, 40);
+        assert!(screen.contains("…yACM"), "{page}: {screen}");
+        let rows = screen.lines().skip(3);
+        assert!(rows.clone().any(|row| row.contains("CM0 ")), "{page}: {screen}");
+        assert!(rows.clone().any(|row| row.contains("CM1 ")), "{page}: {screen}");
+        assert!(!rows.clone().any(|row| row.contains("…00000")), "{page}: {screen}");
+    }
+}
+
+#[test]
+fn where_one_line_is_for_all_buses_it_is_that_of_the_one_that_is_away() {
+    let scenarios = ["boiler", "drone"].map(|name| Scenario::builtin(name).unwrap());
+    let mut pair = Pair::new([&scenarios[0], &scenarios[1]]);
+    assert!(pair.run(0..20).screen(50, 12).lines().next().unwrap().contains("can0"));
+    let message = Some("can1 unplugged: plug it in again".to_owned());
+    let status = BusStatus { link: Link::Unplugged, message, ..BusStatus::default() };
+    pair.app.handle_bus(pair.app.now(), BusIndex(1), status);
+    let screen = pair.screen(50, 12);
+    assert!(screen.lines().next().unwrap().contains("can1  UNPLUGGED"), "{screen}");
+}
+
+#[test]
+fn a_device_on_two_buses_is_one_row_where_they_are_redundant() {
+    use descan::sim::DeviceSpec;
+    let device = |name: &str, address: u8, uid: u8, service: &str| {
+        let mut device = DeviceSpec::new(name).fixed(address).settled();
+        device.uid = descan::wire::node::Uid([uid, 2, 3, 4, 5, 6]);
+        device.service(service, "1.0")
+    };
+    let one = Scenario::new(125_000)
+        .with(device("FEED", 10, 1, "AUGER"))
+        .with(device("SENS", 12, 2, "TEMP"))
+        .with(device("PUMP", 20, 3, "FLOW"));
+    // FEED has another address there, SENS other services, and PUMP is another PUMP.
+    let other = Scenario::new(500_000)
+        .with(device("FEED", 11, 1, "AUGER"))
+        .with(device("SENS", 12, 2, "LOG"))
+        .with(device("PUMP", 20, 4, "FLOW"))
+        .at(Duration::from_secs(8), "FEED", DeviceAction::Leave)
+        .at(Duration::from_secs(20), "FEED", DeviceAction::Join);
+    let mut pair = Pair::new([&one, &other]);
+    let screen = pair.run(0..6).screen(100, 24);
+    text_snapshot!("redundant_100x24", screen);
+    assert!(screen.contains("● 5 present"), "{screen}");
+    text_snapshot!("redundant_80x24", pair.screen(80, 24));
+    // The other address and the other bus find it too.
+    assert!(pair.keys("/ 1 1 Enter").screen(100, 24).contains("FEED"));
+    let screen = pair.keys("Esc / b u s : c a n 1 Enter").screen(100, 24);
+    assert!(screen.contains("FEED"), "{screen}");
+    text_snapshot!("two_networks", pair.keys("Esc j").screen(100, 24));
+
+    // Each bus has an address of its own to pin, and is taken into the file.
+    let screen = pair.keys("g e").screen(100, 24);
+    assert!(screen.contains("static address on can0 (Tab: next): "), "{screen}");
+    let screen = pair.keys("Tab").screen(100, 24);
+    assert!(screen.contains("static address on can1 (Tab: next): "), "{screen}");
+    pair.keys("Esc a");
+    let entries = pair.app.file().document().entries();
+    let taken: Vec<_> = entries.iter().map(|it| (it.bus.as_deref(), it.address)).collect();
+    assert_eq!(taken, [(Some("can0"), Some(10)), (Some("can1"), Some(11))]);
+    pair.keys("u");
+
+    let screen = pair.run(6..16).keys("g").screen(100, 24);
+    assert!(screen.contains("partial"), "{screen}");
+    assert!(screen.contains("@11 lost"), "{screen}");
+    assert!(screen.contains("● 5 present"), "one of two is here: {screen}");
+    text_snapshot!("redundant_timeline", pair.run(16..24).keys("3").screen(100, 24));
+}
+
+/// Which of two twins an entry is about that names neither's address is not known: nobody deleted it.
+#[test]
+fn an_entry_whose_device_gets_a_twin_while_it_is_edited_is_not_called_deleted() {
+    let file = r#"[{"name":"SENS","address":15,"static":true}]"#;
+    let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some(file));
+    stage.until(6.0).keys("/").text("SENS").keys("Enter g e").text("47");
+    assert_eq!(stage.app.verdict(), Some(InputCheck::Accepted("Enter pins it to 47".to_owned())));
+    stage.until(30.0);
+    let told = "entry may belong to another device now; Enter adds it again";
+    assert_eq!(
+        stage.app.verdict(),
+        Some(InputCheck::Warning(told.to_owned())),
+        "{}",
+        stage.screen()
+    );
+}

@@ -1,0 +1,643 @@
+//! What an inspector said, held against how it really was.
+
+use super::ground_truth::{Clash, Span};
+use crate::common::inspection::{FAULTS, describe};
+
+use super::{Inspector, Run};
+use descan::discovery::{Confidence, EventKind, FindingKind, OwnAddress, Presence};
+use descan::sim::{AddressChoice, DeviceSpec, Fault};
+use descan::text::Name;
+use descan::time::{Duration, Instant};
+use descan::wire::id::{Address, Header};
+use descan::wire::node::Uid;
+use std::collections::BTreeMap;
+
+const PERIOD: Duration = Duration::from_secs(1);
+/// Within which a collision that can be seen is to be confirmed, and cleared when it is over.
+const TEN_SECONDS: Duration = Duration::from_secs(10);
+/// How exactly it is known since when something is so.
+const SAMPLED: Duration = Duration::from_millis(100);
+
+/// The confidence of one finding over time.
+struct Course {
+    kind: FindingKind,
+    addresses: Vec<Address>,
+    names: Vec<Name>,
+    changes: Vec<(Instant, Confidence)>,
+}
+
+impl Course {
+    fn at(&self, time: Instant) -> Option<Confidence> {
+        self.changes.iter().take_while(|(at, _)| *at <= time).last().map(|(_, it)| *it)
+    }
+
+    /// When it was suspected last, having been nothing before.
+    fn opened_last(&self) -> Instant {
+        let mut opened = Instant::ZERO;
+        let mut open = false;
+        for &(at, confidence) in &self.changes {
+            let opens = confidence != Confidence::Cleared;
+            if opens && !open {
+                opened = at;
+            }
+            open = opens;
+        }
+        opened
+    }
+
+    fn concerns(&self, address: Address) -> bool {
+        self.addresses.contains(&address)
+    }
+}
+
+fn courses(it: &Inspector) -> Vec<Course> {
+    let mut courses = BTreeMap::new();
+    for (at, event) in &it.events {
+        let EventKind::Finding { key, confidence } = &event.kind else { continue };
+        let found = it.engine.findings().iter().find(|finding| finding.key == *key);
+        let course = courses.entry(key.clone()).or_insert_with(|| Course {
+            kind: key.kind,
+            addresses: found.map_or_else(Vec::new, |finding| finding.addresses.clone()),
+            names: found.map_or_else(Vec::new, |finding| finding.names.clone()),
+            changes: Vec::new(),
+        });
+        course.changes.push((*at, *confidence));
+    }
+    courses.into_values().collect()
+}
+
+pub fn judge(run: &Run) -> Vec<String> {
+    let mut wrong = Vec::new();
+    for number in 0..run.inspectors.len() {
+        let mut case = Case {
+            run,
+            it: &run.inspectors[number],
+            number,
+            courses: courses(&run.inspectors[number]),
+            wrong: &mut wrong,
+        };
+        case.accusations();
+        case.detections();
+        case.clearings();
+        case.contests();
+        case.inventory();
+        case.quiet();
+    }
+    addresses_of_inspectors(run, &mut wrong);
+    wrong
+}
+
+struct Case<'a> {
+    run: &'a Run,
+    it: &'a Inspector,
+    number: usize,
+    courses: Vec<Course>,
+    wrong: &'a mut Vec<String>,
+}
+
+impl Case<'_> {
+    fn complain(&mut self, wrong: Vec<String>) {
+        let number = self.number;
+        self.wrong.extend(wrong.into_iter().map(|what| format!("inspector {number}: {what}")));
+    }
+
+    fn clashes(&self) -> Vec<(Clash, Span)> {
+        self.run.truth.clashes().collect()
+    }
+
+    fn spec(&self, device: usize) -> &DeviceSpec {
+        &self.run.world.scenario.devices[device]
+    }
+
+    fn is_clear(&self) -> bool {
+        self.run.world.is_clear(self.number) && self.it.cut_off.is_empty()
+    }
+
+    // --- nobody innocent is accused ------------------------------------------------------
+
+    fn accusations(&mut self) {
+        let clashes = self.clashes();
+        let mut wrong = Vec::new();
+        for course in &self.courses {
+            let confirmed = course.changes.iter().filter(|(_, it)| *it == Confidence::Confirmed);
+            for &(at, _) in confirmed {
+                if !self.is_justified(course, at, &clashes) {
+                    wrong.push(format!(
+                        "{at} {} at {:?} is confirmed",
+                        course.kind, course.addresses
+                    ));
+                }
+            }
+        }
+        self.complain(wrong);
+    }
+
+    fn is_justified(&self, course: &Course, at: Instant, clashes: &[(Clash, Span)]) -> bool {
+        let inspector = &self.run.world.inspectors[self.number];
+        let going_on = |clash: &Clash, span: &Span| {
+            let until = span.until.min(at);
+            // Its clock ran ahead meanwhile.
+            let ahead = inspector.lens.ahead(until).saturating_sub(inspector.lens.ahead(span.from));
+            course.addresses.iter().any(|&address| clash.concerns(address))
+                && span.from <= at
+                && at.since(span.until) < TEN_SECONDS
+                && (matches!(clash, Clash::Uid(..))
+                    || until.since(span.from) + ahead + SAMPLED >= PERIOD.mul_f64(4.0))
+        };
+        let config = &inspector.config;
+        let names = |one: usize, other: usize| {
+            let name = |at: usize| self.run.sim.device_state(self.run.devices[at]).name;
+            name(one) != name(other)
+        };
+        let uid = |at: usize| self.run.sim.device_state(self.run.devices[at]).uid;
+        // Whoever never gives way is guilty even where both fall silent in between, because they
+        // destroyed each other's frames.
+        let both_on: Vec<_> = self.run.truth.both_on().collect();
+        let any = |fits: &dyn Fn(&Clash) -> bool| {
+            let mut clashes = clashes.iter().chain(&both_on);
+            clashes.any(|(clash, span)| going_on(clash, span) && fits(clash))
+        };
+        match course.kind {
+            FindingKind::OneAddressTwoNames => {
+                any(&|it| matches!(*it, Clash::Address(_, a, b) if names(a, b)))
+            }
+            FindingKind::SameNameSameAddress => {
+                // Who only listens does not hear the names.
+                any(&|it| {
+                    matches!(*it, Clash::Address(_, a, b)
+                        if config.listen_only
+                            || self.spec(a).faults.has(Fault::NoDes)
+                            || is_unreadable(self.spec(a))
+                            || is_unreadable(self.spec(b))
+                            || !names(a, b))
+                })
+            }
+            FindingKind::OneAddressTwoIdentities => {
+                // Two of one UID that keep resolving their address differ in the U bit meanwhile.
+                let stubborn = |it: usize| self.spec(it).faults.has(Fault::NeverGivesWay);
+                let fits = |it: &Clash| {
+                    matches!(*it, Clash::Address(_, a, b)
+                        if uid(a) != uid(b) || stubborn(a) && stubborn(b))
+                };
+                // Two that keep claiming an address, each after the other gave way, differ too.
+                let again = self.run.truth.contended();
+                any(&fits) || again.iter().any(|(clash, span)| going_on(clash, span) && fits(clash))
+            }
+            FindingKind::OneUidTwoAddresses => any(&|it| matches!(it, Clash::Uid(..))),
+            FindingKind::TwoDebugDevices
+            | FindingKind::AddressContested
+            | FindingKind::NonConforming => false,
+            // Whatever else is confirmed is seen, not concluded.
+            FindingKind::MalformedAnswer => {
+                let faulty = |spec: &DeviceSpec| {
+                    [Fault::DropFrame, Fault::WrongSequence, Fault::HugeLength]
+                        .iter()
+                        .any(|fault| spec.faults.has(*fault))
+                };
+                any(&|_| true)
+                    || self.run.world.scenario.devices.iter().zip(&self.run.devices).any(
+                        |(it, id)| {
+                            let now = self.run.sim.device_state(*id).address;
+                            faulty(it)
+                                && (course
+                                    .addresses
+                                    .iter()
+                                    .any(|&address| is_fixed(it, address) || now == Some(address))
+                                    || course.names.iter().any(|name| name.as_bytes() == it.name))
+                        },
+                    )
+            }
+            _ => true,
+        }
+    }
+
+    // --- nobody guilty escapes -----------------------------------------------------------
+
+    fn detections(&mut self) {
+        let mut wrong = Vec::new();
+        for (clash, span) in self.clashes() {
+            let mut from = span.from.max(self.begin());
+            if let Some((at, until)) = self.run.world.broken
+                && (from..from + TEN_SECONDS).contains(&(Instant::ZERO + at))
+            {
+                from = Instant::ZERO + until;
+            }
+            if span.until.since(from) < TEN_SECONDS || !self.can_see(clash, from, span.until) {
+                continue;
+            }
+            // Who has no heartbeat is heard only when it is asked, which it is in each round.
+            let due = from + if self.beats(clash) { TEN_SECONDS } else { PERIOD * 25 };
+            // Where frames are missed, or come late, evidence pauses and has to begin anew.
+            let lossy = self.run.world.scenario.observer_loss > 0.0;
+            let due = due + PERIOD * if lossy || self.run.world.is_crowded() { 5 } else { 0 };
+            if span.until < due {
+                continue;
+            }
+            let fitting = |course: &&Course| match clash {
+                Clash::Address(at, ..) => {
+                    course.concerns(at)
+                        && course.kind.is_conflict()
+                        && course.kind != FindingKind::OneUidTwoAddresses
+                }
+                Clash::Uid(one, other) => {
+                    course.kind == FindingKind::OneUidTwoAddresses
+                        && course.concerns(one)
+                        && course.concerns(other)
+                }
+            };
+            let mut times: Vec<Instant> = self
+                .courses
+                .iter()
+                .flat_map(|course| course.changes.iter().map(|(at, _)| *at))
+                .filter(|at| (due..span.until).contains(at))
+                .collect();
+            times.push(due);
+            times.push(span.until);
+            for time in times {
+                let best = self.courses.iter().filter(fitting).filter_map(|it| it.at(time)).max();
+                if best != Some(Confidence::Confirmed) {
+                    wrong.push(format!(
+                        "{clash:?} from {} until {} is {best:?} at {time}",
+                        span.from, span.until
+                    ));
+                    break;
+                }
+            }
+        }
+        self.complain(wrong);
+    }
+
+    fn begin(&self) -> Instant {
+        Instant::ZERO + self.run.world.inspectors[self.number].from
+    }
+
+    /// Whether two were at `address` for a while of which one took the other's place unseen: of one
+    /// name, and of one UID, or of UIDs that nobody heard, because there was not one heartbeat, not
+    /// even to claim the address. Then the U bit alone could tell them apart.
+    fn is_same_to_all(&self, clash: Clash, address: Address) -> bool {
+        match clash {
+            Clash::Address(at, one, other) => {
+                let (one, other) = (self.spec(one), self.spec(other));
+                let beats = self.it.engine.device_at(at).map_or(0, |row| row.heartbeat.count);
+                let works = |it: &DeviceSpec| it.mode.is_none() && !it.uid.is_blank();
+                let unheard = beats == 0 && works(one) == works(other);
+                at == address && one.name == other.name && (one.uid == other.uid || unheard)
+            }
+            Clash::Uid(..) => false,
+        }
+    }
+
+    fn beats(&self, clash: Clash) -> bool {
+        match clash {
+            Clash::Address(_, one, other) => {
+                [one, other].iter().all(|&it| !self.spec(it).faults.has(Fault::NoHeartbeat))
+            }
+            Clash::Uid(..) => true,
+        }
+    }
+
+    /// Whether frames that can be told apart come from both, and arrive.
+    fn can_see(&self, clash: Clash, from: Instant, until: Instant) -> bool {
+        let inspector = &self.run.world.inspectors[self.number];
+        let lens = &inspector.lens;
+        let between = |at: Duration| (from..until).contains(&(Instant::ZERO + at));
+        if lens.deaf.is_some_and(|deaf| between(deaf.from) || between(deaf.until))
+            || lens.jump.is_some_and(|jump| between(jump.at))
+            || self.it.cut_off.iter().any(|at| (from..until).contains(at))
+        {
+            return false;
+        }
+        let (one, other) = match clash {
+            Clash::Address(_, one, other) => (self.spec(one), self.spec(other)),
+            Clash::Uid(one, other) => {
+                let beats = |address| {
+                    let mut at = self.run.world.scenario.devices.iter();
+                    at.any(|spec| is_fixed(spec, address) && spec.faults.has(Fault::NoHeartbeat))
+                };
+                return !beats(one) && !beats(other);
+            }
+        };
+        let both = |fault| !one.faults.has(fault) && !other.faults.has(fault);
+        let beat = both(Fault::NoHeartbeat);
+        let rounds = beat || !inspector.config.round_period.is_zero();
+        // Who says an absurd length does not even say what it answers.
+        let mumbles = |it: &DeviceSpec| it.faults.has(Fault::HugeLength) && is_unreadable(it);
+        let answer = both(Fault::NoDes)
+            && !inspector.config.listen_only
+            && rounds
+            && !mumbles(one)
+            && !mumbles(other);
+        let uids = !one.uid.is_blank() && !other.uid.is_blank() && one.uid != other.uid;
+        // Where all answer twice they seem to be asked twice.
+        let twice = self.all_are_shared();
+        // Answers to all often wait for the bus together, and equal ones merge then.
+        beat && uids
+            || answer
+                && (one.name != other.name
+                    || beat && lens.doubled.is_none() && !lens.echo && !twice)
+    }
+
+    /// Whether there are two at each of several addresses.
+    fn all_are_shared(&self) -> bool {
+        let clashes = self.clashes();
+        let shared = |spec: &DeviceSpec| {
+            clashes.iter().any(|(clash, _)| match *clash {
+                Clash::Address(address, ..) => is_fixed(spec, address),
+                Clash::Uid(..) => false,
+            })
+        };
+        let devices = &self.run.world.scenario.devices;
+        devices.len() > 2 && devices.iter().all(shared)
+    }
+
+    // --- what is past is cleared ---------------------------------------------------------
+
+    fn clearings(&mut self) {
+        let end = Instant::ZERO + self.run.world.end;
+        let mut wrong = Vec::new();
+        for course in self.courses.iter().filter(|course| course.kind.is_conflict()) {
+            let over = self
+                .run
+                .truth
+                .clashes()
+                .chain(self.run.truth.both_on())
+                .filter(|(clash, _)| course.addresses.iter().any(|&it| clash.concerns(it)))
+                .map(|(clash, _)| self.run.truth.over(clash))
+                .max()
+                .unwrap_or(Instant::ZERO)
+                .max(self.begin());
+            let last_word = course.at(end);
+            // What is suspected anew later has another cause, or none.
+            let opened_for_it = course.opened_last() < over + TEN_SECONDS;
+            let calm = Instant::ZERO + self.run.world.calm;
+            // What was suspected without a cause may have begun with the last thing that happened.
+            let over = if course.at(over).is_none() { over.max(calm) } else { over };
+            // Where questions are missed, answers to them seem to be one too many for a while; and
+            // who only listens waits for somebody to ask, which happens every ten seconds, and
+            // cannot make sure.
+            let missed = self.run.world.scenario.observer_loss > 0.0;
+            let waits = self.run.world.inspectors[self.number].config.listen_only;
+            let more = if waits { 8 } else { 3 * u32::from(missed) };
+            let due = over + TEN_SECONDS + PERIOD * more;
+            if due < end && opened_for_it && last_word != Some(Confidence::Cleared) {
+                wrong.push(format!(
+                    "{} at {:?} is still {last_word:?}, though over at {over}",
+                    course.kind, course.addresses
+                ));
+            }
+            let at_due = course.at(due.max(calm));
+            if due.max(calm) < end && at_due == Some(Confidence::Confirmed) {
+                wrong.push(format!(
+                    "{} at {:?} is {at_due:?} at {due}, though over at {over}",
+                    course.kind, course.addresses
+                ));
+            }
+        }
+        self.complain(wrong);
+    }
+
+    // --- who gives way -------------------------------------------------------------------
+
+    /// Where UIDs took turns at an address for less than five periods, it was contested.
+    fn contests(&mut self) {
+        let mut wrong = Vec::new();
+        let mut seen: BTreeMap<Address, Vec<(Instant, Uid)>> = BTreeMap::new();
+        for frame in &self.it.frames {
+            let Some(header) = frame.platform_id().map(Header::decode) else { continue };
+            let beat = header.response && header.broadcast && header.service.number() == 1;
+            let Some(uid) = frame.data().first_chunk::<6>().map(|bytes| Uid(*bytes)) else {
+                continue;
+            };
+            if beat && header.is_conforming() && !uid.is_blank() {
+                let course = seen.entry(header.source).or_default();
+                if course.last().is_none_or(|(_, last)| *last != uid) {
+                    course.push((frame.time, uid));
+                }
+            }
+        }
+        for (address, course) in seen {
+            let turns = course
+                .windows(3)
+                .any(|three| three[0].1 == three[2].1 && three[2].0.since(three[1].0) < PERIOD * 5);
+            let told = self.courses.iter().any(|course| {
+                course.concerns(address)
+                    && (course.kind == FindingKind::AddressContested
+                        || course.changes.iter().any(|(_, it)| *it == Confidence::Confirmed))
+            });
+            let late = course.last().is_some_and(|(at, _)| {
+                (Instant::ZERO + self.run.world.end).since(*at) < PERIOD * 9
+            });
+            let jumped = self.run.world.inspectors[self.number].lens.jump.is_some();
+            if turns && !told && !late && !jumped && address != Address::DEBUG {
+                wrong.push(format!("{address} was contested, and nothing says so: {course:?}"));
+            }
+        }
+        self.complain(wrong);
+    }
+
+    // --- what is known in the end --------------------------------------------------------
+
+    fn inventory(&mut self) {
+        let config = &self.run.world.inspectors[self.number].config;
+        let lossy = self.run.world.scenario.observer_loss > 0.0;
+        let end = Instant::ZERO + self.run.world.end;
+        let clashes = self.clashes();
+        // Two that cut each other off and begin anew, over and over, are never there together.
+        let both_on: Vec<_> = self.run.truth.both_on().collect();
+        let clashing = |address: Address| {
+            clashes.iter().chain(&both_on).any(|(clash, span)| {
+                clash.concerns(address) && end.since(span.until) < TEN_SECONDS * 2
+            })
+        };
+        if self.run.world.is_overfull() {
+            return;
+        }
+        // Who is still on its way at the end.
+        let moving = |address: Address| {
+            self.it.events.iter().any(|(at, event)| {
+                let moves =
+                    matches!(event.kind, EventKind::Claimed { .. } | EventKind::Moved { .. });
+                moves && event.address == Some(address) && end.since(*at) < TEN_SECONDS
+            })
+        };
+        let mut wrong = Vec::new();
+        let mut occupied = [false; 128];
+        for (spec, &id) in self.run.world.scenario.devices.iter().zip(&self.run.devices) {
+            let truth = self.run.sim.device_state(id);
+            let (Some(address), Some(_)) = (truth.address, truth.mode) else { continue };
+            occupied[address.index()] = true;
+            if clashing(address) || truth.counters.0 > 0 {
+                continue;
+            }
+            let quiet = spec.faults.has(Fault::NoHeartbeat);
+            let Some(device) = self.it.engine.device_at(address) else {
+                if !(quiet && (config.listen_only || config.round_period.is_zero())) {
+                    wrong.push(format!("{truth:?} is not known"));
+                }
+                continue;
+            };
+            if !quiet && !lossy && device.presence != Presence::Online {
+                wrong.push(format!("{truth:?} is {}", device.presence));
+            }
+            if !quiet && device.mode != truth.mode {
+                wrong.push(format!("{truth:?} is in {:?}", device.mode));
+            }
+            let mute = FAULTS.iter().any(|fault| {
+                spec.faults.has(*fault)
+                    && *fault != Fault::EchoDestination
+                    && *fault != Fault::NoHeartbeat
+            });
+            // Who never speaks unasked and is not asked again may have become another.
+            let unheard = (quiet || truth.uid.is_blank()) && config.round_period.is_zero();
+            // Equal names and no UID: boards that change places are the same to everybody.
+            let alike = truth.name == b"TWIN" && truth.uid.is_blank()
+                || clashes.iter().any(|(clash, _)| self.is_same_to_all(*clash, address));
+            let asks = matches!(self.it.engine.own_address(), OwnAddress::Held(_));
+            if !asks || config.listen_only || mute || unheard || alike {
+                continue;
+            }
+            if !device.is_named(truth.name) {
+                wrong.push(format!(
+                    "{truth:?} is known as {:?}: {:?}",
+                    device.name, device.name_query
+                ));
+            }
+            let services: Option<Vec<Vec<Vec<u8>>>> = device.services.as_ref().map(|services| {
+                let strings = |service: &descan::discovery::DeviceService| {
+                    let two = [&service.name, &service.version].into_iter();
+                    two.chain(&service.extra).map(|it| it.as_bytes().to_vec()).collect()
+                };
+                services.iter().map(strings).collect()
+            });
+            let unlucky = !self.is_clear() && device.services_query.fault.is_some();
+            if services.as_deref() != Some(truth.services) && !unlucky {
+                wrong.push(format!(
+                    "{truth:?} lists {:?}: {:?}",
+                    services.map(|it| it.len()),
+                    device.services_query
+                ));
+            }
+        }
+        let ours: Vec<Address> = self
+            .run
+            .inspectors
+            .iter()
+            .filter_map(|it| match it.engine.own_address() {
+                OwnAddress::Held(address) => Some(address),
+                _ => None,
+            })
+            .collect();
+        for address in Address::nodes().filter(|&at| !clashing(at) && !moving(at)) {
+            let rows = self.it.engine.devices().iter();
+            let here: Vec<String> = rows
+                .filter(|device| {
+                    device.address == address && device.is_present() && !device.is_debug
+                })
+                .filter(|_| !ours.contains(&address))
+                .map(|device| format!("{:?} {}", device.name, device.presence))
+                .collect();
+            if here.len() > usize::from(occupied[address.index()]) {
+                // Who has no heartbeat is lost after three rounds, if there are rounds.
+                let mut rows = self.it.engine.devices().iter();
+                if rows.all(|it| it.address != address || it.heartbeat.count > 1) {
+                    wrong.push(format!("{address}: {here:?} are here"));
+                }
+            }
+        }
+        self.complain(wrong);
+    }
+
+    /// Whether the device at `to` cannot be told from one that was at `from`: of one name, and
+    /// without UIDs that differ.
+    fn may_have_moved(&self, from: Address, to: Address) -> bool {
+        let at = |address| {
+            self.run.world.scenario.devices.iter().filter(move |it| is_fixed(it, address))
+        };
+        at(from).any(|one| {
+            at(to).any(|other| {
+                let mute = [one, other].iter().any(|it| it.faults.has(Fault::NoHeartbeat));
+                one.name == other.name && (mute || one.uid == other.uid)
+            })
+        })
+    }
+
+    // --- nothing is made up --------------------------------------------------------------
+
+    fn quiet(&mut self) {
+        let world = &self.run.world;
+        let mut wrong = Vec::new();
+        // Several who begin at once contend for an address; answers to those that left it wait for
+        // a flow control that nobody sends, and come together later.
+        let contended = world.inspectors.len() > 2;
+        for (at, event) in self.it.events.iter().filter(|_| self.is_clear()) {
+            let Some(address) = event.address else { continue };
+            let owners = world.scenario.devices.iter().filter(|spec| is_fixed(spec, address));
+            let untouched = owners.clone().count() > 0
+                && owners.clone().all(|it| !world.touched.contains(&it.label) && is_regular(it));
+            // Who lost a contest takes any address that is free, be it that of one who is not on yet.
+            let mut guests = self.run.truth.seen_at(address);
+            let is_visited = guests.any(|it| world.touched.contains(&self.spec(it).label));
+            let inspector = event.device.and_then(|it| self.it.engine.device(it));
+            if !untouched || is_visited || inspector.is_none_or(|device| device.is_debug) {
+                continue;
+            }
+            let odd = match &event.kind {
+                EventKind::Moved { from } => !self.may_have_moved(*from, address),
+                EventKind::Presence(_) | EventKind::Returned { .. } | EventKind::Rebooted => true,
+                EventKind::Finding { key, .. } => {
+                    let excused = key.kind == FindingKind::OneUidTwoAddresses
+                        || contended && key.kind == FindingKind::SameNameSameAddress;
+                    key.kind.is_conflict() && !excused
+                }
+                _ => false,
+            };
+            if odd {
+                wrong.push(format!("{at} {}, but nothing happened", describe(event)));
+            }
+        }
+        self.complain(wrong);
+    }
+}
+
+fn is_fixed(spec: &DeviceSpec, address: Address) -> bool {
+    matches!(spec.address, AddressChoice::Fixed(at) | AddressChoice::Preferred(at) if at == address)
+}
+
+/// Whether its heartbeats come, and come regularly.
+fn is_regular(spec: &DeviceSpec) -> bool {
+    // Nor does it leave open whom of several it answers.
+    let told = !spec.faults.has(Fault::NoHeartbeat) && !spec.faults.has(Fault::EchoDestination);
+    told && spec.jitter < Duration::from_millis(80)
+}
+
+/// Several inspectors live together, each at an address of its own.
+fn addresses_of_inspectors(run: &Run, wrong: &mut Vec<String>) {
+    let mut held = Vec::new();
+    for (number, it) in run.inspectors.iter().enumerate() {
+        if run.world.inspectors[number].config.listen_only {
+            continue;
+        }
+        let OwnAddress::Held(address) = it.engine.own_address() else {
+            // Its own controller cut it off, and it begins anew each time; or there is none left.
+            if !it.cut_off.is_empty() || run.devices.len() > 120 {
+                continue;
+            }
+            wrong.push(format!("inspector {number} has no address: {:?}", it.engine.own_address()));
+            continue;
+        };
+        if held.contains(&address) {
+            wrong.push(format!("two inspectors are at {address}"));
+        }
+        held.push(address);
+        let devices = run.devices.iter().map(|&id| run.sim.device_state(id));
+        if devices.into_iter().any(|state| state.address == Some(address)) {
+            wrong.push(format!("inspector {number} sits at a device's address {address}"));
+        }
+    }
+}
+
+/// Whether nobody learns the name of that device: it takes several frames, which it gets wrong.
+fn is_unreadable(spec: &DeviceSpec) -> bool {
+    let broken = [Fault::DropFrame, Fault::WrongSequence, Fault::HugeLength];
+    spec.name.len() > 6 && broken.iter().any(|fault| spec.faults.has(*fault))
+}

@@ -1,0 +1,485 @@
+//! A bus at random: its devices, what happens to them, what lies between it and the inspectors.
+
+use super::link_faults::{Deafness, Jump, Lens};
+use crate::common::inspection::FAULTS;
+use descan::discovery::Config;
+use descan::sim::{AddressChoice, DeviceAction, DeviceFraming, DeviceSpec, Fault, Scenario};
+use descan::time::Duration;
+use descan::wire::node::{Mode, Uid};
+
+/// Until when something may happen.
+const BUSY: u64 = 22_000;
+/// How long it is watched after that.
+const CALM: u64 = 22_000;
+
+pub struct World {
+    pub seed: u64,
+    pub scenario: Scenario,
+    pub inspectors: Vec<Inspector>,
+    /// What happens, in words, for whoever reads a failure.
+    pub stories: Vec<String>,
+    /// Labels of devices to which something happens that shows in their presence.
+    pub touched: Vec<String>,
+    /// When frames broke, for a while.
+    pub broken: Option<(Duration, Duration)>,
+    /// From when nothing happens any more.
+    pub calm: Duration,
+    pub end: Duration,
+}
+
+/// Somebody who looks at the bus.
+pub struct Inspector {
+    pub from: Duration,
+    pub config: Config,
+    pub lens: Lens,
+}
+
+struct Maker {
+    rng: fastrand::Rng,
+    scenario: Scenario,
+    free: Vec<u8>,
+    /// Devices nothing happens to yet.
+    quiet: Vec<usize>,
+    stories: Vec<String>,
+    touched: Vec<String>,
+    broken: Option<(Duration, Duration)>,
+}
+
+fn millis(millis: u64) -> Duration {
+    Duration::from_millis(millis)
+}
+
+impl World {
+    pub fn new(seed: u64) -> Self {
+        let mut rng = fastrand::Rng::with_seed(seed);
+        let bitrate = *rng.choice(&[125_000, 125_000, 250_000, 500_000, 1_000_000]).unwrap();
+        let mut free: Vec<u8> = (1..128).collect();
+        rng.shuffle(&mut free);
+        let mut maker = Maker {
+            scenario: Scenario::new(bitrate),
+            rng,
+            free,
+            quiet: Vec::new(),
+            stories: Vec::new(),
+            touched: Vec::new(),
+            broken: None,
+        };
+        maker.populate();
+        maker.disturb();
+        let inspectors = maker.inspectors();
+        for _ in 0..maker.rng.usize(0..=4) {
+            maker.story();
+        }
+        Self {
+            seed,
+            scenario: maker.scenario,
+            inspectors,
+            stories: maker.stories,
+            touched: maker.touched,
+            broken: maker.broken,
+            calm: millis(BUSY),
+            end: millis(BUSY + CALM),
+        }
+    }
+
+    /// How much of the bus the devices use by themselves, as a share of all.
+    fn load(&self) -> f64 {
+        let load: f64 = self.scenario.devices.iter().map(load).sum();
+        load / f64::from(self.scenario.bitrate)
+    }
+
+    /// Whether devices alone want to send more than the bus can carry: the frames of those that
+    /// have the least right of way never come.
+    pub fn is_overfull(&self) -> bool {
+        self.load() > 0.95
+    }
+
+    /// Whether questions to all, and what follows, keep the bus busy for seconds.
+    pub fn is_crowded(&self) -> bool {
+        self.scenario.devices.len() * self.inspectors.len() > 100
+    }
+
+    /// Whether the inspector sees all of the bus, as it is.
+    pub fn is_clear(&self, inspector: usize) -> bool {
+        // A bus that is full delays everything.
+        self.load() < 0.8
+            && self.scenario.devices.len() * self.inspectors.len() < 200
+            && self.scenario.observer_loss == 0.0
+            && self.scenario.error_rate == 0.0
+            && self.scenario.timetable.iter().all(|entry| !entry.device.is_empty())
+            && self.inspectors[inspector].lens.is_clear()
+    }
+}
+
+impl Maker {
+    fn one_in(&mut self, n: u32) -> bool {
+        self.rng.u32(..n) == 0
+    }
+
+    /// Some moment while things happen.
+    fn moment(&mut self) -> Duration {
+        millis(self.rng.u64(3000..BUSY - 6000))
+    }
+
+    fn populate(&mut self) {
+        let count = match self.rng.u8(..100) {
+            0..60 => self.rng.usize(1..=8),
+            60..92 => self.rng.usize(9..=24),
+            92..99 => self.rng.usize(25..=60),
+            _ => 127,
+        };
+        let busy = self.one_in(8);
+        for number in 0..count {
+            let Some(address) = self.free.pop() else { break };
+            let device = self.device(number, address, busy);
+            self.quiet.push(self.scenario.devices.len());
+            self.scenario.devices.push(device);
+        }
+        let mut quiet = std::mem::take(&mut self.quiet);
+        self.rng.shuffle(&mut quiet);
+        self.quiet = quiet;
+    }
+
+    fn device(&mut self, number: usize, address: u8, busy: bool) -> DeviceSpec {
+        let twin = self.one_in(10);
+        let long = self.one_in(10);
+        let name = match (twin, long) {
+            (true, _) => "TWIN".to_owned(),
+            (_, true) => format!("LONGNAME{number:03}"),
+            _ => format!("N{number:03}"),
+        };
+        let uid = if self.one_in(8) { Uid([0; 6]) } else { self.uid() };
+        let mut device = DeviceSpec::new(&name).label(&format!("{number}")).uid(uid).fixed(address);
+        // Somebody must acknowledge from the start.
+        device = if number == 0 || !self.one_in(3) {
+            device.settled()
+        } else {
+            device.power_on(millis(self.rng.u64(0..8000)))
+        };
+        if self.one_in(5) {
+            device.mode = Some(Mode::Cfg);
+        }
+        let framings = [DeviceFraming::Isotp, DeviceFraming::Raw, DeviceFraming::Both];
+        let framing = *self.rng.choice(&framings).unwrap();
+        if framing == DeviceFraming::Raw {
+            device.services.clear();
+            if long && !twin {
+                device.name = format!("L{number:03}").into_bytes();
+            }
+        } else {
+            for service in 0..self.rng.usize(0..8) {
+                device = device.service(&format!("S{service}"), "1.0");
+            }
+        }
+        device = device.framing(framing);
+        device.fd = framing != DeviceFraming::Raw && self.one_in(8);
+        if self.one_in(6) {
+            device.delay = (millis(20), millis(self.rng.u64(21..150)));
+        }
+        if self.one_in(8) {
+            // ± 40 % of the period, at the worst.
+            device.jitter = millis(self.rng.u64(1..=800));
+        }
+        if self.one_in(8) {
+            device.tolerance_ppm = self.rng.i32(-3000..3000);
+        }
+        if self.one_in(16) {
+            let fault = *self.rng.choice(&FAULTS).unwrap();
+            device = device.fault(fault);
+        }
+        if busy || self.one_in(8) {
+            let period = 8_000_000 / u64::from(self.scenario.bitrate / 1000) * self.rng.u64(1..8);
+            device = device.chatter(0x100, Duration::from_micros(period), 8);
+        }
+        device
+    }
+
+    fn uid(&mut self) -> Uid {
+        Uid(std::array::from_fn(|_| self.rng.u8(1..255)))
+    }
+
+    /// Noise and loss for everybody.
+    fn disturb(&mut self) {
+        if self.one_in(6) {
+            self.scenario.error_rate = self.rng.f64() * 0.03;
+        }
+        if self.one_in(6) {
+            self.scenario.observer_loss = self.rng.f64() * 0.03;
+        }
+        if self.one_in(10) {
+            let at = self.moment();
+            let rate = 0.2 + 0.8 * self.rng.f64();
+            let quiet = self.scenario.error_rate;
+            let lasts = millis(self.rng.u64(50..3000));
+            self.tell(format!("{at:?}: {:.0} % of frames break for {lasts:?}", rate * 100.0));
+            self.broken = Some((at, at + lasts));
+            self.at(at, "", DeviceAction::ErrorRate(rate));
+            self.at(at + lasts, "", DeviceAction::ErrorRate(quiet));
+        }
+    }
+
+    fn inspectors(&mut self) -> Vec<Inspector> {
+        let count = match self.rng.u8(..20) {
+            0..17 => 1,
+            17..19 => 2,
+            _ => 4,
+        };
+        let mut inspectors: Vec<Inspector> = (0..count)
+            .map(|_| {
+                let late = self.one_in(4);
+                let from = if late { millis(self.rng.u64(0..BUSY - 4000)) } else { millis(0) };
+                let mut config = Config::default();
+                if self.one_in(5) {
+                    config.listen_only = true;
+                } else if self.one_in(6) {
+                    config.round_period = Duration::ZERO;
+                }
+                let lens = self.lens();
+                self.tell(format!(
+                    "an inspector from {from:?}, listen-only {}, {lens:?}",
+                    config.listen_only
+                ));
+                Inspector { from, config, lens }
+            })
+            .collect();
+        inspectors.sort_by_key(|inspector| inspector.from);
+        inspectors
+    }
+
+    fn lens(&mut self) -> Lens {
+        let mut lens = Lens::default();
+        if self.one_in(12) {
+            let from = if self.rng.bool() { millis(0) } else { self.moment() };
+            let until = if self.rng.bool() { millis(BUSY + CALM) } else { from + millis(9000) };
+            lens.doubled = Some((from, until, self.delay()));
+        }
+        if self.one_in(16) {
+            lens.echo = true;
+        }
+        if self.one_in(12) {
+            let from = self.moment();
+            let until = from + millis(self.rng.u64(100..6000));
+            lens.deaf = Some(Deafness { from, until, told: self.rng.bool() });
+        }
+        if self.one_in(16) {
+            let at = self.moment();
+            let by = millis(self.rng.u64(500..4_000_000));
+            lens.jump = Some(Jump { at, by });
+        }
+        lens
+    }
+
+    /// By how much later everything comes again.
+    fn delay(&mut self) -> Duration {
+        let most = if self.one_in(4) { 300_000 } else { 30_000 };
+        Duration::from_micros(self.rng.u64(1..most))
+    }
+
+    fn tell(&mut self, story: String) {
+        self.stories.push(story);
+    }
+
+    fn at(&mut self, at: Duration, label: &str, action: DeviceAction) {
+        let scenario = std::mem::take(&mut self.scenario);
+        self.scenario = scenario.at(at, label, action);
+    }
+
+    /// A device nothing happens to yet; what happens to it shows.
+    fn take(&mut self) -> Option<DeviceSpec> {
+        let device = self.scenario.devices[self.quiet.pop()?].clone();
+        self.touched.push(device.label.clone());
+        Some(device)
+    }
+
+    fn story(&mut self) {
+        match self.rng.u8(..16) {
+            0..6 => self.collision(),
+            6 => self.one_uid(),
+            7 => self.contest(),
+            _ => self.innocence(),
+        }
+    }
+
+    // --- two where one should be ---------------------------------------------------------
+
+    /// Another device at somebody's address, and neither gives way.
+    fn collision(&mut self) {
+        let Some(at) = self.quiet.pop() else { return };
+        let first = &mut self.scenario.devices[at];
+        first.faults.set(Fault::NeverGivesWay, true);
+        let mut other = first.clone();
+        let label = first.label.clone();
+        self.touched.push(label.clone());
+        other.label = format!("{label}'");
+        self.touched.push(other.label.clone());
+        other.settled = self.rng.bool();
+        other.power_on = None;
+        let mut same = vec!["address"];
+        if self.rng.bool() {
+            other.name = format!("X{label}").into_bytes();
+        } else {
+            same.push("name");
+        }
+        if self.rng.bool() {
+            other.uid = self.uid();
+        } else {
+            same.push("UID");
+        }
+        if other.framing != DeviceFraming::Raw && self.one_in(3) {
+            other = other.service("OTHER", "9.9");
+        }
+        if self.one_in(5) {
+            other.mode = Some(Mode::Cfg);
+        }
+        let from = millis(self.rng.u64(0..BUSY - 8000));
+        let story = format!("{from:?}: {label}' joins, same {}", same.join(", "));
+        self.scenario.devices.push(other);
+        self.at(from, &format!("{label}'"), DeviceAction::Join);
+        self.leaves_perhaps(from, &label, story);
+    }
+
+    /// One of the two leaves again, or none.
+    fn leaves_perhaps(&mut self, from: Duration, label: &str, story: String) {
+        if self.rng.bool() {
+            let until =
+                from + millis(self.rng.u64(500..BUSY)).min(millis(BUSY).saturating_sub(from));
+            let who = if self.rng.bool() { label.to_owned() } else { format!("{label}'") };
+            self.tell(format!("{story}; {until:?}: {who} leaves"));
+            self.at(until, &who, DeviceAction::Leave);
+        } else {
+            self.tell(story);
+        }
+    }
+
+    /// A board that was copied, UID and all, and put on the bus beside the first.
+    fn one_uid(&mut self) {
+        let Some(mut other) = self.take() else { return };
+        let Some(address) = self.free.pop() else { return };
+        let label = other.label.clone();
+        other.label = format!("{label}'");
+        self.touched.push(other.label.clone());
+        other = other.fixed(address);
+        other.power_on = None;
+        let from = millis(self.rng.u64(0..BUSY - 8000));
+        self.scenario.devices.push(other);
+        self.at(from, &format!("{label}'"), DeviceAction::Join);
+        let story = format!("{from:?}: {label}' joins at {address}, same UID");
+        self.leaves_perhaps(from, &label, story);
+    }
+
+    /// Two want one address; they follow 3.2.4.
+    fn contest(&mut self) {
+        let Some(mut other) = self.take() else { return };
+        let label = other.label.clone();
+        other.label = format!("{label}'");
+        self.touched.push(other.label.clone());
+        other.name = format!("X{label}").into_bytes();
+        other.uid = self.uid();
+        if let AddressChoice::Fixed(address) = other.address {
+            other.address = AddressChoice::Preferred(address);
+        }
+        other.settled = true;
+        other.power_on = None;
+        let from = self.moment();
+        self.tell(format!("{from:?}: {label}' bursts in, and they contend"));
+        self.scenario.devices.push(other);
+        self.at(from, &format!("{label}'"), DeviceAction::Join);
+    }
+
+    // --- what only looks like it ---------------------------------------------------------
+
+    fn innocence(&mut self) {
+        let Some(device) = self.take() else { return };
+        let label = device.label.clone();
+        let at = self.moment();
+        match self.rng.u8(..8) {
+            0 => {
+                self.tell(format!("{at:?}: {label} reboots"));
+                self.at(at, &label, DeviceAction::Reboot { services: None });
+            }
+            1 => {
+                let times = self.rng.u64(1..=3);
+                let apart = self.rng.u64(200..3000);
+                self.tell(format!("{at:?}: {label} reboots fast, {times} times {apart} ms apart"));
+                for time in 0..times {
+                    self.at(at + millis(time * apart), &label, DeviceAction::QuickReboot);
+                }
+            }
+            2 => self.swap_boards(device, at),
+            3 => self.move_away(&device, at),
+            4 => self.swap_addresses(&device, at),
+            5 => {
+                self.tell(format!("{at:?}: {label} answers twice for a moment"));
+                self.at(at, &label, DeviceAction::Break(Fault::AnswersTwice));
+                self.at(at + millis(600), &label, DeviceAction::Mend(Fault::AnswersTwice));
+            }
+            6 => {
+                let back = at + millis(self.rng.u64(50..5000));
+                self.tell(format!("{at:?}: {label} is cut off until {back:?}"));
+                self.at(at, &label, DeviceAction::Leave);
+                self.at(back, &label, DeviceAction::Join);
+            }
+            _ => {
+                self.tell(format!("{at:?}: {label} says another name and UID"));
+                let uid = self.uid();
+                self.at(at, &label, DeviceAction::Name(format!("Y{label}").into_bytes()));
+                self.at(at, &label, DeviceAction::Uid(uid));
+            }
+        }
+    }
+
+    fn swap_boards(&mut self, device: DeviceSpec, at: Duration) {
+        let label = device.label.clone();
+        let mut other = device;
+        other.label = format!("{label}*");
+        self.touched.push(other.label.clone());
+        if self.rng.bool() {
+            other.name = format!("Z{label}").into_bytes();
+        }
+        other.uid = self.uid();
+        other.settled = self.rng.bool();
+        other.power_on = None;
+        let in_between = millis(self.rng.u64(5..4000));
+        self.tell(format!("{at:?}: another board for {label}, {in_between:?} later"));
+        self.scenario.devices.push(other);
+        self.at(at, &label, DeviceAction::Leave);
+        self.at(at + in_between, &format!("{label}*"), DeviceAction::Join);
+    }
+
+    fn move_away(&mut self, device: &DeviceSpec, at: Duration) {
+        let Some(address) = self.free.pop() else { return };
+        let to = DeviceSpec::new("").fixed(address).address;
+        self.tell(format!("{at:?}: {} moves to {address}", device.label));
+        self.at(at, &device.label, DeviceAction::Move(to));
+    }
+
+    /// At once, as by a configuration tool: each is there under the other's address.
+    fn swap_addresses(&mut self, device: &DeviceSpec, at: Duration) {
+        let Some(other) = self.take() else { return };
+        self.tell(format!("{at:?}: {} and {} swap addresses", device.label, other.label));
+        let at_once = self.rng.bool();
+        if !at_once {
+            self.at(at, &device.label, DeviceAction::Move(other.address));
+            self.at(at, &other.label, DeviceAction::Move(device.address));
+            return;
+        }
+        for (mut one, address) in [(device.clone(), other.address), (other.clone(), device.address)]
+        {
+            let label = format!("{}*", one.label);
+            self.at(at, &one.label, DeviceAction::Leave);
+            one.label.clone_from(&label);
+            one.address = address;
+            one.settled = true;
+            one.power_on = None;
+            self.touched.push(label.clone());
+            self.scenario.devices.push(one);
+            self.at(at + millis(2), &label, DeviceAction::Join);
+        }
+    }
+}
+
+/// About how many bits a device sends in a second.
+fn load(device: &DeviceSpec) -> f64 {
+    let chatter = device.chatter.iter().map(|it| 150.0 / it.period.as_secs_f64());
+    150.0 + chatter.sum::<f64>()
+}

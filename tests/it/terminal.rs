@@ -1,0 +1,446 @@
+//! The real binary in a pseudo-terminal: what is seen, what keys do, and that the terminal is
+//! given back on every way out.
+
+use crate::common::pty;
+use crate::common::pty::{ClosablePty, Pty};
+use nix::sys::signal::Signal;
+use std::fmt::Write;
+use std::path::Path;
+use std::time::Duration;
+
+const SMALL: (u16, u16) = (80, 24);
+
+fn demo(folder: &Path) -> Pty {
+    let mut pty = Pty::start(&["sim:boiler", "--file", "des.json"], folder, SMALL);
+    pty.wait_for("FEED");
+    pty
+}
+
+#[test]
+fn q_quits_and_the_terminal_is_as_before() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut pty = demo(folder.path());
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+    pty.assert_given_back();
+}
+
+#[test]
+fn wrong_settings_are_told_on_the_screen_and_do_not_keep_it_from_starting() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("config/descan");
+    std::fs::create_dir_all(&config).unwrap();
+    std::fs::write(config.join("config.toml"), "theme = \"mine\"").unwrap();
+    std::fs::write(config.join("keys.toml"), "rescan = 5").unwrap();
+    let mut pty = demo(folder.path());
+    pty.send("3");
+    pty.wait_for("settings");
+    let screen = pty.screen();
+    assert!(screen.contains("theme mine: not found"), "{screen}");
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}
+
+#[test]
+fn the_demo_keeps_its_des_json_only_where_it_was_edited() {
+    for edit in [false, true] {
+        let folder = tempfile::tempdir().unwrap();
+        let mut pty = Pty::start(&["demo"], folder.path(), (120, 40));
+        pty.wait_for("FEED");
+        pty.wait_for("descan-demo-");
+        let screen = pty.screen();
+        let place = screen.split_whitespace().find(|word| word.contains("descan-demo-")).unwrap();
+        let path = std::path::PathBuf::from(place);
+        assert!(path.exists(), "{place}");
+        if edit {
+            pty.wait_for("PSU");
+            pty.send("Ge44\r");
+            pty.wait_for("44");
+            pty.wait_until("the edit in the file", |_| {
+                std::fs::read_to_string(&path).is_ok_and(|text| text.contains("44"))
+            });
+        }
+        pty.send("q");
+        assert_eq!(pty.wait(), 0);
+        pty.assert_given_back();
+        assert_eq!(path.exists(), edit);
+        if edit {
+            assert!(pty.screen().contains("is kept"), "{}", pty.screen());
+            std::fs::remove_dir_all(path.parent().unwrap()).unwrap();
+        }
+    }
+}
+
+#[test]
+fn ctrl_c_and_signals_give_the_terminal_back() {
+    for (way, code) in [(None, 0), (Some(Signal::SIGTERM), 130), (Some(Signal::SIGINT), 130)] {
+        let folder = tempfile::tempdir().unwrap();
+        let mut pty = demo(folder.path());
+        match way {
+            None => pty.send("\x03"),
+            Some(signal) => pty.signal(signal),
+        }
+        assert_eq!(pty.wait(), code, "{way:?}");
+        pty.assert_given_back();
+    }
+}
+
+#[test]
+fn a_lost_connection_ends_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut pty = demo(folder.path());
+    pty.hang_up();
+    pty.wait();
+    pty.assert_given_back();
+}
+
+#[test]
+fn edits_that_cannot_be_saved_are_kept_in_a_copy_unless_they_are_given_up() {
+    for way in ["Ctrl-C", "SIGTERM", "SIGHUP", "given up"] {
+        let folder = tempfile::tempdir().unwrap();
+        // There is no such folder, so nothing can be saved.
+        let arguments = ["sim:boiler", "--file", "gone/des.json"];
+        let mut pty = Pty::start(&arguments, folder.path(), (120, 40));
+        pty.wait_for("FEED");
+        pty.send("e77\r");
+        pty.wait_for("not saved");
+        match way {
+            "Ctrl-C" => pty.send("\x03"),
+            "SIGTERM" => pty.signal(Signal::SIGTERM),
+            "SIGHUP" => pty.hang_up(),
+            _ => {
+                pty.send("q");
+                pty.wait_for("uit");
+                pty.send("y");
+            }
+        }
+        let given_up = way == "given up";
+        let code = pty.wait();
+        assert_ne!(code == 0, !given_up, "{way}: {code}");
+        let kept = folder.path().join("state/descan");
+        let copies: Vec<_> = std::fs::read_dir(kept).into_iter().flatten().flatten().collect();
+        assert_eq!(copies.len(), usize::from(!given_up), "{way}: {copies:?}");
+        for copy in copies {
+            let text = std::fs::read_to_string(copy.path()).unwrap();
+            assert!(text.contains("77"), "{way}: {text}");
+            let name = copy.file_name().into_string().unwrap();
+            if way != "SIGHUP" {
+                assert!(pty.screen().replace('\n', "").contains(&name), "{}", pty.screen());
+            }
+        }
+    }
+}
+
+#[test]
+fn terminal_closed_with_unsaved_edit_saves_recovery_copy() {
+    for is_leader in [true, false] {
+        let folder = tempfile::tempdir().unwrap();
+        // The folder does not exist, so saving fails.
+        let arguments = ["sim:boiler", "--file", "gone/des.json"];
+        let mut terminal = ClosablePty::start(&arguments, folder.path(), is_leader);
+        terminal.wait_for("FEED");
+        terminal.send("e77\r");
+        terminal.wait_for("not saved");
+        assert_eq!(terminal.close(), Some(130), "leader of its session: {is_leader}");
+        let kept = folder.path().join("state/descan");
+        let copies: Vec<_> = std::fs::read_dir(kept).into_iter().flatten().flatten().collect();
+        assert_eq!(copies.len(), 1, "leader of its session: {is_leader}");
+        let text = std::fs::read_to_string(copies[0].path()).unwrap();
+        assert!(text.contains("77"), "{text}");
+    }
+}
+
+#[test]
+fn terminal_closed_while_idle_ends_the_program() {
+    for is_leader in [true, false] {
+        let folder = tempfile::tempdir().unwrap();
+        let mut terminal = ClosablePty::start(&["nocan7"], folder.path(), is_leader);
+        terminal.wait_for("nocan7");
+        assert_eq!(terminal.close(), Some(130), "leader of its session: {is_leader}");
+    }
+}
+
+#[test]
+fn ctrl_z_gives_the_terminal_back_until_it_goes_on() {
+    for key in [true, false] {
+        let folder = tempfile::tempdir().unwrap();
+        let mut pty = demo(folder.path());
+        if key {
+            pty.send("\x1a");
+        } else {
+            pty.signal(Signal::SIGTSTP);
+        }
+        pty.wait_for_state('T');
+        pty.assert_given_back();
+        pty.signal(Signal::SIGCONT);
+        pty.wait_until("screen again", |screen| {
+            screen.alternate_screen() && screen.contents().contains("FEED")
+        });
+        pty.send("q");
+        assert_eq!(pty.wait(), 0);
+        pty.assert_given_back();
+    }
+}
+
+#[test]
+fn what_was_not_heard_while_it_was_stopped_is_held_against_nobody() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut pty = demo(folder.path());
+    pty.signal(Signal::SIGSTOP);
+    pty.wait_for_state('T');
+    // Nothing is drawn meanwhile; heartbeats are due.
+    assert_eq!(pty.count_for(Duration::from_secs(4)), 0);
+    pty.signal(Signal::SIGCONT);
+    pty.wait_for("descan       stopped for");
+    // It begins anew.
+    pty.wait_for("using address 0");
+    pty.send("3");
+    pty.wait_for("▸");
+    let screen = pty.screen();
+    for word in [" suspected:", " lost\n", " silent:", " stale:", " returned"] {
+        assert!(!screen.contains(word), "{word}: {screen}");
+    }
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}
+
+/// Not a test of its own: what `a_panic_gives_the_terminal_back` runs in a terminal.
+#[test]
+#[ignore = "run by another test"]
+fn panics_with_the_terminal_taken() {
+    descan::shell::terminal::restore_on_panic();
+    let _terminal = descan::shell::terminal::Terminal::take().expect("a terminal");
+    panic!("on purpose");
+}
+
+#[test]
+fn a_panic_gives_the_terminal_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let own = std::env::current_exe().unwrap();
+    let arguments = [
+        "--exact",
+        "terminal::panics_with_the_terminal_taken",
+        "--ignored",
+        "--nocapture",
+        "--test-threads=1",
+    ];
+    let mut pty = Pty::run(own.to_str().unwrap(), &arguments, folder.path(), SMALL);
+    assert_ne!(pty.wait(), 0);
+    let taken = pty.bytes.windows(8).any(|bytes| bytes == b"\x1b[?1049h");
+    assert!(taken, "the terminal was taken");
+    pty.assert_given_back();
+    assert!(pty.screen().contains("on purpose"), "{}", pty.screen());
+}
+
+#[test]
+fn an_address_is_pinned_in_the_row_and_taken_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("des.json");
+    let before = "{ \"devices\": [\n    {\"name\": \"FEED\", \"address\": 9, \"note\": 1e3}\n] }\n";
+    std::fs::write(&path, before).unwrap();
+    let mut pty = demo(folder.path());
+    pty.wait_for("SENS");
+    pty.send("g");
+    pty.send("e");
+    pty.send("\x7f\x7f\x7f");
+    pty.send("12\r");
+    let pinned = before.replace("\"address\": 9", "\"address\": 12, \"static\": true");
+    wait_for_content(&mut pty, &path, &pinned);
+    pty.send("u");
+    wait_for_content(&mut pty, &path, before);
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}
+
+fn wait_for_content(pty: &mut Pty, path: &Path, wanted: &str) {
+    let deadline = std::time::Instant::now() + pty::PATIENCE;
+    loop {
+        let content = std::fs::read_to_string(path).unwrap();
+        if content == wanted {
+            return;
+        }
+        assert!(std::time::Instant::now() < deadline, "{content}\n{}", pty.screen());
+        pty.count_for(std::time::Duration::from_millis(10));
+    }
+}
+
+#[test]
+fn a_change_of_the_file_is_seen_while_an_address_is_being_typed() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("des.json");
+    std::fs::write(&path, r#"{"devices":[{"name":"FEED","address":10}]}"#).unwrap();
+    let mut pty = demo(folder.path());
+    pty.wait_for("SENS");
+    pty.send("ge");
+    pty.send("\x7f\x7f\x7f44");
+    pty.wait_for("44");
+    // Somebody else pins another device to just that address, as editors save.
+    let other =
+        r#"{"devices":[{"name":"FEED","address":10},{"name":"VALVE","address":44,"static":true}]}"#;
+    std::fs::write(folder.path().join("new"), other).unwrap();
+    std::fs::rename(folder.path().join("new"), &path).unwrap();
+    pty.wait_for("VALVE");
+    // The editor is still open, and refuses what was free before.
+    pty.send("\r");
+    pty.count_for(std::time::Duration::from_millis(100));
+    assert_eq!(std::fs::read_to_string(&path).unwrap(), other, "{}", pty.screen());
+    pty.send("\x7f5\r");
+    let pinned = other
+        .replace(r#""name":"FEED","address":10"#, r#""name":"FEED","address":45,"static":true"#);
+    wait_for_content(&mut pty, &path, &pinned);
+}
+
+#[test]
+fn a_broken_file_is_told_and_never_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("des.json");
+    std::fs::write(&path, "{\"devices\": [\n  oops\n]}").unwrap();
+    let mut pty = demo(folder.path());
+    pty.wait_for("line 2");
+    pty.send("ga");
+    pty.send("e11\r");
+    pty.count_for(std::time::Duration::from_millis(100));
+    assert_eq!(std::fs::read_to_string(&path).unwrap(), "{\"devices\": [\n  oops\n]}");
+}
+
+#[test]
+fn a_theme_of_the_users_is_read_again_when_it_is_saved() {
+    let folder = tempfile::tempdir().unwrap();
+    let themes = folder.path().join("config/descan/themes");
+    std::fs::create_dir_all(&themes).unwrap();
+    let write = |colour: &str| {
+        let text = format!("inherits = \"dark\"\n[roles]\nselected = {{ bg = \"{colour}\" }}\n");
+        std::fs::write(themes.join("own.toml"), text).unwrap();
+    };
+    // The nearest of 256 colours: these two are in the cube.
+    write("#5f00af");
+    let mut pty = Pty::start(&["sim:boiler", "--theme", "own"], folder.path(), SMALL);
+    let has = |screen: &vt100::Screen, index: u8| {
+        (0..24).any(|row| {
+            screen.cell(row, 2).is_some_and(|cell| cell.bgcolor() == vt100::Color::Idx(index))
+        })
+    };
+    pty.wait_until("the first colour", |screen| has(screen, 55));
+    write("#00875f");
+    pty.wait_until("the other colour", |screen| has(screen, 29));
+    write("#nonsense");
+    pty.wait_for("theme own");
+    pty.wait_until("still the other colour", |screen| has(screen, 29));
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}
+
+#[test]
+fn an_interface_that_does_not_exist_is_waited_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut pty = Pty::start(&["nocan7"], folder.path(), SMALL);
+    pty.wait_for("nocan7");
+    pty.wait_until("the cause", |screen| {
+        let text = screen.contents();
+        text.contains("nocan7 not found") || text.contains("kernel")
+    });
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+    pty.assert_given_back();
+}
+
+#[test]
+fn every_size_shows_devices() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut pty = demo(folder.path());
+    for (columns, rows) in [(40, 10), (120, 40), (200, 60), (20, 5), (1, 1), (80, 24)] {
+        pty.resize(columns, rows);
+        if columns >= 40 {
+            pty.wait_for("FEED");
+        }
+    }
+    pty.wait_for("FEED");
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}
+
+#[test]
+fn what_is_written_is_bracketed_as_one_update() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut pty = demo(folder.path());
+    pty.send("q");
+    pty.wait();
+    let count = |needle: &[u8]| pty.bytes.windows(needle.len()).filter(|it| *it == needle).count();
+    assert!(count(b"\x1b[?2026h") > 0);
+    assert!(count(b"\x1b[?2026l") >= count(b"\x1b[?2026h"));
+    assert_eq!(count(b"\x1b[?1003h"), 0, "no any-motion reports");
+}
+
+#[test]
+fn a_log_of_two_interfaces_is_two_buses() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut log = String::new();
+    for beat in 0..3 {
+        let second = 1_436_509_052 + beat;
+        writeln!(log, "({second}.100000) can7 07183C01#8AFA6C9724110400").unwrap();
+        writeln!(log, "({second}.200000) can8 07283C01#8AFA6C9724120400").unwrap();
+    }
+    std::fs::write(folder.path().join("session.log"), log).unwrap();
+    let mut pty = Pty::start(&["file:session.log", "--speed", "20"], folder.path(), (100, 30));
+    pty.wait_until("both buses and a node on each", |screen| {
+        let text = screen.contents();
+        ["can7", "can8", " 12  ", " 20  "].iter().all(|wanted| text.contains(wanted))
+    });
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}
+
+#[test]
+fn a_log_is_shown_as_it_was_timed_and_its_end_is_no_exit() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut log = String::new();
+    for beat in 0..5 {
+        let second = 1_436_509_052 + beat;
+        writeln!(log, "({second}.100000) can7 07183C01#8AFA6C9724110400").unwrap();
+    }
+    std::fs::write(folder.path().join("session.log"), log).unwrap();
+    let mut pty = Pty::start(&["file:session.log", "--speed", "20"], folder.path(), SMALL);
+    pty.wait_for("BOILER01");
+    pty.wait_until("the end", |screen| screen.contents().to_lowercase().contains("end"));
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}
+
+#[test]
+fn a_log_is_stopped_stepped_and_followed_with_keys() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("session.log");
+    let mut log = String::new();
+    for beat in 0..100 {
+        let second = 1_436_509_052 + beat * 60;
+        writeln!(log, "({second}.100000) can7 07183C01#8AFA6C9724110400").unwrap();
+    }
+    std::fs::write(&path, &log).unwrap();
+    let mut pty = Pty::start(&["file:session.log"], folder.path(), SMALL);
+    pty.wait_for("can7  open  0:0");
+    pty.send("P");
+    pty.wait_for("PAUSED 0:0");
+    pty.send(">");
+    pty.wait_for("PAUSED 1:00");
+    pty.send(">");
+    pty.wait_for("PAUSED 2:00 3%");
+    // What was due between two frames happened between them.
+    pty.wait_for("06:18:37 ○ ? @12        lost");
+    pty.send("]]]]]]]]]]]]");
+    pty.wait_for("PAUSED 2:00 3% ×4096");
+    pty.send("[P");
+    pty.wait_for("end of log  1:39:00 100% ×2048");
+    // The end is no exit, and only for now.
+    let mut file = std::fs::File::options().append(true).open(&path).unwrap();
+    let second = 1_436_509_052 + 100 * 60;
+    let line = format!("({second}.100000) can7 07283C01#8AFA6C9724120400\n");
+    std::io::Write::write_all(&mut file, line.as_bytes()).unwrap();
+    pty.wait_for("can7  open  1:40:0");
+    pty.wait_for("20 ?");
+    pty.send("?");
+    pty.wait_for("Help");
+    pty.send("q");
+    pty.wait_for("1 Devices");
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}

@@ -1,0 +1,349 @@
+//! The bus of python-can's `udp_multicast`, with python-can itself at the other end.
+//!
+//! Every test runs in a network namespace of its own that has nothing but `lo`: nothing of it gets
+//! onto the machine's network.
+
+use crate::common::open_bus::OpenBus;
+use crate::common::python::{Peer, Python};
+use descan::bus::TransmitError;
+use descan::frame::{BusIndex, CanId, Frame};
+use descan::status::Link;
+use std::io::Write;
+use std::net::{SocketAddr, UdpSocket};
+use std::process::{Child, Command, Stdio};
+
+const V4: &str = "239.74.163.2";
+const V6: &str = "ff15:7079:7468:6f6e:6465:6d6f:6d63:6173";
+const PACKAGES: [&str; 2] = ["python-can==4.6.1", "msgpack==1.1.2"];
+
+/// `lo` with multicast, as a network has it.
+const NETWORK: &str = "ip link set lo up multicast on && ip route add 224.0.0.0/4 dev lo && \
+                       ip -6 route add local ff00::/8 dev lo table local";
+
+/// Runs a test of this program in a namespace. Where there can be none, says why; in CI it must
+/// run.
+fn in_namespace(test: &str) {
+    let user = if nix::unistd::geteuid().is_root() { "-n" } else { "-rn" };
+    let attempt = Command::new("unshare").args([user, "sh", "-c", NETWORK]).output();
+    let reason = match attempt {
+        Ok(output) if output.status.success() => None,
+        Ok(output) => Some(String::from_utf8_lossy(&output.stderr).into_owned()),
+        Err(error) => Some(format!("unshare: {error}")),
+    };
+    if let Some(reason) = reason {
+        let must_run = std::env::var("CI").is_ok_and(|ci| ci == "true");
+        assert!(!must_run, "no network namespace: {reason}");
+        let _ = writeln!(std::io::stderr(), "skipped {test}: no network namespace: {reason}");
+        return;
+    }
+    let own = std::env::current_exe().unwrap();
+    let script = format!("{NETWORK} && exec \"$0\" --exact udp::{test} --ignored --nocapture");
+    let output = Command::new("unshare").args([user, "sh", "-c", &script]).arg(own).output();
+    let output = output.unwrap();
+    let words = String::from_utf8_lossy(&output.stdout) + String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success() && words.contains("1 passed"), "{words}");
+}
+
+/// Whether this is such a namespace: nothing may be sent elsewhere.
+fn check_namespace() {
+    let devices = std::fs::read_to_string("/proc/self/net/dev").unwrap();
+    let names: Vec<_> = devices.lines().skip(2).filter_map(|line| line.split(':').next()).collect();
+    assert_eq!(names.iter().map(|name| name.trim()).collect::<Vec<_>>(), ["lo"]);
+}
+
+fn bus_of(group: &str) -> String {
+    format!("udp:{group}")
+}
+
+/// A frame of every kind that can be sent.
+fn frames() -> [Frame; 4] {
+    let mut fd = Frame::fd(0x1ABC_DEF0, &[0x5A; 32], 0);
+    fd.error_state = true;
+    [
+        Frame::with(CanId::Standard(0x123), &[1, 2, 3]),
+        Frame::classic(0x0201_5402, &[]),
+        Frame::remote(CanId::Standard(0x123), 4),
+        fd,
+    ]
+}
+
+/// The same frame as it comes out of a port.
+fn heard(frame: Frame, like: &Frame) -> Frame {
+    frame.with_time(like.time).with_bus(BusIndex(3))
+}
+
+// --- python-can -----------------------------------------------------------------------------
+
+const SCRIPT: &str = r#"
+import can, sys
+bus = can.Bus(interface="udp_multicast", channel=sys.argv[1], fd=True)
+print("ready", flush=True)
+M = can.Message
+own = [
+    M(arbitration_id=0x456, is_extended_id=False, data=[1, 2, 3]),
+    M(arbitration_id=0x12345678, data=[]),
+    M(arbitration_id=0x456, is_extended_id=False, is_remote_frame=True, dlc=4),
+    M(arbitration_id=0x24, is_error_frame=True, data=range(8)),
+    M(arbitration_id=0x1ABCDEF1, is_fd=True, bitrate_switch=True, data=[0x5A] * 32),
+    M(arbitration_id=0x1ABCDEF1, is_fd=True, error_state_indicator=True, data=[1]),
+]
+sys.stdin.readline()
+for message in own:
+    bus.send(message)
+while True:
+    m = bus.recv()
+    if any(m.arbitration_id == message.arbitration_id for message in own):
+        continue
+    print(hex(m.arbitration_id), m.is_extended_id, m.is_remote_frame, m.is_error_frame, m.is_fd,
+          m.bitrate_switch, m.error_state_indicator, m.dlc, bytes(m.data).hex(),
+          1e9 < m.timestamp < 1e10, flush=True)
+"#;
+
+fn python_can(group: &str) -> Option<Peer> {
+    let mut peer = Python::with(&PACKAGES)?.start(SCRIPT, &[group]);
+    assert_eq!(peer.read_line(), "ready");
+    Some(peer)
+}
+
+fn talks_to_python_can(group: &str) {
+    check_namespace();
+    let Some(mut python) = python_can(group) else { return };
+    let mut bus = OpenBus::open(&bus_of(group));
+    bus.wait_for_link(Link::Up);
+
+    python.write_line("go");
+    let mut plain_fd = Frame::fd(0x1ABC_DEF1, &[1], 0);
+    (plain_fd.bit_rate_switch, plain_fd.error_state) = (false, true);
+    let theirs = [
+        Frame::with(CanId::Standard(0x456), &[1, 2, 3]),
+        Frame::classic(0x1234_5678, &[]),
+        Frame::remote(CanId::Standard(0x456), 4),
+        Frame::error(0x24, &[0, 1, 2, 3, 4, 5, 6, 7]),
+        Frame::fd(0x1ABC_DEF1, &[0x5A; 32], 0),
+        plain_fd,
+    ];
+    let came = bus.wait_for_frames(theirs.len()).to_vec();
+    for (came, sent) in came.iter().zip(theirs) {
+        assert_eq!(*came, heard(sent, came), "as python-can sent it, and not ours");
+    }
+
+    for frame in frames() {
+        bus.send(&frame);
+    }
+    for line in [
+        "0x123 False False False False False False 3 010203 True",
+        "0x2015402 True False False False False False 0  True",
+        "0x123 False True False False False False 4  True",
+        "0x1abcdef0 True False False True True True 32 5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a True",
+    ] {
+        assert_eq!(python.read_line(), line);
+    }
+    let ours = bus.wait_for_frames(theirs.len() + 4)[theirs.len()..].to_vec();
+    for (came, sent) in ours.iter().zip(frames()) {
+        assert_eq!(*came, heard(sent.with_tx(), came), "it comes back as ours");
+    }
+    assert_eq!(bus.status().unreadable, 0);
+}
+
+#[test]
+fn python_can_hears_and_is_heard() {
+    // Made here, where there is a package index.
+    if Python::with(&PACKAGES).is_some() {
+        in_namespace("talks_to_python_can_over_ipv4");
+        in_namespace("talks_to_python_can_over_ipv6");
+    }
+}
+
+#[test]
+#[ignore = "run by another test"]
+fn talks_to_python_can_over_ipv4() {
+    talks_to_python_can(V4);
+}
+
+#[test]
+#[ignore = "run by another test"]
+fn talks_to_python_can_over_ipv6() {
+    talks_to_python_can(V6);
+}
+
+// --- several of us --------------------------------------------------------------------------
+
+#[test]
+fn two_on_one_machine_do_not_take_each_others_frames_for_their_own() {
+    in_namespace("two_on_one_machine");
+}
+
+#[test]
+#[ignore = "run by another test"]
+fn two_on_one_machine() {
+    check_namespace();
+    for spec in [bus_of(V4), format!("udp:{V4}%lo"), "udp:".to_owned(), "udp:%lo@4000".to_owned()] {
+        let mut one = OpenBus::open(&spec);
+        let mut other = OpenBus::open(&spec);
+        let mut quiet = OpenBus::listen(&spec);
+        for bus in [&mut one, &mut other, &mut quiet] {
+            bus.wait_for_link(Link::Up);
+        }
+        for number in 0..100 {
+            // The same frame from both: only who sent it differs.
+            let frame = Frame::classic(number, &[7]);
+            one.send(&frame);
+            other.send(&frame);
+        }
+        for (bus, own) in [(&mut one, 100), (&mut other, 100), (&mut quiet, 0)] {
+            let frames = bus.wait_for_frames(200);
+            assert_eq!(frames.iter().filter(|frame| frame.is_tx).count(), own, "{spec}");
+            assert!(frames.is_sorted_by_key(|frame| frame.time));
+        }
+        let frame = Frame::classic(1, &[]);
+        assert_eq!(quiet.port.transmit(&frame), Err(TransmitError::ListenOnly));
+    }
+}
+
+#[test]
+fn other_groups_and_ports_are_not_heard() {
+    in_namespace("other_groups_and_ports");
+}
+
+#[test]
+#[ignore = "run by another test"]
+fn other_groups_and_ports() {
+    check_namespace();
+    let specs = [bus_of(V4), "udp:239.74.163.3".to_owned(), format!("udp:{V4}@43114")];
+    let mut buses: Vec<_> = specs.iter().map(|spec| OpenBus::open(spec)).collect();
+    for (number, bus) in buses.iter_mut().enumerate() {
+        bus.wait_for_link(Link::Up);
+        bus.send(&Frame::classic(number as u32, &[]));
+    }
+    for (number, bus) in buses.iter_mut().enumerate() {
+        bus.wait_for_frames(1);
+        assert_eq!(bus.frames[0].platform_id(), Some(number as u32));
+    }
+}
+
+// --- what goes wrong ------------------------------------------------------------------------
+
+#[test]
+fn what_is_no_frame_is_counted() {
+    in_namespace("what_is_no_frame");
+}
+
+#[test]
+#[ignore = "run by another test"]
+fn what_is_no_frame() {
+    check_namespace();
+    let mut bus = OpenBus::open(&bus_of(V4));
+    bus.wait_for_link(Link::Up);
+    let stranger = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let group: SocketAddr = format!("{V4}:43113").parse().unwrap();
+    let long = vec![0; 60_000];
+    let odd: [&[u8]; 7] = [
+        b"",
+        b"\xc1",
+        b"not msgpack at all",
+        b"\x81\xa3dlc\x02",
+        b"\xdf\xff\xff\xff\xff",
+        &[0x91; 2_000],
+        &long,
+    ];
+    for datagram in odd {
+        stranger.send_to(datagram, group).unwrap();
+    }
+    bus.send(&Frame::classic(1, &[]));
+    bus.wait_for_frames(1);
+    let status = bus.wait_for_status("the count", |status| status.unreadable == 7);
+    assert!(status.note.is_some_and(|note| note.contains("not python-can frames")));
+    assert_eq!((status.link, bus.frames.len()), (Link::Up, 1));
+}
+
+#[test]
+fn a_network_that_goes_away_is_waited_for() {
+    in_namespace("a_network_that_goes_away");
+}
+
+#[test]
+#[ignore = "run by another test"]
+fn a_network_that_goes_away() {
+    check_namespace();
+    for spec in [bus_of(V4), bus_of(V6)] {
+        let mut bus = OpenBus::open(&spec);
+        bus.wait_for_link(Link::Up);
+        let away = "ip link set lo down; ip -6 route flush table local";
+        Command::new("sh").args(["-c", away]).status().unwrap();
+        let status = bus.wait_for_link(Link::Unplugged);
+        let message = status.message.unwrap();
+        assert!(message.contains("no route to") && message.contains("ip route add"));
+        bus.send(&Frame::classic(1, &[]));
+        bus.wait_for_status("the refusal", |status| status.transmit_failures == 1);
+        assert!(Command::new("sh").args(["-c", NETWORK]).status().unwrap().success());
+        bus.wait_for_link(Link::Up);
+        bus.send(&Frame::classic(2, &[]));
+        let frames = bus.wait_for_frames(1);
+        assert_eq!((frames[0].platform_id(), frames[0].is_tx), (Some(2), true));
+    }
+    let mut bus = OpenBus::open(&format!("udp:{V4}%eth7"));
+    let status = bus.wait_for_link(Link::Down);
+    assert!(status.message.unwrap().contains("eth7 not found"));
+    // A group of each link by itself.
+    let mut bus = OpenBus::open("udp:ff02::1");
+    let message = bus.wait_for_link(Link::Down).message.unwrap();
+    assert!(message.contains("udp:ff02::1%eth0"), "{message}");
+}
+
+#[test]
+fn where_datagrams_do_not_come_back_routes_are_asked_after() {
+    in_namespace("datagrams_do_not_come_back");
+}
+
+#[test]
+#[ignore = "run by another test"]
+fn datagrams_do_not_come_back() {
+    check_namespace();
+    // The group is joined at lo, and what is sent to it goes elsewhere.
+    let elsewhere = "ip link add descan0 type veth peer name descan1 && ip link set descan1 up && \
+                     ip link set descan0 up multicast on && ip addr add 10.77.0.1/24 dev descan0 && \
+                     ip rule add to 239.0.0.0/8 ipproto udp lookup 77 && \
+                     ip route add 239.0.0.0/8 dev descan0 table 77";
+    assert!(Command::new("sh").args(["-c", elsewhere]).status().unwrap().success());
+    let arguments = ["scan", "udp:239.74.163.2", "--time", "4", "--file", "/nowhere/des.json"];
+    let output = Command::new(env!("CARGO_BIN_EXE_descan")).args(arguments).output().unwrap();
+    let words = String::from_utf8(output.stderr).unwrap();
+    assert!(words.contains("does a route lead to 239.74.163.2"), "{words}");
+    assert!(!words.contains("terminated"), "{words}");
+}
+
+// --- the program ----------------------------------------------------------------------------
+
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[test]
+fn simulated_devices_are_found() {
+    in_namespace("the_program_finds_simulated_devices");
+}
+
+#[test]
+#[ignore = "run by another test"]
+fn the_program_finds_simulated_devices() {
+    check_namespace();
+    let folder = tempfile::tempdir().unwrap();
+    let descan = |arguments: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
+        command.args(arguments).current_dir(folder.path()).stdin(Stdio::null());
+        command.env("XDG_CONFIG_HOME", folder.path().join("config"));
+        command
+    };
+    let sim = descan(&["sim", "udp:"]).stderr(Stdio::null()).spawn().unwrap();
+    let _sim = Running(sim);
+    let output = descan(&["scan", "udp:", "--json"]).output().unwrap();
+    let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let devices = report["devices"].as_array().unwrap();
+    let feed = devices.iter().find(|device| device["name"] == "FEED").expect("FEED is there");
+    assert_eq!((&feed["address"], &feed["services"][0]["name"]), (&10.into(), &"DES".into()));
+}

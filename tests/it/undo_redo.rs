@@ -1,0 +1,708 @@
+//! Edits of des.json are taken back, and others empty, change or hold up the file meanwhile; of
+//! several entries of one name the right one is edited.
+
+use crate::common::harness::{BOILER, Stage};
+use descan::app::{Effect, FileReading, FileState, SaveOutcome, Saving};
+use descan::document::{Document, Operation};
+use descan::sim::{DeviceSpec, Scenario};
+use descan::status::Playback;
+use descan::time::Instant;
+use proptest::prelude::*;
+
+/// A disk that takes nothing, until it is mended.
+fn refusing() -> Stage {
+    let mut stage = Stage::boiler();
+    stage.refusal = Some("no space left on the disk".to_owned());
+    stage.until(24.0);
+    stage
+}
+
+fn mend(stage: &mut Stage) -> &mut Stage {
+    stage.refusal = None;
+    stage
+}
+
+/// Selects the row of an entry.
+fn select<'s>(stage: &'s mut Stage, name: &str) -> &'s mut Stage {
+    stage.keys("g");
+    for _ in 0..20 {
+        let row = stage.app.selected_row().unwrap();
+        let entry = row.entry.map(|at| stage.app.file().document().entries()[at].name_text.clone());
+        if entry.is_some_and(|entry| entry == name) {
+            return stage;
+        }
+        stage.keys("j");
+    }
+    panic!("{name} has no row\n{}", stage.screen());
+}
+
+// ---- a file that is empty while it is being written ----------------------------------------
+
+#[test]
+fn a_file_that_is_being_written_is_not_taken_for_an_empty_one() {
+    let theirs = BOILER.replace("12", "13");
+    for empty in ["", "\n", " \r\n\t", "\u{feff}"] {
+        // An edit of what is there no more, which would be a conflict; and a new entry, which would
+        // begin a new file.
+        for (keys, text, ours) in [
+            ("e", "70", theirs.replace("10", "70")),
+            ("n", "NEW 64", theirs.replace("44, \"static\": true }", "44, \"static\": true },\n    { \"name\": \"NEW\", \"address\": 64, \"static\": true }")),
+        ] {
+            let mut stage = refusing();
+            stage.keys(keys).text(text).keys("Enter");
+            let screen = mend(&mut stage).write(empty).until(24.9).keys("Ctrl-s").screen();
+            assert_eq!(stage.file(), empty, "nothing is written");
+            assert!(!screen.contains("Edit conflict"), "{screen}");
+            assert!(screen.contains("SENS"), "{screen}");
+            assert_eq!(stage.app.file().unsaved(), 1);
+            stage.write(&theirs);
+            assert_eq!(stage.file(), ours);
+            assert!(!stage.screen().contains("Edit conflict"), "{}", stage.screen());
+            assert!(stage.until(30.0).screen().contains("✓"), "{}", stage.screen());
+        }
+    }
+}
+
+#[test]
+fn an_edit_waits_while_the_file_is_being_written() {
+    for theirs in [BOILER.to_owned(), BOILER.replace("12", "13")] {
+        let mut stage = Stage::boiler();
+        stage.until(24.0).write("");
+        let screen = stage.screen();
+        assert!(screen.contains("des.json empty (being written?)"), "{screen}");
+        assert!(screen.contains("✓ 10"), "{screen}");
+        let screen = stage.keys("e").text("70").keys("Enter").screen();
+        assert!(screen.contains("… saving 1  empty (being written?)"), "{screen}");
+        assert!(stage.keys("q").screen().contains("Quit"));
+        assert!(!stage.effects.contains(&Effect::Quit));
+        assert_eq!(stage.file(), "");
+        stage.write(&theirs);
+        assert_eq!(stage.file(), theirs.replace("10", "70"));
+        assert!(stage.effects.contains(&Effect::Quit), "it quits once all is saved");
+    }
+}
+
+#[test]
+fn a_save_that_finds_the_file_emptied_is_put_off() {
+    let theirs = BOILER.replace("12", "13");
+    for keys in ["e", "n"] {
+        let mut stage = Stage::boiler();
+        stage.until(24.0);
+        // Nobody has told yet.
+        stage.file = Some(Vec::new());
+        let text = if keys == "e" { "70" } else { "NEW 64" };
+        stage.keys(keys).text(text).keys("Enter").until(24.5);
+        assert_eq!(stage.file(), "");
+        let screen = stage.screen();
+        assert!(screen.contains("… saving 1"), "{screen}");
+        assert!(!screen.contains("Edit conflict"), "{screen}");
+        stage.write(&theirs);
+        assert!(stage.file().contains(if keys == "e" { "70" } else { "NEW" }));
+        assert!(stage.file().contains("13"));
+    }
+    // So is one that was to make the file.
+    let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), None);
+    stage.until(24.0);
+    stage.file = Some(Vec::new());
+    stage.keys("n").text("NEW 64").keys("Enter").until(24.5);
+    assert_eq!(stage.file(), "");
+    stage.write("[]").until(24.6);
+    assert!(stage.file().starts_with("[\n  {"), "{}", stage.file());
+}
+
+#[test]
+fn a_file_that_stays_empty_is_begun() {
+    let mut stage = refusing();
+    stage.keys("n").text("NEW 64").keys("Enter");
+    mend(&mut stage).write("").until(24.6);
+    // Still being written: that it is seen again is no reason to wait longer.
+    stage.write(" ").until(24.9);
+    assert_eq!(stage.file(), " ");
+    stage.until(25.1);
+    assert!(stage.file().starts_with("{\n  \"devices\": [\n"), "{}", stage.file());
+    assert!(stage.file().contains("NEW"));
+
+    // An edit of what is there no more is for a person to decide.
+    let mut stage = refusing();
+    stage.keys("e").text("70").keys("Enter");
+    mend(&mut stage).write("").until(25.1);
+    assert!(stage.screen().contains("theirs     deleted"), "{}", stage.screen());
+
+    // And where nothing is to be saved, it is said.
+    let mut stage = Stage::boiler();
+    let screen = stage.until(24.0).write("").until(25.1).screen();
+    assert!(screen.contains("✓ 0 entries"), "{screen}");
+    assert!(stage.app.timeline().entries().any(|it| it.text == "changed on disk: 0 entries"));
+}
+
+#[test]
+fn each_time_the_file_is_emptied_is_waited_for() {
+    let mut stage = refusing();
+    stage.keys("e").text("70").keys("Enter");
+    stage.write("").until(24.8).write(BOILER).write("").until(25.6);
+    assert!(!stage.screen().contains("Edit conflict"), "{}", stage.screen());
+    // What is not JSON yet, gone or not readable is what it always is.
+    stage.write("{").until(26.0);
+    assert!(stage.screen().contains("✗"), "{}", stage.screen());
+    stage.write("").until(26.9);
+    assert!(!stage.screen().contains("Edit conflict"), "{}", stage.screen());
+    mend(&mut stage).write(BOILER);
+    assert_eq!(stage.file(), BOILER.replace("10", "70"));
+}
+
+/// At the end of a log nothing becomes due any more.
+#[test]
+fn where_time_stands_an_empty_file_is_not_waited_for() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0);
+    let playback = Playback { speed: 1.0, is_paused: true, is_ended: false };
+    stage.app.handle_playback(stage.app.now(), playback);
+    stage.write("");
+    assert!(stage.app.poll_timeout().is_some_and(|at| at <= stage.app.now()));
+    stage.app.handle_timeout(stage.app.now());
+    assert!(stage.screen().contains("✓ 0 entries"), "{}", stage.screen());
+}
+
+// ---- the first entry -----------------------------------------------------------------------
+
+#[test]
+fn a_file_without_devices_is_as_it_was_when_its_first_entry_is_taken_back() {
+    let boiler = Scenario::builtin("boiler").unwrap();
+    for before in ["", "\n\n", "{}", "{ \"devices\": null }", "[ ]", "{\"x\":{}}\n"] {
+        let mut stage = Stage::new(&boiler, Some(before));
+        stage.until(24.0).keys("n").text("NEW 64").keys("Enter");
+        let with_one = stage.file().to_owned();
+        assert!(with_one.contains("NEW"), "{with_one}");
+        // Several at once, too.
+        assert_eq!(stage.keys("u A u").file(), before);
+        stage.keys("n").text("A 1").keys("Enter n").text("B 2").keys("Enter R").text("C");
+        assert_eq!(stage.keys("Enter u u u").file(), before);
+        stage.keys("n").text("NEW 64").keys("Enter");
+        assert_eq!(stage.file(), with_one);
+        // Not where somebody else added something.
+        let theirs = with_one.replace("\"NEW\"", "\"FEED\" },\n    { \"name\": \"NEW\"");
+        stage.write(&theirs).keys("u");
+        assert!(stage.file().contains("FEED") && !stage.file().contains("NEW"), "{}", stage.file());
+    }
+}
+
+#[test]
+fn no_file_is_made_of_an_edit_that_is_taken_back() {
+    let boiler = Scenario::builtin("boiler").unwrap();
+    let mut stage = Stage::new(&boiler, None);
+    stage.refusal = Some("its folder is gone".to_owned());
+    stage.until(24.0).keys("n").text("NEW 64").keys("Enter").until(30.0);
+    assert_eq!(stage.app.file().unsaved(), 1);
+    assert!(stage.keys("u").screen().contains("not found"), "{}", stage.screen());
+    mend(&mut stage).keys("Ctrl-s").until(60.0);
+    assert_eq!((stage.app.file().unsaved(), stage.file.as_deref()), (0, None));
+    stage.keys("Ctrl-r");
+    assert!(stage.file().contains("NEW"));
+    // What is there by now is not deleted; it is a file without devices.
+    stage.keys("u");
+    assert_eq!(stage.file(), "{\n  \"devices\": []\n}\n");
+    assert_eq!(stage.keys("Ctrl-r u").file(), "{\n  \"devices\": []\n}\n");
+
+    // While the save is on its way, which then fails.
+    let mut stage = Stage::new(&boiler, None);
+    stage.slow_disk().until(24.0).keys("n").text("NEW 64").keys("Enter u");
+    stage.file = None;
+    stage.refuse_saves();
+    assert_eq!((stage.app.file().unsaved(), stage.file.as_deref()), (0, None));
+    assert!(stage.until(60.0).unfinished.as_ref().unwrap().is_empty());
+}
+
+// ---- ours, in a conflict -------------------------------------------------------------------
+
+#[test]
+fn ours_is_taken_back_to_theirs() {
+    let theirs = BOILER.replace("10", "11").replace("12", "13");
+    let ours = theirs.replace("11", "70");
+    let mut stage = refusing();
+    stage.keys("e").text("70").keys("Enter");
+    mend(&mut stage).write(&theirs).keys("o");
+    assert_eq!(stage.file(), ours);
+    stage.keys("u");
+    assert_eq!(stage.file(), theirs);
+    let told = "undid: address of the entry FEED: 11 → 70";
+    assert!(stage.app.timeline().entries().any(|it| it.text == told), "{}", stage.screen());
+    assert_eq!(stage.keys("Ctrl-r").file(), ours);
+    assert_eq!(stage.keys("u").file(), theirs);
+    // What was there before theirs is not ours to bring back.
+    let screen = stage.keys("u").screen();
+    assert!(screen.contains("not undone: "), "{screen}");
+    assert_eq!(stage.file(), theirs);
+
+    // Before it is saved, nothing is left to be saved.
+    let mut stage = refusing();
+    stage.keys("e").text("70").keys("Enter").write(&theirs).keys("o u");
+    assert_eq!(stage.app.file().unsaved(), 0);
+    assert!(mend(&mut stage).until(60.0).effects.iter().all(|it| !matches!(it, Effect::Quit)));
+    assert_eq!(stage.file(), theirs);
+
+    // What was edited since is taken back before it, and stays where it is not.
+    let mut stage = refusing();
+    stage.keys("e").text("70").keys("Enter R").text("X").keys("Enter");
+    mend(&mut stage).write(&theirs).keys("o");
+    select(&mut stage, "ACT").keys("e").text("33").keys("Enter");
+    let all = ours.replace("FEED", "FEEDX").replace("16", "33");
+    assert_eq!(stage.file(), all);
+    assert_eq!(stage.keys("u").file(), all.replace("33", "16"));
+    assert_eq!(stage.keys("u").file(), all.replace("33", "16").replace("70", "11"));
+    assert_eq!(stage.keys("Ctrl-r Ctrl-r").file(), all);
+}
+
+#[test]
+fn each_choice_of_ours_is_taken_back_alone() {
+    let theirs = BOILER.replace("10", "11").replace("12", "13").replace("16,", "17,");
+    for (choices, file) in [
+        ("o o o", ["14, 15, 18", "14, 15, 17", "14, 13, 17", "11, 13, 17"]),
+        ("o t o", ["14, 13, 18", "14, 13, 17", "11, 13, 17", "11, 13, 17"]),
+    ] {
+        let addresses = |stage: &Stage| {
+            let entries = stage.app.file().document().entries();
+            let addresses = entries[..3].iter().map(|it| it.address.unwrap().to_string());
+            addresses.collect::<Vec<_>>().join(", ")
+        };
+        let mut stage = refusing();
+        for (name, address) in [("FEED", "14"), ("SENS", "15"), ("ACT", "18")] {
+            select(&mut stage, name).keys("e").text(address).keys("Enter");
+        }
+        stage.write(&theirs);
+        mend(&mut stage).keys(choices);
+        assert_eq!(addresses(&stage), file[0]);
+        for after in &file[1..] {
+            stage.keys("u");
+            assert_eq!(addresses(&stage), *after);
+        }
+        stage.keys("Ctrl-r Ctrl-r Ctrl-r");
+        assert_eq!(addresses(&stage), file[0]);
+    }
+}
+
+#[test]
+fn ours_where_theirs_was_deleted_or_brought_is_taken_back_to_theirs() {
+    // They deleted what we edited.
+    let theirs =
+        BOILER.replace("    { \"name\": \"SENS\", \"address\": 12, \"static\": true },\n", "");
+    let mut stage = refusing();
+    select(&mut stage, "SENS").keys("e").text("70").keys("Enter");
+    mend(&mut stage).write(&theirs).keys("o");
+    assert!(stage.file().contains("\"SENS\", \"address\": 70"), "{}", stage.file());
+    assert_eq!(stage.keys("u").file(), theirs);
+    assert!(stage.keys("Ctrl-r").file().contains("\"SENS\", \"address\": 70"));
+
+    // They brought what we brought.
+    let theirs = BOILER.replace(
+        "\"PUMP\"",
+        "\"NEW\", \"address\": 63, \"static\": true },\n    { \"name\": \"PUMP\"",
+    );
+    let mut stage = refusing();
+    stage.keys("n").text("NEW 64").keys("Enter");
+    mend(&mut stage).write(&theirs).keys("o");
+    assert_eq!(stage.file(), theirs.replace("63", "64"));
+    assert_eq!(stage.keys("u").file(), theirs);
+    assert_eq!(stage.keys("Ctrl-r").file(), theirs.replace("63", "64"));
+}
+
+// ---- many at once --------------------------------------------------------------------------
+
+#[test]
+fn of_many_at_once_what_somebody_else_changed_since_is_left_alone() {
+    let names = |stage: &Stage| {
+        let entries = stage.app.file().document().entries();
+        entries.iter().map(|entry| entry.name_text.clone()).collect::<Vec<_>>().join(" ")
+    };
+    let told = |stage: &Stage, text: &str| {
+        let mut lines = stage.app.timeline().entries();
+        assert!(lines.any(|line| line.text == text), "{}", stage.screen());
+    };
+    let mut stage = Stage::new(&Scenario::crowd(500_000, 4, 2), Some("[]"));
+    stage.until(5.0).keys("A");
+    let all = stage.file().to_owned();
+    assert_eq!(names(&stage), "N001 N002 N003 N004");
+
+    // One is changed.
+    let address = stage.app.file().document().entries()[1].address.unwrap();
+    let changed =
+        |text: &str| text.replace(&format!("\"address\": {address},"), "\"address\": 99,");
+    stage.write(&changed(&all)).keys("u");
+    assert_eq!(names(&stage), "N002");
+    let but = format!("except N002 at {address} (changed on disk)");
+    told(&stage, &format!("undid: 4 new entries, {but}"));
+    // The other way it is the same.
+    stage.keys("Ctrl-r");
+    assert_eq!(names(&stage), "N001 N002 N003 N004");
+    assert!(stage.file().contains("99"));
+    told(&stage, "redid: 4 new entries, all but 1");
+    stage.keys("u");
+    told(&stage, "undid: 4 new entries, all but 1");
+    assert_eq!(names(&stage), "N002");
+    // Of these somebody brings one.
+    let third = Document::parse(all.as_bytes()).unwrap().entries()[2].address.unwrap();
+    let brought = format!(r#"[ {{ "name": "N003", "address": {third}, "static": true }},"#);
+    let theirs = stage.file().replacen('[', &brought, 1);
+    stage.write(&theirs).keys("Ctrl-r");
+    assert_eq!(names(&stage), "N001 N003 N002 N004");
+    assert!(stage.file().contains(brought.trim_start_matches("[ ")), "{}", stage.file());
+    let but = format!("except N003 at {third} (changed on disk)");
+    told(&stage, &format!("redid: 4 new entries, all but 1, {but}"));
+    stage.keys("u");
+    assert_eq!(names(&stage), "N003 N002");
+    told(&stage, "undid: 4 new entries, all but 2");
+
+    // All but one are changed, or all are.
+    let mut stage = Stage::new(&Scenario::crowd(500_000, 4, 2), Some("[]"));
+    stage.until(5.0).keys("A");
+    let noted = |text: &str, count: usize| {
+        text.replacen("\"name\": \"N0", "\"note\": 1, \"name\": \"N0", count)
+    };
+    let all = stage.file().to_owned();
+    stage.write(&noted(&all, 3)).keys("u");
+    assert_eq!(names(&stage), "N001 N002 N003");
+    let but = format!("except N003 at {third} and 2 more (changed on disk)");
+    told(&stage, &format!("undid: 4 new entries, {but}"));
+    let mut stage = Stage::new(&Scenario::crowd(500_000, 4, 2), Some("[]"));
+    stage.until(5.0).keys("A").write(&noted(&all, 4)).keys("u");
+    assert_eq!(stage.file(), noted(&all, 4));
+    let screen = stage.screen();
+    assert!(screen.contains("not undone: "), "{screen}");
+}
+
+// ---- a save that takes long ----------------------------------------------------------------
+
+/// FEED to 70, which is being saved.
+fn saving() -> Stage {
+    let mut stage = Stage::boiler();
+    stage.slow_disk().until(24.0).keys("e").text("70").keys("Enter");
+    stage
+}
+
+/// The save found this.
+fn found(text: &str) -> SaveOutcome {
+    SaveOutcome::Changed(FileReading::Content(Some(text.as_bytes().to_vec())))
+}
+
+#[test]
+fn what_others_write_while_a_save_hangs_is_seen() {
+    let with = |name: &str| BOILER.replace("\"DISP\"", &format!("\"{name}\""));
+    let mut stage = saving();
+    // Before ours is on disk.
+    stage.write(&with("SHOW"));
+    for name in ["SHOW", "SHOWN"] {
+        let screen = stage.write(&with(name)).screen();
+        assert!(screen.contains(name) && screen.contains("70"), "{screen}");
+        assert!(screen.contains("… saving 1"), "{screen}");
+    }
+    assert_eq!(stage.file(), with("SHOWN"));
+    // It comes to its end: it found what was there first.
+    stage.unfinished = Some(vec![found(&with("SHOW"))]);
+    stage.finish_saves().finish_saves();
+    assert_eq!(stage.file(), with("SHOWN").replace("10", "70"));
+    assert!(stage.screen().contains("✓ 5 entries"), "{}", stage.screen());
+
+    // After ours is on disk, which has not been told.
+    let mut stage = saving();
+    let ours = stage.file().to_owned();
+    stage.notice();
+    assert!(stage.screen().contains("… saving 1"), "it may not stay there: {}", stage.screen());
+    stage.write(&ours.replace("70", "71")).finish_saves().finish_saves();
+    assert_eq!(stage.file(), ours.replace("70", "71"), "it is not overwritten in turn");
+    assert!(stage.screen().contains("✓ 5 entries"), "{}", stage.screen());
+}
+
+#[test]
+fn a_conflict_while_a_save_hangs_is_decided_at_once() {
+    for (key, address) in [("o", "70"), ("t", "11")] {
+        let mut stage = saving();
+        stage.write(&BOILER.replace("10", "11"));
+        assert!(stage.screen().contains("Edit conflict"), "{}", stage.screen());
+        stage.keys(key);
+        assert!(!stage.screen().contains("Edit conflict"), "{}", stage.screen());
+        stage.unfinished = Some(vec![found(stage.file())]);
+        stage.finish_saves().finish_saves();
+        assert_eq!(stage.file(), BOILER.replace("10", address));
+        assert_eq!(stage.app.file().unsaved(), 0);
+    }
+}
+
+#[test]
+fn a_save_that_hangs_and_fails_says_first_what_is_wrong_with_the_file() {
+    let mut stage = saving();
+    stage.write("{ broken");
+    assert!(stage.screen().contains("✗ line 1"), "{}", stage.screen());
+    stage.refuse_saves();
+    assert!(stage.screen().contains("✗ line 1"), "{}", stage.screen());
+    stage.write(BOILER).finish_saves();
+    assert_eq!(stage.file(), BOILER.replace("10", "70"));
+
+    // And one that finds the file emptied in its course waits.
+    let mut stage = saving();
+    stage.write("");
+    stage.unfinished = Some(vec![found("")]);
+    stage.finish_saves().until(24.5);
+    assert_eq!(stage.file(), "");
+    stage.write(BOILER).finish_saves();
+    assert_eq!(stage.file(), BOILER.replace("10", "70"));
+}
+
+// ---- hard links ----------------------------------------------------------------------------
+
+#[test]
+fn that_a_save_parted_hard_links_is_told() {
+    for (names, told) in [
+        (1, "saved; the other hard link keeps the old content"),
+        (2, "saved; 2 other hard links keep the old content"),
+    ] {
+        let mut stage = saving();
+        stage.unfinished = Some(vec![SaveOutcome::Parted(names)]);
+        let screen = stage.finish_saves().screen();
+        assert!(screen.contains(told), "{screen}");
+        assert!(stage.app.message().is_some_and(|it| it.is_error));
+        assert!(stage.app.timeline().entries().any(|it| it.text == told));
+        assert_eq!(stage.app.file().unsaved(), 0);
+        assert!(stage.until(40.0).screen().contains("✓ 5 entries"), "{}", stage.screen());
+    }
+}
+
+// ---- several entries of one name -----------------------------------------------------------
+
+/// From each problem whose text contains this, to the entry of the row that it leads to.
+fn leads_to(stage: &mut Stage, problem: &str) -> usize {
+    stage.keys("4 g");
+    for _ in 0..30 {
+        let selected = stage.app.selected_problem().unwrap();
+        if selected.findings.iter().any(|finding| finding.text.contains(problem)) {
+            stage.keys("Enter");
+            assert_eq!(stage.app.view().page, descan::app::Page::Devices, "{}", stage.screen());
+            return stage.app.selected_row().unwrap().entry.unwrap();
+        }
+        stage.keys("j");
+    }
+    panic!("no {problem}\n{}", stage.screen());
+}
+
+#[test]
+fn a_problem_leads_to_its_own_entry_among_several_of_one_name() {
+    let entries = [
+        r#"{ "name": "TWIN", "address": 40 }"#,
+        r#"{ "name": "TWIN", "address": "x" }"#,
+        r#"{ "name": "TWIN", "address": 41, "static": 1 }"#,
+        r#"{ "name": "SAME", "address": 50, "static": 2 }"#,
+        r#"{ "name": "SAME", "address": 50, "uid": 3 }"#,
+    ];
+    for turn in 0..entries.len() {
+        let mut turned = entries.to_vec();
+        turned.rotate_left(turn);
+        let at = |entry: usize| (entry + entries.len() - turn) % entries.len();
+        let file = format!("[{}]", turned.join(",\n"));
+        let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some(&file));
+        stage.until(24.0);
+        for (problem, entry) in [
+            ("TWIN (at 40) is listed but not on the bus", 0),
+            ("TWIN is listed but not on the bus", 1),
+            ("TWIN (at 41) is listed but not on the bus", 2),
+            ("`address` is a string", 1),
+            (&format!("`static` is a number; it must be true or false (line {},", at(2) + 1), 2),
+            (&format!("`static` is a number; it must be true or false (line {},", at(3) + 1), 3),
+            ("`uid` is a number", 4),
+        ] {
+            assert_eq!(leads_to(&mut stage, problem), at(entry), "{problem}\n{file}");
+        }
+        // It is the one that is edited, from either page.
+        leads_to(&mut stage, "`address` is a string");
+        stage.keys("4 e Ctrl-u").text("99").keys("Enter");
+        let wanted = file.replace("\"x\"", "99, \"static\": true");
+        assert_eq!(stage.file(), wanted);
+    }
+}
+
+#[test]
+fn a_taken_address_leads_to_the_twin_that_is_pinned_to_it() {
+    let scenario = Scenario::new(125_000)
+        .with(DeviceSpec::new("FEED").fixed(20).settled())
+        .with(DeviceSpec::new("FEED").fixed(30).settled())
+        .with(DeviceSpec::new("SENS").fixed(12).settled());
+    for [first, second] in [[12, 30], [30, 12]] {
+        let entry =
+            |address| format!(r#"{{ "name": "FEED", "address": {address}, "static": true }}"#);
+        let file = format!("[{}, {}]", entry(first), entry(second));
+        let mut stage = Stage::new(&scenario, Some(&file));
+        stage.until(12.0);
+        let problem = "Static address 12 of FEED";
+        assert_eq!(leads_to(&mut stage, problem), usize::from(second == 12), "{file}");
+    }
+}
+
+// ---- nothing is lost -----------------------------------------------------------------------
+
+/// What happens, in whatever order, to a file that we and somebody else edit.
+#[derive(Clone, Copy, Debug)]
+enum Step {
+    /// We edit one of our three entries.
+    Edit(usize),
+    Undo,
+    /// They edit one of theirs, in one go.
+    Write(usize),
+    /// They empty the file, and write it the next time.
+    Empty(usize),
+    /// We are told what is there, if it is news.
+    Look,
+    /// A save begins, compares and renames, and its end is told.
+    Begin,
+    Rename,
+    Tell,
+}
+
+fn step() -> impl Strategy<Value = Step> {
+    prop_oneof![
+        3 => (0..3_usize).prop_map(Step::Edit),
+        1 => Just(Step::Undo),
+        2 => (3..6_usize).prop_map(Step::Write),
+        2 => (3..6_usize).prop_map(Step::Empty),
+        4 => Just(Step::Look),
+        4 => Just(Step::Begin),
+        4 => Just(Step::Rename),
+        4 => Just(Step::Tell),
+    ]
+}
+
+/// The file, us, and what stands between: a disk that is slow, and a watch.
+struct Desk {
+    file: FileState,
+    disk: Vec<u8>,
+    /// What the watch saw last; none: it is uncertain.
+    known: Option<Vec<u8>>,
+    /// What is being saved; and what became of it, once it was renamed or not.
+    save: Option<(Saving, Option<SaveOutcome>)>,
+    /// What they are about to write into the file, which they have emptied.
+    in_their_hands: Option<Vec<u8>>,
+    /// The address that each entry is to have in the end.
+    wanted: [u8; 6],
+    /// Our edits: which entry, and its address before.
+    edits: Vec<(usize, u8)>,
+    next: u8,
+}
+
+impl Desk {
+    fn new() -> Self {
+        let wanted = [101, 102, 103, 104, 105, 106];
+        let disk = content(wanted);
+        let mut file = FileState::new(Some("des.json".into()));
+        file.read(Instant::ZERO, FileReading::Content(Some(disk.clone())));
+        let known = Some(disk.clone());
+        let (save, in_their_hands, edits) = (None, None, Vec::new());
+        Self { file, disk, known, save, in_their_hands, wanted, edits, next: 1 }
+    }
+
+    fn take(&mut self, step: Step) {
+        match step {
+            Step::Edit(at) => {
+                let to = self.next();
+                let entry = self.file.document().key(at);
+                let from = entry.address;
+                self.file.edit(&[Operation::SetAddress { entry, from, to }]).unwrap();
+                self.edits.push((at, self.wanted[at]));
+                self.wanted[at] = to;
+            }
+            Step::Undo => {
+                if let Some((at, before)) = self.edits.pop() {
+                    self.file.undo().unwrap();
+                    self.wanted[at] = before;
+                }
+            }
+            Step::Write(at) | Step::Empty(at) => {
+                if let Some(content) = self.in_their_hands.take() {
+                    self.disk = content;
+                    return;
+                }
+                let to = self.next();
+                let on = Document::parse(&self.disk).unwrap();
+                let entry = on.key(at);
+                let operation = Operation::SetAddress { from: entry.address, entry, to };
+                let content = on.apply(&operation).unwrap().source().to_vec();
+                self.wanted[at] = to;
+                if let Step::Write(_) = step {
+                    self.disk = content;
+                } else {
+                    self.in_their_hands = Some(content);
+                    self.disk = Vec::new();
+                }
+            }
+            Step::Look => {
+                if self.known.as_ref() != Some(&self.disk) {
+                    self.known = Some(self.disk.clone());
+                    let reading = FileReading::Content(self.known.clone());
+                    self.file.read(Instant::ZERO, reading);
+                }
+            }
+            Step::Begin => {
+                let saving = self.file.start_saving();
+                assert!(saving.is_none() || self.save.is_none(), "one at a time");
+                if let Some(saving) = saving {
+                    self.save = Some((saving, None));
+                }
+            }
+            Step::Rename => {
+                let Some((saving, outcome @ None)) = &mut self.save else { return };
+                if saving.expected.as_ref().map(Document::source) == Some(&self.disk) {
+                    assert!(self.in_their_hands.is_none(), "over what is being written");
+                    self.disk = saving.content.source().to_vec();
+                    *outcome = Some(SaveOutcome::Saved);
+                } else {
+                    let found = FileReading::Content(Some(self.disk.clone()));
+                    *outcome = Some(SaveOutcome::Changed(found));
+                }
+            }
+            Step::Tell => {
+                let Some((saving, Some(outcome))) = self.save.take_if(|(_, it)| it.is_some())
+                else {
+                    return;
+                };
+                if self.file.is_superseded() {
+                    self.known = None;
+                } else if outcome.is_on_disk() {
+                    self.known = Some(saving.content.source().to_vec());
+                }
+                self.file.handle_saved(Instant::ZERO, outcome);
+            }
+        }
+        assert_eq!((self.file.conflict(), self.file.problem()), (None, None));
+    }
+
+    fn next(&mut self) -> u8 {
+        self.next = self.next % 100 + 1;
+        self.next
+    }
+}
+
+fn content(addresses: [u8; 6]) -> Vec<u8> {
+    let entry = |(at, address): (usize, u8)| {
+        format!("  {{ \"name\": \"N{at}\", \"address\": {address}, \"static\": true }}")
+    };
+    let entries: Vec<String> = addresses.into_iter().enumerate().map(entry).collect();
+    format!("[\n{}\n]\n", entries.join(",\n")).into_bytes()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 512, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn of_two_who_edit_one_file_neither_loses_anything(steps in prop::collection::vec(step(), 1..80)) {
+        let mut desk = Desk::new();
+        for step in steps {
+            desk.take(step);
+        }
+        if desk.in_their_hands.is_some() {
+            desk.take(Step::Write(3));
+        }
+        for _ in 0..4 {
+            for step in [Step::Look, Step::Begin, Step::Rename, Step::Tell, Step::Look] {
+                desk.take(step);
+            }
+        }
+        prop_assert_eq!(desk.file.unsaved(), 0);
+        prop_assert_eq!(String::from_utf8(desk.disk).unwrap(), String::from_utf8(content(desk.wanted)).unwrap());
+        prop_assert_eq!(desk.file.document().source(), content(desk.wanted));
+    }
+}

@@ -1,0 +1,377 @@
+//! The real program on a CAN bus of a real kernel: simulated devices that a second descan puts
+//! there, a device made of can-utils and the kernel's own ISO-TP, and the terminal UI through
+//! an interface's troubles.
+//!
+//! Without CAN in the kernel these tests say why they do not run.
+
+use crate::common::can;
+use crate::common::can::{Vcan, run};
+use crate::common::pty::Pty;
+use crate::common::watch_process::Watching;
+use serde_json::Value;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+
+fn program() -> Command {
+    Command::new(env!("CARGO_BIN_EXE_descan"))
+}
+
+/// A process that ends with the test.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Simulated devices on a bus, once they are there.
+fn simulated(bus: &str, system: &str) -> Running {
+    let mut child =
+        program().args(["sim", bus, "--scenario", system]).stderr(Stdio::piped()).spawn().unwrap();
+    let mut said = BufReader::new(child.stderr.take().unwrap()).lines();
+    let first = said.next().expect("it says that it runs").unwrap();
+    assert!(first.contains("devices on"), "{first}");
+    Running(child)
+}
+
+/// One board in a process of its own, with random numbers of its own: it keeps address 12, whatever
+/// it hears. Without a UID it is a fresh one.
+fn board(bus: &str, folder: &Path, (name, uid): (&str, &str), seed: u32) -> Running {
+    let scenario = format!(
+        "bitrate = 125000\nseed = {seed}\n[[device]]\nname = \"{name}\"\nuid = \"{uid}\"\nsettled = true\n\
+         address = {{ fixed = 12 }}\nfaults = [\"never-gives-way\"]\n\
+         services = [[\"DES\", \"1.0\"], [\"AUGER\", \"2.1\"]]\n"
+    );
+    let path = folder.join(format!("{name}{uid}.toml"));
+    std::fs::write(&path, scenario).unwrap();
+    simulated(bus, path.to_str().unwrap())
+}
+
+fn scan(bus: &str) -> Output {
+    program().args(["scan", bus, "--json", "--time", "40"]).stdin(Stdio::null()).output().unwrap()
+}
+
+fn report(output: &Output) -> Value {
+    serde_json::from_slice(&output.stdout).unwrap_or_else(|error| {
+        panic!("{error}: {}", String::from_utf8_lossy(&output.stderr));
+    })
+}
+
+fn device<'r>(report: &'r Value, name: &str) -> &'r Value {
+    let devices = report["devices"].as_array().unwrap();
+    devices.iter().find(|it| it["name"] == name).unwrap_or_else(|| panic!("no {name}: {report:#}"))
+}
+
+#[test]
+fn devices_of_a_second_descan_are_found_with_their_services() {
+    let Some(vcan) = Vcan::new("dsp-scan") else { return };
+    let _devices = simulated(vcan.name(), "boiler");
+    let output = scan(vcan.name());
+    let report = report(&output);
+    assert_eq!(output.status.code(), Some(0), "{report:#}");
+    assert_eq!(report["buses"][0]["address"], 0);
+    assert_eq!(report["buses"][0]["lost"], 0);
+    for (name, address, services) in [("FEED", 10, 5), ("SENS", 12, 4), ("PSU", 30, 3)] {
+        let device = device(&report, name);
+        assert_eq!(device["address"], address);
+        assert_eq!(device["presence"], "online");
+        assert_eq!(device["services"].as_array().unwrap().len(), services, "{device:#}");
+    }
+}
+
+#[test]
+fn simulated_devices_wait_for_a_bus_that_is_down_too() {
+    let Some(vcan) = Vcan::new("dsp-sim") else { return };
+    let mut sim = program().args(["sim", vcan.name()]).stderr(Stdio::piped()).spawn().unwrap();
+    let mut said = BufReader::new(sim.stderr.take().unwrap()).lines();
+    let _sim = Running(sim);
+    assert!(said.next().unwrap().unwrap().contains("devices on"));
+    vcan.down();
+    assert!(said.next().unwrap().unwrap().contains("dsp-sim is down"));
+    vcan.up();
+    let report = report(&scan(vcan.name()));
+    assert_eq!(device(&report, "FEED")["presence"], "online");
+}
+
+/// A device made of candump, cansend and the kernel's ISO-TP: it answers who-is-there, and one
+/// services request.
+fn answer_as_device(bus: &str) -> std::thread::JoinHandle<()> {
+    let mut candump = Command::new("candump")
+        .args(["-L", bus])
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("can-utils are there");
+    let lines = BufReader::new(candump.stdout.take().unwrap()).lines();
+    let bus = bus.to_owned();
+    std::thread::spawn(move || {
+        let _candump = Running(candump);
+        for line in lines.map_while(Result::ok) {
+            let frame = line.split_whitespace().nth(2).unwrap_or_default().to_owned();
+            // Who is there, to all working nodes, from address 0, in ISO-TP.
+            if frame.starts_with("020") && frame.ends_with("#0444455301") {
+                run("cansend", &[&bus, "05180002#06014645454400"]);
+            }
+            // Services? To address 12. A Linux program may die late: its socket answers on.
+            if frame == "00003002#0444455302" {
+                let services = "02 00 44 45 53 00 31 2E 30 00 01 41 55 47 45 52 00 32 2E 31 00";
+                let arguments = ["-s", "05180002", "-d", "00003002", &bus];
+                can::Peer::start_with_input("isotpsend", &arguments, services).finish();
+                return;
+            }
+        }
+    })
+}
+
+#[test]
+fn a_device_of_the_kernels_own_iso_tp_is_understood() {
+    let Some(vcan) = Vcan::new("dsp-isotp") else { return };
+    let device_thread = answer_as_device(vcan.name());
+    // Its answers take a process each, which on a busy machine start after the scan's rounds.
+    let report = (0..10)
+        .map(|_| report(&scan(vcan.name())))
+        .find(|report| report["devices"].as_array().is_some_and(|devices| !devices.is_empty()))
+        .expect("the device answers one of ten scans");
+    let feed = device(&report, "FEED");
+    assert_eq!((&feed["address"], &feed["framing"]), (&12.into(), &"isotp".into()));
+    assert_eq!(feed["services"][1]["name"], "AUGER", "{feed:#}");
+    assert_eq!(feed["services"][1]["version"], "2.1");
+    device_thread.join().unwrap();
+}
+
+#[test]
+fn an_interface_that_is_down_or_missing_is_told_with_the_way_out() {
+    let Some(vcan) = Vcan::new("dsp-down") else { return };
+    vcan.down();
+    let output = scan(vcan.name());
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(3), "{said}");
+    assert!(said.contains("ip link set dsp-down up"), "{said}");
+    let output = scan("dsp-none");
+    assert_eq!(output.status.code(), Some(3));
+}
+
+#[test]
+fn the_screen_waits_for_its_interface_and_goes_on() {
+    let Some(vcan) = Vcan::new("dsp-ui") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let mut devices = Some(simulated(vcan.name(), "boiler"));
+    let mut pty = Pty::start(&[vcan.name()], folder.path(), (80, 24));
+    pty.wait_for("FEED");
+    pty.wait_for("AUGER");
+    devices.take();
+    vcan.down();
+    pty.wait_for("down");
+    vcan.up();
+    devices = Some(simulated(vcan.name(), "boiler"));
+    pty.wait_until("devices online again", |screen| {
+        let text = screen.contents();
+        text.lines().any(|line| line.contains("FEED") && line.contains("online"))
+    });
+    devices.take();
+    vcan.remove();
+    pty.wait_until("word that it is gone", |screen| {
+        let text = screen.contents().to_lowercase();
+        text.contains("unplugged") || text.contains("gone") || text.contains("missing")
+    });
+    vcan.create().unwrap();
+    devices = Some(simulated(vcan.name(), "boiler"));
+    pty.wait_until("devices online once more", |screen| {
+        let text = screen.contents();
+        text.lines().any(|line| line.contains("FEED") && line.contains("online"))
+    });
+    drop(devices);
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+    pty.assert_given_back();
+}
+
+#[test]
+fn two_inspectors_on_one_bus_live_together() {
+    let Some(vcan) = Vcan::new("dsp-two") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let _devices = simulated(vcan.name(), "boiler");
+    let mut first = Pty::start(&[vcan.name()], folder.path(), (100, 30));
+    first.wait_for("own 0");
+    let mut second = Pty::start(&[vcan.name()], folder.path(), (100, 30));
+    second.wait_for("FEED");
+    second.wait_until("an address of its own", |screen| {
+        let text = screen.contents();
+        text.contains("own ") && !text.contains("own 0 ") && !text.contains("own –")
+    });
+    second.wait_for("DSCAN");
+    second.send("gj");
+    second.wait_for("AUGER");
+    first.send("q");
+    second.send("q");
+    assert_eq!((first.wait(), second.wait()), (0, 0));
+}
+
+#[test]
+fn what_happens_to_an_interface_is_watched() {
+    let Some(vcan) = Vcan::new("dsp-watch") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let first = board(vcan.name(), folder.path(), ("FEED", "WATCHED"), 1);
+    let mut watching = Watching::start(&[vcan.name(), "--json"], folder.path());
+    let is_feed = |it: &Value| it["address"] == 12;
+    watching.event_that("bus", |it| it["bus"]["address"] == 0);
+    assert_eq!(watching.event_that("services", is_feed)["services"][1]["name"], "AUGER");
+    let is_down = |it: &Value| it["bus"]["state"] == "down";
+    let is_up = |it: &Value| it["bus"]["state"] != "down";
+    vcan.down();
+    watching.event_that("bus", is_down);
+    drop(first);
+    vcan.up();
+    watching.event_that("bus", is_up);
+    // Only now can anybody tell.
+    watching.event_that("lost", is_feed);
+    let second = board(vcan.name(), folder.path(), ("FEED", "WATCHED"), 1);
+    // Where our question reaches it before its first heartbeat, its answer is heard first.
+    let was = &watching.event_that("returned", is_feed)["was"];
+    assert!(was == "lost" || was == "silent", "{was}");
+    drop(second);
+    vcan.remove();
+    watching.event_that("bus", is_down);
+    vcan.create().unwrap();
+    watching.event_that("bus", is_up);
+    watching.event_that("lost", is_feed);
+    let _third = board(vcan.name(), folder.path(), ("FEED", "WATCHED"), 1);
+    watching.event_that("returned", is_feed);
+    watching.signal(nix::sys::signal::Signal::SIGTERM);
+    assert_eq!(watching.exit_code(), 0);
+    vcan.down();
+    let mut refused = Watching::start(&[vcan.name(), "--json"], folder.path());
+    assert_eq!(refused.exit_code(), 3);
+    assert_eq!(refused.rest(), "");
+}
+
+#[test]
+fn after_bus_off_the_bus_is_asked_anew() {
+    let Some(vcan) = Vcan::new("dsp-off") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let watching = Watching::start(&[vcan.name()], folder.path());
+    // Nobody else is there, so lines are few.
+    let line_with = |part: &str| {
+        assert!((0..20).any(|_| watching.line().contains(part)), "no {part}");
+    };
+    line_with("using address 0");
+    run("cansend", &[vcan.name(), "20000040#0000000000000000"]);
+    line_with("was briefly bus-off");
+    line_with("using address 0");
+}
+
+#[test]
+fn frames_of_others_are_not_even_read_where_only_one_device_is_of_interest() {
+    let Some(vcan) = Vcan::new("dsp-filter") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let arguments = [vcan.name(), "--json", "--listen-only", "--filter", "at:12,14"];
+    let watching = Watching::start(&arguments, folder.path());
+    watching.event("bus");
+    // A heartbeat of 13, a standard and a remote frame; then an error report, one of 12 to 13, one
+    // of 13 to 12, a question to all.
+    for other in ["071A0001#8AFA6C9724110400", "123#01", "07180001#R", "071A3801#01"] {
+        run("cansend", &[vcan.name(), other]);
+    }
+    for of_interest in
+        ["20000088#0000000000000000", "00183402#0444455302", "001A3002#0444455302", "02000002#00"]
+    {
+        run("cansend", &[vcan.name(), of_interest]);
+    }
+    run("cansend", &[vcan.name(), "071C0001#8AFA6C9724110400"]);
+    watching.event_that("appeared", |it| it["address"] == 14);
+    vcan.down();
+    let bus = watching.event_that("bus", |it| it["bus"]["state"] == "down");
+    assert_eq!((&bus["bus"]["frames"], &bus["bus"]["errors"]), (&5.into(), &1.into()), "{bus}");
+    assert_eq!(bus["bus"]["load"], Value::Null);
+}
+
+/// How many entries there are in a folder of /proc.
+fn entries(process: u32, folder: &str) -> usize {
+    std::fs::read_dir(format!("/proc/{process}/{folder}")).unwrap().count()
+}
+
+#[test]
+fn unplugged_under_load_it_comes_back_each_time_and_leaks_nothing() {
+    // DESCAN_REPLUGS=100 takes minutes.
+    let rounds = std::env::var("DESCAN_REPLUGS").map_or(8, |it| it.parse().unwrap());
+    let Some(vcan) = Vcan::new("dsp-replug") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let watching = Watching::start(&[vcan.name(), "--json"], folder.path());
+    watching.event("bus");
+    let name = vcan.name();
+    let load = format!("while :; do cangen -g 1 -e -I 07180155 {name} 2>&-; sleep 0.05; done");
+    let shell = Command::new("sh").args(["-c", &load]).stdin(Stdio::null()).spawn().unwrap();
+    let _load = Running(shell);
+    let mut held = Vec::new();
+    for round in 1..=rounds {
+        vcan.remove();
+        watching.event_that("bus", |it| it["bus"]["state"] == "down");
+        vcan.create().unwrap();
+        watching.event_that("bus", |it| it["bus"]["state"] != "down");
+        // A debug message of this round: frames come in.
+        let id = 0x1F19_FC00 | round;
+        run("cansend", &[name, &format!("{id:08X}#")]);
+        watching.event_that("debug", |it| it["code"] == round);
+        held.push((entries(watching.id(), "fd"), entries(watching.id(), "task")));
+    }
+    assert_eq!(held.first(), held.last(), "{held:?}");
+}
+
+/// Two boards in two processes at one address: `scan`, `watch` and the screen say that it is
+/// confirmed, and that it is over when one of them is gone.
+fn collide(bus: &str, (first, second): ((&str, &str), (&str, &str))) {
+    let Some(vcan) = Vcan::new(bus) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let start = |who, seed: u32| {
+        let folder = folder.path().join(seed.to_string());
+        std::fs::create_dir(&folder).unwrap();
+        board(vcan.name(), &folder, who, seed)
+    };
+    let _first = start(first, 1);
+    let second = start(second, 2);
+    let output = scan(vcan.name());
+    let report = report(&output);
+    assert_eq!(output.status.code(), Some(1), "{report:#}");
+    let is_confirmed = |it: &Value| {
+        let kind = it["kind"].as_str().unwrap();
+        let is_collision =
+            ["same-name-same-address", "one-address-two-names", "one-address-two-identities"]
+                .contains(&kind);
+        is_collision && it["confidence"] == "confirmed" && it["address"] == 12
+    };
+    let findings = report["findings"].as_array().unwrap();
+    assert!(findings.iter().any(is_confirmed), "{report:#}");
+
+    let watching = Watching::start(&[vcan.name(), "--json"], folder.path());
+    let mut pty = Pty::start(&[vcan.name()], folder.path(), (100, 30));
+    let confirmed = watching.event_that("finding", |it| is_confirmed(&it["finding"]));
+    let evidence = &confirmed["finding"]["evidence"];
+    assert!(evidence[0]["frame"].as_str().unwrap().contains('#'), "{confirmed:#}");
+    pty.wait_for("CONFLICT");
+
+    drop(second);
+    let kind = &confirmed["finding"]["kind"];
+    watching.event_that("finding", |it| {
+        it["finding"]["kind"] == *kind && it["finding"]["confidence"] == "cleared"
+    });
+    pty.wait_until("word that it is over", |screen| !screen.contents().contains("CONFLICT"));
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}
+
+#[test]
+fn two_boards_of_different_names_collide() {
+    collide("dsp-names", (("FEED", "ONE"), ("PUMP", "TWO")));
+}
+
+#[test]
+fn two_boards_of_one_name_collide() {
+    collide("dsp-name", (("FEED", "ONE"), ("FEED", "TWO")));
+}
+
+#[test]
+fn two_fresh_boards_of_one_name_collide() {
+    collide("dsp-fresh", (("FEED", ""), ("FEED", "")));
+}

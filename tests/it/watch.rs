@@ -1,0 +1,645 @@
+//! `descan watch`, from outside: which line comes of what, when it comes, and how it ends.
+
+use crate::common::inspection::log;
+use crate::common::watch_process::{Watching, command};
+use descan::app::{App, AppEvent, AppOptions, FileReading, Filter};
+use descan::discovery::{Confidence, Config, FindingKind};
+use descan::frame::BusIndex;
+use descan::sim::{DeviceSpec, Fault, Scenario, Sim};
+use descan::status::{BusStatus, Link};
+use descan::time::Instant;
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use serde_json::{Value, json};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::path::Path;
+use std::process::{Output, Stdio};
+use std::time::Duration;
+
+/// FEED appears at 12, is in trouble for a second, reboots, is late, is gone for a while, and
+/// turns up at 31 in the end, where the file wants it.
+const LOG: &str = "\
+(1436509052.100000) can0 07180001#8AFA6C9724110400
+(1436509052.500000) can0 05180002#06014645454400
+(1436509052.600000) can0 05180002#100A020044455300
+(1436509052.700000) can0 05180002#21312E3000
+(1436509053.100000) can0 07180401#8AFA6C9724110400
+(1436509054.100001) can0 07180801#8AFA6C9724110500
+(1436509055.100000) can0 07180C01#8AFA6C9724110400
+(1436509056.100000) can0 07181001#8AFA6C9724110400
+(1436509058.450000) can0 0718A001#8AFA6C9724110400
+(1436509058.500000) can0 1F19FC2A#01FE
+(1436509059.450000) can0 0718A401#8AFA6C9724110400
+(1436509060.450000) can0 0718A801#8AFA6C9724110400
+(1436509063.450000) can0 0718AC01#8AFA6C9724110400
+(1436509070.450000) can0 0718B001#8AFA6C9724110400
+(1436509071.450000) can0 0718B401#8AFA6C9724110400
+(1436509074.000000) can0 073EA001#8AFA6C9724110400
+(1436509075.000000) can0 073EA401#8AFA6C9724110400
+";
+const FILE: &str = r#"{"devices":[{"name":"FEED","address":31,"static":true}]}"#;
+
+/// What `watch --json` says of it, byte for byte.
+const TOLD: &str = r#"{"time":1436509052.1,"event":"file","file":{"path":"des.json","ok":true,"entries":1,"error":null}}
+{"time":1436509052.1,"event":"bus","bus":{"name":"can0","bitrate":null,"state":"unknown","frames":1,"errors":0,"lost":0,"load":null,"address":null,"lost_where":{"kernel":0,"queue":0,"adapter":0},"not_sent":0,"unreadable":0}}
+{"time":1436509052.1,"event":"appeared","bus":"can0","address":12,"name":null}
+{"time":1436509052.1,"event":"mode","bus":"can0","address":12,"name":null,"mode":"WORK","from":null}
+{"time":1436509052.5,"event":"named","bus":"can0","address":12,"name":"FEED"}
+{"time":1436509052.5,"event":"finding","bus":"can0","address":12,"name":"FEED","finding":{"kind":"wrong-address","confidence":"confirmed","bus":"can0","address":12,"addresses":[12],"names":["FEED"],"first":1436509052.5,"evidence":[],"text":"FEED is at address 12; the file pins it to 31.","remedy":"Move the device to 31, or change the file to 12."}}
+{"time":1436509052.7,"event":"services","bus":"can0","address":12,"name":"FEED","services":[{"index":0,"name":"DES","version":"1.0","extra":[]}],"changed":false}
+{"time":1436509054.100001,"event":"mode","bus":"can0","address":12,"name":"FEED","mode":"UFUNC","from":"WORK"}
+{"time":1436509055.1,"event":"mode","bus":"can0","address":12,"name":"FEED","mode":"WORK","from":"UFUNC"}
+{"time":1436509058.5,"event":"debug","bus":"can0","address":12,"name":"FEED","code":42,"data":"01FE"}
+{"time":1436509059.45,"event":"rebooted","bus":"can0","address":12,"name":"FEED"}
+{"time":1436509062.95,"event":"stale","bus":"can0","address":12,"name":"FEED"}
+{"time":1436509063.45,"event":"returned","bus":"can0","address":12,"name":"FEED","was":"stale"}
+{"time":1436509065.95,"event":"stale","bus":"can0","address":12,"name":"FEED"}
+{"time":1436509068.45,"event":"lost","bus":"can0","address":12,"name":"FEED"}
+{"time":1436509068.45,"event":"finding","bus":"can0","address":12,"name":"FEED","finding":{"kind":"wrong-address","confidence":"cleared","bus":"can0","address":12,"addresses":[12],"names":["FEED"],"first":1436509052.5,"evidence":[],"text":"FEED is at address 12; the file pins it to 31.","remedy":"Move the device to 31, or change the file to 12."}}
+{"time":1436509068.45,"event":"finding","bus":"can0","address":31,"name":"FEED","finding":{"kind":"missing","confidence":"confirmed","bus":"can0","address":31,"addresses":[31],"names":["FEED"],"first":1436509068.45,"evidence":[],"text":"FEED (at 31) is listed but not on the bus: last seen at 12, 5s ago.","remedy":""}}
+{"time":1436509070.45,"event":"returned","bus":"can0","address":12,"name":"FEED","was":"lost"}
+{"time":1436509070.45,"event":"finding","bus":"can0","address":31,"name":"FEED","finding":{"kind":"missing","confidence":"cleared","bus":"can0","address":31,"addresses":[31],"names":["FEED"],"first":1436509068.45,"evidence":[],"text":"FEED (at 31) is listed but not on the bus: last seen at 12, 7s ago.","remedy":""}}
+{"time":1436509070.45,"event":"finding","bus":"can0","address":12,"name":"FEED","finding":{"kind":"wrong-address","confidence":"confirmed","bus":"can0","address":12,"addresses":[12],"names":["FEED"],"first":1436509070.45,"evidence":[],"text":"FEED is at address 12; the file pins it to 31.","remedy":"Move the device to 31, or change the file to 12."}}
+{"time":1436509073.95,"event":"stale","bus":"can0","address":12,"name":"FEED"}
+{"time":1436509074.0,"event":"appeared","bus":"can0","address":31,"name":null}
+{"time":1436509074.0,"event":"mode","bus":"can0","address":31,"name":null,"mode":"WORK","from":null}
+{"time":1436509074.0,"event":"moved","bus":"can0","address":31,"name":"FEED","from":12}
+{"time":1436509074.0,"event":"finding","bus":"can0","address":12,"name":"FEED","finding":{"kind":"wrong-address","confidence":"cleared","bus":"can0","address":12,"addresses":[12],"names":["FEED"],"first":1436509070.45,"evidence":[],"text":"FEED is at address 12; the file pins it to 31.","remedy":"Move the device to 31, or change the file to 12."}}
+{"time":1436509075.0,"event":"bus","bus":{"name":"can0","bitrate":null,"state":"unknown","frames":17,"errors":0,"lost":0,"load":null,"address":null,"lost_where":{"kernel":0,"queue":0,"adapter":0},"not_sent":0,"unreadable":0}}
+"#;
+
+const IN_WORDS: &str = "\
+06:17:32.100 des.json         1 entry
+06:17:32.100 can0             open
+06:17:32.100  12 ?            appeared
+06:17:32.500  12 FEED         identified as FEED
+06:17:32.500  12 FEED         confirmed: FEED is at address 12; the file pins it to 31.
+06:17:32.700  12 FEED         1 service
+06:17:34.100  12 FEED         WORK → UFUNC
+06:17:35.100  12 FEED         UFUNC → WORK
+06:17:38.500  12 FEED         debug message 02A 01 FE
+06:17:39.450  12 FEED         rebooted
+06:17:42.950  12 FEED         stale: heartbeat overdue
+";
+
+fn watch(arguments: &[&str], folder: &Path) -> Output {
+    let arguments = [&["watch"], arguments].concat();
+    command(&arguments, folder).output().expect("the program starts")
+}
+
+fn text(bytes: &[u8]) -> &str {
+    std::str::from_utf8(bytes).expect("output is UTF-8")
+}
+
+fn values(output: &[u8]) -> Vec<Value> {
+    text(output).lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
+
+/// A folder with the log and the file.
+fn folder() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("session.log"), LOG).unwrap();
+    std::fs::write(folder.path().join("des.json"), FILE).unwrap();
+    folder
+}
+
+#[test]
+fn a_log_is_told_line_by_line() {
+    let folder = folder();
+    let output = watch(&["file:session.log", "--json"], folder.path());
+    assert_eq!(text(&output.stderr), "");
+    assert_eq!(output.status.code(), Some(0));
+    for (at, (told, expected)) in text(&output.stdout).lines().zip(TOLD.lines()).enumerate() {
+        assert_eq!(told, expected, "line {}", at + 1);
+    }
+    assert_eq!(text(&output.stdout), TOLD);
+    let output = watch(&["file:session.log"], folder.path());
+    assert_eq!(output.status.code(), Some(0));
+    let words = text(&output.stdout);
+    assert!(words.starts_with(IN_WORDS), "{words}");
+    assert!(words.ends_with("06:17:55.000 can0             end of log\n"), "{words}");
+}
+
+#[test]
+fn the_readme_shows_what_is_told() {
+    let readme = include_str!("../../README.md");
+    let example = readme.split("```text\n06:17").nth(1).unwrap().split("```").next().unwrap();
+    for line in example.lines().skip(1) {
+        assert!(IN_WORDS.lines().any(|told| told == line), "{line}");
+    }
+    let object = readme.split('`').find(|it| it.starts_with(r#"{"time""#)).unwrap();
+    assert!(TOLD.lines().any(|told| told == object), "{object}");
+    let table = readme.split("| `event` |").nth(1).unwrap();
+    let rows = table.lines().skip(2).take_while(|line| line.starts_with('|'));
+    let words: Vec<&str> =
+        rows.flat_map(|row| row.split('|').nth(1).unwrap().split('`').skip(1).step_by(2)).collect();
+    for value in values(TOLD.as_bytes()) {
+        assert!(words.contains(&value["event"].as_str().unwrap()), "{value}");
+    }
+    assert_eq!(words.len(), 15);
+}
+
+#[test]
+fn what_one_frame_gives_rise_to_is_told_in_one_line() {
+    // SENS has 12. FEED claims it, gives way, and claims 31.
+    let log = "\
+(1436509052.100000) can0 07181001#C35B700000000400
+(1436509052.300000) can0 05180002#060153454E5300
+(1436509053.100000) can0 07182001#C35B700000000400
+(1436509054.100000) can0 07183001#C35B700000000400
+(1436509054.500000) can0 1718B001#8AFA6C9724110100
+(1436509055.100000) can0 07184001#C35B700000000400
+(1436509056.100000) can0 07185001#C35B700000000400
+(1436509056.900000) can0 173EC001#8AFA6C9724110100
+(1436509057.000000) can0 153E0002#06014645454400
+(1436509057.100000) can0 07186001#C35B700000000400
+(1436509057.900000) can0 073ED001#8AFA6C9724110400
+(1436509058.100000) can0 07187001#C35B700000000400
+(1436509058.900000) can0 073EE001#8AFA6C9724110400
+(1436509059.100000) can0 07188001#C35B700000000400
+(1436509059.900000) can0 073EF001#8AFA6C9724110400
+(1436509060.100000) can0 07189001#C35B700000000400
+(1436509060.900000) can0 073F0001#8AFA6C9724110400
+(1436509061.100000) can0 0718A001#C35B700000000400
+";
+    let folder = folder();
+    std::fs::write(folder.path().join("session.log"), log).unwrap();
+    let output = watch(&["file:session.log"], folder.path());
+    let of_resolution = text(&output.stdout)
+        .lines()
+        .filter(|line| {
+            ["claims", "gave up", "moved", "appeared"].iter().any(|it| line.contains(it))
+        })
+        .map(|line| {
+            line.split_once(' ').unwrap().1.split_whitespace().collect::<Vec<_>>().join(" ")
+        });
+    assert_eq!(
+        of_resolution.collect::<Vec<_>>(),
+        [
+            "12 ? appeared",
+            "12 ? BOILER01 claims 12 (held by SENS)",
+            "12 ? gave up 12 to SENS",
+            "31 ? moved from 12, claims 31",
+        ]
+    );
+}
+
+#[test]
+fn the_pace_of_a_log_changes_nothing_of_what_is_told() {
+    let folder = folder();
+    // How many frames had come when a line was written depends on how they were handed over, and how
+    // long ago something was on when it was looked at last.
+    let essence = |text: &str| -> Vec<Value> {
+        let mut values = values(text.as_bytes());
+        for value in &mut values {
+            let member = if value["event"] == "bus" { "frames" } else { "text" };
+            let event = value["event"].as_str().unwrap().to_owned();
+            let object = value.get_mut(&event).and_then(Value::as_object_mut);
+            object.and_then(|object| object.remove(member));
+        }
+        values
+    };
+    let timed = watch(&["file:session.log", "--json", "--speed", "50"], folder.path());
+    assert_eq!(essence(text(&timed.stdout)), essence(TOLD));
+    let mut piped = Watching::start(&["-", "--json"], folder.path());
+    piped.write(LOG);
+    piped.stdin = None;
+    assert_eq!(essence(&piped.rest()), essence(TOLD));
+    assert_eq!(piped.exit_code(), 0);
+}
+
+#[test]
+fn the_time_of_a_log_is_its_own() {
+    let folder = folder();
+    for more in [&[][..], &["--speed", "20"]] {
+        let arguments = [&["file:session.log", "--json", "--time", "12"], more].concat();
+        let output = watch(&arguments, folder.path());
+        assert_eq!(output.status.code(), Some(0));
+        let last = values(&output.stdout).pop().unwrap();
+        assert_eq!((&last["event"], &last["time"]), (&json!("returned"), &json!(1_436_509_063.45)));
+    }
+}
+
+#[test]
+fn lines_of_standard_input_are_told_as_they_come() {
+    let folder = folder();
+    let mut lines = LOG.split_inclusive('\n');
+    let mut watching = Watching::start(&["-", "--json"], folder.path());
+    watching.write(lines.next().unwrap());
+    assert_eq!(watching.event("appeared")["address"], 12);
+    // A line that comes in two pieces, and one that is none.
+    let (begin, end) = lines.next().unwrap().split_at(20);
+    watching.write(begin);
+    watching.write(end);
+    watching.write("what?\n");
+    assert_eq!(watching.event("named")["name"], "FEED");
+    // The file is watched, too.
+    std::fs::write(folder.path().join("des.json"), "[]").unwrap();
+    assert_eq!(watching.event("file")["file"]["entries"], 0);
+    assert_eq!(watching.event("finding")["finding"]["confidence"], "cleared");
+}
+
+#[test]
+fn time_goes_on_while_no_line_comes() {
+    let folder = folder();
+    let profile = "[heartbeat]\nperiod_ms = 100\n";
+    std::fs::write(folder.path().join("quick.toml"), profile).unwrap();
+    let mut watching = Watching::start(&["-", "--json", "--profile", "quick.toml"], folder.path());
+    watching.write(LOG.lines().next().unwrap());
+    watching.write("\n");
+    assert_eq!(watching.event("stale")["time"], 1_436_509_052.35);
+    assert_eq!(watching.event("lost")["time"], 1_436_509_052.6);
+    // A line that was late all the same: nothing happens before what was told.
+    watching.write("(1436509052.200000) can0 07180001#8AFA6C9724110400\n");
+    let returned = watching.event("returned");
+    assert_eq!(returned["was"], "lost");
+    assert!(returned["time"].as_f64().unwrap() >= 1_436_509_052.6, "{returned}");
+}
+
+#[test]
+fn signals_and_time_end_it_with_0() {
+    let folder = folder();
+    for signal in [Signal::SIGTERM, Signal::SIGINT] {
+        // A log of which no line has come; one that is told; a bus.
+        for (bus, lines) in [("-", ""), ("-", LOG), ("sim:boiler", "")] {
+            let mut watching = Watching::start(&[bus], folder.path());
+            watching.write(lines);
+            if (bus, lines) == ("-", "") {
+                // Its first act is to let signals be told: then it does not end by default.
+                while !handles(watching.id(), signal) {
+                    std::thread::yield_now();
+                }
+            } else {
+                watching.line();
+            }
+            watching.signal(signal);
+            assert_eq!(watching.exit_code(), 0, "{signal} {bus}");
+        }
+    }
+    for bus in ["sim:boiler", "-"] {
+        let mut watching = Watching::start(&[bus, "--time", "0.3"], folder.path());
+        assert_eq!(watching.exit_code(), 0, "{bus}");
+    }
+}
+
+#[test]
+fn a_signal_ends_it_though_nobody_reads_and_the_pipe_is_full() {
+    let folder = tempfile::tempdir().unwrap();
+    let debug = |at: u32| format!("({}.{:06}) can0 1F19FC2A#01FE\n", at / 1000, at % 1000 * 1000);
+    let lines: String = (1000..6000).map(debug).collect();
+    std::fs::write(folder.path().join("session.log"), lines).unwrap();
+    let (reader, writer) = std::io::pipe().unwrap();
+    let mut child = command(&["watch", "file:session.log", "--json"], folder.path())
+        .stdout(writer)
+        .spawn()
+        .unwrap();
+    // A pipe holds 65,536 bytes: now it is about to be asleep for good.
+    while written(child.id()) < 65_000 {
+        std::thread::yield_now();
+    }
+    kill(Pid::from_raw(child.id().cast_signed()), Signal::SIGTERM).unwrap();
+    let deadline = std::time::Instant::now() + Duration::from_mins(1);
+    while child.try_wait().unwrap().is_none() {
+        if std::time::Instant::now() > deadline {
+            child.kill().unwrap();
+            panic!("it does not end");
+        }
+        std::thread::yield_now();
+    }
+    assert_eq!(child.wait().unwrap().code(), Some(0));
+    drop(reader);
+}
+
+/// How many bytes a process has written.
+fn written(process: u32) -> u64 {
+    let io = std::fs::read_to_string(format!("/proc/{process}/io")).unwrap();
+    io.lines().find_map(|line| line.strip_prefix("wchar: ")).unwrap().parse().unwrap()
+}
+
+/// Whether a process has a handler for a signal.
+fn handles(process: u32, signal: Signal) -> bool {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap();
+    let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:")).unwrap().trim();
+    u64::from_str_radix(caught, 16).unwrap() >> (signal as u32 - 1) & 1 == 1
+}
+
+#[test]
+fn it_ends_when_nobody_reads_any_more() {
+    let folder = folder();
+    for arguments in [&["watch", "-"][..], &["watch", "sim:boiler", "--json"]] {
+        let mut child = command(arguments, folder.path())
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut stdin = child.stdin.take().unwrap();
+        stdin.write_all(LOG.lines().next().unwrap().as_bytes()).unwrap();
+        stdin.write_all(b"\n").unwrap();
+        let mut first = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut first).unwrap();
+        assert!(first.contains("des.json"), "{first}");
+        // Though nothing more is to be told: the input stays open.
+        assert_eq!(child.wait().unwrap().code(), Some(0));
+        let mut said = String::new();
+        child.stderr.take().unwrap().read_to_string(&mut said).unwrap();
+        assert_eq!(said, "");
+        drop(stdin);
+    }
+}
+
+#[test]
+fn collisions_are_told_as_scan_reports_them() {
+    let board = |label: &str, uid: u8| {
+        let uid = descan::wire::node::Uid([uid; 6]);
+        let board = DeviceSpec::new("FEED").label(label).fixed(12).settled().uid(uid);
+        board.service("AUGER", "2.1").fault(Fault::NeverGivesWay)
+    };
+    let other = DeviceSpec::new("SENS").fixed(13).settled();
+    let scenario = Scenario::new(125_000).with(board("a", 1)).with(board("b", 2)).with(other);
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("session.log"), log(&scenario, 20)).unwrap();
+    let told = values(&watch(&["file:session.log", "--json"], folder.path()).stdout);
+    let findings: Vec<&Value> = told.iter().filter(|it| it["event"] == "finding").collect();
+    assert!(!findings.is_empty());
+    let scan = command(&["scan", "file:session.log", "--json"], folder.path()).output().unwrap();
+    let report: Value = serde_json::from_slice(&scan.stdout).unwrap();
+    let reported = report["findings"].as_array().unwrap();
+    assert!(reported.iter().any(|it| it["confidence"] == "confirmed"));
+    for finding in reported {
+        let which = |it: &Value| (it["kind"].clone(), it["address"].clone());
+        let of_it: Vec<_> =
+            findings.iter().filter(|it| which(&it["finding"]) == which(finding)).collect();
+        let last = &of_it.last().expect("each is told")["finding"];
+        let members = |it: &Value| it.as_object().unwrap().keys().cloned().collect::<Vec<_>>();
+        assert_eq!(members(last), members(finding));
+        assert_eq!(
+            (&last["confidence"], &last["first"]),
+            (&finding["confidence"], &finding["first"])
+        );
+        assert!(last["evidence"][0]["frame"].as_str().unwrap().contains('#'));
+        // Once per change.
+        for pair in of_it.windows(2) {
+            assert_ne!(pair[0]["finding"]["confidence"], pair[1]["finding"]["confidence"]);
+            assert!(pair[0]["time"].as_f64() <= pair[1]["time"].as_f64());
+        }
+    }
+    let times: Vec<f64> = told.iter().map(|it| it["time"].as_f64().unwrap()).collect();
+    assert!(times.is_sorted(), "{times:?}");
+}
+
+/// The log, and another device at 14 all the while, which says hello and is wrong about nothing.
+fn two_devices() -> String {
+    let mut log = String::new();
+    for line in LOG.lines() {
+        log += line;
+        log.push('\n');
+        if let Some((time, heartbeat)) = line.split_once(" can0 0718") {
+            // The same heartbeat from 14, with another UID.
+            let (rnd7, _) = heartbeat.split_once('#').unwrap();
+            let beat = format!("{time} can0 071C{rnd7}#9BFA6C9724110400\n");
+            log += &beat;
+        }
+    }
+    log
+}
+
+#[test]
+fn only_what_fits_is_told() {
+    let folder = folder();
+    std::fs::write(folder.path().join("two.log"), two_devices()).unwrap();
+    let told = |filter: &str| {
+        let output = watch(&["file:two.log", "--filter", filter], folder.path());
+        assert_eq!(output.status.code(), Some(0));
+        text(&output.stdout).to_owned()
+    };
+    let all = told("");
+    let lines_with = |text: &str, part: &str| text.lines().filter(|it| it.contains(part)).count();
+    assert!(lines_with(&all, "  14 ?") > 0 && lines_with(&all, " des.json ") > 0, "{all}");
+
+    let feed = told("at:12");
+    assert_eq!(lines_with(&feed, "  14 "), 0, "{feed}");
+    assert_eq!(lines_with(&feed, " des.json "), 0, "{feed}");
+    assert_eq!(lines_with(&feed, "  12 "), lines_with(&all, "  12 "), "{feed}");
+    // That it moved away concerns the address it leaves.
+    assert_eq!(lines_with(&feed, "moved from 12"), 1, "{feed}");
+    // What is about the bus is told always.
+    assert_eq!(lines_with(&feed, " can0 "), lines_with(&all, " can0 "), "{feed}");
+
+    let both = told("at:12,14");
+    let devices = lines_with(&all, "  12 ") + lines_with(&all, "  14 ");
+    assert_eq!(lines_with(&both, "  12 ") + lines_with(&both, "  14 "), devices, "{both}");
+    let rest = told("!at:12,31");
+    assert_eq!(lines_with(&rest, "  14 "), lines_with(&all, "  14 "), "{rest}");
+    assert_eq!(lines_with(&rest, "  12 "), 0, "{rest}");
+    let named = told("name:fee debug");
+    assert_eq!(lines_with(&named, "  12 FEED"), 1, "{named}");
+    assert!(named.contains("debug message 02A 01 FE"), "{named}");
+
+    let output = watch(&["file:two.log", "--json", "--filter", "at:14"], folder.path());
+    for value in values(&output.stdout) {
+        let is_bus = value["event"] == "bus";
+        assert!(is_bus || value["address"] == 14, "{value}");
+    }
+    let output = watch(&["file:two.log", "--json", "--filter", "at:12"], folder.path());
+    let moved = values(&output.stdout).into_iter().find(|it| it["event"] == "moved").unwrap();
+    assert_eq!((&moved["from"], &moved["address"]), (&12.into(), &31.into()));
+}
+
+#[test]
+fn no_filter_hides_that_frames_were_lost_or_what_becomes_of_a_bus() {
+    let bus = ("can0".to_owned(), Config::default());
+    let options = AppOptions {
+        buses: vec![bus],
+        emit_events: true,
+        event_filter: Filter::parse("at:12 name:feed"),
+        ..AppOptions::default()
+    };
+    let mut app = App::new(Instant::ZERO, options);
+    let mut status = BusStatus { link: Link::Up, ..BusStatus::default() };
+    let mut told = |status: &BusStatus| {
+        app.handle_bus(Instant::ZERO, BusIndex(0), status.clone());
+        let (mut lines, mut values) = (Vec::new(), Vec::new());
+        while let Some(happening) = app.poll_app_event() {
+            match happening {
+                AppEvent::Line(line) => lines.push(line.text),
+                AppEvent::Finding(_, finding) => values.push(finding.key.kind.name()),
+                AppEvent::Bus(..) => values.push("bus"),
+                _ => {}
+            }
+        }
+        (lines.join("; "), values)
+    };
+    assert_eq!(told(&status), ("open".to_owned(), vec!["bus"]));
+    status.kernel_drops = 1;
+    let (lines, values) = told(&status);
+    assert!(lines.contains("frames lost: the kernel's"), "{lines}");
+    assert!(lines.contains("confirmed"), "{lines}");
+    assert_eq!(values[..2], ["bus", "frames-lost"]);
+    (status.link, status.message) = (Link::Down, Some("can0 is down".to_owned()));
+    assert_eq!(told(&status), ("can0 is down".to_owned(), vec!["bus"]));
+}
+
+#[test]
+fn several_buses_have_a_column() {
+    let folder = tempfile::tempdir().unwrap();
+    let lines = "(1.0) can0 07180001#8AFA6C9724110400\n(1.5) vcan-long 07180001#8AFA6C9724110400\n";
+    std::fs::write(folder.path().join("session.log"), lines).unwrap();
+    let output = watch(&["file:session.log"], folder.path());
+    let shown = text(&output.stdout);
+    assert!(shown.contains("00:00:01.500 vcan-long  12 ?            appeared\n"), "{shown}");
+    assert!(shown.contains("00:00:01.500 can0                       end of log\n"), "{shown}");
+    let told = values(&watch(&["file:session.log", "--json"], folder.path()).stdout);
+    let appeared = told.iter().filter(|it| it["event"] == "appeared");
+    assert_eq!(appeared.map(|it| &it["bus"]).collect::<Vec<_>>(), ["can0", "vcan-long"]);
+}
+
+#[test]
+fn what_is_wrong_with_the_file_is_told_once_and_shown() {
+    let folder = folder();
+    let file = "[\n  {\"name\": \"ACT\", \"address\": 300, \"static\": 1}\n]\n";
+    std::fs::write(folder.path().join("des.json"), file).unwrap();
+    let output = watch(&["file:session.log"], folder.path());
+    let shown = text(&output.stdout);
+    for told in ["`address` is 300", "`static` is a number"] {
+        assert_eq!(shown.matches(told).count(), 1, "{shown}");
+    }
+    let told = values(&watch(&["file:session.log", "--json"], folder.path()).stdout);
+    let shapes = told.iter().filter(|it| it["finding"]["kind"] == "file-shape");
+    assert_eq!(shapes.count(), 2);
+
+    std::fs::write(folder.path().join("des.json"), "[\n  {\"name\" \"ACT\"}\n]\n").unwrap();
+    let output = watch(&["file:session.log"], folder.path());
+    let shown = text(&output.stdout);
+    let lines: Vec<&str> = shown.lines().collect();
+    let at = lines.iter().position(|line| line.ends_with("line 2, column 11: expected `:`"));
+    let at = at.unwrap_or_else(|| panic!("{shown}"));
+    assert!(lines[at + 1].ends_with("des.json           {\"name\" \"ACT\"}"), "{shown}");
+    assert!(lines[at + 2].ends_with("des.json                   ^"), "{shown}");
+    assert_eq!(shown.matches("column 11").count(), 1, "{shown}");
+}
+
+#[test]
+fn hostile_names_reach_no_terminal() {
+    let name = b"\x1b[2J\xff\\".to_vec();
+    let hostile = DeviceSpec::new("x").name(&name).fixed(9).settled();
+    let hostile = hostile.service("\u{202e}evil", "\u{9b}1");
+    let folder = tempfile::tempdir().unwrap();
+    let lines = log(&Scenario::new(125_000).with(hostile), 5);
+    std::fs::write(folder.path().join("session.log"), lines).unwrap();
+    for arguments in [&["file:session.log"][..], &["file:session.log", "--json"]] {
+        let output = watch(arguments, folder.path());
+        let shown = text(&output.stdout);
+        assert!(shown.contains("x1B[2J"), "{shown}");
+        assert!(!shown.chars().any(|c| c.is_control() && c != '\n'), "{shown:?}");
+        assert!(!shown.contains('\u{202e}'));
+    }
+    let told = values(&watch(&["file:session.log", "--json"], folder.path()).stdout);
+    let named = told.iter().find(|it| it["event"] == "named" && it["address"] == 9).unwrap();
+    assert_eq!(named["name"], r"\x1B[2J\xFF\\");
+}
+
+#[test]
+fn what_cannot_be_watched_is_said_on_one_line() {
+    let folder = folder();
+    for (arguments, code, hint) in [
+        (&["--time", "soon"][..], 2, "a number of seconds"),
+        (&["-", "-"], 2, "only once"),
+        (&["sim:boiler", "file:session.log"], 2, "descan watch file:LOG"),
+        (&["--jsn"], 2, "--json"),
+        (&["nocan7"], 3, "nocan7"),
+        (&["file:nothing.log"], 3, "nothing.log"),
+        (&["sim:nothing"], 3, "boiler"),
+        (&["sim:boiler", "--profile", "nothing.toml"], 3, "file not found"),
+    ] {
+        let output = watch(arguments, folder.path());
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {said}");
+        assert_eq!(said.lines().count(), 1, "{said}");
+        assert!(said.starts_with("descan: ") && said.contains(hint), "{arguments:?}: {said}");
+        assert_eq!(text(&output.stdout), "", "{arguments:?}");
+    }
+    let help = watch(&["--help"], folder.path());
+    assert!(text(&help.stdout).contains("descan watch can0"));
+}
+
+/// The findings that an app on a simulated bus tells in so many seconds, without a screen.
+fn findings(scenario: &Scenario, file: &str, seconds: u64) -> Vec<(FindingKind, Confidence)> {
+    let mut sim = Sim::new(scenario, 7);
+    let station = sim.attach();
+    let config = Config { bitrate: Some(scenario.bitrate), seed: 7, ..Config::default() };
+    let buses = vec![("sim".to_owned(), config)];
+    let options = AppOptions {
+        buses,
+        file_path: Some("des.json".into()),
+        emit_events: true,
+        ..AppOptions::default()
+    };
+    let mut app = App::new(Instant::ZERO, options);
+    app.handle_file(Instant::ZERO, FileReading::Content(Some(file.as_bytes().to_vec())));
+    let mut told = Vec::new();
+    let end = Instant::from_micros(seconds * 1_000_000);
+    while sim.now() < end {
+        let now = sim.now();
+        let mut frames = Vec::new();
+        while let Some(frame) = sim.poll_frame(station) {
+            frames.push(frame);
+        }
+        app.handle_frames(now, &frames);
+        app.handle_timeout(now);
+        while let Some(frame) = app.poll_transmit(now) {
+            sim.transmit(station, frame);
+        }
+        while let Some(happening) = app.poll_app_event() {
+            if let AppEvent::Finding(_, finding) = happening {
+                told.push((finding.key.kind, finding.confidence));
+            }
+        }
+        let next = [app.poll_timeout(), sim.next_event()].into_iter().flatten().min();
+        let least = now + Duration::from_micros(1);
+        sim.advance(next.unwrap_or(end).clamp(least, end.max(least)));
+    }
+    told
+}
+
+#[test]
+fn what_is_found_by_comparing_is_told_once_and_does_not_flap() {
+    // One that never says its name sits where another is pinned: it is asked again and again.
+    let silent = DeviceSpec::new("x").fixed(40).settled().fault(Fault::NoDes);
+    let feed = DeviceSpec::new("FEED").fixed(12).settled().service("AUGER", "2.1");
+    // One comes late and makes everybody be asked again.
+    let late = DeviceSpec::new("LATE").fixed(50).power_on(Duration::from_millis(3200));
+    let scenario = Scenario::new(125_000).with(silent).with(feed).with(late);
+    let file = r#"{"devices":[{"name":"GONE","address":40,"static":true},{"name":"AWAY","address":41},
+        {"name":"FEED","address":13,"static":true}]}"#;
+    let mut told = findings(&scenario, file, 130);
+    told.sort_by_key(|(kind, _)| kind.name());
+    let expected = [
+        (FindingKind::Missing, Confidence::Confirmed),
+        (FindingKind::Missing, Confidence::Confirmed),
+        (FindingKind::StaticAddressTaken, Confidence::Suspected),
+        (FindingKind::WrongAddress, Confidence::Confirmed),
+    ];
+    assert_eq!(told, expected);
+}
+
+/// A bus of which nothing is shown by mistake would look like a quiet one.
+#[test]
+fn a_filter_that_nothing_can_fit_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    for (filter, said) in [
+        ("at:abc", "at:abc: \"abc\" is not an address; use 0 to 127"),
+        ("feed at:12-14", "at:12-14: \"12-14\" is not an address"),
+        ("at:12,128", "\"128\" is not an address"),
+        ("!foo:bar", "unknown field foo; use at: name:"),
+    ] {
+        let output = watch(&["sim:boiler", "--time", "0.1", "--filter", filter], folder.path());
+        assert_eq!(output.status.code(), Some(2), "{filter}");
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert!(stderr.contains(said), "{stderr}");
+    }
+    for filter in ["at:12,14", "12:30", "name:feed is:lost !err", "boiler"] {
+        let output = watch(&["sim:boiler", "--time", "0.1", "--filter", filter], folder.path());
+        assert_eq!(output.status.code(), Some(0), "{filter}");
+    }
+}
