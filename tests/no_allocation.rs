@@ -60,7 +60,7 @@ fn second(number: u64) -> Vec<Frame> {
 }
 
 #[test]
-fn steady_traffic_allocates_next_to_nothing() {
+fn steady_traffic_allocates_almost_nothing() {
     let config = Config { listen_only: true, ..Config::default() };
     let buses = vec![("can0".to_owned(), config)];
     let mut app = App::new(Instant::ZERO, AppOptions { buses, ..AppOptions::default() });
@@ -92,7 +92,7 @@ fn steady_traffic_allocates_next_to_nothing() {
 /// --nocapture --ignored`.
 #[test]
 #[ignore = "a measurement"]
-fn frames_a_second() {
+fn engine_throughput_in_frames_per_second() {
     let config = Config { listen_only: true, ..Config::default() };
     let buses = vec![("can0".to_owned(), config)];
     let mut app = App::new(Instant::ZERO, AppOptions { buses, ..AppOptions::default() });

@@ -43,14 +43,14 @@ fn search(
 }
 
 #[test]
-fn each_rate_has_one_and_a_half_periods_of_silence() {
+fn rate_without_frames_is_left_after_1_5_periods() {
     let (took, outcome) = search(125_000, |_| None);
     assert_eq!(took, [125_000, 250_000, 500_000, 1_000_000].map(|rate| (rate, 1500)));
     assert_eq!(outcome, SearchOutcome::Silence);
 }
 
 #[test]
-fn the_cycle_begins_where_it_is_told_and_goes_around() {
+fn search_starts_at_given_rate_and_wraps() {
     let (took, _) = search(500_000, |_| None);
     let rates: Vec<u32> = took.iter().map(|(rate, _)| *rate).collect();
     assert_eq!(rates, [500_000, 1_000_000, 125_000, 250_000]);
@@ -63,7 +63,7 @@ fn the_cycle_begins_where_it_is_told_and_goes_around() {
 }
 
 #[test]
-fn a_whole_frame_is_the_rate() {
+fn valid_frame_ends_search_with_its_rate() {
     let (took, outcome) =
         search(125_000, |rate| Some(if rate == 500_000 { whole() } else { broken() }));
     assert_eq!(outcome, SearchOutcome::Found(500_000));
@@ -72,7 +72,7 @@ fn a_whole_frame_is_the_rate() {
 }
 
 #[test]
-fn a_few_broken_frames_may_be_the_right_rate_all_the_same() {
+fn few_bus_errors_do_not_rule_out_rate() {
     // Who is alone breaks its own frames until it is error-passive; then they arrive.
     let mut count = 0;
     let (_, outcome) = search(250_000, |_| {
@@ -83,7 +83,7 @@ fn a_few_broken_frames_may_be_the_right_rate_all_the_same() {
 }
 
 #[test]
-fn frames_of_ours_and_reports_of_our_state_say_nothing() {
+fn own_frames_and_state_reports_do_not_count() {
     let mut count = 0;
     let (_, outcome) = search(125_000, |_| {
         count += 1;
@@ -100,7 +100,7 @@ fn frames_of_ours_and_reports_of_our_state_say_nothing() {
 }
 
 #[test]
-fn what_comes_while_a_rate_is_being_set_belongs_to_none() {
+fn frames_during_rate_change_are_ignored() {
     let mut search = Search::new(125_000, PERIOD);
     search.handle_frame(&whole());
     assert_eq!(search.outcome(), None);

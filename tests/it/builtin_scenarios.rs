@@ -44,15 +44,15 @@ fn assert_true(inspection: &Inspection) {
 }
 
 #[test]
-fn boiler() {
-    let (story, inspection) = told("boiler", 200);
+fn boiler_scenario_events_match_snapshot() {
+    let (story, inspection) = told("boiler_scenario_events_match_snapshot", 200);
     assert_true(&inspection);
-    insta::assert_snapshot!("boiler", story);
+    insta::assert_snapshot!("boiler_scenario_events_match_snapshot", story);
 }
 
 #[test]
-fn drone() {
-    let (story, inspection) = told("drone", 160);
+fn drone_scenario_events_match_snapshot() {
+    let (story, inspection) = told("drone_scenario_events_match_snapshot", 160);
     assert_true(&inspection);
-    insta::assert_snapshot!("drone", story);
+    insta::assert_snapshot!("drone_scenario_events_match_snapshot", story);
 }

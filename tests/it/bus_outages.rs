@@ -131,7 +131,7 @@ impl Stage {
 }
 
 #[test]
-fn after_bus_off_discovery_begins_anew() {
+fn bus_off_restarts_discovery() {
     let mut stage = Stage::settled();
     stage.becomes(|status| (status.state, status.bus_offs) = (BusState::BusOff, 1));
     stage.run(15.0);
@@ -144,7 +144,7 @@ fn after_bus_off_discovery_begins_anew() {
 }
 
 #[test]
-fn after_a_bus_off_that_is_over_when_it_is_told_discovery_begins_anew() {
+fn bus_off_reported_after_its_end_restarts_discovery() {
     let mut stage = Stage::settled();
     stage.becomes(|status| status.bus_offs += 1);
     stage.begins_anew();
@@ -152,7 +152,7 @@ fn after_a_bus_off_that_is_over_when_it_is_told_discovery_begins_anew() {
 }
 
 #[test]
-fn after_it_was_down_or_unplugged_discovery_begins_anew() {
+fn bus_down_or_unplugged_restarts_discovery() {
     for (link, told) in [(Link::Down, "can0 is away"), (Link::Unplugged, "can0 is away")] {
         let mut stage = Stage::settled();
         stage.becomes(|status| {
@@ -172,7 +172,7 @@ fn after_it_was_down_or_unplugged_discovery_begins_anew() {
 }
 
 #[test]
-fn after_an_outage_that_is_over_when_it_is_told_discovery_begins_anew() {
+fn outage_reported_after_its_end_restarts_discovery() {
     let mut stage = Stage::settled();
     stage.becomes(|status| status.outages += 1);
     stage.begins_anew();
@@ -180,7 +180,7 @@ fn after_an_outage_that_is_over_when_it_is_told_discovery_begins_anew() {
 }
 
 #[test]
-fn a_bus_that_is_back_before_it_is_told_counts_no_heartbeat_as_missed() {
+fn outage_reported_late_counts_no_missed_heartbeats() {
     let mut stage = Stage::settled();
     stage.becomes(|status| (status.link, status.state) = (Link::Down, BusState::Down));
     stage.run(4.0);
@@ -196,7 +196,7 @@ fn a_bus_that_is_back_before_it_is_told_counts_no_heartbeat_as_missed() {
 }
 
 #[test]
-fn a_bus_that_goes_away_again_before_it_was_told_to_be_back_counts_nobody_out() {
+fn second_outage_loses_no_device() {
     let mut stage = Stage::settled();
     stage.becomes(|status| (status.state, status.bus_offs) = (BusState::BusOff, 1));
     stage.run(3.0);
@@ -215,7 +215,7 @@ fn a_bus_that_goes_away_again_before_it_was_told_to_be_back_counts_nobody_out() 
 }
 
 #[test]
-fn what_else_the_adapter_says_disturbs_nothing() {
+fn other_status_changes_do_not_restart_discovery() {
     let mut stage = Stage::settled();
     let before = stage.own_address();
     stage.becomes(|status| status.state = BusState::ErrorWarning);
@@ -247,7 +247,7 @@ fn what_else_the_adapter_says_disturbs_nothing() {
 
 /// Stopped and let go on, as by Ctrl-Z and fg: all that came meanwhile is read at once.
 #[test]
-fn nobody_is_judged_by_the_time_in_which_the_program_was_held_up() {
+fn stall_does_not_change_presence() {
     let mut stage = Stage::settled();
     let counted = |stage: &Stage| stage.app.buses()[0].counters();
     let before = counted(&stage);
@@ -279,7 +279,7 @@ fn nobody_is_judged_by_the_time_in_which_the_program_was_held_up() {
 }
 
 #[test]
-fn a_bus_that_goes_down_while_what_waited_is_read_is_down() {
+fn bus_down_during_queued_frames_is_down() {
     let mut stage = Stage::settled();
     stage.hold_up(7);
     while stage.sim.poll_frame(stage.station).is_some() {}
@@ -292,7 +292,7 @@ fn a_bus_that_goes_down_while_what_waited_is_read_is_down() {
 }
 
 #[test]
-fn questions_that_waited_in_a_full_queue_accuse_nobody() {
+fn requests_delayed_in_full_queue_raise_no_finding() {
     for seconds in [3, 8] {
         let mut stage = Stage::settled();
         stage.queue = Some(Vec::new());

@@ -23,7 +23,7 @@ fn fault(line: &str) -> LineFault {
 }
 
 #[test]
-fn reads_the_line_of_the_manual() {
+fn manual_example_line_is_parsed() {
     let line = read("(1436509052.249713) can0 02015402#0444455301");
     assert_eq!(line.unix_micros, 1_436_509_052_249_713);
     assert_eq!(line.interface, "can0");
@@ -31,7 +31,7 @@ fn reads_the_line_of_the_manual() {
 }
 
 #[test]
-fn reads_frames_of_every_kind() {
+fn frames_of_every_kind_are_parsed() {
     let standard = |data: &[u8]| Frame::with(CanId::Standard(0x123), data);
     let fd = |bit_rate_switch, error_state, data: &[u8]| {
         let mut frame = Frame::fd(0, data, 0);
@@ -62,7 +62,7 @@ fn reads_frames_of_every_kind() {
 }
 
 #[test]
-fn is_lenient_where_others_are() {
+fn unusual_lines_of_other_tools_are_accepted() {
     let plain = read("(1.500000) can0 123#AB").frame;
     for line in [
         "(1.5) can0 123#ab",
@@ -82,7 +82,7 @@ fn is_lenient_where_others_are() {
 }
 
 #[test]
-fn says_what_is_wrong() {
+fn invalid_line_error_names_the_cause() {
     for (line, expected) in [
         ("can0 123#AB", LineFault::Time),
         ("(1.5 can0 123#AB", LineFault::Time),
@@ -127,7 +127,7 @@ fn says_what_is_wrong() {
 
 proptest! {
     #[test]
-    fn what_is_written_is_read_back(frame in any_frame(), epoch in 0_u64..1 << 50) {
+    fn any_frame_written_is_read_back(frame in any_frame(), epoch in 0_u64..1 << 50) {
         let epoch = Epoch::from_unix_micros(epoch);
         let mut line = Vec::new();
         write_line(&mut line, epoch, "can0", &frame).unwrap();
@@ -138,12 +138,12 @@ proptest! {
     }
 
     #[test]
-    fn arbitrary_bytes_do_no_harm(line in proptest::collection::vec(any::<u8>(), 0..700)) {
+    fn arbitrary_bytes_do_not_panic(line in proptest::collection::vec(any::<u8>(), 0..700)) {
         let _ = parse_line(&line);
     }
 
     #[test]
-    fn almost_a_line_does_no_harm(
+    fn nearly_valid_line_does_not_panic(
         line in "[ \t]*\\(?[0-9]{0,25}\\.?[0-9]{0,25}\\)? (can0|é) [0-9A-G]{0,9}#{0,3}[R0-9A-F._:]{0,140}( [RT])?\r?"
     ) {
         if let Ok(Some(line)) = parse_line(line.as_bytes()) {

@@ -76,7 +76,7 @@ fn kinds(file: &str) -> Vec<(String, Option<u64>)> {
 }
 
 #[test]
-fn what_agrees_is_one_line_and_fine() {
+fn matching_file_is_one_line_and_exit_0() {
     let (code, said) = checked(AGREES);
     assert_eq!(said, "des.json: 2 entries, 2 devices on can0: no difference\n");
     assert_eq!(code, 0);
@@ -84,7 +84,7 @@ fn what_agrees_is_one_line_and_fine() {
 }
 
 #[test]
-fn each_difference_is_a_line_in_its_group() {
+fn each_difference_is_one_line_in_its_group() {
     let (code, said) = checked(
         r#"{ "devices": [
           { "name": "FEED", "address": 16, "static": true, "services": [
@@ -116,7 +116,7 @@ des.json: 3 entries, 2 devices on can0: 2 missing, 1 wrong address, 1 static add
 }
 
 #[test]
-fn another_name_than_listed_is_a_difference() {
+fn name_other_than_listed_is_a_difference() {
     let mut feed = DeviceSpec::new("FEED").fixed(12).settled();
     feed.uid = descan::wire::node::Uid([0x8A, 0xFA, 0x6C, 0x97, 0x24, 0x11]);
     let scenario = Scenario::new(125_000).with(feed);
@@ -161,7 +161,7 @@ fn log_compared_with_its_own_start_shows_what_came_later() {
 
 /// Members of a JSON object have no order: whatever writes them may sort them.
 #[test]
-fn the_order_of_services_counts_in_a_list_only() {
+fn service_order_counts_in_list_form_only() {
     let file = |services: &str| {
         format!(
             r#"[{{"name":"FEED","address":12,"services":{services}}},{{"name":"SENS","address":13}}]"#
@@ -177,7 +177,7 @@ fn the_order_of_services_counts_in_a_list_only() {
 }
 
 #[test]
-fn one_that_does_not_say_its_name_is_one_difference_and_not_two() {
+fn unnamed_device_is_one_difference() {
     let mut scenario = Scenario::new(125_000);
     for (name, address) in [("FEED", 12), ("SENS", 13)] {
         let device = DeviceSpec::new(name).fixed(address).settled();
@@ -195,7 +195,7 @@ fn one_that_does_not_say_its_name_is_one_difference_and_not_two() {
 }
 
 #[test]
-fn kinds_are_those_that_scripts_rely_on() {
+fn finding_kinds_in_json_are_stable() {
     let kind = |kind: &str, address: u64| (kind.to_owned(), Some(address));
     let feed = r#"{ "name": "FEED", "address": 12, "static": true }"#;
     let sens = r#"{ "name": "SENS", "address": 13 }"#;
@@ -221,7 +221,7 @@ fn kinds_are_those_that_scripts_rely_on() {
 }
 
 #[test]
-fn a_collision_is_a_difference_too() {
+fn address_conflict_is_a_difference() {
     // Slow enough not to destroy each other's answers.
     let stubborn = |name: &str, millis: u64| {
         let mut device = DeviceSpec::new(name).fixed(14).settled().fault(Fault::NeverGivesWay);
@@ -238,7 +238,7 @@ fn a_collision_is_a_difference_too() {
 }
 
 #[test]
-fn without_a_file_that_can_be_read_nothing_can_be_said() {
+fn unreadable_file_is_unusable() {
     let folder = Folder::with(&bus(), None);
     let missing = folder.check(&["file:session.log"]);
     assert_eq!(missing.status.code(), Some(3));
@@ -259,7 +259,7 @@ fn without_a_file_that_can_be_read_nothing_can_be_said() {
 }
 
 #[test]
-fn a_line_waits_until_all_are_there() {
+fn line_gate_waits_for_all_listed_devices() {
     let folder = Folder::with(&bus(), Some(AGREES));
     folder.write(
         "line.toml",
@@ -288,7 +288,7 @@ power_on = 7.0
 }
 
 #[test]
-fn a_name_of_which_nothing_is_seen_is_quoted() {
+fn invisible_name_is_quoted() {
     let (_, said) = checked(
         r#"[{"name":"","address":12,"static":true},
             {"name":" ","address":44,"static":true},{"name":"FAN","address":44,"static":true}]"#,
@@ -304,7 +304,7 @@ fn a_name_of_which_nothing_is_seen_is_quoted() {
 
 /// Whatever is in the file: one message, at once, and the file stays as it is.
 #[test]
-fn what_nobody_should_write_is_told_where_it_is() {
+fn invalid_file_content_is_reported_with_its_line() {
     let deep = format!("{{\"devices\": {}{}}}", "[".repeat(10_000), "]".repeat(10_000));
     for (file, said) in [
         (&deep[..], "line 1, column 140: nested deeper than 128 levels"),
@@ -327,7 +327,7 @@ fn what_nobody_should_write_is_told_where_it_is() {
 
 /// Nobody reads a gigabyte to find that it is no des.json.
 #[test]
-fn a_file_of_a_gigabyte_is_refused_at_once() {
+fn file_of_one_gigabyte_is_rejected_at_once() {
     let folder = Folder::with(&bus(), Some("["));
     let file = std::fs::File::options().write(true).open(folder.path().join("des.json")).unwrap();
     file.set_len(1 << 30).unwrap();
@@ -338,7 +338,7 @@ fn a_file_of_a_gigabyte_is_refused_at_once() {
 }
 
 #[test]
-fn members_that_are_there_twice_are_told_and_the_last_counts() {
+fn duplicate_member_is_reported_and_last_one_counts() {
     let file = r#"[{"name":"FEED","address":12,"static":true,"services":{"DES":"1.0","AUGER":"2.1"}},
       {"name":"SENS","address":99,"static":true,"address":13}]"#;
     let (code, said) = checked(file);
@@ -351,7 +351,7 @@ fn members_that_are_there_twice_are_told_and_the_last_counts() {
 }
 
 #[test]
-fn a_wrong_value_in_the_file_is_a_difference_with_its_place() {
+fn invalid_value_is_a_difference_with_its_line() {
     let (code, text) = checked(r#"[{"name":"A","address":1e2}]"#);
     assert_eq!(code, 1, "{text}");
     let place = "`address` is 1e2; write it in plain digits: 100 (line 1, column 24)";
@@ -362,7 +362,7 @@ fn a_wrong_value_in_the_file_is_a_difference_with_its_place() {
 
 /// A recorder that wrote nothing is no plant in order.
 #[test]
-fn a_log_without_a_frame_is_no_bus_to_compare() {
+fn log_without_frames_is_unusable() {
     for log in ["", "\n"] {
         let folder = Folder::with(&bus(), Some(r#"[{"name":"FEED","address":10}]"#));
         std::fs::write(folder.path().join("session.log"), log).unwrap();

@@ -37,7 +37,7 @@ fn two_devices() -> Scenario {
 }
 
 #[test]
-fn a_device_on_two_buses_says_where_else_it_is() {
+fn device_on_two_buses_lists_its_other_bus() {
     let folder = tempfile::tempdir().unwrap();
     let mut others = two_devices();
     others.devices[1] = DeviceSpec::new("SENS").fixed(14).settled().service("LOG", "0.1");
@@ -67,7 +67,7 @@ fn a_device_on_two_buses_says_where_else_it_is() {
 }
 
 #[test]
-fn a_log_is_scanned_by_its_own_clock() {
+fn log_scan_uses_log_time() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("session.log"), log(&two_devices(), 12)).unwrap();
     let output = descan(&["scan", "file:session.log", "--json"], folder.path());
@@ -220,7 +220,7 @@ fn unusable_from_is_refused_with_remedy() {
 }
 
 #[test]
-fn a_clock_that_was_set_meanwhile_takes_no_time() {
+fn log_with_clock_jump_is_scanned_at_once() {
     let folder = tempfile::tempdir().unwrap();
     let log = "(1.0) can0 07180001#8AFA6C9724110400\n\
                (1780000000.0) can0 07180401#8AFA6C9724110400\n\
@@ -232,7 +232,7 @@ fn a_clock_that_was_set_meanwhile_takes_no_time() {
 }
 
 #[test]
-fn a_controller_that_is_off_the_bus_for_years_takes_no_time() {
+fn log_with_bus_off_for_years_is_scanned_at_once() {
     let folder = tempfile::tempdir().unwrap();
     let log = "(1.0) can0 07180001#8AFA6C9724110400\n\
                (1.5) can0 20000040#0000000000000000\n\
@@ -251,7 +251,7 @@ fn a_controller_that_is_off_the_bus_for_years_takes_no_time() {
 }
 
 #[test]
-fn a_device_that_left_before_the_logs_end_is_lost() {
+fn device_silent_before_log_end_is_lost() {
     let scenario = two_devices().at(Duration::from_secs(4), "SENS", DeviceAction::Leave);
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("session.log"), log(&scenario, 12)).unwrap();
@@ -261,7 +261,7 @@ fn a_device_that_left_before_the_logs_end_is_lost() {
 }
 
 #[test]
-fn a_collision_in_a_log_makes_the_exit_code_1() {
+fn address_conflict_in_log_exits_1() {
     let twin = DeviceSpec::new("FEED")
         .label("second")
         .fixed(12)
@@ -324,7 +324,7 @@ fn two_boards_at_12() -> Vec<String> {
 }
 
 #[test]
-fn findings_are_proved_by_lines_of_the_log() {
+fn finding_evidence_names_log_lines() {
     let folder = tempfile::tempdir().unwrap();
     let lines = two_boards_at_12();
     std::fs::write(folder.path().join("session.log"), lines.join("\n") + "\n").unwrap();
@@ -391,7 +391,7 @@ fn findings_are_proved_by_lines_of_the_log() {
 }
 
 #[test]
-fn standard_input_is_a_log_too() {
+fn log_is_read_from_standard_input() {
     let folder = tempfile::tempdir().unwrap();
     let mut child = Command::new(env!("CARGO_BIN_EXE_descan"))
         .args(["scan", "-", "--json"])
@@ -408,7 +408,7 @@ fn standard_input_is_a_log_too() {
 }
 
 #[test]
-fn unreadable_lines_are_named_once_on_standard_error() {
+fn unreadable_log_lines_are_reported_once_on_stderr() {
     let folder = tempfile::tempdir().unwrap();
     let lines = format!("{}what?\nand this?\n", log(&two_devices(), 3));
     let number = lines.lines().count() - 1;
@@ -422,7 +422,7 @@ fn unreadable_lines_are_named_once_on_standard_error() {
 }
 
 #[test]
-fn a_log_may_begin_with_a_byte_order_mark() {
+fn log_with_byte_order_mark_is_read() {
     let folder = tempfile::tempdir().unwrap();
     let lines = format!("\u{feff}{}", log(&two_devices(), 3));
     let number = lines.lines().count();
@@ -433,7 +433,7 @@ fn a_log_may_begin_with_a_byte_order_mark() {
 }
 
 #[test]
-fn what_cannot_be_printed_is_named() {
+fn unprintable_name_is_escaped() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("session.log"), log(&two_devices(), 3)).unwrap();
     std::fs::write(folder.path().join("des.json"), "{}").unwrap();
@@ -453,7 +453,7 @@ fn what_cannot_be_printed_is_named() {
 }
 
 #[test]
-fn hostile_names_reach_no_terminal() {
+fn control_characters_in_names_are_escaped() {
     let hostile = DeviceSpec::new("x").name(b"\x1b[2J\x07").fixed(9).settled();
     let hostile = hostile.service("\u{202e}evil", "\u{9b}1");
     let folder = tempfile::tempdir().unwrap();
@@ -468,7 +468,7 @@ fn hostile_names_reach_no_terminal() {
 }
 
 #[test]
-fn an_interface_name_in_a_log_steers_no_terminal() {
+fn control_characters_in_interface_name_are_escaped() {
     let folder = tempfile::tempdir().unwrap();
     let lines = "(1.0) ca\u{1b}[2Jn0 07183C01#\n(1.1) ca\u{9b}n0 07183C01#\n(1.2) can0 07183C01#\n";
     std::fs::write(folder.path().join("session.log"), lines).unwrap();
@@ -479,7 +479,7 @@ fn an_interface_name_in_a_log_steers_no_terminal() {
 }
 
 #[test]
-fn what_was_found_becomes_a_des_json_and_nothing_is_overwritten() {
+fn scan_writes_des_json_and_never_overwrites() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("session.log"), log(&two_devices(), 5)).unwrap();
     let arguments = ["scan", "file:session.log", "--write", "found.json"];
@@ -499,7 +499,7 @@ fn what_was_found_becomes_a_des_json_and_nothing_is_overwritten() {
 }
 
 #[test]
-fn the_file_is_compared_with_the_bus() {
+fn scan_with_file_lists_differences() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("session.log"), log(&two_devices(), 8)).unwrap();
     std::fs::write(
@@ -527,7 +527,7 @@ fn the_file_is_compared_with_the_bus() {
 }
 
 #[test]
-fn a_broken_file_is_told_with_line_and_column() {
+fn broken_file_error_has_line_and_column() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("session.log"), log(&two_devices(), 3)).unwrap();
     std::fs::write(folder.path().join("des.json"), "{\"devices\": [\n  { \"name\": }\n]}").unwrap();
@@ -542,7 +542,7 @@ fn a_broken_file_is_told_with_line_and_column() {
 }
 
 #[test]
-fn a_simulated_bus_is_scanned_in_a_few_seconds() {
+fn simulated_bus_scan_ends_within_seconds() {
     let folder = tempfile::tempdir().unwrap();
     let output = descan(&["scan", "sim:drone", "--json"], folder.path());
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
@@ -555,7 +555,7 @@ fn a_simulated_bus_is_scanned_in_a_few_seconds() {
 }
 
 #[test]
-fn a_bus_on_which_nobody_acknowledges_is_said_to_be_one() {
+fn bus_without_ack_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("empty.toml"), "bitrate = 125000\n").unwrap();
     let output = descan(&["scan", "sim:empty.toml", "--time", "3", "--json"], folder.path());
@@ -565,7 +565,7 @@ fn a_bus_on_which_nobody_acknowledges_is_said_to_be_one() {
 }
 
 #[test]
-fn a_controller_that_is_bus_off_is_told() {
+fn bus_off_controller_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("noise.toml"), "bitrate = 125000\nerror_rate = 1.0\n")
         .unwrap();
@@ -576,7 +576,7 @@ fn a_controller_that_is_bus_off_is_told() {
 }
 
 #[test]
-fn wrong_arguments_are_one_line_that_says_what_would_be_right() {
+fn invalid_arguments_are_one_line_with_the_fix() {
     let folder = tempfile::tempdir().unwrap();
     for (arguments, hint) in [
         (&["scan", "--jsn"][..], "--json"),
@@ -601,7 +601,7 @@ fn wrong_arguments_are_one_line_that_says_what_would_be_right() {
 }
 
 #[test]
-fn what_cannot_be_used_is_named_and_exits_with_3() {
+fn unusable_input_is_named_and_exits_3() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("odd.toml"), "bitrate = 125000\nnoise = 1\n").unwrap();
     std::fs::write(folder.path().join("bad.toml"), "framing = \"morse\"").unwrap();
@@ -623,7 +623,7 @@ fn what_cannot_be_used_is_named_and_exits_with_3() {
 }
 
 #[test]
-fn help_teaches_and_a_closed_pipe_is_no_error() {
+fn help_has_examples_and_closed_pipe_is_no_error() {
     let folder = tempfile::tempdir().unwrap();
     let help = descan(&["--help"], folder.path());
     assert_eq!(help.status.code(), Some(0));
@@ -646,7 +646,7 @@ fn help_teaches_and_a_closed_pipe_is_no_error() {
 }
 
 #[test]
-fn frames_are_printed_as_candump_does() {
+fn frames_are_printed_in_candump_format() {
     let mut line = Vec::new();
     let frame = Frame::classic(0x0201_5402, &[4, 0x44]);
     write_line(&mut line, Epoch::from_unix_micros(1_436_509_052_249_713), "can0", &frame).unwrap();
@@ -654,7 +654,7 @@ fn frames_are_printed_as_candump_does() {
 }
 
 #[test]
-fn a_file_that_is_no_log_cannot_be_used_and_is_not_a_silent_bus() {
+fn file_without_log_lines_is_unusable() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("notes.txt"), "hello\nworld\n").unwrap();
     std::fs::write(folder.path().join("silent.log"), "").unwrap();
@@ -669,7 +669,7 @@ fn a_file_that_is_no_log_cannot_be_used_and_is_not_a_silent_bus() {
 }
 
 #[test]
-fn what_a_log_does_not_say_is_left_out_and_what_is_over_needs_no_remedy() {
+fn log_report_omits_unknowns_and_cleared_remedies() {
     let folder = tempfile::tempdir().unwrap();
     // A spare ACT comes at 28 s and is gone at 50 s.
     let scenario = Scenario::builtin("boiler").unwrap();

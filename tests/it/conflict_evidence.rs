@@ -60,13 +60,13 @@ const SAME: FindingKind = FindingKind::SameNameSameAddress;
 const NAMES: FindingKind = FindingKind::OneAddressTwoNames;
 
 #[test]
-fn two_that_beat_almost_half_a_period_apart_are_two() {
+fn heartbeats_half_a_period_apart_are_two_devices() {
     let engine = Story::default().beats(0, 20_000).beats(450, 20_000).heard(|_, _| {});
     assert_eq!(confidence(&engine, SAME), Some(Confidence::Confirmed));
 }
 
 #[test]
-fn one_that_beats_at_twice_the_rate_is_one() {
+fn heartbeats_at_twice_the_rate_are_one_device() {
     let engine = Story::default().beats(0, 40_000).beats(500, 40_000).heard(|at, engine| {
         assert_ne!(confidence(engine, SAME), Some(Confidence::Confirmed), "at {at} ms");
     });
@@ -74,7 +74,7 @@ fn one_that_beats_at_twice_the_rate_is_one() {
 }
 
 #[test]
-fn what_answers_proved_goes_on_while_heartbeats_come_too_often() {
+fn response_evidence_survives_heartbeat_noise() {
     let mut story = Story::default().beats(0, 40_000).beats(500, 40_000);
     for second in 0..12 {
         story = story.asked(second * 1000 + 250, &[b"A", b"A"]);
@@ -88,7 +88,7 @@ fn what_answers_proved_goes_on_while_heartbeats_come_too_often() {
 }
 
 #[test]
-fn a_burst_of_odd_answers_counts_once() {
+fn burst_of_malformed_responses_counts_once() {
     let mut story = Story::default().beats(0, 24_000);
     for at in [3250, 3350, 3450, 8700] {
         story = story.asked(at, &[b"A", b"A"]);
@@ -100,7 +100,7 @@ fn a_burst_of_odd_answers_counts_once() {
 }
 
 #[test]
-fn two_that_turn_out_to_have_two_names_stay_confirmed_meanwhile() {
+fn conflict_stays_confirmed_when_second_name_appears() {
     let story = Story::default().beats(0, 12_000).beats(300, 12_000);
     let story = story.asked(9000, &[b"A"]).asked(9200, &[b"B"]).asked(9400, &[b"A"]);
     story.heard(|at, engine| {

@@ -165,7 +165,7 @@ const TWO_IDENTITIES: Confirmed = &[("one-address-two-identities", 14)];
 const NOTHING: Confirmed = &[];
 
 #[test]
-fn two_heartbeats_from_one_address() {
+fn two_heartbeat_senders_at_one_address_are_found() {
     let mut cases: Vec<Case> = Vec::new();
     for constant in [None, Some(0), Some(127)] {
         for seconds in [6.0, 10.0] {
@@ -199,7 +199,7 @@ fn two_heartbeats_from_one_address() {
 }
 
 #[test]
-fn boards_with_equal_random_numbers_are_no_bridge() {
+fn equal_random_numbers_are_not_taken_for_a_bridge() {
     let mut cases: Vec<Case> = Vec::new();
     for (seconds, every) in [(12.0, 0.7), (20.0, 1.0), (30.0, 1.9)] {
         for uid in [BLANK, FEED] {
@@ -225,7 +225,7 @@ fn boards_with_equal_random_numbers_are_no_bridge() {
 }
 
 #[test]
-fn what_a_bridge_repeats_is_no_contest() {
+fn repeated_frames_do_not_raise_contested_address() {
     let folder = tempfile::tempdir().unwrap();
     for apart in [0.0003, 0.02, 0.045] {
         let alone = Log::default().lives(14, 0.1, 20.0, FEED).asked(20.0, 0.7, 5, &["FEED"]);
@@ -245,7 +245,7 @@ fn what_a_bridge_repeats_is_no_contest() {
 }
 
 #[test]
-fn what_cannot_be_told_from_one_device_is_suspected_at_most() {
+fn ambiguous_heartbeats_are_suspected_at_most() {
     let mut cases: Vec<Case> = Vec::new();
     for seconds in [6.0, 10.0, 30.0] {
         let half = Log::default().lives(14, 0.1, seconds, FEED).lives(14, 0.6, seconds, FEED);
@@ -266,7 +266,7 @@ fn what_cannot_be_told_from_one_device_is_suspected_at_most() {
 }
 
 #[test]
-fn two_answers_to_questions_of_somebody_else() {
+fn two_responses_to_foreign_request_are_a_conflict() {
     let mut cases: Vec<Case> = Vec::new();
     for (seconds, every) in [(6.0, 1.0), (7.0, 2.0), (10.0, 3.0), (12.0, 5.0), (31.0, 10.0)] {
         for by in [0, 5] {
@@ -285,7 +285,7 @@ fn two_answers_to_questions_of_somebody_else() {
 }
 
 #[test]
-fn answers_in_whatever_framing() {
+fn conflict_is_found_in_either_framing() {
     let fd = |name: &str| format!("#0{}", isotp(name));
     let padded = |name: &str| format!("{:0<16}", isotp(name));
     let framings: [(&str, &str, Encode<'_>); 4] = [
@@ -316,7 +316,7 @@ fn answers_in_whatever_framing() {
 }
 
 #[test]
-fn names_without_questions() {
+fn unsolicited_names_are_evaluated() {
     let mut cases: Vec<Case> = Vec::new();
     for (seconds, every) in [(8.0, 1.0), (22.0, 5.0), (42.0, 10.0)] {
         let mut log = Log::default().lives(14, 0.1, seconds, FEED).asked(
@@ -332,7 +332,7 @@ fn names_without_questions() {
 }
 
 #[test]
-fn one_uid_and_two_debug_devices() {
+fn uid_conflict_and_debug_conflict_are_found() {
     let mut cases: Vec<Case> = Vec::new();
     for seconds in [6.0, 10.0, 30.0] {
         let uid = Log::default().lives(12, 0.1, seconds, FEED).lives(13, 0.4, seconds, FEED);
@@ -357,7 +357,7 @@ fn peace(seconds: f64) -> Log {
 }
 
 #[test]
-fn what_only_looks_like_a_collision() {
+fn apparent_conflicts_are_not_confirmed() {
     let mut cases: Vec<Case> = Vec::new();
     for delay in [0.0003, 0.004, 0.03] {
         let doubled = peace(20.0).and(&peace(20.0), delay);
@@ -404,7 +404,7 @@ impl Log {
 }
 
 #[test]
-fn clocks_that_jump_and_logs_that_begin_anywhere() {
+fn clock_jumps_and_partial_logs_raise_no_conflict() {
     let folder = tempfile::tempdir().unwrap();
     let collision = Log::default().lives(14, 0.1, 20.0, FEED).lives(14, 0.4, 20.0, FEED);
     for (log, confirmed) in [(peace(20.0), NOTHING), (collision, SAME_NAME)] {
@@ -433,7 +433,7 @@ fn clocks_that_jump_and_logs_that_begin_anywhere() {
 }
 
 #[test]
-fn each_interface_of_a_log_is_a_bus_of_its_own() {
+fn each_log_interface_is_its_own_bus() {
     let folder = tempfile::tempdir().unwrap();
     let one = Log::default().lives(14, 0.1, 10.0, FEED).text();
     let other = Log::default().lives(14, 0.4, 10.0, SENS).text().replace("can0", "vcan7");
@@ -462,7 +462,7 @@ fn transcript(scenario: &str) -> Vec<Told> {
 }
 
 #[test]
-fn a_scenario_is_told_of_its_log_as_it_was_of_the_bus() {
+fn scenario_log_gives_the_findings_of_the_live_bus() {
     let folder = tempfile::tempdir().unwrap();
     let scenarios = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/scenarios");
     let mut compared = 0;
@@ -499,7 +499,7 @@ fn a_scenario_is_told_of_its_log_as_it_was_of_the_bus() {
 }
 
 #[test]
-fn what_the_file_pins() {
+fn static_addresses_in_file_are_compared() {
     let folder = tempfile::tempdir().unwrap();
     let mut log = Log::default().lives(12, 0.1, 8.0, FEED).lives(31, 0.4, 8.0, SENS);
     log.asks(0.7, 0, "0444455301");

@@ -31,7 +31,7 @@ fn device(it: &Inspection, address: u8) -> &descan::discovery::Device {
 }
 
 #[test]
-fn every_framing_is_understood() {
+fn devices_of_every_framing_are_identified() {
     let long = "a-version-that-takes-many-frames-to-say".repeat(4);
     let make = |name: &str, address| DeviceSpec::new(name).fixed(address).settled();
     let mut fd = make("FD", 4).service("WIDE", &long);
@@ -67,7 +67,7 @@ fn every_framing_is_understood() {
 }
 
 #[test]
-fn another_profile_has_other_numbers() {
+fn profile_numbers_replace_the_defaults() {
     let profile = Profile::parse(
         "framing = \"isotp\"\n[services]\nheartbeat = 0x155\ndes = 0x2AA\n[heartbeat]\nperiod_ms = 500\n\
          uid_offset = 1\nmode_offset = 0\nerror_offset = 7\n[modes]\nWORK = 40\nINIT = 41\n",
@@ -89,7 +89,7 @@ fn another_profile_has_other_numbers() {
 }
 
 #[test]
-fn faults_are_told_and_end() {
+fn device_faults_are_reported_and_clear() {
     let faulty = |name: &str, address, fault| {
         let device = DeviceSpec::new(name).fixed(address).settled().fault(fault);
         device.service("SOME", "1.0").service("MORE", "2.0")
@@ -138,7 +138,7 @@ fn our_share(it: &Inspection, from: Instant, to: Instant) -> f64 {
 }
 
 #[test]
-fn what_we_send_keeps_to_its_share() {
+fn transmit_budget_is_kept() {
     let scenario = Scenario::crowd(125_000, 60, 3);
     let slow = Config { start_share: 0.02, ..Config::default() };
     let mut it = Inspection::new(&scenario, 3, slow);
@@ -156,7 +156,7 @@ fn what_we_send_keeps_to_its_share() {
 }
 
 #[test]
-fn listening_only_sends_nothing_and_learns_from_others() {
+fn listen_only_engine_learns_without_sending() {
     let scenario = Scenario::crowd(250_000, 10, 2);
     let [asker, listener] = inspection::asker_and_listener(&scenario, 5, seconds(8.0));
     let known = |engine: &descan::discovery::Engine| engine.progress().with_services;
@@ -165,7 +165,7 @@ fn listening_only_sends_nothing_and_learns_from_others() {
 }
 
 #[test]
-fn without_scan_nobody_is_asked() {
+fn disabled_scan_sends_no_requests() {
     let scenario = Scenario::crowd(250_000, 5, 1);
     let mut it = Inspection::new(&scenario, 3, Config { scan: false, ..Config::default() });
     it.run_until(seconds(6.0), |_| false);
@@ -178,7 +178,7 @@ fn without_scan_nobody_is_asked() {
 }
 
 #[test]
-fn new_firmware_after_a_reboot_is_noticed() {
+fn reboot_with_new_services_is_detected() {
     let services = vec![vec![b"DES".to_vec(), b"1.1".to_vec()]];
     let scenario = Scenario::crowd(125_000, 3, 1).at(
         Duration::from_secs(6),
@@ -282,7 +282,7 @@ fn assert_live_together(company: &Company, what: &str) {
 }
 
 #[test]
-fn inspectors_live_together() {
+fn several_inspectors_share_one_bus() {
     for seed in 0..10 {
         for count in [2_u32, 4] {
             // With devices there are heartbeats, and so ours; alone there are only questions.
@@ -305,7 +305,7 @@ fn inspectors_live_together() {
 }
 
 #[test]
-fn two_that_are_both_told_to_take_0_do_not_fight_for_ever() {
+fn two_inspectors_fixed_at_0_settle() {
     for seed in 0..20 {
         let mut company = Company::new(&Scenario::crowd(250_000, 3, 1), seed);
         for at in 0..2 {
@@ -405,7 +405,7 @@ fn asked(sent: &[(u64, Frame)], from: u8, to: u8) -> Vec<u64> {
 }
 
 #[test]
-fn a_question_that_comes_twice_is_answered_once() {
+fn duplicated_request_is_answered_once() {
     let config = Config { echo: false, ..Config::default() };
     let mut engine = Engine::new(Instant::ZERO, config);
     // Through a bridge that sends everything again 23 ms later; then it is asked anew.
@@ -421,7 +421,7 @@ fn a_question_that_comes_twice_is_answered_once() {
 }
 
 #[test]
-fn inspectors_do_not_follow_up_in_step() {
+fn follow_up_requests_of_inspectors_drift_apart() {
     // What both saw at the same moment would make them ask at the same moment, and equal answers
     // that wait behind the other's question merge.
     let [one, other] = [1, 2].map(|seed| {
@@ -443,7 +443,7 @@ fn inspectors_do_not_follow_up_in_step() {
 }
 
 #[test]
-fn a_steady_heartbeat_off_its_beat_is_reason_to_ask() {
+fn phase_shift_of_steady_heartbeat_triggers_request() {
     let mut engine = Engine::new(
         Instant::ZERO,
         Config { echo: false, round_period: Duration::ZERO, ..Config::default() },
@@ -466,7 +466,7 @@ fn a_steady_heartbeat_off_its_beat_is_reason_to_ask() {
 }
 
 #[test]
-fn what_could_not_be_heard_is_not_missed() {
+fn heartbeats_during_outage_are_not_missed() {
     let config = Config { echo: false, listen_only: true, ..Config::default() };
     let mut engine = Engine::new(Instant::ZERO, config);
     let beats = |engine: &mut Engine, from: u64, to: u64| {
@@ -485,7 +485,7 @@ fn what_could_not_be_heard_is_not_missed() {
 }
 
 #[test]
-fn a_heartbeat_that_a_short_outage_swallowed_is_not_missed() {
+fn heartbeat_lost_in_short_outage_is_not_missed() {
     let beats_missed = |outage: (Option<f64>, f64), next: u64| {
         let config = Config { echo: false, listen_only: true, ..Config::default() };
         let mut engine = Engine::new(Instant::ZERO, config);
@@ -516,7 +516,7 @@ fn confidence(engine: &Engine, kind: FindingKind) -> Option<Confidence> {
 }
 
 #[test]
-fn one_that_never_gives_0_up_has_it() {
+fn node_that_keeps_address_0_holds_it() {
     let mut engine = Engine::new(Instant::ZERO, Config { echo: false, ..Config::default() });
     // It starts when we hold 0.
     let events = run(&mut engine, seconds(30.0), |now| {
@@ -541,7 +541,7 @@ fn one_that_never_gives_0_up_has_it() {
 }
 
 #[test]
-fn two_foreign_tools_at_0_are_confirmed() {
+fn two_foreign_tools_at_0_are_a_confirmed_conflict() {
     let mut engine = Engine::new(Instant::ZERO, Config { echo: false, ..Config::default() });
     let events = run(&mut engine, seconds(15.0), |now| match now.as_micros() % 1_000_000 {
         100_000 => Some(beat(0, "TOOL")),
@@ -561,7 +561,7 @@ fn two_foreign_tools_at_0_are_confirmed() {
 }
 
 #[test]
-fn a_rival_that_only_asks_is_one() {
+fn requester_at_own_address_is_a_rival() {
     let question = {
         let header = Header::broadcast(Address::DEBUG, 33, false, Profile::default().des_service());
         Frame::classic(header.encode(), &[4, b'D', b'E', b'S', 1])
@@ -574,7 +574,7 @@ fn a_rival_that_only_asks_is_one() {
 }
 
 #[test]
-fn a_rival_between_our_claim_and_our_first_frame_silences_us() {
+fn rival_after_own_claim_stops_transmission() {
     let mut profile = Profile::default();
     profile.heartbeat.announce = descan::wire::profile::Announce::Always;
     let config = Config { profile: Arc::new(profile), echo: false, ..Config::default() };
@@ -588,7 +588,7 @@ fn a_rival_between_our_claim_and_our_first_frame_silences_us() {
 }
 
 #[test]
-fn who_speaks_first_from_the_address_we_chose_has_it() {
+fn first_sender_at_chosen_address_holds_it() {
     let mut engine = Engine::new(Instant::ZERO, Config { echo: false, ..Config::default() });
     let (mut now, mut chosen, mut sent) = (Instant::ZERO, None, Vec::new());
     while now < seconds(15.0) {
@@ -616,7 +616,7 @@ fn who_speaks_first_from_the_address_we_chose_has_it() {
 }
 
 #[test]
-fn without_a_free_address_we_listen_until_there_is_one() {
+fn no_free_address_means_listening_until_one_is_free() {
     let mut engine = Engine::new(Instant::ZERO, Config { echo: false, ..Config::default() });
     // All beat each second, 0 included; from 10 s on, 77 does not.
     let events = run(&mut engine, seconds(20.0), |now| {
@@ -630,7 +630,7 @@ fn without_a_free_address_we_listen_until_there_is_one() {
 }
 
 #[test]
-fn a_fixed_address_that_is_used_is_waited_for() {
+fn fixed_own_address_in_use_is_waited_for() {
     let wanted = Address::new(5).unwrap();
     let config = Config { address: Some(wanted), echo: false, ..Config::default() };
     let mut engine = Engine::new(Instant::ZERO, config);

@@ -122,7 +122,7 @@ impl Disk {
 }
 
 #[test]
-fn a_full_disk() {
+fn full_disk_keeps_edits_until_space_is_free() {
     if !may_mount() {
         return;
     }
@@ -136,7 +136,7 @@ fn a_full_disk() {
 }
 
 #[test]
-fn a_disk_that_is_mounted_read_only() {
+fn read_only_disk_keeps_edits_unsaved() {
     if !may_mount() {
         return;
     }
@@ -148,7 +148,7 @@ fn a_disk_that_is_mounted_read_only() {
 }
 
 #[test]
-fn a_file_that_is_a_mount_point() {
+fn file_that_is_a_mount_point_is_not_replaced() {
     if !may_mount() {
         return;
     }
@@ -161,7 +161,7 @@ fn a_file_that_is_a_mount_point() {
 
 /// A network file system may take its time, or all the time there is.
 #[test]
-fn a_disk_that_does_not_come_to_an_end() {
+fn hanging_disk_does_not_block_the_screen() {
     if !may_mount() {
         return;
     }
@@ -205,7 +205,7 @@ fn a_disk_that_does_not_come_to_an_end() {
 }
 
 #[test]
-fn a_folder_that_others_own() {
+fn folder_owned_by_another_user_keeps_edits() {
     if !may_mount() {
         return;
     }
@@ -223,7 +223,7 @@ fn a_folder_that_others_own() {
 }
 
 #[test]
-fn a_folder_that_is_moved_away() {
+fn folder_moved_away_keeps_edits() {
     if !may_mount() {
         return;
     }
@@ -248,7 +248,7 @@ fn a_folder_that_is_moved_away() {
 }
 
 #[test]
-fn what_both_changed_while_it_could_not_be_saved_is_for_a_person_to_choose() {
+fn edit_conflict_after_failed_save_needs_a_choice() {
     if !may_mount() {
         return;
     }

@@ -98,7 +98,7 @@ fn findings(source: &str) -> Vec<(DocumentFindingKind, String, Vec<usize>)> {
 // ---- reading ----
 
 #[test]
-fn every_member_is_read() {
+fn every_entry_member_is_read() {
     let document = parsed(
         r#"{"devices": [ { "name": "FEED", "address": 12, "static": true, "bus": "can0",
            "uid": "BOILER01", "services": [ { "name": "DES", "version": "1.0" },
@@ -126,7 +126,7 @@ fn every_member_is_read() {
 }
 
 #[test]
-fn name_hex_is_the_exact_name() {
+fn name_hex_holds_the_exact_bytes() {
     let document = parsed(
         r#"[{"name": "A\\xFFB", "name_hex": "41fF42"}, {"name": "ok", "name_hex": "6F6B"}]"#,
     );
@@ -137,7 +137,7 @@ fn name_hex_is_the_exact_name() {
 }
 
 #[test]
-fn no_content_is_an_empty_document() {
+fn missing_content_is_an_empty_document() {
     for source in ["", " \r\n\t", "\u{feff}", "{}", "[]", "{\"devices\":[]}", "{\"devices\":null}"]
     {
         let document = parsed(source);
@@ -148,7 +148,7 @@ fn no_content_is_an_empty_document() {
 }
 
 #[test]
-fn what_is_not_json_is_refused_with_its_place() {
+fn invalid_json_is_rejected_with_its_position() {
     let deep = "[".repeat(200) + &"]".repeat(200);
     for (source, message, line_text, caret) in [
         (
@@ -200,7 +200,7 @@ fn what_is_not_json_is_refused_with_its_place() {
 }
 
 #[test]
-fn the_caret_is_below_the_place() {
+fn error_caret_points_at_the_position() {
     for (source, line, caret) in [
         ("[1 , ]", "[1 , ]", "     ^"),
         ("[\"Ж漢\" x", "[\"Ж漢\" x", "       ^"),
@@ -218,7 +218,7 @@ fn the_caret_is_below_the_place() {
 }
 
 #[test]
-fn of_very_many_findings_the_first_are_kept() {
+fn finding_list_keeps_the_first_entries() {
     let bad = |count: usize| format!("[{}{{\"name\":\"A\"}}]", "1,".repeat(count));
     assert_eq!(parsed(&bad(1000)).findings().len(), 1000);
     let document = parsed(&bad(15_000));
@@ -236,7 +236,7 @@ fn of_very_many_findings_the_first_are_kept() {
 }
 
 #[test]
-fn deep_nesting_overflows_no_stack() {
+fn deep_nesting_does_not_overflow_the_stack() {
     let deep = "[".repeat(1_000_000);
     assert!(Document::parse(deep.as_bytes()).is_err());
     let allowed = "[".repeat(128) + &"]".repeat(128);
@@ -244,7 +244,7 @@ fn deep_nesting_overflows_no_stack() {
 }
 
 #[test]
-fn wrong_shapes_are_findings() {
+fn wrong_member_types_are_findings() {
     use DocumentFindingKind::{
         AddressRange, DuplicateMember, MissingName, NamesDiffer, NotAnEntry, NotDevices, WrongType,
     };
@@ -402,7 +402,7 @@ fn wrong_shapes_are_findings() {
 }
 
 #[test]
-fn collisions_in_the_file_are_findings() {
+fn contradictory_entries_are_findings() {
     let entry = |name: &str, rest: &str| format!("{{\"name\": \"{name}\", {rest}}}");
     let pinned = |name: &str| entry(name, "\"address\": 12, \"static\": true");
     let on = |name: &str, bus: &str| {
@@ -445,7 +445,7 @@ fn collisions_in_the_file_are_findings() {
 // ---- editing: exact bytes ----
 
 #[test]
-fn an_address_changes_and_nothing_else() {
+fn address_edit_changes_no_other_byte() {
     for (before, after) in [
         (
             r#"{"devices":[{"name":"FEED","address":12,"static":true}]}"#,
@@ -484,7 +484,7 @@ fn an_address_changes_and_nothing_else() {
 }
 
 #[test]
-fn clearing_leaves_the_address() {
+fn clearing_static_keeps_the_address() {
     edits_and_back(
         r#"[{"name":"FEED","address":12,"static": true}]"#,
         |document| clear(document, "FEED"),
@@ -495,7 +495,7 @@ fn clearing_leaves_the_address() {
 }
 
 #[test]
-fn an_empty_file_is_begun_in_the_object_shape() {
+fn first_entry_in_empty_file_makes_an_object() {
     let begun = "{\n  \"devices\": [\n    { \"name\": \"FEED\", \"address\": 12, \"static\": true }\n  ]\n}\n";
     edits("", |_| add("FEED", 12), begun);
     edits("  \n", |_| add("FEED", 12), begun);
@@ -523,7 +523,7 @@ fn an_empty_file_is_begun_in_the_object_shape() {
 }
 
 #[test]
-fn the_first_entry_is_taken_back_to_the_byte() {
+fn undo_of_first_entry_restores_every_byte() {
     let shapes = [
         "",
         " \n\t",
@@ -570,7 +570,7 @@ fn the_first_entry_is_taken_back_to_the_byte() {
 }
 
 #[test]
-fn an_empty_list_is_begun_where_it_stands() {
+fn first_entry_in_empty_list_is_placed_inside() {
     for (before, after) in [
         ("[]", "[\n  { \"name\": \"FEED\", \"address\": 12, \"static\": true }\n]"),
         (
@@ -591,7 +591,7 @@ fn an_empty_list_is_begun_where_it_stands() {
 }
 
 #[test]
-fn a_new_entry_looks_like_its_neighbours() {
+fn new_entry_follows_the_layout_of_its_neighbours() {
     let mut sens = device("SENS", 13);
     sens.services = listed(&[("DES", "1.0"), ("TEMP", "1.2")]);
     for (before, after) in [
@@ -631,7 +631,7 @@ fn a_new_entry_looks_like_its_neighbours() {
 }
 
 #[test]
-fn a_new_entry_has_what_is_known() {
+fn new_entry_holds_all_known_members() {
     let entry = NewEntry {
         name: b"P\xff\x1b".to_vec(),
         address: Some(9),
@@ -664,7 +664,7 @@ fn a_new_entry_has_what_is_known() {
 }
 
 #[test]
-fn a_removed_entry_takes_its_comma_along() {
+fn removed_entry_removes_its_comma() {
     let all = "[\n  {\"name\":\"A\", \"x\":1e1},\n\n  {\"name\":\"B\"} , {\"name\":\"C\"}\n]";
     for (name, after) in [
         ("A", "[\n  {\"name\":\"B\"} , {\"name\":\"C\"}\n]"),
@@ -679,7 +679,7 @@ fn a_removed_entry_takes_its_comma_along() {
 }
 
 #[test]
-fn one_of_equal_entries_is_meant() {
+fn edit_of_equal_entries_changes_only_one() {
     let before = r#"[{"name":"A","n":1},{"name":"A","n":2},{"name":"A","n":3}]"#;
     let second =
         |document: &Document| Operation::SetAddress { entry: document.key(1), from: None, to: 5 };
@@ -691,7 +691,7 @@ fn one_of_equal_entries_is_meant() {
 }
 
 #[test]
-fn a_new_name_is_written_so_that_it_can_be_read() {
+fn new_name_is_written_readably() {
     edits_and_back(
         r#"[{"name":"A","address":1}]"#,
         |document| rename(document, "A", "Н\"\u{85}".as_bytes()),
@@ -710,7 +710,7 @@ fn a_new_name_is_written_so_that_it_can_be_read() {
 }
 
 #[test]
-fn what_is_no_service_is_not_removed_by_setting_services() {
+fn setting_services_keeps_foreign_elements() {
     for (value, at, found) in [
         (r#"[{"name":"DES"},"note"]"#, 41, "a string"),
         (r#"[{"version":"1"}]"#, 26, "an object"),
@@ -725,7 +725,7 @@ fn what_is_no_service_is_not_removed_by_setting_services() {
 }
 
 #[test]
-fn services_are_edited_in_their_shape() {
+fn services_keep_their_form_when_edited() {
     // Only a version.
     edits_and_back(
         r#"[{"name":"A","services":[ {"name":"DES","version":"1.0","x":1} ,{"version":"1","name":"B"}]}]"#,
@@ -822,7 +822,7 @@ fn services_are_edited_in_their_shape() {
 }
 
 #[test]
-fn edits_are_refused_where_readers_would_disagree() {
+fn ambiguous_entry_rejects_edits() {
     for (source, expected) in [
         (
             r#"{"devices":[{"name":"A"}],"devices":[{"name":"A"}]}"#,
@@ -854,7 +854,7 @@ fn edits_are_refused_where_readers_would_disagree() {
 }
 
 #[test]
-fn edits_are_refused_where_there_is_no_place() {
+fn file_without_place_for_entries_rejects_edits() {
     for (source, expected) in [
         ("\n 12", "line 2, column 2: expected a list of devices, found a number"),
         (r#"{"devices": {}}"#, "line 1, column 13: expected a list of devices, found an object"),
@@ -874,7 +874,7 @@ fn edits_are_refused_where_there_is_no_place() {
 }
 
 #[test]
-fn operations_have_names() {
+fn operations_have_display_names() {
     let document = parsed(r#"[{"name":"FE\u001bED","address":12,"static":true,"services":[]}]"#);
     let name = "FE\u{1b}ED";
     let named = |operation: &Operation| operation.to_string();
@@ -918,7 +918,7 @@ fn merged(ours: &[Operation], theirs: &str, prefer: MergePreference) -> Result<S
 }
 
 #[test]
-fn both_sides_survive() {
+fn merge_keeps_both_sides() {
     let base = parsed(BASE);
     for (operation, theirs, after) in [
         // Another entry, another order, other blanks.
@@ -970,7 +970,7 @@ fn both_sides_survive() {
 }
 
 #[test]
-fn the_same_value_is_a_conflict() {
+fn same_value_changed_twice_is_an_edit_conflict() {
     let base = parsed(BASE);
     let services_of_new =
         vec![ListedService { name: "DES".into(), version: "2".into(), ..ListedService::default() }];
@@ -1042,7 +1042,7 @@ fn the_same_value_is_a_conflict() {
 }
 
 #[test]
-fn each_conflict_is_chosen_in_alone_and_one_value_is_one_conflict() {
+fn each_changed_value_is_one_edit_conflict() {
     let base = parsed(BASE);
     let mut document = base.clone();
     let mut ours = Vec::new();
@@ -1077,7 +1077,7 @@ fn each_conflict_is_chosen_in_alone_and_one_value_is_one_conflict() {
 }
 
 #[test]
-fn a_device_that_both_brought_stands_there_once_and_a_twin_twice() {
+fn merge_keeps_one_copy_of_equal_entries() {
     let seen = |entry: NewEntry| Operation::Add { entry: NewEntry { is_static: false, ..entry } };
     let uid = |uid: &str| NewEntry { uid: Some(uid.into()), ..device("NEW", 9) };
     for (operation, theirs, entries) in [
@@ -1098,7 +1098,7 @@ fn a_device_that_both_brought_stands_there_once_and_a_twin_twice() {
 }
 
 #[test]
-fn a_twin_is_not_taken_for_the_deleted_one() {
+fn twin_is_not_taken_for_the_deleted_entry() {
     let base = parsed(r#"[{"name":"FEED","address":12},{"name":"FEED","address":13}]"#);
     let theirs = parsed(r#"[{"name":"FEED","address":13}]"#);
     let operation = set(&base, "FEED", 16);
@@ -1107,7 +1107,7 @@ fn a_twin_is_not_taken_for_the_deleted_one() {
 }
 
 #[test]
-fn operations_on_operations_are_merged_in_order() {
+fn dependent_operations_are_merged_in_order() {
     let base = parsed(BASE);
     let mut ours = vec![set(&base, "FEED", 16)];
     let mut document = base.apply(&ours[0]).unwrap();
@@ -1137,7 +1137,7 @@ fn operations_on_operations_are_merged_in_order() {
 
 /// Of several edits of one value only the last one counts.
 #[test]
-fn it_is_no_conflict_where_theirs_says_what_ours_comes_to() {
+fn equal_final_value_is_no_edit_conflict() {
     let base = parsed(r#"[{"name":"A","address":1},{"name":"B","address":2}]"#);
     let mut ours = Vec::new();
     let mut document = base.clone();
@@ -1159,7 +1159,7 @@ fn it_is_no_conflict_where_theirs_says_what_ours_comes_to() {
 }
 
 #[test]
-fn what_an_entry_has_become_is_found_in_newer_content() {
+fn changed_entry_is_found_in_newer_content() {
     let base = parsed(
         r#"[{"name":"A","address":1},{"name":"A","address":1},{"name":"B","address":2},{"name":"C"}]"#,
     );
@@ -1178,7 +1178,7 @@ fn what_an_entry_has_become_is_found_in_newer_content() {
 }
 
 #[test]
-fn an_edit_is_taken_back_on_newer_content() {
+fn undo_applies_to_newer_content() {
     let base = parsed(BASE);
     let operation = set(&base, "FEED", 16);
     let edited = base.apply(&operation).unwrap();
@@ -1203,7 +1203,7 @@ fn an_edit_is_taken_back_on_newer_content() {
 // ---- the rest ----
 
 #[test]
-fn the_schema_is_json_and_names_every_member() {
+fn schema_is_json_and_lists_every_member() {
     let schema: serde_json::Value = serde_json::from_str(SCHEMA).unwrap();
     assert_eq!(schema["$schema"], "https://json-schema.org/draft/2020-12/schema");
     let members = schema["$defs"]["device"]["properties"].as_object().unwrap();

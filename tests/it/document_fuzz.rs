@@ -80,7 +80,7 @@ const PIECES: [&str; 40] = [
 ];
 
 #[test]
-fn no_file_is_too_odd() {
+fn random_files_keep_all_edit_invariants() {
     let number = |name| std::env::var(name).ok().and_then(|text| text.parse::<u64>().ok());
     let first = number("SEED").unwrap_or(1);
     let end = number("SECONDS").map(|seconds| Instant::now() + Duration::from_secs(seconds));

@@ -344,7 +344,7 @@ proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn what_was_not_meant_stays(source in source(1..5), edit in edit(), index in any::<Index>()) {
+    fn edit_keeps_all_other_bytes(source in source(1..5), edit in edit(), index in any::<Index>()) {
         let index = index.index(source.entries.len());
         let before = source.parse();
         prop_assert_eq!(before.entries().len(), source.entries.len());
@@ -404,7 +404,7 @@ proptest! {
     }
 
     #[test]
-    fn what_was_done_can_be_undone(source in source(0..4), edits in vec((edit(), any::<Index>()), 1..5)) {
+    fn undo_restores_every_byte(source in source(0..4), edits in vec((edit(), any::<Index>()), 1..5)) {
         let first = source.parse();
         prop_assume!(!may_be_refused(&first));
         let mut documents = vec![first];
@@ -433,7 +433,7 @@ proptest! {
     }
 
     #[test]
-    fn both_sides_of_a_merge_survive(
+    fn merge_of_random_edits_keeps_both_sides(
         source in source(2..5), ours in edit(), theirs in edit(), index in any::<Index>(), by in any::<Index>(),
     ) {
         let count = source.entries.len();
@@ -455,7 +455,7 @@ proptest! {
     }
 
     #[test]
-    fn no_bytes_panic(source in source(0..3), cuts in vec((any::<Index>(), any::<u8>()), 0..4)) {
+    fn arbitrary_bytes_do_not_panic(source in source(0..3), cuts in vec((any::<Index>(), any::<u8>()), 0..4)) {
         let mut bytes = source.text().into_bytes();
         for (at, byte) in cuts {
             let at = at.index(bytes.len());

@@ -430,10 +430,10 @@ fn difference(expected: &str, played: &str) -> String {
 }
 
 #[test]
-fn editing() {
+fn edit_files_match_their_recorded_screens() {
     let update = are_written_anew();
     let mut wrong = String::new();
-    for path in texts_of("editing") {
+    for path in texts_of("edit_files_match_their_recorded_screens") {
         let name = path.file_name().unwrap().to_string_lossy().into_owned();
         let expected = std::fs::read_to_string(&path).unwrap();
         let played = match std::panic::catch_unwind(|| play(&expected)) {
@@ -459,7 +459,7 @@ fn editing() {
 }
 
 #[test]
-fn content_is_written_as_it_is_read() {
+fn file_content_notation_round_trips() {
     for content in [&b""[..], b"[]", b"[]\n", b"\xef\xbb\xbf[\r\n\t1 \r\n]  \n", b"\xff\x00\n\n \n"]
     {
         let text = block(content, "");
@@ -469,7 +469,7 @@ fn content_is_written_as_it_is_read() {
 }
 
 #[test]
-fn a_difference_is_shown_with_what_is_around_it() {
+fn difference_is_shown_with_context() {
     let shown = difference("1\n2\n3\n4\n5\n6\nA\n7\n", "1\n2\n3\n4\n5\n6\nB\nC\n7\n");
     assert_eq!(shown, "  3\n  4\n  5\n  6\n- A\n+ B\n+ C\n  7\n");
 }

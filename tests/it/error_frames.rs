@@ -81,7 +81,7 @@ fn with_pair(scenario: Scenario, pair: [DeviceSpec; 2]) -> Scenario {
 }
 
 #[test]
-fn two_that_answer_differently_are_named() {
+fn two_different_responders_are_suspected() {
     let services = pair(|other| other.service("VALVE", "2.1"));
     let names = pair(|other| other.name(b"VALVE"));
     for (what, pair) in [("services", services), ("names", names)] {
@@ -105,7 +105,7 @@ fn two_that_answer_differently_are_named() {
 }
 
 #[test]
-fn who_is_named_is_suspected_with_the_frames_that_show_it() {
+fn named_address_is_suspected_with_frames() {
     let pair = pair(|other| other.service("VALVE", "2.1"));
     let scenario = with_pair(Scenario::crowd(250_000, 10, 3), pair);
     let mut it = Inspection::new(&scenario, 1, Config::default());
@@ -123,7 +123,7 @@ fn who_is_named_is_suspected_with_the_frames_that_show_it() {
 }
 
 #[test]
-fn of_several_that_are_looked_into_none_waits_for_the_others_for_ever() {
+fn suspects_are_checked_in_turn() {
     let pairs = [5, 6, 7, 8].map(|address| {
         let label = |which: &str| format!("{which}{address}");
         let one = stubborn(&label("one"), "ACT", address, millis(2));
@@ -150,7 +150,7 @@ fn of_several_that_are_looked_into_none_waits_for_the_others_for_ever() {
 }
 
 #[test]
-fn once_one_of_the_two_is_gone_nobody_is_named_any_more() {
+fn suspicion_clears_when_one_of_two_leaves() {
     let pair = pair(|other| other.service("VALVE", "2.1"));
     let scenario = with_pair(Scenario::crowd(250_000, 10, 3), pair).at(
         Duration::from_secs(20),
@@ -165,7 +165,7 @@ fn once_one_of_the_two_is_gone_nobody_is_named_any_more() {
 }
 
 #[test]
-fn who_listens_only_names_it_by_the_questions_of_others() {
+fn listen_only_suspects_from_foreign_requests() {
     let pair = pair(|other| other.service("VALVE", "2.1"));
     let scenario = with_pair(Scenario::crowd(250_000, 10, 3), pair);
     for engine in inspection::asker_and_listener(&scenario, 1, seconds(40.0)) {
@@ -200,7 +200,7 @@ fn assert_nobody_named(what: &str, scenario: &Scenario, seed: u64) -> Inspection
 }
 
 #[test]
-fn on_a_disturbed_bus_nobody_is_named() {
+fn disturbed_bus_suspects_no_device() {
     for seed in 0..20 {
         for rate in [0.01, 0.05, 0.2] {
             let bitrate = if seed % 2 == 0 { 125_000 } else { 1_000_000 };
@@ -221,7 +221,7 @@ fn on_a_disturbed_bus_nobody_is_named() {
 }
 
 #[test]
-fn what_disturbs_now_and_then_names_nobody() {
+fn occasional_bus_errors_suspect_no_device() {
     // A motor that is switched: all breaks for some milliseconds, over and over.
     for (period, pulse) in
         [(100, 15), (200, 8), (200, 15), (333, 25), (500, 8), (770, 25), (1000, 25), (10_000, 100)]
@@ -242,7 +242,7 @@ fn what_disturbs_now_and_then_names_nobody() {
 }
 
 #[test]
-fn a_station_at_another_rate_names_nobody() {
+fn node_at_wrong_bit_rate_suspects_no_device() {
     for seed in 0..5 {
         let mut it = Inspection::new(&mixed(250_000), seed, Config::default());
         let stranger = it.sim.attach();
@@ -257,7 +257,7 @@ fn a_station_at_another_rate_names_nobody() {
 }
 
 #[test]
-fn where_nobody_acknowledges_nobody_is_named() {
+fn missing_ack_suspects_no_device() {
     let mut scenario = Scenario::crowd(250_000, 3, 1);
     for device in ["N001", "N002", "N003"] {
         scenario = scenario.at(Duration::from_secs(10), device, DeviceAction::Leave);
@@ -270,7 +270,7 @@ fn where_nobody_acknowledges_nobody_is_named() {
 }
 
 #[test]
-fn whoever_is_alone_at_an_address_is_not_named_for_another() {
+fn single_node_is_not_blamed_for_another() {
     // While 14 and 15 are two each, all others answer as they should.
     let other = |name: &str| {
         let one = stubborn(name, "VENT", 15, millis(3));
@@ -316,7 +316,7 @@ fn heard(frames: u64, seconds: u64, breaks: impl Fn(u64) -> bool) -> (Vec<String
 }
 
 #[test]
-fn how_often_frames_break_decides_what_is_said_of_the_bus() {
+fn error_rate_decides_the_bus_finding() {
     let none: [&str; 0] = [];
     // A frame now and then is no finding.
     assert_eq!(heard(100, 300, |number| number % 1000 == 500).0, none);

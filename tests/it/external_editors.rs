@@ -36,7 +36,7 @@ const WAYS: [(&str, &str); 12] = [
 ];
 
 #[test]
-fn their_edit_and_ours_survive() {
+fn edits_of_vim_nano_and_git_are_merged() {
     let folder = tempfile::tempdir().unwrap();
     let project = folder.path().join("project");
     fs::create_dir(&project).unwrap();
@@ -90,7 +90,7 @@ fn their_edit_and_ours_survive() {
 }
 
 #[test]
-fn two_programs_edit_one_file_and_lose_nothing() {
+fn two_descans_edit_one_file_without_loss() {
     const FILE: &str =
         "[ {\"name\":\"FEED\",\"address\":9},\n\t{\"name\":\"SENS\",\"address\":12} ]\n";
     let folder = tempfile::tempdir().unwrap();
@@ -131,7 +131,7 @@ fn two_programs_edit_one_file_and_lose_nothing() {
 
 /// As in a backup that was made by `cp -al`.
 #[test]
-fn a_file_of_two_names_is_parted_and_that_is_said() {
+fn broken_hard_link_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     fs::write(at("backup.json"), BEFORE).unwrap();

@@ -52,7 +52,7 @@ fn log_file(text: &str) -> (tempfile::TempDir, BusSpec) {
 }
 
 #[test]
-fn a_file_is_replayed_as_it_was_timed() {
+fn file_replay_keeps_frame_times() {
     let (_folder, spec) = log_file(LOG);
     let clock = Clock::replaying(Epoch::from_unix_micros(100_000_000), 1.0);
     let before = Monotonic::now();
@@ -79,7 +79,7 @@ fn a_file_is_replayed_as_it_was_timed() {
 }
 
 #[test]
-fn a_faster_clock_replays_faster() {
+fn faster_clock_replays_faster() {
     let hours = "(0.0) can0 123#\n(7200.0) can0 123#\n";
     let (_folder, spec) = log_file(hours);
     let port = open(&spec, Clock::replaying(Epoch::default(), 100_000.0));
@@ -88,7 +88,7 @@ fn a_faster_clock_replays_faster() {
 }
 
 #[test]
-fn more_frames_at_once_than_the_queue_holds_are_not_lost() {
+fn burst_larger_than_the_queue_loses_no_frame() {
     let (_folder, spec) = log_file(&"(1.0) can0 123#\n".repeat(50_000));
     let port = open(&spec, Clock::start());
     let frames = drain(&port);
@@ -96,7 +96,7 @@ fn more_frames_at_once_than_the_queue_holds_are_not_lost() {
 }
 
 #[test]
-fn a_pipe_is_read_as_it_is_written() {
+fn pipe_is_read_while_it_is_written() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("pipe");
     nix::unistd::mkfifo(&path, nix::sys::stat::Mode::S_IRWXU).unwrap();
@@ -117,7 +117,7 @@ fn a_pipe_is_read_as_it_is_written() {
 }
 
 #[test]
-fn dropping_a_replay_does_not_wait_for_its_next_frame() {
+fn dropped_replay_ends_at_once() {
     let (_folder, spec) = log_file("(0.0) can0 123#\n(100000.0) can0 123#\n");
     let port = open(&spec, Clock::start());
     take_until(&port, |frames| frames.len() == 1);
@@ -125,7 +125,7 @@ fn dropping_a_replay_does_not_wait_for_its_next_frame() {
 }
 
 #[test]
-fn a_log_that_cannot_be_opened_is_an_error_that_names_it() {
+fn unopenable_log_error_names_the_file() {
     let clock = Clock::start();
     for path in ["/nowhere/session.log", "/"] {
         let spec = BusSpec::File(path.into());
@@ -136,7 +136,7 @@ fn a_log_that_cannot_be_opened_is_an_error_that_names_it() {
 }
 
 #[test]
-fn a_log_is_read_at_once_by_its_own_clock() {
+fn log_at_full_speed_uses_log_time() {
     let (_folder, spec) = log_file(LOG);
     let BusSpec::File(path) = spec else { unreachable!() };
     let mut reader = LogReader::new(BufReader::new(bus::open_log(&path).unwrap()));
@@ -150,7 +150,7 @@ fn a_log_is_read_at_once_by_its_own_clock() {
 }
 
 #[test]
-fn a_clock_that_was_set_back_goes_on_from_the_last_moment() {
+fn clock_set_back_continues_from_last_time() {
     let (_folder, spec) = log_file(
         "(7300.0) can0 123#\n(7301.0) can0 123#\n(3701.5) can0 123#\n(3702.5) can0 123#\n",
     );
@@ -181,7 +181,7 @@ fn take_with(port: &Port, frames: &mut Vec<Frame>, count: usize, nudge: impl Fn(
 }
 
 #[test]
-fn a_log_stops_goes_from_frame_to_frame_and_goes_on() {
+fn log_pauses_steps_and_resumes() {
     let day = Duration::from_hours(24);
     let (_folder, spec) = log_file(
         "(000000.0) can0 00000001#\n(086400.0) can0 00000002#\n(172800.0) can0 00000003#\n\
@@ -219,7 +219,7 @@ fn a_log_stops_goes_from_frame_to_frame_and_goes_on() {
 }
 
 #[test]
-fn a_file_that_grows_is_followed_with_its_own_dates() {
+fn growing_file_is_followed_with_its_own_times() {
     let (_folder, spec) = log_file("(1000.0) can0 00000001#\n(1000.5) can0 00000002#\n(1001");
     let BusSpec::File(path) = &spec else { unreachable!() };
     let clock = Clock::replaying(Epoch::from_unix_micros(1_000_000_000), 1000.0);
@@ -240,7 +240,7 @@ fn a_file_that_grows_is_followed_with_its_own_dates() {
 }
 
 #[test]
-fn a_file_that_is_cut_short_or_replaced_is_read_anew() {
+fn truncated_or_replaced_file_is_read_from_start() {
     let (folder, spec) = log_file("(1000.0) can0 00000001#\n(1000.1) can0 00000002#\n");
     let BusSpec::File(path) = &spec else { unreachable!() };
     let port = open(&spec, Clock::replaying(Epoch::from_unix_micros(1_000_000_000), 1000.0));
@@ -273,7 +273,7 @@ fn a_file_that_is_cut_short_or_replaced_is_read_anew() {
 }
 
 #[test]
-fn a_last_line_without_an_end_is_taken_where_nobody_writes_it() {
+fn last_line_without_newline_is_read() {
     let (_folder, spec) = log_file("(1000.0) can0 00000001#\n(1000.1) can0 00000002#");
     let BusSpec::File(path) = &spec else { unreachable!() };
     let long_ago = std::time::SystemTime::now() - Duration::from_mins(1);

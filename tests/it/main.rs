@@ -13,6 +13,7 @@ mod command_line;
 mod common;
 mod conflict_evidence;
 mod conflict_logs;
+mod conventions;
 mod discovery;
 mod disk_errors;
 mod document;

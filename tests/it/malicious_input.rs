@@ -70,7 +70,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 256, ..ProptestConfig::default() })]
 
     #[test]
-    fn an_engine_survives_anything(
+    fn arbitrary_frames_do_not_break_the_engine(
         frames in prop::collection::vec((any_frame(), 0u64..400_000), 1..400),
         listen_only in any::<bool>(),
         seed in any::<u64>(),
@@ -111,7 +111,7 @@ proptest! {
 }
 
 #[test]
-fn a_device_with_a_new_name_each_time_does_not_fill_the_memory() {
+fn changing_names_do_not_grow_memory() {
     let mut engine = Engine::new(Instant::ZERO, Config::default());
     let header =
         Header::request(Address::DEBUG, Address::from_bits(12), false, Service::from_bits(2))

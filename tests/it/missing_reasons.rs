@@ -99,7 +99,7 @@ fn bus() -> Scenario {
 const PUMP: &str = r#"{ "name": "PUMP", "address": 44, "static": true }"#;
 
 #[test]
-fn the_interface_is_down_or_bus_off() {
+fn interface_down_or_bus_off_is_the_reason() {
     let mut stage = Stage::after_eight_seconds(&[bus()], &Config::default(), PUMP);
     stage.status(0, Link::Down, BusState::Down, Some("can0 is down: ip link set can0 up"));
     assert_eq!(stage.why(0), ["can0 is down: ip link set can0 up"]);
@@ -120,7 +120,7 @@ fn the_interface_is_down_or_bus_off() {
 }
 
 #[test]
-fn nobody_acknowledges() {
+fn missing_ack_is_the_reason() {
     let stage = Stage::after_eight_seconds(&[Scenario::new(250_000)], &Config::default(), PUMP);
     let why = "no ACK on can0: no other node, wrong bit rate or broken wire";
     assert_eq!(stage.why(0), [why]);
@@ -130,7 +130,7 @@ fn nobody_acknowledges() {
 }
 
 #[test]
-fn nothing_was_ever_heard() {
+fn address_without_any_frame_is_reported() {
     let stage = Stage::after_eight_seconds(&[bus()], &Config::default(), PUMP);
     assert_eq!(
         stage.why(0),
@@ -156,7 +156,7 @@ fn nothing_was_ever_heard() {
 }
 
 #[test]
-fn a_heartbeat_and_no_des_answer() {
+fn heartbeat_without_des_response_is_reported() {
     let mute = DeviceSpec::new("PUMP").fixed(44).settled().fault(Fault::NoDes);
     let mut stage = Stage::new(&[bus().with(mute)], &Config::default(), PUMP);
     for seconds in [20.0, 40.0, 60.0, 80.0] {
@@ -179,7 +179,7 @@ fn a_heartbeat_and_no_des_answer() {
 }
 
 #[test]
-fn a_name_and_no_services() {
+fn name_without_services_is_reported() {
     let mute = DeviceSpec::new("PUMP").fixed(44).settled().fault(Fault::NoServices);
     let mut stage = Stage::new(&[bus().with(mute)], &Config::default(), PUMP);
     stage.until(20.0);
@@ -189,7 +189,7 @@ fn a_name_and_no_services() {
 }
 
 #[test]
-fn another_device_sits_on_its_address() {
+fn address_in_use_is_the_reason() {
     let other = || DeviceSpec::new("VALVE").fixed(44).settled();
     let stage = Stage::after_eight_seconds(&[bus().with(other())], &Config::default(), PUMP);
     assert_eq!(stage.why(0), ["VALVE uses its address 44"]);
@@ -222,7 +222,7 @@ fn another_device_sits_on_its_address() {
 }
 
 #[test]
-fn it_is_there_under_another_address() {
+fn device_at_another_address_is_reported() {
     let pump = |at| DeviceSpec::new("PUMP").fixed(at).settled();
     // With one of its name it is that one: a wrong address, which names who has its own.
     let valve = DeviceSpec::new("VALVE").fixed(44).settled();
@@ -258,7 +258,7 @@ fn it_is_there_under_another_address() {
 }
 
 #[test]
-fn it_was_there_before() {
+fn device_seen_earlier_is_reported() {
     let pump = DeviceSpec::new("PUMP").fixed(44).settled();
     let scenario = bus().with(pump).at(Duration::from_secs(4), "PUMP", DeviceAction::Leave);
     let mut stage = Stage::new(&[scenario], &Config::default(), PUMP);
@@ -279,7 +279,7 @@ fn it_was_there_before() {
 }
 
 #[test]
-fn nobody_is_asked() {
+fn disabled_requests_are_the_reason() {
     for config in [
         Config { listen_only: true, ..Config::default() },
         Config { scan: false, ..Config::default() },
@@ -305,7 +305,7 @@ fn nobody_is_asked() {
 }
 
 #[test]
-fn a_log_at_its_end() {
+fn end_of_log_is_the_reason() {
     let config = Config { listen_only: true, ..Config::default() };
     let mut stage = Stage::after_eight_seconds(&[bus()], &config, PUMP);
     stage.status(0, Link::Ended, BusState::Unknown, None);
@@ -319,7 +319,7 @@ fn a_log_at_its_end() {
 }
 
 #[test]
-fn two_buses() {
+fn missing_device_reason_covers_both_buses() {
     let entries = format!(
         r#"{PUMP}, {{ "name": "FAN", "bus": "can1", "address": 45 }},
            {{ "name": "LAMP", "bus": "can7", "address": 46 }}"#

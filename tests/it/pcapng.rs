@@ -121,7 +121,7 @@ fn packet(id: u16, byte: u8) -> Vec<u8> {
 }
 
 #[test]
-fn sections_of_either_byte_order_with_times_in_any_unit_are_read() {
+fn either_byte_order_and_any_time_unit_is_read() {
     let mut big = Blocks::new(true);
     big.interface(227, &[(2, b"can7"), (9, &[9])]);
     big.interface(1, &[(2, b"eth0")]);
@@ -159,7 +159,7 @@ fn sections_of_either_byte_order_with_times_in_any_unit_are_read() {
 }
 
 #[test]
-fn packets_that_are_no_can_frames_are_named() {
+fn non_can_packets_are_reported() {
     let mut blocks = Blocks::new(false);
     blocks.interface(227, &[]);
     for odd in [
@@ -181,7 +181,7 @@ fn packets_that_are_no_can_frames_are_named() {
 }
 
 #[test]
-fn more_interfaces_than_there_are_bus_numbers_take_no_room() {
+fn interfaces_beyond_bus_limit_use_no_memory() {
     let mut blocks = Blocks::new(false);
     for number in 0..100_000 {
         blocks.interface(227, &[(2, format!("can{number}").as_bytes())]);
@@ -196,7 +196,7 @@ fn more_interfaces_than_there_are_bus_numbers_take_no_room() {
 // --- damage -----------------------------------------------------------------------------------
 
 #[test]
-fn where_a_file_breaks_off_what_stands_before_counts() {
+fn truncated_file_keeps_frames_before_the_cut() {
     let frames = one_of_each();
     let mut file = write(&frames);
     write_statistics(&mut file, 0, START, 7, 3).unwrap();
@@ -214,7 +214,7 @@ fn where_a_file_breaks_off_what_stands_before_counts() {
 }
 
 #[test]
-fn lengths_that_lie_end_it_or_are_skipped_and_take_no_room() {
+fn wrong_block_lengths_use_no_memory() {
     let frames = one_of_each();
     let file = write(&frames);
     for (length, damage) in [
@@ -248,7 +248,7 @@ fn lengths_that_lie_end_it_or_are_skipped_and_take_no_room() {
 }
 
 #[test]
-fn a_log_that_begins_with_a_blank_line_is_still_text() {
+fn log_with_leading_blank_line_is_text() {
     let line = "(1.5) can0 123#11\n";
     for blank in ["\n", "\n\r\n", "\r\n", "\n\r", "\n\n"] {
         for buffer in [1, 3, 4096] {
@@ -262,7 +262,7 @@ fn a_log_that_begins_with_a_blank_line_is_still_text() {
 
 proptest! {
     #[test]
-    fn what_is_written_is_read_back(
+    fn any_frame_written_is_read_back(
         frames in proptest::collection::vec((any_frame(), 0_u64..5_000_000, 0_u8..3), 1..40),
         buffer in 1_usize..300,
     ) {
@@ -290,7 +290,7 @@ proptest! {
     }
 
     #[test]
-    fn bytes_that_are_changed_do_no_harm(
+    fn changed_bytes_do_not_panic(
         at in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..8),
     ) {
         let mut file = write(&one_of_each());
@@ -302,7 +302,7 @@ proptest! {
     }
 
     #[test]
-    fn arbitrary_bytes_do_no_harm(
+    fn arbitrary_bytes_do_not_panic(
         rest in proptest::collection::vec(any::<u8>(), 0..400),
         magic in any::<bool>(),
     ) {
@@ -338,7 +338,7 @@ fn tshark(file: &[u8], arguments: &[&str]) -> Option<String> {
 }
 
 #[test]
-fn tshark_reads_what_we_write() {
+fn tshark_reads_written_files() {
     let mut frames = one_of_each();
     frames[2].bus = BusIndex(1);
     let mut file = write(&frames);

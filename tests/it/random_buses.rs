@@ -180,7 +180,7 @@ fn tried(seed: u64, config: Config, wrong: &mut String) {
 }
 
 #[test]
-fn worlds() {
+fn random_buses_meet_all_invariants() {
     let number = |name| std::env::var(name).ok().and_then(|text| text.parse::<u64>().ok());
     let worlds = match number("WORLD") {
         Some(seed) => seed..seed + 1,

@@ -181,7 +181,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 192, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn nothing_panics_and_nothing_steers_the_terminal(steps in prop::collection::vec(any_step(), 1..120)) {
+    fn random_input_never_panics_nor_controls_terminal(steps in prop::collection::vec(any_step(), 1..120)) {
         let options = AppOptions {
             buses: vec![("can0".to_owned(), Config::default())],
             file_path: Some("des.json".into()),

@@ -18,7 +18,7 @@ fn block<'t>(language: &str, begin: &str) -> &'t str {
 }
 
 #[test]
-fn every_key_of_the_table_is_bound() {
+fn readme_keys_are_all_bound() {
     let keymap = Keymap::default();
     let table = README.split("| key | does |").nth(1).expect("the table of keys");
     let rows = table.lines().skip(2).take_while(|line| line.starts_with('|'));
@@ -38,7 +38,7 @@ fn every_key_of_the_table_is_bound() {
 }
 
 #[test]
-fn every_letter_that_does_something_is_in_the_readme() {
+fn bound_letters_are_all_in_the_readme() {
     for action in ACTIONS.iter().filter(|action| action.mode == KeyMode::Browse) {
         let letter = action
             .keys
@@ -51,7 +51,7 @@ fn every_letter_that_does_something_is_in_the_readme() {
 }
 
 #[test]
-fn its_profile_and_its_des_json_can_be_read() {
+fn readme_profile_and_des_json_are_valid() {
     let profile = Profile::parse(block("toml", "framing")).unwrap();
     assert_eq!(profile.service_names[&0x101], "AUGER");
     let document = Document::parse(block("json", "{").as_bytes()).unwrap();
@@ -60,7 +60,7 @@ fn its_profile_and_its_des_json_can_be_read() {
 }
 
 #[test]
-fn its_commands_are_there() {
+fn readme_commands_exist() {
     let blocks = ["sudo ip link", "descan scan file:", "descan file:", "sudo ip link set lo"]
         .map(|begin| block("sh", begin));
     let lines = blocks.iter().flat_map(|block| block.lines());

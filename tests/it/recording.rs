@@ -71,7 +71,7 @@ fn statistics(path: &Path) -> Vec<(u32, u64, u64)> {
 // --- the files ------------------------------------------------------------------------------
 
 #[test]
-fn frames_of_two_buses_are_in_order_of_time_however_their_batches_come() {
+fn frames_of_two_buses_are_recorded_in_time_order() {
     let folder = tempfile::tempdir().unwrap();
     for name in ["a.log", "a.pcapng"] {
         let path = folder.path().join(name);
@@ -95,7 +95,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(40))]
 
     #[test]
-    fn what_is_recorded_is_read_back(
+    fn recorded_frames_are_read_back(
         frames in proptest::collection::vec((any_frame(), 0_u64..5_000_000, 0_u8..2), 1..60),
         pcapng in any::<bool>(),
     ) {
@@ -125,7 +125,7 @@ proptest! {
 }
 
 #[test]
-fn no_file_outgrows_its_size_and_no_frame_is_missing_between_two() {
+fn file_rotation_keeps_size_limit_and_every_frame() {
     for extension in ["log", "pcapng"] {
         let folder = tempfile::tempdir().unwrap();
         let first = folder.path().join(format!("a.{extension}"));
@@ -160,7 +160,7 @@ fn no_file_outgrows_its_size_and_no_frame_is_missing_between_two() {
 }
 
 #[test]
-fn pcapng_says_how_many_frames_were_lost_in_each_file() {
+fn pcapng_files_state_their_lost_frames() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.pcapng");
     let recorder = create(&path, None);
@@ -183,7 +183,7 @@ fn pcapng_says_how_many_frames_were_lost_in_each_file() {
 }
 
 #[test]
-fn nothing_that_is_there_is_touched() {
+fn existing_files_are_not_overwritten() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.log");
     fs::write(&path, "mine").unwrap();
@@ -231,7 +231,7 @@ fn write_log(path: &Path) {
 }
 
 #[test]
-fn a_log_becomes_pcapng_and_the_same_log_again() {
+fn log_to_pcapng_and_back_is_identical() {
     let folder = tempfile::tempdir().unwrap();
     write_log(&folder.path().join("a.log"));
     let output = descan(&["scan", "file:a.log", "--record", "b.pcapng"], folder.path());
@@ -247,7 +247,7 @@ fn a_log_becomes_pcapng_and_the_same_log_again() {
 }
 
 #[test]
-fn a_damaged_file_is_read_as_far_as_it_goes_and_told() {
+fn damaged_file_is_read_up_to_the_damage() {
     let folder = tempfile::tempdir().unwrap();
     write_log(&folder.path().join("a.log"));
     descan(&["scan", "file:a.log", "--record", "b.pcapng"], folder.path());
@@ -266,7 +266,7 @@ fn a_damaged_file_is_read_as_far_as_it_goes_and_told() {
 }
 
 #[test]
-fn what_is_wrong_with_the_arguments_is_said() {
+fn invalid_record_arguments_are_reported() {
     let folder = tempfile::tempdir().unwrap();
     write_log(&folder.path().join("a.log"));
     for (arguments, code, hint) in [
@@ -330,7 +330,7 @@ impl Recording {
 }
 
 #[test]
-fn what_a_bus_says_and_what_we_say_is_recorded_and_complete_after_a_signal() {
+fn recording_is_complete_after_a_signal() {
     for signal in [Signal::SIGTERM, Signal::SIGINT, Signal::SIGHUP] {
         let folder = tempfile::tempdir().unwrap();
         let mut recording = Recording::boiler(folder.path(), "a.pcapng");
@@ -354,7 +354,7 @@ fn what_a_bus_says_and_what_we_say_is_recorded_and_complete_after_a_signal() {
 }
 
 #[test]
-fn under_nohup_a_lost_connection_does_not_end_it() {
+fn recording_under_nohup_survives_sighup() {
     let folder = tempfile::tempdir().unwrap();
     let script = format!(
         "trap '' HUP; exec {} watch sim:boiler --record a.log",
@@ -372,7 +372,7 @@ fn under_nohup_a_lost_connection_does_not_end_it() {
 }
 
 #[test]
-fn killed_it_loses_no_more_than_the_last_second() {
+fn killed_recording_loses_at_most_one_second() {
     let folder = tempfile::tempdir().unwrap();
     let mut recording = Recording::boiler(folder.path(), "a.pcapng");
     // Not the first time that it is flushed.
@@ -389,7 +389,7 @@ fn killed_it_loses_no_more_than_the_last_second() {
 }
 
 #[test]
-fn where_the_disk_is_full_recording_is_over_and_the_rest_goes_on() {
+fn full_disk_stops_recording_but_not_descan() {
     let folder = tempfile::tempdir().unwrap();
     // No file may grow beyond 8 blocks of 512 bytes.
     let script = format!(
@@ -411,7 +411,7 @@ fn where_the_disk_is_full_recording_is_over_and_the_rest_goes_on() {
 }
 
 #[test]
-fn what_a_full_disk_took_nothing_of_is_not_counted() {
+fn full_disk_counts_only_written_frames() {
     let folder = tempfile::tempdir().unwrap();
     write_log(&folder.path().join("long.log"));
     for (name, told) in [("a.pcapng", "0 frames, 48 B"), ("a.log", "0 frames, 0 B")] {
@@ -433,7 +433,7 @@ fn what_a_full_disk_took_nothing_of_is_not_counted() {
 }
 
 #[test]
-fn a_file_that_is_deleted_is_told() {
+fn deleted_recording_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let mut recording = Recording::boiler(folder.path(), "a.log");
     recording.wait_for_bytes(100);
@@ -455,7 +455,7 @@ fn wait_for_recording(pty: &mut Pty) {
 }
 
 #[test]
-fn the_screen_shows_it_and_the_end_says_what_there_is() {
+fn screen_and_exit_message_show_the_recording() {
     for hangs_up in [false, true] {
         let folder = tempfile::tempdir().unwrap();
         let arguments = ["sim:boiler", "--record", "a.pcapng"];
@@ -476,7 +476,7 @@ fn the_screen_shows_it_and_the_end_says_what_there_is() {
 }
 
 #[test]
-fn the_screen_says_that_it_is_over() {
+fn screen_shows_stopped_recording() {
     let folder = tempfile::tempdir().unwrap();
     let arguments = ["sim:boiler", "--record", "a.log"];
     let mut pty = Pty::start(&arguments, folder.path(), (80, 24));

@@ -22,7 +22,7 @@ fn write_log(path: &Path) {
 }
 
 #[test]
-fn however_fast_a_log_is_played_nothing_else_happens_in_it() {
+fn playback_speed_does_not_change_events() {
     let folder = tempfile::tempdir().unwrap();
     write_log(&folder.path().join("session.log"));
     for (speed, keys) in [("100000", ""), ("1000", ""), ("4", "P]]]]]]]]]]]]]]]]]]]]P")] {
@@ -45,7 +45,7 @@ fn however_fast_a_log_is_played_nothing_else_happens_in_it() {
 
 /// The second log is a pipe, which opens when somebody writes to it: the first has run for long then.
 #[test]
-fn a_log_that_runs_while_another_is_opened_is_told_from_its_beginning() {
+fn log_started_early_is_shown_from_its_start() {
     let folder = tempfile::tempdir().unwrap();
     let log = folder.path().join("session.log");
     write_log(&log);

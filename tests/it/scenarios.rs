@@ -168,10 +168,10 @@ fn play(scenario: &str) -> String {
 }
 
 #[test]
-fn scenarios() {
+fn scenario_files_give_their_recorded_events() {
     let update = are_written_anew();
     let mut wrong = String::new();
-    for path in texts_of("scenarios") {
+    for path in texts_of("scenario_files_give_their_recorded_events") {
         let expected = std::fs::read_to_string(&path).unwrap();
         let played = play(&expected);
         if played == expected {

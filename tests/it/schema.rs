@@ -38,7 +38,7 @@ const BAD: [&str; 9] = [
 ];
 
 #[test]
-fn the_schema_and_the_program_find_the_same_fault() {
+fn schema_and_descan_find_the_same_faults() {
     for text in GOOD {
         let document = descan::document::Document::parse(text.as_bytes()).unwrap();
         assert_eq!(document.findings(), [], "{text}");

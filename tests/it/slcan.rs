@@ -114,7 +114,7 @@ fn is_setup(line: &str) -> bool {
 }
 
 #[test]
-fn an_adapter_is_set_up_in_order_and_closed() {
+fn adapter_is_set_up_in_order_and_closed() {
     let (mut adapter, mut bus) = open("@500000");
     let setup = ["C", "V", "N", "S6", "O"].map(String::from);
     assert_eq!(adapter.heard, setup);
@@ -127,7 +127,7 @@ fn an_adapter_is_set_up_in_order_and_closed() {
 }
 
 #[test]
-fn without_a_bit_rate_the_adapters_own_is_kept_and_not_known() {
+fn missing_bit_rate_keeps_the_adapters_own() {
     let (adapter, bus) = open("");
     assert!(!adapter.heard.iter().any(|line| line.starts_with('S')), "{:?}", adapter.heard);
     let status = bus.status();
@@ -137,7 +137,7 @@ fn without_a_bit_rate_the_adapters_own_is_kept_and_not_known() {
 }
 
 #[test]
-fn frames_of_every_kind_come_in() {
+fn frames_of_every_kind_are_received() {
     let (mut adapter, mut bus) = open("@500000");
     let fd = "5A".repeat(64);
     adapter.say("t1230\rt45631122");
@@ -164,7 +164,7 @@ fn frames_of_every_kind_come_in() {
 }
 
 #[test]
-fn frames_of_every_kind_go_out() {
+fn frames_of_every_kind_are_sent() {
     let (mut adapter, bus) = open("@500000/2000000");
     let mut slow_fd = Frame::with(CanId::Standard(0x7FF), &[9; 16]);
     slow_fd.fd = true;
@@ -187,7 +187,7 @@ fn frames_of_every_kind_go_out() {
 }
 
 #[test]
-fn fd_frames_are_not_sent_where_the_adapter_is_not_known_to_take_them() {
+fn fd_frames_are_not_sent_without_known_fd_support() {
     let (mut adapter, mut bus) = open("@500000");
     bus.send(&Frame::fd(1, &[0; 12], 0));
     bus.send(&Frame::classic(2, &[]));
@@ -200,7 +200,7 @@ fn fd_frames_are_not_sent_where_the_adapter_is_not_known_to_take_them() {
 }
 
 #[test]
-fn a_frame_is_ours_when_the_adapter_has_acknowledged_it() {
+fn acknowledged_frame_is_reported_as_tx() {
     let (mut adapter, mut bus) = open_acknowledging("@500000");
     let frames: Vec<_> = (1..=3).map(|id| Frame::classic(id, &[id as u8])).collect();
     for frame in &frames {
@@ -226,7 +226,7 @@ fn a_frame_is_ours_when_the_adapter_has_acknowledged_it() {
 }
 
 #[test]
-fn a_frame_that_is_refused_is_counted_and_not_put_back() {
+fn rejected_frame_is_counted_and_not_requeued() {
     let (mut adapter, mut bus) = open_acknowledging("@500000");
     for id in 1..=2 {
         bus.send(&Frame::classic(id, &[]));
@@ -240,7 +240,7 @@ fn a_frame_that_is_refused_is_counted_and_not_put_back() {
 }
 
 #[test]
-fn an_adapter_that_answers_nothing_is_used_all_the_same() {
+fn adapter_without_replies_is_used() {
     let (mut adapter, mut bus) = open_mute("@125000");
     let setup: Vec<_> = adapter.heard.iter().rev().take(2).collect();
     assert_eq!(setup, ["O", "S4"]);
@@ -258,7 +258,7 @@ fn an_adapter_that_answers_nothing_is_used_all_the_same() {
 }
 
 #[test]
-fn an_adapter_that_acknowledges_commands_and_no_frames_is_told_by_the_first() {
+fn adapter_without_frame_acks_is_detected() {
     let (mut adapter, mut bus) = open("@500000");
     bus.send(&Frame::classic(1, &[]));
     adapter.hear_frame();
@@ -268,7 +268,7 @@ fn an_adapter_that_acknowledges_commands_and_no_frames_is_told_by_the_first() {
 }
 
 #[test]
-fn answers_that_come_late_are_told_apart() {
+fn late_replies_are_matched_to_their_commands() {
     let mut adapter = Adapter::new();
     let mut bus = OpenBus::open(&adapter.spec("@250000"));
     // Three times nothing, then six answers at once, none of which is that to S or O.
@@ -283,7 +283,7 @@ fn answers_that_come_late_are_told_apart() {
 }
 
 #[test]
-fn an_adapter_that_wakes_up_after_all_is_opened_again() {
+fn adapter_that_wakes_late_is_reopened() {
     let (mut adapter, mut bus) = open_mute("@250000");
     adapter.heard.clear();
     adapter.hear_until("F");
@@ -296,7 +296,7 @@ fn an_adapter_that_wakes_up_after_all_is_opened_again() {
 }
 
 #[test]
-fn an_adapter_that_refuses_the_bit_rate_is_down_and_is_asked_again() {
+fn adapter_rejecting_bit_rate_is_down_and_retried() {
     let mut adapter = Adapter::new();
     let mut bus = OpenBus::open(&adapter.spec("@800000"));
     loop {
@@ -319,7 +319,7 @@ fn an_adapter_that_refuses_the_bit_rate_is_down_and_is_asked_again() {
 }
 
 #[test]
-fn listening_only_says_l_and_sends_nothing() {
+fn listen_only_opens_with_l_and_sends_nothing() {
     let mut adapter = Adapter::new();
     let mut bus = OpenBus::listen(&adapter.spec("@500000"));
     adapter.be_opened();
@@ -335,7 +335,7 @@ fn listening_only_says_l_and_sends_nothing() {
 }
 
 #[test]
-fn garbage_is_counted_and_the_next_line_is_read() {
+fn garbage_is_counted_and_next_line_is_read() {
     let (mut adapter, mut bus) = open("@500000");
     adapter.pty.write(b"\xFF\x80\x00half a li");
     adapter.pty.write(b"ne\rt12\rT123456789\r");
@@ -353,7 +353,7 @@ fn garbage_is_counted_and_the_next_line_is_read() {
 }
 
 #[test]
-fn a_flood_is_taken_whole_and_in_order() {
+fn flood_is_received_complete_and_in_order() {
     const COUNT: usize = 50_000;
     let (mut adapter, mut bus) = open("@1000000");
     let flood = std::thread::spawn(move || {
@@ -372,7 +372,7 @@ fn a_flood_is_taken_whole_and_in_order() {
 }
 
 #[test]
-fn what_is_no_slcan_at_all_is_said() {
+fn non_slcan_data_is_reported() {
     let (mut adapter, mut bus) = open_mute("@500000");
     for line in 0..20 {
         adapter.say(&format!("$GPGGA,12351{line}\r\n"));
@@ -383,7 +383,7 @@ fn what_is_no_slcan_at_all_is_said() {
 }
 
 #[test]
-fn status_flags_are_the_state_and_the_losses() {
+fn status_flags_give_state_and_lost_frames() {
     let (mut adapter, mut bus) = open("@500000");
     let mut tell = |flags: &str, state| {
         adapter.hear_until("F");
@@ -404,7 +404,7 @@ fn status_flags_are_the_state_and_the_losses() {
 }
 
 #[test]
-fn an_adapter_without_status_flags_is_not_asked_for_them_again() {
+fn adapter_without_status_flags_is_polled_once() {
     let (mut adapter, mut bus) = open("@500000");
     adapter.hear_until("F");
     adapter.say("\x07");
@@ -420,7 +420,7 @@ fn an_adapter_without_status_flags_is_not_asked_for_them_again() {
 }
 
 #[test]
-fn an_adapter_that_tells_its_state_is_believed() {
+fn adapter_state_reports_set_the_bus_state() {
     let (mut adapter, mut bus) = open("@500000");
     adapter.say("sp128000\re1a\re2bf\r");
     let status = bus.wait_for_status("passive", |it| it.state == BusState::ErrorPassive);
@@ -438,7 +438,7 @@ fn an_adapter_that_tells_its_state_is_believed() {
 }
 
 #[test]
-fn time_stamps_are_taken_and_tell_frames_apart() {
+fn timestamps_are_used_and_separate_frames() {
     let (mut adapter, mut bus) = open("@500000");
     // 59,999 ms, then 5 and 30 ms later, all at once.
     adapter.say("t1230EA5F\r");
@@ -453,7 +453,7 @@ fn time_stamps_are_taken_and_tell_frames_apart() {
 }
 
 #[test]
-fn an_adapter_that_is_unplugged_and_plugged_in_again_goes_on() {
+fn replugged_adapter_resumes() {
     let (mut adapter, mut bus) = open("@500000");
     for round in 1..=2 {
         acknowledge_first(&mut adapter, &mut bus);
@@ -475,7 +475,7 @@ fn an_adapter_that_is_unplugged_and_plugged_in_again_goes_on() {
 }
 
 #[test]
-fn an_adapter_that_dies_in_the_middle_of_a_line_leaves_nothing_behind() {
+fn adapter_lost_mid_line_leaves_no_partial_frame() {
     let (mut adapter, mut bus) = open("@500000");
     adapter.say("T000000");
     adapter.pty.unplug();
@@ -488,7 +488,7 @@ fn an_adapter_that_dies_in_the_middle_of_a_line_leaves_nothing_behind() {
 }
 
 #[test]
-fn a_port_that_is_not_there_is_waited_for() {
+fn missing_port_is_waited_for() {
     let mut adapter = Adapter::new();
     adapter.pty.unplug();
     let mut bus = OpenBus::open(&adapter.spec("@500000"));
@@ -501,7 +501,7 @@ fn a_port_that_is_not_there_is_waited_for() {
 }
 
 #[test]
-fn what_is_no_serial_port_is_told_apart() {
+fn non_serial_file_is_reported() {
     let file = tempfile::NamedTempFile::new().unwrap();
     let path = file.path().display();
     let mut bus = OpenBus::open(&format!("slcan:{path}"));
@@ -510,7 +510,7 @@ fn what_is_no_serial_port_is_told_apart() {
 }
 
 #[test]
-fn a_port_that_another_program_has_is_waited_for() {
+fn port_in_use_is_waited_for() {
     let (mut adapter, bus) = open("@500000");
     let mut second = OpenBus::open(&adapter.spec("@500000"));
     let message = second.wait_for_link(Link::Down).message.unwrap();
@@ -521,7 +521,7 @@ fn a_port_that_another_program_has_is_waited_for() {
 }
 
 #[test]
-fn an_adapter_that_reads_nothing_holds_nobody_up() {
+fn adapter_that_reads_nothing_does_not_block() {
     let (adapter, mut bus) = open_mute("@500000");
     // More than the pty takes, and more than waits.
     let frame = Frame::classic(1, &[0; 8]);
@@ -574,7 +574,7 @@ impl Drop for Program {
 }
 
 #[test]
-fn simulated_devices_at_one_end_are_found_at_the_other() {
+fn simulated_devices_are_found_through_the_port() {
     let (one, other) = (Pty::new(), Pty::new());
     let spec = |pty: &Pty| format!("slcan:{}@125000", pty.path().display());
     let (sim_at, scan_at) = (spec(&one), spec(&other));
@@ -595,7 +595,7 @@ fn simulated_devices_at_one_end_are_found_at_the_other() {
 }
 
 #[test]
-fn an_adapter_that_is_not_there_ends_a_scan_with_the_way_out() {
+fn missing_adapter_ends_scan_with_a_remedy() {
     let (code, out, err) = Program::start(&["scan", "slcan:/dev/ttyACM99@500000"]).finish();
     assert_eq!((code, out.as_str()), (Some(3), ""));
     assert!(err.contains("/dev/ttyACM99 not found"), "{err}");
@@ -605,7 +605,7 @@ fn an_adapter_that_is_not_there_ends_a_scan_with_the_way_out() {
 }
 
 #[test]
-fn an_adapter_that_says_nothing_at_all_is_no_bus_that_is_alive() {
+fn silent_adapter_is_not_an_active_bus() {
     let adapter = Pty::new();
     let spec = format!("slcan:{}@500000", adapter.path().display());
     for json in [false, true] {
@@ -630,7 +630,7 @@ fn an_adapter_that_says_nothing_at_all_is_no_bus_that_is_alive() {
 }
 
 #[test]
-fn the_adapters_port_never_becomes_our_terminal() {
+fn adapter_port_is_not_the_controlling_terminal() {
     let mut adapter = Adapter::new();
     // The leader of a session without a terminal gets the first one that it opens.
     let spec = adapter.spec("@500000");
@@ -654,7 +654,7 @@ fn ticks(pid: u32) -> u64 {
 }
 
 #[test]
-fn error_passive_adapter_without_acknowledge_costs_no_processor_time() {
+fn error_passive_adapter_without_ack_uses_no_cpu_time() {
     let mut adapter = Adapter::new();
     let program = Program::start(&["watch", &adapter.spec("@500000")]);
     adapter.be_opened();
@@ -708,7 +708,7 @@ bus.shutdown()
 "#;
 
 #[test]
-fn python_can_understands_us_and_we_it() {
+fn python_can_exchanges_frames_both_ways() {
     let Some(python) = Python::with(&["python-can==4.6.1", "pyserial==3.5"]) else { return };
     let (one, other) = (Pty::new(), Pty::new());
     let mut bus = OpenBus::open(&format!("slcan:{}@500000/2000000", one.path().display()));

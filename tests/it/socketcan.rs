@@ -82,7 +82,7 @@ fn count(frames: &[Frame], wanted: impl Fn(&Frame) -> bool) -> usize {
 }
 
 #[test]
-fn an_interface_that_is_not_there_is_a_status_with_the_way_out() {
+fn missing_interface_is_a_status_with_a_remedy() {
     let bus = Bus::open("vcan-nowhere");
     let status = bus.status();
     assert_eq!((status.link, status.state), (Link::Missing, BusState::Down));
@@ -91,7 +91,7 @@ fn an_interface_that_is_not_there_is_a_status_with_the_way_out() {
 }
 
 #[test]
-fn an_interface_of_another_kind_is_told_apart() {
+fn non_can_interface_is_reported() {
     if !std::path::Path::new("/sys/class/net/lo").exists() {
         return can::skip("no lo here");
     }
@@ -101,7 +101,7 @@ fn an_interface_of_another_kind_is_told_apart() {
 }
 
 #[test]
-fn receives_frames_of_every_kind() {
+fn frames_of_every_kind_are_received() {
     let Some(vcan) = Vcan::new("ds-kinds") else { return };
     let mut bus = Bus::open(vcan.name());
     assert_eq!(bus.status().link, Link::Up);
@@ -127,7 +127,7 @@ fn receives_frames_of_every_kind() {
 }
 
 #[test]
-fn sends_what_candump_reads() {
+fn sent_frames_are_read_by_candump() {
     let Some(vcan) = Vcan::new("ds-sends") else { return };
     let mut bus = Bus::open(vcan.name());
     let mut fd = Frame::fd(0x1ABC_DEF0, &[0x5A; 33], 0xCC);
@@ -161,7 +161,7 @@ fn sends_what_candump_reads() {
 }
 
 #[test]
-fn canplayer_plays_what_we_record() {
+fn canplayer_plays_recorded_files() {
     let Some(vcan) = Vcan::new("ds-plays") else { return };
     let mut fd = Frame::fd(0x1ABC_DEF0, &[0x5A; 32], 0);
     fd.error_state = true;
@@ -194,7 +194,7 @@ fn canplayer_plays_what_we_record() {
 }
 
 #[test]
-fn equal_frames_of_others_are_not_taken_for_ours() {
+fn equal_foreign_frames_are_not_marked_tx() {
     let Some(vcan) = Vcan::new("ds-ours") else { return };
     let mut bus = Bus::open(vcan.name());
     let cangen =
@@ -211,7 +211,7 @@ fn equal_frames_of_others_are_not_taken_for_ours() {
 }
 
 #[test]
-fn times_run_forward_and_are_not_in_the_future() {
+fn frame_times_are_ordered_and_not_in_the_future() {
     let Some(vcan) = Vcan::new("ds-times") else { return };
     let mut bus = Bus::open(vcan.name());
     let mut before = bus.clock.now();
@@ -244,7 +244,7 @@ fn account_for_flood(bus: &mut Bus) -> BusStatus {
 }
 
 #[test]
-fn a_flood_that_nobody_takes_is_counted_to_the_frame() {
+fn unread_flood_is_counted_exactly() {
     let _alone = FLOODS.lock();
     let Some(vcan) = Vcan::new("ds-flood") else { return };
     let mut bus = Bus::open(vcan.name());
@@ -254,7 +254,7 @@ fn a_flood_that_nobody_takes_is_counted_to_the_frame() {
 }
 
 #[test]
-fn a_flood_while_the_program_is_stopped_is_counted_to_the_frame() {
+fn flood_while_stopped_is_counted_exactly() {
     let _alone = FLOODS.lock();
     let Some(vcan) = Vcan::new("ds-stopped") else { return };
     let mut bus = Bus::open(vcan.name());
@@ -266,7 +266,7 @@ fn a_flood_while_the_program_is_stopped_is_counted_to_the_frame() {
 }
 
 #[test]
-fn comes_back_when_the_interface_does() {
+fn interface_that_returns_is_used_again() {
     let Some(vcan) = Vcan::new("ds-down") else { return };
     let mut bus = Bus::open(vcan.name());
     vcan.down();
@@ -288,7 +288,7 @@ fn comes_back_when_the_interface_does() {
 }
 
 #[test]
-fn a_renamed_interface_is_followed_while_it_is_there() {
+fn renamed_interface_is_followed() {
     let Some(vcan) = Vcan::new("ds-named") else { return };
     let _renamed = Vcan::later("ds-renamed");
     let mut bus = Bus::open(vcan.name());
@@ -316,7 +316,7 @@ fn a_renamed_interface_is_followed_while_it_is_there() {
 }
 
 #[test]
-fn an_outage_that_nobody_saw_is_counted() {
+fn unseen_outage_is_counted() {
     let Some(vcan) = Vcan::new("ds-moment") else { return };
     let mut bus = Bus::open(vcan.name());
     let script = "ip link set ds-moment down; ip link set ds-moment up";
@@ -331,7 +331,7 @@ fn an_outage_that_nobody_saw_is_counted() {
 }
 
 #[test]
-fn bus_off_is_counted_by_its_report() {
+fn bus_off_report_is_counted() {
     let Some(vcan) = Vcan::new("ds-off") else { return };
     let mut bus = Bus::open(vcan.name());
     run("cansend", &[vcan.name(), "20000040#0000000000000000"]);
@@ -342,7 +342,7 @@ fn bus_off_is_counted_by_its_report() {
 }
 
 #[test]
-fn errors_that_the_controller_could_report_are_noted_with_the_command() {
+fn unreported_errors_note_names_the_command() {
     let Some(_taken) = controllers() else { return };
     let mut bus = Bus::open("can0");
     assert_eq!(bus.status().note, None);
@@ -357,7 +357,7 @@ fn errors_that_the_controller_could_report_are_noted_with_the_command() {
 }
 
 #[test]
-fn what_somebody_sets_while_we_run_is_seen() {
+fn settings_changed_while_open_are_seen() {
     let Some(_taken) = controllers() else { return };
     let mut bus = Bus::open("can0");
     assert_eq!((bus.status().bitrate, bus.status().restart_ms), (Some(125_000), Some(0)));
@@ -383,14 +383,14 @@ fn what_somebody_sets_while_we_run_is_seen() {
 }
 
 #[test]
-fn the_receive_buffer_is_as_large_as_it_may_be() {
+fn receive_buffer_has_the_allowed_maximum() {
     let Some(vcan) = Vcan::new("ds-buffer") else { return };
     // The kernel doubles what is asked for; root gets all of it.
     assert_eq!(Bus::open(vcan.name()).status().receive_buffer, Some(2 * (8 << 20)));
 }
 
 #[test]
-fn opened_while_down_it_waits() {
+fn interface_down_at_open_is_waited_for() {
     let Some(vcan) = Vcan::new("ds-asleep") else { return };
     vcan.down();
     let mut bus = Bus::open(vcan.name());
@@ -402,7 +402,7 @@ fn opened_while_down_it_waits() {
 }
 
 #[test]
-fn waits_for_an_interface_that_is_plugged_in_later_and_again() {
+fn interface_plugged_in_later_is_used() {
     let Some(vcan) = Vcan::later("ds-later") else { return };
     let mut bus = Bus::open(vcan.name());
     assert_eq!(bus.status().link, Link::Missing);
@@ -418,7 +418,7 @@ fn waits_for_an_interface_that_is_plugged_in_later_and_again() {
 }
 
 #[test]
-fn listening_only_sends_nothing() {
+fn listen_only_sends_nothing() {
     let Some(vcan) = Vcan::new("ds-listen") else { return };
     let mut bus = Bus::open_with(vcan.name(), Options { listen_only: true, ..Options::default() });
     let refused = bus.port.transmit(&Frame::classic(1, &[]));
@@ -428,7 +428,7 @@ fn listening_only_sends_nothing() {
 }
 
 #[test]
-fn closing_is_prompt_and_leaves_no_socket() {
+fn close_is_prompt_and_leaves_no_socket() {
     let Some(vcan) = Vcan::new("ds-close") else { return };
     let bus = Bus::open(vcan.name());
     wait_for_listeners(vcan.name(), "raw", 1);
@@ -440,7 +440,7 @@ fn closing_is_prompt_and_leaves_no_socket() {
 }
 
 #[test]
-fn netlink_tells_of_a_real_controller() {
+fn netlink_describes_a_real_controller() {
     let Some(_taken) = controllers() else { return };
     let mut bus = Bus::open("can0");
     let status = bus.status();
@@ -459,7 +459,7 @@ fn netlink_tells_of_a_real_controller() {
 }
 
 #[test]
-fn a_full_transmit_queue_loses_nothing() {
+fn full_transmit_queue_loses_no_frame() {
     const COUNT: u32 = 1000;
     let Some(_taken) = controllers() else { return };
     let mut bus = Bus::open("can0");
@@ -484,7 +484,7 @@ fn a_full_transmit_queue_loses_nothing() {
 }
 
 #[test]
-fn a_transmit_queue_that_nothing_leaves_is_told_until_it_has_room() {
+fn stuck_transmit_queue_is_reported_until_it_drains() {
     const COUNT: u32 = 60;
     let Some(_taken) = controllers() else { return };
     // The kernel's own slcan, at an adapter that takes nothing: what is sent stays in its queue.
@@ -510,7 +510,7 @@ fn a_transmit_queue_that_nothing_leaves_is_told_until_it_has_room() {
 }
 
 #[test]
-fn a_controller_that_leaves_the_bus_and_comes_back_is_told() {
+fn bus_off_and_recovery_are_reported() {
     let Some(_taken) = controllers() else { return };
     let mut adapter = serial::Pty::new();
     let path = adapter.path();
@@ -555,7 +555,7 @@ fn a_controller_that_leaves_the_bus_and_comes_back_is_told() {
 }
 
 #[test]
-fn fd_on_a_classic_controller_is_a_counted_failure() {
+fn fd_on_classic_controller_is_a_counted_failure() {
     let Some(_taken) = controllers() else { return };
     let mut bus = Bus::open("can0");
     bus.transmit(&Frame::fd(1, &[0; 12], 0));
@@ -576,7 +576,7 @@ fn isotp_options<'a>(fd: bool, ids: [&'a str; 2], interface: &'a str) -> Vec<&'a
 }
 
 #[test]
-fn the_kernel_reassembles_what_we_segment() {
+fn kernel_reassembles_sent_transfers() {
     let Some(vcan) = Vcan::new("ds-isotp-tx") else { return };
     for (fd, len) in [(false, 7), (false, 8), (false, 300), (false, 4095), (true, 62), (true, 900)]
     {
@@ -609,7 +609,7 @@ fn the_kernel_reassembles_what_we_segment() {
 }
 
 #[test]
-fn we_reassemble_what_the_kernel_segments() {
+fn kernel_transfers_are_reassembled() {
     let Some(vcan) = Vcan::new("ds-isotp-rx") else { return };
     for (fd, len, block_size) in [(false, 300, 0), (false, 4095, 4), (true, 900, 2)] {
         let message: Vec<u8> = (0..len).map(|at| (at * 7) as u8).collect();
@@ -658,7 +658,7 @@ fn we_reassemble_what_the_kernel_segments() {
 }
 
 #[test]
-fn an_idle_bus_wakes_nobody() {
+fn idle_bus_causes_no_wakeups() {
     let Some(vcan) = Vcan::new("ds-idle") else { return };
     let mut bus = Bus::open(vcan.name());
     run("cansend", &[vcan.name(), "123#01"]);

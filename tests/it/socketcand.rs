@@ -93,7 +93,7 @@ fn open() -> (Server, OpenBus) {
 }
 
 #[test]
-fn frames_of_every_kind_come_in() {
+fn frames_of_every_kind_are_received() {
     let (mut server, mut bus) = open();
     server.say("< frame 1A220344 23.424242 1A22 >< frame 123 23.424243  >\n");
     server.say("< frame 7FF 23.424244 11 22 33 44 55 66 77 88 >< rtr 123 23.424245 4 >");
@@ -115,7 +115,7 @@ fn frames_of_every_kind_come_in() {
 }
 
 #[test]
-fn frames_are_as_far_apart_as_the_servers_clock_says_whatever_it_shows() {
+fn frame_distances_follow_the_server_clock() {
     let (mut server, mut bus) = open();
     server.say("< frame 123 4000000000.000000 00 >");
     bus.wait_for_frames(1);
@@ -127,7 +127,7 @@ fn frames_are_as_far_apart_as_the_servers_clock_says_whatever_it_shows() {
 }
 
 #[test]
-fn messages_that_come_in_pieces_are_whole() {
+fn split_messages_are_joined() {
     let mut server = Server::new();
     let mut bus = OpenBus::open(&server.spec());
     server.accept();
@@ -150,7 +150,7 @@ fn messages_that_come_in_pieces_are_whole() {
 }
 
 #[test]
-fn frames_of_every_kind_but_fd_go_out() {
+fn frames_of_every_kind_but_fd_are_sent() {
     let (mut server, mut bus) = open();
     for (frame, message) in [
         (Frame::with(CanId::Standard(0x123), &[1, 0xF1]), "< send 123 2 1 f1 >"),
@@ -172,7 +172,7 @@ fn frames_of_every_kind_but_fd_go_out() {
 }
 
 #[test]
-fn listening_only_sends_nothing() {
+fn listen_only_sends_nothing() {
     let mut server = Server::new();
     let mut bus = OpenBus::listen(&server.spec());
     server.be_opened();
@@ -185,7 +185,7 @@ fn listening_only_sends_nothing() {
 }
 
 #[test]
-fn what_cannot_be_read_is_counted_and_the_next_message_is_read() {
+fn unreadable_message_is_counted_and_next_is_read() {
     let (mut server, mut bus) = open();
     server.say("HTTP/1.1 400 Bad Request\r\n");
     server.say("< frame 123 1.0 1 >< frame 1234 1.0 11 >< frame 123 1.0 112233445566778899 >");
@@ -199,7 +199,7 @@ fn what_cannot_be_read_is_counted_and_the_next_message_is_read() {
 }
 
 #[test]
-fn a_message_that_never_ends_takes_no_memory_and_holds_nobody_up() {
+fn endless_message_uses_no_memory() {
     let (mut server, mut bus) = open();
     server.say("< frame 123 1.0 ");
     let digits = "5".repeat(100_000);
@@ -212,7 +212,7 @@ fn a_message_that_never_ends_takes_no_memory_and_holds_nobody_up() {
 }
 
 #[test]
-fn a_server_that_refuses_the_bus_says_why_and_is_asked_again() {
+fn server_rejecting_the_bus_is_retried() {
     let mut server = Server::new();
     let mut bus = OpenBus::open(&server.spec());
     server.accept();
@@ -232,7 +232,7 @@ fn a_server_that_refuses_the_bus_says_why_and_is_asked_again() {
 }
 
 #[test]
-fn a_server_that_is_not_there_is_waited_for() {
+fn missing_server_is_waited_for() {
     let server = Server::new();
     let (address, spec) = (server.address(), server.spec());
     drop(server);
@@ -245,7 +245,7 @@ fn a_server_that_is_not_there_is_waited_for() {
 }
 
 #[test]
-fn a_server_that_says_nothing_is_given_up() {
+fn silent_server_is_disconnected() {
     let mut server = Server::new();
     let mut bus = OpenBus::open(&server.spec());
     server.accept();
@@ -256,7 +256,7 @@ fn a_server_that_says_nothing_is_given_up() {
 }
 
 #[test]
-fn a_server_that_hangs_up_is_called_again() {
+fn closed_connection_is_reopened() {
     let (mut server, mut bus) = open();
     for round in 1..=2 {
         server.say("< frame 123 1.0 11 >< frame 12");
@@ -273,7 +273,7 @@ fn a_server_that_hangs_up_is_called_again() {
 }
 
 #[test]
-fn a_server_that_reads_nothing_holds_nobody_up() {
+fn server_that_reads_nothing_does_not_block() {
     let (server, mut bus) = open();
     let frame = Frame::classic(1, &[0; 8]);
     let deadline = Instant::now() + PATIENCE;
@@ -290,7 +290,7 @@ fn a_server_that_reads_nothing_holds_nobody_up() {
 }
 
 #[test]
-fn closing_is_prompt_whatever_the_server_does() {
+fn close_is_prompt_in_every_server_state() {
     let mut server = Server::new();
     let bus = OpenBus::open(&server.spec());
     server.accept();
@@ -300,7 +300,7 @@ fn closing_is_prompt_whatever_the_server_does() {
 }
 
 #[test]
-fn ipv6_stands_in_brackets() {
+fn ipv6_address_is_in_brackets() {
     let Ok(mut server) = Server::at("[::1]:0") else {
         let _ = writeln!(std::io::stderr(), "skipped ipv6_stands_in_brackets: no IPv6 here");
         return;
@@ -389,7 +389,7 @@ fn read(source: &mut impl Read) -> String {
 }
 
 #[test]
-fn simulated_devices_of_one_client_are_found_by_another() {
+fn simulated_devices_are_found_by_another_client() {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let spec = format!("socketcand://{}/can0", listener.local_addr().unwrap());
     serve(listener);
@@ -408,7 +408,7 @@ fn simulated_devices_of_one_client_are_found_by_another() {
 }
 
 #[test]
-fn a_server_that_is_not_there_ends_a_scan_with_the_way_out() {
+fn missing_server_ends_scan_with_a_remedy() {
     let address = Server::new().address();
     let mut scan = Program::start(&["scan", &format!("socketcand://{address}/can0")]);
     let err = read(scan.0.stderr.as_mut().unwrap());
@@ -417,7 +417,7 @@ fn a_server_that_is_not_there_ends_a_scan_with_the_way_out() {
 }
 
 #[test]
-fn a_server_that_never_opens_the_bus_is_no_bus_without_devices() {
+fn unopened_bus_is_an_error() {
     for (words, cause) in [("", "no response"), ("HTTP/1.1 400 <>< what ><", "unreadable data")] {
         for command in ["scan", "check", "watch"] {
             let mut server = Server::new();
@@ -441,7 +441,7 @@ fn a_server_that_never_opens_the_bus_is_no_bus_without_devices() {
 }
 
 #[test]
-fn what_cannot_be_read_is_told_and_reported() {
+fn unreadable_data_is_shown_and_in_the_report() {
     let bad = "< frame 123 1.0 112233445566778899 >< frame 123 x.0 11 >< frame 123 1.0 11 >";
     for command in ["scan", "scan --json", "watch"] {
         let mut server = Server::new();

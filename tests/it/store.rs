@@ -32,7 +32,7 @@ fn is_root() -> bool {
 // ---- new files ----
 
 #[test]
-fn a_new_file_is_written_or_it_is_said_why_not_in_one_line() {
+fn new_file_is_written_or_fails_with_one_line() {
     let folder = folder();
     let at = |name: &str| folder.path().join(name);
     let write = |path: &Path| write_new(path, Some(folder.path()), b"[]");
@@ -77,7 +77,7 @@ fn a_new_file_is_written_or_it_is_said_why_not_in_one_line() {
 // ---- reading ----
 
 #[test]
-fn reading_gives_the_content_or_says_what_is_wrong() {
+fn read_gives_content_or_the_cause() {
     let folder = folder();
     let at = |name: &str| folder.path().join(name);
     assert!(Store::new(at("none")).read().unwrap().is_none());
@@ -117,7 +117,7 @@ fn reading_gives_the_content_or_says_what_is_wrong() {
 // ---- saving ----
 
 #[test]
-fn a_save_replaces_the_content_and_keeps_the_mode() {
+fn save_replaces_content_and_keeps_mode() {
     let folder = folder();
     let path = folder.path().join("des.json");
     let store = Store::new(&path);
@@ -137,7 +137,7 @@ fn a_save_replaces_the_content_and_keeps_the_mode() {
 }
 
 #[test]
-fn the_owner_is_kept() {
+fn save_keeps_the_owner() {
     if !is_root() {
         eprintln!("skipped: only root can give files away");
         return;
@@ -153,7 +153,7 @@ fn the_owner_is_kept() {
 }
 
 #[test]
-fn symbolic_links_stay() {
+fn save_keeps_symbolic_links() {
     let folder = folder();
     let at = |name: &str| folder.path().join(name);
     fs::create_dir_all(at("real/deep")).unwrap();
@@ -178,7 +178,7 @@ fn symbolic_links_stay() {
 
 /// A save is whole or not at all, which writing into the file that has both names could not be.
 #[test]
-fn a_hard_link_is_parted_and_that_is_told() {
+fn save_reports_broken_hard_link() {
     let folder = folder();
     let at = |name: &str| folder.path().join(name);
     fs::write(at("backup"), "one").unwrap();
@@ -198,7 +198,7 @@ fn a_hard_link_is_parted_and_that_is_told() {
 }
 
 #[test]
-fn what_others_wrote_is_not_overwritten() {
+fn save_does_not_overwrite_a_newer_file() {
     let folder = folder();
     let path = folder.path().join("des.json");
     let store = Store::new(&path);
@@ -216,7 +216,7 @@ fn what_others_wrote_is_not_overwritten() {
 }
 
 #[test]
-fn of_many_savers_one_wins() {
+fn concurrent_saves_have_one_winner() {
     let folder = folder();
     let path = folder.path().join("des.json");
     for round in 0..20 {
@@ -239,7 +239,7 @@ fn of_many_savers_one_wins() {
 }
 
 #[test]
-fn a_save_that_fails_leaves_nothing_and_says_why() {
+fn failed_save_leaves_no_file_and_gives_the_cause() {
     let folder = folder();
     let at = |name: &str| folder.path().join(name);
     let failure = |path: &Path| Store::new(path).save(None, b"new").unwrap_err().to_string();
@@ -325,7 +325,7 @@ async fn is_noticed(path: &Path, watch: &FileWatcher) {
 }
 
 #[test]
-fn changes_are_noticed() {
+fn file_changes_are_reported() {
     run(async {
         let folder = folder();
         let path = folder.path().join("des.json");
@@ -335,7 +335,7 @@ fn changes_are_noticed() {
 }
 
 #[test]
-fn changes_are_noticed_by_polling() {
+fn file_changes_are_reported_by_polling() {
     run(async {
         let folder = folder();
         let path = folder.path().join("des.json");
@@ -346,7 +346,7 @@ fn changes_are_noticed_by_polling() {
 }
 
 #[test]
-fn changes_behind_links_are_noticed() {
+fn changes_behind_links_are_reported() {
     run(async {
         let folder = folder();
         let at = |name: &str| folder.path().join(name);
@@ -372,7 +372,7 @@ fn changes_behind_links_are_noticed() {
 }
 
 #[test]
-fn a_folder_may_come_and_go() {
+fn folder_may_be_removed_and_created() {
     run(async {
         let folder = folder();
         let deep = folder.path().join("not/yet");
@@ -390,7 +390,7 @@ fn a_folder_may_come_and_go() {
 }
 
 #[test]
-fn what_changed_before_the_watch_is_reported() {
+fn change_before_watch_start_is_reported() {
     run(async {
         let folder = folder();
         let path = folder.path().join("des.json");
@@ -401,7 +401,7 @@ fn what_changed_before_the_watch_is_reported() {
 }
 
 #[test]
-fn our_own_saves_are_not_reported() {
+fn own_saves_are_not_reported() {
     run(async {
         let folder = folder();
         let path = folder.path().join("des.json");
@@ -425,7 +425,7 @@ fn our_own_saves_are_not_reported() {
 }
 
 #[test]
-fn a_reading_from_before_a_save_is_dropped() {
+fn content_read_before_a_save_is_dropped() {
     run(async {
         let folder = folder();
         let path = folder.path().join("des.json");
@@ -445,7 +445,7 @@ fn a_reading_from_before_a_save_is_dropped() {
 
 /// What others wrote after a save, and the watch saw before it was told of that save.
 #[test]
-fn a_reading_from_after_a_save_is_not_lost() {
+fn content_read_after_a_save_is_kept() {
     run(async {
         let folder = folder();
         let path = folder.path().join("des.json");
@@ -463,7 +463,7 @@ fn a_reading_from_after_a_save_is_not_lost() {
 
 /// As after a save in whose course something else was reported: what is known of it is old.
 #[test]
-fn what_is_uncertain_is_reported_whatever_it_is() {
+fn uncertain_content_is_always_reported() {
     run(async {
         let folder = folder();
         let path = folder.path().join("des.json");
@@ -478,7 +478,7 @@ fn what_is_uncertain_is_reported_whatever_it_is() {
 }
 
 #[test]
-fn what_cannot_be_read_is_reported_once() {
+fn unreadable_file_is_reported_once() {
     run(async {
         let folder = folder();
         let path = folder.path().join("des.json");

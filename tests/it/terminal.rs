@@ -17,7 +17,7 @@ fn demo(folder: &Path) -> Pty {
 }
 
 #[test]
-fn q_quits_and_the_terminal_is_as_before() {
+fn q_quits_and_restores_the_terminal() {
     let folder = tempfile::tempdir().unwrap();
     let mut pty = demo(folder.path());
     pty.send("q");
@@ -26,7 +26,7 @@ fn q_quits_and_the_terminal_is_as_before() {
 }
 
 #[test]
-fn wrong_settings_are_told_on_the_screen_and_do_not_keep_it_from_starting() {
+fn invalid_settings_are_shown_and_do_not_stop_start() {
     let folder = tempfile::tempdir().unwrap();
     let config = folder.path().join("config/descan");
     std::fs::create_dir_all(&config).unwrap();
@@ -42,7 +42,7 @@ fn wrong_settings_are_told_on_the_screen_and_do_not_keep_it_from_starting() {
 }
 
 #[test]
-fn the_demo_keeps_its_des_json_only_where_it_was_edited() {
+fn demo_keeps_des_json_only_if_edited() {
     for edit in [false, true] {
         let folder = tempfile::tempdir().unwrap();
         let mut pty = Pty::start(&["demo"], folder.path(), (120, 40));
@@ -72,7 +72,7 @@ fn the_demo_keeps_its_des_json_only_where_it_was_edited() {
 }
 
 #[test]
-fn ctrl_c_and_signals_give_the_terminal_back() {
+fn ctrl_c_and_signals_restore_the_terminal() {
     for (way, code) in [(None, 0), (Some(Signal::SIGTERM), 130), (Some(Signal::SIGINT), 130)] {
         let folder = tempfile::tempdir().unwrap();
         let mut pty = demo(folder.path());
@@ -86,7 +86,7 @@ fn ctrl_c_and_signals_give_the_terminal_back() {
 }
 
 #[test]
-fn a_lost_connection_ends_it() {
+fn lost_connection_ends_descan() {
     let folder = tempfile::tempdir().unwrap();
     let mut pty = demo(folder.path());
     pty.hang_up();
@@ -95,7 +95,7 @@ fn a_lost_connection_ends_it() {
 }
 
 #[test]
-fn edits_that_cannot_be_saved_are_kept_in_a_copy_unless_they_are_given_up() {
+fn unsaved_edits_are_kept_in_a_recovery_copy() {
     for way in ["Ctrl-C", "SIGTERM", "SIGHUP", "given up"] {
         let folder = tempfile::tempdir().unwrap();
         // There is no such folder, so nothing can be saved.
@@ -161,7 +161,7 @@ fn terminal_closed_while_idle_ends_the_program() {
 }
 
 #[test]
-fn ctrl_z_gives_the_terminal_back_until_it_goes_on() {
+fn ctrl_z_restores_the_terminal_until_resumed() {
     for key in [true, false] {
         let folder = tempfile::tempdir().unwrap();
         let mut pty = demo(folder.path());
@@ -183,7 +183,7 @@ fn ctrl_z_gives_the_terminal_back_until_it_goes_on() {
 }
 
 #[test]
-fn what_was_not_heard_while_it_was_stopped_is_held_against_nobody() {
+fn stop_signal_changes_no_presence() {
     let folder = tempfile::tempdir().unwrap();
     let mut pty = demo(folder.path());
     pty.signal(Signal::SIGSTOP);
@@ -204,22 +204,22 @@ fn what_was_not_heard_while_it_was_stopped_is_held_against_nobody() {
     assert_eq!(pty.wait(), 0);
 }
 
-/// Not a test of its own: what `a_panic_gives_the_terminal_back` runs in a terminal.
+/// Not a test of its own: what `panic_restores_the_terminal` runs in a terminal.
 #[test]
 #[ignore = "run by another test"]
-fn panics_with_the_terminal_taken() {
+fn panic_with_the_terminal_open() {
     descan::shell::terminal::restore_on_panic();
     let _terminal = descan::shell::terminal::Terminal::take().expect("a terminal");
     panic!("on purpose");
 }
 
 #[test]
-fn a_panic_gives_the_terminal_back() {
+fn panic_restores_the_terminal() {
     let folder = tempfile::tempdir().unwrap();
     let own = std::env::current_exe().unwrap();
     let arguments = [
         "--exact",
-        "terminal::panics_with_the_terminal_taken",
+        "terminal::panic_with_the_terminal_open",
         "--ignored",
         "--nocapture",
         "--test-threads=1",
@@ -233,7 +233,7 @@ fn a_panic_gives_the_terminal_back() {
 }
 
 #[test]
-fn an_address_is_pinned_in_the_row_and_taken_back() {
+fn address_is_pinned_in_its_row_and_undone() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("des.json");
     let before = "{ \"devices\": [\n    {\"name\": \"FEED\", \"address\": 9, \"note\": 1e3}\n] }\n";
@@ -265,7 +265,7 @@ fn wait_for_content(pty: &mut Pty, path: &Path, wanted: &str) {
 }
 
 #[test]
-fn a_change_of_the_file_is_seen_while_an_address_is_being_typed() {
+fn file_change_is_seen_while_typing_an_address() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("des.json");
     std::fs::write(&path, r#"{"devices":[{"name":"FEED","address":10}]}"#).unwrap();
@@ -291,7 +291,7 @@ fn a_change_of_the_file_is_seen_while_an_address_is_being_typed() {
 }
 
 #[test]
-fn a_broken_file_is_told_and_never_written() {
+fn broken_file_is_shown_and_never_written() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("des.json");
     std::fs::write(&path, "{\"devices\": [\n  oops\n]}").unwrap();
@@ -304,7 +304,7 @@ fn a_broken_file_is_told_and_never_written() {
 }
 
 #[test]
-fn a_theme_of_the_users_is_read_again_when_it_is_saved() {
+fn user_theme_is_reloaded_when_saved() {
     let folder = tempfile::tempdir().unwrap();
     let themes = folder.path().join("config/descan/themes");
     std::fs::create_dir_all(&themes).unwrap();
@@ -331,7 +331,7 @@ fn a_theme_of_the_users_is_read_again_when_it_is_saved() {
 }
 
 #[test]
-fn an_interface_that_does_not_exist_is_waited_for() {
+fn missing_interface_is_waited_for() {
     let folder = tempfile::tempdir().unwrap();
     let mut pty = Pty::start(&["nocan7"], folder.path(), SMALL);
     pty.wait_for("nocan7");
@@ -345,7 +345,7 @@ fn an_interface_that_does_not_exist_is_waited_for() {
 }
 
 #[test]
-fn every_size_shows_devices() {
+fn every_terminal_size_shows_devices() {
     let folder = tempfile::tempdir().unwrap();
     let mut pty = demo(folder.path());
     for (columns, rows) in [(40, 10), (120, 40), (200, 60), (20, 5), (1, 1), (80, 24)] {
@@ -360,7 +360,7 @@ fn every_size_shows_devices() {
 }
 
 #[test]
-fn what_is_written_is_bracketed_as_one_update() {
+fn each_update_is_synchronized_output() {
     let folder = tempfile::tempdir().unwrap();
     let mut pty = demo(folder.path());
     pty.send("q");
@@ -372,7 +372,7 @@ fn what_is_written_is_bracketed_as_one_update() {
 }
 
 #[test]
-fn a_log_of_two_interfaces_is_two_buses() {
+fn log_of_two_interfaces_is_two_buses() {
     let folder = tempfile::tempdir().unwrap();
     let mut log = String::new();
     for beat in 0..3 {
@@ -391,7 +391,7 @@ fn a_log_of_two_interfaces_is_two_buses() {
 }
 
 #[test]
-fn a_log_is_shown_as_it_was_timed_and_its_end_is_no_exit() {
+fn log_plays_as_timed_and_stays_open_at_its_end() {
     let folder = tempfile::tempdir().unwrap();
     let mut log = String::new();
     for beat in 0..5 {
@@ -407,7 +407,7 @@ fn a_log_is_shown_as_it_was_timed_and_its_end_is_no_exit() {
 }
 
 #[test]
-fn a_log_is_stopped_stepped_and_followed_with_keys() {
+fn log_is_paused_stepped_and_resumed_by_keys() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("session.log");
     let mut log = String::new();

@@ -146,36 +146,36 @@ fn talks_to_python_can(group: &str) {
 }
 
 #[test]
-fn python_can_hears_and_is_heard() {
+fn python_can_exchanges_frames_over_ipv4_and_ipv6() {
     // Made here, where there is a package index.
     if Python::with(&PACKAGES).is_some() {
-        in_namespace("talks_to_python_can_over_ipv4");
-        in_namespace("talks_to_python_can_over_ipv6");
+        in_namespace("python_can_peer_over_ipv4");
+        in_namespace("python_can_peer_over_ipv6");
     }
 }
 
 #[test]
 #[ignore = "run by another test"]
-fn talks_to_python_can_over_ipv4() {
+fn python_can_peer_over_ipv4() {
     talks_to_python_can(V4);
 }
 
 #[test]
 #[ignore = "run by another test"]
-fn talks_to_python_can_over_ipv6() {
+fn python_can_peer_over_ipv6() {
     talks_to_python_can(V6);
 }
 
 // --- several of us --------------------------------------------------------------------------
 
 #[test]
-fn two_on_one_machine_do_not_take_each_others_frames_for_their_own() {
-    in_namespace("two_on_one_machine");
+fn same_host_peers_keep_own_frames_apart() {
+    in_namespace("same_host_peers");
 }
 
 #[test]
 #[ignore = "run by another test"]
-fn two_on_one_machine() {
+fn same_host_peers() {
     check_namespace();
     for spec in [bus_of(V4), format!("udp:{V4}%lo"), "udp:".to_owned(), "udp:%lo@4000".to_owned()] {
         let mut one = OpenBus::open(&spec);
@@ -201,13 +201,13 @@ fn two_on_one_machine() {
 }
 
 #[test]
-fn other_groups_and_ports_are_not_heard() {
-    in_namespace("other_groups_and_ports");
+fn other_groups_and_ports_are_ignored() {
+    in_namespace("groups_and_ports");
 }
 
 #[test]
 #[ignore = "run by another test"]
-fn other_groups_and_ports() {
+fn groups_and_ports() {
     check_namespace();
     let specs = [bus_of(V4), "udp:239.74.163.3".to_owned(), format!("udp:{V4}@43114")];
     let mut buses: Vec<_> = specs.iter().map(|spec| OpenBus::open(spec)).collect();
@@ -224,13 +224,13 @@ fn other_groups_and_ports() {
 // --- what goes wrong ------------------------------------------------------------------------
 
 #[test]
-fn what_is_no_frame_is_counted() {
-    in_namespace("what_is_no_frame");
+fn malformed_datagrams_are_counted() {
+    in_namespace("malformed_datagrams");
 }
 
 #[test]
 #[ignore = "run by another test"]
-fn what_is_no_frame() {
+fn malformed_datagrams() {
     check_namespace();
     let mut bus = OpenBus::open(&bus_of(V4));
     bus.wait_for_link(Link::Up);
@@ -257,13 +257,13 @@ fn what_is_no_frame() {
 }
 
 #[test]
-fn a_network_that_goes_away_is_waited_for() {
-    in_namespace("a_network_that_goes_away");
+fn lost_network_is_waited_for() {
+    in_namespace("lost_network");
 }
 
 #[test]
 #[ignore = "run by another test"]
-fn a_network_that_goes_away() {
+fn lost_network() {
     check_namespace();
     for spec in [bus_of(V4), bus_of(V6)] {
         let mut bus = OpenBus::open(&spec);
@@ -291,13 +291,13 @@ fn a_network_that_goes_away() {
 }
 
 #[test]
-fn where_datagrams_do_not_come_back_routes_are_asked_after() {
-    in_namespace("datagrams_do_not_come_back");
+fn missing_loopback_names_the_route_command() {
+    in_namespace("missing_loopback");
 }
 
 #[test]
 #[ignore = "run by another test"]
-fn datagrams_do_not_come_back() {
+fn missing_loopback() {
     check_namespace();
     // The group is joined at lo, and what is sent to it goes elsewhere.
     let elsewhere = "ip link add descan0 type veth peer name descan1 && ip link set descan1 up && \
@@ -324,13 +324,13 @@ impl Drop for Running {
 }
 
 #[test]
-fn simulated_devices_are_found() {
-    in_namespace("the_program_finds_simulated_devices");
+fn simulated_devices_are_found_by_scan() {
+    in_namespace("simulated_devices");
 }
 
 #[test]
 #[ignore = "run by another test"]
-fn the_program_finds_simulated_devices() {
+fn simulated_devices() {
     check_namespace();
     let folder = tempfile::tempdir().unwrap();
     let descan = |arguments: &[&str]| {

@@ -39,7 +39,7 @@ fn select<'s>(stage: &'s mut Stage, name: &str) -> &'s mut Stage {
 // ---- a file that is empty while it is being written ----------------------------------------
 
 #[test]
-fn a_file_that_is_being_written_is_not_taken_for_an_empty_one() {
+fn file_being_written_is_not_taken_as_empty() {
     let theirs = BOILER.replace("12", "13");
     for empty in ["", "\n", " \r\n\t", "\u{feff}"] {
         // An edit of what is there no more, which would be a conflict; and a new entry, which would
@@ -64,7 +64,7 @@ fn a_file_that_is_being_written_is_not_taken_for_an_empty_one() {
 }
 
 #[test]
-fn an_edit_waits_while_the_file_is_being_written() {
+fn edit_waits_while_the_file_is_written() {
     for theirs in [BOILER.to_owned(), BOILER.replace("12", "13")] {
         let mut stage = Stage::boiler();
         stage.until(24.0).write("");
@@ -83,7 +83,7 @@ fn an_edit_waits_while_the_file_is_being_written() {
 }
 
 #[test]
-fn a_save_that_finds_the_file_emptied_is_put_off() {
+fn save_to_emptied_file_is_delayed() {
     let theirs = BOILER.replace("12", "13");
     for keys in ["e", "n"] {
         let mut stage = Stage::boiler();
@@ -111,7 +111,7 @@ fn a_save_that_finds_the_file_emptied_is_put_off() {
 }
 
 #[test]
-fn a_file_that_stays_empty_is_begun() {
+fn file_that_stays_empty_gets_the_first_entry() {
     let mut stage = refusing();
     stage.keys("n").text("NEW 64").keys("Enter");
     mend(&mut stage).write("").until(24.6);
@@ -136,7 +136,7 @@ fn a_file_that_stays_empty_is_begun() {
 }
 
 #[test]
-fn each_time_the_file_is_emptied_is_waited_for() {
+fn every_emptying_of_the_file_is_waited_for() {
     let mut stage = refusing();
     stage.keys("e").text("70").keys("Enter");
     stage.write("").until(24.8).write(BOILER).write("").until(25.6);
@@ -152,7 +152,7 @@ fn each_time_the_file_is_emptied_is_waited_for() {
 
 /// At the end of a log nothing becomes due any more.
 #[test]
-fn where_time_stands_an_empty_file_is_not_waited_for() {
+fn paused_time_does_not_wait_for_an_empty_file() {
     let mut stage = Stage::boiler();
     stage.until(24.0);
     let playback = Playback { speed: 1.0, is_paused: true, is_ended: false };
@@ -166,7 +166,7 @@ fn where_time_stands_an_empty_file_is_not_waited_for() {
 // ---- the first entry -----------------------------------------------------------------------
 
 #[test]
-fn a_file_without_devices_is_as_it_was_when_its_first_entry_is_taken_back() {
+fn undo_of_first_entry_restores_file_without_devices() {
     let boiler = Scenario::builtin("boiler").unwrap();
     for before in ["", "\n\n", "{}", "{ \"devices\": null }", "[ ]", "{\"x\":{}}\n"] {
         let mut stage = Stage::new(&boiler, Some(before));
@@ -187,7 +187,7 @@ fn a_file_without_devices_is_as_it_was_when_its_first_entry_is_taken_back() {
 }
 
 #[test]
-fn no_file_is_made_of_an_edit_that_is_taken_back() {
+fn undone_edit_creates_no_file() {
     let boiler = Scenario::builtin("boiler").unwrap();
     let mut stage = Stage::new(&boiler, None);
     stage.refusal = Some("its folder is gone".to_owned());
@@ -215,7 +215,7 @@ fn no_file_is_made_of_an_edit_that_is_taken_back() {
 // ---- ours, in a conflict -------------------------------------------------------------------
 
 #[test]
-fn ours_is_taken_back_to_theirs() {
+fn undo_of_kept_value_restores_theirs() {
     let theirs = BOILER.replace("10", "11").replace("12", "13");
     let ours = theirs.replace("11", "70");
     let mut stage = refusing();
@@ -253,7 +253,7 @@ fn ours_is_taken_back_to_theirs() {
 }
 
 #[test]
-fn each_choice_of_ours_is_taken_back_alone() {
+fn each_kept_value_is_undone_alone() {
     let theirs = BOILER.replace("10", "11").replace("12", "13").replace("16,", "17,");
     for (choices, file) in [
         ("o o o", ["14, 15, 18", "14, 15, 17", "14, 13, 17", "11, 13, 17"]),
@@ -281,7 +281,7 @@ fn each_choice_of_ours_is_taken_back_alone() {
 }
 
 #[test]
-fn ours_where_theirs_was_deleted_or_brought_is_taken_back_to_theirs() {
+fn undo_of_kept_entry_restores_their_delete_or_add() {
     // They deleted what we edited.
     let theirs =
         BOILER.replace("    { \"name\": \"SENS\", \"address\": 12, \"static\": true },\n", "");
@@ -308,7 +308,7 @@ fn ours_where_theirs_was_deleted_or_brought_is_taken_back_to_theirs() {
 // ---- many at once --------------------------------------------------------------------------
 
 #[test]
-fn of_many_at_once_what_somebody_else_changed_since_is_left_alone() {
+fn undo_of_many_skips_values_changed_on_disk() {
     let names = |stage: &Stage| {
         let entries = stage.app.file().document().entries();
         entries.iter().map(|entry| entry.name_text.clone()).collect::<Vec<_>>().join(" ")
@@ -384,7 +384,7 @@ fn found(text: &str) -> SaveOutcome {
 }
 
 #[test]
-fn what_others_write_while_a_save_hangs_is_seen() {
+fn change_on_disk_is_seen_while_a_save_hangs() {
     let with = |name: &str| BOILER.replace("\"DISP\"", &format!("\"{name}\""));
     let mut stage = saving();
     // Before ours is on disk.
@@ -412,7 +412,7 @@ fn what_others_write_while_a_save_hangs_is_seen() {
 }
 
 #[test]
-fn a_conflict_while_a_save_hangs_is_decided_at_once() {
+fn edit_conflict_is_resolved_while_a_save_hangs() {
     for (key, address) in [("o", "70"), ("t", "11")] {
         let mut stage = saving();
         stage.write(&BOILER.replace("10", "11"));
@@ -427,7 +427,7 @@ fn a_conflict_while_a_save_hangs_is_decided_at_once() {
 }
 
 #[test]
-fn a_save_that_hangs_and_fails_says_first_what_is_wrong_with_the_file() {
+fn failed_hanging_save_reports_the_file_error_first() {
     let mut stage = saving();
     stage.write("{ broken");
     assert!(stage.screen().contains("✗ line 1"), "{}", stage.screen());
@@ -449,7 +449,7 @@ fn a_save_that_hangs_and_fails_says_first_what_is_wrong_with_the_file() {
 // ---- hard links ----------------------------------------------------------------------------
 
 #[test]
-fn that_a_save_parted_hard_links_is_told() {
+fn save_that_broke_hard_links_is_reported() {
     for (names, told) in [
         (1, "saved; the other hard link keeps the old content"),
         (2, "saved; 2 other hard links keep the old content"),
@@ -483,7 +483,7 @@ fn leads_to(stage: &mut Stage, problem: &str) -> usize {
 }
 
 #[test]
-fn a_problem_leads_to_its_own_entry_among_several_of_one_name() {
+fn problem_selects_its_own_entry_among_twins() {
     let entries = [
         r#"{ "name": "TWIN", "address": 40 }"#,
         r#"{ "name": "TWIN", "address": "x" }"#,
@@ -518,7 +518,7 @@ fn a_problem_leads_to_its_own_entry_among_several_of_one_name() {
 }
 
 #[test]
-fn a_taken_address_leads_to_the_twin_that_is_pinned_to_it() {
+fn used_address_selects_the_twin_pinned_to_it() {
     let scenario = Scenario::new(125_000)
         .with(DeviceSpec::new("FEED").fixed(20).settled())
         .with(DeviceSpec::new("FEED").fixed(30).settled())
@@ -688,7 +688,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 512, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn of_two_who_edit_one_file_neither_loses_anything(steps in prop::collection::vec(step(), 1..80)) {
+    fn two_editors_of_one_file_lose_nothing(steps in prop::collection::vec(step(), 1..80)) {
         let mut desk = Desk::new();
         for step in steps {
             desk.take(step);

@@ -49,7 +49,7 @@ fn found(first: &str) -> (Output, String) {
 }
 
 #[test]
-fn a_rate_at_which_frames_come_is_kept() {
+fn rate_with_valid_frames_is_kept() {
     let Some(_taken) = controllers() else { return };
     as_before();
     let (done, after) = found("500000");
@@ -67,7 +67,7 @@ fn a_rate_at_which_frames_come_is_kept() {
 }
 
 #[test]
-fn what_was_set_is_put_back_to_the_last_segment() {
+fn failed_search_restores_every_setting() {
     let Some(_taken) = controllers() else { return };
     let odd = ["type", "can", "bitrate", "250000", "sample-point", "0.750", "listen-only", "on"];
     for up in [true, false] {
@@ -86,7 +86,7 @@ fn what_was_set_is_put_back_to_the_last_segment() {
 }
 
 #[test]
-fn an_interrupted_search_puts_back_what_was_set() {
+fn interrupted_search_restores_the_settings() {
     let Some(_taken) = controllers() else { return };
     as_before();
     let before = settings();
@@ -103,7 +103,7 @@ fn an_interrupted_search_puts_back_what_was_set() {
 }
 
 #[test]
-fn only_root_may_and_others_are_told_how() {
+fn search_without_root_names_the_command() {
     let Some(_taken) = controllers() else { return };
     let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
     let done = command.args(["speed", "can0"]).uid(65534).gid(65534).output().unwrap();

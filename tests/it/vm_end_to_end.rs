@@ -66,7 +66,7 @@ fn device<'r>(report: &'r Value, name: &str) -> &'r Value {
 }
 
 #[test]
-fn devices_of_a_second_descan_are_found_with_their_services() {
+fn devices_of_second_descan_are_found_with_services() {
     let Some(vcan) = Vcan::new("dsp-scan") else { return };
     let _devices = simulated(vcan.name(), "boiler");
     let output = scan(vcan.name());
@@ -83,7 +83,7 @@ fn devices_of_a_second_descan_are_found_with_their_services() {
 }
 
 #[test]
-fn simulated_devices_wait_for_a_bus_that_is_down_too() {
+fn simulated_devices_wait_for_a_bus_that_is_down() {
     let Some(vcan) = Vcan::new("dsp-sim") else { return };
     let mut sim = program().args(["sim", vcan.name()]).stderr(Stdio::piped()).spawn().unwrap();
     let mut said = BufReader::new(sim.stderr.take().unwrap()).lines();
@@ -126,7 +126,7 @@ fn answer_as_device(bus: &str) -> std::thread::JoinHandle<()> {
 }
 
 #[test]
-fn a_device_of_the_kernels_own_iso_tp_is_understood() {
+fn kernel_isotp_device_is_identified() {
     let Some(vcan) = Vcan::new("dsp-isotp") else { return };
     let device_thread = answer_as_device(vcan.name());
     // Its answers take a process each, which on a busy machine start after the scan's rounds.
@@ -142,7 +142,7 @@ fn a_device_of_the_kernels_own_iso_tp_is_understood() {
 }
 
 #[test]
-fn an_interface_that_is_down_or_missing_is_told_with_the_way_out() {
+fn interface_down_or_missing_has_a_remedy() {
     let Some(vcan) = Vcan::new("dsp-down") else { return };
     vcan.down();
     let output = scan(vcan.name());
@@ -154,7 +154,7 @@ fn an_interface_that_is_down_or_missing_is_told_with_the_way_out() {
 }
 
 #[test]
-fn the_screen_waits_for_its_interface_and_goes_on() {
+fn screen_waits_for_its_interface() {
     let Some(vcan) = Vcan::new("dsp-ui") else { return };
     let folder = tempfile::tempdir().unwrap();
     let mut devices = Some(simulated(vcan.name(), "boiler"));
@@ -189,7 +189,7 @@ fn the_screen_waits_for_its_interface_and_goes_on() {
 }
 
 #[test]
-fn two_inspectors_on_one_bus_live_together() {
+fn two_inspectors_share_one_bus() {
     let Some(vcan) = Vcan::new("dsp-two") else { return };
     let folder = tempfile::tempdir().unwrap();
     let _devices = simulated(vcan.name(), "boiler");
@@ -210,7 +210,7 @@ fn two_inspectors_on_one_bus_live_together() {
 }
 
 #[test]
-fn what_happens_to_an_interface_is_watched() {
+fn interface_changes_are_events() {
     let Some(vcan) = Vcan::new("dsp-watch") else { return };
     let folder = tempfile::tempdir().unwrap();
     let first = board(vcan.name(), folder.path(), ("FEED", "WATCHED"), 1);
@@ -248,7 +248,7 @@ fn what_happens_to_an_interface_is_watched() {
 }
 
 #[test]
-fn after_bus_off_the_bus_is_asked_anew() {
+fn bus_off_restarts_discovery() {
     let Some(vcan) = Vcan::new("dsp-off") else { return };
     let folder = tempfile::tempdir().unwrap();
     let watching = Watching::start(&[vcan.name()], folder.path());
@@ -263,7 +263,7 @@ fn after_bus_off_the_bus_is_asked_anew() {
 }
 
 #[test]
-fn frames_of_others_are_not_even_read_where_only_one_device_is_of_interest() {
+fn receive_filter_skips_frames_of_other_devices() {
     let Some(vcan) = Vcan::new("dsp-filter") else { return };
     let folder = tempfile::tempdir().unwrap();
     let arguments = [vcan.name(), "--json", "--listen-only", "--filter", "at:12,14"];
@@ -293,7 +293,7 @@ fn entries(process: u32, folder: &str) -> usize {
 }
 
 #[test]
-fn unplugged_under_load_it_comes_back_each_time_and_leaks_nothing() {
+fn unplugging_under_load_recovers_without_leaks() {
     // DESCAN_REPLUGS=100 takes minutes.
     let rounds = std::env::var("DESCAN_REPLUGS").map_or(8, |it| it.parse().unwrap());
     let Some(vcan) = Vcan::new("dsp-replug") else { return };
@@ -362,16 +362,16 @@ fn collide(bus: &str, (first, second): ((&str, &str), (&str, &str))) {
 }
 
 #[test]
-fn two_boards_of_different_names_collide() {
+fn two_names_at_one_address_are_a_conflict() {
     collide("dsp-names", (("FEED", "ONE"), ("PUMP", "TWO")));
 }
 
 #[test]
-fn two_boards_of_one_name_collide() {
+fn one_name_twice_at_one_address_is_a_conflict() {
     collide("dsp-name", (("FEED", "ONE"), ("FEED", "TWO")));
 }
 
 #[test]
-fn two_fresh_boards_of_one_name_collide() {
+fn two_new_boards_of_one_name_are_a_conflict() {
     collide("dsp-fresh", (("FEED", ""), ("FEED", "")));
 }

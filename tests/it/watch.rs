@@ -104,7 +104,7 @@ fn folder() -> tempfile::TempDir {
 }
 
 #[test]
-fn a_log_is_told_line_by_line() {
+fn log_events_are_printed_line_by_line() {
     let folder = folder();
     let output = watch(&["file:session.log", "--json"], folder.path());
     assert_eq!(text(&output.stderr), "");
@@ -121,7 +121,7 @@ fn a_log_is_told_line_by_line() {
 }
 
 #[test]
-fn the_readme_shows_what_is_told() {
+fn readme_example_matches_the_output() {
     let readme = include_str!("../../README.md");
     let example = readme.split("```text\n06:17").nth(1).unwrap().split("```").next().unwrap();
     for line in example.lines().skip(1) {
@@ -140,7 +140,7 @@ fn the_readme_shows_what_is_told() {
 }
 
 #[test]
-fn what_one_frame_gives_rise_to_is_told_in_one_line() {
+fn events_of_one_frame_share_one_line() {
     // SENS has 12. FEED claims it, gives way, and claims 31.
     let log = "\
 (1436509052.100000) can0 07181001#C35B700000000400
@@ -185,7 +185,7 @@ fn what_one_frame_gives_rise_to_is_told_in_one_line() {
 }
 
 #[test]
-fn the_pace_of_a_log_changes_nothing_of_what_is_told() {
+fn playback_speed_does_not_change_the_output() {
     let folder = folder();
     // How many frames had come when a line was written depends on how they were handed over, and how
     // long ago something was on when it was looked at last.
@@ -209,7 +209,7 @@ fn the_pace_of_a_log_changes_nothing_of_what_is_told() {
 }
 
 #[test]
-fn the_time_of_a_log_is_its_own() {
+fn log_events_have_log_time() {
     let folder = folder();
     for more in [&[][..], &["--speed", "20"]] {
         let arguments = [&["file:session.log", "--json", "--time", "12"], more].concat();
@@ -221,7 +221,7 @@ fn the_time_of_a_log_is_its_own() {
 }
 
 #[test]
-fn lines_of_standard_input_are_told_as_they_come() {
+fn standard_input_lines_are_reported_at_once() {
     let folder = folder();
     let mut lines = LOG.split_inclusive('\n');
     let mut watching = Watching::start(&["-", "--json"], folder.path());
@@ -240,7 +240,7 @@ fn lines_of_standard_input_are_told_as_they_come() {
 }
 
 #[test]
-fn time_goes_on_while_no_line_comes() {
+fn time_passes_without_input_lines() {
     let folder = folder();
     let profile = "[heartbeat]\nperiod_ms = 100\n";
     std::fs::write(folder.path().join("quick.toml"), profile).unwrap();
@@ -257,7 +257,7 @@ fn time_goes_on_while_no_line_comes() {
 }
 
 #[test]
-fn signals_and_time_end_it_with_0() {
+fn signal_or_time_limit_exits_0() {
     let folder = folder();
     for signal in [Signal::SIGTERM, Signal::SIGINT] {
         // A log of which no line has come; one that is told; a bus.
@@ -283,7 +283,7 @@ fn signals_and_time_end_it_with_0() {
 }
 
 #[test]
-fn a_signal_ends_it_though_nobody_reads_and_the_pipe_is_full() {
+fn signal_ends_watch_with_a_full_pipe() {
     let folder = tempfile::tempdir().unwrap();
     let debug = |at: u32| format!("({}.{:06}) can0 1F19FC2A#01FE\n", at / 1000, at % 1000 * 1000);
     let lines: String = (1000..6000).map(debug).collect();
@@ -324,7 +324,7 @@ fn handles(process: u32, signal: Signal) -> bool {
 }
 
 #[test]
-fn it_ends_when_nobody_reads_any_more() {
+fn closed_output_ends_watch() {
     let folder = folder();
     for arguments in [&["watch", "-"][..], &["watch", "sim:boiler", "--json"]] {
         let mut child = command(arguments, folder.path())
@@ -349,7 +349,7 @@ fn it_ends_when_nobody_reads_any_more() {
 }
 
 #[test]
-fn collisions_are_told_as_scan_reports_them() {
+fn conflicts_are_equal_in_watch_and_scan() {
     let board = |label: &str, uid: u8| {
         let uid = descan::wire::node::Uid([uid; 6]);
         let board = DeviceSpec::new("FEED").label(label).fixed(12).settled().uid(uid);
@@ -405,7 +405,7 @@ fn two_devices() -> String {
 }
 
 #[test]
-fn only_what_fits_is_told() {
+fn filter_limits_the_output() {
     let folder = folder();
     std::fs::write(folder.path().join("two.log"), two_devices()).unwrap();
     let told = |filter: &str| {
@@ -447,7 +447,7 @@ fn only_what_fits_is_told() {
 }
 
 #[test]
-fn no_filter_hides_that_frames_were_lost_or_what_becomes_of_a_bus() {
+fn filter_never_hides_lost_frames_or_bus_state() {
     let bus = ("can0".to_owned(), Config::default());
     let options = AppOptions {
         buses: vec![bus],
@@ -481,7 +481,7 @@ fn no_filter_hides_that_frames_were_lost_or_what_becomes_of_a_bus() {
 }
 
 #[test]
-fn several_buses_have_a_column() {
+fn several_buses_have_a_bus_column() {
     let folder = tempfile::tempdir().unwrap();
     let lines = "(1.0) can0 07180001#8AFA6C9724110400\n(1.5) vcan-long 07180001#8AFA6C9724110400\n";
     std::fs::write(folder.path().join("session.log"), lines).unwrap();
@@ -495,7 +495,7 @@ fn several_buses_have_a_column() {
 }
 
 #[test]
-fn what_is_wrong_with_the_file_is_told_once_and_shown() {
+fn file_errors_are_printed_once() {
     let folder = folder();
     let file = "[\n  {\"name\": \"ACT\", \"address\": 300, \"static\": 1}\n]\n";
     std::fs::write(folder.path().join("des.json"), file).unwrap();
@@ -520,7 +520,7 @@ fn what_is_wrong_with_the_file_is_told_once_and_shown() {
 }
 
 #[test]
-fn hostile_names_reach_no_terminal() {
+fn control_characters_in_names_are_escaped() {
     let name = b"\x1b[2J\xff\\".to_vec();
     let hostile = DeviceSpec::new("x").name(&name).fixed(9).settled();
     let hostile = hostile.service("\u{202e}evil", "\u{9b}1");
@@ -540,7 +540,7 @@ fn hostile_names_reach_no_terminal() {
 }
 
 #[test]
-fn what_cannot_be_watched_is_said_on_one_line() {
+fn unusable_bus_is_one_error_line() {
     let folder = folder();
     for (arguments, code, hint) in [
         (&["--time", "soon"][..], 2, "a number of seconds"),
@@ -603,7 +603,7 @@ fn findings(scenario: &Scenario, file: &str, seconds: u64) -> Vec<(FindingKind, 
 }
 
 #[test]
-fn what_is_found_by_comparing_is_told_once_and_does_not_flap() {
+fn file_differences_are_printed_once() {
     // One that never says its name sits where another is pinned: it is asked again and again.
     let silent = DeviceSpec::new("x").fixed(40).settled().fault(Fault::NoDes);
     let feed = DeviceSpec::new("FEED").fixed(12).settled().service("AUGER", "2.1");
@@ -625,7 +625,7 @@ fn what_is_found_by_comparing_is_told_once_and_does_not_flap() {
 
 /// A bus of which nothing is shown by mistake would look like a quiet one.
 #[test]
-fn a_filter_that_nothing_can_fit_is_refused() {
+fn filter_that_cannot_match_is_rejected() {
     let folder = tempfile::tempdir().unwrap();
     for (filter, said) in [
         ("at:abc", "at:abc: \"abc\" is not an address; use 0 to 127"),

@@ -71,7 +71,7 @@ fn received(frames: &[Vec<u8>], fd: bool) -> Vec<u8> {
 }
 
 #[test]
-fn identifiers() {
+fn identifiers_match_the_vectors() {
     for vector in vectors(include_str!("../vectors/identifiers.json")) {
         let id = u32::from_str_radix(vector["id"].as_str().unwrap(), 16).unwrap();
         let header = Header::decode(id);
@@ -91,7 +91,7 @@ fn identifiers() {
 }
 
 #[test]
-fn names() {
+fn names_match_the_vectors() {
     for vector in vectors(include_str!("../vectors/names.json")) {
         let (name, message) = (bytes(&vector["name"]), bytes(&vector["payload"]));
         assert_eq!(des::encode_name(&name).collect::<Vec<_>>(), message, "{vector}");
@@ -105,14 +105,14 @@ fn names() {
 }
 
 #[test]
-fn services() {
+fn services_match_the_vectors() {
     for vector in vectors(include_str!("../vectors/services.json")) {
         let message = bytes(&vector["payload"]);
         let answer = ServicesResponse::decode(&message);
         let read: Vec<Vec<Vec<u8>>> =
             answer.services().map(|s| s.strings().map(<[u8]>::to_vec).collect()).collect();
         let expected: Vec<Vec<Vec<u8>>> =
-            vector["services"].as_array().unwrap().iter().map(strings).collect();
+            vector["services_match_the_vectors"].as_array().unwrap().iter().map(strings).collect();
         assert_eq!(read, expected, "{vector}");
         let indices: Vec<usize> = answer.services().map(|s| s.index.into()).collect();
         assert_eq!(indices, (0..expected.len()).collect::<Vec<_>>(), "{vector}");
@@ -132,7 +132,7 @@ fn services() {
 }
 
 #[test]
-fn uids() {
+fn uids_match_the_vectors() {
     let alphabet = UidProfile::default();
     for vector in vectors(include_str!("../vectors/uids.json")) {
         let raw: [u8; 6] = bytes(&vector["bytes"]).try_into().unwrap();
@@ -144,7 +144,7 @@ fn uids() {
 }
 
 #[test]
-fn framings() {
+fn framings_match_the_vectors() {
     for vector in vectors(include_str!("../vectors/framing.json")) {
         let expected = match vector["framing"].as_str().unwrap() {
             "isotp" => Some(Framing::Isotp),

@@ -26,7 +26,7 @@ fn hearing_only(frame: Frame) -> Stage {
 }
 
 #[test]
-fn a_log_that_is_over_shows_what_was_there_at_its_end() {
+fn ended_log_shows_its_final_state() {
     let config = Config { seed: 7, listen_only: true, ..Config::default() };
     let mut stage = Stage::with(&Scenario::builtin("boiler").unwrap(), Some(BOILER), config);
     stage.until(24.0).link(Link::Ended).wait_until(24.5);
@@ -44,7 +44,7 @@ fn a_log_that_is_over_shows_what_was_there_at_its_end() {
 }
 
 #[test]
-fn that_nobody_acknowledges_is_not_said_of_a_bus_that_is_not_there() {
+fn missing_bus_reports_no_ack_error() {
     for link in [Link::Missing, Link::Down, Link::NoKernel] {
         let config = Config { seed: 7, echo: true, ..Config::default() };
         let mut stage = Stage::with(&Scenario::builtin("boiler").unwrap(), None, config);
@@ -60,7 +60,7 @@ fn that_nobody_acknowledges_is_not_said_of_a_bus_that_is_not_there() {
 }
 
 #[test]
-fn where_a_bus_cannot_be_seen_it_is_not_said_that_nothing_is_wrong() {
+fn unreachable_bus_is_not_reported_free_of_problems() {
     let mut stage = Stage::boiler();
     let status = BusStatus {
         link: Link::Down,
@@ -87,7 +87,7 @@ fn where_a_bus_cannot_be_seen_it_is_not_said_that_nothing_is_wrong() {
 }
 
 #[test]
-fn what_an_interface_is_called_now_and_where_frames_were_lost_is_shown() {
+fn renamed_interface_and_lost_frames_are_shown() {
     let mut stage = Stage::boiler();
     let status = BusStatus {
         link: Link::Up,
@@ -109,7 +109,7 @@ fn what_an_interface_is_called_now_and_where_frames_were_lost_is_shown() {
 }
 
 #[test]
-fn what_cannot_be_read_is_a_line_of_the_timeline_once_whatever_came_with_it() {
+fn unreadable_data_is_one_timeline_line() {
     let mut stage = Stage::boiler();
     for unreadable in [0, 3, 4, 700] {
         let note = (unreadable > 0).then(|| "adapter: V1013".to_owned());
@@ -122,7 +122,7 @@ fn what_cannot_be_read_is_a_line_of_the_timeline_once_whatever_came_with_it() {
 }
 
 #[test]
-fn a_log_is_played_by_keys_and_a_bus_is_not() {
+fn playback_keys_work_on_logs_only() {
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("P");
     assert!(stage.screen().contains("only a log can be paused"), "{}", stage.screen());
@@ -150,7 +150,7 @@ fn a_log_is_played_by_keys_and_a_bus_is_not() {
 }
 
 #[test]
-fn a_recording_is_seen_on_every_screen_and_so_is_its_end() {
+fn recording_and_its_end_are_on_every_page() {
     let mut stage = Stage::boiler();
     stage.until(45.0);
     let mut status = RecordingStatus {
@@ -178,7 +178,7 @@ fn a_recording_is_seen_on_every_screen_and_so_is_its_end() {
 }
 
 #[test]
-fn where_frames_only_break_another_bit_rate_is_offered() {
+fn only_bus_errors_offer_the_bit_rate_search() {
     use descan::bitrate::{RateResult, SearchOutcome, SearchProgress};
     let mut stage = hearing_only(Frame::error(0x88, &[0, 0, 4, 0, 0, 0, 0, 0]));
     snapshot!("only_broken_frames", stage);
@@ -222,7 +222,7 @@ fn where_frames_only_break_another_bit_rate_is_offered() {
 }
 
 #[test]
-fn where_nobody_acknowledges_no_other_bit_rate_is_offered() {
+fn missing_ack_offers_no_bit_rate_search() {
     let stage = hearing_only(Frame::error(0xA8, &[0, 0, 0x80, 0x19, 0, 0, 128, 0]));
     let screen = stage.screen();
     assert!(screen.contains("err 4"), "{screen}");
@@ -230,7 +230,7 @@ fn where_nobody_acknowledges_no_other_bit_rate_is_offered() {
 }
 
 #[test]
-fn a_bus_without_a_rate_of_its_own_is_not_asked_about() {
+fn bus_without_bit_rate_offers_no_search() {
     let mut stage = Stage::boiler();
     stage.app.name_bus(BusIndex(0), "slcan:/dev/ttyACM0@125000".to_owned());
     for (rate_search, refusal) in [
@@ -246,7 +246,7 @@ fn a_bus_without_a_rate_of_its_own_is_not_asked_about() {
 }
 
 #[test]
-fn who_cannot_ask_says_why() {
+fn blocked_requests_show_reason() {
     let mut stage = Stage::boiler();
     stage.link(Link::Down).keys("r");
     assert!(stage.screen().contains("no bus is up: cannot send requests"), "{}", stage.screen());
@@ -264,7 +264,7 @@ fn who_cannot_ask_says_why() {
 }
 
 #[test]
-fn a_bus_that_is_down_says_so_everywhere() {
+fn bus_down_is_shown_on_every_page() {
     let mut stage = Stage::boiler();
     stage.until(24.0);
     let status = BusStatus {
@@ -281,7 +281,7 @@ fn a_bus_that_is_down_says_so_everywhere() {
 }
 
 #[test]
-fn listening_only_says_what_it_does() {
+fn listen_only_is_shown() {
     let config = Config { listen_only: true, seed: 7, ..Config::default() };
     let scenario = Scenario::builtin("boiler").unwrap();
     let mut stage = Stage::with(&scenario, Some(BOILER), config);
@@ -295,7 +295,7 @@ fn listening_only_says_what_it_does() {
 
 /// What is not on the disk, and that it is not, is seen whatever the bus and the file are called.
 #[test]
-fn long_names_give_way_to_the_state_of_the_file() {
+fn long_name_is_cut_before_the_file_status() {
     for (bus, short) in [("sim:../bus.toml", "s.toml"), (&*"x".repeat(58), "…xxxxx")] {
         let mut stage = Stage::boiler();
         stage.app.name_bus(BusIndex(0), bus.to_owned());
@@ -317,7 +317,7 @@ fn long_names_give_way_to_the_state_of_the_file() {
 
 /// Frames lost, and what to do about a bus that is away, are seen whatever it is called.
 #[test]
-fn a_long_name_of_a_bus_gives_way_to_its_numbers_and_to_what_is_wrong_with_it() {
+fn long_bus_name_is_cut_before_its_counters() {
     let mut stage = Stage::boiler();
     let name = "udp:ff15:7079:7468:6f6e:6465:6d6f:6d63:6173";
     stage.app.name_bus(BusIndex(0), name.to_owned());
@@ -348,7 +348,7 @@ fn a_long_name_of_a_bus_gives_way_to_its_numbers_and_to_what_is_wrong_with_it() 
 
 /// The way out is not cut off where there are no more than 80 columns.
 #[test]
-fn the_way_out_is_read_to_its_end() {
+fn remedy_is_never_cut() {
     let mut stage = Stage::boiler();
     stage.until(9.0);
     for (content, way_out) in [

@@ -6,7 +6,7 @@ use crate::common::harness::{BOILER, Stage};
 use descan::keymap::Key;
 
 #[test]
-fn a_conflict_shows_both_and_lets_choose() {
+fn edit_conflict_shows_both_values_and_a_choice() {
     let mut stage = Stage::boiler();
     stage.until(24.0);
     // Somebody else writes in the moment before our save.
@@ -23,7 +23,7 @@ fn a_conflict_shows_both_and_lets_choose() {
 }
 
 #[test]
-fn each_of_two_conflicts_is_decided_alone() {
+fn each_of_two_edit_conflicts_is_decided_alone() {
     let theirs = BOILER.replace("10", "100").replace("12", "103");
     for (keys, feed, sens, told) in [
         (["o", "o"], "70", "71", "kept your 2 values"),
@@ -50,7 +50,7 @@ fn each_of_two_conflicts_is_decided_alone() {
 }
 
 #[test]
-fn a_choice_is_asked_for_again_where_the_file_changed_after_it() {
+fn choice_is_requested_again_after_file_change() {
     let mut stage = with_two_unsaved_edits();
     stage.write(&BOILER.replace("10", "100").replace("12", "103")).keys("o");
     let theirs = BOILER.replace("10", "101").replace("12", "103");
@@ -64,7 +64,7 @@ fn a_choice_is_asked_for_again_where_the_file_changed_after_it() {
 }
 
 #[test]
-fn where_the_file_goes_while_a_choice_is_open_it_stays_open() {
+fn choice_stays_open_when_the_file_is_deleted() {
     for (key, after) in [("t", None), ("o", Some("\"NEW\", \"address\": 64"))] {
         let mut stage = Stage::boiler();
         stage.slow_disk().until(24.0).keys("n").text("NEW 64").keys("Enter");
@@ -86,7 +86,7 @@ fn where_the_file_goes_while_a_choice_is_open_it_stays_open() {
 }
 
 #[test]
-fn the_page_of_a_conflict_closes_with_the_conflict() {
+fn conflict_page_closes_with_the_conflict() {
     let theirs = BOILER.replace("10", "100");
     // The change is taken back, or the file was only empty while it was being written, for longer
     // than is waited for.
@@ -104,7 +104,7 @@ fn the_page_of_a_conflict_closes_with_the_conflict() {
 }
 
 #[test]
-fn nothing_is_chosen_while_the_file_is_broken() {
+fn broken_file_blocks_the_choice() {
     let mut stage = with_two_unsaved_edits();
     stage.write(&BOILER.replace("10", "100")).write("{ broken").keys("o");
     let screen = stage.screen();
@@ -115,7 +115,7 @@ fn nothing_is_chosen_while_the_file_is_broken() {
 }
 
 #[test]
-fn a_line_being_typed_goes_on_after_a_conflict() {
+fn prompt_resumes_after_an_edit_conflict() {
     let mut stage = Stage::boiler();
     stage.until(24.0);
     // Not drained: the save is on its way while somebody else writes.

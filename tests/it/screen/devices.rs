@@ -7,7 +7,7 @@ use descan::sim::Scenario;
 use descan::wire::id::Address;
 
 #[test]
-fn devices_at_three_sizes() {
+fn devices_page_at_three_sizes_matches_snapshot() {
     let mut stage = Stage::boiler();
     stage.until(45.0);
     snapshot!("devices_80x24", stage);
@@ -17,14 +17,14 @@ fn devices_at_three_sizes() {
 }
 
 #[test]
-fn the_first_second() {
+fn first_second_matches_snapshot() {
     let mut stage = Stage::boiler();
     snapshot!("start_80x24", stage);
     snapshot!("first_second_80x24", stage.until(1.0));
 }
 
 #[test]
-fn details_of_a_clash_and_of_what_is_missing() {
+fn conflict_and_missing_details_match_snapshot() {
     let mut stage = Stage::boiler();
     stage.until(45.0).size(100, 30);
     snapshot!("clash", stage.keys("j j j"));
@@ -32,7 +32,7 @@ fn details_of_a_clash_and_of_what_is_missing() {
 }
 
 #[test]
-fn a_device_that_never_came_is_not_said_to_be_seen() {
+fn missing_device_has_no_last_seen_time() {
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("4 /").text("missing").keys("Enter");
     let screen = stage.screen();
@@ -40,7 +40,7 @@ fn a_device_that_never_came_is_not_said_to_be_seen() {
 }
 
 #[test]
-fn the_selection_follows_its_device() {
+fn selection_follows_its_device() {
     let mut stage = Stage::boiler();
     stage.until(3.0);
     let select = |stage: &mut Stage, name: &str| {
@@ -66,7 +66,7 @@ fn the_selection_follows_its_device() {
 }
 
 #[test]
-fn an_address_of_ours_that_another_uses_is_named_as_the_cause() {
+fn own_address_in_use_is_named_as_the_cause() {
     let address = Address::new(12);
     let config = Config { seed: 7, address, ..Config::default() };
     let mut stage = Stage::with(&Scenario::builtin("boiler").unwrap(), Some(BOILER), config);
@@ -79,7 +79,7 @@ fn an_address_of_ours_that_another_uses_is_named_as_the_cause() {
 }
 
 #[test]
-fn rows_are_sorted_by_each_column_in_turn() {
+fn sort_key_cycles_through_the_columns() {
     let file = r#"{"devices": [
   {"name": "FEED", "services": [{"name": "OTHER"}]},
   {"name": "SENS", "address": 12, "static": true},
@@ -111,7 +111,7 @@ fn rows_are_sorted_by_each_column_in_turn() {
 }
 
 #[test]
-fn rows_that_are_held_are_sorted_when_asked() {
+fn frozen_rows_are_sorted_by_key() {
     let mut stage = Stage::boiler();
     stage.until(20.0).keys("Space").until(24.0).keys("s");
     let mut names: Vec<String> = Vec::new();
@@ -122,7 +122,7 @@ fn rows_that_are_held_are_sorted_when_asked() {
 }
 
 #[test]
-fn hostile_names_never_reach_the_terminal() {
+fn control_characters_in_names_are_escaped() {
     use descan::sim::DeviceSpec;
     let mut scenario = Scenario::new(500_000);
     let names: [&[u8]; 4] = [
@@ -172,7 +172,7 @@ fn hostile_names_never_reach_the_terminal() {
 }
 
 #[test]
-fn frames_alone_do_not_make_the_devices_page_dirty() {
+fn frames_alone_do_not_redraw_the_devices_page() {
     let mut stage = Stage::new(&Scenario::crowd(500_000, 20, 2), None);
     stage.until(30.0);
     stage.app.take_dirty();

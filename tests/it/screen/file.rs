@@ -9,7 +9,7 @@ use descan::keymap::Key;
 use descan::sim::Scenario;
 
 #[test]
-fn an_address_is_edited_in_its_row() {
+fn address_is_edited_in_its_row() {
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("j j");
     stage.keys("e").text("12");
@@ -28,7 +28,7 @@ fn an_address_is_edited_in_its_row() {
 }
 
 #[test]
-fn a_file_that_is_deleted_is_said_to_be_gone() {
+fn deleted_file_is_reported() {
     let mut stage = Stage::boiler();
     stage.until(24.0);
     stage.app.handle_file(stage.app.now(), FileReading::Content(None));
@@ -36,7 +36,7 @@ fn a_file_that_is_deleted_is_said_to_be_gone() {
 }
 
 #[test]
-fn a_new_entry_is_selected_and_a_wrong_address_in_it_is_told() {
+fn new_entry_is_selected_and_its_address_checked() {
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("n").text("PUMP 200");
     let screen = stage.screen();
@@ -49,7 +49,7 @@ fn a_new_entry_is_selected_and_a_wrong_address_in_it_is_told() {
 }
 
 #[test]
-fn what_blocks_and_how_to_answer_are_never_cut_off() {
+fn prompt_rejection_and_keys_are_never_cut() {
     let mut stage = Stage::boiler();
     stage.until(24.0).size(40, 10).keys("n");
     assert!(stage.screen().contains("✗ name, space, address"), "{}", stage.screen());
@@ -62,7 +62,7 @@ fn what_blocks_and_how_to_answer_are_never_cut_off() {
 }
 
 #[test]
-fn what_somebody_else_changed_since_is_neither_taken_back_nor_made_again() {
+fn undo_and_redo_skip_values_changed_on_disk() {
     let with = |address: &str| BOILER.replace("10", address);
     let told = |stage: &Stage, start: &str| {
         stage.app.timeline().entries().any(|line| line.text.starts_with(start))
@@ -118,7 +118,7 @@ fn what_somebody_else_changed_since_is_neither_taken_back_nor_made_again() {
 }
 
 #[test]
-fn an_unsaved_edit_that_is_taken_back_leaves_nothing_to_save() {
+fn undone_unsaved_edit_leaves_nothing_to_save() {
     // While the disk refuses it, one of two, then both.
     let mut stage = with_two_unsaved_edits();
     assert_eq!(stage.app.file().unsaved(), 2);
@@ -151,7 +151,7 @@ fn an_unsaved_edit_that_is_taken_back_leaves_nothing_to_save() {
 }
 
 #[test]
-fn a_clash_that_two_made_together_is_named_when_it_is_saved() {
+fn duplicate_address_after_merge_is_reported() {
     let mut stage = Stage::boiler();
     stage.slow_disk().until(24.0).keys("e").text("71").keys("Enter");
     stage.file = Some(BOILER.as_bytes().to_vec());
@@ -182,7 +182,7 @@ fn a_clash_that_two_made_together_is_named_when_it_is_saved() {
 }
 
 #[test]
-fn a_failed_save_is_tried_again_when_asked() {
+fn failed_save_is_retried_by_key() {
     let mut stage = Stage::boiler();
     stage.until(24.0);
     for key in ["e", "4", "7", "Enter"] {
@@ -205,7 +205,7 @@ fn a_failed_save_is_tried_again_when_asked() {
 }
 
 #[test]
-fn a_failed_save_is_tried_again_after_a_while_and_told_once() {
+fn failed_save_is_retried_later_and_reported_once() {
     let mut stage = Stage::boiler();
     let refused = || SaveOutcome::Failed("no space left on the disk".to_owned());
     stage.slow_disk().until(24.0).keys("e").text("47").keys("Enter");
@@ -233,7 +233,7 @@ fn a_failed_save_is_tried_again_after_a_while_and_told_once() {
 }
 
 #[test]
-fn a_copy_is_saved_elsewhere() {
+fn copy_is_saved_to_another_path() {
     let mut stage = Stage::boiler();
     stage.slow_disk().until(24.0).keys("e").text("47").keys("Enter");
     stage.unfinished = Some(vec![SaveOutcome::Failed("disk full".to_owned())]);
@@ -262,7 +262,7 @@ fn a_copy_is_saved_elsewhere() {
 }
 
 #[test]
-fn a_broken_file_is_shown_and_never_written() {
+fn broken_file_is_shown_and_never_written() {
     let mut stage = Stage::boiler();
     let broken = BOILER.replace("\"SENS\",", "\"SENS\"");
     stage.until(24.0).write(&broken).keys("j");
@@ -286,7 +286,7 @@ fn a_broken_file_is_shown_and_never_written() {
 }
 
 #[test]
-fn where_no_content_was_ever_good_none_is_said_to_stay() {
+fn file_never_valid_claims_no_last_content() {
     let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some("[{]"));
     let screen = stage.until(9.0).size(120, 40).screen();
     assert!(screen.contains("des.json ✗ line 1, column 3"), "{screen}");
@@ -296,7 +296,7 @@ fn where_no_content_was_ever_good_none_is_said_to_stay() {
 }
 
 #[test]
-fn a_wrong_value_leads_to_its_row() {
+fn invalid_value_selects_its_row() {
     let file = BOILER.replace("16, \"static\": true", "16, \"static\": 1").replace("\"PUMP\"", "7");
     let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some(&file));
     stage.until(24.0).keys("4 /").text("invalid").keys("Enter g");
@@ -327,7 +327,7 @@ fn a_wrong_value_leads_to_its_row() {
 }
 
 #[test]
-fn wrong_values_are_told_apart_in_their_rows() {
+fn invalid_values_are_marked_in_their_rows() {
     let file = BOILER
         .replace("16, \"static\": true", "300, \"static\": 1")
         .replace("\"address\": 20", "\"address\": 200, \"services\": [1, 2]")
@@ -366,7 +366,7 @@ fn wrong_values_are_told_apart_in_their_rows() {
 }
 
 #[test]
-fn devices_are_taken_into_a_file_that_is_begun() {
+fn devices_are_added_to_a_new_file() {
     let mut stage = Stage::new(&Scenario::crowd(500_000, 3, 2), None);
     stage.until(5.0).keys("A");
     text_snapshot!("begun_file", stage.file());
@@ -383,7 +383,7 @@ fn devices_are_taken_into_a_file_that_is_begun() {
 }
 
 #[test]
-fn of_two_at_one_address_no_uid_is_taken_into_the_file() {
+fn conflict_adds_no_uid_to_the_file() {
     let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some("[]"));
     stage.until(40.0).keys("A");
     let file = stage.file();
@@ -392,7 +392,7 @@ fn of_two_at_one_address_no_uid_is_taken_into_the_file() {
 }
 
 #[test]
-fn quitting_asks_while_edits_are_not_saved() {
+fn quit_confirms_unsaved_edits() {
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("q");
     assert!(stage.effects.contains(&Effect::Quit));
@@ -405,7 +405,7 @@ fn quitting_asks_while_edits_are_not_saved() {
 }
 
 #[test]
-fn quitting_goes_on_once_everything_is_saved() {
+fn quit_continues_once_everything_is_saved() {
     // Two edits, of which the second waits for the first: quitting waits for both.
     let mut stage = Stage::boiler();
     stage.slow_disk().until(24.0).keys("e").text("47").keys("Enter R").text("X").keys("Enter q");
@@ -436,7 +436,7 @@ fn quitting_goes_on_once_everything_is_saved() {
 }
 
 #[test]
-fn that_an_address_is_pinned_already_is_said() {
+fn address_pinned_already_is_reported() {
     let mut stage = Stage::boiler();
     stage.until(3.0).keys("g e");
     assert!(stage.screen().contains("already pinned to 10"), "{}", stage.screen());
@@ -445,7 +445,7 @@ fn that_an_address_is_pinned_already_is_said() {
 }
 
 #[test]
-fn a_folder_that_is_to_be_made_is_named_at_the_start() {
+fn missing_folder_is_named_at_start() {
     let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), None);
     stage.app.handle_missing_folder(stage.app.now(), "../nodir");
     let screen = stage.screen();
@@ -455,7 +455,7 @@ fn a_folder_that_is_to_be_made_is_named_at_the_start() {
 
 /// While there are conflicts, too: what was decided is in it as it was decided.
 #[test]
-fn a_copy_has_all_edits_as_they_were_decided() {
+fn copy_contains_all_decided_edits() {
     let mut stage = with_two_unsaved_edits();
     let theirs = BOILER.replace("10", "100").replace("12", "103").replace("44", "45");
     stage.write(&theirs).keys("t");

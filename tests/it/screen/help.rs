@@ -24,7 +24,7 @@ fn every_action_is_in_the_help() {
 }
 
 #[test]
-fn text_that_was_scrolled_past_its_end_comes_back_at_once() {
+fn overscrolled_text_scrolls_back_at_once() {
     let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), None);
     stage.until(12.0).size(80, 24).keys("?");
     let top = stage.screen();

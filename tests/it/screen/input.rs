@@ -8,14 +8,14 @@ use descan::discovery::Config;
 use descan::sim::Scenario;
 
 #[test]
-fn a_line_being_typed_is_shown_whole_where_there_is_room() {
+fn prompt_is_shown_whole_if_it_fits() {
     let mut stage = Stage::boiler();
     stage.until(3.0).keys("w");
     assert!(stage.screen().contains("save frames to: descan-20261121-"), "{}", stage.screen());
 }
 
 #[test]
-fn filters_show_less() {
+fn filter_limits_the_rows() {
     let mut stage = Stage::boiler();
     stage.until(45.0).keys("/").text("sens");
     snapshot!("filter_devices", stage);
@@ -26,7 +26,7 @@ fn filters_show_less() {
 }
 
 #[test]
-fn a_filter_that_nothing_can_fit_is_explained() {
+fn filter_error_names_the_cause() {
     let mut stage = Stage::boiler();
     stage.until(10.0).keys("/").text("at:abc").keys("Enter");
     let screen = stage.screen();
@@ -41,7 +41,7 @@ fn a_filter_that_nothing_can_fit_is_explained() {
 }
 
 #[test]
-fn the_russian_layout_works() {
+fn russian_layout_keys_work() {
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("4").keys("о");
     assert_eq!(stage.app.view().page, Page::Problems);
@@ -54,7 +54,7 @@ fn the_russian_layout_works() {
 }
 
 #[test]
-fn the_mouse_selects_and_turns_pages() {
+fn mouse_selects_rows_and_pages() {
     let mut stage = Stage::boiler();
     stage.until(24.0);
     let mut mouse = |kind, column, row| {
@@ -72,7 +72,7 @@ fn the_mouse_selects_and_turns_pages() {
 }
 
 #[test]
-fn the_other_pages_know_the_same_fields() {
+fn filter_fields_work_on_every_page() {
     let mut stage = Stage::boiler();
     stage.until(45.0);
     let mut rows = |page: &str, filter: &str| {
@@ -99,7 +99,7 @@ fn the_other_pages_know_the_same_fields() {
 }
 
 #[test]
-fn nothing_beyond_discovery_is_sent_by_one_key() {
+fn single_key_sends_only_discovery_frames() {
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("i");
     assert!(stage.screen().contains("identify needs --profile"), "{}", stage.screen());
@@ -122,7 +122,7 @@ fn nothing_beyond_discovery_is_sent_by_one_key() {
 }
 
 #[test]
-fn a_question_and_a_path_are_read_to_their_end_on_a_narrow_screen() {
+fn confirmation_and_path_fit_a_narrow_screen() {
     let mut stage = Stage::boiler();
     stage.until(9.0).size(40, 10).keys("D");
     assert!(stage.screen().contains("Delete FEED at 10?  y yes  n no"), "{}", stage.screen());

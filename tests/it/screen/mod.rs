@@ -107,7 +107,7 @@ fn styles_of(buffer: &Buffer) -> String {
 }
 
 #[test]
-fn timeline_problems_and_help() {
+fn timeline_problems_and_help_match_snapshots() {
     let mut stage = Stage::boiler();
     stage.until(45.0);
     snapshot!("timeline_80x24", stage.keys("3"));
@@ -118,7 +118,7 @@ fn timeline_problems_and_help() {
 }
 
 #[test]
-fn styles_by_role() {
+fn styles_by_role_match_snapshot() {
     let mut stage = Stage::boiler();
     stage.until(45.0).size(60, 16);
     for theme in ["terminal", "mono"] {
@@ -141,7 +141,7 @@ fn every_state_is_readable_without_colour() {
 }
 
 #[test]
-fn every_size_is_drawn() {
+fn every_terminal_size_is_drawn() {
     let mut stage = Stage::boiler();
     stage.until(30.0);
     for keys in ["1", "2", "v", "v Enter", "3", "4", "?"] {

@@ -22,7 +22,7 @@ fn flood(stage: &mut Stage) {
 }
 
 #[test]
-fn what_is_broken_takes_the_bus_too() {
+fn bus_problem_names_its_bus() {
     let config = Config { seed: 7, listen_only: true, ..Config::default() };
     let mut stage = Stage::with(&Scenario::new(125_000), None, config);
     stage.link(Link::Up);
@@ -41,7 +41,7 @@ fn what_is_broken_takes_the_bus_too() {
 }
 
 #[test]
-fn what_is_sure_comes_before_suspicions_and_these_before_what_is_over() {
+fn problems_sorted_by_confidence() {
     let mut stage = Stage::boiler();
     stage.until(30.5).keys("4");
     assert_eq!(
@@ -69,7 +69,7 @@ fn what_is_sure_comes_before_suspicions_and_these_before_what_is_over() {
 }
 
 #[test]
-fn a_collision_is_one_problem_whatever_shows_it() {
+fn address_conflict_is_one_problem() {
     let mut stage = Stage::boiler();
     stage.until(45.0).keys("4");
     let findings = stage.app.findings().filter(|finding| finding.key.kind.is_conflict()).count();
@@ -100,7 +100,7 @@ fn a_collision_is_one_problem_whatever_shows_it() {
 }
 
 #[test]
-fn errors_that_follow_an_address_belong_to_its_problem() {
+fn bus_errors_of_an_address_join_its_problem() {
     use descan::sim::{DeviceSpec, Fault};
     let act = |label: &str, service: &str| {
         let mut device = DeviceSpec::new("ACT").label(label).fixed(101).settled();
@@ -116,7 +116,7 @@ fn errors_that_follow_an_address_belong_to_its_problem() {
 }
 
 #[test]
-fn a_muted_problem_does_not_count_and_stays_muted() {
+fn muted_problem_is_not_counted_and_stays_muted() {
     let mut stage = Stage::boiler();
     stage.until(30.5).keys("4 G m");
     assert_eq!(selected(&stage), "address conflict (same name) @14");
@@ -186,7 +186,7 @@ fn problems_are_filtered_by_words_and_fields() {
 }
 
 #[test]
-fn a_problem_leads_to_its_frames_and_back() {
+fn problem_opens_its_frames_and_returns() {
     let mut stage = Stage::boiler();
     stage.until(45.0).keys("4 Enter");
     snapshot!("evidence_80x24", stage);
@@ -211,7 +211,7 @@ fn a_problem_leads_to_its_frames_and_back() {
 }
 
 #[test]
-fn the_evidence_is_left_as_anything_else_is() {
+fn evidence_view_closes_like_other_views() {
     let mut stage = Stage::boiler();
     stage.until(45.0).keys("2 v /").text("srv:des").keys("Enter 4 Enter");
     let shown = |stage: &Stage| stage.screen().contains("EVIDENCE");
@@ -228,7 +228,7 @@ fn the_evidence_is_left_as_anything_else_is() {
 }
 
 #[test]
-fn evidence_is_there_when_the_capture_has_forgotten_it() {
+fn evidence_outlives_the_capture() {
     let mut stage = Stage::boiler();
     stage.until(45.0).keys("4");
     flood(&mut stage);
@@ -248,7 +248,7 @@ fn evidence_is_there_when_the_capture_has_forgotten_it() {
 }
 
 #[test]
-fn small_screens_show_what_is_wrong_before_the_frames() {
+fn small_screen_shows_the_problem_before_frames() {
     let mut stage = Stage::boiler();
     stage.until(45.0).size(40, 10).keys("4 Enter");
     snapshot!("problem_40x10", stage);
@@ -263,7 +263,7 @@ fn small_screens_show_what_is_wrong_before_the_frames() {
 }
 
 #[test]
-fn from_a_device_to_its_problem_and_back() {
+fn key_jumps_between_device_and_problem() {
     let mut stage = Stage::boiler();
     stage.until(45.0).keys("j j j");
     assert!(stage.screen().contains("→ 4 Problems (p)"), "{}", stage.screen());
@@ -291,7 +291,7 @@ fn from_a_device_to_its_problem_and_back() {
 }
 
 #[test]
-fn the_selection_follows_its_problem() {
+fn selection_follows_its_problem() {
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("4 G");
     assert_eq!(selected(&stage), "missing @44");
@@ -324,7 +324,7 @@ fn the_selection_follows_its_problem() {
 }
 
 #[test]
-fn problems_by_mouse_and_in_russian() {
+fn problems_work_by_mouse_and_russian_keys() {
     let mut stage = Stage::boiler();
     stage.until(45.0).keys("4");
     let press = |stage: &mut Stage, column, row| {

@@ -6,7 +6,7 @@ use descan::app::Page;
 use descan::time::{Duration, Instant};
 
 #[test]
-fn escape_leads_from_the_frames_of_a_line_back_to_it() {
+fn escape_returns_from_frames_to_the_timeline_line() {
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("3 k k");
     let timeline = stage.screen();
@@ -23,7 +23,7 @@ fn escape_leads_from_the_frames_of_a_line_back_to_it() {
 }
 
 #[test]
-fn a_device_has_its_whole_story_under_its_name() {
+fn device_filter_shows_its_whole_timeline() {
     let mut stage = Stage::boiler();
     stage.until(170.0).size(100, 24).keys("3 /").text("heat").keys("Enter");
     // It claimed 16 before it had a row, and held it under a row that is DIN's now.
@@ -33,7 +33,7 @@ fn a_device_has_its_whole_story_under_its_name() {
 }
 
 #[test]
-fn the_timeline_leads_to_the_frames() {
+fn timeline_line_opens_its_frames() {
     let mut stage = Stage::boiler();
     stage.until(45.0).keys("3 k k Enter");
     assert_eq!(stage.app.view().page, Page::Traffic);

@@ -4,7 +4,7 @@ use super::snapshot;
 use crate::common::harness::Stage;
 
 #[test]
-fn traffic_and_its_details() {
+fn traffic_page_and_details_match_snapshot() {
     let mut stage = Stage::boiler();
     stage.until(45.0).keys("2");
     snapshot!("traffic_80x24", stage);
@@ -15,7 +15,7 @@ fn traffic_and_its_details() {
 }
 
 #[test]
-fn freezing_holds_the_frames_and_loses_none() {
+fn frozen_view_keeps_capturing() {
     let mut stage = Stage::boiler();
     stage.until(20.0).keys("2 Space");
     let held = stage.screen();

@@ -89,7 +89,7 @@ fn two_buses_are_one_view() {
 
 /// Adapters at one rate differ in what stands before it.
 #[test]
-fn two_adapters_at_one_rate_are_told_apart() {
+fn equal_adapters_have_distinct_names() {
     let scenarios = ["boiler", "drone"].map(|name| Scenario::builtin(name).unwrap());
     let mut pair = Pair::new([&scenarios[0], &scenarios[1]]);
     for (index, name) in [(0, "slcan:/dev/ttyACM0@500000"), (1, "slcan:/dev/ttyACM1@500000")] {
@@ -107,7 +107,7 @@ fn two_adapters_at_one_rate_are_told_apart() {
 }
 
 #[test]
-fn where_one_line_is_for_all_buses_it_is_that_of_the_one_that_is_away() {
+fn single_status_line_shows_the_failed_bus() {
     let scenarios = ["boiler", "drone"].map(|name| Scenario::builtin(name).unwrap());
     let mut pair = Pair::new([&scenarios[0], &scenarios[1]]);
     assert!(pair.run(0..20).screen(50, 12).lines().next().unwrap().contains("can0"));
@@ -119,7 +119,7 @@ fn where_one_line_is_for_all_buses_it_is_that_of_the_one_that_is_away() {
 }
 
 #[test]
-fn a_device_on_two_buses_is_one_row_where_they_are_redundant() {
+fn redundant_device_is_one_row() {
     use descan::sim::DeviceSpec;
     let device = |name: &str, address: u8, uid: u8, service: &str| {
         let mut device = DeviceSpec::new(name).fixed(address).settled();
@@ -168,7 +168,7 @@ fn a_device_on_two_buses_is_one_row_where_they_are_redundant() {
 
 /// Which of two twins an entry is about that names neither's address is not known: nobody deleted it.
 #[test]
-fn an_entry_whose_device_gets_a_twin_while_it_is_edited_is_not_called_deleted() {
+fn entry_edited_while_a_twin_appears_is_kept() {
     let file = r#"[{"name":"SENS","address":15,"static":true}]"#;
     let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some(file));
     stage.until(6.0).keys("/").text("SENS").keys("Enter g e").text("47");

@@ -66,7 +66,7 @@ fn vectors(text: &str) -> Vec<Value> {
 }
 
 #[test]
-fn names_as_in_the_vectors() {
+fn name_responses_match_the_vectors() {
     for vector in vectors(include_str!("../../vectors/names.json")) {
         let mut named = device();
         named.name = bytes(&vector["name"]);
@@ -78,7 +78,7 @@ fn names_as_in_the_vectors() {
 }
 
 #[test]
-fn services_as_in_the_vectors() {
+fn services_responses_match_the_vectors() {
     for vector in vectors(include_str!("../../vectors/services.json")) {
         if !vector["finding"].is_null() {
             continue;
@@ -95,7 +95,7 @@ fn services_as_in_the_vectors() {
 }
 
 #[test]
-fn the_answers_identifier_leads_back_to_the_asker() {
+fn response_identifier_addresses_the_requester() {
     let answer = exchange(device(), NAME)[0].0;
     assert_eq!(answer.message_type().name(), "RSP_CC_TGT");
     assert_eq!((answer.source, answer.destination), (address(12), address(0)));
@@ -105,7 +105,7 @@ fn the_answers_identifier_leads_back_to_the_asker() {
 }
 
 #[test]
-fn each_framing_is_understood_by_those_who_have_it() {
+fn request_is_answered_in_supported_framings_only() {
     let count = |framing, request| exchange(device().framing(framing), request).len();
     assert_eq!(count(DeviceFraming::Isotp, b"DES\x01"), 0);
     assert_eq!(count(DeviceFraming::Raw, NAME), 0);
@@ -118,7 +118,7 @@ fn each_framing_is_understood_by_those_who_have_it() {
 }
 
 #[test]
-fn a_broadcast_reaches_those_in_the_mode_it_is_for() {
+fn broadcast_reaches_devices_of_its_mode() {
     let mut idle = DeviceSpec::new("CFG").fixed(13).settled();
     idle.mode = Some(Mode::Cfg);
     let (mut sim, me) = bus_with([device(), idle]);
@@ -135,7 +135,7 @@ fn a_broadcast_reaches_those_in_the_mode_it_is_for() {
 }
 
 #[test]
-fn answers_come_after_their_delay() {
+fn responses_come_after_their_delay() {
     let mut slow = device();
     slow.delay = (Duration::from_millis(5), Duration::from_millis(6));
     let (mut sim, me) = bus_with([slow]);
@@ -151,7 +151,7 @@ fn long() -> DeviceSpec {
 }
 
 #[test]
-fn blocks_and_separation_are_kept() {
+fn block_size_and_separation_time_are_kept() {
     let (mut sim, me) = bus_with([long()]);
     send(&mut sim, me, SERVICES);
     assert_eq!(answers(&mut sim, me, 20).len(), 1, "waits for flow control");
@@ -170,7 +170,7 @@ fn blocks_and_separation_are_kept() {
 }
 
 #[test]
-fn overflow_silence_and_strangers_end_or_do_not_move_a_transfer() {
+fn overflow_or_timeout_aborts_transfer() {
     let (mut sim, me) = bus_with([long()]);
     send(&mut sim, me, SERVICES);
     answers(&mut sim, me, 20);
@@ -189,7 +189,7 @@ fn overflow_silence_and_strangers_end_or_do_not_move_a_transfer() {
 }
 
 #[test]
-fn flow_control_by_broadcast_moves_a_transfer_too() {
+fn broadcast_flow_control_continues_transfer() {
     let (mut sim, me) = bus_with([long()]);
     send(&mut sim, me, SERVICES);
     answers(&mut sim, me, 20);
@@ -199,7 +199,7 @@ fn flow_control_by_broadcast_moves_a_transfer_too() {
 }
 
 #[test]
-fn two_questions_are_answered_one_after_the_other() {
+fn two_requests_are_answered_in_turn() {
     let (mut sim, me) = bus_with([long()]);
     send(&mut sim, me, SERVICES);
     send(&mut sim, me, NAME);
@@ -210,7 +210,7 @@ fn two_questions_are_answered_one_after_the_other() {
 }
 
 #[test]
-fn faults_are_as_ordered() {
+fn configured_faults_are_applied() {
     let served = |fault| data(&exchange(long().fault(fault), SERVICES));
     let sound = data(&exchange(long(), SERVICES));
     assert!(served(Fault::NoDes).is_empty());

@@ -7,7 +7,7 @@ use descan::sim::{ControllerState, Scenario, Sim};
 use descan::time::{Duration, Instant};
 
 #[test]
-fn the_lowest_identifier_wins_and_equal_ones_keep_their_order() {
+fn lowest_identifier_wins_arbitration() {
     let (mut sim, one, two) = two_stations();
     let watcher = sim.attach();
     for (station, id, byte) in
@@ -25,7 +25,7 @@ fn the_lowest_identifier_wins_and_equal_ones_keep_their_order() {
 }
 
 #[test]
-fn frames_take_exactly_their_bits() {
+fn frame_duration_equals_its_bits() {
     let (mut sim, one, two) = two_stations();
     let frame = Frame::classic(0x0AAA_A555, &[1, 2, 3]);
     sim.transmit(one, frame);
@@ -41,7 +41,7 @@ fn frames_take_exactly_their_bits() {
 }
 
 #[test]
-fn the_sender_gets_its_own_copy_when_the_bus_took_it() {
+fn sender_gets_loopback_after_transmission() {
     let (mut sim, one, two) = two_stations();
     sim.transmit(one, Frame::classic(5, &[1]));
     assert_eq!(sim.poll_frame(one), None);
@@ -51,7 +51,7 @@ fn the_sender_gets_its_own_copy_when_the_bus_took_it() {
 }
 
 #[test]
-fn equal_frames_at_the_same_moment_merge() {
+fn equal_simultaneous_frames_merge() {
     let (mut sim, one, two) = two_stations();
     let watcher = sim.attach();
     sim.transmit(one, Frame::classic(5, &[1, 2]));
@@ -64,7 +64,7 @@ fn equal_frames_at_the_same_moment_merge() {
 }
 
 #[test]
-fn equal_frames_merge_only_if_somebody_else_acknowledges() {
+fn equal_frames_merge_only_with_ack_of_third_node() {
     let (mut sim, one, two) = two_stations();
     sim.transmit(one, Frame::classic(5, &[1]));
     sim.transmit(two, Frame::classic(5, &[1]));
@@ -72,7 +72,7 @@ fn equal_frames_merge_only_if_somebody_else_acknowledges() {
 }
 
 #[test]
-fn different_bytes_destroy_each_other_until_both_are_passive() {
+fn different_data_collides_until_error_passive() {
     let (mut sim, one, two) = two_stations();
     let watcher = sim.attach();
     sim.transmit(one, Frame::classic(5, &[0x00]));
@@ -94,7 +94,7 @@ fn different_bytes_destroy_each_other_until_both_are_passive() {
 }
 
 #[test]
-fn error_reports_are_as_linux_makes_them() {
+fn error_frames_match_linux() {
     let (mut sim, one, two) = two_stations();
     let watcher = sim.attach();
     sim.transmit(one, Frame::classic(5, &[0x00]));
@@ -108,7 +108,7 @@ fn error_reports_are_as_linux_makes_them() {
 }
 
 #[test]
-fn what_won_on_another_bus_neither_spoils_nor_merges_with_what_waits_here() {
+fn bridged_frame_does_not_affect_waiting_frames() {
     let (mut sim, one, two) = two_stations();
     let watcher = sim.attach();
     for _ in 0..40 {
@@ -129,7 +129,7 @@ fn what_won_on_another_bus_neither_spoils_nor_merges_with_what_waits_here() {
 }
 
 #[test]
-fn losing_again_and_again_leads_to_bus_off_and_restart_out_of_it() {
+fn repeated_tx_errors_cause_bus_off_and_restart() {
     let (mut sim, one, two) = two_stations();
     sim.attach();
     let mut log = Vec::new();
@@ -160,7 +160,7 @@ fn losing_again_and_again_leads_to_bus_off_and_restart_out_of_it() {
 }
 
 #[test]
-fn alone_on_the_bus_nothing_is_acknowledged_and_nobody_goes_bus_off() {
+fn single_node_gets_no_ack_and_no_bus_off() {
     let mut sim = Sim::new(&Scenario::new(500_000), 1);
     let me = sim.attach();
     sim.transmit(me, Frame::classic(5, &[1]));
@@ -180,7 +180,7 @@ fn alone_on_the_bus_nothing_is_acknowledged_and_nobody_goes_bus_off() {
 }
 
 #[test]
-fn a_listener_sends_nothing_and_a_cut_link_loses_what_waits() {
+fn listen_only_and_cut_link_transmit_nothing() {
     let (mut sim, one, two) = two_stations();
     sim.set_listen_only(one, true);
     sim.transmit(one, Frame::classic(5, &[]));
@@ -194,7 +194,7 @@ fn a_listener_sends_nothing_and_a_cut_link_loses_what_waits() {
 }
 
 #[test]
-fn a_station_at_another_rate_spoils_the_bus_unless_it_only_listens() {
+fn wrong_bit_rate_breaks_bus_unless_listen_only() {
     let (mut sim, one, two) = two_stations();
     let stranger = sim.attach();
     sim.set_bitrate(stranger, 250_000);
@@ -211,7 +211,7 @@ fn a_station_at_another_rate_spoils_the_bus_unless_it_only_listens() {
 }
 
 #[test]
-fn disturbed_frames_are_repeated() {
+fn disturbed_frames_are_retransmitted() {
     let mut scenario = Scenario::new(125_000);
     scenario.error_rate = 0.2;
     let mut sim = Sim::new(&scenario, 3);
@@ -229,7 +229,7 @@ fn disturbed_frames_are_repeated() {
 }
 
 #[test]
-fn an_observer_may_miss_frames_that_everybody_else_sees() {
+fn observer_can_miss_frames_others_receive() {
     let mut scenario = Scenario::new(1_000_000);
     scenario.observer_loss = 0.5;
     let mut sim = Sim::new(&scenario, 3);
@@ -244,7 +244,7 @@ fn an_observer_may_miss_frames_that_everybody_else_sees() {
 }
 
 #[test]
-fn fd_frames_use_the_data_rate() {
+fn fd_frames_use_the_data_bit_rate() {
     let mut scenario = Scenario::new(500_000);
     scenario.data_bitrate = 5_000_000;
     let mut sim = Sim::new(&scenario, 1);
@@ -259,7 +259,7 @@ fn fd_frames_use_the_data_rate() {
 }
 
 #[test]
-fn a_full_queue_refuses_and_counts() {
+fn full_transmit_queue_rejects_and_counts() {
     let mut sim = Sim::new(&Scenario::new(125_000), 1);
     let me = sim.attach();
     let taken = (0..2000).filter(|_| sim.transmit(me, Frame::classic(5, &[]))).count();

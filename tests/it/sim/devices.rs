@@ -16,7 +16,7 @@ fn settled(name: &str, number: u8) -> DeviceSpec {
 }
 
 #[test]
-fn a_device_listens_waits_claims_and_works() {
+fn device_listens_waits_claims_and_works() {
     let (mut sim, me) = bus_with([DeviceSpec::new("FEED").preferred(10)]);
     // Nothing on the bus: INIT to 1.5 s, ARSLV to 3 s, a random part of 1 s.
     sim.advance(at_ms(1400));
@@ -34,14 +34,14 @@ fn a_device_listens_waits_claims_and_works() {
 }
 
 #[test]
-fn a_frame_on_the_bus_ends_init_early() {
+fn bus_frame_ends_init_early() {
     let (mut sim, _me) = bus_with([settled("A", 1), DeviceSpec::new("B").preferred(2)]);
     sim.advance(at_ms(1100));
     assert_eq!(state(&sim, "B").0, Some(Mode::Arslv));
 }
 
 #[test]
-fn two_devices_with_one_preferred_address_part() {
+fn equal_preferred_addresses_are_resolved() {
     for seed in 0..20 {
         let mut scenario = Scenario::new(125_000);
         for label in ["A", "B"] {
@@ -58,7 +58,7 @@ fn two_devices_with_one_preferred_address_part() {
 }
 
 #[test]
-fn two_devices_alone_find_each_other() {
+fn two_devices_alone_get_addresses() {
     // Nobody acknowledges the first claim; the second device's controller does, later.
     let scenario = Scenario::new(125_000)
         .with(DeviceSpec::new("A").preferred(1))
@@ -70,7 +70,7 @@ fn two_devices_alone_find_each_other() {
 }
 
 #[test]
-fn a_device_alone_never_gets_an_address() {
+fn single_device_never_gets_an_address() {
     let mut sim = Sim::new(&Scenario::new(125_000).with(DeviceSpec::new("A").preferred(1)), 1);
     sim.advance(at_ms(60_000));
     assert_eq!(state(&sim, "A").1, None);
@@ -79,7 +79,7 @@ fn a_device_alone_never_gets_an_address() {
 }
 
 #[test]
-fn a_taken_fixed_address_is_waited_for_a_taken_preferred_one_is_not() {
+fn used_fixed_address_is_awaited_preferred_is_not() {
     let (mut sim, _me) = bus_with([
         settled("OLD", 10),
         DeviceSpec::new("FIXED").fixed(10),
@@ -95,7 +95,7 @@ fn a_taken_fixed_address_is_waited_for_a_taken_preferred_one_is_not() {
 }
 
 #[test]
-fn destinations_count_as_used_too() {
+fn destination_addresses_count_as_used() {
     let (mut sim, me) = bus_with([DeviceSpec::new("A").preferred(33)]);
     sim.attach();
     for second in 0..8u64 {
@@ -113,7 +113,7 @@ fn destinations_count_as_used_too() {
 }
 
 #[test]
-fn what_is_not_configured_does_not_work() {
+fn unconfigured_device_stays_in_cfg() {
     let mut manual = DeviceSpec::new("MANUAL").preferred(3);
     manual.autostart = false;
     let mut forced = DeviceSpec::new("UFUNC").preferred(4);
@@ -135,7 +135,7 @@ fn what_is_not_configured_does_not_work() {
 }
 
 #[test]
-fn whoever_keeps_the_rules_gives_way_to_an_offender() {
+fn conforming_device_gives_up_to_an_offender() {
     let offender = DeviceSpec::new("BAD")
         .fixed(10)
         .fault(Fault::NeverGivesWay)
@@ -147,7 +147,7 @@ fn whoever_keeps_the_rules_gives_way_to_an_offender() {
 }
 
 #[test]
-fn a_second_uid_at_work_sends_the_first_to_be_configured() {
+fn second_uid_in_work_mode_sends_first_to_cfg() {
     let uid = Uid([1; 6]);
     let (mut sim, _me) = bus_with([settled("A", 1).uid(uid), settled("B", 2).uid(uid)]);
     sim.advance(at_ms(3000));
@@ -180,7 +180,7 @@ fn heartbeats_keep_their_period() {
 }
 
 #[test]
-fn two_offenders_destroy_each_other_and_give_up_at_128() {
+fn two_offenders_collide_and_give_up_at_128() {
     let mut one = settled("ESC", 5).label("one").fault(Fault::NeverGivesWay);
     one.services = vec![vec![b"DES".to_vec(), b"1.0".to_vec()]];
     one.delay = (Duration::ZERO, Duration::ZERO);
@@ -203,7 +203,7 @@ fn two_offenders_destroy_each_other_and_give_up_at_128() {
 }
 
 #[test]
-fn controls_do_what_they_say() {
+fn device_actions_take_effect() {
     let (mut sim, me) = bus_with([settled("A", 1), settled("B", 2)]);
     let a = sim.device("A").unwrap();
     sim.control(a, DeviceAction::Mode(Mode::Cfg));
@@ -235,7 +235,7 @@ fn controls_do_what_they_say() {
 }
 
 #[test]
-fn descriptor_fields_are_read_and_the_address_is_written() {
+fn descriptor_is_read_and_address_written() {
     let (mut sim, me) = bus_with([settled("A", 1), settled("B", 2)]);
     let ask = |sim: &mut Sim, me: SimStation, to: u8, service: u16, data: &[u8]| {
         let service = descan::wire::id::Service::new(service).unwrap();
@@ -261,7 +261,7 @@ fn descriptor_fields_are_read_and_the_address_is_written() {
 /// Whatever was done to them: once nobody offends any more, every device that works has an
 /// address of its own.
 #[test]
-fn after_any_trouble_the_rules_bring_order() {
+fn random_trouble_ends_with_unique_addresses() {
     const FAULTS: [Fault; 6] = [
         Fault::NeverGivesWay,
         Fault::Endless,

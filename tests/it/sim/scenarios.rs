@@ -14,7 +14,7 @@ fn recording(scenario: &Scenario, seed: u64, seconds: u64) -> Vec<Frame> {
 }
 
 #[test]
-fn the_same_seed_gives_the_same_run() {
+fn equal_seed_gives_equal_run() {
     for name in Scenario::BUILTIN {
         let scenario = Scenario::builtin(name).unwrap();
         let first = recording(&scenario, 1, 60);
@@ -25,7 +25,7 @@ fn the_same_seed_gives_the_same_run() {
 }
 
 #[test]
-fn how_time_is_cut_up_changes_nothing() {
+fn step_size_does_not_change_the_run() {
     let scenario = Scenario::builtin("boiler").unwrap();
     let mut sim = Sim::from_scenario(&scenario);
     let me = sim.attach();
@@ -39,7 +39,7 @@ fn how_time_is_cut_up_changes_nothing() {
 }
 
 #[test]
-fn frames_are_dated_in_order_and_never_in_the_future() {
+fn frame_times_are_ordered_and_not_in_the_future() {
     let mut sim = Sim::from_scenario(&Scenario::builtin("drone").unwrap());
     let me = sim.attach();
     let mut last = Instant::ZERO;
@@ -53,7 +53,7 @@ fn frames_are_dated_in_order_and_never_in_the_future() {
 }
 
 #[test]
-fn the_boiler_tells_its_story() {
+fn boiler_scenario_follows_its_timetable() {
     let mut sim = Sim::from_scenario(&Scenario::builtin("boiler").unwrap());
     let me = sim.attach();
     let first = after(&mut sim, me, 1100);
@@ -83,7 +83,7 @@ fn the_boiler_tells_its_story() {
 }
 
 #[test]
-fn the_built_in_scenarios_live_for_ten_minutes() {
+fn builtin_scenarios_run_for_ten_minutes() {
     for (name, busy) in [("boiler", 0.03..0.2), ("drone", 0.1..0.6)] {
         let mut sim = Sim::from_scenario(&Scenario::builtin(name).unwrap());
         let me = sim.attach();
@@ -106,7 +106,7 @@ fn the_built_in_scenarios_live_for_ten_minutes() {
 }
 
 #[test]
-fn a_crowd_is_at_work_from_the_start() {
+fn crowd_is_in_work_mode_from_the_start() {
     let frames = recording(&Scenario::crowd(1_000_000, 127, 5), 1, 1);
     for number in 1..=127 {
         assert!((1..=2).contains(&beats(&frames, number).len()), "{number}");
@@ -114,7 +114,7 @@ fn a_crowd_is_at_work_from_the_start() {
 }
 
 #[test]
-fn timetables_repeat() {
+fn timetable_with_period_repeats() {
     let scenario = Scenario::parse(
         r#"
         bitrate = 500000
@@ -150,7 +150,7 @@ fn timetables_repeat() {
 }
 
 #[test]
-fn what_is_wrong_with_a_scenario_is_named() {
+fn invalid_scenario_error_names_the_cause() {
     let device = "bitrate = 125000\n[[device]]\nname = \"A\"\n";
     let said = |text: &str| Scenario::parse(text).unwrap_err().to_string();
     let cases = [
@@ -193,14 +193,14 @@ fn what_is_wrong_with_a_scenario_is_named() {
 }
 
 #[test]
-fn names_may_be_any_bytes() {
+fn scenario_names_may_hold_any_bytes() {
     let text = "bitrate = 125000\n[[device]]\nlabel = \"odd\"\nname_hex = \"1B5bFF\"";
     let scenario = Scenario::parse(text).unwrap();
     assert_eq!(scenario.devices[0].name, [0x1B, 0x5B, 0xFF]);
 }
 
 #[test]
-fn odd_scenarios_made_in_code_do_no_harm() {
+fn extreme_scenarios_do_not_panic() {
     let mut device = DeviceSpec::new("A").settled();
     device.heartbeat = Some(Duration::ZERO);
     device.jitter = Duration::MAX;
