@@ -307,8 +307,8 @@ impl ThemeText<'_> {
 }
 
 impl Theme {
-    /// Returns the built-in theme of that name, unless `text` is its own: then it would inherit from
-    /// itself.
+    /// Returns the built-in theme of that name, unless `text` is its own: then it would inherit
+    /// from itself.
     fn built_in_other_than(name: &str, text: &str) -> Option<Self> {
         let other = BUILT_IN.iter().any(|(known, own)| *known == name && *own != text);
         other.then(|| Self::built_in(name)).flatten()

@@ -149,8 +149,8 @@ pub fn help(program: Command, name: &str, layout: TextLayout) -> Result<String, 
     Ok(render::render(&topic.blocks(), layout))
 }
 
-/// Returns the roff of `descan man [NAME]`: the page of the program, of a command (section 1), or of
-/// a topic (section 7).
+/// Returns the roff of `descan man [NAME]`: the page of the program, of a command (section 1), or
+/// of a topic (section 7).
 ///
 /// # Errors
 ///
@@ -276,8 +276,8 @@ fn sorted_notes(notes: &str) -> [Vec<String>; 3] {
     sorted
 }
 
-/// Returns the blocks of the topic `name` under the heading `title`, up to the next heading of level
-/// 1 or 2.
+/// Returns the blocks of the topic `name` under the heading `title`, up to the next heading of
+/// level 1 or 2.
 fn part(name: &str, title: &str) -> Vec<GuideBlock> {
     let blocks = topic(name).map(Topic::blocks).unwrap_or_default();
     let is_heading = |block: &GuideBlock| matches!(block, GuideBlock::Heading(1 | 2, _));

@@ -1,6 +1,6 @@
 //! Terminal text of the guide. Inputs: blocks, the width in columns, whether styles may be used.
-//! Output: wrapped lines that end with a line feed. Code blocks and words that are longer than a line
-//! are not wrapped.
+//! Output: wrapped lines that end with a line feed. Code blocks and words that are longer than a
+//! line are not wrapped.
 
 use super::markdown::{GuideBlock, GuideLine, GuideSpan, SpanStyle};
 use unicode_width::UnicodeWidthStr;

@@ -60,8 +60,8 @@ fn symbols() -> String {
     out
 }
 
-/// Returns the kinds of findings, most severe first, their headlines, and the commands whose exit code
-/// they change.
+/// Returns the kinds of findings, most severe first, their headlines, and the commands whose exit
+/// code they change.
 fn findings() -> String {
     let mut out = String::from("| kind | on the screen | counts for |\n|---|---|---|\n");
     let mut kinds = FindingKind::ALL.to_vec();

@@ -108,7 +108,8 @@ impl Brush<'_> {
         self.lines(below, &lines, 0);
     }
 
-    /// Draws, in place of an empty list, why it is empty, and for each bus that is not up the cause.
+    /// Draws, in place of an empty list, why it is empty, and for each bus that is not up the
+    /// cause.
     pub fn nothing(&mut self, list: Rect, why: &str) {
         let mut lines = vec![Line::from(self.span(Role::Muted, format!("   {why}")))];
         for bus in self.app.buses().iter().filter(|bus| bus.is_blind()) {

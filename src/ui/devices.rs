@@ -87,8 +87,8 @@ struct Columns {
 const SIGNS: usize = 3;
 
 impl Columns {
-    /// Fits the columns into `width` cells. BUS needs at least two buses; `bus` and `address` are the
-    /// widest texts in these columns.
+    /// Fits the columns into `width` cells. BUS needs at least two buses; `bus` and `address` are
+    /// the widest texts in these columns.
     fn new(width: usize, buses: usize, (bus, address): (usize, usize)) -> Self {
         let own = |column: Column| match column {
             C::Bus => column.width().max(bus),

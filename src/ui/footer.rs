@@ -1,5 +1,6 @@
-//! The last line of the screen, in this order of precedence: a prompt, a confirmation, a message, the
-//! keys of the open page. A message or a rejected input that needs more room takes up to three lines.
+//! The last line of the screen, in this order of precedence: a prompt, a confirmation, a message,
+//! the keys of the open page. A message or a rejected input that needs more room takes up to three
+//! lines.
 
 use super::brush::{Brush, cut, fit, wrap};
 use crate::app::{FileProblem, Focus, InputCheck, Page, PromptKind};

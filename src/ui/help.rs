@@ -1,5 +1,5 @@
-//! The help: keys of the keymap, symbols, filter terms, and the counters of each bus. Takes the place
-//! of the page, in two columns from 112 columns on.
+//! The help: keys of the keymap, symbols, filter terms, and the counters of each bus. Takes the
+//! place of the page, in two columns from 112 columns on.
 
 use super::brush::{Brush, fit, wrap};
 use super::signs::SIGNS;

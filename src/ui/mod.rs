@@ -15,8 +15,8 @@
 //!  ? help  q quit  e edit address  a add to file  r rescan  / filter  u undo        footer.rs
 //! ```
 //!
-//! The help (`help.rs`) and an edit conflict (`conflict.rs`) take the place of the page. The regions
-//! are computed by [`crate::app::Screen`].
+//! The help (`help.rs`) and an edit conflict (`conflict.rs`) take the place of the page. The
+//! regions are computed by [`crate::app::Screen`].
 //!
 //! Inputs: the app, read only, and a theme. Output: cells, and the limit of the scrolled text. No
 //! state survives a draw. Colours only by [`Role`]. Bytes that devices send arrive here escaped: as
@@ -42,9 +42,9 @@ use ratatui::Frame;
 
 pub use signs::SIGNS;
 
-/// Draws the whole screen. Returns the lines by which the scrolled text (details, help) is scrolled,
-/// limited to its end; `None` if the screen has none. The app stores it, since the length of wrapped
-/// text is known only after drawing.
+/// Draws the whole screen. Returns the lines by which the scrolled text (details, help) is
+/// scrolled, limited to its end; `None` if the screen has none. The app stores it, since the length
+/// of wrapped text is known only after drawing.
 pub fn draw(app: &App, theme: &Theme, frame: &mut Frame) -> Option<u16> {
     let area = frame.area();
     let mut screen = app.screen();

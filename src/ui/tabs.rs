@@ -1,5 +1,5 @@
-//! The rule below the status lines: names of the pages, the filter or the title of the evidence, and
-//! the title of the details; and the divider in front of the details.
+//! The rule below the status lines: names of the pages, the filter or the title of the evidence,
+//! and the title of the details; and the divider in front of the details.
 
 use super::brush::{Brush, fit};
 use crate::app::{Focus, Page, RowKey, tabs};

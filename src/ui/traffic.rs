@@ -1,5 +1,6 @@
-//! Page 2, Traffic: a row per frame, newest last, decoded; or a row per identifier with its frames per
-//! second and count; or the evidence of a problem. Below the frames the details of the selected one.
+//! Page 2, Traffic: a row per frame, newest last, decoded; or a row per identifier with its frames
+//! per second and count; or the evidence of a problem. Below the frames the details of the selected
+//! one.
 
 use super::brush::{Brush, bus_cell, fit, fit_right, inner, labelled};
 use crate::app::{Decoded, Focus, IdentifierKind, IdentifierStats, Page, clock_millis, hex};
