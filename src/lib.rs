@@ -6,7 +6,7 @@
 //!
 //! | feature | adds | modules |
 //! |---|---|---|
-//! | none | decoding and encoding without `std` and without an allocator | [`time`], [`frame`], [`wire`] |
+//! | none | decoding and encoding, without `std` or an allocator | [`time`], [`frame`], [`wire`] |
 //! | `std` | the library: engine, des.json, simulated bus | and those up to `bitrate` below |
 //! | `program` (default) | the program `descan` | all |
 //!
@@ -30,8 +30,8 @@
 //! * [`guide`]: what a user looks up: `descan help`, `descan man`.
 //! * [`cli`], [`commands`]: the command line and what it runs.
 //!
-//! The engine and [`app`] are state machines without I/O and with the same methods: `handle_*` takes an
-//! input with its time, `poll_*` returns what to do outside, `poll_timeout` when to call
+//! The engine and [`app`] are state machines without I/O and with the same methods: `handle_*`
+//! takes an input with its time, `poll_*` returns what to do outside, `poll_timeout` when to call
 //! `handle_timeout` next.
 #![doc = ""]
 #![doc = include_str!("glossary.md")]

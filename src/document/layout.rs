@@ -415,7 +415,7 @@ fn fits_object(services: &[ListedService]) -> bool {
     })
 }
 
-/// An item of `services`, or a version in an object of them, that says this.
+/// Returns the text of a service's item in `services`, or of its version in an object.
 fn edited_service(old: &str, service: &ListedService) -> String {
     let Some(members) = Members::of(old) else {
         let same = version(old).is_some_and(|version| version == service.version);

@@ -67,12 +67,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_a_message_carries_is_bounded() {
+    fn name_in_a_message_is_bounded() {
         assert_eq!(brief(&[b'a'; 50]), format!("{}…", "a".repeat(40)));
     }
 
     #[test]
-    fn json_strings_go_there_and_back() {
+    fn json_string_round_trips() {
         for text in ["", "FEED", "a\"b\\c", "\u{1b}\u{85}\u{202e}\u{f0000}", "Насос"] {
             let json = to_json(text);
             assert!(json.chars().all(is_printable), "{json}");
@@ -83,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn hex_goes_there_and_back() {
+    fn hex_round_trips() {
         assert_eq!(to_hex(b"\x00\xfeED"), "00FE4544");
         assert_eq!(from_hex("00fE4544").unwrap(), b"\x00\xfeED");
         assert_eq!(from_hex("0"), None);

@@ -77,7 +77,7 @@ pub(super) struct SimDevice {
     mode: Mode,
     address: Option<Address>,
     /// Addresses in use, found while listening, one bit each.
-    heard: u128,
+    in_use: u128,
     /// Time grid of heartbeats: the next one is sent at `beat` or up to the jitter later.
     beat: u64,
     beat_at: Option<u64>,
@@ -98,7 +98,7 @@ impl SimDevice {
             stage: DeviceStage::Off,
             mode: Mode::Init,
             address: None,
-            heard: 0,
+            in_use: 0,
             beat: 0,
             beat_at: None,
             chatter_at,
@@ -234,12 +234,12 @@ impl SimDevice {
         port.bus.controller_mut(port.station).silent = true;
         self.mode = Mode::Arslv;
         self.address = None;
-        self.heard = 0;
+        self.in_use = 0;
         self.stage = DeviceStage::Listen { until: port.now + port.heartbeat_time() * 3 / 2 };
     }
 
     fn choose(&mut self, port: &mut DeviceIo) {
-        let is_free = |address: Address| self.heard >> address.index() & 1 == 0;
+        let is_free = |address: Address| self.in_use >> address.index() & 1 == 0;
         let wanted = match self.spec.address {
             AddressChoice::Any => None,
             AddressChoice::Preferred(address) | AddressChoice::Fixed(address) => Some(address),
@@ -380,9 +380,9 @@ impl SimDevice {
     }
 
     fn note_addresses(&mut self, header: Header) {
-        self.heard |= 1 << header.source.index();
+        self.in_use |= 1 << header.source.index();
         if !header.broadcast {
-            self.heard |= 1 << header.destination.index();
+            self.in_use |= 1 << header.destination.index();
         }
     }
 

@@ -101,15 +101,15 @@ impl<'de> Deserialize<'de> for Announce {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         #[derive(Deserialize)]
         #[serde(untagged)]
-        enum Written {
-            Truth(bool),
+        enum AnnounceValue {
+            Switch(bool),
             Word(String),
         }
-        match Written::deserialize(deserializer)? {
-            Written::Truth(true) => Ok(Self::Always),
-            Written::Truth(false) => Ok(Self::Never),
-            Written::Word(word) if word == "auto" => Ok(Self::Auto),
-            Written::Word(word) => Err(serde::de::Error::custom(format!(
+        match AnnounceValue::deserialize(deserializer)? {
+            AnnounceValue::Switch(true) => Ok(Self::Always),
+            AnnounceValue::Switch(false) => Ok(Self::Never),
+            AnnounceValue::Word(word) if word == "auto" => Ok(Self::Auto),
+            AnnounceValue::Word(word) => Err(serde::de::Error::custom(format!(
                 "announce is true, false or \"auto\", not \"{word}\""
             ))),
         }
@@ -129,13 +129,13 @@ pub(super) fn bit<'de, D: Deserializer<'de>>(deserializer: D) -> Result<bool, D:
 pub(super) fn offset<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<u8>, D::Error> {
     #[derive(Deserialize)]
     #[serde(untagged)]
-    enum Written {
+    enum OffsetValue {
         Offset(u8),
-        Truth(bool),
+        Switch(bool),
     }
-    match Written::deserialize(deserializer)? {
-        Written::Offset(at) if at < 64 => Ok(Some(at)),
-        Written::Truth(false) => Ok(None),
+    match OffsetValue::deserialize(deserializer)? {
+        OffsetValue::Offset(at) if at < 64 => Ok(Some(at)),
+        OffsetValue::Switch(false) => Ok(None),
         _ => Err(serde::de::Error::custom("an offset is 0 to 63, or false for none")),
     }
 }
