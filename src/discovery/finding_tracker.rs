@@ -189,12 +189,8 @@ impl FindingTracker {
                 if let Some(address) = finding.key.address {
                     query(address);
                 }
-                let next = now
-                    + self.with_jitter(if confirmed {
-                        CONFIRMED_RECHECK_DELAY
-                    } else {
-                        FOLLOW_UP_DELAY
-                    });
+                let delay = if confirmed { CONFIRMED_RECHECK_DELAY } else { FOLLOW_UP_DELAY };
+                let next = now + self.with_jitter(delay);
                 let tracker = &mut self.trackers[at];
                 tracker.follow_ups += 1;
                 tracker.checked_at = now;

@@ -151,8 +151,7 @@ impl Engine {
         if sender.claims {
             let uid = sender.known.map(|(uid, _)| uid);
             let inferred = sender.is_other_node && uid.is_none();
-            let kind =
-                EventKind::Claimed { uid, holder: sender.holder.clone(), inferred: inferred };
+            let kind = EventKind::Claimed { uid, holder: sender.holder.clone(), inferred };
             self.emit_for(device, address, kind);
         }
     }
