@@ -143,7 +143,7 @@ impl App {
             EventKind::OwnAddress(_) | EventKind::OwnAddressLost(_) => {
                 return self.bus_event(index, event.time);
             }
-            EventKind::NobodyAcknowledges | EventKind::NoAddress(_) => {
+            EventKind::NotAcknowledged | EventKind::NoAddress(_) => {
                 let bus = self.bus_snapshot(index, event.time)?;
                 return Some(AppEvent::TxBlocked(Box::new(bus)));
             }

@@ -130,13 +130,13 @@ impl Bar {
         let mut sum = DiscoveryProgress::default();
         for bus in app.buses() {
             let progress = bus.progress();
-            sum.here += progress.here;
+            sum.present += progress.present;
             sum.named += progress.named;
             sum.with_services += progress.with_services;
         }
         // Full when all that was found is known; before anything is found, the time that is up.
-        let done = if sum.here > 0 {
-            (sum.named + sum.with_services) as f64 / (2 * sum.here) as f64
+        let done = if sum.present > 0 {
+            (sum.named + sum.with_services) as f64 / (2 * sum.present) as f64
         } else {
             now.as_secs_f64() / limit.as_secs_f64()
         };
@@ -145,7 +145,7 @@ impl Bar {
             "scanning [{}{}] {} devices, {} named, {} with services",
             "#".repeat(filled),
             "-".repeat(WIDTH - filled),
-            sum.here,
+            sum.present,
             sum.named,
             sum.with_services
         );

@@ -269,7 +269,7 @@ fn of_event(
         | EventKind::OwnAddress(_)
         | EventKind::OwnAddressLost(_)
         | EventKind::NoAddress(_)
-        | EventKind::NobodyAcknowledges
+        | EventKind::NotAcknowledged
         | EventKind::Presence(_)
         | EventKind::Claimed { .. }
         | EventKind::GaveWay { .. }

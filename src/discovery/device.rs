@@ -169,9 +169,9 @@ impl HeartbeatStats {
 pub enum QueryState {
     /// No request sent: listen-only, or not due yet.
     #[default]
-    NotAsked,
+    NotSent,
     /// Request sent, no response yet.
-    Asked,
+    Sent,
     /// A multi-frame response is arriving.
     Receiving,
     /// Response received.
@@ -189,16 +189,16 @@ pub struct Query {
     /// Attempts since the last response.
     pub attempts: u32,
     /// Time of the last request; `None` before the first.
-    pub asked_at: Option<Instant>,
+    pub sent_at: Option<Instant>,
     /// Time of the last response; `None` before the first.
-    pub answered_at: Option<Instant>,
+    pub responded_at: Option<Instant>,
     /// Time from the request to the end of the last response.
     pub took: Option<Duration>,
     /// Fault of the last response, if any.
     pub fault: Option<QueryFault>,
     /// True if all attempts since the last response were used; stays true while the query is
     /// repeated.
-    pub in_vain: bool,
+    pub is_unanswered: bool,
     /// Time of the next request, if one is planned.
     pub(super) due: Option<Instant>,
     /// Timeout of the response, or of its next frame.
@@ -208,7 +208,7 @@ pub struct Query {
 impl Query {
     /// Returns true if a response is awaited.
     pub fn is_waiting(&self) -> bool {
-        matches!(self.state, QueryState::Asked | QueryState::Receiving)
+        matches!(self.state, QueryState::Sent | QueryState::Receiving)
     }
 
     /// Plans a request at `at` with all attempts available, unless a response is awaited.
@@ -229,18 +229,18 @@ impl Query {
     /// Ends the query without a response, until `again`.
     pub(super) fn give_up(&mut self, again: Instant) {
         self.state = QueryState::Unanswered;
-        self.in_vain = true;
+        self.is_unanswered = true;
         self.due = Some(again);
     }
 
     /// Records a response, with its fault if any.
     pub(super) fn record_response(&mut self, now: Instant, fault: Option<QueryFault>) {
-        if let (true, Some(asked_at)) = (self.is_waiting(), self.asked_at) {
-            self.took = Some(now.since(asked_at));
+        if let (true, Some(sent_at)) = (self.is_waiting(), self.sent_at) {
+            self.took = Some(now.since(sent_at));
         }
         self.state = QueryState::Answered;
-        self.answered_at = Some(now);
-        self.in_vain = false;
+        self.responded_at = Some(now);
+        self.is_unanswered = false;
         self.attempts = 0;
         self.fault = fault;
         self.due = None;
@@ -253,7 +253,7 @@ impl Query {
 pub enum QueryFault {
     /// The message is malformed.
     #[error("{0}")]
-    Answer(#[from] ResponseFault),
+    Response(#[from] ResponseFault),
     /// The multi-frame transfer was aborted.
     #[error("{0}")]
     Transfer(#[from] TransferFault),
@@ -450,9 +450,9 @@ impl Device {
     /// mean frame interval. Returns true if a query was restarted.
     pub(super) fn retry_after_silence(&mut self, now: Instant, period: Duration) -> bool {
         // A name query waits without a deadline until the current enumeration round is over.
-        let waits_for_round = |it: &Query| it.state == QueryState::Asked && it.deadline.is_none();
-        let in_vain = |it: &Query| it.state == QueryState::Unanswered || waits_for_round(it);
-        if !in_vain(&self.name_query) && !in_vain(&self.services_query) {
+        let waits_for_round = |it: &Query| it.state == QueryState::Sent && it.deadline.is_none();
+        let has_failed = |it: &Query| it.state == QueryState::Unanswered || waits_for_round(it);
+        if !has_failed(&self.name_query) && !has_failed(&self.services_query) {
             return false;
         }
         let silence = now.since(self.last_seen);
@@ -462,9 +462,9 @@ impl Device {
         }
         let mut is_scheduled = false;
         for query in [&mut self.name_query, &mut self.services_query] {
-            if in_vain(query) && query.asked_at >= Some(self.last_seen) {
+            if has_failed(query) && query.sent_at >= Some(self.last_seen) {
                 if query.is_waiting() {
-                    query.state = QueryState::NotAsked;
+                    query.state = QueryState::NotSent;
                 }
                 query.restart(now);
                 is_scheduled = true;

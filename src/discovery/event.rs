@@ -113,7 +113,7 @@ pub enum EventKind {
     /// addresses are used.
     NoAddress(Option<Address>),
     /// No node acknowledges descan's frames: it pauses sending (protocol §6.3).
-    NobodyAcknowledges,
+    NotAcknowledged,
     /// descan's frames are acknowledged again.
     Acknowledged,
     /// A DEBUG message was received.

@@ -24,7 +24,7 @@ impl Engine {
         let mut live = self.device_table.get(index).clone();
         self.replace_row(index);
         // A UID seen here before the last response with the old name belongs to the old board.
-        let name_received_at = live.name_query.answered_at;
+        let name_received_at = live.name_query.responded_at;
         let own = live.uid.filter(|uid| self.claims.row_of(*uid) == Some(live.id));
         let since = own.and_then(|uid| self.claims.since(uid, address));
         if since
@@ -141,7 +141,7 @@ impl Engine {
             query.due = None;
             query.deadline = None;
             if query.is_waiting() {
-                query.state = QueryState::NotAsked;
+                query.state = QueryState::NotSent;
             }
         }
         old.replaced_at = Some(now);

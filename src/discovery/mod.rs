@@ -110,7 +110,7 @@ pub struct DiscoveryProgress {
     /// Number of present devices with a known name.
     pub named: usize,
     /// Number of present devices.
-    pub here: usize,
+    pub present: usize,
     /// Number of present devices with known services.
     pub with_services: usize,
     /// Number of queries without a response that are sent or due.
@@ -451,11 +451,11 @@ impl Engine {
 
     /// Returns the progress of discovery.
     pub fn progress(&self) -> DiscoveryProgress {
-        let here = self.devices().iter().filter(|device| device.is_present());
+        let present = self.devices().iter().filter(|device| device.is_present());
         let mut progress =
             DiscoveryProgress { rounds: self.rounds.finished, ..DiscoveryProgress::default() };
-        for device in here {
-            progress.here += 1;
+        for device in present {
+            progress.present += 1;
             progress.named += usize::from(device.name.is_some());
             progress.with_services += usize::from(device.services.is_some());
             progress.open_requests += usize::from(is_open(&device.name_query))
@@ -564,7 +564,7 @@ impl Engine {
     fn handle_ack_change(&mut self, change: Option<Acknowledgement>) {
         match change {
             Some(Acknowledgement::Missing) => {
-                self.emit_bus_event(EventKind::NobodyAcknowledges);
+                self.emit_bus_event(EventKind::NotAcknowledged);
                 // No node received the request: repeat it with the next attempt.
                 if self.local_node.held().is_some() && self.config.scan {
                     self.rounds.restart(self.now);
@@ -685,7 +685,7 @@ impl Engine {
         }
         let periods =
             if self.conflicts.finding_tracker().is_open_at(device.address) { 8 } else { 4 };
-        let responded = device.name_query.answered_at.max(device.replaced_at);
+        let responded = device.name_query.responded_at.max(device.replaced_at);
         let responded = responded.unwrap_or(device.last_seen);
         let period = self.config.profile.heartbeat.period();
         match device.mode {

@@ -109,13 +109,13 @@ impl Engine {
         let now = self.now;
         for device in self.device_table.devices_mut() {
             let query = &mut device.name_query;
-            if device.name.is_none() && query.state == QueryState::NotAsked && query.due.is_some() {
+            if device.name.is_none() && query.state == QueryState::NotSent && query.due.is_some() {
                 query.due = Some(now);
             }
             // A node without a response to single requests did not respond to this round either:
             // pause its query.
-            let waits_for_round = query.state == QueryState::Asked && query.deadline.is_none();
-            if device.name.is_none() && waits_for_round && query.asked_at <= Some(began) {
+            let waits_for_round = query.state == QueryState::Sent && query.deadline.is_none();
+            if device.name.is_none() && waits_for_round && query.sent_at <= Some(began) {
                 query.give_up(now + RETRY_DELAY);
             }
         }
@@ -189,9 +189,9 @@ impl Engine {
                     query.due = Some(later);
                     continue;
                 }
-                query.state = QueryState::Asked;
+                query.state = QueryState::Sent;
                 query.attempts += 1;
-                query.asked_at = Some(now);
+                query.sent_at = Some(now);
                 query.due = None;
                 query.deadline = Some(now + response_timeout(&self.config, query.attempts));
                 self.waiting += 1;
@@ -335,16 +335,16 @@ fn record_failure(
     query.fault = fault;
     let limit = max_attempts(request);
     if query.attempts < limit {
-        query.state = QueryState::NotAsked;
+        query.state = QueryState::NotSent;
         let back_off = Duration::from_millis(100 << query.attempts.min(6));
         query.due = Some(now + back_off);
         return false;
     }
-    let needs_round_query = request == Request::Name && !named && query.state == QueryState::Asked;
+    let needs_round_query = request == Request::Name && !named && query.state == QueryState::Sent;
     if needs_round_query && query.attempts == limit {
         // Stays open until the enumeration round is over.
         query.attempts += 1;
-        query.asked_at = Some(now);
+        query.sent_at = Some(now);
         query.due = None;
         return true;
     }

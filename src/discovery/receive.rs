@@ -159,7 +159,7 @@ impl Engine {
         let now = self.now;
         let recently = |sent: Instant| now.since(sent) < BROADCAST_RESPONSE_WINDOW;
         let queries = [&device.services_query, &device.name_query];
-        let is_open = queries.iter().any(|query| query.asked_at.is_some_and(recently));
+        let is_open = queries.iter().any(|query| query.sent_at.is_some_and(recently));
         let targeted = header.destination == header.source && is_open;
         targeted
             || self.broadcasts.iter().any(|broadcast| {

@@ -269,8 +269,8 @@ impl<'a> DeviceDetails<'_, 'a> {
         self.blank();
         let Some(services) = &device.services else {
             let state = match device.services_query.state {
-                QueryState::NotAsked => "not requested",
-                QueryState::Asked => "requested …",
+                QueryState::NotSent => "not requested",
+                QueryState::Sent => "requested …",
                 QueryState::Receiving => "receiving …",
                 QueryState::Answered => "malformed",
                 QueryState::Unanswered => "no response",
@@ -395,7 +395,7 @@ impl<'a> DeviceDetails<'_, 'a> {
     fn request(&self, what: &str, query: Query) -> Option<String> {
         // Times of day, not ages: an age would redraw the line each second.
         let at = |time| clock(self.app(), time);
-        match (query.answered_at, query.asked_at) {
+        match (query.responded_at, query.sent_at) {
             (Some(answered), _) => {
                 let took = query.took.map(|took| format!(" in {} ms", took.as_millis()));
                 Some(format!("{what} {}{}", at(answered), took.unwrap_or_default()))

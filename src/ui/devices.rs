@@ -244,8 +244,8 @@ fn cell(
                     (Role::FileDiffers, format!("{}≠", services.len()))
                 }
                 (Some(services), _) => (plain, services.len().to_string()),
-                (None, QueryState::Asked | QueryState::Receiving) => (Role::Muted, "…".to_owned()),
-                (None, QueryState::NotAsked) => (Role::Muted, "–".to_owned()),
+                (None, QueryState::Sent | QueryState::Receiving) => (Role::Muted, "…".to_owned()),
+                (None, QueryState::NotSent) => (Role::Muted, "–".to_owned()),
                 (None, _) => (Role::Warning, "?".to_owned()),
             },
         },

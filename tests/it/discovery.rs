@@ -174,7 +174,7 @@ fn disabled_scan_sends_no_requests() {
         frame.is_tx && Header::decode(frame.platform_id().unwrap()).service == profile.des_service()
     };
     assert_eq!(it.frames.iter().filter(asked).count(), 0);
-    assert_eq!(it.engine.progress().here, 5, "their heartbeats make them rows");
+    assert_eq!(it.engine.progress().present, 5, "their heartbeats make them rows");
 }
 
 #[test]

@@ -166,7 +166,7 @@ fn tried(seed: u64, config: Config, wrong: &mut String) {
         });
         let odd = match &event.kind {
             K::Moved { .. } | K::OwnAddressLost(_) => true,
-            K::NobodyAcknowledges => event.time > Instant::from_micros(10_000_000),
+            K::NotAcknowledged => event.time > Instant::from_micros(10_000_000),
             K::Presence(_) | K::Returned { .. } | K::Rebooted => !loss && !quiet,
             K::Finding { key, confidence } => {
                 key.kind.is_conflict() && *confidence == Confidence::Confirmed

@@ -87,7 +87,7 @@ pub fn event_text(buses: &Buses, bus: BusIndex, event: &Event) -> Option<(Timeli
         EventKind::NoAddress(wanted) => {
             (TimelineKind::Error, buses.no_address_reason(bus, *wanted).unwrap_or_default())
         }
-        EventKind::NobodyAcknowledges => {
+        EventKind::NotAcknowledged => {
             let text = match buses.get(bus).and_then(Bus::tx_blocked) {
                 Some(TxBlocked::QueueFull) => "transmit queue stuck: sending paused",
                 _ => "no ACK on the bus: sending paused",

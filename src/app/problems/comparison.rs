@@ -127,7 +127,7 @@ impl<'a> Comparison<'a> {
             });
             // A device without a known name may be the listed one.
             let Some(other) =
-                other.filter(|other| other.name.is_some() || other.name_query.in_vain)
+                other.filter(|other| other.name.is_some() || other.name_query.is_unanswered)
             else {
                 continue;
             };

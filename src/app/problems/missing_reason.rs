@@ -22,7 +22,7 @@ impl Facts<'_> {
             entry.address == Some(device.address.number())
                 && device.is_present()
                 && device.name.is_none()
-                && !device.name_query.in_vain
+                && !device.name_query.is_unanswered
         };
         let buses = self.buses.iter().enumerate().filter(|(_, bus)| is_for(entry, &bus.name));
         buses.into_iter().all(|(index, bus)| {
@@ -155,7 +155,7 @@ impl Facts<'_> {
             match query.state {
                 QueryState::Unanswered => reasons
                     .push(format!("name received, no services response{}", asked(query.attempts))),
-                QueryState::NotAsked if !self.buses.sends_requests(device.id.bus) => {
+                QueryState::NotSent if !self.buses.sends_requests(device.id.bus) => {
                     reasons.push("services unknown: requests are off".to_owned());
                 }
                 _ => {}
@@ -175,14 +175,14 @@ impl Facts<'_> {
             QueryState::Unanswered => {
                 Some(format!("{what} at {address}, but no DES response{}", asked(query.attempts)))
             }
-            QueryState::Asked if query.attempts > 0 => Some(format!(
+            QueryState::Sent if query.attempts > 0 => Some(format!(
                 "{what} at {address}, but no DES response yet{}",
                 asked(query.attempts)
             )),
-            QueryState::NotAsked if !self.buses.sends_requests(device.id.bus) => {
+            QueryState::NotSent if !self.buses.sends_requests(device.id.bus) => {
                 Some(format!("{what} at {address}; name unknown: requests are off"))
             }
-            QueryState::NotAsked => Some(match own {
+            QueryState::NotSent => Some(match own {
                 Some(OwnAddress::Blocked(wanted)) => {
                     let why =
                         self.buses.no_address_reason(device.id.bus, wanted).unwrap_or_default();

@@ -134,7 +134,7 @@ pub fn describe(event: &Event) -> String {
         EventKind::OwnAddressLost(address) => format!("we gave up {address}"),
         EventKind::NoAddress(Some(wanted)) => format!("{wanted} is not free"),
         EventKind::NoAddress(None) => "no address is free".to_owned(),
-        EventKind::NobodyAcknowledges => "no ACK".to_owned(),
+        EventKind::NotAcknowledged => "no ACK".to_owned(),
         EventKind::Acknowledged => "acknowledged".to_owned(),
         EventKind::Debug { code, data } => format!("debug{who}: {code:03X} {data:02X?}"),
     }
