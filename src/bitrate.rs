@@ -1,69 +1,68 @@
-//! The bit rate of a bus, found as a device finds it when it is switched on (section 3.2.4.1):
-//! listen at one rate after the other until a frame arrives whole.
+//! Bit rate search: listens at one rate after the other until a valid frame arrives, as a device does
+//! at start (CAN platform §3.2.4.1).
 //!
-//! Sets nothing and reads no clock: says which rate is to be tried now, and takes what was heard
-//! there.
+//! State machine without I/O or clock. Input: frames and error frames. Output: the rate to set.
 
 use crate::error_report::ErrorReport;
 use crate::frame::{Frame, FrameKind};
 use crate::time::{Duration, Instant};
 
-/// The rates of the platform's buses, in bit/s, in the order of the cycle.
+/// The bit rates of the CAN platform, in bit/s, in the order of the search.
 pub const RATES: [u32; 4] = [125_000, 250_000, 500_000, 1_000_000];
 
-/// Broken frames, without a whole one, that mean another rate before the time is over. A sender
-/// that nobody acknowledges breaks its first sixteen itself, at the right rate too.
+/// Bus errors without a valid frame after which the next rate is tried early. At the right rate, a
+/// sender without ACK causes 16 bus errors before it is error-passive.
 const MAX_BUS_ERRORS: u64 = 64;
 
-/// A bit rate as it is written for people.
+/// A bit rate in bit/s as text: `125 kbit/s`.
 pub fn kbit(rate: u32) -> String {
     format!("{} kbit/s", f64::from(rate) / 1000.0)
 }
 
-/// Whether we take part in the bus while we try.
+/// Whether the controller is listen-only during the search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ListenMode {
-    /// Nothing is sent, not even acknowledges: no harm is done at a wrong rate, and a device that
-    /// is alone may not be heard, for nobody acknowledges its frames.
+    /// Listen-only: no ACK and no error flags are sent, so a wrong rate disturbs nothing. Frames of
+    /// a device that is alone on the bus are not valid, because they get no ACK.
     Listening,
-    /// We acknowledge what we hear, and at a wrong rate destroy the frames of others.
+    /// Active: frames are acknowledged; at a wrong rate, frames of other nodes are destroyed.
     TakingPart,
 }
 
-/// What was heard at one rate.
+/// What was received at one rate.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RateResult {
-    /// Frames that arrived whole.
+    /// Valid frames.
     pub frames: u64,
-    /// Frames that broke.
+    /// Bus errors.
     pub broken: u64,
 }
 
-/// What is going on.
+/// Progress of a search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SearchProgress {
-    /// At this rate, in bit/s, we listen now.
+    /// This rate, in bit/s, is tried now.
     Trying(u32),
-    /// This was heard there, and no frame that arrived whole.
+    /// The result of a rate without a valid frame.
     Heard(u32, RateResult),
-    /// The controller cannot have this rate.
+    /// The controller does not support this rate.
     Skipped(u32),
 }
 
-/// How it ended.
+/// Outcome of a search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SearchOutcome {
-    /// A frame arrived whole at this rate, in bit/s.
+    /// A valid frame arrived at this rate, in bit/s.
     Found(u32),
-    /// At some rates frames broke, at none did one arrive whole.
+    /// Bus errors at some rates, a valid frame at none.
     OnlyBroken,
-    /// Nothing at all was heard.
+    /// Neither frames nor bus errors at any rate.
     Silence,
 }
 
-/// The search. First what [`rate`](Self::rate) says is to be set; then [`begin`](Self::begin),
-/// frames and [`handle_timeout`](Self::handle_timeout), until another rate is to be tried or there
-/// is an [`outcome`](Self::outcome).
+/// A search. Set [`rate`](Self::rate), call [`begin`](Self::begin), pass frames and
+/// [`handle_timeout`](Self::handle_timeout), until [`wants_rate`](Self::wants_rate) is true again or
+/// there is an [`outcome`](Self::outcome).
 #[derive(Clone, Debug)]
 pub struct Search {
     tried: Vec<(u32, RateResult)>,
@@ -74,8 +73,8 @@ pub struct Search {
 }
 
 impl Search {
-    /// Begins at `first`, goes on upwards and around; `period` is the buses' BUS_CFG_HR_TIME, of
-    /// which each rate gets one and a half.
+    /// Starts at `first`, in bit/s, and continues upwards and around. Each rate gets one and a half
+    /// `period`, the heartbeat period BUS_CFG_HR_TIME.
     pub fn new(first: u32, period: Duration) -> Self {
         let next = RATES.iter().position(|rate| *rate > first).unwrap_or(0);
         let cycle = RATES.iter().cycle().skip(next).take(RATES.len());
@@ -90,72 +89,73 @@ impl Search {
         }
     }
 
-    /// The rate to be set now, in bit/s.
+    /// The rate to set or in use, in bit/s.
     pub fn rate(&self) -> u32 {
         self.tried.last().map_or(RATES[0], |(rate, _)| *rate)
     }
 
-    /// The rates that were tried, and what was heard at each; the present one last.
+    /// The rates tried so far and their results; the present one last.
     pub fn tried(&self) -> &[(u32, RateResult)] {
         &self.tried
     }
 
-    /// How it ended, once it has.
+    /// The outcome; `None` while the search runs.
     pub fn outcome(&self) -> Option<SearchOutcome> {
         self.outcome
     }
 
-    /// The rate is set: what is heard from now on counts.
+    /// Notes that the rate is set: frames count from now on.
     pub fn begin(&mut self, now: Instant) {
         self.until = Some(now + self.wait);
     }
 
-    /// The rate could not be set on this controller: the next one.
+    /// Skips the rate, because the controller does not support it.
     pub fn skip(&mut self) {
-        self.go_on();
+        self.next_rate();
     }
 
-    /// Takes a frame or an error frame.
+    /// Handles a frame or an error frame.
     pub fn handle_frame(&mut self, frame: &Frame) {
         let rate = self.rate();
-        let (Some(_), Some((_, heard))) = (self.until, self.tried.last_mut()) else { return };
+        let (Some(_), Some((_, result))) = (self.until, self.tried.last_mut()) else { return };
         if frame.kind == FrameKind::Error {
-            heard.broken +=
+            result.broken +=
                 u64::from(ErrorReport::of(frame).is_some_and(|it| it.is_broken_frame()));
-            if heard.frames == 0 && heard.broken >= MAX_BUS_ERRORS {
-                self.go_on();
+            if result.frames == 0 && result.broken >= MAX_BUS_ERRORS {
+                self.next_rate();
             }
         } else if !frame.is_tx {
-            heard.frames += 1;
+            result.frames += 1;
             self.until = None;
             self.outcome = Some(SearchOutcome::Found(rate));
         }
     }
 
-    /// Time passes.
+    /// Ends the rate if its time is over.
     pub fn handle_timeout(&mut self, now: Instant) {
         if self.until.is_some_and(|until| now >= until) {
-            self.go_on();
+            self.next_rate();
         }
     }
 
-    /// When to be told of the time at the latest; none while a rate is to be set, and at the end.
+    /// When to call [`handle_timeout`](Self::handle_timeout); `None` while a rate is to be set, and
+    /// at the end.
     pub fn poll_timeout(&self) -> Option<Instant> {
         self.until
     }
 
-    /// Whether a rate is to be set.
+    /// Returns true if a rate is to be set.
     pub fn wants_rate(&self) -> bool {
         self.until.is_none() && self.outcome.is_none()
     }
 
-    fn go_on(&mut self) {
+    fn next_rate(&mut self) {
         self.until = None;
         if let Some(rate) = self.left.pop() {
             self.tried.push((rate, RateResult::default()));
             return;
         }
-        let broken = self.tried.iter().any(|(_, heard)| heard.broken > 0);
+        let broken = self.tried.iter().any(|(_, result)| result.broken > 0);
         self.outcome =
             Some(if broken { SearchOutcome::OnlyBroken } else { SearchOutcome::Silence });
     }

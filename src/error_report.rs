@@ -1,7 +1,6 @@
-//! What a controller reports of errors, read from an error frame as Linux `can/error.h` lays it
-//! out: class bits in the identifier, details in eight bytes.
-//!
-//! Knows nothing of who sent the frames that broke: a report does not say it.
+//! Error reports of a controller, decoded from error frames (`linux/can/error.h`): class bits in the
+//! identifier, details in eight bytes. Does not know which node sent the frame with the error: a
+//! report does not contain it.
 
 use crate::frame::{CanId, Frame, FrameKind};
 use std::fmt;
@@ -61,7 +60,7 @@ const PLACES: [(u8, &str); 19] = [
     (0x12, "intermission"),
 ];
 
-/// Faults of the wires, in byte 4: CANH in the low digit, CANL in the high one.
+/// Wiring faults, in byte 4: CANH in the low digit, CANL in the high one.
 const WIRES: [(u8, u8, &str); 9] = [
     (0x0F, 0x04, "CANH not connected"),
     (0x0F, 0x05, "CANH shorted to the battery"),
@@ -74,27 +73,27 @@ const WIRES: [(u8, u8, &str); 9] = [
     (0xF0, 0x80, "CANL shorted to CANH"),
 ];
 
-/// An error frame, read.
+/// A decoded error frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ErrorReport {
     class: u32,
     details: [u8; 8],
 }
 
-/// Which rule of the protocol a frame broke.
+/// A bus error by its type (ISO 11898-1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Violation {
-    /// A bit was read back otherwise than it was sent: somebody else sent at the same time, or
+    /// Bit error: a bit read back differs from the bit sent. Another node sent at the same time, or
     /// the line is disturbed.
     Bit,
-    /// More than five equal bits in a row: an error flag, another bit rate, or a disturbance.
+    /// Stuff error: more than five equal bits. An error flag, another bit rate, or a disturbance.
     Stuff,
-    /// A bit that is fixed had the other value.
+    /// Form error: a fixed bit has the wrong value.
     Form,
 }
 
 impl ErrorReport {
-    /// Reads an error frame; `None` for all others.
+    /// Decodes an error frame; `None` for other frames.
     pub fn of(frame: &Frame) -> Option<Self> {
         let (FrameKind::Error, CanId::Extended(class)) = (frame.kind, frame.id) else {
             return None;
@@ -103,24 +102,25 @@ impl ErrorReport {
         Some(Self { class, details })
     }
 
-    /// Whether a frame broke on the wire, ours or another's. Missing acknowledges, arbitration
-    /// lost, overload and mere changes of the controller's state are no broken frames.
+    /// Returns true for a bus error in a frame of any node. Not for a missing ACK, lost arbitration,
+    /// overload, or a change of the controller's state.
     pub fn is_broken_frame(&self) -> bool {
         let overload = self.is(PROTOCOL) && self.details[2] & !WHILE_SENDING == OVERLOAD;
         (self.is(PROTOCOL) || self.is(BUS_ERROR)) && !self.is_missing_acknowledge() && !overload
     }
 
-    /// Whether the frame that broke was ours. Not every driver says so.
+    /// Returns true if the bus error was in a frame that this controller sent. Not every driver
+    /// reports it.
     pub fn is_while_sending(&self) -> bool {
         self.is(PROTOCOL) && self.details[2] & WHILE_SENDING != 0
     }
 
-    /// Whether nobody acknowledged a frame of ours.
+    /// Returns true if a frame that this controller sent got no ACK.
     pub fn is_missing_acknowledge(&self) -> bool {
         self.is(NO_ACKNOWLEDGE) || self.is(PROTOCOL) && self.details[3] == ACKNOWLEDGE_SLOT
     }
 
-    /// Which rule a broken frame broke, where the driver says it.
+    /// The type of a bus error; `None` if the driver does not report it.
     pub fn violation(&self) -> Option<Violation> {
         if !self.is(PROTOCOL) {
             None
@@ -133,53 +133,53 @@ impl ErrorReport {
         }
     }
 
-    /// Whether the controller has left the bus.
+    /// Returns true if the controller is bus-off.
     pub fn is_bus_off(&self) -> bool {
         self.is(BUS_OFF)
     }
 
-    /// Whether the controller takes part again, after bus-off or an error state.
+    /// Returns true if the controller restarted after bus-off, or is error-active again.
     pub fn is_recovery(&self) -> bool {
         !self.is_bus_off()
             && (self.is(RESTARTED) || self.is(CONTROLLER) && self.details[1] & ACTIVE != 0)
     }
 
-    /// Whether an error counter of the controller reached 96 (warning) or 128 (error-passive).
+    /// Returns true if an error counter reached 96 (error-warning) or 128 (error-passive).
     pub fn is_error_state(&self) -> bool {
         let states = RECEIVE_WARNING | TRANSMIT_WARNING | RECEIVE_PASSIVE | TRANSMIT_PASSIVE;
         self.is(CONTROLLER) && self.details[1] & states != 0
     }
 
-    /// Whether the controller itself lost received frames.
+    /// Returns true if received frames were lost in the controller.
     pub fn is_receive_overflow(&self) -> bool {
         self.is(CONTROLLER) && self.details[1] & RECEIVE_OVERFLOW != 0
     }
 
-    /// Where in the frame it broke, where the driver says it.
+    /// The place of a bus error in the frame; `None` if the driver does not report it.
     pub fn place(&self) -> Option<&'static str> {
         let place = PLACES.iter().find(|(code, _)| self.is(PROTOCOL) && *code == self.details[3]);
         place.map(|(_, name)| *name)
     }
 
-    /// At which bit of the arbitration we lost to another sender, where the driver says it.
+    /// The bit at which arbitration was lost; `None` if the driver does not report it.
     pub fn arbitration_bit(&self) -> Option<u8> {
         (self.is(LOST_ARBITRATION) && self.details[0] > 0).then_some(self.details[0])
     }
 
-    /// What the transceiver says of the wires.
+    /// The wiring faults that the transceiver reports.
     pub fn wires(&self) -> impl Iterator<Item = &'static str> {
         let wires = self.details[4];
-        let said = self.is(TRANSCEIVER);
-        let fits = move |&&(mask, code, _): &&(u8, u8, &str)| said && wires & mask == code;
+        let is_reported = self.is(TRANSCEIVER);
+        let fits = move |&&(mask, code, _): &&(u8, u8, &str)| is_reported && wires & mask == code;
         WIRES.iter().filter(fits).map(|(_, _, fault)| *fault)
     }
 
-    /// Whether the transceiver reports a fault of the wires.
+    /// Returns true if the transceiver reports a wiring fault.
     pub fn is_transceiver_fault(&self) -> bool {
         self.is(TRANSCEIVER)
     }
 
-    /// The controller's transmit and receive error counters, 0–255, where the report has them.
+    /// The transmit and receive error counters, 0 to 255; `None` if the report has none.
     pub fn counters(&self) -> Option<(u8, u8)> {
         // Kernels before 6.0 fill them in with the state, and have no class bit for it.
         let counters = (self.details[6], self.details[7]);
@@ -192,7 +192,7 @@ impl ErrorReport {
     }
 }
 
-/// All that it says, in words.
+/// All fields in words, separated by commas.
 impl fmt::Display for ErrorReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         const CLASSES: [(u32, &str); 9] = [
@@ -260,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn broken_frames_are_told_from_what_only_looks_like_them() {
+    fn bus_errors_exclude_missing_ack_and_overload() {
         let broken = |class, details| report(class, details).is_broken_frame();
         assert!(broken(PROTOCOL | BUS_ERROR, [0, 0, STUFF, 0, 0, 0, 0, 0]));
         assert!(broken(BUS_ERROR, [0; 8]));
@@ -272,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn all_that_a_report_says_is_in_its_words() {
+    fn display_contains_all_fields() {
         for (class, details, words) in [
             (
                 PROTOCOL | BUS_ERROR | COUNTERS,
@@ -301,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn counters_are_read_where_they_are() {
+    fn counters_are_read_from_every_layout() {
         assert_eq!(report(PROTOCOL, [0, 0, 0, 0, 0, 0, 1, 2]).counters(), None);
         assert_eq!(report(PROTOCOL | COUNTERS, [0; 8]).counters(), Some((0, 0)));
         assert_eq!(report(CONTROLLER, [0, 4, 0, 0, 0, 0, 0, 96]).counters(), Some((0, 96)));

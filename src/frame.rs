@@ -1,6 +1,5 @@
-//! A CAN frame as it was seen on, or is meant for, a bus; how long it is there: [`bits`].
-//!
-//! Knows nothing of what its bytes mean: that is [`crate::wire`].
+//! CAN frames, received or to be sent; [`bits`]: their length on the bus; [`socketcan`]: their fields
+//! in Linux's layouts. Does not know what the bytes mean: [`crate::wire`] does.
 
 pub mod bits;
 pub mod socketcan;
@@ -8,14 +7,14 @@ pub mod socketcan;
 use crate::time::Instant;
 use core::fmt;
 
-/// Which of the buses given on the command line, counted from 0.
+/// Number of a bus: its place on the command line, counted from 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 pub struct BusIndex(pub u8);
 
 /// A CAN identifier in one of its two formats (ISO 11898-1).
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum CanId {
-    /// 11 bits. Foreign to the platform: shown, never interpreted.
+    /// 11 bits. Not of the CAN platform: shown, not decoded.
     Standard(u16),
     /// 29 bits.
     Extended(u32),
@@ -55,53 +54,53 @@ impl fmt::Display for CanId {
     }
 }
 
-/// Which 29-bit identifiers: those equal to `id` in the bits that `mask` has.
+/// A set of 29-bit identifiers: those equal to `id` in the bits of `mask`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct IdPattern {
-    /// What the bits are.
+    /// The values of the bits that count.
     pub id: u32,
     /// Which bits count.
     pub mask: u32,
 }
 
 impl IdPattern {
-    /// Whether a 29-bit identifier is one of these.
+    /// Returns true if a 29-bit identifier is in the set.
     pub const fn fits(self, id: u32) -> bool {
         (id ^ self.id) & self.mask == 0
     }
 }
 
-/// What a frame is.
+/// Kind of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
 pub enum FrameKind {
     /// Data, classic or FD.
     #[default]
     Data,
-    /// A remote transmission request; its length is the one asked for.
+    /// Remote frame; its length is the requested one.
     Remote,
-    /// An error report of the controller: the identifier holds the error class bits and the
-    /// data the details, as Linux `can/error.h` lays them out.
+    /// Error frame, a report of the controller: the identifier holds the error class bits, the
+    /// data the details (`linux/can/error.h`).
     Error,
 }
 
 /// One frame with its time of arrival.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Frame {
-    /// When its end was seen.
+    /// When its end was received.
     pub time: Instant,
     /// The identifier.
     pub id: CanId,
-    /// The bus it was seen on or is meant for.
+    /// The bus it was received on or is to be sent on.
     pub bus: BusIndex,
     /// Data, remote or error.
     pub kind: FrameKind,
     /// CAN FD format.
     pub fd: bool,
-    /// FD: the data phase ran at the higher rate (BRS).
+    /// FD: the data phase ran at the data bit rate (BRS).
     pub bit_rate_switch: bool,
     /// FD: the sender was error-passive (ESI).
     pub error_state: bool,
-    /// We sent it ourselves, and the bus took it.
+    /// Sent by descan, and acknowledged on the bus.
     pub is_tx: bool,
     len: u8,
     data: [u8; Frame::MAX_DATA],
@@ -113,13 +112,13 @@ impl Frame {
     /// The most bytes a classic frame carries.
     pub const MAX_CLASSIC_DATA: usize = 8;
 
-    /// A classic data frame with an extended identifier; bytes past the eighth are left out.
+    /// A classic data frame with an extended identifier; bytes after the eighth are dropped.
     pub fn classic(id: u32, data: &[u8]) -> Self {
         Self::with(CanId::Extended(id), &data[..data.len().min(Self::MAX_CLASSIC_DATA)])
     }
 
-    /// An FD data frame with an extended identifier, padded with `padding` to a length that a
-    /// DLC has; bytes past the sixty-fourth are left out.
+    /// An FD data frame with an extended identifier, padded with `padding` to the next length that
+    /// has a DLC; bytes after the 64th are dropped.
     pub fn fd(id: u32, data: &[u8], padding: u8) -> Self {
         let data = &data[..data.len().min(Self::MAX_DATA)];
         let mut frame = Self::with(CanId::Extended(id), data);
@@ -131,7 +130,7 @@ impl Frame {
         frame
     }
 
-    /// A data frame of any format; bytes past the sixty-fourth are left out.
+    /// A data frame with any identifier, not in FD format; bytes after the 64th are dropped.
     pub fn with(id: CanId, data: &[u8]) -> Self {
         let len = data.len().min(Self::MAX_DATA);
         let mut bytes = [0; Self::MAX_DATA];
@@ -150,7 +149,7 @@ impl Frame {
         }
     }
 
-    /// A remote request for `len` bytes.
+    /// A remote frame that requests `len` bytes, at most 8.
     pub fn remote(id: CanId, len: usize) -> Self {
         let mut frame = Self::with(id, &[]);
         frame.kind = FrameKind::Remote;
@@ -158,14 +157,14 @@ impl Frame {
         frame
     }
 
-    /// An error report: class bits and details as in Linux `can/error.h`.
+    /// An error frame: class bits and details as in `linux/can/error.h`.
     pub fn error(class: u32, details: &[u8]) -> Self {
         let mut frame = Self::classic(class & CanId::MAX_EXTENDED, details);
         frame.kind = FrameKind::Error;
         frame
     }
 
-    /// The same frame, dated.
+    /// The same frame with another time.
     #[must_use]
     pub fn with_time(mut self, time: Instant) -> Self {
         self.time = time;
@@ -179,30 +178,30 @@ impl Frame {
         self
     }
 
-    /// The same frame, marked as one that we sent.
+    /// The same frame, marked as sent by descan.
     #[must_use]
     pub fn with_tx(mut self) -> Self {
         self.is_tx = true;
         self
     }
 
-    /// The bytes it carries; none for a remote request.
+    /// Its data; empty for a remote frame.
     pub fn data(&self) -> &[u8] {
         if self.kind == FrameKind::Remote { &[] } else { &self.data[..usize::from(self.len)] }
     }
 
-    /// Its length in bytes (for a remote request: the length asked for).
+    /// Its length in bytes; for a remote frame the requested one.
     pub fn len(&self) -> usize {
         usize::from(self.len)
     }
 
-    /// Whether it carries no bytes.
+    /// Returns true if its length is 0.
     pub fn is_empty(&self) -> bool {
         self.len == 0
     }
 
-    /// The 29-bit identifier, where the frame is a data frame that has one: the only frames
-    /// the platform gives a meaning.
+    /// The identifier of a data frame with 29 bits: the only frames of the CAN platform. `None` for
+    /// all others.
     pub fn platform_id(&self) -> Option<u32> {
         match (self.kind, self.id) {
             (FrameKind::Data, CanId::Extended(id)) => Some(id),
@@ -210,7 +209,7 @@ impl Frame {
         }
     }
 
-    /// Equal in all that travels on the wire; times and who sent it do not count.
+    /// Returns true if both frames are equal on the bus; times and senders do not count.
     pub fn same_on_wire(&self, other: &Frame) -> bool {
         self.id == other.id
             && self.kind == other.kind
@@ -221,7 +220,7 @@ impl Frame {
 }
 
 /// As candump writes it, without time and bus: `02015402#0444455301`, FD as `ID##FDATA` with
-/// the flags digit, remote as `ID#R4`, error reports with bit 29 of the identifier set.
+/// the flags digit, remote as `ID#R4`, error frames with bit 29 of the identifier set.
 impl fmt::Display for Frame {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match (self.kind, self.id) {
@@ -268,7 +267,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn prints_as_candump_does() {
+    fn display_is_that_of_candump() {
         let request = Frame::classic(0x0201_5402, &[4, 0x44, 0x45, 0x53, 1]);
         assert_eq!(request.to_string(), "02015402#0444455301");
         assert_eq!(Frame::remote(CanId::Standard(0x12), 4).to_string(), "012#R4");

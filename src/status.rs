@@ -1,56 +1,55 @@
-//! How a bus is: link, controller state, rates, and every way a frame can get lost, counted.
-//!
-//! Does not know where it was learnt.
+//! Status of a bus: link, controller state, bit rates, and a counter for each way a frame can get
+//! lost; status of playback and recording. Plain values; does not know their source.
 
 use std::fmt;
 
-/// Whether frames can come and go.
+/// Whether frames can be received and sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
 pub enum Link {
-    /// Not looked at yet.
+    /// Not known yet.
     #[default]
     Opening,
-    /// Frames come and go.
+    /// Frames can be received and sent.
     Up,
-    /// The interface is there and switched off.
+    /// The interface exists and is down.
     Down,
-    /// There is no such interface; waiting for one.
+    /// The interface does not exist; descan waits for it.
     Missing,
-    /// The interface was there and went away; waiting for it to come back.
+    /// The interface existed and disappeared; descan waits for its return.
     Unplugged,
-    /// The interface is there, and is no CAN interface.
+    /// The interface is not a CAN interface.
     NotCan,
-    /// The kernel has no CAN.
+    /// The kernel has no CAN support.
     NoKernel,
-    /// The log has ended.
+    /// End of log.
     Ended,
-    /// Reading failed for good.
+    /// Reading failed; the bus is not opened again.
     Failed,
 }
 
 impl Link {
-    /// Whether nothing more will come, whatever the user does.
+    /// Returns true if no more frames will be received, whatever the user does.
     pub fn is_final(self) -> bool {
         matches!(self, Link::Ended | Link::Failed)
     }
 }
 
-/// The controller's state, in the words that scripts rely on.
+/// State of a CAN controller (ISO 11898-1 fault confinement).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
 pub enum BusState {
     /// Both error counters are below 96.
     ErrorActive,
     /// An error counter is 96 or more.
     ErrorWarning,
-    /// An error counter is 128 or more: the node still talks, but cannot flag errors.
+    /// An error counter is 128 or more: the node sends passive error flags only.
     ErrorPassive,
-    /// The controller has left the bus.
+    /// The transmit error counter exceeded 255: the controller takes no part in the bus.
     BusOff,
     /// The controller is stopped or asleep.
     Stopped,
     /// The interface is down.
     Down,
-    /// Nobody says: a virtual interface, a log.
+    /// Not reported, as by virtual interfaces and logs.
     #[default]
     Unknown,
 }
@@ -76,127 +75,125 @@ impl fmt::Display for BusState {
     }
 }
 
-/// Whether the bit rate of a bus can be looked for while it is open.
+/// Whether a bit rate search is possible while the bus is open.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum RateSearch {
-    /// It can, beside whoever listens.
+    /// Possible, while other programs read the bus.
     #[default]
     Possible,
-    /// There is none that could be set from here: a virtual bus, another host's, a log.
+    /// The bus has no bit rate that this machine could set: a virtual bus, a server's, a log.
     NoRate,
-    /// Only where it is not open: an adapter that is ours alone.
+    /// Only while the bus is closed: an adapter that one program opens at a time.
     WhenClosed,
 }
 
-/// How a bus is. Counters count from the opening of the port.
+/// Status of a bus. Counters start at 0 when the port is opened.
 #[derive(Clone, Debug, PartialEq, Eq, Default)]
 pub struct BusStatus {
-    /// Whether frames can come and go.
+    /// Whether frames can be received and sent.
     pub link: Link,
     /// The controller's state.
     pub state: BusState,
-    /// Bit/s; FD: of the arbitration phase.
+    /// Bit/s, of the arbitration phase for FD; `None` if not known.
     pub bitrate: Option<u32>,
-    /// Whether another bit rate can be looked for while it is open.
+    /// Whether a bit rate search is possible.
     pub rate_search: RateSearch,
-    /// Bit/s of the FD data phase.
+    /// Bit/s of the FD data phase; `None` without FD, or if not known.
     pub data_bitrate: Option<u32>,
-    /// The transmit error counter.
+    /// The transmit error counter (TEC); `None` if not reported.
     pub tec: Option<u16>,
-    /// The receive error counter.
+    /// The receive error counter (REC); `None` if not reported.
     pub rec: Option<u16>,
-    /// After how many milliseconds the controller rejoins after bus-off; 0 = never by itself.
+    /// Delay of the restart after bus-off in milliseconds; 0: no automatic restart.
     pub restart_ms: Option<u32>,
-    /// Whether the interface takes FD frames.
+    /// Whether FD frames can be sent.
     pub fd: bool,
-    /// Whether the *controller* only listens, and does not even acknowledge.
+    /// Whether the *controller* is listen-only and sends no ACK.
     pub listen_only: bool,
-    /// What the interface is called now, where that is not what it was opened as.
+    /// The present name of an interface that was renamed after it was opened.
     pub renamed: Option<String>,
-    /// Times that the bus went away, down or unplugged, and came back, however short it was.
+    /// How often the bus returned after it was down or unplugged for any time.
     pub outages: u64,
-    /// Times that the controller left the bus by itself.
+    /// How often the controller became bus-off.
     pub bus_offs: u64,
-    /// Whether frames that are of no interest are left out, by
-    /// [`Options::only`](crate::bus::Options::only): what is heard is not all that passes.
+    /// Whether [`Options::only`](crate::bus::Options::only) filters frames: not all frames on the
+    /// bus are received.
     pub filtered: bool,
-    /// Bytes of the kernel's receive buffer, as the kernel counts them.
+    /// Size of the kernel's receive buffer in bytes, as the kernel counts them.
     pub receive_buffer: Option<u32>,
-    /// Frames that did not fit the kernel's receive buffer.
+    /// Frames lost because the kernel's receive buffer was full.
     pub kernel_drops: u64,
-    /// Times the controller itself was overrun.
+    /// Overruns of the controller; each lost one frame or more.
     pub controller_overruns: u64,
-    /// Frames that did not fit our queue.
+    /// Frames lost because the receive queue was full.
     pub queue_drops: u64,
-    /// Frames that were handed to the kernel, or to an adapter, and have not been seen on the
-    /// bus.
+    /// Frames passed to the kernel or an adapter and not yet received back.
     pub unconfirmed: u64,
-    /// Frames that the kernel or the adapter would not take, or not in time.
+    /// Frames not sent: rejected, or not accepted in time.
     pub transmit_failures: u64,
-    /// Whether what is to be sent finds the way out full, and does not get room in time: what
-    /// was sent before it, by whomever, does not go out either.
+    /// Whether the transmit queue has been full for so long that a frame was given up: frames of
+    /// other programs do not get out either.
     pub is_transmit_queue_full: bool,
-    /// Error reports that say nobody acknowledged.
+    /// Error frames that report a missing ACK.
     pub missing_acks: u64,
-    /// Messages of an adapter or a server that could not be read.
+    /// Messages of an adapter or a server that cannot be read.
     pub unreadable: u64,
-    /// Whether an adapter has said nothing yet that could be read, though it was told to open
-    /// the bus: whether there is a bus at all is not known.
+    /// Whether an adapter was told to open the bus and has sent nothing readable yet: whether it
+    /// is connected to a bus is not known.
     pub unanswered: bool,
-    /// How much of a log is read, in percent, where its size is known.
+    /// How much of a log is read, in percent; `None` if its size is not known.
     pub percent: Option<u8>,
-    /// What is wrong and the way out, on one line.
+    /// Fault and remedy, on one line; `None` without a fault.
     pub message: Option<String>,
-    /// What is worth knowing while nothing is wrong, on one line: what an adapter says of itself,
-    /// how a log goes on.
+    /// Information on one line that is not a fault: an adapter's name, a log that was replaced.
     pub note: Option<String>,
 }
 
-/// How logs are played.
+/// Status of the playback of logs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Playback {
-    /// So many times as fast as they were recorded.
+    /// Replay speed: 1 is as recorded, 2 twice as fast.
     pub speed: f64,
-    /// Time stands still because the user wants it to.
+    /// Paused by the user.
     pub is_paused: bool,
-    /// Time stands still because all logs are at their end.
+    /// All logs are at their end.
     pub is_ended: bool,
 }
 
 impl Playback {
-    /// Whether time stands still.
+    /// Returns true if log time does not advance.
     pub fn is_standing(&self) -> bool {
         self.is_paused || self.is_ended
     }
 }
 
-/// What can be done to the playing of logs.
+/// A command to the playback of logs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PlaybackCommand {
-    /// Stop the time, or let it go on.
+    /// Pause or resume.
     Pause,
-    /// Stop the time at the next frame.
+    /// Step to the next frame and pause there.
     Step,
-    /// Twice as fast.
+    /// Double the speed.
     Faster,
-    /// Half as fast.
+    /// Halve the speed.
     Slower,
 }
 
-/// How a recording is.
+/// Status of a recording.
 #[derive(Clone, Debug, PartialEq, Eq, Default)]
 pub struct RecordingStatus {
-    /// The file that is written, or was written last.
+    /// The present or last file.
     pub path: String,
-    /// How many files there are.
+    /// Number of files.
     pub files: u32,
-    /// Frames in all of them, as far as they are flushed.
+    /// Flushed frames in all files.
     pub frames: u64,
-    /// Bytes in all of them.
+    /// Flushed bytes in all files.
     pub bytes: u64,
-    /// Frames that came faster than they could be written.
+    /// Frames lost because the disk was too slow.
     pub lost: u64,
-    /// Why it is over before the session is.
+    /// Why the recording stopped early; `None` while it has not.
     pub failure: Option<String>,
 }
 
@@ -238,7 +235,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn states_have_the_names_scripts_rely_on() {
+    fn state_names_are_those_of_the_json_output() {
         let names = [
             BusState::ErrorActive,
             BusState::ErrorWarning,

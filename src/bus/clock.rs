@@ -1,6 +1,5 @@
-//! The session's clock, that of logs being one that can be stopped, and the dating of frames that the kernel stamped with the wall clock.
-//!
-//! Does not know what happens at a moment, only which moment it is.
+//! Clock of a session, which for logs can be paused, stepped and run faster; and the times of frames
+//! with kernel timestamps. Does not know what happens at a moment.
 
 use crate::frame::BusIndex;
 use crate::status::{Playback, PlaybackCommand};
@@ -9,14 +8,14 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Instant as Monotonic, SystemTime, UNIX_EPOCH};
 
-/// How slow and how fast a log can be played.
+/// Limits of the replay speed.
 const SLOWEST: f64 = 0.001;
 const FASTEST: f64 = 100_000.0;
-/// How far it may be behind its pace, as where frames are taken too slowly, and still catch up.
+/// How far a replay may lag behind its speed and still catch up.
 const MAX_LAG: Duration = Duration::from_millis(250);
 
-/// Counts from a start; every port and the loop share one. The clock of a session of logs can be
-/// stopped, go on from frame to frame, and run faster and slower.
+/// The clock of a session, counting from its start; clones share it. The clock of a session of logs
+/// can be paused, stepped from frame to frame, and run faster and slower.
 #[derive(Clone, Debug)]
 pub struct Clock {
     epoch: Epoch,
@@ -26,41 +25,41 @@ pub struct Clock {
 
 #[derive(Debug)]
 struct PlaybackPace {
-    /// It was this moment then, and runs at this pace since.
+    /// It was `from` at `since`, and has run at `speed` since then.
     since: Monotonic,
     from: Instant,
-    /// The latest moment that it was.
+    /// The latest moment returned.
     reached: Instant,
     speed: f64,
     is_paused: bool,
-    /// It is that of logs, and none is open yet.
+    /// It is the clock of logs, and none is open yet.
     awaits_log: bool,
-    /// The logs, by bus.
+    /// Where each log is.
     logs: BTreeMap<BusIndex, LogPlace>,
 }
 
 /// Where the replay of a log is.
 #[derive(Clone, Copy, Debug)]
 enum LogPlace {
-    /// Its next frame is of this moment, or, where that is not read yet, not of an earlier one:
-    /// time does not go beyond it before the frame is taken.
+    /// Its next frame has this moment or, if it was not read yet, a later one. The clock does not
+    /// pass it before the frame is taken.
     Next(Instant),
-    /// Its lines come as they are written: time goes on meanwhile. The moment of the next one,
-    /// where it is there.
+    /// Its entries are read as they are written, and the clock runs meanwhile. The moment of the
+    /// next one, if it was read.
     Live(Option<Instant>),
     /// At its end, for now.
     Ended,
 }
 
 impl Clock {
-    /// Starts now.
+    /// A clock that starts now.
     pub fn start() -> Self {
         Self::with(Epoch::from_unix_micros(wall_micros()), 1.0, false)
     }
 
-    /// Starts when the first log opens, but calls that moment `epoch` and runs `speed` times as fast: everything
-    /// that is timed by it, ages and time-outs included, keeps the pace of the recording.
-    /// A speed that is not a positive number counts as 1.
+    /// A clock that starts when the first log opens, at `epoch`, and runs `speed` times as fast as
+    /// real time, so that ages and timeouts keep the pace of the recording. A speed that is not a
+    /// positive number counts as 1.
     pub fn replaying(epoch: Epoch, speed: f64) -> Self {
         Self::with(epoch, if speed.is_finite() && speed > 0.0 { speed } else { 1.0 }, true)
     }
@@ -74,29 +73,29 @@ impl Clock {
         Self { epoch, is_replaying, pace: Arc::new(Mutex::new(pace)) }
     }
 
-    /// The moment it is.
+    /// The present moment.
     pub fn now(&self) -> Instant {
         self.pace().now()
     }
 
-    /// Which Unix time the start was.
+    /// The Unix time of the start.
     pub fn epoch(&self) -> Epoch {
         self.epoch
     }
 
-    /// How far this clock runs in a real `duration`.
+    /// Converts a wall-clock duration to a duration of this clock.
     pub fn run_in(&self, duration: Duration) -> Duration {
         duration.mul_f64(self.pace().speed)
     }
 
-    /// How long to sleep until `at`; zero if it has passed, for ever while the clock stands.
+    /// Wall-clock time until `at`: zero if it has passed, [`Duration::MAX`] while the clock stands.
     pub fn until(&self, at: Instant) -> Duration {
         let mut pace = self.pace();
         let left = at.since(pace.now());
         if pace.is_standing() && !left.is_zero() { Duration::MAX } else { left.div_f64(pace.speed) }
     }
 
-    /// How a session of logs is played; none where there are other buses.
+    /// The status of the playback; `None` unless all buses are logs.
     pub fn playback(&self) -> Option<Playback> {
         let pace = self.pace();
         let is_ended = pace.is_ended();
@@ -107,8 +106,8 @@ impl Clock {
         })
     }
 
-    /// Stops it, lets it go on, or changes its pace, where logs alone are played. Those who sleep
-    /// by it are to be woken.
+    /// Executes a playback command, if all buses are logs. The caller wakes threads that sleep by
+    /// this clock.
     pub fn control(&self, command: PlaybackCommand) {
         if !self.is_replaying {
             return;
@@ -129,7 +128,7 @@ impl Clock {
         });
     }
 
-    /// A log that is there, or one that comes line by line, is played by this clock.
+    /// Adds a log; `is_live`: it is read as it is written.
     pub(super) fn log_opens(&self, log: BusIndex, is_live: bool) {
         self.change(|pace| {
             let place = if is_live { LogPlace::Live(None) } else { LogPlace::Next(pace.from) };
@@ -138,8 +137,8 @@ impl Clock {
         });
     }
 
-    /// Says of which moment a log's next frame is. Frames that come closer together than they can
-    /// be waited for do not slow it down: it runs on as it began.
+    /// Sets the moment of a log's next frame. Frames closer together than a thread can sleep do not
+    /// slow the clock down.
     pub(super) fn log_waits(&self, log: BusIndex, next: Instant) {
         let mut pace = self.pace();
         pace.drop_lag();
@@ -150,15 +149,15 @@ impl Clock {
         pace.logs.insert(log, waits);
     }
 
-    /// Says that a log is at its end: once all are, the clock stands.
+    /// Notes the end of a log. When all logs are at their end, the clock stands.
     pub(super) fn log_ends(&self, log: BusIndex) {
         self.change(|pace| {
             pace.logs.insert(log, LogPlace::Ended);
         });
     }
 
-    /// A log that was at its end goes on with a frame of this moment: it is now, unless other logs
-    /// go by this clock too, or it is later already.
+    /// Notes that a log continues after its end with a frame of this moment. With a single log the
+    /// clock jumps to it.
     pub(super) fn log_resumed(&self, log: BusIndex, next: Instant) {
         self.change(|pace| {
             pace.logs.insert(log, LogPlace::Live(None));
@@ -232,11 +231,11 @@ impl PlaybackPace {
     }
 }
 
-/// Dates the frames of one bus by the kernel's stamps.
+/// The times of the frames of one bus, from the kernel's timestamps.
 ///
-/// A stamp says how old a frame is by the wall clock; the moment is that long before now on the
-/// monotonic clock. So a wall clock that somebody sets does not move what was dated before, and
-/// moments neither lie in the future nor run backwards.
+/// The age of a frame by the wall clock is subtracted from the present moment of the monotonic clock.
+/// So setting the wall clock moves no earlier time; times are never in the future and never run
+/// backwards.
 #[derive(Debug)]
 pub struct RxTimestamps {
     clock: Clock,
@@ -246,17 +245,17 @@ pub struct RxTimestamps {
 }
 
 impl RxTimestamps {
-    /// Nothing dated yet.
+    /// For a bus without frames so far.
     pub fn new(clock: Clock) -> Self {
         Self { clock, now: Instant::ZERO, wall_micros: 0, last: Instant::ZERO }
     }
 
-    /// Reads both clocks: once for each batch of frames.
+    /// Reads both clocks: to be called once for each batch of frames.
     pub fn read_clocks(&mut self) {
         self.set_clocks(self.clock.now(), wall_micros());
     }
 
-    /// The moment of a frame with this stamp (Unix microseconds); now, where there is none.
+    /// The time of a frame with this timestamp (Unix microseconds); without one, the present.
     pub fn date(&mut self, stamp_micros: Option<u64>) -> Instant {
         let age = stamp_micros.map_or(0, |stamp| self.wall_micros.saturating_sub(stamp));
         self.last = self.last.max(self.now - Duration::from_micros(age));
@@ -284,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn dates_by_age() {
+    fn date_subtracts_the_age_of_a_frame() {
         let mut dating = dating_at(1_000, 5_000);
         assert_eq!(dating.date(Some(4_700)), Instant::from_micros(700));
         assert_eq!(dating.date(Some(4_900)), Instant::from_micros(900));
@@ -292,7 +291,7 @@ mod tests {
     }
 
     #[test]
-    fn a_set_wall_clock_neither_dates_into_the_future_nor_backwards() {
+    fn setting_the_wall_clock_keeps_times_in_order() {
         let mut dating = dating_at(1_000, 5_000);
         assert_eq!(dating.date(Some(4_900)), Instant::from_micros(900));
         assert_eq!(dating.date(Some(9_999)), Instant::from_micros(1_000));
@@ -301,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn a_replaying_clock_is_as_fast_as_asked() {
+    fn replaying_clock_runs_at_its_speed() {
         let clock = Clock::replaying(Epoch::from_unix_micros(7), 1_000.0);
         assert_eq!(clock.epoch().unix_micros(Instant::ZERO), 7);
         assert_eq!(clock.until(Instant::from_micros(1)), Duration::MAX, "no log is open");
@@ -312,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_of_logs_stops_and_steps_and_stands_at_their_end() {
+    fn log_clock_pauses_steps_and_stands_at_the_end() {
         let clock = Clock::replaying(Epoch::default(), 1e6);
         let (first, second) = (BusIndex(0), BusIndex(1));
         clock.log_opens(first, false);
@@ -350,7 +349,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_of_logs_keeps_its_pace_however_close_frames_are_but_catches_up_not_for_long() {
+    fn log_clock_keeps_its_speed_with_close_frames() {
         let clock = Clock::replaying(Epoch::default(), 1.0);
         let log = BusIndex(0);
         clock.log_opens(log, false);
@@ -368,7 +367,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_of_buses_goes_on() {
+    fn live_clock_ignores_playback_commands() {
         let clock = Clock::start();
         clock.control(PlaybackCommand::Pause);
         assert_eq!(clock.playback(), None);

@@ -1,10 +1,11 @@
-//! Where frames come from and go: every kind of bus behind one [`Port`].
+//! Buses: every kind behind one [`Port`].
 //!
-//! Each port has threads of its own, so reading the bus never waits for the screen: frames and
-//! status arrive in a bounded [`Queue`], and whatever is lost on the way is counted. Does not
-//! know what frames mean.
+//! Each port has threads of its own, so reading a bus never waits for the screen: frames and status
+//! arrive in a bounded [`Queue`], and lost frames are counted. Does not know what frames mean.
 //!
-//! Reading order: [`BusSpec`] (what the user typed), [`open`], [`Port`], [`Queue`],
+//! A new kind of bus is a module with `KIND`, `parse`, `text` and `open`, and a row in `spec.rs`.
+//!
+//! Reading order: [`BusSpec`] (the BUS argument), [`open`], [`Port`], [`Queue`],
 //! [`BusStatus`](crate::status::BusStatus), [`Clock`]; then the kinds:
 //! `socketcan`, `slcan`, `socketcand` and `udp` (what they share is in `remote`), `replay`, `sim`.
 
@@ -43,10 +44,10 @@ use kind::OpenRequest;
 /// How to open a bus.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Options {
-    /// Send nothing. (Whether the controller acknowledges is its own setting.)
+    /// Send no frames. (Whether the controller sends ACKs is its own setting.)
     pub listen_only: bool,
-    /// Only frames of these identifiers, and error reports, are of interest: a bus that can leave
-    /// the others out at no cost does so, and its status says it. Empty: all are.
+    /// Receive only frames with these identifiers, and error frames, if the bus can filter at no
+    /// cost: then [`BusStatus::filtered`](crate::status::BusStatus::filtered) is set. Empty: all.
     pub only: Vec<IdPattern>,
 }
 

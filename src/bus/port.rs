@@ -32,15 +32,15 @@ pub enum TransmitError {
 #[derive(Debug)]
 pub struct Port {
     name: String,
-    line: Arc<PortShared>,
+    shared: Arc<PortShared>,
     listen_only: bool,
     threads: Vec<JoinHandle<()>>,
 }
 
 impl Port {
     /// A port without threads.
-    pub(super) fn new(name: &str, line: Arc<PortShared>, listen_only: bool) -> Self {
-        Self { name: name.to_owned(), line, listen_only, threads: Vec::new() }
+    pub(super) fn new(name: &str, shared: Arc<PortShared>, listen_only: bool) -> Self {
+        Self { name: name.to_owned(), shared, listen_only, threads: Vec::new() }
     }
 
     /// Starts a thread of the bus. If it panics, the link becomes [`Link::Failed`].
@@ -52,9 +52,9 @@ impl Port {
         &mut self,
         work: impl FnOnce(&Arc<PortShared>) + Send + 'static,
     ) -> io::Result<()> {
-        let watch = PanicReporter { line: Arc::clone(&self.line), name: self.name.clone() };
+        let watch = PanicReporter { shared: Arc::clone(&self.shared), name: self.name.clone() };
         let name = format!("bus {}", self.name);
-        self.threads.push(thread::Builder::new().name(name).spawn(move || work(&watch.line))?);
+        self.threads.push(thread::Builder::new().name(name).spawn(move || work(&watch.shared))?);
         Ok(())
     }
 
@@ -65,12 +65,12 @@ impl Port {
 
     /// The receive queue, with frames and status.
     pub fn queue(&self) -> &Queue {
-        &self.line.queue
+        &self.shared.queue
     }
 
     /// Ends the wait of its threads, after the clock was paused, resumed or changed its speed.
     pub fn wake(&self) {
-        self.line.waker.wake();
+        self.shared.waker.wake();
     }
 
     /// Queues a frame to be sent; never blocks. A frame that is rejected later is counted in
@@ -84,13 +84,13 @@ impl Port {
         if self.listen_only {
             return Err(TransmitError::ListenOnly);
         }
-        self.line.push_tx(*frame)
+        self.shared.push_tx(*frame)
     }
 }
 
 impl Drop for Port {
     fn drop(&mut self) {
-        self.line.stop();
+        self.shared.stop();
         for thread in self.threads.drain(..) {
             // Its panic is in the status.
             let _ = thread.join();
@@ -173,7 +173,7 @@ impl PortShared {
 /// Reports a panic of a thread in the status. Without it, a bus without its thread looks like a
 /// quiet one.
 struct PanicReporter {
-    line: Arc<PortShared>,
+    shared: Arc<PortShared>,
     name: String,
 }
 
@@ -181,7 +181,7 @@ impl Drop for PanicReporter {
     fn drop(&mut self) {
         if thread::panicking() {
             let message = format!("reader of {} stopped: this is a bug in descan", self.name);
-            self.line.queue.finish(Link::Failed, message);
+            self.shared.queue.finish(Link::Failed, message);
         }
     }
 }
@@ -201,7 +201,7 @@ mod tests {
             port.transmit(&Frame::classic(id, &[])).unwrap();
         }
         assert_eq!(port.transmit(&Frame::classic(0, &[])), Err(TransmitError::Full));
-        let sent: Vec<_> = std::iter::from_fn(|| port.line.pop_tx()).collect();
+        let sent: Vec<_> = std::iter::from_fn(|| port.shared.pop_tx()).collect();
         assert_eq!(sent.len(), OUTBOX_CAPACITY);
         assert_eq!(sent.last(), Some(&Frame::classic(OUTBOX_CAPACITY as u32 - 1, &[])));
     }
@@ -210,15 +210,15 @@ mod tests {
     fn listen_only_port_sends_nothing() {
         let port = port(true);
         assert_eq!(port.transmit(&Frame::classic(1, &[])), Err(TransmitError::ListenOnly));
-        assert_eq!(port.line.pop_tx(), None);
+        assert_eq!(port.shared.pop_tx(), None);
     }
 
     #[test]
     fn dropped_port_ends_the_wait_of_its_thread() {
         let mut port = port(false);
-        port.serve(|line| {
-            while !line.is_stopped() {
-                line.wait(None, None).unwrap();
+        port.serve(|shared| {
+            while !shared.is_stopped() {
+                shared.wait(None, None).unwrap();
             }
         })
         .unwrap();

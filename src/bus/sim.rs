@@ -1,6 +1,5 @@
-//! A simulated bus as a port: virtual time keeps the pace of the clock.
-//!
-//! Knows nothing of what is simulated: [`crate::sim`] does.
+//! `sim:SCENARIO`: a simulated bus as a port. Its virtual time runs with the session's clock. Does not
+//! know what is simulated: [`crate::sim`] does.
 
 use super::clock::Clock;
 use super::kind::{BusKind, OpenError, OpenRequest, SpecError};
@@ -13,9 +12,9 @@ use crate::time::Duration;
 use std::io;
 use std::sync::Arc;
 
-/// Frames are handed over at most this often: wake-ups cost more than frames.
+/// Shortest time between two deliveries: wake-ups cost more than frames.
 const NAP: Duration = Duration::from_millis(2);
-/// The longest sleep of a bus on which nothing happens.
+/// Longest sleep of an idle bus.
 const IDLE: Duration = Duration::from_secs(1);
 
 pub(super) const KIND: BusKind = BusKind {
@@ -60,27 +59,27 @@ pub fn scenario(name: &str) -> Result<Scenario, OpenError> {
 
 fn start(scenario: &Scenario, request: OpenRequest) -> io::Result<Port> {
     let OpenRequest { name, index, clock, options } = request;
-    let line = Arc::new(PortShared::new()?);
+    let shared = Arc::new(PortShared::new()?);
     let mut sim = Sim::from_scenario(scenario);
     let station = sim.attach();
-    let mut port = Port::new(&name, Arc::clone(&line), options.listen_only);
-    line.queue.update_status(|status| {
+    let mut port = Port::new(&name, Arc::clone(&shared), options.listen_only);
+    shared.queue.update_status(|status| {
         status.link = Link::Up;
         status.rate_search = RateSearch::NoRate;
         status.bitrate = Some(scenario.bitrate);
     });
-    port.serve(move |line| run(&mut sim, station, line, index, &clock))?;
+    port.serve(move |shared| run(&mut sim, station, shared, index, &clock))?;
     Ok(port)
 }
 
-fn run(sim: &mut Sim, station: SimStation, line: &PortShared, index: BusIndex, clock: &Clock) {
-    // The simulation begins at its own zero, whenever that is for the clock.
+fn run(sim: &mut Sim, station: SimStation, shared: &PortShared, index: BusIndex, clock: &Clock) {
+    // The simulation starts at its own zero.
     let start = clock.now();
     let mut batch: Vec<Frame> = Vec::new();
-    while !line.is_stopped() {
+    while !shared.is_stopped() {
         let now = clock.now();
         let passed = now.since(start);
-        while let Some(frame) = line.pop_tx() {
+        while let Some(frame) = shared.pop_tx() {
             sim.transmit(station, frame);
         }
         sim.advance(crate::time::Instant::ZERO + passed);
@@ -90,19 +89,19 @@ fn run(sim: &mut Sim, station: SimStation, line: &PortShared, index: BusIndex, c
             batch.push(frame.with_time(time).with_bus(index));
         }
         if !batch.is_empty() {
-            line.queue.push(&batch);
+            shared.queue.push(&batch);
         }
-        report(sim, station, line);
+        report(sim, station, shared);
         let next = sim.next_event().map_or(IDLE, |at| at.since(sim.now()));
-        if line.wait(None, Some(next.clamp(NAP, IDLE))).is_err() {
+        if shared.wait(None, Some(next.clamp(NAP, IDLE))).is_err() {
             return;
         }
     }
 }
 
-fn report(sim: &Sim, station: SimStation, line: &PortShared) {
+fn report(sim: &Sim, station: SimStation, shared: &PortShared) {
     let status = sim.status(station);
-    line.queue.update_status(|told| {
+    shared.queue.update_status(|told| {
         told.bitrate = Some(status.bitrate);
         told.tec = Some(status.tec);
         told.rec = Some(status.rec);

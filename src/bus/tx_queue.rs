@@ -11,7 +11,7 @@ use std::time::{Duration, Instant as Monotonic};
 /// The frames that a bus has yet to send, oldest first.
 #[derive(Debug)]
 pub(super) struct TxQueue {
-    line: Arc<PortShared>,
+    shared: Arc<PortShared>,
     /// How long a frame may wait for room.
     timeout: Duration,
     /// A frame for which there was no room, and since when it waits.
@@ -42,8 +42,8 @@ pub(super) struct TxReport {
 
 impl TxQueue {
     /// The frames of a port.
-    pub fn new(line: Arc<PortShared>, timeout: Duration) -> Self {
-        Self { line, timeout, waiting: None }
+    pub fn new(shared: Arc<PortShared>, timeout: Duration) -> Self {
+        Self { shared, timeout, waiting: None }
     }
 
     /// Offers frames until none is left, or one has to wait.
@@ -75,7 +75,7 @@ impl TxQueue {
     }
 
     fn next(&mut self) -> Option<(Frame, Monotonic)> {
-        self.waiting.take().or_else(|| Some((self.line.pop_tx()?, Monotonic::now())))
+        self.waiting.take().or_else(|| Some((self.shared.pop_tx()?, Monotonic::now())))
     }
 }
 
@@ -85,12 +85,12 @@ mod tests {
     use super::*;
 
     fn queue(timeout: Duration) -> (Port, TxQueue) {
-        let line = Arc::new(PortShared::new().unwrap());
-        let port = Port::new("test", Arc::clone(&line), false);
+        let shared = Arc::new(PortShared::new().unwrap());
+        let port = Port::new("test", Arc::clone(&shared), false);
         for id in 1..=3 {
             port.transmit(&Frame::classic(id, &[])).unwrap();
         }
-        (port, TxQueue::new(line, timeout))
+        (port, TxQueue::new(shared, timeout))
     }
 
     #[test]

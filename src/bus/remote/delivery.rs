@@ -11,7 +11,7 @@ use std::sync::Arc;
 /// The producer's side of a receive queue.
 #[derive(Debug)]
 pub(in crate::bus) struct Delivery {
-    line: Arc<PortShared>,
+    shared: Arc<PortShared>,
     bus: BusIndex,
     /// The time of the last frame; the next is not earlier.
     last: Instant,
@@ -19,8 +19,8 @@ pub(in crate::bus) struct Delivery {
 
 impl Delivery {
     /// For the frames of bus `bus`.
-    pub fn new(line: Arc<PortShared>, bus: BusIndex) -> Self {
-        Self { line, bus, last: Instant::ZERO }
+    pub fn new(shared: Arc<PortShared>, bus: BusIndex) -> Self {
+        Self { shared, bus, last: Instant::ZERO }
     }
 
     /// Delivers and empties `frames`; counts missing ACKs and controller overruns of error frames
@@ -37,14 +37,14 @@ impl Delivery {
         }
         self.deliver_status(status);
         if !frames.is_empty() {
-            self.line.queue.push(frames);
+            self.shared.queue.push(frames);
             frames.clear();
         }
     }
 
     /// Delivers the status, except for `queue_drops`, which the queue counts.
     pub fn deliver_status(&self, status: &BusStatus) {
-        self.line.queue.update_status(|current| {
+        self.shared.queue.update_status(|current| {
             let queue_drops = current.queue_drops;
             current.clone_from(status);
             current.queue_drops = queue_drops;
@@ -58,8 +58,8 @@ mod tests {
 
     #[test]
     fn frames_get_bus_number_and_ordered_times() {
-        let line = Arc::new(PortShared::new().unwrap());
-        let mut delivery = Delivery::new(Arc::clone(&line), BusIndex(2));
+        let shared = Arc::new(PortShared::new().unwrap());
+        let mut delivery = Delivery::new(Arc::clone(&shared), BusIndex(2));
         let at = |micros| Frame::classic(1, &[]).with_time(Instant::from_micros(micros));
         let mut status = BusStatus::default();
         let mut frames = vec![at(5), at(3), Frame::error(0x20, &[])];
@@ -67,18 +67,18 @@ mod tests {
         delivery.deliver(&mut vec![at(4), at(9)], &mut status);
         assert_eq!((frames.len(), status.missing_acks), (0, 1));
         let mut seen = Vec::new();
-        line.queue.drain(&mut seen, 10);
+        shared.queue.drain(&mut seen, 10);
         let times: Vec<_> = seen.iter().map(|frame| frame.time.as_micros()).collect();
         assert_eq!(times, [5, 5, 5, 5, 9]);
         assert!(seen.iter().all(|frame| frame.bus == BusIndex(2)));
-        assert_eq!(line.queue.status().missing_acks, 1);
+        assert_eq!(shared.queue.status().missing_acks, 1);
     }
 
     #[test]
     fn queue_drops_survive_a_status_update() {
-        let line = Arc::new(PortShared::new().unwrap());
-        line.queue.update_status(|status| status.queue_drops = 7);
-        Delivery::new(Arc::clone(&line), BusIndex(0)).deliver_status(&BusStatus::default());
-        assert_eq!(line.queue.status().queue_drops, 7);
+        let shared = Arc::new(PortShared::new().unwrap());
+        shared.queue.update_status(|status| status.queue_drops = 7);
+        Delivery::new(Arc::clone(&shared), BusIndex(0)).deliver_status(&BusStatus::default());
+        assert_eq!(shared.queue.status().queue_drops, 7);
     }
 }

@@ -1,9 +1,9 @@
-//! A bus at the other end of a byte stream: a serial adapter, a server.
+//! Bus behind a byte stream: a serial adapter, a server.
 //!
-//! One thread opens the [`Endpoint`], moves bytes between it and a [`Dialogue`], which knows what
-//! they mean, and puts the frames into the queue. What is not there, breaks off or does not
-//! answer is a status, and is tried again. Nothing here waits without a limit: what is to be
-//! written has a bounded place to wait in, and frames that find no room there in time are counted.
+//! One thread opens the [`Endpoint`], moves bytes between it and a [`Protocol`], and delivers the
+//! frames. An endpoint that does not exist, disconnects or does not respond is a status, and is
+//! opened again after a pause. Output is bounded; frames that find no room in time are counted. Does
+//! not know what the bytes mean.
 
 use super::{Backoff, Delivery};
 use crate::bus::clock::Clock;
@@ -20,95 +20,94 @@ use std::sync::mpsc::{TryRecvError, channel};
 use std::thread;
 use std::time::{Duration, Instant as Monotonic};
 
-/// Bytes that may wait to be written before no more frames are taken: about 20 frames.
+/// Bytes that may wait to be written, about 20 frames; with more, no frames are taken.
 const OUTPUT_LIMIT: usize = 512;
 /// How long a frame may wait while nothing can be written.
-const SEND_WITHIN: Duration = Duration::from_millis(500);
-/// How long the last words may take.
+const SEND_TIMEOUT: Duration = Duration::from_millis(500);
+/// How long writing the rest may take when the port is dropped.
 const CLOSE_TIMEOUT: Duration = Duration::from_millis(200);
-/// The nap between two batches while much comes in: wake-ups cost more than bytes.
-const NAP: Duration = Duration::from_millis(2);
-/// What comes in less time after what came before is much.
-const BUSY: Duration = Duration::from_millis(4);
+/// Pause between two reads of a busy stream: wake-ups cost more than bytes.
+const BATCH_DELAY: Duration = Duration::from_millis(2);
+/// A stream is busy if input follows earlier input within this time.
+const BUSY_GAP: Duration = Duration::from_millis(4);
 /// Bytes per read.
 const READ_SIZE: usize = 1 << 14;
 
-/// Why there is no way to the bus now.
+/// Why the bus cannot be reached now.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(in crate::bus) struct Unavailable {
     pub link: Link,
-    /// The cause and the way out, on one line.
+    /// Cause and remedy, on one line.
     pub message: String,
 }
 
-/// Where the stream comes from.
+/// Opens and closes the stream.
 pub(in crate::bus) trait Endpoint: Send + Sync + 'static {
     type Stream: Read + Write + AsFd + Send + 'static;
 
-    /// Opens it, without blocking reads and writes. May take long: it has a thread of its own.
+    /// Opens the stream in non-blocking mode. May take long: called on a thread of its own.
     fn open(&self) -> Result<Self::Stream, Unavailable>;
 
-    /// In what words it is told that the stream broke off, and that it is waited for.
+    /// The status after a disconnection.
     fn broken_off(&self) -> Unavailable;
 
-    /// Closes the stream; whether there are bytes it did not take.
+    /// Closes the stream. `stuck`: some output was not accepted.
     fn close(&self, stream: Self::Stream, stuck: bool);
 }
 
-/// What is spoken over a stream: a state machine without I/O or clock. It reads and changes what
-/// is in the [`Exchange`].
+/// Protocol of a byte stream: a state machine without I/O or clock. Frames, status and output are in
+/// the [`ProtocolIo`].
 pub(in crate::bus) trait Protocol: Send + 'static {
-    /// A stream was opened; the status still says how it was before.
+    /// Starts on a new stream; the status is that of before.
     fn begin(&mut self, now: Instant, exchange: &mut ProtocolIo);
 
-    /// Bytes came, split and joined as it happens.
+    /// Handles received bytes, in pieces of any size.
     fn handle_input(&mut self, now: Instant, bytes: &[u8], exchange: &mut ProtocolIo);
 
-    /// The first `total` bytes of what this stream was given are written.
+    /// Notes that the first `total` bytes of this stream were written.
     fn handle_written(&mut self, now: Instant, total: u64, exchange: &mut ProtocolIo);
 
-    /// Does what is due. Afterwards the next deadline is later than `now`, or there is none, unless
-    /// the stream is to be closed: otherwise the thread would never wait.
+    /// Does what is due at `now`. Afterwards the next deadline is later than `now`, or there is none,
+    /// unless the stream is to be closed: otherwise the thread would never wait.
     fn handle_timeout(&mut self, now: Instant, exchange: &mut ProtocolIo);
 
-    /// When that is.
+    /// The next deadline; `None` if there is none.
     fn poll_timeout(&self) -> Option<Instant>;
 
-    /// Whether another frame may be sent.
+    /// Returns true if another frame may be sent.
     fn has_room(&self) -> bool;
 
-    /// A frame is to be sent. One that cannot be is counted in the status.
+    /// Sends a frame, or counts it in the status as not sent.
     fn send(&mut self, now: Instant, frame: &Frame, exchange: &mut ProtocolIo);
 
-    /// The last words, where there are any.
+    /// Writes what the protocol requires before the stream is closed.
     fn end(&mut self, exchange: &mut ProtocolIo);
 
-    /// The stream is gone; gives the number of frames that were under way.
+    /// Ends without a stream. Returns the number of frames in flight.
     fn break_off(&mut self) -> u64;
 }
 
-/// What a dialogue gives and takes.
+/// Input and output of a [`Protocol`].
 #[derive(Debug, Default)]
 pub(in crate::bus) struct ProtocolIo {
-    /// Frames heard, and ours that are put back, dated.
+    /// Received frames and loopback of sent frames, with times.
     pub frames: Vec<Frame>,
-    /// How the bus is. While the link is not up, no frames are sent.
+    /// The status of the bus. Frames are sent only while the link is up.
     pub status: BusStatus,
-    /// Why the stream is to be closed and opened anew.
+    /// Set to close the stream and open it again.
     pub broken: Option<Unavailable>,
     output: Vec<u8>,
     written: u64,
 }
 
 impl ProtocolIo {
-    /// Has bytes written; gives the position of the end of them in all that was written to
-    /// this stream.
+    /// Queues bytes to be written. Returns the position of their end in this stream.
     pub fn write(&mut self, bytes: &[u8]) -> u64 {
         self.output.extend_from_slice(bytes);
         self.written + self.output.len() as u64
     }
 
-    /// The bus cannot be used, for this reason.
+    /// Closes the stream, for this reason; the first reason counts.
     pub fn disconnect(&mut self, link: Link, message: String) {
         self.broken.get_or_insert(Unavailable { link, message });
     }
@@ -120,7 +119,7 @@ impl ProtocolIo {
     }
 }
 
-/// Opens the bus; frames and status come when they come.
+/// Opens the bus; the status is delivered later.
 pub(in crate::bus) fn open<E: Endpoint, D: Protocol>(
     request: OpenRequest,
     ends: (E, D),
@@ -132,87 +131,87 @@ pub(in crate::bus) fn open<E: Endpoint, D: Protocol>(
 
 fn start_worker<E: Endpoint, D: Protocol>(
     request: OpenRequest,
-    (endpoint, dialogue): (E, D),
+    (endpoint, protocol): (E, D),
     (status, backoff): (BusStatus, Backoff),
 ) -> io::Result<Port> {
     let OpenRequest { name, index, clock, options } = request;
-    let line = Arc::new(PortShared::new()?);
-    line.queue.add_name(&name);
-    line.queue.update_status(|told| *told = status.clone());
-    let mut port = Port::new(&name, Arc::clone(&line), options.listen_only);
-    let mut carrier = StreamWorker {
-        delivery: Delivery::new(Arc::clone(&line), index),
-        tx: TxQueue::new(Arc::clone(&line), SEND_WITHIN),
-        line,
+    let shared = Arc::new(PortShared::new()?);
+    shared.queue.add_name(&name);
+    shared.queue.update_status(|current| *current = status.clone());
+    let mut port = Port::new(&name, Arc::clone(&shared), options.listen_only);
+    let mut worker = StreamWorker {
+        delivery: Delivery::new(Arc::clone(&shared), index),
+        tx: TxQueue::new(Arc::clone(&shared), SEND_TIMEOUT),
+        shared,
         endpoint: Arc::new(endpoint),
-        dialogue,
+        protocol,
         exchange: ProtocolIo { status, ..ProtocolIo::default() },
         clock,
         was_open: false,
     };
-    port.serve(move |line| {
-        if let Err(error) = carrier.run(backoff) {
-            line.queue.finish(Link::Failed, format!("stopped: {error}"));
+    port.serve(move |shared| {
+        if let Err(error) = worker.run(backoff) {
+            shared.queue.finish(Link::Failed, format!("stopped: {error}"));
         }
     })?;
     Ok(port)
 }
 
-/// The thread's state.
+/// State of the thread.
 struct StreamWorker<E, D> {
-    line: Arc<PortShared>,
+    shared: Arc<PortShared>,
     endpoint: Arc<E>,
-    dialogue: D,
+    protocol: D,
     exchange: ProtocolIo,
     delivery: Delivery,
     clock: Clock,
     /// Frames to send.
     tx: TxQueue,
-    /// Whether it was ever open: then its absence means that it went away.
+    /// Whether it was ever open: then a missing endpoint was unplugged.
     was_open: bool,
 }
 
 impl<E: Endpoint, D: Protocol> StreamWorker<E, D> {
-    /// Serves the line until the port is dropped.
+    /// Serves the port until it is dropped.
     fn run(&mut self, mut backoff: Backoff) -> io::Result<()> {
         while let Some(opened) = self.open()? {
-            let away = match opened {
+            let unavailable = match opened {
                 Ok(stream) => {
                     let start = Monotonic::now();
-                    let Some(away) = self.serve(stream)? else { return Ok(()) };
+                    let Some(unavailable) = self.serve(stream)? else { return Ok(()) };
                     backoff.lasted(start.elapsed());
-                    away
+                    unavailable
                 }
-                Err(away) if self.was_open && away.link == Link::Missing => {
+                Err(unavailable) if self.was_open && unavailable.link == Link::Missing => {
                     self.endpoint.broken_off()
                 }
-                Err(away) => away,
+                Err(unavailable) => unavailable,
             };
-            self.report_unavailable(away);
+            self.report_unavailable(unavailable);
             let until = Monotonic::now() + backoff.pause();
-            while !self.line.is_stopped() {
-                self.refuse_posted();
+            while !self.shared.is_stopped() {
+                self.drop_pending();
                 let left = until.saturating_duration_since(Monotonic::now());
                 if left.is_zero() {
                     break;
                 }
-                self.line.wait(None, Some(left))?;
+                self.shared.wait(None, Some(left))?;
             }
         }
         Ok(())
     }
 
-    /// Opens the endpoint on a thread of its own, for it may take long; `None` where the port was
+    /// Opens the endpoint on a thread of its own, because it may take long; `None` if the port was
     /// dropped meanwhile.
     fn open(&mut self) -> io::Result<Option<Result<E::Stream, Unavailable>>> {
         let (sender, receiver) = channel();
-        let (line, endpoint) = (Arc::clone(&self.line), Arc::clone(&self.endpoint));
+        let (shared, endpoint) = (Arc::clone(&self.shared), Arc::clone(&self.endpoint));
         thread::Builder::new().name("bus opening".into()).spawn(move || {
-            let _wake = WakeOnDrop(line);
-            // Nobody may wait for it any more; then it is closed again.
+            let _wake = WakeOnDrop(shared);
+            // Without a receiver the stream is closed again.
             let _ = sender.send(endpoint.open());
         })?;
-        while !self.line.is_stopped() {
+        while !self.shared.is_stopped() {
             match receiver.try_recv() {
                 Ok(opened) => return Ok(Some(opened)),
                 Err(TryRecvError::Disconnected) => {
@@ -223,25 +222,25 @@ impl<E: Endpoint, D: Protocol> StreamWorker<E, D> {
                 Err(TryRecvError::Empty) => {}
             }
             if self.exchange.status.link != Link::Opening {
-                self.refuse_posted();
+                self.drop_pending();
             }
             // The sender may be dropped just after the wake: look again now and then.
-            self.line.wait(None, Some(Duration::from_secs(1)))?;
+            self.shared.wait(None, Some(Duration::from_secs(1)))?;
         }
         Ok(None)
     }
 
-    /// Moves bytes until there is no way any more, and says why; `None` when the port was dropped.
+    /// Moves bytes until the stream ends; returns why, or `None` if the port was dropped.
     fn serve(&mut self, mut stream: E::Stream) -> io::Result<Option<Unavailable>> {
         let mut buffer = vec![0; READ_SIZE];
         let mut last_input: Option<Monotonic> = None;
         let mut last_written = Monotonic::now();
         self.exchange.output.clear();
         self.exchange.written = 0;
-        self.dialogue.begin(self.clock.now(), &mut self.exchange);
+        self.protocol.begin(self.clock.now(), &mut self.exchange);
         loop {
-            if self.line.is_stopped() {
-                self.leave(stream)?;
+            if self.shared.is_stopped() {
+                self.close(stream)?;
                 return Ok(None);
             }
             let before = self.exchange.written;
@@ -257,44 +256,44 @@ impl<E: Endpoint, D: Protocol> StreamWorker<E, D> {
             };
             if self.exchange.written > before {
                 let total = self.exchange.written;
-                self.dialogue.handle_written(now, total, &mut self.exchange);
+                self.protocol.handle_written(now, total, &mut self.exchange);
             }
             if self.exchange.written > before || self.exchange.output.is_empty() {
                 last_written = Monotonic::now();
             }
             if count > 0 {
-                self.dialogue.handle_input(now, &buffer[..count], &mut self.exchange);
+                self.protocol.handle_input(now, &buffer[..count], &mut self.exchange);
             }
-            if self.dialogue.poll_timeout().is_some_and(|due| due <= now) {
-                self.dialogue.handle_timeout(now, &mut self.exchange);
+            if self.protocol.poll_timeout().is_some_and(|due| due <= now) {
+                self.protocol.handle_timeout(now, &mut self.exchange);
             }
-            self.take_posted(last_written);
+            self.send_pending(last_written);
             self.was_open |= self.exchange.status.link == Link::Up;
             self.deliver();
-            if let Some(away) = self.exchange.broken.take() {
+            if let Some(unavailable) = self.exchange.broken.take() {
                 self.endpoint.close(stream, !self.exchange.output.is_empty());
-                return Ok(Some(away));
+                return Ok(Some(unavailable));
             }
-            let is_busy = count > 0 && last_input.is_some_and(|last| last.elapsed() < BUSY);
+            let is_busy = count > 0 && last_input.is_some_and(|last| last.elapsed() < BUSY_GAP);
             last_input = if count > 0 { Some(Monotonic::now()) } else { last_input };
             if is_busy && self.exchange.output.is_empty() {
-                self.line.wait(None, Some(NAP))?;
+                self.shared.wait(None, Some(BATCH_DELAY))?;
             } else {
                 let has_output = !self.exchange.output.is_empty();
-                self.line.wait_for_stream(stream.as_fd(), has_output, self.longest_wait(now))?;
+                self.shared.wait_for_stream(stream.as_fd(), has_output, self.max_wait(now))?;
             }
         }
     }
 
     /// Returns the longest wait of the thread, after everything due until `now` is handled.
-    fn longest_wait(&self, now: Instant) -> Option<Duration> {
-        let due = self.dialogue.poll_timeout();
+    fn max_wait(&self, now: Instant) -> Option<Duration> {
+        let due = self.protocol.poll_timeout();
         debug_assert!(due.is_none_or(|due| due > now), "due at {due:?}, handled until {now:?}");
-        let due = self.dialogue.poll_timeout().map(|due| self.clock.until(due));
+        let due = self.protocol.poll_timeout().map(|due| self.clock.until(due));
         [due, self.tx.time_left()].into_iter().flatten().min()
     }
 
-    /// Writes what can be written.
+    /// Writes what the stream accepts.
     fn send(&mut self, stream: &mut E::Stream) -> io::Result<()> {
         while !self.exchange.output.is_empty() {
             let Some(count) = stream.write_some(&self.exchange.output)? else { break };
@@ -304,28 +303,28 @@ impl<E: Endpoint, D: Protocol> StreamWorker<E, D> {
         Ok(())
     }
 
-    /// Takes the frames that are to be sent as far as there is room; none before the bus is open.
-    fn take_posted(&mut self, last_written: Monotonic) {
+    /// Sends pending frames as far as there is room; none before the bus is open.
+    fn send_pending(&mut self, last_written: Monotonic) {
         if self.exchange.status.link != Link::Up {
             if self.exchange.status.link != Link::Opening {
-                self.refuse_posted();
+                self.drop_pending();
             }
             return;
         }
         let report = self.tx.transmit(|frame| {
-            if self.exchange.output.len() >= OUTPUT_LIMIT || !self.dialogue.has_room() {
+            if self.exchange.output.len() >= OUTPUT_LIMIT || !self.protocol.has_room() {
                 return TxAttempt::NoRoom;
             }
-            self.dialogue.send(self.clock.now(), frame, &mut self.exchange);
+            self.protocol.send(self.clock.now(), frame, &mut self.exchange);
             TxAttempt::Sent
         });
         self.exchange.status.transmit_failures += report.failures;
-        if report.failures > 0 && last_written.elapsed() >= SEND_WITHIN {
-            self.refuse_posted();
+        if report.failures > 0 && last_written.elapsed() >= SEND_TIMEOUT {
+            self.drop_pending();
         }
     }
 
-    fn refuse_posted(&mut self) {
+    fn drop_pending(&mut self) {
         self.exchange.status.transmit_failures += self.tx.clear();
         self.delivery.deliver_status(&self.exchange.status);
     }
@@ -334,28 +333,28 @@ impl<E: Endpoint, D: Protocol> StreamWorker<E, D> {
         self.delivery.deliver(&mut self.exchange.frames, &mut self.exchange.status);
     }
 
-    fn report_unavailable(&mut self, away: Unavailable) {
-        let lost = self.dialogue.break_off();
+    fn report_unavailable(&mut self, unavailable: Unavailable) {
+        let lost = self.protocol.break_off();
         let status = &mut self.exchange.status;
         status.transmit_failures += lost;
         status.unconfirmed = 0;
-        status.link = away.link;
+        status.link = unavailable.link;
         status.state = BusState::Down;
         (status.tec, status.rec) = (None, None);
-        status.message = Some(away.message);
+        status.message = Some(unavailable.message);
         status.note = None;
-        self.refuse_posted();
+        self.drop_pending();
     }
 
-    fn leave(&mut self, mut stream: E::Stream) -> io::Result<()> {
-        self.dialogue.end(&mut self.exchange);
+    fn close(&mut self, mut stream: E::Stream) -> io::Result<()> {
+        self.protocol.end(&mut self.exchange);
         let until = Monotonic::now() + CLOSE_TIMEOUT;
         while self.send(&mut stream).is_ok() && !self.exchange.output.is_empty() {
             let left = until.saturating_duration_since(Monotonic::now());
             if left.is_zero() {
                 break;
             }
-            self.line.wait_for_stream(stream.as_fd(), true, Some(left))?;
+            self.shared.wait_for_stream(stream.as_fd(), true, Some(left))?;
         }
         self.endpoint.close(stream, !self.exchange.output.is_empty());
         Ok(())
@@ -370,7 +369,7 @@ impl Drop for WakeOnDrop {
     }
 }
 
-/// Reading and writing without waiting: `None` where one would have to wait.
+/// Reading and writing without blocking: `None` if it would block.
 trait NonBlocking {
     fn read_some(&mut self, buffer: &mut [u8]) -> io::Result<Option<usize>>;
     fn write_some(&mut self, bytes: &[u8]) -> io::Result<Option<usize>>;
@@ -378,16 +377,16 @@ trait NonBlocking {
 
 impl<S: Read + Write> NonBlocking for S {
     fn read_some(&mut self, buffer: &mut [u8]) -> io::Result<Option<usize>> {
-        unhurried(self.read(buffer))
+        non_blocking(self.read(buffer))
     }
 
     fn write_some(&mut self, bytes: &[u8]) -> io::Result<Option<usize>> {
-        unhurried(self.write(bytes).map(|count| if count == 0 { None } else { Some(count) }))
+        non_blocking(self.write(bytes).map(|count| if count == 0 { None } else { Some(count) }))
             .map(Option::flatten)
     }
 }
 
-fn unhurried<T>(outcome: io::Result<T>) -> io::Result<Option<T>> {
+fn non_blocking<T>(outcome: io::Result<T>) -> io::Result<Option<T>> {
     match outcome {
         Ok(done) => Ok(Some(done)),
         Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) => {

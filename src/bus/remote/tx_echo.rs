@@ -1,79 +1,79 @@
-//! Frames of ours on their way to a bus whose adapter or server may or may not say when they
-//! are there.
+//! Loopback of sent frames for adapters and servers, which may or may not confirm them.
 //!
-//! SocketCAN gives our frames back once they are on the bus, and discovery relies on it. Here
-//! each is put back when the other end confirms it, or, where it never confirms anything, as
-//! soon as it is written. Which of the two it is shows with the first frame.
+//! SocketCAN returns a sent frame once it was on the bus, and discovery relies on it. Here a frame is
+//! returned when the adapter or server confirms it, or, without confirmations, as soon as it is
+//! written. The first frame shows which applies.
 
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
 use std::collections::VecDeque;
 
-/// Frames that may be under way at once.
+/// Largest number of frames in flight.
 const CAPACITY: usize = 32;
-/// How long a frame may stay unconfirmed by one who confirms before it counts as not sent.
+/// How long a frame may stay unconfirmed, where frames are confirmed, before it counts as not sent.
 const CONFIRM_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Whether the other end says that a frame got out.
+/// Whether the adapter or server confirms sent frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::bus) enum Confirmation {
-    /// The first frame will show it.
+    /// Not known before the first frame.
     Unknown,
-    /// It does.
+    /// It confirms them.
     Given,
-    /// It does not.
+    /// It does not confirm them.
     Never,
 }
 
-/// Frames that were handed over and not put back yet, oldest first.
+/// Frames in flight, oldest first.
 #[derive(Debug)]
 pub(in crate::bus) struct TxEchoTracker {
     confirmation: Confirmation,
-    /// How long the first frame is waited for.
-    patience: Duration,
+    /// How long to wait for the confirmation of the first frame.
+    first_timeout: Duration,
     unwritten: VecDeque<(Frame, u64)>,
     written: VecDeque<(Frame, Instant)>,
 }
 
 impl TxEchoTracker {
-    /// None under way. Discovery takes a frame for unheard after half a second, so `patience`
-    /// is to be well below that.
-    pub fn new(confirmation: Confirmation, patience: Duration) -> Self {
+    /// Without frames. Discovery counts a frame as not sent after 0.5 s, so `first_timeout` must be
+    /// well below that.
+    pub fn new(confirmation: Confirmation, first_timeout: Duration) -> Self {
         let (unwritten, written) = (VecDeque::new(), VecDeque::new());
-        Self { confirmation, patience, unwritten, written }
+        Self { confirmation, first_timeout, unwritten, written }
     }
 
-    /// Whether the other end confirms, as far as is known.
+    /// Whether frames are confirmed, as far as known.
     pub fn confirmation(&self) -> Confirmation {
         self.confirmation
     }
 
-    /// Says what is known from elsewhere.
+    /// Sets what is known from another source.
     pub fn set_confirmation(&mut self, confirmation: Confirmation) {
         self.confirmation = confirmation;
     }
 
-    /// Whether another may be handed over.
+    /// Returns true if another frame may be sent.
     pub fn has_room(&self) -> bool {
         self.unwritten.len() + self.written.len() < CAPACITY
     }
 
-    /// How many are under way.
+    /// Number of frames in flight.
     pub fn in_flight(&self) -> u64 {
         (self.unwritten.len() + self.written.len()) as u64
     }
 
-    /// When the oldest was written that waits to be confirmed.
+    /// When the oldest unconfirmed frame was written; `None` if there is none.
     pub fn oldest_written(&self) -> Option<Instant> {
         self.written.front().map(|(_, since)| *since)
     }
 
-    /// A frame was handed over; its last byte is the `end`th of the stream.
+    /// Adds a frame whose last byte is the `end`th of the stream.
     pub fn push(&mut self, frame: &Frame, end: u64) {
         self.unwritten.push_back((*frame, end));
     }
 
-    /// The first `total` bytes of the stream are written. Frames to put back go to `back`.
+    /// Notes that the first `total` bytes of the stream are written. Appends returned frames to
+    /// `back`.
     pub fn written(&mut self, now: Instant, total: u64, back: &mut Vec<Frame>) {
         while let Some((frame, _)) = self.unwritten.pop_front_if(|(_, end)| *end <= total) {
             if self.confirmation == Confirmation::Never {
@@ -84,17 +84,16 @@ impl TxEchoTracker {
         }
     }
 
-    /// The oldest one is confirmed: the frame to put back.
+    /// Confirms the oldest frame and returns it.
     pub fn confirm_oldest(&mut self, now: Instant) -> Option<Frame> {
         self.confirmation = Confirmation::Given;
         let (frame, _) = self.written.pop_front()?;
         Some(frame.with_tx().with_time(now))
     }
 
-    /// Whether a frame that was heard is the oldest of ours that is equal to it: then it is
-    /// confirmed by that.
-    pub fn confirm_equal(&mut self, heard: &Frame) -> bool {
-        let position = self.written.iter().position(|(own, _)| own.same_on_wire(heard));
+    /// Confirms the oldest frame that is equal to a received one. Returns true if there is one.
+    pub fn confirm_equal(&mut self, received: &Frame) -> bool {
+        let position = self.written.iter().position(|(own, _)| own.same_on_wire(received));
         if let Some(position) = position {
             self.confirmation = Confirmation::Given;
             self.written.remove(position);
@@ -102,7 +101,7 @@ impl TxEchoTracker {
         position.is_some()
     }
 
-    /// The oldest one was refused.
+    /// Removes the oldest frame, which was rejected. Returns true if there is one.
     pub fn refuse_oldest(&mut self) -> bool {
         if self.confirmation == Confirmation::Unknown {
             self.confirmation = Confirmation::Given;
@@ -110,13 +109,13 @@ impl TxEchoTracker {
         self.written.pop_front().is_some()
     }
 
-    /// Does what is due: where the first frame stayed unconfirmed, nobody confirms here, and
-    /// what was written is put back. Gives the number of frames that are given up because one
-    /// who confirms did not.
+    /// Handles timeouts. If the first frame stayed unconfirmed, frames are not confirmed: those
+    /// written are appended to `back`. Returns the number of frames given up because a confirmation
+    /// is missing.
     pub fn handle_timeout(&mut self, now: Instant, back: &mut Vec<Frame>) -> u64 {
         let Some(oldest) = self.oldest_written() else { return 0 };
         let waited = now.since(oldest);
-        if self.confirmation == Confirmation::Unknown && waited >= self.patience {
+        if self.confirmation == Confirmation::Unknown && waited >= self.first_timeout {
             self.confirmation = Confirmation::Never;
         }
         if self.confirmation == Confirmation::Never {
@@ -128,17 +127,17 @@ impl TxEchoTracker {
         (before - self.written.len()) as u64
     }
 
-    /// When that is.
+    /// When to call [`handle_timeout`](Self::handle_timeout); `None` if no frame waits.
     pub fn poll_timeout(&self) -> Option<Instant> {
         let wait = match self.confirmation {
-            Confirmation::Unknown => self.patience,
+            Confirmation::Unknown => self.first_timeout,
             Confirmation::Given => CONFIRM_TIMEOUT,
             Confirmation::Never => Duration::ZERO,
         };
         self.oldest_written().map(|since| since + wait)
     }
 
-    /// The way is gone; gives the number of frames that were under way.
+    /// Removes all frames. Returns how many were in flight.
     pub fn clear(&mut self) -> u64 {
         let count = self.in_flight();
         self.unwritten.clear();
@@ -151,7 +150,7 @@ impl TxEchoTracker {
 mod tests {
     use super::*;
 
-    const PATIENCE: Duration = Duration::from_millis(250);
+    const FIRST_TIMEOUT: Duration = Duration::from_millis(250);
 
     fn frame(id: u32) -> Frame {
         Frame::classic(id, &[1, 2])
@@ -162,7 +161,7 @@ mod tests {
     }
 
     fn three_written() -> TxEchoTracker {
-        let mut own = TxEchoTracker::new(Confirmation::Unknown, PATIENCE);
+        let mut own = TxEchoTracker::new(Confirmation::Unknown, FIRST_TIMEOUT);
         for id in 1..=3 {
             own.push(&frame(id), u64::from(id) * 10);
         }
@@ -174,7 +173,7 @@ mod tests {
 
     #[test]
     fn what_is_not_written_is_not_put_back() {
-        let mut own = TxEchoTracker::new(Confirmation::Never, PATIENCE);
+        let mut own = TxEchoTracker::new(Confirmation::Never, FIRST_TIMEOUT);
         own.push(&frame(1), 10);
         own.push(&frame(2), 20);
         let mut back = Vec::new();
@@ -228,7 +227,7 @@ mod tests {
 
     #[test]
     fn no_more_than_some_are_under_way() {
-        let mut own = TxEchoTracker::new(Confirmation::Given, PATIENCE);
+        let mut own = TxEchoTracker::new(Confirmation::Given, FIRST_TIMEOUT);
         for id in 0..CAPACITY {
             assert!(own.has_room());
             own.push(&frame(id as u32), 1);

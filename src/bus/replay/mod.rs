@@ -46,8 +46,8 @@ fn open(log: File, path: Option<&Path>, request: OpenRequest) -> Result<Port, Op
 
 fn start(log: File, path: Option<&Path>, request: OpenRequest) -> io::Result<Port> {
     let OpenRequest { name, index, clock, .. } = request;
-    let line = Arc::new(PortShared::new()?);
-    line.queue.update_status(|status| {
+    let shared = Arc::new(PortShared::new()?);
+    shared.queue.update_status(|status| {
         status.link = Link::Up;
         status.rate_search = RateSearch::NoRate;
         status.listen_only = true;
@@ -55,13 +55,13 @@ fn start(log: File, path: Option<&Path>, request: OpenRequest) -> io::Result<Por
     let metadata = log.metadata()?;
     let (is_file, size) = (metadata.is_file(), metadata.len());
     clock.log_opens(index, !is_file);
-    let mut port = Port::new(&name, Arc::clone(&line), true);
+    let mut port = Port::new(&name, Arc::clone(&shared), true);
     let path = path.filter(|_| is_file).map(Path::to_owned);
-    port.serve(move |line| {
-        let source = LogSource { log, line: Arc::clone(line), is_file, read: 0, size };
+    port.serve(move |shared| {
+        let source = LogSource { log, shared: Arc::clone(shared), is_file, read: 0, size };
         let mut replay = Replay {
             reader: LogReader::new(BufReader::with_capacity(1 << 16, source)),
-            line: Arc::clone(line),
+            shared: Arc::clone(shared),
             path,
             index,
             clock,
@@ -71,7 +71,7 @@ fn start(log: File, path: Option<&Path>, request: OpenRequest) -> io::Result<Por
             percent: None,
         };
         if let Err(error) = replay.run() {
-            line.queue.finish(Link::Failed, format!("cannot read the log: {error}"));
+            shared.queue.finish(Link::Failed, format!("cannot read the log: {error}"));
         }
     })?;
     Ok(port)
@@ -79,7 +79,7 @@ fn start(log: File, path: Option<&Path>, request: OpenRequest) -> io::Result<Por
 
 struct Replay {
     reader: LogReader<BufReader<LogSource>>,
-    line: Arc<PortShared>,
+    shared: Arc<PortShared>,
     /// Where the log is looked for again, where it may go on after its end.
     path: Option<PathBuf>,
     index: BusIndex,
@@ -121,7 +121,7 @@ impl Replay {
                     Some(why.to_owned())
                 }
             };
-            self.line.queue.update_status(|status| {
+            self.shared.queue.update_status(|status| {
                 (status.link, status.message) = (Link::Up, None);
                 // The word of how it went on before stays.
                 status.note = note.or_else(|| status.note.take());
@@ -143,7 +143,7 @@ impl Replay {
     /// Hands a frame over when it is due, or, after the end, when it is there. Whether to go on.
     fn play(&mut self, frame: Frame) -> io::Result<bool> {
         for name in &self.reader.tally().interfaces[self.named..] {
-            self.line.queue.add_name(name);
+            self.shared.queue.add_name(name);
             self.named += 1;
         }
         let tally = self.reader.tally();
@@ -156,8 +156,8 @@ impl Replay {
         self.clock.log_waits(self.index, due);
         if self.follows {
             let is_paused = || self.clock.playback().is_some_and(|it| it.is_paused);
-            while is_paused() && self.clock.now() < due && !self.line.is_stopped() {
-                self.line.wait(None, None)?;
+            while is_paused() && self.clock.now() < due && !self.shared.is_stopped() {
+                self.shared.wait(None, None)?;
             }
             self.clock.log_resumed(self.index, due);
         }
@@ -171,19 +171,19 @@ impl Replay {
             self.clock.log_waits(self.index, due);
         }
         loop {
-            if self.line.is_stopped() {
+            if self.shared.is_stopped() {
                 return Ok(false);
             }
-            let is_full = self.line.queue.room() == 0;
+            let is_full = self.shared.queue.room() == 0;
             if self.clock.now() >= due && !is_full {
                 break;
             }
             let nap = if is_full { FULL_QUEUE_NAP } else { self.clock.until(due) };
-            self.line.wait(None, Some(nap))?;
+            self.shared.wait(None, Some(nap))?;
         }
         self.report_position();
         let bus = BusIndex(self.index.0.saturating_add(frame.bus.0));
-        self.line.queue.push(&[frame.with_time(due).with_bus(bus)]);
+        self.shared.queue.push(&[frame.with_time(due).with_bus(bus)]);
         Ok(true)
     }
 
@@ -193,7 +193,7 @@ impl Replay {
         let percent = source.get_ref().percent(source.buffer().len());
         if percent != self.percent {
             self.percent = percent;
-            self.line.queue.update_status(|status| status.percent = percent);
+            self.shared.queue.update_status(|status| status.percent = percent);
         }
     }
 
@@ -205,7 +205,7 @@ impl Replay {
         };
         let since = Monotonic::now();
         let mut is_told = false;
-        while !self.line.is_stopped() {
+        while !self.shared.is_stopped() {
             // At first nobody knows that it grows: what is there is judged at the last line.
             if !is_told && (!self.follows || since.elapsed() >= IDLE_BEFORE_END) {
                 self.end();
@@ -215,7 +215,7 @@ impl Replay {
             if let Some(more) = self.reader.source_mut().get_mut().check_file(&path, is_damaged)? {
                 return Ok(Some(more));
             }
-            self.line.wait(None, Some(LOOK_EVERY))?;
+            self.shared.wait(None, Some(LOOK_EVERY))?;
         }
         Ok(None)
     }
@@ -228,7 +228,7 @@ impl Replay {
             message.push_str("; last line incomplete");
         }
         self.clock.log_ends(self.index);
-        self.line.queue.update_status(|status| {
+        self.shared.queue.update_status(|status| {
             (status.link, status.message) = (Link::Ended, Some(message));
         });
     }
@@ -244,7 +244,7 @@ impl Drop for Replay {
 /// A log that ends when the port is dropped, even while the next line is waited for.
 struct LogSource {
     log: File,
-    line: Arc<PortShared>,
+    shared: Arc<PortShared>,
     is_file: bool,
     /// Bytes that were read of it.
     read: u64,
@@ -290,8 +290,8 @@ impl LogSource {
 
 impl Read for LogSource {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        while !self.line.wait(Some(self.log.as_fd()), None)? {
-            if self.line.is_stopped() {
+        while !self.shared.wait(Some(self.log.as_fd()), None)? {
+            if self.shared.is_stopped() {
                 return Ok(0);
             }
         }

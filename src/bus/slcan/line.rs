@@ -1,16 +1,17 @@
-//! The lines of slcan (Lawicel's ASCII protocol, as adapters speak it today) and their meaning.
+//! slcan syntax: Lawicel's ASCII protocol as present adapters use it.
 //!
-//! Pure: bytes in, values out, and back. Whatever cannot be read is `None`; nothing panics.
+//! Pure: bytes in, values out, and back. A line that cannot be read is `None`; nothing panics. Does
+//! not know the order of commands: `protocol` does.
 
 use crate::frame::{CanId, Frame, FrameKind, fd_length};
 use crate::status::BusState;
 
-/// The longest line that is kept: an FD frame with its time stamp has 142 bytes, what adapters
-/// answer to `V` can be longer.
+/// Longest line that is read, in bytes: an FD frame with a timestamp has 142, responses to `V` can be
+/// longer.
 const MAX_LINE: usize = 256;
 
-/// The bit rates that have a code, by code. Adapters disagree about 7: Lawicel's have 800
-/// kbit/s, others 750.
+/// Codes of the command `S` and their bit rates in bit/s. Code 7 is 800 kbit/s in Lawicel's adapters
+/// and 750 kbit/s in others.
 const BITRATES: [(u8, u32); 10] = [
     (0, 10_000),
     (1, 20_000),
@@ -24,20 +25,20 @@ const BITRATES: [(u8, u32); 10] = [
     (8, 1_000_000),
 ];
 
-/// The bit rates of the data phase that have a code: `Y2`, `Y5`.
+/// Bit rates of the data phase, in bit/s: `Y2`, `Y5`.
 const DATA_BITRATES: [u32; 2] = [2_000_000, 5_000_000];
 
-/// The digit of `S` for a bit rate.
+/// The digit of `S` for a bit rate in bit/s; `None` if it has none.
 pub(in crate::bus) fn rate_code(bitrate: u32) -> Option<u8> {
     BITRATES.iter().find(|(_, rate)| *rate == bitrate).map(|(code, _)| *code)
 }
 
-/// The digit of `Y` for the bit rate of the data phase.
+/// The digit of `Y` for a data bit rate in bit/s; `None` if it has none.
 pub(in crate::bus) fn data_rate_code(bitrate: u32) -> Option<u8> {
     DATA_BITRATES.contains(&bitrate).then_some((bitrate / 1_000_000) as u8)
 }
 
-/// All bit rates that have a code, for people.
+/// All bit rates with a code, for an error text.
 pub(in crate::bus) fn rates() -> String {
     BITRATES.map(|(_, rate)| rate.to_string()).join(", ")
 }
@@ -47,28 +48,27 @@ pub(in crate::bus) fn data_rates() -> String {
     DATA_BITRATES.map(|rate| rate.to_string()).join(", ")
 }
 
-/// What an adapter says in a line.
+/// A line from an adapter.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum AdapterReply {
-    /// A frame; its time stamp in milliseconds, where there is one.
+    /// A frame, with its timestamp in milliseconds if it has one.
     Frame(Frame, Option<u16>),
-    /// Yes: to a command, or to a frame.
-    Yes,
+    /// Positive response to a command or a frame.
+    Ack,
     /// The status flags.
     Flags(Flags),
-    /// The controller's state and error counters.
+    /// State and error counters of the controller.
     State { state: BusState, tec: u16, rec: u16 },
-    /// Its version or serial number, with the letter that asked for it.
+    /// Version or serial number, with the letter of the command.
     Name(String),
-    /// A command. Adapters say none: at the other end is a program like this one.
+    /// A command. Adapters send none; a program at the other end does.
     Command,
 }
 
 /// The status flags (`F`).
 ///
-/// Bit 7 is of no use: on adapters with an SJA1000 it says that some frame broke since it was
-/// last asked, on those with an MCP2515 that the controller has left the bus, and nothing tells
-/// which. Both have the error-passive flag set when it comes to that.
+/// Bit 7 is not used: with an SJA1000 it means a bus error since the last request, with an MCP2515
+/// bus-off. Both set the error-passive flag before bus-off.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub(super) struct Flags(pub u8);
 
@@ -81,19 +81,18 @@ impl Flags {
         }
     }
 
-    /// Whether frames were lost in the adapter: its receive queue was full, or its controller
-    /// was overrun.
+    /// Returns true if the adapter lost frames: receive queue full, or controller overrun.
     pub fn is_overrun(self) -> bool {
         self.0 & 0x09 != 0
     }
 }
 
-/// Reads a line, without its end.
+/// Decodes a line without its end; `None` if it is malformed.
 pub(super) fn parse(line: &[u8]) -> Option<AdapterReply> {
-    let Some((&kind, rest)) = line.split_first() else { return Some(AdapterReply::Yes) };
+    let Some((&kind, rest)) = line.split_first() else { return Some(AdapterReply::Ack) };
     match kind {
         b't' | b'T' | b'r' | b'R' | b'd' | b'D' | b'b' | b'B' => frame(kind, rest),
-        b'z' | b'Z' if rest.is_empty() => Some(AdapterReply::Yes),
+        b'z' | b'Z' if rest.is_empty() => Some(AdapterReply::Ack),
         b'F' if rest.len() == 2 => Some(AdapterReply::Flags(Flags(number(rest, 16)? as u8))),
         b's' if rest.len() == 7 => state(rest),
         b'e' => errors(rest),
@@ -106,7 +105,7 @@ pub(super) fn parse(line: &[u8]) -> Option<AdapterReply> {
     }
 }
 
-/// Text that an adapter may say of itself.
+/// The printable text of a line; `None` if there is none.
 pub(super) fn name(line: &[u8]) -> Option<String> {
     let text = std::str::from_utf8(line).ok()?;
     let is_text = text.chars().all(|c| c == ' ' || c.is_ascii_graphic());
@@ -161,7 +160,7 @@ fn state(rest: &[u8]) -> Option<AdapterReply> {
     Some(AdapterReply::State { state, tec, rec })
 }
 
-/// `e1a`, `e3bcO`: how many errors, and which. As Linux makes an error frame of them.
+/// `e1a`, `e3bcO`: number and types of errors, as the error frame that Linux makes of them.
 fn errors(rest: &[u8]) -> Option<AdapterReply> {
     const CONTROLLER: u32 = 0x04;
     const NO_ACKNOWLEDGE: u32 = 0x20;
@@ -198,13 +197,13 @@ fn errors(rest: &[u8]) -> Option<AdapterReply> {
         }
     }
     if letters.iter().all(|letter| matches!(letter, b'o' | b'O')) {
-        // Nothing broke on the bus.
+        // An overrun is not a bus error.
         class = CONTROLLER;
     }
     Some(AdapterReply::Frame(Frame::error(class, &details), None))
 }
 
-/// Writes a frame as a line; `None` for what slcan has no line for.
+/// Encodes a frame with its line end; `None` for error frames and impossible lengths.
 pub(super) fn encode(frame: &Frame) -> Option<Vec<u8>> {
     let (kind, digits) = match (frame.kind, frame.fd, frame.bit_rate_switch) {
         (FrameKind::Error, ..) => return None,
@@ -225,7 +224,7 @@ pub(super) fn encode(frame: &Frame) -> Option<Vec<u8>> {
     Some(line.into_bytes())
 }
 
-/// The length of an FD frame by its code 9–15.
+/// The length of an FD frame in bytes, by its DLC 9 to 15.
 fn data_length(code: usize) -> usize {
     const LENGTHS: [usize; 7] = [12, 16, 20, 24, 32, 48, 64];
     LENGTHS[(code - 9).min(6)]
@@ -238,25 +237,25 @@ fn length_code(len: usize) -> Option<usize> {
     (9..=15).find(|code| data_length(*code) == len && fd_length(len) == len)
 }
 
-/// A number all of whose digits are there: no sign, no white space.
+/// A number of digits only: no sign, no white space.
 fn number(digits: &[u8], radix: u32) -> Option<u32> {
     let all_digits = digits.iter().all(|digit| char::from(*digit).is_digit(radix));
     let text = std::str::from_utf8(digits).ok().filter(|_| all_digits)?;
     u32::from_str_radix(text, radix).ok()
 }
 
-/// What the splitting of a stream into lines gives.
+/// A piece of the stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum LinePiece<'a> {
-    /// A whole line, without its end.
+    /// A line without its end.
     Line(&'a [u8]),
-    /// `\a`: no, to a command or a frame.
-    No,
-    /// What cannot be a line: too long, or cut off by a `\a`.
+    /// `\a`: negative response to a command or a frame.
+    Nack,
+    /// A line that is too long, or cut off by a `\a`.
     Unreadable,
 }
 
-/// Splits a stream into lines, however it comes; keeps no more than one line of bounded length.
+/// Splits a stream, in pieces of any size, into lines; stores one line of at most [`MAX_LINE`] bytes.
 #[derive(Debug, Default)]
 pub(super) struct LineSplitter {
     line: Vec<u8>,
@@ -264,24 +263,24 @@ pub(super) struct LineSplitter {
 }
 
 impl LineSplitter {
-    /// Takes bytes, and gives every piece that they complete.
+    /// Passes every piece that `bytes` complete to `take`.
     pub fn feed(&mut self, bytes: &[u8], mut take: impl FnMut(LinePiece<'_>)) {
         for &byte in bytes {
             match byte {
                 b'\r' | b'\x07' => {
-                    let is_no = byte == b'\x07';
-                    let is_cut = is_no && !self.line.is_empty();
+                    let is_nack = byte == b'\x07';
+                    let is_cut = is_nack && !self.line.is_empty();
                     if std::mem::take(&mut self.too_long) || is_cut {
                         take(LinePiece::Unreadable);
-                    } else if !is_no {
+                    } else if !is_nack {
                         take(LinePiece::Line(&self.line));
                     }
-                    if is_no {
-                        take(LinePiece::No);
+                    if is_nack {
+                        take(LinePiece::Nack);
                     }
                     self.line.clear();
                 }
-                // Some end their lines with both.
+                // Some adapters end lines with \r\n.
                 b'\n' => {}
                 _ if self.line.len() == MAX_LINE => self.too_long = true,
                 _ => self.line.push(byte),
@@ -365,9 +364,9 @@ mod tests {
 
     #[test]
     fn other_words() {
-        assert_eq!(read(""), Some(AdapterReply::Yes));
-        assert_eq!(read("z"), Some(AdapterReply::Yes));
-        assert_eq!(read("Z"), Some(AdapterReply::Yes));
+        assert_eq!(read(""), Some(AdapterReply::Ack));
+        assert_eq!(read("z"), Some(AdapterReply::Ack));
+        assert_eq!(read("Z"), Some(AdapterReply::Ack));
         assert_eq!(read("V1013"), Some(AdapterReply::Name("V1013".into())));
         assert_eq!(read("S6"), Some(AdapterReply::Command));
         assert_eq!(read("V"), Some(AdapterReply::Command));

@@ -1,7 +1,7 @@
-//! slcan: a CAN adapter at a serial port, spoken to in lines of ASCII.
+//! `slcan:DEVICE`: a CAN adapter at a serial port, with Lawicel's ASCII protocol.
 //!
-//! This opens the port; `dialogue` is what is said there, `line` is what the lines mean. A port
-//! that is not there, is in use, or goes away is a status, and is waited for.
+//! `address` is the BUS argument, this file the serial port, `protocol` the state machine, `line` the
+//! syntax. A port that does not exist, is in use, or is unplugged is a status, and is waited for.
 
 mod address;
 mod line;
@@ -31,67 +31,68 @@ use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// How often to look for a port that is not there. Looking costs next to nothing.
-const LOOK_EVERY: Duration = Duration::from_secs(1);
-/// What most adapters with a real UART use, python-can too. USB adapters ignore it.
+/// How often to try to open a port that is not available.
+const RETRY_PERIOD: Duration = Duration::from_secs(1);
+/// Baud rate of most adapters with a UART, as in python-can. USB adapters ignore it.
 const BAUD_RATE: BaudRate = BaudRate::B115200;
 
-/// Opens the adapter; the status comes when it is known.
+/// Opens the adapter; the status is delivered later.
 pub(super) fn open(address: &SlcanAddress, request: OpenRequest) -> Result<Port, OpenError> {
     let SlcanAddress { device, bitrate, data_bitrate } = address.clone();
     let listen_only = request.options.listen_only;
     let settings = SlcanSettings { bitrate, data_bitrate, listen_only };
-    let dialogue = Slcan::new(&device.to_string_lossy(), settings);
+    let protocol = Slcan::new(&device.to_string_lossy(), settings);
     let status = BusStatus {
         bitrate,
         rate_search: RateSearch::WhenClosed,
         listen_only,
         ..BusStatus::default()
     };
-    let backoff = Backoff::new(LOOK_EVERY, LOOK_EVERY);
-    stream::open(request, (SerialPort { device }, dialogue), (status, backoff))
+    let backoff = Backoff::new(RETRY_PERIOD, RETRY_PERIOD);
+    stream::open(request, (SerialPort { device }, protocol), (status, backoff))
 }
 
 struct SerialPort {
     device: PathBuf,
 }
 
-/// A port that is ours alone.
+/// A serial port, locked against other programs.
 struct LockedPort(Flock<File>);
 
 impl Endpoint for SerialPort {
     type Stream = LockedPort;
 
     fn open(&self) -> Result<LockedPort, Unavailable> {
-        let away = |link, message| Unavailable { link, message };
+        let unavailable = |link, message| Unavailable { link, message };
         let name = self.device.display();
         let port = OpenOptions::new()
             .read(true)
             .write(true)
-            // Without waiting for a carrier, and without becoming our terminal.
+            // No wait for a carrier; not the controlling terminal.
             .custom_flags((OFlag::O_NONBLOCK | OFlag::O_NOCTTY | OFlag::O_CLOEXEC).bits())
             .open(&self.device)
             .map_err(|error| self.cannot_open(&error))?;
         let Ok(mut settings) = tcgetattr(&port) else {
-            return Err(away(Link::NotCan, format!("{name} is not a serial port")));
+            return Err(unavailable(Link::NotCan, format!("{name} is not a serial port")));
         };
         let port = Flock::lock(port, FlockArg::LockExclusiveNonblock)
-            .map_err(|_| away(Link::Down, format!("{name} is in use by another program")))?;
-        let failed = |error: Errno| away(Link::Down, format!("cannot set up {name}: {error}"));
+            .map_err(|_| unavailable(Link::Down, format!("{name} is in use by another program")))?;
+        let failed =
+            |error: Errno| unavailable(Link::Down, format!("cannot set up {name}: {error}"));
         let port = LockedPort(port);
-        // Programs that do not look at the lock are kept out by this.
+        // For programs that ignore the lock.
         rustix::termios::ioctl_tiocexcl(&port)
             .map_err(|error| failed(Errno::from_raw(error.raw_os_error())))?;
         cfmakeraw(&mut settings);
         // No modem lines, no flow control, one stop bit.
         settings.control_flags |= ControlFlags::CLOCAL | ControlFlags::CREAD;
         settings.control_flags &= !(ControlFlags::CRTSCTS | ControlFlags::CSTOPB);
-        // 9600 is what nobody chose. Another speed was set, by stty, for a reason.
+        // 9600 is the kernel's default. Another speed was set on purpose, for example by stty.
         if cfgetospeed(&settings) == BaudRate::B9600 {
             cfsetspeed(&mut settings, BAUD_RATE).map_err(failed)?;
         }
         tcsetattr(&port, SetArg::TCSANOW, &settings).map_err(failed)?;
-        // The end of a line from before we listened is nothing to be read.
+        // Received before the port was opened: may begin inside a line.
         tcflush(&port, FlushArg::TCIFLUSH).map_err(failed)?;
         Ok(port)
     }
@@ -103,7 +104,7 @@ impl Endpoint for SerialPort {
 
     fn close(&self, stream: LockedPort, stuck: bool) {
         if stuck {
-            // Otherwise closing waits for up to half a minute until the adapter has taken it.
+            // Otherwise close(2) waits up to 30 s for the adapter to accept it.
             let _ = tcflush(&stream, FlushArg::TCOFLUSH);
         }
     }
@@ -150,7 +151,7 @@ fn advice_permission(device: &Path) -> String {
     }
 }
 
-/// The ports of this machine that adapters usually have.
+/// The serial ports of this machine that are usually adapters.
 fn serial_ports() -> Vec<String> {
     let names = fs::read_dir("/dev").into_iter().flatten();
     let names = names.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
@@ -162,7 +163,7 @@ fn serial_ports() -> Vec<String> {
     ports
 }
 
-/// A pty whose other end stays open would be kept out of reach for good.
+/// Ends the exclusive mode, which a pty would keep while its other end is open.
 impl Drop for LockedPort {
     fn drop(&mut self) {
         let _ = rustix::termios::ioctl_tiocnxcl(&*self.0);

@@ -1,14 +1,12 @@
-//! What is said to an slcan adapter, and what its answers mean.
+//! slcan protocol with one adapter: a state machine without I/O or clock.
 //!
-//! A state machine without I/O or clock. Adapters differ: some answer every command and every
-//! frame, some only with their version, some nothing at all (python-can at the other end of a
-//! pty, another descan). All of them are used; what an adapter does not say is not waited for
-//! for long:
+//! Some adapters respond to every command and frame, some only with their version, some not at all
+//! (python-can at the other end of a pty, another descan). All are supported, with short timeouts:
 //!
 //! ```text
-//! waking    C and V until something answers: a board that our opening has reset takes its time
-//! settling  until all that was asked has been answered, so that answers are told apart
-//! setting   N, S, Y, then O or L, each after the answer to the one before
+//! waking    C and V until a response: opening the port resets some boards
+//! settling  until all responses to C and V arrived, so that later ones can be assigned
+//! setting   N, S, Y, then O or L, each after the response to the one before
 //! open      frames; F each second
 //! ```
 
@@ -22,35 +20,35 @@ use crate::frame::Frame;
 use crate::status::{BusState, Link};
 use crate::time::{Duration, Instant};
 
-/// How often an adapter is asked to wake up, and for how long it may say nothing.
+/// Period and end of the wake-up commands to an adapter that does not respond.
 const WAKE_RETRY: Duration = Duration::from_millis(200);
-const WAKE_WITHIN: Duration = Duration::from_millis(1_200);
-/// What is heard after this, while nothing answers, comes from one who answers nothing.
-const CHATTER_AFTER: Duration = Duration::from_millis(300);
-/// How long the last answers to the knocking may take.
-const SETTLE_WITHIN: Duration = Duration::from_millis(250);
-/// How long a command may be unanswered. Lawicel's adapters answer within milliseconds.
+const WAKE_TIMEOUT: Duration = Duration::from_millis(1_200);
+/// Lines received after this time, without a response, come from an adapter that does not respond.
+const UNSOLICITED_AFTER: Duration = Duration::from_millis(300);
+/// How long the last responses to the wake-up commands may take.
+const SETTLE_TIMEOUT: Duration = Duration::from_millis(250);
+/// Timeout of a response. Lawicel's adapters respond within milliseconds.
 const RESPONSE_TIMEOUT: Duration = Duration::from_secs(1);
-/// The same for the serial number, which many do not know.
-const SERIAL_WITHIN: Duration = Duration::from_millis(300);
-/// How long the first frame may be unanswered before we believe that frames are not answered.
-const FIRST_FRAME: Duration = Duration::from_millis(250);
-/// How often the status flags are asked for.
-const FLAGS_EVERY: Duration = Duration::from_secs(1);
-/// The same of an adapter that has answered nothing: a slow one may have woken up.
-const PROBE_EVERY: Duration = Duration::from_secs(5);
-/// Times that the flags may stay unanswered before the adapter counts as gone, or as one that
-/// has none.
-const FLAGS_MISSING: u32 = 3;
-/// Lines that cannot be read, and none that can, before it is said that this is no slcan.
-const NO_SLCAN_AFTER: u64 = 10;
-/// The longest text of an adapter about itself that is shown.
+/// The same for the serial number, which many adapters do not support.
+const SERIAL_TIMEOUT: Duration = Duration::from_millis(300);
+/// Timeout of the response to the first frame; without it, frames count as not confirmed.
+const FIRST_ACK_TIMEOUT: Duration = Duration::from_millis(250);
+/// Period of the requests for status flags.
+const FLAGS_PERIOD: Duration = Duration::from_secs(1);
+/// The same for an adapter that did not respond: it may have been slow to start.
+const PROBE_PERIOD: Duration = Duration::from_secs(5);
+/// Number of missing responses to `F` after which the adapter counts as disconnected, or as one
+/// without status flags.
+const MAX_MISSING_FLAGS: u32 = 3;
+/// Number of malformed lines, without a readable one, after which the device is reported as not slcan.
+const MAX_UNREADABLE_LINES: u64 = 10;
+/// Longest version or serial number shown, in characters.
 const MAX_NAME: usize = 60;
 
-/// How the adapter is to be opened.
+/// Settings with which the adapter is opened.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct SlcanSettings {
-    /// Bit/s; without it the adapter's present one is kept.
+    /// Bit/s; `None` keeps the adapter's present one.
     pub bitrate: Option<u32>,
     /// Bit/s of the FD data phase.
     pub data_bitrate: Option<u32>,
@@ -58,7 +56,7 @@ pub(super) struct SlcanSettings {
     pub listen_only: bool,
 }
 
-/// The dialogue with one adapter.
+/// State of the protocol with one adapter.
 #[derive(Debug)]
 pub(super) struct Slcan {
     device: String,
@@ -68,11 +66,11 @@ pub(super) struct Slcan {
     own: TxEchoTracker,
     flags: FlagPoll,
     stamps: Stamps,
-    /// It answers commands.
+    /// It responds to commands.
     responses: bool,
-    /// It was already opened anew because an answer came after all.
+    /// It was already opened again because of a late response.
     reopened: bool,
-    /// It tells its controller's state by itself, and better than by flags.
+    /// It reports the controller's state unsolicited, in more detail than by flags.
     reports_state: bool,
     /// Its controller is error-warning, error-passive or bus-off.
     is_troubled: bool,
@@ -85,13 +83,13 @@ pub(super) struct Slcan {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum SlcanStage {
-    Waking { since: Instant, knocked: Instant, knocks: u32 },
+    Waking { since: Instant, last_attempt: Instant, attempts: u32 },
     Settling { until: Instant, missing: u32 },
     Setting { command: SetupCommand, until: Instant },
     Open,
 }
 
-/// The commands of the setting, in their order.
+/// The setup commands, in their order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum SetupCommand {
     Serial,
@@ -100,18 +98,18 @@ enum SetupCommand {
     Open,
 }
 
-/// The asking for status flags.
+/// Requests for status flags.
 #[derive(Clone, Copy, Debug, Default)]
 struct FlagPoll {
-    /// Not refused.
+    /// Not rejected.
     wanted: bool,
-    /// When to ask next.
+    /// Time of the next request.
     next: Instant,
-    /// Since when an answer is missing.
-    asked: Option<Instant>,
-    /// How many are missing in a row.
+    /// Time of the request without a response.
+    requested: Option<Instant>,
+    /// Number of missing responses in a row.
     missing: u32,
-    /// The last answer.
+    /// The last response.
     last: Option<Flags>,
 }
 
@@ -122,7 +120,7 @@ impl Slcan {
             settings,
             stage: SlcanStage::Open,
             splitter: LineSplitter::default(),
-            own: TxEchoTracker::new(Confirmation::Never, FIRST_FRAME),
+            own: TxEchoTracker::new(Confirmation::Never, FIRST_ACK_TIMEOUT),
             flags: FlagPoll::default(),
             stamps: Stamps::default(),
             responses: false,
@@ -141,33 +139,33 @@ impl Slcan {
 
     fn wake(&mut self, now: Instant, exchange: &mut ProtocolIo) {
         self.responses = false;
-        self.stage = SlcanStage::Waking { since: now, knocked: now, knocks: 1 };
+        self.stage = SlcanStage::Waking { since: now, last_attempt: now, attempts: 1 };
         exchange.write(b"C\rV\r");
     }
 
-    /// Something came while waking or settling.
-    fn process_while_waking(&mut self, now: Instant, word: Option<&AdapterReply>, is_no: bool) {
-        let is_response = is_no
+    /// Handles input while waking or settling.
+    fn process_while_waking(&mut self, now: Instant, reply: Option<&AdapterReply>, is_nack: bool) {
+        let is_response = is_nack
             || matches!(
-                word,
-                Some(AdapterReply::Yes | AdapterReply::Flags(_) | AdapterReply::Name(_))
+                reply,
+                Some(AdapterReply::Ack | AdapterReply::Flags(_) | AdapterReply::Name(_))
             );
         match &mut self.stage {
-            SlcanStage::Waking { knocks, .. } if is_response => {
-                let missing = (2 * *knocks).saturating_sub(1);
-                self.stage = SlcanStage::Settling { until: now + SETTLE_WITHIN, missing };
+            SlcanStage::Waking { attempts, .. } if is_response => {
+                let missing = (2 * *attempts).saturating_sub(1);
+                self.stage = SlcanStage::Settling { until: now + SETTLE_TIMEOUT, missing };
             }
-            SlcanStage::Waking { since, .. } if now.since(*since) >= CHATTER_AFTER => {
-                // It has something to say, and no answer.
-                *since = now - WAKE_WITHIN;
+            SlcanStage::Waking { since, .. } if now.since(*since) >= UNSOLICITED_AFTER => {
+                // It sends lines, but does not respond.
+                *since = now - WAKE_TIMEOUT;
             }
             SlcanStage::Settling { until, missing } if is_response => {
                 *missing = missing.saturating_sub(1);
-                *until = if *missing == 0 { now } else { now + SETTLE_WITHIN };
+                *until = if *missing == 0 { now } else { now + SETTLE_TIMEOUT };
             }
             _ => {}
         }
-        self.responses |= is_no || word == Some(&AdapterReply::Yes);
+        self.responses |= is_nack || reply == Some(&AdapterReply::Ack);
     }
 
     /// The next command after `done`, of those that are wanted.
@@ -175,7 +173,7 @@ impl Slcan {
         let rate = self.settings.bitrate.and_then(rate_code).map(SetupCommand::Rate);
         let data_rate =
             self.settings.data_bitrate.and_then(data_rate_code).map(SetupCommand::DataRate);
-        // One who says nothing needs no name asked for.
+        // An adapter that does not respond has no serial number to read.
         let serial = self.responses.then_some(SetupCommand::Serial);
         let rank = |command: SetupCommand| match command {
             SetupCommand::Serial => 1,
@@ -208,7 +206,7 @@ impl Slcan {
             exchange.write(format!("{}\r", self.text(command)).as_bytes());
             if self.responses {
                 let wait =
-                    if command == SetupCommand::Serial { SERIAL_WITHIN } else { RESPONSE_TIMEOUT };
+                    if command == SetupCommand::Serial { SERIAL_TIMEOUT } else { RESPONSE_TIMEOUT };
                 self.stage = SlcanStage::Setting { command, until: now + wait };
                 return;
             }
@@ -216,9 +214,9 @@ impl Slcan {
         }
     }
 
-    fn refused(&mut self, now: Instant, command: SetupCommand, exchange: &mut ProtocolIo) {
+    fn handle_rejection(&mut self, now: Instant, command: SetupCommand, exchange: &mut ProtocolIo) {
         let text = self.text(command);
-        let why = match command {
+        let cause = match command {
             SetupCommand::Serial => return self.set(now, Some(command), exchange),
             SetupCommand::DataRate(_) => {
                 self.takes_fd = false;
@@ -235,14 +233,14 @@ impl Slcan {
             }
             SetupCommand::Open => format!("does not open ({text}); set a bit rate: @500000"),
         };
-        exchange.disconnect(Link::Down, format!("the adapter at {} {why}", self.device));
+        exchange.disconnect(Link::Down, format!("the adapter at {} {cause}", self.device));
     }
 
     fn enter_open(&mut self, now: Instant, exchange: &mut ProtocolIo) {
         self.stage = SlcanStage::Open;
         let confirmation = if self.responses { Confirmation::Unknown } else { Confirmation::Never };
         self.own.set_confirmation(confirmation);
-        let next = if self.responses { now } else { now + FLAGS_EVERY };
+        let next = if self.responses { now } else { now + FLAGS_PERIOD };
         self.flags = FlagPoll { wanted: true, next, ..FlagPoll::default() };
         self.is_troubled = false;
         let status = &mut exchange.status;
@@ -277,12 +275,12 @@ impl Slcan {
         parts.join("; ")
     }
 
-    // --- listening ---------------------------------------------------------------------------
+    // --- receiving ---------------------------------------------------------------------------
 
-    fn hear(&mut self, now: Instant, word: AdapterReply, exchange: &mut ProtocolIo) {
+    fn handle_reply(&mut self, now: Instant, reply: AdapterReply, exchange: &mut ProtocolIo) {
         self.readable += 1;
         exchange.status.unanswered = false;
-        match word {
+        match reply {
             AdapterReply::Frame(frame, stamp) => {
                 let time = stamp.map_or(now, |stamp| self.stamps.date(stamp, now));
                 exchange.status.fd |= frame.fd;
@@ -301,13 +299,13 @@ impl Slcan {
                     if name.starts_with('N') { &mut self.serial } else { &mut self.version };
                 *place = Some(name.chars().take(MAX_NAME).collect());
             }
-            AdapterReply::Yes | AdapterReply::Command => {}
+            AdapterReply::Ack | AdapterReply::Command => {}
         }
     }
 
     fn take_flags(&mut self, flags: Flags, exchange: &mut ProtocolIo) {
         let was_overrun = self.flags.last.is_some_and(Flags::is_overrun);
-        self.flags.asked = None;
+        self.flags.requested = None;
         self.flags.missing = 0;
         self.flags.last = Some(flags);
         // Asking clears the flags in Lawicel's adapters and not in all others: a flag that
@@ -327,7 +325,7 @@ impl Slcan {
         self.is_troubled = !matches!(state, BusState::ErrorActive | BusState::Unknown);
         let status = &mut exchange.status;
         status.state = state;
-        let what = match state {
+        let advice = match state {
             BusState::BusOff => {
                 "is bus-off: check wiring and bit rate, then restart descan or the adapter"
             }
@@ -340,13 +338,13 @@ impl Slcan {
                 return;
             }
         };
-        status.message = Some(format!("the adapter at {} {what}", self.device));
+        status.message = Some(format!("the adapter at {} {advice}", self.device));
     }
 
-    fn cannot_read(&mut self, exchange: &mut ProtocolIo) {
+    fn count_unreadable(&mut self, exchange: &mut ProtocolIo) {
         exchange.status.unreadable += 1;
         self.unreadable += 1;
-        if self.readable == 0 && self.unreadable == NO_SLCAN_AFTER {
+        if self.readable == 0 && self.unreadable == MAX_UNREADABLE_LINES {
             exchange.status.note =
                 Some(format!("{} does not speak slcan; check adapter and baud rate", self.device));
         }
@@ -359,7 +357,7 @@ impl Slcan {
 
     fn handle_nack(&mut self, now: Instant, exchange: &mut ProtocolIo) {
         let oldest = self.own.oldest_written();
-        let is_of_flags = self.flags.asked.is_some_and(|at| oldest.is_none_or(|own| at <= own));
+        let is_of_flags = self.flags.requested.is_some_and(|at| oldest.is_none_or(|own| at <= own));
         if !is_of_flags {
             if self.own.refuse_oldest() || self.own.confirmation() == Confirmation::Never {
                 exchange.status.transmit_failures += 1;
@@ -371,12 +369,12 @@ impl Slcan {
             self.open_again(now, exchange);
         } else {
             self.flags.wanted = false;
-            self.flags.asked = None;
+            self.flags.requested = None;
         }
     }
 
-    /// One who said nothing answers after all.
-    fn wakes_late(&mut self, now: Instant, exchange: &mut ProtocolIo) -> bool {
+    /// Opens the channel again at the first, late response of an adapter. Returns true if it does.
+    fn restart_on_late_response(&mut self, now: Instant, exchange: &mut ProtocolIo) -> bool {
         if self.responses || self.reopened || self.stage != SlcanStage::Open {
             return false;
         }
@@ -385,29 +383,29 @@ impl Slcan {
         true
     }
 
-    /// The same stream, from the beginning. The link stays as it is: it takes an instant.
+    /// Starts again on the same stream. The link does not change, because it takes milliseconds.
     fn open_again(&mut self, now: Instant, exchange: &mut ProtocolIo) {
         exchange.status.transmit_failures += self.own.clear();
         self.count_own(exchange);
         self.wake(now, exchange);
     }
 
-    fn ask_for_flags(&mut self, now: Instant, exchange: &mut ProtocolIo) {
-        if self.flags.asked.is_some() {
+    fn request_flags(&mut self, now: Instant, exchange: &mut ProtocolIo) {
+        if self.flags.requested.is_some() {
             self.flags.missing += 1;
-            if self.flags.missing == FLAGS_MISSING && self.responses {
+            if self.flags.missing == MAX_MISSING_FLAGS && self.responses {
                 if self.flags.last.is_some() {
                     return exchange
                         .disconnect(Link::Down, format!("no response from {}", self.device));
                 }
                 self.flags.wanted = false;
-                self.flags.asked = None;
+                self.flags.requested = None;
                 return;
             }
         }
         exchange.write(b"F\r");
-        self.flags.asked = Some(now);
-        self.flags.next = now + if self.responses { FLAGS_EVERY } else { PROBE_EVERY };
+        self.flags.requested = Some(now);
+        self.flags.next = now + if self.responses { FLAGS_PERIOD } else { PROBE_PERIOD };
     }
 
     /// Returns true if no timeout applies to frames sent by descan: without an acknowledgement the
@@ -434,42 +432,43 @@ impl Protocol for Slcan {
         let mut splitter = std::mem::take(&mut self.splitter);
         splitter.feed(bytes, |piece| {
             let is_open = self.stage == SlcanStage::Open;
-            let word = match piece {
+            let reply = match piece {
                 LinePiece::Line(line) => match parse(line) {
-                    // Some answer V with any text.
+                    // Some adapters respond to V with any text.
                     None if !is_open => name(line).map(AdapterReply::Name),
-                    word => word,
+                    reply => reply,
                 },
-                LinePiece::No | LinePiece::Unreadable => None,
+                LinePiece::Nack | LinePiece::Unreadable => None,
             };
-            let is_no = piece == LinePiece::No;
+            let is_nack = piece == LinePiece::Nack;
             if is_open
-                && (is_no || matches!(word, Some(AdapterReply::Yes | AdapterReply::Flags(_))))
-                && self.wakes_late(now, exchange)
+                && (is_nack || matches!(reply, Some(AdapterReply::Ack | AdapterReply::Flags(_))))
+                && self.restart_on_late_response(now, exchange)
             {
                 return;
             }
             match self.stage {
-                SlcanStage::Open if is_no => self.handle_nack(now, exchange),
-                SlcanStage::Open if word == Some(AdapterReply::Yes) => {
+                SlcanStage::Open if is_nack => self.handle_nack(now, exchange),
+                SlcanStage::Open if reply == Some(AdapterReply::Ack) => {
                     self.handle_ack(now, exchange)
                 }
                 SlcanStage::Open => {}
-                SlcanStage::Setting { command, .. } if is_no => {
-                    self.refused(now, command, exchange)
+                SlcanStage::Setting { command, .. } if is_nack => {
+                    self.handle_rejection(now, command, exchange)
                 }
                 SlcanStage::Setting { command, .. } => {
-                    let is_name = matches!(word, Some(AdapterReply::Name(_)));
-                    if word == Some(AdapterReply::Yes) || command == SetupCommand::Serial && is_name
+                    let is_name = matches!(reply, Some(AdapterReply::Name(_)));
+                    if reply == Some(AdapterReply::Ack)
+                        || command == SetupCommand::Serial && is_name
                     {
                         self.set(now, Some(command), exchange);
                     }
                 }
-                _ => self.process_while_waking(now, word.as_ref(), is_no),
+                _ => self.process_while_waking(now, reply.as_ref(), is_nack),
             }
-            match word {
-                Some(word) => self.hear(now, word, exchange),
-                None if !is_no => self.cannot_read(exchange),
+            match reply {
+                Some(reply) => self.handle_reply(now, reply, exchange),
+                None if !is_nack => self.count_unreadable(exchange),
                 None => {}
             }
         });
@@ -483,11 +482,14 @@ impl Protocol for Slcan {
 
     fn handle_timeout(&mut self, now: Instant, exchange: &mut ProtocolIo) {
         match self.stage {
-            SlcanStage::Waking { since, .. } if now.since(since) >= WAKE_WITHIN => {
+            SlcanStage::Waking { since, .. } if now.since(since) >= WAKE_TIMEOUT => {
                 self.set(now, None, exchange);
             }
-            SlcanStage::Waking { since, knocked, knocks } if now.since(knocked) >= WAKE_RETRY => {
-                self.stage = SlcanStage::Waking { since, knocked: now, knocks: knocks + 1 };
+            SlcanStage::Waking { since, last_attempt, attempts }
+                if now.since(last_attempt) >= WAKE_RETRY =>
+            {
+                self.stage =
+                    SlcanStage::Waking { since, last_attempt: now, attempts: attempts + 1 };
                 exchange.write(b"C\rV\r");
             }
             SlcanStage::Settling { until, .. } if now >= until => self.set(now, None, exchange),
@@ -504,15 +506,15 @@ impl Protocol for Slcan {
                 self.count_own(exchange);
             }
             if self.flags.wanted && now >= self.flags.next {
-                self.ask_for_flags(now, exchange);
+                self.request_flags(now, exchange);
             }
         }
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
         match self.stage {
-            SlcanStage::Waking { since, knocked, .. } => {
-                Some((since + WAKE_WITHIN).min(knocked + WAKE_RETRY))
+            SlcanStage::Waking { since, last_attempt, .. } => {
+                Some((since + WAKE_TIMEOUT).min(last_attempt + WAKE_RETRY))
             }
             SlcanStage::Settling { until, .. } | SlcanStage::Setting { until, .. } => Some(until),
             SlcanStage::Open => {
@@ -620,40 +622,40 @@ mod tests {
         }
     }
 
-    struct Talk {
+    struct SlcanTest {
         slcan: Slcan,
         exchange: ProtocolIo,
     }
 
-    impl Talk {
+    impl SlcanTest {
         fn begin(settings: SlcanSettings) -> Self {
-            let mut talk =
+            let mut test =
                 Self { slcan: Slcan::new("dev", settings), exchange: ProtocolIo::default() };
-            talk.slcan.begin(at(0), &mut talk.exchange);
-            talk
+            test.slcan.begin(at(0), &mut test.exchange);
+            test
         }
 
-        fn hear(&mut self, millis: u64, bytes: &[u8]) -> String {
+        fn handle_reply(&mut self, millis: u64, bytes: &[u8]) -> String {
             self.slcan.handle_input(at(millis), bytes, &mut self.exchange);
-            self.said()
+            self.sent()
         }
 
         /// Lets time pass, by the dialogue's own deadlines.
         fn pass(&mut self, until: u64) -> String {
-            let mut said = String::new();
+            let mut sent = String::new();
             while self.exchange.broken.is_none()
                 && let Some(due) = self.slcan.poll_timeout().filter(|due| *due <= at(until))
             {
                 self.slcan.handle_timeout(due, &mut self.exchange);
-                said += &self.said();
+                sent += &self.sent();
                 let next = self.slcan.poll_timeout();
                 let is_later = next.is_none_or(|next| next > due);
                 assert!(is_later || self.exchange.broken.is_some(), "{next:?} after {due:?}");
             }
-            said
+            sent
         }
 
-        fn said(&mut self) -> String {
+        fn sent(&mut self) -> String {
             String::from_utf8(self.exchange.take_output()).unwrap().replace('\r', ".")
         }
     }
@@ -661,124 +663,124 @@ mod tests {
     #[test]
     fn one_who_answers_is_asked_step_by_step() {
         let settings = SlcanSettings { bitrate: Some(500_000), ..SlcanSettings::default() };
-        let mut talk = Talk::begin(settings);
-        assert_eq!(talk.said(), "C.V.");
-        assert_eq!(talk.hear(3, b"\x07"), "");
-        assert_eq!(talk.hear(5, b"V1013\r"), "");
-        assert_eq!(talk.pass(5), "N.");
-        assert_eq!(talk.hear(7, b"NA123\r"), "S6.");
-        assert_eq!(talk.hear(9, b"\r"), "O.");
-        assert_eq!(talk.hear(11, b"\r"), "");
-        assert_eq!(talk.exchange.status.link, Link::Up);
-        assert_eq!(talk.exchange.status.note.as_deref(), Some("adapter: V1013 NA123"));
-        assert_eq!(talk.pass(11), "F.");
-        talk.hear(13, b"F20\r");
-        assert_eq!(talk.exchange.status.state, BusState::ErrorPassive);
+        let mut test = SlcanTest::begin(settings);
+        assert_eq!(test.sent(), "C.V.");
+        assert_eq!(test.handle_reply(3, b"\x07"), "");
+        assert_eq!(test.handle_reply(5, b"V1013\r"), "");
+        assert_eq!(test.pass(5), "N.");
+        assert_eq!(test.handle_reply(7, b"NA123\r"), "S6.");
+        assert_eq!(test.handle_reply(9, b"\r"), "O.");
+        assert_eq!(test.handle_reply(11, b"\r"), "");
+        assert_eq!(test.exchange.status.link, Link::Up);
+        assert_eq!(test.exchange.status.note.as_deref(), Some("adapter: V1013 NA123"));
+        assert_eq!(test.pass(11), "F.");
+        test.handle_reply(13, b"F20\r");
+        assert_eq!(test.exchange.status.state, BusState::ErrorPassive);
     }
 
     #[test]
     fn late_answers_to_the_knocking_are_not_taken_for_answers_to_what_follows() {
         let settings = SlcanSettings { bitrate: Some(500_000), ..SlcanSettings::default() };
-        let mut talk = Talk::begin(settings);
-        talk.said();
-        assert_eq!(talk.pass(500), "C.V.C.V.");
-        talk.hear(550, b"\x07V1013\r");
-        assert_eq!(talk.pass(600), "");
-        talk.hear(600, b"\x07V1013\r\x07");
-        assert_eq!(talk.pass(700), "");
-        talk.hear(700, b"V1013\r");
-        assert_eq!(talk.pass(700), "N.");
+        let mut test = SlcanTest::begin(settings);
+        test.sent();
+        assert_eq!(test.pass(500), "C.V.C.V.");
+        test.handle_reply(550, b"\x07V1013\r");
+        assert_eq!(test.pass(600), "");
+        test.handle_reply(600, b"\x07V1013\r\x07");
+        assert_eq!(test.pass(700), "");
+        test.handle_reply(700, b"V1013\r");
+        assert_eq!(test.pass(700), "N.");
         // The last of them may stay out.
-        let mut talk = Talk::begin(settings);
-        talk.said();
-        talk.hear(5, b"\x07");
-        assert_eq!(talk.pass(254), "");
-        assert_eq!(talk.pass(255), "N.");
+        let mut test = SlcanTest::begin(settings);
+        test.sent();
+        test.handle_reply(5, b"\x07");
+        assert_eq!(test.pass(254), "");
+        assert_eq!(test.pass(255), "N.");
     }
 
     #[test]
     fn one_who_says_nothing_is_open_after_a_while() {
         let settings =
             SlcanSettings { bitrate: Some(125_000), listen_only: true, ..SlcanSettings::default() };
-        let mut talk = Talk::begin(settings);
-        assert_eq!(talk.said(), "C.V.");
-        assert_eq!(talk.pass(1_199), "C.V.".repeat(5));
-        assert_eq!(talk.pass(1_200), "S4.L.");
-        assert_eq!(talk.exchange.status.link, Link::Up);
+        let mut test = SlcanTest::begin(settings);
+        assert_eq!(test.sent(), "C.V.");
+        assert_eq!(test.pass(1_199), "C.V.".repeat(5));
+        assert_eq!(test.pass(1_200), "S4.L.");
+        assert_eq!(test.exchange.status.link, Link::Up);
         // It is asked again now and then, and begins anew when it answers.
-        assert_eq!(talk.pass(7_200), "F.F.");
-        assert_eq!(talk.hear(7_300, b"\x07"), "C.V.");
-        talk.hear(7_301, b"\r\r");
-        assert_eq!(talk.pass(7_301), "N.");
+        assert_eq!(test.pass(7_200), "F.F.");
+        assert_eq!(test.handle_reply(7_300, b"\x07"), "C.V.");
+        test.handle_reply(7_301, b"\r\r");
+        assert_eq!(test.pass(7_301), "N.");
     }
 
     #[test]
     fn one_who_stops_answering_is_away() {
-        let mut talk = Talk::begin(SlcanSettings::default());
-        talk.hear(1, b"\r\r");
-        talk.pass(1);
-        talk.hear(2, b"\r");
-        talk.hear(3, b"\r");
-        talk.pass(3);
-        talk.hear(4, b"F00\r");
-        assert_eq!(talk.exchange.broken, None);
-        talk.pass(10_000);
-        assert_eq!(talk.exchange.broken.as_ref().map(|away| away.link), Some(Link::Down));
+        let mut test = SlcanTest::begin(SlcanSettings::default());
+        test.handle_reply(1, b"\r\r");
+        test.pass(1);
+        test.handle_reply(2, b"\r");
+        test.handle_reply(3, b"\r");
+        test.pass(3);
+        test.handle_reply(4, b"F00\r");
+        assert_eq!(test.exchange.broken, None);
+        test.pass(10_000);
+        assert_eq!(test.exchange.broken.as_ref().map(|away| away.link), Some(Link::Down));
     }
 
     #[test]
     fn one_that_was_switched_off_and_on_is_opened_again() {
-        let mut talk = Talk::begin(SlcanSettings::default());
-        talk.hear(1, b"\r\r");
-        talk.pass(1);
-        talk.hear(2, b"\r");
-        talk.hear(3, b"\r");
-        talk.pass(3);
-        talk.hear(4, b"F00\r");
-        assert_eq!(talk.pass(1_003), "F.");
-        assert_eq!(talk.hear(1_005, b"\x07"), "C.V.");
+        let mut test = SlcanTest::begin(SlcanSettings::default());
+        test.handle_reply(1, b"\r\r");
+        test.pass(1);
+        test.handle_reply(2, b"\r");
+        test.handle_reply(3, b"\r");
+        test.pass(3);
+        test.handle_reply(4, b"F00\r");
+        assert_eq!(test.pass(1_003), "F.");
+        assert_eq!(test.handle_reply(1_005, b"\x07"), "C.V.");
     }
 
     #[test]
     fn error_passive_without_acknowledge_has_only_the_flags_due() {
-        let mut talk = Talk::begin(SlcanSettings::default());
-        talk.hear(1, b"\r\r");
-        talk.pass(1);
-        talk.hear(2, b"\r");
-        talk.hear(3, b"\r");
-        talk.pass(3);
-        talk.hear(4, b"F20\r");
-        talk.slcan.send(at(10), &Frame::classic(1, &[]), &mut talk.exchange);
-        let end = talk.exchange.write(b"");
-        talk.slcan.handle_written(at(10), end, &mut talk.exchange);
-        talk.said();
-        assert_eq!(talk.pass(1_002), "");
-        assert_eq!(talk.slcan.poll_timeout(), Some(at(1_003)));
-        assert_eq!((talk.exchange.frames.len(), talk.exchange.status.unconfirmed), (0, 1));
+        let mut test = SlcanTest::begin(SlcanSettings::default());
+        test.handle_reply(1, b"\r\r");
+        test.pass(1);
+        test.handle_reply(2, b"\r");
+        test.handle_reply(3, b"\r");
+        test.pass(3);
+        test.handle_reply(4, b"F20\r");
+        test.slcan.send(at(10), &Frame::classic(1, &[]), &mut test.exchange);
+        let end = test.exchange.write(b"");
+        test.slcan.handle_written(at(10), end, &mut test.exchange);
+        test.sent();
+        assert_eq!(test.pass(1_002), "");
+        assert_eq!(test.slcan.poll_timeout(), Some(at(1_003)));
+        assert_eq!((test.exchange.frames.len(), test.exchange.status.unconfirmed), (0, 1));
         // Error-active again: without acknowledgements the frame counts as sent.
-        assert_eq!(talk.pass(1_003), "F.");
-        talk.hear(1_004, b"F00\r");
-        talk.pass(1_004);
-        assert_eq!((talk.exchange.frames.len(), talk.exchange.status.unconfirmed), (1, 0));
+        assert_eq!(test.pass(1_003), "F.");
+        test.handle_reply(1_004, b"F00\r");
+        test.pass(1_004);
+        assert_eq!((test.exchange.frames.len(), test.exchange.status.unconfirmed), (1, 0));
     }
 
     #[test]
     fn any_bytes_at_any_time_are_taken() {
         for seed in 0..300 {
             let mut random = fastrand::Rng::with_seed(seed);
-            let mut talk = Talk::begin(SlcanSettings::default());
+            let mut test = SlcanTest::begin(SlcanSettings::default());
             for step in 0..200 {
                 let alphabet = b"\r\x07zZtTFVNs0123456789ab\xFF";
                 let bytes: Vec<u8> = (0..random.usize(0..20))
                     .filter_map(|_| random.choice(alphabet).copied())
                     .collect();
-                talk.hear(step * 50, &bytes);
-                talk.slcan.send(at(step * 50), &Frame::classic(1, &[]), &mut talk.exchange);
-                let end = talk.exchange.write(b"");
-                talk.slcan.handle_written(at(step * 50), end, &mut talk.exchange);
-                talk.pass(step * 50);
+                test.handle_reply(step * 50, &bytes);
+                test.slcan.send(at(step * 50), &Frame::classic(1, &[]), &mut test.exchange);
+                let end = test.exchange.write(b"");
+                test.slcan.handle_written(at(step * 50), end, &mut test.exchange);
+                test.pass(step * 50);
             }
-            assert!(talk.exchange.status.unreadable > 0);
+            assert!(test.exchange.status.unreadable > 0);
         }
     }
 }

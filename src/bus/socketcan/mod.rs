@@ -32,17 +32,17 @@ use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
 /// How often to look for an interface that is not there, and at one that is.
-const LOOK_EVERY: Duration = Duration::from_secs(1);
+const REFRESH_PERIOD: Duration = Duration::from_secs(1);
 /// The least time between two looks: error reports can come by the thousand.
-const LOOK_AT_MOST_EVERY: Duration = Duration::from_millis(100);
+const MIN_REFRESH_INTERVAL: Duration = Duration::from_millis(100);
 /// The longest nap while frames gather. Wake-ups are what reading costs, not system calls.
 /// Short beside what anybody waits for here: answers are collected for 60 ms at the least, and a
 /// heartbeat is missed 30 ms after its time at the soonest.
-const LONGEST_NAP: Duration = Duration::from_millis(20);
+const MAX_BATCH_DELAY: Duration = Duration::from_millis(20);
 /// How long to wait before a frame is offered again that the kernel had no room for, and for
 /// how long to do so. A full 125 kbit/s bus moves a frame on each millisecond.
-const RETRY_EVERY: Duration = Duration::from_millis(2);
-const RETRY_FOR: Duration = Duration::from_millis(500);
+const RETRY_INTERVAL: Duration = Duration::from_millis(2);
+const RETRY_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// Opens the interface; its status is known at once.
 pub(super) fn open(interface: &str, request: OpenRequest) -> Result<Port, OpenError> {
@@ -52,33 +52,34 @@ pub(super) fn open(interface: &str, request: OpenRequest) -> Result<Port, OpenEr
 
 fn start(name: &str, request: OpenRequest) -> io::Result<Port> {
     let OpenRequest { index, clock, options, .. } = request;
-    let line = Arc::new(PortShared::new()?);
-    line.queue.add_name(name);
-    line.queue.update_status(|status| status.filtered = !options.only.is_empty());
-    let watch = Arc::new(InterfaceMonitor { name: name.to_owned(), ..InterfaceMonitor::default() });
+    let shared = Arc::new(PortShared::new()?);
+    shared.queue.add_name(name);
+    shared.queue.update_status(|status| status.filtered = !options.only.is_empty());
+    let monitor =
+        Arc::new(InterfaceMonitor { name: name.to_owned(), ..InterfaceMonitor::default() });
     let mut reader = SocketReader {
-        line: Arc::clone(&line),
-        watch: Arc::clone(&watch),
+        shared: Arc::clone(&shared),
+        monitor: Arc::clone(&monitor),
         bus: index,
-        dating: RxTimestamps::new(clock),
+        timestamps: RxTimestamps::new(clock),
         drops_before: 0,
-        told: (0, 0),
-        was_there: false,
+        reported: (0, 0),
+        was_up: false,
         only: options.only,
-        tx: TxQueue::new(Arc::clone(&line), RETRY_FOR),
+        tx: TxQueue::new(Arc::clone(&shared), RETRY_TIMEOUT),
         is_full: false,
     };
     let socket = reader.find();
-    watch.refresh(&line, PendingReport::default());
-    let mut port = Port::new(name, line, options.listen_only);
-    port.serve(move |line| {
-        let _release = ObserverRelease(Arc::clone(&reader.watch));
+    monitor.refresh(&shared, PendingReport::default());
+    let mut port = Port::new(name, shared, options.listen_only);
+    port.serve(move |shared| {
+        let _release = ObserverRelease(Arc::clone(&reader.monitor));
         if let Err(error) = reader.run(socket) {
-            let message = format!("cannot read {}: {error}", reader.watch.name);
-            line.queue.finish(Link::Failed, message);
+            let message = format!("cannot read {}: {error}", reader.monitor.name);
+            shared.queue.finish(Link::Failed, message);
         }
     })?;
-    port.serve(move |line| watch.run(line))?;
+    port.serve(move |shared| monitor.run(shared))?;
     Ok(port)
 }
 
@@ -90,15 +91,15 @@ struct InterfaceMonitor {
     ifindex: AtomicU32,
     /// Down, as far as is known.
     is_down: AtomicBool,
-    nudge: Mutex<MonitorRequest>,
-    nudged: Condvar,
+    request: Mutex<MonitorRequest>,
+    requested: Condvar,
 }
 
 #[derive(Debug, Default)]
 struct MonitorRequest {
-    look: bool,
+    refresh: bool,
     stop: bool,
-    noticed: PendingReport,
+    pending: PendingReport,
 }
 
 /// What the reader noticed, and is to be told together with how the interface is then: it may be
@@ -112,64 +113,66 @@ struct PendingReport {
 }
 
 impl InterfaceMonitor {
-    fn nudge(&self, change: impl FnOnce(&mut MonitorRequest)) {
-        change(&mut self.nudge.lock().unwrap_or_else(PoisonError::into_inner));
-        self.nudged.notify_one();
+    fn request(&self, change: impl FnOnce(&mut MonitorRequest)) {
+        change(&mut self.request.lock().unwrap_or_else(PoisonError::into_inner));
+        self.requested.notify_one();
     }
 
     /// The observer.
-    fn run(&self, line: &PortShared) {
-        let mut nudge = self.nudge.lock().unwrap_or_else(PoisonError::into_inner);
-        while !nudge.stop {
-            (nudge, _) = self
-                .nudged
-                .wait_timeout_while(nudge, LOOK_EVERY, |nudge| !nudge.look && !nudge.stop)
+    fn run(&self, shared: &PortShared) {
+        let mut request = self.request.lock().unwrap_or_else(PoisonError::into_inner);
+        while !request.stop {
+            (request, _) = self
+                .requested
+                .wait_timeout_while(request, REFRESH_PERIOD, |request| {
+                    !request.refresh && !request.stop
+                })
                 .unwrap_or_else(PoisonError::into_inner);
-            nudge.look = false;
-            drop(nudge);
-            self.look_now(line);
-            nudge = self.nudge.lock().unwrap_or_else(PoisonError::into_inner);
-            (nudge, _) = self
-                .nudged
-                .wait_timeout_while(nudge, LOOK_AT_MOST_EVERY, |nudge| !nudge.stop)
+            request.refresh = false;
+            drop(request);
+            self.refresh_now(shared);
+            request = self.request.lock().unwrap_or_else(PoisonError::into_inner);
+            (request, _) = self
+                .requested
+                .wait_timeout_while(request, MIN_REFRESH_INTERVAL, |request| !request.stop)
                 .unwrap_or_else(PoisonError::into_inner);
         }
     }
 
     /// Looks at once, where the observer may take up to a second.
-    fn look_now(&self, line: &PortShared) {
-        let mut nudge = self.nudge.lock().unwrap_or_else(PoisonError::into_inner);
-        let noticed = std::mem::take(&mut nudge.noticed);
-        drop(nudge);
-        let untold = self.refresh(line, noticed);
-        let mut nudge = self.nudge.lock().unwrap_or_else(PoisonError::into_inner);
-        nudge.noticed.outage |= untold.outage;
-        nudge.noticed.bus_offs += untold.bus_offs;
+    fn refresh_now(&self, shared: &PortShared) {
+        let mut request = self.request.lock().unwrap_or_else(PoisonError::into_inner);
+        let pending = std::mem::take(&mut request.pending);
+        drop(request);
+        let unreported = self.refresh(shared, pending);
+        let mut request = self.request.lock().unwrap_or_else(PoisonError::into_inner);
+        request.pending.outage |= unreported.outage;
+        request.pending.bus_offs += unreported.bus_offs;
     }
 
     /// Looks once, and says in the status what there is, and what was noticed; gives back what
     /// could not be said yet.
-    fn refresh(&self, line: &PortShared, mut noticed: PendingReport) -> PendingReport {
+    fn refresh(&self, shared: &PortShared, mut pending: PendingReport) -> PendingReport {
         let ifindex = self.ifindex.load(Ordering::Acquire);
         if ifindex == 0 {
-            return noticed;
+            return pending;
         }
-        let Ok(facts) = LinkInfo::of(ifindex) else { return noticed };
+        let Ok(facts) = LinkInfo::of(ifindex) else { return pending };
         // Renamed, it is the same wire with the same devices: commands need the name of now.
         let name = facts.name.as_deref().unwrap_or(&self.name);
         let (message, note) = (facts.advice(name), facts.note(name));
         let renamed = (name != self.name).then(|| name.to_owned());
-        line.queue.update_status(|status| {
+        shared.queue.update_status(|status| {
             // The reader may have lost the interface while we asked.
             if self.ifindex.load(Ordering::Acquire) != ifindex {
                 return;
             }
             if facts.up {
                 let was_down = matches!(status.link, Link::Down | Link::Unplugged);
-                status.outages += u64::from(was_down || noticed.outage);
-                noticed.outage = false;
+                status.outages += u64::from(was_down || pending.outage);
+                pending.outage = false;
             }
-            status.bus_offs += std::mem::take(&mut noticed.bus_offs);
+            status.bus_offs += std::mem::take(&mut pending.bus_offs);
             status.link = if facts.up { Link::Up } else { Link::Down };
             self.is_down.store(!facts.up, Ordering::Release);
             status.set_facts(&facts);
@@ -177,7 +180,7 @@ impl InterfaceMonitor {
             status.message = message;
             status.note = note;
         });
-        noticed
+        pending
     }
 }
 
@@ -201,22 +204,22 @@ struct ObserverRelease(Arc<InterfaceMonitor>);
 
 impl Drop for ObserverRelease {
     fn drop(&mut self) {
-        self.0.nudge(|nudge| nudge.stop = true);
+        self.0.request(|request| request.stop = true);
     }
 }
 
 /// The reader.
 struct SocketReader {
-    line: Arc<PortShared>,
-    watch: Arc<InterfaceMonitor>,
+    shared: Arc<PortShared>,
+    monitor: Arc<InterfaceMonitor>,
     bus: BusIndex,
-    dating: RxTimestamps,
+    timestamps: RxTimestamps,
     /// Kernel drops of sockets that were closed since.
     drops_before: u64,
     /// The kernel drops and the frames under way that the status has.
-    told: (u64, u64),
+    reported: (u64, u64),
     /// Whether the interface was ever there: then its absence means unplugged.
-    was_there: bool,
+    was_up: bool,
     /// The only identifiers of interest; none: all.
     only: Vec<IdPattern>,
     /// Frames to send.
@@ -228,13 +231,13 @@ struct SocketReader {
 impl SocketReader {
     /// Serves the line until the port is dropped.
     fn run(&mut self, mut found: Option<RawSocket>) -> io::Result<()> {
-        while !self.line.is_stopped() {
+        while !self.shared.is_stopped() {
             let Some(socket) = found.take().or_else(|| self.find()) else {
-                self.refuse_posted();
-                self.line.wait(None, Some(LOOK_EVERY))?;
+                self.drop_pending();
+                self.shared.wait(None, Some(REFRESH_PERIOD))?;
                 continue;
             };
-            self.watch.nudge(|nudge| nudge.look = true);
+            self.monitor.request(|request| request.refresh = true);
             self.serve(socket)?;
         }
         Ok(())
@@ -242,32 +245,32 @@ impl SocketReader {
 
     /// Opens the interface if it is there; says in the status if it is not.
     fn find(&mut self) -> Option<RawSocket> {
-        let name = &self.watch.name;
+        let name = &self.monitor.name;
         let opened = match if_nametoindex(name.as_str()) {
             Ok(_) if !is_can(name) => Err((Link::NotCan, format!("{name} is not a CAN interface"))),
             Ok(ifindex) => match RawSocket::open(ifindex, &self.only) {
                 Ok(socket) => Ok((ifindex, socket)),
                 Err(error) => Err(self.cannot_open(&error)),
             },
-            Err(_) if self.was_there => {
+            Err(_) if self.was_up => {
                 Err((Link::Unplugged, format!("{name} unplugged: plug it in again")))
             }
             Err(_) => Err((Link::Missing, advice_missing(name))),
         };
         match opened {
             Ok((ifindex, socket)) => {
-                if self.was_there {
+                if self.was_up {
                     // It may be back before anybody was told that it was gone.
-                    self.watch.nudge(|nudge| nudge.noticed.outage = true);
+                    self.monitor.request(|request| request.pending.outage = true);
                 }
-                self.was_there = true;
+                self.was_up = true;
                 let buffer = socket.receive_buffer();
-                self.line.queue.update_status(|status| status.receive_buffer = buffer);
-                self.watch.ifindex.store(ifindex, Ordering::Release);
+                self.shared.queue.update_status(|status| status.receive_buffer = buffer);
+                self.monitor.ifindex.store(ifindex, Ordering::Release);
                 Some(socket)
             }
             Err((link, message)) => {
-                self.line.queue.update_status(|status| {
+                self.shared.queue.update_status(|status| {
                     status.link = link;
                     status.set_facts(&LinkInfo { state: BusState::Down, ..LinkInfo::default() });
                     status.unconfirmed = 0;
@@ -280,7 +283,7 @@ impl SocketReader {
     }
 
     fn cannot_open(&self, error: &io::Error) -> (Link, String) {
-        let name = &self.watch.name;
+        let name = &self.monitor.name;
         match errno(error) {
             Errno::ENODEV | Errno::ENXIO => (Link::Missing, advice_missing(name)),
             Errno::EAFNOSUPPORT | Errno::EPROTONOSUPPORT => (
@@ -298,16 +301,16 @@ impl SocketReader {
         let mut last_arrival = Instant::ZERO;
         // A quarter of what the receive buffer holds may gather.
         let room = socket.capacity() / 4;
-        while !self.line.is_stopped() {
+        while !self.shared.is_stopped() {
             batch.clear();
             let mut is_gone = false;
             if let Err(error) = socket.read(&mut batch) {
                 match errno(&error) {
                     Errno::ENETDOWN => {
                         socket.forget_unconfirmed();
-                        self.watch.nudge(|nudge| {
-                            nudge.look = true;
-                            nudge.noticed.outage = true;
+                        self.monitor.request(|request| {
+                            request.refresh = true;
+                            request.pending.outage = true;
                         });
                     }
                     Errno::ENODEV | Errno::ENXIO => is_gone = true,
@@ -318,28 +321,30 @@ impl SocketReader {
             // As soon as the buffer is empty: what is read before a frame of ours comes back is read
             // one by one.
             if !is_gone {
-                self.send_posted(&mut socket);
+                self.send_pending(&mut socket);
             }
             self.deliver(&batch, &mut frames, &socket);
             if is_gone {
                 break;
             }
             if batch.is_empty() {
-                self.line.wait(Some(socket.as_fd()), self.retry_wait())?;
+                self.shared.wait(Some(socket.as_fd()), self.retry_wait())?;
             } else {
                 // By the frames' own times: clocks are not read more often than needed.
                 let newest = frames.last().map_or(last_arrival, |frame| frame.time);
-                let nap = nap(newest.since(last_arrival), batch.len() as u32, room);
+                let batch_delay = batch_delay(newest.since(last_arrival), batch.len() as u32, room);
                 last_arrival = newest;
-                if let Some(nap) = nap {
-                    self.line
-                        .wait(None, Some(self.retry_wait().map_or(nap, |wait| wait.min(nap))))?;
+                if let Some(batch_delay) = batch_delay {
+                    self.shared.wait(
+                        None,
+                        Some(self.retry_wait().map_or(batch_delay, |wait| wait.min(batch_delay))),
+                    )?;
                 }
             }
         }
         socket.query_drops();
         self.drops_before += socket.drops();
-        self.watch.ifindex.store(0, Ordering::Release);
+        self.monitor.ifindex.store(0, Ordering::Release);
         Ok(())
     }
 
@@ -348,38 +353,38 @@ impl SocketReader {
         let mut reports = ErrorFrameSummary::default();
         frames.clear();
         if !batch.is_empty() {
-            self.dating.read_clocks();
+            self.timestamps.read_clocks();
         }
         for received in batch {
-            let time = self.dating.date(received.stamp_micros);
+            let time = self.timestamps.date(received.stamp_micros);
             let frame = received.frame.with_time(time).with_bus(self.bus);
             reports.note(&frame);
             frames.push(frame);
         }
-        if !frames.is_empty() && self.watch.is_down.load(Ordering::Acquire) {
-            self.watch.look_now(&self.line);
+        if !frames.is_empty() && self.monitor.is_down.load(Ordering::Acquire) {
+            self.monitor.refresh_now(&self.shared);
         }
-        let told = (self.drops_before + socket.drops(), socket.unconfirmed());
-        if told != self.told || reports.total > 0 {
-            self.told = told;
-            self.line.queue.update_status(|status| {
-                (status.kernel_drops, status.unconfirmed) = told;
+        let reported = (self.drops_before + socket.drops(), socket.unconfirmed());
+        if reported != self.reported || reports.total > 0 {
+            self.reported = reported;
+            self.shared.queue.update_status(|status| {
+                (status.kernel_drops, status.unconfirmed) = reported;
                 status.missing_acks += reports.missing_acks;
                 status.controller_overruns += reports.overruns;
             });
         }
         if !frames.is_empty() {
-            self.line.queue.push(frames);
+            self.shared.queue.push(frames);
         }
         if reports.total > 0 {
-            self.watch.nudge(|nudge| {
-                nudge.look = true;
-                nudge.noticed.bus_offs += reports.bus_offs;
+            self.monitor.request(|request| {
+                request.refresh = true;
+                request.pending.bus_offs += reports.bus_offs;
             });
         }
     }
 
-    fn send_posted(&mut self, socket: &mut RawSocket) {
+    fn send_pending(&mut self, socket: &mut RawSocket) {
         let report = self.tx.transmit(|frame| match socket.send(frame) {
             Ok(()) => TxAttempt::Sent,
             Err(error) if matches!(errno(&error), Errno::ENOBUFS | Errno::EAGAIN) => {
@@ -389,7 +394,7 @@ impl SocketReader {
         });
         let is_full = report.is_full.unwrap_or(self.is_full);
         if std::mem::replace(&mut self.is_full, is_full) != is_full || report.failures > 0 {
-            self.line.queue.update_status(|status| {
+            self.shared.queue.update_status(|status| {
                 status.transmit_failures += report.failures;
                 status.is_transmit_queue_full = is_full;
             });
@@ -398,13 +403,13 @@ impl SocketReader {
 
     /// How soon to offer a frame again for which the kernel had no room.
     fn retry_wait(&self) -> Option<Duration> {
-        self.tx.time_left().map(|_| RETRY_EVERY)
+        self.tx.time_left().map(|_| RETRY_INTERVAL)
     }
 
-    fn refuse_posted(&mut self) {
+    fn drop_pending(&mut self) {
         let refused = self.tx.clear();
         self.is_full = false;
-        self.line.queue.update_status(|status| {
+        self.shared.queue.update_status(|status| {
             status.transmit_failures += refused;
             status.is_transmit_queue_full = false;
         });
@@ -413,12 +418,12 @@ impl SocketReader {
 
 /// How long to let frames gather: none if the bus is quiet (the next frame wakes us), shorter
 /// the faster they come, so that at most `room` do.
-fn nap(since_last: Duration, count: u32, room: u32) -> Option<Duration> {
-    if since_last > LONGEST_NAP && count < 2 {
+fn batch_delay(since_last: Duration, count: u32, room: u32) -> Option<Duration> {
+    if since_last > MAX_BATCH_DELAY && count < 2 {
         return None;
     }
-    let nap = LONGEST_NAP.min(since_last.saturating_mul(room) / count.max(1));
-    (nap >= Duration::from_millis(1)).then_some(nap)
+    let batch_delay = MAX_BATCH_DELAY.min(since_last.saturating_mul(room) / count.max(1));
+    (batch_delay >= Duration::from_millis(1)).then_some(batch_delay)
 }
 
 /// What a batch's error reports (`linux/can/error.h`) say that is counted here.

@@ -1,30 +1,29 @@
-//! The messages of socketcand: words between `<` and `>`.
+//! socketcand syntax: messages of words between `<` and `>`.
 //!
-//! Pure: bytes in, values out, and back. Whatever cannot be read is `None`; nothing panics.
+//! Pure: bytes in, values out, and back. A message that cannot be read is `None`; nothing panics.
 
 use crate::frame::{CanId, Frame, FrameKind};
 use crate::text::printable;
 
-/// The longest message that is kept. A frame has at most 70 bytes; what a server says of an
-/// error can be longer.
+/// Longest message that is read, in bytes. A frame has at most 70; an error can be longer.
 const MAX_MESSAGE: usize = 256;
 
-/// What a server says.
+/// A message from a server.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum ServerMessage {
     /// The greeting.
     Hi,
-    /// Yes, to what was asked last.
+    /// Positive response to the last command.
     Ok,
-    /// It is still there.
+    /// Response to `< echo >`.
     Echo,
-    /// A frame of any kind, and when by the server's clock, in microseconds.
+    /// A frame of any kind, with the time of the server's clock in microseconds.
     Frame(Frame, Option<i64>),
-    /// No, and why, printable.
+    /// Negative response; the cause, printable.
     Error(String),
 }
 
-/// Reads what stands between the brackets.
+/// Decodes what stands between the brackets.
 pub(super) fn parse(content: &[u8]) -> Option<ServerMessage> {
     let text = std::str::from_utf8(content).ok();
     let words: Vec<&str> = text.map(str::split_ascii_whitespace)?.collect();
@@ -34,7 +33,7 @@ pub(super) fn parse(content: &[u8]) -> Option<ServerMessage> {
         ["echo"] => Some(ServerMessage::Echo),
         ["frame", id, time, ref data @ ..] => {
             let mut bytes = Vec::new();
-            // Together in raw mode, apart in others.
+            // One word in raw mode, separate bytes in others.
             for digits in data.iter().map(|word| word.as_bytes()) {
                 for pair in digits.chunks(2) {
                     bytes.push(hex(pair).filter(|_| pair.len() == 2)? as u8);
@@ -62,7 +61,7 @@ pub(super) fn parse(content: &[u8]) -> Option<ServerMessage> {
     }
 }
 
-/// Writes a frame; `None` for what socketcand has no message for.
+/// Encodes a frame; `None` for FD and error frames, which socketcand cannot send.
 pub(super) fn encode(frame: &Frame) -> Option<String> {
     if frame.fd || frame.len() > Frame::MAX_CLASSIC_DATA {
         return None;
@@ -93,7 +92,7 @@ fn error_class(text: &str) -> Option<u32> {
     hex(text.as_bytes()).filter(|class| is_class && *class <= CanId::MAX_EXTENDED)
 }
 
-/// A number all of whose digits are there: no sign.
+/// A number of hexadecimal digits only: no sign.
 fn hex(digits: &[u8]) -> Option<u32> {
     let all_digits = !digits.is_empty() && digits.iter().all(u8::is_ascii_hexdigit);
     let text = std::str::from_utf8(digits).ok().filter(|_| all_digits)?;
@@ -115,16 +114,16 @@ fn micros(text: &str) -> Option<i64> {
     seconds.parse::<i64>().ok()?.checked_mul(1_000_000)?.checked_add(micros)
 }
 
-/// What the splitting of a stream into messages gives.
+/// A piece of the stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum MessagePiece<'a> {
     /// What stood between the brackets.
     Message(&'a [u8]),
-    /// What stood outside them, did not end, or was too long.
+    /// Bytes outside the brackets, or a message without end or too long.
     Unreadable,
 }
 
-/// Splits a stream into messages, however it comes; keeps no more than one of bounded length.
+/// Splits a stream, in pieces of any size, into messages; stores one of at most [`MAX_MESSAGE`] bytes.
 #[derive(Debug, Default)]
 pub(super) struct MessageSplitter {
     message: Vec<u8>,
@@ -145,7 +144,7 @@ enum SplitState {
 }
 
 impl MessageSplitter {
-    /// Takes bytes, and gives every piece that they complete.
+    /// Passes every piece that `bytes` complete to `take`.
     pub fn feed(&mut self, bytes: &[u8], mut take: impl FnMut(MessagePiece<'_>)) {
         for &byte in bytes {
             self.place = match (self.place, byte) {

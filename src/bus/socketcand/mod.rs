@@ -1,8 +1,7 @@
-//! socketcand: a bus of another machine, over TCP.
+//! `socketcand://HOST/BUS`: a bus of another machine, over TCP.
 //!
-//! This makes the connection; `dialogue` is what is said over it, `message` is what the messages
-//! mean. A server that is not there or goes away is a status, and is tried again, less and less
-//! often.
+//! `address` is the BUS argument, this file the connection, `protocol` the state machine, `message`
+//! the syntax. A server that is not reachable is a status, and is tried again with growing pauses.
 
 mod address;
 mod message;
@@ -22,24 +21,24 @@ use std::io::{self, ErrorKind};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::time::Duration;
 
-/// The port that socketcand has where nothing else is said.
-const USUAL_PORT: u16 = 29_536;
-/// How long a connection may take, for each address of the server.
-const CONNECT_WITHIN: Duration = Duration::from_secs(3);
+/// TCP port of socketcand.
+const DEFAULT_PORT: u16 = 29_536;
+/// Timeout of a connection, for each address of the server.
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
 /// The pause before the first new attempt, and the longest.
 const FIRST_PAUSE: Duration = Duration::from_secs(1);
-const LONGEST_PAUSE: Duration = Duration::from_secs(8);
-/// The send buffer that is asked for: what is in it counts as sent, so it is kept small.
+const MAX_PAUSE: Duration = Duration::from_secs(8);
+/// Send buffer in bytes. What is in it counts as sent, so it is small.
 const SEND_BUFFER: usize = 4_096;
 
-/// Opens the bus; the status comes when it is known.
+/// Opens the bus; the status is delivered later.
 pub(super) fn open(address: &SocketcandAddress, request: OpenRequest) -> Result<Port, OpenError> {
     let SocketcandAddress { host, port, interface } = address;
-    let server = Server { host: host.clone(), port: port.unwrap_or(USUAL_PORT) };
-    let dialogue = Socketcand::new(&server.name(), interface);
-    let backoff = Backoff::new(FIRST_PAUSE, LONGEST_PAUSE);
+    let server = Server { host: host.clone(), port: port.unwrap_or(DEFAULT_PORT) };
+    let protocol = Socketcand::new(&server.name(), interface);
+    let backoff = Backoff::new(FIRST_PAUSE, MAX_PAUSE);
     let status = BusStatus { rate_search: RateSearch::NoRate, ..BusStatus::default() };
-    stream::open(request, (server, dialogue), (status, backoff))
+    stream::open(request, (server, protocol), (status, backoff))
 }
 
 struct Server {
@@ -56,7 +55,7 @@ impl Server {
     fn connect(&self) -> io::Result<TcpStream> {
         let mut last = io::Error::from(ErrorKind::NotFound);
         for address in (self.host.as_str(), self.port).to_socket_addrs()? {
-            match TcpStream::connect_timeout(&address, CONNECT_WITHIN) {
+            match TcpStream::connect_timeout(&address, CONNECT_TIMEOUT) {
                 Ok(stream) => return Ok(stream),
                 Err(error) => last = error,
             }

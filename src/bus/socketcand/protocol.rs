@@ -1,8 +1,7 @@
-//! What is said to a socketcand server, and what its answers mean.
+//! socketcand protocol with one server: a state machine without I/O or clock.
 //!
-//! A state machine without I/O or clock: the greeting, `< open can0 >`, `< rawmode >`, then
-//! frames both ways. Each command waits for the answer to the one before, for the daemon takes
-//! commands that come together only in its newer versions.
+//! The greeting, `< open can0 >`, `< rawmode >`, then frames both ways. Each command waits for the
+//! response to the one before: older daemons do not accept several commands at once.
 
 use super::message::{MessagePiece, MessageSplitter, ServerMessage, encode, parse};
 use crate::bus::remote::stream::{Protocol, ProtocolIo};
@@ -13,15 +12,15 @@ use crate::frame::Frame;
 use crate::status::{BusState, Link};
 use crate::time::{Duration, Instant};
 
-/// How long an answer may take.
+/// Timeout of a response.
 const RESPONSE_TIMEOUT: Duration = Duration::from_secs(5);
-/// After so long a silence the server is asked whether it is still there.
-const ASK_AFTER: Duration = Duration::from_secs(5);
-/// How long the first frame may take to come back before we believe that none does. The daemon
-/// gives none of ours back; others may.
-const FIRST_FRAME: Duration = Duration::from_millis(250);
+/// Silence after which `< echo >` is sent.
+const ECHO_AFTER: Duration = Duration::from_secs(5);
+/// Timeout of the loopback of the first frame; without it, there is no loopback. The daemon has none;
+/// other servers may.
+const FIRST_ECHO_TIMEOUT: Duration = Duration::from_millis(250);
 
-/// The dialogue with one server.
+/// State of the protocol with one server.
 #[derive(Debug)]
 pub(super) struct Socketcand {
     server: String,
@@ -29,13 +28,12 @@ pub(super) struct Socketcand {
     stage: SocketcandStage,
     splitter: MessageSplitter,
     own: TxEchoTracker,
-    /// The server's clock: its stamps count as differences alone, for the two clocks need not
-    /// agree.
+    /// The server's clock.
     stamps: RemoteClock,
-    /// When the last word came.
-    heard: Instant,
-    /// It was asked whether it is there.
-    asked: bool,
+    /// When the last message was received.
+    last_message: Instant,
+    /// `< echo >` was sent and has no response yet.
+    echo_requested: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -53,14 +51,14 @@ impl Socketcand {
             interface: interface.to_owned(),
             stage: SocketcandStage::Greeting,
             splitter: MessageSplitter::default(),
-            own: TxEchoTracker::new(Confirmation::Unknown, FIRST_FRAME),
+            own: TxEchoTracker::new(Confirmation::Unknown, FIRST_ECHO_TIMEOUT),
             stamps: RemoteClock::default(),
-            heard: Instant::ZERO,
-            asked: false,
+            last_message: Instant::ZERO,
+            echo_requested: false,
         }
     }
 
-    fn hear(&mut self, now: Instant, message: ServerMessage, exchange: &mut ProtocolIo) {
+    fn handle_message(&mut self, now: Instant, message: ServerMessage, exchange: &mut ProtocolIo) {
         match (self.stage, message) {
             (SocketcandStage::Greeting, ServerMessage::Hi) => {
                 exchange.write(format!("< open {} >", self.interface).as_bytes());
@@ -81,31 +79,31 @@ impl Socketcand {
                 let time = stamp.map_or(now, |stamp| self.stamps.to_local_time(stamp, now));
                 self.process_frame(frame.with_time(time), exchange);
             }
-            (SocketcandStage::Open, ServerMessage::Error(why)) => {
+            (SocketcandStage::Open, ServerMessage::Error(cause)) => {
                 exchange.status.transmit_failures += 1;
-                exchange.status.note = Some(format!("{}: {why}", self.server));
+                exchange.status.note = Some(format!("{}: {cause}", self.server));
             }
-            (_, ServerMessage::Error(why)) => {
+            (_, ServerMessage::Error(cause)) => {
                 let (server, interface) = (&self.server, &self.interface);
                 let message = match self.stage {
                     SocketcandStage::Switching => {
-                        format!("{server} does not support raw mode: {why}")
+                        format!("{server} does not support raw mode: {cause}")
                     }
                     _ => format!(
-                        "{server} rejects {interface}: {why}; is it exported \
+                        "{server} rejects {interface}: {cause}; is it exported \
                          (socketcand -i {interface})?"
                     ),
                 };
                 exchange.disconnect(Link::Down, message);
             }
-            // What is between two modes, and what was asked twice.
+            // Frames between two modes, and repeated responses.
             _ => {}
         }
     }
 
     fn process_frame(&mut self, mut frame: Frame, exchange: &mut ProtocolIo) {
         if let Some(report) = ErrorReport::of(&frame) {
-            // Its details are not passed on, so this is all that is to be had of the state.
+            // The server omits the details, so bus-off is all that is known of the state.
             if report.is_bus_off() {
                 exchange.status.state = BusState::BusOff;
                 exchange.status.message = Some(format!(
@@ -128,7 +126,7 @@ impl Socketcand {
         exchange.status.unconfirmed = self.own.in_flight();
     }
 
-    fn is_silent(&self, exchange: &mut ProtocolIo) {
+    fn disconnect_silent(&self, exchange: &mut ProtocolIo) {
         let server = &self.server;
         let message = match self.stage {
             SocketcandStage::Greeting => format!("no greeting from {server}: is it socketcand?"),
@@ -142,7 +140,7 @@ impl Socketcand {
 impl Protocol for Socketcand {
     fn begin(&mut self, now: Instant, _: &mut ProtocolIo) {
         *self = Self::new(&self.server, &self.interface);
-        self.heard = now;
+        self.last_message = now;
     }
 
     fn handle_input(&mut self, now: Instant, bytes: &[u8], exchange: &mut ProtocolIo) {
@@ -154,9 +152,9 @@ impl Protocol for Socketcand {
             };
             match message {
                 Some(message) => {
-                    self.heard = now;
-                    self.asked = false;
-                    self.hear(now, message, exchange);
+                    self.last_message = now;
+                    self.echo_requested = false;
+                    self.handle_message(now, message, exchange);
                 }
                 None => exchange.status.unreadable += 1,
             }
@@ -172,26 +170,28 @@ impl Protocol for Socketcand {
     fn handle_timeout(&mut self, now: Instant, exchange: &mut ProtocolIo) {
         let given_up = self.own.handle_timeout(now, &mut exchange.frames);
         if given_up > 0 {
-            // The one that came back was perhaps another's.
+            // The loopback may have been an equal frame of another node.
             exchange.status.transmit_failures += given_up;
             self.own.set_confirmation(Confirmation::Unknown);
             // This may make further frames due.
             self.own.handle_timeout(now, &mut exchange.frames);
         }
         self.count_own(exchange);
-        let silence = now.since(self.heard);
+        let silence = now.since(self.last_message);
         match self.stage {
-            SocketcandStage::Open if self.asked && silence >= ASK_AFTER + RESPONSE_TIMEOUT => {
-                self.is_silent(exchange);
+            SocketcandStage::Open
+                if self.echo_requested && silence >= ECHO_AFTER + RESPONSE_TIMEOUT =>
+            {
+                self.disconnect_silent(exchange);
             }
-            SocketcandStage::Open if !self.asked && silence >= ASK_AFTER => {
-                self.asked = true;
+            SocketcandStage::Open if !self.echo_requested && silence >= ECHO_AFTER => {
+                self.echo_requested = true;
                 exchange.write(b"< echo >");
             }
             SocketcandStage::Greeting | SocketcandStage::Opening | SocketcandStage::Switching
                 if silence >= RESPONSE_TIMEOUT =>
             {
-                self.is_silent(exchange);
+                self.disconnect_silent(exchange);
             }
             _ => {}
         }
@@ -199,9 +199,11 @@ impl Protocol for Socketcand {
 
     fn poll_timeout(&self) -> Option<Instant> {
         let response = match self.stage {
-            SocketcandStage::Open if self.asked => self.heard + ASK_AFTER + RESPONSE_TIMEOUT,
-            SocketcandStage::Open => self.heard + ASK_AFTER,
-            _ => self.heard + RESPONSE_TIMEOUT,
+            SocketcandStage::Open if self.echo_requested => {
+                self.last_message + ECHO_AFTER + RESPONSE_TIMEOUT
+            }
+            SocketcandStage::Open => self.last_message + ECHO_AFTER,
+            _ => self.last_message + RESPONSE_TIMEOUT,
         };
         [Some(response), self.own.poll_timeout()].into_iter().flatten().min()
     }
@@ -239,45 +241,45 @@ mod tests {
         Instant::from_micros(millis * 1000)
     }
 
-    struct Talk {
+    struct SocketcandTest {
         server: Socketcand,
         exchange: ProtocolIo,
     }
 
-    impl Talk {
+    impl SocketcandTest {
         fn open() -> Self {
-            let mut talk = Self {
+            let mut test = Self {
                 server: Socketcand::new("host:29536", "can0"),
                 exchange: ProtocolIo::default(),
             };
-            talk.server.begin(at(0), &mut talk.exchange);
-            assert_eq!(talk.hear(1, "< hi >"), "< open can0 >");
-            assert_eq!(talk.hear(2, "< ok >"), "< rawmode >");
-            assert_eq!(talk.hear(3, "< ok >"), "");
-            assert_eq!(talk.exchange.status.link, Link::Up);
-            talk
+            test.server.begin(at(0), &mut test.exchange);
+            assert_eq!(test.handle_message(1, "< hi >"), "< open can0 >");
+            assert_eq!(test.handle_message(2, "< ok >"), "< rawmode >");
+            assert_eq!(test.handle_message(3, "< ok >"), "");
+            assert_eq!(test.exchange.status.link, Link::Up);
+            test
         }
 
-        fn hear(&mut self, millis: u64, text: &str) -> String {
+        fn handle_message(&mut self, millis: u64, text: &str) -> String {
             self.server.handle_input(at(millis), text.as_bytes(), &mut self.exchange);
-            self.said()
+            self.sent()
         }
 
         fn pass(&mut self, until: u64) -> String {
-            let mut said = String::new();
+            let mut sent = String::new();
             while self.exchange.broken.is_none()
                 && let Some(due) = self.server.poll_timeout().filter(|due| *due <= at(until))
             {
                 self.server.handle_timeout(due, &mut self.exchange);
-                said += &self.said();
+                sent += &self.sent();
                 let next = self.server.poll_timeout();
                 let is_later = next.is_none_or(|next| next > due);
                 assert!(is_later || self.exchange.broken.is_some(), "{next:?} after {due:?}");
             }
-            said
+            sent
         }
 
-        fn said(&mut self) -> String {
+        fn sent(&mut self) -> String {
             String::from_utf8(self.exchange.take_output()).unwrap()
         }
 
@@ -290,95 +292,97 @@ mod tests {
 
     #[test]
     fn a_silent_server_is_asked_and_then_given_up() {
-        let mut talk = Talk::open();
-        assert_eq!(talk.pass(5_002), "");
-        assert_eq!(talk.pass(5_003), "< echo >");
-        assert_eq!(talk.hear(6_000, "< echo >"), "");
-        assert_eq!(talk.pass(11_000), "< echo >");
-        assert_eq!(talk.exchange.broken, None);
-        talk.pass(16_000);
-        let away = talk.exchange.broken.unwrap();
+        let mut test = SocketcandTest::open();
+        assert_eq!(test.pass(5_002), "");
+        assert_eq!(test.pass(5_003), "< echo >");
+        assert_eq!(test.handle_message(6_000, "< echo >"), "");
+        assert_eq!(test.pass(11_000), "< echo >");
+        assert_eq!(test.exchange.broken, None);
+        test.pass(16_000);
+        let away = test.exchange.broken.unwrap();
         assert_eq!(away.message, "host:29536 stopped responding");
     }
 
     #[test]
     fn a_server_that_stops_in_the_middle_of_the_dialogue_is_given_up() {
         for words in [&[][..], &["< hi >"], &["< hi >", "< ok >"]] {
-            let mut talk =
-                Talk { server: Socketcand::new("host", "can0"), exchange: ProtocolIo::default() };
-            talk.server.begin(at(0), &mut talk.exchange);
+            let mut test = SocketcandTest {
+                server: Socketcand::new("host", "can0"),
+                exchange: ProtocolIo::default(),
+            };
+            test.server.begin(at(0), &mut test.exchange);
             for word in words {
-                talk.hear(1, word);
+                test.handle_message(1, word);
             }
-            talk.pass(4_999);
-            assert_eq!(talk.exchange.broken, None);
-            talk.pass(5_001);
-            assert_eq!(talk.exchange.broken.map(|away| away.link), Some(Link::Down));
+            test.pass(4_999);
+            assert_eq!(test.exchange.broken, None);
+            test.pass(5_001);
+            assert_eq!(test.exchange.broken.map(|away| away.link), Some(Link::Down));
         }
     }
 
     #[test]
     fn ours_are_put_back_by_us_where_the_server_does_not() {
-        let mut talk = Talk::open();
+        let mut test = SocketcandTest::open();
         let frame = Frame::classic(0x123, &[1]);
-        talk.send(100, &frame);
-        talk.pass(349);
-        assert_eq!(talk.exchange.frames, []);
-        talk.pass(350);
-        assert_eq!(talk.exchange.frames, [frame.with_tx().with_time(at(350))]);
-        talk.send(400, &frame);
-        assert_eq!(talk.exchange.frames.len(), 2);
+        test.send(100, &frame);
+        test.pass(349);
+        assert_eq!(test.exchange.frames, []);
+        test.pass(350);
+        assert_eq!(test.exchange.frames, [frame.with_tx().with_time(at(350))]);
+        test.send(400, &frame);
+        assert_eq!(test.exchange.frames.len(), 2);
         // Somebody else's, however equal.
-        talk.hear(401, "< frame 00000123 1.0 01 >");
-        assert!(!talk.exchange.frames[2].is_tx);
+        test.handle_message(401, "< frame 00000123 1.0 01 >");
+        assert!(!test.exchange.frames[2].is_tx);
     }
 
     #[test]
     fn ours_that_the_server_gives_back_are_ours_once() {
-        let mut talk = Talk::open();
+        let mut test = SocketcandTest::open();
         let frame = Frame::classic(0x123, &[1]);
         for sent in [100, 1_000, 2_000] {
-            talk.send(sent, &frame);
-            talk.hear(sent + 10, "< frame 00000123 1.0 01 >");
-            talk.pass(sent + 800);
+            test.send(sent, &frame);
+            test.handle_message(sent + 10, "< frame 00000123 1.0 01 >");
+            test.pass(sent + 800);
         }
-        let ours = talk.exchange.frames.iter().filter(|frame| frame.is_tx).count();
-        assert_eq!((ours, talk.exchange.frames.len()), (3, 3));
+        let ours = test.exchange.frames.iter().filter(|frame| frame.is_tx).count();
+        assert_eq!((ours, test.exchange.frames.len()), (3, 3));
         // One that does not come back any more has not got out; then all is open again.
-        talk.send(3_000, &frame);
-        talk.hear(5_000, "< echo >");
-        talk.pass(8_000);
-        assert_eq!(talk.exchange.status.transmit_failures, 1);
-        talk.send(8_000, &frame);
-        talk.pass(8_250);
-        assert_eq!(talk.exchange.frames.len(), 4);
+        test.send(3_000, &frame);
+        test.handle_message(5_000, "< echo >");
+        test.pass(8_000);
+        assert_eq!(test.exchange.status.transmit_failures, 1);
+        test.send(8_000, &frame);
+        test.pass(8_250);
+        assert_eq!(test.exchange.frames.len(), 4);
     }
 
     #[test]
     fn frame_given_up_leaves_no_deadline_in_the_past() {
-        let mut talk = Talk::open();
+        let mut test = SocketcandTest::open();
         let frame = Frame::classic(0x123, &[1]);
-        talk.send(100, &frame);
-        talk.hear(110, "< frame 00000123 1.0 01 >");
+        test.send(100, &frame);
+        test.handle_message(110, "< frame 00000123 1.0 01 >");
         // The server returns no frames any more; the second frame is newer than the first.
-        talk.send(3_000, &frame);
-        talk.hear(4_000, "< echo >");
-        talk.send(5_000, &frame);
-        talk.hear(7_000, "< echo >");
-        talk.pass(8_000);
-        assert_eq!(talk.exchange.status.transmit_failures, 1);
-        assert_eq!(talk.exchange.frames.len(), 2);
-        assert!(talk.server.poll_timeout() > Some(at(8_000)));
+        test.send(3_000, &frame);
+        test.handle_message(4_000, "< echo >");
+        test.send(5_000, &frame);
+        test.handle_message(7_000, "< echo >");
+        test.pass(8_000);
+        assert_eq!(test.exchange.status.transmit_failures, 1);
+        assert_eq!(test.exchange.frames.len(), 2);
+        assert!(test.server.poll_timeout() > Some(at(8_000)));
     }
 
     #[test]
     fn bus_off_is_a_state_until_frames_come() {
-        let mut talk = Talk::open();
-        talk.hear(10, "< error 040 1.0 >");
-        assert_eq!(talk.exchange.status.state, BusState::BusOff);
-        talk.hear(20, "< error 100 1.1 >< frame 123 1.2 11 >");
-        assert_eq!(talk.exchange.status.state, BusState::Unknown);
-        assert_eq!(talk.exchange.status.message, None);
-        assert_eq!(talk.exchange.frames.len(), 3);
+        let mut test = SocketcandTest::open();
+        test.handle_message(10, "< error 040 1.0 >");
+        assert_eq!(test.exchange.status.state, BusState::BusOff);
+        test.handle_message(20, "< error 100 1.1 >< frame 123 1.2 11 >");
+        assert_eq!(test.exchange.status.state, BusState::Unknown);
+        assert_eq!(test.exchange.status.message, None);
+        assert_eq!(test.exchange.frames.len(), 3);
     }
 }

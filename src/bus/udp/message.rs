@@ -1,14 +1,13 @@
-//! The datagrams of python-can's `udp_multicast` bus: each is one frame, a msgpack map.
+//! Datagrams of python-can's `udp_multicast` bus: a msgpack map for each frame.
 //!
-//! A datagram that does not say what it must kills python-can's reader, so what goes out is
-//! complete and true, and keeps python-can's order. What comes in is believed only as far as it
-//! makes a frame that can be.
+//! A missing field ends python-can's reader, so every field is written, in python-can's order. A
+//! datagram that is not a possible frame is rejected. Pure.
 
 use crate::frame::{CanId, Frame, FrameKind};
 use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize, Serializer};
 
-/// The largest datagram: one that is larger is none of ours.
+/// Largest datagram, in bytes; larger ones are not frames.
 pub(super) const MAX_DATAGRAM: usize = 2_048;
 
 #[derive(Serialize)]
@@ -53,7 +52,7 @@ struct Incoming<'m> {
     error_state_indicator: bool,
 }
 
-/// The datagram of a frame, dated in Unix seconds.
+/// The datagram of a frame, with its time in Unix seconds; `None` for a frame that cannot exist.
 pub(super) fn encode(frame: &Frame, unix_seconds: f64) -> Option<Vec<u8>> {
     let (arbitration_id, is_extended_id) = match frame.id {
         CanId::Standard(id) => (u32::from(id), false),
@@ -79,7 +78,7 @@ pub(super) fn encode(frame: &Frame, unix_seconds: f64) -> Option<Vec<u8>> {
     is_whole.then(|| rmp_serde::to_vec_named(&outgoing).ok()).flatten()
 }
 
-/// The frame of a datagram; `None` where it is no msgpack, or says what cannot be.
+/// The frame of a datagram; `None` if it is malformed.
 pub(super) fn decode(datagram: &[u8]) -> Option<Frame> {
     let incoming: Incoming = rmp_serde::from_slice(datagram).ok()?;
     if incoming.is_error_frame && incoming.arbitration_id <= CanId::MAX_EXTENDED {

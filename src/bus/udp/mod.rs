@@ -1,7 +1,7 @@
-//! udp: the bus of python-can's `udp_multicast`: every frame is a datagram to a multicast group.
+//! `udp:GROUP`: the bus of python-can's `udp_multicast`, one datagram to a multicast group per frame.
 //!
-//! A group that cannot be reached is a status, and is waited for. `message` is what datagrams say,
-//! `sockets` how they come and go.
+//! `address` is the BUS argument, `message` the syntax of datagrams, `sockets` their transport. A
+//! group that cannot be reached is a status, and is waited for.
 
 mod address;
 mod message;
@@ -24,15 +24,15 @@ use std::os::fd::AsFd;
 use std::sync::Arc;
 use std::time::{Duration, Instant as Monotonic};
 
-/// The port that python-can has.
-pub(super) const USUAL_PORT: u16 = 43_113;
+/// UDP port of python-can.
+pub(super) const DEFAULT_PORT: u16 = 43_113;
 
 /// The pause before the first new attempt to reach the group, and the longest.
 const FIRST_PAUSE: Duration = Duration::from_millis(500);
-const LONGEST_PAUSE: Duration = Duration::from_secs(4);
-/// How often to look whether the group is still reached: a network that goes away says nothing.
-const LOOK_EVERY: Duration = Duration::from_secs(2);
-/// Datagrams that are taken before what is to be sent has its turn.
+const MAX_PAUSE: Duration = Duration::from_secs(4);
+/// How often to check that the group is still reachable: a lost network is not reported.
+const CHECK_PERIOD: Duration = Duration::from_secs(2);
+/// Datagrams read in one turn, before frames are sent.
 const BATCH: usize = 256;
 
 /// Opens the bus; its status is known at once.
@@ -43,31 +43,31 @@ pub(super) fn open(address: &UdpAddress, request: OpenRequest) -> Result<Port, O
 
 fn start(address: &UdpAddress, request: OpenRequest) -> io::Result<Port> {
     let OpenRequest { name, index, clock, options } = request;
-    let line = Arc::new(PortShared::new()?);
-    line.queue.add_name(&name);
+    let shared = Arc::new(PortShared::new()?);
+    shared.queue.add_name(&name);
     let group = MulticastGroup {
         address: address.group,
-        port: address.port.unwrap_or(USUAL_PORT),
+        port: address.port.unwrap_or(DEFAULT_PORT),
         interface: address.interface.clone(),
     };
     let mut bus = Multicast {
         group,
-        speaks: !options.listen_only,
-        delivery: Delivery::new(Arc::clone(&line), index),
+        sends: !options.listen_only,
+        delivery: Delivery::new(Arc::clone(&shared), index),
         // Waiting for room would delay receiving.
-        tx: TxQueue::new(Arc::clone(&line), Duration::ZERO),
-        line: Arc::clone(&line),
-        dating: RxTimestamps::new(clock.clone()),
+        tx: TxQueue::new(Arc::clone(&shared), Duration::ZERO),
+        shared: Arc::clone(&shared),
+        timestamps: RxTimestamps::new(clock.clone()),
         clock,
         status: BusStatus { fd: true, rate_search: RateSearch::NoRate, ..BusStatus::default() },
         drops_before: 0,
-        was_there: false,
+        was_up: false,
     };
     let opened = bus.open();
-    let mut port = Port::new(&name, line, options.listen_only);
-    port.serve(move |line| {
+    let mut port = Port::new(&name, shared, options.listen_only);
+    port.serve(move |shared| {
         if let Err(error) = bus.run(opened) {
-            line.queue.finish(Link::Failed, format!("cannot receive from the group: {error}"));
+            shared.queue.finish(Link::Failed, format!("cannot receive from the group: {error}"));
         }
     })?;
     Ok(port)
@@ -75,42 +75,42 @@ fn start(address: &UdpAddress, request: OpenRequest) -> io::Result<Port> {
 
 struct Multicast {
     group: MulticastGroup,
-    speaks: bool,
-    line: Arc<PortShared>,
+    sends: bool,
+    shared: Arc<PortShared>,
     delivery: Delivery,
     tx: TxQueue,
-    dating: RxTimestamps,
+    timestamps: RxTimestamps,
     clock: Clock,
     status: BusStatus,
     /// Kernel drops of sockets that were closed since.
     drops_before: u64,
-    was_there: bool,
+    was_up: bool,
 }
 
 impl Multicast {
     fn run(&mut self, mut opened: Option<Sockets>) -> io::Result<()> {
-        let mut backoff = Backoff::new(FIRST_PAUSE, LONGEST_PAUSE);
-        while !self.line.is_stopped() {
+        let mut backoff = Backoff::new(FIRST_PAUSE, MAX_PAUSE);
+        while !self.shared.is_stopped() {
             if let Some(sockets) = opened.take().or_else(|| self.open()) {
                 let since = Monotonic::now();
                 self.serve(sockets)?;
                 backoff.lasted(since.elapsed());
             }
             let until = Monotonic::now() + backoff.pause();
-            while !self.line.is_stopped() && Monotonic::now() < until {
-                self.refuse_posted();
-                self.line.wait(None, Some(until.saturating_duration_since(Monotonic::now())))?;
+            while !self.shared.is_stopped() && Monotonic::now() < until {
+                self.drop_pending();
+                self.shared.wait(None, Some(until.saturating_duration_since(Monotonic::now())))?;
             }
         }
         Ok(())
     }
 
-    /// Joins the group if it is to be reached; says in the status if it is not.
+    /// Joins the group if it is reachable; otherwise sets the status.
     fn open(&mut self) -> Option<Sockets> {
-        let opened = Sockets::open(&self.group, self.speaks);
+        let opened = Sockets::open(&self.group, self.sends);
         match opened {
             Ok(sockets) => {
-                self.was_there = true;
+                self.was_up = true;
                 (self.status.link, self.status.message) = (Link::Up, None);
                 self.delivery.deliver_status(&self.status);
                 Some(sockets)
@@ -154,46 +154,46 @@ impl Multicast {
             }
             _ => format!("cannot join {address}: {error}"),
         };
-        self.status.link = if self.was_there { Link::Unplugged } else { Link::Down };
+        self.status.link = if self.was_up { Link::Unplugged } else { Link::Down };
         self.status.message = Some(message);
         self.delivery.deliver_status(&self.status);
     }
 
-    /// Moves frames until the group is not reached any more or the port is dropped.
+    /// Moves frames until the group is not reachable or the port is dropped.
     fn serve(&mut self, mut sockets: Sockets) -> io::Result<()> {
         let mut frames = Vec::new();
-        let mut looked = Monotonic::now();
-        let away = loop {
-            if self.line.is_stopped() {
+        let mut checked = Monotonic::now();
+        let failure = loop {
+            if self.shared.is_stopped() {
                 break None;
             }
-            if let Err(error) = self.send_posted(&sockets) {
+            if let Err(error) = self.send_pending(&sockets) {
                 break Some(error);
             }
             let has_more = self.receive(&mut sockets, &mut frames)?;
             self.status.kernel_drops = self.drops_before + sockets.drops();
             self.delivery.deliver(&mut frames, &mut self.status);
-            if looked.elapsed() >= LOOK_EVERY {
-                looked = Monotonic::now();
+            if checked.elapsed() >= CHECK_PERIOD {
+                checked = Monotonic::now();
                 if let Err(error) = sockets.check(&self.group) {
                     break Some(error);
                 }
             }
             if !has_more {
-                self.line.wait(Some(sockets.as_fd()), Some(LOOK_EVERY))?;
+                self.shared.wait(Some(sockets.as_fd()), Some(CHECK_PERIOD))?;
             }
         };
         self.drops_before += sockets.drops();
-        if let Some(error) = away {
+        if let Some(error) = failure {
             self.report_unavailable(&error);
         }
         Ok(())
     }
 
-    /// Takes what is here, as far as one batch takes it; says whether there is more.
+    /// Reads at most one batch. Returns true if there may be more.
     fn receive(&mut self, sockets: &mut Sockets, frames: &mut Vec<Frame>) -> io::Result<bool> {
         let mut buffer = [0; message::MAX_DATAGRAM];
-        self.dating.read_clocks();
+        self.timestamps.read_clocks();
         for _ in 0..BATCH {
             let Some(received) = sockets.receive(&mut buffer)? else { return Ok(false) };
             let ReceivedDatagram { len, is_cut, ours, stamp_micros } = received;
@@ -204,7 +204,7 @@ impl Multicast {
                 continue;
             };
             frame.is_tx = ours;
-            frames.push(frame.with_time(self.dating.date(stamp_micros)));
+            frames.push(frame.with_time(self.timestamps.date(stamp_micros)));
         }
         Ok(true)
     }
@@ -214,7 +214,7 @@ impl Multicast {
     /// # Errors
     ///
     /// The group cannot be reached.
-    fn send_posted(&mut self, sockets: &Sockets) -> io::Result<()> {
+    fn send_pending(&mut self, sockets: &Sockets) -> io::Result<()> {
         let mut failure = None;
         let report = self.tx.transmit(|frame| {
             let time = self.clock.epoch().unix_secs(self.clock.now());
@@ -232,7 +232,7 @@ impl Multicast {
         failure.map_or(Ok(()), Err)
     }
 
-    fn refuse_posted(&mut self) {
+    fn drop_pending(&mut self) {
         let refused = self.tx.clear();
         if refused > 0 {
             self.status.transmit_failures += refused;

@@ -1,8 +1,8 @@
-//! The sockets of a multicast group: one hears it, the other speaks to it.
+//! Sockets of a multicast group: one receives, one sends.
 //!
-//! A sender hears its own datagrams. Ours are known by where they come from: the socket that speaks
-//! has a port that no other program on this machine has, and an address that no other machine
-//! has. (python-can sends from the port that all listen on.) Does not know what is in datagrams.
+//! A sender receives its own datagrams. They are recognised by their source: the sending socket has an
+//! address of this machine and a port of its own. (python-can sends from the group's port.) Does not
+//! know what is in datagrams.
 
 use nix::cmsg_space;
 use nix::net::if_::if_nametoindex;
@@ -15,7 +15,7 @@ use std::io::{self, ErrorKind, IoSliceMut};
 use std::net::{IpAddr, SocketAddr};
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd};
 
-/// The receive buffer asked for; users who may not force it are granted less.
+/// Requested receive buffer in bytes; without CAP_NET_ADMIN the kernel may grant less.
 const RECEIVE_BUFFER: usize = 4 << 20;
 
 /// A group, and how it is reached.
@@ -27,24 +27,24 @@ pub(super) struct MulticastGroup {
     pub(super) interface: Option<String>,
 }
 
-/// A datagram that came.
+/// A received datagram.
 pub(super) struct ReceivedDatagram {
-    /// How many bytes there are.
+    /// Its length in bytes.
     pub(super) len: usize,
-    /// It was longer than there was room.
+    /// It was longer than the buffer.
     pub(super) is_cut: bool,
-    /// We sent it.
+    /// descan sent it.
     pub(super) ours: bool,
-    /// When the kernel got it, in Unix microseconds.
+    /// The kernel's timestamp in Unix microseconds; `None` without one.
     pub(super) stamp_micros: Option<u64>,
 }
 
 /// The open sockets.
 #[derive(Debug)]
 pub(super) struct Sockets {
-    listener: Socket,
-    speaker: Option<Socket>,
-    /// Where our datagrams come from.
+    rx: Socket,
+    tx: Option<Socket>,
+    /// Source of the datagrams sent by descan.
     own: Option<SocketAddr>,
     last_drops: u32,
     drops: u64,
@@ -65,7 +65,7 @@ impl MulticastGroup {
         Ok(socket)
     }
 
-    /// A socket that is connected to the group: where its datagrams would go from is known.
+    /// A socket connected to the group: its source address is known.
     fn tx_socket(&self) -> io::Result<Socket> {
         let socket = self.socket()?;
         let index = self.index()?;
@@ -89,14 +89,14 @@ impl MulticastGroup {
 
     fn rx_socket(&self) -> io::Result<Socket> {
         let socket = self.socket()?;
-        // Or python-can, and another descan, cannot start beside us.
+        // Without these, python-can or another descan cannot bind the port.
         socket.set_reuse_address(true)?;
         socket.set_reuse_port(true)?;
         setsockopt(&socket, sockopt::ReceiveTimestampns, &true)?;
         setsockopt(&socket, sockopt::RxqOvfl, &1)?;
         setsockopt(&socket, sockopt::RcvBufForce, &RECEIVE_BUFFER)
             .or_else(|_| setsockopt(&socket, sockopt::RcvBuf, &RECEIVE_BUFFER))?;
-        // Bound to the group, it hears nothing else that comes to this port.
+        // Bound to the group: other datagrams to this port are not received.
         socket.bind(&SockAddr::from(SocketAddr::new(self.address, self.port)))?;
         let index = self.index()?;
         match &self.address {
@@ -112,15 +112,19 @@ impl MulticastGroup {
 
 impl Sockets {
     /// Joins the group; speaks to it where `speaks`.
-    pub(super) fn open(group: &MulticastGroup, speaks: bool) -> io::Result<Self> {
-        let speaker = group.tx_socket()?;
-        let own = speaker.local_addr()?.as_socket();
-        let listener = group.rx_socket()?;
-        let speaker = speaks.then_some(speaker);
-        Ok(Self { listener, own: own.filter(|_| speaks), speaker, last_drops: 0, drops: 0 })
+    pub(super) fn open(group: &MulticastGroup, sends: bool) -> io::Result<Self> {
+        let tx = group.tx_socket()?;
+        let own = tx.local_addr()?.as_socket();
+        let rx = group.rx_socket()?;
+        let tx = sends.then_some(tx);
+        Ok(Self { rx, own: own.filter(|_| sends), tx, last_drops: 0, drops: 0 })
     }
 
-    /// Whether the group is still reached, and from the same address.
+    /// Checks that the group is reachable, from the same address.
+    ///
+    /// # Errors
+    ///
+    /// It is not.
     pub(super) fn check(&self, group: &MulticastGroup) -> io::Result<()> {
         let now = group.tx_socket()?.local_addr()?.as_socket().map(|it| it.ip());
         match self.own.map(|it| it.ip()) {
@@ -131,17 +135,17 @@ impl Sockets {
 
     /// Sends a datagram to the group.
     pub(super) fn send(&self, datagram: &[u8]) -> io::Result<()> {
-        match &self.speaker {
-            Some(speaker) => speaker.send(datagram).map(|_| ()),
+        match &self.tx {
+            Some(tx) => tx.send(datagram).map(|_| ()),
             None => Err(ErrorKind::PermissionDenied.into()),
         }
     }
 
-    /// The next datagram that is here; `None` where none is.
+    /// The next datagram; `None` if none was received.
     pub(super) fn receive(&mut self, buffer: &mut [u8]) -> io::Result<Option<ReceivedDatagram>> {
         let mut control = cmsg_space!(TimeSpec, u32);
         let mut slices = [IoSliceMut::new(buffer)];
-        let fd = self.listener.as_raw_fd();
+        let fd = self.rx.as_raw_fd();
         let flags = MsgFlags::MSG_DONTWAIT;
         let message = match recvmsg::<SockaddrStorage>(fd, &mut slices, Some(&mut control), flags) {
             Ok(message) => message,
@@ -160,7 +164,7 @@ impl Sockets {
         }))
     }
 
-    /// Datagrams that found the receive buffer full, as far as the kernel has told.
+    /// Datagrams lost because the receive buffer was full, as last reported by the kernel.
     pub(super) fn drops(&self) -> u64 {
         self.drops
     }
@@ -186,7 +190,7 @@ impl Sockets {
 
 impl AsFd for Sockets {
     fn as_fd(&self) -> BorrowedFd<'_> {
-        self.listener.as_fd()
+        self.rx.as_fd()
     }
 }
 
