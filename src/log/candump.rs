@@ -46,24 +46,28 @@ pub enum LineFault {
     /// Not 3 or 8 hexadecimal digits, or too large.
     #[error("the identifier is not 3 or 8 hexadecimal digits in range")]
     Id,
-    /// A digit that is none, half a byte, or something after the data.
+    /// An invalid digit, half a byte, or text after the data.
     #[error("the data is not whole hexadecimal bytes")]
     Data,
-    /// More bytes than a frame of its kind carries.
+    /// More bytes than the format allows.
     #[error("more data than the frame can carry")]
     TooMuchData,
-    /// A remote request's length, or a raw DLC.
+    /// The length of a remote frame, or a raw DLC, is invalid.
     #[error("invalid length or DLC")]
     Length,
     /// A CAN XL frame.
     #[error("a CAN XL frame")]
     Xl,
-    /// Something after the frame that is neither R nor T.
+    /// Text after the frame other than R or T.
     #[error("text after the frame (only R or T allowed)")]
     Trailing,
 }
 
-/// Reads one line, with or without its line end; `None` where it is blank.
+/// Reads one line, with or without its line end; `None` for a blank line.
+///
+/// # Errors
+///
+/// The line is not candump's log text.
 pub fn parse_line(line: &[u8]) -> Result<Option<LogEntry<'_>>, LineFault> {
     if line.len() > MAX_LINE {
         return Err(LineFault::TooLong);
@@ -73,7 +77,7 @@ pub fn parse_line(line: &[u8]) -> Result<Option<LogEntry<'_>>, LineFault> {
     let unix_micros = parse_time(time).ok_or(LineFault::Time)?;
     let interface = words.next().ok_or(LineFault::Interface)?;
     let interface = std::str::from_utf8(interface).map_err(|_| LineFault::Interface)?;
-    // The name is shown: nothing in it may steer a terminal.
+    // The name is shown: it must not contain control sequences.
     if !interface.chars().all(is_printable) {
         return Err(LineFault::Interface);
     }
@@ -220,11 +224,11 @@ pub fn parse_frame(text: &[u8]) -> Result<Frame, LineFault> {
     }
 }
 
-/// What the digits before the `#` say.
+/// The digits before the `#`.
 #[derive(Clone, Copy)]
 enum Head {
     Id(CanId),
-    /// The class bits of an error report.
+    /// The class bits of an error frame.
     ErrorClass(u32),
 }
 
@@ -266,7 +270,7 @@ fn parse_remote(id: CanId, body: &[u8]) -> Result<Frame, LineFault> {
     Ok(Frame::remote(id, len))
 }
 
-/// `_9` to `_F` after eight bytes: what the frame's DLC really was. It means eight all the same.
+/// `_9` to `_F` after eight bytes: the raw DLC, which means eight bytes, too.
 fn parse_raw_dlc(rest: &[u8], len: usize) -> Result<(), LineFault> {
     match rest {
         [] => Ok(()),
@@ -278,8 +282,8 @@ fn parse_raw_dlc(rest: &[u8], len: usize) -> Result<(), LineFault> {
     }
 }
 
-/// Reads hexadecimal bytes, with or without dots between them, up to the end or a `_`; says how
-/// many there are, and what follows.
+/// Reads hexadecimal bytes, with or without dots between them, up to the end or a `_`. Returns their
+/// number and the rest.
 fn parse_bytes<'a>(text: &'a [u8], data: &mut [u8]) -> Result<(usize, &'a [u8]), LineFault> {
     let mut rest = text;
     let mut len = 0;
@@ -303,7 +307,7 @@ fn parse_bytes<'a>(text: &'a [u8], data: &mut [u8]) -> Result<(usize, &'a [u8]),
     Ok((len, rest))
 }
 
-/// `(SECONDS.FRACTION)`, the fraction of any length, or none; cut to microseconds.
+/// `(SECONDS.FRACTION)`, the fraction of any length, truncated to microseconds.
 fn parse_time(text: &[u8]) -> Option<u64> {
     let text = text.strip_prefix(b"(")?.strip_suffix(b")")?;
     let dot = text.iter().position(|&byte| byte == b'.').unwrap_or(text.len());

@@ -22,9 +22,9 @@ pub(super) const FORMAT: LogFormat = LogFormat {
 
 /// The first four bytes of a file, in either byte order.
 pub const MAGIC: [u8; 4] = [0x0A, 0x0D, 0x0D, 0x0A];
-/// As much of a block must be there before its length is known.
+/// Bytes of a block from which its length is known.
 pub const HEAD: usize = 12;
-/// Longer blocks are not read but skipped. A frame's has 116 bytes and its options.
+/// Longest block that is read, in bytes; longer ones are skipped. A frame has 116 and its options.
 pub const MAX_BLOCK: usize = 1 << 16;
 
 const SECTION: u32 = 0x0A0D_0D0A;
@@ -36,7 +36,7 @@ const PACKET: u32 = 6;
 const BYTE_ORDER: u32 = 0x1A2B_3C4D;
 
 const SOCKETCAN: u16 = 227;
-/// What stands before a packet's data: identifier, length, FD flags, two more bytes.
+/// Bytes before a packet's data: identifier word, length, FD flags, two reserved bytes.
 const CAN_HEAD: usize = 8;
 /// Set where the length of a CAN FD frame would be: a CAN XL frame.
 const XL_FORMAT: u8 = 0x80;
@@ -52,30 +52,30 @@ const INBOUND: u32 = 1;
 const OUTBOUND: u32 = 2;
 const DIRECTION: u32 = 3;
 
-/// Interfaces of a section beyond these are not read: there are no more bus numbers.
+/// Largest number of interfaces of a section: there are no more bus numbers.
 const MAX_INTERFACES: usize = 256;
-/// Bytes of an interface's name that are kept.
+/// Longest interface name that is stored, in bytes.
 const MAX_NAME: usize = 64;
 
 /// Why a packet cannot be read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
 pub enum PacketFault {
-    /// Not of CAN.
+    /// Not a CAN packet.
     #[error("link type {0}, expected 227 (SocketCAN)")]
     LinkType(u16),
     /// Its interface was not described before it.
     #[error("missing interface description")]
     Interface,
-    /// A block that says less than such a block must.
+    /// A block without all required fields.
     #[error("the block is too short")]
     Short,
     /// A block beyond [`MAX_BLOCK`].
     #[error("the block is too long")]
     Long,
-    /// A kind of packet block that has no time, or is not used any more.
+    /// A packet block without a time, or an obsolete one.
     #[error("obsolete packet block; convert it: editcap -F pcapng OLD NEW")]
     OldKind,
-    /// The captured bytes are no CAN frame.
+    /// The captured bytes are not a CAN frame.
     #[error("not a valid CAN frame")]
     NoFrame,
     /// A CAN XL frame.
@@ -83,19 +83,19 @@ pub enum PacketFault {
     Xl,
 }
 
-/// Why nothing more can be read.
+/// Why the rest of a file cannot be read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
 pub enum Damage {
     /// The file ends within a block.
     #[error("truncated inside a block")]
     Cut,
-    /// A block whose length cannot be: where the next begins is not known.
+    /// A block of an impossible length: where the next begins is not known.
     #[error("invalid block length of {0} bytes: the rest cannot be read")]
     Length(u32),
     /// The length behind a block is not the one before it.
     #[error("the two lengths of a block differ: the rest cannot be read")]
     Lengths,
-    /// A section whose byte order is neither.
+    /// A section without a known byte order.
     #[error("section without byte-order magic: the rest cannot be read")]
     ByteOrder,
 }
@@ -187,11 +187,11 @@ impl LogDecoder for BlockDecoder {
     }
 }
 
-/// What blocks before said that packets need: the byte order and the interfaces.
+/// State of a file that packets need: the byte order and the interfaces.
 #[derive(Clone, Debug, Default)]
 pub struct Sections {
     big_endian: bool,
-    /// Of a version that is not known: skipped.
+    /// The present section has an unknown version and is skipped.
     is_unknown_version: bool,
     interfaces: Vec<PcapInterface>,
 }
@@ -216,14 +216,14 @@ impl Sections {
         if len < 12 || !len.is_multiple_of(4) { Err(Damage::Length(len)) } else { Ok(len) }
     }
 
-    /// What is lost where a block that begins like this is skipped.
+    /// Returns the fault if a block that begins like this is skipped: the loss of a packet.
     pub fn skip(&self, head: &[u8; HEAD]) -> Result<(), PacketFault> {
         let kind = Fields { bytes: head, big_endian: self.big_endian }.u32();
         let is_packet = matches!(kind, Some(PACKET | SIMPLE_PACKET | OLD_PACKET));
         if is_packet && !self.is_unknown_version { Err(PacketFault::Long) } else { Ok(()) }
     }
 
-    /// Takes a whole block; what it says of a frame, if it is a frame's.
+    /// Reads a whole block; returns its frame, if it is a packet.
     pub fn take(
         &mut self,
         block: &[u8],
@@ -266,7 +266,7 @@ impl Sections {
         if self.interfaces.len() == MAX_INTERFACES {
             return;
         }
-        // One that says too little keeps its number, and is of no link type.
+        // An incomplete description keeps its number, without a link type.
         let link_type = fields.u16().unwrap_or(u16::MAX);
         let (_reserved, _snapshot_length) = (fields.u16(), fields.u32());
         let name = format!("if{}", self.interfaces.len());
@@ -321,7 +321,7 @@ impl PcapInterface {
     }
 }
 
-/// A name that may be shown, and written to a log as one word.
+/// A printable name without white space.
 fn shown_name(bytes: &[u8]) -> String {
     let name = crate::text::printable(&bytes[..bytes.len().min(MAX_NAME)]);
     name.replace(char::is_whitespace, "_")
@@ -336,7 +336,7 @@ fn byte_order(bytes: &[u8]) -> Option<bool> {
     }
 }
 
-/// Numbers in a section's byte order, one after the other.
+/// Reads fields in a section's byte order.
 #[derive(Clone, Copy)]
 struct Fields<'b> {
     bytes: &'b [u8],
@@ -359,14 +359,14 @@ impl<'b> Fields<'b> {
         Some(if self.big_endian { u64::from_be_bytes(bytes) } else { u64::from_le_bytes(bytes) })
     }
 
-    /// Bytes, and what pads them to a multiple of four.
+    /// `len` bytes; skips the padding to a multiple of four.
     fn padded(&mut self, len: usize) -> Option<&'b [u8]> {
         let value = self.bytes.get(..len)?;
         self.bytes = self.bytes.get(len.next_multiple_of(4)..).unwrap_or_default();
         Some(value)
     }
 
-    /// The next option; none at their end.
+    /// The next option; `None` at their end.
     fn option(&mut self) -> Option<(u16, &'b [u8])> {
         let (option, len) = (self.u16()?, self.u16()?);
         let value = self.padded(usize::from(len))?;
@@ -380,7 +380,7 @@ impl<'b> Fields<'b> {
     }
 }
 
-/// Reads a packet: the identifier is big-endian whatever the section is.
+/// Decodes a packet. Its identifier word is big-endian in any section.
 fn decode(packet: &[u8]) -> Result<Frame, PacketFault> {
     let (head, data) = packet.split_at_checked(CAN_HEAD).ok_or(PacketFault::NoFrame)?;
     let raw = u32::from_be_bytes([head[0], head[1], head[2], head[3]]);
@@ -399,25 +399,25 @@ fn decode(packet: &[u8]) -> Result<Frame, PacketFault> {
 
 // --- writing ------------------------------------------------------------------------------
 
-/// Begins a section: the first thing in a file.
+/// Writes the section header with which a file begins.
 pub fn write_section(out: &mut impl Write) -> io::Result<()> {
     let mut block = Block::new(SECTION);
     block.u32(BYTE_ORDER);
     block.u16(1);
     block.u16(0);
-    // How long the section is nobody knows yet.
+    // Length of the section: not specified.
     block.u64(u64::MAX);
     block.option(APPLICATION_OPTION, concat!("descan ", env!("CARGO_PKG_VERSION")).as_bytes());
     block.end_options();
     block.write(out)
 }
 
-/// Describes the next interface; they are counted from 0.
+/// Writes the description of the next interface, counted from 0.
 pub fn write_interface(out: &mut impl Write, name: &str) -> io::Result<()> {
     let mut block = Block::new(INTERFACE);
     block.u16(SOCKETCAN);
     block.u16(0);
-    // No packet is cut.
+    // Snapshot length: unlimited.
     block.u32(0);
     block.option(NAME_OPTION, name.as_bytes());
     block.option(RESOLUTION_OPTION, &[6]);
@@ -450,8 +450,8 @@ pub fn write_frame(
     block.write(out)
 }
 
-/// Says how many frames of an interface came and how many were lost, up to a time in microseconds
-/// since 1970.
+/// Writes how many frames of an interface were received and lost, up to a time in microseconds since
+/// 1970.
 pub fn write_statistics(
     out: &mut impl Write,
     interface: u32,
@@ -556,7 +556,7 @@ impl Block {
         self.bytes(&number.to_le_bytes());
     }
 
-    /// The halves of a time each have their own place.
+    /// A time: its upper half first, in any byte order.
     fn time(&mut self, time: u64) {
         self.u32((time >> 32) as u32);
         self.u32(time as u32);

@@ -1,10 +1,9 @@
-//! A log as a port: its frames come as they were timed.
+//! Replay: a log as a port. Its frames are delivered at their times.
 //!
-//! The pace is the clock's: [`Clock::replaying`] makes it faster, and it can be stopped. Frames that
-//! were sent when the log was made are still marked as ours.
+//! The clock sets the speed: see [`Clock::replaying`]. Frames marked as sent in the log have `is_tx`.
 //!
-//! The end of a file is an end for now: where it grows, what is new comes as it is written; where it
-//! was cut short or replaced, the new one is read from its beginning.
+//! The end of a file may be temporary: if the file grows, new frames are delivered as they are
+//! written; if it is truncated or replaced, it is read from its start. Does not know log formats.
 
 pub(super) mod file;
 pub(super) mod stdin;
@@ -24,17 +23,17 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant as Monotonic;
 
-/// How late a frame may be before the rest of the log is shifted with it. A live log
+/// Lateness of a frame beyond which the rest of the log is shifted with it. A live log
 /// (`ssh board candump -L can0 | descan -`) is always a little late.
 const MAX_LATENESS: Duration = Duration::from_millis(250);
 /// How long to wait for the consumer when the queue is full.
 const FULL_QUEUE_NAP: Duration = Duration::from_millis(5);
-/// How often to look whether a file that was read to its end has grown.
+/// How often to check whether a file that was read to its end has grown.
 const LOOK_EVERY: Duration = Duration::from_millis(300);
-/// How long a file that grew may rest before it is at its end again: writers that gather what they
-/// write let it rest.
+/// How long a file that grew may rest before its end is reported again: writers with a buffer write
+/// in intervals.
 const IDLE_BEFORE_END: Duration = Duration::from_secs(5);
-/// After so long nobody is in the middle of writing a line.
+/// Age of a file after which a last line without an end counts as complete.
 const UNFINISHED: Duration = Duration::from_secs(10);
 
 /// Opens a log whose first interface is bus `index` of the request, its second the next, and so on.
@@ -80,24 +79,24 @@ fn start(log: File, path: Option<&Path>, request: OpenRequest) -> io::Result<Por
 struct Replay {
     reader: LogReader<BufReader<LogSource>>,
     shared: Arc<PortShared>,
-    /// Where the log is looked for again, where it may go on after its end.
+    /// The path to watch for more of the log; `None` if it cannot grow.
     path: Option<PathBuf>,
     index: BusIndex,
     clock: Clock,
-    /// A moment of the log, and of the session: where the others are reckoned from.
+    /// A moment of the log and the same moment of the session.
     anchor: Option<(Instant, Instant)>,
-    /// How many of its interfaces were named.
+    /// How many interface names were reported.
     named: usize,
-    /// It went on after its end before: what comes is taken as it is written.
+    /// It has continued after its end: frames are delivered as they are written.
     follows: bool,
     percent: Option<u8>,
 }
 
-/// How a log goes on after its end.
+/// How a log continues after its end.
 enum Continuation {
     /// It grew.
     Grown,
-    /// It is another one now; in words, why.
+    /// Another log begins; the text says why.
     Anew(&'static str),
 }
 
@@ -123,7 +122,7 @@ impl Replay {
             };
             self.shared.queue.update_status(|status| {
                 (status.link, status.message) = (Link::Up, None);
-                // The word of how it went on before stays.
+                // An earlier note stays.
                 status.note = note.or_else(|| status.note.take());
             });
         }
@@ -134,13 +133,14 @@ impl Replay {
         if frame.is_some() || self.path.is_none() {
             return Ok(frame);
         }
-        // The last line may have no end because it is being written.
+        // The last line may have no end because it is just being written.
         let written = self.reader.source().get_ref().log.metadata()?.modified()?;
         let is_left = written.elapsed().is_ok_and(|age| age >= UNFINISHED);
         Ok(if is_left { self.reader.take_unfinished() } else { None })
     }
 
-    /// Hands a frame over when it is due, or, after the end, when it is there. Whether to go on.
+    /// Delivers a frame when it is due, or, after the end, at once. Returns false if the port was
+    /// dropped.
     fn play(&mut self, frame: Frame) -> io::Result<bool> {
         for name in &self.reader.tally().interfaces[self.named..] {
             self.shared.queue.add_name(name);
@@ -187,7 +187,7 @@ impl Replay {
         Ok(true)
     }
 
-    /// How much is read, where that can be known.
+    /// Reports how much is read, if the size is known.
     fn report_position(&mut self) {
         let source = self.reader.source();
         let percent = source.get_ref().percent(source.buffer().len());
@@ -197,7 +197,7 @@ impl Replay {
         }
     }
 
-    /// Waits at the end until there is more; `None` where there will be none.
+    /// Waits at the end until there is more; `None` if there will be none.
     fn wait_for_more(&mut self) -> io::Result<Option<Continuation>> {
         let Some(path) = self.path.clone() else {
             self.end();
@@ -206,7 +206,7 @@ impl Replay {
         let since = Monotonic::now();
         let mut is_told = false;
         while !self.shared.is_stopped() {
-            // At first nobody knows that it grows: what is there is judged at the last line.
+            // Before the file has grown once, its end counts as the end of the log.
             if !is_told && (!self.follows || since.elapsed() >= IDLE_BEFORE_END) {
                 self.end();
                 is_told = true;
@@ -220,7 +220,7 @@ impl Replay {
         Ok(None)
     }
 
-    /// It is at its end, for now.
+    /// Reports the end of the log, which may be temporary.
     fn end(&mut self) {
         self.report_position();
         let mut message = self.reader.tally().to_string();
@@ -235,32 +235,32 @@ impl Replay {
 }
 
 impl Drop for Replay {
-    /// However it ends, nobody's time waits for it.
+    /// The clock does not wait for it any more, also after a panic.
     fn drop(&mut self) {
         self.clock.log_ends(self.index);
     }
 }
 
-/// A log that ends when the port is dropped, even while the next line is waited for.
+/// A log that ends when the port is dropped, also while waiting for input.
 struct LogSource {
     log: File,
     shared: Arc<PortShared>,
     is_file: bool,
-    /// Bytes that were read of it.
+    /// Bytes read.
     read: u64,
-    /// Bytes that it had when it was looked at.
+    /// Its size in bytes when it was last checked.
     size: u64,
 }
 
 impl LogSource {
-    /// How much is read, without what is still buffered.
+    /// How much is decoded, in percent; `buffered` bytes are not. `None` if the size is not known.
     fn percent(&self, buffered: usize) -> Option<u8> {
         let read = self.read.saturating_sub(buffered as u64);
         let percent = (read * 100).checked_div(self.size.max(self.read))?;
         self.is_file.then(|| percent.min(100) as u8)
     }
 
-    /// Looks whether there is more than was read.
+    /// Checks whether there is more than was read.
     fn check_file(&mut self, path: &Path, is_damaged: bool) -> io::Result<Option<Continuation>> {
         let own = self.log.metadata()?;
         self.size = own.len();
@@ -273,7 +273,7 @@ impl LogSource {
             if !is_damaged {
                 return Ok(Some(Continuation::Grown));
             }
-            // Nothing of that can be read; but it may still be cut short.
+            // It cannot be read; but the file may still be truncated.
             self.read = own.len();
         }
         let is_other = |there: &Metadata| (there.dev(), there.ino()) != (own.dev(), own.ino());

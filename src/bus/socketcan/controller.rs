@@ -1,6 +1,5 @@
-//! Sets a CAN controller by netlink: bit rate, listen-only, down and up. Needs CAP_NET_ADMIN.
-//!
-//! Does not know what it is done for.
+//! Configuration of a CAN controller by netlink: bit rate, listen-only, down and up. Needs
+//! CAP_NET_ADMIN. Does not know its purpose.
 
 use super::link_info::{advice_missing, is_can};
 use nix::net::if_::if_nametoindex;
@@ -9,24 +8,24 @@ use socketcan::nl::{CanBitTiming, CanCtrlModes, InterfaceCanParams};
 use socketcan::{CanCtrlMode, CanInterface, Error};
 use std::io::{self, ErrorKind};
 
-/// Why it cannot be set.
+/// Why a controller cannot be configured.
 #[derive(Debug)]
 pub(in crate::bus) enum ConfigError {
-    /// There is no such interface: this is what there is.
+    /// The interface does not exist or is not a CAN interface; fault and remedy.
     NotThere(String),
-    /// The interface has no controller: vcan.
+    /// The interface has no controller, as vcan.
     NoController,
-    /// Only root may.
+    /// It needs root.
     NotPermitted,
-    /// It cannot only listen.
+    /// The controller has no listen-only mode.
     NoListening,
-    /// It cannot have this bit rate.
+    /// The controller does not support this bit rate.
     NotThisRate,
     /// Anything else.
     Failed(io::Error),
 }
 
-/// A controller, and how it was when we came.
+/// A controller and its previous configuration.
 #[derive(Debug)]
 pub(in crate::bus) struct CanController {
     name: String,
@@ -38,7 +37,7 @@ pub(in crate::bus) struct CanController {
 }
 
 impl CanController {
-    /// Looks at it; changes nothing.
+    /// Reads the configuration; changes nothing.
     pub(in crate::bus) fn of(name: &str) -> Result<Self, ConfigError> {
         let ifindex =
             if_nametoindex(name).map_err(|_| ConfigError::NotThere(advice_missing(name)))?;
@@ -47,7 +46,7 @@ impl CanController {
         }
         let interface = CanInterface::open_iface(ifindex);
         let details = interface.details().map_err(refusal)?;
-        // Every controller tells its clock; virtual interfaces have none.
+        // Every controller reports its clock frequency; virtual interfaces have none.
         if details.can.clock.is_none() {
             return Err(ConfigError::NoController);
         }
@@ -66,17 +65,17 @@ impl CanController {
         &self.name
     }
 
-    /// The bit rate it had, in bit/s.
+    /// The previous bit rate in bit/s; `None` if it had none.
     pub(in crate::bus) fn bitrate(&self) -> Option<u32> {
         self.timing.map(|timing| timing.bitrate)
     }
 
-    /// Whether it did not take part in the bus.
+    /// Returns true if it was listen-only.
     pub(in crate::bus) fn listened_only(&self) -> bool {
         self.listened_only
     }
 
-    /// Switches it off, sets it, and switches it on again.
+    /// Sets it down, configures it, and sets it up.
     pub(in crate::bus) fn set(
         &mut self,
         bitrate: u32,
@@ -85,7 +84,7 @@ impl CanController {
         self.touched = true;
         self.down()?;
         let timing = CanBitTiming { bitrate, ..CanBitTiming::default() };
-        // One at a time: which of both is refused matters.
+        // One at a time, to know which of both is rejected.
         self.change(Some(timing), None).map_err(|refusal| match refusal {
             ConfigError::Failed(_) => ConfigError::NotThisRate,
             other => other,
@@ -97,20 +96,19 @@ impl CanController {
         self.up()
     }
 
-    /// What is set now stays.
+    /// Keeps the present configuration when dropped.
     pub(in crate::bus) fn keep(&mut self) {
         self.touched = false;
     }
 
-    /// Puts back how it was when we came; a bit rate that it did not have before stays.
+    /// Restores the previous configuration. If it had no bit rate, the present one stays.
     pub(in crate::bus) fn restore(&mut self) -> Result<(), ConfigError> {
         if !std::mem::take(&mut self.touched) {
             return Ok(());
         }
         self.down()?;
         if let Some(timing) = self.timing {
-            // With its segments, as they were; the rate follows from them. Controllers whose rates
-            // are a list take the rate alone.
+            // The segments determine the rate. Controllers with a list of rates accept only the rate.
             let segments = CanBitTiming { bitrate: 0, ..timing };
             let rate = CanBitTiming { bitrate: timing.bitrate, ..CanBitTiming::default() };
             self.change(Some(segments), None).or_else(|_| self.change(Some(rate), None))?;
@@ -141,7 +139,7 @@ impl CanController {
 
 impl Drop for CanController {
     fn drop(&mut self) {
-        // Whoever wanted to know whether it can be put back has called it.
+        // The caller that needs the error calls `restore` itself.
         let _ = self.restore();
     }
 }
@@ -155,7 +153,7 @@ fn refusal(error: Error) -> ConfigError {
         },
         other @ Error::Can(_) => io::Error::other(other),
     };
-    // Whoever may not is not always told so.
+    // A missing privilege is not always reported as such.
     if cause.kind() == ErrorKind::PermissionDenied || !geteuid().is_root() {
         ConfigError::NotPermitted
     } else {

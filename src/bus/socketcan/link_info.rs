@@ -1,7 +1,7 @@
-//! What the system says of CAN interfaces, by netlink and sysfs: which there are, up or down,
-//! bit rates, controller state.
+//! State of the machine's CAN interfaces, by netlink and sysfs: names, up or down, bit rates,
+//! controller state; and the remedies for faults.
 //!
-//! Asks and never changes anything; no privilege is needed.
+//! Reads only; needs no privileges.
 
 use crate::status::BusState;
 use nix::net::if_::if_nametoindex;
@@ -10,7 +10,7 @@ use socketcan::nl::{CanState, Mtu};
 use std::fs;
 use std::io;
 
-/// What `/sys/class/net/*/type` says of a CAN interface (ARPHRD_CAN).
+/// `/sys/class/net/*/type` of a CAN interface (ARPHRD_CAN).
 const CAN_TYPE: &str = "280";
 
 /// A CAN interface of this machine.
@@ -18,17 +18,17 @@ const CAN_TYPE: &str = "280";
 pub struct CanInterface {
     /// Its name.
     pub name: String,
-    /// Switched on.
+    /// Up.
     pub up: bool,
-    /// Without a controller: vcan, vxcan.
+    /// Without a controller, as vcan and vxcan.
     pub is_virtual: bool,
-    /// Bit/s, where configured.
+    /// Bit/s; `None` if not configured.
     pub bitrate: Option<u32>,
     /// The controller's state.
     pub state: BusState,
 }
 
-/// The CAN interfaces there are, by name.
+/// The CAN interfaces of this machine, sorted by name.
 pub fn interfaces() -> Vec<CanInterface> {
     let mut names: Vec<String> = fs::read_dir("/sys/class/net")
         .into_iter()
@@ -48,34 +48,38 @@ pub fn interfaces() -> Vec<CanInterface> {
     names.into_iter().filter_map(describe).collect()
 }
 
-/// Whether an interface of this name is of the CAN kind.
+/// Returns true if an interface of this name exists and is a CAN interface.
 pub(super) fn is_can(name: &str) -> bool {
     fs::read_to_string(format!("/sys/class/net/{name}/type"))
         .is_ok_and(|kind| kind.trim() == CAN_TYPE)
 }
 
-/// What netlink says of one interface.
+/// State of one interface, by netlink.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct LinkInfo {
-    /// What it is called now.
+    /// Its present name.
     pub(super) name: Option<String>,
     pub(super) up: bool,
     pub(super) fd: bool,
     pub(super) state: BusState,
     pub(super) bitrate: Option<u32>,
-    /// There is no controller.
+    /// It has no controller.
     pub(super) is_virtual: bool,
     pub(super) data_bitrate: Option<u32>,
     pub(super) tec: Option<u16>,
     pub(super) rec: Option<u16>,
     pub(super) restart_ms: Option<u32>,
     pub(super) listen_only: bool,
-    /// The controller could report each bus error, and is not set to.
+    /// The controller supports reports of bus errors, and they are switched off.
     pub(super) hides_errors: bool,
 }
 
 impl LinkInfo {
-    /// One round trip.
+    /// Reads it: one round trip.
+    ///
+    /// # Errors
+    ///
+    /// Those of netlink.
     pub(super) fn of(ifindex: u32) -> io::Result<Self> {
         let details =
             socketcan::CanInterface::open_iface(ifindex).details().map_err(io::Error::other)?;
@@ -110,7 +114,7 @@ impl LinkInfo {
         })
     }
 
-    /// What is worth knowing of `name` while nothing is wrong.
+    /// Information on `name` that is not a fault.
     pub(super) fn note(&self, name: &str) -> Option<String> {
         self.hides_errors.then(|| {
             format!(
@@ -120,7 +124,7 @@ impl LinkInfo {
         })
     }
 
-    /// What is wrong with `name`, and the way out; `None` where nothing is.
+    /// Fault of `name` and remedy; `None` without a fault.
     pub(super) fn advice(&self, name: &str) -> Option<String> {
         match self.state {
             _ if !self.up => Some(advice_down(name, self.bitrate)),
@@ -161,7 +165,7 @@ fn advice_down(name: &str, bitrate: Option<u32>) -> String {
     }
 }
 
-/// What to do where `name` does not exist.
+/// Fault and remedy where `name` does not exist.
 pub(super) fn advice_missing(name: &str) -> String {
     let others = interfaces();
     let names: Vec<_> = others.iter().map(|interface| interface.name.as_str()).collect();
@@ -183,13 +187,13 @@ mod tests {
     }
 
     #[test]
-    fn nothing_to_say_of_a_healthy_bus() {
+    fn healthy_bus_has_no_advice() {
         assert_eq!(up(BusState::ErrorActive).advice("can0"), None);
         assert_eq!(up(BusState::Unknown).advice("vcan0"), None);
     }
 
     #[test]
-    fn what_the_controller_could_report_is_noted_with_the_command_for_it() {
+    fn note_has_the_command_for_bus_error_reports() {
         assert_eq!(up(BusState::ErrorActive).note("can0"), None);
         let hides = LinkInfo { hides_errors: true, ..up(BusState::ErrorActive) };
         let note = hides.note("can0").unwrap();

@@ -1,9 +1,9 @@
-//! SocketCAN: an interface of this machine as a port.
+//! `can0`: a SocketCAN interface of this machine as a port.
 //!
-//! Two threads. The reader does nothing but move frames, so nothing can hold it up; the
-//! observer asks netlink about the interface once a second and when there is reason to, which
-//! can take long while somebody configures another one. An interface that is down, missing or
-//! unplugged is a status, and is waited for.
+//! Two threads. The reader only moves frames, so that nothing delays it. The monitor reads the state
+//! of the interface by netlink, once a second and after an event; netlink can block while another
+//! interface is configured. An interface that is down, missing or unplugged is a status, and is
+//! waited for.
 
 pub(super) mod controller;
 mod link_info;
@@ -31,16 +31,16 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
-/// How often to look for an interface that is not there, and at one that is.
+/// Period of reading the state of the interface, and of the attempts to open a missing one.
 const REFRESH_PERIOD: Duration = Duration::from_secs(1);
-/// The least time between two looks: error reports can come by the thousand.
+/// Shortest time between two reads of the state: error frames can arrive by the thousand.
 const MIN_REFRESH_INTERVAL: Duration = Duration::from_millis(100);
-/// The longest nap while frames gather. Wake-ups are what reading costs, not system calls.
-/// Short beside what anybody waits for here: answers are collected for 60 ms at the least, and a
-/// heartbeat is missed 30 ms after its time at the soonest.
+/// Longest delay in which frames are collected: wake-ups cost more than system calls. Shorter than
+/// any time that matters here: responses are collected for at least 60 ms, and a heartbeat counts as
+/// missed 30 ms after its time at the earliest.
 const MAX_BATCH_DELAY: Duration = Duration::from_millis(20);
-/// How long to wait before a frame is offered again that the kernel had no room for, and for
-/// how long to do so. A full 125 kbit/s bus moves a frame on each millisecond.
+/// Interval and limit of the attempts to send a frame while the kernel's transmit queue is full. A
+/// full 125 kbit/s bus sends about one frame per millisecond.
 const RETRY_INTERVAL: Duration = Duration::from_millis(2);
 const RETRY_TIMEOUT: Duration = Duration::from_millis(500);
 
@@ -83,13 +83,13 @@ fn start(name: &str, request: OpenRequest) -> io::Result<Port> {
     Ok(port)
 }
 
-/// What the two threads share: which interface it is now, and whether to look at it.
+/// Shared by the two threads: the present interface, and requests to read its state.
 #[derive(Debug, Default)]
 struct InterfaceMonitor {
     name: String,
-    /// 0: not there.
+    /// 0: it does not exist.
     ifindex: AtomicU32,
-    /// Down, as far as is known.
+    /// Down, as last read.
     is_down: AtomicBool,
     request: Mutex<MonitorRequest>,
     requested: Condvar,
@@ -102,13 +102,13 @@ struct MonitorRequest {
     pending: PendingReport,
 }
 
-/// What the reader noticed, and is to be told together with how the interface is then: it may be
-/// over by the time somebody looks.
+/// Events that the reader noticed, reported with the next state of the interface: the state itself
+/// may have changed again by then.
 #[derive(Debug, Default)]
 struct PendingReport {
     /// The interface went down, or away.
     outage: bool,
-    /// The controller left the bus.
+    /// How often the controller became bus-off.
     bus_offs: u64,
 }
 
@@ -118,7 +118,7 @@ impl InterfaceMonitor {
         self.requested.notify_one();
     }
 
-    /// The observer.
+    /// The monitor thread.
     fn run(&self, shared: &PortShared) {
         let mut request = self.request.lock().unwrap_or_else(PoisonError::into_inner);
         while !request.stop {
@@ -139,7 +139,7 @@ impl InterfaceMonitor {
         }
     }
 
-    /// Looks at once, where the observer may take up to a second.
+    /// Reads the state at once, where the monitor may take up to a second.
     fn refresh_now(&self, shared: &PortShared) {
         let mut request = self.request.lock().unwrap_or_else(PoisonError::into_inner);
         let pending = std::mem::take(&mut request.pending);
@@ -150,20 +150,20 @@ impl InterfaceMonitor {
         request.pending.bus_offs += unreported.bus_offs;
     }
 
-    /// Looks once, and says in the status what there is, and what was noticed; gives back what
-    /// could not be said yet.
+    /// Reads the state once and writes it and the pending events into the status. Returns the events
+    /// that could not be reported yet.
     fn refresh(&self, shared: &PortShared, mut pending: PendingReport) -> PendingReport {
         let ifindex = self.ifindex.load(Ordering::Acquire);
         if ifindex == 0 {
             return pending;
         }
         let Ok(facts) = LinkInfo::of(ifindex) else { return pending };
-        // Renamed, it is the same wire with the same devices: commands need the name of now.
+        // A renamed interface is the same bus; remedies need its present name.
         let name = facts.name.as_deref().unwrap_or(&self.name);
         let (message, note) = (facts.advice(name), facts.note(name));
         let renamed = (name != self.name).then(|| name.to_owned());
         shared.queue.update_status(|status| {
-            // The reader may have lost the interface while we asked.
+            // The reader may have lost the interface meanwhile.
             if self.ifindex.load(Ordering::Acquire) != ifindex {
                 return;
             }
@@ -199,7 +199,7 @@ impl BusStatus {
     }
 }
 
-/// Stops the observer when the reader ends, however it ends.
+/// Stops the monitor when the reader ends, also by a panic.
 struct ObserverRelease(Arc<InterfaceMonitor>);
 
 impl Drop for ObserverRelease {
@@ -208,7 +208,7 @@ impl Drop for ObserverRelease {
     }
 }
 
-/// The reader.
+/// The reader thread.
 struct SocketReader {
     shared: Arc<PortShared>,
     monitor: Arc<InterfaceMonitor>,
@@ -216,11 +216,11 @@ struct SocketReader {
     timestamps: RxTimestamps,
     /// Kernel drops of sockets that were closed since.
     drops_before: u64,
-    /// The kernel drops and the frames under way that the status has.
+    /// The kernel drops and the frames in flight, as in the status.
     reported: (u64, u64),
-    /// Whether the interface was ever there: then its absence means unplugged.
+    /// Whether the interface existed before: then a missing one was unplugged.
     was_up: bool,
-    /// The only identifiers of interest; none: all.
+    /// The identifiers to receive; empty: all.
     only: Vec<IdPattern>,
     /// Frames to send.
     tx: TxQueue,
@@ -229,7 +229,7 @@ struct SocketReader {
 }
 
 impl SocketReader {
-    /// Serves the line until the port is dropped.
+    /// Serves the port until it is dropped.
     fn run(&mut self, mut found: Option<RawSocket>) -> io::Result<()> {
         while !self.shared.is_stopped() {
             let Some(socket) = found.take().or_else(|| self.find()) else {
@@ -243,7 +243,7 @@ impl SocketReader {
         Ok(())
     }
 
-    /// Opens the interface if it is there; says in the status if it is not.
+    /// Opens the interface; if it cannot, sets the status and returns `None`.
     fn find(&mut self) -> Option<RawSocket> {
         let name = &self.monitor.name;
         let opened = match if_nametoindex(name.as_str()) {
@@ -260,7 +260,7 @@ impl SocketReader {
         match opened {
             Ok((ifindex, socket)) => {
                 if self.was_up {
-                    // It may be back before anybody was told that it was gone.
+                    // It may return before its absence was reported.
                     self.monitor.request(|request| request.pending.outage = true);
                 }
                 self.was_up = true;
@@ -299,7 +299,7 @@ impl SocketReader {
         let mut batch = Vec::new();
         let mut frames = Vec::new();
         let mut last_arrival = Instant::ZERO;
-        // A quarter of what the receive buffer holds may gather.
+        // At most a quarter of the receive buffer may fill up during the delay.
         let room = socket.capacity() / 4;
         while !self.shared.is_stopped() {
             batch.clear();
@@ -318,8 +318,7 @@ impl SocketReader {
                     _ => return Err(error),
                 }
             }
-            // As soon as the buffer is empty: what is read before a frame of ours comes back is read
-            // one by one.
+            // With an empty buffer: until the loopback of a sent frame, frames are read one by one.
             if !is_gone {
                 self.send_pending(&mut socket);
             }
@@ -330,7 +329,7 @@ impl SocketReader {
             if batch.is_empty() {
                 self.shared.wait(Some(socket.as_fd()), self.retry_wait())?;
             } else {
-                // By the frames' own times: clocks are not read more often than needed.
+                // The frames' times save reading the clock.
                 let newest = frames.last().map_or(last_arrival, |frame| frame.time);
                 let batch_delay = batch_delay(newest.since(last_arrival), batch.len() as u32, room);
                 last_arrival = newest;
@@ -348,7 +347,7 @@ impl SocketReader {
         Ok(())
     }
 
-    /// The status first, so that nobody sees frames newer than it.
+    /// The status goes first: the consumer never sees frames newer than it.
     fn deliver(&mut self, batch: &[ReceivedFrame], frames: &mut Vec<Frame>, socket: &RawSocket) {
         let mut reports = ErrorFrameSummary::default();
         frames.clear();
@@ -416,8 +415,8 @@ impl SocketReader {
     }
 }
 
-/// How long to let frames gather: none if the bus is quiet (the next frame wakes us), shorter
-/// the faster they come, so that at most `room` do.
+/// How long to collect frames: `None` if the bus is quiet (the next frame wakes the reader); shorter
+/// the faster they arrive, so that at most `room` do.
 fn batch_delay(since_last: Duration, count: u32, room: u32) -> Option<Duration> {
     if since_last > MAX_BATCH_DELAY && count < 2 {
         return None;
@@ -426,7 +425,7 @@ fn batch_delay(since_last: Duration, count: u32, room: u32) -> Option<Duration> 
     (batch_delay >= Duration::from_millis(1)).then_some(batch_delay)
 }
 
-/// What a batch's error reports (`linux/can/error.h`) say that is counted here.
+/// Counts of the error frames of a batch.
 #[derive(Default)]
 struct ErrorFrameSummary {
     total: u64,

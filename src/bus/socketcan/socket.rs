@@ -1,6 +1,5 @@
-//! One raw CAN socket: frames in batches, with the kernel's stamps and drop counter.
-//!
-//! Does not know what state the interface is in, nor what is to be done about it.
+//! Raw CAN socket: frames in batches, with the kernel's timestamps and drop counter. Does not know the
+//! state of the interface.
 
 use crate::frame::socketcan::{self as fields, EXTENDED_FLAG, FD_FORMAT, REMOTE_FLAG};
 use crate::frame::{Frame, IdPattern};
@@ -14,34 +13,32 @@ use std::os::fd::{AsFd, AsRawFd, BorrowedFd};
 
 /// Frames per system call.
 const BATCH: usize = 64;
-/// Frames that are read before anything else is looked after.
-const MOST: usize = 1024;
-/// What the kernel reckons for a frame that waits in the receive buffer, about.
+/// Frames read before frames are sent and the port is served.
+const MAX_READ: usize = 1024;
+/// Bytes of the receive buffer that the kernel counts for a frame, about.
 const BYTES_PER_FRAME: u32 = 800;
-/// What the kernel gives at least where nobody changed its settings.
+/// The kernel's default receive buffer in bytes.
 const USUAL_BUFFER: u32 = 212_992;
-/// The receive buffer asked for. The kernel counts some 800 bytes for each frame, so the usual
-/// 212,992 hold under 300; this holds a second of a full 1 Mbit/s bus. (It doubles it, and
-/// grants less to users who may not force it.)
+/// Requested receive buffer in bytes: one second of a full 1 Mbit/s bus. The default of 212,992 holds
+/// under 300 frames. (The kernel doubles the value, and grants less without CAP_NET_ADMIN.)
 const RECEIVE_BUFFER: i32 = 8 << 20;
 
-/// Reads how much memory a socket takes, and how much it dropped (linux/socket.h, sock_diag.h).
+/// Socket option: memory and drops of a socket (linux/socket.h, sock_diag.h).
 const SO_MEMINFO: i32 = 55;
 const MEMINFO_LEN: usize = 36;
 const MEMINFO_DROPS: usize = 32;
-/// The smallest receive buffer holds more frames than that, so nothing is dropped unless as many
-/// wait to be read.
+/// Even the smallest receive buffer holds more frames, so nothing is dropped unless as many wait.
 const MIN_BUFFER_FRAMES: usize = 64;
 
 const CLASSIC_LEN: usize = 16;
 const FD_LEN: usize = 72;
 const DATA_AT: usize = 8;
 
-/// A frame as the kernel delivers it: ours or not, and when.
+/// A frame as the kernel delivers it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ReceivedFrame {
     pub(super) frame: Frame,
-    /// When the kernel got it, in Unix microseconds.
+    /// The kernel's timestamp in Unix microseconds; `None` without one.
     pub(super) stamp_micros: Option<u64>,
 }
 
@@ -50,20 +47,23 @@ pub(super) struct ReceivedFrame {
 pub(super) struct RawSocket {
     socket: CanFdSocket,
     drops: Drops,
-    /// Frames read since the kernel was asked for drops.
-    unasked: usize,
+    /// Frames read since the drop counter was queried.
+    since_query: usize,
     receive_buffer: Option<u32>,
     unconfirmed: u64,
 }
 
 impl RawSocket {
-    /// Opens, on the interface of this index, a socket that hears everything: FD frames, error
-    /// reports, and our own frames once they are on the bus; where patterns are given, of data
-    /// frames only those that fit one of them.
+    /// Opens a socket on the interface of this index. It receives FD frames, error frames and the
+    /// loopback of sent frames; with patterns, only the data frames that match one.
+    ///
+    /// # Errors
+    ///
+    /// Those of the kernel.
     pub(super) fn open(ifindex: u32, only: &[IdPattern]) -> io::Result<Self> {
         let socket = CanFdSocket::open_iface(ifindex)?;
         if !only.is_empty() {
-            // The flags say extended, and no remote request.
+            // Extended identifiers only, no remote frames.
             let filters = only.iter().map(|pattern| {
                 let mask = pattern.mask | EXTENDED_FLAG | REMOTE_FLAG;
                 CanFilter::new(pattern.id | EXTENDED_FLAG, mask)
@@ -82,31 +82,31 @@ impl RawSocket {
         Ok(Self {
             socket,
             drops: Drops::default(),
-            unasked: 0,
+            since_query: 0,
             receive_buffer: receive_buffer.ok().and_then(|bytes| u32::try_from(bytes).ok()),
             unconfirmed: 0,
         })
     }
 
-    /// Appends what has arrived, at most [`MOST`] or a batch more; nothing if nothing has.
+    /// Appends the received frames, at most [`MAX_READ`] and one batch.
     ///
-    /// Whether a frame is ours the kernel says in a message flag (`MSG_CONFIRM`) that the safe
-    /// wrapper of recvmmsg does not pass on. So while frames of ours are under way we read one
-    /// by one and look at that flag first; otherwise none can be ours.
+    /// The kernel marks the loopback of a sent frame by a message flag (`MSG_CONFIRM`) that the safe
+    /// wrapper of recvmmsg does not pass on. So while sent frames are in flight, frames are read one
+    /// by one, with the flag peeked at first; otherwise none can be loopback.
     pub(super) fn read(&mut self, frames: &mut Vec<ReceivedFrame>) -> io::Result<()> {
         let before = frames.len();
         let outcome = loop {
             let outcome =
                 if self.unconfirmed == 0 { self.read_batch(frames) } else { self.read_one(frames) };
             // A batch that is not full has emptied the buffer.
-            if !matches!(outcome, Ok(true)) || frames.len() - before >= MOST {
+            if !matches!(outcome, Ok(true)) || frames.len() - before >= MAX_READ {
                 break outcome;
             }
         };
-        self.unasked += frames.len() - before;
+        self.since_query += frames.len() - before;
         match outcome {
             Err(error) if error.kind() == ErrorKind::WouldBlock => {
-                if self.unasked >= MIN_BUFFER_FRAMES {
+                if self.since_query >= MIN_BUFFER_FRAMES {
                     self.query_drops();
                 }
                 Ok(())
@@ -115,10 +115,10 @@ impl RawSocket {
         }
     }
 
-    /// A frame tells of the drops before it; of those after the last frame only the socket itself
-    /// does. Kernels before 4.12 do not.
+    /// Reads the drop counter of the socket. A frame carries the drops before it; those after the
+    /// last frame are known only to the socket (Linux 4.12 and later).
     pub(super) fn query_drops(&mut self) {
-        self.unasked = 0;
+        self.since_query = 0;
         let mut info = [0; MEMINFO_LEN];
         let read = self.socket.get_socket_option_bytes(SOL_SOCKET, SO_MEMINFO, &mut info);
         if let (Ok(MEMINFO_LEN), Some(count)) = (read, info[MEMINFO_DROPS..].first_chunk()) {
@@ -126,7 +126,7 @@ impl RawSocket {
         }
     }
 
-    /// Says whether there may be more.
+    /// Returns true if there may be more.
     fn read_one(&mut self, frames: &mut Vec<ReceivedFrame>) -> io::Result<bool> {
         let peeked = self.socket.as_raw_socket();
         let (_, flags) = peeked.recv_vectored_with_flags(&mut [], MSG_PEEK | MSG_DONTWAIT)?;
@@ -146,13 +146,13 @@ impl RawSocket {
         Ok(true)
     }
 
-    /// Says whether there may be more.
+    /// Returns true if there may be more.
     fn read_batch(&mut self, frames: &mut Vec<ReceivedFrame>) -> io::Result<bool> {
         let mut buffers = [[0; FD_LEN]; BATCH];
         let mut slices: Vec<_> =
             buffers.iter_mut().map(|buffer| [IoSliceMut::new(buffer)]).collect();
-        // Made anew for each call: the kernel shortens the control buffers to what it wrote, the
-        // wrapper leaves them so, and the first drop counter would not fit any more.
+        // New for each call: the kernel shortens the control buffers to what it wrote and the wrapper
+        // does not restore them, so that the first drop counter would not fit.
         let mut headers = MultiHeaders::<()>::preallocate(BATCH, Some(cmsg_space!(TimeSpec, u32)));
         let fd = self.socket.as_raw_fd();
         let messages = recvmmsg(fd, &mut headers, slices.iter_mut(), MsgFlags::MSG_DONTWAIT, None)?;
@@ -167,7 +167,11 @@ impl RawSocket {
         Ok(count == BATCH)
     }
 
-    /// Hands a frame to the kernel, or says at once why it does not take it.
+    /// Passes a frame to the kernel; never blocks.
+    ///
+    /// # Errors
+    ///
+    /// The kernel does not accept it.
     pub(super) fn send(&mut self, frame: &Frame) -> io::Result<()> {
         let (bytes, len) = encode(frame);
         self.socket.as_raw_socket().send_with_flags(&bytes[..len], MSG_DONTWAIT)?;
@@ -175,28 +179,28 @@ impl RawSocket {
         Ok(())
     }
 
-    /// Frames handed to the kernel that have not been seen on the bus.
+    /// Sent frames without loopback so far.
     pub(super) fn unconfirmed(&self) -> u64 {
         self.unconfirmed
     }
 
-    /// The interface went down: the kernel threw away what it still had to send.
+    /// Forgets the frames in flight: the kernel drops them when the interface goes down.
     pub(super) fn forget_unconfirmed(&mut self) {
         self.unconfirmed = 0;
     }
 
-    /// Frames that found the receive buffer full, as far as is known: see
-    /// [`ask_for_drops`](Self::ask_for_drops).
+    /// Frames lost because the receive buffer was full, as last read: see
+    /// [`query_drops`](Self::query_drops).
     pub(super) fn drops(&self) -> u64 {
         self.drops.total
     }
 
-    /// How many frames may wait to be read, about.
+    /// About how many frames the receive buffer holds.
     pub(super) fn capacity(&self) -> u32 {
         self.receive_buffer.unwrap_or(USUAL_BUFFER) / BYTES_PER_FRAME
     }
 
-    /// Bytes of the receive buffer, as the kernel counts them.
+    /// Size of the receive buffer in bytes, as the kernel counts them.
     pub(super) fn receive_buffer(&self) -> Option<u32> {
         self.receive_buffer
     }
@@ -208,7 +212,7 @@ impl AsFd for RawSocket {
     }
 }
 
-/// The drop counter of the socket, which is 32 bits wide and wraps.
+/// The drop counter of the socket: 32 bits, wraps.
 #[derive(Debug, Default)]
 struct Drops {
     last: u32,
@@ -216,7 +220,7 @@ struct Drops {
 }
 
 impl Drops {
-    /// Reads a message's control part: counts drops, and gives the stamp.
+    /// Reads a message's control part: notes drops, returns the timestamp.
     fn read_control(&mut self, message: &RecvMsg<'_, '_, ()>) -> Option<u64> {
         let mut stamp = None;
         for control in message.cmsgs().into_iter().flatten() {
@@ -234,8 +238,8 @@ impl Drops {
         stamp
     }
 
-    /// The kernel counts as far as `count` now. A frame that waited tells an earlier count than
-    /// the socket did: that is no news.
+    /// Notes a value of the counter. A frame that waited carries an earlier value than the socket:
+    /// it is ignored.
     fn note(&mut self, count: u32) {
         let more = count.wrapping_sub(self.last);
         if more < u32::MAX / 2 {
@@ -245,7 +249,7 @@ impl Drops {
     }
 }
 
-/// Reads Linux's `can_frame` or `canfd_frame`.
+/// Decodes Linux's `can_frame` or `canfd_frame`; `None` if it is neither.
 fn decode(bytes: &[u8]) -> Option<Frame> {
     let is_fd = match bytes.len() {
         CLASSIC_LEN => false,
@@ -257,7 +261,7 @@ fn decode(bytes: &[u8]) -> Option<Frame> {
     fields::decode(word, usize::from(head[4]), is_fd.then_some(head[5]), data)
 }
 
-/// Writes `can_frame` or `canfd_frame`; says how long it is.
+/// Encodes `can_frame` or `canfd_frame`; returns it with its length.
 fn encode(frame: &Frame) -> ([u8; FD_LEN], usize) {
     let mut bytes = [0; FD_LEN];
     bytes[..4].copy_from_slice(&fields::id_word(frame).to_ne_bytes());
@@ -275,7 +279,7 @@ mod tests {
     use crate::frame::CanId;
 
     #[test]
-    fn frames_survive_the_kernel_layout() {
+    fn encoded_frames_decode_to_the_same() {
         let mut fd = Frame::fd(0x1234_5678, &[7; 40], 0xCC);
         fd.error_state = true;
         for frame in [
@@ -292,7 +296,7 @@ mod tests {
     }
 
     #[test]
-    fn the_drop_counter_wraps_and_an_earlier_count_is_no_news() {
+    fn drop_counter_wraps_and_ignores_earlier_values() {
         let mut drops = Drops::default();
         for count in [0, 5, 5, 3, 0x7000_0000, 0xC000_0000, 0xFFFF_FFFF, 2, 0xFFFF_FFFF] {
             drops.note(count);
@@ -301,7 +305,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_frame_is_left_out() {
+    fn malformed_frames_are_rejected() {
         assert_eq!(decode(&[]), None);
         assert_eq!(decode(&[0; 15]), None);
         let mut too_long = [0; CLASSIC_LEN];
