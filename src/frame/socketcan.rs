@@ -3,7 +3,7 @@
 //!
 //! Pure. Does not know the byte order of a layout: the caller reads and writes the bytes.
 
-use super::{CanId, Frame, FrameKind};
+use super::{CanId, Frame, FrameKind, fd_length};
 
 /// Identifier word: a 29-bit identifier.
 pub const EXTENDED_FLAG: u32 = 0x8000_0000;
@@ -68,8 +68,10 @@ pub fn decode(word: u32, len: usize, fd_flags: Option<u8>, data: &[u8]) -> Optio
 
 /// An FD data frame with BRS and ESI from `flags`, padded with zeros to a length that a DLC has.
 pub fn with_fd_flags(id: CanId, data: &[u8], flags: u8) -> Frame {
-    let mut frame = Frame::fd(0, data, 0);
-    frame.id = id;
+    let mut frame = Frame::with(id, data);
+    // Bytes after the data are zero.
+    frame.len = fd_length(frame.len()) as u8;
+    frame.fd = true;
     frame.bit_rate_switch = flags & BIT_RATE_SWITCH != 0;
     frame.error_state = flags & ERROR_STATE != 0;
     frame
