@@ -27,6 +27,7 @@ mod log;
 mod malicious_input;
 mod missing_reasons;
 mod pcapng;
+mod pictures;
 mod random_buses;
 mod random_input;
 mod readme;

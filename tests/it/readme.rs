@@ -1,8 +1,7 @@
-//! The README says what is so.
+//! The statements of the README that a program can check.
 
 use descan::document::Document;
 use descan::keymap::{ACTIONS, Key, KeyMode, Keymap};
-use descan::wire::profile::Profile;
 
 const README: &str = include_str!("../../README.md");
 
@@ -51,9 +50,7 @@ fn bound_letters_are_all_in_the_readme() {
 }
 
 #[test]
-fn readme_profile_and_des_json_are_valid() {
-    let profile = Profile::parse(block("toml", "framing")).unwrap();
-    assert_eq!(profile.service_names[&0x101], "AUGER");
+fn readme_des_json_is_valid() {
     let document = Document::parse(block("json", "{").as_bytes()).unwrap();
     assert_eq!(document.entries()[0].name_text, "FEED");
     assert!(document.findings().is_empty());
@@ -61,12 +58,31 @@ fn readme_profile_and_des_json_are_valid() {
 
 #[test]
 fn readme_commands_exist() {
-    let blocks = ["sudo ip link", "descan scan file:", "descan file:", "sudo ip link set lo"]
-        .map(|begin| block("sh", begin));
-    let lines = blocks.iter().flat_map(|block| block.lines());
-    for line in lines.filter(|line| line.starts_with("descan ")) {
+    let mut count = 0;
+    for line in block("sh", "descan can0").lines() {
         let command = line.split('#').next().unwrap();
+        // The part that descan runs, in a pipe or with sudo.
+        let command = command.rsplit('|').next().unwrap().trim().trim_start_matches("sudo ");
         let arguments: Vec<&str> = command.split_whitespace().collect();
+        assert_eq!(arguments[0], "descan", "{line}");
         descan::cli::parse(&arguments).unwrap_or_else(|refusal| panic!("{line}: {refusal:?}"));
+        count += 1;
+    }
+    assert!(count >= 10, "{count}");
+}
+
+#[test]
+fn readme_is_short_and_its_files_exist() {
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    assert!(README.lines().count() <= 170, "{}", README.lines().count());
+    let links: Vec<&str> = README
+        .split("](")
+        .skip(1)
+        .filter_map(|rest| rest.split(')').next())
+        .filter(|link| !link.contains("://"))
+        .collect();
+    assert!(links.len() >= 5, "{links:?}");
+    for link in links {
+        assert!(root.join(link).exists(), "{link}");
     }
 }
