@@ -45,14 +45,14 @@ fn assert_true(inspection: &Inspection) {
 
 #[test]
 fn boiler_scenario_events_match_snapshot() {
-    let (story, inspection) = told("boiler_scenario_events_match_snapshot", 200);
+    let (story, inspection) = told("boiler", 200);
     assert_true(&inspection);
-    insta::assert_snapshot!("boiler_scenario_events_match_snapshot", story);
+    insta::assert_snapshot!("boiler", story);
 }
 
 #[test]
 fn drone_scenario_events_match_snapshot() {
-    let (story, inspection) = told("drone_scenario_events_match_snapshot", 160);
+    let (story, inspection) = told("drone", 160);
     assert_true(&inspection);
-    insta::assert_snapshot!("drone_scenario_events_match_snapshot", story);
+    insta::assert_snapshot!("drone", story);
 }

@@ -433,7 +433,7 @@ fn difference(expected: &str, played: &str) -> String {
 fn edit_files_match_their_recorded_screens() {
     let update = are_written_anew();
     let mut wrong = String::new();
-    for path in texts_of("edit_files_match_their_recorded_screens") {
+    for path in texts_of("editing") {
         let name = path.file_name().unwrap().to_string_lossy().into_owned();
         let expected = std::fs::read_to_string(&path).unwrap();
         let played = match std::panic::catch_unwind(|| play(&expected)) {

@@ -3,6 +3,7 @@
 
 use crate::common::inspection;
 use crate::common::inspection::Inspection;
+use crate::common::sweep;
 use descan::discovery::{Confidence, Config, Engine, EventKind, Finding, FindingKind};
 use descan::frame::{Frame, FrameKind};
 use descan::sim::{ControllerState, DeviceAction, DeviceSpec, Fault, Scenario, TimetableEvent};
@@ -201,7 +202,7 @@ fn assert_nobody_named(what: &str, scenario: &Scenario, seed: u64) -> Inspection
 
 #[test]
 fn disturbed_bus_suspects_no_device() {
-    for seed in 0..20 {
+    for seed in 0..u64::from(sweep::cases(6)) {
         for rate in [0.01, 0.05, 0.2] {
             let bitrate = if seed % 2 == 0 { 125_000 } else { 1_000_000 };
             let mut scenario = mixed(bitrate);

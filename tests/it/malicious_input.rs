@@ -1,5 +1,6 @@
 //! Whatever is on the bus: no panic, bounded memory, nothing that steers a terminal.
 
+use crate::common::sweep;
 use descan::discovery::{Config, Engine};
 use descan::frame::{CanId, Frame};
 use descan::time::{Duration, Instant};
@@ -67,7 +68,7 @@ fn any_frame() -> impl Strategy<Value = Frame> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 256, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: sweep::cases(96), ..ProptestConfig::default() })]
 
     #[test]
     fn arbitrary_frames_do_not_break_the_engine(

@@ -1,6 +1,7 @@
 //! A monkey at the keyboard while the bus and the file misbehave: nothing panics, whatever the
 //! size of the screen, and nothing on it could steer a terminal.
 
+use crate::common::sweep;
 use descan::app::{App, AppOptions, Effect, FileReading, Mouse, MouseKind, SaveOutcome};
 use descan::discovery::Config;
 use descan::document::Document;
@@ -178,7 +179,7 @@ impl Stage {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 192, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: sweep::cases(48), failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
     fn random_input_never_panics_nor_controls_terminal(steps in prop::collection::vec(any_step(), 1..120)) {

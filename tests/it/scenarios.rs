@@ -171,7 +171,7 @@ fn play(scenario: &str) -> String {
 fn scenario_files_give_their_recorded_events() {
     let update = are_written_anew();
     let mut wrong = String::new();
-    for path in texts_of("scenario_files_give_their_recorded_events") {
+    for path in texts_of("scenarios") {
         let expected = std::fs::read_to_string(&path).unwrap();
         let played = play(&expected);
         if played == expected {

@@ -1,5 +1,6 @@
 //! The file on disk: saved whole or not at all, and watched.
 
+use crate::common::sweep;
 use std::fs;
 use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _, symlink};
 use std::path::Path;
@@ -450,7 +451,7 @@ fn content_read_after_a_save_is_kept() {
         let folder = folder();
         let path = folder.path().join("des.json");
         fs::write(&path, "theirs").unwrap();
-        for round in 0..200 {
+        for round in 0..sweep::cases(60) {
             let known = Ok(Some(b"before".to_vec()));
             let watch = FileWatcher::polling(Store::new(&path), known, Duration::from_hours(1));
             // Some are told before the watch has looked, some after.

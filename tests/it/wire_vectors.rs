@@ -112,7 +112,7 @@ fn services_match_the_vectors() {
         let read: Vec<Vec<Vec<u8>>> =
             answer.services().map(|s| s.strings().map(<[u8]>::to_vec).collect()).collect();
         let expected: Vec<Vec<Vec<u8>>> =
-            vector["services_match_the_vectors"].as_array().unwrap().iter().map(strings).collect();
+            vector["services"].as_array().unwrap().iter().map(strings).collect();
         assert_eq!(read, expected, "{vector}");
         let indices: Vec<usize> = answer.services().map(|s| s.index.into()).collect();
         assert_eq!(indices, (0..expected.len()).collect::<Vec<_>>(), "{vector}");

@@ -9,4 +9,5 @@ pub mod pty;
 pub mod python;
 pub mod scenario_files;
 pub mod serial;
+pub mod sweep;
 pub mod watch_process;

@@ -1,6 +1,7 @@
 //! How devices find addresses, beat, give way and give up.
 
 use super::{address, after, at_ms, beats, bus_with, from, is_error};
+use crate::common::sweep;
 use descan::sim::{AddressChoice, DeviceAction, DeviceSpec, Fault, Scenario, Sim, SimStation};
 use descan::time::Duration;
 use descan::wire::id::Address;
@@ -270,7 +271,7 @@ fn random_trouble_ends_with_unique_addresses() {
         Fault::DropFrame,
         Fault::HugeLength,
     ];
-    for seed in 0..60 {
+    for seed in 0..u64::from(sweep::cases(20)) {
         let mut rng = fastrand::Rng::with_seed(seed);
         let mut scenario = Scenario::new(500_000);
         for number in 0..12 {
