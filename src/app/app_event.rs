@@ -68,6 +68,8 @@ pub struct EventLine {
 /// State of a bus at one moment.
 #[derive(Clone, Debug)]
 pub struct BusSnapshot {
+    /// Which bus.
+    pub index: BusIndex,
     /// Its name: `can0`.
     pub name: String,
     /// State of its adapter.
@@ -107,6 +109,7 @@ impl App {
         let bitrate = bus.status.bitrate.filter(|_| !bus.status.filtered);
         let own_address = bus.own_address();
         Some(BusSnapshot {
+            index,
             name: bus.name.clone(),
             status: bus.status.clone(),
             counters: bus.counters(),
@@ -135,6 +138,20 @@ impl App {
     /// The state of bus `index` as an event; `None` if the bus does not exist.
     pub(super) fn bus_event(&self, index: BusIndex, time: Instant) -> Option<AppEvent> {
         Some(AppEvent::Bus(time, Box::new(self.bus_snapshot(index, time)?)))
+    }
+
+    /// Adds the frames handled at `now` to the bus events of that moment that wait.
+    pub(super) fn complete_bus_events(&mut self, now: Instant) {
+        // A status change comes with a few events at most.
+        const RECENT: usize = 16;
+        for event in self.app_events.iter_mut().rev().take(RECENT) {
+            if let AppEvent::Bus(time, snapshot) = event
+                && *time == now
+                && let Some(bus) = self.buses.get(usize::from(snapshot.index.0))
+            {
+                snapshot.counters = bus.engine.counters();
+            }
+        }
     }
 
     /// An event of the engine of bus `index`, as the values that belong to it.

@@ -248,6 +248,7 @@ impl App {
         if !frames.is_empty() && self.view.page == Page::Traffic && self.view.frozen.is_none() {
             self.request_redraw();
         }
+        self.complete_bus_events(now);
         self.take_events();
     }
 
