@@ -1,9 +1,10 @@
-//! What the command line's commands do: the same app, with a screen or without.
+//! The commands of the command line: the same app, with a screen or without.
 //!
-//! Each returns the exit code that scripts rely on; what cannot be done is an error whose text
-//! names the cause and the way out.
+//! Each returns the exit code that scripts rely on, or a [`Failure`] whose text names the cause and
+//! the remedy. Does not parse arguments.
 
 mod check;
+mod gate;
 mod guide;
 mod headless;
 mod open;
@@ -18,7 +19,7 @@ use crate::cli::{self, Cli, Command};
 use std::io::{self, Write};
 use std::process::ExitCode;
 
-/// Nothing found, or all done.
+/// Success: no findings that count.
 pub const EXIT_OK: u8 = 0;
 /// Findings that count.
 pub const EXIT_FINDINGS: u8 = 1;
@@ -26,10 +27,10 @@ pub const EXIT_FINDINGS: u8 = 1;
 pub const EXIT_USAGE: u8 = 2;
 /// A bus or a file cannot be used.
 pub const EXIT_UNUSABLE: u8 = 3;
-/// Ended by SIGINT or SIGTERM.
+/// Stopped by SIGINT or SIGTERM.
 pub const EXIT_INTERRUPTED: u8 = 130;
 
-/// Why a command did not do its work.
+/// Why a command failed.
 #[derive(Debug, thiserror::Error)]
 pub enum Failure {
     /// Wrong arguments.
@@ -38,16 +39,16 @@ pub enum Failure {
     /// A bus or a file cannot be used.
     #[error("{0}")]
     Unusable(String),
-    /// Standard output is closed: whoever read it has enough.
+    /// Standard output is closed, as by `head`: not an error.
     #[error("standard output is closed")]
     Closed,
-    /// The terminal or the system does not do as it should.
+    /// The terminal or the system failed.
     #[error("{0:#}")]
     System(#[from] anyhow::Error),
 }
 
-/// Does what the arguments ask for. Errors go to standard error as one line; where a file is not
-/// what it should be, followed by the line that is not.
+/// Runs a command. Prints an error on standard error in one line, followed by the wrong line of an
+/// invalid file.
 pub fn run(cli: Cli) -> ExitCode {
     let result = match cli.command {
         None => tui::ui(&cli.session),
@@ -75,7 +76,7 @@ pub fn run(cli: Cli) -> ExitCode {
     })
 }
 
-/// Writes all of it to standard output, at once.
+/// Writes `text` to standard output and flushes it.
 fn print(text: &[u8]) -> Result<(), Failure> {
     let mut out = io::stdout().lock();
     let printed = out.write_all(text).and_then(|()| out.flush());

@@ -130,7 +130,7 @@ struct EvidenceReport {
 
 #[derive(Debug, Serialize)]
 pub(super) struct FileReport {
-    path: String,
+    pub path: String,
     ok: Option<bool>,
     entries: Option<usize>,
     error: Option<String>,
@@ -461,11 +461,6 @@ pub(super) fn of_file(file: FileSnapshot) -> FileReport {
         error: file.problem.as_ref().map(ToString::to_string),
         problem,
     }
-}
-
-/// Where des.json is, safe on a terminal.
-pub(super) fn path_of(app: &App) -> String {
-    app.file().path().map(shown).unwrap_or_default()
 }
 
 /// A path, safe on a terminal.

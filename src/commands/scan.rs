@@ -1,9 +1,8 @@
-//! `descan scan`: one enumeration, printed. On a live bus it ends when everything is known; a
-//! log is read to its end as fast as it can be, by its own clock.
+//! `descan scan`: one enumeration, as tables or JSON. On a live bus it ends when every request is
+//! answered or failed; a log is read at once, in log time.
 
-use super::headless::{
-    self, Limits, RunInput, RunOutcome, warn_all_tx_blocked, why_not_open, why_unusable,
-};
+use super::gate::BusGate;
+use super::headless::{self, Limits, RunInput, RunOutcome, warn_all_tx_blocked};
 use super::open::{self, Setup};
 use super::report::ScanReport;
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, print};
@@ -77,8 +76,11 @@ pub fn read_log(
     })
 }
 
-/// One enumeration of live buses, until everything is known and `enough` says so, at most for
+/// One enumeration of live buses, until they are settled and `enough` returns true, at most for
 /// `time`.
+///
+/// # Errors
+/// A bus cannot be used, or `enough` failed.
 pub fn look(
     buses: &[BusSpec],
     setup: &Setup,
@@ -87,31 +89,26 @@ pub fn look(
 ) -> Result<RunOutcome, Failure> {
     let limits = Limits { time: Some(time), stuck: EXIT_INTERRUPTED, ..Limits::default() };
     let mut bar = Bar::new();
+    let mut gate = BusGate::new(false);
     let input = RunInput::Buses(buses);
     let outcome = headless::run(input, setup, AppOptions::default(), limits, |session| {
-        // Nobody waits for an interface to come up.
-        let mut buses = session.app.buses().iter();
-        if let Some(why) = buses.find_map(|bus| why_unusable(bus, session.now())) {
-            return Err(Failure::Unusable(why));
-        }
+        gate.allows(&session.app, session.now())?;
         bar.show(&session.app, session.now(), time);
         let is_done = enough(&session.app, session.now())? && is_settled(&session.app);
         Ok(if is_done { ControlFlow::Break(()) } else { ControlFlow::Continue(()) })
     })?;
-    // What was never open has not been looked at: that there is nothing on it would be a lie.
-    let closed = outcome.app.buses().iter().find_map(why_not_open);
-    match closed.filter(|_| outcome.ending != Some(StopReason::Interrupted)) {
-        Some(why) => Err(Failure::Unusable(why)),
-        None => Ok(outcome),
+    if outcome.ending != Some(StopReason::Interrupted) {
+        gate.require_opened(&outcome.app)?;
     }
+    Ok(outcome)
 }
 
-/// Whether all is asked and answered, as far as it ever will be.
+/// Returns true if all buses are open and every request on them is answered or failed.
 pub fn is_settled(app: &App) -> bool {
     app.buses().iter().all(|bus| bus.status.link != Link::Opening && bus.progress().settled)
 }
 
-/// A line on standard error while scanning, where that is a terminal.
+/// Progress line on standard error while scanning, if that is a terminal.
 struct Bar {
     shown: bool,
     last: String,
@@ -134,7 +131,7 @@ impl Bar {
             sum.named += progress.named;
             sum.with_services += progress.with_services;
         }
-        // Full when all that was found is known; before anything is found, the time that is up.
+        // The known share of what was found; before that, the elapsed share of the time limit.
         let done = if sum.present > 0 {
             (sum.named + sum.with_services) as f64 / (2 * sum.present) as f64
         } else {

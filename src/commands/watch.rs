@@ -1,9 +1,9 @@
-//! `descan watch`: what happens, as it happens, a line each: in the words of the timeline, or as
-//! JSON objects.
+//! `descan watch`: events as they happen, one per line: as in the timeline, or as JSON objects.
 //!
-//! The JSON's names, types and meanings are relied on by scripts.
+//! Scripts rely on the names, types and meanings of the JSON members.
 
-use super::headless::{self, Limits, RunInput, why_not_open, why_unusable};
+use super::gate::BusGate;
+use super::headless::{self, Limits, RunInput};
 use super::open::{self, Setup};
 use super::report::{
     BusReport, FileReport, FindingReport, ServiceReport, of_bus, of_file, of_finding, of_services,
@@ -16,9 +16,7 @@ use crate::cli::WatchArgs;
 use crate::discovery::{EventKind, Finding, Presence};
 use crate::frame::IdPattern;
 use crate::shell::log_input::LogPace;
-use crate::shell::session::Session;
 use crate::shell::stop::StopReason;
-use crate::status::Link;
 use crate::text::printable;
 use crate::time::{Epoch, Instant};
 use crate::wire::id::{Address, Header};
@@ -52,29 +50,27 @@ pub fn run(watch: &WatchArgs) -> Result<u8, Failure> {
             Ok(ControlFlow::Continue(()))
         })?;
     } else {
-        let mut patience = StartupGate::default();
+        let mut gate = BusGate::new(true);
         let input = RunInput::Buses(&buses);
         let outcome = headless::run(input, &setup, options, limits, |session| {
             // A bus that is unusable from the start is an error, without events before it.
-            if patience.check(session)? {
+            if gate.allows(&session.app, session.now())? {
                 event_writer.write_events(&mut session.app)?;
             }
             Ok(ControlFlow::Continue(()))
         })?;
-        if outcome.ending != Some(StopReason::Interrupted)
-            && let Some(why) = patience.why_never_open(&outcome.app)
-        {
-            return Err(Failure::Unusable(why));
+        if outcome.ending != Some(StopReason::Interrupted) {
+            gate.require_opened(&outcome.app)?;
         }
     }
     Ok(EXIT_OK)
 }
 
-/// Which frames have to be read for what is of interest; empty: all. Whoever takes part in the bus
-/// must hear everybody, and so must a recording.
+/// Patterns of the frames that the filter needs; empty for all. An active node needs all frames,
+/// and so does a recording.
 fn frames_of_interest(interest: &Filter, setup: &Setup) -> Vec<IdPattern> {
-    let hears_all = !setup.config.listen_only || setup.record.is_some();
-    let addresses = interest.addresses().filter(|_| !hears_all).unwrap_or_default();
+    let needs_all = !setup.config.listen_only || setup.record.is_some();
+    let addresses = interest.addresses().filter(|_| !needs_all).unwrap_or_default();
     let service = setup.config.profile.des_service();
     let patterns = addresses.into_iter().flat_map(|it| Header::patterns_of(it, service));
     let mut only: Vec<IdPattern> = Vec::new();
@@ -86,36 +82,7 @@ fn frames_of_interest(interest: &Filter, setup: &Setup) -> Vec<IdPattern> {
     only
 }
 
-/// A bus must be usable at first; later it is waited for.
-#[derive(Default)]
-struct StartupGate {
-    was_open: Vec<bool>,
-}
-
-impl StartupGate {
-    /// Whether all buses were open once.
-    fn check(&mut self, session: &Session) -> Result<bool, Failure> {
-        let buses = session.app.buses();
-        self.was_open.resize(buses.len(), false);
-        for (bus, was_open) in buses.iter().zip(&mut self.was_open) {
-            *was_open |= bus.status.link == Link::Up;
-            let is_over = bus.status.link == Link::Failed;
-            let why = why_unusable(bus, session.now()).filter(|_| is_over || !*was_open);
-            if let Some(why) = why {
-                return Err(Failure::Unusable(why));
-            }
-        }
-        Ok(self.was_open.iter().all(|was_open| *was_open))
-    }
-
-    /// Why one of the buses was not open in all this time.
-    fn why_never_open(&self, app: &App) -> Option<String> {
-        let buses = app.buses().iter().zip(&self.was_open);
-        buses.filter(|(_, was_open)| !**was_open).find_map(|(bus, _)| why_not_open(bus))
-    }
-}
-
-/// Writes the lines.
+/// Prints events on standard output.
 struct EventWriter {
     json: bool,
     text: Vec<u8>,
@@ -178,7 +145,7 @@ enum EventBody {
     Finding {
         bus: Option<String>,
         address: Option<u8>,
-        /// Where it is about one name.
+        /// The name; `None` if it is about none or several.
         name: Option<String>,
         finding: FindingReport,
     },
@@ -190,7 +157,7 @@ enum EventBody {
     },
 }
 
-/// What an event of a device says beside the device.
+/// Further members of a device's event.
 #[derive(Serialize)]
 #[serde(untagged)]
 enum EventDetails {
@@ -201,7 +168,7 @@ enum EventDetails {
     },
     Mode {
         mode: &'static str,
-        /// The mode before, where it is known.
+        /// The previous mode, if known.
         from: Option<&'static str>,
     },
     Moved {

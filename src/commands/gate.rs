@@ -1,0 +1,143 @@
+//! Gates: whether the input of a command can be used yet, ever, or no more.
+//!
+//! Each is called after every wake-up and returns `Ok(true)` if its input can be used, `Ok(false)`
+//! to wait, and an error if waiting does not help. Does not know the commands.
+
+use super::headless::{why_not_open, why_unusable};
+use super::{Failure, report};
+use crate::app::App;
+use crate::status::Link;
+use crate::time::{Duration, Instant};
+
+/// Gate of the buses.
+#[derive(Debug)]
+pub struct BusGate {
+    /// A bus that was open once may go down: its return is waited for.
+    tolerates_outages: bool,
+    was_open: Vec<bool>,
+}
+
+impl BusGate {
+    /// A gate that no bus has passed.
+    pub fn new(tolerates_outages: bool) -> Self {
+        Self { tolerates_outages, was_open: Vec::new() }
+    }
+
+    /// Returns true if all buses were open once.
+    ///
+    /// # Errors
+    /// A bus cannot be used, and its return is not waited for.
+    pub fn allows(&mut self, app: &App, now: Instant) -> Result<bool, Failure> {
+        self.was_open.resize(app.buses().len(), false);
+        for (bus, was_open) in app.buses().iter().zip(&mut self.was_open) {
+            *was_open |= bus.status.link == Link::Up;
+            let waits = self.tolerates_outages && *was_open && bus.status.link != Link::Failed;
+            if let Some(why) = why_unusable(bus, now).filter(|_| !waits) {
+                return Err(Failure::Unusable(why));
+            }
+        }
+        Ok(self.was_open.iter().all(|was_open| *was_open))
+    }
+
+    /// At the end of a run: a bus that was never open was not observed.
+    ///
+    /// # Errors
+    /// A bus was never open.
+    pub fn require_opened(&self, app: &App) -> Result<(), Failure> {
+        let mut buses = app.buses().iter().zip(&self.was_open).filter(|(_, was_open)| !**was_open);
+        let why = buses.find_map(|(bus, _)| why_not_open(bus));
+        why.map_or(Ok(()), |why| Err(Failure::Unusable(why)))
+    }
+}
+
+/// Gate of des.json. Other programs write it meanwhile, possibly in several steps: a file that had
+/// entries is expected to have entries again.
+#[derive(Debug, Default)]
+pub struct FileGate {
+    had_entries: bool,
+}
+
+impl FileGate {
+    /// Time from the start in which invalid JSON may be a file that is just being written.
+    const START: Duration = Duration::from_secs(1);
+
+    /// Returns true if the bus can be compared with the file now.
+    ///
+    /// # Errors
+    /// The file is missing or invalid, and had no entries before.
+    pub fn allows(&mut self, app: &App, now: Instant) -> Result<bool, Failure> {
+        let file = app.file();
+        self.had_entries |= file.is_there() && !file.document().entries().is_empty();
+        if let Err(failure) = require_file(app) {
+            let is_new = file.problem().is_some() && now.since(Instant::ZERO) < Self::START;
+            return if self.had_entries || is_new { Ok(false) } else { Err(failure) };
+        }
+        let has_entries = !file.document().entries().is_empty();
+        Ok(file.emptied_since().is_none() && (has_entries || !self.had_entries))
+    }
+}
+
+/// Requires a des.json that can be used.
+///
+/// # Errors
+/// It is missing or invalid.
+pub fn require_file(app: &App) -> Result<(), Failure> {
+    let file = report::of_file(app.file_snapshot());
+    if let Some(text) = file.problem {
+        return Err(Failure::Unusable(text));
+    }
+    if !app.file().is_there() {
+        let path = file.path;
+        return Err(Failure::Unusable(format!(
+            "{path}: file not found; create it with: descan scan BUS --write {path}"
+        )));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::app::{AppOptions, FileReading};
+
+    fn content(text: &str) -> FileReading {
+        FileReading::Content(Some(text.as_bytes().to_vec()))
+    }
+
+    /// Results of the gate for these contents, 1.5 s apart; `None` is an error.
+    fn allowed(readings: impl IntoIterator<Item = FileReading>) -> Vec<Option<bool>> {
+        let file_path = Some("des.json".into());
+        let mut app = App::new(Instant::ZERO, AppOptions { file_path, ..AppOptions::default() });
+        let mut gate = FileGate::default();
+        let mut now = Instant::ZERO;
+        let mut read = |reading| {
+            app.handle_file(now, reading);
+            app.handle_timeout(now);
+            let allowed = gate.allows(&app, now).ok();
+            now += Duration::from_millis(1500);
+            app.handle_timeout(now);
+            allowed
+        };
+        readings.into_iter().map(&mut read).collect()
+    }
+
+    #[test]
+    fn file_gate_waits_for_a_file_that_was_valid() {
+        let good = || content(r#"[{"name":"FEED","address":12}]"#);
+        let yes = Some(true);
+        for gone in [FileReading::Content(None), content("[{\"na"), content(""), content("[]")] {
+            assert_eq!(
+                allowed([good(), gone.clone(), gone, good()]),
+                [yes, Some(false), Some(false), yes]
+            );
+        }
+        assert_eq!(allowed([content("[]")]), [yes], "no entries");
+    }
+
+    #[test]
+    fn file_gate_rejects_a_file_that_was_never_valid() {
+        assert_eq!(allowed([FileReading::Content(None)]), [None]);
+        let broken = content("[{\"na");
+        assert_eq!(allowed([broken.clone(), broken]), [Some(false), None]);
+    }
+}
