@@ -11,7 +11,7 @@ fn main() -> ExitCode {
     match cli::parse(std::env::args_os()) {
         Ok(cli) => commands::run(cli),
         Err(CliExit::Text(text)) => {
-            // Nobody may be left to read it.
+            // Standard output may be closed.
             let _ = std::io::stdout().write_all(text.as_bytes());
             ExitCode::SUCCESS
         }

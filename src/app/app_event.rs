@@ -144,12 +144,12 @@ impl App {
     pub(super) fn complete_bus_events(&mut self, now: Instant) {
         // A status change comes with a few events at most.
         const RECENT: usize = 16;
-        for event in self.app_events.iter_mut().rev().take(RECENT) {
+        for event in self.notices.recent_events(RECENT) {
             if let AppEvent::Bus(time, snapshot) = event
                 && *time == now
-                && let Some(bus) = self.buses.get(usize::from(snapshot.index.0))
+                && let Some(bus) = self.buses.get(snapshot.index)
             {
-                snapshot.counters = bus.engine.counters();
+                snapshot.counters = bus.counters();
             }
         }
     }

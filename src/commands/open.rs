@@ -20,10 +20,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Where des.json is when nothing is said.
+/// Path of des.json, unless given.
 const DEFAULT_FILE: &str = "des.json";
 
-/// What the settings folder and the arguments say together.
+/// The user's settings and the arguments, combined.
 pub struct Setup {
     /// The user's settings folder.
     pub folder: Option<ConfigFolder>,
@@ -35,19 +35,21 @@ pub struct Setup {
     pub file: PathBuf,
     /// Where all frames are recorded.
     pub record: Option<Target>,
-    /// The only frames of interest; none: all are.
+    /// Patterns of the frames to receive; empty for all.
     pub only: Vec<IdPattern>,
-    /// The theme's name, where one is chosen.
+    /// The theme's name; `None` for the default.
     pub theme: Option<String>,
-    /// It was chosen on the command line: one that cannot be used is an error.
+    /// It was given on the command line: an unusable one is an error.
     pub theme_is_asked_for: bool,
-    /// What is wrong in the user's settings. It was told already; a screen hides that.
+    /// Errors in the user's settings. Already printed, but a screen hides that.
     pub warnings: Vec<String>,
 }
 
 impl Setup {
-    /// Reads the user's settings (what is wrong in them is a warning) and the profile (what is
-    /// wrong in it is an error: it was asked for).
+    /// Reads the user's settings, whose errors are warnings, and the profile of the arguments.
+    ///
+    /// # Errors
+    /// The profile cannot be used.
     pub fn new(common: &CommonArgs) -> Result<Self, Failure> {
         let folder = ConfigFolder::of_user();
         let settings = folder.as_ref().map_or(Ok(UserSettings::default()), ConfigFolder::settings);
@@ -64,7 +66,7 @@ impl Setup {
             round_period: settings.round_period().unwrap_or(built_in.round_period),
             start_share: settings.start_share.unwrap_or(built_in.start_share),
             steady_share: settings.steady_share.unwrap_or(built_in.steady_share),
-            // Two inspectors that start together must not choose alike.
+            // Two inspectors that start together must not pick the same address.
             seed: fastrand::u64(..),
             ..built_in
         };
@@ -77,21 +79,24 @@ impl Setup {
         Ok(Self { folder, keymap, config, file, record, only, theme, theme_is_asked_for, warnings })
     }
 
-    /// Begins the recording, where one is asked for: when all else is open.
+    /// Starts the recording, if requested. Call when all else is open.
+    ///
+    /// # Errors
+    /// The file cannot be created.
     pub fn recorder(&self) -> Result<Option<Recorder>, Failure> {
         let recorder = self.record.as_ref().map(Recorder::create).transpose();
         recorder.map_err(|error| Failure::Unusable(error.to_string()))
     }
 }
 
-/// Tells what is wrong in the settings; what is built in goes in its place.
+/// Prints an error in the settings and returns the built-in value.
 pub fn warn<T: Default>(warnings: &mut Vec<String>, why: String) -> T {
     let _ = writeln!(io::stderr(), "descan: {why} (built-in values are used)");
     warnings.push(why);
     T::default()
 }
 
-/// The profile of that file; without one, what is assumed.
+/// Reads a profile; `None` returns the assumed values.
 pub fn profile(path: Option<&Path>) -> Result<Profile, Failure> {
     let Some(path) = path else { return Ok(Profile::default()) };
     let unusable = |why: String| Failure::Unusable(format!("{}: {why}", path.display()));
@@ -100,7 +105,10 @@ pub fn profile(path: Option<&Path>) -> Result<Profile, Failure> {
     Profile::parse(&text).map_err(|error| unusable(on_one_line(&error.to_string())))
 }
 
-/// The buses of the arguments; where none is given, the one CAN interface there is.
+/// The buses of the arguments; without any, the only CAN interface.
+///
+/// # Errors
+/// A bus is named twice, or none is named and there is not exactly one CAN interface.
 pub fn buses(arguments: &Arguments) -> Result<Vec<BusSpec>, Failure> {
     let stdins = arguments.buses.iter().filter(|bus| **bus == BusSpec::Stdin).count();
     if stdins > 1 {
@@ -129,25 +137,25 @@ pub fn buses(arguments: &Arguments) -> Result<Vec<BusSpec>, Failure> {
     }
 }
 
-/// Whether two arguments mean one bus: every device would be there twice, and we would talk to
-/// ourselves.
+/// Returns true if two arguments name one bus: every device would be listed twice, and descan would
+/// respond to itself.
 fn is_same(bus: &BusSpec, other: &BusSpec) -> bool {
     match (bus, other) {
-        // However fast, there is one adapter.
+        // One adapter, at any bit rate.
         (BusSpec::Slcan(slcan), BusSpec::Slcan(other)) => slcan.device == other.device,
-        // Each is simulated by itself.
+        // Each one is a separate simulation.
         (BusSpec::Sim(_), _) => false,
         _ => bus == other,
     }
 }
 
-/// The clock of a session: logs keep the pace and the dates of their recording.
+/// The clock of a session; logs keep the pace, times `speed`, and the dates of their recording.
 pub fn clock(buses: &[BusSpec], speed: f64) -> Result<Clock, Failure> {
     let log = buses.iter().find_map(|bus| match bus {
         BusSpec::File(path) => Some(path),
         _ => None,
     });
-    // Beside a bus that is there a log runs as that does, now.
+    // Beside a live bus, a log is replayed in real time, from now.
     if !buses.iter().all(is_log) {
         return Ok(Clock::start());
     }
@@ -158,7 +166,10 @@ pub fn clock(buses: &[BusSpec], speed: f64) -> Result<Clock, Failure> {
     Ok(Clock::replaying(epoch, speed))
 }
 
-/// The log among the buses, where there is one: then it is the only one. `from` needs a log.
+/// The log, if the input is one; `None` for buses.
+///
+/// # Errors
+/// A log is combined with other buses, or `from` is given without a log.
 pub fn log<'b>(
     buses: &'b [BusSpec],
     command: &str,
@@ -178,7 +189,7 @@ pub fn log<'b>(
     }
 }
 
-/// Whether a bus is a recording: nothing can be sent on it.
+/// Returns true if a bus is a log, on which nothing can be transmitted.
 pub fn is_log(bus: &BusSpec) -> bool {
     matches!(bus, BusSpec::File(_) | BusSpec::Stdin)
 }
@@ -203,7 +214,7 @@ pub fn session(
     clock: Clock,
     options: AppOptions,
 ) -> Result<Session, Failure> {
-    // A log may run for long before the last bus is open.
+    // Before opening: a replayed log runs while the other buses are opened.
     let start = clock.now();
     let mut ports: Vec<Port> = Vec::new();
     let mut named = Vec::new();
@@ -230,15 +241,14 @@ pub fn session(
     Ok(session)
 }
 
-/// Says on standard error what was recorded.
+/// Prints on standard error what was recorded.
 pub fn report_recording(status: Option<RecordingStatus>) {
     if let Some(status) = status {
         let _ = writeln!(io::stderr(), "descan: recorded {status}");
     }
 }
 
-/// How far the wall clock is ahead of UTC; 0 where the system does not say. To be asked before
-/// there are threads.
+/// Offset of local time from UTC, in seconds; 0 if unknown. Call before threads are started.
 pub fn utc_offset_seconds() -> i32 {
     time::UtcOffset::current_local_offset().map_or(0, time::UtcOffset::whole_seconds)
 }

@@ -1,5 +1,5 @@
-//! `descan sim`: simulated devices on a bus. Their bus is simulated too; what they send there
-//! goes out to the real one, and what is heard there comes in.
+//! `descan sim`: simulated devices on a real bus. Their own bus is simulated; frames are relayed
+//! between the two in both directions.
 
 use super::{EXIT_OK, EXIT_UNUSABLE, Failure, headless};
 use crate::bus::{self, BusSpec, Clock, Options};
@@ -12,10 +12,13 @@ use std::io::{self, Write};
 use std::time::Duration;
 use tokio::signal::unix::{SignalKind, signal};
 
-/// The pace at which both buses exchange frames.
+/// Shortest time between two relays.
 const NAP: Duration = Duration::from_millis(2);
 
 /// Runs until interrupted, or for `time`.
+///
+/// # Errors
+/// The bus cannot transmit or be opened, or the scenario is invalid.
 pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8, Failure> {
     if !spec.kind().can_send {
         return Err(Failure::Usage(format!(
@@ -29,23 +32,23 @@ pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8,
     headless::runtime()?.block_on(async {
         let mut interrupt = signal(SignalKind::interrupt()).context("no signals")?;
         let mut terminate = signal(SignalKind::terminate()).context("no signals")?;
-        // After the signals: an adapter that was opened is closed again, however soon one comes.
+        // After the signals: an opened adapter is closed again, however soon one arrives.
         let port = bus::open(spec, BusIndex(0), clock.clone(), Options::default())
             .map_err(|error| Failure::Unusable(error.to_string()))?;
         let mut heard: Vec<Frame> = Vec::new();
-        // The simulated bus begins when the other one is there.
+        // The simulation starts when the real bus is open.
         let mut start = None;
         let mut told = None;
         loop {
             let now = clock.now();
-            // Taken, so that it is no news any more: the loop sleeps until there is some.
+            // Taken, so that `ready` waits for the next change.
             port.queue().take_status();
             let status = port.queue().status();
             let is_away = !matches!(status.link, Link::Opening | Link::Up);
             if is_away && told != Some(status.link) {
                 let why = status.message.unwrap_or_else(|| format!("{spec} cannot be used"));
                 let _ = writeln!(io::stderr(), "descan: {why}");
-                // What was there once is waited for.
+                // A bus that was open once is waited for.
                 if start.is_none() || status.link.is_final() {
                     return Ok(EXIT_UNUSABLE);
                 }
@@ -70,7 +73,7 @@ pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8,
             }
             while let Some(frame) = sim.poll_frame(station) {
                 if !frame.is_tx && frame.kind != FrameKind::Error {
-                    // A full outbox is a bus that takes nothing; its status says so.
+                    // The port's status reports a full outbox.
                     let _ = port.transmit(&frame);
                 }
             }

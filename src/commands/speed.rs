@@ -1,5 +1,5 @@
-//! `descan speed`: finds the bit rate of a bus. Listens first; whether to take part, which disturbs
-//! a bus of another rate, is for the user to say.
+//! `descan speed`: finds the bit rate of a bus. Listen-only first; an active search, which disturbs a
+//! bus of another rate, needs the user's consent.
 
 use super::open::profile;
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, headless};
@@ -19,12 +19,12 @@ pub fn run(speed: &SpeedArgs) -> Result<u8, Failure> {
         let mut endings = StopWaiter::new(None, EXIT_INTERRUPTED).context("no signals")?;
         tokio::select! {
             biased;
-            // What was set is put back when the search is dropped.
+            // Dropping the search restores the previous setting.
             _ = endings.next() => Ok(EXIT_INTERRUPTED),
             done = search(speed) => done,
         }
     });
-    // A question that nobody answered may still wait for its line.
+    // A prompt may still wait for its line.
     runtime.shutdown_background();
     result
 }
@@ -95,7 +95,7 @@ fn may_ask(speed: &SpeedArgs) -> bool {
     !speed.json && io::stdin().is_terminal() && io::stderr().is_terminal()
 }
 
-/// Asks on the terminal; anything but a yes is a no.
+/// Prompts on the terminal; returns true only for y or yes.
 async fn wants_to_take_part(bus: &BusSpec) -> bool {
     let _ = write!(
         io::stderr(),

@@ -1,4 +1,4 @@
-//! The terminal UI, on real buses and on simulated ones.
+//! `descan [BUS…]` and `descan demo`: the terminal UI, on real and on simulated buses.
 
 use super::open::{self, Setup};
 use super::report::{counted, shown};
@@ -13,8 +13,8 @@ use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// How long a save may take after a signal, or a terminal that is gone.
-const PATIENCE: Duration = Duration::from_secs(5);
+/// Longest time to finish a save after a signal or a closed terminal.
+const SAVE_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// `descan [BUS…]`.
 pub fn ui(arguments: &Arguments) -> Result<u8, Failure> {
@@ -40,7 +40,7 @@ pub fn demo(system: &str, common: &CommonArgs) -> Result<u8, Failure> {
     setup.file = folder.path().join("des.json");
     std::fs::write(&setup.file, example(system)).context("the demo's des.json")?;
     let code = show(&buses, &setup, Clock::start())?;
-    // What was edited stays for a look; the rest goes with the folder.
+    // An edited file is kept; otherwise the folder is deleted.
     let edited = std::fs::read(&setup.file).is_ok_and(|now| now != example(system).as_bytes());
     if edited {
         let kept = folder.keep().join("des.json");
@@ -50,7 +50,7 @@ pub fn demo(system: &str, common: &CommonArgs) -> Result<u8, Failure> {
     Ok(code)
 }
 
-/// The demo's des.json: what a firmware team might have pinned before the boards came.
+/// The demo's des.json: static addresses as planned before the devices exist.
 fn example(system: &str) -> &'static str {
     match system {
         "drone" => include_str!("demo/drone.json"),
@@ -72,11 +72,11 @@ fn show(buses: &[BusSpec], setup: &Setup, clock: Clock) -> Result<u8, Failure> {
     let mut wanted = setup.theme.as_deref().unwrap_or(usual);
     let mut warnings = setup.warnings.clone();
     let mut themes = match Themes::new(setup.folder.clone(), wanted) {
-        // One that was not asked for just now is no reason not to start.
+        // A theme from the settings does not prevent the start.
         Err(why) if !setup.theme_is_asked_for => {
             open::warn::<()>(&mut warnings, format!("theme {wanted}: {why}"));
             wanted = usual;
-            // The user's own may have that name; without the folder it is the built-in one.
+            // The user's own theme may have that name; without the folder it is built-in.
             Themes::new(setup.folder.clone(), usual).or_else(|_| Themes::new(None, usual))
         }
         themes => themes,
@@ -95,10 +95,10 @@ fn show(buses: &[BusSpec], setup: &Setup, clock: Clock) -> Result<u8, Failure> {
     let result = runtime.block_on(async {
         let mut session = open::session(buses, setup, clock, options)?;
         let ending = tui_loop::run(&mut session, &mut themes).await.context("the terminal");
-        // With edits that are not saved only who does not want to wait for them quits.
+        // The user quits with unsaved edits only if they are not to be waited for.
         let gives_up = matches!(ending, Ok(TuiExit::Quit)) && session.app.file().unsaved() > 0;
         let is_asked_to_end = !matches!(ending, Ok(TuiExit::Quit));
-        session.finish_work(!gives_up, is_asked_to_end.then_some(PATIENCE)).await;
+        session.finish_work(!gives_up, is_asked_to_end.then_some(SAVE_TIMEOUT)).await;
         open::report_recording(session.finish_recording());
         let is_lost = session.app.edits_at_risk().map(|(count, document)| {
             report_recovery_copy(
@@ -109,7 +109,7 @@ fn show(buses: &[BusSpec], setup: &Setup, clock: Clock) -> Result<u8, Failure> {
         });
         Ok::<_, Failure>((ending?, is_lost.is_some()))
     });
-    // Not dropped: that would wait for what was not to be waited for.
+    // Not dropped, which would wait for all blocking work.
     runtime.shutdown_background();
     Ok(match result? {
         (TuiExit::Quit, false) => EXIT_OK,
@@ -118,7 +118,7 @@ fn show(buses: &[BusSpec], setup: &Setup, clock: Clock) -> Result<u8, Failure> {
     })
 }
 
-/// Says on standard error what was not saved, and where a copy of it is.
+/// Prints on standard error what was not saved, and the path of its recovery copy.
 fn report_recovery_copy(file: &Path, count: usize, kept: std::io::Result<PathBuf>) {
     let (file, edits) = (shown(file), counted(count as u64, "edit"));
     // The terminal may be gone.

@@ -1,6 +1,7 @@
-//! Finds a bus's bit rate: sets one after the other, and listens. Alone, or beside a session.
+//! Bit rate search on a bus: sets one rate after the other and receives. Alone, or beside a session.
 //!
-//! When it is given up half-way, the bus is as it was before.
+//! A search that is dropped restores the previous setting. Does not judge what is received: see
+//! [`crate::bitrate`].
 
 use crate::bitrate::{ListenMode, RATES, RateResult, Search, SearchOutcome, SearchProgress};
 use crate::bus::{self, BitRateSetter, BusSpec, Clock, Options, TuneError};
@@ -11,33 +12,37 @@ use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 use tokio::time::sleep;
 
-/// How long a bus may take from when it was set to when it is open.
+/// Longest time from setting a rate until the bus is open.
 const OPENING: Duration = Duration::from_secs(3);
 
-/// What waits to be told: two for each rate, and the end.
+/// Capacity of the channel: two messages for each rate, and the result.
 const MAX_NEWS: usize = 16;
 
-/// What was found, and what was heard at each rate.
+/// Result of a search.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SearchReport {
     /// How it ended.
     pub outcome: SearchOutcome,
-    /// The rates that were tried, in bit/s.
+    /// The rates tried, in bit/s, with what was received at each.
     pub tried: Vec<(u32, RateResult)>,
 }
 
-/// Where to begin, and how.
+/// How a search is done.
 #[derive(Clone, Copy, Debug)]
 pub struct Plan {
     /// The rate to begin with, in bit/s; otherwise the one that is set, or the lowest.
     pub first: Option<u32>,
-    /// Whether we take part.
+    /// Listen-only or active.
     pub manner: ListenMode,
-    /// BUS_CFG_HR_TIME.
+    /// Heartbeat period (BUS_CFG_HR_TIME).
     pub period: Duration,
 }
 
-/// Looks for the rate. Where it is found the bus keeps it; whatever else was set is put back. May be dropped while waiting.
+/// Searches the bit rate. The bus keeps a rate that is found; otherwise the previous setting is
+/// restored. May be dropped while waiting.
+///
+/// # Errors
+/// The rate cannot be set, or the bus cannot be opened.
 pub async fn find(
     bus: &BusSpec,
     plan: Plan,
@@ -103,26 +108,26 @@ pub async fn find(
     Ok(SearchReport { outcome, tried: search.tried().to_vec() })
 }
 
-/// What a search beside a session tells.
+/// Message of a search beside a session.
 #[derive(Debug)]
 pub enum SearchNews {
-    /// It goes on.
+    /// A step.
     Progress(SearchProgress),
-    /// It is over.
+    /// The result.
     Over(Result<SearchOutcome, String>),
 }
 
-/// A search beside a session. Dropping it gives it up.
+/// A search beside a session. Dropping it stops the search.
 #[derive(Debug)]
 pub struct RunningSearch {
-    /// The bus, as the session counts them.
+    /// Index of the bus in the session.
     pub bus: BusIndex,
     news: mpsc::Receiver<SearchNews>,
     task: JoinHandle<()>,
 }
 
 impl RunningSearch {
-    /// Begins. Needs the runtime of the session.
+    /// Starts a search on the session's runtime.
     pub fn begin(bus: BusIndex, name: &str, period: Duration) -> Self {
         let (told, news) = mpsc::channel(MAX_NEWS);
         let spec = name.parse::<BusSpec>();
@@ -131,7 +136,7 @@ impl RunningSearch {
                 Ok(bus) => {
                     let plan = Plan { first: None, manner: ListenMode::Listening, period };
                     let report = find(&bus, plan, |progress| {
-                        // More than wait there can be no rates to tell of.
+                        // The channel has room for all rates.
                         let _ = told.try_send(SearchNews::Progress(progress));
                     });
                     report.await.map(|report| report.outcome).map_err(|error| error.to_string())
@@ -143,7 +148,7 @@ impl RunningSearch {
         Self { bus, news, task }
     }
 
-    /// Waits for news. May be dropped while waiting.
+    /// Waits for the next message. May be dropped while waiting.
     pub async fn next(&mut self) -> SearchNews {
         let broken = || SearchNews::Over(Err("the bit rate search stopped".to_owned()));
         self.news.recv().await.unwrap_or_else(broken)

@@ -1,7 +1,7 @@
 //! The user's own settings: `config.toml`, `keys.toml` and `themes/` in the XDG config folder.
 //!
-//! Every part may be missing. What is wrong in one is told with file and line; it does not keep
-//! the program from starting with what is built in.
+//! Each part is optional. An error in one is reported with file and line; descan then starts with the
+//! built-in values.
 
 use crate::keymap::Keymap;
 use etcetera::{BaseStrategy, choose_base_strategy};
@@ -11,20 +11,20 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// The largest of these files that is read, in bytes.
+/// Largest size of such a file, in bytes.
 const MAX_BYTES: u64 = 1 << 20;
 
-/// `config.toml`: what would otherwise be said on the command line each time.
+/// `config.toml`: defaults for command-line options.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct UserSettings {
     /// The theme's name.
     pub theme: Option<String>,
-    /// Seconds between rounds once the bus is known; 0 = none after the first ones.
+    /// Seconds between enumeration rounds once the bus is known, 0 to 86400; 0 stops them then.
     pub round_period: Option<f64>,
-    /// The share of the bus that what we send may take while starting, 0–1.
+    /// Transmit budget while starting, as a share of the bus, 0.001 to 1.
     pub start_share: Option<f64>,
-    /// The same afterwards.
+    /// Transmit budget afterwards, 0.001 to 1.
     pub steady_share: Option<f64>,
 }
 
@@ -44,7 +44,7 @@ impl UserSettings {
         Ok(settings)
     }
 
-    /// Time between rounds, where it is set.
+    /// Time between enumeration rounds; `None` for the built-in value.
     pub fn round_period(&self) -> Option<Duration> {
         self.round_period.map(Duration::from_secs_f64)
     }
@@ -57,28 +57,28 @@ pub struct ConfigFolder {
 }
 
 impl ConfigFolder {
-    /// `$XDG_CONFIG_HOME/descan`, by default `~/.config/descan`; none where there is no home.
+    /// `$XDG_CONFIG_HOME/descan`, by default `~/.config/descan`; `None` without a home folder.
     pub fn of_user() -> Option<Self> {
         let base = choose_base_strategy().ok()?;
         Some(Self { path: base.config_dir().join("descan") })
     }
 
-    /// That folder.
+    /// The folder at `path`.
     pub fn at(path: impl Into<PathBuf>) -> Self {
         Self { path: path.into() }
     }
 
-    /// `config.toml`; what is built in where it is missing. The error names file and line.
+    /// Reads `config.toml`; built-in values if it is missing. The error names file and line.
     pub fn settings(&self) -> Result<UserSettings, String> {
         self.read("config.toml", UserSettings::parse)
     }
 
-    /// `keys.toml`; the usual keys where it is missing. The error names file and line.
+    /// Reads `keys.toml`; the built-in keys if it is missing. The error names file and line.
     pub fn keymap(&self) -> Result<Keymap, String> {
         self.read("keys.toml", |text| Keymap::parse(text).map_err(|error| error.to_string()))
     }
 
-    /// Where the user's theme of that name would be.
+    /// Path of the user's theme `name`, whether or not it exists.
     pub fn theme_path(&self, name: &str) -> PathBuf {
         self.path.join("themes").join(format!("{name}.toml"))
     }
@@ -113,7 +113,10 @@ impl ConfigFolder {
     }
 }
 
-/// The text of a small file; `None` where there is none.
+/// Reads a text file of at most 1 MiB; `None` if it does not exist.
+///
+/// # Errors
+/// It is larger, not UTF-8, or cannot be read.
 pub fn read_text(path: &Path) -> io::Result<Option<String>> {
     match fs::metadata(path) {
         Ok(metadata) if metadata.len() > MAX_BYTES => {
@@ -130,7 +133,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_missing_is_built_in_and_what_is_wrong_is_named() {
+    fn settings_missing_are_built_in_and_errors_name_the_line() {
         let folder = tempfile::tempdir().unwrap();
         let config = ConfigFolder::at(folder.path());
         assert_eq!(config.settings(), Ok(UserSettings::default()));

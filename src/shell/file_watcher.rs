@@ -1,12 +1,10 @@
-//! Noticing that `des.json` was changed by somebody else.
+//! Detection of changes to a file by other programs.
 //!
 //! Editors replace files, so folders are watched: the one the file is in, those of the symbolic
 //! links that lead to it, and, while its folder is missing, the one that it will appear in. An
-//! event is only a reason to look: what counts is whether the content differs from what was last
-//! known. Where nobody tells of changes (network file systems, no inotify left), the file is read
-//! once a second.
-//!
-//! What it deliberately does not know: what is in the file, and who saves it.
+//! event is only a reason to read: a change is content that differs from the last known one. Without
+//! events (network file systems, no inotify left) the file is read once a second. Does not know what
+//! is in the file, or who saves it.
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -22,21 +20,21 @@ use tokio::sync::Notify;
 
 use super::store::{Places, Store};
 
-/// What was found: the content, none when there is no file, or why it cannot be read.
+/// Content of a file; `None` if there is no file, an error if it cannot be read.
 pub type DiskContent = Result<Option<Vec<u8>>, String>;
 
-/// How long it must be quiet before the file is read: editors write in several steps.
+/// Time without events before the file is read: editors write in several steps.
 const QUIET: Duration = Duration::from_millis(100);
 
-/// How long to wait for quiet at most.
-const PATIENCE: Duration = Duration::from_secs(1);
+/// Longest wait for such a time.
+const QUIET_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// How often to look where nobody tells.
+/// Time between reads without events.
 const POLL_PERIOD: Duration = Duration::from_secs(1);
 
-/// Watches a file on a thread of its own, until dropped.
+/// Watches a file on a separate thread, until dropped.
 ///
-/// There is no queue: what waits to be fetched by [`Watch::changed`] is the newest reading.
+/// There is no queue: [`FileWatcher::changed`] returns the newest content.
 #[derive(Debug)]
 pub struct FileWatcher {
     shared: Arc<WatchShared>,
@@ -44,13 +42,13 @@ pub struct FileWatcher {
 }
 
 impl FileWatcher {
-    /// Watches the file of the store. `known` is what was last read of it; a change since is
-    /// reported too.
+    /// Watches the file of the store. `known` is the content last read; a change since then is
+    /// reported, too.
     pub fn spawn(store: Store, known: DiskContent) -> Self {
         Self::start(store, known, POLL_PERIOD, |wake| Some(Folders::new(wake)))
     }
 
-    /// Watches by reading the file once in a period, whatever the system could tell.
+    /// Watches by reading the file once per `period`, without events.
     pub fn polling(store: Store, known: DiskContent, period: Duration) -> Self {
         Self::start(store, known, period, |_| None)
     }
@@ -58,7 +56,7 @@ impl FileWatcher {
     /// Waits until the file's content differs from what was last known, and returns it. What is
     /// returned counts as known from then on.
     ///
-    /// Can be cancelled without losing a reading.
+    /// May be dropped while waiting; no content is lost.
     pub async fn changed(&self) -> DiskContent {
         loop {
             if let Some(reading) = self.shared.take() {
@@ -68,14 +66,14 @@ impl FileWatcher {
         }
     }
 
-    /// To be told when [`Store::save`] has saved this: it counts as known, so it is not reported.
-    /// A reading that has not been fetched yet may be older or newer than that: it is looked again.
+    /// Call after [`Store::save`] has saved `content`: it counts as known and is not reported.
+    /// Content that waits may be older or newer: the file is read again.
     pub fn saved(&self, content: Vec<u8>) {
         self.look_from(Some(Ok(Some(content))));
     }
 
-    /// To be told when it is not certain any more what is there, as when somebody else wrote while
-    /// we saved: it is looked again, and reported whatever it is.
+    /// Call if the content is uncertain, as when another program wrote during a save: the file is
+    /// read again and reported in any case.
     pub fn look_again(&self) {
         self.look_from(None);
     }
@@ -97,7 +95,7 @@ impl FileWatcher {
     ) -> Self {
         let state = WatchState { known: Some(known), is_news: false, saves: 0, is_over: false };
         let shared = Arc::new(WatchShared { state: Mutex::new(state), changed: Notify::new() });
-        // One waiting reason to look is as good as many.
+        // One waiting wake-up is enough.
         let (wake, woken) = sync_channel(1);
         let watcher = WatchThread {
             store,
@@ -106,7 +104,7 @@ impl FileWatcher {
             woken,
             period,
         };
-        // Without a thread nothing is noticed, but nothing is overwritten either: see `Store`.
+        // Without a thread no change is noticed, but `Store` overwrites none either.
         let _ = thread::Builder::new().name("watch".into()).spawn(move || watcher.run());
         Self { shared, wake }
     }
@@ -127,11 +125,11 @@ struct WatchShared {
 
 #[derive(Debug)]
 struct WatchState {
-    /// None: not certain.
+    /// `None` if uncertain.
     known: Option<DiskContent>,
-    /// `known` has not been fetched yet.
+    /// `known` was not returned yet.
     is_news: bool,
-    /// Counts our own saves: a reading that was begun before one is of no use.
+    /// Number of saves by descan: content read before one is out of date.
     saves: u64,
     is_over: bool,
 }
@@ -146,7 +144,8 @@ impl WatchShared {
         if std::mem::take(&mut state.is_news) { state.known.clone() } else { None }
     }
 
-    /// Takes in a reading that was begun after this many saves; false if there was one since.
+    /// Reports content whose reading began after `saves` saves. Returns false if there was another
+    /// save since.
     fn report(&self, reading: DiskContent, saves: u64) -> bool {
         let mut state = self.lock();
         if state.saves != saves {
@@ -161,21 +160,21 @@ impl WatchShared {
     }
 }
 
-/// What runs on the thread.
+/// State of the thread.
 struct WatchThread {
     store: Store,
     shared: Arc<WatchShared>,
-    /// None: the system is not asked.
+    /// `None` without events.
     folders: Option<Folders>,
     woken: Receiver<()>,
-    /// How often to look where nobody tells.
+    /// Time between reads without events.
     period: Duration,
 }
 
 impl WatchThread {
     fn run(mut self) {
         loop {
-            // Before reading, so that no change falls between.
+            // Before reading, so that no change is missed in between.
             let is_told = self.folders.as_mut().is_some_and(|it| it.follow(self.store.path()));
             self.look();
             let woken = if is_told {
@@ -205,7 +204,7 @@ impl WatchThread {
     }
 
     fn wait_for_quiet(&self) {
-        let deadline = Instant::now() + PATIENCE;
+        let deadline = Instant::now() + QUIET_TIMEOUT;
         while !self.shared.lock().is_over
             && Instant::now() < deadline
             && self.woken.recv_timeout(QUIET).is_ok()
@@ -213,7 +212,7 @@ impl WatchThread {
     }
 }
 
-/// The folders in which something can happen to the file.
+/// The folders whose changes can affect the file.
 struct Folders {
     watcher: Option<RecommendedWatcher>,
     watched: HashSet<PathBuf>,
@@ -221,13 +220,13 @@ struct Folders {
     of_interest: Arc<Mutex<Paths>>,
 }
 
-/// What events are compared with.
+/// The paths that events are compared with.
 #[derive(Default)]
 struct Paths {
     /// The file and the links that lead to it.
     files: HashSet<PathBuf>,
     folders: HashSet<PathBuf>,
-    /// A folder was moved or deleted: the system no longer watches what its path stands for.
+    /// A folder was moved or deleted: its path now stands for another one, which is not watched.
     is_stale: bool,
 }
 
@@ -236,10 +235,10 @@ impl Folders {
         Self { watcher: None, watched: HashSet::new(), wake, of_interest: Arc::default() }
     }
 
-    /// Watches the folders on which it depends now what the path stands for. False where the
-    /// system will not tell of all changes.
+    /// Watches the folders that determine which file `path` is. Returns false if some changes cause
+    /// no events.
     fn follow(&mut self, path: &Path) -> bool {
-        /// How often the path may lead elsewhere while this is done.
+        /// Changes of the path that are tolerated meanwhile.
         const ATTEMPTS: usize = 8;
         let mut places = Places::of(path);
         for _ in 0..ATTEMPTS {
@@ -264,7 +263,7 @@ impl Folders {
             paths.folders.clone_from(&wanted);
             std::mem::take(&mut paths.is_stale)
         };
-        // Not under the lock, which the watcher's own thread may be waiting for.
+        // Without the lock: the watcher's own thread may wait for it.
         let mut before = std::mem::take(&mut self.watched);
         if is_stale {
             self.watcher = None;
@@ -297,7 +296,7 @@ impl Folders {
 }
 
 impl Paths {
-    /// Is this a reason to look? Our own reading is not, nor what happens to other files.
+    /// Returns true if the event may have changed the file; reading it has not.
     fn concerns(&mut self, event: &notify::Result<notify::Event>) -> bool {
         let Ok(event) = event else {
             self.is_stale = true;
@@ -320,7 +319,7 @@ fn lock(paths: &Mutex<Paths>) -> MutexGuard<'_, Paths> {
     paths.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Is the folder on a file system where others make changes that this machine does not see?
+/// Returns true if the folder is on a file system whose changes by other machines cause no events.
 fn is_remote(folder: &Path) -> bool {
     const REMOTE: [FsType; 7] = [
         statfs::NFS_SUPER_MAGIC,
@@ -343,7 +342,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_thread_ends_with_the_watch() {
+    fn watcher_dropped_ends_its_thread() {
         for period in [None, Some(Duration::from_hours(1))] {
             let folder = tempfile::tempdir().unwrap();
             let store = Store::new(folder.path().join("des.json"));

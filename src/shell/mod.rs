@@ -1,13 +1,15 @@
 //! The edges of the program: files, the terminal, the event loop.
 //!
 //! ```text
-//! session   app, buses and file, and what passes between them
-//! recording the same of a log, by its own clock
-//! recorder  what all of them hear, into a file
-//! ending    signals, time, closed pipes: what ends those without a screen
-//! screen    the terminal UI's loop        terminal  taking it over, giving it back
-//! store     des.json on disk              watch     noticing that others changed it
-//! config    the user's settings
+//! session         app, input, file, recording: the event loop
+//! log_input       a log as the input, by its own clock
+//! recorder        received frames to a file
+//! bitrate_search  bit rate search beside a session, or alone
+//! stop            signals, time limit, closed output: reasons to stop without a screen
+//! tui_loop        keys, signals and drawing   terminal      taking it over, restoring it
+//! store           des.json on disk            file_watcher  changes by other programs
+//! recovery        copy of unsaved edits       config        the user's settings
+//! waiting         futures for optional sources
 //! ```
 //!
 //! Knows tokio, threads, clocks and the file system, so that nothing above has to.

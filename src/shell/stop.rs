@@ -1,5 +1,5 @@
-//! What ends a program that has no screen: a signal, a connection that is lost, its time, a reader
-//! that has enough.
+//! Reasons to stop a program without a screen: a signal, a lost connection, its time limit, a closed
+//! standard output. Does not know what is stopped.
 
 use futures_util::future::select_all;
 use nix::errno::Errno;
@@ -16,47 +16,50 @@ use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::Notify;
 use tokio::time::{Sleep, sleep};
 
-/// How long the end may take after a signal.
+/// Longest time from a signal to the exit.
 const EXIT_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// What ended it.
+/// Why a program stops.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StopReason {
-    /// SIGINT or SIGTERM; SIGHUP, unless it was ignored when we began, as under nohup.
+    /// SIGINT or SIGTERM; SIGHUP, unless it was ignored at the start, as under nohup.
     Interrupted,
-    /// Its time is up.
+    /// The time limit is reached.
     TimeUp,
-    /// Nobody reads what it says any more.
-    Unread,
+    /// Standard output is closed.
+    OutputClosed,
 }
 
-/// Waits for the ending. See the module's documentation.
+/// Waits for the first reason to stop. See the module's documentation.
 pub struct StopWaiter {
     interrupted: Arc<Notify>,
     time: Option<Pin<Box<Sleep>>>,
-    unread: Option<Arc<Notify>>,
+    closed: Option<Arc<Notify>>,
 }
 
 impl StopWaiter {
-    /// Signals, and `time` from now where it is given. From now on a signal does not end the
-    /// program by itself; but where it is not over soon after one, as it writes and nobody
-    /// reads, it is ended with the exit code `stuck`.
+    /// Stops on signals, and after `time`; `None` sets no limit. From now on a signal does not end
+    /// the program by itself; if it has not ended 2 s after one, as when its output is blocked, it
+    /// exits with the code `stuck`.
+    ///
+    /// # Errors
+    /// No signal handler or thread could be set up.
     pub fn new(time: Option<Duration>, stuck: u8) -> io::Result<Self> {
         Ok(Self {
             interrupted: interrupted(stuck)?,
             time: time.map(|time| Box::pin(sleep(time))),
-            unread: None,
+            closed: None,
         })
     }
 
-    /// Also that standard output is closed at its other end, even while nothing is written.
+    /// Stops, too, when the other end of standard output is closed, even while nothing is written.
     #[must_use]
     pub fn or_stdout_closed(mut self) -> Self {
-        self.unread = Some(output_closed());
+        self.closed = Some(output_closed());
         self
     }
 
-    /// Waits for the first of them. May be dropped while waiting.
+    /// Waits for the first reason. May be dropped while waiting.
     pub async fn next(&mut self) -> StopReason {
         let time = async {
             match &mut self.time {
@@ -64,37 +67,37 @@ impl StopWaiter {
                 None => pending().await,
             }
         };
-        let unread = async {
-            match &self.unread {
-                Some(unread) => unread.notified().await,
+        let closed = async {
+            match &self.closed {
+                Some(closed) => closed.notified().await,
                 None => pending().await,
             }
         };
         tokio::select! {
             biased;
             () = self.interrupted.notified() => StopReason::Interrupted,
-            () = unread => StopReason::Unread,
+            () = closed => StopReason::OutputClosed,
             () = time => StopReason::TimeUp,
         }
     }
 }
 
-/// Notifies once when standard output is closed at its other end.
+/// Notifies once when the other end of standard output is closed.
 pub(super) fn output_closed() -> Arc<Notify> {
-    let unread = Arc::new(Notify::new());
-    let told = Arc::clone(&unread);
-    // Without a thread it is noticed at the next line.
-    let _ = thread::Builder::new().name("reader".into()).spawn(move || {
+    let closed = Arc::new(Notify::new());
+    let notifier = Arc::clone(&closed);
+    // Without a thread the next write notices it.
+    let _ = thread::Builder::new().name("output".into()).spawn(move || {
         let stdout = io::stdout();
         // No events requested: poll(2) returns on errors and hang-up only.
         let mut watched = [PollFd::new(stdout.as_fd(), PollFlags::empty())];
         while poll(&mut watched, PollTimeout::NONE) == Err(Errno::EINTR) {}
-        told.notify_one();
+        notifier.notify_one();
     });
-    unread
+    closed
 }
 
-/// Whether we were started to survive the connection, as by nohup.
+/// Returns true if SIGHUP is ignored, as under nohup.
 fn ignores_hangup() -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
@@ -102,10 +105,10 @@ fn ignores_hangup() -> bool {
     ignored.unwrap_or(0) & 1 << (nix::libc::SIGHUP - 1) != 0
 }
 
-/// Notifies of SIGINT, SIGTERM and SIGHUP, from a thread that waits for nothing else.
+/// Notifies of SIGINT, SIGTERM and SIGHUP, from a separate thread.
 fn interrupted(stuck: u8) -> io::Result<Arc<Notify>> {
     let notify = Arc::new(Notify::new());
-    let told = Arc::clone(&notify);
+    let notifier = Arc::clone(&notify);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let (ready, is_ready) = sync_channel(1);
     thread::Builder::new().name("signals".into()).spawn(move || {
@@ -120,7 +123,7 @@ fn interrupted(stuck: u8) -> io::Result<Arc<Notify>> {
             };
             let _ = ready.send(Ok(()));
             select_all(signals.iter_mut().map(|signal| Box::pin(signal.recv()))).await;
-            told.notify_one();
+            notifier.notify_one();
             sleep(EXIT_TIMEOUT).await;
             std::process::exit(stuck.into());
         });

@@ -1,6 +1,6 @@
-//! The terminal: taken over at the start and given back as it was on every way out.
+//! The terminal: taken over at the start and restored on every way out.
 //!
-//! Knows nothing of what is drawn.
+//! Does not know what is drawn.
 
 use crate::theme::Theme;
 use crossterm::{cursor, event, execute, queue, style, terminal};
@@ -10,7 +10,7 @@ use std::io::{self, BufWriter, Stdout, Write};
 use std::os::fd::AsFd;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Buttons and wheel, in SGR coordinates; no any-motion reports, which would chatter over SSH.
+/// Buttons and wheel, in SGR coordinates; no any-motion reports, which cost bandwidth over SSH.
 const MOUSE_ON: &str = "\x1b[?1000h\x1b[?1002h\x1b[?1006h";
 const MOUSE_OFF: &str = "\x1b[?1006l\x1b[?1002l\x1b[?1000l";
 /// Synchronised output (DEC 2026): terminals that lack it ignore it.
@@ -21,9 +21,9 @@ static TAKEN: AtomicBool = AtomicBool::new(false);
 
 type Backend = CrosstermBackend<BufWriter<Output>>;
 
-/// Standard output while the terminal is taken; what is written later is discarded. Dropping
-/// ratatui's terminal shows the cursor once more, and where the terminal is gone it reports the
-/// failure with `eprintln!`, which panics there.
+/// Standard output while the terminal is taken over; later output is discarded. Dropping ratatui's
+/// terminal shows the cursor once more, and reports a failure with `eprintln!`, which panics on a
+/// closed terminal.
 struct Output(Stdout);
 
 impl Write for Output {
@@ -36,7 +36,7 @@ impl Write for Output {
     }
 }
 
-/// The terminal while it is ours. Dropping it gives it back.
+/// The terminal while descan uses it. Dropping it restores the terminal.
 pub struct Terminal {
     screen: ratatui::Terminal<Backend>,
 }
@@ -44,8 +44,8 @@ pub struct Terminal {
 impl Terminal {
     /// Takes the terminal over: raw mode, the alternate screen, mouse and paste reports.
     pub fn take() -> io::Result<Self> {
-        // crossterm drops reversed and bold cells' attributes under NO_COLOR; our own mono
-        // theme does what NO_COLOR asks for.
+        // crossterm drops the attributes of reversed and bold cells under NO_COLOR; the theme
+        // `mono` implements NO_COLOR instead.
         style::force_color_output(true);
         enter()?;
         let backend =
@@ -59,7 +59,7 @@ impl Terminal {
         self.screen.size().map(|size| (size.width, size.height))
     }
 
-    /// Draws `app`, and tells it how far its text could be scrolled.
+    /// Draws `app`, and passes it how far its text can be scrolled.
     pub fn draw(&mut self, app: &mut crate::app::App, theme: &Theme) -> io::Result<()> {
         self.screen.backend_mut().write_all(SYNC_BEGIN)?;
         let mut scrolled = None;
@@ -69,28 +69,28 @@ impl Terminal {
         Write::flush(self.screen.backend_mut())
     }
 
-    /// Forgets what is on the screen: the next draw writes all of it.
+    /// Makes the next draw write the whole screen.
     pub fn redraw(&mut self) -> io::Result<()> {
-        // Not `clear`: that asks the terminal where its cursor is, and waits for the answer.
+        // Not `clear`, which requests the cursor position from the terminal and waits for it.
         let size = self.screen.size()?;
         self.screen.resize(ratatui::layout::Rect::from((ratatui::layout::Position::ORIGIN, size)))
     }
 
-    /// Writes a terminal command of our own (bell, clipboard).
+    /// Writes a terminal command, such as the bell.
     pub fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
         self.screen.backend_mut().write_all(bytes)?;
         Write::flush(self.screen.backend_mut())
     }
 
-    /// Puts text into the user's clipboard (OSC 52), where the terminal lets us.
+    /// Puts text into the user's clipboard (OSC 52), if the terminal allows it.
     pub fn copy(&mut self, text: &str) -> io::Result<()> {
         let command = crossterm::clipboard::CopyToClipboard::to_clipboard_from(text);
         queue!(self.screen.backend_mut(), command)?;
         Write::flush(self.screen.backend_mut())
     }
 
-    /// Gives the terminal back, stops this process as Ctrl-Z does, and takes the terminal over
-    /// again when it goes on.
+    /// Restores the terminal, stops this process as Ctrl-Z does, and takes the terminal over again
+    /// when it continues.
     pub fn suspend(&mut self) -> io::Result<()> {
         give_back();
         nix::sys::signal::raise(nix::sys::signal::Signal::SIGSTOP)?;
@@ -119,17 +119,17 @@ fn enter() -> io::Result<()> {
     .inspect_err(|_| give_back())
 }
 
-/// Leaves the terminal as it was, whatever state we are in. Harmless when it is not ours.
+/// Restores the terminal, in any state. Does nothing if it is not taken over.
 pub fn give_back() {
     if !TAKEN.swap(false, Ordering::SeqCst) {
         return;
     }
     let mut out = io::stdout().lock();
-    // Each for itself: a terminal that is gone must not keep the rest from being tried.
+    // Each step is tried, even if an earlier one fails on a closed terminal.
     let _ = out.write_all(SYNC_END);
     let _ = queue!(out, style::Print(MOUSE_OFF), event::DisableBracketedPaste);
-    // Cleared and with the cursor at the end: where the window grew meanwhile, tmux takes lines of
-    // this screen over into the other one.
+    // Cleared, with the cursor at the end: if the window grew meanwhile, tmux copies lines of this
+    // screen to the other one.
     let _ = queue!(out, style::ResetColor, terminal::Clear(terminal::ClearType::All));
     let _ = queue!(out, cursor::MoveTo(0, 998), terminal::LeaveAlternateScreen, cursor::Show);
     let _ = out.flush();
@@ -144,7 +144,7 @@ pub fn is_lost() -> bool {
     poll(&mut watched, PollTimeout::ZERO).is_ok_and(|count| count > 0)
 }
 
-/// Makes a panic give the terminal back before it is reported.
+/// Makes a panic restore the terminal before it is reported.
 pub fn restore_on_panic() {
     let report = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {

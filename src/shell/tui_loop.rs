@@ -1,6 +1,7 @@
-//! The terminal UI's loop: keys, signals, drawing, and the session below.
+//! The loop of the terminal UI: keys, signals, drawing, and the session below.
 //!
-//! Wakes only for a reason; draws only what changed, at most every 33 ms, and 10 ms after a key.
+//! Wakes up only for an input or a deadline; draws only changes, at most every 33 ms, and 10 ms after
+//! a key. Does not know what is drawn.
 
 use super::config::{ConfigFolder, read_text};
 use super::file_watcher::FileWatcher;
@@ -93,7 +94,7 @@ async fn run_on_terminal(session: &mut Session, themes: &mut Themes) -> io::Resu
                 Some(Ok(event)) => {
                     pace = PACE_AFTER_KEY;
                     if matches!(event, Event::Resize(..)) {
-                        // Whatever the terminal made of the old content meanwhile.
+                        // The terminal may have changed the old content.
                         terminal.redraw()?;
                     }
                     handle_input(session, &event);
@@ -181,9 +182,9 @@ fn key_of(event: KeyEvent) -> Option<Key> {
     Some(key.normal())
 }
 
-/// The theme that is drawn with, and the file it came from.
+/// The current theme, and the file that it was read from.
 pub struct Themes {
-    /// What is drawn with.
+    /// The current theme.
     pub current: Theme,
     colours: Colours,
     folder: Option<ConfigFolder>,
@@ -191,7 +192,10 @@ pub struct Themes {
 }
 
 impl Themes {
-    /// The theme of that name: the user's own, or a built-in one.
+    /// Starts with the theme `name`: the user's own, or a built-in one.
+    ///
+    /// # Errors
+    /// No such theme, or it is invalid.
     pub fn new(folder: Option<ConfigFolder>, name: &str) -> Result<Self, String> {
         let (built_in, text) = crate::theme::BUILT_IN[0];
         let first = Theme::parse(built_in, text, |_| None).map_err(|error| error.to_string())?;
@@ -200,7 +204,10 @@ impl Themes {
         Ok(themes)
     }
 
-    /// Draws with the theme of that name from now on: the user's own, or a built-in one.
+    /// Switches to the theme `name`: the user's own, or a built-in one.
+    ///
+    /// # Errors
+    /// No such theme, or it is invalid.
     pub fn choose(&mut self, name: &str) -> Result<(), String> {
         let text = self.text_of(name)?;
         self.current = match &text {
@@ -264,7 +271,7 @@ impl Themes {
     }
 }
 
-/// How many colours the terminal says it has.
+/// Number of colours of the terminal, by its environment variables.
 fn colours() -> Colours {
     let variable = |name| std::env::var(name).unwrap_or_default();
     let full = ["truecolor", "24bit"].contains(&variable("COLORTERM").as_str());

@@ -1,10 +1,10 @@
-//! Futures for what may not be there: without it they wait for ever.
+//! Futures for optional sources: without a source they wait forever.
 
 use super::file_watcher::{DiskContent, FileWatcher};
 use std::future::pending;
 use std::time::Duration;
 
-/// Waits so long.
+/// Waits for `wait`; `None` waits forever.
 pub async fn sleep_for(wait: Option<Duration>) {
     match wait {
         Some(wait) => tokio::time::sleep(wait).await,
@@ -12,7 +12,7 @@ pub async fn sleep_for(wait: Option<Duration>) {
     }
 }
 
-/// Waits until the watched file changes.
+/// Waits until the watched file changes; `None` waits forever.
 pub async fn file_changed(watch: Option<&FileWatcher>) -> DiskContent {
     match watch {
         Some(watch) => watch.changed().await,

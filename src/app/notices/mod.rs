@@ -155,6 +155,11 @@ impl Notices {
         }
     }
 
+    /// The last events that wait, at most `count`, the newest first.
+    pub fn recent_events(&mut self, count: usize) -> impl Iterator<Item = &mut AppEvent> {
+        self.events.iter_mut().rev().take(count)
+    }
+
     /// The next event.
     pub fn poll_event(&mut self) -> Option<AppEvent> {
         self.events.pop_front()
