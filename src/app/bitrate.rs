@@ -50,7 +50,7 @@ impl App {
         let Some(name) = self.bus(bus).map(|bus| bus.name.clone()) else { return };
         match progress {
             SearchProgress::Trying(rate) => {
-                self.show_info(format!("{name}: listening at {} …", kbit(rate)))
+                self.show_info(format!("{name}: listening at {} …", kbit(rate)));
             }
             SearchProgress::Heard(rate, heard) => {
                 let text = match heard.broken {

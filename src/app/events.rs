@@ -112,7 +112,9 @@ impl App {
             line.name.clone_from(&finding.key.name);
             if self.notices.is_of_interest(&self.buses, &line, &finding.addresses) {
                 let events = [self.line_event(&line), self.finding_event(finding, now)];
-                events.into_iter().for_each(|event| self.notices.emit(event));
+                for event in events {
+                    self.notices.emit(event);
+                }
             }
         }
     }
@@ -225,7 +227,7 @@ impl App {
         }
         is_of_interest &= self.notices.emits_events();
         let problem = self.editor.file.problem().filter(|_| change == Change::Broken);
-        let excerpt = problem.and_then(|problem| problem.excerpt());
+        let excerpt = problem.and_then(super::file::FileProblem::excerpt);
         // The excerpt is read as a whole: the event filter applies to the lines before it.
         for text in excerpt.into_iter().flatten() {
             let line = TimelineEntry::new(now, TimelineKind::Error, text);

@@ -269,12 +269,11 @@ impl App {
 
     /// Freezes the view, or unfreezes it.
     pub(super) fn toggle_freeze(&mut self) {
-        self.view.frozen = match self.view.frozen {
-            Some(_) => None,
-            None => {
-                let (frames, lines) = (self.traffic.capture.end(), self.timeline().end());
-                Some(Frozen { frames, lines })
-            }
+        self.view.frozen = if self.view.frozen.is_some() {
+            None
+        } else {
+            let (frames, lines) = (self.traffic.capture.end(), self.timeline().end());
+            Some(Frozen { frames, lines })
         };
         self.notices.timeline_mut().pin_lines(self.view.frozen.is_some());
         self.refresh_rows();

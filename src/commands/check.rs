@@ -7,7 +7,7 @@ use super::open::{self, Setup};
 use super::report::ScanReport;
 use super::scan::{DEFAULT_TIME, is_settled, look, read_log};
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, print};
-use crate::app::{App, Scope};
+use crate::app::{App, Bus, Scope};
 use crate::cli::CheckArgs;
 use crate::finding::{CheckSection, Confidence, Finding, FindingKind};
 use crate::shell::stop::StopReason;
@@ -63,7 +63,7 @@ fn is_complete(app: &App, now: Instant) -> bool {
 /// The differences as text: one line each, in groups, and a summary.
 fn differences(app: &App, now: Instant) -> String {
     let compared = app.compare(now, Scope::Check);
-    let engines = app.buses().iter().flat_map(|bus| bus.findings());
+    let engines = app.buses().iter().flat_map(Bus::findings);
     let found: Vec<&Finding> =
         engines.chain(&compared).filter(|it| it.confidence == Confidence::Confirmed).collect();
     let mut text = String::new();

@@ -82,7 +82,7 @@ impl FileGate {
 /// # Errors
 /// It is missing or invalid.
 pub fn require_file(app: &App) -> Result<(), Failure> {
-    let file = report::of_file(app.file_snapshot());
+    let file = report::of_file(&app.file_snapshot());
     if let Some(text) = file.problem {
         return Err(Failure::Unusable(text));
     }

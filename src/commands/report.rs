@@ -154,7 +154,7 @@ impl ScanReport {
         let mut findings: Vec<&Finding> = match scope {
             Scope::Screen => app.findings().collect(),
             Scope::Check => {
-                let engines = app.buses().iter().flat_map(|bus| bus.findings());
+                let engines = app.buses().iter().flat_map(Bus::findings);
                 engines.chain(&compared).collect()
             }
         };
@@ -177,7 +177,7 @@ impl ScanReport {
                 .collect(),
             devices,
             findings,
-            file: of_file(app.file_snapshot()),
+            file: of_file(&app.file_snapshot()),
         }
     }
 
@@ -448,7 +448,7 @@ fn of_evidence(epoch: Epoch, piece: &Evidence) -> EvidenceReport {
     }
 }
 
-pub(super) fn of_file(file: FileSnapshot) -> FileReport {
+pub(super) fn of_file(file: &FileSnapshot) -> FileReport {
     let path = file.path.as_deref().map(shown).unwrap_or_default();
     let problem = file.problem.as_ref().map(|problem| {
         let excerpt = problem.excerpt().into_iter().flatten();

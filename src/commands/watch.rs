@@ -202,7 +202,7 @@ fn as_value(epoch: Epoch, event: AppEvent) -> Option<JsonEvent> {
             return None;
         }
         AppEvent::File(at, file) => {
-            let what = EventBody::File { file: of_file(file) };
+            let what = EventBody::File { file: of_file(&file) };
             JsonEvent { time: time(at), event: "file", what }
         }
     })

@@ -114,12 +114,11 @@ impl Wording {
             rest.split_once('{').and_then(|(before, at)| Some((before, at.split_once('}')?)))
         {
             text.push_str(before);
-            match values.iter().find(|(key, _)| *key == name) {
-                Some((_, value)) => text.push_str(&value.to_string()),
-                None => {
-                    debug_assert!(false, "no value for {{{name}}} in: {}", self.remedy);
-                    text.push_str(&rest[before.len()..rest.len() - after.len()]);
-                }
+            if let Some((_, value)) = values.iter().find(|(key, _)| *key == name) {
+                text.push_str(&value.to_string());
+            } else {
+                debug_assert!(false, "no value for {{{name}}} in: {}", self.remedy);
+                text.push_str(&rest[before.len()..rest.len() - after.len()]);
             }
             rest = after;
         }

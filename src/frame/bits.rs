@@ -39,6 +39,7 @@ impl FrameBits {
     }
 
     /// Those up to and with the ACK slot.
+    #[must_use]
     pub const fn until_ack(self) -> Self {
         Self { nominal: self.nominal - AFTER_ACK, data: self.data }
     }

@@ -177,7 +177,7 @@ impl LogDecoder for BlockDecoder {
     }
 
     fn handle_end(&mut self, summary: &mut LogSummary) {
-        if !summary.damage.is_some_and(|damage| !damage.is_cut()) {
+        if summary.damage.is_none_or(Damage::is_cut) {
             summary.damage = (self.skip > 0 || self.has_unfinished()).then_some(Damage::Cut);
         }
     }

@@ -81,11 +81,13 @@ impl Buses {
     }
 
     /// Iterates over the buses in the order of their indices.
+    #[expect(clippy::iter_without_into_iter, reason = "loops name what they go through")]
     pub fn iter(&self) -> std::slice::Iter<'_, Bus> {
         self.list.iter()
     }
 
     /// Number of buses.
+    #[expect(clippy::len_without_is_empty, reason = "there is no App without a bus")]
     pub fn len(&self) -> usize {
         self.list.len()
     }
@@ -270,7 +272,7 @@ impl Buses {
         self.list.get_mut(usize::from(index.0))
     }
 
-    fn iter_mut(&mut self) -> std::slice::IterMut<'_, Bus> {
+    fn all_mut(&mut self) -> std::slice::IterMut<'_, Bus> {
         self.revision += 1;
         self.list.iter_mut()
     }
@@ -294,14 +296,14 @@ impl Buses {
     pub(super) fn handle_timeout(&mut self, now: Instant) {
         let is_due = |bus: &Bus| bus.poll_timeout().is_some_and(|at| at <= now);
         if self.list.iter().any(is_due) {
-            self.iter_mut().filter(|bus| is_due(bus)).for_each(|bus| bus.handle_timeout(now));
+            self.all_mut().filter(|bus| is_due(bus)).for_each(|bus| bus.handle_timeout(now));
         }
     }
 
     /// Quarantines the buses after a stall from `since` to `now`: frames of that time are shown
     /// and do not count as evidence, and silence does not count against devices.
     pub(super) fn handle_stall(&mut self, since: Instant, now: Instant) {
-        for bus in self.iter_mut().filter(|bus| !bus.is_unreachable() && bus.ended.is_none()) {
+        for bus in self.all_mut().filter(|bus| !bus.is_unreachable() && bus.ended.is_none()) {
             bus.quarantine(since, now + STALL_BACKLOG);
         }
     }
@@ -343,12 +345,12 @@ impl Buses {
 
     /// Restarts the enumeration on all buses.
     pub(super) fn rescan(&mut self, now: Instant) {
-        self.iter_mut().for_each(|bus| bus.rescan(now));
+        self.all_mut().for_each(|bus| bus.rescan(now));
     }
 
     /// Removes the lost devices of all buses.
     pub(super) fn clear_lost(&mut self) {
-        self.iter_mut().for_each(Bus::clear_lost);
+        self.all_mut().for_each(Bus::clear_lost);
     }
 
     /// Closes the load seconds that are over.

@@ -104,6 +104,9 @@ pub(in crate::app) enum PromptKey {
     NextBus,
 }
 
+/// Place of an entry that is edited; `None` for a new entry.
+pub(super) type EditedPlace = Option<usize>;
+
 /// The behaviour of one kind of prompt.
 pub(super) trait PromptLogic {
     /// Text before the line.
@@ -115,7 +118,7 @@ pub(super) trait PromptLogic {
     }
 
     /// Returns true if committing it edits des.json; `place` of the entry that is edited then.
-    fn edited_place(&self, _context: PromptContext) -> Option<Option<usize>> {
+    fn edited_place(&self, _context: PromptContext) -> Option<EditedPlace> {
         None
     }
 

@@ -3,7 +3,8 @@
 //! A prompt that edits des.json refers to its entry by key, and to the content of the file when it
 //! was opened: the file may change on disk while the user types.
 
-use super::prompt::{InputCheck as C, PromptContext, PromptLogic, PromptOutcome};
+use super::prompt::{EditedPlace, InputCheck as C, PromptContext, PromptLogic, PromptOutcome};
+use crate::app::buses::Bus;
 use crate::app::filter::Filter;
 use crate::app::listing::new_entry;
 use crate::app::problems::is_for;
@@ -229,7 +230,7 @@ impl PromptLogic for AddressPrompt {
         "static address"
     }
 
-    fn edited_place(&self, context: PromptContext) -> Option<Option<usize>> {
+    fn edited_place(&self, context: PromptContext) -> Option<EditedPlace> {
         Some(self.target.entry(context).map(|entry| entry.index))
     }
 
@@ -295,7 +296,7 @@ fn address_in_use(
     is_own: impl Fn(crate::discovery::DeviceId) -> bool,
 ) -> Option<C> {
     let buses = context.buses.iter().filter(|it| bus.is_none_or(|bus| it.name == bus));
-    let other = buses.flat_map(|bus| bus.devices()).find(|device| {
+    let other = buses.flat_map(Bus::devices).find(|device| {
         device.address.number() == address && device.is_present() && !is_own(device.id)
     })?;
     let who = other.name.as_ref().map_or("a device".to_owned(), ToString::to_string);
@@ -325,7 +326,7 @@ impl PromptLogic for RenamePrompt {
         "name"
     }
 
-    fn edited_place(&self, context: PromptContext) -> Option<Option<usize>> {
+    fn edited_place(&self, context: PromptContext) -> Option<EditedPlace> {
         Some(self.target.entry(context).map(|entry| entry.index))
     }
 
@@ -423,7 +424,7 @@ impl PromptLogic for NewEntryPrompt {
         "name address"
     }
 
-    fn edited_place(&self, _context: PromptContext) -> Option<Option<usize>> {
+    fn edited_place(&self, _context: PromptContext) -> Option<EditedPlace> {
         Some(None)
     }
 

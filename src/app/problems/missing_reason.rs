@@ -170,7 +170,7 @@ impl Facts<'_> {
     fn why_unnamed(&self, device: &Device) -> Option<String> {
         let what = if device.heartbeat.count > 0 { "a heartbeat" } else { "frames" };
         let (address, query) = (device.address, device.name_query);
-        let own = self.buses.get(device.id.bus).map(|bus| bus.own_address());
+        let own = self.buses.get(device.id.bus).map(Bus::own_address);
         match query.state {
             QueryState::Unanswered => {
                 Some(format!("{what} at {address}, but no DES response{}", asked(query.attempts)))
@@ -249,10 +249,10 @@ fn why_bus(bus: &Bus, reasons: &mut Vec<String>) {
     }
     match bus.tx_blocked() {
         Some(TxBlocked::QueueFull) => {
-            reasons.push(format!("cannot send requests: transmit queue of {name} is stuck"))
+            reasons.push(format!("cannot send requests: transmit queue of {name} is stuck"));
         }
         Some(TxBlocked::Unacknowledged) => {
-            reasons.push(format!("no ACK on {name}: no other node, wrong bit rate or broken wire"))
+            reasons.push(format!("no ACK on {name}: no other node, wrong bit rate or broken wire"));
         }
         None => {}
     }

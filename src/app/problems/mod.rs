@@ -39,8 +39,11 @@ pub(super) struct Problems {
     /// Incremented when the findings of the file or the muting change.
     revision: u64,
     /// The list for the revisions of the buses and of `self`.
-    list: RefCell<Option<(u64, u64, Rc<[StoredProblem]>)>>,
+    list: RefCell<Option<StoredList>>,
 }
+
+/// Revisions of the buses and of [`Problems`], and the list made for them.
+type StoredList = (u64, u64, Rc<[StoredProblem]>);
 
 /// A problem whose findings are stored with the buses and the file.
 #[derive(Debug)]
@@ -247,8 +250,8 @@ mod tests {
         let key = problems.list(&buses, false)[0].key.clone();
         assert!(problems.toggle_muted(key.clone()) && problems.is_muted(&key));
         let list = problems.list(&buses, false);
-        let last = list.last().unwrap();
-        assert!(last.key == key && !last.counts());
+        let lowest = list.last().unwrap();
+        assert!(lowest.key == key && !lowest.counts());
         assert!(!problems.toggle_muted(key));
     }
 

@@ -25,7 +25,7 @@ pub(in crate::bus) struct RemoteClock {
 impl RemoteClock {
     /// The time at which a frame was on the bus: its timestamp, in microseconds of any origin, on
     /// descan's clock. Never later than `arrival`.
-    pub fn to_local_time(&mut self, stamp_micros: i64, arrival: Instant) -> Instant {
+    pub fn local_time(&mut self, stamp_micros: i64, arrival: Instant) -> Instant {
         if arrival.since(self.window) >= WINDOW {
             self.window = arrival;
             self.fastest_before = self.fastest.take();
@@ -57,22 +57,22 @@ mod tests {
         let mut clock = RemoteClock::default();
         let offset = 1_700_000_000_000_000;
         // On the bus at 100, 110, 120 ms; 2 ms of way, then a line that delivers at 150 ms.
-        assert_eq!(clock.to_local_time(offset + 100_000, at(102)), at(102));
-        assert_eq!(clock.to_local_time(offset + 110_000, at(150)), at(112));
-        assert_eq!(clock.to_local_time(offset + 120_000, at(150)), at(122));
+        assert_eq!(clock.local_time(offset + 100_000, at(102)), at(102));
+        assert_eq!(clock.local_time(offset + 110_000, at(150)), at(112));
+        assert_eq!(clock.local_time(offset + 120_000, at(150)), at(122));
     }
 
     #[test]
     fn clock_that_was_set_is_followed_again() {
         let mut clock = RemoteClock::default();
-        assert_eq!(clock.to_local_time(50_000_000, at(1_000)), at(1_000));
+        assert_eq!(clock.local_time(50_000_000, at(1_000)), at(1_000));
         // Set forward: at once.
-        assert_eq!(clock.to_local_time(90_000_000, at(2_000)), at(2_000));
+        assert_eq!(clock.local_time(90_000_000, at(2_000)), at(2_000));
         // Set back by much: at once. By little: when what was fast before is forgotten.
-        assert_eq!(clock.to_local_time(10_000_000, at(3_000)), at(3_000));
-        assert_eq!(clock.to_local_time(10_000_000, at(4_000)), at(3_000));
-        assert_eq!(clock.to_local_time(20_000_000, at(14_000)), at(13_000));
-        assert_eq!(clock.to_local_time(30_000_000, at(24_000)), at(24_000));
+        assert_eq!(clock.local_time(10_000_000, at(3_000)), at(3_000));
+        assert_eq!(clock.local_time(10_000_000, at(4_000)), at(3_000));
+        assert_eq!(clock.local_time(20_000_000, at(14_000)), at(13_000));
+        assert_eq!(clock.local_time(30_000_000, at(24_000)), at(24_000));
     }
 
     #[test]
@@ -80,7 +80,7 @@ mod tests {
         let mut clock = RemoteClock::default();
         for (step, stamp) in (0..).zip([0, i64::MAX, i64::MIN, 5, i64::MAX, 0]) {
             let arrival = at(step * 100);
-            assert!(clock.to_local_time(stamp, arrival) <= arrival);
+            assert!(clock.local_time(stamp, arrival) <= arrival);
         }
     }
 }

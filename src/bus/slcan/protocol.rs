@@ -450,11 +450,11 @@ impl Protocol for Slcan {
             match self.stage {
                 SlcanStage::Open if is_nack => self.handle_nack(now, exchange),
                 SlcanStage::Open if reply == Some(AdapterReply::Ack) => {
-                    self.handle_ack(now, exchange)
+                    self.handle_ack(now, exchange);
                 }
                 SlcanStage::Open => {}
                 SlcanStage::Setting { command, .. } if is_nack => {
-                    self.handle_rejection(now, command, exchange)
+                    self.handle_rejection(now, command, exchange);
                 }
                 SlcanStage::Setting { command, .. } => {
                     let is_name = matches!(reply, Some(AdapterReply::Name(_)));
@@ -582,7 +582,7 @@ impl Stamps {
             self.millis += ahead + periods * period;
         }
         self.last = Some((stamp, arrival));
-        self.clock.to_local_time(self.millis * 1000, arrival)
+        self.clock.local_time(self.millis * 1000, arrival)
     }
 }
 

@@ -76,7 +76,7 @@ impl Socketcand {
                 status.message = None;
             }
             (SocketcandStage::Open, ServerMessage::Frame(frame, stamp)) => {
-                let time = stamp.map_or(now, |stamp| self.stamps.to_local_time(stamp, now));
+                let time = stamp.map_or(now, |stamp| self.stamps.local_time(stamp, now));
                 self.process_frame(frame.with_time(time), exchange);
             }
             (SocketcandStage::Open, ServerMessage::Error(cause)) => {
