@@ -89,10 +89,11 @@ struct EventWriter {
 }
 
 impl EventWriter {
-    /// Prints the events that wait in `app`. Every value is as of its event.
+    /// Prints the events that wait in `app`, each with its own write: a reader gets every line that
+    /// a full pipe still takes. Every value is as of its event.
     fn write_events(&mut self, app: &mut App) -> Result<(), Failure> {
-        self.text.clear();
         while let Some(event) = app.poll_app_event() {
+            self.text.clear();
             if self.json {
                 if let Some(value) = as_value(app.epoch(), event) {
                     serde_json::to_writer(&mut self.text, &value).context("JSON")?;
@@ -102,9 +103,9 @@ impl EventWriter {
                 let time = clock_millis(app, line.time);
                 self.text.extend_from_slice(text_line(&time, &line).as_bytes());
             }
-        }
-        if !self.text.is_empty() {
-            print(&self.text)?;
+            if !self.text.is_empty() {
+                print(&self.text)?;
+            }
         }
         Ok(())
     }
