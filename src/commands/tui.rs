@@ -6,7 +6,7 @@ use super::{EXIT_INTERRUPTED, EXIT_OK, EXIT_UNUSABLE, Failure, headless};
 use crate::app::AppOptions;
 use crate::bus::{BusSpec, Clock};
 use crate::cli::{CommonArgs, SessionArgs as Arguments};
-use crate::shell::tui_loop::{self, Themes, TuiExit};
+use crate::shell::tui_loop::{self, ThemeLoader, TuiExit};
 use crate::shell::{recovery, terminal};
 use anyhow::Context;
 use std::io::{IsTerminal, Write};
@@ -71,13 +71,13 @@ fn show(buses: &[BusSpec], setup: &Setup, clock: Clock) -> Result<u8, Failure> {
     let usual = if colourless { "mono" } else { "terminal" };
     let mut wanted = setup.theme.as_deref().unwrap_or(usual);
     let mut warnings = setup.warnings.clone();
-    let mut themes = match Themes::new(setup.folder.clone(), wanted) {
+    let mut themes = match ThemeLoader::new(setup.folder.clone(), wanted) {
         // A theme from the settings does not prevent the start.
         Err(why) if !setup.theme_is_asked_for => {
             open::warn::<()>(&mut warnings, format!("theme {wanted}: {why}"));
             wanted = usual;
             // The user's own theme may have that name; without the folder it is built-in.
-            Themes::new(setup.folder.clone(), usual).or_else(|_| Themes::new(None, usual))
+            ThemeLoader::new(setup.folder.clone(), usual).or_else(|_| ThemeLoader::new(None, usual))
         }
         themes => themes,
     }

@@ -80,7 +80,7 @@ struct Work {
 }
 
 /// Where frames come from, and the clock that counts their time.
-enum Input {
+enum SessionInput {
     /// Buses, in real time; or logs among the buses' ports, at the pace of the clock.
     Ports {
         clock: Clock,
@@ -96,7 +96,7 @@ enum Input {
 pub struct Session {
     /// All state.
     pub app: App,
-    input: Input,
+    input: SessionInput,
     input_end: Option<InputEnd>,
     store: Option<Store>,
     watch: Option<FileWatcher>,
@@ -115,17 +115,17 @@ impl Session {
     pub fn new(app: App, clock: Clock, ports: Vec<Port>, store: Option<Store>) -> Self {
         let resumed = clock.now();
         let named = vec![0; ports.len()];
-        Self::with_input(app, Input::Ports { clock, ports, named }, resumed, store)
+        Self::with_input(app, SessionInput::Ports { clock, ports, named }, resumed, store)
     }
 
     /// A session on one log. Its interfaces become buses with settings `config` as they are named.
     pub fn of_log(app: App, log: LogInput, config: Config, store: Option<Store>) -> Self {
         let resumed = app.now();
         let config = Config { listen_only: true, ..config };
-        Self::with_input(app, Input::Log(Box::new(log), Box::new(config)), resumed, store)
+        Self::with_input(app, SessionInput::Log(Box::new(log), Box::new(config)), resumed, store)
     }
 
-    fn with_input(app: App, input: Input, resumed: Instant, store: Option<Store>) -> Self {
+    fn with_input(app: App, input: SessionInput, resumed: Instant, store: Option<Store>) -> Self {
         let mut session = Self {
             app,
             input,
@@ -147,7 +147,7 @@ impl Session {
     /// Records all frames from now on; of a log, the app is not told.
     pub fn record(&mut self, recorder: Recorder) {
         recorder.set_epoch(self.app.epoch());
-        if let Input::Ports { .. } = self.input {
+        if let SessionInput::Ports { .. } = self.input {
             self.app.handle_recording(self.now(), recorder.status());
         }
         self.recorder = Some(recorder);
@@ -171,8 +171,8 @@ impl Session {
     /// The log's summary; `None` for buses, and before the end of the log.
     pub fn log_summary(&self) -> Option<&LogSummary> {
         match &self.input {
-            Input::Log(log, _) => log.summary(),
-            Input::Ports { .. } => None,
+            SessionInput::Log(log, _) => log.summary(),
+            SessionInput::Ports { .. } => None,
         }
     }
 
@@ -181,8 +181,8 @@ impl Session {
         let reading = store.read().map_err(|error| error.in_short());
         // A log that is all there is compared with the file as it is at the start.
         let is_live = match &self.input {
-            Input::Ports { .. } => true,
-            Input::Log(log, _) => log.pace() == LogPace::Live,
+            SessionInput::Ports { .. } => true,
+            SessionInput::Log(log, _) => log.pace() == LogPace::Live,
         };
         if is_live {
             self.watch = Some(FileWatcher::spawn(store.clone(), reading.clone()));
@@ -197,13 +197,15 @@ impl Session {
     /// The session's time. While frames of a replayed log wait, not later than they are.
     pub fn now(&self) -> Instant {
         match &self.input {
-            Input::Ports { clock, ports, .. } => {
+            SessionInput::Ports { clock, ports, .. } => {
                 // In this order: a frame may arrive in between.
                 let now = clock.now();
                 let waits = || ports.iter().any(|port| port.queue().has_frames());
                 if clock.playback().is_some() && waits() { now.min(self.app.now()) } else { now }
             }
-            Input::Log(log, _) => log.now().map_or(self.app.now(), |now| now.max(self.app.now())),
+            SessionInput::Log(log, _) => {
+                log.now().map_or(self.app.now(), |now| now.max(self.app.now()))
+            }
         }
     }
 
@@ -211,8 +213,8 @@ impl Session {
     /// their own times, and lateness is not a stall.
     fn is_replay(&self) -> bool {
         match &self.input {
-            Input::Ports { clock, .. } => clock.playback().is_some(),
-            Input::Log(..) => true,
+            SessionInput::Ports { clock, .. } => clock.playback().is_some(),
+            SessionInput::Log(..) => true,
         }
     }
 
@@ -248,8 +250,8 @@ impl Session {
         // Deadlines before frames of a bus, whose time is their own; frames of a log before
         // deadlines, as their arrival is what moves its time.
         let (log, ports) = match &mut self.input {
-            Input::Ports { clock, ports, .. } => (None, Some((&*clock, &*ports))),
-            Input::Log(log, _) => (Some(log), None),
+            SessionInput::Ports { clock, ports, .. } => (None, Some((&*clock, &*ports))),
+            SessionInput::Log(log, _) => (Some(log), None),
         };
         let batch_or_due = async {
             let Some(log) = log else { return pending().await };
@@ -326,14 +328,14 @@ impl Session {
             SessionWake::Due => {}
             SessionWake::Buses => self.take_buses(now),
             SessionWake::Log(Ok(batch)) => {
-                if let Input::Log(log, _) = &mut self.input {
+                if let SessionInput::Log(log, _) = &mut self.input {
                     log.take(batch);
                 }
             }
             SessionWake::Log(Err(error)) => self.input_end = Some(InputEnd::Failed(error)),
             SessionWake::Recording => {
                 let status = self.recorder.as_ref().and_then(Recorder::take_status);
-                if let (Input::Ports { .. }, Some(status)) = (&self.input, status) {
+                if let (SessionInput::Ports { .. }, Some(status)) = (&self.input, status) {
                     self.app.handle_recording(now, status);
                 }
             }
@@ -360,7 +362,7 @@ impl Session {
 
     /// Handles the frames of the log that are due, and lets time pass.
     fn advance_log(&mut self) {
-        let Input::Log(log, config) = &mut self.input else { return };
+        let SessionInput::Log(log, config) = &mut self.input else { return };
         if self.input_end.is_some() {
             return;
         }
@@ -400,7 +402,9 @@ impl Session {
     }
 
     fn record_log_batch(&mut self) {
-        let (Input::Log(log, _), Some(recorder)) = (&self.input, &self.recorder) else { return };
+        let (SessionInput::Log(log, _), Some(recorder)) = (&self.input, &self.recorder) else {
+            return;
+        };
         for (at, name) in log.interfaces().iter().enumerate().take(256) {
             recorder.name_bus(BusIndex(at as u8), name);
         }
@@ -414,7 +418,7 @@ impl Session {
     /// Ends the session at the end of the log's range: presence is judged at that moment, whatever
     /// follows in the log.
     pub fn end_range(&mut self) {
-        let Input::Log(log, _) = &self.input else { return };
+        let SessionInput::Log(log, _) = &self.input else { return };
         let Some(until) = log.until() else { return };
         self.app.handle_timeout(until);
         self.end_buses(until);
@@ -438,7 +442,7 @@ impl Session {
     }
 
     fn report_playback(&mut self) {
-        if let Input::Ports { clock, .. } = &self.input
+        if let SessionInput::Ports { clock, .. } = &self.input
             && let Some(playback) = clock.playback()
         {
             self.app.handle_playback(self.now(), playback);
@@ -446,7 +450,7 @@ impl Session {
     }
 
     fn take_buses(&mut self, now: Instant) {
-        let Input::Ports { clock, ports, named } = &mut self.input else { return };
+        let SessionInput::Ports { clock, ports, named } = &mut self.input else { return };
         for (port_at, port) in ports.iter().enumerate() {
             let index = BusIndex(port_at as u8);
             if let Some(status) = port.queue().take_status() {
@@ -498,7 +502,7 @@ impl Session {
     /// the program itself.
     pub fn flush_effects(&mut self) -> Vec<Effect> {
         let now = self.begin_turn();
-        let is_log = matches!(self.input, Input::Log(..));
+        let is_log = matches!(self.input, SessionInput::Log(..));
         // The time of a log passes as its frames are handled.
         if self.is_replay() && !is_log {
             self.app.advance_to(now);
@@ -511,7 +515,7 @@ impl Session {
             self.app.handle_timeout(now);
         }
         while let Some(frame) = self.app.poll_transmit(now) {
-            if let Input::Ports { ports, .. } = &self.input
+            if let SessionInput::Ports { ports, .. } = &self.input
                 && let Some(port) = ports.get(usize::from(frame.bus.0))
             {
                 // The port's status reports a full outbox; the engine notices the missing echo.
@@ -536,7 +540,7 @@ impl Session {
                     self.searching = Some(RunningSearch::begin(index, &bus.name, period));
                 }
                 Effect::Playback(command) => {
-                    if let Input::Ports { clock, ports, .. } = &self.input {
+                    if let SessionInput::Ports { clock, ports, .. } = &self.input {
                         clock.control(command);
                         ports.iter().for_each(Port::wake);
                     }

@@ -19,14 +19,14 @@ const SYNC_END: &[u8] = b"\x1b[?2026l";
 
 static TAKEN: AtomicBool = AtomicBool::new(false);
 
-type Backend = CrosstermBackend<BufWriter<Output>>;
+type Backend = CrosstermBackend<BufWriter<TerminalOutput>>;
 
 /// Standard output while the terminal is taken over; later output is discarded. Dropping ratatui's
 /// terminal shows the cursor once more, and reports a failure with `eprintln!`, which panics on a
 /// closed terminal.
-struct Output(Stdout);
+struct TerminalOutput(Stdout);
 
-impl Write for Output {
+impl Write for TerminalOutput {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         if TAKEN.load(Ordering::SeqCst) { self.0.write(bytes) } else { Ok(bytes.len()) }
     }
@@ -48,8 +48,10 @@ impl Terminal {
         // `mono` implements NO_COLOR instead.
         style::force_color_output(true);
         enter()?;
-        let backend =
-            CrosstermBackend::new(BufWriter::with_capacity(64 * 1024, Output(io::stdout())));
+        let backend = CrosstermBackend::new(BufWriter::with_capacity(
+            64 * 1024,
+            TerminalOutput(io::stdout()),
+        ));
         let screen = ratatui::Terminal::new(backend).inspect_err(|_| give_back())?;
         Ok(Self { screen })
     }

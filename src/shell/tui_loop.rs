@@ -41,14 +41,14 @@ pub enum TuiExit {
 
 /// Runs the UI until it ends. The terminal is restored on every way out. A closed terminal is
 /// [`TuiExit::Hangup`], not an error.
-pub async fn run(session: &mut Session, themes: &mut Themes) -> io::Result<TuiExit> {
+pub async fn run(session: &mut Session, themes: &mut ThemeLoader) -> io::Result<TuiExit> {
     match run_on_terminal(session, themes).await {
         Err(_) if terminal::is_lost() => Ok(TuiExit::Hangup),
         exit => exit,
     }
 }
 
-async fn run_on_terminal(session: &mut Session, themes: &mut Themes) -> io::Result<TuiExit> {
+async fn run_on_terminal(session: &mut Session, themes: &mut ThemeLoader) -> io::Result<TuiExit> {
     let mut signals = Signals::new()?;
     let mut terminal = Terminal::take()?;
     let mut input = EventStream::new();
@@ -183,7 +183,7 @@ fn key_of(event: KeyEvent) -> Option<Key> {
 }
 
 /// The current theme, and the file that it was read from.
-pub struct Themes {
+pub struct ThemeLoader {
     /// The current theme.
     pub current: Theme,
     colours: Colours,
@@ -191,7 +191,7 @@ pub struct Themes {
     watch: Option<FileWatcher>,
 }
 
-impl Themes {
+impl ThemeLoader {
     /// Starts with the theme `name`: the user's own, or a built-in one.
     ///
     /// # Errors
