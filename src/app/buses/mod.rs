@@ -253,7 +253,7 @@ impl Buses {
         self.searched
     }
 
-    /// The moment at which [`Self::handle_timeout`] is due; `None` with no timer running.
+    /// The moment at which `handle_timeout` is due; `None` with no timer running.
     pub fn poll_timeout(&self) -> Option<Instant> {
         self.list.iter().filter_map(Bus::poll_timeout).min()
     }

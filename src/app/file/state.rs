@@ -175,7 +175,7 @@ impl FileState {
         self.saving.is_some()
     }
 
-    /// Since when the file is empty and perhaps being written: until [`Self::believe_empty`], or
+    /// Since when the file is empty and perhaps being written: until [`Self::accept_empty`], or
     /// until there is something in it, what it said before is in force, and nothing is saved.
     pub fn emptied_since(&self) -> Option<Instant> {
         self.emptied.as_ref().map(|emptied| emptied.since)
