@@ -1,6 +1,6 @@
-//! The command line: arguments in, plain options out.
+//! Command line: arguments in, plain options out.
 //!
-//! Opens nothing and reads nothing.
+//! Opens and reads no files.
 
 use crate::bus::{self, BusSpec};
 use crate::guide;
@@ -327,7 +327,7 @@ fn seconds(text: &str) -> Result<Duration, String> {
         .ok_or_else(|| "a number of seconds, 0.001 to 1000000".to_owned())
 }
 
-/// `--from` in seconds: zero is allowed, and more than `--time`, as logs may be long.
+/// Parses `--from` in seconds; 0 and times beyond the limit of `--time` are allowed.
 fn moment(text: &str) -> Result<Duration, String> {
     text.parse()
         .ok()
@@ -343,7 +343,7 @@ fn speed(text: &str) -> Result<f64, String> {
         .ok_or_else(|| "a number from 0.001 to 100000".to_owned())
 }
 
-/// Parses the arguments. What is wrong with them is one line that says what would be right.
+/// Parses the arguments. An error is one line that names the fault and a valid form.
 pub fn parse<I, T>(arguments: I) -> Result<Cli, CliExit>
 where
     I: IntoIterator<Item = T>,
@@ -357,16 +357,16 @@ where
     })
 }
 
-/// Why there are no options.
+/// Why parsing ended without options.
 #[derive(Debug)]
 pub enum CliExit {
-    /// Help or version was asked for: this is it.
+    /// Text of a help or version request.
     Text(String),
-    /// The arguments are wrong: this is what would be right.
+    /// Invalid arguments: the error line.
     Usage(String),
 }
 
-/// clap's several lines as one: what is wrong, the tip or the possible values, and where help is.
+/// Shortens clap's error to one line: the fault, the tip or the possible values, and the help hint.
 fn one_line(error: &clap::Error) -> String {
     let text = error.render().to_string();
     let mut parts = text
@@ -385,7 +385,7 @@ fn one_line(error: &clap::Error) -> String {
     }
 }
 
-/// The completions of a shell.
+/// Returns the completion script of a shell.
 pub fn completions(shell: clap_complete::Shell) -> Vec<u8> {
     let mut text = Vec::new();
     clap_complete::generate(shell, &mut Cli::command(), "descan", &mut text);
@@ -413,7 +413,7 @@ impl TypedValueParser for GuideName {
     }
 }
 
-/// The tree of commands, for the guide.
+/// Returns the clap definition of all commands, for the guide.
 pub fn program() -> clap::Command {
     Cli::command()
 }

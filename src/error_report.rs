@@ -1,11 +1,11 @@
-//! Error reports of a controller, decoded from error frames (`linux/can/error.h`): class bits in the
-//! identifier, details in eight bytes. Does not know which node sent the frame with the error: a
-//! report does not contain it.
+//! Error reports of a controller, decoded from error frames (`linux/can/error.h`): class bits in
+//! the identifier, details in eight bytes. Does not know which node sent the frame with the error:
+//! a report does not contain it.
 
 use crate::frame::{CanId, Frame, FrameKind};
 use std::fmt;
 
-// Classes, in the identifier.
+// Error classes, in the identifier.
 const TRANSMISSION_TIMEOUT: u32 = 0x001;
 const LOST_ARBITRATION: u32 = 0x002;
 const CONTROLLER: u32 = 0x004;
@@ -17,7 +17,7 @@ const BUS_ERROR: u32 = 0x080;
 const RESTARTED: u32 = 0x100;
 const COUNTERS: u32 = 0x200;
 
-// The controller's state, in byte 1.
+// State of the controller, in byte 1.
 const RECEIVE_OVERFLOW: u8 = 0x01;
 const TRANSMIT_OVERFLOW: u8 = 0x02;
 const RECEIVE_WARNING: u8 = 0x04;
@@ -26,7 +26,7 @@ const RECEIVE_PASSIVE: u8 = 0x10;
 const TRANSMIT_PASSIVE: u8 = 0x20;
 const ACTIVE: u8 = 0x40;
 
-// The violation, in byte 2.
+// Type of the bus error, in byte 2.
 const BIT: u8 = 0x01;
 const FORM: u8 = 0x02;
 const STUFF: u8 = 0x04;
@@ -35,9 +35,9 @@ const BIT_1: u8 = 0x10;
 const OVERLOAD: u8 = 0x20;
 const WHILE_SENDING: u8 = 0x80;
 
-/// The acknowledge slot, as a place in the frame, in byte 3.
+/// ACK slot as the place of a bus error in the frame, in byte 3.
 const ACKNOWLEDGE_SLOT: u8 = 0x19;
-/// Places in the frame, in byte 3, in the order in which they are sent.
+/// Places in the frame, in byte 3, in order of transmission.
 const PLACES: [(u8, &str); 19] = [
     (0x03, "start of frame"),
     (0x02, "identifier bits 28-21"),
@@ -84,7 +84,7 @@ pub struct ErrorReport {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Violation {
     /// Bit error: a bit read back differs from the bit sent. Another node sent at the same time, or
-    /// the line is disturbed.
+    /// the bus is disturbed.
     Bit,
     /// Stuff error: more than five equal bits. An error flag, another bit rate, or a disturbance.
     Stuff,
@@ -102,8 +102,8 @@ impl ErrorReport {
         Some(Self { class, details })
     }
 
-    /// Returns true for a bus error in a frame of any node. Not for a missing ACK, lost arbitration,
-    /// overload, or a change of the controller's state.
+    /// Returns true for a bus error in a frame of any node; false for a missing ACK, lost
+    /// arbitration, an overload, or a change of the controller's state.
     pub fn is_broken_frame(&self) -> bool {
         let overload = self.is(PROTOCOL) && self.details[2] & !WHILE_SENDING == OVERLOAD;
         (self.is(PROTOCOL) || self.is(BUS_ERROR)) && !self.is_missing_acknowledge() && !overload
@@ -120,7 +120,7 @@ impl ErrorReport {
         self.is(NO_ACKNOWLEDGE) || self.is(PROTOCOL) && self.details[3] == ACKNOWLEDGE_SLOT
     }
 
-    /// The type of a bus error; `None` if the driver does not report it.
+    /// Returns the type of a bus error; `None` if the driver does not report it.
     pub fn violation(&self) -> Option<Violation> {
         if !self.is(PROTOCOL) {
             None
@@ -155,18 +155,18 @@ impl ErrorReport {
         self.is(CONTROLLER) && self.details[1] & RECEIVE_OVERFLOW != 0
     }
 
-    /// The place of a bus error in the frame; `None` if the driver does not report it.
+    /// Returns the place of a bus error in the frame; `None` if the driver does not report it.
     pub fn place(&self) -> Option<&'static str> {
         let place = PLACES.iter().find(|(code, _)| self.is(PROTOCOL) && *code == self.details[3]);
         place.map(|(_, name)| *name)
     }
 
-    /// The bit at which arbitration was lost; `None` if the driver does not report it.
+    /// Returns the bit at which arbitration was lost; `None` if the driver does not report it.
     pub fn arbitration_bit(&self) -> Option<u8> {
         (self.is(LOST_ARBITRATION) && self.details[0] > 0).then_some(self.details[0])
     }
 
-    /// The wiring faults that the transceiver reports.
+    /// Yields the wiring faults that the transceiver reports.
     pub fn wires(&self) -> impl Iterator<Item = &'static str> {
         let wires = self.details[4];
         let is_reported = self.is(TRANSCEIVER);
@@ -179,9 +179,9 @@ impl ErrorReport {
         self.is(TRANSCEIVER)
     }
 
-    /// The transmit and receive error counters, 0 to 255; `None` if the report has none.
+    /// Returns the error counters TEC and REC, 0 to 255; `None` if the report has none.
     pub fn counters(&self) -> Option<(u8, u8)> {
-        // Kernels before 6.0 fill them in with the state, and have no class bit for it.
+        // Kernels before 6.0 set them together with the state, without a class bit.
         let counters = (self.details[6], self.details[7]);
         let there = self.is(COUNTERS) || self.is(CONTROLLER) && counters != (0, 0);
         there.then_some(counters)
@@ -192,7 +192,7 @@ impl ErrorReport {
     }
 }
 
-/// All fields in words, separated by commas.
+/// Formats all fields as text, separated by commas.
 impl fmt::Display for ErrorReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         const CLASSES: [(u32, &str); 9] = [

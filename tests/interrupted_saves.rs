@@ -1,9 +1,9 @@
-//! Saves that are cut short: killed at any system call, or refused by any.
+//! Interrupted saves: killed at any system call, or with any system call failing.
 //!
-//! This program starts itself under strace, which kills it, or lets a system call fail, at a chosen
-//! one. Strace counts the calls of each thread: so a save must be made on the first one, and the
-//! test harness would begin others. Where strace may not trace, it says so and passes; in CI it
-//! must run.
+//! This program starts itself under strace, which kills it or makes a system call fail at a chosen
+//! call. strace counts calls per thread, so a save must run on the first thread, and the test
+//! harness would start others. Where strace may not trace, a message is printed and the tests pass;
+//! in CI they must run.
 
 use descan::shell::store::{SaveError, Store};
 use std::collections::HashMap;
@@ -15,7 +15,7 @@ use tempfile::TempDir;
 
 const OLD: &[u8] = b"{ \"devices\": [ { \"name\": \"FEED\", \"address\": 12 } ] }\n";
 
-/// More than one page.
+/// Content longer than one page.
 fn new() -> Vec<u8> {
     let entries = (0..900).fold(String::new(), |mut text, number| {
         let _ = write!(text, "\n  {{ \"name\": \"N{number}\" }},");
@@ -24,7 +24,7 @@ fn new() -> Vec<u8> {
     format!("[{entries}\n  {{}}\n]\n").into_bytes()
 }
 
-/// Asked for in the system calls before and after the save, so that it is found among them.
+/// Path used in system calls before and after the save, as markers in the trace.
 const BEFORE: &str = "/the-save-begins";
 const AFTER: &str = "/the-save-is-over";
 
@@ -39,7 +39,7 @@ fn main() {
     }
 }
 
-/// What runs under strace.
+/// Runs under strace.
 fn one_save(path: &Path) {
     let (store, new) = (Store::new(path), new());
     let expected = path.exists().then_some(OLD);
@@ -59,16 +59,16 @@ struct Bench {
     folder: TempDir,
 }
 
-/// What came of a save.
+/// The result of a save.
 struct Saved {
     /// The system calls of the save.
     calls: Vec<Call>,
-    /// It came to its end.
+    /// True if it ran to its end.
     is_over: bool,
-    /// What it says of itself.
+    /// Its output.
     outcome: Option<String>,
     content: Option<Vec<u8>>,
-    /// How many files are beside it.
+    /// The number of files beside it.
     beside: usize,
 }
 
@@ -76,9 +76,9 @@ struct Saved {
 #[derive(Debug)]
 struct Call {
     name: String,
-    /// How many of this name there were until then, with it.
+    /// The number of calls of this name so far, including this one.
     count: usize,
-    /// As strace shows it.
+    /// The line printed by strace.
     text: String,
 }
 
@@ -106,7 +106,7 @@ impl Bench {
         names.filter(|entry| entry.as_ref().unwrap().path() != self.path()).count()
     }
 
-    /// Saves, with what strace is to do to this call.
+    /// Saves, with this fault injected by strace into this call.
     fn save(&self, has_file: bool, injection: Option<(&str, &Call)>) -> Saved {
         let (path, log) = (self.path(), self.folder.path().join("log"));
         let folder = path.parent().unwrap();
@@ -129,7 +129,7 @@ impl Bench {
     }
 }
 
-/// The calls of the save, with that which comes after it; whether it came to its end.
+/// Returns the calls of the save with the one after it, and whether it ran to its end.
 fn calls(log: &str) -> (Vec<Call>, bool) {
     let mut counts: HashMap<&str, usize> = HashMap::new();
     let mut calls = Vec::new();
@@ -149,8 +149,8 @@ fn calls(log: &str) -> (Vec<Call>, bool) {
     (calls, false)
 }
 
-/// Killed before each system call of the save, and after the last: the old content or the new one
-/// is there, whole, and the next save is as any other.
+/// Kills the save before each system call, and after the last: the file has the old or the new
+/// content, complete, and the next save works as usual.
 fn is_killed_at_every_call(bench: &Bench, has_file: bool) {
     let whole = bench.save(has_file, None);
     assert_eq!(whole.outcome.as_deref(), Some("saved"));
@@ -179,7 +179,7 @@ fn is_killed_at_every_call(bench: &Bench, has_file: bool) {
         assert_eq!(store.read().unwrap().unwrap(), b"[]", "{what}");
         assert_eq!(bench.beside(), 0, "{what}: something stays beside it");
     }
-    // Not all in one place: before the rename, after it, and with the new file beside the old.
+    // At different stages: before the rename, after it, and with the new file beside the old.
     assert!(old > 10 && newer > 2 && left > 2, "{old} old, {newer} new, {left} left behind");
     let before = if has_file { "the old content" } else { "no file" };
     println!(
@@ -188,9 +188,10 @@ fn is_killed_at_every_call(bench: &Bench, has_file: bool) {
     );
 }
 
-/// Where a system call fails, that is said, nothing is torn, and nothing is left behind.
+/// Makes each system call fail: the error is reported, the file is intact, and no other file
+/// remains.
 fn is_refused_at_every_call(bench: &Bench, has_file: bool) {
-    /// Those that a disk, a folder or its rights can refuse.
+    /// Calls that a disk, a folder or its permissions can make fail.
     const REFUSED: [&str; 13] = [
         "openat",
         "write",
@@ -206,7 +207,7 @@ fn is_refused_at_every_call(bench: &Bench, has_file: bool) {
         "statx",
         "flock",
     ];
-    /// Without which nothing is saved.
+    /// Calls without which no content is saved.
     const NEEDED: [&str; 5] = ["write", "fsync", "rename", "renameat", "fchmod"];
     let whole = bench.save(has_file, None);
     let old_content = has_file.then(|| OLD.to_vec());
@@ -227,8 +228,8 @@ fn is_refused_at_every_call(bench: &Bench, has_file: bool) {
                 assert_eq!(refused.content, Some(new()), "{what}");
                 assert!(!NEEDED.contains(&call.name.as_str()), "{what}");
             } else if Some(at) == last {
-                // The folder could not be synced: the new content is there, but perhaps not after
-                // a power cut.
+                // The folder could not be synced: the new content is there, but may be lost in a
+                // power failure.
                 assert_eq!(refused.content, Some(new()), "{what}");
             } else {
                 assert_eq!(refused.content, old_content, "{what}");

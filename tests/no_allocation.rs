@@ -1,4 +1,4 @@
-//! Taking a frame allocates nothing once the devices and identifiers on the bus are known.
+//! Processing a frame allocates nothing once the devices and identifiers on the bus are known.
 #![allow(unsafe_code)] // A counting allocator cannot be written without.
 
 use descan::app::{App, AppOptions};
@@ -17,16 +17,16 @@ thread_local! {
     static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
 }
 
-// SAFETY: hands everything on to the system's allocator.
+// SAFETY: forwards every call to the system's allocator.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         ALLOCATIONS.set(ALLOCATIONS.get() + 1);
-        // SAFETY: the caller's promise is handed on.
+        // SAFETY: the caller upholds the same contract.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promise is handed on.
+        // SAFETY: the caller upholds the same contract.
         unsafe { System.dealloc(pointer, layout) }
     }
 }
@@ -34,7 +34,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// One second of a bus: heartbeats and chatter of twenty devices, 2,000 frames in all.
+/// Returns one second of traffic: heartbeats and data of twenty devices, 2,000 frames in all.
 fn second(number: u64) -> Vec<Frame> {
     let profile = Profile::default();
     let codes = profile.modes.codes();
@@ -64,7 +64,7 @@ fn steady_traffic_allocates_almost_nothing() {
     let config = Config { listen_only: true, ..Config::default() };
     let buses = vec![("can0".to_owned(), config)];
     let mut app = App::new(Instant::ZERO, AppOptions { buses, ..AppOptions::default() });
-    // Past the filling of the ring and of everything that learns.
+    // Until the ring is full and all statistics have settled.
     for number in 0..60 {
         let frames = second(number);
         let now = Instant::from_micros((number + 1) * 1_000_000);
@@ -88,8 +88,8 @@ fn steady_traffic_allocates_almost_nothing() {
     assert_eq!(allocations, 0, "allocations in 10,000 frames");
 }
 
-/// Not a check of a number (machines differ): says how fast it is. Run with `--release
-/// --nocapture --ignored`.
+/// Prints the speed; checks no limit, since machines differ. Run with `--release --nocapture
+/// --ignored`.
 #[test]
 #[ignore = "a measurement"]
 fn engine_throughput_in_frames_per_second() {

@@ -1,4 +1,4 @@
-//! Wiring of the bit rate search: question, progress and result for the user.
+//! Bit rate search in the app: question, progress and result for the user.
 //!
 //! Does not search: the shell executes [`Effect::FindBitrate`].
 
@@ -9,8 +9,8 @@ use crate::frame::BusIndex;
 use crate::status::RateSearch;
 
 impl App {
-    /// Asks whether to search the bit rate of the bus with bus errors only, else of the bus of the
-    /// selected row.
+    /// Opens the question for a bit rate search on the bus with bus errors only, else on the bus of
+    /// the selected row.
     pub(super) fn ask_bitrate(&mut self) {
         if let Some(bus) = self.buses.searched().and_then(|bus| self.bus(bus)) {
             let name = bus.name.clone();
@@ -39,7 +39,7 @@ impl App {
         self.notices.redraw.set_dirty();
     }
 
-    /// Begins the search.
+    /// Starts the search.
     pub(super) fn find_bitrate(&mut self, bus: BusIndex) {
         self.buses.set_searched(Some(bus));
         self.effects.push_back(Effect::FindBitrate(bus));

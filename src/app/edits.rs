@@ -47,8 +47,8 @@ impl App {
         self.open_prompt(PromptKind::Address(prompt), text);
     }
 
-    /// Adds the selected device to the file with its services and its address, which is not pinned
-    /// by that; the entry of a listed device gets its services.
+    /// Adds the selected device to the file with its services and its unpinned address. The entry
+    /// of a listed device gets the services.
     pub(super) fn add_device(&mut self) {
         if !self.may_edit() || !self.go_to_row() {
             return;
@@ -78,7 +78,7 @@ impl App {
             .buses
             .devices()
             .filter(|device| device.is_present() && !device.is_debug && device.name.is_some());
-        // An entry without services leaves them out on purpose.
+        // An entry without services leaves them out by intention of the user.
         let (mut wanted, left): (Vec<&Device>, Vec<&Device>) = known.partition(|device| {
             let entry = self.matching().entry_of(device.id);
             let entry = entry.map(|at| &self.editor.file.document().entries()[at]);
@@ -131,7 +131,7 @@ impl App {
         }
     }
 
-    /// Asks whether to delete the selected entry.
+    /// Opens the question for deleting the selected entry.
     pub(super) fn ask_delete(&mut self) {
         if !self.may_edit() || !self.go_to_row() {
             return;
@@ -190,9 +190,9 @@ impl App {
         self.open_prompt(PromptKind::CapturePath(CapturePathPrompt), path);
     }
 
-    /// Decides the open edit conflict; the next one is opened, if there is one.
+    /// Decides the open edit conflict and opens the next one, if any.
     pub(super) fn resolve(&mut self, ours: bool) {
-        // While the file is broken its value is not known.
+        // A file with errors has no known value to choose.
         if let Err(EditRefusal::Broken(_)) = self.editor.file.check() {
             return self.effects.push_back(Effect::Bell);
         }
@@ -258,7 +258,7 @@ impl App {
         checked.is_ok()
     }
 
-    /// Place of the entry of the selected row; reports a row without one.
+    /// Place of the entry of the selected row; shows an error for a row without one.
     fn selected_entry(&mut self) -> Option<usize> {
         let entry = self.selected_row().and_then(|row| self.entry_of(row));
         let place = entry.map(|entry| entry.index);
@@ -271,7 +271,7 @@ impl App {
 
     // ---- prompts ---------------------------------------------------------------------------
 
-    /// What prompts are validated against.
+    /// State that prompts are validated against.
     pub(super) fn prompt_context(&self) -> PromptContext<'_> {
         PromptContext {
             file: &self.editor.file,
@@ -287,7 +287,7 @@ impl App {
         self.notices.redraw.set_dirty();
     }
 
-    /// Takes a key while a prompt is open.
+    /// Handles a key while a prompt is open.
     pub(super) fn type_key(&mut self, key: Key) {
         let action = self.keymap().lookup(KeyMode::Browse, key);
         if let Some(action) = action.filter(|action| key.ctrl && action.is_global()) {
@@ -302,7 +302,7 @@ impl App {
         }
     }
 
-    /// After a change of the line: a filter applies while it is typed.
+    /// Handles a change of the line: a filter applies while it is typed.
     pub(super) fn prompt_changed(&mut self) {
         self.notices.redraw.set_dirty();
         let Some(prompt) = self.input.prompt() else { return };
@@ -418,7 +418,7 @@ impl App {
         });
     }
 
-    /// Asks whether to send the identify command to the selected device.
+    /// Opens the question for sending the identify command to the selected device.
     pub(super) fn ask_identify(&mut self) {
         if !self.go_to_row() {
             return;
@@ -433,7 +433,7 @@ impl App {
         }
     }
 
-    /// The identify command for a device.
+    /// Returns the identify command for a device.
     ///
     /// # Errors
     ///
@@ -499,7 +499,7 @@ impl App {
         }
     }
 
-    /// Closes the question and does what it asks for, after `yes`.
+    /// Closes the question and executes its action, after `yes`.
     pub(super) fn answer(&mut self, yes: bool) {
         let question = self.input.close_question();
         let Some(question) = question.filter(|_| yes) else { return };
@@ -543,8 +543,8 @@ impl App {
         }
     }
 
-    /// Quits, or asks whether to quit while edits are not saved; once they are saved, the program
-    /// quits by itself.
+    /// Quits; with unsaved edits opens a question instead, and descan quits as soon as they are
+    /// saved.
     pub(super) fn ask_quit(&mut self) {
         if self.editor.file.unsaved() > 0 {
             self.input.ask(Question::Quit);

@@ -1,22 +1,21 @@
-//! What the filter line says: words and fields, all of which must fit.
+//! Filter line: words and fields, all of which must match.
 //!
 //! ```text
-//! feed            the row shows "feed" somewhere
-//! src:feed        the sender's name or address; dst: the receiver's; dev: either, or the device's
-//! srv:des         the service's name or number (srv:2, srv:0x002)
-//! at:12           the address: of either side, of the device, of what the problem is about;
-//!                 at:12,14 either of them
-//! name:feed       the same by a part of the name
-//! type:rsp        the message type begins so; id:0201 the identifier's digits
-//! kind:two        the problem's kind, in its short or in its long words
-//! is:confirmed    how it is: suspected, cleared, muted; a device: online, stale, new, twin; a
-//!                 frame: error, ours
-//! bus:can1        the bus
-//! err  tx         error frames, failed answers and malformed ones; what we sent
-//! !word           not that
+//! feed            a row that shows "feed"
+//! src:feed        sender, by name or address; dst: receiver; dev: either, or the device
+//! srv:des         service, by name or number (srv:2, srv:0x002)
+//! at:12           address of either side, of the device or of the problem; at:12,14 any of them
+//! name:feed       the same, by part of the name
+//! type:rsp        beginning of the message type; id:0201 digits of the identifier
+//! kind:uid        part of the kind of a problem, short or long form
+//! is:confirmed    state: suspected, cleared, muted; of a device: online, stale, new, twin; of a
+//!                 frame: error, tx
+//! bus:can1        bus
+//! err  tx         error frames, failed and malformed responses; frames sent by descan
+//! !word           not matching
 //! ```
 //!
-//! Upper and lower case make no difference.
+//! Case is ignored.
 
 use super::buses::Buses;
 use super::capture::Decoded;
@@ -28,7 +27,7 @@ use crate::discovery::{Confidence, FindingKind};
 use crate::frame::{Frame, FrameKind};
 use crate::wire::id::Address;
 
-/// A filter line, read.
+/// A parsed filter line.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Filter {
     terms: Vec<Term>,
@@ -65,16 +64,16 @@ enum Field {
 /// A field of the filter line.
 #[derive(Debug)]
 pub struct FilterField {
-    /// Its names, the usual one first.
+    /// Names, the usual one first.
     pub words: &'static [&'static str],
-    /// What it matches.
+    /// Values that it matches, for the help.
     pub doc: &'static str,
     field: Field,
 }
 
 macro_rules! fields {
     ($([$($word:literal)*] $field:ident $doc:literal;)*) => {
-        /// All fields, for the guide.
+        /// All fields, for the help.
         pub const FILTER_FIELDS: &[FilterField] = &[$(FilterField {
             words: &[$($word),*],
             doc: $doc,
@@ -96,7 +95,7 @@ fields! {
     ["is" "state"] State "state by its beginning: online, stale, lost, new, twin; suspected, confirmed, cleared, muted; error, tx";
 }
 
-/// Words with a meaning of their own, for the guide.
+/// Words with a special meaning, for the help.
 pub const FILTER_WORDS: &[(&str, &str)] = &[
     ("err", "error frames, failed and malformed responses; devices and problems in conflict"),
     ("tx", "frames sent by descan; in the timeline edits of des.json"),
@@ -104,7 +103,7 @@ pub const FILTER_WORDS: &[(&str, &str)] = &[
 ];
 
 impl Filter {
-    /// Reads a filter line. Every line is one.
+    /// Parses a filter line; every text is valid.
     pub fn parse(text: &str) -> Self {
         let term = |word: &str| {
             let (not, word) = match word.strip_prefix('!') {
@@ -126,7 +125,7 @@ impl Filter {
         Self { terms: text.split_whitespace().map(term).collect() }
     }
 
-    /// What in it is meant as a field and can fit nothing, in words.
+    /// Error message for a term that looks like a field and cannot match; `None` without one.
     pub fn error(&self) -> Option<String> {
         self.terms.iter().find_map(|term| match &term.what {
             TermTest::Field(Field::Address, list) => {
@@ -150,7 +149,7 @@ impl Filter {
         })
     }
 
-    /// What fields there are on a page, in a line: the syntax is one, but not every page has all.
+    /// Fields that apply to a page, in one line: the syntax is common, the fields differ.
     pub const fn syntax_hint(page: Page) -> &'static str {
         match page {
             Page::Devices => "words; at: name: srv: bus: is:lost  err  !not",
@@ -160,7 +159,7 @@ impl Filter {
         }
     }
 
-    /// The only addresses that anything that fits can be at; none where it could be at all.
+    /// Addresses that a match must have; `None` if the filter does not restrict them.
     pub fn addresses(&self) -> Option<Vec<Address>> {
         self.terms.iter().find_map(|term| match &term.what {
             TermTest::Field(Field::Address, value) if !term.not => {
@@ -170,7 +169,7 @@ impl Filter {
         })
     }
 
-    /// Whether everything fits.
+    /// Returns true if the filter is empty and matches everything.
     pub fn is_empty(&self) -> bool {
         self.terms.is_empty()
     }
@@ -179,7 +178,7 @@ impl Filter {
         self.terms.iter().all(|term| fits(&term.what) != term.not)
     }
 
-    /// Whether a row of the Devices page fits.
+    /// Returns true if a row of the Devices page matches.
     pub fn matches_row(&self, buses: &Buses, row: &Row) -> bool {
         if self.is_empty() {
             return true;
@@ -226,12 +225,12 @@ impl Filter {
         })
     }
 
-    /// Whether a line of the timeline fits.
+    /// Returns true if a line of the timeline matches.
     pub fn matches_entry(&self, buses: &Buses, entry: &timeline::TimelineEntry) -> bool {
         self.matches_entry_of(buses, entry, &[])
     }
 
-    /// The same of a line that is about `others` beside its own address.
+    /// Returns true if a line of the timeline matches that concerns the addresses `others` too.
     pub(super) fn matches_entry_of(
         &self,
         buses: &Buses,
@@ -268,7 +267,7 @@ impl Filter {
         })
     }
 
-    /// Whether a problem fits.
+    /// Returns true if a problem matches.
     pub fn matches_problem(&self, buses: &Buses, problem: &Problem) -> bool {
         if self.is_empty() {
             return true;
@@ -307,7 +306,7 @@ impl Filter {
         })
     }
 
-    /// Whether a frame fits.
+    /// Returns true if a frame matches.
     pub fn matches_frame(&self, buses: &Buses, frame: &Frame) -> bool {
         if self.is_empty() {
             return true;
@@ -350,12 +349,12 @@ impl Filter {
     }
 }
 
-/// Whether `address` is one of those in `list`: `12`, `12,14`.
+/// Returns true if `address` is in `list`: `12`, `12,14`.
 fn is_one_of(address: Address, list: &str) -> bool {
     list.split(',').any(|one| one.parse() == Ok(address.number()))
 }
 
-/// Whether `text` has `word` (which is in lower case) in it.
+/// Returns true if `text` contains `word`, which is in lower case.
 fn contains_word(text: &str, word: &str) -> bool {
     text.to_lowercase().contains(word)
 }

@@ -31,7 +31,7 @@ pub fn new_entry(buses: &Buses, device: &Device) -> Option<NewEntry> {
     })
 }
 
-/// The operation that adds a device to the file, or updates the services of its entry; `None` where
+/// The operation that adds a device to the file, or updates the services of its entry; `None` if
 /// the file matches the device or its name is not known.
 pub(super) fn update_operation(facts: Facts, device: &Device) -> Option<Operation> {
     let document = facts.file.document();
@@ -88,7 +88,7 @@ pub fn other_services<'a>(
 }
 
 /// Returns true if the services of an entry and of a device are equal. An entry without a version
-/// matches any version; the order counts only where the entry says so.
+/// matches any version; the order counts only for an entry that requires it.
 pub fn same_services(entry: &Entry, own: &[DeviceService]) -> bool {
     let listed = entry.services.as_deref().unwrap_or_default();
     let same = |listed: &ListedService, own: &DeviceService| {

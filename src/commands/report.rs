@@ -1,6 +1,6 @@
-//! What `scan` and `check` report: one value, as JSON or as tables. `watch` tells parts of it.
+//! Report of `scan` and `check`, as JSON or as tables. `watch` uses parts of it.
 //!
-//! The JSON's names, types and meanings are relied on by scripts. What is not known is null.
+//! Scripts rely on the names, types and meanings in the JSON. Unknown values are null.
 
 use crate::app::{App, Bus, BusSnapshot, FileSnapshot, Redundancy, RedundantDevice, Scope};
 use crate::bitrate::kbit;
@@ -36,11 +36,11 @@ pub(super) struct BusReport {
     address: Option<u8>,
     lost_where: LostReport,
     not_sent: u64,
-    /// Messages of an adapter or a server that could not be read.
+    /// Messages of an adapter or a server that could not be decoded.
     unreadable: u64,
 }
 
-/// Where frames were lost; the sum is `lost`.
+/// Lost frames by place; the sum is `lost`.
 #[derive(Debug, Serialize)]
 struct LostReport {
     kernel: u64,
@@ -74,7 +74,7 @@ struct DeviceReport {
 struct SiblingReport {
     bus: String,
     address: u8,
-    /// Whether its services are the same there; null where they are not known on both.
+    /// True if its services are the same there; null unless both are known.
     redundant: Option<bool>,
     #[serde(skip)]
     kinship: Redundancy,
@@ -134,14 +134,14 @@ pub(super) struct FileReport {
     ok: Option<bool>,
     entries: Option<usize>,
     error: Option<String>,
-    /// The same for people: with the path, and the line that is wrong below.
+    /// The error for tables: with the path, and the faulty line below.
     #[serde(skip)]
     pub problem: Option<String>,
 }
 
 impl ScanReport {
-    /// What the app knows at `now`, and as much of the differences from the file as `scope` says;
-    /// the load of a bus is that of the whole session.
+    /// Creates the report of the state at `now`. `scope` selects the findings and the differences
+    /// from the file; bus load is the average of the session.
     pub fn new(app: &App, now: Instant, scope: Scope) -> Self {
         let epoch = app.epoch();
         let mut devices: Vec<DeviceReport> = app
@@ -158,7 +158,7 @@ impl ScanReport {
                 engines.chain(&compared).collect()
             }
         };
-        // By time, and of what was seen at one moment what matters most first.
+        // By time; findings of the same time by confidence and severity.
         findings.sort_by_key(|finding| {
             let confidence = Reverse(finding.confidence);
             let severity = Reverse(finding.key.kind.severity());
@@ -181,22 +181,22 @@ impl ScanReport {
         }
     }
 
-    /// Whether a finding that counts for the exit code is confirmed.
+    /// Returns true if a finding that counts for the exit code is confirmed.
     pub fn has_findings(&self) -> bool {
         self.findings.iter().any(|finding| finding.counts)
     }
 
-    /// As JSON, indented.
+    /// Returns indented JSON.
     pub fn json(&self) -> String {
         serde_json::to_string_pretty(self).expect("plain values are always JSON") + "\n"
     }
 
-    /// As tables for people.
+    /// Returns tables as text.
     pub fn tables(&self) -> String {
         let mut text = String::new();
         for bus in &self.buses {
             let rate = bus.bitrate.map_or("bit rate unknown".to_owned(), kbit);
-            // Nobody says how the controller of a virtual interface or of a log is.
+            // Virtual interfaces and logs do not report a controller state.
             let state = match bus.state {
                 "unknown" => String::new(),
                 state => format!("{state}, "),
@@ -232,7 +232,7 @@ impl ScanReport {
         text
     }
 
-    /// A line for each device that is on two buses.
+    /// Returns a line for each device that is on two buses.
     fn on_several_buses(&self) -> String {
         let mut text = String::new();
         for device in &self.devices {
@@ -292,7 +292,7 @@ impl ScanReport {
             for column in first..7 {
                 let cell = &row[column];
                 let space = widths[column] - unicode_width::UnicodeWidthStr::width(&**cell);
-                // Numbers stand to the right.
+                // Numbers are right-aligned.
                 if column == 1 {
                     let _ = write!(line, "{}{cell}  ", " ".repeat(space));
                 } else {
@@ -306,7 +306,7 @@ impl ScanReport {
     }
 }
 
-/// `1 frame`, `2 frames`.
+/// Returns a count with its unit: `1 frame`, `2 frames`.
 pub(super) fn counted(count: u64, what: &str) -> String {
     format!("{count} {what}{}", if count == 1 { "" } else { "s" })
 }
@@ -413,7 +413,7 @@ fn of_entry(app: &App, device: &Device) -> EntryReport {
     }
 }
 
-/// A finding; `bus` is the name of its bus.
+/// Converts a finding; `bus` is the name of its bus.
 pub(super) fn of_finding(
     bus: Option<String>,
     epoch: Epoch,
@@ -463,7 +463,7 @@ pub(super) fn of_file(file: &FileSnapshot) -> FileReport {
     }
 }
 
-/// A path, safe on a terminal.
+/// Returns a path as text that is safe on a terminal.
 pub(super) fn shown(path: &std::path::Path) -> String {
     crate::text::printable(path.as_os_str().as_encoded_bytes())
 }

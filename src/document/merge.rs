@@ -66,8 +66,8 @@ pub enum MergePreference {
 pub struct Choices {
     /// Choice for each of the first conflicts, in order.
     pub chosen: Vec<MergePreference>,
-    /// The file was deleted while a choice was open: whether to create it again with a new entry of
-    /// ours is a conflict too.
+    /// True if the file was deleted while a choice was open: whether to create it again with a new
+    /// entry of ours is then a conflict too.
     pub asks_for_new: bool,
 }
 
@@ -104,7 +104,7 @@ pub fn merge_chosen(
     let mut overruling = Vec::new();
     let mut dropped = DroppedValues::default();
     let mut conflicts = 0;
-    // The first conflict without a choice; the others are counted.
+    // First conflict without a choice; all further conflicts are only counted.
     let mut open: Option<EditConflict> = None;
     for (at, operation) in ours.iter().enumerate() {
         let next = base.apply(operation)?;
@@ -149,8 +149,8 @@ pub fn merge_chosen(
     })
 }
 
-/// Values for which theirs is used, with their entries under the keys of our operations. A later
-/// operation on such a value is left out too: one value, one choice.
+/// Values for which theirs is used, with the keys of their entries as operations of ours name them.
+/// A later operation on such a value is left out too: one value, one choice.
 #[derive(Default)]
 struct DroppedValues {
     values: Vec<(EntryKey, Vec<Member>)>,

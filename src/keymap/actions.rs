@@ -6,7 +6,7 @@
 
 use std::fmt;
 
-/// The facts of an action: one row of [`ACTIONS`].
+/// Properties of an action: one row of [`ACTIONS`].
 #[derive(Clone, Debug)]
 pub struct ActionInfo {
     /// The action.
@@ -15,7 +15,7 @@ pub struct ActionInfo {
     pub name: &'static str,
     /// Effect in one line, imperative, for the help.
     pub doc: &'static str,
-    /// Word for the footer; empty for an action that the footer never shows.
+    /// Word for the footer; empty for an action that the footer does not show.
     pub hint: &'static str,
     /// Mode in which its keys apply.
     pub mode: KeyMode,
@@ -25,7 +25,7 @@ pub struct ActionInfo {
     pub keys: &'static [&'static str],
 }
 
-/// The state of the screen that decides what a key means.
+/// State of the screen that selects the meaning of a key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum KeyMode {
     /// A page without an overlay.

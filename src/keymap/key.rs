@@ -10,11 +10,11 @@ use std::fmt;
 pub struct Key {
     /// The key without modifiers.
     pub code: KeyCode,
-    /// Ctrl is held.
+    /// Ctrl is pressed.
     pub ctrl: bool,
-    /// Alt is held.
+    /// Alt is pressed.
     pub alt: bool,
-    /// Shift is held. Never set for a character: it arrives as the shifted character.
+    /// Shift is pressed. Never set for a character: it arrives as the shifted character.
     pub shift: bool,
 }
 
@@ -141,7 +141,7 @@ impl fmt::Display for Key {
     }
 }
 
-// The same keys in both layouts, with the punctuation of the last row: `/` and `?` are actions.
+// Keys of both layouts, with the punctuation of the last row, since `/` and `?` are actions.
 const RUSSIAN: &str = "йцукенгшщзхъфывапролджэячсмитьбю.ЙЦУКЕНГШЩЗХЪФЫВАПРОЛДЖЭЯЧСМИТЬБЮ,";
 const LATIN: &str = "qwertyuiop[]asdfghjkl;'zxcvbnm,./QWERTYUIOP{}ASDFGHJKL:\"ZXCVBNM<>?";
 

@@ -1,8 +1,8 @@
 //! candump's log text (can-utils): `(1436509052.249713) can0 02015402#0444455301`.
 //!
-//! Reads what can-utils, python-can and SavvyCAN write. A line that does not fit is a [`LineFault`];
-//! reading allocates nothing for a line that the caller has as a whole. Does not know moments or
-//! bus numbers: [`super::LogSummary`] assigns them.
+//! Reads the output of can-utils, python-can and SavvyCAN. A malformed line is a [`LineFault`];
+//! a line that is passed as a whole is read without allocation. Does not know moments or bus
+//! numbers: [`super::LogSummary`] assigns them.
 
 use super::{DecodeStep, FormatMatch, LogDecoder, LogEncoder, LogEntry, LogFormat, LogSummary};
 use crate::frame::socketcan::{ERROR_FLAG, with_fd_flags};
@@ -16,16 +16,16 @@ pub(super) const FORMAT: LogFormat = LogFormat {
     purpose: "candump text",
     endings: &["log", "txt", "candump"],
     unit: "line",
-    // Text has no mark of its own: it is what no other format is.
+    // Text has no magic number: it is the format if no other matches.
     detect: |_| FormatMatch::No,
     decoder: || Box::<LineDecoder>::default(),
     encoder: || Box::new(LineEncoder),
 };
 
-/// The byte order mark with which some editors begin a file.
+/// Byte order mark, with which some editors begin a file.
 const BYTE_ORDER_MARK: &[u8] = b"\xEF\xBB\xBF";
 
-/// Longer lines are not read. A line with an FD frame has at most some 250 bytes.
+/// Longest line in bytes; longer ones are not read. A line with an FD frame has at most some 250.
 pub const MAX_LINE: usize = 512;
 
 /// Why a line cannot be read.
@@ -34,13 +34,13 @@ pub enum LineFault {
     /// Longer than [`MAX_LINE`].
     #[error("the line is too long")]
     TooLong,
-    /// It does not begin with a time in parentheses.
+    /// No time in parentheses at the start.
     #[error("it does not begin with (SECONDS.FRACTION)")]
     Time,
-    /// No interface name after the time, or not one that can be shown.
+    /// No printable interface name after the time.
     #[error("no interface name after the time")]
     Interface,
-    /// No `ID#…`.
+    /// No `ID#…` after the interface.
     #[error("no frame (ID#DATA) after the interface")]
     Frame,
     /// Not 3 or 8 hexadecimal digits, or too large.
@@ -52,7 +52,7 @@ pub enum LineFault {
     /// More bytes than the format allows.
     #[error("more data than the frame can carry")]
     TooMuchData,
-    /// The length of a remote frame, or a raw DLC, is invalid.
+    /// The length of a remote frame or a raw DLC is out of range.
     #[error("invalid length or DLC")]
     Length,
     /// A CAN XL frame.
@@ -77,7 +77,7 @@ pub fn parse_line(line: &[u8]) -> Result<Option<LogEntry<'_>>, LineFault> {
     let unix_micros = parse_time(time).ok_or(LineFault::Time)?;
     let interface = words.next().ok_or(LineFault::Interface)?;
     let interface = std::str::from_utf8(interface).map_err(|_| LineFault::Interface)?;
-    // The name is shown: it must not contain control sequences.
+    // The name is displayed: it must not contain control sequences.
     if !interface.chars().all(is_printable) {
         return Err(LineFault::Interface);
     }
@@ -93,8 +93,8 @@ pub fn parse_line(line: &[u8]) -> Result<Option<LogEntry<'_>>, LineFault> {
     Ok(Some(LogEntry { unix_micros, interface, frame }))
 }
 
-/// Writes one line, dated by `epoch` and the frame's time. A line of a frame sent by descan ends in
-/// ` T`.
+/// Writes one line, dated by `epoch` and the frame's time. The line of a frame sent by descan ends
+/// in ` T`.
 ///
 /// # Errors
 ///
@@ -109,7 +109,7 @@ pub fn write_line(
     writeln!(out, "{}", LogEntry { unix_micros, interface, frame: *frame })
 }
 
-/// One line of candump's log text. White space and control characters in the interface's name
+/// Formats a line of candump's log text. White space and control characters in the interface's name
 /// become `_`; without a name the line has `bus` and the bus number.
 impl fmt::Display for LogEntry<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -128,12 +128,12 @@ impl fmt::Display for LogEntry<'_> {
 /// Splits text into lines and reads them.
 #[derive(Debug, Default)]
 struct LineDecoder {
-    /// A line that was cut by the end of a piece; at most one byte longer than [`MAX_LINE`].
+    /// A line cut by the end of a piece; at most one byte longer than [`MAX_LINE`].
     partial: Vec<u8>,
 }
 
 impl LineDecoder {
-    /// Adds a piece to a cut line, no more than it takes to see that the line is too long.
+    /// Appends a piece to a cut line, at most up to one byte more than [`MAX_LINE`].
     fn keep(&mut self, piece: &[u8]) {
         let room = (MAX_LINE + 1).saturating_sub(self.partial.len());
         self.partial.extend_from_slice(&piece[..piece.len().min(room)]);
@@ -203,7 +203,7 @@ impl LogEncoder for LineEncoder {
     }
 }
 
-/// Reads a frame as candump writes it and cansend takes it: `02015402#0444455301`, `123#R4`,
+/// Reads a frame in the syntax of candump and cansend: `02015402#0444455301`, `123#R4`,
 /// `123##1AABB`, `20000004#…`.
 pub fn parse_frame(text: &[u8]) -> Result<Frame, LineFault> {
     let hash = text.iter().position(|&byte| byte == b'#').ok_or(LineFault::Frame)?;
@@ -224,11 +224,11 @@ pub fn parse_frame(text: &[u8]) -> Result<Frame, LineFault> {
     }
 }
 
-/// The digits before the `#`.
+/// Meaning of the digits before the `#`.
 #[derive(Clone, Copy)]
 enum Head {
     Id(CanId),
-    /// The class bits of an error frame.
+    /// Class bits of an error frame.
     ErrorClass(u32),
 }
 
@@ -249,7 +249,8 @@ fn parse_head(text: &[u8]) -> Result<Head, LineFault> {
     head.ok_or(LineFault::Id)
 }
 
-/// Lengths without a DLC are padded with zeros to the next that has one, as cansend does it.
+/// Reads the body of an FD frame. A length without a DLC is padded with zeros to the next one that
+/// has a DLC, as cansend does.
 fn parse_fd(id: CanId, body: &[u8]) -> Result<Frame, LineFault> {
     let (&flags, body) = body.split_first().ok_or(LineFault::Data)?;
     let flags = hex_value(flags).ok_or(LineFault::Data)?;
@@ -270,7 +271,7 @@ fn parse_remote(id: CanId, body: &[u8]) -> Result<Frame, LineFault> {
     Ok(Frame::remote(id, len))
 }
 
-/// `_9` to `_F` after eight bytes: the raw DLC, which means eight bytes, too.
+/// Reads a raw DLC: `_9` to `_F` after eight bytes, which also mean a length of 8.
 fn parse_raw_dlc(rest: &[u8], len: usize) -> Result<(), LineFault> {
     match rest {
         [] => Ok(()),
@@ -282,8 +283,8 @@ fn parse_raw_dlc(rest: &[u8], len: usize) -> Result<(), LineFault> {
     }
 }
 
-/// Reads hexadecimal bytes, with or without dots between them, up to the end or a `_`. Returns their
-/// number and the rest.
+/// Reads hexadecimal bytes, with or without dots between them, up to the end or a `_`. Returns
+/// their number and the rest.
 fn parse_bytes<'a>(text: &'a [u8], data: &mut [u8]) -> Result<(usize, &'a [u8]), LineFault> {
     let mut rest = text;
     let mut len = 0;
@@ -307,7 +308,7 @@ fn parse_bytes<'a>(text: &'a [u8], data: &mut [u8]) -> Result<(usize, &'a [u8]),
     Ok((len, rest))
 }
 
-/// `(SECONDS.FRACTION)`, the fraction of any length, truncated to microseconds.
+/// Reads `(SECONDS.FRACTION)` as microseconds; further digits of the fraction are truncated.
 fn parse_time(text: &[u8]) -> Option<u64> {
     let text = text.strip_prefix(b"(")?.strip_suffix(b")")?;
     let dot = text.iter().position(|&byte| byte == b'.').unwrap_or(text.len());
@@ -324,7 +325,7 @@ fn parse_time(text: &[u8]) -> Option<u64> {
     seconds.checked_mul(1_000_000)?.checked_add(micros)
 }
 
-/// The number that decimal digits make; of no digits, 0.
+/// Parses decimal digits; without digits, 0.
 fn decimal(digits: &[u8]) -> Option<u64> {
     digits.iter().try_fold(0_u64, |number, digit| {
         let value = digit.wrapping_sub(b'0');

@@ -1,7 +1,7 @@
-//! Log formats: bytes of a recorded log in, frames with their times out, and back.
+//! Log formats: bytes of a recorded log in, frames with their times out, and vice versa.
 //!
-//! A format is a file here and a row of [`FORMATS`], from which the detection of logs, `--record`,
-//! its errors and its help are made. [`LogReader`] reads from any [`std::io::BufRead`]; a
+//! A format is a file here and a row of [`FORMATS`], which defines the detection of logs,
+//! `--record`, its errors and its help. [`LogReader`] reads from any [`std::io::BufRead`]; a
 //! [`LogEncoder`] appends to a buffer. Opens no files and reads no clock. Does not know buses.
 
 pub mod candump;
@@ -17,24 +17,24 @@ use std::fmt;
 use std::io;
 use std::path::Path;
 
-/// All formats. The first one takes a log that no other row recognises.
+/// All formats. The first one is used for a log that no other format matches.
 pub static FORMATS: [LogFormat; 2] = [candump::FORMAT, pcapng::FORMAT];
 
 /// A log format: one row of [`FORMATS`].
 #[derive(Debug)]
 pub struct LogFormat {
-    /// The reason to choose it, as in "`.log` for candump text".
+    /// Use of the format, as in "`.log` for candump text".
     pub purpose: &'static str,
     /// File name endings without the dot, in lower case; the usual one first.
     pub endings: &'static [&'static str],
-    /// One entry of a log, as in "line 3 cannot be read".
+    /// Unit of a log, as in "line 3 cannot be read".
     unit: &'static str,
     detect: fn(&[u8]) -> FormatMatch,
     decoder: fn() -> Box<dyn LogDecoder>,
     encoder: fn() -> Box<dyn LogEncoder>,
 }
 
-/// Whether a log that begins with certain bytes is of a format.
+/// Result of matching the first bytes of a log with a format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum FormatMatch {
     Yes,
@@ -51,14 +51,14 @@ pub struct LogEntry<'a> {
     pub unix_micros: u64,
     /// The interface's name; empty if it is not known.
     pub interface: &'a str,
-    /// The frame. Its time is zero where the entry was read; `is_tx` is set if the log marks the
+    /// The frame. Its time is zero if it was read from a log; `is_tx` is set if the log marks the
     /// frame as sent.
     pub frame: Frame,
 }
 
-/// What a decoder got from a piece of a log.
+/// Result of decoding a piece of a log.
 enum DecodeStep {
-    /// Nothing more can be read: the log is damaged.
+    /// The log is damaged: the rest cannot be read.
     End,
     /// An entry without a frame, or a part of an entry.
     Nothing,
@@ -71,7 +71,7 @@ trait LogDecoder: fmt::Debug + Send {
     /// bytes were used: at least one, except with [`DecodeStep::End`].
     fn decode(&mut self, bytes: &[u8], summary: &mut LogSummary) -> (usize, DecodeStep);
 
-    /// Notes that there are no more bytes for now.
+    /// Handles the end of the bytes available for now.
     fn handle_end(&mut self, _: &mut LogSummary) {}
 
     /// Returns true if the log stops inside an entry.
@@ -82,7 +82,7 @@ trait LogDecoder: fmt::Debug + Send {
         None
     }
 
-    /// Returns true if decoding `bytes` gets further than to store them.
+    /// Returns true if decoding `bytes` would do more than store them.
     fn can_decode(&self, bytes: &[u8]) -> bool {
         !bytes.is_empty()
     }
@@ -90,15 +90,15 @@ trait LogDecoder: fmt::Debug + Send {
 
 /// Writes one log of a format.
 pub trait LogEncoder: fmt::Debug + Send {
-    /// Appends what a log begins with.
+    /// Appends the beginning of a log.
     fn begin(&mut self, out: &mut Vec<u8>) -> io::Result<()>;
 
     /// Appends an entry. Appends nothing and returns false if more than `max_len` bytes would be
     /// needed.
     fn write(&mut self, entry: LogEntry<'_>, max_len: u64, out: &mut Vec<u8>) -> io::Result<bool>;
 
-    /// Appends what a log ends with. `names` and `lost` are by bus: the names, and the number of
-    /// frames that were lost while this log was written.
+    /// Appends the end of a log. `names` and `lost` are by bus: the names, and the number of frames
+    /// lost while this log was written.
     fn end(&mut self, names: &[String], lost: &[u64], out: &mut Vec<u8>) -> io::Result<()>;
 }
 
@@ -108,7 +108,7 @@ pub struct UnknownFormat;
 
 impl std::error::Error for UnknownFormat {}
 
-/// `use the ending .log (also .txt, .candump) for candump text, or .pcapng for Wireshark`.
+/// Formats the cause: `use the ending .log (also .txt, .candump) for candump text, or …`.
 impl fmt::Display for UnknownFormat {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("use the ending ")?;
@@ -125,7 +125,7 @@ impl fmt::Display for UnknownFormat {
 }
 
 impl LogFormat {
-    /// The format of a file, by its ending.
+    /// Returns the format of a file by its ending.
     ///
     /// # Errors
     ///
@@ -136,7 +136,7 @@ impl LogFormat {
         FORMATS.iter().find(|it| it.endings.contains(&ending.as_str())).ok_or(UnknownFormat)
     }
 
-    /// The usual endings and their purposes, for help: `.log for candump text, .pcapng for
+    /// Returns the usual endings with their uses, for help: `.log for candump text, .pcapng for
     /// Wireshark`.
     pub fn summary() -> String {
         let rows = FORMATS.iter().filter_map(|format| {
@@ -145,13 +145,13 @@ impl LogFormat {
         rows.collect::<Vec<_>>().join(", ")
     }
 
-    /// A writer of a new log of this format.
+    /// Returns a new encoder of this format.
     pub fn encoder(&self) -> Box<dyn LogEncoder> {
         (self.encoder)()
     }
 
-    /// The format of a log that begins with `head`. `None` if that needs more bytes and there may
-    /// be more.
+    /// Returns the format of a log that begins with `head`; `None` if more bytes are needed. With
+    /// `is_all`, there are no more.
     fn detect(head: &[u8], is_all: bool) -> Option<&'static Self> {
         let rows = || FORMATS.iter().map(|format| (format, (format.detect)(head)));
         let found = rows().find(|(_, found)| *found == FormatMatch::Yes);
@@ -162,7 +162,7 @@ impl LogFormat {
 }
 
 impl FormatMatch {
-    /// For a format whose logs begin with `magic`.
+    /// Matches `head` with a format whose logs begin with `magic`.
     fn of_magic(magic: &[u8], head: &[u8]) -> Self {
         let len = magic.len().min(head.len());
         match magic[..len] == head[..len] {

@@ -1,10 +1,10 @@
-//! pcapng with SocketCAN packets (LINKTYPE_CAN_SOCKETCAN, 227): what Wireshark, tshark and dumpcap
-//! read and write.
+//! pcapng with SocketCAN packets (LINKTYPE_CAN_SOCKETCAN, 227), as used by Wireshark, tshark and
+//! dumpcap.
 //!
 //! Writes one section with an interface per bus, times in microseconds, the direction of each
-//! frame, and how many were lost. Reads sections of either byte order with any number of
-//! interfaces; blocks and link types that are not known are skipped, and nothing is allocated by
-//! what a length says. Does not know moments or bus numbers: [`super::LogSummary`] assigns them.
+//! frame, and the number of lost frames. Reads sections of either byte order with any number of
+//! interfaces; unknown blocks and link types are skipped. Allocation does not depend on lengths in
+//! the file. Does not know moments or bus numbers: [`super::LogSummary`] assigns them.
 
 use super::{DecodeStep, FormatMatch, LogDecoder, LogEncoder, LogEntry, LogFormat, LogSummary};
 use crate::frame::socketcan::{self as fields, ERROR_FLAG, EXTENDED_FLAG, FD_FORMAT};
@@ -22,9 +22,9 @@ pub(super) const FORMAT: LogFormat = LogFormat {
 
 /// The first four bytes of a file, in either byte order.
 pub const MAGIC: [u8; 4] = [0x0A, 0x0D, 0x0D, 0x0A];
-/// Bytes of a block from which its length is known.
+/// Bytes of a block that are needed to find its length.
 pub const HEAD: usize = 12;
-/// Longest block that is read, in bytes; longer ones are skipped. A frame has 116 and its options.
+/// Longest block that is read, in bytes; longer ones are skipped. A frame has 116 plus options.
 pub const MAX_BLOCK: usize = 1 << 16;
 
 const SECTION: u32 = 0x0A0D_0D0A;
@@ -38,7 +38,7 @@ const BYTE_ORDER: u32 = 0x1A2B_3C4D;
 const SOCKETCAN: u16 = 227;
 /// Bytes before a packet's data: identifier word, length, FD flags, two reserved bytes.
 const CAN_HEAD: usize = 8;
-/// Set where the length of a CAN FD frame would be: a CAN XL frame.
+/// Flag in the length byte of a CAN XL frame.
 const XL_FORMAT: u8 = 0x80;
 
 const NAME_OPTION: u16 = 2;
@@ -52,7 +52,7 @@ const INBOUND: u32 = 1;
 const OUTBOUND: u32 = 2;
 const DIRECTION: u32 = 3;
 
-/// Largest number of interfaces of a section: there are no more bus numbers.
+/// Most interfaces of a section, as many as there are bus numbers.
 const MAX_INTERFACES: usize = 256;
 /// Longest interface name that is stored, in bytes.
 const MAX_NAME: usize = 64;
@@ -60,19 +60,19 @@ const MAX_NAME: usize = 64;
 /// Why a packet cannot be read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
 pub enum PacketFault {
-    /// Not a CAN packet.
+    /// The link type is not CAN.
     #[error("link type {0}, expected 227 (SocketCAN)")]
     LinkType(u16),
-    /// Its interface was not described before it.
+    /// The packet precedes the description of its interface.
     #[error("missing interface description")]
     Interface,
-    /// A block without all required fields.
+    /// The block lacks required fields.
     #[error("the block is too short")]
     Short,
-    /// A block beyond [`MAX_BLOCK`].
+    /// The block is longer than [`MAX_BLOCK`].
     #[error("the block is too long")]
     Long,
-    /// A packet block without a time, or an obsolete one.
+    /// The packet block has no time, or is of the obsolete type.
     #[error("obsolete packet block; convert it: editcap -F pcapng OLD NEW")]
     OldKind,
     /// The captured bytes are not a CAN frame.
@@ -86,46 +86,46 @@ pub enum PacketFault {
 /// Why the rest of a file cannot be read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
 pub enum Damage {
-    /// The file ends within a block.
+    /// The file ends inside a block.
     #[error("truncated inside a block")]
     Cut,
-    /// A block of an impossible length: where the next begins is not known.
+    /// A block has an impossible length, so the start of the next one is unknown.
     #[error("invalid block length of {0} bytes: the rest cannot be read")]
     Length(u32),
-    /// The length behind a block is not the one before it.
+    /// The two lengths of a block, at its start and its end, differ.
     #[error("the two lengths of a block differ: the rest cannot be read")]
     Lengths,
-    /// A section without a known byte order.
+    /// A section has no known byte order.
     #[error("section without byte-order magic: the rest cannot be read")]
     ByteOrder,
 }
 
 impl Damage {
-    /// Returns true if the rest can be read once the file has grown.
+    /// Returns true if the rest becomes readable when the file grows.
     pub fn is_cut(self) -> bool {
         self == Damage::Cut
     }
 }
 
-/// Cuts a file into blocks and reads them.
+/// Splits a file into blocks and reads them.
 #[derive(Debug, Default)]
 struct BlockDecoder {
     sections: Sections,
-    /// A block, as far as it was read; less than [`MAX_BLOCK`] bytes.
+    /// Beginning of an incomplete block; less than [`MAX_BLOCK`] bytes.
     partial: Vec<u8>,
-    /// Bytes left of a block that is too long to be read.
+    /// Bytes left to skip of a block that is too long.
     skip: u64,
 }
 
 impl BlockDecoder {
-    /// Adds bytes to the block until it has `wanted`; returns how many, and whether it has.
+    /// Appends bytes to the block up to `wanted`; returns their number, and true if it is complete.
     fn fill(&mut self, bytes: &[u8], wanted: usize) -> (usize, bool) {
         let count = bytes.len().min(wanted.saturating_sub(self.partial.len()));
         self.partial.extend_from_slice(&bytes[..count]);
         (count, self.partial.len() >= wanted)
     }
 
-    /// Reads to the end of a block or of `bytes`; adds to `used` how much of them that is.
+    /// Reads to the end of a block or of `bytes`; adds the bytes read to `used`.
     fn read(
         &mut self,
         bytes: &[u8],
@@ -159,7 +159,7 @@ impl LogDecoder for BlockDecoder {
         if summary.damage.is_some_and(|damage| !damage.is_cut()) {
             return (0, DecodeStep::End);
         }
-        // The file has grown.
+        // The file has grown since its end was reached.
         summary.damage = None;
         if self.skip > 0 {
             let skipped = bytes.len().min(usize::try_from(self.skip).unwrap_or(usize::MAX));
@@ -187,11 +187,11 @@ impl LogDecoder for BlockDecoder {
     }
 }
 
-/// State of a file that packets need: the byte order and the interfaces.
+/// State that packets depend on: the byte order and the interfaces.
 #[derive(Clone, Debug, Default)]
 pub struct Sections {
     big_endian: bool,
-    /// The present section has an unknown version and is skipped.
+    /// True if the current section has an unknown version and is skipped.
     is_unknown_version: bool,
     interfaces: Vec<PcapInterface>,
 }
@@ -205,7 +205,7 @@ struct PcapInterface {
 }
 
 impl Sections {
-    /// The length of the block that begins with these bytes, at least [`HEAD`].
+    /// Returns the length of the block that begins with these bytes, at least [`HEAD`].
     pub fn block_len(&self, head: &[u8; HEAD]) -> Result<u32, Damage> {
         let big_endian = if head[..4] == MAGIC {
             byte_order(&head[8..]).ok_or(Damage::ByteOrder)?
@@ -216,7 +216,7 @@ impl Sections {
         if len < 12 || !len.is_multiple_of(4) { Err(Damage::Length(len)) } else { Ok(len) }
     }
 
-    /// Returns the fault if a block that begins like this is skipped: the loss of a packet.
+    /// Returns the fault if a skipped block that begins with these bytes is a packet.
     pub fn skip(&self, head: &[u8; HEAD]) -> Result<(), PacketFault> {
         let kind = Fields { bytes: head, big_endian: self.big_endian }.u32();
         let is_packet = matches!(kind, Some(PACKET | SIMPLE_PACKET | OLD_PACKET));
@@ -266,7 +266,7 @@ impl Sections {
         if self.interfaces.len() == MAX_INTERFACES {
             return;
         }
-        // An incomplete description keeps its number, without a link type.
+        // An incomplete description still has a number, but no link type.
         let link_type = fields.u16().unwrap_or(u16::MAX);
         let (_reserved, _snapshot_length) = (fields.u16(), fields.u32());
         let name = format!("if{}", self.interfaces.len());
@@ -307,7 +307,7 @@ impl Sections {
 }
 
 impl PcapInterface {
-    /// Microseconds since 1970 of a time in this interface's units.
+    /// Converts a time in this interface's units to microseconds since 1970.
     fn micros(&self, time: u64) -> u64 {
         let time = u128::from(time);
         let micros = match self.resolution {
@@ -321,7 +321,7 @@ impl PcapInterface {
     }
 }
 
-/// A printable name without white space.
+/// Returns a printable name without white space.
 fn shown_name(bytes: &[u8]) -> String {
     let name = crate::text::printable(&bytes[..bytes.len().min(MAX_NAME)]);
     name.replace(char::is_whitespace, "_")
@@ -359,14 +359,14 @@ impl<'b> Fields<'b> {
         Some(if self.big_endian { u64::from_be_bytes(bytes) } else { u64::from_le_bytes(bytes) })
     }
 
-    /// `len` bytes; skips the padding to a multiple of four.
+    /// Returns `len` bytes and skips the padding to a multiple of four.
     fn padded(&mut self, len: usize) -> Option<&'b [u8]> {
         let value = self.bytes.get(..len)?;
         self.bytes = self.bytes.get(len.next_multiple_of(4)..).unwrap_or_default();
         Some(value)
     }
 
-    /// The next option; `None` at their end.
+    /// Returns the next option; `None` after the last one.
     fn option(&mut self) -> Option<(u16, &'b [u8])> {
         let (option, len) = (self.u16()?, self.u16()?);
         let value = self.padded(usize::from(len))?;
@@ -392,14 +392,14 @@ fn decode(packet: &[u8]) -> Result<Frame, PacketFault> {
     if !has_id && raw & CanId::MAX_EXTENDED > u32::from(CanId::MAX_STANDARD) {
         return Err(PacketFault::NoFrame);
     }
-    // Writers older than the FDF flag mark FD frames by their length alone.
+    // Writers without the FDF flag mark FD frames only by their length.
     let fd = flags & FD_FORMAT != 0 || len > Frame::MAX_CLASSIC_DATA;
     fields::decode(raw, len, fd.then_some(flags), data).ok_or(PacketFault::NoFrame)
 }
 
 // --- writing ------------------------------------------------------------------------------
 
-/// Writes the section header with which a file begins.
+/// Writes the section header at the beginning of a file.
 pub fn write_section(out: &mut impl Write) -> io::Result<()> {
     let mut block = Block::new(SECTION);
     block.u32(BYTE_ORDER);
@@ -450,8 +450,8 @@ pub fn write_frame(
     block.write(out)
 }
 
-/// Writes how many frames of an interface were received and lost, up to a time in microseconds since
-/// 1970.
+/// Writes the number of received and of lost frames of an interface, up to a time in microseconds
+/// since 1970.
 pub fn write_statistics(
     out: &mut impl Write,
     interface: u32,
@@ -471,7 +471,7 @@ pub fn write_statistics(
 /// Writes one section; a bus becomes an interface with its first frame.
 #[derive(Debug, Default)]
 struct BlockEncoder {
-    /// By their number in the section.
+    /// Interfaces by their number in the section.
     interfaces: Vec<InterfaceCount>,
     last_micros: u64,
 }
@@ -483,7 +483,7 @@ struct InterfaceCount {
 }
 
 impl BlockEncoder {
-    /// The number of a bus in this section; the first time, its interface is described.
+    /// Returns the number of a bus in this section; writes its description on first use.
     fn interface(&mut self, bus: BusIndex, name: &str, out: &mut Vec<u8>) -> io::Result<usize> {
         if let Some(at) = self.interfaces.iter().position(|it| it.bus == bus) {
             return Ok(at);
@@ -513,7 +513,7 @@ impl LogEncoder for BlockEncoder {
         Ok(true)
     }
 
-    /// Statistics of each bus. A bus without frames may have lost some.
+    /// Writes the statistics of each bus; a bus without frames may have lost frames.
     fn end(&mut self, names: &[String], lost: &[u64], out: &mut Vec<u8>) -> io::Result<()> {
         for (bus, name) in (0..=u8::MAX).zip(names) {
             self.interface(BusIndex(bus), name, out)?;
@@ -526,7 +526,7 @@ impl LogEncoder for BlockEncoder {
     }
 }
 
-/// A block that is being written, little-endian.
+/// A block under construction, little-endian.
 struct Block {
     bytes: Vec<u8>,
 }
@@ -535,7 +535,7 @@ impl Block {
     fn new(kind: u32) -> Self {
         let mut block = Self { bytes: Vec::with_capacity(160) };
         block.u32(kind);
-        // The length, once it is known.
+        // Placeholder of the length, set when it is known.
         block.u32(0);
         block
     }
@@ -556,7 +556,7 @@ impl Block {
         self.bytes(&number.to_le_bytes());
     }
 
-    /// A time: its upper half first, in any byte order.
+    /// Appends a time: the upper half first, in any byte order.
     fn time(&mut self, time: u64) {
         self.u32((time >> 32) as u32);
         self.u32(time as u32);

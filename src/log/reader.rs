@@ -1,9 +1,9 @@
 //! Log reader: detects the format of a log and reads its frames.
 //!
-//! Input: any [`BufRead`], in pieces of any size. Output: frames in the order in which they stand,
-//! with moments that never run backwards, and a [`LogSummary`]. Entries that cannot be read are
-//! counted; if a log is damaged, the frames before the damage count. Does not know the session's
-//! clock: replay is in `bus::replay`.
+//! Input: any [`BufRead`], in pieces of any size. Output: frames in the order of the log, with
+//! moments that never decrease, and a [`LogSummary`]. Unreadable entries are counted; in a damaged
+//! log, the frames before the damage are read. Does not know the session's clock: replay is in
+//! `bus::replay`.
 
 use super::{DecodeStep, LogDecoder, LogFormat, LogSummary};
 use crate::frame::Frame;
@@ -15,11 +15,11 @@ use std::io::{self, BufRead, BufReader, Read};
 #[derive(Debug)]
 pub struct LogReader<R> {
     source: R,
-    /// The first bytes of the log: until its format is known, and then until they are decoded.
+    /// First bytes of the log, stored until its format is known and they are decoded.
     head: Vec<u8>,
-    /// `None` before the format is known.
+    /// Decoder of the format; `None` before the format is known.
     decoder: Option<Box<dyn LogDecoder>>,
-    /// An entry without its end is not read yet.
+    /// True if a last entry without its end is kept for later instead of being read.
     keeps_unfinished: bool,
     tally: LogSummary,
 }
@@ -36,8 +36,8 @@ impl<R: BufRead> LogReader<R> {
         }
     }
 
-    /// Keeps a last entry without its end from now on, because it may still be in the middle of
-    /// being written. At the end of the source, read again later.
+    /// Keeps a last entry without its end from now on, because another program may still be writing
+    /// it. At the end of the source, read again later.
     pub fn keep_unfinished(&mut self) {
         self.keeps_unfinished = true;
     }
@@ -57,22 +57,22 @@ impl<R: BufRead> LogReader<R> {
         self.tally.damage.is_some_and(|damage| !damage.is_cut())
     }
 
-    /// The source.
+    /// Returns the source.
     pub fn source(&self) -> &R {
         &self.source
     }
 
-    /// The source, to replace what is read.
+    /// Returns the source, to replace the bytes to be read.
     pub fn source_mut(&mut self) -> &mut R {
         &mut self.source
     }
 
-    /// What was read so far.
+    /// Returns the summary of what was read so far.
     pub fn tally(&self) -> &LogSummary {
         &self.tally
     }
 
-    /// The next frame; `None` at the end.
+    /// Returns the next frame; `None` at the end.
     ///
     /// # Errors
     ///
@@ -112,7 +112,7 @@ impl<R: BufRead> LogReader<R> {
         Ok(step)
     }
 
-    /// Reads one byte more, and looks whether the format is known by it.
+    /// Reads one more byte and tries to detect the format.
     fn detect(&mut self) -> io::Result<DecodeStep> {
         let byte = match self.source.fill_buf() {
             Err(error) if error.kind() == io::ErrorKind::Interrupted => {
@@ -134,8 +134,8 @@ impl<R: BufRead> LogReader<R> {
 }
 
 impl<R: Read> LogReader<BufReader<R>> {
-    /// Reads what comes as the beginning of another log, in the place of this one. The summary
-    /// continues.
+    /// Reads the following bytes as the beginning of another log that replaces this one. The
+    /// summary continues.
     pub fn restart(&mut self) {
         let left = self.source.buffer().len();
         self.source.consume(left);
@@ -144,10 +144,10 @@ impl<R: Read> LogReader<BufReader<R>> {
         self.tally.damage = None;
     }
 
-    /// The next frame that is buffered as a whole; `None` if the source would have to be read.
+    /// Returns the next frame that is buffered as a whole; `None` if the source must be read.
     pub fn next_buffered(&mut self) -> Option<Frame> {
         while self.has_buffered() {
-            // Nothing is read from the source, so there is no error.
+            // The source is not read, so there is no error.
             match self.step() {
                 Ok(DecodeStep::Frame(frame)) => return Some(frame),
                 Ok(DecodeStep::Nothing) => {}
@@ -157,7 +157,7 @@ impl<R: Read> LogReader<BufReader<R>> {
         None
     }
 
-    /// Returns true if a step gets further without reading from the source.
+    /// Returns true if a step makes progress without a read from the source.
     fn has_buffered(&self) -> bool {
         let buffer = self.source.buffer();
         match &self.decoder {
@@ -214,7 +214,7 @@ not a line
 
     #[test]
     fn what_is_here_is_had_without_reading_on() {
-        // A pipe that gives one piece per read, and nothing after them.
+        // A pipe that returns one piece per read, then nothing.
         struct Pieces(Vec<&'static str>);
         impl Read for Pieces {
             fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
@@ -232,7 +232,7 @@ not a line
         assert_eq!(reader.next_buffered(), None);
     }
 
-    /// The moments of lines with these times, in milliseconds, and how many ran backwards.
+    /// Returns the moments of lines with these times, in milliseconds, and the count of steps back.
     fn moments(written: &[u64]) -> (Vec<u64>, u64) {
         let line = |&millis: &u64| format!("({}.{:03}) can0 123#\n", millis / 1000, millis % 1000);
         let (frames, tally) = read(&written.iter().map(line).collect::<String>(), 4096);
@@ -251,19 +251,19 @@ not a line
         let hour = 3_600_000;
         let told = moments(&[hour + 5000, hour + 6000, 5999, 6999, 6899, 60_999, 61_999]);
         assert_eq!(told, (vec![0, 1000, 1000, 2000, 2000, 56_000, 57_000], 2));
-        // Before the first line, and again, and by little more than a second.
+        // Before the first line; again; and by little more than 1 s.
         let told = moments(&[9000, 10_000, 0, 1000, 0, 1000, 2000, 998, 2998]);
         assert_eq!(told, (vec![0, 1000, 1000, 2000, 2000, 2000, 3000, 3000, 5000], 3));
     }
 
     #[test]
     fn a_clock_that_is_set_to_and_fro_makes_no_gaps() {
-        // One stray line; then two interfaces, each with a clock of its own.
+        // One stray line; then two interfaces with separate clocks.
         let told = moments(&[100_000, 101_000, 3, 102_000, 103_000]);
         assert_eq!(told, (vec![0, 1000, 1000, 2000, 3000], 1));
         let told = moments(&[7_000_000, 7_000_100, 300, 7_000_200, 400, 7_000_400, 450, 600]);
         assert_eq!(told, (vec![0, 100, 100, 200, 200, 400, 400, 400], 2));
-        // One that is set forward is believed: nobody can tell it from silence.
+        // A step forward is accepted: it looks the same as silence.
         assert_eq!(moments(&[0, 1000, 8_000_000]), (vec![0, 1000, 8_000_000], 0));
     }
 

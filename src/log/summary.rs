@@ -1,8 +1,8 @@
-//! What was read of a log: counts, faults, interfaces, and the moments of its entries.
+//! Summary of a log while it is read: counts, faults, interfaces, and the moments of its entries.
 //!
-//! Entries up to 1 s out of order keep the order in which they stand. Where the log's clock was set
-//! back by more, or a second log follows in the same file, time continues from the last entry.
-//! Does not know formats: decoders pass entries and faults.
+//! Entries up to 1 s out of order keep the order of the log. If the log's clock was set back by
+//! more, or a second log follows in the same file, time continues from the last entry. Does not
+//! know formats: decoders pass entries and faults.
 
 use super::LogEntry;
 use super::candump::LineFault;
@@ -11,10 +11,10 @@ use crate::frame::{BusIndex, Frame};
 use crate::time::{Duration, Epoch, Instant};
 use std::fmt;
 
-/// An entry that is dated earlier by at most this gets the moment of the entry before it. Beyond
-/// it, the clock was set back.
+/// Largest step back at which an entry gets the moment of the entry before it. A larger one means
+/// that the clock was set back.
 const MAX_REORDER: Duration = Duration::from_secs(1);
-/// A gap after which a clock that was set back may be back at its earlier time.
+/// Gap after which a clock that was set back may have returned to its earlier time.
 const GAP: Duration = Duration::from_secs(10);
 
 /// Why an entry of a log cannot be read.
@@ -31,10 +31,10 @@ pub enum EntryFault {
     TooManyInterfaces,
 }
 
-/// What was read of a log so far.
+/// Summary of the part of a log read so far.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct LogSummary {
-    /// One entry of this log: `line`, `block`. Empty before the format is known.
+    /// Unit of this log: `line`, `block`. Empty before the format is known.
     pub(super) unit: &'static str,
     /// Entries, readable or not.
     pub lines: u64,
@@ -42,22 +42,22 @@ pub struct LogSummary {
     pub frames: u64,
     /// Entries that cannot be read.
     pub unreadable: u64,
-    /// The first of them: its number, counted from 1, and its fault.
+    /// First unreadable entry: its number, counted from 1, and its fault.
     pub first_unreadable: Option<(u64, EntryFault)>,
-    /// Why the rest cannot be read; `None` if it can, or if there is none.
+    /// Why the rest cannot be read; `None` without damage.
     pub damage: Option<Damage>,
-    /// Frames dated earlier than the frame before them; each step back of the clock counts once.
+    /// Frames dated before the previous frame; each step back of the clock counts once.
     pub backwards: u64,
-    /// Interface names in order of appearance: those of bus 0, 1, ….
+    /// Interface names in order of appearance, which is that of bus numbers.
     pub interfaces: Vec<String>,
-    /// The time of the first frame; `None` before it.
+    /// Time of the first frame; `None` before it.
     pub epoch: Option<Epoch>,
-    /// The moment of the last frame, counted from the first.
+    /// Moment of the last frame, counted from the first.
     pub last: Instant,
-    /// Added to the times as written, because the clock was set back.
+    /// Offset added to the times in the log, because the clock was set back.
     ahead: Duration,
-    /// Added before the clock was set the last time. It may be set to and fro, and two interfaces
-    /// may each have a clock of their own.
+    /// Offset before the last clock step. The clock may be set back and forth, and two interfaces
+    /// may have separate clocks.
     ahead_before: Duration,
 }
 
@@ -85,7 +85,7 @@ impl LogSummary {
         Ok(entry.frame.with_time(self.last).with_bus(bus))
     }
 
-    /// The moment of an entry dated `written` microseconds after the first one.
+    /// Returns the moment of an entry dated `written` microseconds after the first one.
     fn moment(&mut self, written: i128) -> Instant {
         let micros = |duration: Duration| duration.as_micros().cast_signed();
         let last = i128::from(self.last.as_micros());
@@ -114,7 +114,7 @@ impl LogSummary {
     }
 }
 
-/// `5123 frames; 2 lines cannot be read, the first is line 17: …`.
+/// Formats the summary: `5123 frames; 2 lines cannot be read, the first is line 17: …`.
 impl fmt::Display for LogSummary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let plural = |count| if count == 1 { "" } else { "s" };

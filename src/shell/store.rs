@@ -1,12 +1,12 @@
-//! `des.json` on disk: read whole, and replaced whole or not at all.
+//! `des.json` on disk: reads it, and replaces it as a whole.
 //!
-//! A save goes to a temporary file beside the target, with its mode and owner, is synced, and is
-//! renamed over it, so that neither a crash nor a full disk leaves half a file, and no reader sees
-//! one. That is worth more than hard links, which it parts: the file's other names keep the old
-//! content, as a backup made of hard links wants it, and the caller is told. Right before the rename, under a lock that other instances of descan respect, what is on
-//! disk is compared with what the new content was made from.
+//! A save writes a temporary file beside the target, with the target's mode and owner, syncs it,
+//! and renames it over the target. So a crash or a full disk leaves no partial file, and no reader
+//! sees one. The rename breaks hard links: the file's other names keep the old content, and
+//! [`Saved::broken_links`] counts them. Right before the rename, the content on disk is compared
+//! with the content that the edits started from, under a lock that all instances of descan use.
 //!
-//! What it deliberately does not know: what is in the file.
+//! Does not know the content of the file.
 
 use std::ffi::{OsStr, OsString};
 use std::fs::{self, File, Permissions, TryLockError};
@@ -27,103 +27,103 @@ use crate::text::printable;
 /// Longest file that is read, in bytes.
 pub const MAX_BYTES: u64 = crate::document::MAX_BYTES as u64;
 
-/// How long a save waits for another instance that is saving. It is done in milliseconds.
+/// Longest wait for another instance that saves. A save takes milliseconds.
 const LOCK_PATIENCE: Duration = Duration::from_secs(2);
 
-/// As many symbolic links as the kernel follows.
+/// Most symbolic links that are followed, as in the kernel.
 const MAX_LINKS: usize = 40;
 
-/// A file by its path, which may be a symbolic link, and need not exist.
+/// A file by its path, which may be a symbolic link and may not exist yet.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Store {
     path: PathBuf,
 }
 
-/// The file cannot be read. `Display` names the cause and the way out.
+/// Why the file cannot be read. `Display` names the cause and the next step.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
-    /// There is a folder of that name.
+    /// The path is a folder.
     #[error("{path} is a folder: name the file in it, {path}/des.json")]
     Folder {
-        /// Safe on a terminal, as are all of these.
+        /// The path, safe on a terminal; in all variants.
         path: String,
     },
-    /// There is a device, a pipe or a socket of that name.
+    /// The path is a device, a pipe or a socket.
     #[error("{path} is not a regular file: name another one with --file")]
     NotAFile {
-        /// Which.
+        /// The path.
         path: String,
     },
-    /// It has more than [`MAX_BYTES`].
+    /// The file is larger than [`MAX_BYTES`].
     #[error("{path} is larger than 16 MiB: is it the right file?")]
     TooLarge {
-        /// Which.
+        /// The path.
         path: String,
     },
-    /// The system refuses.
+    /// The system reports an error.
     #[error("{path} cannot be read: {cause}{}", remedy_clause(.cause))]
     Read {
-        /// Which.
+        /// The path.
         path: String,
-        /// Why.
+        /// The system's error.
         cause: io::Error,
     },
 }
 
-/// The file was saved.
+/// Result of a save.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Saved {
-    /// How many other names the file had (hard links): they keep what it said before.
+    /// Number of the file's other names (hard links), which keep the old content.
     pub broken_links: u64,
 }
 
-/// The file was not saved; it is as it was. `Display` names the cause and the way out.
+/// Why the file was not saved; it is unchanged. `Display` names the cause and the next step.
 #[derive(Debug, thiserror::Error)]
 pub enum SaveError {
-    /// What is on disk is not what the new content was made from, but this; none: the file is gone.
+    /// The content on disk is not the expected one, but this; `None` if the file was deleted.
     #[error("changed by another program: not saved")]
     Changed(Option<Vec<u8>>),
-    /// What is on disk cannot be read, hence not compared.
+    /// The content on disk cannot be read, so it cannot be compared.
     #[error(transparent)]
     Unreadable(#[from] StoreError),
-    /// The file is write-protected. Replacing it would go around that.
+    /// The file is write-protected; replacing it would bypass the protection.
     #[error("{path} is write-protected: chmod u+w {path}, or save a copy elsewhere")]
     Protected {
-        /// Which.
+        /// The path.
         path: String,
     },
-    /// The same, and it is not ours to change that.
+    /// The file is write-protected and belongs to another user.
     #[error("{path} belongs to another user and is write-protected: save a copy elsewhere")]
     Foreign {
-        /// Which.
+        /// The path.
         path: String,
     },
-    /// The folder it is to be in does not exist.
+    /// The folder of the file does not exist.
     #[error("{path} cannot be saved: no such folder: mkdir -p {folder}, then save again")]
     NoFolder {
-        /// Which file.
+        /// The path.
         path: String,
-        /// Which folder.
+        /// The folder.
         folder: String,
     },
-    /// Another instance of descan has been saving for seconds.
+    /// Another instance of descan held the lock for 2 s.
     #[error("{folder} is locked by another descan: close it, then save again")]
     Locked {
         /// The folder of the file.
         folder: String,
     },
-    /// The system refuses.
+    /// The system reports an error.
     #[error("{path} cannot be saved: {cause}{}", remedy_clause(.cause))]
     Write {
-        /// Which.
+        /// The path.
         path: String,
-        /// Why.
+        /// The system's error.
         cause: io::Error,
     },
 }
 
 impl StoreError {
-    /// The cause and the way out in few words, for a place that says already which file it is about.
+    /// Returns cause and next step in short, for a message that already names the file.
     pub fn in_short(&self) -> String {
         match self {
             Self::Folder { .. } => "it is a folder: name the file in it".to_owned(),
@@ -143,8 +143,8 @@ impl StoreError {
 }
 
 impl SaveError {
-    /// The cause and the way out in few words, for a place that says already which file it is about
-    /// and that it is not saved.
+    /// Returns cause and next step in short, for a message that already names the file and states
+    /// that it is not saved.
     pub fn in_short(&self) -> String {
         match self {
             Self::Protected { .. } => {
@@ -161,11 +161,11 @@ impl SaveError {
     }
 }
 
-/// Writes a new file where the user names one while the program runs; `~/` is `home`. Otherwise says
-/// why not, and the way out, in few words that do not repeat the path: there is one line for it.
+/// Writes a new file at a path that the user entered; a leading `~/` is replaced by `home`.
 ///
 /// # Errors
-/// Where it cannot be written, and where there is a file of that name already.
+/// The cause and the next step, in one line without the path, if the file cannot be written or
+/// already exists.
 pub fn write_new(path: &Path, home: Option<&Path>, bytes: &[u8]) -> Result<(), String> {
     let at_home = home.and_then(|home| Some(home.join(path.strip_prefix("~").ok()?)));
     let target = at_home.as_deref().unwrap_or(path);
@@ -196,7 +196,7 @@ pub fn write_new(path: &Path, home: Option<&Path>, bytes: &[u8]) -> Result<(), S
     saved.map(drop)
 }
 
-/// What the user can do about it, with the cause, where a new file cannot be written.
+/// Returns cause and next step for a new file that cannot be written; `None` for other causes.
 fn remedy_of_new(path: &Path, cause: &io::Error) -> Option<&'static str> {
     Some(match Errno::from_raw(cause.raw_os_error()?) {
         Errno::ENOENT | Errno::ENOTDIR if path.as_os_str().as_bytes().starts_with(b"~") => {
@@ -213,23 +213,23 @@ fn remedy_of_new(path: &Path, cause: &io::Error) -> Option<&'static str> {
 }
 
 impl Store {
-    /// The file at `path`, as the user names it.
+    /// Returns the file at `path`, as entered by the user.
     pub fn new(path: impl Into<PathBuf>) -> Self {
         Self { path: path.into() }
     }
 
-    /// The path as the user names it.
+    /// Returns the path as entered by the user.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The whole content; none when there is no file.
+    /// Returns the whole content; `None` if the file does not exist.
     ///
     /// # Errors
-    /// [`StoreError`] when something is there that is no readable file of up to [`MAX_BYTES`].
+    /// [`StoreError`] if the path is not a readable file of up to [`MAX_BYTES`].
     pub fn read(&self) -> Result<Option<Vec<u8>>, StoreError> {
         let path = || shown(&self.path);
-        // Opening a pipe for reading would wait for a writer.
+        // Without O_NONBLOCK, opening a pipe for reading blocks until it has a writer.
         let mut options = File::options();
         options.read(true).custom_flags(OFlag::O_NONBLOCK.bits());
         let file = match options.open(&self.path) {
@@ -247,7 +247,7 @@ impl Store {
         }
         let mut content = Vec::new();
         if metadata.len() <= MAX_BYTES {
-            // It may grow while it is read.
+            // The file may grow while it is read.
             file.take(MAX_BYTES + 1).read_to_end(&mut content).map_err(read)?;
         }
         if metadata.len().max(content.len() as u64) > MAX_BYTES {
@@ -256,17 +256,17 @@ impl Store {
         Ok(Some(content))
     }
 
-    /// Replaces the content, if what is on disk is still `expected`: the content that `new` was
-    /// made from, or none where there was no file.
+    /// Replaces the content if the content on disk is still `expected`: the content from which
+    /// `new` was made, or `None` if there was no file.
     ///
-    /// When this returns `Ok`, `new` has reached the disk. Symbolic links stay, and the target's
-    /// mode, owner and group, the latter two as far as the system allows; hard links are parted. Takes as long as the disk
-    /// needs, so not to be called where the screen waits.
+    /// On `Ok`, `new` has reached the disk. Symbolic links are kept, and the target's mode; its
+    /// owner and group as far as the system allows; hard links are broken. Blocks as long as the
+    /// disk does: do not call it on the thread of the UI.
     ///
     /// # Errors
-    /// [`SaveError`]; the file is then as it was, and nothing is left beside it. The one exception:
-    /// when the disk fails in confirming the rename, the new content may or may not survive a power
-    /// cut, and the next save finds either one on disk.
+    /// [`SaveError`]; the file is then unchanged, and no temporary file is left. One exception: if
+    /// the disk fails to confirm the rename, the new content may or may not survive a power
+    /// failure, and the next save finds either content on disk.
     pub fn save(&self, expected: Option<&[u8]>, new: &[u8]) -> Result<Saved, SaveError> {
         let places = Places::of(&self.path).map_err(|cause| self.write_error(cause))?;
         let (folder, target) = (&places.folder, &places.target);
@@ -300,7 +300,7 @@ impl Store {
         }
         let renamed = match expected {
             Some(_) => temporary.persist(target),
-            // Whoever creates the file at this very moment is not overwritten.
+            // A file created at this moment by another program is not overwritten.
             None => temporary.persist_noclobber(target),
         };
         if let Err(error) = renamed {
@@ -312,7 +312,7 @@ impl Store {
         drop(lock);
         let parted_from = old.map_or(0, |old| old.nlink().saturating_sub(1));
         match open.sync_all() {
-            // Not all file systems can sync a folder.
+            // Some file systems cannot sync a folder.
             Err(cause) if cause.raw_os_error() != Some(Errno::EINVAL as i32) => {
                 Err(self.write_error(cause))
             }
@@ -320,14 +320,14 @@ impl Store {
         }
     }
 
-    /// The folder that the file is to be in, where it does not exist.
+    /// Returns the folder of the file if that does not exist.
     pub fn missing_folder(&self) -> Option<String> {
         let folder = Places::of(&self.path).ok()?.folder;
         let is_missing = || matches!(fs::metadata(&folder), Err(error) if error.kind() == io::ErrorKind::NotFound);
         is_missing().then(|| shown(&self.folder_as_named(&folder)))
     }
 
-    /// The file's folder as the user names it, where no link leads to another one.
+    /// Returns the file's folder as entered by the user, unless a link leads to another one.
     fn folder_as_named(&self, folder: &Path) -> PathBuf {
         let named = self.path.parent().filter(|named| !named.as_os_str().is_empty());
         let is_it = |named: &&Path| Places::of(named).is_ok_and(|places| places.target == folder);
@@ -339,25 +339,27 @@ impl Store {
     }
 }
 
-/// Where a path leads, link by link.
+/// Path of a file with all symbolic links resolved.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Places {
-    /// The folders and the names in them on which it depends what the path stands for: those of
-    /// links, of the file, and of the first folder that is missing.
+    /// Folders and names in them that decide which file the path leads to: links, the file itself,
+    /// and the first missing folder.
     pub watched: Vec<(PathBuf, OsString)>,
-    /// The file itself, whether or not it exists.
+    /// The file itself; it may not exist.
     pub target: PathBuf,
-    /// The folder it is in.
+    /// The folder of the file.
     pub folder: PathBuf,
 }
 
 impl Places {
+    /// Resolves `path`.
+    ///
     /// # Errors
-    /// When links go in circles, or there is no current folder.
+    /// The links form a loop, or there is no current folder.
     pub fn of(path: &Path) -> io::Result<Self> {
         let mut watched = Vec::new();
         let mut here = PathBuf::from("/");
-        // The components still to be walked, last first.
+        // Components not resolved yet, last first.
         let mut ahead = components(&std::path::absolute(path)?);
         let mut links = 0;
         while let Some(name) = ahead.pop() {
@@ -395,7 +397,7 @@ impl Places {
     }
 }
 
-/// The names in a path, last first.
+/// Returns the names in a path, last first.
 fn components(path: &Path) -> Vec<OsString> {
     let name = |component| match component {
         Component::Normal(name) => Some(name),
@@ -405,8 +407,8 @@ fn components(path: &Path) -> Vec<OsString> {
     path.components().rev().filter_map(name).map(OsStr::to_owned).collect()
 }
 
-/// A lock on the folder, which leaves no file behind, and is given back when dropped; none where
-/// the file system has no locks.
+/// Locks the folder until the result is dropped; leaves no lock file. `None` if the folder cannot
+/// be opened or its file system has no locks.
 fn lock(folder: &Path) -> Result<Option<File>, SaveError> {
     let deadline = Instant::now() + LOCK_PATIENCE;
     let Ok(open) = File::open(folder) else { return Ok(None) };
@@ -423,7 +425,7 @@ fn lock(folder: &Path) -> Result<Option<File>, SaveError> {
     }
 }
 
-/// What the name of a file beside the target begins with; characters that no other has follow.
+/// Returns the beginning of the names of temporary files; random characters follow.
 fn temporary_prefix(target: &Path) -> OsString {
     let mut prefix = OsString::from(".");
     prefix.push(target.file_name().unwrap_or_default());
@@ -433,8 +435,8 @@ fn temporary_prefix(target: &Path) -> OsString {
 
 const TEMPORARY_SUFFIX: &str = ".tmp";
 
-/// Removes what saves that were killed left beside the target. Only to be called under the lock:
-/// whoever else saves would lose its file.
+/// Removes temporary files of saves that were killed. Call only under the lock: it would remove the
+/// file of a save in progress.
 fn remove_leftovers(target: &Path, folder: &Path) {
     let prefix = temporary_prefix(target);
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
@@ -442,20 +444,20 @@ fn remove_leftovers(target: &Path, folder: &Path) {
         let rest = name.as_bytes().strip_prefix(prefix.as_bytes());
         let is_ours = rest.is_some_and(|rest| rest.ends_with(TEMPORARY_SUFFIX.as_bytes()));
         if is_ours && entry.file_type().is_ok_and(|kind| kind.is_file()) {
-            // Where it cannot be removed it does no harm.
+            // A leftover that cannot be removed is harmless.
             let _ = fs::remove_file(entry.path());
         }
     }
 }
 
-/// The new content in a file beside the target, on the disk, and removed when dropped.
+/// Writes and syncs the new content to a temporary file beside the target, removed when dropped.
 fn write_beside(
     target: &Path,
     folder: &Path,
     old: Option<&fs::Metadata>,
     new: &[u8],
 ) -> io::Result<NamedTempFile> {
-    // A new file's mode is the user's own choice, by umask.
+    // A new file gets the mode that the user's umask allows.
     let mode = if old.is_some() { 0o600 } else { 0o666 };
     let mut temporary = create_beside(target, folder, mode)?;
     temporary.as_file_mut().write_all(new)?;
@@ -466,8 +468,8 @@ fn write_beside(
     Ok(temporary)
 }
 
-/// A new file beside the target. Not by tempfile's own means: they wrap the system's errors into
-/// such as name the temporary path, and know no cause.
+/// Creates a file beside the target. tempfile's own functions are not used, because their errors
+/// contain the temporary path and have no error number.
 fn create_beside(target: &Path, folder: &Path, mode: u32) -> io::Result<NamedTempFile> {
     loop {
         let mut name = temporary_prefix(target);
@@ -482,15 +484,15 @@ fn create_beside(target: &Path, folder: &Path, mode: u32) -> io::Result<NamedTem
     }
 }
 
-/// Gives the file the owner, group and mode of the old one. Only root can give files away, and
-/// only to their own groups can others: where the group cannot be kept, its members get no more
-/// than everybody does.
+/// Sets the owner, group and mode of the old file. Only root may change the owner; other users may
+/// set only groups of their own. If the group cannot be kept, its members get only the permissions
+/// of all other users.
 fn keep_owner(file: &File, old: &fs::Metadata) -> io::Result<()> {
     let (user, group) = (Uid::from_raw(old.uid()), Gid::from_raw(old.gid()));
     let new = file.metadata()?;
     let mut mode = old.permissions().mode() & 0o777;
     if new.uid() != old.uid() {
-        // Where it cannot be kept, the file is ours from now on, as with editors.
+        // If the owner cannot be kept, the file belongs to the user of descan, as with editors.
         let _ = fchown(file, Some(user), None);
     }
     if new.gid() != old.gid() && fchown(file, None, Some(group)).is_err() {
@@ -499,13 +501,13 @@ fn keep_owner(file: &File, old: &fs::Metadata) -> io::Result<()> {
     file.set_permissions(Permissions::from_mode(mode))
 }
 
-/// What the user can do about it, as the end of a sentence.
+/// Returns the next step for the user, as the end of a sentence.
 fn remedy_clause(cause: &io::Error) -> &'static str {
     remedy(cause).map_or("", |(way_out, _)| way_out)
 }
 
-/// What the user can do about it: as the end of a sentence that names the cause; and with the cause,
-/// in few words, of a file that cannot be saved.
+/// Returns the next step for the user: as the end of a sentence that names the cause, and in short
+/// with the cause, for a file that cannot be saved.
 fn remedy(cause: &io::Error) -> Option<(&'static str, &'static str)> {
     Some(match Errno::from_raw(cause.raw_os_error()?) {
         Errno::EACCES | Errno::EPERM => (
@@ -539,7 +541,7 @@ fn remedy(cause: &io::Error) -> Option<(&'static str, &'static str)> {
     })
 }
 
-/// What the system says, without its number.
+/// Returns the system's error text without the error number.
 fn plain(cause: &io::Error) -> String {
     let text = cause.to_string();
     text.split(" (os error").next().unwrap_or(&text).to_owned()
@@ -553,7 +555,7 @@ fn shown(path: &Path) -> String {
 mod tests {
     use super::*;
 
-    /// Some of these cannot be brought about without mounting file systems.
+    /// Checks the texts directly: some of these errors need mounted file systems.
     #[test]
     fn errors_name_the_way_out() {
         for (cause, way) in [

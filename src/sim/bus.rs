@@ -158,7 +158,7 @@ impl SimBus {
         self.withdraw(station);
     }
 
-    /// Sets whether a station's bit rate differs from that of the bus.
+    /// Marks a station's bit rate as different from that of the bus, or as equal.
     pub fn set_wrong_rate(&mut self, station: StationIndex, wrong: bool) {
         self.controller_mut(station).wrong_rate = wrong;
         self.off_rate.retain(|&other| other != station);

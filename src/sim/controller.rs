@@ -69,7 +69,7 @@ impl PartialOrd for Waiting {
     }
 }
 
-/// The greatest is sent first: lowest identifier, then oldest.
+/// Orders by transmit priority; the greatest is sent first: lowest identifier, then oldest.
 impl Ord for Waiting {
     fn cmp(&self, other: &Self) -> Ordering {
         (other.key, other.order).cmp(&(self.key, self.order))
@@ -173,7 +173,7 @@ impl Controller {
         self.attached && !self.bus_off
     }
 
-    /// Returns true if it acknowledges frames of others.
+    /// Returns true if it acknowledges frames of other stations.
     pub fn acknowledges(&self) -> bool {
         self.is_active() && !self.wrong_rate
     }
@@ -238,7 +238,7 @@ impl Controller {
         }
     }
 
-    /// Queues the frame on the wire again, after the controller became passive to the bus.
+    /// Queues the frame on the wire again, after an error-passive transmitter stopped sending it.
     pub fn restore(&mut self) {
         self.queue.extend(self.on_wire.take());
     }

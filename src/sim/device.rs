@@ -1,7 +1,7 @@
 //! A simulated device: modes, address resolution, heartbeat and periodic data (protocol §7).
 //!
 //! A state machine without a clock: input is received frames and the time; it sends through a
-//! [`DeviceIo`]. Responses to requests are in [`serve`]. Knows other devices by their frames only.
+//! [`DeviceIo`]. Responses to requests are in [`serve`]. Knows other devices only by their frames.
 
 mod serve;
 
@@ -84,7 +84,7 @@ pub(super) struct SimDevice {
     chatter_at: Vec<u64>,
     chatter_count: u16,
     replies: Replies,
-    /// Action to apply when the response with this identifier was sent.
+    /// Action to apply after the response with this identifier was sent.
     ordered: Option<(u32, DeviceAction)>,
 }
 
@@ -146,7 +146,7 @@ impl SimDevice {
         [stage, self.beat_at, chatter, self.replies.next()].into_iter().flatten().min()
     }
 
-    /// Processes what is due.
+    /// Runs all timers that are due.
     pub fn handle_timeout(&mut self, port: &mut DeviceIo) {
         match self.stage {
             DeviceStage::Init { until } if until <= port.now => self.listen(port),
@@ -408,7 +408,7 @@ impl SimDevice {
         }
     }
 
-    /// Handles that one of its frames was sent.
+    /// Handles the transmission of one of its frames.
     pub fn handle_sent(&mut self, frame: &Frame, port: &mut DeviceIo) {
         if let DeviceStage::Claim { choice } = self.stage {
             self.run(choice, port);

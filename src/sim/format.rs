@@ -1,4 +1,4 @@
-//! The TOML format of scenarios, and its errors.
+//! TOML format of scenarios, and its errors.
 //!
 //! ```toml
 //! bitrate = 125000                    # needed; then optional: data_bitrate, seed, error_rate,
@@ -50,7 +50,7 @@ use std::fmt::Display;
 
 /// Longest time in a scenario, in seconds: a year.
 const LONGEST: f64 = 366.0 * 86_400.0;
-/// Most devices on one bus: each address twice and some more.
+/// Most devices on one bus: four per address.
 const MAX_DEVICES: usize = 512;
 
 #[derive(Deserialize)]
@@ -102,7 +102,7 @@ struct DeviceWritten {
     chatter: Vec<ChatterWritten>,
 }
 
-/// Seconds, or `false` for a device that only the timetable switches on.
+/// Time in seconds, or `false` for a device that only the timetable switches on.
 #[derive(Deserialize)]
 #[serde(untagged, expecting = "power_on is a time in seconds, or false")]
 enum PowerOn {

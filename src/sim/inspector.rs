@@ -26,7 +26,7 @@ const CAN_ERR_CRTL_TX_WARNING: u8 = 0x08;
 const CAN_ERR_CRTL_RX_PASSIVE: u8 = 0x10;
 const CAN_ERR_CRTL_TX_PASSIVE: u8 = 0x20;
 const CAN_ERR_CRTL_ACTIVE: u8 = 0x40;
-// Kinds of protocol errors, in byte 2, and where, in byte 3.
+// Types of bus errors, in byte 2, and their place, in byte 3.
 const CAN_ERR_PROT_BIT: u8 = 0x01;
 const CAN_ERR_PROT_STUFF: u8 = 0x04;
 const CAN_ERR_PROT_TX: u8 = 0x80;
@@ -41,7 +41,7 @@ pub(super) struct Inspector {
     state: ControllerState,
     /// Frames dropped because the inbox was full.
     pub overflowed: u64,
-    /// Frames of others not received, because of the scenario's `observer_loss`.
+    /// Frames of other stations not received, because of the scenario's `observer_loss`.
     pub missed: u64,
 }
 
@@ -68,7 +68,7 @@ impl Inspector {
         }
     }
 
-    /// Adds an error frame for a bus error, as its sender (`sent`) or a receiver reports it.
+    /// Adds an error frame for a bus error, as reported to its sender (`sent`) or to a receiver.
     pub fn push_error(&mut self, at: Instant, error: FrameFault, sent: bool, counters: (u16, u16)) {
         if self.state == ControllerState::BusOff {
             return;

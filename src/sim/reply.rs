@@ -36,7 +36,7 @@ struct Reply {
     form: Form,
     /// Earliest time of the next frame, in nanoseconds.
     not_before: u64,
-    /// A frame of it is queued; the next one follows when it was sent.
+    /// True while a frame of it is queued; the next one follows after its transmission.
     in_flight: bool,
     /// Minimum time between two frames, from flow control.
     separation: Duration,
@@ -100,7 +100,7 @@ impl Replies {
         frame
     }
 
-    /// Handles that a frame with this identifier was sent.
+    /// Handles the transmission of a frame with this identifier.
     pub fn handle_sent(&mut self, now: u64, id: u32) {
         let sent =
             |reply: &Reply| reply.in_flight && (reply.form.id == id || reply.form.refusal_id == id);

@@ -9,7 +9,7 @@ use crate::wire::id::{Address, Service};
 use crate::wire::node::{Mode, Uid};
 use serde::Deserialize;
 
-/// Initial state of a simulated bus, and what happens on it.
+/// Initial state of a simulated bus, and its timetable.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Scenario {
@@ -21,7 +21,7 @@ pub struct Scenario {
     pub seed: u64,
     /// Share of frames destroyed on the wire, 0 to 1; their senders repeat them.
     pub error_rate: f64,
-    /// Share of others' frames that an attached station does not receive, 0 to 1.
+    /// Share of other stations' frames that an attached station does not receive, 0 to 1.
     pub observer_loss: f64,
     /// The devices.
     pub devices: Vec<DeviceSpec>,
@@ -106,11 +106,11 @@ impl Scenario {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(try_from = "AddressWritten")]
 pub enum AddressChoice {
-    /// Any free one; such a device waits for configuration in mode CFG.
+    /// Any free address; such a device waits for configuration in mode CFG.
     Any,
-    /// This one if it is free, else any other.
+    /// This address if it is free, else any other.
     Preferred(Address),
-    /// This one or none.
+    /// This address or none.
     Fixed(Address),
 }
 
@@ -147,12 +147,12 @@ pub enum DeviceFraming {
     Isotp,
     /// Raw.
     Raw,
-    /// Both; the response has the framing of the request.
+    /// Both; a response has the framing of its request.
     Both,
 }
 
 impl DeviceFraming {
-    /// Returns true if a request in this framing is read.
+    /// Returns true if requests in this framing are accepted.
     pub fn understands(self, framing: Framing) -> bool {
         match self {
             Self::Both => true,
@@ -382,7 +382,7 @@ impl DeviceSpec {
     }
 }
 
-/// Returns a UID with the first eight characters of `text`, as far as the alphabet has them.
+/// Returns a UID from the first eight characters of `text`; others are mapped into its alphabet.
 pub(super) fn uid_of(text: &str) -> Uid {
     let sextets = std::array::from_fn(|at| match text.as_bytes().get(at) {
         Some(byte @ 0x20..=0x5F) => byte - 0x20,
@@ -460,36 +460,36 @@ pub enum ScenarioError {
         /// The name.
         name: String,
     },
-    /// A value outside its range.
+    /// A value is out of range.
     #[error("{place}: {key} = {value} is not {expected}")]
     Range {
-        /// Where: the bus, a device or an entry of the timetable.
+        /// Place: the bus, a device or an entry of the timetable.
         place: String,
-        /// Which value.
+        /// Key of the value.
         key: &'static str,
-        /// What it is.
+        /// The value.
         value: String,
-        /// What it may be.
+        /// The allowed values.
         expected: &'static str,
     },
-    /// A value that is needed is missing, or one that is there has no meaning.
+    /// A required value is missing, or a value has no effect.
     #[error("{place}: {problem}")]
     Incomplete {
-        /// Where.
+        /// Place, as above.
         place: String,
-        /// What is missing or too much.
+        /// The missing or superfluous value.
         problem: String,
     },
-    /// Two devices with one label.
+    /// Two devices have the same label.
     #[error("two devices are labelled \"{label}\": give one of them a label of its own")]
     DuplicateLabel {
         /// The label.
         label: String,
     },
-    /// The timetable names a device that is not there.
+    /// The timetable contains an unknown device label.
     #[error("{place}: no device labelled \"{device}\"")]
     UnknownDevice {
-        /// Which entry.
+        /// Entry of the timetable.
         place: String,
         /// The label.
         device: String,

@@ -28,13 +28,13 @@ pub struct StationStatus {
     pub queued: usize,
     /// Frames rejected because the queue was full or the station off.
     pub refused: u64,
-    /// Frames of others not received, because of the scenario's `observer_loss`.
+    /// Frames of other stations not received, because of the scenario's `observer_loss`.
     pub missed: u64,
     /// Frames dropped because they were not polled.
     pub overflowed: u64,
 }
 
-/// True state of a device, for comparison with what an observer found out.
+/// True state of a device, for comparison with the result of an observer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct DeviceState<'a> {

@@ -52,7 +52,7 @@ pub struct Sim {
     inspectors: Vec<Inspector>,
     /// Devices by address.
     by_address: [Vec<u16>; Address::COUNT],
-    /// Devices without an address, which receive all frames.
+    /// Devices without an address; they receive all frames.
     listening: Vec<u16>,
     /// Next call of each device, in nanoseconds; other entries of the queue are outdated.
     calls: Vec<u64>,
@@ -170,8 +170,8 @@ impl Sim {
         self.deliver(&frame.with_time(self.now()), &[station.0]);
     }
 
-    /// Returns the next frame that this station received, with its time: frames of others, its own
-    /// (`is_tx`) and error frames; `None` if there is none.
+    /// Returns the next frame that this station received, with its time: frames of other stations,
+    /// its own (`is_tx`) and error frames; `None` if there is none.
     pub fn poll_frame(&mut self, station: SimStation) -> Option<Frame> {
         self.inspector_mut(station.0)?.poll()
     }
@@ -212,7 +212,7 @@ impl Sim {
     }
 
     /// Sets a station's bit rate, in bit/s. If it is not that of the bus, the station receives no
-    /// frames and, unless listen-only, destroys those of others.
+    /// frames and, unless listen-only, destroys those of other stations.
     pub fn set_bitrate(&mut self, station: SimStation, bitrate: u32) {
         self.bus.set_wrong_rate(station.0, bitrate != self.bus.bitrate());
     }

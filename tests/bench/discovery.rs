@@ -1,8 +1,7 @@
-//! How close discovery comes to what the bus allows: 127 devices with five services each, from
-//! the first request to the last service known, against the bus time of the frames that are
-//! needed at the least.
+//! Discovery time compared with the bus limit: 127 devices with five services each, from the first
+//! request to the last service known, against the bus time of the frames needed at least.
 //!
-//! A figure of bus time, not of this machine: the same on every run.
+//! The result is bus time, independent of this machine: the same on every run.
 
 #[allow(dead_code, reason = "a part is used")]
 #[path = "../it/common/inspection.rs"]
@@ -27,7 +26,7 @@ fn main() {
     }
 }
 
-/// Five services whose answer has 60 bytes.
+/// Returns five services whose response has 60 bytes.
 fn crowd(bitrate: u32) -> Scenario {
     let mut scenario = Scenario::crowd(bitrate, 127, 0);
     for device in &mut scenario.devices {
@@ -66,7 +65,7 @@ fn measure(bitrate: u32, seed: u64) -> f64 {
             heartbeats += duration;
             continue;
         }
-        // In auto framing everybody is asked raw, too: that is not needed here.
+        // In auto framing, broadcasts are sent raw as well: not needed here.
         let raw = frame.data().starts_with(b"DES");
         if raw {
             continue;
@@ -80,7 +79,7 @@ fn measure(bitrate: u32, seed: u64) -> f64 {
         }
     }
     // Two broadcasts, 127 names, and per device request, first frame, flow control and eight
-    // consecutive frames: had anything been asked or sent twice, there would be more.
+    // consecutive frames: any repeated request or frame would exceed this.
     assert_eq!(count, 2 + 127 + 127 * 11, "nothing lost, nothing asked twice");
     let ratio = took.as_secs_f64() / (needed + heartbeats).as_secs_f64();
     println!(

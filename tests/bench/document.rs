@@ -1,4 +1,4 @@
-//! A des.json of 10,000 entries and 5 MB: how long it takes to open, to edit, and to be shown.
+//! A des.json of 10,000 entries and 5 MB: time to open, to edit and to show it.
 
 use descan::app::{App, AppOptions, Effect, FileReading, SaveOutcome};
 use descan::discovery::Config;
@@ -74,7 +74,7 @@ fn main() {
     let theirs = |note: &str| text.replacen("xxx", note, 1).into_bytes();
     let reading = FileReading::Content(Some(theirs("yyy")));
     timed("changed by others, not parsed", || app.handle_file(app.now(), reading));
-    // As the reader hands it over.
+    // In the form that the reader delivers.
     let reading = FileReading::Content(Some(theirs("zzz"))).parsed();
     timed("changed by others", || app.handle_file(app.now(), reading));
     for key in ["G", "e", "Ctrl-u", "9", "8"] {
@@ -97,7 +97,7 @@ fn main() {
     });
 }
 
-/// Entries with services and members of others, 500 bytes each.
+/// Returns entries with services and members unknown to descan, 500 bytes each.
 fn file() -> String {
     let mut text = "{\n  \"devices\": [\n".to_owned();
     for number in 0..ENTRIES {

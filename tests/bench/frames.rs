@@ -1,8 +1,8 @@
-//! Frames through decoding and all state of the program, on one core, and the memory that is
-//! resident after ten million of them.
+//! Throughput of decoding and program state on one core, and the resident memory after ten million
+//! frames.
 //!
-//! The traffic is what the simulator makes of a crowd with chatter: 127 devices, heartbeats and
-//! data, at 1 Mbit/s; played again and again with its times moved on.
+//! The traffic is the simulator's crowd with chatter: 127 devices, heartbeats and data, at 1
+//! Mbit/s; replayed in a loop with shifted times.
 
 use descan::app::{App, AppOptions};
 use descan::discovery::Config;
@@ -50,7 +50,7 @@ fn main() {
     );
 }
 
-/// Ten seconds of a crowd with chatter.
+/// Returns ten seconds of a crowd with chatter.
 fn record() -> Vec<Frame> {
     let mut scenario = Scenario::crowd(1_000_000, 127, 5);
     for (at, device) in scenario.devices.iter_mut().enumerate() {

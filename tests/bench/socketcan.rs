@@ -1,10 +1,10 @@
-//! What reading a busy SocketCAN interface costs, and whether a frame is lost on the way: descan
-//! beside candump and beside a reader that does nothing but recvmmsg.
+//! Cost of reading a busy SocketCAN interface, and lost frames: descan beside candump and beside a
+//! reader that only calls recvmmsg.
 //!
 //! Needs root and CAN in the kernel: tests/vm/measure runs it in the virtual machine. Time there is
-//! not to be relied on, so what counts is the ratios of one run. Arguments: seconds a slice of the
-//! CPU measure takes, slices of each, seconds of each measure of losses (0: none), rates; without
-//! them it measures nothing. With `send RATE SECONDS` it only sends, to ds-measure: for a profiler.
+//! unreliable, so only the ratios within one run count. Arguments: seconds per slice of the CPU
+//! measure, slices of each, seconds of each loss measure (0: none), rates; without them it measures
+//! nothing. With `send RATE SECONDS` it only sends, to ds-measure: for a profiler.
 
 #[allow(dead_code, reason = "a part is used")]
 #[path = "../it/common/pty.rs"]
@@ -60,9 +60,9 @@ fn main() {
     ip(&["link", "del", BUS]);
 }
 
-// --- what it costs ----------------------------------------------------------------------------
+// --- CPU cost ---------------------------------------------------------------------------------
 
-/// Who reads.
+/// The readers compared.
 #[derive(Clone, Copy)]
 enum Who {
     Candump,
@@ -78,8 +78,8 @@ const ALL: [(Who, &str); 4] = [
     (Who::Screen, "descan's screen"),
 ];
 
-/// CPU seconds of each reader per million frames, in turns, so that what else the machine does
-/// falls on all of them.
+/// Returns CPU seconds of each reader per million frames, measured in turns, so that other load on
+/// the machine affects all of them.
 fn cost(folder: &Path, seconds: u64, slices: usize, rates: &[u32]) {
     println!("CPU seconds per million frames, median of {slices} × {seconds} s, by candump's:");
     let heads = rates.iter().map(|rate| format!("{rate:>16}"));
@@ -106,7 +106,7 @@ fn cost(folder: &Path, seconds: u64, slices: usize, rates: &[u32]) {
     }
 }
 
-/// CPU seconds per million frames that one reader takes while frames come at `rate`.
+/// Returns CPU seconds per million frames of one reader while frames arrive at `rate`.
 fn slice(who: Who, folder: &Path, rate: u32, seconds: u64) -> f64 {
     let own = std::env::current_exe().expect("a path");
     let own = own.to_str().expect("in UTF-8");
@@ -136,7 +136,7 @@ fn slice(who: Who, folder: &Path, rate: u32, seconds: u64) -> f64 {
 }
 
 fn cost_of(process: u32, rate: u32, seconds: u64) -> f64 {
-    // Until it has begun, and knows the devices.
+    // Until it has started, and knows the devices.
     send(rate, Duration::from_secs(3));
     let before = cpu_seconds(process);
     let sent = send(rate, Duration::from_secs(seconds));
@@ -144,7 +144,7 @@ fn cost_of(process: u32, rate: u32, seconds: u64) -> f64 {
     (cpu_seconds(process) - before) / sent as f64 * 1e6
 }
 
-/// User and system time of all threads of a process.
+/// Returns user and system time of all threads of a process.
 fn cpu_seconds(process: u32) -> f64 {
     let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).expect("it runs");
     let after_name = stat.rsplit_once(')').map_or("", |(_, rest)| rest);
@@ -153,7 +153,7 @@ fn cpu_seconds(process: u32) -> f64 {
     ticks as f64 / 100.0
 }
 
-/// The process id of a child of ours that runs `program`.
+/// Returns the process id of a child process that runs `program`.
 fn child_of_this(program: &str) -> u32 {
     let us = std::process::id().to_string();
     let is_it = |id: &u32| {
@@ -168,10 +168,10 @@ fn child_of_this(program: &str) -> u32 {
     ids.find(is_it).expect("it runs")
 }
 
-/// Sends frames of 127 identifiers with 8 bytes each, each at its own moment; says how many.
+/// Sends frames of 127 identifiers with 8 bytes each, evenly spaced; returns their number.
 fn send(rate: u32, time: Duration) -> u64 {
     let socket = CanFdSocket::open(BUS).expect("the interface");
-    // Nothing comes to a sender.
+    // The sender receives nothing.
     socket.set_filter_drop_all().expect("no filter");
     let start = Instant::now();
     let mut sent = 0;
@@ -192,7 +192,7 @@ fn send(rate: u32, time: Duration) -> u64 {
     sent
 }
 
-/// Reads all that comes, and that is all.
+/// Reads all frames and discards them.
 fn read_only(interface: &str) {
     let socket = CanFdSocket::open(interface).expect("the interface");
     socket.set_recv_timestamp(true).expect("stamps");
@@ -207,9 +207,9 @@ fn read_only(interface: &str) {
     }
 }
 
-// --- what is lost -----------------------------------------------------------------------------
+// --- lost frames ------------------------------------------------------------------------------
 
-/// Whether what `watch` tells of frames heard and lost is what was sent.
+/// Compares the numbers of received and lost frames that `watch` reports with the number sent.
 fn losses(folder: &Path, seconds: u64, rates: &[u32]) {
     println!();
     println!("Frames in {seconds} s, as descan watch tells them:");
@@ -246,14 +246,15 @@ fn losses(folder: &Path, seconds: u64, rates: &[u32]) {
         thread::sleep(Duration::from_secs(1));
         signal("-STOP");
         thread::sleep(Duration::from_secs(5));
-        // The flood ends while nobody reads: no later frame tells of what was lost.
+        // The flood ends while no reader runs: no later frame reports the loss.
         stop.store(true, Ordering::Release);
         let _ = cangen.join();
         signal("-CONT");
     });
 }
 
-/// One row: `descan watch` while `flood` runs. Taking the interface down afterwards makes it tell.
+/// Measures one row: `descan watch` while `flood` runs. Taking the interface down afterwards
+/// triggers its report.
 fn told(folder: &Path, name: &str, flood: impl FnOnce()) {
     let child = Command::new(DESCAN)
         .args(["watch", BUS, "--json", "--listen-only"])
@@ -271,7 +272,7 @@ fn told(folder: &Path, name: &str, flood: impl FnOnce()) {
         let lost = ["kernel", "queue"].map(|place| number(&bus["lost_where"][place]));
         Some((bus["state"] == "down", number(&bus["frames"]), lost))
     });
-    // Read as they come: who waits for a full pipe reads no frames.
+    // Read as they come: a writer blocked by a full pipe reads no frames.
     let (sender, receiver) = channel();
     thread::spawn(move || told.take_while(|it| sender.send(*it).is_ok()).count());
     let mut told = receiver.iter();
@@ -287,7 +288,7 @@ fn told(folder: &Path, name: &str, flood: impl FnOnce()) {
     println!("{name:<26}{sent:>12}{heard:>12}{kernel:>16}{queue:>16}{verdict}");
 }
 
-/// Waits until a process has nothing to do any more: all that was under way is counted.
+/// Waits until a process is idle: all frames in progress are counted.
 fn wait_until_idle(process: u32) {
     let mut before = cpu_seconds(process);
     loop {
@@ -300,7 +301,7 @@ fn wait_until_idle(process: u32) {
     }
 }
 
-/// Frames that went through the interface.
+/// Returns the number of frames that went through the interface.
 fn transmitted() -> u64 {
     let path = format!("/sys/class/net/{BUS}/statistics/tx_packets");
     std::fs::read_to_string(path).expect("statistics").trim().parse().expect("a number")
@@ -308,7 +309,7 @@ fn transmitted() -> u64 {
 
 // ----------------------------------------------------------------------------------------------
 
-/// A process that ends with its measure.
+/// A process that is killed at the end of its measure.
 struct Running(Child);
 
 impl Drop for Running {

@@ -1,8 +1,7 @@
-//! What the real binary writes to its terminal while a bus is full, how soon its first screen
-//! is there, and how much memory it holds.
+//! The real binary on a busy bus: bytes written to its terminal, time to the first screen, and
+//! memory.
 //!
-//! 60 devices at 1 Mbit/s that chatter: about 7,000 frames a second on a simulated bus in the
-//! same process.
+//! 60 devices with chatter at 1 Mbit/s: about 7,000 f/s on a simulated bus in the same process.
 
 #[allow(dead_code, reason = "a part is used")]
 #[path = "../it/common/pty.rs"]
@@ -24,7 +23,7 @@ fn main() {
     }
 }
 
-/// Each device beats once a second and sends 8 bytes 116 times a second.
+/// Returns devices that each send a heartbeat once a second and 8 bytes 116 times a second.
 fn scenario() -> String {
     let mut text = "bitrate = 1000000\n".to_owned();
     for address in 1..=DEVICES {

@@ -1,4 +1,4 @@
-//! The search for a bus's bit rate: rates in turn, each for its time, until a frame arrives whole.
+//! The bit rate search: tries bit rates in turn, each for its time, until a frame is valid.
 
 use descan::bitrate::{Search, SearchOutcome};
 use descan::frame::Frame;
@@ -6,7 +6,7 @@ use descan::time::{Duration, Instant};
 
 const PERIOD: Duration = Duration::from_secs(1);
 
-/// A protocol violation (stuff error), as a controller reports it.
+/// Returns an error frame with a stuff error, as a controller reports it.
 fn broken() -> Frame {
     Frame::error(0x88, &[0, 0, 4, 0, 0, 0, 0, 0])
 }
@@ -15,8 +15,8 @@ fn whole() -> Frame {
     Frame::classic(0x0718_0001, &[0; 8])
 }
 
-/// Searches from `first`; at each rate `heard` says what is heard, a frame each 10 ms. Returns the
-/// rates with the time each took, and the outcome.
+/// Searches from `first`; at each bit rate `heard` returns what is received, a frame each 10 ms.
+/// Returns the bit rates with the time of each, and the outcome.
 fn search(
     first: u32,
     mut heard: impl FnMut(u32) -> Option<Frame>,
@@ -73,7 +73,7 @@ fn valid_frame_ends_search_with_its_rate() {
 
 #[test]
 fn few_bus_errors_do_not_rule_out_rate() {
-    // Who is alone breaks its own frames until it is error-passive; then they arrive.
+    // A lone device breaks its own frames until it is error-passive; then they are valid.
     let mut count = 0;
     let (_, outcome) = search(250_000, |_| {
         count += 1;
@@ -89,7 +89,7 @@ fn own_frames_and_state_reports_do_not_count() {
         count += 1;
         let mut ours = whole();
         ours.is_tx = true;
-        // Error-warning; nobody acknowledges.
+        // Error-warning, and an ACK error.
         let state = Frame::error(0x4, &[0, 8, 0, 0, 0, 0, 0, 0]);
         let alone = Frame::error(0x20, &[0; 8]);
         Some([ours, state, alone][count % 3])

@@ -1,6 +1,6 @@
-//! The built-in systems, simulated from the start: what the engine tells of them.
+//! The built-in systems, simulated from the start: the events that the engine reports.
 //!
-//! The truth is in the scenarios' timetables; these are the stories as they are told.
+//! The scenarios' timetables are the ground truth; the snapshots are the reported events.
 
 use crate::common::inspection::{Inspection, describe};
 use descan::discovery::{Confidence, Config};
@@ -20,7 +20,7 @@ fn told(system: &str, seconds: u64) -> (String, Inspection) {
     (story, inspection)
 }
 
-/// What the engine knows in the end is what is so.
+/// Asserts that the final state of the engine matches the simulator.
 fn assert_true(inspection: &Inspection) {
     let (sim, engine) = (&inspection.sim, &inspection.engine);
     for id in sim.devices() {

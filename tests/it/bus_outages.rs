@@ -1,4 +1,4 @@
-//! A bus that goes away and comes back: what is sent meanwhile and afterwards, and what is told.
+//! Bus outages: frames sent and messages reported during and after the outage.
 
 use descan::app::{App, AppOptions};
 use descan::discovery::{Config, OwnAddress};
@@ -11,19 +11,19 @@ use descan::wire::id::{Address, Header};
 
 const CAN0: BusIndex = BusIndex(0);
 
-/// The program on a simulated bus with two devices, and all that it sent.
+/// The app on a simulated bus with two devices, and all frames that it sent.
 struct Stage {
     app: App,
     sim: Sim,
     station: SimStation,
     status: BusStatus,
     sent: Vec<Frame>,
-    /// What the driver told as sent and did not send yet, because the adapter takes nothing.
+    /// Frames that the driver reported as sent but still holds, because the adapter rejects them.
     queue: Option<Vec<Frame>>,
 }
 
 impl Stage {
-    /// Discovery has found what there is.
+    /// Starts the app and waits until discovery has found both devices.
     fn settled() -> Self {
         let scenario = Scenario::new(250_000)
             .with(DeviceSpec::new("FEED").fixed(12).settled())
@@ -49,7 +49,7 @@ impl Stage {
         stage
     }
 
-    /// Time passes, for so many seconds.
+    /// Runs for so many seconds.
     fn run(&mut self, seconds: f64) {
         let end = self.app.now() + Duration::from_secs_f64(seconds);
         while self.app.now() < end {
@@ -71,7 +71,7 @@ impl Stage {
         }
     }
 
-    /// The program is stopped for so many seconds. What came meanwhile is not read yet.
+    /// Stops the app for so many seconds; frames received meanwhile are not read yet.
     fn hold_up(&mut self, seconds: u64) -> Instant {
         let since = self.app.now();
         let now = since + Duration::from_secs(seconds);
@@ -80,7 +80,7 @@ impl Stage {
         now
     }
 
-    /// The adapter takes frames again: all that waited go out at once.
+    /// Makes the adapter accept frames again, and sends all queued ones at once.
     fn empty_queue(&mut self) {
         for frame in self.queue.take().into_iter().flatten() {
             self.sim.relay(self.station, frame);
@@ -89,7 +89,7 @@ impl Stage {
         }
     }
 
-    /// The adapter says something else.
+    /// Changes the status that the adapter reports.
     fn becomes(&mut self, change: impl FnOnce(&mut BusStatus)) {
         change(&mut self.status);
         let hears = self.status.link == Link::Up && self.status.state != BusState::BusOff;
@@ -101,7 +101,7 @@ impl Stage {
         self.app.buses()[0].own_address()
     }
 
-    /// Whether everybody was asked who is there.
+    /// Returns true if a broadcast name request was sent.
     fn has_asked_everybody(&self) -> bool {
         let asks = |frame: &Frame| {
             let header = frame.platform_id().map(Header::decode);
@@ -115,8 +115,8 @@ impl Stage {
         self.app.timeline().entries().any(|line| line.text.starts_with(text))
     }
 
-    /// It listens before it takes its address again, and asks everybody at once, not when the next
-    /// round is due.
+    /// Asserts that descan listens before it claims its address again, and sends a broadcast at
+    /// once, not when the next round is due.
     fn begins_anew(&mut self) {
         assert_eq!(self.own_address(), OwnAddress::Listening);
         let back = self.app.now();
@@ -184,7 +184,7 @@ fn outage_reported_late_counts_no_missed_heartbeats() {
     let mut stage = Stage::settled();
     stage.becomes(|status| (status.link, status.state) = (Link::Down, BusState::Down));
     stage.run(4.0);
-    // Frames come again at once; an adapter that is asked each second says so later.
+    // Frames are received at once; an adapter polled each second reports its state later.
     stage.sim.set_link(stage.station, true);
     stage.run(1.5);
     stage.becomes(|status| (status.link, status.state) = (Link::Up, BusState::ErrorActive));
@@ -245,7 +245,7 @@ fn other_status_changes_do_not_restart_discovery() {
     assert_eq!(stage.app.buses()[0].lost(), 9);
 }
 
-/// Stopped and let go on, as by Ctrl-Z and fg: all that came meanwhile is read at once.
+/// Tests a stop and resume, as by Ctrl-Z and fg: all frames received meanwhile are read at once.
 #[test]
 fn stall_does_not_change_presence() {
     let mut stage = Stage::settled();

@@ -1,5 +1,5 @@
-//! candump's text: what others write is read, what we write is read back, and nothing a line
-//! contains does harm.
+//! candump's text: lines of other programs are read, lines written by descan are read back, and no
+//! content of a line does harm.
 
 use crate::common::frames::any_frame;
 use descan::frame::{CanId, Frame, FrameKind};

@@ -1,4 +1,4 @@
-//! `descan check`, from outside: bus against des.json, what it prints, and the exit codes.
+//! `descan check`, from outside: comparison of bus and des.json, output, and exit codes.
 
 use crate::common::inspection::log;
 use descan::sim::{DeviceSpec, Fault, Scenario};
@@ -56,14 +56,14 @@ fn text(bytes: &[u8]) -> String {
     String::from_utf8(bytes.to_vec()).expect("output is UTF-8")
 }
 
-/// Exit code and standard output for this file against [`bus`].
+/// Returns exit code and standard output for this file against [`bus`].
 fn checked(file: &str) -> (i32, String) {
     let output = Folder::with(&bus(), Some(file)).check(&["file:session.log"]);
     assert_eq!(text(&output.stderr), "");
     (output.status.code().unwrap(), text(&output.stdout))
 }
 
-/// Kinds and addresses of what counts, as JSON has them.
+/// Returns kind and address of each counted finding, as in the JSON.
 fn kinds(file: &str) -> Vec<(String, Option<u64>)> {
     let output = Folder::with(&bus(), Some(file)).check(&["file:session.log", "--json"]);
     let report: Value = serde_json::from_slice(&output.stdout).unwrap();
@@ -159,7 +159,7 @@ fn log_compared_with_its_own_start_shows_what_came_later() {
     assert!(said.contains("no difference"), "{said}");
 }
 
-/// Members of a JSON object have no order: whatever writes them may sort them.
+/// Tests that services in object form have no order: JSON writers may sort members.
 #[test]
 fn service_order_counts_in_list_form_only() {
     let file = |services: &str| {
@@ -202,27 +202,27 @@ fn finding_kinds_in_json_are_stable() {
     let file = |entries: &[&str]| format!("{{ \"devices\": [ {} ] }}", entries.join(", "));
     assert_eq!(kinds(&file(&[feed])), [kind("unlisted", 13)]);
     assert_eq!(kinds(&file(&[feed, sens])), []);
-    // Not static: it may be anywhere.
+    // Not static: any address is allowed.
     assert_eq!(kinds(&file(&[feed, r#"{ "name": "SENS", "address": 99 }"#])), []);
     let pump = r#"{ "name": "PUMP", "address": 44, "static": true }"#;
     assert_eq!(kinds(&file(&[feed, sens, pump])), [kind("missing", 44)]);
     let listed = r#"{ "name": "SENS", "services": [ { "name": "DES", "version": "1.0" } ] }"#;
     assert_eq!(kinds(&file(&[feed, listed])), [kind("services-differ", 13)]);
-    // An empty list says no more than none.
+    // An empty list means the same as a missing one.
     for none in ["[]", "{}", "null"] {
         let none = format!(r#"{{ "name": "SENS", "services": {none} }}"#);
         assert_eq!(kinds(&file(&[feed, &none])), []);
     }
-    // The one that is too many is not missing, and nobody took its address.
+    // The duplicate entry is not missing, and its address is not in use by another device.
     assert_eq!(kinds(&file(&[feed, sens, sens])), [kind("file-duplicate-entry", 13)]);
-    // Who is listed at two addresses is at one of them.
+    // A device listed at two addresses is at one of them.
     let other = r#"{ "name": "SENS", "address": 15, "static": true }"#;
     assert_eq!(kinds(&file(&[feed, sens, other])), [kind("missing", 15)]);
 }
 
 #[test]
 fn address_conflict_is_a_difference() {
-    // Slow enough not to destroy each other's answers.
+    // Slow enough not to destroy each other's responses.
     let stubborn = |name: &str, millis: u64| {
         let mut device = DeviceSpec::new(name).fixed(14).settled().fault(Fault::NeverGivesWay);
         device.delay = (Duration::from_millis(millis), Duration::from_millis(millis));
@@ -281,7 +281,7 @@ power_on = 7.0
     assert!(text(&soon.stdout).contains("SENS (at 13) is listed but not on the bus"));
     let waited = folder.check(&["sim:line.toml", "--wait-for-all", "--time", "30"]);
     assert_eq!(waited.status.code(), Some(0), "{}", text(&waited.stdout));
-    // What never comes is missing when the time is up.
+    // A device that never appears is missing when the time is up.
     folder.write("des.json", r#"[ { "name": "PUMP", "address": 44 } ]"#);
     let never = folder.check(&["sim:line.toml", "--wait-for-all", "--time", "4"]);
     assert_eq!(never.status.code(), Some(1), "{}", text(&never.stdout));
@@ -302,7 +302,7 @@ fn invisible_name_is_quoted() {
     }
 }
 
-/// Whatever is in the file: one message, at once, and the file stays as it is.
+/// Tests invalid files: one message, at once, and the file stays unchanged.
 #[test]
 fn invalid_file_content_is_reported_with_its_line() {
     let deep = format!("{{\"devices\": {}{}}}", "[".repeat(10_000), "]".repeat(10_000));
@@ -325,7 +325,7 @@ fn invalid_file_content_is_reported_with_its_line() {
     }
 }
 
-/// Nobody reads a gigabyte to find that it is no des.json.
+/// Tests that a file too long for des.json is rejected without reading a gigabyte.
 #[test]
 fn file_of_one_gigabyte_is_rejected_at_once() {
     let folder = Folder::with(&bus(), Some("["));
@@ -360,7 +360,7 @@ fn invalid_value_is_a_difference_with_its_line() {
     assert!(found.iter().any(|(kind, _)| kind == "file-shape"), "{found:?}");
 }
 
-/// A recorder that wrote nothing is no plant in order.
+/// Tests that an empty log, as from a failed recorder, does not pass the check.
 #[test]
 fn log_without_frames_is_unusable() {
     for log in ["", "\n"] {

@@ -1,4 +1,4 @@
-//! The command line, from outside: what it prints, where, and the exit codes.
+//! The command line, from outside: output, output stream, and exit codes.
 
 use crate::common::inspection::log;
 use descan::frame::Frame;
@@ -123,7 +123,7 @@ fn log_with_two_shifts() -> String {
     lines.concat()
 }
 
-/// The devices of `descan scan` on this log: address, presence, number of heartbeats.
+/// Returns the devices of `descan scan` on this log: address, presence, number of heartbeats.
 fn shifts(options: &[&str]) -> Vec<(u64, String, u64)> {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("session.log"), log_with_two_shifts()).unwrap();
@@ -294,8 +294,8 @@ fn address_conflict_in_log_exits_1() {
     assert!(text(&tables.stdout).contains("CONFLICT"), "{}", text(&tables.stdout));
 }
 
-/// Two boards answer as FEED and as PUMP from address 12, for as long as anybody listens; in the
-/// end the one at 40 sends an identifier that is none of the nine types.
+/// Returns a log in which two boards respond as FEED and as PUMP from address 12 throughout; at the
+/// end, 40 sends a non-conforming identifier.
 fn two_boards_at_12() -> Vec<String> {
     let mut lines = Vec::new();
     let mut add = |millis: u32, frame: String| {
@@ -308,7 +308,7 @@ fn two_boards_at_12() -> Vec<String> {
     for second in 0..14 {
         let rnd7 = (second * 3 + 1) << 10;
         let at = second * 1000;
-        // Who is there? Then both answers, and both heartbeats.
+        // A name request, then both responses and both heartbeats.
         add(at + 100, format!("{:08X}#0444455301", 0x0200_0002 | rnd7));
         add(at + 110, "05180002#06014645454400".to_owned());
         add(at + 115, "05180002#060150554D5000".to_owned());
@@ -671,7 +671,7 @@ fn file_without_log_lines_is_unusable() {
 #[test]
 fn log_report_omits_unknowns_and_cleared_remedies() {
     let folder = tempfile::tempdir().unwrap();
-    // A spare ACT comes at 28 s and is gone at 50 s.
+    // A spare ACT appears at 28 s and leaves at 50 s.
     let scenario = Scenario::builtin("boiler").unwrap();
     std::fs::write(folder.path().join("session.log"), log(&scenario, 75)).unwrap();
     let output = descan(&["scan", "file:session.log"], folder.path());

@@ -1,20 +1,20 @@
-//! Two senders at one address, heard by somebody who only listens: what shows them, frame by
-//! frame, where the simulated devices seldom come to it.
+//! Evidence frame by frame: two senders at one address, received with listen-only, in sequences
+//! that the simulated devices rarely produce.
 
 use descan::discovery::{Confidence, Config, Engine, FindingKind};
 use descan::frame::Frame;
 use descan::time::Instant;
 
 const ADDRESS: u32 = 5;
-/// Who asks.
+/// The address of the requester.
 const ASKER: u32 = 1;
 
-/// What is on the bus, in milliseconds.
+/// The frames on the bus, with times in milliseconds.
 #[derive(Default)]
 struct Story(Vec<(u64, Frame)>);
 
 impl Story {
-    /// A heartbeat without a UID each second, `phase` after it, until `until`.
+    /// Adds heartbeats without a UID, one per second from `phase` until `until`.
     fn beats(mut self, phase: u64, until: u64) -> Self {
         for (count, at) in (phase..until).step_by(1000).enumerate() {
             let rnd7 = (count as u32 * 37 + phase as u32) % 128;
@@ -24,7 +24,7 @@ impl Story {
         self
     }
 
-    /// A question for its name, and these answers to it, one after the other.
+    /// Adds a name request and these responses to it, one after the other.
     fn asked(mut self, at: u64, answers: &[&[u8; 1]]) -> Self {
         let question = Frame::classic(ASKER << 17 | ADDRESS << 10 | 2, b"\x04DES\x01");
         self.0.push((at, question));
@@ -35,7 +35,7 @@ impl Story {
         self
     }
 
-    /// Who heard all of it; `each` looks at it after every frame.
+    /// Runs an engine that receives all frames; calls `each` after every frame.
     fn heard(mut self, mut each: impl FnMut(u64, &Engine)) -> Engine {
         self.0.sort_by_key(|(at, _)| *at);
         let config = Config { listen_only: true, ..Config::default() };

@@ -1,5 +1,5 @@
-//! Logs as others write them, by hand or by a program of their own, and what `scan --json` and
-//! `watch --json` make of the collisions in them. Whoever reads a log can ask nobody.
+//! Hand-written and generated logs, and the address conflicts that `scan --json` and `watch --json`
+//! find in them. On a log, no requests can be sent.
 
 use crate::common::watch_process::command;
 use serde_json::Value;
@@ -18,18 +18,18 @@ type Told = (String, String, u64);
 /// Kinds and addresses.
 type Confirmed = &'static [(&'static str, u64)];
 
-/// What it is, and what must be confirmed in it.
+/// Description, log, and the findings that must be confirmed.
 type Case = (String, Log, Confirmed);
 
-/// How a name is put into an answer's data.
+/// Encodes a name as response data.
 type Encode<'a> = &'a dyn Fn(&str) -> String;
 
-/// A log in the making. Times are in seconds since its first second.
+/// A log under construction. Times are in seconds since its first second.
 #[derive(Clone, Default)]
 struct Log {
     lines: Vec<(f64, String)>,
     rnd7: u32,
-    /// The DST of heartbeats and of questions to all, where it is not drawn at random.
+    /// The DST of heartbeats and broadcast requests, or `None` to draw it at random.
     constant: Option<u32>,
 }
 
@@ -43,7 +43,7 @@ impl Log {
         self.constant.unwrap_or(self.rnd7)
     }
 
-    /// Heartbeats of a working node, one each `period`, with that data.
+    /// Adds heartbeats of a working node, one per `period`, with that data.
     fn beats(mut self, source: u32, from: f64, until: f64, period: f64, data: &str) -> Self {
         for count in 0.. {
             let at = from + f64::from(count) * period;
@@ -56,12 +56,12 @@ impl Log {
         self
     }
 
-    /// Heartbeats each second, of DEV_CFG_UID, mode WORK and no error.
+    /// Adds heartbeats each second, of DEV_CFG_UID, mode WORK and no error.
     fn lives(self, source: u32, from: f64, until: f64, uid: &str) -> Self {
         self.beats(source, from, until, 1.0, &format!("{uid}0400"))
     }
 
-    /// Somebody asks everybody who is there.
+    /// Adds a broadcast name request.
     fn asks(&mut self, at: f64, by: u32, data: &str) {
         let rnd7 = self.random();
         self.frame(at, 0x0200_0002 | by << 17 | rnd7 << 10, data);
@@ -71,7 +71,8 @@ impl Log {
         self.frame(at, 0x0500_0002 | source << 17 | to << 10, data);
     }
 
-    /// Each `every` seconds somebody at `by` asks everybody, and these names answer from 14.
+    /// Adds a broadcast name request from `by` every `every` seconds, with these names as responses
+    /// from address 14.
     fn asked(mut self, until: f64, every: f64, by: u32, names: &[&str]) -> Self {
         for count in 0.. {
             let at = 0.7 + f64::from(count) * every;
@@ -124,20 +125,21 @@ fn told(finding: &Value) -> Told {
     (word("kind"), word("confidence"), finding["address"].as_u64().unwrap_or(999))
 }
 
-/// What `watch` tells of findings, in its order.
+/// Returns the findings that `watch` reports, in order.
 fn watched(folder: &Path, log: &str) -> Vec<Told> {
     let values = run(folder, &["watch"], log);
     let findings = values.iter().filter(|value| value["event"] == "finding");
     findings.map(|value| told(&value["finding"])).collect()
 }
 
-/// What `scan` says in the end.
+/// Returns the findings that `scan` reports.
 fn scanned(folder: &Path, log: &str) -> Vec<Told> {
     let values = run(folder, &["scan"], log);
     values[0]["findings"].as_array().unwrap().iter().map(told).collect()
 }
 
-/// Whether a log ends with exactly these findings confirmed, and `watch` never confirmed others.
+/// Returns what is wrong unless a log ends with exactly these findings confirmed and `watch` never
+/// confirmed others.
 fn fault(folder: &Path, log: &str, confirmed: Confirmed) -> Option<String> {
     let sure = |findings: Vec<Told>| -> BTreeSet<(String, u64)> {
         let sure = findings.into_iter().filter(|told| told.1 == "confirmed");
@@ -176,8 +178,8 @@ fn two_heartbeat_senders_at_one_address_are_found() {
                         .beats(14, 0.1, seconds, 1.0, data)
                         .beats(14, 0.1 + gap, seconds, 1.0, data);
                     let label = format!("{data} {gap} s apart for {seconds} s, DST {constant:?}");
-                    // One that begins a whole second later is there for hardly five. And where DST
-                    // is constant, the first that follows so close may be a repetition.
+                    // A device that begins almost a second later is present for less than five
+                    // periods. With a constant DST, the first close heartbeat may be a repetition.
                     let is_unsure = gap > 0.9 || gap < 0.1 && constant.is_some();
                     if !(is_unsure && seconds < 10.0) {
                         cases.push((label, log, SAME_NAME));
@@ -230,7 +232,7 @@ fn repeated_frames_do_not_raise_contested_address() {
     for apart in [0.0003, 0.02, 0.045] {
         let alone = Log::default().lives(14, 0.1, 20.0, FEED).asked(20.0, 0.7, 5, &["FEED"]);
         let mut copies = alone.clone();
-        // The copy of one heartbeat is lost.
+        // One heartbeat has no duplicate: the copy is lost.
         let is_lost = |at: f64, line: &str| line.starts_with("07") && (10.0..10.9).contains(&at);
         copies.lines.retain(|(at, line)| !line.starts_with("02") && !is_lost(*at, line));
         assert_eq!(copies.lines.len(), 20 + 28 - 1, "{:?}", copies.lines);
@@ -258,7 +260,7 @@ fn ambiguous_heartbeats_are_suspected_at_most() {
     let short = Log::default().lives(14, 0.1, 4.0, FEED).lives(14, 0.4, 4.0, SENS);
     cases.push(("two UIDs for four seconds".to_owned(), short, NOTHING));
     check(cases);
-    // It is suspected.
+    // Suspected only.
     let folder = tempfile::tempdir().unwrap();
     let half = Log::default().lives(14, 0.1, 10.0, FEED).lives(14, 0.6, 10.0, FEED);
     let suspected = ("same-name-same-address".to_owned(), "suspected".to_owned(), 14);
@@ -347,7 +349,7 @@ fn uid_conflict_and_debug_conflict_are_found() {
     check(cases);
 }
 
-/// Three devices, asked each two seconds.
+/// Returns a log of three devices with a request every two seconds.
 fn peace(seconds: f64) -> Log {
     let log = Log::default()
         .lives(14, 0.1, seconds, FEED)
@@ -397,7 +399,7 @@ fn apparent_conflicts_are_not_confirmed() {
 }
 
 impl Log {
-    /// Its lines, so many seconds later.
+    /// Returns its lines, shifted by so many seconds.
     fn and_at(self, later: f64) -> Vec<(f64, String)> {
         Log::default().and(&self, later).lines
     }
@@ -427,7 +429,7 @@ fn clock_jumps_and_partial_logs_raise_no_conflict() {
             let rest: String = text.lines().skip(skipped).flat_map(|line| [line, "\n"]).collect();
             assert_eq!(fault(folder.path(), &rest, confirmed), None, "{skipped} lines skipped");
         }
-        // Two logs of the same in one file.
+        // Two recordings of the same bus in one file.
         assert_eq!(fault(folder.path(), &text.repeat(2), confirmed), None, "twice in a file");
     }
 }
@@ -450,7 +452,7 @@ fn each_log_interface_is_its_own_bus() {
     assert_eq!((&findings[0]["bus"], &findings[0]["address"]), (&"can0".into(), &14.into()));
 }
 
-/// What a scenario's transcript tells of findings.
+/// Returns the findings in a scenario's transcript.
 fn transcript(scenario: &str) -> Vec<Told> {
     let lines = scenario.lines().filter_map(|line| line.split_once(" * finding "));
     let told = lines.map(|(_, finding)| {
@@ -471,7 +473,7 @@ fn scenario_log_gives_the_findings_of_the_live_bus() {
         let name = path.file_stem().unwrap().to_string_lossy().into_owned();
         let scenario = std::fs::read_to_string(&path).unwrap();
         let mut settings = scenario.lines().filter(|line| line.starts_with("set "));
-        // Who asks on its own hears other things than a log tells.
+        // An engine that sends requests receives other frames than a log contains.
         let asks = scenario.lines().any(|line| line.starts_with(' ') && line.contains(" > "));
         let is_heard = !asks && settings.all(|setting| setting == "set listen-only");
         if !is_heard || !(name.starts_with("row_") || name.starts_with("innocent_")) {
@@ -487,7 +489,7 @@ fn scenario_log_gives_the_findings_of_the_live_bus() {
                 _ => panic!("{name}: {line}"),
             }
         }
-        // A log ends with its last line: one of a foreign frame makes it as long.
+        // A log ends with its last line: a non-platform frame extends it to the end.
         writeln!(log, "({end}) can0 7FF#").unwrap();
         let told = watched(folder.path(), &log);
         assert_eq!(told, transcript(&scenario), "{name}");

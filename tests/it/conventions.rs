@@ -56,7 +56,6 @@ fn test_names(text: &str) -> Vec<&str> {
 }
 
 #[test]
-#[ignore = "Output, Talk and Written still stand twice in src"]
 fn type_names_are_unique_in_the_crate() {
     let mut places: BTreeMap<String, Vec<String>> = BTreeMap::new();
     for file in rust_files("src") {

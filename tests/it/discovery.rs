@@ -1,5 +1,5 @@
-//! Discovery on simulated buses: every kind of device is found, with its services, whatever its
-//! framing; what we send keeps to its share; listening only sends nothing.
+//! Discovery on simulated buses: every kind of device is found with its services in any framing;
+//! descan keeps its transmit budget; with listen-only it sends nothing.
 
 use crate::common::inspection;
 use crate::common::inspection::Inspection;
@@ -46,7 +46,7 @@ fn devices_of_every_framing_are_identified() {
         .with(cfg)
         .with(make("ECHO", 6).fault(Fault::EchoDestination).service("Y", "3"));
     scenario.data_bitrate = 2_000_000;
-    // What fits one frame raw: no service at all.
+    // Services that fit one raw frame: an empty list.
     scenario.devices[1].services = vec![vec![b"A".to_vec(), b"1".to_vec()]];
     let it = settled(&scenario, Config::default());
     let services = |address: u8| {
@@ -123,14 +123,14 @@ fn device_faults_are_reported_and_clear() {
         assert!(finding.text.contains(what), "{}", finding.text);
         assert!(finding.evidence.iter().all(|piece| piece.frame.is_some()));
     }
-    // The frames behind a message that is whole are nobody's.
+    // The consecutive frames after a complete message belong to no transfer.
     assert!(device(&it, 5).services.is_some());
     assert!(device(&it, 9).services.is_some());
     assert!(it.engine.progress().settled, "{:?}", it.engine.progress());
     assert!(it.engine.counters().transfers_failed > 0);
 }
 
-/// The share of the bus that our frames took between the first and the last of them.
+/// Returns the share of the bus used by descan's frames from `from` to `to`.
 fn our_share(it: &Inspection, from: Instant, to: Instant) -> f64 {
     let ours = it.frames.iter().filter(|it| it.is_tx && it.time >= from && it.time < to);
     let taken: Duration = ours.map(|frame| it.sim.frame_duration(frame)).sum();
@@ -146,7 +146,7 @@ fn transmit_budget_is_kept() {
     let end = it.sim.now();
     let share = our_share(&it, seconds(1.5), end);
     assert!(share <= 0.025, "{share}");
-    // And with nothing in the way it uses what it may.
+    // Without a limit below it, descan uses its full budget.
     let mut quick = Inspection::new(&scenario, 3, Config::default());
     assert!(quick.run_until(seconds(60.0), |engine| engine.progress().with_services == 60));
     assert!(quick.sim.now().since(seconds(1.5)) * 3 < end.since(seconds(1.5)));
@@ -160,7 +160,7 @@ fn listen_only_engine_learns_without_sending() {
     let scenario = Scenario::crowd(250_000, 10, 2);
     let [asker, listener] = inspection::asker_and_listener(&scenario, 5, seconds(8.0));
     let known = |engine: &descan::discovery::Engine| engine.progress().with_services;
-    // The asker itself is a debug device that answers nobody here: it knows ten.
+    // The requester is a debug device that does not respond here, so it knows ten devices too.
     assert_eq!((known(&asker), known(&listener)), (10, 10));
 }
 
@@ -211,7 +211,7 @@ impl Company {
         Self { sim: Sim::new(scenario, seed), members: Vec::new() }
     }
 
-    /// One more, that starts now.
+    /// Adds an inspector that starts now.
     fn join(&mut self, config: Config) {
         let station = self.sim.attach();
         let config = Config { bitrate: Some(250_000), ..config };
@@ -223,7 +223,7 @@ impl Company {
         self.run_with(end, |_, _| {});
     }
 
-    /// Runs, and calls `act` whenever something happened.
+    /// Runs, and calls `act` after each event.
     fn run_with(&mut self, end: Instant, mut act: impl FnMut(Instant, &mut Sim)) {
         while self.sim.now() < end {
             let now = self.sim.now();
@@ -259,8 +259,8 @@ fn told(events: &[Event]) -> Vec<String> {
     events.iter().map(inspection::describe).collect()
 }
 
-/// Each holds an address of its own and knows the others as debug devices; none ever called the
-/// others a collision that is confirmed.
+/// Asserts that each inspector holds its own address and knows the others as debug devices, and
+/// that none of them ever confirmed an address conflict with another.
 fn assert_live_together(company: &Company, what: &str) {
     let held = company.held();
     for (at, member) in company.members.iter().enumerate() {
@@ -285,7 +285,7 @@ fn assert_live_together(company: &Company, what: &str) {
 fn several_inspectors_share_one_bus() {
     for seed in 0..10 {
         for count in [2_u32, 4] {
-            // With devices there are heartbeats, and so ours; alone there are only questions.
+            // With devices, descan sends heartbeats too; without devices, only requests.
             for devices in [5, 0] {
                 for apart in [0.0, 0.001, 0.7, 3.0] {
                     let what =
@@ -323,7 +323,7 @@ fn two_inspectors_fixed_at_0_settle() {
     }
 }
 
-/// A heartbeat from an address, of that UID.
+/// Returns a heartbeat from an address, with that UID.
 fn beat(at: u8, uid: &str) -> Frame {
     let profile = Profile::default();
     let uid = descan::wire::node::Uid::parse(uid, &profile.uid);
@@ -335,14 +335,14 @@ fn beat(at: u8, uid: &str) -> Frame {
     Frame::classic(header.encode(), &data[..len])
 }
 
-/// An engine that heard nobody for 1.5 s, and its events so far.
+/// Returns an engine that received no frames for 1.5 s, and its events so far.
 fn alone(config: Config) -> (Engine, Vec<String>) {
     let mut engine = Engine::new(Instant::ZERO, Config { echo: false, ..config });
     let events = run(&mut engine, seconds(1.6), |_| None);
     (engine, events)
 }
 
-/// Runs an engine to `end` against frames that come each at its time.
+/// Runs an engine until `end`, feeding it each frame at its time.
 fn run(
     engine: &mut Engine,
     end: Instant,
@@ -364,7 +364,7 @@ fn run(
     events
 }
 
-/// A name question to one node, and its answers.
+/// Returns a name request to one node, and its responses.
 fn question(by: u8, to: u8) -> Frame {
     let [by, to] = [by, to].map(|at| Address::new(at).unwrap());
     let header = Header::request(by, to, false, Profile::default().des_service());
@@ -377,7 +377,7 @@ fn answer(from: u8, to: u8) -> Frame {
     Frame::classic(id, b"\x06\x01FEED\x00")
 }
 
-/// Runs an engine that keeps what it sends, in milliseconds, as [`run`] does.
+/// Like [`run`], but returns the frames that the engine sent, with times in milliseconds.
 fn sent(
     engine: &mut Engine,
     end: u64,
@@ -398,7 +398,7 @@ fn sent(
     sent
 }
 
-/// When `sent` asks that node for its name.
+/// Returns the times at which `sent` has a name request to that node.
 fn asked(sent: &[(u64, Frame)], from: u8, to: u8) -> Vec<u64> {
     let same = sent.iter().filter(|(_, frame)| frame.same_on_wire(&question(from, to)));
     same.map(|(at, _)| *at).collect()
@@ -408,7 +408,7 @@ fn asked(sent: &[(u64, Frame)], from: u8, to: u8) -> Vec<u64> {
 fn duplicated_request_is_answered_once() {
     let config = Config { echo: false, ..Config::default() };
     let mut engine = Engine::new(Instant::ZERO, config);
-    // Through a bridge that sends everything again 23 ms later; then it is asked anew.
+    // A bridge repeats the request after 23 ms; the one at 3,500 ms is new.
     let questions = [3000, 3023, 3500];
     let sent = sent(&mut engine, 4000, |millis| {
         questions.contains(&millis).then(|| question(9, 0)).into_iter().collect()
@@ -422,8 +422,8 @@ fn duplicated_request_is_answered_once() {
 
 #[test]
 fn follow_up_requests_of_inspectors_drift_apart() {
-    // What both saw at the same moment would make them ask at the same moment, and equal answers
-    // that wait behind the other's question merge.
+    // Both receive the same frame at the same moment. Requests sent at once would make two equal
+    // responses wait for the bus together and merge.
     let [one, other] = [1, 2].map(|seed| {
         let config = Config { echo: false, seed, ..Config::default() };
         let mut engine = Engine::new(Instant::ZERO, config);
@@ -448,7 +448,7 @@ fn phase_shift_of_steady_heartbeat_triggers_request() {
         Instant::ZERO,
         Config { echo: false, round_period: Duration::ZERO, ..Config::default() },
     );
-    // Another board takes the place of FEED, a tenth of a second later than FEED was due.
+    // A different board takes the place of FEED; its heartbeats come 0.1 s late.
     let sent = sent(&mut engine, 14_000, |millis| {
         let due = if millis < 9000 { 0 } else { 100 };
         let mut frames = Vec::new();
@@ -500,11 +500,11 @@ fn heartbeat_lost_in_short_outage_is_not_missed() {
         (next..=next + 2).for_each(|second| beats(&mut engine, second));
         engine.devices()[0].heartbeat.missed
     };
-    // That of 4.1 s: told as it was, somewhat late, and when it was over.
+    // The heartbeat of 4.1 s: received on time, slightly late, or after the outage.
     assert_eq!(beats_missed((Some(4.08), 4.12), 5), 0);
     assert_eq!(beats_missed((Some(4.15), 4.3), 5), 0);
     assert_eq!(beats_missed((None, 4.15), 5), 0);
-    // The next was due when it was over, or before it began.
+    // The next heartbeat was due after the outage, or before it began.
     assert_eq!(beats_missed((Some(4.08), 4.12), 6), 1);
     assert_eq!(beats_missed((Some(4.6), 4.7), 5), 1);
     assert_eq!(beats_missed((Some(4.6), 5.0), 5), 1);
@@ -518,7 +518,7 @@ fn confidence(engine: &Engine, kind: FindingKind) -> Option<Confidence> {
 #[test]
 fn node_that_keeps_address_0_holds_it() {
     let mut engine = Engine::new(Instant::ZERO, Config { echo: false, ..Config::default() });
-    // It starts when we hold 0.
+    // The tool starts while descan holds 0.
     let events = run(&mut engine, seconds(30.0), |now| {
         let beats = now >= seconds(3.0) && now.as_micros() % 1_000_000 == 0;
         beats.then(|| beat(0, "TOOL"))
@@ -527,7 +527,7 @@ fn node_that_keeps_address_0_holds_it() {
     assert_ne!(own, Address::DEBUG);
     let ours: Vec<_> = events.iter().filter(|it| it.starts_with("we ")).collect();
     assert_eq!(ours, ["we are 0", "we gave up 0", &format!("we are {own}")]);
-    // Ours was a suspicion, for it is alone there now.
+    // Only suspected: the tool is alone at 0 by now.
     let findings: Vec<_> = events.iter().filter(|it| it.starts_with("finding")).collect();
     assert_eq!(
         findings,
@@ -593,7 +593,7 @@ fn first_sender_at_chosen_address_holds_it() {
     let (mut now, mut chosen, mut sent) = (Instant::ZERO, None, Vec::new());
     while now < seconds(15.0) {
         now += Duration::from_millis(1);
-        // A tool has 0, and another device takes what we chose while we wait to claim it.
+        // A tool holds 0; another device takes the chosen address before descan claims it.
         if now.as_micros() % 1_000_000 == 0 {
             engine.handle_frame(&beat(0, "TOOL").with_time(now));
             if let Some(chosen) = chosen {
@@ -618,7 +618,7 @@ fn first_sender_at_chosen_address_holds_it() {
 #[test]
 fn no_free_address_means_listening_until_one_is_free() {
     let mut engine = Engine::new(Instant::ZERO, Config { echo: false, ..Config::default() });
-    // All beat each second, 0 included; from 10 s on, 77 does not.
+    // All nodes send a heartbeat each second, including 0; from 10 s on, 77 is silent.
     let events = run(&mut engine, seconds(20.0), |now| {
         let at = now.as_micros() % 1_000_000 / 1000;
         let at = u8::try_from(at).ok().filter(|at| *at < 128)?;

@@ -1,8 +1,8 @@
-//! The real binary on disks that do not take what it writes: the edit is kept, the cause named, and
-//! it is saved as soon as that is possible.
+//! The real binary on disks that reject writes: the edit is kept, the cause is named, and the edit
+//! is saved as soon as possible.
 //!
-//! Disks are made in mount namespaces of their own. Where only root may do that, the tests say so
-//! and pass; in CI they must run.
+//! Disks are created in separate mount namespaces. Where only root may do that, the tests print the
+//! reason and pass; in CI they must run.
 
 use crate::common::pty;
 use crate::common::pty::Pty;
@@ -25,22 +25,22 @@ fn may_mount() -> bool {
         Err(error) => format!("unshare: {error}"),
     };
     assert!(!std::env::var("CI").is_ok_and(|ci| ci == "true"), "cannot run: {why}");
-    // Not by println: the test harness would keep it to itself.
+    // Not by println: the test harness would capture it.
     let _ = writeln!(std::io::stderr(), "skipped: {why}");
     false
 }
 
-/// The program with a file on a disk of its own.
+/// The program with a file on its own disk.
 struct Disk {
     folder: TempDir,
     pty: Pty,
 }
 
 impl Disk {
-    /// `mounts`: what the shell does before it starts the program, in the folder of the file.
+    /// Starts the program after `mounts`, shell commands run in the folder of the file.
     fn new(mounts: &str) -> Self {
         let folder = tempfile::tempdir().unwrap();
-        // Others than root start the program too.
+        // Users other than root start the program too.
         fs::set_permissions(folder.path(), Permissions::from_mode(0o755)).unwrap();
         let program = folder.path().join("descan");
         fs::copy(env!("CARGO_BIN_EXE_descan"), &program).unwrap();
@@ -56,7 +56,7 @@ impl Disk {
         Self { folder, pty }
     }
 
-    /// A path as the program sees it.
+    /// Returns the path as the program sees it.
     fn seen(&self, path: &str) -> PathBuf {
         let inside = self.folder.path().join(path);
         Path::new(&format!("/proc/{}/root", self.pty.pid())).join(inside.strip_prefix("/").unwrap())
@@ -66,15 +66,15 @@ impl Disk {
         fs::read_to_string(self.seen("disk/des.json")).ok()
     }
 
-    /// Runs a command among the program's mounts.
+    /// Runs a command in the program's mount namespace.
     fn among_its_mounts(&self, command: &[&str]) {
         let pid = self.pty.pid().to_string();
         let status = Command::new("nsenter").args(["-t", &pid, "-m", "--"]).args(command).status();
         assert!(status.unwrap().success(), "{command:?}");
     }
 
-    /// Pins FEED to 47, which is not saved because of this; nothing is lost by wanting to quit;
-    /// and a copy is written elsewhere.
+    /// Pins FEED to 47, and asserts that the save fails with this cause, that a quit attempt keeps
+    /// the edit, and that a recovery copy is written elsewhere.
     fn is_kept(&mut self, cause: &str) {
         self.pty.send("ge\x1547\r");
         self.pty.wait_for("✗ not saved");
@@ -94,7 +94,7 @@ impl Disk {
         assert_eq!(self.content().as_deref(), Some(BEFORE));
     }
 
-    /// Chooses on the page of a conflict, as soon as it lets one: not before it can be read.
+    /// Chooses a side on the edit conflict page, as soon as the page accepts keys.
     fn choose(&mut self, key: &str) {
         let deadline = Instant::now() + pty::PATIENCE;
         while self.pty.screen().contains("Edit conflict") {
@@ -104,7 +104,7 @@ impl Disk {
         }
     }
 
-    /// The cause is gone: it is saved without being asked.
+    /// Asserts that the edit is saved without a key once the cause is removed.
     fn is_saved_at_last(&mut self) {
         let deadline = Instant::now() + pty::PATIENCE;
         while self.content().as_deref() != Some(AFTER) {
@@ -159,7 +159,7 @@ fn file_that_is_a_mount_point_is_not_replaced() {
     disk.is_saved_at_last();
 }
 
-/// A network file system may take its time, or all the time there is.
+/// Tests a disk like a network file system that responds late, or never.
 #[test]
 fn hanging_disk_does_not_block_the_screen() {
     if !may_mount() {
@@ -174,12 +174,12 @@ fn hanging_disk_does_not_block_the_screen() {
     let mut disk = never();
     disk.pty.send("ge\x1547\r");
     disk.pty.wait_for("… saving 1");
-    // It is worked with meanwhile.
+    // Editing continues meanwhile.
     disk.pty.send("R\x15PUMP\r");
     disk.pty.wait_for("… saving 2");
     disk.pty.send("3");
     disk.pty.wait_for("entry FEED at 47 renamed to PUMP");
-    // What somebody else writes is seen all the same, with ours.
+    // A change by another program is shown all the same, together with ours.
     let theirs = BEFORE.replace("9}", "9},\n  {\"name\": \"VALVE\", \"address\": 77}");
     fs::write(disk.seen("disk/des.json"), &theirs).unwrap();
     disk.pty.send("1");
@@ -194,7 +194,7 @@ fn hanging_disk_does_not_block_the_screen() {
     let content = |disk: &Disk| fs::read_to_string(disk.folder.path().join("disk/des.json"));
     assert_eq!(content(&disk).unwrap(), theirs);
 
-    // Nor does it hold up whoever shuts the machine down.
+    // Nor does it delay a shutdown of the machine.
     let mut disk = never();
     disk.pty.send("ge\x1547\r");
     disk.pty.wait_for("… saving 1");
@@ -215,7 +215,7 @@ fn folder_owned_by_another_user_keeps_edits() {
     fs::set_permissions(disk.folder.path().join("disk"), Permissions::from_mode(0o777)).unwrap();
     disk.is_saved_at_last();
 
-    // And a file that is write-protected, in a folder that is not.
+    // A write-protected file in a writable folder, too.
     let mut disk = Disk::new(&format!("chmod 444 des.json && chmod 777 . .. && {nobody}"));
     disk.is_kept("belongs to another user: save a copy");
     fs::set_permissions(disk.seen("disk/des.json"), Permissions::from_mode(0o666)).unwrap();
@@ -229,7 +229,7 @@ fn folder_moved_away_keeps_edits() {
     }
     let mut disk = Disk::new("true");
     let (here, away) = (disk.folder.path().join("disk"), disk.folder.path().join("away"));
-    // While a line is typed.
+    // While the user types in an input line.
     disk.pty.send("ge\x154");
     fs::rename(&here, &away).unwrap();
     disk.pty.wait_for("deleted: the next edit creates it again");
@@ -238,7 +238,7 @@ fn folder_moved_away_keeps_edits() {
     disk.pty.wait_for("no such folder: mkdir -p");
     assert_eq!(fs::read_to_string(away.join("des.json")).unwrap(), BEFORE);
     fs::rename(&away, &here).unwrap();
-    // The entry that we began anew is the one that went away with the folder.
+    // The entry in the new file is the same one as in the folder that was moved away.
     disk.pty.wait_for("Edit conflict");
     disk.pty.wait_for("new entry FEED at 47");
     disk.pty.wait_for("address 9, not static");
@@ -264,7 +264,7 @@ fn edit_conflict_after_failed_save_needs_a_choice() {
         if key == "t" {
             disk.pty.wait_for("✓");
         } else {
-            // The mount is put aside, and theirs in its place.
+            // The mount is moved aside, and theirs takes its place.
             disk.pty.wait_for("✗ not saved");
             let file = disk.folder.path().join("disk/des.json");
             fs::write(&file, &theirs).unwrap();

@@ -1,4 +1,4 @@
-//! `des.json`: what is read, what is refused, and which bytes an edit changes.
+//! `des.json`: accepted content, rejected content, and the bytes that an edit changes.
 
 use descan::document::{
     Choices, Document, DocumentFindingKind, EditError, EntryKey, ListedService, Merge,
@@ -13,7 +13,7 @@ fn text(document: &Document) -> &str {
     str::from_utf8(document.source()).unwrap()
 }
 
-/// The key of the first entry of this name.
+/// Returns the key of the first entry of this name.
 fn key(document: &Document, name: &str) -> EntryKey {
     let found = document.entries().iter().find(|entry| entry.name == name.as_bytes());
     document.key(found.unwrap_or_else(|| panic!("no {name}")).index)
@@ -59,7 +59,7 @@ fn add(name: &str, address: u8) -> Operation {
     Operation::Add { entry: device(name, address) }
 }
 
-/// Makes the edit, expects exactly these bytes, and takes it back.
+/// Applies the edit, expects exactly these bytes, and undoes it.
 fn edits(before: &str, operation: impl Fn(&Document) -> Operation, after: &str) -> Document {
     let document = parsed(before);
     let operation = operation(&document);
@@ -73,7 +73,7 @@ fn edits(before: &str, operation: impl Fn(&Document) -> Operation, after: &str) 
     undone
 }
 
-/// As `edits`, and taking it back restores every byte.
+/// Like `edits`, and expects that the undo restores every byte.
 fn edits_and_back(before: &str, operation: impl Fn(&Document) -> Operation, after: &str) {
     let undone = edits(before, operation, after);
     assert_eq!(text(&undone), before);
@@ -83,7 +83,7 @@ fn says_the_same(a: &Document, b: &Document) {
     assert_eq!(meaning(a), meaning(b));
 }
 
-/// All that a document says, without places.
+/// Returns all values of a document, without positions.
 fn meaning(document: &Document) -> Vec<impl PartialEq + std::fmt::Debug + use<>> {
     let entries = document.entries().iter().cloned();
     entries.map(|it| (it.name, it.address, it.is_static, it.bus, it.uid, it.services)).collect()
@@ -213,7 +213,7 @@ fn error_caret_points_at_the_position() {
     let [line, caret] = Document::parse(long.as_bytes()).unwrap_err().excerpt().unwrap();
     assert_eq!((line.len(), caret.len()), (72, 37));
     assert_eq!(&line[34..39], "\" x \"");
-    // What stands there cannot be shown.
+    // This content cannot be displayed.
     assert_eq!(Document::parse(b"\xff\xfe[\0").unwrap_err().excerpt(), None);
 }
 
@@ -226,7 +226,7 @@ fn finding_list_keeps_the_first_entries() {
     let last = document.findings().last().unwrap();
     assert_eq!(last.message, "14000 more errors after this one");
     assert_eq!(last.position.column, 2000);
-    // It is edited as any other.
+    // It can be edited like any other.
     let edited = document.apply(&set(&document, "A", 5)).unwrap();
     assert_eq!(
         text(&edited).len(),
@@ -393,10 +393,10 @@ fn wrong_member_types_are_findings() {
         assert_eq!(findings(source), [(kind, message.to_owned(), entries)]);
         assert_eq!(kind.name(), "file-shape");
     }
-    // The last one does count.
+    // The last member counts.
     let twice = parsed(r#"[{"name":"A","services":{"B":"1","C":"1","B":"2"}}]"#);
     assert_eq!(twice.entries()[0].services, Some(listed(&[("B", "2"), ("C", "1")])));
-    // A name that is no string makes two findings, and no entry.
+    // A name that is not a string yields two findings and no entry.
     assert_eq!(findings(r#"[{"name": 7, "address": 300}]"#).len(), 2);
     assert_eq!(parsed(r#"[1, {"name": 7}, {"name": "A"}]"#).entries().len(), 1);
 }
@@ -459,7 +459,7 @@ fn address_edit_changes_no_other_byte() {
             " [ 7, {\"name\":\"FEED\",\"deep\":{\"address\":12},\"address\":\"twelve\",\"static\":true} ] \n\n",
             " [ 7, {\"name\":\"FEED\",\"deep\":{\"address\":12},\"address\":16,\"static\":true} ] \n\n",
         ),
-        // Members that are not there yet go where the file has them, or where we would.
+        // Missing members go where the file has them elsewhere, or to the default place.
         (r#"[{"name":"FEED"}]"#, r#"[{"name":"FEED","address":16,"static":true}]"#),
         (r#"[{"name": "FEED"}]"#, r#"[{"name": "FEED", "address": 16, "static": true}]"#),
         (
@@ -547,13 +547,13 @@ fn undo_of_first_entry_restores_every_byte() {
         assert_eq!(text(&undone), before);
         assert_eq!(undone.apply(&back.inverse(&begun).unwrap()).unwrap(), begun, "made again");
 
-        // Whatever was done and taken back in between.
+        // The same after other edits were made and undone in between.
         let second = add("SENS", 13);
         let both = begun.apply(&second).unwrap();
         let one = both.apply(&second.inverse(&begun).unwrap()).unwrap();
         assert_eq!(text(&one.apply(&back).unwrap()), before);
 
-        // What somebody else did meanwhile stays.
+        // A change by another program meanwhile stays.
         let newer =
             merge(&begun, std::slice::from_ref(&back), &both, MergePreference::Neither).unwrap();
         let Merge::Rebased { document, .. } = newer else { panic!("{newer:?}") };
@@ -563,7 +563,7 @@ fn undo_of_first_entry_restores_every_byte() {
             merge(&begun, std::slice::from_ref(&back), &newer, MergePreference::Neither).unwrap();
         let Merge::Rebased { document, .. } = merged else { panic!("{merged:?}") };
         assert!(document.entries().is_empty() && text(&document).ends_with("\n\n"), "{before}");
-        // And what was taken out of that comes back.
+        // A redo restores what the undo removed.
         let redone = document.apply(&back.inverse(&newer).unwrap()).unwrap();
         says_the_same(&redone, &newer);
     }
@@ -600,27 +600,27 @@ fn new_entry_follows_the_layout_of_its_neighbours() {
             r#"{"devices":[{"name":"FEED","address":12,"static":true}]}"#,
             r#"{"devices":[{"name":"FEED","address":12,"static":true},{"name":"SENS","address":13,"static":true,"services":[{"name":"DES","version":"1.0"},{"name":"TEMP","version":"1.2"}]}]}"#,
         ),
-        // As `jq .` writes it.
+        // In the style of `jq .`.
         (
             "[\n  {\n    \"name\": \"FEED\",\n    \"address\": 12\n  }\n]\n",
             "[\n  {\n    \"name\": \"FEED\",\n    \"address\": 12\n  },\n  {\n    \"name\": \"SENS\",\n    \"address\": 13,\n    \"static\": true,\n    \"services\": [\n      { \"name\": \"DES\", \"version\": \"1.0\" },\n      { \"name\": \"TEMP\", \"version\": \"1.2\" }\n    ]\n  }\n]\n",
         ),
-        // Order, tabs, CRLF, services as an object, members of the user's own.
+        // Order, tabs, CRLF, services as an object, members unknown to descan.
         (
             "[\r\n\t{\r\n\t\t\"address\":12,\r\n\t\t\"services\":{\r\n\t\t\t\"DES\":\"1.0\",\r\n\t\t\t\"AUGER\":\"2.1\"\r\n\t\t},\r\n\t\t\"note\":1,\r\n\t\t\"name\":\"FEED\"\r\n\t}\r\n]",
             "[\r\n\t{\r\n\t\t\"address\":12,\r\n\t\t\"services\":{\r\n\t\t\t\"DES\":\"1.0\",\r\n\t\t\t\"AUGER\":\"2.1\"\r\n\t\t},\r\n\t\t\"note\":1,\r\n\t\t\"name\":\"FEED\"\r\n\t},\r\n\t{\r\n\t\t\"address\":13,\r\n\t\t\"static\":true,\r\n\t\t\"services\":{\r\n\t\t\t\"DES\":\"1.0\",\r\n\t\t\t\"TEMP\":\"1.2\"\r\n\t\t},\r\n\t\t\"name\":\"SENS\"\r\n\t}\r\n]",
         ),
-        // The name after the address; another entry shows where `static` stands.
+        // The name follows the address; another entry shows the place of `static`.
         (
             r#"[{"address":12,"name":"FEED","static":true},{"address":14,"name":"ACT"}]"#,
             r#"[{"address":12,"name":"FEED","static":true},{"address":14,"name":"ACT"},{"address":13,"name":"SENS","static":true,"services":[{"name":"DES","version":"1.0"},{"name":"TEMP","version":"1.2"}]}]"#,
         ),
-        // One service does not say what stands between two.
+        // One service does not define the separator between two.
         (
             r#"[{"name":"FEED","address":12,"services":[{"name":"DES","version":"1.0"}]}]"#,
             r#"[{"name":"FEED","address":12,"services":[{"name":"DES","version":"1.0"}]},{"name":"SENS","address":13,"static":true,"services":[{"name":"DES","version":"1.0"},{"name":"TEMP","version":"1.2"}]}]"#,
         ),
-        // The product's own example; a comma first; the last entry without services.
+        // The manufacturer's example; a leading comma; the last entry without services.
         (
             "[ { \"name\": \"FEED\", \"address\": 12,\n      \"services\": [ { \"name\": \"DES\", \"version\": \"1.0\" } ] }\n, { \"name\": \"ACT\" }\n]",
             "[ { \"name\": \"FEED\", \"address\": 12,\n      \"services\": [ { \"name\": \"DES\", \"version\": \"1.0\" } ] }\n, { \"name\": \"ACT\" }\n, { \"name\": \"SENS\", \"address\": 13, \"static\": true,\n      \"services\": [ { \"name\": \"DES\", \"version\": \"1.0\" }, { \"name\": \"TEMP\", \"version\": \"1.2\" } ] }\n]",
@@ -649,13 +649,13 @@ fn new_entry_holds_all_known_members() {
         |_| Operation::Add { entry: entry.clone() },
         r#"[{"name":"A"},{"name":"P\\xFF\\x1B","name_hex":"50FF1B","address":9,"services":[{"name":"DES","version":"1.0","extra":["a\"", "b"]}],"bus":"can0","uid":"BOILER01"}]"#,
     );
-    // Services as an object cannot hold strings after the version: then a list.
+    // Services in object form cannot hold strings after the version, so a list is written.
     edits(
         r#"[{"name":"A","services":{"DES":"1.0"}}]"#,
         |_| Operation::Add { entry: NewEntry { name: b"B".to_vec(), ..entry.clone() } },
         r#"[{"name":"A","services":{"DES":"1.0"}},{"name":"B","address":9,"services":[{"name":"DES","version":"1.0","extra":["a\"", "b"]}],"bus":"can0","uid":"BOILER01"}]"#,
     );
-    // `static` false is written where the file does.
+    // `static` false is written if the file does so.
     edits(
         r#"[{"name":"A","static":true}]"#,
         |_| Operation::Add { entry: NewEntry { name: b"B".to_vec(), ..NewEntry::default() } },
@@ -737,7 +737,7 @@ fn services_keep_their_form_when_edited() {
         |document| services(document, "A", &[("DES", "1.0"), ("B", "2")]),
         r#"[{"name":"A","services":{"DES" : "1.0" , "B":"2"}}]"#,
     );
-    // Others; those that stay keep what is theirs.
+    // Other services; those that stay keep their members.
     edits_and_back(
         r#"[{"name":"A","services":[ {"name":"DES","version":"1.0","x":1} ,{"name":"B"}]}]"#,
         |document| services(document, "A", &[("C", "3"), ("DES", "1.1")]),
@@ -748,7 +748,7 @@ fn services_keep_their_form_when_edited() {
         |document| services(document, "A", &[("C", "3"), ("DES", "1.1")]),
         r#"[{"name":"A","services":{"C":"3","DES":"1.1"}}]"#,
     );
-    // What stands between those that stay is kept; a comma goes with the one before it.
+    // The text between services that stay is kept; a comma goes with the one before it.
     let spread = "[{\"name\":\"A\",\"services\":{\"A\":\"1\" ,\n\n\"B\" : \"2\",   \"C\":\"3\" }}]";
     for (listed, after) in [
         (&[("A", "1"), ("C", "4")][..], "{\"A\":\"1\",   \"C\":\"4\" }"),
@@ -766,7 +766,7 @@ fn services_keep_their_form_when_edited() {
         let after = format!("[{{\"name\":\"A\",\"services\":{after}}}]");
         edits_and_back(spread, |document| services(document, "A", listed), &after);
     }
-    // None before; none after; the wrong thing before.
+    // None before; none after; the wrong one before.
     edits_and_back(
         r#"[{"name": "A"}]"#,
         |document| services(document, "A", &[("C", "3")]),
@@ -787,7 +787,7 @@ fn services_keep_their_form_when_edited() {
         |document| services(document, "A", &[("C", "3")]),
         r#"[{"name":"A","services":[{"name":"C","version":"3"}]}]"#,
     );
-    // A version that the file leaves open stays open.
+    // A version that the file omits stays omitted.
     edits_and_back(
         r#"[{"name":"A","services":{"DES":null,"B":"1"}}]"#,
         |document| services(document, "A", &[("DES", ""), ("B", "2")]),
@@ -798,7 +798,7 @@ fn services_keep_their_form_when_edited() {
         |document| services(document, "A", &[("C", "3"), ("C", "4")]),
         r#"[{"name":"A","services":[{"name":"C","version":"3"},{"name":"C","version":"4"}]}]"#,
     );
-    // Strings after the version come, change and go.
+    // Strings after the version are added, changed and removed.
     let extra = |strings: &'static [&'static str]| {
         move |document: &Document| Operation::SetServices {
             entry: key(document, "A"),
@@ -842,7 +842,7 @@ fn ambiguous_entry_rejects_edits() {
         assert!(matches!(error, EditError::DuplicateMember { .. }));
         assert_eq!(error.to_string(), expected);
     }
-    // Elsewhere they are the user's own affair.
+    // Elsewhere duplicate members are left alone.
     edits_and_back(
         r#"{"//":1,"//":2,"devices":[{"name":"A","//":1,"//":2,"services":{"B":"1","B":"2"}}]}"#,
         |document| set(document, "A", 9),
@@ -909,7 +909,7 @@ const BASE: &str = r#"[
   {"name":"ACT","address":14}
 ]"#;
 
-/// Merges our operations with their content; a conflict is "ours | theirs".
+/// Merges ours (operations) with theirs (content); formats an edit conflict as "ours | theirs".
 fn merged(ours: &[Operation], theirs: &str, prefer: MergePreference) -> Result<String, String> {
     match merge(&parsed(BASE), ours, &parsed(theirs), prefer).unwrap() {
         Merge::Rebased { document, .. } => Ok(text(&document).to_owned()),
@@ -921,13 +921,13 @@ fn merged(ours: &[Operation], theirs: &str, prefer: MergePreference) -> Result<S
 fn merge_keeps_both_sides() {
     let base = parsed(BASE);
     for (operation, theirs, after) in [
-        // Another entry, another order, other blanks.
+        // Another entry, another order, other white space.
         (
             set(&base, "FEED", 16),
             r#"[ {"name":"NEW"}, {"name":"SENS","address":99}, {"name":"FEED","address":12,"static":true} ]"#,
             r#"[ {"name":"NEW"}, {"name":"SENS","address":99}, {"name":"FEED","address":16,"static":true} ]"#,
         ),
-        // Another value of the entry.
+        // Another member of the entry.
         (
             services(&base, "FEED", &[("DES", "1")]),
             r#"[{"name":"FEED","address":20,"static":true}]"#,
@@ -938,13 +938,13 @@ fn merge_keeps_both_sides() {
             r#"[{"name":"FEED","address":20,"static":true}]"#,
             r#"[{"name":"PUMP","address":20,"static":true}]"#,
         ),
-        // They renamed it.
+        // Theirs renamed it.
         (
             set(&base, "FEED", 16),
             r#"[{"name":"PUMP","address":12,"static":true}]"#,
             r#"[{"name":"PUMP","address":16,"static":true}]"#,
         ),
-        // They did the same.
+        // Theirs made the same change.
         (
             set(&base, "FEED", 16),
             r#"[{"name":"FEED","static":true,"address":16}]"#,
@@ -956,9 +956,9 @@ fn merge_keeps_both_sides() {
             r#"[{"name":"NEW","address":9,"static":true}]"#,
             r#"[{"name":"NEW","address":9,"static":true}]"#,
         ),
-        // A removal, with only the blanks changed.
+        // A removal, with only the white space changed.
         (remove(&base, "FEED"), r#"[{ "static":true, "name":"FEED","address":12}]"#, "[]"),
-        // They emptied the file.
+        // Theirs emptied the file.
         (
             add("NEW", 9),
             "",
@@ -1019,8 +1019,7 @@ fn same_value_changed_twice_is_an_edit_conflict() {
             "address 9, static | address 9, not static",
             r#"[{"name":"NEW","address":9,"static":true,"uid":"X"}]"#,
         ),
-        // They brought the device too, at another address: as when a folder comes back that was
-        // away.
+        // Theirs added the device too, at another address: as if a missing folder is restored.
         (
             add("NEW", 9),
             r#"[{"name":"NEW","address":11,"note":"mine","services":{"DES":"1"}}]"#,
@@ -1057,7 +1056,7 @@ fn each_changed_value_is_one_edit_conflict() {
         document = document.apply(&operation).unwrap();
         ours.push(operation);
     }
-    // ACT is gone: neither its name nor its address is asked about twice.
+    // ACT was removed: one conflict covers its name and its address.
     let theirs = r#"[{"name":"FEED","address":100,"static":true},{"name":"SENS","address":101,"static":true}]"#;
     let theirs = parsed(theirs);
     let mut chosen = Vec::new();
@@ -1081,15 +1080,15 @@ fn merge_keeps_one_copy_of_equal_entries() {
     let seen = |entry: NewEntry| Operation::Add { entry: NewEntry { is_static: false, ..entry } };
     let uid = |uid: &str| NewEntry { uid: Some(uid.into()), ..device("NEW", 9) };
     for (operation, theirs, entries) in [
-        // Where we saw it is no reason to doubt where they have it.
+        // The observed address does not contradict the address in theirs.
         (seen(device("NEW", 9)), r#"[{"name":"NEW","address":11,"static":true}]"#, 1),
         (seen(device("NEW", 9)), r#"[{"name":"NEW"}]"#, 1),
         (seen(uid("X")), r#"[{"name":"NEW","address":11,"uid":"X"}]"#, 1),
         (seen(uid("X")), r#"[{"name":"NEW","address":11,"uid":"Y"}]"#, 2),
         (seen(device("NEW", 9)), r#"[{"name":"NEW","address":11,"bus":"can1"}]"#, 2),
-        // Which of them it is cannot be told.
+        // It is ambiguous which of them is meant.
         (add("NEW", 9), r#"[{"name":"NEW","address":11},{"name":"NEW","address":12}]"#, 3),
-        // They left as it was what we wanted a second one of.
+        // Theirs left unchanged the entry that ours adds a second time.
         (add("FEED", 9), r#"[{"name":"FEED","address":12,"static":true}]"#, 2),
     ] {
         let merged = merged(&[operation], theirs, MergePreference::Neither).unwrap();
@@ -1135,7 +1134,7 @@ fn dependent_operations_are_merged_in_order() {
     );
 }
 
-/// Of several edits of one value only the last one counts.
+/// Tests that of several edits of one value only the last one counts.
 #[test]
 fn equal_final_value_is_no_edit_conflict() {
     let base = parsed(r#"[{"name":"A","address":1},{"name":"B","address":2}]"#);
@@ -1152,7 +1151,7 @@ fn equal_final_value_is_no_edit_conflict() {
     let Merge::Rebased { document, operations, .. } = merged else { panic!("{merged:?}") };
     assert_eq!((document.entries()[0].address, document.entries()[1].address), (Some(5), Some(7)));
     assert_eq!(operations.len(), 3, "the new entries");
-    // What ours came to on the way is no excuse.
+    // Intermediate values of ours do not hide an edit conflict.
     let theirs = parsed(r#"[{"name":"A","address":4,"static":true},{"name":"B","address":7}]"#);
     let merged = merge(&base, &ours, &theirs, MergePreference::Neither).unwrap();
     assert!(matches!(merged, Merge::Conflict(_)), "{merged:?}");
@@ -1164,13 +1163,13 @@ fn changed_entry_is_found_in_newer_content() {
         r#"[{"name":"A","address":1},{"name":"A","address":1},{"name":"B","address":2},{"name":"C"}]"#,
     );
     let became = |index, newer: &str| base.counterpart(index, &parsed(newer));
-    // Moved, and equal ones in their order.
+    // Moved; equal ones keep their order.
     let moved = r#"[{"name":"C"},{"name":"B","address":2},{"name":"A","address":1},{"name":"A","address":1}]"#;
     assert_eq!([0, 1, 2, 3].map(|index| became(index, moved)), [2, 3, 1, 0].map(Some));
     // At another address, or with another name.
     assert_eq!(became(2, r#"[{"name":"B","address":3}]"#), Some(0));
     assert_eq!(became(2, r#"[{"name":"X"},{"name":"D","address":2}]"#), Some(1));
-    // Deleted, or not to be told.
+    // Deleted, or ambiguous.
     assert_eq!(became(2, r#"[{"name":"A","address":1}]"#), None);
     assert_eq!(became(2, r#"[{"name":"D","address":2},{"name":"E","address":2}]"#), None);
     assert_eq!(became(1, r#"[{"name":"A","address":1}]"#), None);
@@ -1212,7 +1211,7 @@ fn schema_is_json_and_lists_every_member() {
     }
 }
 
-/// A bus has 127 addresses: a longer list is another program's file.
+/// Tests the length limit: a bus has 127 addresses, so a longer list is another program's file.
 #[test]
 fn more_than_20_000_entries_are_refused() {
     let entry = r#"{"name":"N"}"#;

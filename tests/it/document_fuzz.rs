@@ -1,8 +1,8 @@
-//! Files that nobody would write, and edits of them, at random: no panic, what is read is what
-//! another reader reads, an edit leaves alone what it is not about, and can be taken back.
+//! Random unusual files and random edits of them: no panic; the values match those of another JSON
+//! parser; an edit changes only its own part and can be undone.
 //!
-//! `SECONDS=600 cargo test --test it document_fuzz -- --nocapture` goes on for so long, from `SEED` on
-//! if that is set; a case that fails names its seed.
+//! `SECONDS=600 cargo test --test it document_fuzz -- --nocapture` runs for that time, starting at
+//! `SEED` if that is set; a case that fails prints its seed.
 
 use descan::document::{
     Document, EditError, EntryKey, ListedService, Merge, MergePreference, NewEntry, Operation,
@@ -15,7 +15,7 @@ use serde_json::value::RawValue;
 use std::fmt;
 use std::time::{Duration, Instant};
 
-/// Files of every shape and style.
+/// Files in many shapes and styles.
 const FILES: [&str; 8] = [
     r#"{
   "devices": [
@@ -35,7 +35,7 @@ const FILES: [&str; 8] = [
     "{\"a\":1,\"devices\":[\n\n{\"name\":\"\\\"\\\\\",\"static\":false,\"address\":127}\n\n]}",
 ];
 
-/// What is put in at random.
+/// Fragments inserted at random.
 const PIECES: [&str; 40] = [
     "{",
     "}",
@@ -109,14 +109,14 @@ fn random_files_keep_all_edit_invariants() {
     assert!(tally.edits > 0 && tally.merges > 0 && tally.broken > 0, "{tally:?}");
 }
 
-/// What was tried.
+/// Counters of the cases tried.
 #[derive(Debug, Default)]
 struct Tally {
     files: u64,
     /// Files that are not JSON.
     broken: u64,
     edits: u64,
-    /// Edits that were refused.
+    /// Edits that were rejected.
     refused: u64,
     merges: u64,
     conflicts: u64,
@@ -160,7 +160,7 @@ impl Case<'_> {
 
     // ---- files ----
 
-    /// A file that something happened to.
+    /// Returns a file after a random mutation.
     fn file(&mut self) -> Vec<u8> {
         let mut bytes = self.rng.choice(FILES).unwrap().as_bytes().to_vec();
         for _ in 0..self.rng.u32(..6) {
@@ -181,7 +181,7 @@ impl Case<'_> {
                     bytes.splice(at..at, other[start..end].iter().copied());
                 }
                 4 => {
-                    // An element more, of the list or of a list in it.
+                    // One more element, in the list or in a list within it.
                     let opening = bytes.iter().position(|byte| *byte == b'[');
                     let piece = self.rng.choice(FILES).unwrap().trim_start_matches('\u{feff}');
                     if let (Some(opening), false) = (opening, piece.is_empty()) {
@@ -198,7 +198,7 @@ impl Case<'_> {
         bytes
     }
 
-    /// Reads a file, and what another reader makes of it.
+    /// Parses a file with descan and with another JSON parser, and compares the results.
     fn read(&mut self, source: &[u8]) -> Option<Document> {
         let body = source.strip_prefix("\u{feff}".as_bytes()).unwrap_or(source);
         let other = serde_json::from_slice::<Value>(body);
@@ -220,7 +220,7 @@ impl Case<'_> {
         for finding in document.findings() {
             assert!(!finding.message.contains(char::is_control), "{finding}");
         }
-        // It refuses half a surrogate pair in any string.
+        // The other parser rejects half a surrogate pair in any string.
         if let Ok(other) = other {
             let list = if other.is_object() { other.get("devices").cloned() } else { Some(other) };
             let list = list.as_ref().and_then(Value::as_array).cloned().unwrap_or_default();
@@ -270,7 +270,7 @@ impl Case<'_> {
         }
     }
 
-    /// Edits one after the other; all documents, the first one first, and the edits.
+    /// Applies edits in sequence; returns all documents, the first one included, and the edits.
     fn edited(&mut self, first: Document, most: u8) -> (Vec<Document>, Vec<Operation>) {
         let mut documents = vec![first];
         let mut operations = Vec::new();
@@ -334,7 +334,7 @@ fn text(document: &Document) -> &str {
     str::from_utf8(document.source()).unwrap()
 }
 
-/// Name, address, and whether it is static, as somebody reads them who only knows JSON.
+/// Returns name, address and the static flag as a plain JSON parser reads them.
 fn as_read_elsewhere(element: &Value) -> Option<(Vec<u8>, Option<u8>, bool)> {
     let entry = element.as_object()?;
     let hex = entry.get("name_hex").and_then(Value::as_str).filter(|hex| {
@@ -351,7 +351,7 @@ fn as_read_elsewhere(element: &Value) -> Option<(Vec<u8>, Option<u8>, bool)> {
     Some((hex.map(bytes).or(name)?, address, is_static))
 }
 
-/// Reading the bytes anew, from their beginning, says the same.
+/// Asserts that parsing the bytes again gives the same values.
 fn check_reading(document: &Document) {
     let read = Document::parse(document.source()).unwrap();
     let keys = |document: &Document| -> Vec<EntryKey> {
@@ -369,7 +369,7 @@ fn check_edit(before: &Document, operation: &Operation, after: &Document) {
     let end = old[start..].iter().rev().zip(new[start..].iter().rev());
     let end = end.take_while(|(a, b)| a == b).count();
     match operation.entry().and_then(|key| before.find(key)) {
-        // Where there was a list, nothing of it is gone.
+        // An existing list keeps all its elements.
         None if old.contains(&b'[') && !before.entries().is_empty() => {
             assert_eq!(start + end, old.len(), "{operation}\n{}\n{}", text(before), text(after));
         }
@@ -387,7 +387,7 @@ fn check_edit(before: &Document, operation: &Operation, after: &Document) {
                 text(after)
             );
             let own = |member: &&(String, Box<RawValue>)| !is_changed_by(operation, &member.0);
-            // None where a key has half a surrogate pair.
+            // `None` if a key has half a surrogate pair.
             let others = |text| -> Option<Vec<(String, String)>> {
                 let members = serde_json::from_str::<Members>(text).ok()?.0;
                 let others = members.iter().filter(own);
@@ -413,7 +413,7 @@ fn is_changed_by(operation: &Operation, member: &str) -> bool {
     }
 }
 
-/// The text of an entry, found by its position.
+/// Returns the text of an entry, located by its position.
 fn entry_text(document: &Document, index: usize) -> &str {
     let position = document.entries()[index].position;
     let body = text(document).trim_start_matches('\u{feff}');
@@ -425,7 +425,7 @@ fn entry_text(document: &Document, index: usize) -> &str {
     &rest[..values.byte_offset()]
 }
 
-/// The members of an object, in their order.
+/// The members of an object, in order.
 struct Members(Vec<(String, Box<RawValue>)>);
 
 impl<'de> Deserialize<'de> for Members {

@@ -1,5 +1,5 @@
-//! Random documents and random edits: what was not meant stays to the byte, what was meant is said,
-//! it can be taken back, and both sides of a merge survive.
+//! Random documents and random edits: untouched text stays unchanged to the byte, the intended
+//! values are written, undo works, and both sides of a merge are kept.
 
 use descan::document::{
     Document, DocumentFindingKind, Entry, EntryKey, ListedService, Merge, MergePreference,
@@ -10,7 +10,7 @@ use proptest::option::of as maybe;
 use proptest::prelude::*;
 use proptest::sample::{Index, select};
 
-/// The text of a file, in pieces that tests can put together again.
+/// The text of a file, in pieces that tests can reassemble.
 #[derive(Clone, Debug)]
 struct Source {
     head: String,
@@ -32,7 +32,7 @@ struct MemberSource {
     /// The comma and blanks before the key.
     lead: String,
     key: &'static str,
-    /// The key as it is spelt, and the colon.
+    /// The key as written, and the colon.
     spelling: String,
     value: String,
 }
@@ -89,7 +89,7 @@ fn string() -> impl Strategy<Value = String> {
     vec(piece, 0..4).prop_map(|pieces| format!("\"{}\"", pieces.concat()))
 }
 
-/// A value of the user's own.
+/// A value unknown to descan.
 fn anything() -> impl Strategy<Value = String> {
     let scalar = prop_oneof![
         string(),
@@ -126,7 +126,7 @@ fn services() -> impl Strategy<Value = Vec<ListedService>> {
     vec(service, 0..4)
 }
 
-/// Services in the file, in one of the shapes.
+/// Services in the file, in one of the allowed forms.
 fn services_text() -> impl Strategy<Value = String> {
     let list = (services(), blank(), comma(), blank()).prop_map(|(services, open, comma, close)| {
         let items: Vec<String> = services
@@ -217,7 +217,7 @@ fn source(entries: std::ops::Range<usize>) -> impl Strategy<Value = Source> {
     )
 }
 
-/// What is to be done to an entry.
+/// An edit of an entry.
 #[derive(Clone, Debug)]
 enum Edit {
     Set(u8),
@@ -263,7 +263,7 @@ impl Edit {
         }
     }
 
-    /// The same with a name that the other side does not use: one name is one value, not two.
+    /// Returns the edit with a name unused by the other side: one name is one value, not two.
     fn named(mut self, side: u8) -> Self {
         if let Self::Rename(name) | Self::Add(NewEntry { name, .. }) = &mut self {
             name.insert(0, side);
@@ -271,7 +271,7 @@ impl Edit {
         self
     }
 
-    /// What the entries are to say, in the test's own words.
+    /// Returns the expected values of the entries, computed by the test.
     fn meant(&self, before: &[Meaning], index: usize) -> Vec<Meaning> {
         let mut meant = before.to_vec();
         match self.clone() {
@@ -288,7 +288,7 @@ impl Edit {
         meant
     }
 
-    /// The members that may change, or come.
+    /// Returns the members that may change or be added.
     fn keys(&self) -> &'static [&'static str] {
         match self {
             Self::Set(_) => &["address", "static"],
@@ -313,7 +313,8 @@ fn text(document: &Document) -> &str {
     str::from_utf8(document.source()).unwrap()
 }
 
-/// Is the text made of all these pieces, in this order, with something between them or not?
+/// Returns true if the text consists of all these pieces in this order, with or without text in
+/// between.
 fn has_in_order<'p>(mut text: &str, pieces: impl Iterator<Item = &'p str>) -> bool {
     for piece in pieces {
         match text.find(piece) {
@@ -324,7 +325,7 @@ fn has_in_order<'p>(mut text: &str, pieces: impl Iterator<Item = &'p str>) -> bo
     true
 }
 
-/// Does a document say of its bytes what one says that was read from them anew?
+/// Returns true if a document equals one parsed again from its bytes.
 fn is_as_read(document: &Document) -> bool {
     let read = Document::parse(document.source()).unwrap();
     let keys = |document: &Document| -> Vec<EntryKey> {
@@ -335,7 +336,7 @@ fn is_as_read(document: &Document) -> bool {
         && keys(&read) == keys(document)
 }
 
-/// Two services of one name in an object are read, but not edited.
+/// Returns true if an edit may be rejected: duplicate services in an object are read only.
 fn may_be_refused(document: &Document) -> bool {
     document.findings().iter().any(|finding| finding.kind == DocumentFindingKind::DuplicateMember)
 }
@@ -392,7 +393,7 @@ proptest! {
                 prop_assert!(has_in_order(changed, kept.iter().map(String::as_str)), "{changed}");
             }
         }
-        // To the byte, where both members were there.
+        // To the byte, if both members existed.
         if let Edit::Set(to) = edit {
             let entry = &mut expected.entries[index];
             if entry.member("address").is_some() && entry.member("static").is_some() {

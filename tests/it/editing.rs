@@ -1,57 +1,57 @@
-//! Editing des.json: keys pressed, versions of the file that others write, and every byte that
-//! comes of it.
+//! Editing of des.json: keys pressed, versions of the file written by other programs, and every
+//! byte that results.
 //!
 //! A scenario is a text file in `tests/editing`. Its input lines are
 //!
 //! ```text
 //! # a comment
-//! device FEED 12 DES=1.0 AUGER=2.1    who is on the bus, at which address, with which services
-//! disk                                what is on the disk: first at the start, then written by
-//! |{ "devices": [] }                  somebody else; each line of it behind a bar
-//! disk none                           there is no file, or somebody else removes it
-//! disk empty                          it has no bytes
-//! disk first                          it is as it was at the start
-//! row FEED                            that row is selected (or FEED 12: the one at that address)
+//! device FEED 12 DES=1.0 AUGER=2.1    a device on the bus, with its address and services
+//! disk                                content on disk: first at the start, then written by
+//! |{ "devices": [] }                  another program; each line of it after a bar
+//! disk none                           the file does not exist, or is removed by another program
+//! disk empty                          the file has no bytes
+//! disk first                          the file has its first content again
+//! row FEED                            select that row (or FEED 12: the one at that address)
 //! keys e 1 6 Enter                    keys, as keys.toml writes them
 //! type PUMP 44                        text, character by character
 //! see SENS                            the screen of 80×24 must show this
 //! miss SENS                           and must not show this
-//! saves fail: no space left           from now on the disk refuses what is saved
-//! saves work                          it does no more
-//! saves are slow                      what is saved is on the disk at once, but not told
-//! saves end                           now it is told
-//! saves hang                          nothing comes of a save
-//! saves go on                         now it does
-//! unseen                              what others do is not noticed from here on
-//! seen                                now it is
+//! saves fail: no space left           from now on the disk rejects saves
+//! saves work                          saves succeed again
+//! saves are slow                      saves reach the disk at once, but are not reported
+//! saves end                           they are reported now
+//! saves hang                          saves have no result
+//! saves go on                         saves continue
+//! unseen                              from now on, changes by other programs are not noticed
+//! seen                                they are noticed again
 //! services FEED DES=1.1 AUGER=2.2     the device has other services from now on
-//! wait 10                             so many seconds pass
+//! wait 10                             let this many seconds pass
 //! ```
 //!
-//! and the indented lines below each are what must come of it:
+//! and the indented lines below each are the expected results:
 //!
 //! ```text
-//!   saved                             our program wrote the file, byte by byte
+//!   saved                             descan wrote the file, byte by byte
 //!   |{ "devices": [] }
 //!   saved as first                    the same bytes as at the start
-//!   typed 16: Enter pins it to 16     the line being typed, and what is said of it (`warns:`, or
-//!                                     `blocks:` where Enter does nothing)
-//!   says: undid: …               the message below (`warns:` where something did not work)
-//!   asks: …                           a question, or a conflict with both values
-//!   unsaved 2                         so many edits are not on the disk
-//!   problem: line 1, column 2: …      what is wrong with the file as a whole
-//!   finding: line 1, column 2: …      or with something in it, where that is news
+//!   typed 16: Enter pins it to 16     the input line, and its hint (`warns:`, or
+//!                                     `blocks:` if Enter does nothing)
+//!   says: undid: …                    the message below (`warns:` if an action failed)
+//!   asks: …                           a prompt, or an edit conflict with both values
+//!   unsaved 2                         the number of edits that are not on disk
+//!   problem: line 1, column 2: …      a problem of the file as a whole
+//!   finding: line 1, column 2: …      a new finding in the file
 //! ```
 //!
-//! In lines behind a bar `␍` stands for a carriage return, `␉` for a tab, `␠` for a space (needed at
-//! the end of a line), `⟨BOM⟩` for a byte order mark and `⟨FF⟩` for any byte. Every line ends with a
-//! line feed, unless `\ no newline at the end` follows.
+//! In lines after a bar `␍` stands for a carriage return, `␉` for a tab, `␠` for a space (needed at
+//! the end of a line), `⟨BOM⟩` for a byte order mark and `⟨FF⟩` for any byte. Every line ends with
+//! a line feed, unless `\ no newline at the end` follows.
 //!
-//! Whatever the scenario, nothing is ever written that is not JSON, nor over what is not, and what
-//! is in force is what is on the disk, unless it is said that it is not.
+//! In every scenario, descan writes only JSON, never overwrites content that is not JSON, and uses
+//! the content on disk unless it reports otherwise.
 //!
-//! Run with `UPDATE_SCENARIOS=1` to write what comes instead of checking it; then read the
-//! difference.
+//! Run with `UPDATE_SCENARIOS=1` to write the results instead of checking them; then review the
+//! diff.
 
 use crate::common::harness::Stage;
 use crate::common::scenario_files::{are_written_anew, texts_of};
@@ -64,11 +64,11 @@ use std::fmt::Write;
 use std::iter::Peekable;
 use std::str::Lines;
 
-/// How long the bus runs before the first key: every device has told its services.
+/// Simulated time before the first key: by then every device has reported its services.
 const SETTLED: f64 = 8.0;
 const NO_NEWLINE: &str = "\\ no newline at the end";
 
-/// The bytes of a line behind a bar, without its line feed.
+/// Returns the bytes of a line after a bar, without its line feed.
 fn bytes_of(text: &str) -> Vec<u8> {
     let mut bytes = Vec::new();
     let mut rest = text;
@@ -92,7 +92,7 @@ fn bytes_of(text: &str) -> Vec<u8> {
     bytes
 }
 
-/// A line of a file as it stands behind a bar.
+/// Formats a line of a file as it is written after a bar.
 fn shown(line: &[u8]) -> String {
     let mut text = String::new();
     for chunk in line.utf8_chunks() {
@@ -119,7 +119,7 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().fold(String::new(), |text, byte| text + &format!("⟨{byte:02X}⟩"))
 }
 
-/// Content as lines behind bars.
+/// Formats content as lines after bars.
 fn block(content: &[u8], indent: &str) -> String {
     let mut text = String::new();
     for line in content.split_inclusive(|&byte| byte == b'\n') {
@@ -132,7 +132,7 @@ fn block(content: &[u8], indent: &str) -> String {
     text
 }
 
-/// Reads what [`block`] writes.
+/// Parses the output of [`block`].
 fn read_block(lines: &mut Peekable<Lines>) -> Vec<u8> {
     let mut content = Vec::new();
     while let Some(line) = lines.peek().and_then(|line| line.strip_prefix('|')) {
@@ -155,14 +155,14 @@ fn wait(stage: &mut Stage, seconds: f64) {
     stage.until(stage.app.now().as_micros() as f64 / 1e6 + seconds);
 }
 
-/// A scenario being played.
+/// A running scenario.
 struct Play {
     stage: Stage,
     log: String,
     first: Option<Vec<u8>>,
-    /// What others do is noticed.
+    /// True if changes by other programs are noticed.
     is_watched: bool,
-    /// What was told last, so that only what is new is told.
+    /// The last message reported, so that only new ones are logged.
     message: Option<String>,
     problem: Option<String>,
     findings: Vec<String>,
@@ -179,14 +179,14 @@ impl Play {
         Self { stage, log, first, is_watched: true, message, problem, findings, unsaved: 0 }
     }
 
-    /// Does something that is not somebody else's writing, and tells what we wrote meanwhile.
+    /// Runs an action of descan, and logs what descan wrote meanwhile.
     fn act(&mut self, action: impl FnOnce(&mut Stage)) {
         let before = self.stage.file.clone();
         action(&mut self.stage);
         self.tell_saved(before.as_deref());
     }
 
-    /// Somebody else does something to the file.
+    /// Changes the file as another program.
     fn change(&mut self, content: Option<Vec<u8>>) {
         self.stage.file = content;
         if self.is_watched {
@@ -213,7 +213,7 @@ impl Play {
         }
     }
 
-    /// Selects a row by name and, if need be, address.
+    /// Selects a row by name and, if needed, by address.
     fn select(&mut self, words: &[&str]) {
         let is_it = |stage: &Stage| {
             let row = stage.app.selected_row().expect("a row");
@@ -233,7 +233,7 @@ impl Play {
         });
     }
 
-    /// Tells what is new on the screen.
+    /// Logs what is new on the screen.
     fn tell_state(&mut self, always_message: bool) {
         let app = &self.stage.app;
         let mut log = String::new();
@@ -405,7 +405,7 @@ fn play(scenario: &str) -> String {
     playing.map_or(log, |play| play.log)
 }
 
-/// What differs, with a few lines around it.
+/// Returns the differing lines with a few lines around them.
 fn difference(expected: &str, played: &str) -> String {
     const AROUND: usize = 4;
     let (wanted, came): (Vec<&str>, Vec<&str>) =

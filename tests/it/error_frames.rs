@@ -1,5 +1,5 @@
-//! Error frames: an address is named where frames break just when it should send, and nobody is
-//! named where they break for another reason.
+//! Error frames: findings name an address if bus errors coincide with its transmissions, and no
+//! address if they have another cause.
 
 use crate::common::inspection;
 use crate::common::inspection::Inspection;
@@ -19,14 +19,14 @@ fn millis(millis: u64) -> Duration {
     Duration::from_millis(millis)
 }
 
-/// A device that keeps its address whatever happens, and answers after exactly `delay`.
+/// Returns a device that always keeps its address and responds after exactly `delay`.
 fn stubborn(label: &str, name: &str, address: u8, delay: Duration) -> DeviceSpec {
     let mut device = DeviceSpec::new(name).label(label).fixed(address).settled();
     device.delay = (delay, delay);
     device.fault(Fault::NeverGivesWay)
 }
 
-/// Addresses that errors were ever said to follow, each time they were.
+/// Returns the addresses named in bus error findings, once per report.
 fn named(it: &Inspection) -> Vec<u8> {
     let told = it.events.iter().filter_map(|event| match &event.kind {
         EventKind::Finding { key, confidence } if key.kind == FindingKind::BusErrors => {
@@ -44,7 +44,7 @@ fn errors_at(it: &Inspection, address: Option<u8>) -> Option<&Finding> {
     })
 }
 
-/// Runs on where the bus is too bad for our controller: off the bus, it begins anew.
+/// Runs on a bus so bad that descan's own controller goes bus-off; it is restarted.
 fn run(it: &mut Inspection, until: Instant) {
     while it.sim.now() < until {
         let now = it.sim.now();
@@ -70,7 +70,7 @@ fn run(it: &mut Inspection, until: Instant) {
     }
 }
 
-/// Two devices at address 14 that answer at the same moment; `differ` makes the second another.
+/// Returns two devices at address 14 that respond at the same moment; `differ` changes the second.
 fn pair(differ: impl Fn(DeviceSpec) -> DeviceSpec) -> [DeviceSpec; 2] {
     let one = stubborn("one", "ACT", 14, millis(2)).service("PUMP", "1.0");
     let other = stubborn("other", "ACT", 14, millis(2)).uid(Uid([1, 2, 3, 4, 5, 6]));
@@ -87,10 +87,10 @@ fn two_different_responders_are_suspected() {
     let names = pair(|other| other.name(b"VALVE"));
     for (what, pair) in [("services", services), ("names", names)] {
         for bitrate in [125_000, 1_000_000] {
-            // With nobody else there, nobody acknowledges while the two begin anew.
+            // Without other nodes, no node acknowledges while the two restart.
             for crowd in [1, 10, 40] {
                 let scenario = with_pair(Scenario::crowd(bitrate, crowd, 3), pair.clone());
-                // Of a crowd that has an address 14 as well there are three at it.
+                // A crowd that has a device at address 14 as well makes three.
                 for seed in 0..4 {
                     let mut it = Inspection::new(&scenario, seed, Config::default());
                     run(&mut it, seconds(15.0));
@@ -176,7 +176,7 @@ fn listen_only_suspects_from_foreign_requests() {
     }
 }
 
-/// Twenty devices: quick and slow, with short answers and long ones, silent and talkative.
+/// Returns twenty devices: fast and slow, with short and long responses, quiet and busy ones.
 fn mixed(bitrate: u32) -> Scenario {
     let mut scenario = Scenario::crowd(bitrate, 20, 0);
     for (at, device) in scenario.devices.iter_mut().enumerate() {
@@ -223,14 +223,14 @@ fn disturbed_bus_suspects_no_device() {
 
 #[test]
 fn occasional_bus_errors_suspect_no_device() {
-    // A motor that is switched: all breaks for some milliseconds, over and over.
+    // Interference from a motor: all frames break for some milliseconds, again and again.
     for (period, pulse) in
         [(100, 15), (200, 8), (200, 15), (333, 25), (500, 8), (770, 25), (1000, 25), (10_000, 100)]
     {
         for seed in 0..3 {
             let mut scenario = mixed([500_000, 1_000_000, 250_000][seed as usize]);
             for (after, rate) in [(0, 1.0), (pulse, 0.0)] {
-                // From the first question on.
+                // From the first request on.
                 let start = Instant::ZERO + millis(1502 + 3 * seed + after);
                 let mut event = TimetableEvent::new(start, "", DeviceAction::ErrorRate(rate));
                 event.every = Some(millis(period));
@@ -272,7 +272,7 @@ fn missing_ack_suspects_no_device() {
 
 #[test]
 fn single_node_is_not_blamed_for_another() {
-    // While 14 and 15 are two each, all others answer as they should.
+    // While 14 and 15 each have two devices, all others respond normally.
     let other = |name: &str| {
         let one = stubborn(name, "VENT", 15, millis(3));
         one.service(name, "1").uid(Uid([name.len() as u8; 6]))
@@ -288,8 +288,8 @@ fn single_node_is_not_blamed_for_another() {
     }
 }
 
-/// Hears `frames` a second, spread evenly, of which those break that `breaks` says, for so many
-/// seconds; then the events about the bus as a whole, and the last words.
+/// Feeds `frames` f/s, evenly spaced, for so many seconds, with bus errors where `breaks` returns
+/// true; returns the events about the bus as a whole, and the last text.
 fn heard(frames: u64, seconds: u64, breaks: impl Fn(u64) -> bool) -> (Vec<String>, String) {
     let config = Config { listen_only: true, ..Config::default() };
     let mut engine = Engine::new(Instant::ZERO, config);
@@ -319,26 +319,26 @@ fn heard(frames: u64, seconds: u64, breaks: impl Fn(u64) -> bool) -> (Vec<String
 #[test]
 fn error_rate_decides_the_bus_finding() {
     let none: [&str; 0] = [];
-    // A frame now and then is no finding.
+    // A single bus error now and then is not a finding.
     assert_eq!(heard(100, 300, |number| number % 1000 == 500).0, none);
-    // Three in a row are a suspicion, on a busy bus and on a quiet one, and pass.
+    // Three in a row are suspected, on a busy bus and on a quiet one, and are cleared.
     assert_eq!(
         heard(7000, 20, |number| (7000..7003).contains(&number)).0,
         ["1 suspected", "11 cleared"]
     );
     assert_eq!(heard(20, 20, |number| (20..23).contains(&number)).0, ["1 suspected", "11 cleared"]);
-    // Every third second one of 7000, for long: too few to be sure, too many to say nothing.
+    // One bus error in 7,000 frames every third second, for long: suspected, not confirmed.
     let seldom = heard(7000, 30, |number| number % 21_000 == 3500).0;
     assert_eq!(seldom, ["6 suspected"]);
-    // The same of 20 is more than 1 %.
+    // The same with 20 frames is more than 1 %.
     let often = heard(20, 30, |number| number % 60 == 10).0;
     assert_eq!(often, ["6 suspected", "6 confirmed"]);
-    // A few in each second are a fault, however many frames are sound.
+    // A few in each second are a fault, however many valid frames there are.
     let (steady, text) = heard(7000, 30, |number| number % 3500 == 10);
     assert_eq!(steady, ["1 suspected", "2 confirmed"]);
     assert!(text.starts_with("Bus errors: 2."), "{text}");
     assert!(text.ends_with("less than 1 % of all frames, mostly stuff errors."), "{text}");
-    // Where it ends, it is over half a minute later.
+    // Cleared half a minute after the last bus error.
     let ends = heard(100, 60, |number| number % 20 == 0 && number < 1000).0;
     assert_eq!(ends, ["0 suspected", "2 confirmed", "39 cleared"]);
 }

@@ -1,7 +1,7 @@
-//! The editors people use change des.json while an address is being typed in the real program:
-//! their edit and ours both survive; and two such programs.
+//! Common editors change des.json while the user types an address in the real program: theirs and
+//! ours both survive. Also two instances of descan on one file.
 //!
-//! An editor that is not installed is left out, and that is said; in CI all must be there.
+//! Editors that are not installed are skipped with a message; in CI all must be installed.
 
 use crate::common::pty;
 use crate::common::pty::Pty;
@@ -14,8 +14,8 @@ use std::time::{Duration, Instant};
 const BEFORE: &str = "{ \"devices\": [\n  {\"name\": \"FEED\", \"address\": 9},\n\n  \
                       {\"name\": \"VALVE\", \"address\": 70} ] }\n";
 
-/// Ways to change a file, in shell; `$OLD` is to become `$NEW`, and `../new` is the whole content
-/// with that.
+/// Shell commands that change a file from `$OLD` to `$NEW`; `../new` has the complete content after
+/// the change.
 const WAYS: [(&str, &str); 12] = [
     ("vim", "vim -u NONE -N -Es -c \"%s/$OLD/$NEW/\" -c x des.json"),
     ("vim", "vim -u NONE -N -Es -c 'set backup backupcopy=no' -c \"%s/$OLD/$NEW/\" -c x des.json"),
@@ -61,7 +61,7 @@ fn edits_of_vim_nano_and_git_are_merged() {
         }
         assert_eq!(fs::read_to_string(&path).unwrap(), theirs, "{program}: {script}");
         valve += 1;
-        // The line is still open, and what changed is seen behind it.
+        // The input line is still open, and the change is shown behind it.
         let row = format!("{valve}  VALVE");
         pty.wait_until(&row, |screen| screen.contents().contains(&row));
         let digit = valve % 10;
@@ -71,7 +71,7 @@ fn edits_of_vim_nano_and_git_are_merged() {
         wait_for_content(&mut pty, &path, &both, &format!("{program}: {script}"));
         (content, feed) = (both, ours);
     }
-    // Taken back one after the other, across all those saves; theirs stay.
+    // Undone one after the other, across all those saves; theirs stay.
     let pinned = content.clone();
     pty.send("u");
     pty.wait_for("undid: ");
@@ -98,7 +98,7 @@ fn two_descans_edit_one_file_without_loss() {
     fs::write(&path, FILE).unwrap();
     let start = || {
         let mut pty = Pty::start(&["sim:boiler"], folder.path(), (120, 40));
-        // Their rows stay where the devices are.
+        // The rows of entries stay where the devices are.
         for device in ["10  FEED ", "12  SENS "] {
             pty.wait_until(device, |screen| {
                 let contents = screen.contents();
@@ -108,7 +108,7 @@ fn two_descans_edit_one_file_without_loss() {
         pty
     };
     let (mut first, mut second) = (start(), start());
-    // At once, and on: neither waits for the other.
+    // Both edit again and again, without waiting for each other.
     for address in 30..40 {
         first.send(&format!("ge\x15{address}\r"));
         second.send(&format!("gje\x15{}\r", address + 50));
@@ -116,7 +116,7 @@ fn two_descans_edit_one_file_without_loss() {
     let ours = FILE.replace(":9}", ":39,\"static\":true}");
     let both = ours.replace(":12}", ":89,\"static\":true}");
     wait_for_content(&mut first, &path, &both, "both");
-    // Each takes back what it did itself.
+    // Each undoes its own edits only.
     first.send("uuuuuuuuuu");
     let theirs = FILE.replace(":12}", ":89,\"static\":true}");
     wait_for_content(&mut first, &path, &theirs, "the first's taken back");
@@ -129,7 +129,7 @@ fn two_descans_edit_one_file_without_loss() {
     }
 }
 
-/// As in a backup that was made by `cp -al`.
+/// Tests hard links as in a backup made by `cp -al`.
 #[test]
 fn broken_hard_link_is_reported() {
     let folder = tempfile::tempdir().unwrap();
@@ -143,7 +143,7 @@ fn broken_hard_link_is_reported() {
     let ours = BEFORE.replace("9}", "47, \"static\": true}");
     assert_eq!(fs::read_to_string(at("des.json")).unwrap(), ours);
     assert_eq!(fs::read_to_string(at("backup.json")).unwrap(), BEFORE);
-    // It is followed as before.
+    // It is watched as before.
     fs::write(at("des.json"), ours.replace("VALVE", "VALVO")).unwrap();
     pty.wait_for("VALVO");
     pty.send("q");
@@ -155,7 +155,7 @@ fn is_there(program: &str) -> bool {
         return true;
     }
     assert!(!std::env::var("CI").is_ok_and(|ci| ci == "true"), "cannot run: no {program}");
-    // Not by println: the test harness would keep it to itself.
+    // Not by println: the test harness would capture it.
     let _ = writeln!(std::io::stderr(), "left out: {program} is not installed");
     false
 }

@@ -1,4 +1,4 @@
-//! The guide is complete, leads nowhere wrong, and its examples work.
+//! The guide is complete, its references resolve, and its examples work.
 
 use descan::app::{FILTER_FIELDS, FILTER_WORDS};
 use descan::cli;
@@ -39,7 +39,7 @@ fn command_names() -> BTreeSet<String> {
     cli::program().get_subcommands().map(|command| command.get_name().to_owned()).collect()
 }
 
-/// Everything that can be asked for, with the text it gives in 80 columns.
+/// Returns every topic with its text in 80 columns.
 fn all_help() -> Vec<(String, String)> {
     let topics = TOPICS.iter().map(|topic| topic.name.to_owned());
     topics
@@ -51,7 +51,7 @@ fn all_help() -> Vec<(String, String)> {
         .collect()
 }
 
-/// The code blocks of all topics: topic, words behind the fence, text.
+/// Returns the code blocks of all topics: topic, words after the fence, text.
 fn code_blocks() -> Vec<(&'static str, String, String)> {
     let blocks =
         TOPICS.iter().flat_map(|topic| topic.blocks().into_iter().map(|it| (topic.name, it)));
@@ -63,12 +63,12 @@ fn code_blocks() -> Vec<(&'static str, String, String)> {
         .collect()
 }
 
-/// The text of a file with every run of white space as one blank.
+/// Returns the text of a file with every run of white space as one blank.
 fn in_one_line(text: &str) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// The characters that a name of this kind may have, from the beginning of `text`.
+/// Returns the characters at the beginning of `text` that a name of this kind may have.
 fn word(text: &str, belongs: impl Fn(char) -> bool) -> &str {
     let end = text.find(|c: char| !belongs(c)).unwrap_or(text.len());
     text[..end].trim_end_matches(['.', '-'])
@@ -142,7 +142,7 @@ fn help_lines_fit_the_terminal() {
     for line in guide::overview(&cli::program(), TextLayout::PLAIN).lines() {
         assert!(line.width() <= 80, "{line}");
     }
-    // Narrow and wide terminals: no panic, and text as wide as it may be.
+    // Narrow and wide terminals: no panic, and text within the width.
     for topic in TOPICS {
         for columns in [1, 20, 40, 100, 400] {
             let layout = TextLayout { has_styles: false, ..TextLayout::for_terminal(columns) };
@@ -190,7 +190,7 @@ fn named_topics_commands_and_options_exist() {
     }
 }
 
-/// The numbers of the sections of the protocol: `3`, `3.2`.
+/// Returns the section numbers of the protocol: `3`, `3.2`.
 fn sections() -> BTreeSet<String> {
     let headings = topic("protocol").blocks().into_iter().filter_map(|block| match block {
         GuideBlock::Heading(2 | 3, line) => plain(&line).split(' ').next().map(str::to_owned),
@@ -264,7 +264,7 @@ fn examples_are_accepted() {
         match info.as_str() {
             "sh" | "sh run" => {
                 for line in text.lines() {
-                    // What stands before and behind a pipe, and behind what else the shell takes.
+                    // Splits at pipes and the other operators of the shell.
                     for command in line.split(['|', ';', '>']) {
                         accept_command(name, line, &shell_words(command));
                     }
@@ -299,7 +299,7 @@ fn examples_are_accepted() {
     assert!(count > 20, "{count}");
 }
 
-/// The words of a command; what stands between single quotes is in one.
+/// Returns the words of a command; text in single quotes is one word.
 fn shell_words(command: &str) -> Vec<String> {
     let mut words = vec![String::new()];
     let mut is_quoted = false;
@@ -425,7 +425,7 @@ fn topics_are_plain_english() {
     assert_eq!(count, TOPICS.len());
 }
 
-/// The pages that a page in roff refers to: `\fBdescan\-keys\fR(7)`.
+/// Returns the pages that a page in roff refers to: `\fBdescan\-keys\fR(7)`.
 fn references(roff: &str) -> Vec<(String, u8)> {
     let roff = roff.replace("\\-", "-");
     let parts: Vec<&str> = roff.split("\\fBdescan").skip(1).collect();

@@ -18,7 +18,7 @@ garbage
 (100.400000) can0 02015402#05 T
 ";
 
-/// Takes all there is until the port says that it has ended.
+/// Receives everything until the port reports its end.
 fn drain(port: &Port) -> Vec<Frame> {
     take_until(port, |_| port.queue().is_finished())
 }
@@ -160,7 +160,7 @@ fn clock_set_back_continues_from_last_time() {
     let moments: Vec<_> = frames.map(|frame| frame.time.as_micros() / 1_000).collect();
     assert_eq!(moments, [0, 1000, 1000, 2000]);
     assert_eq!(reader.tally().to_string(), "4 frames; time goes backwards 1 time");
-    // What is told of the last frame is later by the hour, not in the past.
+    // Events after the last frame are an hour later, not in the past.
     assert_eq!(reader.tally().epoch.unwrap().unix_micros(reader.tally().last), 7_302_000_000);
 
     let port = open(&spec, Clock::replaying(Epoch::from_unix_micros(7_300_000_000), 1000.0));
@@ -168,7 +168,7 @@ fn clock_set_back_continues_from_last_time() {
     assert_eq!(frames[3].time.since(frames[0].time), Duration::from_secs(2));
 }
 
-/// Takes frames until there are so many in all; meanwhile `nudge` is called again and again.
+/// Receives frames until there are so many in total; calls `nudge` repeatedly meanwhile.
 fn take_with(port: &Port, frames: &mut Vec<Frame>, count: usize, nudge: impl Fn()) {
     let deadline = Monotonic::now() + PATIENCE;
     while frames.len() < count {
@@ -190,7 +190,7 @@ fn log_pauses_steps_and_resumes() {
     let clock = Clock::replaying(Epoch::from_unix_micros(0), 1.0);
     clock.control(PlaybackCommand::Pause);
     let port = open(&spec, clock.clone());
-    // What comes next may not be read yet.
+    // The next frame may not have been read yet.
     let step_to = |at: Instant| {
         if clock.now() < at {
             clock.control(PlaybackCommand::Step);
@@ -199,17 +199,17 @@ fn log_pauses_steps_and_resumes() {
     };
     let start = Instant::ZERO;
     let mut frames = Vec::new();
-    // The first is at the start.
+    // The first frame is at the start.
     take_with(&port, &mut frames, 1, || {});
     take_with(&port, &mut frames, 2, || step_to(start + day));
     assert_eq!(clock.now(), start + day, "that is where it stands");
-    // Two of one moment come with one step.
+    // Two frames of the same time come with one step.
     take_with(&port, &mut frames, 4, || step_to(start + day * 2));
     assert_eq!(clock.now(), start + day * 2);
     clock.control(PlaybackCommand::Pause);
     port.wake();
     take_with(&port, &mut frames, 5, || {});
-    // At its end time stands, exactly where it is.
+    // At the end of the log the clock stands at exactly that time.
     drain(&port);
     assert_eq!(port.queue().status().percent, Some(100));
     let end = clock.now();
@@ -230,7 +230,7 @@ fn growing_file_is_followed_with_its_own_times() {
     let append = |text: &str| {
         File::options().append(true).open(path).unwrap().write_all(text.as_bytes()).unwrap();
     };
-    // An hour later by the log, and at once by our clock.
+    // An hour later by the log, and at once by descan's clock.
     append(".25) can0 00000003#\n(4600.0) can0 00000004#\n(4600.1) can0 00000005#\n");
     take_with(&port, &mut frames, 5, || {});
     let millis: Vec<_> = frames.iter().map(|it| it.time.as_micros() / 1000).collect();
@@ -252,7 +252,7 @@ fn truncated_or_replaced_file_is_read_from_start() {
     assert_eq!(note(), "log truncated: reading from its start");
 
     let next = folder.path().join("next");
-    // A log of the other kind, in two pieces.
+    // A log of the other format, in two pieces.
     let mut pcapng = Vec::new();
     write_section(&mut pcapng).unwrap();
     write_interface(&mut pcapng, "can0").unwrap();

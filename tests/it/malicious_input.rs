@@ -1,4 +1,4 @@
-//! Whatever is on the bus: no panic, bounded memory, nothing that steers a terminal.
+//! Malicious frames: no panic, bounded memory, no control characters on the terminal.
 
 use crate::common::sweep;
 use descan::discovery::{Config, Engine};
@@ -11,7 +11,7 @@ fn any_bytes(most: usize) -> impl Strategy<Value = Vec<u8>> {
     prop::collection::vec(any::<u8>(), 0..=most)
 }
 
-/// Bytes that look like DES and ISO 15765-2 often enough to reach the code behind.
+/// Generates bytes that resemble DES and ISO 15765-2 often enough to reach the inner code.
 fn likely_bytes() -> impl Strategy<Value = Vec<u8>> {
     prop_oneof![
         any_bytes(8),

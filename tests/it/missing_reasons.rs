@@ -1,4 +1,4 @@
-//! Why a device that des.json lists is not on the bus: each cause, as the details say it.
+//! Reasons why a device in des.json is missing from the bus: each cause, as the details show it.
 
 use descan::app::{App, AppOptions, FileReading};
 use descan::discovery::{Config, FindingKind};
@@ -8,7 +8,7 @@ use descan::status::{BusState, BusStatus, Link};
 use descan::time::{Duration, Instant};
 use descan::wire::id::Address;
 
-/// The program on simulated buses: can0, can1, …
+/// The app on simulated buses: can0, can1, …
 struct Stage {
     app: App,
     buses: Vec<(Sim, SimStation)>,
@@ -75,12 +75,12 @@ impl Stage {
         sim.set_link(*station, matches!(link, Link::Up | Link::Ended));
     }
 
-    /// The reasons for the entry at this place.
+    /// Returns the reasons for the entry at this index.
     fn why(&self, entry: usize) -> Vec<String> {
         self.app.why_missing(&self.app.file().document().entries()[entry])
     }
 
-    /// The text and the remedy of the finding that says that something is missing.
+    /// Returns the text and the remedy of the finding that reports missing devices.
     fn finding(&self) -> (String, String) {
         let found = self.app.problems();
         let found = found.iter().flat_map(|problem| problem.findings.iter());
@@ -111,7 +111,7 @@ fn interface_down_or_bus_off_is_the_reason() {
     assert_eq!(stage.why(0), ["can0 is bus-off: nothing is received"]);
     stage.status(0, Link::Up, BusState::Stopped, None);
     assert_eq!(stage.why(0), ["can0 is stopped"]);
-    // Of what was there before, too: the bus is why, not the device.
+    // Devices that were online before, too: the bus is the reason, not the device.
     let feed = r#"{ "name": "FEED", "address": 12, "static": true }"#;
     let mut stage = Stage::after_eight_seconds(&[bus()], &Config::default(), feed);
     stage.status(0, Link::Down, BusState::Down, None);
@@ -145,11 +145,11 @@ fn address_without_any_frame_is_reported() {
     let unplaced = r#"{ "name": "PUMP" }"#;
     let stage = Stage::after_eight_seconds(&[bus()], &Config::default(), unplaced);
     assert_eq!(stage.why(0)[0], "no device named PUMP seen");
-    // A UID that nobody has changes nothing.
+    // A UID not seen on the bus changes nothing.
     let with_uid = r#"{ "name": "PUMP", "uid": "PUMP0001", "address": 44 }"#;
     let stage = Stage::after_eight_seconds(&[bus()], &Config::default(), with_uid);
     assert_eq!(stage.why(0)[0], "no frame received from address 44");
-    // Before anybody was asked, nothing can be said.
+    // Before the first request, no reason is known.
     let mut stage = Stage::new(&[bus()], &Config::default(), PUMP);
     stage.until(1.0);
     assert_eq!(stage.why(0), ["search still running"]);
@@ -167,7 +167,7 @@ fn heartbeat_without_des_response_is_reported() {
         assert_eq!(before.trim_end_matches(" yet"), "a heartbeat at 44, but no DES response");
         assert!(after.ends_with(')'), "{seconds}: {why:?}");
     }
-    // Who is not asked cannot be blamed for that.
+    // Without requests, a missing response proves nothing.
     let mute = DeviceSpec::new("PUMP").fixed(44).settled();
     for config in [
         Config { listen_only: true, ..Config::default() },
@@ -197,18 +197,18 @@ fn address_in_use_is_the_reason() {
         stage.finding().0,
         "PUMP (at 44) is listed but not on the bus: VALVE uses its address 44."
     );
-    // Not its own as long as it is not pinned there.
+    // The address is not reserved for it while it is not pinned.
     let unpinned = r#"{ "name": "PUMP", "address": 44 }"#;
     let stage = Stage::after_eight_seconds(&[bus().with(other())], &Config::default(), unpinned);
     assert_eq!(stage.why(0), ["VALVE has address 44 now"]);
     let blank = DeviceSpec::new("").fixed(44).settled();
     let stage = Stage::after_eight_seconds(&[bus().with(blank)], &Config::default(), PUMP);
     assert_eq!(stage.why(0), ["a device with an empty name uses its address 44"]);
-    // Ourselves.
+    // descan itself.
     let config = Config { address: Address::new(44), ..Config::default() };
     let stage = Stage::after_eight_seconds(&[bus()], &config, PUMP);
     assert_eq!(stage.why(0), ["descan itself uses address 44"]);
-    // It was there, and is gone.
+    // It was online, and is lost.
     let leaves = bus().with(other()).at(Duration::from_secs(4), "VALVE", DeviceAction::Leave);
     let mut stage = Stage::new(&[leaves], &Config::default(), PUMP);
     stage.until(20.0);
@@ -224,7 +224,7 @@ fn address_in_use_is_the_reason() {
 #[test]
 fn device_at_another_address_is_reported() {
     let pump = |at| DeviceSpec::new("PUMP").fixed(at).settled();
-    // With one of its name it is that one: a wrong address, which names who has its own.
+    // One device of that name counts as the entry's: wrong address; the holder is named.
     let valve = DeviceSpec::new("VALVE").fixed(44).settled();
     let scenario = bus().with(pump(20)).with(valve);
     let stage = Stage::after_eight_seconds(&[scenario], &Config::default(), PUMP);
@@ -239,11 +239,11 @@ fn device_at_another_address_is_reported() {
             "Static address 44 of PUMP is used by a device named VALVE.",
         ]
     );
-    // With several it may be either.
+    // With several, it may be either.
     let scenario = bus().with(pump(20)).with(pump(21));
     let stage = Stage::after_eight_seconds(&[scenario], &Config::default(), PUMP);
     assert_eq!(stage.why(0), ["PUMP found at 20 and 21, not at 44: ambiguous"]);
-    // One that is another entry's is none of it.
+    // A device that matches another entry does not count.
     let entries = format!(r#"{PUMP}, {{ "name": "PUMP", "address": 20, "static": true }}"#);
     let scenario = bus().with(pump(20));
     let stage = Stage::after_eight_seconds(&[scenario], &Config::default(), &entries);
@@ -266,7 +266,7 @@ fn device_seen_earlier_is_reported() {
     let why = stage.why(0);
     assert!(why[0].starts_with("last seen at 44, 1"), "{why:?}");
     assert_eq!(why.len(), 1, "{why:?}");
-    // Somebody else took its place meanwhile.
+    // Another device took its address meanwhile.
     let pump = DeviceSpec::new("PUMP").fixed(44).settled();
     let valve = DeviceSpec::new("VALVE").fixed(44).settled().power_on(Duration::from_secs(9));
     let scenario =
@@ -327,7 +327,7 @@ fn missing_device_reason_covers_both_buses() {
     let valve = DeviceSpec::new("VALVE").fixed(44).settled();
     let scenarios = [bus(), bus().with(valve)];
     let mut stage = Stage::after_eight_seconds(&scenarios, &Config::default(), &entries);
-    // Each bus has its own reason; what is the same on both is said once.
+    // Each bus has its own reason; reasons common to both are shown once.
     assert_eq!(
         stage.why(0),
         [

@@ -1,5 +1,5 @@
-//! pcapng: what we write is read back and is what tshark says it is; what others write is read, and
-//! nothing a file contains does harm.
+//! pcapng: files written by descan are read back and match tshark's output; files of other programs
+//! are read, and no file content does harm.
 
 use crate::common::frames::any_frame;
 use descan::frame::{BusIndex, CanId, Frame};
@@ -24,7 +24,7 @@ fn read(bytes: &[u8]) -> (Vec<Frame>, LogSummary) {
     read_with(bytes, 1 << 16)
 }
 
-/// A file with an interface per bus.
+/// Returns a pcapng file of these frames, with an interface per bus.
 fn write(frames: &[Frame]) -> Vec<u8> {
     let mut file = Vec::new();
     write_section(&mut file).unwrap();
@@ -40,7 +40,7 @@ fn write(frames: &[Frame]) -> Vec<u8> {
     file
 }
 
-/// A frame of every kind, a millisecond apart.
+/// Returns a frame of every kind, a millisecond apart.
 fn one_of_each() -> Vec<Frame> {
     let mut fd = Frame::fd(0x0201_5402, &[7; 20], 0);
     fd.error_state = true;
@@ -60,9 +60,9 @@ fn one_of_each() -> Vec<Frame> {
     all.into_iter().enumerate().map(dated).collect()
 }
 
-// --- files of others ------------------------------------------------------------------------
+// --- files of other programs ----------------------------------------------------------------
 
-/// Blocks in one byte order.
+/// Builds blocks in one byte order.
 struct Blocks {
     big_endian: bool,
     bytes: Vec<u8>,
@@ -114,7 +114,7 @@ impl Blocks {
     }
 }
 
-/// The packet of a frame with a standard identifier and one byte.
+/// Returns the packet of a frame with a standard identifier and one byte.
 fn packet(id: u16, byte: u8) -> Vec<u8> {
     // Padded to eight bytes, as the kernel captures them.
     [&u32::from(id).to_be_bytes()[..], &[1, 0, 0, 0, byte, 0, 0, 0, 0, 0, 0, 0]].concat()
@@ -164,7 +164,7 @@ fn non_can_packets_are_reported() {
     blocks.interface(227, &[]);
     for odd in [
         &[0; 7][..],
-        // Nine bytes of which two are there; more than there can be; a standard identifier beyond
+        // Nine bytes of which two are there; more bytes than allowed; a standard identifier beyond
         // 0x7FF; CAN XL.
         &[0, 0, 1, 1, 2, 0, 0, 0, 1],
         &[0, 0, 1, 1, 65, 4, 0, 0],
@@ -230,14 +230,14 @@ fn wrong_block_lengths_use_no_memory() {
         let (there, tally) = read(&lying);
         assert_eq!((&there, tally.damage), (&frames, Some(damage)), "{length}");
     }
-    // One that is as long as it says, and too long.
+    // A block whose stated length is correct, but above the limit.
     let mut long = Blocks { big_endian: false, bytes: file.clone() };
     long.block(6, &vec![0; 1 << 20]);
     long.block(0x0BAD, &vec![0; 1 << 20]);
     long.bytes.extend(&file);
     let (there, tally) = read(&long.bytes);
     assert_eq!((there.len(), tally.unreadable, tally.damage), (2 * frames.len(), 1, None));
-    // The captured length within a block is a lie, too.
+    // The captured length within a block is wrong, too.
     let mut inner = Blocks::new(false);
     inner.interface(227, &[]);
     let mut body = vec![0; 12];
@@ -271,7 +271,7 @@ proptest! {
             .into_iter()
             .enumerate()
             .map(|(at, (frame, gap, bus))| {
-                // The first is the start, and on the first bus.
+                // The first frame sets the start, and belongs to the first bus.
                 let (gap, bus) = if at == 0 { (0, 0) } else { (gap, bus) };
                 moment += Duration::from_micros(gap);
                 frame.with_time(moment).with_bus(BusIndex(bus))
@@ -280,7 +280,7 @@ proptest! {
         let (there, tally) = read_with(&write(&frames), buffer);
         prop_assert_eq!(tally.epoch.unwrap().unix_micros(Instant::ZERO), START);
         prop_assert_eq!((tally.unreadable, tally.damage), (0, None));
-        // Buses are numbered as they appear.
+        // Buses are numbered in order of appearance.
         prop_assert_eq!(there.len(), frames.len());
         for (there, frame) in there.iter().zip(&frames) {
             let name = format!("can{}", frame.bus.0);
@@ -313,7 +313,7 @@ proptest! {
 
 // --- tshark -----------------------------------------------------------------------------------
 
-/// What tshark prints of a file; `None` where there is no tshark, and it may be missing.
+/// Returns tshark's output for a file; `None` if tshark is missing and may be.
 fn tshark(file: &[u8], arguments: &[&str]) -> Option<String> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("file.pcapng");
@@ -361,7 +361,7 @@ fn tshark_reads_written_files() {
     let mut arguments = vec!["-T", "fields", "-E", "separator=,"];
     arguments.extend(fields.iter().flat_map(|field| ["-e", field]));
     let Some(told) = tshark(&file, &arguments) else { return };
-    // FD frames cannot be remote, and error reports have no identifier.
+    // FD frames cannot be remote, and error frames have no identifier.
     let expected = "\
 1436509052.249713000,can0,0x00000001,33641474,1,0,0,,5,,,0444455301,
 1436509052.250713000,can0,0x00000002,2047,0,0,0,,0,,,,

@@ -1,7 +1,7 @@
 //! Pictures of the demo for the README: the real screen at fixed moments, drawn as SVG.
 //!
-//! A picture that differs from the screen fails. `UPDATE_PICTURES=1 cargo test --test it pictures`
-//! draws them anew.
+//! Fails if a picture differs from the screen. `UPDATE_PICTURES=1 cargo test --test it pictures`
+//! redraws them.
 
 use crate::common::harness::Stage;
 use descan::frame::BusIndex;
@@ -77,8 +77,8 @@ fn assert_picture(name: &str, stage: &Stage) {
     );
 }
 
-/// The buffer as an SVG document: a rectangle for each coloured background, a text for each run of
-/// cells of one style, so that columns stay aligned in any monospaced font.
+/// Returns the buffer as an SVG document: a rectangle for each coloured background, a text for each
+/// run of cells of one style, so that columns stay aligned in any monospaced font.
 fn svg(buffer: &Buffer) -> String {
     let columns = usize::from(buffer.area.width);
     let (width, height) = (
@@ -104,7 +104,8 @@ fn svg(buffer: &Buffer) -> String {
     svg
 }
 
-/// The end of the run that begins at `at`: cells of one style, all ASCII or all the same sign.
+/// Returns the end of the run that begins at `at`: cells of one style, all ASCII or all the same
+/// sign.
 fn run_end(cells: &[Cell], at: usize) -> usize {
     let first = &cells[at];
     if !first.symbol().is_ascii() && first.symbol().width() > 1 {
@@ -163,7 +164,7 @@ fn write_run(svg: &mut String, cells: &[Cell], x: f32, y: f32) {
     );
 }
 
-/// A colour of the theme as SVG writes it.
+/// Returns a colour of the theme in SVG notation.
 fn colour(colour: Color, reset: &str) -> String {
     match colour {
         Color::Reset => reset.to_owned(),

@@ -1,7 +1,7 @@
-//! Small worlds at random: whatever is on the bus, those who behave are known as they are, the
-//! search comes to an end, and nobody innocent is accused.
+//! Small random buses: conforming devices are identified correctly on any bus, discovery comes to
+//! an end, and no conflict is confirmed by mistake.
 //!
-//! `WORLDS=300 cargo test --test worlds` tries more of them; `WORLD=17` tries one.
+//! `WORLDS=300 cargo test --test it random_buses` tries more of them; `WORLD=17` tries one.
 
 use crate::common::inspection::{FAULTS, Inspection, describe};
 use descan::discovery::{Confidence, Config, FindingKind, Presence};
@@ -35,7 +35,7 @@ fn world(seed: u64) -> Scenario {
         let uid =
             if rng.u8(..8) == 0 { Uid([0; 6]) } else { Uid([1, 2, 3, 4, seed as u8, address]) };
         let mut device = DeviceSpec::new(&name).label(&format!("{number}")).uid(uid).fixed(address);
-        // Somebody must acknowledge from the start.
+        // From the start, another node must acknowledge.
         device = if number == 0 || rng.bool() {
             device.settled()
         } else {
@@ -70,7 +70,7 @@ fn world(seed: u64) -> Scenario {
             device = device.fault(fault);
         }
         if rng.u8(..6) == 0 || busy {
-            // All together no more than the bus can take.
+            // In total no more than the bus can carry.
             let period = 6_000_000 / u64::from(bitrate / 1000) * rng.u64(1..8);
             device = device.chatter(0x100, Duration::from_micros(period), 8);
         }
@@ -148,7 +148,7 @@ fn tried(seed: u64, config: Config, wrong: &mut String) {
         }
     }
     for finding in engine.findings() {
-        // Frames break at random, or not at all: that is nobody's doing.
+        // Bus errors occur at random or not at all; no device causes them.
         let blamed = finding.key.kind == FindingKind::BusErrors && finding.key.address.is_some();
         let collision = finding.key.kind.is_conflict();
         if blamed || collision && finding.confidence == Confidence::Confirmed {

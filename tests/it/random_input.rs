@@ -1,5 +1,5 @@
-//! A monkey at the keyboard while the bus and the file misbehave: nothing panics, whatever the
-//! size of the screen, and nothing on it could steer a terminal.
+//! Random keys while the bus and the file have faults: no panic at any screen size, and no control
+//! characters on the screen.
 
 use crate::common::sweep;
 use descan::app::{App, AppOptions, Effect, FileReading, Mouse, MouseKind, SaveOutcome};
@@ -52,7 +52,7 @@ fn any_frames() -> impl Strategy<Value = Vec<(u32, Vec<u8>)>> {
         Just(b"\x01\x02".to_vec()),
         prop::collection::vec(any::<u8>(), 0..=8),
     ];
-    // Answers and heartbeats of nodes 0 to 7.
+    // Responses and heartbeats of nodes 0 to 7.
     let id = (
         0u32..8,
         prop::sample::select(vec![0x0500_0002u32, 0x0700_0001, 0x1700_0001, 0x0500_0300]),
@@ -199,7 +199,7 @@ proptest! {
             stage.take(step);
             stage.draw();
         }
-        // What is on disk is always whole: what somebody wrote, or a document.
+        // The content on disk is always complete: another program's content, or a document.
         if let Some(disk) = stage.disk.filter(|disk| !disk.starts_with(b"{ oops") && !disk.starts_with(b"\xff")) {
             prop_assert!(Document::parse(&disk).is_ok());
         }

@@ -5,7 +5,7 @@ use descan::keymap::{ACTIONS, Key, KeyMode, Keymap};
 
 const README: &str = include_str!("../../README.md");
 
-/// The text of the fenced block that begins with `begin`.
+/// Returns the text of the fenced block that begins with `begin`.
 fn block<'t>(language: &str, begin: &str) -> &'t str {
     let fence = format!("```{language}\n");
     README
@@ -25,7 +25,7 @@ fn readme_keys_are_all_bound() {
     for row in rows {
         let cell = row.split('|').nth(1).unwrap();
         for (at, text) in cell.split('`').enumerate() {
-            // What stands between backticks.
+            // Text between backticks.
             if at % 2 == 1 {
                 let key = Key::parse(text).unwrap_or_else(|| panic!("{text} is a key"));
                 assert!(keymap.lookup(KeyMode::Browse, key).is_some(), "{text} does something");
@@ -61,7 +61,7 @@ fn readme_commands_exist() {
     let mut count = 0;
     for line in block("sh", "descan can0").lines() {
         let command = line.split('#').next().unwrap();
-        // The part that descan runs, in a pipe or with sudo.
+        // The part of the command line run by descan, in a pipe or with sudo.
         let command = command.rsplit('|').next().unwrap().trim().trim_start_matches("sudo ");
         let arguments: Vec<&str> = command.split_whitespace().collect();
         assert_eq!(arguments[0], "descan", "{line}");

@@ -1,4 +1,4 @@
-//! `--record`, from outside: what is in the files, how they end, and what is said.
+//! `--record`, from outside: content of the files, how they end, and the messages.
 
 use crate::common::frames::any_frame;
 use crate::common::pty::{PATIENCE, Pty};
@@ -43,7 +43,7 @@ fn numbered(count: u32) -> Vec<Frame> {
     (0..count).map(frame).collect()
 }
 
-/// The blocks of a pcapng file of ours: kind and body.
+/// Returns the blocks of a pcapng file written by descan: kind and body.
 fn blocks(path: &Path) -> Vec<(u32, Vec<u8>)> {
     let file = fs::read(path).unwrap();
     let number = |at: usize| u32::from_le_bytes(file[at..at + 4].try_into().unwrap());
@@ -57,10 +57,10 @@ fn blocks(path: &Path) -> Vec<(u32, Vec<u8>)> {
     blocks
 }
 
-/// Interface, frames and losses, as the statistics at the end of a file say.
+/// Returns interface, frames and lost frames from the statistics at the end of a file.
 fn statistics(path: &Path) -> Vec<(u32, u64, u64)> {
     let of = |body: &[u8]| {
-        // Two options of eight bytes behind the interface and its time.
+        // Two options of eight bytes follow the interface and its time.
         let number = |at: usize| u64::from_le_bytes(body[at..at + 8].try_into().unwrap());
         assert_eq!((&body[12..16], &body[24..28]), (&[4, 0, 8, 0][..], &[5, 0, 8, 0][..]));
         (u32::from_le_bytes(body[..4].try_into().unwrap()), number(16), number(28))
@@ -77,7 +77,7 @@ fn frames_of_two_buses_are_recorded_in_time_order() {
         let path = folder.path().join(name);
         let recorder = create(&path, None);
         let frames = numbered(40_000);
-        // A tenth of a second of the one, then of the other; at first there is only one.
+        // A tenth of a second of frames of one bus, then of the other; at first there is only one.
         let of = |bus: u8| move |frame: &&Frame| frame.bus == BusIndex(bus);
         recorder.record(&frames[..1]);
         for batch in frames[1..].chunks(100) {
@@ -130,7 +130,7 @@ fn file_rotation_keeps_size_limit_and_every_frame() {
         let folder = tempfile::tempdir().unwrap();
         let first = folder.path().join(format!("a.{extension}"));
         let recorder = create(&first, Some(20_000));
-        // This one is of somebody else, who came after we began.
+        // Created by another program after the recording began.
         let taken = folder.path().join(format!("a_00003.{extension}"));
         fs::write(&taken, "mine").unwrap();
         let frames = numbered(2_000);
@@ -165,14 +165,14 @@ fn pcapng_files_state_their_lost_frames() {
     let path = folder.path().join("a.pcapng");
     let recorder = create(&path, None);
     recorder.note_lost(BusIndex(1), 17);
-    // More at once than may wait: 65,536.
+    // More at once than the queue holds: 65,536.
     recorder.record(&numbered(70_000));
     let status = recorder.finish();
     assert_eq!((status.frames, status.lost), (65_536, 4_464));
     assert_eq!(statistics(&path), [(0, 32_768, 2_232), (1, 32_768, 2_232 + 17)]);
     assert_eq!(read(&path).0.len(), 65_536);
 
-    // Of two files each tells its own.
+    // Each of the two files reports its own losses.
     let path = folder.path().join("b.pcapng");
     let recorder = create(&path, Some(20_000));
     recorder.note_lost(BusIndex(0), 5);
@@ -193,7 +193,7 @@ fn existing_files_are_not_overwritten() {
     };
     assert_eq!(refused(None), path.to_str().unwrap());
     assert_eq!(fs::read(&path).unwrap(), b"mine");
-    // Files of an earlier recording that would come in between.
+    // A file of an earlier recording with a number that this one would reach.
     fs::rename(&path, folder.path().join("a_00007.log")).unwrap();
     assert!(refused(Some(10_000)).ends_with("a_00007.log"));
     assert!(!path.exists());
@@ -211,7 +211,7 @@ fn words(output: &Output) -> String {
     String::from_utf8(output.stderr.clone()).unwrap()
 }
 
-/// A log of FEED's heartbeats on two interfaces, and of frames of every kind.
+/// Writes a log of FEED's heartbeats on two interfaces, and of frames of every kind.
 fn write_log(path: &Path) {
     let mut log = String::new();
     for beat in 0..300 {
@@ -240,7 +240,7 @@ fn log_to_pcapng_and_back_is_identical() {
     assert!(words(&output).contains("recorded c.log: 300 frames"), "{output:?}");
     let text = |name| fs::read_to_string(folder.path().join(name)).unwrap();
     assert_eq!(text("c.log"), text("a.log"));
-    // And a third of it, by the log's own clock.
+    // A third of it, by the clock of the log.
     let arguments = ["watch", "file:a.log", "--time", "10", "--record", "d.log"];
     descan(&arguments, folder.path());
     assert_eq!(text("d.log").lines().count(), 101);
@@ -301,14 +301,14 @@ impl Recording {
     }
 
     fn boiler(folder: &Path, name: &str) -> Self {
-        // Whoever runs the tests may ignore SIGHUP, as under nohup, and children would too.
+        // The tests may run with SIGHUP ignored, as under nohup; children would inherit that.
         let mut command = Command::new("env");
         command.args(["--default-signal=HUP", env!("CARGO_BIN_EXE_descan")]);
         command.args(["watch", "sim:boiler", "--record", name]).current_dir(folder);
         Self::start(command.stdin(Stdio::null()), folder.join(name))
     }
 
-    /// Waits until so many bytes are in the file.
+    /// Waits until the file has this many bytes.
     fn wait_for_bytes(&mut self, bytes: u64) {
         let deadline = std::time::Instant::now() + PATIENCE;
         while !fs::metadata(&self.path).is_ok_and(|it| it.len() >= bytes) {
@@ -334,7 +334,7 @@ fn recording_is_complete_after_a_signal() {
     for signal in [Signal::SIGTERM, Signal::SIGINT, Signal::SIGHUP] {
         let folder = tempfile::tempdir().unwrap();
         let mut recording = Recording::boiler(folder.path(), "a.pcapng");
-        // By then we have asked.
+        // By then descan has sent requests.
         recording.wait_for_bytes(12_000);
         recording.signal(signal);
         let path = recording.path.clone();
@@ -344,7 +344,7 @@ fn recording_is_complete_after_a_signal() {
         assert_eq!((tally.damage, tally.unreadable), (None, 0));
         assert_eq!(tally.interfaces, ["sim:boiler"]);
         assert!(frames.iter().any(|it| it.is_tx) && frames.iter().any(|it| !it.is_tx));
-        // Which can only be there if it ended well.
+        // Present only if the file was finished properly.
         assert_eq!(statistics(&path), [(0, frames.len() as u64, 0)]);
         assert!(words.contains(&format!("recorded a.pcapng: {} frames", frames.len())), "{words}");
         let age = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap();
@@ -375,7 +375,7 @@ fn recording_under_nohup_survives_sighup() {
 fn killed_recording_loses_at_most_one_second() {
     let folder = tempfile::tempdir().unwrap();
     let mut recording = Recording::boiler(folder.path(), "a.pcapng");
-    // Not the first time that it is flushed.
+    // Not the first flush.
     recording.wait_for_bytes(200);
     let there = fs::metadata(&recording.path).unwrap().len();
     recording.wait_for_bytes(there + 1_000);
@@ -384,7 +384,7 @@ fn killed_recording_loses_at_most_one_second() {
     let _ = recording.end();
     let (frames, tally) = read(&path);
     assert!(frames.len() > 20 && tally.damage.is_none(), "{tally:?}");
-    // Some 45 a second: they did not have to gather until there was a buffer full of them.
+    // About 45 f/s: written without waiting for a full buffer.
     assert!(frames.len() < 600, "{}", frames.len());
 }
 
@@ -415,7 +415,7 @@ fn full_disk_counts_only_written_frames() {
     let folder = tempfile::tempdir().unwrap();
     write_log(&folder.path().join("long.log"));
     for (name, told) in [("a.pcapng", "0 frames, 48 B"), ("a.log", "0 frames, 0 B")] {
-        // One block of 512 bytes takes the head of the file, and not all that is flushed at once.
+        // A block of 512 bytes holds the head of the file, but not all that is flushed at once.
         let script = format!(
             "trap '' XFSZ; ulimit -f 1; exec {} scan file:long.log --record {name}",
             env!("CARGO_BIN_EXE_descan")
@@ -423,7 +423,7 @@ fn full_disk_counts_only_written_frames() {
         let mut command = Command::new("sh");
         command.args(["-c", &script]).current_dir(folder.path()).stdin(Stdio::null());
         let output = command.output().unwrap();
-        // Whoever makes one log of another must not take it for done.
+        // A script that converts logs must not treat it as complete.
         assert_eq!(output.status.code(), Some(3));
         let words = words(&output);
         let told = format!("recorded {name}: {told}; incomplete: file size limit reached");

@@ -1,5 +1,5 @@
-//! A log on the screen, played faster than frames can be taken: it tells what it tells at its own
-//! pace, however far the clock could have run meanwhile.
+//! Replay faster than frames can be processed: the screen reports the same events as at normal
+//! speed, however far the clock runs ahead.
 
 use crate::common::inspection;
 use crate::common::pty;
@@ -11,7 +11,7 @@ use std::fs::{self, OpenOptions};
 use std::path::Path;
 use std::time::Instant;
 
-/// A log of nine devices and of who asks them, with more frames than are taken in one turn.
+/// Returns a log of nine devices and a requester, with more frames than one turn processes.
 fn write_log(path: &Path) {
     let mut scenario = Scenario::new(125_000);
     for number in 1..=9 {
@@ -43,7 +43,7 @@ fn playback_speed_does_not_change_events() {
     }
 }
 
-/// The second log is a pipe, which opens when somebody writes to it: the first has run for long then.
+/// The second log is a pipe, which opens when a writer opens it; the first has run for long then.
 #[test]
 fn log_started_early_is_shown_from_its_start() {
     let folder = tempfile::tempdir().unwrap();
@@ -65,7 +65,7 @@ fn log_started_early_is_shown_from_its_start() {
     assert_eq!(pty.wait(), 0);
 }
 
-/// Waits until a process stands at the end of a file that it reads.
+/// Waits until a process is at the end of a file that it reads.
 fn wait_until_read(pid: i32, path: &Path) {
     let size = fs::metadata(path).unwrap().len();
     let place = || -> Option<u64> {

@@ -1,20 +1,19 @@
-//! Scenarios: what is heard on a bus, and what the engine sends and tells because of it.
+//! Scenarios: frames received on a bus, and the frames and events of the engine in response.
 //!
 //! A scenario is a text file in `tests/scenarios`. Its input lines are
 //!
 //! ```text
 //! # a comment
 //! set listen-only            (or: announce, no-scan, address 5)
-//! 1.200 05180002#0601464545440000   a frame heard at that time
-//! 2.500                      time passes until then
+//! 1.200 05180002#0601464545440000   a frame received at that time
+//! 2.500                      wait until that time
 //! 3.000 rescan               a command; or suspend, restart, clear-lost, show
 //! ```
 //!
-//! and the indented lines below each are what must come of it: `>` a frame sent, `*` an event,
-//! `?` what is shown at the end. A file called `row_…` shows a row of the table of collisions,
-//! from its first evidence to its end; `innocent_…` what only looks like one, and may never be
-//! confirmed. Run with `UPDATE_SCENARIOS=1` to write what comes instead of checking it; then read
-//! the difference.
+//! and the indented lines below each are the expected results: `>` a frame sent, `*` an event, `?`
+//! the final state. A file named `row_…` covers a row of the table of conflicts, from its first
+//! evidence to its end; `innocent_…` a similar case that must never be confirmed. Run with
+//! `UPDATE_SCENARIOS=1` to write the results instead of checking them; then review the diff.
 
 use crate::common::inspection::describe;
 use crate::common::scenario_files::{are_written_anew, texts_of};
@@ -46,7 +45,7 @@ fn parse_frame(text: &str) -> Frame {
     Frame::with(id, &data)
 }
 
-/// An engine whose every frame sent is taken by the bus at once.
+/// An engine whose frames are all sent by the bus at once.
 struct Stage {
     engine: Engine,
     now: Instant,
@@ -145,7 +144,7 @@ fn play(scenario: &str) -> String {
             }),
         };
         let at = parse_time(words[0]);
-        // What comes of time passing stands above the line that says when it ends.
+        // Results of elapsed time are written above the line with the end time.
         stage.run_until(at);
         writeln!(stage.log, "{line}").unwrap();
         match words[1..] {

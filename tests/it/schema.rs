@@ -2,7 +2,7 @@
 
 use crate::common::python::Python;
 
-/// Says of each line, a JSON text: valid or not.
+/// Prints for each line, a JSON text, whether it is valid.
 const VALIDATOR: &str = r#"
 import json, sys
 from jsonschema import Draft202012Validator
@@ -13,7 +13,7 @@ for line in sys.stdin:
     print("valid" if validator.is_valid(json.loads(line)) else "not valid", flush=True)
 "#;
 
-/// Files as people write them, and as descan begins them.
+/// Files as users write them, and as descan creates them.
 const GOOD: [&str; 7] = [
     r#"{"devices":[{"name":"FEED","address":12,"static":true,"services":[{"name":"DES","version":"1.0"},{"name":"AUGER","version":"2.1"}]}]}"#,
     r#"[{"name":"FEED"},{"name":"SENS","address":127,"bus":"can0","uid":"BOILER01"}]"#,
@@ -24,7 +24,7 @@ const GOOD: [&str; 7] = [
     r#"[{"name":"F","services":[{"name":"DES","version":"1.0","extra":["x"]}]}]"#,
 ];
 
-/// Each has something that descan finds fault with.
+/// Files in which descan reports a finding.
 const BAD: [&str; 9] = [
     r#"{"devices":{"name":"FEED"}}"#,
     r#"[{"address":12}]"#,

@@ -1,7 +1,7 @@
-//! slcan over a pty, with adapters that behave, misbehave, die and come back.
+//! slcan over a pty, with adapters that respond correctly or wrongly, fail and come back.
 //!
-//! An adapter is played by the test itself, which waits for commands and answers them or not:
-//! late is after further commands, never after a time.
+//! The test itself acts as the adapter: it waits for commands and responds to them or not. A late
+//! response comes after further commands, never after a fixed time.
 
 use crate::common::open_bus::{OpenBus, PATIENCE};
 use crate::common::python::Python;
@@ -14,10 +14,10 @@ use nix::unistd::Pid;
 use std::process::{Child, Command, Stdio};
 use std::time::Instant;
 
-/// An adapter at a pty, played by the test.
+/// A simulated adapter at a pty.
 struct Adapter {
     pty: Pty,
-    /// All commands and frames that were said to it.
+    /// All commands and frames that it received.
     heard: Vec<String>,
 }
 
@@ -30,7 +30,7 @@ impl Adapter {
         format!("slcan:{}{rates}", self.pty.path().display())
     }
 
-    /// Waits for the next line that is said to it.
+    /// Waits for the next line that it receives.
     fn hear(&mut self) -> String {
         let Some(line) = self.pty.read_line() else {
             panic!("nothing more is said after {:?}", self.heard);
@@ -39,7 +39,7 @@ impl Adapter {
         line
     }
 
-    /// Waits for this line; what comes before it is not answered.
+    /// Waits for this line; does not respond to lines before it.
     fn hear_until(&mut self, wanted: &str) {
         while self.hear() != wanted {}
     }
@@ -48,11 +48,11 @@ impl Adapter {
         self.pty.write(text.as_bytes());
     }
 
-    /// Answers as Lawicel's adapters do until the channel is open.
+    /// Responds as Lawicel's adapters do until the channel is open.
     fn be_opened(&mut self) {
         loop {
             match self.hear().as_str() {
-                // The channel is closed already.
+                // The channel is already closed.
                 "C" => self.say("\x07"),
                 "V" => self.say("V1013\r"),
                 "N" => self.say("NA123\r"),
@@ -63,7 +63,7 @@ impl Adapter {
         }
     }
 
-    /// Answers status flags until a line with something else comes.
+    /// Responds to status flag requests until another line is received; returns that line.
     fn hear_frame(&mut self) -> String {
         loop {
             match self.hear() {
@@ -74,7 +74,7 @@ impl Adapter {
     }
 }
 
-/// Opens a bus at an adapter that answers.
+/// Opens a bus at an adapter that responds.
 fn open(rates: &str) -> (Adapter, OpenBus) {
     let mut adapter = Adapter::new();
     let mut bus = OpenBus::open(&adapter.spec(rates));
@@ -83,8 +83,8 @@ fn open(rates: &str) -> (Adapter, OpenBus) {
     (adapter, bus)
 }
 
-/// The same, and the adapter is known to acknowledge frames: it has acknowledged one. However
-/// late it was in doing so on a busy machine, from now on it is waited for.
+/// Like `open`, with an adapter that has acknowledged one frame. From then on acknowledgements are
+/// waited for, however late they are on a busy machine.
 fn open_acknowledging(rates: &str) -> (Adapter, OpenBus) {
     let (mut adapter, mut bus) = open(rates);
     acknowledge_first(&mut adapter, &mut bus);
@@ -100,7 +100,7 @@ fn acknowledge_first(adapter: &mut Adapter, bus: &mut OpenBus) {
     bus.frames.clear();
 }
 
-/// Opens a bus at an adapter that never answers anything.
+/// Opens a bus at an adapter that never responds.
 fn open_mute(rates: &str) -> (Adapter, OpenBus) {
     let mut adapter = Adapter::new();
     let mut bus = OpenBus::open(&adapter.spec(rates));
@@ -211,7 +211,7 @@ fn acknowledged_frame_is_reported_as_tx() {
     }
     bus.wait_for_status("three under way", |status| status.unconfirmed == 3);
     assert_eq!(bus.frames, []);
-    // Of the three kinds of yes one after the other, between frames of others.
+    // The three kinds of positive response in sequence, between received frames.
     adapter.say("z\rT000000050\r");
     bus.wait_for_frames(2);
     adapter.say("\r");
@@ -271,7 +271,7 @@ fn adapter_without_frame_acks_is_detected() {
 fn late_replies_are_matched_to_their_commands() {
     let mut adapter = Adapter::new();
     let mut bus = OpenBus::open(&adapter.spec("@250000"));
-    // Three times nothing, then six answers at once, none of which is that to S or O.
+    // Three requests without a response, then six responses at once, none of them to S or O.
     for _ in 0..3 {
         adapter.hear_until("V");
     }
@@ -310,7 +310,7 @@ fn adapter_rejecting_bit_rate_is_down_and_retried() {
     let message = status.message.unwrap();
     assert!(message.contains("rejects 800000 bit/s (S7)"), "{message}");
     assert!(!adapter.heard.contains(&"O".to_owned()));
-    // What is to be sent meanwhile is not kept for later.
+    // Frames sent meanwhile are not queued for later.
     bus.send(&Frame::classic(1, &[]));
     bus.wait_for_status("a failure", |status| status.transmit_failures == 1);
     adapter.be_opened();
@@ -342,7 +342,7 @@ fn garbage_is_counted_and_next_line_is_read() {
     adapter.say("t1230\r");
     bus.wait_for_frames(1);
     bus.wait_for_status("three lines", |status| status.unreadable == 3);
-    // A line without an end, longer than anything is kept.
+    // An unterminated line, longer than the line buffer.
     for _ in 0..100 {
         adapter.pty.write(&[b'5'; 1000]);
     }
@@ -396,7 +396,7 @@ fn status_flags_give_state_and_lost_frames() {
     assert!(message.contains("error-passive: check bit rate"), "{message}");
     let status = tell("F08\r", BusState::ErrorActive);
     assert_eq!((status.controller_overruns, status.message), (1, None));
-    // A flag that stays is one event.
+    // A flag that stays set is one event.
     tell("F0C\r", BusState::ErrorWarning);
     assert_eq!(tell("F00\r", BusState::ErrorActive).controller_overruns, 1);
     assert_eq!(tell("F01\r", BusState::ErrorActive).unreadable, 0);
@@ -408,7 +408,7 @@ fn adapter_without_status_flags_is_polled_once() {
     let (mut adapter, mut bus) = open("@500000");
     adapter.hear_until("F");
     adapter.say("\x07");
-    // Frames for longer than it would take until it is asked again.
+    // Sends frames for longer than the interval of flag requests.
     let start = Instant::now();
     while start.elapsed().as_millis() < 2_500 {
         bus.send(&Frame::classic(1, &[]));
@@ -430,7 +430,7 @@ fn adapter_state_reports_set_the_bus_state() {
     adapter.say("sb000256\r");
     let status = bus.wait_for_status("bus-off", |status| status.state == BusState::BusOff);
     assert!(status.message.unwrap().contains("bus-off: check wiring"));
-    // Flags know less.
+    // Flags carry less information.
     adapter.hear_until("F");
     adapter.say("F20\rt1230\r");
     bus.wait_for_frames(3);
@@ -523,7 +523,7 @@ fn port_in_use_is_waited_for() {
 #[test]
 fn adapter_that_reads_nothing_does_not_block() {
     let (adapter, mut bus) = open_mute("@500000");
-    // More than the pty takes, and more than waits.
+    // More than the pty and the transmit queue hold.
     let frame = Frame::classic(1, &[0; 8]);
     bus.wait_until("frames that are not sent", |bus| {
         while bus.port.transmit(&frame).is_ok() {}
@@ -540,7 +540,7 @@ fn adapter_that_reads_nothing_does_not_block() {
 
 // --- the program -------------------------------------------------------------------------------
 
-/// The program, ended when dropped.
+/// The program, killed when dropped.
 struct Program(Child);
 
 impl Program {
@@ -552,7 +552,7 @@ impl Program {
         Self(command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("it starts"))
     }
 
-    /// Waits for its end; its exit code, and what it printed.
+    /// Waits for the exit; returns the exit code and the output.
     fn finish(self) -> (Option<i32>, String, String) {
         let mut child = std::mem::ManuallyDrop::new(self);
         let read = |source: &mut dyn std::io::Read| {
@@ -632,7 +632,7 @@ fn silent_adapter_is_not_an_active_bus() {
 #[test]
 fn adapter_port_is_not_the_controlling_terminal() {
     let mut adapter = Adapter::new();
-    // The leader of a session without a terminal gets the first one that it opens.
+    // A session leader without a terminal acquires the first one that it opens.
     let spec = adapter.spec("@500000");
     let program =
         Program::run(Command::new("setsid").args([env!("CARGO_BIN_EXE_descan"), "watch", &spec]));
@@ -646,7 +646,7 @@ fn adapter_port_is_not_the_controlling_terminal() {
     adapter.hear_until("C");
 }
 
-/// Processor time used by a process, in clock ticks.
+/// Returns the processor time used by a process, in clock ticks.
 fn ticks(pid: u32) -> u64 {
     let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap();
     let fields: Vec<&str> = stat.rsplit(") ").next().unwrap().split(' ').collect();

@@ -1,5 +1,4 @@
-//! SocketCAN on a real kernel, with peers that nobody here wrote: can-utils and the kernel's
-//! own ISO-TP.
+//! SocketCAN on a real kernel, with independent peers: can-utils and the kernel's own ISO-TP.
 
 use crate::common::can;
 use crate::common::can::{PATIENCE, Peer, Vcan, controllers, listeners, run, wait_for_listeners};
@@ -17,7 +16,7 @@ use descan::wire::isotp::{
 use std::sync::Mutex;
 use std::time::Instant as Monotonic;
 
-/// An open port, all that came out of it so far, and the patience to wait for more.
+/// An open port with everything received from it so far, and waits with a timeout.
 struct Bus {
     port: Port,
     clock: Clock,
@@ -42,7 +41,7 @@ impl Bus {
         self.port.queue().status()
     }
 
-    /// Takes what comes until `condition` holds for it.
+    /// Receives until `condition` holds.
     fn wait_until(&mut self, what: &str, mut condition: impl FnMut(&mut Self) -> bool) {
         let deadline = Monotonic::now() + PATIENCE;
         loop {
@@ -150,7 +149,7 @@ fn sent_frames_are_read_by_candump() {
         assert_eq!(seen.frame, *sent);
     }
 
-    // And they come back marked, dated by the same stamps that candump printed.
+    // Own frames are received back marked as tx, with the time stamps that candump printed.
     let echoes = bus.wait_for_frames(frames.len()).to_vec();
     for (echo, (seen, sent)) in echoes.iter().zip(seen.iter().zip(frames)) {
         assert_eq!(*echo, sent.with_tx().with_time(echo.time).with_bus(BusIndex(3)));
@@ -185,7 +184,7 @@ fn canplayer_plays_recorded_files() {
     let seen = candump.finish();
     let seen: Vec<_> =
         seen.lines().map(|line| parse_line(line.as_bytes()).unwrap().unwrap().frame).collect();
-    // What was sent then is a stranger's now.
+    // In the log, descan's own frames count as received.
     let played = frames.map(|mut frame| {
         frame.is_tx = false;
         frame
@@ -227,16 +226,16 @@ fn frame_times_are_ordered_and_not_in_the_future() {
     assert!(frames.is_sorted_by_key(|frame| frame.time));
 }
 
-/// More than the queue holds, and more than the kernel's receive buffer.
+/// More than the receive queue and the kernel receive buffer hold.
 const FLOOD: usize = 40_000;
 
-/// For one flood at a time: one of them stops the whole program.
+/// Serializes floods: one of them stops the whole program.
 static FLOODS: Mutex<()> = Mutex::new(());
 
-/// Waits until every frame of a flood has come or is counted as lost; gives the status then.
+/// Waits until every frame of a flood is received or counted as lost; returns the status then.
 fn account_for_flood(bus: &mut Bus) -> BusStatus {
     let lost = |status: &BusStatus| (status.kernel_drops + status.queue_drops) as usize;
-    // No later frame tells of what was dropped at its end.
+    // No later frame reports the frames lost at the end.
     bus.wait_until("the flood", |bus| bus.frames.len() + lost(&bus.status()) >= FLOOD);
     let status = bus.status();
     assert_eq!(bus.frames.len() + lost(&status), FLOOD, "{status:?}");
@@ -296,7 +295,7 @@ fn renamed_interface_is_followed() {
     bus.wait_for_link(Link::Down);
     vcan.rename("ds-renamed");
     bus.wait_until("the new name", |bus| bus.status().renamed.as_deref() == Some("ds-renamed"));
-    // What is to be typed has the name of now.
+    // The suggested command uses the current name.
     let message = bus.status().message.unwrap();
     assert_eq!(message, "ds-renamed is down: sudo ip link set ds-renamed up");
     run("ip", &["link", "set", "ds-renamed", "up"]);
@@ -304,7 +303,7 @@ fn renamed_interface_is_followed() {
     run("cansend", &["ds-renamed", "123#01"]);
     bus.wait_for_frames(1);
 
-    // It is gone: waited for is what was asked for, not the name it had in between.
+    // The interface is removed: descan waits for the requested name, not the intermediate one.
     run("ip", &["link", "del", "ds-renamed"]);
     let status = bus.wait_for_link(Link::Unplugged);
     assert_eq!(status.renamed, None);
@@ -385,7 +384,7 @@ fn settings_changed_while_open_are_seen() {
 #[test]
 fn receive_buffer_has_the_allowed_maximum() {
     let Some(vcan) = Vcan::new("ds-buffer") else { return };
-    // The kernel doubles what is asked for; root gets all of it.
+    // The kernel doubles the requested size; root gets all of it.
     assert_eq!(Bus::open(vcan.name()).status().receive_buffer, Some(2 * (8 << 20)));
 }
 
@@ -435,7 +434,7 @@ fn close_is_prompt_and_leaves_no_socket() {
     let before = Monotonic::now();
     drop(bus);
     assert!(before.elapsed() < PATIENCE / 2);
-    // A program that another test starts just now holds a copy of the socket until it runs.
+    // A child started by another test may hold a copy of the socket until it executes.
     can::wait_until("its socket to be closed", || listeners(vcan.name(), "raw") == 0);
 }
 
@@ -474,7 +473,7 @@ fn full_transmit_queue_loses_no_frame() {
     let status = bus.status();
     assert_eq!((status.transmit_failures, status.unconfirmed), (0, 0));
 
-    // The emulated bus has no bit rate and can overrun the other controller: it may miss some.
+    // The emulated bus has no bit rate and can overrun the other controller: frames may be lost.
     other.wait_until("the last frame", |other| {
         other.frames.iter().any(|frame| frame.platform_id() == Some(COUNT - 1))
             || other.status().controller_overruns > 0
@@ -487,7 +486,7 @@ fn full_transmit_queue_loses_no_frame() {
 fn stuck_transmit_queue_is_reported_until_it_drains() {
     const COUNT: u32 = 60;
     let Some(_taken) = controllers() else { return };
-    // The kernel's own slcan, at an adapter that takes nothing: what is sent stays in its queue.
+    // The kernel's own slcan, with an adapter that rejects frames: they stay in its queue.
     let mut adapter = serial::Pty::new();
     run("slcan_attach", &["-n", "stuck0", adapter.path().to_str().unwrap()]);
     run("ip", &["link", "set", "stuck0", "up", "txqueuelen", "5"]);
@@ -518,7 +517,7 @@ fn bus_off_and_recovery_are_reported() {
     run("ip", &["link", "set", "leaves0", "up"]);
     let mut bus = Bus::open("leaves0");
     assert_eq!(bus.status().state, BusState::ErrorActive);
-    // What an adapter says of its controller's state and counters is the kernel's own state.
+    // The controller state and counters sent by an adapter are the kernel's own state.
     adapter.write(b"sb000255\r");
     bus.wait_until("bus-off", |bus| bus.status().state == BusState::BusOff);
     bus.wait_until("it counted", |bus| bus.status().bus_offs == 1);
@@ -565,7 +564,7 @@ fn fd_on_classic_controller_is_a_counted_failure() {
 const US: u32 = 0x0001_0203;
 const KERNEL: u32 = 0x0002_0304;
 
-/// Bytes 00, 01, … as isotpsend wants and isotprecv prints them.
+/// Formats bytes 00, 01, … as isotpsend expects and isotprecv prints them.
 fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02X} ")).collect::<Vec<_>>().concat()
 }
@@ -598,7 +597,7 @@ fn kernel_reassembles_sent_transfers() {
                 }
             }
             seen = bus.frames.len();
-            // Ours come back, so there is always news until all is sent.
+            // descan's own frames are received back, so frames keep coming until all are sent.
             if let Some(segment) = segmenter.poll(now) {
                 bus.port.transmit(&segment.into_frame(US, fd, 0xCC)).unwrap();
             }

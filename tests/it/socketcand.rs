@@ -1,6 +1,6 @@
 //! socketcand over the loopback, with servers that behave, misbehave, hang up and come back.
 //!
-//! A server is played by the test itself, as the daemon's documentation and source have it.
+//! The test itself acts as the server, following the daemon's documentation and source.
 
 use crate::common::open_bus::{OpenBus, PATIENCE};
 use descan::bus::TransmitError;
@@ -15,7 +15,7 @@ use std::sync::mpsc::{Sender, channel};
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
-/// A server, played by the test.
+/// A simulated server.
 struct Server {
     listener: TcpListener,
     client: Option<TcpStream>,
@@ -40,7 +40,7 @@ impl Server {
     }
 
     fn accept(&mut self) {
-        // A client that never comes is a failure, and no test that does not end.
+        // A missing client fails the test instead of blocking it.
         let coming = &mut [PollFd::new(self.listener.as_fd(), PollFlags::POLLIN)];
         let time = PollTimeout::try_from(PATIENCE).expect("milliseconds");
         assert!(poll(coming, time).unwrap() > 0, "nobody calls");
@@ -55,7 +55,7 @@ impl Server {
         self.client.as_mut().expect("a client").write_all(text.as_bytes()).unwrap();
     }
 
-    /// The next message that is said to it.
+    /// Returns the next message that it receives.
     fn hear(&mut self) -> String {
         loop {
             if let Some(end) = self.heard.find('>') {
@@ -69,7 +69,7 @@ impl Server {
         }
     }
 
-    /// Takes a client in, up to raw mode.
+    /// Accepts a client, up to raw mode.
     fn be_opened(&mut self) {
         self.accept();
         self.say("< hi >");
@@ -138,7 +138,7 @@ fn split_messages_are_joined() {
     server.say("< ok ");
     server.say(">");
     assert_eq!(server.hear(), "< rawmode >");
-    // The first frames come with the answer.
+    // The first frames come with the response.
     server.say("< ok >< frame 123 1.000000 AA >< fra");
     bus.wait_for_frames(1);
     for byte in "me 124 1.000001 BB >".chars() {
@@ -161,7 +161,7 @@ fn frames_of_every_kind_but_fd_are_sent() {
         bus.send(&frame);
         assert_eq!(server.hear(), message);
     }
-    // The server gives none back.
+    // The server sends no own frames back.
     let ours = bus.wait_for_frames(4);
     assert!(ours.iter().all(|frame| frame.is_tx));
     assert_eq!(ours[3].kind, FrameKind::Remote);
@@ -312,8 +312,8 @@ fn ipv6_address_is_in_brackets() {
 
 // --- the program -------------------------------------------------------------------------------
 
-/// A server with one bus for all its clients, as the daemon is with one interface: what one
-/// sends the others hear, dated by a clock of its own.
+/// Runs a server with one bus for all its clients, like the daemon with one interface: it forwards
+/// each client's frames to the others, with time stamps of its own clock.
 fn serve(listener: TcpListener) {
     let clients: Arc<Mutex<Vec<Sender<String>>>> = Arc::default();
     let start = Instant::now();
@@ -364,7 +364,7 @@ fn serve(listener: TcpListener) {
     });
 }
 
-/// The program, ended when dropped.
+/// The program, killed when dropped.
 struct Program(Child);
 
 impl Program {

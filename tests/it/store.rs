@@ -1,4 +1,4 @@
-//! The file on disk: saved whole or not at all, and watched.
+//! The file on disk: atomic saves and the file watch.
 
 use crate::common::sweep;
 use std::fs;
@@ -98,7 +98,7 @@ fn read_gives_content_or_the_cause() {
 
     assert_eq!(error.in_short(), "it is a folder: name the file in it");
 
-    // A pipe without a writer must not be waited for.
+    // A read must not wait for a pipe without a writer.
     nix::unistd::mkfifo(&at("pipe"), nix::sys::stat::Mode::S_IRWXU).unwrap();
     let error = Store::new(at("pipe")).read().unwrap_err();
     assert!(matches!(error, StoreError::NotAFile { .. }), "{error}");
@@ -124,7 +124,7 @@ fn save_replaces_content_and_keeps_mode() {
     let store = Store::new(&path);
     store.save(None, b"one").unwrap();
     assert_eq!(fs::read(&path).unwrap(), b"one");
-    // As any program would create it.
+    // With the permissions of any newly created file.
     fs::write(folder.path().join("other"), "").unwrap();
     assert_eq!(mode(&path), mode(&folder.path().join("other")));
 
@@ -164,7 +164,7 @@ fn save_keeps_symbolic_links() {
     symlink(at("links/des.json"), at("des.json")).unwrap();
     let store = Store::new(at("des.json"));
 
-    // Also where the target does not exist yet.
+    // The same if the target does not exist yet.
     store.save(None, b"one").unwrap();
     assert_eq!(fs::read(at("real/deep/des.json")).unwrap(), b"one");
     store.save(Some(b"one"), b"two").unwrap();
@@ -177,7 +177,7 @@ fn save_keeps_symbolic_links() {
     assert_eq!(names(folder.path()), ["des.json", "links", "real"]);
 }
 
-/// A save is whole or not at all, which writing into the file that has both names could not be.
+/// Tests hard links: saves are atomic, which rules out writing in place.
 #[test]
 fn save_reports_broken_hard_link() {
     let folder = folder();
@@ -248,7 +248,7 @@ fn failed_save_leaves_no_file_and_gives_the_cause() {
     let error = failure(&at("no/des.json"));
     let no = at("no").display().to_string();
     assert!(error.ends_with(&format!(": mkdir -p {no}, then save again")), "{error}");
-    // Few words for the status: which folder is to be made, also where a link leads to.
+    // Short status text: the folder to create, also for the target of a link.
     symlink("nowhere/x.json", at("link")).unwrap();
     for (path, missing) in [("no/des.json", "no"), ("link", "nowhere")] {
         let store = Store::new(at(path));
@@ -267,7 +267,7 @@ fn failed_save_leaves_no_file_and_gives_the_cause() {
     // Even root cannot create files here.
     let error = failure(Path::new("/proc/des.json"));
     assert!(error.starts_with("/proc/des.json cannot be saved: "), "{error}");
-    // Nor two files under one name of 255 bytes and our suffix.
+    // Nor a temporary file whose name exceeds 255 bytes with the suffix.
     let error = failure(&at(&"x".repeat(250)));
     assert!(error.contains("File name too long"), "{error}");
     assert_eq!(names(folder.path()), ["folder"]);
@@ -287,7 +287,7 @@ fn failed_save_leaves_no_file_and_gives_the_cause() {
 
 // ---- watching ----
 
-/// Waits for the next reading; a watch that says nothing fails the test.
+/// Waits for the next reading; fails the test if the watch reports none.
 async fn next(watch: &FileWatcher) -> DiskContent {
     tokio::time::timeout(Duration::from_secs(20), watch.changed()).await.expect("no reading")
 }
@@ -311,7 +311,7 @@ fn replace(path: &Path, content: &str) {
     fs::rename(temporary, path).unwrap();
 }
 
-/// All that editors do to files, for a watch of either kind.
+/// Runs all file changes that editors make, for a watch of either kind.
 async fn is_noticed(path: &Path, watch: &FileWatcher) {
     for round in 0..3 {
         replace(path, &format!("renamed {round}"));
@@ -359,12 +359,12 @@ fn changes_behind_links_are_reported() {
         symlink("now/des.json", at("des.json")).unwrap();
         let watch = FileWatcher::spawn(Store::new(at("des.json")), Ok(Some(b"a".into())));
         is_noticed(&at("a/des.json"), &watch).await;
-        // The folder's link is put elsewhere.
+        // The link of the folder gets another target.
         symlink("b", at("next")).unwrap();
         fs::rename(at("next"), at("now")).unwrap();
         until(&watch, Some("b")).await;
         is_noticed(&at("b/des.json"), &watch).await;
-        // And the file's.
+        // The link of the file, too.
         fs::write(at("c"), "c").unwrap();
         symlink("c", at("next")).unwrap();
         fs::rename(at("next"), at("des.json")).unwrap();
@@ -414,12 +414,12 @@ fn own_saves_are_not_reported() {
             store.save(Some(old.as_bytes()), new.as_bytes()).unwrap();
             watch.saved(new.clone().into_bytes());
         }
-        // Touched, but not changed; and something else in the folder.
+        // Touched, but not changed; and another file in the folder.
         fs::write(folder.path().join("other"), "x").unwrap();
         replace(&path, "10");
         replace(&path, "theirs");
         assert_eq!(next_content(&watch).await.as_deref(), Some("theirs"));
-        // What we wrote once is news when others write it.
+        // Content saved by descan earlier is reported if another program writes it.
         replace(&path, "10");
         assert_eq!(next_content(&watch).await.as_deref(), Some("10"));
     });
@@ -434,7 +434,7 @@ fn content_read_before_a_save_is_dropped() {
         let store = Store::new(&path);
         let watch = FileWatcher::spawn(store.clone(), Ok(None));
         assert_eq!(next_content(&watch).await.as_deref(), Some("theirs"));
-        // Theirs again, which the watch sees or not; we learn of it by saving.
+        // Theirs again, which the watch may miss; the save detects it.
         replace(&path, "theirs again");
         let Err(SaveError::Changed(_)) = store.save(Some(b"theirs"), b"ours") else { panic!() };
         store.save(Some(b"theirs again"), b"ours").unwrap();
@@ -444,7 +444,8 @@ fn content_read_before_a_save_is_dropped() {
     });
 }
 
-/// What others wrote after a save, and the watch saw before it was told of that save.
+/// Tests content written by another program after a save, and read by the watch before the save was
+/// reported to it.
 #[test]
 fn content_read_after_a_save_is_kept() {
     run(async {
@@ -454,7 +455,7 @@ fn content_read_after_a_save_is_kept() {
         for round in 0..sweep::cases(60) {
             let known = Ok(Some(b"before".to_vec()));
             let watch = FileWatcher::polling(Store::new(&path), known, Duration::from_hours(1));
-            // Some are told before the watch has looked, some after.
+            // Some saves are reported before the watch reads, some after.
             (0..round).for_each(|_| std::thread::yield_now());
             watch.saved(b"ours".to_vec());
             assert_eq!(next_content(&watch).await.as_deref(), Some("theirs"));
@@ -462,7 +463,7 @@ fn content_read_after_a_save_is_kept() {
     });
 }
 
-/// As after a save in whose course something else was reported: what is known of it is old.
+/// Tests outdated content: as after a save during which other content was reported.
 #[test]
 fn uncertain_content_is_always_reported() {
     run(async {

@@ -1,5 +1,5 @@
-//! The real binary in a pseudo-terminal: what is seen, what keys do, and that the terminal is
-//! given back on every way out.
+//! The real binary in a pseudo-terminal: screen content, effect of keys, and restoring of the
+//! terminal on every way out.
 
 use crate::common::pty;
 use crate::common::pty::{ClosablePty, Pty};
@@ -98,7 +98,7 @@ fn lost_connection_ends_descan() {
 fn unsaved_edits_are_kept_in_a_recovery_copy() {
     for way in ["Ctrl-C", "SIGTERM", "SIGHUP", "given up"] {
         let folder = tempfile::tempdir().unwrap();
-        // There is no such folder, so nothing can be saved.
+        // The folder does not exist, so saving fails.
         let arguments = ["sim:boiler", "--file", "gone/des.json"];
         let mut pty = Pty::start(&arguments, folder.path(), (120, 40));
         pty.wait_for("FEED");
@@ -188,11 +188,11 @@ fn stop_signal_changes_no_presence() {
     let mut pty = demo(folder.path());
     pty.signal(Signal::SIGSTOP);
     pty.wait_for_state('T');
-    // Nothing is drawn meanwhile; heartbeats are due.
+    // Nothing is drawn while stopped; heartbeats become overdue.
     assert_eq!(pty.count_for(Duration::from_secs(4)), 0);
     pty.signal(Signal::SIGCONT);
     pty.wait_for("descan       stopped for");
-    // It begins anew.
+    // Discovery starts again.
     pty.wait_for("using address 0");
     pty.send("3");
     pty.wait_for("▸");
@@ -204,7 +204,7 @@ fn stop_signal_changes_no_presence() {
     assert_eq!(pty.wait(), 0);
 }
 
-/// Not a test of its own: what `panic_restores_the_terminal` runs in a terminal.
+/// A helper, not a test: `panic_restores_the_terminal` runs it in a terminal.
 #[test]
 #[ignore = "run by another test"]
 fn panic_with_the_terminal_open() {
@@ -274,13 +274,13 @@ fn file_change_is_seen_while_typing_an_address() {
     pty.send("ge");
     pty.send("\x7f\x7f\x7f44");
     pty.wait_for("44");
-    // Somebody else pins another device to just that address, as editors save.
+    // Another program pins another device to the same address, with an atomic save.
     let other =
         r#"{"devices":[{"name":"FEED","address":10},{"name":"VALVE","address":44,"static":true}]}"#;
     std::fs::write(folder.path().join("new"), other).unwrap();
     std::fs::rename(folder.path().join("new"), &path).unwrap();
     pty.wait_for("VALVE");
-    // The editor is still open, and refuses what was free before.
+    // The input line is still open, and rejects the address that was free before.
     pty.send("\r");
     pty.count_for(std::time::Duration::from_millis(100));
     assert_eq!(std::fs::read_to_string(&path).unwrap(), other, "{}", pty.screen());
@@ -312,7 +312,7 @@ fn user_theme_is_reloaded_when_saved() {
         let text = format!("inherits = \"dark\"\n[roles]\nselected = {{ bg = \"{colour}\" }}\n");
         std::fs::write(themes.join("own.toml"), text).unwrap();
     };
-    // The nearest of 256 colours: these two are in the cube.
+    // The nearest of 256 colours: the colour cube contains both.
     write("#5f00af");
     let mut pty = Pty::start(&["sim:boiler", "--theme", "own"], folder.path(), SMALL);
     let has = |screen: &vt100::Screen, index: u8| {
@@ -424,13 +424,13 @@ fn log_is_paused_stepped_and_resumed_by_keys() {
     pty.wait_for("PAUSED 1:00");
     pty.send(">");
     pty.wait_for("PAUSED 2:00 3%");
-    // What was due between two frames happened between them.
+    // Deadlines between two frames passed at their own time.
     pty.wait_for("06:18:37 ○ ? @12        lost");
     pty.send("]]]]]]]]]]]]");
     pty.wait_for("PAUSED 2:00 3% ×4096");
     pty.send("[P");
     pty.wait_for("end of log  1:39:00 100% ×2048");
-    // The end is no exit, and only for now.
+    // At the end of the log descan keeps running and reads new lines.
     let mut file = std::fs::File::options().append(true).open(&path).unwrap();
     let second = 1_436_509_052 + 100 * 60;
     let line = format!("({second}.100000) can7 07283C01#8AFA6C9724120400\n");

@@ -1,7 +1,7 @@
-//! The bus of python-can's `udp_multicast`, with python-can itself at the other end.
+//! The bus of python-can's `udp_multicast`, with python-can itself as the peer.
 //!
-//! Every test runs in a network namespace of its own that has nothing but `lo`: nothing of it gets
-//! onto the machine's network.
+//! Every test runs in its own network namespace that has only `lo`: no packet reaches the machine's
+//! network.
 
 use crate::common::open_bus::OpenBus;
 use crate::common::python::{Peer, Python};
@@ -16,12 +16,12 @@ const V4: &str = "239.74.163.2";
 const V6: &str = "ff15:7079:7468:6f6e:6465:6d6f:6d63:6173";
 const PACKAGES: [&str; 2] = ["python-can==4.6.1", "msgpack==1.1.2"];
 
-/// `lo` with multicast, as a network has it.
+/// `lo` with multicast, like a real network.
 const NETWORK: &str = "ip link set lo up multicast on && ip route add 224.0.0.0/4 dev lo && \
                        ip -6 route add local ff00::/8 dev lo table local";
 
-/// Runs a test of this program in a namespace. Where there can be none, says why; in CI it must
-/// run.
+/// Runs a test of this program in a namespace. Where that is not possible, prints the reason; in CI
+/// it must run.
 fn in_namespace(test: &str) {
     let user = if nix::unistd::geteuid().is_root() { "-n" } else { "-rn" };
     let attempt = Command::new("unshare").args([user, "sh", "-c", NETWORK]).output();
@@ -44,7 +44,7 @@ fn in_namespace(test: &str) {
     assert!(output.status.success() && words.contains("1 passed"), "{words}");
 }
 
-/// Whether this is such a namespace: nothing may be sent elsewhere.
+/// Returns true in such a namespace: nothing may be sent elsewhere.
 fn check_namespace() {
     let devices = std::fs::read_to_string("/proc/self/net/dev").unwrap();
     let names: Vec<_> = devices.lines().skip(2).filter_map(|line| line.split(':').next()).collect();
@@ -67,7 +67,7 @@ fn frames() -> [Frame; 4] {
     ]
 }
 
-/// The same frame as it comes out of a port.
+/// Returns the frame as it is received from a port.
 fn heard(frame: Frame, like: &Frame) -> Frame {
     frame.with_time(like.time).with_bus(BusIndex(3))
 }
@@ -147,7 +147,7 @@ fn talks_to_python_can(group: &str) {
 
 #[test]
 fn python_can_exchanges_frames_over_ipv4_and_ipv6() {
-    // Made here, where there is a package index.
+    // Created here, where a package index is available.
     if Python::with(&PACKAGES).is_some() {
         in_namespace("python_can_peer_over_ipv4");
         in_namespace("python_can_peer_over_ipv6");
@@ -166,7 +166,7 @@ fn python_can_peer_over_ipv6() {
     talks_to_python_can(V6);
 }
 
-// --- several of us --------------------------------------------------------------------------
+// --- several instances of descan ------------------------------------------------------------
 
 #[test]
 fn same_host_peers_keep_own_frames_apart() {
@@ -185,7 +185,7 @@ fn same_host_peers() {
             bus.wait_for_link(Link::Up);
         }
         for number in 0..100 {
-            // The same frame from both: only who sent it differs.
+            // Both send the same frame: only the sender differs.
             let frame = Frame::classic(number, &[7]);
             one.send(&frame);
             other.send(&frame);
@@ -221,7 +221,7 @@ fn groups_and_ports() {
     }
 }
 
-// --- what goes wrong ------------------------------------------------------------------------
+// --- errors ---------------------------------------------------------------------------------
 
 #[test]
 fn malformed_datagrams_are_counted() {
@@ -284,7 +284,7 @@ fn lost_network() {
     let mut bus = OpenBus::open(&format!("udp:{V4}%eth7"));
     let status = bus.wait_for_link(Link::Down);
     assert!(status.message.unwrap().contains("eth7 not found"));
-    // A group of each link by itself.
+    // One group per link.
     let mut bus = OpenBus::open("udp:ff02::1");
     let message = bus.wait_for_link(Link::Down).message.unwrap();
     assert!(message.contains("udp:ff02::1%eth0"), "{message}");
@@ -299,7 +299,7 @@ fn missing_loopback_names_the_route_command() {
 #[ignore = "run by another test"]
 fn missing_loopback() {
     check_namespace();
-    // The group is joined at lo, and what is sent to it goes elsewhere.
+    // The group is joined at lo, and packets to it are sent elsewhere.
     let elsewhere = "ip link add descan0 type veth peer name descan1 && ip link set descan1 up && \
                      ip link set descan0 up multicast on && ip addr add 10.77.0.1/24 dev descan0 && \
                      ip rule add to 239.0.0.0/8 ipproto udp lookup 77 && \

@@ -1,5 +1,5 @@
-//! Edits of des.json are taken back, and others empty, change or hold up the file meanwhile; of
-//! several entries of one name the right one is edited.
+//! Undo and redo of edits of des.json while other programs empty, change or block the file; and the
+//! choice of the right entry among several of one name.
 
 use crate::common::harness::{BOILER, Stage};
 use descan::app::{Effect, FileReading, FileState, SaveOutcome, Saving};
@@ -9,7 +9,7 @@ use descan::status::Playback;
 use descan::time::Instant;
 use proptest::prelude::*;
 
-/// A disk that takes nothing, until it is mended.
+/// A disk that rejects writes until it is repaired.
 fn refusing() -> Stage {
     let mut stage = Stage::boiler();
     stage.refusal = Some("no space left on the disk".to_owned());
@@ -42,8 +42,8 @@ fn select<'s>(stage: &'s mut Stage, name: &str) -> &'s mut Stage {
 fn file_being_written_is_not_taken_as_empty() {
     let theirs = BOILER.replace("12", "13");
     for empty in ["", "\n", " \r\n\t", "\u{feff}"] {
-        // An edit of what is there no more, which would be a conflict; and a new entry, which would
-        // begin a new file.
+        // An edit of an entry that no longer exists, which would be an edit conflict; and a new
+        // entry, which would create a file.
         for (keys, text, ours) in [
             ("e", "70", theirs.replace("10", "70")),
             ("n", "NEW 64", theirs.replace("44, \"static\": true }", "44, \"static\": true },\n    { \"name\": \"NEW\", \"address\": 64, \"static\": true }")),
@@ -88,7 +88,7 @@ fn save_to_emptied_file_is_delayed() {
     for keys in ["e", "n"] {
         let mut stage = Stage::boiler();
         stage.until(24.0);
-        // Nobody has told yet.
+        // The change has not been reported yet.
         stage.file = Some(Vec::new());
         let text = if keys == "e" { "70" } else { "NEW 64" };
         stage.keys(keys).text(text).keys("Enter").until(24.5);
@@ -100,7 +100,7 @@ fn save_to_emptied_file_is_delayed() {
         assert!(stage.file().contains(if keys == "e" { "70" } else { "NEW" }));
         assert!(stage.file().contains("13"));
     }
-    // So is one that was to make the file.
+    // The same for a save that was to create the file.
     let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), None);
     stage.until(24.0);
     stage.file = Some(Vec::new());
@@ -115,20 +115,20 @@ fn file_that_stays_empty_gets_the_first_entry() {
     let mut stage = refusing();
     stage.keys("n").text("NEW 64").keys("Enter");
     mend(&mut stage).write("").until(24.6);
-    // Still being written: that it is seen again is no reason to wait longer.
+    // Still being written: a second report does not extend the wait.
     stage.write(" ").until(24.9);
     assert_eq!(stage.file(), " ");
     stage.until(25.1);
     assert!(stage.file().starts_with("{\n  \"devices\": [\n"), "{}", stage.file());
     assert!(stage.file().contains("NEW"));
 
-    // An edit of what is there no more is for a person to decide.
+    // An edit of an entry that no longer exists is left to the user.
     let mut stage = refusing();
     stage.keys("e").text("70").keys("Enter");
     mend(&mut stage).write("").until(25.1);
     assert!(stage.screen().contains("theirs     deleted"), "{}", stage.screen());
 
-    // And where nothing is to be saved, it is said.
+    // Without an unsaved edit, the empty file is reported.
     let mut stage = Stage::boiler();
     let screen = stage.until(24.0).write("").until(25.1).screen();
     assert!(screen.contains("✓ 0 entries"), "{screen}");
@@ -141,7 +141,7 @@ fn every_emptying_of_the_file_is_waited_for() {
     stage.keys("e").text("70").keys("Enter");
     stage.write("").until(24.8).write(BOILER).write("").until(25.6);
     assert!(!stage.screen().contains("Edit conflict"), "{}", stage.screen());
-    // What is not JSON yet, gone or not readable is what it always is.
+    // Invalid JSON, a missing file and an unreadable file are handled as usual.
     stage.write("{").until(26.0);
     assert!(stage.screen().contains("✗"), "{}", stage.screen());
     stage.write("").until(26.9);
@@ -150,7 +150,7 @@ fn every_emptying_of_the_file_is_waited_for() {
     assert_eq!(stage.file(), BOILER.replace("10", "70"));
 }
 
-/// At the end of a log nothing becomes due any more.
+/// Tests the end of a log, where no deadline passes any more.
 #[test]
 fn paused_time_does_not_wait_for_an_empty_file() {
     let mut stage = Stage::boiler();
@@ -173,13 +173,13 @@ fn undo_of_first_entry_restores_file_without_devices() {
         stage.until(24.0).keys("n").text("NEW 64").keys("Enter");
         let with_one = stage.file().to_owned();
         assert!(with_one.contains("NEW"), "{with_one}");
-        // Several at once, too.
+        // Several undone at once, too.
         assert_eq!(stage.keys("u A u").file(), before);
         stage.keys("n").text("A 1").keys("Enter n").text("B 2").keys("Enter R").text("C");
         assert_eq!(stage.keys("Enter u u u").file(), before);
         stage.keys("n").text("NEW 64").keys("Enter");
         assert_eq!(stage.file(), with_one);
-        // Not where somebody else added something.
+        // Not if another program added an entry.
         let theirs = with_one.replace("\"NEW\"", "\"FEED\" },\n    { \"name\": \"NEW\"");
         stage.write(&theirs).keys("u");
         assert!(stage.file().contains("FEED") && !stage.file().contains("NEW"), "{}", stage.file());
@@ -198,12 +198,12 @@ fn undone_edit_creates_no_file() {
     assert_eq!((stage.app.file().unsaved(), stage.file.as_deref()), (0, None));
     stage.keys("Ctrl-r");
     assert!(stage.file().contains("NEW"));
-    // What is there by now is not deleted; it is a file without devices.
+    // Content that exists by now is not deleted; the result is a file without devices.
     stage.keys("u");
     assert_eq!(stage.file(), "{\n  \"devices\": []\n}\n");
     assert_eq!(stage.keys("Ctrl-r u").file(), "{\n  \"devices\": []\n}\n");
 
-    // While the save is on its way, which then fails.
+    // During a save that then fails.
     let mut stage = Stage::new(&boiler, None);
     stage.slow_disk().until(24.0).keys("n").text("NEW 64").keys("Enter u");
     stage.file = None;
@@ -212,7 +212,7 @@ fn undone_edit_creates_no_file() {
     assert!(stage.until(60.0).unfinished.as_ref().unwrap().is_empty());
 }
 
-// ---- ours, in a conflict -------------------------------------------------------------------
+// ---- ours, in an edit conflict -------------------------------------------------------------
 
 #[test]
 fn undo_of_kept_value_restores_theirs() {
@@ -228,19 +228,19 @@ fn undo_of_kept_value_restores_theirs() {
     assert!(stage.app.timeline().entries().any(|it| it.text == told), "{}", stage.screen());
     assert_eq!(stage.keys("Ctrl-r").file(), ours);
     assert_eq!(stage.keys("u").file(), theirs);
-    // What was there before theirs is not ours to bring back.
+    // Undo does not restore the content before theirs.
     let screen = stage.keys("u").screen();
     assert!(screen.contains("not undone: "), "{screen}");
     assert_eq!(stage.file(), theirs);
 
-    // Before it is saved, nothing is left to be saved.
+    // Undone before it is saved: no unsaved edit remains.
     let mut stage = refusing();
     stage.keys("e").text("70").keys("Enter").write(&theirs).keys("o u");
     assert_eq!(stage.app.file().unsaved(), 0);
     assert!(mend(&mut stage).until(60.0).effects.iter().all(|it| !matches!(it, Effect::Quit)));
     assert_eq!(stage.file(), theirs);
 
-    // What was edited since is taken back before it, and stays where it is not.
+    // Later edits are undone first, and remain if they are not.
     let mut stage = refusing();
     stage.keys("e").text("70").keys("Enter R").text("X").keys("Enter");
     mend(&mut stage).write(&theirs).keys("o");
@@ -282,7 +282,7 @@ fn each_kept_value_is_undone_alone() {
 
 #[test]
 fn undo_of_kept_entry_restores_their_delete_or_add() {
-    // They deleted what we edited.
+    // Theirs deleted the entry that ours edits.
     let theirs =
         BOILER.replace("    { \"name\": \"SENS\", \"address\": 12, \"static\": true },\n", "");
     let mut stage = refusing();
@@ -292,7 +292,7 @@ fn undo_of_kept_entry_restores_their_delete_or_add() {
     assert_eq!(stage.keys("u").file(), theirs);
     assert!(stage.keys("Ctrl-r").file().contains("\"SENS\", \"address\": 70"));
 
-    // They brought what we brought.
+    // Theirs added the entry that ours adds.
     let theirs = BOILER.replace(
         "\"PUMP\"",
         "\"NEW\", \"address\": 63, \"static\": true },\n    { \"name\": \"PUMP\"",
@@ -305,7 +305,7 @@ fn undo_of_kept_entry_restores_their_delete_or_add() {
     assert_eq!(stage.keys("Ctrl-r").file(), theirs.replace("63", "64"));
 }
 
-// ---- many at once --------------------------------------------------------------------------
+// ---- many entries at once ------------------------------------------------------------------
 
 #[test]
 fn undo_of_many_skips_values_changed_on_disk() {
@@ -322,7 +322,7 @@ fn undo_of_many_skips_values_changed_on_disk() {
     let all = stage.file().to_owned();
     assert_eq!(names(&stage), "N001 N002 N003 N004");
 
-    // One is changed.
+    // Another program changes one entry.
     let address = stage.app.file().document().entries()[1].address.unwrap();
     let changed =
         |text: &str| text.replace(&format!("\"address\": {address},"), "\"address\": 99,");
@@ -330,7 +330,7 @@ fn undo_of_many_skips_values_changed_on_disk() {
     assert_eq!(names(&stage), "N002");
     let but = format!("except N002 at {address} (changed on disk)");
     told(&stage, &format!("undid: 4 new entries, {but}"));
-    // The other way it is the same.
+    // The result is the same for redo.
     stage.keys("Ctrl-r");
     assert_eq!(names(&stage), "N001 N002 N003 N004");
     assert!(stage.file().contains("99"));
@@ -338,7 +338,7 @@ fn undo_of_many_skips_values_changed_on_disk() {
     stage.keys("u");
     told(&stage, "undid: 4 new entries, all but 1");
     assert_eq!(names(&stage), "N002");
-    // Of these somebody brings one.
+    // Another program adds one of these entries.
     let third = Document::parse(all.as_bytes()).unwrap().entries()[2].address.unwrap();
     let brought = format!(r#"[ {{ "name": "N003", "address": {third}, "static": true }},"#);
     let theirs = stage.file().replacen('[', &brought, 1);
@@ -351,7 +351,7 @@ fn undo_of_many_skips_values_changed_on_disk() {
     assert_eq!(names(&stage), "N003 N002");
     told(&stage, "undid: 4 new entries, all but 2");
 
-    // All but one are changed, or all are.
+    // Another program changes all entries but one, or all.
     let mut stage = Stage::new(&Scenario::crowd(500_000, 4, 2), Some("[]"));
     stage.until(5.0).keys("A");
     let noted = |text: &str, count: usize| {
@@ -369,16 +369,16 @@ fn undo_of_many_skips_values_changed_on_disk() {
     assert!(screen.contains("not undone: "), "{screen}");
 }
 
-// ---- a save that takes long ----------------------------------------------------------------
+// ---- a slow save ---------------------------------------------------------------------------
 
-/// FEED to 70, which is being saved.
+/// Returns a harness in which an edit of FEED to 70 is being saved.
 fn saving() -> Stage {
     let mut stage = Stage::boiler();
     stage.slow_disk().until(24.0).keys("e").text("70").keys("Enter");
     stage
 }
 
-/// The save found this.
+/// Returns the result of a save that found this content.
 fn found(text: &str) -> SaveOutcome {
     SaveOutcome::Changed(FileReading::Content(Some(text.as_bytes().to_vec())))
 }
@@ -395,13 +395,13 @@ fn change_on_disk_is_seen_while_a_save_hangs() {
         assert!(screen.contains("… saving 1"), "{screen}");
     }
     assert_eq!(stage.file(), with("SHOWN"));
-    // It comes to its end: it found what was there first.
+    // The save finishes and reports the content that it found first.
     stage.unfinished = Some(vec![found(&with("SHOW"))]);
     stage.finish_saves().finish_saves();
     assert_eq!(stage.file(), with("SHOWN").replace("10", "70"));
     assert!(stage.screen().contains("✓ 5 entries"), "{}", stage.screen());
 
-    // After ours is on disk, which has not been told.
+    // After ours is on disk, before the save is reported.
     let mut stage = saving();
     let ours = stage.file().to_owned();
     stage.notice();
@@ -436,7 +436,7 @@ fn failed_hanging_save_reports_the_file_error_first() {
     stage.write(BOILER).finish_saves();
     assert_eq!(stage.file(), BOILER.replace("10", "70"));
 
-    // And one that finds the file emptied in its course waits.
+    // A save that finds the file emptied meanwhile waits, too.
     let mut stage = saving();
     stage.write("");
     stage.unfinished = Some(vec![found("")]);
@@ -467,7 +467,7 @@ fn save_that_broke_hard_links_is_reported() {
 
 // ---- several entries of one name -----------------------------------------------------------
 
-/// From each problem whose text contains this, to the entry of the row that it leads to.
+/// Goes from each problem whose text contains this to the entry that it opens.
 fn leads_to(stage: &mut Stage, problem: &str) -> usize {
     stage.keys("4 g");
     for _ in 0..30 {
@@ -509,7 +509,7 @@ fn problem_selects_its_own_entry_among_twins() {
         ] {
             assert_eq!(leads_to(&mut stage, problem), at(entry), "{problem}\n{file}");
         }
-        // It is the one that is edited, from either page.
+        // An edit from either page changes the selected entry.
         leads_to(&mut stage, "`address` is a string");
         stage.keys("4 e Ctrl-u").text("99").keys("Enter");
         let wanted = file.replace("\"x\"", "99, \"static\": true");
@@ -534,21 +534,21 @@ fn used_address_selects_the_twin_pinned_to_it() {
     }
 }
 
-// ---- nothing is lost -----------------------------------------------------------------------
+// ---- no edit is lost -----------------------------------------------------------------------
 
-/// What happens, in whatever order, to a file that we and somebody else edit.
+/// A step, in random order, on a file that descan and another program edit.
 #[derive(Clone, Copy, Debug)]
 enum Step {
-    /// We edit one of our three entries.
+    /// descan edits one of its three entries.
     Edit(usize),
     Undo,
-    /// They edit one of theirs, in one go.
+    /// The other program edits one of its own entries, in one write.
     Write(usize),
-    /// They empty the file, and write it the next time.
+    /// The other program empties the file, and writes it in its next step.
     Empty(usize),
-    /// We are told what is there, if it is news.
+    /// The content is reported to descan if it is new.
     Look,
-    /// A save begins, compares and renames, and its end is told.
+    /// A save begins, compares and renames, and its result is reported.
     Begin,
     Rename,
     Tell,
@@ -567,19 +567,19 @@ fn step() -> impl Strategy<Value = Step> {
     ]
 }
 
-/// The file, us, and what stands between: a disk that is slow, and a watch.
+/// The file, descan, and both in between: a slow disk and a file watch.
 struct Desk {
     file: FileState,
     disk: Vec<u8>,
-    /// What the watch saw last; none: it is uncertain.
+    /// The content that the watch read last; `None`: uncertain.
     known: Option<Vec<u8>>,
-    /// What is being saved; and what became of it, once it was renamed or not.
+    /// The content being saved, and the result once the rename succeeded or failed.
     save: Option<(Saving, Option<SaveOutcome>)>,
-    /// What they are about to write into the file, which they have emptied.
+    /// The content that the other program will write into the file it has emptied.
     in_their_hands: Option<Vec<u8>>,
-    /// The address that each entry is to have in the end.
+    /// The expected final address of each entry.
     wanted: [u8; 6],
-    /// Our edits: which entry, and its address before.
+    /// The edits of descan: the entry, and its address before.
     edits: Vec<(usize, u8)>,
     next: u8,
 }

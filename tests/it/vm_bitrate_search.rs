@@ -1,5 +1,5 @@
-//! `descan speed` on the controllers of the virtual machine: it finds a rate and keeps it, and
-//! whatever else happens puts back what it found.
+//! `descan speed` on the controllers of the virtual machine: it finds a bit rate and keeps it, and
+//! restores the previous setting in all other cases.
 
 use crate::common::can::{controllers, run};
 use serde_json::Value;
@@ -16,7 +16,7 @@ fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
-/// How can0 is set, without what changes by itself.
+/// Returns the settings of can0, without values that change by themselves.
 fn settings() -> Vec<String> {
     let shown = run("ip", &["-details", "link", "show", "can0"]);
     let words = shown.split_whitespace();
@@ -34,12 +34,12 @@ fn set(arguments: &[&str]) {
     run("ip", &[&["link", "set", "can0"], arguments].concat());
 }
 
-/// As the virtual machine made it.
+/// Restores the settings made by the virtual machine.
 fn as_before() {
     set(&["up", "type", "can", "bitrate", "125000", "listen-only", "off"]);
 }
 
-/// Looks for the rate from `first` on while can1 sends.
+/// Searches for the bit rate from `first` on while can1 sends.
 fn found(first: &str) -> (Output, String) {
     let mut chatter = Command::new("cangen").args(["can1", "-g", "50"]).spawn().unwrap();
     let done = speed(&["can0", "--first", first, "--json"]);
@@ -58,7 +58,7 @@ fn rate_with_valid_frames_is_kept() {
     assert_eq!(done.status.code(), Some(0), "{}", text(&done.stderr));
     assert!(after.contains("bitrate 500000") && after.contains("up: true"), "{after}");
     assert!(!after.contains("LISTEN-ONLY"), "it takes part again: {after}");
-    // What only listened goes on so.
+    // A listen-only interface stays listen-only.
     set(&["up", "type", "can", "bitrate", "250000", "listen-only", "on"]);
     let (done, after) = found("1000000");
     assert_eq!(done.status.code(), Some(0), "{}", text(&done.stderr));

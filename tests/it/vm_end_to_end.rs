@@ -1,8 +1,7 @@
-//! The real program on a CAN bus of a real kernel: simulated devices that a second descan puts
-//! there, a device made of can-utils and the kernel's own ISO-TP, and the terminal UI through
-//! an interface's troubles.
+//! The real program on a CAN bus of a real kernel: devices simulated by a second descan, a device
+//! made of can-utils and the kernel's own ISO-TP, and the terminal UI during interface outages.
 //!
-//! Without CAN in the kernel these tests say why they do not run.
+//! Without CAN in the kernel these tests print the reason and do not run.
 
 use crate::common::can;
 use crate::common::can::{Vcan, run};
@@ -17,7 +16,7 @@ fn program() -> Command {
     Command::new(env!("CARGO_BIN_EXE_descan"))
 }
 
-/// A process that ends with the test.
+/// A process that is killed at the end of the test.
 struct Running(Child);
 
 impl Drop for Running {
@@ -27,7 +26,7 @@ impl Drop for Running {
     }
 }
 
-/// Simulated devices on a bus, once they are there.
+/// Starts simulated devices on a bus, and waits until they are online.
 fn simulated(bus: &str, system: &str) -> Running {
     let mut child =
         program().args(["sim", bus, "--scenario", system]).stderr(Stdio::piped()).spawn().unwrap();
@@ -37,8 +36,8 @@ fn simulated(bus: &str, system: &str) -> Running {
     Running(child)
 }
 
-/// One board in a process of its own, with random numbers of its own: it keeps address 12, whatever
-/// it hears. Without a UID it is a fresh one.
+/// Starts one board in its own process, with its own random numbers: it always keeps address 12.
+/// Without a UID it has a fresh one.
 fn board(bus: &str, folder: &Path, (name, uid): (&str, &str), seed: u32) -> Running {
     let scenario = format!(
         "bitrate = 125000\nseed = {seed}\n[[device]]\nname = \"{name}\"\nuid = \"{uid}\"\nsettled = true\n\
@@ -96,8 +95,8 @@ fn simulated_devices_wait_for_a_bus_that_is_down() {
     assert_eq!(device(&report, "FEED")["presence"], "online");
 }
 
-/// A device made of candump, cansend and the kernel's ISO-TP: it answers who-is-there, and one
-/// services request.
+/// Runs a device made of candump, cansend and the kernel's ISO-TP: it responds to name requests and
+/// to one services request.
 fn answer_as_device(bus: &str) -> std::thread::JoinHandle<()> {
     let mut candump = Command::new("candump")
         .args(["-L", bus])
@@ -110,11 +109,12 @@ fn answer_as_device(bus: &str) -> std::thread::JoinHandle<()> {
         let _candump = Running(candump);
         for line in lines.map_while(Result::ok) {
             let frame = line.split_whitespace().nth(2).unwrap_or_default().to_owned();
-            // Who is there, to all working nodes, from address 0, in ISO-TP.
+            // A name request to all working nodes, from address 0, in ISO-TP.
             if frame.starts_with("020") && frame.ends_with("#0444455301") {
                 run("cansend", &[&bus, "05180002#06014645454400"]);
             }
-            // Services? To address 12. A Linux program may die late: its socket answers on.
+            // A services request to address 12. The socket responds even after its process has
+            // exited.
             if frame == "00003002#0444455302" {
                 let services = "02 00 44 45 53 00 31 2E 30 00 01 41 55 47 45 52 00 32 2E 31 00";
                 let arguments = ["-s", "05180002", "-d", "00003002", &bus];
@@ -129,7 +129,7 @@ fn answer_as_device(bus: &str) -> std::thread::JoinHandle<()> {
 fn kernel_isotp_device_is_identified() {
     let Some(vcan) = Vcan::new("dsp-isotp") else { return };
     let device_thread = answer_as_device(vcan.name());
-    // Its answers take a process each, which on a busy machine start after the scan's rounds.
+    // Each response takes a process, which on a busy machine starts after the scan's rounds.
     let report = (0..10)
         .map(|_| report(&scan(vcan.name())))
         .find(|report| report["devices"].as_array().is_some_and(|devices| !devices.is_empty()))
@@ -225,10 +225,10 @@ fn interface_changes_are_events() {
     drop(first);
     vcan.up();
     watching.event_that("bus", is_up);
-    // Only now can anybody tell.
+    // Only now is the loss certain.
     watching.event_that("lost", is_feed);
     let second = board(vcan.name(), folder.path(), ("FEED", "WATCHED"), 1);
-    // Where our question reaches it before its first heartbeat, its answer is heard first.
+    // If descan's request arrives before its first heartbeat, the response is received first.
     let was = &watching.event_that("returned", is_feed)["was"];
     assert!(was == "lost" || was == "silent", "{was}");
     drop(second);
@@ -252,7 +252,7 @@ fn bus_off_restarts_discovery() {
     let Some(vcan) = Vcan::new("dsp-off") else { return };
     let folder = tempfile::tempdir().unwrap();
     let watching = Watching::start(&[vcan.name()], folder.path());
-    // Nobody else is there, so lines are few.
+    // The bus has no other nodes, so lines are few.
     let line_with = |part: &str| {
         assert!((0..20).any(|_| watching.line().contains(part)), "no {part}");
     };
@@ -269,8 +269,8 @@ fn receive_filter_skips_frames_of_other_devices() {
     let arguments = [vcan.name(), "--json", "--listen-only", "--filter", "at:12,14"];
     let watching = Watching::start(&arguments, folder.path());
     watching.event("bus");
-    // A heartbeat of 13, a standard and a remote frame; then an error report, one of 12 to 13, one
-    // of 13 to 12, a question to all.
+    // A heartbeat of 13, a standard and a remote frame; then an error frame, a frame of 12 to 13,
+    // one of 13 to 12, a broadcast request.
     for other in ["071A0001#8AFA6C9724110400", "123#01", "07180001#R", "071A3801#01"] {
         run("cansend", &[vcan.name(), other]);
     }
@@ -287,14 +287,14 @@ fn receive_filter_skips_frames_of_other_devices() {
     assert_eq!(bus["bus"]["load"], Value::Null);
 }
 
-/// How many entries there are in a folder of /proc.
+/// Returns the number of entries in a folder of /proc.
 fn entries(process: u32, folder: &str) -> usize {
     std::fs::read_dir(format!("/proc/{process}/{folder}")).unwrap().count()
 }
 
 #[test]
 fn unplugging_under_load_recovers_without_leaks() {
-    // DESCAN_REPLUGS=100 takes minutes.
+    // With DESCAN_REPLUGS=100 the test takes minutes.
     let rounds = std::env::var("DESCAN_REPLUGS").map_or(8, |it| it.parse().unwrap());
     let Some(vcan) = Vcan::new("dsp-replug") else { return };
     let folder = tempfile::tempdir().unwrap();
@@ -310,7 +310,7 @@ fn unplugging_under_load_recovers_without_leaks() {
         watching.event_that("bus", |it| it["bus"]["state"] == "down");
         vcan.create().unwrap();
         watching.event_that("bus", |it| it["bus"]["state"] != "down");
-        // A debug message of this round: frames come in.
+        // A debug message of this round: frames are received.
         let id = 0x1F19_FC00 | round;
         run("cansend", &[name, &format!("{id:08X}#")]);
         watching.event_that("debug", |it| it["code"] == round);
@@ -319,8 +319,8 @@ fn unplugging_under_load_recovers_without_leaks() {
     assert_eq!(held.first(), held.last(), "{held:?}");
 }
 
-/// Two boards in two processes at one address: `scan`, `watch` and the screen say that it is
-/// confirmed, and that it is over when one of them is gone.
+/// Tests two boards in two processes at one address: `scan`, `watch` and the screen report a
+/// confirmed conflict, and clear it when one of them is gone.
 fn collide(bus: &str, (first, second): ((&str, &str), (&str, &str))) {
     let Some(vcan) = Vcan::new(bus) else { return };
     let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! The exact examples of `tests/vectors`: every byte of identifiers, names, services answers,
+//! The exact examples of `tests/vectors`: every byte of identifiers, names, services responses,
 //! UIDs and framings.
 
 use descan::time::Instant;
@@ -30,7 +30,7 @@ fn strings(value: &Value) -> Vec<Vec<u8>> {
     value.as_array().expect("a list").iter().map(bytes).collect()
 }
 
-/// Sends `message` to somebody who lets everything through at once.
+/// Sends `message` to a receiver that permits all frames at once.
 fn sent(message: &[u8], fd: bool) -> Vec<Vec<u8>> {
     let mut sender = Segmenter::new(message.to_vec(), fd);
     let mut frames = Vec::new();
@@ -46,7 +46,7 @@ fn sent(message: &[u8], fd: bool) -> Vec<Vec<u8>> {
     frames
 }
 
-/// Puts together what `frames` carry.
+/// Reassembles the message carried by `frames`.
 fn received(frames: &[Vec<u8>], fd: bool) -> Vec<u8> {
     let mut transfer: Option<Reassembly<Vec<u8>>> = None;
     for data in frames {

@@ -136,7 +136,7 @@ pub(super) fn reassemble<'f>(
     Some(message)
 }
 
-/// Text of the data of a platform frame; true if they are malformed.
+/// Text of the data of a platform frame, and true if they are malformed.
 fn describe_data(profile: &Profile, header: Header, frame: &Frame) -> (String, bool) {
     let data = frame.data();
     let kind = header.message_type();

@@ -1,7 +1,7 @@
-//! The frames of the last while, in a ring, and a row of statistics per identifier.
+//! Ring of the captured frames, and statistics per identifier.
 //!
-//! Everything is bounded and allocated at the start: taking a frame allocates nothing once its
-//! identifier is known. Does not know how frames are shown.
+//! Bounded: 32768 frames, 4096 identifiers. A frame with a known identifier allocates nothing. Does
+//! not know how frames are shown.
 
 use crate::frame::{BusIndex, CanId, Frame, FrameKind};
 use crate::time::{Duration, Instant};
@@ -12,22 +12,22 @@ use std::collections::{HashMap, VecDeque};
 #[derive(Debug)]
 pub struct Capture {
     frames: VecDeque<Frame>,
-    /// How many frames went out of the ring: the number of its first frame.
+    /// Number of the oldest frame in the ring: the count of frames that left it.
     first: u64,
     identifiers: Identifiers,
 }
 
 impl Capture {
-    /// How many frames are kept.
+    /// Largest number of frames in the ring.
     pub const FRAMES: usize = 32_768;
 
-    /// An empty ring.
+    /// Returns an empty ring.
     pub fn new() -> Self {
         let frames = VecDeque::with_capacity(Self::FRAMES);
         Self { frames, first: 0, identifiers: Identifiers::new() }
     }
 
-    /// Takes a frame.
+    /// Adds a frame; the oldest one leaves a full ring.
     pub fn push(&mut self, frame: &Frame) {
         if self.frames.len() == Self::FRAMES {
             self.frames.pop_front();
@@ -37,37 +37,37 @@ impl Capture {
         self.identifiers.add(frame);
     }
 
-    /// The number of the oldest frame that is kept.
+    /// Number of the oldest frame in the ring.
     pub fn first(&self) -> u64 {
         self.first
     }
 
-    /// The number that the next frame gets.
+    /// Number of the next frame.
     pub fn end(&self) -> u64 {
         self.first + self.frames.len() as u64
     }
 
-    /// The frame of that number, while it is kept.
+    /// The frame with this number; `None` if it is not in the ring.
     pub fn get(&self, number: u64) -> Option<&Frame> {
         self.frames.get(usize::try_from(number.checked_sub(self.first)?).ok()?)
     }
 
-    /// The frames with their numbers, oldest first.
+    /// Frames with their numbers, oldest first.
     pub fn iter(&self) -> impl DoubleEndedIterator<Item = (u64, &Frame)> {
         self.frames.iter().enumerate().map(|(at, frame)| (self.first + at as u64, frame))
     }
 
-    /// The number of the first frame that is not older than `time`.
+    /// Number of the first frame that is not older than `time`.
     pub fn at_time(&self, time: Instant) -> u64 {
         self.first + self.frames.partition_point(|frame| frame.time < time) as u64
     }
 
-    /// The statistics per identifier.
+    /// Statistics per identifier.
     pub fn identifiers(&self) -> &Identifiers {
         &self.identifiers
     }
 
-    /// Closes a second in the rates.
+    /// Ends a second for the frame rates.
     pub fn tick(&mut self) {
         self.identifiers.tick();
     }
@@ -79,20 +79,20 @@ impl Default for Capture {
     }
 }
 
-/// An identifier as a row: the random DST of a broadcast does not count.
+/// Key of a row of statistics. The random DST of a broadcast is cleared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct IdentifierKey {
-    /// On which bus.
+    /// Bus.
     pub bus: BusIndex,
-    /// A standard identifier comes before all extended ones.
+    /// Identifier; standard identifiers sort before extended ones.
     pub id: CanId,
-    /// Remote frames are rows of their own; error frames are one row.
+    /// Kind of frame: remote frames have rows of their own; error frames share one row.
     pub kind: IdentifierKind,
-    /// FD frames are rows of their own.
+    /// CAN FD: FD frames have rows of their own.
     pub fd: bool,
 }
 
-/// [`FrameKind`], in an order.
+/// [`FrameKind`] with an order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[allow(missing_docs)]
 pub enum IdentifierKind {
@@ -102,7 +102,7 @@ pub enum IdentifierKind {
 }
 
 impl IdentifierKey {
-    /// The row of a frame.
+    /// Returns the key of a frame.
     pub fn of(frame: &Frame) -> Self {
         let (kind, id) = match (frame.kind, frame.id) {
             (FrameKind::Error, _) => (IdentifierKind::Error, CanId::Extended(0)),
@@ -116,23 +116,23 @@ impl IdentifierKey {
     }
 }
 
-/// What is known of the frames of one identifier.
+/// Statistics of the frames of one identifier.
 #[derive(Clone, Copy, Debug)]
 pub struct IdentifierStats {
-    /// Which.
+    /// Identifier.
     pub key: IdentifierKey,
-    /// How many were seen.
+    /// Number of frames.
     pub count: u64,
-    /// How many in the last whole second.
+    /// Number of frames in the last whole second.
     pub rate: u32,
-    /// The last one.
+    /// Last frame.
     pub last: Frame,
-    /// The time between the last two.
+    /// Time between the last two frames; `None` after the first one.
     pub interval: Option<Duration>,
     current: u32,
 }
 
-/// The table of identifiers.
+/// Table of identifiers.
 #[derive(Debug)]
 pub struct Identifiers {
     rows: Vec<IdentifierStats>,
@@ -141,7 +141,7 @@ pub struct Identifiers {
 }
 
 impl Identifiers {
-    /// How many identifiers are told apart.
+    /// Largest number of identifiers in the table.
     pub const MAX: usize = 4096;
 
     fn new() -> Self {
@@ -171,12 +171,12 @@ impl Identifiers {
         }
     }
 
-    /// The rows in the order in which they were first seen.
+    /// Rows, in the order in which their identifiers were first received.
     pub fn rows(&self) -> &[IdentifierStats] {
         &self.rows
     }
 
-    /// How many frames are in no row, because there were too many identifiers.
+    /// Number of frames without a row, because the table was full.
     pub fn refused(&self) -> u64 {
         self.refused
     }

@@ -1,20 +1,20 @@
-//! What is found on disk, what becomes of saves, and what that changes.
+//! Readings of des.json, outcomes of saves, and the changes that result.
 
 use crate::document::{Document, EditError, ParseError};
 
-/// How des.json was found.
+/// Result of reading des.json.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum FileReading {
-    /// Its content; `None` where there is no such file.
+    /// Content; `None` if the file does not exist.
     Content(Option<Vec<u8>>),
-    /// The same, parsed: for megabytes that takes longer than a screen should wait.
+    /// Parsed content: parsing megabytes takes longer than the screen may wait.
     Parsed(Result<Document, ParseError>),
-    /// It cannot be read: why.
+    /// Cause of a read error.
     Error(String),
 }
 
 impl FileReading {
-    /// Parses the content.
+    /// Parses the content; returns other readings unchanged.
     #[must_use]
     pub fn parsed(self) -> Self {
         match self {
@@ -23,7 +23,11 @@ impl FileReading {
         }
     }
 
-    /// The document, none where there is no file; or what is wrong with it.
+    /// Returns the document; `None` if the file does not exist.
+    ///
+    /// # Errors
+    ///
+    /// The file is not JSON or cannot be read.
     pub(super) fn found(self) -> Result<Option<Document>, FileProblem> {
         match self {
             FileReading::Content(None) => Ok(None),
@@ -47,54 +51,54 @@ impl From<Result<Option<Vec<u8>>, String>> for FileReading {
     }
 }
 
-/// What became of a save.
+/// Outcome of a save.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum SaveOutcome {
-    /// It is on disk.
+    /// The content is on disk.
     Saved,
-    /// It is on disk, but so many other names of the file (hard links) keep what it said before.
+    /// The content is on disk; this many other names of the file (hard links) keep the old content.
     Parted(u64),
-    /// Somebody else wrote meanwhile; nothing was written. What is there now.
+    /// Another program wrote the file meanwhile; nothing was written. Holds the present content.
     Changed(FileReading),
-    /// It could not be written: why.
+    /// Cause of a write error.
     Failed(String),
 }
 
 impl SaveOutcome {
-    /// Whether what was to be saved is on disk.
+    /// Returns true if the content of the save is on disk.
     pub const fn is_on_disk(&self) -> bool {
         matches!(self, SaveOutcome::Saved | SaveOutcome::Parted(_))
     }
 }
 
-/// Why the file cannot be used as it is.
+/// Problem that prevents reading or saving the file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum FileProblem {
-    /// It is not JSON.
+    /// The file is not JSON.
     Syntax(ParseError),
-    /// It cannot be read.
+    /// The file cannot be read.
     Unreadable(String),
     /// The last save failed; the edits are kept.
     NotSaved(String),
 }
 
 impl FileProblem {
-    /// The last save failed.
+    /// Returns true if the last save failed.
     pub const fn is_not_saved(&self) -> bool {
         matches!(self, FileProblem::NotSaved(_))
     }
 
-    /// What is wrong with the file of this name.
+    /// Message about the problem, for the file with this name.
     pub fn of_file(&self, name: &str) -> String {
         match self {
             FileProblem::Syntax(error) => format!("{name}: {error}"),
             FileProblem::Unreadable(why) => format!("{name}: {why}"),
-            // To be seen while edits are made: which file is known.
+            // Shown during edits, where the file is known.
             FileProblem::NotSaved(why) => why.clone(),
         }
     }
 
-    /// The line that is not JSON, and below it a caret that points at the place.
+    /// The line that is not JSON, and a caret below it that marks the place.
     pub fn excerpt(&self) -> Option<[String; 2]> {
         match self {
             FileProblem::Syntax(error) => error.excerpt(),
@@ -112,26 +116,26 @@ impl std::fmt::Display for FileProblem {
     }
 }
 
-/// What the reading of a file changed.
+/// Effect of a reading, a save or a decided conflict on the state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Change {
-    /// Nothing.
+    /// No change.
     None,
-    /// Its content.
+    /// The content changed.
     Content,
-    /// Our edits are on disk.
+    /// The edits are on disk.
     Saved,
-    /// It was read for the first time.
+    /// The file was read for the first time.
     First,
-    /// Our edits were made again on newer content.
+    /// The unsaved edits were applied to newer content.
     Rebased,
-    /// It cannot be used any more; the last good content stays in force.
+    /// The file cannot be read or saved; the last valid content is kept.
     Broken,
-    /// Both changed the same value.
+    /// An edit conflict: disk and unsaved edits changed the same value.
     Conflict,
 }
 
-/// Why an edit is not made.
+/// Reason why an edit is refused.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum EditRefusal {

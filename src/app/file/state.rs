@@ -1,10 +1,9 @@
-//! des.json as the program holds it: what is on disk, the edits that are not, undo and redo.
+//! State of des.json: content on disk, unsaved edits, undo and redo.
 //!
-//! The file is the user's. Edits are operations on what was read last; where the file changed
-//! meanwhile they are made again on the newer content, and where both changed the same value a
-//! person chooses. Does not read or write anything itself, and does not know the bus.
-//!
-//! `news` is what is found on disk and what becomes of it, `steps` what can be taken back.
+//! Edits are operations on the content that was read last. If the file changes on disk, they are
+//! applied again to the newer content; if both sides changed the same value, the user chooses.
+//! Inputs: [`FileReading`], [`SaveOutcome`] and edits. Outputs: [`Change`] and [`Saving`]. Does not
+//! read or write the file and does not know the bus.
 
 use super::change::{Change, EditRefusal, FileProblem, FileReading, SaveOutcome};
 use super::undo_stack::{UndoStack, UndoStep, apply_all, name_of};
@@ -16,56 +15,54 @@ use crate::time::Instant;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// What is being saved.
+/// A save in progress.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Saving {
-    /// What is to be on disk for the save to be made; `None`: no file.
+    /// Content that must be on disk for the save to be made; `None`: no file.
     pub expected: Option<Document>,
-    /// What is to be there afterwards.
+    /// Content to write.
     pub content: Document,
-    /// How many of the pending edits are in it.
+    /// Number of pending edits in the content.
     operations: usize,
-    /// It was seen on disk, though that it stays there has not been told yet.
+    /// The content was read back from disk; the outcome of the save is not known yet.
     is_there: bool,
-    /// Something else was seen on disk since: what is there when the save is over is to be read
-    /// again.
+    /// Other content was read from disk since: the file must be read again after the save.
     is_overtaken: bool,
-    /// And our edits were made again on that: what becomes of the save says nothing any more of what
-    /// they are made on.
+    /// The pending edits were applied to that other content: the outcome of the save does not
+    /// apply to their base.
     is_superseded: bool,
 }
 
-/// Both changed the same value; until a person has chosen in all conflicts nothing is written.
+/// An edit conflict. Nothing is written until the user has decided all conflicts.
 #[derive(Clone, Debug)]
 struct PendingConflict {
-    /// The one to be decided next.
+    /// The conflict to decide next.
     conflict: EditConflict,
-    /// What is on disk.
+    /// Content on disk.
     theirs: Document,
-    /// What was chosen so far, for this content alone: where the file changes again, all is asked
-    /// again.
+    /// Choices made for this content; dropped if the file changes again.
     choices: Choices,
 }
 
-/// The file has just become empty. Many who write a file empty it first: what it says is not known
-/// until there is something in it again, or it has stayed so for a while.
+/// An empty file, just found. Many programs empty a file before they write it: the previous
+/// content stays valid until the file has content again or has stayed empty for a while.
 #[derive(Debug)]
 struct Emptied {
     since: Instant,
-    /// The blanks that are in it.
+    /// Its blanks.
     content: Document,
 }
 
-/// The state of des.json.
+/// State of des.json.
 #[derive(Debug)]
 pub struct FileState {
     path: Option<PathBuf>,
-    /// What is on disk, as it was last good; `None` before the first reading.
+    /// Last valid content on disk; `None` before the first reading.
     disk: Option<Document>,
     is_on_disk: bool,
-    /// What was there before somebody else changed it last.
+    /// Content before the last change on disk by another program.
     former: Option<Document>,
-    /// What is in force: disk, and the edits that are not saved yet.
+    /// Last valid content with the unsaved edits.
     document: Document,
     pending: Vec<Operation>,
     saving: Option<Saving>,
@@ -77,7 +74,7 @@ pub struct FileState {
 }
 
 impl FileState {
-    /// The file at this path, not read yet.
+    /// Returns the state of the file at this path, not read yet.
     pub fn new(path: Option<PathBuf>) -> Self {
         Self {
             path,
@@ -95,30 +92,30 @@ impl FileState {
         }
     }
 
-    /// Where it is.
+    /// Path of the file; `None` without a file.
     pub fn path(&self) -> Option<&Path> {
         self.path.as_deref()
     }
 
-    /// Its name without folders, for the screen.
+    /// File name without folders, for the screen.
     pub fn name(&self) -> String {
         let name = self.path.as_deref().and_then(Path::file_name).unwrap_or_default();
         crate::text::printable(name.as_encoded_bytes())
     }
 
-    /// What is in force: the last good content with our edits.
+    /// Last valid content with the unsaved edits.
     pub fn document(&self) -> &Document {
         &self.document
     }
 
-    /// What is on disk, as it was last good.
+    /// Last valid content on disk; `None` before the first reading.
     pub fn on_disk(&self) -> Option<&Document> {
         self.disk.as_ref()
     }
 
-    /// What somebody else changed last, entry by entry in words; empty where that are many.
+    /// Last change on disk by another program, one text per entry; empty for many entries.
     pub fn changed_by_others(&self) -> Vec<String> {
-        /// Of so many entries one reads what became of each.
+        /// Largest number of changed entries that are listed.
         const FEW: usize = 3;
         match (&self.former, &self.disk) {
             (Some(former), Some(disk)) => changes(former, disk, FEW),
@@ -126,8 +123,8 @@ impl FileState {
         }
     }
 
-    /// The file with all our edits. While there are conflicts those that were decided are in it as
-    /// they were decided, and in the others our value stands.
+    /// Content with all edits. During edit conflicts it has the choices made so far, and ours for
+    /// the others.
     pub fn with_all_edits(&self) -> Document {
         let merged =
             self.dispute.as_ref().and_then(|PendingConflict { theirs, choices, .. }| {
@@ -140,55 +137,55 @@ impl FileState {
         }
     }
 
-    /// Whether there is a file, or content that will be one: rows can be listed or not.
+    /// Returns true if the file exists or will be created by a pending edit.
     pub fn is_there(&self) -> bool {
         self.is_on_disk || !self.pending.is_empty()
     }
 
-    /// Whether it was read.
+    /// Returns true if the file was read, with or without errors.
     pub fn is_read(&self) -> bool {
         self.disk.is_some() || self.problem.is_some()
     }
 
-    /// Whether it could be used, once: what it said then stays in force.
+    /// Returns true if the file was valid once; its last valid content is kept.
     pub fn was_good(&self) -> bool {
         self.disk.is_some()
     }
 
-    /// Why it cannot be used as it is.
+    /// Problem that prevents reading or saving; `None` for a usable file.
     pub fn problem(&self) -> Option<&FileProblem> {
         self.problem.as_ref()
     }
 
-    /// The conflict that waits for a decision.
+    /// The edit conflict to decide next.
     pub fn conflict(&self) -> Option<&EditConflict> {
         self.dispute.as_ref().map(|dispute| &dispute.conflict)
     }
 
-    /// How many edits are not on disk.
+    /// Number of unsaved edits.
     pub fn unsaved(&self) -> usize {
         self.pending.len()
     }
 
-    /// Whether a save is on its way.
+    /// Returns true if a save is in progress.
     pub fn is_saving(&self) -> bool {
         self.saving.is_some()
     }
 
-    /// Since when the file is empty and perhaps being written: until [`Self::accept_empty`], or
-    /// until there is something in it, what it said before is in force, and nothing is saved.
+    /// Time since when the file is empty and perhaps being written. Until [`Self::accept_empty`] or
+    /// until the file has content, the previous content stays valid and nothing is saved.
     pub fn emptied_since(&self) -> Option<Instant> {
         self.emptied.as_ref().map(|emptied| emptied.since)
     }
 
-    /// Whether something else was found on disk since the save that is on its way began: then,
-    /// when it is over, what is there is to be read again, whatever became of it.
+    /// Returns true if other content was read from disk since the save began: the file must then be
+    /// read again after the save, whatever its outcome.
     pub fn is_superseded(&self) -> bool {
         self.saving.as_ref().is_some_and(|saving| saving.is_overtaken)
     }
 
-    /// Takes what was found on disk. A save that is on its way may take long, or for ever: what
-    /// somebody else writes meanwhile is taken in all the same.
+    /// Handles content read from disk. Changes by other programs are also handled during a save,
+    /// which may take long on a slow disk.
     pub fn read(&mut self, now: Instant, reading: FileReading) -> Change {
         let found = reading.found();
         if self.is_what_we_write(&found) {
@@ -209,8 +206,8 @@ impl FileState {
         };
         let is_there = found.is_some();
         let theirs = found.unwrap_or_else(Document::empty);
-        // What it was compared with last. Where there is a conflict it may be what it was before:
-        // then there is none any more.
+        // Content compared with last. During a conflict the file may get its previous content back,
+        // which ends the conflict.
         let known = self.dispute.as_ref().map(|it| &it.theirs).or(self.disk.as_ref());
         let was_empty =
             known.is_none_or(|known| self.is_on_disk && known.is_blank()) || !theirs.is_blank();
@@ -234,14 +231,14 @@ impl FileState {
         self.load(theirs, is_there)
     }
 
-    /// The file has stayed empty: takes it as it is.
+    /// Accepts the file as empty, after it has stayed empty.
     pub fn accept_empty(&mut self) -> Change {
         let Some(Emptied { content, .. }) = self.emptied.take() else { return Change::None };
         self.supersede_save(&content);
         self.load(content, true)
     }
 
-    /// Takes content that is not what was known.
+    /// Stores content that differs from the known one.
     fn load(&mut self, theirs: Document, is_there: bool) -> Change {
         let is_first = self.disk.is_none();
         self.former = self.disk.clone().filter(|_| self.is_on_disk && is_there);
@@ -256,8 +253,8 @@ impl FileState {
         self.rebase(theirs, Choices { asks_for_new, ..Choices::default() })
     }
 
-    /// While a save is on its way: whether what was found is only what we write. Anything else but
-    /// what was there before overtakes the save.
+    /// Returns true if the content read during a save is the content being written. Any content but
+    /// that and the expected one marks the save as overtaken.
     fn is_what_we_write(&mut self, found: &Result<Option<Document>, FileProblem>) -> bool {
         let Some(saving) = self.saving.as_mut().filter(|saving| !saving.is_superseded) else {
             return false;
@@ -272,8 +269,8 @@ impl FileState {
         false
     }
 
-    /// While a save is on its way, what somebody else wrote is to be taken in. Were our edits in what
-    /// they wrote over?
+    /// Marks a running save as superseded if another program wrote `theirs` during it. If the edits
+    /// of the save were on disk before that, they count as saved.
     fn supersede_save(&mut self, theirs: &Document) {
         let Some(saving) = self.saving.as_mut().filter(|saving| !saving.is_superseded) else {
             return;
@@ -284,7 +281,7 @@ impl FileState {
         saving.is_superseded = true;
         let ours = &self.pending[..saving.operations.min(self.pending.len())];
         let base = self.disk.clone().unwrap_or_else(Document::empty);
-        // They were there, though unseen, where theirs has all of them.
+        // Theirs has all edits of the save: they were on disk, although not read back.
         let has_ours = || match merge(&base, ours, theirs, MergePreference::Neither) {
             Ok(Merge::Rebased { document, .. }) => document == *theirs,
             _ => false,
@@ -296,7 +293,7 @@ impl FileState {
         }
     }
 
-    /// Makes our edits again on newer content.
+    /// Applies the pending edits to newer content.
     fn rebase(&mut self, theirs: Document, choices: Choices) -> Change {
         let base = self.disk.clone().unwrap_or_else(Document::empty);
         match merge_chosen(&base, &self.pending, &theirs, &choices, MergePreference::Neither) {
@@ -321,7 +318,7 @@ impl FileState {
         }
     }
 
-    /// What overrules theirs can be taken back as any other edit: to theirs.
+    /// Adds an undo step, back to theirs, for each edit that overrules theirs.
     fn add_steps_to_theirs(
         &mut self,
         theirs: &Document,
@@ -346,7 +343,7 @@ impl FileState {
         Ok(())
     }
 
-    /// Decides the conflict; [`Change::Conflict`] where another one is to be decided next.
+    /// Decides the edit conflict; returns [`Change::Conflict`] if another one is left to decide.
     pub fn resolve(&mut self, ours: bool) -> Change {
         let Some(PendingConflict { theirs, mut choices, .. }) = self.dispute.take() else {
             return Change::None;
@@ -355,14 +352,18 @@ impl FileState {
         self.rebase(theirs, choices)
     }
 
-    /// In how many conflicts ours was chosen so far, and in how many theirs.
+    /// Numbers of conflicts decided so far for ours and for theirs.
     pub fn chosen(&self) -> (usize, usize) {
         let chosen = self.dispute.iter().flat_map(|dispute| &dispute.choices.chosen);
         let ours = chosen.clone().filter(|it| **it == MergePreference::Ours).count();
         (ours, chosen.count() - ours)
     }
 
-    /// Whether an edit can be made at all.
+    /// Checks whether the file can be edited.
+    ///
+    /// # Errors
+    ///
+    /// The reason why it cannot.
     pub fn check(&self) -> Result<(), EditRefusal> {
         if self.path.is_none() {
             return Err(EditRefusal::NoFile);
@@ -377,20 +378,32 @@ impl FileState {
         }
     }
 
-    /// Whether entries can be added, and the one at this place, if one is given, be edited: what
-    /// cannot is told before anything is typed.
+    /// Checks, before the user types, whether entries can be added and whether the entry at this
+    /// place, if given, can be edited.
+    ///
+    /// # Errors
+    ///
+    /// The reason why not.
     pub fn check_edit(&self, entry: Option<usize>) -> Result<(), EditRefusal> {
         self.check()?;
         Ok(self.document.check_edit(entry)?)
     }
 
-    /// Whether this edit would be refused for what stands there already.
+    /// Checks whether the present content permits this edit.
+    ///
+    /// # Errors
+    ///
+    /// The reason why not.
     pub fn check_operation(&self, operation: &Operation) -> Result<(), EditRefusal> {
         self.check()?;
         Ok(self.document.check_operation(operation)?)
     }
 
-    /// Makes an edit; what it did, in words.
+    /// Makes an edit and returns its name.
+    ///
+    /// # Errors
+    ///
+    /// The file cannot be edited, or an operation does not apply to it.
     pub fn edit(&mut self, operations: &[Operation]) -> Result<String, EditRefusal> {
         self.check()?;
         let name = match operations {
@@ -404,9 +417,12 @@ impl FileState {
         Ok(name)
     }
 
-    /// Takes the last edit back; its name, with what is left as it is, because somebody else changed
-    /// it since. One that is refused is not asked for again: the next time it is the turn of the one
-    /// before.
+    /// Undoes the last edit and returns its name. Values that changed on disk since are kept, and
+    /// the name mentions them. A refused step is dropped: the next call undoes the edit before it.
+    ///
+    /// # Errors
+    ///
+    /// The file cannot be edited, nothing is left to undo, or the step has no effect.
     pub fn undo(&mut self) -> Result<String, EditRefusal> {
         self.check()?;
         let step = self.undo.pop().ok_or(EditRefusal::NothingToUndo)?;
@@ -416,7 +432,8 @@ impl FileState {
         Ok(name)
     }
 
-    /// Makes it again; its name. What is left or refused is as in [`Self::undo`].
+    /// Redoes the edit that was undone last and returns its name, with the rules and errors of
+    /// [`Self::undo`].
     pub fn redo(&mut self) -> Result<String, EditRefusal> {
         self.check()?;
         let step = self.redo.pop().ok_or(EditRefusal::NothingToRedo)?;
@@ -426,9 +443,8 @@ impl FileState {
         Ok(name)
     }
 
-    /// Makes a step's operations on what is there now; the step that leads back, and what it was in
-    /// words. Where somebody else changed the same value since, theirs stands: taking back is no
-    /// reason to overwrite it.
+    /// Applies the operations of a step to the present content; returns the step that reverts it,
+    /// and its name. A value that changed on disk since is kept: undo never overwrites it.
     fn apply_step(
         &mut self,
         mut step: UndoStep,
@@ -436,7 +452,7 @@ impl FileState {
     ) -> Result<(UndoStep, String), EditRefusal> {
         let mut told = step.shown();
         if self.is_on_disk && !step.had_file {
-            // The file is not deleted, and one with nothing in it is not JSON.
+            // The file is not deleted, and an empty file is not JSON: keep an empty list.
             let operations = step.operations.into_iter();
             step.operations = operations.map(Operation::leaving_list).collect();
         }
@@ -471,7 +487,7 @@ impl FileState {
         Ok((UndoStep { whole: step.whole, ..made }, told))
     }
 
-    /// Makes operations on the document in force; the step that takes them back.
+    /// Applies operations to the present content; returns the step that reverts them.
     fn apply_operations(
         &mut self,
         operations: &[Operation],
@@ -484,9 +500,8 @@ impl FileState {
         Ok(UndoStep::new(document, inverses, name, self.is_on_disk))
     }
 
-    /// An edit and what takes it back are nothing that is to be saved, as long as neither of them is
-    /// being saved: drops the last `count` of the pending operations where without them it comes to
-    /// the same.
+    /// Drops the last `count` pending operations if the content is the same without them, as for an
+    /// edit that was undone before its save began.
     fn drop_what_cancels_out(&mut self, count: usize) {
         let (from, being_saved) = match &self.saving {
             Some(saving) if !saving.is_superseded => (Some(&saving.content), saving.operations),
@@ -502,8 +517,8 @@ impl FileState {
         }
     }
 
-    /// There is a file now that was begun meanwhile: what took its first entry back leaves a list, for
-    /// a file with nothing in it is not JSON.
+    /// Keeps an empty list where undo removes the first entry of a file that the save has just
+    /// created: an empty file is not JSON.
     fn leave_list(&mut self) {
         let Some(disk) = &self.disk else { return };
         let operations: Vec<_> =
@@ -514,7 +529,7 @@ impl FileState {
         }
     }
 
-    /// Where what is in force is what is on disk, nothing is to be saved.
+    /// Drops the pending edits if the content equals the content on disk.
     fn drop_what_is_on_disk(&mut self) {
         if self.saving.is_none() && self.disk.as_ref() == Some(&self.document) {
             self.pending.clear();
@@ -524,7 +539,7 @@ impl FileState {
         }
     }
 
-    /// What is to be saved now, if anything; the save counts as on its way.
+    /// Starts a save and returns it; `None` if nothing can or need be saved now.
     pub fn start_saving(&mut self) -> Option<Saving> {
         let waits = self.saving.is_some() || self.dispute.is_some() || self.emptied.is_some();
         if waits || self.pending.is_empty() || self.check().is_err() {
@@ -543,8 +558,7 @@ impl FileState {
         Some(saving)
     }
 
-    /// Takes what became of a save. What came of it and was not to be saved then is to be saved
-    /// next.
+    /// Handles the outcome of a save. Edits made during the save stay pending for the next one.
     pub fn handle_saved(&mut self, now: Instant, outcome: SaveOutcome) -> Change {
         let Some(saving) = self.saving.take() else { return Change::None };
         match outcome {
@@ -563,7 +577,7 @@ impl FileState {
                 self.drop_what_is_on_disk();
                 Change::Saved
             }
-            // What was read since is newer, or will be read again.
+            // The content read since is newer, or the file will be read again.
             SaveOutcome::Changed(_) if saving.is_overtaken => {
                 self.drop_what_is_on_disk();
                 Change::None
@@ -574,7 +588,7 @@ impl FileState {
                 if !is_told {
                     self.problem = Some(FileProblem::NotSaved(why));
                 }
-                // What was to be saved may have been taken back meanwhile.
+                // The edits of the save may have been undone meanwhile.
                 self.drop_what_is_on_disk();
                 if is_told || self.pending.is_empty() { Change::None } else { Change::Broken }
             }
@@ -669,7 +683,7 @@ mod tests {
         assert_eq!(source(&file), noted("16"));
     }
 
-    /// On a slow disk the new content is seen long before the save is over.
+    /// A slow disk: the new content is read long before the save ends.
     #[test]
     fn what_is_found_during_a_save_is_taken_in_at_once() {
         let ours = FILE.replace("12", "16");
@@ -691,13 +705,13 @@ mod tests {
             let saving = file.start_saving().unwrap();
             assert_eq!(saving.expected.unwrap().source(), found.as_bytes());
             assert_eq!(saving.content.source(), both.as_bytes());
-            // The disk fails: it is still an edit that is not saved.
+            // The disk fails: the edit stays unsaved.
             file.handle_saved(NOW, SaveOutcome::Failed("no room".into()));
             assert!(file.unsaved() > 0);
         }
     }
 
-    /// What they wrote over ours, once that was there, is not overwritten in turn.
+    /// Content that another program writes over a save seen on disk is not overwritten in turn.
     #[test]
     fn ours_that_was_seen_on_disk_counts_as_saved_when_it_is_overtaken() {
         let mut file = opened();

@@ -1,27 +1,29 @@
-//! Edits that can be taken back, or made again.
+//! Steps for undo and redo.
+//!
+//! At most 200 steps; documents that follow from the step above are not stored.
 
 use crate::document::{Document, EditError, Operation};
 
-/// How many edits can be taken back.
+/// Largest number of steps.
 const MOST: usize = 200;
 
-/// An edit that can be taken back (or made again).
+/// Operations that undo or redo one edit.
 #[derive(Clone, Debug)]
 pub(super) struct UndoStep {
-    /// The document that the operations are for; none where it is what the step above comes to: a
-    /// document may be megabytes, and there may be many steps.
+    /// Document that the operations apply to; `None` if it is the result of the step above, because
+    /// a document may have megabytes and there may be many steps.
     pub(super) on: Option<Document>,
     pub(super) operations: Vec<Operation>,
-    /// The edit's name, and how many operations it has as a whole: what somebody else changed since
-    /// is left out where it is taken back or made again.
+    /// Name of the edit. `whole` is its full number of operations: values that changed on disk
+    /// since are left out of `operations`.
     pub(super) name: String,
     pub(super) whole: usize,
-    /// Whether there was a file when the edit was made.
+    /// The file existed when the edit was made.
     pub(super) had_file: bool,
 }
 
 impl UndoStep {
-    /// A whole edit's.
+    /// Returns the step of a whole edit.
     pub(super) fn new(
         on: Document,
         operations: Vec<Operation>,
@@ -40,12 +42,12 @@ impl UndoStep {
     }
 }
 
-/// The steps that lead back, or forth again.
+/// Stack of undo or redo steps, the next one on top.
 #[derive(Debug, Default)]
 pub(super) struct UndoStack(Vec<UndoStep>);
 
 impl UndoStack {
-    /// Puts a step on top, which leads back to `before`.
+    /// Pushes a step whose result is `before`.
     pub(super) fn push(&mut self, step: UndoStep, before: &Document) {
         if self.0.len() == MOST {
             self.0.remove(0);
@@ -58,7 +60,7 @@ impl UndoStack {
         self.0.push(step);
     }
 
-    /// Takes the step on top off.
+    /// Removes the top step and returns it.
     pub(super) fn pop(&mut self) -> Option<UndoStep> {
         let step = self.0.pop()?;
         let on = step.on.as_ref()?;
@@ -66,26 +68,30 @@ impl UndoStack {
             let back = step.operations.iter().try_fold(on.clone(), |on, it| on.apply(it));
             match (back, self.0.last_mut()) {
                 (Ok(back), Some(below)) => below.on = Some(back),
-                // They cannot be told what they are for any more.
+                // The document that the steps below apply to is lost.
                 _ => self.0.clear(),
             }
         }
         Some(step)
     }
 
-    /// Forgets them all.
+    /// Removes all steps.
     pub(super) fn clear(&mut self) {
         self.0.clear();
     }
 
-    /// How many documents they hold on to.
+    /// Number of stored documents.
     #[cfg(test)]
     pub(super) fn kept(&self) -> usize {
         self.0.iter().filter(|step| step.on.is_some()).count()
     }
 }
 
-/// The document with all operations made; and what takes them back, in order.
+/// Applies all operations. Returns the document and the operations that revert them, in order.
+///
+/// # Errors
+///
+/// An operation does not apply.
 pub(super) fn apply_all(
     on: &Document,
     operations: &[Operation],
@@ -100,7 +106,7 @@ pub(super) fn apply_all(
     Ok((document, inverses))
 }
 
-/// Several operations that are one edit, in words.
+/// Name of an edit of several operations.
 pub(super) fn name_of(operations: &[Operation]) -> String {
     let count = |is: fn(&Operation) -> bool| operations.iter().filter(|it| is(it)).count();
     let added = count(|it| matches!(it, Operation::Add { .. }));

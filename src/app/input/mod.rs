@@ -1,8 +1,8 @@
-//! What keys and text go to: the keymap, the overlay over the page, prompts, and the guard against
-//! keys typed ahead.
+//! Input state: the keymap, the overlay over the page, prompts, and the guard against keys typed
+//! ahead.
 //!
-//! Inputs: keys and pasted text. Outputs: the action of a key, what a prompt wants to be done. Does
-//! not execute actions and does not know how overlays are drawn.
+//! Inputs: keys and pasted text. Outputs: the action of a key, the outcome of a prompt. Does not
+//! execute actions and does not know how overlays are drawn.
 
 mod prompt;
 mod prompt_kinds;
@@ -21,23 +21,23 @@ use crate::keymap::{Action, Key, KeyMode, Keymap};
 use crate::time::Instant;
 use type_ahead::TypeAheadGuard;
 
-/// A question that is answered with yes or no.
+/// A question with the answers yes and no.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Question {
-    /// Quit with unsaved edits?
+    /// Quitting with unsaved edits.
     Quit,
-    /// Delete this entry, while its text in the file is this?
+    /// Deletion of this entry, as long as the file has it with this text.
     Delete(EntryKey, String),
-    /// Send the identify command to this device?
+    /// Sending the identify command to this device.
     Identify(DeviceId),
-    /// Search the bit rate of this bus?
+    /// Bit rate search on this bus.
     FindBitrate(BusIndex),
 }
 
-/// What is open over the page.
+/// Overlay over the page.
 #[derive(Clone, Debug, Default)]
 pub enum Overlay {
-    /// Nothing.
+    /// No overlay.
     #[default]
     None,
     /// The help, scrolled by this many lines.
@@ -55,7 +55,7 @@ pub enum Overlay {
 pub(super) struct Input {
     keymap: Keymap,
     overlay: Overlay,
-    /// The prompt that was open when a conflict came up; it is opened again afterwards.
+    /// The prompt that was open when an edit conflict appeared; it opens again afterwards.
     suspended_prompt: Option<Prompt>,
     guard: Option<TypeAheadGuard>,
 }
@@ -157,15 +157,14 @@ impl Input {
         }
     }
 
-    /// Scrolls the help by lines; the end is known when it is drawn.
+    /// Scrolls the help by lines; drawing limits the position to the end of the text.
     pub fn scroll_help(&mut self, by: i16) {
         if let Overlay::Help(at) = &mut self.overlay {
             *at = at.saturating_add_signed(by);
         }
     }
 
-    /// Takes the line to which the help was scrolled when it was drawn; returns false if the help
-    /// is not open.
+    /// Sets the first line of the help, as it was drawn; returns false if the help is not open.
     pub fn set_help_scroll(&mut self, line: u16) -> bool {
         let Overlay::Help(at) = &mut self.overlay else { return false };
         *at = line;
@@ -197,7 +196,7 @@ impl Input {
 
     // ---- keys typed ahead ------------------------------------------------------------------
 
-    /// Takes note of an action that was executed: where its prompt was refused, text typed for it
+    /// Starts the guard if the prompt of an executed action was refused: text typed for that prompt
     /// is ignored.
     pub fn note_executed(&mut self, now: Instant, action: Action) {
         if action.is_line_edit() && !self.has_overlay() {
@@ -205,12 +204,12 @@ impl Input {
         }
     }
 
-    /// Accepts keys at once: the user opened the present overlay on purpose.
+    /// Stops the guard: the user opened the present overlay on purpose.
     pub fn accept_keys(&mut self) {
         self.guard = None;
     }
 
-    /// Returns true if a key was typed ahead and is to be ignored.
+    /// Returns true if a key was typed ahead and must be ignored.
     pub fn is_typed_ahead(&mut self, now: Instant, key: Key) -> bool {
         let Some(mut guard) = self.guard.take() else { return false };
         let is_ignored = guard.ignores(now, key);

@@ -52,15 +52,15 @@ pub enum PromptKind {
 /// Result of the validation of a line.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum InputCheck {
-    /// Enter works; the text says what it does, or what can be typed.
+    /// Enter works. Text: the effect of Enter, or the syntax of the line.
     Accepted(String),
-    /// Enter works; the text says what to consider before.
+    /// Enter works. Text: a reason for caution.
     Warning(String),
-    /// Enter does nothing; the text says why.
+    /// Enter does nothing. Text: the cause.
     Rejected(String),
 }
 
-/// What prompts are validated against.
+/// State that prompts are validated against.
 #[derive(Clone, Copy)]
 pub(in crate::app) struct PromptContext<'a> {
     pub file: &'a FileState,
@@ -72,12 +72,12 @@ pub(in crate::app) struct PromptContext<'a> {
     pub frames: u64,
 }
 
-/// What a committed prompt wants to be done.
+/// Action that a committed prompt requests.
 #[derive(Debug, PartialEq, Eq)]
 pub(in crate::app) enum PromptOutcome {
-    /// Nothing.
+    /// No action.
     Nothing,
-    /// Set the filter of a page; then show the error in it, if there is one.
+    /// Set the filter of a page; then show the error in it, if any.
     SetFilter(Page, String, Option<String>),
     /// Edit des.json.
     Edit(Vec<Operation>),
@@ -91,7 +91,7 @@ pub(in crate::app) enum PromptOutcome {
     SaveCopy(PathBuf),
 }
 
-/// What a key in a prompt leads to.
+/// Effect of a key in a prompt.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::app) enum PromptKey {
     /// The line changed, or the key has no meaning.
@@ -107,17 +107,17 @@ pub(in crate::app) enum PromptKey {
 /// Place of an entry that is edited; `None` for a new entry.
 pub(super) type EditedPlace = Option<usize>;
 
-/// The behaviour of one kind of prompt.
+/// Behaviour of one kind of prompt.
 pub(super) trait PromptLogic {
     /// Text before the line.
     fn label(&self) -> &'static str;
 
-    /// The same for a narrow screen.
+    /// Text before the line on a narrow screen.
     fn short_label(&self) -> &'static str {
         self.label()
     }
 
-    /// Returns true if committing it edits des.json; `place` of the entry that is edited then.
+    /// Place of the entry that committing edits; `None` for a prompt that does not edit des.json.
     fn edited_place(&self, _context: PromptContext) -> Option<EditedPlace> {
         None
     }
@@ -125,7 +125,7 @@ pub(super) trait PromptLogic {
     /// Validates the line, which has no blanks at its ends.
     fn validate(&self, text: &str, context: PromptContext) -> InputCheck;
 
-    /// Returns what Enter does with a line that is not rejected.
+    /// Returns the outcome of Enter for a line that is not rejected.
     fn commit(&self, text: &str, context: PromptContext) -> PromptOutcome;
 }
 
@@ -151,7 +151,7 @@ impl PromptKind {
         self.logic().short_label()
     }
 
-    /// Returns true if the line is a path: both of its ends tell it from others.
+    /// Returns true if the line is a path, of which both ends must be visible.
     pub const fn is_path(&self) -> bool {
         matches!(self, PromptKind::CapturePath(_) | PromptKind::CopyPath(_))
     }
@@ -185,17 +185,17 @@ impl Prompt {
         logic.validate(self.text(), context)
     }
 
-    /// Returns what Enter does.
+    /// Returns the outcome of Enter.
     pub(in crate::app) fn commit(&self, context: PromptContext) -> PromptOutcome {
         self.kind.logic().commit(self.text(), context)
     }
 
-    /// Takes a key.
+    /// Handles a key.
     pub(in crate::app) fn handle_key(&mut self, key: Key) -> PromptKey {
         match key.code {
             KeyCode::Enter => return PromptKey::Commit,
             KeyCode::Esc => return PromptKey::Cancel,
-            // Tab goes on from the name to the address of a new entry, as a space does.
+            // Tab moves from the name to the address of a new entry, as a space does.
             KeyCode::Tab if self.is_in_name() => self.change(&[InputRequest::InsertChar(' ')]),
             KeyCode::Tab => return PromptKey::NextBus,
             _ => {

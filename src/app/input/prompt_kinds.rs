@@ -1,4 +1,4 @@
-//! The kinds of prompts: what each accepts, and what Enter does with it.
+//! Kinds of prompts: validation and outcome of each.
 //!
 //! A prompt that edits des.json refers to its entry by key, and to the content of the file when it
 //! was opened: the file may change on disk while the user types.
@@ -14,7 +14,7 @@ use crate::document::{Document, Entry, EntryKey, NewEntry, Operation};
 use crate::text::Quoted;
 use std::path::PathBuf;
 
-/// What Enter does after the file was deleted or emptied while the user typed.
+/// Effect of Enter after the file was deleted or emptied while the user typed.
 const CREATES_FILE: &str = "Enter creates a new file";
 
 // ---- filter --------------------------------------------------------------------------------
@@ -44,14 +44,14 @@ impl PromptLogic for FilterPrompt {
 
 // ---- the entry that a prompt edits ---------------------------------------------------------
 
-/// The entry that a prompt edits, and the file as it was when the prompt was opened.
+/// The entry that a prompt edits, and the content of the file when the prompt was opened.
 #[derive(Clone, Debug)]
 struct EntryTarget {
     /// Content of the file when the prompt was opened.
     on: Document,
     /// Place of the entry in it; `None` for a device that was not listed.
     place: Option<usize>,
-    /// The device whose entry it is: its entry may be another one by now.
+    /// Device of the entry; by now another entry may be assigned to it.
     device: Option<DeviceId>,
 }
 
@@ -66,7 +66,7 @@ impl EntryTarget {
         Self { on, place, device }
     }
 
-    /// The entry as it is now; `None` if it was deleted.
+    /// The entry in its present form; `None` if it was deleted.
     fn entry<'a>(&self, context: PromptContext<'a>) -> Option<&'a Entry> {
         match self.device {
             Some(id) => entry_of(&RowKey::Device(id), context),
@@ -74,18 +74,18 @@ impl EntryTarget {
         }
     }
 
-    /// What the entry has become that the prompt was opened on.
+    /// Present form of the entry for which the prompt was opened; `None` if it was deleted.
     fn counterpart<'a>(&self, context: PromptContext<'a>) -> Option<&'a Entry> {
         let document = context.file.document();
         document.entries().get(self.on.counterpart(self.place?, document)?)
     }
 
-    /// The entry as it was when the prompt was opened.
+    /// The entry when the prompt was opened.
     fn before(&self) -> Option<&Entry> {
         self.on.entries().get(self.place?)
     }
 
-    /// What happened to the entry, where it is not the one to edit any more.
+    /// Text about the change after which the entry cannot be edited any more.
     fn gone_text(&self, context: PromptContext) -> String {
         if let Some(gone) = file_gone(&self.on, context) {
             return gone;
@@ -112,7 +112,8 @@ fn entry_of<'a>(key: &RowKey, context: PromptContext<'a>) -> Option<&'a Entry> {
     context.file.document().entries().get(place_of(key, context)?)
 }
 
-/// What happened to a file that had content when the prompt was opened and has none now.
+/// Text about a file that had content when the prompt was opened and has none now; `None` for any
+/// other file.
 fn file_gone(on: &Document, context: PromptContext) -> Option<String> {
     let name = context.file.name();
     if on.is_blank() {
@@ -131,20 +132,20 @@ fn file_gone(on: &Document, context: PromptContext) -> Option<String> {
 pub struct AddressPrompt {
     /// The row.
     pub key: RowKey,
-    /// The text with which it was opened: the static address then.
+    /// Static address when the prompt was opened, as text.
     before: String,
     target: EntryTarget,
 }
 
 impl AddressPrompt {
-    /// Returns the prompt for a row, and the text that it begins with.
+    /// Returns the prompt for a row, and its first text.
     pub(in crate::app) fn new(key: RowKey, context: PromptContext) -> (Self, String) {
         let before = pinned(entry_of(&key, context));
         let target = EntryTarget::new(&key, context);
         (Self { key, before: before.clone(), target }, before)
     }
 
-    /// Result where the entry, its address or the whole file changed on disk while the user typed.
+    /// Result if the entry, its address or the whole file changed on disk while the user typed.
     fn check_concurrent_change(&self, text: &str, context: PromptContext) -> Option<C> {
         let entry = self.target.entry(context);
         let gone = file_gone(&self.target.on, context).map(|gone| (gone, CREATES_FILE));
@@ -160,7 +161,7 @@ impl AddressPrompt {
         if let Some((now, typed)) = entry.zip(parse_address(text))
             && self.target.before().is_some_and(|before| before.name != now.name)
         {
-            // A renamed entry, or another one in its place: the two look the same.
+            // A renamed entry cannot be distinguished from another one in its place.
             return Some(C::Warning(format!("entry {}; Enter pins it to {typed}", renamed(now))));
         }
         let theirs = self.changed_on_disk(context)?;
@@ -172,7 +173,7 @@ impl AddressPrompt {
         })
     }
 
-    /// How the static address changed on disk while the user typed; `None` if it did not.
+    /// Text about a change of the static address on disk while the user typed; `None` without one.
     fn changed_on_disk(&self, context: PromptContext) -> Option<String> {
         let now = pinned(self.target.entry(context));
         let theirs = match now.as_str() {
@@ -308,7 +309,7 @@ fn address_in_use(
 /// Prompt for the new name of an entry.
 #[derive(Clone, Debug)]
 pub struct RenamePrompt {
-    /// The entry, as it was when the prompt was opened.
+    /// The entry when the prompt was opened.
     key: EntryKey,
     target: EntryTarget,
 }
@@ -505,7 +506,7 @@ impl PromptLogic for CopyPathPrompt {
 /// Syntax of a new entry.
 const NEW_ENTRY_SYNTAX: &str = "name, space, address";
 
-/// Returns true if the text looks like a number.
+/// Returns true if the text has the form of a number.
 fn is_number(text: &str) -> bool {
     let digits = text.trim_start_matches(['-', '+']);
     let hex = digits.strip_prefix("0x").or_else(|| digits.strip_prefix("0X"));
@@ -519,7 +520,7 @@ fn pinned(entry: Option<&Entry>) -> String {
     listed.and_then(|entry| entry.address).map(|it| it.to_string()).unwrap_or_default()
 }
 
-/// What happened to an entry whose name changed on disk.
+/// Text about an entry whose name changed on disk.
 fn renamed(entry: &Entry) -> String {
     format!("renamed to {} on disk", Quoted(&entry.name))
 }
@@ -535,7 +536,7 @@ pub fn parse_address(text: &str) -> Option<u8> {
     (1..=127).contains(&number).then_some(number)
 }
 
-/// Decodes `\xNN` and `\\` in a name as it is shown.
+/// Decodes `\xNN` and `\\` in a name, the escapes with which names are shown.
 ///
 /// # Errors
 ///
@@ -577,7 +578,8 @@ fn check_name(text: &str) -> C {
     }
 }
 
-/// Splits `PUMP 12` into name and address; without an address at the end all of it is the name.
+/// Splits `PUMP 12` into name and address; without an address at the end, the whole text is the
+/// name.
 ///
 /// # Errors
 ///

@@ -1,7 +1,7 @@
-//! What happened, line by line: devices, the bus, the file, edits. It outlives the devices.
+//! Timeline: one line per event of devices, buses, the file and edits. Lines outlive the devices.
 //!
-//! Bounded; a line that repeats within moments is counted instead of written again, and stands where
-//! it was last true: what came between stays before it. Does not know where lines are shown.
+//! Bounded: 4096 lines. A line that repeats one of the last 8 within 5 s is counted instead of
+//! added, and moves to the end. Does not know how lines are shown.
 
 use crate::discovery::{DeviceId, Event};
 use crate::frame::BusIndex;
@@ -13,70 +13,70 @@ use std::collections::VecDeque;
 /// A line of the timeline.
 #[derive(Clone, Debug)]
 pub struct TimelineEntry {
-    /// Its number, from 0: later lines have greater ones. A line that is counted again gets a new one.
+    /// Number, ascending from 0. A line that is counted again gets a new one.
     pub number: u64,
-    /// When it happened first.
+    /// Time of the first occurrence.
     pub time: Instant,
-    /// When it happened last.
+    /// Time of the last occurrence.
     pub last: Instant,
-    /// On which bus.
+    /// Bus; `None` for a line about the program or the file.
     pub bus: Option<BusIndex>,
-    /// To which device.
+    /// Device; `None` for a line about a bus, the program or the file.
     pub device: Option<DeviceId>,
-    /// Its address then.
+    /// Address of the device at that time.
     pub address: Option<Address>,
-    /// Its name then.
+    /// Name of the device at that time.
     pub name: Option<Name>,
-    /// What happened.
+    /// Event, for the user.
     pub text: String,
-    /// What sort of thing it is.
+    /// Kind of event.
     pub kind: TimelineKind,
-    /// How often it happened.
+    /// Number of occurrences.
     pub times: u32,
 }
 
-/// What sort of thing happened: chooses the sign and the colour.
+/// Kind of event; selects sign and colour.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TimelineKind {
-    /// A device came, came back, or said more of itself.
+    /// A device appeared, returned, or reported more about itself.
     Good,
     /// A device changed.
     Change,
-    /// A device is late, silent or asleep.
+    /// A device is stale, silent or asleep.
     Late,
-    /// A device is gone.
+    /// A device is lost.
     Lost,
-    /// A suspicion.
+    /// A suspected finding.
     Suspected,
     /// A confirmed finding.
     Confirmed,
-    /// A finding's cause is gone.
+    /// A cleared finding.
     Cleared,
-    /// The bus or its adapter.
+    /// State of a bus or its adapter.
     Bus,
     /// des.json.
     File,
-    /// Something that did not work.
+    /// A command or an operation that failed.
     Error,
 }
 
-/// The lines.
+/// Lines of the timeline.
 #[derive(Debug, Default)]
 pub struct Timeline {
     entries: VecDeque<TimelineEntry>,
     next: u64,
-    /// Lines before this number stay as they are: somebody reads them.
+    /// Lines with lower numbers do not change, because the user is reading them.
     held: u64,
 }
 
 impl Timeline {
-    /// How many lines are kept.
+    /// Largest number of lines.
     pub const ENTRIES: usize = 4096;
-    /// How near in time and how near in lines a repetition is counted.
+    /// Largest distance of a repetition, in time and (`REPEAT_LINES`) in lines.
     const REPEAT_WITHIN: Duration = Duration::from_secs(5);
     const REPEAT_LINES: usize = 8;
 
-    /// Writes a line. Where it repeats one of the last, that goes, and is counted in it.
+    /// Adds a line. A line that it repeats is removed and counted in it.
     pub fn push(&mut self, mut entry: TimelineEntry) {
         let last = self.entries.len().saturating_sub(Self::REPEAT_LINES)..self.entries.len();
         let repeated = last.rev().find(|&at| {
@@ -98,10 +98,10 @@ impl Timeline {
         self.entries.push_back(entry);
     }
 
-    /// Adds to the line that was written at the same moment of the same device; what `join` makes
-    /// of its words and of these stands there, or last where these words take its place. Returns
-    /// what it said before and the line as it is now; `None` where there is no such line, or
-    /// nothing is made of the two.
+    /// Joins an entry with a line of the same device and time: `join` returns the new text for the
+    /// two texts, or `None` for no match. If the new text does not begin with the old one, the line
+    /// gets the kind of the entry and moves to the end. Returns the old text and the changed line;
+    /// `None` without a match.
     pub fn amend(
         &mut self,
         entry: &TimelineEntry,
@@ -127,7 +127,7 @@ impl Timeline {
         }
         other.kind = entry.kind;
         let amended = other.clone();
-        // What led to it stands before it.
+        // The line follows the events that led to it.
         for later in at + 1..self.entries.len() {
             self.entries.swap(later - 1, later);
             let number = self.entries[later].number;
@@ -137,12 +137,12 @@ impl Timeline {
         Some((before, amended))
     }
 
-    /// Lines that are there now stay as they are; `false`: they may be counted again.
+    /// Keeps the present lines unchanged while `holds`; else repetitions may be counted in them.
     pub fn pin_lines(&mut self, holds: bool) {
         self.held = if holds { self.next } else { 0 };
     }
 
-    /// What was told of `was` (before a moment) was told of `device`.
+    /// Assigns the lines of `was`, those before `before` if given, to `device`.
     pub fn reassign(&mut self, was: DeviceId, before: Option<Instant>, device: DeviceId) {
         let is_before = |entry: &TimelineEntry| before.is_none_or(|before| entry.time < before);
         for entry in self.entries.iter_mut().filter(|entry| entry.device == Some(was)) {
@@ -152,25 +152,25 @@ impl Timeline {
         }
     }
 
-    /// The lines, oldest first.
+    /// Lines, oldest first.
     pub fn entries(&self) -> impl DoubleEndedIterator<Item = &TimelineEntry> + ExactSizeIterator {
         self.entries.iter()
     }
 
-    /// The line of that number.
+    /// The line with this number; `None` if it was removed.
     pub fn get(&self, number: u64) -> Option<&TimelineEntry> {
         let at = self.entries.binary_search_by_key(&number, |entry| entry.number).ok()?;
         self.entries.get(at)
     }
 
-    /// The number that the next line gets.
+    /// Number of the next line.
     pub fn end(&self) -> u64 {
         self.next
     }
 }
 
 impl TimelineEntry {
-    /// A line about the program, the file or a bus.
+    /// Returns a line about the program, the file or a bus.
     pub fn new(time: Instant, kind: TimelineKind, text: impl Into<String>) -> Self {
         Self {
             number: 0,
@@ -186,7 +186,7 @@ impl TimelineEntry {
         }
     }
 
-    /// The line of an engine event.
+    /// Returns the line of an engine event.
     pub fn of_event(bus: BusIndex, event: &Event, kind: TimelineKind, text: String) -> Self {
         let mut line = Self::new(event.time, kind, text).on(bus);
         (line.device, line.address) = (event.device, event.address);
@@ -194,7 +194,7 @@ impl TimelineEntry {
         line
     }
 
-    /// The same line, about a bus.
+    /// Sets the bus of the line.
     #[must_use]
     pub fn on(mut self, bus: BusIndex) -> Self {
         self.bus = Some(bus);
@@ -229,7 +229,7 @@ mod tests {
         let mut timeline = timeline(&lines);
         let expected = [(1, "redone", 1), (3, "other", 1), (4, "undone", 3)];
         assert_eq!(told(&timeline), expected);
-        // Each is still found by its number, and later ones have greater numbers.
+        // Each line is found by its number; numbers ascend.
         let numbers: Vec<u64> = timeline.entries().map(|entry| entry.number).collect();
         assert!(numbers.is_sorted() && numbers.last() < Some(&timeline.end()), "{numbers:?}");
         for number in numbers {

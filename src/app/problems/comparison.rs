@@ -33,7 +33,7 @@ pub(super) struct Comparison<'a> {
 }
 
 impl<'a> Comparison<'a> {
-    /// Compares; without a file there are no differences.
+    /// Compares file and buses; without a file there are no differences.
     pub fn new(facts: Facts<'a>, scope: Scope) -> Self {
         let mut comparison = Self { facts, found: Vec::new(), entries: Vec::new() };
         if !facts.file.is_there() {
@@ -198,7 +198,8 @@ impl<'a> Comparison<'a> {
                 if listed || device.is_debug || !device.is_present() {
                     continue;
                 }
-                // Probably the listed device; the finding about its entry reports why it is not identified.
+                // Probably the listed device: the finding about its entry has the reason why it is
+                // not identified.
                 if device.name.is_none() && self.is_awaited_at(device.address) {
                     continue;
                 }

@@ -38,7 +38,7 @@ pub struct Problem<'a> {
     pub key: ProblemKey,
     /// Its findings, at least one: by confidence, then by severity.
     pub findings: Vec<&'a Finding>,
-    /// The user muted it.
+    /// Muted by the user.
     pub is_muted: bool,
 }
 
@@ -59,7 +59,7 @@ impl<'a> Problem<'a> {
         self.findings[0]
     }
 
-    /// Confidence of the first finding.
+    /// Confidence of the problem: that of the first finding.
     pub fn confidence(&self) -> Confidence {
         self.head().confidence
     }
@@ -69,22 +69,22 @@ impl<'a> Problem<'a> {
         let confidence = self.confidence();
         let moments = self.findings.iter().filter(|it| it.confidence == confidence);
         let moments = moments.map(|finding| finding.changed);
-        // It is cleared with the last of its findings.
+        // The problem is cleared when its last finding is cleared.
         let since = if confidence == Confidence::Cleared { moments.max() } else { moments.min() };
         since.unwrap_or(self.head().changed)
     }
 
-    /// Returns true if it counts: neither cleared nor muted.
+    /// Returns true if the problem counts: neither cleared nor muted.
     pub fn counts(&self) -> bool {
         !self.is_muted && self.confidence() != Confidence::Cleared
     }
 
-    /// Its bus; `None` for a problem of des.json alone.
+    /// Bus; `None` for a problem of des.json alone.
     pub fn bus(&self) -> Option<BusIndex> {
         self.head().key.bus
     }
 
-    /// Its addresses, ascending, without duplicates.
+    /// Addresses, ascending, without duplicates.
     pub fn addresses(&self) -> Vec<Address> {
         let all = self.findings.iter().flat_map(|finding| &finding.addresses);
         let mut addresses: Vec<Address> = all.copied().collect();
@@ -93,7 +93,7 @@ impl<'a> Problem<'a> {
         addresses
     }
 
-    /// Its names, without duplicates.
+    /// Names, without duplicates.
     pub fn names(&self) -> Vec<&'a Name> {
         let mut names = Vec::new();
         for name in self.findings.iter().flat_map(|finding| &finding.names) {
@@ -104,8 +104,8 @@ impl<'a> Problem<'a> {
         names
     }
 
-    /// Returns true if it is about this address of this bus, or about this name where no address is
-    /// known.
+    /// Returns true if the problem concerns this address of this bus, or this name where no address
+    /// is known.
     pub fn is_about(
         &self,
         bus: Option<BusIndex>,
@@ -133,13 +133,13 @@ impl<'a> Problem<'a> {
         self.findings.iter().map(|it| it.last).max().unwrap_or(Instant::ZERO)
     }
 
-    /// Returns true if it has evidence; a difference from the file has none.
+    /// Returns true if the problem has evidence; a difference from the file has none.
     pub fn was_seen(&self) -> bool {
         self.findings.iter().any(|finding| !finding.evidence.is_empty())
     }
 
-    /// Number of pieces of evidence; [`Self::evidence`] has the first and the last of each
-    /// finding.
+    /// Number of pieces of evidence. [`Self::evidence`] returns only the first and the last ones of
+    /// each finding.
     pub fn count(&self) -> u64 {
         self.findings.iter().map(|finding| finding.count).sum()
     }
@@ -183,7 +183,7 @@ impl<'a> Problem<'a> {
         words.chain(places).collect::<Vec<String>>().join(" ")
     }
 
-    /// What confirms a suspected problem; `None` for any other, or without such a rule.
+    /// Condition that confirms a suspected problem; `None` for any other, or without such a rule.
     pub fn confirmation_hint(&self) -> Option<&'static str> {
         let is_suspected = self.confidence() == Confidence::Suspected;
         self.head().key.wording().confirmation.filter(|_| is_suspected)

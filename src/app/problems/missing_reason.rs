@@ -99,7 +99,7 @@ impl Facts<'_> {
         format!("last seen at {}, {ago} ago", device.address)
     }
 
-    /// Reasons at the address of an entry: another device that uses or used it.
+    /// Reasons at the address of an entry: another device that uses it or used it before.
     fn why_at_its_address(&self, bus: &Bus, entry: &Entry, reasons: &mut Vec<String>) {
         let Some(address) = entry.address.and_then(Address::new) else { return };
         if bus.own_address() == OwnAddress::Held(address) {

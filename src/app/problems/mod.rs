@@ -105,8 +105,8 @@ impl Problems {
         std::mem::replace(&mut self.file_findings, found)
     }
 
-    /// Findings of the comparison that appeared or changed their confidence since `before`, behind
-    /// those that were cleared.
+    /// Findings of the comparison that changed since `before`: first the cleared ones, then those
+    /// that are new or have another confidence.
     pub fn changes_since(&self, before: &[Finding], now: Instant) -> Vec<Finding> {
         let confidences = |findings: &[Finding]| -> BTreeMap<FindingKey, Confidence> {
             findings.iter().map(|finding| (finding.key.clone(), finding.confidence)).collect()
@@ -124,8 +124,8 @@ impl Problems {
 
     // ---- the list --------------------------------------------------------------------------
 
-    /// All problems: confirmed, suspected, cleared, muted; by severity within each. While the view
-    /// is frozen, rows keep the order in which they were shown and new ones come last.
+    /// All problems: confirmed, suspected, cleared, muted; by severity within each. In a frozen
+    /// view, rows keep the order in which they were shown, and new ones come last.
     pub fn list<'a>(&'a self, buses: &'a Buses, is_frozen: bool) -> Vec<Problem<'a>> {
         let stored = self.stored(buses);
         let mut problems: Vec<Problem> =

@@ -1,16 +1,16 @@
-//! The selection of a list.
+//! Selection in a list.
 //!
-//! It holds on to what is selected, not to a row number, and the selected row stays on its line of
-//! the screen while others come and go.
+//! Stores the key of the selected row, not its number, so the selected row keeps its line on the
+//! screen while rows appear and disappear.
 
-/// Which row of a list is selected, and on which line of the screen it is.
+/// Selected row of a list and its line on the screen.
 #[derive(Clone, Debug)]
 pub struct Cursor<K> {
     selected: Option<K>,
     line: usize,
-    /// Where it was last: the place to go to when it is gone.
+    /// Last index of the selected row; used when the row disappears.
     last: usize,
-    /// The user moved it; until then it is the first row, whichever that is.
+    /// The user moved the selection; until then the first row is selected.
     moved: bool,
 }
 
@@ -21,12 +21,12 @@ impl<K> Default for Cursor<K> {
 }
 
 impl<K: Clone + PartialEq> Cursor<K> {
-    /// What is selected.
+    /// Key of the selected row.
     pub fn selected(&self) -> Option<&K> {
         self.selected.as_ref()
     }
 
-    /// The place of the selected row among `keys`.
+    /// Index of the selected row among `keys`.
     pub fn index<'k>(&self, mut keys: impl Iterator<Item = &'k K>) -> Option<usize>
     where
         K: 'k,
@@ -35,30 +35,30 @@ impl<K: Clone + PartialEq> Cursor<K> {
         keys.position(|key| key == selected)
     }
 
-    /// The first row on the screen, where `height` rows of `count` fit.
+    /// Index of the first row on the screen, where `height` of `count` rows fit.
     pub fn top(&self, index: Option<usize>, count: usize, height: usize) -> usize {
         let line = self.line.min(height.saturating_sub(1));
         index.unwrap_or(0).saturating_sub(line).min(count.saturating_sub(height))
     }
 
-    /// Selects nothing: the list follows its newest row.
+    /// Clears the selection: the list follows its newest row.
     pub fn release(&mut self) {
         self.selected = None;
     }
 
-    /// Selects a row, wherever it is.
+    /// Selects a row, on the screen or not.
     pub fn select(&mut self, key: K) {
         self.selected = Some(key);
         self.moved = true;
     }
 
-    /// The selected row goes on under another key.
+    /// Replaces the key of the selected row.
     pub fn replace(&mut self, key: K) {
         self.selected = Some(key);
     }
 
-    /// After the rows changed: what is gone gives its place to its neighbour, and where nothing
-    /// was selected the first row is.
+    /// Updates the selection after the rows changed: a row that disappeared is replaced by its
+    /// neighbour; without a selection by the user the first row is selected.
     pub fn settle(&mut self, keys: &[K], height: usize) {
         if self.moved {
             self.keep(keys, height);
@@ -67,7 +67,7 @@ impl<K: Clone + PartialEq> Cursor<K> {
         }
     }
 
-    /// The same, but what is selected stays so, whether or not the user moved it: it is looked at.
+    /// Does the same as [`Self::settle`], but keeps a selection that the user did not make.
     pub fn keep(&mut self, keys: &[K], height: usize) {
         let index = self.index(keys.iter()).unwrap_or(self.last);
         self.place(keys, index, height);
@@ -82,7 +82,7 @@ impl<K: Clone + PartialEq> Cursor<K> {
         self.move_to(keys, target, height);
     }
 
-    /// Selects the row at that place.
+    /// Selects the row at this index.
     pub fn move_to(&mut self, keys: &[K], index: usize, height: usize) {
         self.moved = true;
         self.place(keys, index, height);
@@ -95,7 +95,7 @@ impl<K: Clone + PartialEq> Cursor<K> {
         self.line = self.line.min(height.saturating_sub(1)).min(index);
     }
 
-    /// Selects the row on that line of the screen.
+    /// Selects the row on this line of the screen.
     pub fn click(&mut self, keys: &[K], line: usize, height: usize) {
         let top = self.top(self.index(keys.iter()), keys.len(), height);
         if top + line < keys.len() {

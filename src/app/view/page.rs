@@ -1,4 +1,4 @@
-//! Where the user is: the page, and the part of it that has the keys.
+//! Pages, and the part of the screen that has the keyboard focus.
 
 /// The pages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -12,10 +12,10 @@ pub enum Page {
 }
 
 impl Page {
-    /// In the order of their numbers.
+    /// All pages, by number.
     pub const ALL: [Page; 4] = [Page::Devices, Page::Traffic, Page::Timeline, Page::Problems];
 
-    /// Its name.
+    /// Title of the page.
     pub const fn title(self) -> &'static str {
         match self {
             Page::Devices => "Devices",
@@ -25,27 +25,27 @@ impl Page {
         }
     }
 
-    /// Its number on the keyboard.
+    /// Number of the page, which is also its key.
     pub const fn number(self) -> usize {
         self as usize + 1
     }
 }
 
-/// Which part of the screen has the keys.
+/// Part of the screen with the keyboard focus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum Focus {
     /// The list.
     #[default]
     List,
-    /// The details beside it (or in its place, on a narrow screen).
+    /// The details beside the list, or in its place on a narrow screen.
     Details,
 }
 
-/// Where a held page ends.
+/// End of a frozen page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Frozen {
-    /// Behind the last frame.
+    /// Number after the last frame shown.
     pub frames: u64,
-    /// Behind the last line of the timeline.
+    /// Number after the last line of the timeline shown.
     pub lines: u64,
 }

@@ -1,18 +1,18 @@
-//! Where the regions of the screen are: drawing and the mouse both go by this.
+//! Layout of the screen, for drawing and for the mouse.
 //!
 //! ```text
-//!  can0 125k active  load  37% ▁▂▃▅▂  412 f/s  err 0  lost 0  me 0    status, a line per bus
-//!  des.json ✓ 12 entries         ● 14 here  ○ 1 missing  ⚠ 2  ? 1     (and one for the file)
+//!  can0 125k active  load  37% ▁▂▃▅▂  412 f/s  err 0  lost 0  own 0   status, one line per bus
+//!  des.json ✓ 12 entries         ● 14 present  ○ 1 missing  ⚠ 2  ? 1  (and one for the file)
 //! ─ 1 Devices ─ 2 Traffic ─ 3 Timeline ─ 4 Problems 2 ┬─ FEED @12 ──   tabs
 //!    ADDR  NAME   STATE   MODE    SVC   AGE   FILE    │ online 3m12s   header
 //! ▸  12   FEED   online  WORK      4    0s   ✓ 12     │ …              list, details
 //!    13   SENS   online  WORK      3    0s   + new    │
 //! ─ latest ───────────────────────────────────────────┴─────────────   latest
-//!  12:03:11  ACT @14  collision confirmed: …
+//!  12:03:11  ACT @14  address conflict confirmed: …
 //!  e edit address  a add to file  u undo  r rescan  …        ? help    footer
 //! ```
 //!
-//! Knows sizes only, not what is drawn.
+//! Knows sizes only, not the content of the regions.
 
 use super::View;
 use super::page::{Focus, Page};
@@ -20,39 +20,39 @@ use super::rows::Counts;
 use ratatui::layout::Rect;
 use std::fmt::Write;
 
-/// The regions; those that are not on the screen are empty.
+/// Regions of the screen; a region that is not shown is empty.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub struct Screen {
-    /// All of it.
+    /// The whole screen.
     pub whole: Rect,
-    /// The state of buses and file.
+    /// State of the buses and of the file.
     pub status: Rect,
-    /// The rule with the names of the pages, and of the details behind them.
+    /// Rule with the titles of the pages, then of the details.
     pub tabs: Rect,
-    /// The column headings.
+    /// Column headings.
     pub header: Rect,
-    /// The rows.
+    /// Rows.
     pub list: Rect,
-    /// The line between list and details.
+    /// Line between list and details.
     pub divider: Rect,
-    /// What is selected, at length.
+    /// Details of the selected row.
     pub details: Rect,
-    /// The rule below the list, above the latest lines of the timeline or a frame's details.
+    /// Rule below the list, above the latest lines of the timeline or the details of a frame.
     pub lower_rule: Rect,
-    /// The latest lines of the timeline.
+    /// Latest lines of the timeline.
     pub latest: Rect,
-    /// Hints, messages, questions, and the line being typed.
+    /// Hints, messages, questions and the line being typed.
     pub footer: Rect,
 }
 
-/// The least width at which details stand beside the list.
+/// Least width with details beside the list, in columns.
 pub const SPLIT_WIDTH: u16 = 76;
 
-/// The least height at which a frame's details stand below the frames.
+/// Least height with the details of a frame below the list of frames, in lines.
 const SPLIT_HEIGHT: u16 = 18;
 
 impl Screen {
-    /// The regions of a screen that shows this, for so many buses.
+    /// Returns the layout for a view and this number of buses.
     pub fn new(view: &View, buses: usize) -> Self {
         let (columns, rows) = view.size;
         let whole = Rect::new(0, 0, columns, rows);
@@ -93,8 +93,8 @@ impl Screen {
         screen
     }
 
-    /// One line per bus (as many as there is room for), one for the file; on small screens one
-    /// for all.
+    /// Height of the status region: one line per bus, as many as fit, and one for the file; on
+    /// small screens one line for all.
     fn status_lines(columns: u16, rows: u16, buses: usize) -> u16 {
         let buses = u16::try_from(buses.max(1)).unwrap_or(u16::MAX);
         match rows {
@@ -106,12 +106,12 @@ impl Screen {
         }
     }
 
-    /// How many rows of the list fit.
+    /// Number of rows that fit into the list.
     pub fn list_rows(&self) -> usize {
         usize::from(self.list.height)
     }
 
-    /// Whether the details take the list's place.
+    /// Returns true if the details take the place of the list.
     pub fn details_alone(&self) -> bool {
         self.list.height == 0 && self.details.height > 0
     }
@@ -131,9 +131,8 @@ fn take_bottom(area: &mut Rect, lines: u16) -> Rect {
     Rect { y: area.y + area.height, height: lines, ..*area }
 }
 
-/// The names of the pages as they stand in the rule: where each begins, and its text. On a
-/// narrow screen only the open page has its name, the others their numbers; how many problems are
-/// sure and how many suspected is said apart there.
+/// Returns page, first column and text of each tab. On a narrow screen only the open page has its
+/// title, the others their number, and confirmed and suspected problems are counted separately.
 pub fn tabs(columns: u16, open: Page, counts: Counts) -> Vec<(Page, u16, String)> {
     let (narrow, wide) = (columns < 60, columns >= 100);
     let mut at = u16::from(wide);

@@ -1,4 +1,4 @@
-//! `socketcand://HOST[:PORT]/BUS`: what a socketcand argument names.
+//! Parser of a socketcand argument: `socketcand://HOST[:PORT]/BUS`.
 
 use crate::bus::kind::{BusKind, SpecError};
 
@@ -20,7 +20,7 @@ pub struct SocketcandAddress {
     pub host: String,
     /// The TCP port; `None`: socketcand's default.
     pub port: Option<u16>,
-    /// The name of the bus there.
+    /// Name of the bus on the server.
     pub interface: String,
 }
 
@@ -48,7 +48,7 @@ pub(in crate::bus) fn parse(text: &str) -> Result<SocketcandAddress, SpecError> 
     let port = port.transpose()?;
     let is_ipv6 = server.starts_with('[');
     let is_odd = |c: char| c.is_whitespace() || c.is_control() || c == '<' || c == '>' || c == '/';
-    // It stands between the brackets of a message.
+    // The name stands between the brackets of a message.
     let is_name = interface.len() <= MAX_BUS_NAME && !interface.contains(is_odd);
     if host.is_empty() || host.contains(is_odd) || host.contains(':') && !is_ipv6 || !is_name {
         return Err(bad());

@@ -5,7 +5,7 @@
 use crate::frame::{CanId, Frame, FrameKind};
 use crate::text::printable;
 
-/// Longest message that is read, in bytes. A frame has at most 70; an error can be longer.
+/// Longest message in bytes; longer ones are skipped. A frame has at most 70, an error more.
 const MAX_MESSAGE: usize = 256;
 
 /// A message from a server.
@@ -15,7 +15,7 @@ pub(super) enum ServerMessage {
     Hi,
     /// Positive response to the last command.
     Ok,
-    /// Response to `< echo >`.
+    /// Response to `< echo >`, used as a keep-alive.
     Echo,
     /// A frame of any kind, with the time of the server's clock in microseconds.
     Frame(Frame, Option<i64>),
@@ -23,7 +23,7 @@ pub(super) enum ServerMessage {
     Error(String),
 }
 
-/// Decodes what stands between the brackets.
+/// Decodes the text between the brackets; `None` if it is malformed.
 pub(super) fn parse(content: &[u8]) -> Option<ServerMessage> {
     let text = std::str::from_utf8(content).ok();
     let words: Vec<&str> = text.map(str::split_ascii_whitespace)?.collect();
@@ -33,7 +33,7 @@ pub(super) fn parse(content: &[u8]) -> Option<ServerMessage> {
         ["echo"] => Some(ServerMessage::Echo),
         ["frame", id, time, ref data @ ..] => {
             let mut bytes = Vec::new();
-            // One word in raw mode, separate bytes in others.
+            // Raw mode has one word, other modes separate bytes.
             for digits in data.iter().map(|word| word.as_bytes()) {
                 for pair in digits.chunks(2) {
                     bytes.push(hex(pair).filter(|_| pair.len() == 2)? as u8);
@@ -77,7 +77,7 @@ pub(super) fn encode(frame: &Frame) -> Option<String> {
     }
 }
 
-/// Three digits standard, eight extended.
+/// Parses an identifier: three digits standard, eight extended.
 fn identifier(text: &str) -> Option<CanId> {
     let id = hex(text.as_bytes())?;
     match text.len() {
@@ -92,14 +92,14 @@ fn error_class(text: &str) -> Option<u32> {
     hex(text.as_bytes()).filter(|class| is_class && *class <= CanId::MAX_EXTENDED)
 }
 
-/// A number of hexadecimal digits only: no sign.
+/// Parses a number of hexadecimal digits only, without a sign.
 fn hex(digits: &[u8]) -> Option<u32> {
     let all_digits = !digits.is_empty() && digits.iter().all(u8::is_ascii_hexdigit);
     let text = std::str::from_utf8(digits).ok().filter(|_| all_digits)?;
     u32::from_str_radix(text, 16).ok()
 }
 
-/// Seconds with a fraction, in microseconds.
+/// Converts seconds with a fraction to microseconds.
 fn micros(text: &str) -> Option<i64> {
     let (seconds, fraction) = text.split_once('.')?;
     let is_number = |text: &str| !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit());
@@ -117,13 +117,13 @@ fn micros(text: &str) -> Option<i64> {
 /// A piece of the stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum MessagePiece<'a> {
-    /// What stood between the brackets.
+    /// Text between the brackets.
     Message(&'a [u8]),
     /// Bytes outside the brackets, or a message without end or too long.
     Unreadable,
 }
 
-/// Splits a stream, in pieces of any size, into messages; stores one of at most [`MAX_MESSAGE`] bytes.
+/// Splits a stream, in pieces of any size, into messages; stores at most [`MAX_MESSAGE`] bytes.
 #[derive(Debug, Default)]
 pub(super) struct MessageSplitter {
     message: Vec<u8>,
@@ -135,7 +135,7 @@ enum SplitState {
     /// Between messages.
     #[default]
     Outside,
-    /// Between messages, after something that should not be there.
+    /// Between messages, after unexpected bytes.
     Garbage,
     /// In a message.
     Inside,
@@ -149,7 +149,7 @@ impl MessageSplitter {
         for &byte in bytes {
             self.place = match (self.place, byte) {
                 (place, b'<') => {
-                    // The end of what was before is missing.
+                    // The previous message has no end.
                     if matches!(place, SplitState::Inside | SplitState::TooLong) {
                         take(MessagePiece::Unreadable);
                     }
@@ -302,7 +302,7 @@ mod tests {
         ) {
             let frame = Frame::classic(id, &data);
             let message = encode(&frame).unwrap();
-            // What a server makes of it for the others.
+            // The message as the server forwards it to its other clients.
             let words: Vec<&str> = message.split_whitespace().collect();
             let digits = words[4..words.len() - 1].iter().map(|byte| format!("{byte:0>2}"));
             let digits = digits.collect::<Vec<_>>().concat();

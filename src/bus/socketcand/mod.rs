@@ -1,7 +1,8 @@
 //! `socketcand://HOST/BUS`: a bus of another machine, over TCP.
 //!
 //! `address` is the BUS argument, this file the connection, `protocol` the state machine, `message`
-//! the syntax. A server that is not reachable is a status, and is tried again with growing pauses.
+//! the syntax. If the server is not reachable, the status shows it, and the connection is retried
+//! with increasing pauses.
 
 mod address;
 mod message;
@@ -25,10 +26,10 @@ use std::time::Duration;
 const DEFAULT_PORT: u16 = 29_536;
 /// Timeout of a connection, for each address of the server.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
-/// The pause before the first new attempt, and the longest.
+/// Pause before the first retry, and the longest pause.
 const FIRST_PAUSE: Duration = Duration::from_secs(1);
 const MAX_PAUSE: Duration = Duration::from_secs(8);
-/// Send buffer in bytes. What is in it counts as sent, so it is small.
+/// Send buffer in bytes. Small, because frames in it count as sent.
 const SEND_BUFFER: usize = 4_096;
 
 /// Opens the bus; the status is delivered later.
@@ -75,7 +76,7 @@ impl Server {
             ErrorKind::HostUnreachable | ErrorKind::NetworkUnreachable => {
                 (Link::Down, format!("no route to {name}: is the network up?"))
             }
-            // The resolver's errors have no number.
+            // Errors of the resolver have no error number.
             _ if error.raw_os_error().is_none() => {
                 (Link::Missing, format!("unknown host {}: {error}", self.host))
             }
@@ -92,7 +93,7 @@ impl Endpoint for Server {
         let stream = self.connect().map_err(|error| self.cannot_connect(&error))?;
         let set_up = stream
             .set_nonblocking(true)
-            // Older daemons hang up when a command comes in two pieces.
+            // Older daemons close the connection if a command arrives in two segments.
             .and_then(|()| stream.set_nodelay(true))
             .and_then(|()| Ok(setsockopt(&stream, sockopt::SndBuf, &SEND_BUFFER)?));
         set_up.map_err(|error| self.cannot_connect(&error))?;

@@ -16,8 +16,8 @@ use crate::time::{Duration, Instant};
 const RESPONSE_TIMEOUT: Duration = Duration::from_secs(5);
 /// Silence after which `< echo >` is sent.
 const ECHO_AFTER: Duration = Duration::from_secs(5);
-/// Timeout of the loopback of the first frame; without it, there is no loopback. The daemon has none;
-/// other servers may.
+/// Timeout of the loopback of the first frame; then the server is taken to have no loopback. The
+/// daemon has none; other servers may.
 const FIRST_ECHO_TIMEOUT: Duration = Duration::from_millis(250);
 
 /// State of the protocol with one server.
@@ -28,9 +28,9 @@ pub(super) struct Socketcand {
     stage: SocketcandStage,
     splitter: MessageSplitter,
     own: TxEchoTracker,
-    /// The server's clock.
+    /// Converts timestamps of the server's clock.
     stamps: RemoteClock,
-    /// When the last message was received.
+    /// Time of the last message received.
     last_message: Instant,
     /// `< echo >` was sent and has no response yet.
     echo_requested: bool,
@@ -96,14 +96,14 @@ impl Socketcand {
                 };
                 exchange.disconnect(Link::Down, message);
             }
-            // Frames between two modes, and repeated responses.
+            // Frames received during a mode change, and repeated responses.
             _ => {}
         }
     }
 
     fn process_frame(&mut self, mut frame: Frame, exchange: &mut ProtocolIo) {
         if let Some(report) = ErrorReport::of(&frame) {
-            // The server omits the details, so bus-off is all that is known of the state.
+            // The server omits the details, so only bus-off is known of the state.
             if report.is_bus_off() {
                 exchange.status.state = BusState::BusOff;
                 exchange.status.message = Some(format!(
@@ -332,7 +332,7 @@ mod tests {
         assert_eq!(test.exchange.frames, [frame.with_tx().with_time(at(350))]);
         test.send(400, &frame);
         assert_eq!(test.exchange.frames.len(), 2);
-        // Somebody else's, however equal.
+        // An equal frame of another node.
         test.handle_message(401, "< frame 00000123 1.0 01 >");
         assert!(!test.exchange.frames[2].is_tx);
     }
@@ -348,7 +348,7 @@ mod tests {
         }
         let ours = test.exchange.frames.iter().filter(|frame| frame.is_tx).count();
         assert_eq!((ours, test.exchange.frames.len()), (3, 3));
-        // One that does not come back any more has not got out; then all is open again.
+        // A missing loopback is a transmit failure; then the loopback is undecided again.
         test.send(3_000, &frame);
         test.handle_message(5_000, "< echo >");
         test.pass(8_000);
@@ -364,7 +364,7 @@ mod tests {
         let frame = Frame::classic(0x123, &[1]);
         test.send(100, &frame);
         test.handle_message(110, "< frame 00000123 1.0 01 >");
-        // The server returns no frames any more; the second frame is newer than the first.
+        // The server has stopped its loopback; the second frame is newer than the first.
         test.send(3_000, &frame);
         test.handle_message(4_000, "< echo >");
         test.send(5_000, &frame);

@@ -1,4 +1,4 @@
-//! `udp:[GROUP][%INTERFACE][@PORT]`: what a udp argument names.
+//! Parser of a udp argument: `udp:[GROUP][%INTERFACE][@PORT]`.
 
 use crate::bus::kind::{BusKind, SpecError};
 use crate::bus::socketcan::interface_name;
@@ -12,18 +12,18 @@ pub(in crate::bus) const KIND: BusKind = BusKind {
     can_send: true,
 };
 
-/// The default group of python-can.
+/// Default group of python-can.
 const DEFAULT_GROUP: IpAddr =
     IpAddr::V6(Ipv6Addr::new(0xFF15, 0x7079, 0x7468, 0x6F6E, 0x6465, 0x6D6F, 0x6D63, 0x6173));
 
-/// A multicast group and how it is reached.
+/// A multicast group, its port and its interface.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct UdpAddress {
     /// The multicast group.
     pub group: IpAddr,
-    /// The network interface; `None`: the one that the system's routes lead to.
+    /// Network interface; `None`: selected by the system's routes.
     pub interface: Option<String>,
-    /// The port; `None`: python-can's default.
+    /// UDP port; `None`: python-can's default.
     pub port: Option<u16>,
 }
 

@@ -1,7 +1,7 @@
 //! Datagrams of python-can's `udp_multicast` bus: a msgpack map for each frame.
 //!
-//! A missing field ends python-can's reader, so every field is written, in python-can's order. A
-//! datagram that is not a possible frame is rejected. Pure.
+//! python-can's reader fails on a missing field, so every field is written, in python-can's order.
+//! A datagram that is not a valid frame is rejected. Pure.
 
 use crate::frame::{CanId, Frame, FrameKind};
 use serde::de::IgnoredAny;
@@ -38,7 +38,7 @@ struct Incoming<'m> {
     is_remote_frame: bool,
     #[serde(default)]
     is_error_frame: bool,
-    /// Whatever the sender calls its bus.
+    /// Name of the bus at the sender.
     #[serde(default, rename = "channel")]
     _channel: Option<IgnoredAny>,
     dlc: u64,
@@ -52,7 +52,7 @@ struct Incoming<'m> {
     error_state_indicator: bool,
 }
 
-/// The datagram of a frame, with its time in Unix seconds; `None` for a frame that cannot exist.
+/// Encodes a frame with its time in Unix seconds; `None` for a frame that cannot exist.
 pub(super) fn encode(frame: &Frame, unix_seconds: f64) -> Option<Vec<u8>> {
     let (arbitration_id, is_extended_id) = match frame.id {
         CanId::Standard(id) => (u32::from(id), false),
@@ -72,13 +72,13 @@ pub(super) fn encode(frame: &Frame, unix_seconds: f64) -> Option<Vec<u8>> {
         bitrate_switch: frame.fd && frame.bit_rate_switch,
         error_state_indicator: frame.fd && frame.error_state,
     };
-    // python-can refuses more, and a frame cannot have it.
+    // python-can rejects more data than a frame can have.
     let most = if frame.fd { Frame::MAX_DATA } else { Frame::MAX_CLASSIC_DATA };
     let is_whole = frame.len() <= most && (!frame.fd || frame.kind == FrameKind::Data);
     is_whole.then(|| rmp_serde::to_vec_named(&outgoing).ok()).flatten()
 }
 
-/// The frame of a datagram; `None` if it is malformed.
+/// Decodes a datagram; `None` if it is malformed.
 pub(super) fn decode(datagram: &[u8]) -> Option<Frame> {
     let incoming: Incoming = rmp_serde::from_slice(datagram).ok()?;
     if incoming.is_error_frame && incoming.arbitration_id <= CanId::MAX_EXTENDED {
@@ -114,7 +114,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// What python-can 4.6 sends of `Message(arbitration_id=0x123, is_extended_id=False,
+    /// Sent by python-can 4.6 for `Message(arbitration_id=0x123, is_extended_id=False,
     /// data=[1, 2], timestamp=1.5)`.
     const OF_PYTHON: &[u8] = b"\x8b\xa9timestamp\xcb\x3f\xf8\0\0\0\0\0\0\xaearbitration_id\
         \xcd\x01\x23\xaeis_extended_id\xc2\xafis_remote_frame\xc2\xaeis_error_frame\xc2\
@@ -152,15 +152,15 @@ mod tests {
             decode(&datagram)
         };
         assert!(changed(b"dlc\x02", b"dlc\x02").is_some());
-        // A length that is not the data's; a negative one; an identifier beyond 11 bits; data that
-        // is no bytes; a bin that ends before it is as long as it says.
+        // A length that differs from the data's; a negative one; an identifier beyond 11 bits; data
+        // that is not a bin; a bin that is shorter than its length.
         assert_eq!(changed(b"dlc\x02", b"dlc\x08"), None);
         assert_eq!(changed(b"dlc\x02", b"dlc\xff"), None);
         assert_eq!(changed(b"\xcd\x01\x23", b"\xcd\x08\x00"), None);
         assert_eq!(changed(b"\xc4\x02\x01\x02", b"\x92\xc0\xc0"), None);
         assert_eq!(changed(b"\xc4\x02\x01\x02", b"\xc6\xff\xff\xff\xff\x01\x02"), None);
         assert_eq!(changed(b"\xa7channel\xc0", b"\xa7channel\xa4can0").unwrap().len(), 2);
-        // Very deep, and very long.
+        // Deep nesting, and a long map.
         let deep = [vec![0x91; 60_000], vec![0xC0]].concat();
         assert_eq!(changed(b"\xa7channel\xc0", &[b"\xa7channel", &deep[..]].concat()), None);
         assert_eq!(decode(b"\xdf\xff\xff\xff\xff"), None);

@@ -1,7 +1,7 @@
-//! `udp:GROUP`: the bus of python-can's `udp_multicast`, one datagram to a multicast group per frame.
+//! `udp:GROUP`: python-can's `udp_multicast` bus, one datagram to a multicast group per frame.
 //!
-//! `address` is the BUS argument, `message` the syntax of datagrams, `sockets` their transport. A
-//! group that cannot be reached is a status, and is waited for.
+//! `address` is the BUS argument, `message` the syntax of datagrams, `sockets` their transport. If
+//! the group is not reachable, the status shows it, and the group is tried again.
 
 mod address;
 mod message;
@@ -27,15 +27,15 @@ use std::time::{Duration, Instant as Monotonic};
 /// UDP port of python-can.
 pub(super) const DEFAULT_PORT: u16 = 43_113;
 
-/// The pause before the first new attempt to reach the group, and the longest.
+/// Pause before the first retry to reach the group, and the longest pause.
 const FIRST_PAUSE: Duration = Duration::from_millis(500);
 const MAX_PAUSE: Duration = Duration::from_secs(4);
-/// How often to check that the group is still reachable: a lost network is not reported.
+/// Interval of checks that the group is reachable: the loss of a network is not reported.
 const CHECK_PERIOD: Duration = Duration::from_secs(2);
-/// Datagrams read in one turn, before frames are sent.
+/// Datagrams read per turn, before frames are sent.
 const BATCH: usize = 256;
 
-/// Opens the bus; its status is known at once.
+/// Opens the bus; its status is set at once.
 pub(super) fn open(address: &UdpAddress, request: OpenRequest) -> Result<Port, OpenError> {
     let name = request.name.clone();
     start(address, request).map_err(|cause| OpenError::Resources { name, cause })
@@ -54,7 +54,7 @@ fn start(address: &UdpAddress, request: OpenRequest) -> io::Result<Port> {
         group,
         sends: !options.listen_only,
         delivery: Delivery::new(Arc::clone(&shared), index),
-        // Waiting for room would delay receiving.
+        // A wait for room would delay reception.
         tx: TxQueue::new(Arc::clone(&shared), Duration::ZERO),
         shared: Arc::clone(&shared),
         timestamps: RxTimestamps::new(clock.clone()),
@@ -82,7 +82,7 @@ struct Multicast {
     timestamps: RxTimestamps,
     clock: Clock,
     status: BusStatus,
-    /// Kernel drops of sockets that were closed since.
+    /// Kernel drops of sockets closed so far.
     drops_before: u64,
     was_up: bool,
 }
@@ -159,7 +159,7 @@ impl Multicast {
         self.delivery.deliver_status(&self.status);
     }
 
-    /// Moves frames until the group is not reachable or the port is dropped.
+    /// Transfers frames until the group is not reachable or the port is dropped.
     fn serve(&mut self, mut sockets: Sockets) -> io::Result<()> {
         let mut frames = Vec::new();
         let mut checked = Monotonic::now();
@@ -209,11 +209,11 @@ impl Multicast {
         Ok(true)
     }
 
-    /// Sends what waits.
+    /// Sends all queued frames.
     ///
     /// # Errors
     ///
-    /// The group cannot be reached.
+    /// The group is not reachable.
     fn send_pending(&mut self, sockets: &Sockets) -> io::Result<()> {
         let mut failure = None;
         let report = self.tx.transmit(|frame| {

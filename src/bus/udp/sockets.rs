@@ -1,8 +1,8 @@
 //! Sockets of a multicast group: one receives, one sends.
 //!
-//! A sender receives its own datagrams. They are recognised by their source: the sending socket has an
-//! address of this machine and a port of its own. (python-can sends from the group's port.) Does not
-//! know what is in datagrams.
+//! The group's datagrams include those sent by descan. They are recognised by their source: the
+//! sending socket has an address of this machine and a port of its own. (python-can sends from the
+//! group's port.) Does not know the content of datagrams.
 
 use nix::cmsg_space;
 use nix::net::if_::if_nametoindex;
@@ -18,22 +18,22 @@ use std::os::fd::{AsFd, AsRawFd, BorrowedFd};
 /// Requested receive buffer in bytes; without CAP_NET_ADMIN the kernel may grant less.
 const RECEIVE_BUFFER: usize = 4 << 20;
 
-/// A group, and how it is reached.
+/// A multicast group, its port and its interface.
 #[derive(Clone, Debug)]
 pub(super) struct MulticastGroup {
     pub(super) address: IpAddr,
     pub(super) port: u16,
-    /// The interface; without one, the one that the system's routes lead to.
+    /// Network interface; `None`: selected by the system's routes.
     pub(super) interface: Option<String>,
 }
 
 /// A received datagram.
 pub(super) struct ReceivedDatagram {
-    /// Its length in bytes.
+    /// Length in bytes.
     pub(super) len: usize,
-    /// It was longer than the buffer.
+    /// True if the datagram was longer than the buffer.
     pub(super) is_cut: bool,
-    /// descan sent it.
+    /// True if descan sent it.
     pub(super) ours: bool,
     /// The kernel's timestamp in Unix microseconds; `None` without one.
     pub(super) stamp_micros: Option<u64>,
@@ -65,7 +65,7 @@ impl MulticastGroup {
         Ok(socket)
     }
 
-    /// A socket connected to the group: its source address is known.
+    /// Returns a socket connected to the group, so that its source address is known.
     fn tx_socket(&self) -> io::Result<Socket> {
         let socket = self.socket()?;
         let index = self.index()?;
@@ -96,7 +96,7 @@ impl MulticastGroup {
         setsockopt(&socket, sockopt::RxqOvfl, &1)?;
         setsockopt(&socket, sockopt::RcvBufForce, &RECEIVE_BUFFER)
             .or_else(|_| setsockopt(&socket, sockopt::RcvBuf, &RECEIVE_BUFFER))?;
-        // Bound to the group: other datagrams to this port are not received.
+        // Bound to the group, it does not receive other datagrams to this port.
         socket.bind(&SockAddr::from(SocketAddr::new(self.address, self.port)))?;
         let index = self.index()?;
         match &self.address {
@@ -111,7 +111,7 @@ impl MulticastGroup {
 }
 
 impl Sockets {
-    /// Joins the group; speaks to it where `speaks`.
+    /// Joins the group; with `sends`, also opens the sending socket.
     pub(super) fn open(group: &MulticastGroup, sends: bool) -> io::Result<Self> {
         let tx = group.tx_socket()?;
         let own = tx.local_addr()?.as_socket();
@@ -120,11 +120,11 @@ impl Sockets {
         Ok(Self { rx, own: own.filter(|_| sends), tx, last_drops: 0, drops: 0 })
     }
 
-    /// Checks that the group is reachable, from the same address.
+    /// Checks that the group is reachable from the same address as before.
     ///
     /// # Errors
     ///
-    /// It is not.
+    /// The group is not reachable, or only from another address.
     pub(super) fn check(&self, group: &MulticastGroup) -> io::Result<()> {
         let now = group.tx_socket()?.local_addr()?.as_socket().map(|it| it.ip());
         match self.own.map(|it| it.ip()) {
@@ -141,7 +141,7 @@ impl Sockets {
         }
     }
 
-    /// The next datagram; `None` if none was received.
+    /// Receives the next datagram; `None` if none is waiting.
     pub(super) fn receive(&mut self, buffer: &mut [u8]) -> io::Result<Option<ReceivedDatagram>> {
         let mut control = cmsg_space!(TimeSpec, u32);
         let mut slices = [IoSliceMut::new(buffer)];
@@ -164,7 +164,7 @@ impl Sockets {
         }))
     }
 
-    /// Datagrams lost because the receive buffer was full, as last reported by the kernel.
+    /// Returns the datagrams lost in the kernel receive buffer, as last reported by the kernel.
     pub(super) fn drops(&self) -> u64 {
         self.drops
     }

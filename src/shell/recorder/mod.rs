@@ -1,17 +1,17 @@
-//! Recording: every frame of a session into a file, candump's text or pcapng, on a thread of its
-//! own, so that a slow disk holds up neither the bus nor the screen.
+//! Recorder: writes every frame of a session to a file, as candump text or pcapng, on a thread of
+//! its own, so that a slow disk delays neither the bus nor the screen.
 //!
-//! What waits to be written is bounded; what does not fit is left out and counted, and pcapng files
-//! say how many were lost. The file is flushed each second and at the end. Where a size is given,
-//! the next file begins before a file outgrows it: after `session.log` come `session_00002.log`,
-//! `session_00003.log`, …; each can be read alone. No file that is there already is touched. Where
-//! writing fails, the file ends with the last whole second and recording is over; the session
-//! goes on.
+//! The queue of frames to be written is bounded; frames that do not fit are counted as lost, and
+//! pcapng files contain that number. The file is flushed each second and at the end. With a size
+//! limit, the next file starts before a file exceeds it: after `session.log` follow
+//! `session_00002.log`, `session_00003.log`, …; each can be read on its own. Existing files are
+//! never changed. After a write error, the file ends with its last flush and the recording stops;
+//! the session continues.
 //!
-//! Frames of several buses come in batches of one bus each: they are put in order of time, for which
-//! the last quarter of a second waits.
+//! Frames arrive in batches, each of one bus. To sort them by time, frames of the last 250 ms are
+//! held back.
 //!
-//! Does not know where frames come from, nor how a file is laid out: `output` does.
+//! Does not know the source of frames or the layout of files: see `output`.
 
 mod output;
 mod target;
@@ -32,41 +32,41 @@ use std::time::{Duration, Instant as Monotonic};
 use target::{LAST_FILE, SECOND_FILE, first_numbered, numbered};
 use tokio::sync::Notify;
 
-/// Frames that may wait: eight seconds of a full 1 Mbit/s bus, some 6 MB.
+/// Capacity of the queue in frames: 8 s of a 1 Mbit/s bus at full load, some 6 MB.
 const CAPACITY: usize = 65_536;
-/// How often what is there is written: wake-ups cost more than frames.
+/// Interval of writes: a wake-up costs more than a frame.
 const WRITE_EVERY: Duration = Duration::from_millis(100);
-/// How often the file is flushed, and its size told: what a crash can cost.
+/// Interval of flushes and status updates: at most this much is lost in a crash.
 const FLUSH_EVERY: Duration = Duration::from_secs(1);
 
-/// By how much the batches of one bus may come later than another's.
+/// Largest delay of the batches of one bus relative to those of another.
 const BATCHES_APART: Span = Span::from_millis(250);
 
-/// Why a recording cannot begin.
+/// Why a recording cannot start.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
-    /// The name says nothing of the content.
+    /// The file name does not show a log format.
     #[error("--record {path}: {fault}")]
     Format {
-        /// The file.
+        /// The file name.
         path: String,
-        /// What would be right.
+        /// The cause, with the endings that are allowed.
         fault: UnknownFormat,
     },
-    /// It, or one that would come after it, is there.
+    /// The file, or one of those that may follow it, already exists.
     #[error("{0} already exists; name another file")]
     Exists(String),
-    /// It cannot be written.
+    /// The file cannot be created.
     #[error("cannot record to {path}: {cause}")]
     Unwritable {
-        /// The file.
+        /// The file name.
         path: String,
-        /// Why.
+        /// The system's error.
         cause: io::Error,
     },
 }
 
-/// A recording that is under way. Dropping it ends it, with all that was recorded.
+/// A recording in progress. Dropping it writes all queued frames and ends it.
 #[derive(Debug)]
 pub struct Recorder {
     shared: Arc<RecorderShared>,
@@ -85,11 +85,11 @@ struct RecorderShared {
 struct RecorderState {
     queue: VecDeque<Frame>,
     epoch: Epoch,
-    /// By bus; empty where it is not known.
+    /// By bus; empty if not known.
     names: Vec<String>,
-    /// Frames lost before they came here, by bus, since the start.
+    /// Frames lost before they reached the recorder since the start, by bus.
     lost: Vec<u64>,
-    /// Frames that found the queue full, by bus.
+    /// Frames that did not fit into the queue, by bus.
     overflowed: Vec<u64>,
     stopped: bool,
     status: RecordingStatus,
@@ -97,7 +97,7 @@ struct RecorderState {
 }
 
 impl Recorder {
-    /// Begins the first file.
+    /// Creates the first file and starts the thread.
     pub fn create(target: &Target) -> Result<Self, RecordError> {
         let path = shown(&target.path);
         let format = LogFormat::of(&target.path)
@@ -137,12 +137,13 @@ impl Recorder {
         Ok(Self { shared, thread: Some(thread) })
     }
 
-    /// Says which Unix time the moments of frames count from. Before the first frame.
+    /// Sets the Unix time of [`Instant::ZERO`](crate::time::Instant::ZERO). Call before the first
+    /// frame.
     pub fn set_epoch(&self, epoch: Epoch) {
         self.shared.state().epoch = epoch;
     }
 
-    /// Says what a bus is called. Once it has frames in a pcapng file, it keeps its name there.
+    /// Sets the name of a bus. A bus with frames in a pcapng file keeps its name in that file.
     pub fn name_bus(&self, bus: BusIndex, name: &str) {
         let mut state = self.shared.state();
         let own = entry(&mut state.names, bus);
@@ -151,12 +152,12 @@ impl Recorder {
         }
     }
 
-    /// Says how many frames of a bus were lost since the start, before they came here.
+    /// Sets the number of frames of a bus that were lost before they reached the recorder.
     pub fn note_lost(&self, bus: BusIndex, total: u64) {
         *entry(&mut self.shared.state().lost, bus) = total;
     }
 
-    /// Takes frames; never waits. Those that do not fit are counted.
+    /// Queues frames without blocking. Frames that do not fit are counted as lost.
     pub fn record(&self, frames: &[Frame]) {
         if frames.is_empty() {
             return;
@@ -183,7 +184,7 @@ impl Recorder {
         }
     }
 
-    /// Takes frames that can wait, as those of a log can: waits until there is room.
+    /// Queues frames that can wait, such as those of a log: blocks until there is room.
     pub fn record_all(&self, frames: &[Frame]) {
         for piece in frames.chunks(CAPACITY / 4) {
             let mut state = self.shared.state();
@@ -196,25 +197,25 @@ impl Recorder {
         }
     }
 
-    /// Waits until its status has changed since it was taken. For one consumer.
+    /// Waits until the status has changed since it was last taken. For one consumer.
     pub async fn changed(&self) {
         while !self.shared.state().status_is_new {
             self.shared.news.notified().await;
         }
     }
 
-    /// Its status.
+    /// Returns the status.
     pub fn status(&self) -> RecordingStatus {
         self.shared.state().status.clone()
     }
 
-    /// Its status, if it has changed since it was last taken.
+    /// Returns the status if it has changed since it was last taken.
     pub fn take_status(&self) -> Option<RecordingStatus> {
         let mut state = self.shared.state();
         std::mem::take(&mut state.status_is_new).then(|| state.status.clone())
     }
 
-    /// Writes what there still is, and says what was recorded.
+    /// Writes all queued frames, ends the recording and returns its final status.
     pub fn finish(mut self) -> RecordingStatus {
         self.end();
         self.shared.state().status.clone()
@@ -224,7 +225,7 @@ impl Recorder {
         self.shared.state().stopped = true;
         self.shared.work.notify_one();
         if let Some(thread) = self.thread.take() {
-            // Its panic is in the status.
+            // A panic of the thread is reported in the status.
             let _ = thread.join();
         }
     }
@@ -237,7 +238,7 @@ impl Drop for Recorder {
 }
 
 impl RecorderShared {
-    // A panic of the other side leaves nothing half-done in here, so its poison is ignored.
+    // A panic leaves no inconsistent state behind this lock, so poisoning is ignored.
     fn state(&self) -> MutexGuard<'_, RecorderState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -249,7 +250,7 @@ impl RecorderState {
     }
 }
 
-/// The thread.
+/// State of the recorder thread.
 struct Writer {
     shared: Arc<RecorderShared>,
     target: Target,
@@ -259,16 +260,16 @@ struct Writer {
     frames_before: u64,
     /// Bytes in the files before this one.
     bytes_before: u64,
-    /// Of the first frame.
+    /// Bus of the first frame.
     first_bus: Option<BusIndex>,
-    /// Whether frames of several buses came.
+    /// True if frames of several buses were received.
     has_several: bool,
-    /// Then: those that frames of another bus may still come before.
+    /// With several buses: frames before which a frame of another bus may still arrive.
     held: Vec<Frame>,
 }
 
 impl Drop for Writer {
-    /// However it ends, nobody waits for it.
+    /// Marks the recording as ended on any exit, a panic included, so that no caller blocks.
     fn drop(&mut self) {
         let mut state = self.shared.state();
         if thread::panicking() {
@@ -281,13 +282,13 @@ impl Drop for Writer {
     }
 }
 
-/// What the writer takes over at once.
+/// What the writer takes from the queue in one turn.
 #[derive(Default)]
 struct RecorderBatch {
     frames: Vec<Frame>,
     epoch: Epoch,
     names: Vec<String>,
-    /// Frames lost since the start, by bus, those that found the queue full included.
+    /// Frames lost since the start, by bus, including those that did not fit into the queue.
     lost: Vec<u64>,
     stopped: bool,
 }
@@ -319,14 +320,14 @@ impl Writer {
         }
     }
 
-    /// Nothing came, and nothing was lost: such a file would only be in the way.
+    /// Returns true if no frames were recorded or lost: such a file is removed.
     fn is_empty(&self, taken: &RecorderBatch) -> bool {
         self.frames_before == 0
             && self.output.frames == 0
             && taken.lost.iter().all(|lost| *lost == 0)
     }
 
-    /// Waits until it is time to write or to stop, at most `until_flush`, and takes what is there.
+    /// Waits at most `until_flush` until there is something to write or to stop, and takes it.
     fn take(&self, taken: &mut RecorderBatch, until_flush: Duration) {
         let state = self.shared.state();
         let (state, _) = self
@@ -336,7 +337,7 @@ impl Writer {
                 state.queue.is_empty() && !state.stopped
             })
             .unwrap_or_else(PoisonError::into_inner);
-        // Lets frames gather.
+        // Collects frames, so that each write covers more of them.
         let (mut state, _) = self
             .shared
             .work
@@ -357,8 +358,8 @@ impl Writer {
         self.shared.room.notify_one();
     }
 
-    /// Leaves what can be written: frames of several buses in order of time, and none that may
-    /// still come after another's. Frames of one bus stay as they came.
+    /// Keeps in `taken` the frames that can be written now. Frames of several buses are sorted by
+    /// time, and the newest wait for those of other buses; frames of one bus keep their order.
     fn put_in_order(&mut self, taken: &mut RecorderBatch) {
         let Some(first) = self.first_bus.or(taken.frames.first().map(|frame| frame.bus)) else {
             return;
@@ -386,7 +387,7 @@ impl Writer {
         for frame in &taken.frames {
             if !self.output.write(frame, taken, max_bytes)? {
                 self.rotate(taken)?;
-                // A file holds at least one frame, whatever size was asked for.
+                // A file holds at least one frame, whatever the size limit.
                 self.output.write(frame, taken, u64::MAX)?;
             }
         }
@@ -395,7 +396,7 @@ impl Writer {
 
     fn rotate(&mut self, taken: &RecorderBatch) -> io::Result<()> {
         self.output.finish(taken)?;
-        // One that was put there meanwhile is left alone.
+        // A file with this number that was created meanwhile is not overwritten.
         let number = self.output.number.max(SECOND_FILE - 1) + 1;
         for number in number..=LAST_FILE {
             match Output::create(&numbered(&self.target.path, number), self.output.format) {
@@ -415,7 +416,7 @@ impl Writer {
         Err(io::Error::other("no number left for the next file"))
     }
 
-    /// Says how far it is; where it failed, what is flushed is what there is.
+    /// Publishes the status. After a write error, only flushed frames count.
     fn tell(&mut self, outcome: io::Result<()>) {
         let failure = outcome.err().map(|error| {
             self.output.cut();
@@ -442,7 +443,7 @@ impl Writer {
     }
 }
 
-/// Why it cannot go on, in words.
+/// Returns the text of a write error.
 fn why(error: &io::Error) -> String {
     match error.kind() {
         io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => "the disk is full".into(),
@@ -456,7 +457,7 @@ fn shown(path: &Path) -> String {
     crate::text::printable(path.as_os_str().as_encoded_bytes())
 }
 
-/// The value of a bus in a list by bus, which grows as far as it must.
+/// Returns the value of a bus in a list by bus; extends the list if necessary.
 fn entry<T: Default + Clone>(list: &mut Vec<T>, bus: BusIndex) -> &mut T {
     let at = usize::from(bus.0);
     if list.len() <= at {

@@ -1,4 +1,4 @@
-//! One file of a recording.
+//! One file of a recording: collects encoded frames and writes them.
 
 use super::{RecorderBatch, shown};
 use crate::frame::Frame;
@@ -9,7 +9,7 @@ use std::io::{self, Seek, SeekFrom, Write};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
-/// Bytes that gather before they are written though it is not time to flush.
+/// Bytes collected before they are written, even between flushes.
 const GATHERED: usize = 1 << 16;
 
 /// One file.
@@ -18,19 +18,19 @@ pub struct Output {
     pub format: &'static LogFormat,
     encoder: Box<dyn LogEncoder>,
     file: File,
-    /// What is yet to be written.
+    /// Encoded bytes that are not written yet.
     gathered: Vec<u8>,
-    /// Bytes in the file.
+    /// Bytes written to the file.
     written: u64,
-    /// Bytes in the file that end with a whole line or block and were told.
+    /// Bytes up to the last flush; they end with a whole line or block.
     pub flushed: u64,
-    /// Frames that were written, or are to be.
+    /// Frames encoded, whether written yet or not.
     pub frames: u64,
-    /// Those of them that are among the flushed bytes: what there is, whatever fails later.
+    /// Frames up to the last flush; these remain after a later error.
     pub flushed_frames: u64,
-    /// 0: the first.
+    /// Number of the file; 0 for the first.
     pub number: u32,
-    /// Frames lost, by bus, before this file began.
+    /// Frames lost before this file started, by bus.
     pub lost_before: Vec<u64>,
 }
 
@@ -59,7 +59,7 @@ impl Output {
         self.written + self.gathered.len() as u64
     }
 
-    /// Writes a frame; not if the file would grow beyond `max_bytes` by it.
+    /// Adds a frame. Adds nothing and returns false if the file would exceed `max_bytes`.
     pub fn write(
         &mut self,
         frame: &Frame,
@@ -94,7 +94,7 @@ impl Output {
         Ok(())
     }
 
-    /// Whether anybody can still find the file: what is written to one that was deleted is lost.
+    /// Returns an error if the file was deleted: what is written to it would be lost.
     pub fn check_place(&self) -> io::Result<()> {
         if self.file.metadata()?.nlink() == 0 {
             return Err(io::Error::other("the file was deleted"));
@@ -102,7 +102,7 @@ impl Output {
         Ok(())
     }
 
-    /// Ends the file, with the number of frames that were lost while it was written.
+    /// Ends and syncs the file, with the number of frames lost while it was written.
     pub fn finish(&mut self, taken: &RecorderBatch) -> io::Result<()> {
         let before = self.lost_before.iter().copied().chain(std::iter::repeat(0));
         let lost = taken.lost.iter().zip(before).map(|(lost, before)| lost.saturating_sub(before));
@@ -111,7 +111,7 @@ impl Output {
         self.file.sync_data()
     }
 
-    /// Takes the file away, if it is still the one at its place.
+    /// Deletes the file, unless another file has taken its path.
     pub fn remove(&mut self) -> io::Result<()> {
         let (own, there) = (self.file.metadata()?, std::fs::metadata(&self.path)?);
         if (own.dev(), own.ino()) == (there.dev(), there.ino()) {
@@ -121,9 +121,9 @@ impl Output {
         Ok(())
     }
 
-    /// After a failure: no half line or block stays behind.
+    /// Truncates the file to its last flush, so that it does not end inside a line or block.
     pub fn cut(&mut self) {
-        // A disk that cannot be written to may not allow it; readers bear a cut end.
+        // This may fail on a disk with errors; readers accept an incomplete end.
         let _ = self.file.set_len(self.flushed);
         let _ = self.file.seek(SeekFrom::Start(self.flushed));
     }

@@ -1,27 +1,27 @@
-//! Where a recording goes: names and sizes of its files.
+//! Destination of a recording: names and sizes of its files.
 
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-/// The second file of a recording has this number; the first has none.
+/// Number of the second file of a recording; the first has none in its name.
 pub const SECOND_FILE: u32 = 2;
 pub const LAST_FILE: u32 = 99_999;
 
-/// Where to record, and into files of which size.
+/// Destination of a recording and size limit of its files.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Target {
     /// The first file.
     pub path: PathBuf,
-    /// A file that would grow beyond so many bytes is followed by another.
+    /// Size limit of a file in bytes; `None`: one file.
     pub max_bytes: Option<u64>,
 }
 
-/// A size in bytes as it is written on the command line: `100M`, `500k`, `2G`, `65536`.
+/// A size in bytes, as given on the command line: `100M`, `500k`, `2G`, `65536`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Size(pub u64);
 
 impl Size {
-    /// Smaller files would be mostly heads.
+    /// Smallest size: smaller files would consist mostly of headers.
     const LEAST: u64 = 10_000;
 }
 
@@ -45,7 +45,7 @@ impl FromStr for Size {
     }
 }
 
-/// The file of that number: `session.log`, `session_00002.log`.
+/// Returns the path of the file with this number: `session.log`, `session_00002.log`.
 pub fn numbered(path: &Path, number: u32) -> PathBuf {
     let mut name = path.file_stem().unwrap_or_default().to_owned();
     name.push(format!("_{number:05}."));
@@ -53,7 +53,7 @@ pub fn numbered(path: &Path, number: u32) -> PathBuf {
     path.with_file_name(name)
 }
 
-/// A file that is there and would come after that one.
+/// Returns the first existing file that would follow this one; `None` if there is none.
 pub fn first_numbered(path: &Path) -> Option<PathBuf> {
     let stem = path.file_stem()?.to_str()?;
     let folder = path.parent().filter(|it| !it.as_os_str().is_empty()).unwrap_or(Path::new("."));

@@ -1,8 +1,8 @@
 //! Responses of a device to requests: DES, descriptor fields and commands (protocol §2, §7.4).
 //!
 //! Service numbers and layouts of the descriptor come from the profile. A request without data
-//! reads a field; any other writes it if it is writable. Does not know how responses are split into
-//! frames: see [`super::super::reply`].
+//! reads a field; any other request writes it if it is writable. Does not know how responses are
+//! split into frames: see [`super::super::reply`].
 
 use super::{DeviceIo, SimDevice, nanos_of};
 use crate::frame::Frame;
@@ -109,7 +109,7 @@ impl SimDevice {
             Served::Done(action) => (form, Vec::new(), action),
             Served::Refused => (Form { id: form.refusal_id, ..form }, Vec::new(), None),
         };
-        // The action takes effect when the response was sent.
+        // The action takes effect after the response was sent.
         let sent = port.send(form.raw(&data));
         self.ordered = action.filter(|_| sent).map(|action| (form.id, action));
     }

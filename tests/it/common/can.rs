@@ -1,8 +1,8 @@
-//! What tests with a real CAN kernel share: interfaces of their own, peers from can-utils, and
-//! waiting for conditions.
+//! Helpers of the tests on a real CAN kernel: virtual interfaces, peers from can-utils, and waits
+//! for conditions.
 //!
-//! Each test makes interfaces of its own, which takes root and the vcan module: where that is
-//! not to be had, it says why and passes. The virtual machine of tests/vm has both.
+//! Each test creates its own interfaces, which needs root and the vcan module. Without them a test
+//! prints the reason and passes. The virtual machine of tests/vm has both.
 
 use std::io::{Read, Write};
 use std::process::{Child, Command, Stdio};
@@ -10,7 +10,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Longer than anything takes, even in an emulated machine.
+/// Timeout of every wait; long enough for an emulated machine.
 pub const PATIENCE: Duration = Duration::from_mins(1);
 
 /// A virtual CAN interface, up, with FD; removed when dropped.
@@ -19,10 +19,10 @@ pub struct Vcan {
 }
 
 impl Vcan {
-    /// Makes it; where that is not possible, says why and gives `None`.
+    /// Creates the interface. Where that is not possible, prints the reason and returns `None`.
     pub fn new(name: &str) -> Option<Self> {
         let vcan = Self { name: name.to_owned() };
-        // One may be left from a test that was killed.
+        // A killed test may have left one behind.
         let _ = ip(&["link", "del", name]);
         match vcan.create() {
             Ok(()) => Some(vcan),
@@ -33,7 +33,7 @@ impl Vcan {
         }
     }
 
-    /// The name of an interface that is not there yet; it is removed when dropped all the same.
+    /// Reserves the name of an interface that does not exist yet; it is removed when dropped.
     pub fn later(name: &str) -> Option<Self> {
         let vcan = Self::new(name)?;
         vcan.remove();
@@ -53,7 +53,7 @@ impl Vcan {
         ip(&["link", "del", &self.name]).expect("the interface was there");
     }
 
-    /// Gives it another name; it must be down.
+    /// Renames the interface, which must be down.
     pub fn rename(&self, name: &str) {
         ip(&["link", "set", &self.name, "name", name]).expect("the interface is there");
     }
@@ -73,8 +73,8 @@ impl Drop for Vcan {
     }
 }
 
-/// The two wired controllers of the virtual machine, can0 and can1, for one test at a time;
-/// elsewhere `None`: nothing is sent on a bus that belongs to somebody.
+/// Returns the two wired controllers of the virtual machine, can0 and can1, for one test at a time.
+/// `None` elsewhere: tests never send on a real bus.
 pub fn controllers() -> Option<MutexGuard<'static, ()>> {
     static TAKEN: Mutex<()> = Mutex::new(());
     if std::env::var_os("DESCAN_VM").is_none() {
@@ -84,10 +84,10 @@ pub fn controllers() -> Option<MutexGuard<'static, ()>> {
     Some(TAKEN.lock().unwrap_or_else(PoisonError::into_inner))
 }
 
-/// Says why a test did not run. In the virtual machine it must.
+/// Prints why a test did not run. In the virtual machine it must run.
 pub fn skip(reason: &str) {
     assert!(std::env::var_os("DESCAN_VM").is_none(), "cannot run in the VM: {reason}");
-    // Not by println: the test harness would keep it to itself.
+    // Not by println: the test harness would capture it.
     let test = thread::current().name().unwrap_or("test").to_owned();
     let _ = writeln!(std::io::stderr(), "skipped {test}: {reason}");
 }
@@ -101,12 +101,12 @@ fn ip(arguments: &[&str]) -> Result<(), String> {
     Err(format!("ip {}: {cause}", arguments.join(" ")))
 }
 
-/// Runs a program to its end, which must be a good one; gives what it printed.
+/// Runs a program to its end, expects success, and returns its output.
 pub fn run(program: &str, arguments: &[&str]) -> String {
     Peer::start(program, arguments).finish()
 }
 
-/// A program that runs beside the test; ended when dropped.
+/// A program that runs beside the test; killed when dropped.
 pub struct Peer {
     child: Child,
     what: String,
@@ -129,7 +129,7 @@ impl Peer {
         Self { child, what }
     }
 
-    /// Waits for its good end; gives what it printed.
+    /// Waits for the exit, expects success, and returns the output.
     pub fn finish(mut self) -> String {
         let mut text = String::new();
         self.child.stdout.take().unwrap().read_to_string(&mut text).unwrap();
@@ -147,14 +147,14 @@ impl Drop for Peer {
 }
 
 /// Waits until the kernel has `count` subscriptions of `kind` (`raw`, `isotp`) on an interface:
-/// then peers that were started are listening.
+/// from then on the started peers receive frames.
 pub fn wait_for_listeners(interface: &str, kind: &str, count: usize) {
     wait_until(&format!("{count} {kind} listeners on {interface}"), || {
         listeners(interface, kind) >= count
     });
 }
 
-/// How many subscriptions of `kind` the kernel has on an interface.
+/// Returns the number of subscriptions of `kind` that the kernel has on an interface.
 pub fn listeners(interface: &str, kind: &str) -> usize {
     let lists = ["all", "fil", "inv", "sff", "eff"].map(|list| {
         std::fs::read_to_string(format!("/proc/net/can/rcvlist_{list}")).unwrap_or_default()
@@ -166,7 +166,7 @@ pub fn listeners(interface: &str, kind: &str) -> usize {
     lists.iter().flat_map(|list| list.lines()).filter(is_one).count()
 }
 
-/// Waits for what gives no sign when it happens.
+/// Polls for a condition that produces no event.
 pub fn wait_until(what: &str, mut condition: impl FnMut() -> bool) {
     let deadline = Instant::now() + PATIENCE;
     while !condition() {

@@ -1,4 +1,4 @@
-//! Frames of every kind, at random.
+//! Random frames of every kind.
 
 use descan::frame::{CanId, Frame};
 use descan::time::Instant;
@@ -11,7 +11,7 @@ pub fn any_id() -> impl Strategy<Value = CanId> {
     ]
 }
 
-/// Any frame that there is, of bus 0, ours or another's.
+/// Generates any valid frame, of bus 0, sent by descan or by another node.
 pub fn any_frame() -> impl Strategy<Value = Frame> {
     let bytes = |most| proptest::collection::vec(any::<u8>(), 0..=most);
     let frame = prop_oneof![

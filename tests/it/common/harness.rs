@@ -1,4 +1,4 @@
-//! A simulated bus, the program on it, and a file: what stands around the program elsewhere.
+//! Test harness: the app on a simulated bus, with a des.json file.
 
 use descan::app::{App, AppOptions, Effect, FileReading, Overlay, SaveOutcome};
 use descan::discovery::Config;
@@ -14,18 +14,18 @@ use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 use ratatui::buffer::Buffer;
 
-/// A bus, the program on it, and a file: what stands around the program elsewhere.
+/// The app, its simulated bus and its file.
 pub struct Stage {
     pub app: App,
     pub sim: Sim,
     pub station: SimStation,
     pub file: Option<Vec<u8>>,
     pub effects: Vec<Effect>,
-    /// Saves whose end has not been told yet, where the disk is slow.
+    /// Saves whose result has not been reported yet, for a slow disk.
     pub unfinished: Option<Vec<SaveOutcome>>,
-    /// Saves that nothing has come of yet, where the disk hangs.
+    /// Saves without a result, for a disk that hangs.
     pub hanging: Option<Vec<Effect>>,
-    /// Why the disk takes nothing.
+    /// The error of every save, for a disk that rejects writes.
     pub refusal: Option<String>,
     pub size: (u16, u16),
 }
@@ -97,7 +97,7 @@ impl Stage {
         Self::new(&Scenario::builtin("boiler").unwrap(), Some(BOILER))
     }
 
-    /// Lets everything run until `seconds` after the start.
+    /// Runs everything until `seconds` after the start.
     pub fn until(&mut self, seconds: f64) -> &mut Self {
         let end = Instant::ZERO + Duration::from_secs_f64(seconds);
         let mut now = self.app.now();
@@ -130,7 +130,7 @@ impl Stage {
         }
     }
 
-    /// Writes the file, where that is what is to be done.
+    /// Writes the file if a save is due.
     fn save(&mut self, now: Instant, effect: &Effect) {
         let Effect::Save { expected, content } = effect else { return };
         let expected = expected.as_ref().map(Document::source);
@@ -148,7 +148,7 @@ impl Stage {
         }
     }
 
-    /// From now on nothing comes of a save, until [`Self::go_on`].
+    /// Makes saves hang until [`Self::go_on`].
     pub fn hang(&mut self) -> &mut Self {
         self.hanging = Some(Vec::new());
         self
@@ -163,7 +163,7 @@ impl Stage {
         self
     }
 
-    /// From now on the end of a save is told by [`Self::finish_saves`].
+    /// Delays the result of each save until [`Self::finish_saves`].
     pub fn slow_disk(&mut self) -> &mut Self {
         self.unfinished = Some(Vec::new());
         self
@@ -177,7 +177,7 @@ impl Stage {
         self
     }
 
-    /// The saves that are on their way fail.
+    /// Makes the pending saves fail.
     pub fn refuse_saves(&mut self) -> &mut Self {
         for outcome in self.unfinished.as_mut().into_iter().flatten() {
             *outcome = SaveOutcome::Failed("no space left on the disk".to_owned());
@@ -185,8 +185,8 @@ impl Stage {
         self.finish_saves()
     }
 
-    /// Presses keys, written as in keys.toml, with blanks between; where there is something to
-    /// choose, after reading it.
+    /// Presses keys, written as in keys.toml and separated by blanks; before a choice, waits until
+    /// the page accepts keys.
     pub fn keys(&mut self, keys: &str) -> &mut Self {
         if matches!(self.app.overlay(), Overlay::Conflict) {
             self.until(self.app.now().as_micros() as f64 / 1e6 + 1.0);
@@ -199,7 +199,7 @@ impl Stage {
         self
     }
 
-    /// Types text into the line being typed.
+    /// Types text into the input line.
     pub fn text(&mut self, text: &str) -> &mut Self {
         for c in text.chars() {
             self.app.handle_key(self.app.now(), Key::char(c));
@@ -207,19 +207,19 @@ impl Stage {
         self
     }
 
-    /// Somebody else writes the file.
+    /// Writes the file as another program.
     pub fn write(&mut self, text: &str) -> &mut Self {
         self.file = Some(text.as_bytes().to_vec());
         self.notice()
     }
 
-    /// Somebody else deletes the file.
+    /// Deletes the file as another program.
     pub fn remove(&mut self) -> &mut Self {
         self.file = None;
         self.notice()
     }
 
-    /// The program is told what is on the disk now.
+    /// Reports the content on disk to the app.
     pub fn notice(&mut self) -> &mut Self {
         let reading = FileReading::Content(self.file.clone()).parsed();
         self.app.handle_file(self.app.now(), reading);
@@ -244,7 +244,7 @@ impl Stage {
         terminal.backend().buffer().clone()
     }
 
-    /// Draws, and tells the app how far its text could be scrolled.
+    /// Draws the screen and reports to the app how far its text can be scrolled.
     pub fn drawn(&mut self) -> &mut Self {
         let mut terminal = Terminal::new(TestBackend::new(self.size.0, self.size.1)).unwrap();
         let theme = Theme::built_in("terminal").unwrap();
@@ -254,12 +254,12 @@ impl Stage {
         self
     }
 
-    /// The screen as text.
+    /// Returns the screen as text.
     pub fn screen(&self) -> String {
         text_of(&self.buffer("terminal"))
     }
 
-    /// The text of the file.
+    /// Returns the content of the file.
     pub fn file(&self) -> &str {
         std::str::from_utf8(self.file.as_deref().unwrap_or_default()).unwrap()
     }

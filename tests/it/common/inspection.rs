@@ -1,4 +1,4 @@
-//! An engine on a simulated bus, driven in virtual time; events in words.
+//! A discovery engine on a simulated bus, driven in virtual time, with its events as text.
 
 use descan::discovery::{Config, ConflictParty, Engine, Event, EventKind};
 use descan::frame::Frame;
@@ -7,13 +7,13 @@ use descan::sim::{Fault, Scenario, Sim, SimStation};
 use descan::time::{Duration, Epoch, Instant};
 use std::fmt::Write;
 
-/// A simulated bus with an inspector on it.
+/// A simulated bus with an inspector.
 pub struct Inspection {
     pub sim: Sim,
     pub station: SimStation,
     pub engine: Engine,
     pub events: Vec<Event>,
-    /// Every frame the inspector saw, its own included.
+    /// Every frame that the inspector sent or received.
     pub frames: Vec<Frame>,
 }
 
@@ -26,7 +26,7 @@ impl Inspection {
         Self { sim, station, engine, events: Vec::new(), frames: Vec::new() }
     }
 
-    /// Runs until `until`, or until `enough` says so after something happened.
+    /// Runs until `until`, or until `enough` returns true after an event.
     pub fn run_until(&mut self, until: Instant, mut enough: impl FnMut(&Engine) -> bool) -> bool {
         loop {
             let now = self.sim.now();
@@ -56,7 +56,7 @@ impl Inspection {
     }
 }
 
-/// What a device may do wrong on its own.
+/// The faults that a device may have on its own.
 pub const FAULTS: [Fault; 7] = [
     Fault::NoHeartbeat,
     Fault::NoDes,
@@ -67,7 +67,7 @@ pub const FAULTS: [Fault; 7] = [
     Fault::EchoDestination,
 ];
 
-/// Who asks on that bus, and who only listens to it, after that time.
+/// Runs two inspectors on that bus until `until`: one sends requests, one is listen-only.
 pub fn asker_and_listener(scenario: &Scenario, seed: u64, until: Instant) -> [Engine; 2] {
     let mut sim = Sim::new(scenario, seed);
     let stations = [sim.attach(), sim.attach()];
@@ -94,7 +94,7 @@ pub fn asker_and_listener(scenario: &Scenario, seed: u64, until: Instant) -> [En
     engines
 }
 
-/// An event in words.
+/// Formats an event as text.
 pub fn describe(event: &Event) -> String {
     let mut who = event.address.map_or(String::new(), |address| format!(" {address}"));
     if let Some(name) = &event.name {
@@ -149,7 +149,7 @@ fn perhaps(guess: bool) -> &'static str {
     if guess { ", perhaps" } else { "" }
 }
 
-/// What an observer sees of a scenario in which another inspector asks, as a candump log.
+/// Returns what a listen-only node receives in a scenario with another inspector, as a candump log.
 pub fn log(scenario: &Scenario, seconds: u64) -> String {
     let mut sim = Sim::new(scenario, 7);
     let observer = sim.attach();

@@ -1,4 +1,4 @@
-//! What several test modules share. The benches include single files of it.
+//! Helpers shared by several test modules. The benches include single files of it.
 
 pub mod can;
 pub mod frames;

@@ -1,11 +1,11 @@
-//! An open port, all that came out of it so far, and the patience to wait for more.
+//! An open port with everything received from it so far, and waits with a timeout.
 
 use descan::bus::{self, BusSpec, Clock, Options, Port};
 use descan::frame::{BusIndex, Frame};
 use descan::status::{BusStatus, Link};
 use std::time::{Duration, Instant};
 
-/// How long anything may take on a busy machine.
+/// Timeout of every wait, long enough for a busy machine.
 pub const PATIENCE: Duration = Duration::from_mins(1);
 
 pub struct OpenBus {
@@ -36,7 +36,7 @@ impl OpenBus {
         self.port.queue().status()
     }
 
-    /// Takes what comes until `condition` holds for it.
+    /// Receives until `condition` holds.
     pub fn wait_until(&mut self, what: &str, mut condition: impl FnMut(&mut Self) -> bool) {
         let deadline = Instant::now() + PATIENCE;
         loop {
@@ -74,7 +74,7 @@ impl OpenBus {
         seen
     }
 
-    /// Has a frame sent.
+    /// Sends a frame.
     pub fn send(&self, frame: &Frame) {
         self.port.transmit(frame).expect("room in the outbox");
     }

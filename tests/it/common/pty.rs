@@ -1,6 +1,6 @@
 //! The real binary in a pseudo-terminal, read through a terminal emulator.
 //!
-//! Waits for what is shown, never for time.
+//! Waits for screen content, never for a fixed time.
 
 use nix::fcntl::OFlag;
 use nix::poll::{PollFd, PollFlags, poll};
@@ -18,7 +18,7 @@ use std::process::Command;
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
-/// How long anything may take on a busy machine.
+/// Timeout of every wait, long enough for a busy machine.
 pub const PATIENCE: Duration = Duration::from_mins(1);
 
 pub struct Pty {
@@ -27,13 +27,13 @@ pub struct Pty {
     writer: Option<Box<dyn Write + Send>>,
     output: Receiver<Vec<u8>>,
     parser: vt100::Parser,
-    /// Every byte that was written to the terminal.
+    /// All bytes written to the terminal.
     pub bytes: Vec<u8>,
     settings: String,
 }
 
 impl Pty {
-    /// Starts the program with these arguments in `folder`, on `columns` × `rows`.
+    /// Starts the program in `folder` with these arguments, on `columns` × `rows` cells.
     pub fn start(arguments: &[&str], folder: &Path, (columns, rows): (u16, u16)) -> Self {
         Self::run(env!("CARGO_BIN_EXE_descan"), arguments, folder, (columns, rows))
     }
@@ -81,7 +81,7 @@ impl Pty {
         writer.flush().unwrap();
     }
 
-    /// Waits until the screen is as wanted.
+    /// Waits until the screen meets the condition.
     pub fn wait_until(&mut self, what: &str, wanted: impl Fn(&vt100::Screen) -> bool) {
         let deadline = Instant::now() + PATIENCE;
         while !wanted(self.parser.screen()) {
@@ -103,7 +103,7 @@ impl Pty {
         self.bytes.extend_from_slice(bytes);
     }
 
-    /// Takes what is written for so long; says how many bytes.
+    /// Reads the output for this long and returns its length in bytes.
     pub fn count_for(&mut self, time: Duration) -> usize {
         let before = self.bytes.len();
         let deadline = Instant::now() + time;
@@ -134,7 +134,7 @@ impl Pty {
         self.parser.screen_mut().set_size(cells(rows), cells(columns));
     }
 
-    /// Waits for the end; its exit code.
+    /// Waits for the program to exit; returns the exit code.
     pub fn wait(&mut self) -> u32 {
         let deadline = Instant::now() + PATIENCE;
         loop {
@@ -151,7 +151,7 @@ impl Pty {
         }
     }
 
-    /// The terminal is as it was before the program ran.
+    /// Asserts that the terminal is as before the program ran.
     pub fn assert_given_back(&self) {
         let screen = self.parser.screen();
         assert!(!screen.alternate_screen(), "the alternate screen is left");
@@ -165,7 +165,7 @@ impl Pty {
         assert_eq!(settings(&*self.master), self.settings, "echo and line mode are back");
     }
 
-    /// The state of the process: R, S, T (stopped), Z.
+    /// Returns the state of the process: R, S, T (stopped), Z.
     pub fn state(&self) -> char {
         let stat =
             std::fs::read_to_string(format!("/proc/{}/stat", self.pid())).unwrap_or_default();
@@ -186,7 +186,7 @@ impl Pty {
         }
     }
 
-    /// Closes the terminal, as a lost connection does.
+    /// Closes the terminal, as a lost connection would.
     pub fn hang_up(&mut self) {
         self.writer = None;
         self.signal(Signal::SIGHUP);
@@ -197,7 +197,7 @@ fn cells(count: u16) -> std::num::NonZero<u16> {
     count.try_into().expect("a terminal has at least one cell")
 }
 
-/// Echo, line mode and the rest, comparable.
+/// Returns echo, line mode and the other terminal settings in comparable form.
 fn settings(master: &dyn MasterPty) -> String {
     let settings = master.get_termios().expect("a terminal's settings");
     format!("{:?} {:?} {:?}", settings.input_flags, settings.output_flags, settings.local_flags)

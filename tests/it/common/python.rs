@@ -1,8 +1,7 @@
-//! Peers in Python, from the package index, in an environment of their own under the target
+//! Peers in Python, with packages from the package index, in a virtual environment under the target
 //! folder.
 //!
-//! Where there is no python3, no venv or no package index, tests say why and pass; in CI they
-//! must run.
+//! Without python3, venv or package index, tests print the reason and pass; in CI they must run.
 
 use nix::fcntl::{Flock, FlockArg};
 use std::fs::{self, File};
@@ -10,17 +9,18 @@ use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
-/// A Python that has what was asked for.
+/// A Python interpreter with the requested packages.
 pub struct Python {
     program: PathBuf,
 }
 
 impl Python {
-    /// Makes the environment with these packages, unless it is there; says why it cannot.
+    /// Creates the environment with these packages unless it exists; if it cannot, prints the
+    /// reason.
     pub fn with(packages: &[&str]) -> Option<Self> {
         let name: String = packages.join("-").replace(|c: char| !c.is_ascii_alphanumeric(), "-");
         let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
-        // Test programs that run at the same time make it once.
+        // Test programs that run at the same time create it once.
         let lock = File::create(folder.with_extension("lock")).unwrap();
         let _lock = Flock::lock(lock, FlockArg::LockExclusive).expect("a lock");
         match make(&folder, packages) {
@@ -29,7 +29,7 @@ impl Python {
                 let must_run = std::env::var("CI").is_ok_and(|ci| ci == "true");
                 assert!(!must_run, "cannot run: {reason}");
                 let test = std::thread::current().name().unwrap_or("test").to_owned();
-                // Not by println: the test harness would keep it to itself.
+                // Not by println: the test harness would capture it.
                 let _ = writeln!(std::io::stderr(), "skipped {test}: {reason}");
                 None
             }
@@ -75,7 +75,7 @@ fn run(command: &mut Command) -> Result<(), String> {
     Err(format!("{command:?}: {}", cause.trim().lines().last().unwrap_or("failed")))
 }
 
-/// A running script, ended when dropped.
+/// A running script, killed when dropped.
 pub struct Peer {
     child: Child,
     input: ChildStdin,
@@ -83,7 +83,7 @@ pub struct Peer {
 }
 
 impl Peer {
-    /// The next line that it prints.
+    /// Returns the next line of its output.
     pub fn read_line(&mut self) -> String {
         let mut line = String::new();
         self.output.read_line(&mut line).expect("text");

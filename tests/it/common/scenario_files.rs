@@ -1,8 +1,8 @@
-//! Scenarios that are files: which there are.
+//! Lists of the scenario files.
 
 use std::path::{Path, PathBuf};
 
-/// The text files of a folder below `tests`, by name; there is at least one.
+/// Returns the text files of a folder below `tests`, by name; there is at least one.
 pub fn texts_of(folder: &str) -> Vec<PathBuf> {
     let mut files: Vec<_> = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("tests")
@@ -17,7 +17,7 @@ pub fn texts_of(folder: &str) -> Vec<PathBuf> {
     files
 }
 
-/// Whether the files are to say what comes, instead of what comes being compared with them.
+/// Returns true if the scenario files are to be rewritten instead of compared.
 pub fn are_written_anew() -> bool {
     std::env::var_os("UPDATE_SCENARIOS").is_some()
 }

@@ -1,5 +1,5 @@
-//! Serial ports for tests: ptys, which can be unplugged and plugged in again under one name, and
-//! a wire between two of them.
+//! Serial ports for tests: ptys that can be unplugged and plugged in again under one name, and a
+//! cable between two of them.
 
 use nix::fcntl::{FcntlArg, OFlag, fcntl};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
@@ -18,7 +18,7 @@ use std::time::{Duration, Instant};
 
 const PATIENCE: Duration = Duration::from_mins(1);
 
-/// The adapter's end of a serial line, whose other end has a name in the file system.
+/// The adapter's end of a serial line whose other end has a name in the file system.
 pub struct Pty {
     folder: tempfile::TempDir,
     ends: Option<Ends>,
@@ -39,7 +39,7 @@ impl Pty {
         pty
     }
 
-    /// Where the program finds it.
+    /// Returns the path that the program opens.
     pub fn path(&self) -> PathBuf {
         self.folder.path().join("tty")
     }
@@ -67,7 +67,7 @@ impl Pty {
         &self.ends.as_ref().expect("it is plugged in").ours
     }
 
-    /// The next line, without its end.
+    /// Returns the next line, without its terminator.
     pub fn read_line(&mut self) -> Option<String> {
         let deadline = Instant::now() + PATIENCE;
         loop {
@@ -111,7 +111,7 @@ fn write_all(mut file: &File, mut bytes: &[u8], is_over: impl Fn() -> bool) {
     }
 }
 
-/// A wire between two ports: what is said at one is heard at the other.
+/// A cable between two ports: forwards bytes in both directions.
 pub struct Bridge {
     is_over: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,

@@ -1,4 +1,4 @@
-//! How many cases the tests with random cases try.
+//! Number of cases in the tests with random cases.
 
 /// Returns `usual` times the environment variable SWEEP, a positive integer (1 if it is not set):
 /// `SWEEP=20 cargo test --test it random` tries twenty times as many cases.

@@ -1,4 +1,4 @@
-//! `descan watch` as it runs: its input open, its lines as they come.
+//! A running `descan watch` with open standard input and its output lines.
 
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
@@ -9,10 +9,10 @@ use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
 
-/// How long anything may take on a busy machine.
+/// Timeout of every wait, long enough for a busy machine.
 const PATIENCE: Duration = Duration::from_mins(1);
 
-/// The program in a folder of its own.
+/// Returns the command that runs the program in `folder`.
 pub fn command(arguments: &[&str], folder: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
     command
@@ -24,10 +24,10 @@ pub fn command(arguments: &[&str], folder: &Path) -> Command {
     command
 }
 
-/// The program, its standard input open, its lines as they come.
+/// The running program, its open standard input, and its output lines.
 pub struct Watching {
     child: Child,
-    /// Dropped, its input is at its end.
+    /// Dropping it closes the program's input.
     pub stdin: Option<ChildStdin>,
     lines: Receiver<String>,
 }
@@ -59,12 +59,12 @@ impl Watching {
         self.lines.recv_timeout(PATIENCE).expect("a line comes")
     }
 
-    /// The next value of that event.
+    /// Returns the next value of that event.
     pub fn event(&self, event: &str) -> Value {
         self.event_that(event, |_| true)
     }
 
-    /// The next value of that event that is as wanted.
+    /// Returns the next value of that event that meets the condition.
     pub fn event_that(&self, event: &str, wanted: impl Fn(&Value) -> bool) -> Value {
         let mut seen = String::new();
         loop {

@@ -1,4 +1,4 @@
-//! What the status lines and pages show of a bus.
+//! Bus states on the status lines and pages.
 
 use super::snapshot;
 use crate::common::harness::{BOILER, Stage};
@@ -11,7 +11,7 @@ use descan::status::{
 };
 use descan::time::{Duration, Instant};
 
-/// After some seconds on a bus on which there is only this, a hundred times a second.
+/// Returns the app after some seconds on a bus that carries only this frame, 100 f/s.
 fn hearing_only(frame: Frame) -> Stage {
     let mut stage = Stage::new(&Scenario::new(125_000), None);
     for millis in 1..4500 {
@@ -35,7 +35,7 @@ fn ended_log_shows_its_final_state() {
     assert!(before.contains("end of log") && before.contains("9 present"), "{before}");
     stage.wait_until(600.0).app.handle_resize(80, 24);
     assert_eq!(stage.screen(), before);
-    // An edit beside it long afterwards changes no device either.
+    // A much later edit of the file changes no device either.
     let at = Instant::ZERO + Duration::from_secs_f64(600.0);
     stage.app.handle_file(at, FileReading::Content(Some(b"[]".to_vec())));
     let screen = stage.screen();
@@ -77,7 +77,7 @@ fn unreachable_bus_is_not_reported_free_of_problems() {
         let screen = stage.keys(page).screen();
         assert!(screen.contains(says), "{screen}");
         assert!(!screen.contains("no problems found"), "{screen}");
-        // The way out, on several lines where one is too short.
+        // The remedy, on several lines if one is too short.
         let words = screen.split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>();
         assert!(words.join(" ").contains("can bitrate 125000"), "{screen}");
     }
@@ -141,7 +141,7 @@ fn playback_keys_work_on_logs_only() {
     (playback.speed, playback.is_paused) = (0.5, true);
     stage.app.handle_playback(now, playback);
     assert!(stage.screen().contains("PAUSED 0:24 ×1/2"), "{}", stage.screen());
-    // While time stands, what a step brings is drawn at once.
+    // While playback is paused, the result of a step is drawn at once.
     stage.app.take_dirty();
     let heartbeat = Frame::classic(0x07B4_3C01, &[0x8A, 0xFA, 0x6C, 0x97, 0x24, 0x12, 4, 0]);
     stage.app.handle_frames(now, &[heartbeat.with_time(now)]);
@@ -201,7 +201,7 @@ fn only_bus_errors_offer_the_bit_rate_search() {
     told(SearchProgress::Trying(500_000));
     assert!(stage.screen().contains("can0: listening at 500 kbit/s"), "{}", stage.screen());
     assert!(!stage.screen().contains("wrong bit rate"), "what is done is not offered");
-    // Meanwhile it goes down and up, which is nothing to act on.
+    // The search takes the interface down and up; no remedy is shown for that.
     stage.link(Link::Down);
     assert!(stage.screen().contains("searching bit rate"), "{}", stage.screen());
     assert!(!stage.screen().contains("DOWN") && !stage.screen().contains("can0 down"));
@@ -214,7 +214,7 @@ fn only_bus_errors_offer_the_bit_rate_search() {
         "{}",
         stage.screen()
     );
-    // A whole frame, and nothing is offered any more.
+    // After a valid frame, no bit rate search is offered any more.
     let heartbeat = Frame::classic(0x0718_0001, &[0, 0, 0, 0, 0, 0, 4, 0]);
     stage.app.handle_frames(now, &[heartbeat.with_time(now)]);
     stage.wait_until(6.0);
@@ -293,7 +293,7 @@ fn listen_only_is_shown() {
     assert!(stage.screen().contains("listen-only: no requests are sent"));
 }
 
-/// What is not on the disk, and that it is not, is seen whatever the bus and the file are called.
+/// Tests that unsaved edits are shown with any bus name and file name.
 #[test]
 fn long_name_is_cut_before_the_file_status() {
     for (bus, short) in [("sim:../bus.toml", "s.toml"), (&*"x".repeat(58), "…xxxxx")] {
@@ -310,12 +310,12 @@ fn long_name_is_cut_before_the_file_status() {
         assert!(line.contains(&short[short.len() - 4..]), "{line}");
         stage.write(&BOILER.replace("\"address\": 10", "\"address\": 99")).keys("Esc");
         assert!(first(&stage).contains("✗ conflict"), "{}", stage.screen());
-        // Where there is room, nothing is left out.
+        // With enough space, nothing is cut off.
         assert!(stage.size(120, 10).screen().contains(bus));
     }
 }
 
-/// Frames lost, and what to do about a bus that is away, are seen whatever it is called.
+/// Tests that lost frames and the remedy for a bus outage are shown with any bus name.
 #[test]
 fn long_bus_name_is_cut_before_its_counters() {
     let mut stage = Stage::boiler();
@@ -346,7 +346,7 @@ fn long_bus_name_is_cut_before_its_counters() {
     assert!(line.ends_with(way_out) && line.contains("BUS-OFF"), "{line}");
 }
 
-/// The way out is not cut off where there are no more than 80 columns.
+/// Tests that the remedy is not cut off at 80 columns.
 #[test]
 fn remedy_is_never_cut() {
     let mut stage = Stage::boiler();
@@ -358,7 +358,7 @@ fn remedy_is_never_cut() {
         stage.file = Some(content.to_vec());
         stage.notice();
         let screen = stage.screen();
-        // In the status, in the timeline, and below; and when one wants to edit.
+        // In the status, in the timeline and at the bottom; and after a key that starts an edit.
         assert_eq!(screen.matches(way_out).count(), 3, "{screen}");
         let screen = stage.keys("e").screen();
         let words = screen.split_whitespace().collect::<Vec<_>>().join(" ");

@@ -9,7 +9,7 @@ use descan::keymap::Key;
 fn edit_conflict_shows_both_values_and_a_choice() {
     let mut stage = Stage::boiler();
     stage.until(24.0);
-    // Somebody else writes in the moment before our save.
+    // Another program writes just before descan saves.
     let theirs = BOILER.replace("10", "11");
     stage.file = Some(theirs.clone().into_bytes());
     stage.keys("e").text("47").keys("Enter");
@@ -17,7 +17,7 @@ fn edit_conflict_shows_both_values_and_a_choice() {
     assert_eq!(stage.file(), theirs, "nothing is written before the choice");
     stage.keys("Esc j");
     assert!(stage.screen().contains("✗ conflict  Ctrl-s resolves it"), "{}", stage.screen());
-    // Who asks for the page chooses as soon as he likes.
+    // A page opened by the user accepts a choice at once.
     stage.keys("Ctrl-s o");
     assert_eq!(stage.file(), BOILER.replace("10", "47"));
 }
@@ -88,8 +88,8 @@ fn choice_stays_open_when_the_file_is_deleted() {
 #[test]
 fn conflict_page_closes_with_the_conflict() {
     let theirs = BOILER.replace("10", "100");
-    // The change is taken back, or the file was only empty while it was being written, for longer
-    // than is waited for.
+    // Another program reverts its change, or the file stays empty for longer than descan waits for
+    // it to be written.
     for contents in [[&theirs, BOILER], ["", BOILER], ["", &BOILER.replace("12", "13")]] {
         let mut stage = Stage::boiler();
         stage.slow_disk().until(24.0).keys("e").text("70").keys("Enter");
@@ -118,7 +118,7 @@ fn broken_file_blocks_the_choice() {
 fn prompt_resumes_after_an_edit_conflict() {
     let mut stage = Stage::boiler();
     stage.until(24.0);
-    // Not drained: the save is on its way while somebody else writes.
+    // Not drained: another program writes while the save is running.
     for key in ["e", "4", "7", "Enter", "j", "e", "5"] {
         stage.app.handle_key(stage.app.now(), Key::parse(key).unwrap());
     }

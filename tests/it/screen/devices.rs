@@ -56,7 +56,7 @@ fn selection_follows_its_device() {
     select(&mut stage, "PSU");
     stage.until(22.0);
     assert_eq!(stage.app.selected_row().unwrap().name.as_ref().unwrap().to_string(), "PSU");
-    // A listed device that comes: from the file's row to the device's.
+    // A listed device appears: the row of the entry becomes the row of the device.
     let mut stage = Stage::boiler();
     stage.until(3.0);
     select(&mut stage, "ACT");

@@ -1,4 +1,4 @@
-//! des.json: edits, saves and what is wrong with the file.
+//! des.json: edits, saves and problems of the file.
 
 use super::snapshot;
 use super::text_snapshot;
@@ -82,7 +82,7 @@ fn undo_and_redo_skip_values_changed_on_disk() {
     refused(&mut stage, "u", why);
     assert!(!told(&stage, "undid"));
     refused(&mut stage, "Ctrl-r", "nothing to redo");
-    // What is below it can be.
+    // The edit before it can be undone.
     stage.keys("u");
     assert_eq!(stage.file(), with("101"));
 
@@ -91,7 +91,7 @@ fn undo_and_redo_skip_values_changed_on_disk() {
     let why = "not redone: address of the entry FEED: 10 → 100; on disk: address 11, static";
     refused(&mut stage, "Ctrl-r", why);
 
-    // They did the same.
+    // Another program made the same change.
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("e").text("100").keys("Enter").write(BOILER);
     refused(&mut stage, "u", "already undone: address of the entry");
@@ -119,7 +119,7 @@ fn undo_and_redo_skip_values_changed_on_disk() {
 
 #[test]
 fn undone_unsaved_edit_leaves_nothing_to_save() {
-    // While the disk refuses it, one of two, then both.
+    // While saves fail: undo of one of two edits, then of both.
     let mut stage = with_two_unsaved_edits();
     assert_eq!(stage.app.file().unsaved(), 2);
     stage.keys("u");
@@ -134,7 +134,7 @@ fn undone_unsaved_edit_leaves_nothing_to_save() {
     stage.keys("Ctrl-r");
     assert_eq!(stage.file(), BOILER.replace("10", "70"));
 
-    // While it is being saved, which then fails; it quits without asking.
+    // While a save that then fails is running; descan quits without a prompt.
     let mut stage = Stage::boiler();
     stage.slow_disk().until(24.0).keys("e").text("70").keys("Enter u q");
     stage.file = Some(BOILER.as_bytes().to_vec());
@@ -142,7 +142,7 @@ fn undone_unsaved_edit_leaves_nothing_to_save() {
     assert_eq!(stage.app.file().unsaved(), 0);
     assert!(stage.effects.contains(&Effect::Quit), "{}", stage.screen());
 
-    // While it is being saved, and is: what is on disk is to be taken back too.
+    // While a save that succeeds is running: the content on disk is changed back, too.
     let mut stage = Stage::boiler();
     stage.slow_disk().until(24.0).keys("e").text("70").keys("Enter u");
     stage.finish_saves();
@@ -156,7 +156,7 @@ fn duplicate_address_after_merge_is_reported() {
     stage.slow_disk().until(24.0).keys("e").text("71").keys("Enter");
     stage.file = Some(BOILER.as_bytes().to_vec());
     let clash = "2 entries share address 71: FEED, SENS";
-    // They give the address, which is still free in the file, to another.
+    // Another program gives the address, still free in the file, to another entry.
     let theirs = BOILER.replace("12", "71");
     stage.refuse_saves().write(&theirs);
     stage.file = Some(theirs.clone().into_bytes());
@@ -167,7 +167,7 @@ fn duplicate_address_after_merge_is_reported() {
     assert!(stage.screen().contains(&told), "{}", stage.screen());
     assert!(stage.app.timeline().entries().any(|line| line.text == told));
 
-    // Nor is it silent where it is saved at once; later saves do not tell it again.
+    // It is also reported if the save succeeds at once; later saves do not report it again.
     let mut stage = Stage::boiler();
     stage.slow_disk().until(24.0).keys("e").text("71").keys("Enter");
     stage.file = Some(BOILER.as_bytes().to_vec());
@@ -193,7 +193,7 @@ fn failed_save_is_retried_by_key() {
     stage.app.handle_saved(now, SaveOutcome::Failed("no space left on the disk".to_owned()));
     assert_eq!(stage.app.poll_effect(), None, "not again and again");
     assert!(stage.screen().contains("not saved: no space left"), "{}", stage.screen());
-    // Nor does it give way on the smallest screen, when something else is said.
+    // It stays visible on the smallest screen, even beside another message.
     for (columns, rows) in [(40, 10), (60, 14)] {
         let screen = stage.keys("r").size(columns, rows).screen();
         assert!(screen.lines().next().unwrap().contains("✗ not saved"), "{screen}");
@@ -254,7 +254,7 @@ fn copy_is_saved_to_another_path() {
     assert!(
         stage.keys("q").screen().contains("1 edit is saved only in /else/b.json. Quit anyway?")
     );
-    // What was edited since is not in it.
+    // Later edits are not in it.
     stage.keys("n R").text("X").keys("Enter");
     stage.unfinished = Some(vec![SaveOutcome::Failed("disk full".to_owned())]);
     stage.finish_saves().keys("q");
@@ -305,11 +305,11 @@ fn invalid_value_selects_its_row() {
     stage.keys("Enter");
     let name = stage.app.selected_row().and_then(|row| row.name.clone()).unwrap().to_string();
     assert_eq!((stage.app.view().page, name), (Page::Devices, "ACT".to_owned()));
-    // And the row says it.
+    // The row shows it, too.
     let screen = stage.size(120, 40).screen();
     assert!(screen.contains("  16!"), "{screen}");
     assert!(screen.contains("! `static` is a number; it must"), "{screen}");
-    // What readers disagree about is not edited, and that is told before anything is typed.
+    // Ambiguous content is not edited, with a message before the user types.
     let twice = BOILER.replace("\"address\": 10", "\"address\": 9, \"address\": 10");
     for key in ["e", "R"] {
         let screen = stage.write(&twice).size(80, 24).keys("1 g").keys(key).screen();
@@ -318,7 +318,7 @@ fn invalid_value_selects_its_row() {
         assert!(screen.contains(said), "{screen}");
     }
     stage.write(&file).size(120, 40).wait_until(60.0);
-    // What is no entry has no row.
+    // Elements that are not entries have no row.
     stage.keys("4 g j");
     assert!(stage.screen().contains("has no `name`"), "{}", stage.screen());
     stage.keys("Enter");
@@ -346,12 +346,12 @@ fn invalid_values_are_marked_in_their_rows() {
         "line 9: device 7 has no `name`",
         "line 9: device 8 has no `name`",
     ];
-    // What is too long for its row is cut off, and what it says first is enough.
+    // Text too long for its row is cut off; its beginning is sufficient.
     for (row, line) in rows.iter().zip(screen.lines().skip(4)) {
         let shown: String = row.chars().take(31).collect();
         assert!(line.contains(&shown), "{row}\n{screen}");
     }
-    // What is muted is one of them, and stays it when lines are put in above.
+    // A muted finding is included, and stays muted when lines are inserted above.
     let muted = |stage: &Stage| {
         let screen = stage.screen();
         let mut rows = screen.lines().filter(|line| line.contains("muted · line"));
@@ -406,7 +406,7 @@ fn quit_confirms_unsaved_edits() {
 
 #[test]
 fn quit_continues_once_everything_is_saved() {
-    // Two edits, of which the second waits for the first: quitting waits for both.
+    // Two edits, the second waiting for the first: quitting waits for both.
     let mut stage = Stage::boiler();
     stage.slow_disk().until(24.0).keys("e").text("47").keys("Enter R").text("X").keys("Enter q");
     assert!(stage.screen().contains("2 edits are still being saved"), "{}", stage.screen());
@@ -417,13 +417,13 @@ fn quit_continues_once_everything_is_saved() {
     assert!(stage.effects.contains(&Effect::Quit));
     assert!(!stage.screen().contains("Quit"), "{}", stage.screen());
 
-    // No is no, whatever is saved afterwards.
+    // Declining is final, whatever is saved afterwards.
     let mut stage = Stage::boiler();
     stage.slow_disk().until(24.0).keys("e").text("47").keys("Enter q n");
     stage.finish_saves();
     assert!(!stage.effects.contains(&Effect::Quit));
 
-    // A save that fails is a reason to ask, not to go.
+    // A failed save opens the prompt again instead of quitting.
     let mut stage = Stage::boiler();
     stage.slow_disk().until(24.0).keys("e").text("47").keys("Enter q");
     stage.unfinished = Some(vec![SaveOutcome::Failed("disk full".to_owned())]);
@@ -453,7 +453,7 @@ fn missing_folder_is_named_at_start() {
     assert!(screen.contains("! des.json     no such folder yet: mkdir -p ../nodir"), "{screen}");
 }
 
-/// While there are conflicts, too: what was decided is in it as it was decided.
+/// Tests that, during edit conflicts too, the copy contains the edits already decided, as decided.
 #[test]
 fn copy_contains_all_decided_edits() {
     let mut stage = with_two_unsaved_edits();

@@ -1,4 +1,4 @@
-//! The help.
+//! The help page.
 
 use crate::common::harness::Stage;
 use descan::sim::Scenario;

@@ -1,4 +1,4 @@
-//! Keys and simulated buses in, screens out: one module for each page.
+//! Screen tests: keys and simulated buses as input, screens as output; one module for each page.
 
 mod buses;
 mod conflict;
@@ -19,7 +19,7 @@ use descan::theme::BUILT_IN;
 use descan::time::{Duration, Instant};
 use ratatui::buffer::Buffer;
 
-/// A snapshot of any text, in a file of that name.
+/// Compares any text with the snapshot of that name.
 macro_rules! text_snapshot {
     ($name:expr, $text:expr) => {
         insta::with_settings!({ prepend_module_to_snapshot => false }, {
@@ -29,7 +29,7 @@ macro_rules! text_snapshot {
 }
 pub(crate) use text_snapshot;
 
-/// A snapshot of the screen as text.
+/// Compares the screen, as text, with a snapshot.
 macro_rules! snapshot {
     ($name:literal, $stage:expr) => {
         $crate::screen::text_snapshot!($name, $stage.screen())
@@ -37,12 +37,12 @@ macro_rules! snapshot {
 }
 use snapshot;
 
-/// The words of a screen on one line, with one blank between them.
+/// Returns the words of a screen on one line, with one blank between them.
 fn one_line(screen: &str) -> String {
     screen.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// FEED to 70 and SENS to 71, which the disk does not take.
+/// Returns the app with FEED edited to 70 and SENS to 71, both rejected by the disk.
 fn with_two_unsaved_edits() -> Stage {
     let mut stage = Stage::boiler();
     stage.slow_disk().until(24.0).keys("e").text("70").keys("Enter j e").text("71").keys("Enter");
@@ -52,7 +52,7 @@ fn with_two_unsaved_edits() -> Stage {
 }
 
 impl Stage {
-    /// Lets time pass, but no frame come, until `seconds` after the start or until nothing is due.
+    /// Runs without received frames until `seconds` after the start, or until nothing is due.
     fn wait_until(&mut self, seconds: f64) -> &mut Self {
         let end = Instant::ZERO + Duration::from_secs_f64(seconds);
         while let Some(at) = self.app.poll_timeout().filter(|at| *at <= end) {
@@ -69,7 +69,7 @@ impl Stage {
     }
 }
 
-/// The problems as they stand in the list: sign, muted or not, what.
+/// Returns the problems as listed: sign, muted or not, text.
 fn problems(stage: &Stage) -> Vec<String> {
     let shown = stage.app.problems_shown();
     let line = |problem: &Problem| {
@@ -79,7 +79,7 @@ fn problems(stage: &Stage) -> Vec<String> {
     shown.iter().map(line).collect()
 }
 
-/// For each row its text, and below it where which style is.
+/// Returns each row's text, and below it the positions of its styles.
 fn styles_of(buffer: &Buffer) -> String {
     use std::fmt::Write;
     let mut text = String::new();

@@ -14,7 +14,7 @@ fn selected(stage: &Stage) -> String {
     stage.app.selected_problem().map_or_else(String::new, |problem| problem.title())
 }
 
-/// So many foreign frames that the capture has room for no others.
+/// Sends so many non-platform frames that the capture holds no others.
 fn flood(stage: &mut Stage) {
     let now = stage.app.now();
     let frame = Frame::with(CanId::Standard(0x123), &[]).with_time(now);
@@ -26,7 +26,7 @@ fn bus_problem_names_its_bus() {
     let config = Config { seed: 7, listen_only: true, ..Config::default() };
     let mut stage = Stage::with(&Scenario::new(125_000), None, config);
     stage.link(Link::Up);
-    // A stuff error a millisecond, each at least 17 bits; that the state changed is no frame.
+    // A stuff error each millisecond, of at least 17 bits; a state change is not a frame.
     for millis in 0..1000 {
         let at = Instant::ZERO + Duration::from_millis(millis);
         let stuff = Frame::error(0x88, &[0, 0, 4, 0, 0, 0, 0, 0]).with_time(at);
@@ -139,7 +139,7 @@ fn muted_problem_is_not_counted_and_stays_muted() {
     assert_eq!(selected(&stage), "address conflict (same name) @14");
     stage.keys("1 m");
     assert_eq!(stage.app.counts().confirmed, 4, "only on the page itself");
-    // Where nothing was selected by hand, too, the key undoes what it did.
+    // Without a selection by the user, too, the key undoes its own effect.
     let mut stage = Stage::boiler();
     stage.until(45.0).keys("4 m");
     assert_eq!(selected(&stage), "address conflict (same name) @14");
@@ -195,7 +195,7 @@ fn problem_opens_its_frames_and_returns() {
     snapshot!("evidence_around", stage);
     let frame = *stage.app.selected_frame().unwrap();
     assert_eq!(stage.app.piece_of(&frame).unwrap().what, "first response to one request");
-    // To the next one among all frames: the list of evidence goes with it.
+    // To the next one among all frames: the list of evidence follows.
     stage.keys("j");
     let next = *stage.app.selected_frame().unwrap();
     assert_ne!(next, frame);
@@ -237,7 +237,7 @@ fn evidence_outlives_the_capture() {
     stage.keys("Enter");
     let screen = stage.screen();
     assert!(screen.contains("surrounding frames no longer in the capture"), "{screen}");
-    // What was open before the frames went out of the capture stays, too.
+    // A problem opened before its frames left the capture stays open, too.
     let mut stage = Stage::boiler();
     stage.until(28.0).keys("Space").until(45.0).keys("4 G Enter G Enter");
     assert!(stage.screen().contains("newer than the frozen view"), "{}", stage.screen());
@@ -284,7 +284,7 @@ fn key_jumps_between_device_and_problem() {
         "from a line of the timeline, too"
     );
     stage.keys("3 Esc");
-    // Rows that do not fit the filter are found all the same.
+    // Rows that the filter excludes are found all the same.
     stage.keys("1 g");
     stage.keys("/").text("feed").keys("Enter 4 g p");
     assert_eq!((stage.app.view().page, name(&stage)), (Page::Devices, "ACT".to_owned()));
@@ -299,7 +299,7 @@ fn selection_follows_its_problem() {
     assert_eq!(selected(&stage), "missing @44");
     stage.keys("g").write(&BOILER.replace("44", "45"));
     assert_eq!(selected(&stage), "address conflict (same name) @14");
-    // Also where it was not selected by hand: what is read is not pushed away by what comes on top.
+    // Without a selection by the user, too: new rows above do not move the row being read.
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("4");
     let first = selected(&stage);
@@ -312,7 +312,7 @@ fn selection_follows_its_problem() {
         "address conflict (same name) @14",
         "the page opens with the first"
     );
-    // While the screen is held, no row moves, and what is new comes last.
+    // While the screen is frozen, no row moves, and new rows come last.
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("4 Space");
     let before = problems(&stage);

@@ -17,7 +17,7 @@ fn escape_returns_from_frames_to_the_timeline_line() {
     assert_eq!(stage.app.view().page, Page::Traffic, "the details and the filter are left first");
     stage.keys("Esc Esc");
     assert_eq!(stage.screen(), timeline);
-    // Whoever went somewhere else is not led back.
+    // After a change of page, Esc does not return to the first one.
     stage.keys("Enter 1 2 Esc");
     assert_eq!(stage.app.view().page, Page::Traffic);
 }
@@ -26,7 +26,7 @@ fn escape_returns_from_frames_to_the_timeline_line() {
 fn device_filter_shows_its_whole_timeline() {
     let mut stage = Stage::boiler();
     stage.until(170.0).size(100, 24).keys("3 /").text("heat").keys("Enter");
-    // It claimed 16 before it had a row, and held it under a row that is DIN's now.
+    // It claimed 16 before it had a row, and held it under a row that is now DIN's.
     snapshot!("story_of_heat", stage);
     stage.keys("Esc /").text("dev:disp").keys("Enter");
     snapshot!("story_of_disp", stage);

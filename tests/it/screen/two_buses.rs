@@ -14,7 +14,7 @@ use descan::ui;
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 
-/// Two simulated buses under one view.
+/// Two simulated buses in one app.
 struct Pair {
     app: App,
     sims: [(Sim, SimStation); 2],
@@ -87,7 +87,7 @@ fn two_buses_are_one_view() {
     text_snapshot!("two_buses_problems", pair.run(20..36).keys("4").screen(100, 30));
 }
 
-/// Adapters at one rate differ in what stands before it.
+/// Tests that adapters with equal bit rates are named by the part before it.
 #[test]
 fn equal_adapters_have_distinct_names() {
     let scenarios = ["boiler", "drone"].map(|name| Scenario::builtin(name).unwrap());
@@ -130,7 +130,7 @@ fn redundant_device_is_one_row() {
         .with(device("FEED", 10, 1, "AUGER"))
         .with(device("SENS", 12, 2, "TEMP"))
         .with(device("PUMP", 20, 3, "FLOW"));
-    // FEED has another address there, SENS other services, and PUMP is another PUMP.
+    // FEED has another address there, SENS other services, and PUMP is a twin.
     let other = Scenario::new(500_000)
         .with(device("FEED", 11, 1, "AUGER"))
         .with(device("SENS", 12, 2, "LOG"))
@@ -148,7 +148,7 @@ fn redundant_device_is_one_row() {
     assert!(screen.contains("FEED"), "{screen}");
     text_snapshot!("two_networks", pair.keys("Esc j").screen(100, 24));
 
-    // Each bus has an address of its own to pin, and is taken into the file.
+    // Each bus has its own address to pin, and can be added to the file.
     let screen = pair.keys("g e").screen(100, 24);
     assert!(screen.contains("static address on can0 (Tab: next): "), "{screen}");
     let screen = pair.keys("Tab").screen(100, 24);
@@ -166,7 +166,7 @@ fn redundant_device_is_one_row() {
     text_snapshot!("redundant_timeline", pair.run(16..24).keys("3").screen(100, 24));
 }
 
-/// Which of two twins an entry is about that names neither's address is not known: nobody deleted it.
+/// Tests that an entry with neither twin's address is kept: either twin may be meant.
 #[test]
 fn entry_edited_while_a_twin_appears_is_kept() {
     let file = r#"[{"name":"SENS","address":15,"static":true}]"#;

@@ -1,4 +1,4 @@
-//! DES answers, byte by byte, in every framing and under flow control.
+//! DES responses, byte by byte, in every framing and under flow control.
 
 use super::{address, after, bus_with, des, from};
 use descan::frame::Frame;
@@ -14,7 +14,7 @@ const CONTINUE: &[u8] = &[0x30, 0, 0];
 
 fn device() -> DeviceSpec {
     let mut device = DeviceSpec::new("FEED").fixed(12).settled();
-    // Nothing but answers on the bus.
+    // Only responses on the bus.
     device = device.fault(Fault::NoHeartbeat);
     device
 }
@@ -27,7 +27,7 @@ fn send(sim: &mut Sim, me: SimStation, data: &[u8]) {
     assert!(sim.transmit(me, Frame::classic(request(12), data)));
 }
 
-/// Everything that 12 sends within `ms`.
+/// Returns everything that 12 sends within `ms`.
 fn answers(sim: &mut Sim, me: SimStation, ms: u64) -> Vec<(Header, Frame)> {
     let frames = after(sim, me, ms);
     from(&frames, 12)
@@ -37,7 +37,7 @@ fn data(answers: &[(Header, Frame)]) -> Vec<Vec<u8>> {
     answers.iter().map(|(_, frame)| frame.data().to_vec()).collect()
 }
 
-/// Asks, lets a long answer through, and returns the frames.
+/// Sends a request, permits a long response, and returns the frames.
 fn exchange(device: DeviceSpec, request: &[u8]) -> Vec<(Header, Frame)> {
     let (mut sim, me) = bus_with([device]);
     send(&mut sim, me, request);

@@ -1,4 +1,4 @@
-//! Arbitration, merging, destruction, acknowledge, error counters.
+//! Arbitration, merging, bus errors, acknowledgement, error counters.
 
 use super::{after, is_error, polled, two_stations};
 use descan::frame::bits::FrameBits;
@@ -77,14 +77,14 @@ fn different_data_collides_until_error_passive() {
     let watcher = sim.attach();
     sim.transmit(one, Frame::classic(5, &[0x00]));
     sim.transmit(two, Frame::classic(5, &[0x80]));
-    // One bit of data, 8 bits of flags: the first error is over.
+    // One bit of data, 8 bits of error flags: the first error has ended.
     sim.advance(Instant::from_micros(60 * 8));
     assert_eq!((sim.status(one).tec, sim.status(two).tec), (8, 8));
     assert_eq!(sim.status(watcher).rec, 1);
     let seen = after(&mut sim, watcher, 100);
     let errors = seen.iter().filter(|frame| is_error(frame)).count();
     assert_eq!(errors, 16, "16 × 8 is error-passive");
-    // Then the recessive one no longer destroys the other's frame, and sends its own after it.
+    // Then the recessive sender no longer destroys the other frame, and sends its own after it.
     let data: Vec<u8> =
         seen.iter().filter(|frame| !is_error(frame)).map(|frame| frame.data()[0]).collect();
     assert_eq!(data, [0x00, 0x80]);
@@ -149,7 +149,7 @@ fn repeated_tx_errors_cause_bus_off_and_restart() {
             CanId::Standard(_) => 0,
         })
         .collect();
-    // Warning, passive (CRTL), then BUSOFF as the last word.
+    // Warning, passive (CRTL), then BUSOFF last.
     assert!(classes.contains(&0x04));
     assert_eq!(classes.iter().rfind(|class| **class != 0x88), Some(&0x40));
     assert!(after(&mut sim, two, 1000).is_empty());
@@ -170,7 +170,7 @@ fn single_node_gets_no_ack_and_no_bus_off() {
     assert_eq!(seen[0].to_string(), "200002A0#0000001900000800");
     let status = sim.status(me);
     assert_eq!((status.state, status.tec, status.queued), (ControllerState::ErrorPassive, 128, 1));
-    // A listener acknowledges nothing; a full station does.
+    // A listen-only node acknowledges nothing; an active one does.
     let other = sim.attach();
     sim.set_listen_only(other, true);
     assert!(after(&mut sim, me, 100).iter().all(is_error));

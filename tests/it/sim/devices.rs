@@ -1,4 +1,4 @@
-//! How devices find addresses, beat, give way and give up.
+//! Devices choose addresses, send heartbeats, give way and go bus-off.
 
 use super::{address, after, at_ms, beats, bus_with, from, is_error};
 use crate::common::sweep;
@@ -60,7 +60,7 @@ fn equal_preferred_addresses_are_resolved() {
 
 #[test]
 fn two_devices_alone_get_addresses() {
-    // Nobody acknowledges the first claim; the second device's controller does, later.
+    // The first claim is not acknowledged; the second device's controller acknowledges later.
     let scenario = Scenario::new(125_000)
         .with(DeviceSpec::new("A").preferred(1))
         .with(DeviceSpec::new("B").preferred(2));
@@ -259,8 +259,7 @@ fn descriptor_is_read_and_address_written() {
     assert_eq!(state(&sim, "B").0, Some(Mode::Cfg));
 }
 
-/// Whatever was done to them: once nobody offends any more, every device that works has an
-/// address of its own.
+/// Tests that after any disturbance has ended, every working device has its own address.
 #[test]
 fn random_trouble_ends_with_unique_addresses() {
     const FAULTS: [Fault; 6] = [
@@ -275,7 +274,7 @@ fn random_trouble_ends_with_unique_addresses() {
         let mut rng = fastrand::Rng::with_seed(seed);
         let mut scenario = Scenario::new(500_000);
         for number in 0..12 {
-            // Few addresses for many.
+            // Few addresses for many devices.
             let device = DeviceSpec::new(&format!("N{number}")).preferred(rng.u8(1..5));
             let device = device.service("A-SERVICE", "1.0").chatter(0x100, at(30), 8);
             scenario = scenario.with(if rng.bool() { device.settled() } else { device });

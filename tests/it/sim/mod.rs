@@ -1,4 +1,4 @@
-//! The simulated bus and its devices, through the public API: what a test or a demo relies on.
+//! The simulated bus and its devices, through the public API, as tests and demos use them.
 
 mod answers;
 mod bus;
@@ -26,14 +26,14 @@ fn des() -> Service {
     Service::new(2).unwrap()
 }
 
-/// An empty bus with two stations.
+/// Returns an empty bus with two stations.
 fn two_stations() -> (Sim, SimStation, SimStation) {
     let mut sim = Sim::new(&Scenario::new(125_000), 1);
     let (one, two) = (sim.attach(), sim.attach());
     (sim, one, two)
 }
 
-/// A bus with these devices and a station.
+/// Returns a bus with these devices and a station.
 fn bus_with(devices: impl IntoIterator<Item = DeviceSpec>) -> (Sim, SimStation) {
     let mut scenario = Scenario::new(125_000);
     scenario.devices.extend(devices);
@@ -42,12 +42,12 @@ fn bus_with(devices: impl IntoIterator<Item = DeviceSpec>) -> (Sim, SimStation) 
     (sim, me)
 }
 
-/// Everything `station` has seen and not yet polled.
+/// Returns all frames that `station` has received and not yet polled.
 fn polled(sim: &mut Sim, station: SimStation) -> Vec<Frame> {
     std::iter::from_fn(|| sim.poll_frame(station)).collect()
 }
 
-/// Advances for `ms` and returns what `station` saw.
+/// Advances for `ms` and returns what `station` received.
 fn after(sim: &mut Sim, station: SimStation, ms: u64) -> Vec<Frame> {
     sim.advance(sim.now() + Duration::from_millis(ms));
     polled(sim, station)
@@ -57,14 +57,14 @@ fn is_error(frame: &Frame) -> bool {
     frame.kind == FrameKind::Error
 }
 
-/// Header and data of every data frame from `source`.
+/// Returns identifier and data of every data frame from `source`.
 fn from(frames: &[Frame], source: u8) -> Vec<(Header, Frame)> {
     let decoded =
         frames.iter().filter_map(|frame| Some((Header::decode(frame.platform_id()?), *frame)));
     decoded.filter(|(header, _)| header.source.number() == source).collect()
 }
 
-/// Those of them that are heartbeats.
+/// Returns those of them that are heartbeats.
 fn beats(frames: &[Frame], source: u8) -> Vec<Frame> {
     let all = from(frames, source).into_iter();
     all.filter(|(header, _)| header.service == heartbeat()).map(|(_, frame)| frame).collect()

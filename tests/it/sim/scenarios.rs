@@ -1,4 +1,4 @@
-//! Scenarios: the same seed gives the same run; what is wrong is named; the built-in ones live.
+//! Scenarios: equal seeds give equal runs, errors are reported, and the built-in ones run.
 
 use super::{after, at_ms, beats, from};
 use descan::frame::Frame;

@@ -1,4 +1,4 @@
-//! What an inspector said, held against how it really was.
+//! Checks of an inspector's events against the simulator's ground truth.
 
 use super::ground_truth::{Clash, Span};
 use crate::common::inspection::{FAULTS, describe};
@@ -13,9 +13,9 @@ use descan::wire::node::Uid;
 use std::collections::BTreeMap;
 
 const PERIOD: Duration = Duration::from_secs(1);
-/// Within which a collision that can be seen is to be confirmed, and cleared when it is over.
+/// Time limit for confirming a detectable conflict, and for clearing one that has ended.
 const TEN_SECONDS: Duration = Duration::from_secs(10);
-/// How exactly it is known since when something is so.
+/// Tolerance of the time at which a state began.
 const SAMPLED: Duration = Duration::from_millis(100);
 
 /// The confidence of one finding over time.
@@ -31,7 +31,7 @@ impl Course {
         self.changes.iter().take_while(|(at, _)| *at <= time).last().map(|(_, it)| *it)
     }
 
-    /// When it was suspected last, having been nothing before.
+    /// Returns the time of the last change from no finding to suspected.
     fn opened_last(&self) -> Instant {
         let mut opened = Instant::ZERO;
         let mut open = false;
@@ -113,7 +113,7 @@ impl Case<'_> {
         self.run.world.is_clear(self.number) && self.it.cut_off.is_empty()
     }
 
-    // --- nobody innocent is accused ------------------------------------------------------
+    // --- no false positives --------------------------------------------------------------
 
     fn accusations(&mut self) {
         let clashes = self.clashes();
@@ -136,7 +136,7 @@ impl Case<'_> {
         let inspector = &self.run.world.inspectors[self.number];
         let going_on = |clash: &Clash, span: &Span| {
             let until = span.until.min(at);
-            // Its clock ran ahead meanwhile.
+            // The inspector's clock ran ahead meanwhile.
             let ahead = inspector.lens.ahead(until).saturating_sub(inspector.lens.ahead(span.from));
             course.addresses.iter().any(|&address| clash.concerns(address))
                 && span.from <= at
@@ -150,8 +150,8 @@ impl Case<'_> {
             name(one) != name(other)
         };
         let uid = |at: usize| self.run.sim.device_state(self.run.devices[at]).uid;
-        // Whoever never gives way is guilty even where both fall silent in between, because they
-        // destroyed each other's frames.
+        // Two devices that never give way are in conflict even during silent phases, because they
+        // destroy each other's frames.
         let both_on: Vec<_> = self.run.truth.both_on().collect();
         let any = |fits: &dyn Fn(&Clash) -> bool| {
             let mut clashes = clashes.iter().chain(&both_on);
@@ -162,7 +162,7 @@ impl Case<'_> {
                 any(&|it| matches!(*it, Clash::Address(_, a, b) if names(a, b)))
             }
             FindingKind::SameNameSameAddress => {
-                // Who only listens does not hear the names.
+                // A listen-only inspector may not receive the names.
                 any(&|it| {
                     matches!(*it, Clash::Address(_, a, b)
                         if config.listen_only
@@ -173,13 +173,15 @@ impl Case<'_> {
                 })
             }
             FindingKind::OneAddressTwoIdentities => {
-                // Two of one UID that keep resolving their address differ in the U bit meanwhile.
+                // Two devices with one UID that keep resolving their address differ in the U bit
+                // meanwhile.
                 let stubborn = |it: usize| self.spec(it).faults.has(Fault::NeverGivesWay);
                 let fits = |it: &Clash| {
                     matches!(*it, Clash::Address(_, a, b)
                         if uid(a) != uid(b) || stubborn(a) && stubborn(b))
                 };
-                // Two that keep claiming an address, each after the other gave way, differ too.
+                // Two devices that claim an address in turns, each after the other gave way, differ
+                // too.
                 let again = self.run.truth.contended();
                 any(&fits) || again.iter().any(|(clash, span)| going_on(clash, span) && fits(clash))
             }
@@ -187,7 +189,7 @@ impl Case<'_> {
             FindingKind::TwoDebugDevices
             | FindingKind::AddressContested
             | FindingKind::NonConforming => false,
-            // Whatever else is confirmed is seen, not concluded.
+            // All other confirmed findings are observed directly, not inferred.
             FindingKind::MalformedAnswer => {
                 let faulty = |spec: &DeviceSpec| {
                     [Fault::DropFrame, Fault::WrongSequence, Fault::HugeLength]
@@ -211,7 +213,7 @@ impl Case<'_> {
         }
     }
 
-    // --- nobody guilty escapes -----------------------------------------------------------
+    // --- no false negatives --------------------------------------------------------------
 
     fn detections(&mut self) {
         let mut wrong = Vec::new();
@@ -225,9 +227,9 @@ impl Case<'_> {
             if span.until.since(from) < TEN_SECONDS || !self.can_see(clash, from, span.until) {
                 continue;
             }
-            // Who has no heartbeat is heard only when it is asked, which it is in each round.
+            // A device without heartbeats is received only when it responds, once per round.
             let due = from + if self.beats(clash) { TEN_SECONDS } else { PERIOD * 25 };
-            // Where frames are missed, or come late, evidence pauses and has to begin anew.
+            // With lost or delayed frames, the evidence pauses and starts again.
             let lossy = self.run.world.scenario.observer_loss > 0.0;
             let due = due + PERIOD * if lossy || self.run.world.is_crowded() { 5 } else { 0 };
             if span.until < due {
@@ -271,9 +273,9 @@ impl Case<'_> {
         Instant::ZERO + self.run.world.inspectors[self.number].from
     }
 
-    /// Whether two were at `address` for a while of which one took the other's place unseen: of one
-    /// name, and of one UID, or of UIDs that nobody heard, because there was not one heartbeat, not
-    /// even to claim the address. Then the U bit alone could tell them apart.
+    /// Returns true if two devices were at `address` in turns and cannot be told apart: same name,
+    /// and same UID or UIDs not received because no heartbeat was sent, not even to claim the
+    /// address. Then only the U bit could distinguish them.
     fn is_same_to_all(&self, clash: Clash, address: Address) -> bool {
         match clash {
             Clash::Address(at, one, other) => {
@@ -296,7 +298,7 @@ impl Case<'_> {
         }
     }
 
-    /// Whether frames that can be told apart come from both, and arrive.
+    /// Returns true if both devices send distinguishable frames, and these are received.
     fn can_see(&self, clash: Clash, from: Instant, until: Instant) -> bool {
         let inspector = &self.run.world.inspectors[self.number];
         let lens = &inspector.lens;
@@ -320,7 +322,7 @@ impl Case<'_> {
         let both = |fault| !one.faults.has(fault) && !other.faults.has(fault);
         let beat = both(Fault::NoHeartbeat);
         let rounds = beat || !inspector.config.round_period.is_zero();
-        // Who says an absurd length does not even say what it answers.
+        // A response with an absurd length does not even identify its request.
         let mumbles = |it: &DeviceSpec| it.faults.has(Fault::HugeLength) && is_unreadable(it);
         let answer = both(Fault::NoDes)
             && !inspector.config.listen_only
@@ -328,16 +330,16 @@ impl Case<'_> {
             && !mumbles(one)
             && !mumbles(other);
         let uids = !one.uid.is_blank() && !other.uid.is_blank() && one.uid != other.uid;
-        // Where all answer twice they seem to be asked twice.
+        // If all devices respond twice, every request seems to have been sent twice.
         let twice = self.all_are_shared();
-        // Answers to all often wait for the bus together, and equal ones merge then.
+        // Responses to broadcasts often wait for the bus together; equal ones merge then.
         beat && uids
             || answer
                 && (one.name != other.name
                     || beat && lens.doubled.is_none() && !lens.echo && !twice)
     }
 
-    /// Whether there are two at each of several addresses.
+    /// Returns true if each of several addresses has two devices.
     fn all_are_shared(&self) -> bool {
         let clashes = self.clashes();
         let shared = |spec: &DeviceSpec| {
@@ -350,7 +352,7 @@ impl Case<'_> {
         devices.len() > 2 && devices.iter().all(shared)
     }
 
-    // --- what is past is cleared ---------------------------------------------------------
+    // --- ended conflicts are cleared -----------------------------------------------------
 
     fn clearings(&mut self) {
         let end = Instant::ZERO + self.run.world.end;
@@ -367,14 +369,14 @@ impl Case<'_> {
                 .unwrap_or(Instant::ZERO)
                 .max(self.begin());
             let last_word = course.at(end);
-            // What is suspected anew later has another cause, or none.
+            // A finding suspected again later has another cause, or none.
             let opened_for_it = course.opened_last() < over + TEN_SECONDS;
             let calm = Instant::ZERO + self.run.world.calm;
-            // What was suspected without a cause may have begun with the last thing that happened.
+            // A suspicion without a cause may come from the last event of the scenario.
             let over = if course.at(over).is_none() { over.max(calm) } else { over };
-            // Where questions are missed, answers to them seem to be one too many for a while; and
-            // who only listens waits for somebody to ask, which happens every ten seconds, and
-            // cannot make sure.
+            // If requests are lost, their responses seem surplus for a while. A listen-only
+            // inspector depends on the requests of others, one every ten seconds, and cannot send
+            // follow-up requests.
             let missed = self.run.world.scenario.observer_loss > 0.0;
             let waits = self.run.world.inspectors[self.number].config.listen_only;
             let more = if waits { 8 } else { 3 * u32::from(missed) };
@@ -396,9 +398,9 @@ impl Case<'_> {
         self.complain(wrong);
     }
 
-    // --- who gives way -------------------------------------------------------------------
+    // --- address resolution --------------------------------------------------------------
 
-    /// Where UIDs took turns at an address for less than five periods, it was contested.
+    /// Checks contested addresses: UIDs alternate there for less than five periods.
     fn contests(&mut self) {
         let mut wrong = Vec::new();
         let mut seen: BTreeMap<Address, Vec<(Instant, Uid)>> = BTreeMap::new();
@@ -435,14 +437,14 @@ impl Case<'_> {
         self.complain(wrong);
     }
 
-    // --- what is known in the end --------------------------------------------------------
+    // --- final state ---------------------------------------------------------------------
 
     fn inventory(&mut self) {
         let config = &self.run.world.inspectors[self.number].config;
         let lossy = self.run.world.scenario.observer_loss > 0.0;
         let end = Instant::ZERO + self.run.world.end;
         let clashes = self.clashes();
-        // Two that cut each other off and begin anew, over and over, are never there together.
+        // Two devices that drive each other bus-off again and again are never online together.
         let both_on: Vec<_> = self.run.truth.both_on().collect();
         let clashing = |address: Address| {
             clashes.iter().chain(&both_on).any(|(clash, span)| {
@@ -452,7 +454,7 @@ impl Case<'_> {
         if self.run.world.is_overfull() {
             return;
         }
-        // Who is still on its way at the end.
+        // Devices that have not settled at the end.
         let moving = |address: Address| {
             self.it.events.iter().any(|(at, event)| {
                 let moves =
@@ -487,9 +489,10 @@ impl Case<'_> {
                     && *fault != Fault::EchoDestination
                     && *fault != Fault::NoHeartbeat
             });
-            // Who never speaks unasked and is not asked again may have become another.
+            // A device that sends nothing unsolicited and gets no more requests may have been
+            // replaced.
             let unheard = (quiet || truth.uid.is_blank()) && config.round_period.is_zero();
-            // Equal names and no UID: boards that change places are the same to everybody.
+            // Boards with equal names and without UIDs can swap addresses undetected.
             let alike = truth.name == b"TWIN" && truth.uid.is_blank()
                 || clashes.iter().any(|(clash, _)| self.is_same_to_all(*clash, address));
             let asks = matches!(self.it.engine.own_address(), OwnAddress::Held(_));
@@ -537,7 +540,7 @@ impl Case<'_> {
                 .map(|device| format!("{:?} {}", device.name, device.presence))
                 .collect();
             if here.len() > usize::from(occupied[address.index()]) {
-                // Who has no heartbeat is lost after three rounds, if there are rounds.
+                // A device without heartbeats is lost after three rounds, if there are rounds.
                 let mut rows = self.it.engine.devices().iter();
                 if rows.all(|it| it.address != address || it.heartbeat.count > 1) {
                     wrong.push(format!("{address}: {here:?} are here"));
@@ -547,8 +550,8 @@ impl Case<'_> {
         self.complain(wrong);
     }
 
-    /// Whether the device at `to` cannot be told from one that was at `from`: of one name, and
-    /// without UIDs that differ.
+    /// Returns true if the device at `to` cannot be distinguished from one that was at `from`: same
+    /// name, and no different UIDs.
     fn may_have_moved(&self, from: Address, to: Address) -> bool {
         let at = |address| {
             self.run.world.scenario.devices.iter().filter(move |it| is_fixed(it, address))
@@ -561,20 +564,21 @@ impl Case<'_> {
         })
     }
 
-    // --- nothing is made up --------------------------------------------------------------
+    // --- no invented devices -------------------------------------------------------------
 
     fn quiet(&mut self) {
         let world = &self.run.world;
         let mut wrong = Vec::new();
-        // Several who begin at once contend for an address; answers to those that left it wait for
-        // a flow control that nobody sends, and come together later.
+        // Devices that start at once compete for an address. Responses to those that left it wait
+        // for a flow control frame that is never sent, and are received together later.
         let contended = world.inspectors.len() > 2;
         for (at, event) in self.it.events.iter().filter(|_| self.is_clear()) {
             let Some(address) = event.address else { continue };
             let owners = world.scenario.devices.iter().filter(|spec| is_fixed(spec, address));
             let untouched = owners.clone().count() > 0
                 && owners.clone().all(|it| !world.touched.contains(&it.label) && is_regular(it));
-            // Who lost a contest takes any address that is free, be it that of one who is not on yet.
+            // A device that gave way takes any free address, even that of a device not yet switched
+            // on.
             let mut guests = self.run.truth.seen_at(address);
             let is_visited = guests.any(|it| world.touched.contains(&self.spec(it).label));
             let inspector = event.device.and_then(|it| self.it.engine.device(it));
@@ -603,14 +607,14 @@ fn is_fixed(spec: &DeviceSpec, address: Address) -> bool {
     matches!(spec.address, AddressChoice::Fixed(at) | AddressChoice::Preferred(at) if at == address)
 }
 
-/// Whether its heartbeats come, and come regularly.
+/// Returns true if its heartbeats are received regularly.
 fn is_regular(spec: &DeviceSpec) -> bool {
-    // Nor does it leave open whom of several it answers.
+    // Its responses also identify the requester.
     let told = !spec.faults.has(Fault::NoHeartbeat) && !spec.faults.has(Fault::EchoDestination);
     told && spec.jitter < Duration::from_millis(80)
 }
 
-/// Several inspectors live together, each at an address of its own.
+/// Checks that several inspectors share the bus, each at its own address.
 fn addresses_of_inspectors(run: &Run, wrong: &mut Vec<String>) {
     let mut held = Vec::new();
     for (number, it) in run.inspectors.iter().enumerate() {
@@ -618,7 +622,7 @@ fn addresses_of_inspectors(run: &Run, wrong: &mut Vec<String>) {
             continue;
         }
         let OwnAddress::Held(address) = it.engine.own_address() else {
-            // Its own controller cut it off, and it begins anew each time; or there is none left.
+            // Its controller goes bus-off again after each restart, or no address is free.
             if !it.cut_off.is_empty() || run.devices.len() > 120 {
                 continue;
             }
@@ -636,7 +640,8 @@ fn addresses_of_inspectors(run: &Run, wrong: &mut Vec<String>) {
     }
 }
 
-/// Whether nobody learns the name of that device: it takes several frames, which it gets wrong.
+/// Returns true if the name of that device cannot be read: it takes several frames, which the
+/// device sends wrongly.
 fn is_unreadable(spec: &DeviceSpec) -> bool {
     let broken = [Fault::DropFrame, Fault::WrongSequence, Fault::HugeLength];
     spec.name.len() > 6 && broken.iter().any(|fault| spec.faults.has(*fault))

@@ -1,23 +1,23 @@
-//! How it really was: who held which address together with whom, and who shared a UID, looked up
-//! in the simulator while it runs.
+//! Ground truth of a run: which devices shared an address or a UID, and when, sampled from the
+//! simulator.
 
 use descan::sim::{AddressChoice, DeviceSpec, Fault, Sim, SimDeviceId};
 use descan::time::{Duration, Instant};
 use descan::wire::id::Address;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// What pauses for less may go on.
+/// Pauses shorter than this do not end a conflict.
 const PAUSE: Duration = Duration::from_secs(3);
 
-/// For how long something went on without a pause.
+/// The time span of a conflict without a pause.
 #[derive(Clone, Copy, Debug)]
 pub struct Span {
     pub from: Instant,
-    /// The last moment it was seen.
+    /// The last sample in which it was present.
     pub until: Instant,
 }
 
-/// Two devices, by their places in the scenario, that are one too many.
+/// Two devices in conflict, by their index in the scenario.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Clash {
     Address(Address, usize, usize),
@@ -28,15 +28,15 @@ pub enum Clash {
 pub struct Truth {
     spans: BTreeMap<Clash, Vec<Span>>,
     sampled: Option<Instant>,
-    /// Until when both of a pair were switched on, where neither ever gives way: they come back to
-    /// their address however often they silence each other.
+    /// The end of the time in which both devices of a pair were on and neither gives way: they
+    /// return to their address however often they silence each other.
     both_on: BTreeMap<Clash, Span>,
-    /// Who was ever seen at each address.
+    /// The devices ever seen at each address.
     seen_at: BTreeMap<Address, BTreeSet<usize>>,
 }
 
 impl Truth {
-    /// Looks at everybody.
+    /// Samples all devices.
     pub fn sample(
         &mut self,
         now: Instant,
@@ -104,17 +104,17 @@ impl Truth {
         }
     }
 
-    /// Who ever held that address, by their places in the scenario.
+    /// Returns the devices that ever held that address, by their index in the scenario.
     pub fn seen_at(&self, address: Address) -> impl Iterator<Item = usize> + '_ {
         self.seen_at.get(&address).into_iter().flatten().copied()
     }
 
-    /// When both of a pair that never gives way were on.
+    /// Returns when both devices of a pair that never gives way were on.
     pub fn both_on(&self) -> impl Iterator<Item = (Clash, Span)> + '_ {
         self.both_on.iter().map(|(clash, span)| (*clash, *span))
     }
 
-    /// The same, where what paused for less than three periods went on.
+    /// Returns the conflicts, with pauses shorter than three periods bridged.
     pub fn contended(&self) -> Vec<(Clash, Span)> {
         let mut joined: Vec<(Clash, Span)> = Vec::new();
         for (clash, span) in self.clashes() {
@@ -130,14 +130,14 @@ impl Truth {
         joined
     }
 
-    /// When it was over for good.
+    /// Returns when the conflict ended for good.
     pub fn over(&self, clash: Clash) -> Instant {
         let last = self.spans.get(&clash).and_then(|spans| spans.last()).map(|span| span.until);
         let both_on = self.both_on.get(&clash).map(|span| span.until);
         last.max(both_on).unwrap_or(Instant::ZERO)
     }
 
-    /// Everything that was one too many, and when.
+    /// Returns all conflicts with their time spans.
     pub fn clashes(&self) -> impl Iterator<Item = (Clash, Span)> + '_ {
         self.spans.iter().flat_map(|(clash, spans)| spans.iter().map(|span| (*clash, *span)))
     }

@@ -1,5 +1,5 @@
-//! What lies between the bus and an inspector: a bridge that doubles frames, an echo, a time of
-//! deafness, a clock that is set.
+//! Link faults between the bus and an inspector: a bridge that duplicates frames, loopback, lost
+//! frames, and a clock that jumps.
 
 use descan::frame::Frame;
 use descan::time::{Duration, Instant};
@@ -7,24 +7,24 @@ use std::collections::VecDeque;
 
 #[derive(Clone, Debug, Default)]
 pub struct Lens {
-    /// From, until, and by how much later every frame comes again.
+    /// Start, end, and the delay of each duplicate frame.
     pub doubled: Option<(Duration, Duration, Duration)>,
-    /// What the inspector sends comes back as somebody else's too.
+    /// The inspector's own frames come back as if another node had sent them.
     pub echo: bool,
     pub deaf: Option<Deafness>,
     pub jump: Option<Jump>,
 }
 
-/// Frames that are lost on the way.
+/// Frames lost on the link.
 #[derive(Clone, Copy, Debug)]
 pub struct Deafness {
     pub from: Duration,
     pub until: Duration,
-    /// Whether the inspector is told how many.
+    /// True if the number of lost frames is reported to the inspector.
     pub told: bool,
 }
 
-/// The inspector's clock is set ahead, or it slept: all deadlines pass at once.
+/// The inspector's clock is set ahead, or the machine slept: all deadlines pass at once.
 #[derive(Clone, Copy, Debug)]
 pub struct Jump {
     pub at: Duration,
@@ -32,7 +32,7 @@ pub struct Jump {
 }
 
 impl Lens {
-    /// How far the inspector's clock is ahead at `now`.
+    /// Returns how far the inspector's clock is ahead at `now`.
     pub fn ahead(&self, now: Instant) -> Duration {
         self.jump.filter(|jump| now >= Instant::ZERO + jump.at).map_or(Duration::ZERO, |it| it.by)
     }
@@ -42,7 +42,7 @@ impl Lens {
     }
 }
 
-/// Frames on their way through a lens.
+/// Frames in transit over a faulty link.
 #[derive(Debug, Default)]
 pub struct Seen {
     later: VecDeque<Frame>,
@@ -50,17 +50,17 @@ pub struct Seen {
 }
 
 impl Seen {
-    /// When the next delayed frame arrives.
+    /// Returns the arrival time of the next delayed frame.
     pub fn next(&self) -> Option<Instant> {
         self.later.front().map(|frame| frame.time)
     }
 
-    /// A frame that is due.
+    /// Returns a frame that is due.
     pub fn due(&mut self, now: Instant) -> Option<Frame> {
         self.later.pop_front_if(|frame| frame.time <= now)
     }
 
-    /// Takes a frame from the bus; what arrives of it at once comes back.
+    /// Takes a frame from the bus; returns what arrives at once.
     pub fn look(&mut self, lens: &Lens, frame: Frame) -> [Option<Frame>; 2] {
         let at = frame.time.since(Instant::ZERO);
         if lens.deaf.is_some_and(|deaf| (deaf.from..deaf.until).contains(&at)) && !frame.is_tx {

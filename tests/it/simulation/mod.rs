@@ -1,9 +1,8 @@
-//! Buses at random, with everything that goes wrong on a bus: whoever is innocent is never
-//! accused, every collision that can be seen is found and proven, what is past is cleared, and in
-//! the end what is known is what is there.
+//! Random buses with every kind of fault. Checks that no conflict is confirmed by mistake, every
+//! detectable conflict is confirmed, ended ones are cleared, and the final device list is correct.
 //!
-//! `SEEDS=100000 cargo test --release --test it simulation` tries more of them, `SEED=17` tries one
-//! and tells what happens; a seed that fails becomes a scenario of its own.
+//! `SEEDS=100000 cargo test --release --test it simulation` runs more seeds; `SEED=17` runs one and
+//! prints its events. A seed that fails becomes a separate scenario.
 
 mod checks;
 mod ground_truth;
@@ -22,21 +21,21 @@ use std::fmt::Write;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// How often the truth is looked up.
+/// Sampling interval of the ground truth.
 const SAMPLE: Duration = Duration::from_millis(100);
-/// After how long a controller that is bus-off is restarted.
+/// Delay before a bus-off controller is restarted.
 const RESTART: Duration = Duration::from_millis(300);
 
-/// An inspector at work.
+/// A running inspector.
 struct Inspector {
     engine: Engine,
-    /// What it told, by the bus's time.
+    /// Its events, by the time of the bus.
     events: Vec<(Instant, Event)>,
-    /// Every frame it was given.
+    /// Every frame passed to it.
     frames: Vec<Frame>,
-    /// When it was cut off from the bus by its own controller.
+    /// The times at which its controller went bus-off.
     cut_off: Vec<Instant>,
-    /// Since when it is, where it is not restarted yet.
+    /// The time since which it is bus-off; `None` if it was restarted.
     off_since: Option<Instant>,
     station: SimStation,
     seen: Seen,
@@ -90,7 +89,7 @@ impl Run {
         }
     }
 
-    /// Lets the inspectors begin whose time has come, one after the other.
+    /// Starts the inspectors that are due, one after the other.
     fn attach_due(&mut self, now: Instant) {
         while let Some(come) = self.world.inspectors.get(self.inspectors.len()) {
             if now < instant(come.from) {
@@ -112,7 +111,7 @@ impl Run {
         }
     }
 
-    /// Gives an inspector what there is; when it wants to be called again.
+    /// Passes pending frames and timeouts to an inspector; returns its next deadline.
     fn inspect(&mut self, at: usize, now: Instant, keep_frames: bool) -> Option<Instant> {
         let lens = &self.world.inspectors[at].lens;
         let ahead = lens.ahead(now);
@@ -166,7 +165,7 @@ impl Run {
     }
 }
 
-/// What is wrong with the world of that seed, one line each.
+/// Returns the check failures of that seed, one line each.
 fn complaints(seed: u64, aloud: bool) -> Vec<String> {
     let run = Run::new(World::new(seed), aloud);
     let complaints = checks::judge(&run);

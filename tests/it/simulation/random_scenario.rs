@@ -1,4 +1,4 @@
-//! A bus at random: its devices, what happens to them, what lies between it and the inspectors.
+//! A random bus: its devices, their faults and changes, and the links to the inspectors.
 
 use super::link_faults::{Deafness, Jump, Lens};
 use crate::common::inspection::FAULTS;
@@ -7,27 +7,27 @@ use descan::sim::{AddressChoice, DeviceAction, DeviceFraming, DeviceSpec, Fault,
 use descan::time::Duration;
 use descan::wire::node::{Mode, Uid};
 
-/// Until when something may happen.
+/// The time after which no more changes begin.
 const BUSY: u64 = 22_000;
-/// How long it is watched after that.
+/// The observation time after that.
 const CALM: u64 = 22_000;
 
 pub struct World {
     pub seed: u64,
     pub scenario: Scenario,
     pub inspectors: Vec<Inspector>,
-    /// What happens, in words, for whoever reads a failure.
+    /// The changes as text, for the failure report.
     pub stories: Vec<String>,
-    /// Labels of devices to which something happens that shows in their presence.
+    /// Labels of devices whose presence changes visibly.
     pub touched: Vec<String>,
-    /// When frames broke, for a while.
+    /// The time span of bus errors.
     pub broken: Option<(Duration, Duration)>,
-    /// From when nothing happens any more.
+    /// The time after which nothing changes any more.
     pub calm: Duration,
     pub end: Duration,
 }
 
-/// Somebody who looks at the bus.
+/// An inspector on the bus.
 pub struct Inspector {
     pub from: Duration,
     pub config: Config,
@@ -38,7 +38,7 @@ struct Maker {
     rng: fastrand::Rng,
     scenario: Scenario,
     free: Vec<u8>,
-    /// Devices nothing happens to yet.
+    /// Devices without a planned change so far.
     quiet: Vec<usize>,
     stories: Vec<String>,
     touched: Vec<String>,
@@ -82,26 +82,26 @@ impl World {
         }
     }
 
-    /// How much of the bus the devices use by themselves, as a share of all.
+    /// Returns the bus load that the devices cause by themselves, as a fraction.
     fn load(&self) -> f64 {
         let load: f64 = self.scenario.devices.iter().map(load).sum();
         load / f64::from(self.scenario.bitrate)
     }
 
-    /// Whether devices alone want to send more than the bus can carry: the frames of those that
-    /// have the least right of way never come.
+    /// Returns true if the devices alone offer more frames than the bus can carry: frames of the
+    /// lowest priority are never sent.
     pub fn is_overfull(&self) -> bool {
         self.load() > 0.95
     }
 
-    /// Whether questions to all, and what follows, keep the bus busy for seconds.
+    /// Returns true if broadcasts and their responses keep the bus busy for seconds.
     pub fn is_crowded(&self) -> bool {
         self.scenario.devices.len() * self.inspectors.len() > 100
     }
 
-    /// Whether the inspector sees all of the bus, as it is.
+    /// Returns true if the inspector receives all frames unchanged.
     pub fn is_clear(&self, inspector: usize) -> bool {
-        // A bus that is full delays everything.
+        // A saturated bus delays every frame.
         self.load() < 0.8
             && self.scenario.devices.len() * self.inspectors.len() < 200
             && self.scenario.observer_loss == 0.0
@@ -116,7 +116,7 @@ impl Maker {
         self.rng.u32(..n) == 0
     }
 
-    /// Some moment while things happen.
+    /// Returns a random time while changes happen.
     fn moment(&mut self) -> Duration {
         millis(self.rng.u64(3000..BUSY - 6000))
     }
@@ -150,7 +150,7 @@ impl Maker {
         };
         let uid = if self.one_in(8) { Uid([0; 6]) } else { self.uid() };
         let mut device = DeviceSpec::new(&name).label(&format!("{number}")).uid(uid).fixed(address);
-        // Somebody must acknowledge from the start.
+        // From the start, another node must acknowledge.
         device = if number == 0 || !self.one_in(3) {
             device.settled()
         } else {
@@ -177,7 +177,7 @@ impl Maker {
             device.delay = (millis(20), millis(self.rng.u64(21..150)));
         }
         if self.one_in(8) {
-            // ± 40 % of the period, at the worst.
+            // ± 40 % of the period in the worst case.
             device.jitter = millis(self.rng.u64(1..=800));
         }
         if self.one_in(8) {
@@ -198,7 +198,7 @@ impl Maker {
         Uid(std::array::from_fn(|_| self.rng.u8(1..255)))
     }
 
-    /// Noise and loss for everybody.
+    /// Adds noise and loss for all nodes.
     fn disturb(&mut self) {
         if self.one_in(6) {
             self.scenario.error_rate = self.rng.f64() * 0.03;
@@ -269,7 +269,7 @@ impl Maker {
         lens
     }
 
-    /// By how much later everything comes again.
+    /// Picks the delay of duplicate frames.
     fn delay(&mut self) -> Duration {
         let most = if self.one_in(4) { 300_000 } else { 30_000 };
         Duration::from_micros(self.rng.u64(1..most))
@@ -284,7 +284,7 @@ impl Maker {
         self.scenario = scenario.at(at, label, action);
     }
 
-    /// A device nothing happens to yet; what happens to it shows.
+    /// Picks a device without a planned change, for a change that becomes visible.
     fn take(&mut self) -> Option<DeviceSpec> {
         let device = self.scenario.devices[self.quiet.pop()?].clone();
         self.touched.push(device.label.clone());
@@ -300,9 +300,9 @@ impl Maker {
         }
     }
 
-    // --- two where one should be ---------------------------------------------------------
+    // --- real conflicts ------------------------------------------------------------------
 
-    /// Another device at somebody's address, and neither gives way.
+    /// Adds a device at the address of another one; neither gives way.
     fn collision(&mut self) {
         let Some(at) = self.quiet.pop() else { return };
         let first = &mut self.scenario.devices[at];
@@ -338,7 +338,7 @@ impl Maker {
         self.leaves_perhaps(from, &label, story);
     }
 
-    /// One of the two leaves again, or none.
+    /// Switches off one of the two, or none.
     fn leaves_perhaps(&mut self, from: Duration, label: &str, story: String) {
         if self.rng.bool() {
             let until =
@@ -351,7 +351,7 @@ impl Maker {
         }
     }
 
-    /// A board that was copied, UID and all, and put on the bus beside the first.
+    /// Adds a copy of a board, with the same UID, beside the original.
     fn one_uid(&mut self) {
         let Some(mut other) = self.take() else { return };
         let Some(address) = self.free.pop() else { return };
@@ -367,7 +367,7 @@ impl Maker {
         self.leaves_perhaps(from, &label, story);
     }
 
-    /// Two want one address; they follow 3.2.4.
+    /// Makes two devices claim one address; both follow §3.2.4.
     fn contest(&mut self) {
         let Some(mut other) = self.take() else { return };
         let label = other.label.clone();
@@ -386,7 +386,7 @@ impl Maker {
         self.at(from, &format!("{label}'"), DeviceAction::Join);
     }
 
-    // --- what only looks like it ---------------------------------------------------------
+    // --- no conflict, but similar --------------------------------------------------------
 
     fn innocence(&mut self) {
         let Some(device) = self.take() else { return };
@@ -453,7 +453,7 @@ impl Maker {
         self.at(at, &device.label, DeviceAction::Move(to));
     }
 
-    /// At once, as by a configuration tool: each is there under the other's address.
+    /// Swaps two addresses at once, as a configuration tool does.
     fn swap_addresses(&mut self, device: &DeviceSpec, at: Duration) {
         let Some(other) = self.take() else { return };
         self.tell(format!("{at:?}: {} and {} swap addresses", device.label, other.label));
@@ -478,7 +478,7 @@ impl Maker {
     }
 }
 
-/// About how many bits a device sends in a second.
+/// Returns the approximate number of bits that a device sends per second.
 fn load(device: &DeviceSpec) -> f64 {
     let chatter = device.chatter.iter().map(|it| 150.0 / it.period.as_secs_f64());
     150.0 + chatter.sum::<f64>()
