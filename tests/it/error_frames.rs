@@ -202,7 +202,7 @@ fn assert_nobody_named(what: &str, scenario: &Scenario, seed: u64) -> Inspection
 
 #[test]
 fn disturbed_bus_suspects_no_device() {
-    for seed in 0..u64::from(sweep::cases(6)) {
+    for seed in 0..u64::from(sweep::cases(20)) {
         for rate in [0.01, 0.05, 0.2] {
             let bitrate = if seed % 2 == 0 { 125_000 } else { 1_000_000 };
             let mut scenario = mixed(bitrate);

@@ -68,7 +68,7 @@ fn any_frame() -> impl Strategy<Value = Frame> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: sweep::cases(96), ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: sweep::cases(256), ..ProptestConfig::default() })]
 
     #[test]
     fn arbitrary_frames_do_not_break_the_engine(

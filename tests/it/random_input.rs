@@ -179,7 +179,7 @@ impl Stage {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: sweep::cases(48), failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: sweep::cases(192), failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
     fn random_input_never_panics_nor_controls_terminal(steps in prop::collection::vec(any_step(), 1..120)) {

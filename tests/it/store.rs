@@ -452,7 +452,7 @@ fn content_read_after_a_save_is_kept() {
         let folder = folder();
         let path = folder.path().join("des.json");
         fs::write(&path, "theirs").unwrap();
-        for round in 0..sweep::cases(60) {
+        for round in 0..sweep::cases(200) {
             let known = Ok(Some(b"before".to_vec()));
             let watch = FileWatcher::polling(Store::new(&path), known, Duration::from_hours(1));
             // Some saves are reported before the watch reads, some after.

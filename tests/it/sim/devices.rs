@@ -270,7 +270,7 @@ fn random_trouble_ends_with_unique_addresses() {
         Fault::DropFrame,
         Fault::HugeLength,
     ];
-    for seed in 0..u64::from(sweep::cases(20)) {
+    for seed in 0..u64::from(sweep::cases(60)) {
         let mut rng = fastrand::Rng::with_seed(seed);
         let mut scenario = Scenario::new(500_000);
         for number in 0..12 {
