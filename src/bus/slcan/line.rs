@@ -3,12 +3,9 @@
 //! Pure: bytes in, values out, and back. A line that cannot be read is `None`; nothing panics. Does
 //! not know the order of commands: `protocol` does.
 
+use crate::bus::remote::Splitter;
 use crate::frame::{CanId, Frame, FrameKind, fd_length};
 use crate::status::BusState;
-
-/// Longest line that is read, in bytes: an FD frame with a timestamp has 142, responses to `V` can be
-/// longer.
-const MAX_LINE: usize = 256;
 
 /// Codes of the command `S` and their bit rates in bit/s. Code 7 is 800 kbit/s in Lawicel's adapters
 /// and 750 kbit/s in others.
@@ -255,37 +252,25 @@ pub(super) enum LinePiece<'a> {
     Unreadable,
 }
 
-/// Splits a stream, in pieces of any size, into lines; stores one line of at most [`MAX_LINE`] bytes.
+/// Splits a stream, in pieces of any size, into lines and negative responses.
 #[derive(Debug, Default)]
-pub(super) struct LineSplitter {
-    line: Vec<u8>,
-    too_long: bool,
-}
+pub(super) struct LineSplitter(Splitter);
 
 impl LineSplitter {
     /// Passes every piece that `bytes` complete to `take`.
     pub fn feed(&mut self, bytes: &[u8], mut take: impl FnMut(LinePiece<'_>)) {
-        for &byte in bytes {
-            match byte {
-                b'\r' | b'\x07' => {
-                    let is_nack = byte == b'\x07';
-                    let is_cut = is_nack && !self.line.is_empty();
-                    if std::mem::take(&mut self.too_long) || is_cut {
-                        take(LinePiece::Unreadable);
-                    } else if !is_nack {
-                        take(LinePiece::Line(&self.line));
-                    }
-                    if is_nack {
-                        take(LinePiece::Nack);
-                    }
-                    self.line.clear();
+        self.0.feed(bytes, b"\r\x07", |line, end| {
+            // Some adapters end lines with \r\n.
+            match (line.map(|line| line.strip_prefix(b"\n").unwrap_or(line)), end) {
+                (Some(line), b'\r') => take(LinePiece::Line(line)),
+                (None, b'\r') => take(LinePiece::Unreadable),
+                (Some([]), _) => take(LinePiece::Nack),
+                _ => {
+                    take(LinePiece::Unreadable);
+                    take(LinePiece::Nack);
                 }
-                // Some adapters end lines with \r\n.
-                b'\n' => {}
-                _ if self.line.len() == MAX_LINE => self.too_long = true,
-                _ => self.line.push(byte),
             }
-        }
+        });
     }
 }
 
@@ -418,14 +403,6 @@ mod tests {
         assert_eq!(one_by_one, at_once);
     }
 
-    #[test]
-    fn a_line_that_does_not_end_is_dropped_at_its_end() {
-        let mut splitter = LineSplitter::default();
-        assert_eq!(pieces(&mut splitter, &vec![b'x'; 100_000]), [""; 0]);
-        assert!(splitter.line.capacity() <= 2 * MAX_LINE);
-        assert_eq!(pieces(&mut splitter, b"\rz\r"), ["Unreadable", "Line([122])"]);
-    }
-
     fn any_frame() -> impl Strategy<Value = Frame> {
         let id = prop_oneof![
             (0..0x800_u16).prop_map(CanId::Standard),
@@ -466,7 +443,6 @@ mod tests {
                     assert!(frame.len() <= Frame::MAX_DATA);
                 }
             });
-            prop_assert!(splitter.line.len() <= MAX_LINE);
         }
 
         #[test]

@@ -2,11 +2,9 @@
 //!
 //! Pure: bytes in, values out, and back. A message that cannot be read is `None`; nothing panics.
 
+use crate::bus::remote::Splitter;
 use crate::frame::{CanId, Frame, FrameKind};
 use crate::text::printable;
-
-/// Longest message in bytes; longer ones are skipped. A frame has at most 70, an error more.
-const MAX_MESSAGE: usize = 256;
 
 /// A message from a server.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -123,58 +121,33 @@ pub(super) enum MessagePiece<'a> {
     Unreadable,
 }
 
-/// Splits a stream, in pieces of any size, into messages; stores at most [`MAX_MESSAGE`] bytes.
+/// Splits a stream, in pieces of any size, into messages.
 #[derive(Debug, Default)]
 pub(super) struct MessageSplitter {
-    message: Vec<u8>,
-    place: SplitState,
-}
-
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-enum SplitState {
-    /// Between messages.
-    #[default]
-    Outside,
-    /// Between messages, after unexpected bytes.
-    Garbage,
-    /// In a message.
-    Inside,
-    /// In a message that is too long.
-    TooLong,
+    splitter: Splitter,
+    /// True between `<` and `>`.
+    is_inside: bool,
+    /// True if the bytes outside the brackets have been reported.
+    is_reported: bool,
 }
 
 impl MessageSplitter {
-    /// Passes every piece that `bytes` complete to `take`.
+    /// Passes every piece that `bytes` complete to `take`; bytes outside the brackets once, when they
+    /// begin.
     pub fn feed(&mut self, bytes: &[u8], mut take: impl FnMut(MessagePiece<'_>)) {
-        for &byte in bytes {
-            self.place = match (self.place, byte) {
-                (place, b'<') => {
-                    // The previous message has no end.
-                    if matches!(place, SplitState::Inside | SplitState::TooLong) {
-                        take(MessagePiece::Unreadable);
-                    }
-                    self.message.clear();
-                    SplitState::Inside
-                }
-                (SplitState::Inside, b'>') => {
-                    take(MessagePiece::Message(&self.message));
-                    SplitState::Outside
-                }
-                (SplitState::TooLong, b'>') => {
-                    take(MessagePiece::Unreadable);
-                    SplitState::Outside
-                }
-                (SplitState::Inside, _) if self.message.len() == MAX_MESSAGE => SplitState::TooLong,
-                (SplitState::Inside, _) => {
-                    self.message.push(byte);
-                    SplitState::Inside
-                }
-                (SplitState::Outside, _) if !byte.is_ascii_whitespace() => {
-                    take(MessagePiece::Unreadable);
-                    SplitState::Garbage
-                }
-                (place, _) => place,
-            };
+        self.splitter.feed(bytes, b"<>", |text, end| {
+            let was_inside = std::mem::replace(&mut self.is_inside, end == b'<');
+            let was_reported = std::mem::take(&mut self.is_reported);
+            match text {
+                Some(text) if was_inside && end == b'>' => take(MessagePiece::Message(text)),
+                Some(text) if !was_inside && end == b'<' && text.trim_ascii().is_empty() => {}
+                _ if was_reported => {}
+                _ => take(MessagePiece::Unreadable),
+            }
+        });
+        let has_text = !self.splitter.partial().trim_ascii().is_empty();
+        if has_text && !self.is_inside && !std::mem::replace(&mut self.is_reported, true) {
+            take(MessagePiece::Unreadable);
         }
     }
 }
@@ -269,12 +242,12 @@ mod tests {
     }
 
     #[test]
-    fn a_message_that_does_not_end_is_dropped() {
+    fn bytes_without_brackets_are_reported_once_and_at_once() {
         let mut splitter = MessageSplitter::default();
-        assert_eq!(pieces(&mut splitter, b"<"), [""; 0]);
+        assert_eq!(pieces(&mut splitter, b"\r\n"), [""; 0]);
+        assert_eq!(pieces(&mut splitter, b"SSH-2.0"), ["Unreadable"]);
         assert_eq!(pieces(&mut splitter, &vec![b'x'; 100_000]), [""; 0]);
-        assert!(splitter.message.capacity() <= 2 * MAX_MESSAGE);
-        assert_eq!(pieces(&mut splitter, b"><ok>"), ["Unreadable", "Message([111, 107])"]);
+        assert_eq!(pieces(&mut splitter, b"<ok>"), ["Message([111, 107])"]);
     }
 
     proptest! {
@@ -286,7 +259,6 @@ mod tests {
                     let _ = parse(content);
                 }
             });
-            prop_assert!(splitter.message.len() <= MAX_MESSAGE);
         }
 
         #[test]
