@@ -456,7 +456,7 @@ fn content_read_after_a_save_is_kept() {
             let known = Ok(Some(b"before".to_vec()));
             let watch = FileWatcher::polling(Store::new(&path), known, Duration::from_hours(1));
             // Some saves are reported before the watch reads, some after.
-            (0..round).for_each(|_| std::thread::yield_now());
+            (0..round * 500).for_each(|_| std::hint::spin_loop());
             watch.saved(b"ours".to_vec());
             assert_eq!(next_content(&watch).await.as_deref(), Some("theirs"));
         }
