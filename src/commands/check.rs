@@ -34,8 +34,7 @@ pub fn run(check: &CheckArgs) -> Result<u8, Failure> {
         return Ok(EXIT_INTERRUPTED);
     }
     if let Some(log) = log.filter(|_| app.buses().is_empty()) {
-        let text = format!("{log}: no frames in it: is it the right log?");
-        return Err(Failure::Unusable(text));
+        return Err(Failure::Unusable(format!("{log}: no frames in it; check the file name")));
     }
     if ending == Some(StopReason::TimeUp) && !is_settled(&app) {
         let why = "timed out before all responses arrived; use a longer --time";
