@@ -526,7 +526,7 @@ fn bus_off_and_recovery_are_reported() {
     let message = status.fault.unwrap().to_string();
     assert!(
         message.contains(
-            "leaves0 is bus-off: check wiring, then sudo ip link set leaves0 type can restart"
+            "leaves0 is bus-off; check wiring, then sudo ip link set leaves0 type can restart"
         ),
         "{message}"
     );
@@ -540,7 +540,7 @@ fn bus_off_and_recovery_are_reported() {
         .unwrap();
     let said = String::from_utf8_lossy(&scan.stderr);
     assert_eq!(scan.status.code(), Some(3), "{said}");
-    assert!(said.contains("leaves0 is bus-off: check wiring"), "{said}");
+    assert!(said.contains("leaves0 is bus-off; check wiring"), "{said}");
 
     run("ip", &["link", "set", "leaves0", "down"]);
     run("ip", &["link", "set", "leaves0", "up"]);
