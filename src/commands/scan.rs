@@ -27,18 +27,18 @@ pub fn run(scan: &ScanArgs) -> Result<u8, Failure> {
     if let Some(path) = &scan.write {
         Store::new(path).check_new().map_err(|fault| fault.of(path.display()))?;
     }
-    let buses = open::buses(&scan.session)?;
-    let setup = Setup::new(&scan.session.common)?;
-    let RunOutcome { app, now, ending } = match open::log(&buses, "scan", scan.from)? {
-        Some(log) => read_log(log, (scan.from, scan.time), &setup, |_| Ok(()))?,
-        None => look(&buses, &setup, scan.time.unwrap_or(DEFAULT_TIME), |_, _| Ok(true))?,
+    let buses = open::buses(&scan.run.session)?;
+    let setup = Setup::new(&scan.run.session.common)?;
+    let RunOutcome { app, now, ending } = match open::log(&buses, "scan", scan.run.from)? {
+        Some(log) => read_log(log, (scan.run.from, scan.run.time), &setup, |_| Ok(()))?,
+        None => look(&buses, &setup, scan.run.time.unwrap_or(DEFAULT_TIME), |_, _| Ok(true))?,
     };
     if ending == Some(StopReason::Interrupted) {
         return Ok(EXIT_INTERRUPTED);
     }
     warn_all_tx_blocked(&app, now);
     let report = ScanReport::new(&app, now, Scope::Screen);
-    let text = if scan.json { report.json() } else { report.tables() };
+    let text = if scan.run.json { report.json() } else { report.tables() };
     print(text.as_bytes())?;
     if let Some(path) = &scan.write {
         write_document(&app, path)?;
