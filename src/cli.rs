@@ -126,21 +126,12 @@ Examples:
                                  devices 84 s after the log's first frame, from the frames of
                                  the 24 s before")]
 pub struct ScanArgs {
-    /// The buses and how to treat them.
+    /// What it shares with the other commands without a screen.
     #[command(flatten)]
-    pub session: SessionArgs,
-    /// Print one JSON object instead of tables
-    #[arg(long)]
-    pub json: bool,
+    pub run: RunArgs,
     /// Write the devices found to a new FILE; never overwrites
     #[arg(long, value_name = "FILE")]
     pub write: Option<PathBuf>,
-    /// Stop after SECONDS at the latest (log time for a log) [default: 15; for a log: its end]
-    #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
-    pub time: Option<Duration>,
-    /// Start reading a log SECONDS after its first frame
-    #[arg(long, value_name = "SECONDS", value_parser = moment, allow_negative_numbers = true)]
-    pub from: Option<Duration>,
 }
 
 /// `descan check`.
@@ -157,21 +148,12 @@ Examples:
   descan check can0 --file line7.json --wait-for-all --time 60
   descan check file:session.log --json | jq -r '.findings[].text'")]
 pub struct CheckArgs {
-    /// The buses and how to treat them.
+    /// What it shares with the other commands without a screen.
     #[command(flatten)]
-    pub session: SessionArgs,
-    /// Print one JSON object instead of lines
-    #[arg(long)]
-    pub json: bool,
+    pub run: RunArgs,
     /// Wait until every entry has its device, at most --time
     #[arg(long)]
     pub wait_for_all: bool,
-    /// Stop after SECONDS at the latest (log time for a log) [default: 15; for a log: its end]
-    #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
-    pub time: Option<Duration>,
-    /// Start reading a log SECONDS after its first frame
-    #[arg(long, value_name = "SECONDS", value_parser = moment, allow_negative_numbers = true)]
-    pub from: Option<Duration>,
 }
 
 /// `descan watch`.
@@ -198,16 +180,24 @@ Examples:
   descan watch file:session.log
   ssh board candump -L can0 | descan watch -")]
 pub struct WatchArgs {
-    /// The buses and how to treat them.
+    /// What it shares with the other commands without a screen.
     #[command(flatten)]
-    pub session: SessionArgs,
-    /// Print one JSON object per line
-    #[arg(long)]
-    pub json: bool,
+    pub run: RunArgs,
     /// Print only matching events: at:12,14 | name:FEED | is:confirmed | word | !word ...
     #[arg(long, value_name = "EXPR")]
     pub filter: Option<String>,
-    /// Stop after SECONDS (log time for a log file)
+}
+
+/// What the commands without a screen share.
+#[derive(Debug, Args)]
+pub struct RunArgs {
+    /// The buses and how to treat them.
+    #[command(flatten)]
+    pub session: SessionArgs,
+    /// Print JSON instead of text (watch: one object per line)
+    #[arg(long)]
+    pub json: bool,
+    /// Stop after SECONDS (log time for a log file) [default: scan, check: 15; log: its end]
     #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub time: Option<Duration>,
     /// Start reading a log SECONDS after its first frame

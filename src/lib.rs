@@ -16,6 +16,7 @@
 //!   the wire.
 //! * [`wire`]: meaning of the bytes: identifiers, DES messages, ISO-TP, heartbeats, the profile.
 //! * [`error_report`]: error frames of a controller. [`text`]: display of untrusted bytes.
+//!   [`diagnostic`]: cause and remedy of an error.
 //! * [`finding`]: what is wrong, with its evidence; one table of all kinds.
 //! * [`discovery`]: the engine of one bus: frames and time in; devices, findings and requests out.
 //! * [`document`]: des.json: parse, edit in place, merge.
@@ -45,6 +46,8 @@ pub mod wire;
 
 #[cfg(feature = "std")]
 pub mod bitrate;
+#[cfg(feature = "std")]
+pub mod diagnostic;
 #[cfg(feature = "std")]
 pub mod discovery;
 #[cfg(feature = "std")]

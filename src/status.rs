@@ -1,6 +1,7 @@
 //! Status of a bus: link, controller state, bit rates, and a counter for each way a frame can get
 //! lost; status of playback and recording. Plain values; does not know their source.
 
+use crate::diagnostic::Diagnostic;
 use std::fmt;
 
 /// Whether frames can be received and sent.
@@ -143,8 +144,8 @@ pub struct BusStatus {
     pub unanswered: bool,
     /// How much of a log is read, in percent; `None` if its size is not known.
     pub percent: Option<u8>,
-    /// Fault and remedy, on one line; `None` without a fault.
-    pub message: Option<String>,
+    /// Why the bus is not as it should be, or how a log ended; `None` without a fault.
+    pub fault: Option<Diagnostic>,
     /// Information on one line that is not a fault: an adapter's name, a log that was replaced.
     pub note: Option<String>,
 }

@@ -60,6 +60,7 @@ pub use view::{
 };
 
 use crate::bitrate::{SearchOutcome, SearchProgress};
+use crate::diagnostic::Diagnostic;
 use crate::discovery::{Config, Device, DeviceId, Finding};
 use crate::document::{Document, Entry, NewEntry};
 use crate::frame::{BusIndex, Frame};
@@ -360,10 +361,10 @@ impl App {
         }
     }
 
-    /// Takes that the folder of a new des.json does not exist; `folder` as it is shown.
-    pub fn handle_missing_folder(&mut self, now: Instant, folder: &str) {
+    /// Takes that the folder of a new des.json does not exist.
+    pub fn handle_missing_folder(&mut self, now: Instant, fault: &Diagnostic) {
         let now = self.clock.set(now);
-        let text = format!("no such folder yet: mkdir -p {folder}");
+        let text = fault.to_string();
         self.add_line(TimelineKind::Error, &text);
         let name = self.editor.file.name();
         self.notices.file_error(now, format!("{name}: {text}"));
@@ -400,7 +401,7 @@ impl App {
     }
 
     /// Takes the result of an [`Effect::WriteFile`]; `Err` with the cause.
-    pub fn handle_written(&mut self, now: Instant, path: &Path, result: Result<(), String>) {
+    pub fn handle_written(&mut self, now: Instant, path: &Path, result: Result<(), Diagnostic>) {
         self.clock.set(now);
         let is_copy = self.editor.handle_written(path, result.is_ok());
         let path = crate::text::printable(path.as_os_str().as_encoded_bytes());

@@ -10,6 +10,7 @@
 //! `socketcan`, `slcan`, `socketcand` and `udp` (what they share is in `remote`), `replay`, `sim`.
 
 mod clock;
+mod faults;
 mod kind;
 mod port;
 mod queue;
@@ -26,7 +27,8 @@ mod udp;
 mod waker;
 
 pub use clock::{Clock, RxTimestamps};
-pub use kind::{BusKind, OpenError, SpecError};
+pub use faults::TuneError;
+pub use kind::BusKind;
 pub use port::{Port, TransmitError};
 pub use queue::Queue;
 pub use replay::file::open_log;
@@ -35,9 +37,10 @@ pub use slcan::SlcanAddress;
 pub use socketcan::{CanInterface, interfaces};
 pub use socketcand::SocketcandAddress;
 pub use spec::{BusSpec, KINDS, forms};
-pub use tuner::{BitRateSetter, TuneError};
+pub use tuner::BitRateSetter;
 pub use udp::UdpAddress;
 
+use crate::diagnostic::Diagnostic;
 use crate::frame::{BusIndex, IdPattern};
 use kind::OpenRequest;
 
@@ -62,6 +65,6 @@ pub fn open(
     index: BusIndex,
     clock: Clock,
     options: Options,
-) -> Result<Port, OpenError> {
+) -> Result<Port, Diagnostic> {
     spec.open(OpenRequest { name: spec.to_string(), index, clock, options })
 }

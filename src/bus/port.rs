@@ -3,6 +3,7 @@
 
 use super::queue::Queue;
 use super::waker::Waker;
+use crate::diagnostic::Diagnostic;
 use crate::frame::Frame;
 use crate::status::Link;
 use nix::poll::PollFlags;
@@ -180,8 +181,8 @@ struct PanicReporter {
 impl Drop for PanicReporter {
     fn drop(&mut self) {
         if thread::panicking() {
-            let message = format!("reader of {} stopped: this is a bug in descan", self.name);
-            self.shared.queue.finish(Link::Failed, message);
+            let cause = format!("reader of {} stopped: this is a bug in descan", self.name);
+            self.shared.queue.finish(Link::Failed, Diagnostic::new(cause));
         }
     }
 }

@@ -3,6 +3,7 @@
 //! The thread never waits for the session: frames that do not fit are dropped and counted. Does not
 //! know where frames come from.
 
+use crate::diagnostic::Diagnostic;
 use crate::frame::Frame;
 use crate::status::{BusStatus, Link};
 use std::collections::VecDeque;
@@ -54,7 +55,7 @@ impl Queue {
     pub fn take_status(&self) -> Option<BusStatus> {
         let mut contents = self.contents();
         if contents.status.link.is_final() && !contents.frames.is_empty() {
-            let status = BusStatus { link: Link::Up, message: None, ..contents.status.clone() };
+            let status = BusStatus { link: Link::Up, fault: None, ..contents.status.clone() };
             return contents.status_is_new.then_some(status);
         }
         std::mem::take(&mut contents.status_is_new).then(|| contents.status.clone())
@@ -120,12 +121,12 @@ impl Queue {
         self.contents().names.push(name.to_owned());
     }
 
-    /// Sets a final link state and its message, unless the link is final already.
-    pub fn finish(&self, link: Link, message: String) {
+    /// Sets a final link state and its cause, unless the link is final already.
+    pub fn finish(&self, link: Link, fault: Diagnostic) {
         self.update_status(|status| {
             if !status.link.is_final() {
                 status.link = link;
-                status.message = Some(message);
+                status.fault = Some(fault);
             }
         });
     }
@@ -199,19 +200,15 @@ mod tests {
     fn final_link_is_reported_after_the_last_frame() {
         let queue = Queue::new(3);
         queue.push(&frames(0..1));
-        queue.finish(Link::Ended, "end of log".into());
-        queue.finish(Link::Failed, "a later word does not count".into());
+        queue.finish(Link::Ended, Diagnostic::new("end of log"));
+        queue.finish(Link::Failed, Diagnostic::new("a later one does not count"));
         assert!(!queue.is_finished());
         let status = queue.take_status().expect("news");
-        assert_eq!(
-            (status.link, status.message),
-            (Link::Up, None),
-            "while there are frames to take"
-        );
+        assert_eq!((status.link, status.fault), (Link::Up, None), "while there are frames to take");
         queue.drain(&mut Vec::new(), 9);
         assert!(queue.is_finished());
         let status = queue.take_status().expect("the last word");
-        assert_eq!((status.link, status.message.as_deref()), (Link::Ended, Some("end of log")));
+        assert_eq!((status.link, status.fault), (Link::Ended, Some(Diagnostic::new("end of log"))));
     }
 
     #[test]

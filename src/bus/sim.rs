@@ -2,8 +2,10 @@
 //! know what is simulated: [`crate::sim`] does.
 
 use super::clock::Clock;
-use super::kind::{BusKind, OpenError, OpenRequest, SpecError};
+use super::faults::cannot_open;
+use super::kind::{BusKind, OpenRequest};
 use super::port::{Port, PortShared};
+use crate::diagnostic::Diagnostic;
 use crate::frame::{BusIndex, Frame};
 use crate::sim::{self, Scenario, Sim, SimStation};
 use crate::status::{BusState, Link, RateSearch};
@@ -25,8 +27,8 @@ pub(super) const KIND: BusKind = BusKind {
     can_send: false,
 };
 
-pub(super) fn parse(text: &str) -> Result<String, SpecError> {
-    if text.is_empty() { Err(SpecError::incomplete(&KIND)) } else { Ok(text.to_owned()) }
+pub(super) fn parse(text: &str) -> Result<String, Diagnostic> {
+    if text.is_empty() { Err(KIND.incomplete()) } else { Ok(text.to_owned()) }
 }
 
 pub(super) fn text(scenario: &str) -> String {
@@ -34,10 +36,10 @@ pub(super) fn text(scenario: &str) -> String {
 }
 
 /// Opens a bus on which the scenario of that name runs; its time zero is the present.
-pub(super) fn open(name: &str, request: OpenRequest) -> Result<Port, OpenError> {
+pub(super) fn open(name: &str, request: OpenRequest) -> Result<Port, Diagnostic> {
     let scenario = scenario(name)?;
     let bus = request.name.clone();
-    start(&scenario, request).map_err(|cause| OpenError::Resources { name: bus, cause })
+    start(&scenario, request).map_err(|error| cannot_open(bus, &error))
 }
 
 /// The scenario of that name: a built-in one, or a TOML file.
@@ -45,16 +47,15 @@ pub(super) fn open(name: &str, request: OpenRequest) -> Result<Port, OpenError> 
 /// # Errors
 ///
 /// The file cannot be read, or is not a scenario.
-pub fn scenario(name: &str) -> Result<Scenario, OpenError> {
+pub fn scenario(name: &str) -> Result<Scenario, Diagnostic> {
     if Scenario::builtin_text(name).is_some() {
-        return Scenario::builtin(name).map_err(|error| OpenError::Scenario(error.to_string()));
+        return Scenario::builtin(name).map_err(|error| Diagnostic::new(error.to_string()));
     }
-    let text = std::fs::read_to_string(name).map_err(|cause| {
-        OpenError::Scenario(format!("{name}: {cause}; use boiler, drone or a TOML file"))
+    let text = std::fs::read_to_string(name).map_err(|error| {
+        Diagnostic::unreadable(name, &error).with_remedy("use boiler, drone or a TOML file")
     })?;
-    Scenario::parse(&text).map_err(|error| {
-        OpenError::Scenario(format!("{name}: {}", on_one_line(&error.to_string())))
-    })
+    Scenario::parse(&text)
+        .map_err(|error| Diagnostic::new(format!("{name}: {}", on_one_line(&error.to_string()))))
 }
 
 fn start(scenario: &Scenario, request: OpenRequest) -> io::Result<Port> {

@@ -3,13 +3,14 @@
 //! Opens nothing: whether an interface or a file exists shows when it is opened. The row of a kind
 //! is in its module; this file has the list of kinds.
 
-use super::kind::{BusKind, OpenError, OpenRequest, SpecError};
+use super::kind::{BusKind, OpenRequest};
 use super::port::Port;
 use super::replay::{file, stdin};
 use super::slcan::{self, SlcanAddress};
 use super::socketcand::{self, SocketcandAddress};
 use super::udp::{self, UdpAddress};
 use super::{sim, socketcan};
+use crate::diagnostic::Diagnostic;
 use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -38,7 +39,7 @@ macro_rules! bus_kinds {
             }
 
             /// `None` if no kind has this scheme.
-            fn parse(scheme: &str, text: &str) -> Option<Result<Self, SpecError>> {
+            fn parse(scheme: &str, text: &str) -> Option<Result<Self, Diagnostic>> {
                 $(if scheme == $module::KIND.scheme {
                     return Some($module::parse(text).map(BusSpec::$variant));
                 })*
@@ -54,7 +55,7 @@ macro_rules! bus_kinds {
             }
 
             /// Opens the bus.
-            pub(super) fn open(&self, request: OpenRequest) -> Result<Port, OpenError> {
+            pub(super) fn open(&self, request: OpenRequest) -> Result<Port, Diagnostic> {
                 match self {
                     $(BusSpec::$variant(address) => $module::open(address, request),)*
                     BusSpec::Stdin => stdin::open(request),
@@ -80,9 +81,9 @@ bus_kinds! {
 }
 
 impl FromStr for BusSpec {
-    type Err = SpecError;
+    type Err = Diagnostic;
 
-    fn from_str(text: &str) -> Result<Self, SpecError> {
+    fn from_str(text: &str) -> Result<Self, Diagnostic> {
         let (scheme, rest) = match text.split_once(':') {
             Some(parts) => parts,
             None if text == stdin::KIND.scheme => (text, ""),
@@ -94,7 +95,8 @@ impl FromStr for BusSpec {
         if scheme.contains('/') {
             return Err(socketcan::looks_like_path(text));
         }
-        Err(SpecError::with_use(format!("{scheme}: unknown bus type"), &examples()))
+        let fault = Diagnostic::new(format!("{scheme}: unknown bus type"));
+        Err(fault.with_remedy(format!("use {}", examples())))
     }
 }
 

@@ -4,56 +4,11 @@
 //! Does not know which rate is right.
 
 use super::BusSpec;
+use super::faults::TuneError;
 use super::slcan::{SlcanAddress, rate_code};
-use super::socketcan::controller::{CanController, ConfigError};
+use super::socketcan::controller::CanController;
 use crate::bitrate::ListenMode;
-use std::io;
 use std::path::PathBuf;
-
-/// Why a bus cannot be set to a bit rate.
-#[derive(Debug, thiserror::Error)]
-pub enum TuneError {
-    /// The kind of bus has no bit rate of its own, or another machine sets it.
-    #[error("{0}: bit rate cannot be set; use a controller's interface, such as can0")]
-    NoRate(String),
-    /// Setting an interface needs root.
-    #[error(
-        "setting {name} needs root: sudo descan speed {name}; or try a rate by hand: sudo ip link \
-         set {name} down && sudo ip link set {name} up type can bitrate {bitrate} listen-only on, then \
-         descan watch {name} --listen-only"
-    )]
-    NotPermitted {
-        /// The interface.
-        name: String,
-        /// The rate to be set, in bit/s.
-        bitrate: u32,
-    },
-    /// The controller has no listen-only mode.
-    #[error(
-        "{0} has no listen-only mode; \
-         descan speed {0} --active tries actively and destroys frames at wrong rates"
-    )]
-    NoListening(String),
-    /// The controller does not support this rate.
-    #[error("{name} does not support {bitrate} bit/s")]
-    NotThisRate {
-        /// The interface.
-        name: String,
-        /// In bit/s.
-        bitrate: u32,
-    },
-    /// The interface does not exist, or is not a CAN interface.
-    #[error("{0}")]
-    NotThere(String),
-    /// The system failed to set it.
-    #[error("cannot configure {name}: {cause}")]
-    Failed {
-        /// The interface.
-        name: String,
-        /// The error of the system.
-        cause: io::Error,
-    },
-}
 
 /// A bus whose bit rate can be set. Dropping it restores the previous setting.
 #[derive(Debug)]
@@ -73,14 +28,13 @@ impl BitRateSetter {
     /// The bus does not exist, or its bit rate cannot be set.
     pub fn of(bus: &BusSpec) -> Result<Self, TuneError> {
         match bus {
-            BusSpec::SocketCan(name) => match CanController::of(name) {
-                Ok(controller) => Ok(Self(SetterTarget::Interface(controller))),
-                Err(refusal) => Err(explain(refusal, name, 0)),
-            },
+            BusSpec::SocketCan(name) => {
+                CanController::of(name).map(|controller| Self(SetterTarget::Interface(controller)))
+            }
             BusSpec::Slcan(SlcanAddress { device, bitrate, .. }) => {
                 Ok(Self(SetterTarget::Adapter { device: device.clone(), bitrate: *bitrate }))
             }
-            other => Err(TuneError::NoRate(other.to_string())),
+            other => Err(TuneError::no_rate(other)),
         }
     }
 
@@ -100,14 +54,12 @@ impl BitRateSetter {
     pub fn set(&mut self, bitrate: u32, manner: ListenMode) -> Result<BusSpec, TuneError> {
         match &mut self.0 {
             SetterTarget::Interface(controller) => {
-                let done = controller.set(bitrate, manner == ListenMode::Listening);
-                let name = controller.name().to_owned();
-                done.map_err(|refusal| explain(refusal, &name, bitrate))?;
-                Ok(BusSpec::SocketCan(name))
+                controller.set(bitrate, manner == ListenMode::Listening)?;
+                Ok(BusSpec::SocketCan(controller.name().to_owned()))
             }
             // The adapter would keep its present rate.
             SetterTarget::Adapter { device, .. } if rate_code(bitrate).is_none() => {
-                Err(TuneError::NotThisRate { name: device.display().to_string(), bitrate })
+                Err(TuneError::not_this_rate(device.display(), bitrate))
             }
             SetterTarget::Adapter { device, .. } => Ok(BusSpec::Slcan(SlcanAddress {
                 device: device.clone(),
@@ -124,8 +76,7 @@ impl BitRateSetter {
     /// As of [`set`](Self::set).
     pub fn keep(mut self, bitrate: u32) -> Result<(), TuneError> {
         if let SetterTarget::Interface(controller) = &mut self.0 {
-            let done = controller.set(bitrate, controller.listened_only());
-            done.map_err(|refusal| explain(refusal, controller.name(), bitrate))?;
+            controller.set(bitrate, controller.listened_only())?;
             controller.keep();
         }
         Ok(())
@@ -138,24 +89,9 @@ impl BitRateSetter {
     /// As of [`set`](Self::set).
     pub fn restore(mut self) -> Result<(), TuneError> {
         match &mut self.0 {
-            SetterTarget::Interface(controller) => {
-                let done = controller.restore();
-                done.map_err(|refusal| explain(refusal, controller.name(), 0))
-            }
+            SetterTarget::Interface(controller) => controller.restore(),
             SetterTarget::Adapter { .. } => Ok(()),
         }
-    }
-}
-
-fn explain(refusal: ConfigError, name: &str, bitrate: u32) -> TuneError {
-    let name = name.to_owned();
-    match refusal {
-        ConfigError::NotThere(why) => TuneError::NotThere(why),
-        ConfigError::NoController => TuneError::NoRate(name),
-        ConfigError::NotPermitted => TuneError::NotPermitted { name, bitrate },
-        ConfigError::NoListening => TuneError::NoListening(name),
-        ConfigError::NotThisRate => TuneError::NotThisRate { name, bitrate },
-        ConfigError::Failed(cause) => TuneError::Failed { name, cause },
     }
 }
 
@@ -169,7 +105,7 @@ mod tests {
         let mut tuner = BitRateSetter::of(&bus).unwrap();
         assert!(matches!(
             tuner.set(300_000, ListenMode::Listening),
-            Err(TuneError::NotThisRate { bitrate: 300_000, .. })
+            Err(TuneError::NotThisRate(_))
         ));
         let there = tuner.set(250_000, ListenMode::Listening).unwrap();
         assert_eq!(there.to_string(), "slcan:/dev/ttyACM0@250000");

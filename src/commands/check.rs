@@ -17,14 +17,14 @@ use std::io::{self, Write};
 
 /// Runs it.
 pub fn run(check: &CheckArgs) -> Result<u8, Failure> {
-    let buses = open::buses(&check.session)?;
-    let setup = Setup::new(&check.session.common)?;
-    let log = open::log(&buses, "check", check.from)?;
+    let buses = open::buses(&check.run.session)?;
+    let setup = Setup::new(&check.run.session.common)?;
+    let log = open::log(&buses, "check", check.run.from)?;
     let RunOutcome { app, now, ending } = if let Some(log) = log {
-        read_log(log, (check.from, check.time), &setup, require_file)?
+        read_log(log, (check.run.from, check.run.time), &setup, require_file)?
     } else {
         let mut file = FileGate::default();
-        look(&buses, &setup, check.time.unwrap_or(DEFAULT_TIME), |app, now| {
+        look(&buses, &setup, check.run.time.unwrap_or(DEFAULT_TIME), |app, now| {
             let usable = file.allows(app, now)?;
             Ok(usable && (!check.wait_for_all || is_complete(app, now)))
         })?
@@ -34,8 +34,7 @@ pub fn run(check: &CheckArgs) -> Result<u8, Failure> {
         return Ok(EXIT_INTERRUPTED);
     }
     if let Some(log) = log.filter(|_| app.buses().is_empty()) {
-        let text = format!("{log}: no frames in it: is it the right log?");
-        return Err(Failure::Unusable(text));
+        return Err(Failure::Unusable(format!("{log}: no frames in it; check the file name")));
     }
     if ending == Some(StopReason::TimeUp) && !is_settled(&app) {
         let why = "timed out before all responses arrived; use a longer --time";
@@ -43,7 +42,7 @@ pub fn run(check: &CheckArgs) -> Result<u8, Failure> {
     }
     warn_all_tx_blocked(&app, now);
     let report = ScanReport::new(&app, now, Scope::Check);
-    let text = if check.json { report.json() } else { differences(&app, now) };
+    let text = if check.run.json { report.json() } else { differences(&app, now) };
     print(text.as_bytes())?;
     Ok(if report.has_findings() { EXIT_FINDINGS } else { EXIT_OK })
 }

@@ -6,6 +6,7 @@ use super::Failure;
 use super::open::{self, Setup};
 use crate::app::{App, AppOptions, Bus, BusSnapshot, TxBlocked};
 use crate::bus::{self, BusSpec, UdpAddress};
+use crate::diagnostic::Diagnostic;
 use crate::frame::BusIndex;
 use crate::log::LogSummary;
 use crate::shell::log_input::{LogBatch, LogInput, LogPace, LogRange};
@@ -134,9 +135,9 @@ async fn open_log(
     options: AppOptions,
     limits: Limits,
 ) -> Result<RunStart, Failure> {
-    let unusable = |error: io::Error| unreadable(spec, &error);
+    let unusable = |error: io::Error| Diagnostic::unreadable(spec, &error);
     let file = match spec {
-        BusSpec::File(path) => bus::open_log(path).map_err(unusable)?,
+        BusSpec::File(path) => bus::open_log(path)?,
         _ => File::from(io::stdin().as_fd().try_clone_to_owned().map_err(unusable)?),
     };
     // All of a file is there; lines of anything else arrive as they are written.
@@ -167,7 +168,7 @@ async fn open_log(
 fn check_end(input: RunInput<'_>, limits: Limits, end: Option<&InputEnd>) -> Result<(), Failure> {
     let RunInput::Log(spec, _) = input else { return Ok(()) };
     match end {
-        Some(InputEnd::Failed(error)) => Err(unreadable(spec, error)),
+        Some(InputEnd::Failed(error)) => Err(Diagnostic::unreadable(spec, error).into()),
         Some(InputEnd::Log(summary)) => {
             let last = summary.last.since(Instant::ZERO);
             let from = limits.from.unwrap_or_default();
@@ -182,10 +183,6 @@ fn check_end(input: RunInput<'_>, limits: Limits, end: Option<&InputEnd>) -> Res
         }
         Some(InputEnd::Range) | None => Ok(()),
     }
-}
-
-fn unreadable(spec: &BusSpec, error: &io::Error) -> Failure {
-    Failure::Unusable(format!("{spec} cannot be read: {error}"))
 }
 
 /// Prints on standard error, once, that recording stopped before the session did.
@@ -230,16 +227,16 @@ pub fn why_not_open(bus: &Bus) -> Option<String> {
 }
 
 fn cause(bus: &Bus) -> String {
-    if let Some(message) = &bus.status.message {
-        return message.clone();
+    if let Some(fault) = &bus.status.fault {
+        return fault.to_string();
     }
     let name = &bus.name;
     match (bus.status.link, bus.status.unreadable) {
         (Link::Opening, 0) => {
-            format!("{name} is not open: no response; is it connected, or is --time too short?")
+            format!("{name} is not open: no response; connect it, or give a longer --time")
         }
         (Link::Opening, _) => {
-            format!("{name} is not open: unreadable data; is it the right bus type?")
+            format!("{name} is not open: unreadable data; check the bus type")
         }
         _ => format!("{name} cannot be opened"),
     }
@@ -252,25 +249,26 @@ pub fn warn_tx_blocked(bus: &BusSnapshot) {
         let _ = writeln!(io::stderr(), "descan: {}: {why}", bus.name);
     };
     if bus.status.link == Link::Up && !bus.is_up {
-        let why = bus.status.message.as_deref().unwrap_or(bus.status.state.name());
+        let fault = bus.status.fault.as_ref().map(Diagnostic::to_string);
+        let why = fault.as_deref().unwrap_or(bus.status.state.name());
         warn(why.strip_prefix(&bus.name).map_or(why, str::trim_start));
     } else if bus.status.unanswered && bus.is_up {
-        warn("the adapter answered no command: is it slcan, is the baud rate right?");
+        warn("no response from the adapter; check adapter and baud rate");
     } else {
         match (bus.tx_blocked, bus.name.parse()) {
             (None, _) => {}
             (Some(TxBlocked::QueueFull), _) => warn(
-                "transmit queue stuck: is another node on, at the \
-                 same bit rate? Does the adapter still work? See: ip -statistics link",
+                "transmit queue stuck; check that another node is on, at the same bit rate, and \
+                 the adapter: ip -statistics link",
             ),
             // No cable is involved.
             (_, Ok(BusSpec::Udp(UdpAddress { group, .. }))) => warn(&format!(
-                "own datagrams are not received back; does a route lead to {group} (ip route get \
-                 {group}), and does its interface have multicast?"
+                "own datagrams are not received back; check the route (ip route get {group}) and \
+                 that its interface has multicast"
             )),
             _ => warn(
-                "no ACK on the bus; is another node on, at the same bit rate, and are \
-                 both ends terminated?",
+                "no ACK on the bus; check that another node is on, at the same bit rate, and that \
+                 both ends are terminated",
             ),
         }
     }

@@ -16,6 +16,7 @@ mod tui;
 mod watch;
 
 use crate::cli::{self, Cli, Command};
+use crate::diagnostic::Diagnostic;
 use std::io::{self, Write};
 use std::process::ExitCode;
 
@@ -45,6 +46,12 @@ pub enum Failure {
     /// The terminal or the system failed.
     #[error("{0:#}")]
     System(#[from] anyhow::Error),
+}
+
+impl From<Diagnostic> for Failure {
+    fn from(fault: Diagnostic) -> Self {
+        Failure::Unusable(fault.to_string())
+    }
 }
 
 /// Runs a command. Prints an error on standard error in one line, followed by the wrong line of an

@@ -4,6 +4,7 @@ use super::Failure;
 use crate::app::{App, AppOptions};
 use crate::bus::{self, BusSpec, Clock, Options, Port};
 use crate::cli::{CommonArgs, SessionArgs as Arguments};
+use crate::diagnostic::Diagnostic;
 use crate::discovery::Config;
 use crate::frame::{BusIndex, IdPattern};
 use crate::keymap::Keymap;
@@ -84,8 +85,7 @@ impl Setup {
     /// # Errors
     /// The file cannot be created.
     pub fn recorder(&self) -> Result<Option<Recorder>, Failure> {
-        let recorder = self.record.as_ref().map(Recorder::create).transpose();
-        recorder.map_err(|error| Failure::Unusable(error.to_string()))
+        Ok(self.record.as_ref().map(Recorder::create).transpose()?)
     }
 }
 
@@ -100,7 +100,7 @@ pub fn warn<T: Default>(warnings: &mut Vec<String>, why: String) -> T {
 pub fn profile(path: Option<&Path>) -> Result<Profile, Failure> {
     let Some(path) = path else { return Ok(Profile::default()) };
     let unusable = |why: String| Failure::Unusable(format!("{}: {why}", path.display()));
-    let text = read_text(path).map_err(|error| unusable(error.to_string()))?;
+    let text = read_text(path)?;
     let text = text.ok_or_else(|| unusable("file not found".to_owned()))?;
     Profile::parse(&text).map_err(|error| unusable(on_one_line(&error.to_string())))
 }
@@ -195,16 +195,17 @@ pub fn is_log(bus: &BusSpec) -> bool {
 }
 
 fn epoch_of(path: &Path) -> Result<Epoch, Failure> {
-    let unusable = |error: io::Error| {
-        Failure::Unusable(format!("file:{} cannot be read: {error}", path.display()))
+    let log = bus::open_log(path)?;
+    let epoch = || -> io::Result<_> {
+        if !log.metadata()?.is_file() {
+            return Ok(Clock::start().epoch());
+        }
+        let mut reader = crate::log::LogReader::new(BufReader::new(log));
+        reader.next_frame()?;
+        Ok(reader.tally().epoch.unwrap_or_default())
     };
-    let log = bus::open_log(path).map_err(unusable)?;
-    if !log.metadata().map_err(unusable)?.is_file() {
-        return Ok(Clock::start().epoch());
-    }
-    let mut reader = crate::log::LogReader::new(BufReader::new(log));
-    reader.next_frame().map_err(unusable)?;
-    Ok(reader.tally().epoch.unwrap_or_default())
+    let name = format_args!("file:{}", path.display());
+    Ok(epoch().map_err(|error| Diagnostic::unreadable(name, &error))?)
 }
 
 /// Opens the buses and joins them with the app.
@@ -222,8 +223,7 @@ pub fn session(
         let listen_only = setup.config.listen_only || is_log(spec);
         let index = BusIndex(index as u8);
         let options = Options { listen_only, only: setup.only.clone() };
-        let port = bus::open(spec, index, clock.clone(), options)
-            .map_err(|error| Failure::Unusable(error.to_string()))?;
+        let port = bus::open(spec, index, clock.clone(), options)?;
         named.push((port.name().to_owned(), Config { listen_only, ..setup.config.clone() }));
         ports.push(port);
     }

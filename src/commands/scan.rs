@@ -9,11 +9,12 @@ use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, print};
 use crate::app::{App, AppOptions, Scope};
 use crate::bus::BusSpec;
 use crate::cli::ScanArgs;
+use crate::diagnostic::Diagnostic;
 use crate::discovery::DiscoveryProgress;
 use crate::document::{Document, Operation};
 use crate::shell::log_input::LogPace;
 use crate::shell::stop::StopReason;
-use crate::shell::store::Store;
+use crate::shell::store::{Store, write_new};
 use crate::status::Link;
 use crate::time::Instant;
 use std::io::{self, IsTerminal, Write};
@@ -23,33 +24,21 @@ use std::time::Duration;
 
 /// Runs it.
 pub fn run(scan: &ScanArgs) -> Result<u8, Failure> {
-    if let Some(path) = &scan.write
-        && path.symlink_metadata().is_ok()
-    {
-        if path.is_dir() {
-            return Err(Failure::Unusable(format!(
-                "{0} is a folder; name a file in it: --write {1}",
-                path.display(),
-                path.join("des.json").display()
-            )));
-        }
-        return Err(Failure::Unusable(format!(
-            "{} already exists; name another file, or edit it with: descan",
-            path.display()
-        )));
+    if let Some(path) = &scan.write {
+        Store::new(path).check_new().map_err(|fault| fault.of(path.display()))?;
     }
-    let buses = open::buses(&scan.session)?;
-    let setup = Setup::new(&scan.session.common)?;
-    let RunOutcome { app, now, ending } = match open::log(&buses, "scan", scan.from)? {
-        Some(log) => read_log(log, (scan.from, scan.time), &setup, |_| Ok(()))?,
-        None => look(&buses, &setup, scan.time.unwrap_or(DEFAULT_TIME), |_, _| Ok(true))?,
+    let buses = open::buses(&scan.run.session)?;
+    let setup = Setup::new(&scan.run.session.common)?;
+    let RunOutcome { app, now, ending } = match open::log(&buses, "scan", scan.run.from)? {
+        Some(log) => read_log(log, (scan.run.from, scan.run.time), &setup, |_| Ok(()))?,
+        None => look(&buses, &setup, scan.run.time.unwrap_or(DEFAULT_TIME), |_, _| Ok(true))?,
     };
     if ending == Some(StopReason::Interrupted) {
         return Ok(EXIT_INTERRUPTED);
     }
     warn_all_tx_blocked(&app, now);
     let report = ScanReport::new(&app, now, Scope::Screen);
-    let text = if scan.json { report.json() } else { report.tables() };
+    let text = if scan.run.json { report.json() } else { report.tables() };
     print(text.as_bytes())?;
     if let Some(path) = &scan.write {
         write_document(&app, path)?;
@@ -169,7 +158,6 @@ impl Drop for Bar {
 // --- a des.json with what was found -------------------------------------------------------
 
 fn write_document(app: &App, path: &Path) -> Result<(), Failure> {
-    let unusable = |why: String| Failure::Unusable(format!("{}: {why}", path.display()));
     let mut document = Document::empty();
     let mut count = 0;
     for bus in app.buses() {
@@ -180,13 +168,11 @@ fn write_document(app: &App, path: &Path) -> Result<(), Failure> {
             let Some(entry) = app.new_entry(device) else { continue };
             document = document
                 .apply(&Operation::Add { entry })
-                .map_err(|error| unusable(error.to_string()))?;
+                .map_err(|error| Diagnostic::new(error.to_string()).of(path.display()))?;
             count += 1;
         }
     }
-    let saved = Store::new(path).save(None, document.source());
-    // The error names the path.
-    saved.map_err(|error| Failure::Unusable(error.to_string()))?;
+    write_new(path, None, document.source()).map_err(|fault| fault.of(path.display()))?;
     let devices = if count == 1 { "device" } else { "devices" };
     let _ = writeln!(io::stderr(), "{}: {count} {devices} written", path.display());
     Ok(())

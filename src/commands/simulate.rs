@@ -3,6 +3,7 @@
 
 use super::{EXIT_OK, EXIT_UNUSABLE, Failure, headless};
 use crate::bus::{self, BusSpec, Clock, Options};
+use crate::diagnostic::Diagnostic;
 use crate::frame::{BusIndex, Frame, FrameKind};
 use crate::sim::Sim;
 use crate::status::Link;
@@ -33,8 +34,7 @@ pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8,
         let mut interrupt = signal(SignalKind::interrupt()).context("no signals")?;
         let mut terminate = signal(SignalKind::terminate()).context("no signals")?;
         // After the signals: an opened adapter is closed again, however soon one arrives.
-        let port = bus::open(spec, BusIndex(0), clock.clone(), Options::default())
-            .map_err(|error| Failure::Unusable(error.to_string()))?;
+        let port = bus::open(spec, BusIndex(0), clock.clone(), Options::default())?;
         let mut heard: Vec<Frame> = Vec::new();
         // The simulation starts when the real bus is open.
         let mut start = None;
@@ -46,8 +46,8 @@ pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8,
             let status = port.queue().status();
             let is_away = !matches!(status.link, Link::Opening | Link::Up);
             if is_away && told != Some(status.link) {
-                let why = status.message.unwrap_or_else(|| format!("{spec} cannot be used"));
-                let _ = writeln!(io::stderr(), "descan: {why}");
+                let unknown = || Diagnostic::new(format!("{spec} cannot be used"));
+                let _ = writeln!(io::stderr(), "descan: {}", status.fault.unwrap_or_else(unknown));
                 // A bus that was open once is waited for.
                 if start.is_none() || status.link.is_final() {
                     return Ok(EXIT_UNUSABLE);

@@ -53,7 +53,7 @@ async fn search(speed: &SpeedArgs) -> Result<u8, Failure> {
         });
         return Ok(EXIT_OK);
     }
-    say("no frames at any rate: is a device on, and are CAN_H, CAN_L and ground connected?");
+    say("no frames at any rate; check that a device is on, and CAN_H, CAN_L and ground");
     Ok(EXIT_FINDINGS)
 }
 
@@ -75,8 +75,8 @@ async fn attempt(speed: &SpeedArgs, manner: ListenMode) -> Result<SearchReport, 
         }
     });
     report.await.map_err(|error| match error {
-        TuneError::NoRate(_) => Failure::Usage(error.to_string()),
-        error => Failure::Unusable(error.to_string()),
+        TuneError::NoRate(fault) => Failure::Usage(fault.to_string()),
+        TuneError::NotThisRate(fault) | TuneError::Failed(fault) => fault.into(),
     })
 }
 

@@ -28,8 +28,8 @@ use unicode_width::UnicodeWidthStr;
 
 /// Runs it.
 pub fn run(watch: &WatchArgs) -> Result<u8, Failure> {
-    let buses = open::buses(&watch.session)?;
-    let mut setup = Setup::new(&watch.session.common)?;
+    let buses = open::buses(&watch.run.session)?;
+    let mut setup = Setup::new(&watch.run.session.common)?;
     let interest = watch.filter.as_deref().map(Filter::parse).unwrap_or_default();
     if let Some(mistake) = interest.error() {
         return Err(Failure::Usage(format!("--filter {}", printable(mistake.as_bytes()))));
@@ -41,10 +41,11 @@ pub fn run(watch: &WatchArgs) -> Result<u8, Failure> {
         event_filter: interest,
         ..AppOptions::default()
     };
-    let limits = Limits { time: watch.time, from: watch.from, while_read: true, stuck: EXIT_OK };
-    let mut event_writer = EventWriter { json: watch.json, text: Vec::new() };
-    if let Some(log) = open::log(&buses, "watch", watch.from)? {
-        let pace = watch.session.speed.map(LogPace::Timed);
+    let limits =
+        Limits { time: watch.run.time, from: watch.run.from, while_read: true, stuck: EXIT_OK };
+    let mut event_writer = EventWriter { json: watch.run.json, text: Vec::new() };
+    if let Some(log) = open::log(&buses, "watch", watch.run.from)? {
+        let pace = watch.run.session.speed.map(LogPace::Timed);
         headless::run(RunInput::Log(log, pace), &setup, options, limits, |session| {
             event_writer.write_events(&mut session.app)?;
             Ok(ControlFlow::Continue(()))

@@ -5,6 +5,7 @@
 
 use crate::bitrate::{ListenMode, RATES, RateResult, Search, SearchOutcome, SearchProgress};
 use crate::bus::{self, BitRateSetter, BusSpec, Clock, Options, TuneError};
+use crate::diagnostic::Diagnostic;
 use crate::frame::{BusIndex, Frame};
 use crate::status::Link;
 use crate::time::Duration;
@@ -57,7 +58,7 @@ pub async fn find(
         let rate = search.rate();
         let bus = match tuner.set(rate, plan.manner) {
             Ok(bus) => bus,
-            Err(TuneError::NotThisRate { .. }) => {
+            Err(TuneError::NotThisRate(_)) => {
                 told(SearchProgress::Skipped(rate));
                 search.skip();
                 continue;
@@ -67,8 +68,7 @@ pub async fn find(
         told(SearchProgress::Trying(rate));
         let options =
             Options { listen_only: plan.manner == ListenMode::Listening, ..Options::default() };
-        let port = bus::open(&bus, BusIndex(0), clock.clone(), options)
-            .map_err(|error| TuneError::NotThere(error.to_string()))?;
+        let port = bus::open(&bus, BusIndex(0), clock.clone(), options)?;
         let opened = clock.now();
         loop {
             let (now, status) = (clock.now(), port.queue().status());
@@ -76,8 +76,8 @@ pub async fn find(
             if search.wants_rate() && status.link == Link::Up {
                 search.begin(now);
             } else if search.wants_rate() && now.since(opened) > OPENING {
-                let why = status.message.unwrap_or_else(|| format!("{bus} cannot be opened"));
-                return Err(TuneError::NotThere(why));
+                let unknown = || Diagnostic::new(format!("{bus} cannot be opened"));
+                return Err(status.fault.unwrap_or_else(unknown).into());
             }
             heard.clear();
             port.queue().drain(&mut heard, usize::MAX);

@@ -3,6 +3,7 @@
 //! Each part is optional. An error in one is reported with file and line; descan then starts with the
 //! built-in values.
 
+use crate::diagnostic::Diagnostic;
 use crate::keymap::Keymap;
 use etcetera::{BaseStrategy, choose_base_strategy};
 use serde::Deserialize;
@@ -103,13 +104,10 @@ impl ConfigFolder {
         parse: impl FnOnce(&str) -> Result<T, String>,
     ) -> Result<T, String> {
         let path = self.path.join(name);
-        match read_text(&path) {
-            Ok(None) => Ok(T::default()),
-            Ok(Some(text)) => {
-                parse(&text).map_err(|message| format!("{}: {message}", path.display()))
-            }
-            Err(cause) => Err(format!("{} cannot be read: {cause}", path.display())),
-        }
+        let Some(text) = read_text(&path).map_err(|fault| fault.to_string())? else {
+            return Ok(T::default());
+        };
+        parse(&text).map_err(|message| format!("{}: {message}", path.display()))
     }
 }
 
@@ -117,15 +115,16 @@ impl ConfigFolder {
 ///
 /// # Errors
 /// It is larger, not UTF-8, or cannot be read.
-pub fn read_text(path: &Path) -> io::Result<Option<String>> {
-    match fs::metadata(path) {
+pub fn read_text(path: &Path) -> Result<Option<String>, Diagnostic> {
+    let read = match fs::metadata(path) {
         Ok(metadata) if metadata.len() > MAX_BYTES => {
-            Err(io::Error::new(io::ErrorKind::InvalidData, "it is larger than 1 MiB"))
+            Err(io::Error::new(io::ErrorKind::InvalidData, "larger than 1 MiB"))
         }
         Ok(_) => fs::read_to_string(path).map(Some),
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
         Err(error) => Err(error),
-    }
+    };
+    read.map_err(|error| Diagnostic::unreadable(path.display(), &error))
 }
 
 #[cfg(test)]

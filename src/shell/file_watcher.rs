@@ -19,9 +19,10 @@ use notify::{RecommendedWatcher, RecursiveMode, Watcher as _};
 use tokio::sync::Notify;
 
 use super::store::{Places, Store};
+use crate::diagnostic::Diagnostic;
 
 /// Content of a file; `None` if there is no file, an error if it cannot be read.
-pub type DiskContent = Result<Option<Vec<u8>>, String>;
+pub type DiskContent = Result<Option<Vec<u8>>, Diagnostic>;
 
 /// Time without events before the file is read: editors write in several steps.
 const QUIET: Duration = Duration::from_millis(100);
@@ -196,7 +197,7 @@ impl WatchThread {
     fn look(&self) {
         loop {
             let saves = self.shared.lock().saves;
-            let reading = self.store.read().map_err(|error| error.in_short());
+            let reading = self.store.read();
             if self.shared.report(reading, saves) {
                 return;
             }

@@ -13,6 +13,7 @@ use super::store::{SaveError, Saved, Store, write_new};
 use super::waiting::{file_changed, sleep_for};
 use crate::app::{App, Effect, FileReading, SaveOutcome};
 use crate::bus::{Clock, Port};
+use crate::diagnostic::Diagnostic;
 use crate::discovery::Config;
 use crate::document::Document;
 use crate::frame::{BusIndex, Frame};
@@ -69,7 +70,7 @@ pub enum Finished {
     /// Saving des.json, with the content.
     Saved(SaveOutcome, Vec<u8>),
     /// Writing another file.
-    Written(PathBuf, Result<(), String>),
+    Written(PathBuf, Result<(), Diagnostic>),
 }
 
 /// Work on files, on a separate thread.
@@ -178,7 +179,7 @@ impl Session {
 
     fn open_file(&mut self) {
         let Some(store) = &self.store else { return };
-        let reading = store.read().map_err(|error| error.in_short());
+        let reading = store.read();
         // A log that is all there is compared with the file as it is at the start.
         let is_live = match &self.input {
             SessionInput::Ports { .. } => true,
@@ -189,8 +190,8 @@ impl Session {
         }
         let missing_folder = store.missing_folder();
         self.app.handle_file(self.now(), reading.into());
-        if let Some(folder) = missing_folder {
-            self.app.handle_missing_folder(self.now(), &folder);
+        if let Some(fault) = missing_folder {
+            self.app.handle_missing_folder(self.now(), &fault);
         }
     }
 
@@ -231,7 +232,9 @@ impl Session {
             };
             let parsed = parsing.await;
             *reading = None;
-            parsed.unwrap_or_else(|broken| FileReading::Error(format!("reader stopped: {broken}")))
+            parsed.unwrap_or_else(|broken| {
+                FileReading::Error(Diagnostic::new(format!("reader stopped: {broken}")))
+            })
         };
         let recorder = self.recorder.as_ref();
         let recording = async {
@@ -292,7 +295,7 @@ impl Session {
                 match result {
                     Ok(finished) => SessionWake::Done(finished),
                     Err(broken) => {
-                        let why = format!("saving stopped: {broken}");
+                        let why = Diagnostic::new(format!("saving stopped: {broken}"));
                         SessionWake::Done(Finished::Saved(SaveOutcome::Failed(why), Vec::new()))
                     }
                 }
@@ -563,7 +566,7 @@ impl Session {
                 Err(SaveError::Changed(there)) => {
                     SaveOutcome::Changed(FileReading::Content(there).parsed())
                 }
-                Err(error) => SaveOutcome::Failed(error.in_short()),
+                Err(SaveError::Failed(fault)) => SaveOutcome::Failed(fault),
             };
             Finished::Saved(outcome, content.source().to_vec())
         });

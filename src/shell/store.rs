@@ -22,6 +22,7 @@ use nix::fcntl::OFlag;
 use nix::unistd::{AccessFlags, Gid, Uid, access, fchown};
 use tempfile::{NamedTempFile, TempPath};
 
+use crate::diagnostic::{Diagnostic, without_number};
 use crate::text::printable;
 
 /// Longest file that is read, in bytes.
@@ -39,37 +40,6 @@ pub struct Store {
     path: PathBuf,
 }
 
-/// Why the file cannot be read. `Display` names the cause and the next step.
-#[derive(Debug, thiserror::Error)]
-pub enum StoreError {
-    /// The path is a folder.
-    #[error("{path} is a folder: name the file in it, {path}/des.json")]
-    Folder {
-        /// The path, safe on a terminal; in all variants.
-        path: String,
-    },
-    /// The path is a device, a pipe or a socket.
-    #[error("{path} is not a regular file: name another one with --file")]
-    NotAFile {
-        /// The path.
-        path: String,
-    },
-    /// The file is larger than [`MAX_BYTES`].
-    #[error("{path} is larger than 16 MiB: is it the right file?")]
-    TooLarge {
-        /// The path.
-        path: String,
-    },
-    /// The system reports an error.
-    #[error("{path} cannot be read: {cause}{}", remedy_clause(.cause))]
-    Read {
-        /// The path.
-        path: String,
-        /// The system's error.
-        cause: io::Error,
-    },
-}
-
 /// Result of a save.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Saved {
@@ -77,138 +47,32 @@ pub struct Saved {
     pub broken_links: u64,
 }
 
-/// Why the file was not saved; it is unchanged. `Display` names the cause and the next step.
-#[derive(Debug, thiserror::Error)]
+/// Why the file was not saved; it is unchanged.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SaveError {
     /// The content on disk is not the expected one, but this; `None` if the file was deleted.
-    #[error("changed by another program: not saved")]
+    #[error("changed by another program")]
     Changed(Option<Vec<u8>>),
-    /// The content on disk cannot be read, so it cannot be compared.
-    #[error(transparent)]
-    Unreadable(#[from] StoreError),
-    /// The file is write-protected; replacing it would bypass the protection.
-    #[error("{path} is write-protected: chmod u+w {path}, or save a copy elsewhere")]
-    Protected {
-        /// The path.
-        path: String,
-    },
-    /// The file is write-protected and belongs to another user.
-    #[error("{path} belongs to another user and is write-protected: save a copy elsewhere")]
-    Foreign {
-        /// The path.
-        path: String,
-    },
-    /// The folder of the file does not exist.
-    #[error("{path} cannot be saved: no such folder: mkdir -p {folder}, then save again")]
-    NoFolder {
-        /// The path.
-        path: String,
-        /// The folder.
-        folder: String,
-    },
-    /// Another instance of descan held the lock for 2 s.
-    #[error("{folder} is locked by another descan: close it, then save again")]
-    Locked {
-        /// The folder of the file.
-        folder: String,
-    },
-    /// The system reports an error.
-    #[error("{path} cannot be saved: {cause}{}", remedy_clause(.cause))]
-    Write {
-        /// The path.
-        path: String,
-        /// The system's error.
-        cause: io::Error,
-    },
-}
-
-impl StoreError {
-    /// Returns cause and next step in short, for a message that already names the file.
-    pub fn in_short(&self) -> String {
-        match self {
-            Self::Folder { .. } => "it is a folder: name the file in it".to_owned(),
-            Self::NotAFile { .. } => "not a regular file: name another one".to_owned(),
-            Self::TooLarge { .. } => "it is larger than 16 MiB: is it the right file?".to_owned(),
-            Self::Read { cause, .. } if cause.kind() == io::ErrorKind::PermissionDenied => {
-                "no read permission: fix it, or name another file".to_owned()
-            }
-            Self::Read { cause, .. } => match cause.raw_os_error().map(Errno::from_raw) {
-                Some(Errno::ELOOP | Errno::EMFILE | Errno::ENFILE) => {
-                    remedy(cause).map_or_else(|| plain(cause), |(_, in_short)| in_short.to_owned())
-                }
-                _ => format!("cannot be read: {}", plain(cause)),
-            },
-        }
-    }
-}
-
-impl SaveError {
-    /// Returns cause and next step in short, for a message that already names the file and states
-    /// that it is not saved.
-    pub fn in_short(&self) -> String {
-        match self {
-            Self::Protected { .. } => {
-                "it is write-protected: chmod u+w, or save a copy elsewhere".to_owned()
-            }
-            Self::Foreign { .. } => "belongs to another user: save a copy elsewhere".to_owned(),
-            Self::Unreadable(error) => error.in_short(),
-            Self::NoFolder { folder, .. } => format!("no such folder: mkdir -p {folder}"),
-            Self::Write { cause, .. } => {
-                remedy(cause).map_or_else(|| plain(cause), |(_, in_short)| in_short.to_owned())
-            }
-            other => other.to_string(),
-        }
-    }
+    /// The file cannot be read or written.
+    #[error("{0}")]
+    Failed(#[from] Diagnostic),
 }
 
 /// Writes a new file at a path that the user entered; a leading `~/` is replaced by `home`.
 ///
 /// # Errors
-/// The cause and the next step, in one line without the path, if the file cannot be written or
-/// already exists.
-pub fn write_new(path: &Path, home: Option<&Path>, bytes: &[u8]) -> Result<(), String> {
+/// The fault, without the path, if the file cannot be written or already exists.
+pub fn write_new(path: &Path, home: Option<&Path>, bytes: &[u8]) -> Result<(), Diagnostic> {
     let at_home = home.and_then(|home| Some(home.join(path.strip_prefix("~").ok()?)));
-    let target = at_home.as_deref().unwrap_or(path);
-    let saved = Store::new(target).save(None, bytes).map_err(|error| match error {
-        SaveError::Changed(_)
-        | SaveError::Protected { .. }
-        | SaveError::Foreign { .. }
-        | SaveError::Unreadable(StoreError::TooLarge { .. }) => {
-            "file already exists: choose another name".to_owned()
-        }
-        SaveError::Unreadable(StoreError::Folder { .. }) => {
-            "that is a folder: name a file in it".to_owned()
-        }
-        SaveError::Unreadable(StoreError::NotAFile { .. }) => {
-            "that is not a regular file: choose another".to_owned()
-        }
-        SaveError::NoFolder { .. } if path.as_os_str().as_bytes().starts_with(b"~") => {
-            "~ cannot be expanded: give the full path".to_owned()
-        }
-        SaveError::NoFolder { .. } => {
-            "no such folder: create it (mkdir -p), or choose another".to_owned()
-        }
-        SaveError::Locked { .. } => "another descan is saving there: try again".to_owned(),
-        SaveError::Unreadable(StoreError::Read { cause, .. }) | SaveError::Write { cause, .. } => {
-            remedy_of_new(target, &cause).map_or_else(|| plain(&cause), str::to_owned)
-        }
-    });
-    saved.map(drop)
-}
-
-/// Returns cause and next step for a new file that cannot be written; `None` for other causes.
-fn remedy_of_new(path: &Path, cause: &io::Error) -> Option<&'static str> {
-    Some(match Errno::from_raw(cause.raw_os_error()?) {
-        Errno::ENOENT | Errno::ENOTDIR if path.as_os_str().as_bytes().starts_with(b"~") => {
-            "~ cannot be expanded: give the full path"
-        }
-        Errno::ENOENT => "no such folder: create it (mkdir -p), or choose another",
-        Errno::ENOTDIR => "parent is a file, not a folder: choose another",
-        Errno::EACCES | Errno::EPERM => "no permission for that folder: choose another",
-        Errno::EROFS => "that is mounted read-only: choose another folder",
-        Errno::ENOSPC | Errno::EDQUOT => "the disk is full: make room, or choose another",
-        Errno::ENAMETOOLONG => "the name is too long: choose a shorter one",
-        _ => return remedy(cause).map(|(_, in_short)| in_short),
+    let store = Store::new(at_home.as_deref().unwrap_or(path));
+    store.check_new()?;
+    let is_user = at_home.is_none() && path.as_os_str().as_bytes().starts_with(b"~");
+    if is_user && store.missing_folder().is_some() {
+        return Err(Diagnostic::new("~ cannot be expanded").with_remedy("give the full path"));
+    }
+    store.save(None, bytes).map(drop).map_err(|error| match error {
+        SaveError::Changed(_) => already_exists(),
+        SaveError::Failed(fault) => fault,
     })
 }
 
@@ -226,34 +90,35 @@ impl Store {
     /// Returns the whole content; `None` if the file does not exist.
     ///
     /// # Errors
-    /// [`StoreError`] if the path is not a readable file of up to [`MAX_BYTES`].
-    pub fn read(&self) -> Result<Option<Vec<u8>>, StoreError> {
-        let path = || shown(&self.path);
+    /// The fault, without the path, if it is not that of a readable file of up to [`MAX_BYTES`].
+    pub fn read(&self) -> Result<Option<Vec<u8>>, Diagnostic> {
         // Without O_NONBLOCK, opening a pipe for reading blocks until it has a writer.
         let mut options = File::options();
         options.read(true).custom_flags(OFlag::O_NONBLOCK.bits());
         let file = match options.open(&self.path) {
             Ok(file) => file,
-            Err(cause) if cause.kind() == io::ErrorKind::NotFound => return Ok(None),
-            Err(cause) => return Err(StoreError::Read { path: path(), cause }),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+            Err(error) => return Err(not_read(&error)),
         };
-        let read = |cause| StoreError::Read { path: path(), cause };
-        let metadata = file.metadata().map_err(read)?;
-        if metadata.is_dir() {
-            return Err(StoreError::Folder { path: path() });
-        }
-        if !metadata.is_file() {
-            return Err(StoreError::NotAFile { path: path() });
-        }
+        let metadata = file.metadata().map_err(|error| not_read(&error))?;
+        check_kind(&metadata)?;
         let mut content = Vec::new();
         if metadata.len() <= MAX_BYTES {
             // The file may grow while it is read.
-            file.take(MAX_BYTES + 1).read_to_end(&mut content).map_err(read)?;
+            let read = file.take(MAX_BYTES + 1).read_to_end(&mut content);
+            read.map_err(|error| not_read(&error))?;
         }
         if metadata.len().max(content.len() as u64) > MAX_BYTES {
-            return Err(StoreError::TooLarge { path: path() });
+            return Err(Diagnostic::new("larger than 16 MiB").with_remedy("check the file name"));
         }
         Ok(Some(content))
+    }
+
+    /// Returns the fault if there is a file of this name, or anything else.
+    pub fn check_new(&self) -> Result<(), Diagnostic> {
+        let Ok(metadata) = fs::metadata(&self.path) else { return Ok(()) };
+        check_kind(&metadata)?;
+        Err(already_exists())
     }
 
     /// Replaces the content if the content on disk is still `expected`: the content from which
@@ -268,31 +133,25 @@ impl Store {
     /// the disk fails to confirm the rename, the new content may or may not survive a power
     /// failure, and the next save finds either content on disk.
     pub fn save(&self, expected: Option<&[u8]>, new: &[u8]) -> Result<Saved, SaveError> {
-        let places = Places::of(&self.path).map_err(|cause| self.write_error(cause))?;
+        let places = Places::of(&self.path).map_err(|error| not_written(&error))?;
         let (folder, target) = (&places.folder, &places.target);
-        let open = File::open(folder).map_err(|cause| match cause.kind() {
-            io::ErrorKind::NotFound => SaveError::NoFolder {
-                path: shown(&self.path),
-                folder: shown(&self.folder_as_named(folder)),
-            },
-            _ => self.write_error(cause),
-        })?;
+        let open = File::open(folder)
+            .map_err(|error| self.missing_folder().unwrap_or_else(|| not_written(&error)))?;
         let lock = lock(folder)?;
         let old = fs::metadata(target).ok();
-        if old.is_some() && access(target, AccessFlags::W_OK) == Err(Errno::EACCES) {
-            let path = shown(target);
-            let is_ours = old.as_ref().is_some_and(|old| old.uid() == Uid::effective().as_raw());
-            return Err(if is_ours {
-                SaveError::Protected { path }
-            } else {
-                SaveError::Foreign { path }
-            });
+        if let Some(old) = &old
+            && access(target, AccessFlags::W_OK) == Err(Errno::EACCES)
+        {
+            let is_ours = old.uid() == Uid::effective().as_raw();
+            let cause = if is_ours { "write-protected" } else { "belongs to another user" };
+            let remedy = if is_ours { "chmod u+w, or save elsewhere" } else { "save elsewhere" };
+            return Err(Diagnostic::new(cause).with_remedy(remedy).into());
         }
         if lock.is_some() {
             remove_leftovers(target, folder);
         }
         let temporary = write_beside(target, folder, old.as_ref(), new);
-        let temporary = temporary.map_err(|cause| self.write_error(cause))?;
+        let temporary = temporary.map_err(|error| not_written(&error))?;
 
         let present = Self::new(target).read()?;
         if present.as_deref() != expected {
@@ -307,24 +166,26 @@ impl Store {
             if expected.is_none() && error.error.kind() == io::ErrorKind::AlreadyExists {
                 return Err(SaveError::Changed(self.read()?));
             }
-            return Err(self.write_error(error.error));
+            return Err(not_written(&error.error).into());
         }
         drop(lock);
         let parted_from = old.map_or(0, |old| old.nlink().saturating_sub(1));
         match open.sync_all() {
             // Some file systems cannot sync a folder.
             Err(cause) if cause.raw_os_error() != Some(Errno::EINVAL as i32) => {
-                Err(self.write_error(cause))
+                Err(not_written(&cause).into())
             }
             _ => Ok(Saved { broken_links: parted_from }),
         }
     }
 
-    /// Returns the folder of the file if that does not exist.
-    pub fn missing_folder(&self) -> Option<String> {
+    /// Returns the fault if the folder of the file does not exist.
+    pub fn missing_folder(&self) -> Option<Diagnostic> {
         let folder = Places::of(&self.path).ok()?.folder;
-        let is_missing = || matches!(fs::metadata(&folder), Err(error) if error.kind() == io::ErrorKind::NotFound);
-        is_missing().then(|| shown(&self.folder_as_named(&folder)))
+        let is_missing =
+            matches!(fs::metadata(&folder), Err(error) if error.kind() == io::ErrorKind::NotFound);
+        let remedy = || format!("mkdir -p {}", shown(&self.folder_as_named(&folder)));
+        is_missing.then(|| Diagnostic::new("no such folder").with_remedy(remedy()))
     }
 
     /// Returns the file's folder as entered by the user, unless a link leads to another one.
@@ -332,10 +193,6 @@ impl Store {
         let named = self.path.parent().filter(|named| !named.as_os_str().is_empty());
         let is_it = |named: &&Path| Places::of(named).is_ok_and(|places| places.target == folder);
         named.filter(is_it).unwrap_or(folder).to_owned()
-    }
-
-    fn write_error(&self, cause: io::Error) -> SaveError {
-        SaveError::Write { path: shown(&self.path), cause }
     }
 }
 
@@ -409,7 +266,7 @@ fn components(path: &Path) -> Vec<OsString> {
 
 /// Locks the folder until the result is dropped; leaves no lock file. `None` if the folder cannot
 /// be opened or its file system has no locks.
-fn lock(folder: &Path) -> Result<Option<File>, SaveError> {
+fn lock(folder: &Path) -> Result<Option<File>, Diagnostic> {
     let deadline = Instant::now() + LOCK_PATIENCE;
     let Ok(open) = File::open(folder) else { return Ok(None) };
     loop {
@@ -417,7 +274,9 @@ fn lock(folder: &Path) -> Result<Option<File>, SaveError> {
             Ok(()) => return Ok(Some(open)),
             Err(TryLockError::WouldBlock) if Instant::now() < deadline => {}
             Err(TryLockError::WouldBlock) => {
-                return Err(SaveError::Locked { folder: shown(folder) });
+                return Err(
+                    Diagnostic::new("locked by another descan").with_remedy("quit that one")
+                );
             }
             Err(TryLockError::Error(_)) => return Ok(None),
         }
@@ -501,50 +360,53 @@ fn keep_owner(file: &File, old: &fs::Metadata) -> io::Result<()> {
     file.set_permissions(Permissions::from_mode(mode))
 }
 
-/// Returns the next step for the user, as the end of a sentence.
-fn remedy_clause(cause: &io::Error) -> &'static str {
-    remedy(cause).map_or("", |(way_out, _)| way_out)
+/// Returns the fault if this is not a file.
+fn check_kind(metadata: &fs::Metadata) -> Result<(), Diagnostic> {
+    match metadata.file_type() {
+        kind if kind.is_dir() => {
+            Err(Diagnostic::new("is a folder").with_remedy("name a file in it"))
+        }
+        kind if kind.is_file() => Ok(()),
+        _ => Err(Diagnostic::new("not a regular file").with_remedy("name another one")),
+    }
 }
 
-/// Returns the next step for the user: as the end of a sentence that names the cause, and in short
-/// with the cause, for a file that cannot be saved.
-fn remedy(cause: &io::Error) -> Option<(&'static str, &'static str)> {
-    Some(match Errno::from_raw(cause.raw_os_error()?) {
-        Errno::EACCES | Errno::EPERM => (
-            ": get permission (ls -ld shows the owner), or name another file with --file",
-            "no permission for its folder: fix it, or save a copy",
-        ),
-        Errno::EROFS => (
-            ": the file system is mounted read-only; remount it, or use --file",
-            "mounted read-only: remount it, or save a copy elsewhere",
-        ),
-        Errno::ENOSPC | Errno::EDQUOT => {
-            (": make room, then save again", "the disk is full: make room")
-        }
-        Errno::EBUSY => (
-            ": it is a bind mount; mount its folder instead",
-            "a bind mount: mount its folder, or save a copy elsewhere",
-        ),
-        Errno::ENOENT => {
-            (": create its folder (mkdir -p), then save again", "no such folder: create it")
-        }
-        Errno::ENOTDIR => (
-            ": parent is a file, not a folder",
-            "parent is a file, not a folder: save a copy elsewhere",
-        ),
-        Errno::ELOOP => (": symbolic link loop", "symbolic link loop"),
-        Errno::EMFILE | Errno::ENFILE => (
-            ": close other programs, or raise ulimit -n",
-            "too many files are open: close other programs",
-        ),
-        _ => return None,
-    })
+pub(super) fn already_exists() -> Diagnostic {
+    Diagnostic::new("already exists").with_remedy("name another file")
 }
 
-/// Returns the system's error text without the error number.
-fn plain(cause: &io::Error) -> String {
-    let text = cause.to_string();
-    text.split(" (os error").next().unwrap_or(&text).to_owned()
+/// Returns the fault of a file that the system does not read.
+fn not_read(error: &io::Error) -> Diagnostic {
+    match error.kind() {
+        io::ErrorKind::PermissionDenied => {
+            Diagnostic::new("no read permission").with_remedy("fix it, or name another file")
+        }
+        _ => of_system(error, "cannot be read"),
+    }
+}
+
+/// Returns the fault of a file that the system does not write.
+pub(super) fn not_written(error: &io::Error) -> Diagnostic {
+    of_system(error, "cannot be written")
+}
+
+fn of_system(error: &io::Error, what: &str) -> Diagnostic {
+    let (cause, remedy) = match error.raw_os_error().map(Errno::from_raw) {
+        Some(Errno::EACCES | Errno::EPERM) => {
+            ("no permission for its folder", "fix it, or save elsewhere")
+        }
+        Some(Errno::EROFS) => ("mounted read-only", "remount it, or save elsewhere"),
+        Some(Errno::ENOSPC | Errno::EDQUOT) => ("the disk is full", "make room, or save elsewhere"),
+        Some(Errno::EBUSY) => ("a bind mount", "mount its folder, or save elsewhere"),
+        Some(Errno::ENOTDIR) => ("parent is a file, not a folder", "name another one"),
+        Some(Errno::ENAMETOOLONG) => ("the name is too long", "choose a shorter one"),
+        Some(Errno::ELOOP) => ("symbolic link loop", "name another file"),
+        Some(Errno::EMFILE | Errno::ENFILE) => {
+            ("too many files are open", "close other programs, or raise ulimit -n")
+        }
+        _ => return Diagnostic::new(format!("{what}: {}", without_number(error))),
+    };
+    Diagnostic::new(cause).with_remedy(remedy)
 }
 
 fn shown(path: &Path) -> String {
@@ -557,20 +419,17 @@ mod tests {
 
     /// Checks the texts directly: some of these errors need mounted file systems.
     #[test]
-    fn errors_name_the_way_out() {
-        for (cause, way) in [
-            (Errno::ENOSPC, ": make room, then save again"),
-            (Errno::EDQUOT, ": make room, then save again"),
-            (Errno::EROFS, ": the file system is mounted read-only; remount it, or use --file"),
-            (Errno::EBUSY, ": it is a bind mount; mount its folder instead"),
-            (
-                Errno::EACCES,
-                ": get permission (ls -ld shows the owner), or name another file with --file",
-            ),
-            (Errno::EIO, ""),
+    fn system_errors_name_the_way_out() {
+        for (error, text) in [
+            (Errno::ENOSPC, "the disk is full; make room, or save elsewhere"),
+            (Errno::EDQUOT, "the disk is full; make room, or save elsewhere"),
+            (Errno::EROFS, "mounted read-only; remount it, or save elsewhere"),
+            (Errno::EBUSY, "a bind mount; mount its folder, or save elsewhere"),
+            (Errno::EACCES, "no permission for its folder; fix it, or save elsewhere"),
+            (Errno::EMFILE, "too many files are open; close other programs, or raise ulimit -n"),
+            (Errno::EIO, "cannot be written: Input/output error"),
         ] {
-            let message = format!("a cannot be saved: {}{way}", io::Error::from(cause));
-            assert_eq!(Store::new("a").write_error(cause.into()).to_string(), message);
+            assert_eq!(not_written(&error.into()).to_string(), text);
         }
     }
 }

@@ -4,7 +4,7 @@
 //! a key. Does not know what is drawn.
 
 use super::config::{ConfigFolder, read_text};
-use super::file_watcher::FileWatcher;
+use super::file_watcher::{DiskContent, FileWatcher};
 use super::session::Session;
 use super::stop::output_closed;
 use super::store::Store;
@@ -241,8 +241,7 @@ impl ThemeLoader {
         match &self.folder {
             Some(folder) if !name.contains('/') => {
                 let path = folder.theme_path(name);
-                read_text(&path)
-                    .map_err(|cause| format!("{} cannot be read: {cause}", path.display()))
+                read_text(&path).map_err(|fault| fault.to_string())
             }
             _ => Ok(None),
         }
@@ -255,15 +254,15 @@ impl ThemeLoader {
     }
 
     /// Waits until the file of the current theme changes.
-    async fn changed(&self) -> Result<Option<Vec<u8>>, String> {
+    async fn changed(&self) -> DiskContent {
         match &self.watch {
             Some(watch) => watch.changed().await,
             None => pending().await,
         }
     }
 
-    fn reload(&mut self, reading: Result<Option<Vec<u8>>, String>) -> Result<(), String> {
-        let Some(bytes) = reading? else { return Ok(()) };
+    fn reload(&mut self, reading: DiskContent) -> Result<(), String> {
+        let Some(bytes) = reading.map_err(|fault| fault.to_string())? else { return Ok(()) };
         let text = String::from_utf8(bytes).map_err(|_| "it is not UTF-8".to_owned())?;
         let name = self.current.name.clone();
         self.current = self.parse(&name, &text)?;

@@ -114,8 +114,8 @@ impl Brush<'_> {
         let mut lines = vec![Line::from(self.span(Role::Muted, format!("   {why}")))];
         for bus in self.app.buses().iter().filter(|bus| bus.is_blind()) {
             let name = Escaped(bus.name.as_bytes());
-            let text = match &bus.status.message {
-                Some(message) => Escaped(message.as_bytes()).to_string(),
+            let text = match &bus.status.fault {
+                Some(fault) => Escaped(fault.to_string().as_bytes()).to_string(),
                 None => format!("{name} is not up"),
             };
             lines.push(Line::default());

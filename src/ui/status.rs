@@ -203,13 +203,13 @@ fn bus_parts(brush: &Brush, index: BusIndex) -> Parts {
         parts.insert(1, vec![brush.span(Role::Warning, "FROZEN")]);
     }
     let is_searched = brush.app.searches_bitrate_of(index);
-    let message = bus.status.message.as_ref().filter(|_| !bus.is_up() && !is_searched);
-    if let Some(message) = message {
-        // The state in front of the message already is BUS-OFF.
-        let known = format!("{} is bus-off: ", bus.name);
-        let message = message.strip_prefix(&*known).unwrap_or(message);
-        let message = crate::text::Escaped(message.as_bytes()).to_string();
-        parts.push(vec![brush.span(Role::Error, message)]);
+    if let Some(fault) = bus.status.fault.as_ref().filter(|_| !bus.is_up() && !is_searched) {
+        // Name and state are in front of it.
+        let known = format!("{} is {}", bus.name, bus.status.state);
+        let remedy = fault.remedy().filter(|_| fault.cause() == known);
+        let text = remedy.map_or_else(|| fault.to_string(), str::to_owned);
+        let text = crate::text::Escaped(text.as_bytes()).to_string();
+        parts.push(vec![brush.span(Role::Error, text)]);
         return parts;
     }
     parts.extend(warning(brush, bus).filter(|_| !is_searched));

@@ -1,6 +1,7 @@
 //! Bus outages: frames sent and messages reported during and after the outage.
 
 use descan::app::{App, AppOptions};
+use descan::diagnostic::Diagnostic;
 use descan::discovery::{Config, OwnAddress};
 use descan::frame::{BusIndex, CanId, Frame, FrameKind};
 use descan::keymap::Key;
@@ -157,14 +158,14 @@ fn bus_down_or_unplugged_restarts_discovery() {
         let mut stage = Stage::settled();
         stage.becomes(|status| {
             (status.link, status.state) = (link, BusState::Down);
-            status.message = Some("can0 is away".to_owned());
+            status.fault = Some(Diagnostic::new("can0 is away"));
         });
         stage.run(15.0);
         assert_eq!(stage.sent, [], "nothing can be sent");
         assert!(stage.is_told(told));
         stage.becomes(|status| {
             (status.link, status.state) = (Link::Up, BusState::ErrorActive);
-            (status.message, status.outages) = (None, 1);
+            (status.fault, status.outages) = (None, 1);
         });
         stage.begins_anew();
         assert!(stage.is_told("open") && !stage.is_told("was briefly down"));

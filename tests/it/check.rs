@@ -334,7 +334,7 @@ fn file_of_one_gigabyte_is_rejected_at_once() {
     let output = folder.check(&["file:session.log"]);
     assert_eq!(output.status.code(), Some(3));
     let stderr = text(&output.stderr);
-    assert_eq!(stderr, "descan: des.json: it is larger than 16 MiB: is it the right file?\n");
+    assert_eq!(stderr, "descan: des.json: larger than 16 MiB; check the file name\n");
 }
 
 #[test]

@@ -491,10 +491,10 @@ fn scan_writes_des_json_and_never_overwrites() {
     assert_eq!(listed, [("FEED", Some(12)), ("SENS", Some(13))]);
     let again = descan(&arguments, folder.path());
     assert_eq!(again.status.code(), Some(3));
-    assert!(text(&again.stderr).contains("found.json already exists"));
+    assert!(text(&again.stderr).contains("found.json: already exists; name another file"));
     let a_folder = descan(&["scan", "sim:drone", "--write", "."], folder.path());
     assert_eq!(a_folder.status.code(), Some(3));
-    assert!(text(&a_folder.stderr).contains("is a folder; name a file in it: --write ./des.json"));
+    assert!(text(&a_folder.stderr).contains(".: is a folder; name a file in it"));
     assert_eq!(std::fs::read(folder.path().join("found.json")).unwrap(), written);
 }
 

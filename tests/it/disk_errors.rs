@@ -130,7 +130,7 @@ fn full_disk_keeps_edits_until_space_is_free() {
         "cp des.json .. && mount -t tmpfs -o size=64k tmpfs . && cd ../disk && cp ../des.json . \
          && { head -c 1M /dev/zero >filling 2>/dev/null || true; }",
     );
-    disk.is_kept("the disk is full: make room");
+    disk.is_kept("the disk is full; make room");
     fs::remove_file(disk.seen("disk/filling")).unwrap();
     disk.is_saved_at_last();
 }
@@ -141,7 +141,7 @@ fn read_only_disk_keeps_edits_unsaved() {
         return;
     }
     let mut disk = Disk::new("mount --bind . . && mount -o remount,ro,bind \"$PWD\"");
-    disk.is_kept("mounted read-only: remount it");
+    disk.is_kept("mounted read-only; remount it");
     let folder = disk.folder.path().join("disk");
     disk.among_its_mounts(&["mount", "-o", "remount,rw,bind", folder.to_str().unwrap()]);
     disk.is_saved_at_last();
@@ -153,7 +153,7 @@ fn file_that_is_a_mount_point_is_not_replaced() {
         return;
     }
     let mut disk = Disk::new("cp des.json ../real.json && mount --bind ../real.json des.json");
-    disk.is_kept("a bind mount: mount its folder");
+    disk.is_kept("a bind mount; mount its folder");
     let file = disk.folder.path().join("disk/des.json");
     disk.among_its_mounts(&["umount", file.to_str().unwrap()]);
     disk.is_saved_at_last();
@@ -217,7 +217,7 @@ fn folder_owned_by_another_user_keeps_edits() {
 
     // A write-protected file in a writable folder, too.
     let mut disk = Disk::new(&format!("chmod 444 des.json && chmod 777 . .. && {nobody}"));
-    disk.is_kept("belongs to another user: save a copy");
+    disk.is_kept("belongs to another user; save elsewhere");
     fs::set_permissions(disk.seen("disk/des.json"), Permissions::from_mode(0o666)).unwrap();
     disk.is_saved_at_last();
 }
@@ -235,7 +235,7 @@ fn folder_moved_away_keeps_edits() {
     disk.pty.wait_for("deleted: the next edit creates it again");
     disk.pty.send("7\r");
     disk.pty.wait_for("✗ not saved");
-    disk.pty.wait_for("no such folder: mkdir -p");
+    disk.pty.wait_for("no such folder; mkdir -p");
     assert_eq!(fs::read_to_string(away.join("des.json")).unwrap(), BEFORE);
     fs::rename(&away, &here).unwrap();
     // The entry in the new file is the same one as in the folder that was moved away.

@@ -1,6 +1,7 @@
 //! Reasons why a device in des.json is missing from the bus: each cause, as the details show it.
 
 use descan::app::{App, AppOptions, FileReading};
+use descan::diagnostic::Diagnostic;
 use descan::discovery::{Config, FindingKind};
 use descan::frame::BusIndex;
 use descan::sim::{DeviceAction, DeviceSpec, Fault, Scenario, Sim, SimStation};
@@ -67,9 +68,9 @@ impl Stage {
     }
 
     fn status(&mut self, at: usize, link: Link, state: BusState, message: Option<&str>) {
-        let message = message.map(str::to_owned);
+        let fault = message.map(Diagnostic::new);
         let status =
-            BusStatus { link, state, message, bitrate: Some(250_000), ..BusStatus::default() };
+            BusStatus { link, state, fault, bitrate: Some(250_000), ..BusStatus::default() };
         self.app.handle_bus(self.app.now(), BusIndex(at as u8), status);
         let (sim, station) = &mut self.buses[at];
         sim.set_link(*station, matches!(link, Link::Up | Link::Ended));

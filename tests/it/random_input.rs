@@ -3,6 +3,7 @@
 
 use crate::common::sweep;
 use descan::app::{App, AppOptions, Effect, FileReading, Mouse, MouseKind, SaveOutcome};
+use descan::diagnostic::Diagnostic;
 use descan::discovery::Config;
 use descan::document::Document;
 use descan::frame::{CanId, Frame};
@@ -122,7 +123,7 @@ impl Stage {
                 self.app.handle_file(now, FileReading::Content(content));
             }
             Step::FileError => {
-                self.app.handle_file(now, FileReading::Error("it is a folder".to_owned()));
+                self.app.handle_file(now, FileReading::Error(Diagnostic::new("is a folder")));
             }
             Step::Pause(micros) => self.now = now + Duration::from_micros(micros),
             Step::Saves(saves) => self.saves = saves,
@@ -152,7 +153,7 @@ impl Stage {
                 }
                 Effect::Save { .. } => {
                     let why = "the disk is full".to_owned();
-                    self.app.handle_saved(self.now, SaveOutcome::Failed(why));
+                    self.app.handle_saved(self.now, SaveOutcome::Failed(Diagnostic::new(why)));
                 }
                 Effect::WriteFile { path, .. } => self.app.handle_written(self.now, &path, Ok(())),
                 Effect::UseTheme(_) => self.app.handle_theme(self.now, Ok(())),

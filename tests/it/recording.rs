@@ -5,7 +5,7 @@ use crate::common::pty::{PATIENCE, Pty};
 use crate::common::watch_process::command;
 use descan::frame::{BusIndex, Frame};
 use descan::log::{LogReader, LogSummary};
-use descan::shell::recorder::{RecordError, Recorder, Target};
+use descan::shell::recorder::{Recorder, Target};
 use descan::time::{Duration, Epoch, Instant};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
@@ -187,15 +187,14 @@ fn existing_files_are_not_overwritten() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.log");
     fs::write(&path, "mine").unwrap();
-    let refused = |max_bytes| match Recorder::create(&Target { path: path.clone(), max_bytes }) {
-        Err(RecordError::Exists(there)) => there,
-        other => panic!("{other:?}"),
+    let refused = |max_bytes| {
+        Recorder::create(&Target { path: path.clone(), max_bytes }).unwrap_err().to_string()
     };
-    assert_eq!(refused(None), path.to_str().unwrap());
+    assert_eq!(refused(None), format!("{}: already exists; name another file", path.display()));
     assert_eq!(fs::read(&path).unwrap(), b"mine");
     // A file of an earlier recording with a number that this one would reach.
     fs::rename(&path, folder.path().join("a_00007.log")).unwrap();
-    assert!(refused(Some(10_000)).ends_with("a_00007.log"));
+    assert!(refused(Some(10_000)).contains("a_00007.log: already exists"));
     assert!(!path.exists());
     create(&path, None).finish();
     assert!(!path.exists(), "nothing came, so there is no file in the way of the next try");
@@ -274,8 +273,8 @@ fn invalid_record_arguments_are_reported() {
         (&["--record", "b"], 2, ".log"),
         (&["--record-size", "1M"], 2, "--record <FILE>"),
         (&["--record", "b.log", "--record-size", "1"], 2, "100M"),
-        (&["--record", "a.log"], 3, "a.log already exists"),
-        (&["--record", "nowhere/b.log"], 3, "cannot record to nowhere/b.log"),
+        (&["--record", "a.log"], 3, "a.log: already exists"),
+        (&["--record", "nowhere/b.log"], 3, "nowhere/b.log: no such folder; mkdir -p nowhere"),
     ] {
         let output = descan(&[&["scan", "file:a.log"], arguments].concat(), folder.path());
         assert!(words(&output).contains(hint), "{output:?}");

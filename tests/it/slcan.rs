@@ -7,6 +7,7 @@ use crate::common::open_bus::{OpenBus, PATIENCE};
 use crate::common::python::Python;
 use crate::common::serial::{Bridge, Pty};
 use descan::bus::TransmitError;
+use descan::diagnostic::Diagnostic;
 use descan::frame::{BusIndex, CanId, Frame};
 use descan::status::{BusState, Link};
 use nix::sys::signal::{Signal, kill};
@@ -120,7 +121,7 @@ fn adapter_is_set_up_in_order_and_closed() {
     assert_eq!(adapter.heard, setup);
     let status = bus.wait_for_link(Link::Up);
     assert_eq!((status.bitrate, status.fd, status.listen_only), (Some(500_000), false, false));
-    assert_eq!(status.message, None);
+    assert_eq!(status.fault, None);
     assert_eq!(status.note.as_deref(), Some("adapter: V1013 NA123"));
     drop(bus);
     adapter.hear_until("C");
@@ -278,7 +279,7 @@ fn late_replies_are_matched_to_their_commands() {
     adapter.say("\x07V1013\r\x07V1013\r\x07V1013\r");
     adapter.be_opened();
     let status = bus.wait_for_link(Link::Up);
-    assert_eq!((status.bitrate, status.message), (Some(250_000), None));
+    assert_eq!((status.bitrate, status.fault), (Some(250_000), None));
     assert!(status.note.unwrap().contains("V1013 NA123"));
 }
 
@@ -307,7 +308,7 @@ fn adapter_rejecting_bit_rate_is_down_and_retried() {
     }
     let status = bus.wait_for_link(Link::Down);
     assert_eq!(status.state, BusState::Down);
-    let message = status.message.unwrap();
+    let message = status.fault.unwrap().to_string();
     assert!(message.contains("rejects 800000 bit/s (S7)"), "{message}");
     assert!(!adapter.heard.contains(&"O".to_owned()));
     // Frames sent meanwhile are not queued for later.
@@ -315,7 +316,7 @@ fn adapter_rejecting_bit_rate_is_down_and_retried() {
     bus.wait_for_status("a failure", |status| status.transmit_failures == 1);
     adapter.be_opened();
     let status = bus.wait_for_link(Link::Up);
-    assert_eq!(status.message, None);
+    assert_eq!(status.fault, None);
 }
 
 #[test]
@@ -390,12 +391,12 @@ fn status_flags_give_state_and_lost_frames() {
         adapter.say(flags);
         bus.wait_for_status(flags, |status| status.state == state)
     };
-    assert_eq!(tell("F00\r", BusState::ErrorActive).message, None);
+    assert_eq!(tell("F00\r", BusState::ErrorActive).fault, None);
     tell("F04\r", BusState::ErrorWarning);
-    let message = tell("FA4\r", BusState::ErrorPassive).message.unwrap();
-    assert!(message.contains("error-passive: check bit rate"), "{message}");
+    let message = tell("FA4\r", BusState::ErrorPassive).fault.unwrap().to_string();
+    assert!(message.contains("error-passive; check bit rate"), "{message}");
     let status = tell("F08\r", BusState::ErrorActive);
-    assert_eq!((status.controller_overruns, status.message), (1, None));
+    assert_eq!((status.controller_overruns, status.fault), (1, None));
     // A flag that stays set is one event.
     tell("F0C\r", BusState::ErrorWarning);
     assert_eq!(tell("F00\r", BusState::ErrorActive).controller_overruns, 1);
@@ -429,7 +430,7 @@ fn adapter_state_reports_set_the_bus_state() {
     assert_eq!(bus.status().missing_acks, 1);
     adapter.say("sb000256\r");
     let status = bus.wait_for_status("bus-off", |status| status.state == BusState::BusOff);
-    assert!(status.message.unwrap().contains("bus-off: check wiring"));
+    assert!(status.fault.unwrap().to_string().contains("bus-off; check wiring"));
     // Flags carry less information.
     adapter.hear_until("F");
     adapter.say("F20\rt1230\r");
@@ -463,12 +464,12 @@ fn replugged_adapter_resumes() {
         let status = bus.wait_for_link(Link::Unplugged);
         assert_eq!((status.state, status.unconfirmed), (BusState::Down, 0));
         assert_eq!(status.transmit_failures, round);
-        let message = status.message.unwrap();
-        assert!(message.contains("unplugged: plug it in again"), "{message}");
+        let message = status.fault.unwrap().to_string();
+        assert!(message.contains("unplugged; connect it again"), "{message}");
         adapter.pty.plug_in();
         adapter.be_opened();
         let status = bus.wait_for_link(Link::Up);
-        assert_eq!((status.message, status.bitrate), (None, Some(500_000)));
+        assert_eq!((status.fault, status.bitrate), (None, Some(500_000)));
         adapter.say("t1230\r");
         bus.wait_for_frames(1);
     }
@@ -493,7 +494,7 @@ fn missing_port_is_waited_for() {
     adapter.pty.unplug();
     let mut bus = OpenBus::open(&adapter.spec("@500000"));
     let status = bus.wait_for_link(Link::Missing);
-    let message = status.message.unwrap();
+    let message = status.fault.unwrap().to_string();
     assert!(message.contains(" not found") && message.contains("tty"), "{message}");
     adapter.pty.plug_in();
     adapter.be_opened();
@@ -506,14 +507,14 @@ fn non_serial_file_is_reported() {
     let path = file.path().display();
     let mut bus = OpenBus::open(&format!("slcan:{path}"));
     let status = bus.wait_for_link(Link::NotCan);
-    assert_eq!(status.message, Some(format!("{path} is not a serial port")));
+    assert_eq!(status.fault, Some(Diagnostic::new(format!("{path} is not a serial port"))));
 }
 
 #[test]
 fn port_in_use_is_waited_for() {
     let (mut adapter, bus) = open("@500000");
     let mut second = OpenBus::open(&adapter.spec("@500000"));
-    let message = second.wait_for_link(Link::Down).message.unwrap();
+    let message = second.wait_for_link(Link::Down).fault.unwrap().to_string();
     assert!(message.contains("is in use by another program"), "{message}");
     drop(bus);
     adapter.be_opened();
@@ -613,10 +614,7 @@ fn silent_adapter_is_not_an_active_bus() {
         arguments.extend(json.then_some("--json"));
         let (code, out, err) = Program::start(&arguments).finish();
         assert_eq!(code, Some(0), "{out} {err}");
-        let said = format!(
-            "{spec}: the adapter answered no command: is it slcan, is the baud rate \
-             right?"
-        );
+        let said = format!("{spec}: no response from the adapter; check adapter and baud rate");
         assert!(err.contains(&said), "{err}");
         assert_eq!(err.lines().count(), 1, "{err}");
         if json {

@@ -85,7 +85,7 @@ fn missing_interface_is_a_status_with_a_remedy() {
     let bus = Bus::open("vcan-nowhere");
     let status = bus.status();
     assert_eq!((status.link, status.state), (Link::Missing, BusState::Down));
-    let message = status.message.unwrap();
+    let message = status.fault.unwrap().to_string();
     assert!(message.contains("ip link add vcan-nowhere type vcan"), "{message}");
 }
 
@@ -96,7 +96,7 @@ fn non_can_interface_is_reported() {
     }
     let status = Bus::open("lo").status();
     assert_eq!(status.link, Link::NotCan);
-    assert_eq!(status.message.as_deref(), Some("lo is not a CAN interface"));
+    assert_eq!(status.fault.unwrap().to_string(), "lo is not a CAN interface");
 }
 
 #[test]
@@ -271,15 +271,15 @@ fn interface_that_returns_is_used_again() {
     vcan.down();
     let status = bus.wait_for_link(Link::Down);
     assert_eq!(status.state, BusState::Down);
-    let message = status.message.unwrap();
-    assert_eq!(message, "ds-down is down: sudo ip link set ds-down up");
+    let message = status.fault.unwrap().to_string();
+    assert_eq!(message, "ds-down is down; sudo ip link set ds-down up");
 
     bus.transmit(&Frame::classic(1, &[]));
     bus.wait_until("a counted failure", |bus| bus.status().transmit_failures == 1);
 
     vcan.up();
     let status = bus.wait_for_link(Link::Up);
-    assert_eq!((status.state, status.message), (BusState::Unknown, None));
+    assert_eq!((status.state, status.fault), (BusState::Unknown, None));
     run("cansend", &[vcan.name(), "123#01"]);
     bus.wait_for_frames(1);
     bus.transmit(&Frame::classic(1, &[]));
@@ -296,8 +296,8 @@ fn renamed_interface_is_followed() {
     vcan.rename("ds-renamed");
     bus.wait_until("the new name", |bus| bus.status().renamed.as_deref() == Some("ds-renamed"));
     // The suggested command uses the current name.
-    let message = bus.status().message.unwrap();
-    assert_eq!(message, "ds-renamed is down: sudo ip link set ds-renamed up");
+    let message = bus.status().fault.unwrap().to_string();
+    assert_eq!(message, "ds-renamed is down; sudo ip link set ds-renamed up");
     run("ip", &["link", "set", "ds-renamed", "up"]);
     bus.wait_for_link(Link::Up);
     run("cansend", &["ds-renamed", "123#01"]);
@@ -307,7 +307,7 @@ fn renamed_interface_is_followed() {
     run("ip", &["link", "del", "ds-renamed"]);
     let status = bus.wait_for_link(Link::Unplugged);
     assert_eq!(status.renamed, None);
-    assert!(status.message.unwrap().contains("ds-named unplugged"));
+    assert!(status.fault.unwrap().to_string().contains("ds-named unplugged"));
     vcan.create().unwrap();
     bus.wait_for_link(Link::Up);
     run("cansend", &["ds-named", "123#02"]);
@@ -352,7 +352,7 @@ fn unreported_errors_note_names_the_command() {
     let (_, command) = note.split_once(": ").unwrap();
     run("sh", &["-c", &command.replace("sudo ", "")]);
     bus.wait_until("no note", |bus| bus.status().note.is_none() && bus.status().link == Link::Up);
-    assert_eq!((bus.status().bitrate, bus.status().message), (Some(125_000), None));
+    assert_eq!((bus.status().bitrate, bus.status().fault), (Some(125_000), None));
 }
 
 #[test]
@@ -412,7 +412,7 @@ fn interface_plugged_in_later_is_used() {
         bus.wait_for_frames(round);
         vcan.remove();
         let status = bus.wait_for_link(Link::Unplugged);
-        assert!(status.message.unwrap().contains("ds-later unplugged"));
+        assert!(status.fault.unwrap().to_string().contains("ds-later unplugged"));
     }
 }
 
@@ -446,7 +446,7 @@ fn netlink_describes_a_real_controller() {
     assert_eq!((status.link, status.state), (Link::Up, BusState::ErrorActive));
     assert_eq!((status.bitrate, status.data_bitrate, status.fd), (Some(125_000), None, false));
     assert_eq!((status.tec, status.rec, status.restart_ms), (Some(0), Some(0), Some(0)));
-    assert_eq!((status.listen_only, status.message), (false, None));
+    assert_eq!((status.listen_only, status.fault), (false, None));
 
     let can1 = bus::interfaces().into_iter().find(|it| it.name == "can1").expect("can1");
     assert_eq!((can1.up, can1.is_virtual, can1.bitrate), (true, false, Some(125_000)));
@@ -523,10 +523,10 @@ fn bus_off_and_recovery_are_reported() {
     bus.wait_until("it counted", |bus| bus.status().bus_offs == 1);
     let status = bus.status();
     assert_eq!(status.link, Link::Up);
-    let message = status.message.unwrap();
+    let message = status.fault.unwrap().to_string();
     assert!(
         message.contains(
-            "leaves0 is bus-off: check wiring, then sudo ip link set leaves0 type can restart"
+            "leaves0 is bus-off; check wiring, then sudo ip link set leaves0 type can restart"
         ),
         "{message}"
     );
@@ -540,14 +540,14 @@ fn bus_off_and_recovery_are_reported() {
         .unwrap();
     let said = String::from_utf8_lossy(&scan.stderr);
     assert_eq!(scan.status.code(), Some(3), "{said}");
-    assert!(said.contains("leaves0 is bus-off: check wiring"), "{said}");
+    assert!(said.contains("leaves0 is bus-off; check wiring"), "{said}");
 
     run("ip", &["link", "set", "leaves0", "down"]);
     run("ip", &["link", "set", "leaves0", "up"]);
     bus.wait_until("error-active", |bus| {
         (bus.status().link, bus.status().state) == (Link::Up, BusState::ErrorActive)
     });
-    assert_eq!(bus.status().message, None);
+    assert_eq!(bus.status().fault, None);
     adapter.write(b"t12310A\r");
     bus.wait_until("a frame", |bus| bus.frames.iter().any(|frame| frame.data() == [0x0A]));
     run("slcan_attach", &["-d", path.to_str().unwrap()]);

@@ -111,7 +111,7 @@ fn frames_of_every_kind_are_received() {
         assert_eq!(*frame, expected.with_time(frame.time).with_bus(BusIndex(3)));
     }
     let status = bus.status();
-    assert_eq!((status.missing_acks, status.unreadable, status.message), (1, 0, None));
+    assert_eq!((status.missing_acks, status.unreadable, status.fault), (1, 0, None));
 }
 
 #[test]
@@ -222,13 +222,13 @@ fn server_rejecting_the_bus_is_retried() {
     server.hang_up();
     let status = bus.wait_for_link(Link::Down);
     assert_eq!(status.state, BusState::Down);
-    let message = status.message.unwrap();
+    let message = status.fault.unwrap().to_string();
     assert!(message.contains("rejects can0: could not\\x1B[2J open bus"), "{message}");
     bus.send(&Frame::classic(1, &[]));
     bus.wait_for_status("a failure", |status| status.transmit_failures == 1);
     server.be_opened();
     let status = bus.wait_for_link(Link::Up);
-    assert_eq!((status.state, status.message), (BusState::Unknown, None));
+    assert_eq!((status.state, status.fault), (BusState::Unknown, None));
 }
 
 #[test]
@@ -237,7 +237,7 @@ fn missing_server_is_waited_for() {
     let (address, spec) = (server.address(), server.spec());
     drop(server);
     let mut bus = OpenBus::open(&spec);
-    let message = bus.wait_for_link(Link::Down).message.unwrap();
+    let message = bus.wait_for_link(Link::Down).fault.unwrap().to_string();
     assert!(message.contains(&format!("{address}: connection refused")), "{message}");
     let mut server = Server::at(&address.to_string()).expect("the same port");
     server.be_opened();
@@ -249,8 +249,8 @@ fn silent_server_is_disconnected() {
     let mut server = Server::new();
     let mut bus = OpenBus::open(&server.spec());
     server.accept();
-    let message = bus.wait_for_link(Link::Down).message.unwrap();
-    assert!(message.ends_with(": is it socketcand?"), "{message}");
+    let message = bus.wait_for_link(Link::Down).fault.unwrap().to_string();
+    assert!(message.ends_with("; check that it is socketcand"), "{message}");
     server.be_opened();
     bus.wait_for_link(Link::Up);
 }
@@ -263,7 +263,7 @@ fn closed_connection_is_reopened() {
         server.hang_up();
         let status = bus.wait_for_link(Link::Unplugged);
         assert_eq!((status.state, status.unconfirmed), (BusState::Down, 0));
-        let message = status.message.unwrap();
+        let message = status.fault.unwrap().to_string();
         assert!(message.contains("reconnecting"), "{message}");
         assert_eq!(bus.frames.len(), round);
         server.be_opened();
@@ -413,7 +413,7 @@ fn missing_server_ends_scan_with_a_remedy() {
     let mut scan = Program::start(&["scan", &format!("socketcand://{address}/can0")]);
     let err = read(scan.0.stderr.as_mut().unwrap());
     assert_eq!(scan.0.wait().unwrap().code(), Some(3));
-    assert!(err.contains("connection refused; is socketcand running"), "{err}");
+    assert!(err.contains("connection refused; start socketcand there"), "{err}");
 }
 
 #[test]

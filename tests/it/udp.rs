@@ -271,7 +271,7 @@ fn lost_network() {
         let away = "ip link set lo down; ip -6 route flush table local";
         Command::new("sh").args(["-c", away]).status().unwrap();
         let status = bus.wait_for_link(Link::Unplugged);
-        let message = status.message.unwrap();
+        let message = status.fault.unwrap().to_string();
         assert!(message.contains("no route to") && message.contains("ip route add"));
         bus.send(&Frame::classic(1, &[]));
         bus.wait_for_status("the refusal", |status| status.transmit_failures == 1);
@@ -283,10 +283,10 @@ fn lost_network() {
     }
     let mut bus = OpenBus::open(&format!("udp:{V4}%eth7"));
     let status = bus.wait_for_link(Link::Down);
-    assert!(status.message.unwrap().contains("eth7 not found"));
+    assert!(status.fault.unwrap().to_string().contains("eth7 not found"));
     // One group per link.
     let mut bus = OpenBus::open("udp:ff02::1");
-    let message = bus.wait_for_link(Link::Down).message.unwrap();
+    let message = bus.wait_for_link(Link::Down).fault.unwrap().to_string();
     assert!(message.contains("udp:ff02::1%eth0"), "{message}");
 }
 

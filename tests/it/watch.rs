@@ -3,6 +3,7 @@
 use crate::common::inspection::log;
 use crate::common::watch_process::{Watching, command};
 use descan::app::{App, AppEvent, AppOptions, FileReading, Filter};
+use descan::diagnostic::Diagnostic;
 use descan::discovery::{Confidence, Config, FindingKind};
 use descan::frame::BusIndex;
 use descan::sim::{DeviceSpec, Fault, Scenario, Sim};
@@ -482,7 +483,7 @@ fn filter_never_hides_lost_frames_or_bus_state() {
     assert!(lines.contains("frames lost: the kernel's"), "{lines}");
     assert!(lines.contains("confirmed"), "{lines}");
     assert_eq!(values[..2], ["bus", "frames-lost"]);
-    (status.link, status.message) = (Link::Down, Some("can0 is down".to_owned()));
+    (status.link, status.fault) = (Link::Down, Some(Diagnostic::new("can0 is down")));
     assert_eq!(told(&status), ("can0 is down".to_owned(), vec!["bus"]));
 }
 

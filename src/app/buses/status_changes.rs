@@ -9,7 +9,6 @@ use crate::text::Escaped;
 /// Returns the changes from `old` to `status`, one line each.
 pub(super) fn status_changes(old: &BusStatus, status: &BusStatus) -> Vec<(TimelineKind, String)> {
     let shown = |text: &String| Escaped(text.as_bytes()).to_string();
-    let message = status.message.as_ref().map(shown);
     let mut lines = Vec::new();
     if old.link != status.link {
         lines.push(match status.link {
@@ -19,7 +18,10 @@ pub(super) fn status_changes(old: &BusStatus, status: &BusStatus) -> Vec<(Timeli
             }
             Link::Up => (TimelineKind::Bus, "open".to_owned()),
             Link::Ended => (TimelineKind::Bus, "end of log".to_owned()),
-            _ => (TimelineKind::Error, message.unwrap_or_else(|| "down".to_owned())),
+            _ => (
+                TimelineKind::Error,
+                status.fault.as_ref().map_or("down".to_owned(), |it| shown(&it.to_string())),
+            ),
         });
     }
     if status.filtered && !old.filtered {

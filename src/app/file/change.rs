@@ -1,5 +1,6 @@
 //! Readings of des.json, outcomes of saves, and the changes that result.
 
+use crate::diagnostic::Diagnostic;
 use crate::document::{Document, EditError, ParseError};
 
 /// Result of reading des.json.
@@ -9,8 +10,8 @@ pub enum FileReading {
     Content(Option<Vec<u8>>),
     /// Parsed content: parsing megabytes takes longer than the screen may wait.
     Parsed(Result<Document, ParseError>),
-    /// Cause of a read error.
-    Error(String),
+    /// The file cannot be read.
+    Error(Diagnostic),
 }
 
 impl FileReading {
@@ -42,8 +43,8 @@ impl FileReading {
     }
 }
 
-impl From<Result<Option<Vec<u8>>, String>> for FileReading {
-    fn from(reading: Result<Option<Vec<u8>>, String>) -> Self {
+impl From<Result<Option<Vec<u8>>, Diagnostic>> for FileReading {
+    fn from(reading: Result<Option<Vec<u8>>, Diagnostic>) -> Self {
         match reading {
             Ok(content) => FileReading::Content(content),
             Err(why) => FileReading::Error(why),
@@ -60,8 +61,8 @@ pub enum SaveOutcome {
     Parted(u64),
     /// Another program wrote the file meanwhile; nothing was written. Holds the present content.
     Changed(FileReading),
-    /// Cause of a write error.
-    Failed(String),
+    /// The file cannot be written.
+    Failed(Diagnostic),
 }
 
 impl SaveOutcome {
@@ -77,9 +78,9 @@ pub enum FileProblem {
     /// The file is not JSON.
     Syntax(ParseError),
     /// The file cannot be read.
-    Unreadable(String),
+    Unreadable(Diagnostic),
     /// The last save failed; the edits are kept.
-    NotSaved(String),
+    NotSaved(Diagnostic),
 }
 
 impl FileProblem {
@@ -94,7 +95,7 @@ impl FileProblem {
             FileProblem::Syntax(error) => format!("{name}: {error}"),
             FileProblem::Unreadable(why) => format!("{name}: {why}"),
             // Shown during edits, where the file is known.
-            FileProblem::NotSaved(why) => why.clone(),
+            FileProblem::NotSaved(why) => why.to_string(),
         }
     }
 
@@ -111,7 +112,7 @@ impl std::fmt::Display for FileProblem {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             FileProblem::Syntax(error) => error.fmt(f),
-            FileProblem::Unreadable(why) | FileProblem::NotSaved(why) => f.write_str(why),
+            FileProblem::Unreadable(why) | FileProblem::NotSaved(why) => why.fmt(f),
         }
     }
 }

@@ -174,6 +174,7 @@ fn address_clash(now: &Document, before: &Document) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::diagnostic::Diagnostic;
     use crate::document::Operation;
 
     const NOW: Instant = Instant::ZERO;
@@ -192,7 +193,7 @@ mod tests {
     #[test]
     fn failed_save_is_repeated_and_reported_once() {
         let mut editor = saving();
-        let failed = || SaveOutcome::Failed("no space left".into());
+        let failed = || SaveOutcome::Failed(Diagnostic::new("no space left"));
         let report = editor.handle_saved(NOW, failed());
         assert!(report.change == Change::Broken && !report.is_known && !report.is_silent);
         assert_eq!(editor.poll_timeout(), Some(NOW + SAVE_RETRY_AFTER));

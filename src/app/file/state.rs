@@ -7,6 +7,7 @@
 
 use super::change::{Change, EditRefusal, FileProblem, FileReading, SaveOutcome};
 use super::undo_stack::{UndoStack, UndoStep, apply_all, name_of};
+use crate::diagnostic::Diagnostic;
 use crate::document::{
     Choices, Document, EditConflict, EditError, Merge, MergePreference, Operation, changes, merge,
     merge_chosen,
@@ -299,7 +300,7 @@ impl FileState {
         match merge_chosen(&base, &self.pending, &theirs, &choices, MergePreference::Neither) {
             Ok(Merge::Rebased { document, operations, overruling }) => {
                 if let Err(error) = self.add_steps_to_theirs(&theirs, &operations, &overruling) {
-                    self.problem = Some(FileProblem::NotSaved(error.to_string()));
+                    self.problem = Some(FileProblem::NotSaved(Diagnostic::new(error.to_string())));
                     return Change::Broken;
                 }
                 self.disk = Some(theirs);
@@ -312,7 +313,7 @@ impl FileState {
                 Change::Conflict
             }
             Err(error) => {
-                self.problem = Some(FileProblem::NotSaved(error.to_string()));
+                self.problem = Some(FileProblem::NotSaved(Diagnostic::new(error.to_string())));
                 Change::Broken
             }
         }
@@ -706,7 +707,7 @@ mod tests {
             assert_eq!(saving.expected.unwrap().source(), found.as_bytes());
             assert_eq!(saving.content.source(), both.as_bytes());
             // The disk fails: the edit stays unsaved.
-            file.handle_saved(NOW, SaveOutcome::Failed("no room".into()));
+            file.handle_saved(NOW, SaveOutcome::Failed(Diagnostic::new("no room")));
             assert!(file.unsaved() > 0);
         }
     }

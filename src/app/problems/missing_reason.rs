@@ -236,8 +236,8 @@ fn why_bus(bus: &Bus, reasons: &mut Vec<String>) {
     match (bus.status.link, bus.status.state) {
         (Link::Opening, _) => reasons.push(format!("{name} is opening")),
         (link, _) if !matches!(link, Link::Up | Link::Ended) => {
-            reasons.push(match &bus.status.message {
-                Some(message) => Escaped(message.as_bytes()).to_string(),
+            reasons.push(match &bus.status.fault {
+                Some(fault) => Escaped(fault.to_string().as_bytes()).to_string(),
                 None => format!("{name} is down"),
             });
         }

@@ -7,9 +7,11 @@
 
 use super::{Backoff, Delivery};
 use crate::bus::clock::Clock;
-use crate::bus::kind::{OpenError, OpenRequest};
+use crate::bus::faults::cannot_open;
+use crate::bus::kind::OpenRequest;
 use crate::bus::port::{Port, PortShared};
 use crate::bus::tx_queue::{TxAttempt, TxQueue};
+use crate::diagnostic::Diagnostic;
 use crate::frame::Frame;
 use crate::status::{BusState, BusStatus, Link};
 use crate::time::Instant;
@@ -37,8 +39,7 @@ const READ_SIZE: usize = 1 << 14;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(in crate::bus) struct Unavailable {
     pub link: Link,
-    /// Cause and remedy, on one line.
-    pub message: String,
+    pub fault: Diagnostic,
 }
 
 /// Opens and closes the stream.
@@ -108,8 +109,8 @@ impl ProtocolIo {
     }
 
     /// Closes the stream, for this reason; the first reason counts.
-    pub fn disconnect(&mut self, link: Link, message: String) {
-        self.broken.get_or_insert(Unavailable { link, message });
+    pub fn disconnect(&mut self, link: Link, fault: Diagnostic) {
+        self.broken.get_or_insert(Unavailable { link, fault });
     }
 
     #[cfg(test)]
@@ -124,9 +125,9 @@ pub(in crate::bus) fn open<E: Endpoint, D: Protocol>(
     request: OpenRequest,
     ends: (E, D),
     start: (BusStatus, Backoff),
-) -> Result<Port, OpenError> {
+) -> Result<Port, Diagnostic> {
     let name = request.name.clone();
-    start_worker(request, ends, start).map_err(|cause| OpenError::Resources { name, cause })
+    start_worker(request, ends, start).map_err(|error| cannot_open(name, &error))
 }
 
 fn start_worker<E: Endpoint, D: Protocol>(
@@ -151,7 +152,7 @@ fn start_worker<E: Endpoint, D: Protocol>(
     };
     port.serve(move |shared| {
         if let Err(error) = worker.run(backoff) {
-            shared.queue.finish(Link::Failed, format!("stopped: {error}"));
+            shared.queue.finish(Link::Failed, Diagnostic::unreadable(name, &error));
         }
     })?;
     Ok(port)
@@ -341,7 +342,7 @@ impl<E: Endpoint, D: Protocol> StreamWorker<E, D> {
         status.link = unavailable.link;
         status.state = BusState::Down;
         (status.tec, status.rec) = (None, None);
-        status.message = Some(unavailable.message);
+        status.fault = Some(unavailable.fault);
         status.note = None;
         self.drop_pending();
     }

@@ -1,7 +1,8 @@
 //! `file:LOG`: a recorded log as a bus.
 
-use super::super::kind::{BusKind, OpenError, OpenRequest, SpecError};
+use super::super::kind::{BusKind, OpenRequest};
 use super::super::port::Port;
+use crate::diagnostic::Diagnostic;
 use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -14,18 +15,16 @@ pub(in crate::bus) const KIND: BusKind = BusKind {
     can_send: false,
 };
 
-pub(in crate::bus) fn parse(text: &str) -> Result<PathBuf, SpecError> {
-    if text.is_empty() { Err(SpecError::incomplete(&KIND)) } else { Ok(text.into()) }
+pub(in crate::bus) fn parse(text: &str) -> Result<PathBuf, Diagnostic> {
+    if text.is_empty() { Err(KIND.incomplete()) } else { Ok(text.into()) }
 }
 
 pub(in crate::bus) fn text(path: &Path) -> String {
     path.display().to_string()
 }
 
-pub(in crate::bus) fn open(path: &Path, request: OpenRequest) -> Result<Port, OpenError> {
-    let log =
-        open_log(path).map_err(|cause| OpenError::Log { path: request.name.clone(), cause })?;
-    super::open(log, Some(path), request)
+pub(in crate::bus) fn open(path: &Path, request: OpenRequest) -> Result<Port, Diagnostic> {
+    super::open(open_log(path)?, Some(path), request)
 }
 
 /// Opens a log.
@@ -33,10 +32,10 @@ pub(in crate::bus) fn open(path: &Path, request: OpenRequest) -> Result<Port, Op
 /// # Errors
 ///
 /// Those of the file system; a folder is not a log.
-pub fn open_log(path: &Path) -> io::Result<File> {
-    let log = File::open(path)?;
-    if log.metadata()?.is_dir() {
-        return Err(io::ErrorKind::IsADirectory.into());
-    }
-    Ok(log)
+pub fn open_log(path: &Path) -> Result<File, Diagnostic> {
+    let opened = File::open(path).and_then(|log| {
+        let is_folder = log.metadata()?.is_dir();
+        if is_folder { Err(io::ErrorKind::IsADirectory.into()) } else { Ok(log) }
+    });
+    opened.map_err(|error| Diagnostic::unreadable(format_args!("file:{}", path.display()), &error))
 }

@@ -9,8 +9,10 @@ pub(super) mod file;
 pub(super) mod stdin;
 
 use super::clock::Clock;
-use super::kind::{OpenError, OpenRequest};
+use super::faults::cannot_open;
+use super::kind::OpenRequest;
 use super::port::{Port, PortShared};
+use crate::diagnostic::Diagnostic;
 use crate::frame::{BusIndex, Frame};
 use crate::log::LogReader;
 use crate::status::{Link, RateSearch};
@@ -38,9 +40,9 @@ const UNFINISHED: Duration = Duration::from_secs(10);
 
 /// Opens a log whose first interface is bus `index` of the request, its second the next, and so on.
 /// At its end more of it is looked for at `path`, if there is one.
-fn open(log: File, path: Option<&Path>, request: OpenRequest) -> Result<Port, OpenError> {
+fn open(log: File, path: Option<&Path>, request: OpenRequest) -> Result<Port, Diagnostic> {
     let name = request.name.clone();
-    start(log, path, request).map_err(|cause| OpenError::Resources { name, cause })
+    start(log, path, request).map_err(|error| cannot_open(name, &error))
 }
 
 fn start(log: File, path: Option<&Path>, request: OpenRequest) -> io::Result<Port> {
@@ -70,7 +72,7 @@ fn start(log: File, path: Option<&Path>, request: OpenRequest) -> io::Result<Por
             percent: None,
         };
         if let Err(error) = replay.run() {
-            shared.queue.finish(Link::Failed, format!("cannot read the log: {error}"));
+            shared.queue.finish(Link::Failed, Diagnostic::unreadable(name, &error));
         }
     })?;
     Ok(port)
@@ -121,7 +123,7 @@ impl Replay {
                 }
             };
             self.shared.queue.update_status(|status| {
-                (status.link, status.message) = (Link::Up, None);
+                (status.link, status.fault) = (Link::Up, None);
                 // An earlier note stays.
                 status.note = note.or_else(|| status.note.take());
             });
@@ -223,13 +225,13 @@ impl Replay {
     /// Reports the end of the log, which may be temporary.
     fn end(&mut self) {
         self.report_position();
-        let mut message = self.reader.tally().to_string();
+        let mut summary = self.reader.tally().to_string();
         if self.reader.has_unfinished() && self.reader.tally().damage.is_none() {
-            message.push_str("; last line incomplete");
+            summary.push_str("; last line incomplete");
         }
         self.clock.log_ends(self.index);
         self.shared.queue.update_status(|status| {
-            (status.link, status.message) = (Link::Ended, Some(message));
+            (status.link, status.fault) = (Link::Ended, Some(Diagnostic::new(summary)));
         });
     }
 }

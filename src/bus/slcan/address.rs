@@ -1,7 +1,8 @@
 //! `slcan:DEVICE[@RATE[/DATA_RATE]]`: what an slcan argument names.
 
 use super::line::{self, data_rate_code, data_rates, rate_code};
-use crate::bus::kind::{BusKind, SpecError};
+use crate::bus::kind::BusKind;
+use crate::diagnostic::Diagnostic;
 use std::path::PathBuf;
 
 pub(in crate::bus) const KIND: BusKind = BusKind {
@@ -23,16 +24,16 @@ pub struct SlcanAddress {
     pub data_bitrate: Option<u32>,
 }
 
-pub(in crate::bus) fn parse(text: &str) -> Result<SlcanAddress, SpecError> {
+pub(in crate::bus) fn parse(text: &str) -> Result<SlcanAddress, Diagnostic> {
     if text.is_empty() {
-        return Err(SpecError::incomplete(&KIND));
+        return Err(KIND.incomplete());
     }
     let Some((device, rates)) = text.rsplit_once('@') else {
         return Ok(SlcanAddress { device: text.into(), bitrate: None, data_bitrate: None });
     };
     let rate = |text: &str| {
-        let bad = || SpecError::with_use(format!("{rates} is not a bit rate"), KIND.example);
-        text.parse::<u32>().map_err(|_| bad())
+        let fault = || Diagnostic::new(format!("{rates} is not a bit rate"));
+        text.parse::<u32>().map_err(|_| fault().with_remedy(format!("use {}", KIND.example)))
     };
     let (bitrate, data_bitrate) = match rates.split_once('/') {
         Some((bitrate, data)) => (rate(bitrate)?, Some(rate(data)?)),
@@ -47,8 +48,9 @@ pub(in crate::bus) fn parse(text: &str) -> Result<SlcanAddress, SpecError> {
     Ok(SlcanAddress { device: device.into(), bitrate: Some(bitrate), data_bitrate })
 }
 
-fn not_supported(rate: u32, phase: &str, rates: &str) -> SpecError {
-    SpecError::with_use(format!("slcan does not support {rate} bit/s{phase}"), rates)
+fn not_supported(rate: u32, phase: &str, rates: &str) -> Diagnostic {
+    let fault = Diagnostic::new(format!("slcan does not support {rate} bit/s{phase}"));
+    fault.with_remedy(format!("use {rates}"))
 }
 
 pub(in crate::bus) fn text(address: &SlcanAddress) -> String {

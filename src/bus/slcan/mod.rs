@@ -11,10 +11,12 @@ pub use address::SlcanAddress;
 pub(super) use address::{KIND, parse, text};
 pub(super) use line::rate_code;
 
-use super::kind::{OpenError, OpenRequest};
+use super::faults::{cannot_open, in_use, not_found, unplugged};
+use super::kind::OpenRequest;
 use super::port::Port;
 use super::remote::Backoff;
 use super::remote::stream::{self, Endpoint, Unavailable};
+use crate::diagnostic::Diagnostic;
 use crate::status::{BusStatus, Link, RateSearch};
 use nix::errno::Errno;
 use nix::fcntl::{Flock, FlockArg, OFlag};
@@ -37,7 +39,7 @@ const RETRY_PERIOD: Duration = Duration::from_secs(1);
 const BAUD_RATE: BaudRate = BaudRate::B115200;
 
 /// Opens the adapter; the status is delivered later.
-pub(super) fn open(address: &SlcanAddress, request: OpenRequest) -> Result<Port, OpenError> {
+pub(super) fn open(address: &SlcanAddress, request: OpenRequest) -> Result<Port, Diagnostic> {
     let SlcanAddress { device, bitrate, data_bitrate } = address.clone();
     let listen_only = request.options.listen_only;
     let settings = SlcanSettings { bitrate, data_bitrate, listen_only };
@@ -63,22 +65,17 @@ impl Endpoint for SerialPort {
     type Stream = LockedPort;
 
     fn open(&self) -> Result<LockedPort, Unavailable> {
-        let unavailable = |link, message| Unavailable { link, message };
-        let name = self.device.display();
         let port = OpenOptions::new()
             .read(true)
             .write(true)
             // No wait for a carrier; not the controlling terminal.
             .custom_flags((OFlag::O_NONBLOCK | OFlag::O_NOCTTY | OFlag::O_CLOEXEC).bits())
             .open(&self.device)
-            .map_err(|error| self.cannot_open(&error))?;
-        let Ok(mut settings) = tcgetattr(&port) else {
-            return Err(unavailable(Link::NotCan, format!("{name} is not a serial port")));
-        };
+            .map_err(|error| self.unavailable(&error))?;
+        let mut settings = tcgetattr(&port).map_err(|_| self.unavailable(&Errno::ENOTTY.into()))?;
         let port = Flock::lock(port, FlockArg::LockExclusiveNonblock)
-            .map_err(|_| unavailable(Link::Down, format!("{name} is in use by another program")))?;
-        let failed =
-            |error: Errno| unavailable(Link::Down, format!("cannot set up {name}: {error}"));
+            .map_err(|_| self.unavailable(&Errno::EBUSY.into()))?;
+        let failed = |error: Errno| self.unavailable(&error.into());
         let port = LockedPort(port);
         // For programs that ignore the lock.
         rustix::termios::ioctl_tiocexcl(&port)
@@ -98,8 +95,7 @@ impl Endpoint for SerialPort {
     }
 
     fn broken_off(&self) -> Unavailable {
-        let message = format!("{} unplugged: plug it in again", self.device.display());
-        Unavailable { link: Link::Unplugged, message }
+        Unavailable { link: Link::Unplugged, fault: unplugged(self.device.display()) }
     }
 
     fn close(&self, stream: LockedPort, stuck: bool) {
@@ -111,44 +107,34 @@ impl Endpoint for SerialPort {
 }
 
 impl SerialPort {
-    fn cannot_open(&self, error: &io::Error) -> Unavailable {
+    fn unavailable(&self, error: &io::Error) -> Unavailable {
         let name = self.device.display();
         let errno = error.raw_os_error().map_or(Errno::UnknownErrno, Errno::from_raw);
-        let (link, message) = match errno {
+        let (link, fault) = match errno {
             Errno::ENOENT | Errno::ENODEV | Errno::ENXIO | Errno::ENOTDIR => {
-                (Link::Missing, advice_missing(&self.device))
+                (Link::Missing, not_found(name, &serial_ports()))
             }
-            Errno::EACCES | Errno::EPERM => (Link::Down, advice_permission(&self.device)),
-            Errno::EBUSY => (Link::Down, format!("{name} is in use by another program")),
-            Errno::EISDIR => (Link::NotCan, format!("{name} is not a serial port")),
+            Errno::EACCES | Errno::EPERM => (Link::Down, not_permitted(&self.device)),
+            Errno::EBUSY => (Link::Down, in_use(name)),
+            Errno::EISDIR | Errno::ENOTTY => {
+                (Link::NotCan, Diagnostic::new(format!("{name} is not a serial port")))
+            }
             // The other end of a pty is closed.
-            Errno::EIO => (Link::Missing, format!("{name}: no device connected")),
-            _ => (Link::Down, format!("cannot open {name}: {error}")),
+            Errno::EIO => (Link::Missing, Diagnostic::new(format!("{name}: no device connected"))),
+            _ => (Link::Down, cannot_open(name, error)),
         };
-        Unavailable { link, message }
+        Unavailable { link, fault }
     }
 }
 
-fn advice_missing(device: &Path) -> String {
-    let name = device.display();
-    let others = serial_ports();
-    if others.is_empty() {
-        return format!("{name} not found, nor another adapter's port: is it plugged in?");
-    }
-    format!("{name} not found; available: {}", others.join(", "))
-}
-
-fn advice_permission(device: &Path) -> String {
+fn not_permitted(device: &Path) -> Diagnostic {
     let name = device.display();
     let group = fs::metadata(device).ok().map(|it| Gid::from_raw(it.gid()));
     let group = group.filter(|gid| gid.as_raw() != 0).and_then(|gid| Group::from_gid(gid).ok()?);
-    match group {
-        Some(group) => format!(
-            "no permission for {name}: sudo usermod -aG {} \"$USER\", then log in again",
-            group.name
-        ),
-        None => format!("no permission for {name}: sudo chmod a+rw {name}"),
-    }
+    Diagnostic::new(format!("no permission for {name}")).with_remedy(match group {
+        Some(group) => format!("sudo usermod -aG {} \"$USER\", then log in again", group.name),
+        None => format!("sudo chmod a+rw {name}"),
+    })
 }
 
 /// The serial ports of this machine that are usually adapters.

@@ -13,9 +13,11 @@
 use super::line::{
     AdapterReply, Flags, LinePiece, LineSplitter, data_rate_code, encode, name, parse, rate_code,
 };
+use crate::bus::faults::{bus_off, no_response};
 use crate::bus::remote::stream::{Protocol, ProtocolIo};
 use crate::bus::remote::tx_echo::Confirmation;
 use crate::bus::remote::{RemoteClock, TxEchoTracker};
+use crate::diagnostic::Diagnostic;
 use crate::frame::Frame;
 use crate::status::{BusState, Link};
 use crate::time::{Duration, Instant};
@@ -216,7 +218,8 @@ impl Slcan {
 
     fn handle_rejection(&mut self, now: Instant, command: SetupCommand, exchange: &mut ProtocolIo) {
         let text = self.text(command);
-        let cause = match command {
+        let device = &self.device;
+        let fault = match command {
             SetupCommand::Serial => return self.set(now, Some(command), exchange),
             SetupCommand::DataRate(_) => {
                 self.takes_fd = false;
@@ -224,16 +227,18 @@ impl Slcan {
             }
             SetupCommand::Rate(_) => {
                 let rate = self.settings.bitrate.unwrap_or_default();
-                format!(
-                    "rejects {rate} bit/s ({text}); use another rate, or none to keep the adapter's"
-                )
+                Diagnostic::new(format!("{device} rejects {rate} bit/s ({text})"))
+                    .with_remedy("use another rate, or none to keep the adapter's")
             }
             SetupCommand::Open if self.settings.listen_only => {
-                format!("rejects listen-only ({text})")
+                Diagnostic::new(format!("{device} rejects listen-only ({text})"))
             }
-            SetupCommand::Open => format!("does not open ({text}); set a bit rate: @500000"),
+            SetupCommand::Open => {
+                Diagnostic::new(format!("{device} does not open the bus ({text})"))
+                    .with_remedy("set a bit rate: @500000")
+            }
         };
-        exchange.disconnect(Link::Down, format!("the adapter at {} {cause}", self.device));
+        exchange.disconnect(Link::Down, fault);
     }
 
     fn enter_open(&mut self, now: Instant, exchange: &mut ProtocolIo) {
@@ -246,7 +251,7 @@ impl Slcan {
         let status = &mut exchange.status;
         status.link = Link::Up;
         status.state = BusState::Unknown;
-        status.message = None;
+        status.fault = None;
         status.bitrate = self.settings.bitrate;
         status.fd = self.takes_fd;
         status.data_bitrate = self.settings.data_bitrate.filter(|_| self.takes_fd);
@@ -325,20 +330,17 @@ impl Slcan {
         self.is_troubled = !matches!(state, BusState::ErrorActive | BusState::Unknown);
         let status = &mut exchange.status;
         status.state = state;
-        let advice = match state {
-            BusState::BusOff => {
-                "is bus-off: check wiring and bit rate, then restart descan or the adapter"
-            }
-            BusState::ErrorPassive => {
-                "is error-passive: check bit rate, wiring, termination and that another \
-                 node is on"
-            }
-            _ => {
-                status.message = None;
-                return;
-            }
+        status.fault = match state {
+            BusState::BusOff => Some(bus_off(
+                &self.device,
+                "check wiring and bit rate, then restart descan or the adapter",
+            )),
+            BusState::ErrorPassive => Some(
+                Diagnostic::new(format!("{} is error-passive", self.device))
+                    .with_remedy("check bit rate, wiring, termination and that another node is on"),
+            ),
+            _ => None,
         };
-        status.message = Some(format!("the adapter at {} {advice}", self.device));
     }
 
     fn count_unreadable(&mut self, exchange: &mut ProtocolIo) {
@@ -395,8 +397,7 @@ impl Slcan {
             self.flags.missing += 1;
             if self.flags.missing == MAX_MISSING_FLAGS && self.responses {
                 if self.flags.last.is_some() {
-                    return exchange
-                        .disconnect(Link::Down, format!("no response from {}", self.device));
+                    return exchange.disconnect(Link::Down, no_response(&self.device));
                 }
                 self.flags.wanted = false;
                 self.flags.requested = None;

@@ -1,29 +1,15 @@
 //! Configuration of a CAN controller by netlink: bit rate, listen-only, down and up. Needs
 //! CAP_NET_ADMIN. Does not know its purpose.
 
-use super::link_info::{advice_missing, is_can};
+use super::link_info::{is_can, missing, not_can};
+use crate::bitrate::RATES;
+use crate::bus::faults::TuneError;
+use crate::diagnostic::{Diagnostic, without_number};
 use nix::net::if_::if_nametoindex;
 use nix::unistd::geteuid;
 use socketcan::nl::{CanBitTiming, CanCtrlModes, InterfaceCanParams};
 use socketcan::{CanCtrlMode, CanInterface, Error};
 use std::io::{self, ErrorKind};
-
-/// Why a controller cannot be configured.
-#[derive(Debug)]
-pub(in crate::bus) enum ConfigError {
-    /// The interface does not exist or is not a CAN interface; fault and remedy.
-    NotThere(String),
-    /// The interface has no controller, as vcan.
-    NoController,
-    /// It needs root.
-    NotPermitted,
-    /// The controller has no listen-only mode.
-    NoListening,
-    /// The controller does not support this bit rate.
-    NotThisRate,
-    /// Anything else.
-    Failed(io::Error),
-}
 
 /// A controller and its previous configuration.
 #[derive(Debug)]
@@ -38,17 +24,17 @@ pub(in crate::bus) struct CanController {
 
 impl CanController {
     /// Reads the configuration; changes nothing.
-    pub(in crate::bus) fn of(name: &str) -> Result<Self, ConfigError> {
-        let ifindex =
-            if_nametoindex(name).map_err(|_| ConfigError::NotThere(advice_missing(name)))?;
+    pub(in crate::bus) fn of(name: &str) -> Result<Self, TuneError> {
+        let ifindex = if_nametoindex(name).map_err(|_| missing(name))?;
         if !is_can(name) {
-            return Err(ConfigError::NotThere(format!("{name} is not a CAN interface")));
+            return Err(not_can(name).into());
         }
         let interface = CanInterface::open_iface(ifindex);
-        let details = interface.details().map_err(refusal)?;
+        let details =
+            interface.details().map_err(|error| Diagnostic::unreadable(name, &io_error(error)))?;
         // Every controller reports its clock frequency; virtual interfaces have none.
         if details.can.clock.is_none() {
-            return Err(ConfigError::NoController);
+            return Err(TuneError::no_rate(name));
         }
         let modes = details.can.ctrl_mode;
         Ok(Self {
@@ -76,24 +62,22 @@ impl CanController {
     }
 
     /// Sets it down, configures it, and sets it up.
-    pub(in crate::bus) fn set(
-        &mut self,
-        bitrate: u32,
-        listen_only: bool,
-    ) -> Result<(), ConfigError> {
+    pub(in crate::bus) fn set(&mut self, bitrate: u32, listen_only: bool) -> Result<(), TuneError> {
         self.touched = true;
-        self.down()?;
+        let failed = |error: io::Error| TuneError::Failed(self.fault(bitrate, &error));
+        self.down().map_err(failed)?;
         let timing = CanBitTiming { bitrate, ..CanBitTiming::default() };
         // One at a time, to know which of both is rejected.
-        self.change(Some(timing), None).map_err(|refusal| match refusal {
-            ConfigError::Failed(_) => ConfigError::NotThisRate,
-            other => other,
+        self.change(Some(timing), None).map_err(|error| match error.kind() {
+            ErrorKind::PermissionDenied => failed(error),
+            _ => TuneError::not_this_rate(&self.name, bitrate),
         })?;
-        self.change(None, Some(listen_only)).map_err(|refusal| match refusal {
-            ConfigError::Failed(_) if listen_only => ConfigError::NoListening,
-            other => other,
+        self.change(None, Some(listen_only)).map_err(|error| match error.kind() {
+            ErrorKind::PermissionDenied => failed(error),
+            _ if listen_only => TuneError::Failed(self.without_listen_only()),
+            _ => failed(error),
         })?;
-        self.up()
+        self.up().map_err(failed)
     }
 
     /// Keeps the present configuration when dropped.
@@ -102,10 +86,14 @@ impl CanController {
     }
 
     /// Restores the previous configuration. If it had no bit rate, the present one stays.
-    pub(in crate::bus) fn restore(&mut self) -> Result<(), ConfigError> {
-        if !std::mem::take(&mut self.touched) {
-            return Ok(());
-        }
+    pub(in crate::bus) fn restore(&mut self) -> Result<(), TuneError> {
+        let is_touched = std::mem::take(&mut self.touched);
+        let done = if is_touched { self.put_back() } else { Ok(()) };
+        let bitrate = self.bitrate().unwrap_or(RATES[0]);
+        done.map_err(|error| TuneError::Failed(self.fault(bitrate, &error)))
+    }
+
+    fn put_back(&self) -> io::Result<()> {
         self.down()?;
         if let Some(timing) = self.timing {
             // The segments determine the rate. Controllers with a list of rates accept only the rate.
@@ -117,23 +105,43 @@ impl CanController {
         if self.was_up { self.up() } else { Ok(()) }
     }
 
-    fn down(&self) -> Result<(), ConfigError> {
-        self.interface.bring_down().map_err(refusal)
+    fn down(&self) -> io::Result<()> {
+        self.interface.bring_down().map_err(rejection)
     }
 
-    fn up(&self) -> Result<(), ConfigError> {
-        self.interface.bring_up().map_err(refusal)
+    fn up(&self) -> io::Result<()> {
+        self.interface.bring_up().map_err(rejection)
     }
 
     fn change(
         &self,
         bit_timing: Option<CanBitTiming>,
         listen_only: Option<bool>,
-    ) -> Result<(), ConfigError> {
+    ) -> io::Result<()> {
         let ctrl_mode = listen_only.map(|on| CanCtrlModes::from_mode(CanCtrlMode::ListenOnly, on));
         let parameters =
             InterfaceCanParams { bit_timing, ctrl_mode, ..InterfaceCanParams::default() };
-        self.interface.set_can_params(&parameters).map_err(refusal)
+        self.interface.set_can_params(&parameters).map_err(rejection)
+    }
+
+    fn fault(&self, bitrate: u32, error: &io::Error) -> Diagnostic {
+        let name = &self.name;
+        match error.kind() {
+            ErrorKind::PermissionDenied => Diagnostic::new(format!("setting {name} needs root"))
+                .with_remedy(format!(
+                    "sudo descan speed {name}, or try a rate by hand: sudo ip link set {name} \
+                     down && sudo ip link set {name} up type can bitrate {bitrate} listen-only on, \
+                     then descan watch {name} --listen-only"
+                )),
+            _ => Diagnostic::new(format!("cannot configure {name}: {}", without_number(error))),
+        }
+    }
+
+    fn without_listen_only(&self) -> Diagnostic {
+        let name = &self.name;
+        Diagnostic::new(format!("{name} has no listen-only mode")).with_remedy(format!(
+            "descan speed {name} --active tries actively and destroys frames at wrong rates"
+        ))
     }
 }
 
@@ -144,19 +152,18 @@ impl Drop for CanController {
     }
 }
 
-fn refusal(error: Error) -> ConfigError {
-    let cause = match error {
+/// The system's error of a change. A missing privilege is not always reported as such.
+fn rejection(error: Error) -> io::Error {
+    if geteuid().is_root() { io_error(error) } else { ErrorKind::PermissionDenied.into() }
+}
+
+fn io_error(error: Error) -> io::Error {
+    match error {
         Error::Io(cause) => cause,
         Error::Nl(error) => match error.errno() {
             Some(errno) => io::Error::from_raw_os_error(errno),
             None => io::Error::other(error),
         },
         other @ Error::Can(_) => io::Error::other(other),
-    };
-    // A missing privilege is not always reported as such.
-    if cause.kind() == ErrorKind::PermissionDenied || !geteuid().is_root() {
-        ConfigError::NotPermitted
-    } else {
-        ConfigError::Failed(cause)
     }
 }

@@ -1,8 +1,10 @@
 //! State of the machine's CAN interfaces, by netlink and sysfs: names, up or down, bit rates,
-//! controller state; and the remedies for faults.
+//! controller state; and faults.
 //!
 //! Reads only; needs no privileges.
 
+use crate::bus::faults::{bus_off, not_found, restart_command};
+use crate::diagnostic::Diagnostic;
 use crate::status::BusState;
 use nix::net::if_::if_nametoindex;
 use socketcan::CanCtrlMode;
@@ -41,7 +43,7 @@ pub fn interfaces() -> Vec<CanInterface> {
     });
     let describe = |name: String| {
         let facts = LinkInfo::of(if_nametoindex(name.as_str()).ok()?).ok()?;
-        let is_virtual = !fs::exists(format!("/sys/class/net/{name}/device")).unwrap_or(false);
+        let is_virtual = !has_device(&name);
         let LinkInfo { up, bitrate, state, .. } = facts;
         Some(CanInterface { name, up, is_virtual, bitrate, state })
     };
@@ -124,58 +126,59 @@ impl LinkInfo {
         })
     }
 
-    /// Fault of `name` and remedy; `None` without a fault.
-    pub(super) fn advice(&self, name: &str) -> Option<String> {
-        match self.state {
-            _ if !self.up => Some(advice_down(name, self.bitrate)),
-            BusState::BusOff => Some(match self.restart_ms {
-                Some(0) | None => format!(
-                    "{name} is bus-off: check wiring, then sudo ip link set {name} \
-                     type can restart"
+    /// What is wrong with `name`; `None` without a fault.
+    pub(super) fn fault(&self, name: &str) -> Option<Diagnostic> {
+        let fault = |state: &str| Diagnostic::new(format!("{name} is {state}"));
+        Some(match self.state {
+            _ if !self.up && self.bitrate.is_none() && has_device(name) => fault("down")
+                .with_remedy(format!("sudo ip link set {name} up type can bitrate 125000")),
+            _ if !self.up => fault("down").with_remedy(format!("sudo ip link set {name} up")),
+            BusState::BusOff => match self.restart_ms {
+                Some(0) | None => {
+                    bus_off(name, format!("check wiring, then {}", restart_command(name)))
+                }
+                Some(millis) => bus_off(
+                    name,
+                    format!("check wiring and bit rate; it restarts every {millis} ms"),
                 ),
-                Some(millis) => format!(
-                    "{name} is bus-off and restarts by itself every {millis} ms: check wiring and \
-                     bit rate"
-                ),
-            }),
-            BusState::ErrorPassive if self.tec.is_some_and(|tec| tec >= 128) => Some(format!(
-                "{name} is error-passive (no ACK): check that another node is on, wired, \
-                 terminated and at {}",
-                self.bitrate.map_or("the same bit rate".into(), |rate| format!("{rate} bit/s"))
-            )),
-            BusState::ErrorPassive => Some(format!(
-                "{name} is error-passive (receive errors): check bit rate, wiring and \
-                 termination"
-            )),
-            BusState::Stopped => {
-                Some(format!("{name} is stopped: sudo ip link set {name} down, then up"))
+            },
+            BusState::ErrorPassive if self.tec.is_some_and(|tec| tec >= 128) => {
+                let rate = self.bitrate.map(|rate| format!("{rate} bit/s"));
+                fault("error-passive (no ACK)").with_remedy(format!(
+                    "check that another node is on, wired, terminated and at {}",
+                    rate.as_deref().unwrap_or("the same bit rate")
+                ))
             }
-            _ => None,
-        }
+            BusState::ErrorPassive => fault("error-passive (receive errors)")
+                .with_remedy("check bit rate, wiring and termination"),
+            BusState::Stopped => {
+                fault("stopped").with_remedy(format!("sudo ip link set {name} down, then up"))
+            }
+            _ => return None,
+        })
     }
 }
 
-fn advice_down(name: &str, bitrate: Option<u32>) -> String {
-    let is_virtual = !fs::exists(format!("/sys/class/net/{name}/device")).unwrap_or(false);
-    match bitrate {
-        None if !is_virtual => {
-            format!("{name} is down: sudo ip link set {name} up type can bitrate 125000")
-        }
-        _ => format!("{name} is down: sudo ip link set {name} up"),
-    }
+/// Returns true if the interface is not a virtual one.
+fn has_device(name: &str) -> bool {
+    fs::exists(format!("/sys/class/net/{name}/device")).unwrap_or(false)
 }
 
-/// Fault and remedy where `name` does not exist.
-pub(super) fn advice_missing(name: &str) -> String {
-    let others = interfaces();
-    let names: Vec<_> = others.iter().map(|interface| interface.name.as_str()).collect();
+/// An interface does not exist.
+pub(super) fn missing(name: &str) -> Diagnostic {
+    let names: Vec<_> = interfaces().into_iter().map(|interface| interface.name).collect();
+    let fault = not_found(name, &names);
     if name.starts_with("vcan") {
-        format!("{name} not found: sudo ip link add {name} type vcan && sudo ip link set {name} up")
-    } else if names.is_empty() {
-        format!("{name} not found, nor another CAN interface: is the adapter plugged in?")
-    } else {
-        format!("{name} not found; available: {}", names.join(", "))
+        return fault.with_remedy(format!(
+            "sudo ip link add {name} type vcan && sudo ip link set {name} up"
+        ));
     }
+    fault
+}
+
+/// An interface, or something else, is used as a CAN interface.
+pub(super) fn not_can(name: &str) -> Diagnostic {
+    Diagnostic::new(format!("{name} is not a CAN interface"))
 }
 
 #[cfg(test)]
@@ -187,9 +190,9 @@ mod tests {
     }
 
     #[test]
-    fn healthy_bus_has_no_advice() {
-        assert_eq!(up(BusState::ErrorActive).advice("can0"), None);
-        assert_eq!(up(BusState::Unknown).advice("vcan0"), None);
+    fn healthy_bus_has_no_fault() {
+        assert_eq!(up(BusState::ErrorActive).fault("can0"), None);
+        assert_eq!(up(BusState::Unknown).fault("vcan0"), None);
     }
 
     #[test]
@@ -198,24 +201,22 @@ mod tests {
         let hides = LinkInfo { hides_errors: true, ..up(BusState::ErrorActive) };
         let note = hides.note("can0").unwrap();
         assert!(note.ends_with("ip link set can0 up type can berr-reporting on"), "{note}");
-        assert_eq!(hides.advice("can0"), None);
+        assert_eq!(hides.fault("can0"), None);
     }
 
     #[test]
-    fn advice_names_the_cause_and_the_way_out() {
+    fn fault_names_the_cause_and_the_way_out() {
         let down = LinkInfo { bitrate: Some(500_000), ..LinkInfo::default() };
-        assert_eq!(
-            down.advice("nocan9").as_deref(),
-            Some("nocan9 is down: sudo ip link set nocan9 up")
-        );
-        let off = up(BusState::BusOff).advice("can0").unwrap();
-        assert!(off.contains("bus-off") && off.contains("type can restart"), "{off}");
+        let text = |info: &LinkInfo, name| info.fault(name).unwrap().to_string();
+        assert_eq!(text(&down, "nocan9"), "nocan9 is down; sudo ip link set nocan9 up");
+        let off = text(&up(BusState::BusOff), "can0");
+        assert!(off.contains("bus-off;") && off.contains("type can restart"), "{off}");
         let alone =
             LinkInfo { tec: Some(128), bitrate: Some(125_000), ..up(BusState::ErrorPassive) };
-        let alone = alone.advice("can0").unwrap();
+        let alone = text(&alone, "can0");
         assert!(alone.contains("no ACK") && alone.contains("125000 bit/s"), "{alone}");
         let deaf = LinkInfo { rec: Some(128), tec: Some(0), ..up(BusState::ErrorPassive) };
-        assert!(deaf.advice("can0").unwrap().contains("receive errors"));
-        assert!(advice_missing("vcan77").contains("ip link add vcan77 type vcan"));
+        assert!(text(&deaf, "can0").contains("receive errors"));
+        assert!(missing("vcan77").to_string().contains("ip link add vcan77 type vcan"));
     }
 }

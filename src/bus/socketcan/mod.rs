@@ -14,14 +14,16 @@ pub use link_info::{CanInterface, interfaces};
 pub(super) use name::{KIND, interface_name, interface_name as parse, looks_like_path, text};
 
 use super::clock::RxTimestamps;
-use super::kind::{OpenError, OpenRequest};
+use super::faults::{cannot_open, unplugged};
+use super::kind::OpenRequest;
 use super::port::{Port, PortShared};
 use super::tx_queue::{TxAttempt, TxQueue};
+use crate::diagnostic::Diagnostic;
 use crate::error_report::ErrorReport;
 use crate::frame::{BusIndex, Frame, IdPattern};
 use crate::status::{BusState, BusStatus, Link, RateSearch};
 use crate::time::Instant;
-use link_info::{LinkInfo, advice_missing, is_can};
+use link_info::{LinkInfo, is_can, missing, not_can};
 use nix::errno::Errno;
 use nix::net::if_::if_nametoindex;
 use socket::{RawSocket, ReceivedFrame};
@@ -45,9 +47,9 @@ const RETRY_INTERVAL: Duration = Duration::from_millis(2);
 const RETRY_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// Opens the interface; its status is known at once.
-pub(super) fn open(interface: &str, request: OpenRequest) -> Result<Port, OpenError> {
+pub(super) fn open(interface: &str, request: OpenRequest) -> Result<Port, Diagnostic> {
     let name = request.name.clone();
-    start(interface, request).map_err(|cause| OpenError::Resources { name, cause })
+    start(interface, request).map_err(|error| cannot_open(name, &error))
 }
 
 fn start(name: &str, request: OpenRequest) -> io::Result<Port> {
@@ -75,8 +77,7 @@ fn start(name: &str, request: OpenRequest) -> io::Result<Port> {
     port.serve(move |shared| {
         let _release = ObserverRelease(Arc::clone(&reader.monitor));
         if let Err(error) = reader.run(socket) {
-            let message = format!("cannot read {}: {error}", reader.monitor.name);
-            shared.queue.finish(Link::Failed, message);
+            shared.queue.finish(Link::Failed, Diagnostic::unreadable(&reader.monitor.name, &error));
         }
     })?;
     port.serve(move |shared| monitor.run(shared))?;
@@ -160,7 +161,7 @@ impl InterfaceMonitor {
         let Ok(facts) = LinkInfo::of(ifindex) else { return pending };
         // A renamed interface is the same bus; remedies need its present name.
         let name = facts.name.as_deref().unwrap_or(&self.name);
-        let (message, note) = (facts.advice(name), facts.note(name));
+        let (fault, note) = (facts.fault(name), facts.note(name));
         let renamed = (name != self.name).then(|| name.to_owned());
         shared.queue.update_status(|status| {
             // The reader may have lost the interface meanwhile.
@@ -177,7 +178,7 @@ impl InterfaceMonitor {
             self.is_down.store(!facts.up, Ordering::Release);
             status.set_facts(&facts);
             status.renamed = renamed;
-            status.message = message;
+            status.fault = fault;
             status.note = note;
         });
         pending
@@ -247,15 +248,13 @@ impl SocketReader {
     fn find(&mut self) -> Option<RawSocket> {
         let name = &self.monitor.name;
         let opened = match if_nametoindex(name.as_str()) {
-            Ok(_) if !is_can(name) => Err((Link::NotCan, format!("{name} is not a CAN interface"))),
+            Ok(_) if !is_can(name) => Err((Link::NotCan, not_can(name))),
             Ok(ifindex) => match RawSocket::open(ifindex, &self.only) {
                 Ok(socket) => Ok((ifindex, socket)),
-                Err(error) => Err(self.cannot_open(&error)),
+                Err(error) => Err(self.unavailable(&error)),
             },
-            Err(_) if self.was_up => {
-                Err((Link::Unplugged, format!("{name} unplugged: plug it in again")))
-            }
-            Err(_) => Err((Link::Missing, advice_missing(name))),
+            Err(_) if self.was_up => Err((Link::Unplugged, unplugged(name))),
+            Err(_) => Err((Link::Missing, missing(name))),
         };
         match opened {
             Ok((ifindex, socket)) => {
@@ -269,28 +268,29 @@ impl SocketReader {
                 self.monitor.ifindex.store(ifindex, Ordering::Release);
                 Some(socket)
             }
-            Err((link, message)) => {
+            Err((link, fault)) => {
                 self.shared.queue.update_status(|status| {
                     status.link = link;
                     status.set_facts(&LinkInfo { state: BusState::Down, ..LinkInfo::default() });
                     status.unconfirmed = 0;
                     status.renamed = None;
-                    status.message = Some(message);
+                    status.fault = Some(fault);
                 });
                 None
             }
         }
     }
 
-    fn cannot_open(&self, error: &io::Error) -> (Link, String) {
+    fn unavailable(&self, error: &io::Error) -> (Link, Diagnostic) {
         let name = &self.monitor.name;
         match errno(error) {
-            Errno::ENODEV | Errno::ENXIO => (Link::Missing, advice_missing(name)),
+            Errno::ENODEV | Errno::ENXIO => (Link::Missing, missing(name)),
             Errno::EAFNOSUPPORT | Errno::EPROTONOSUPPORT => (
                 Link::NoKernel,
-                "kernel without CAN: sudo modprobe can-raw, or another kernel".into(),
+                Diagnostic::new("kernel without CAN")
+                    .with_remedy("sudo modprobe can-raw, or use another kernel"),
             ),
-            _ => (Link::Down, format!("cannot open {name}: {error}")),
+            _ => (Link::Down, cannot_open(name, error)),
         }
     }
 

@@ -1,6 +1,8 @@
 //! `can0`: the name of a SocketCAN interface as a BUS argument.
 
-use crate::bus::kind::{BusKind, SpecError};
+use super::not_can;
+use crate::bus::kind::BusKind;
+use crate::diagnostic::Diagnostic;
 use std::path::Path;
 
 pub(in crate::bus) const KIND: BusKind = BusKind {
@@ -15,19 +17,19 @@ pub(in crate::bus) const KIND: BusKind = BusKind {
 const MAX_LEN: usize = 15;
 
 /// Checks the name of a network interface of any type.
-pub(in crate::bus) fn interface_name(text: &str) -> Result<String, SpecError> {
+pub(in crate::bus) fn interface_name(text: &str) -> Result<String, Diagnostic> {
     // Interface names may have dots, but this one is more likely a forgotten `file:`.
     let is_path = text.contains('/') || Path::new(text).extension() == Some("log".as_ref());
-    let bad = || SpecError::new(format!("{text:?} is not an interface name"));
+    let bad = || not_a_name(&format!("{text:?}"));
     match text {
-        "" => Err(SpecError::with_use("empty bus name".to_owned(), "can0 or file:LOG")),
+        "" => Err(Diagnostic::new("empty bus name").with_remedy("use can0 or file:LOG")),
         "." | ".." => Err(bad()),
-        _ if text.starts_with("/dev/") => Err(SpecError::with_remedy(
-            format!("{text} is not a CAN interface"),
-            format!("for an slcan adapter use slcan:{text}@500000"),
-        )),
+        _ if text.starts_with("/dev/") => {
+            let remedy = format!("for an slcan adapter use slcan:{text}@500000");
+            Err(not_can(text).with_remedy(remedy))
+        }
         _ if is_path => Err(looks_like_path(text)),
-        _ if text.len() > MAX_LEN => Err(SpecError::new(format!(
+        _ if text.len() > MAX_LEN => Err(Diagnostic::new(format!(
             "{text} is too long for an interface name ({MAX_LEN} bytes)"
         ))),
         _ if text.contains(|c: char| c.is_whitespace() || c.is_control()) => Err(bad()),
@@ -36,9 +38,12 @@ pub(in crate::bus) fn interface_name(text: &str) -> Result<String, SpecError> {
 }
 
 /// The error for a path, most likely of a log.
-pub(in crate::bus) fn looks_like_path(text: &str) -> SpecError {
-    let cause = format!("{text} is not an interface name");
-    SpecError::with_remedy(cause, format!("for a log use file:{text}"))
+pub(in crate::bus) fn looks_like_path(text: &str) -> Diagnostic {
+    not_a_name(text).with_remedy(format!("for a log use file:{text}"))
+}
+
+fn not_a_name(text: &str) -> Diagnostic {
+    Diagnostic::new(format!("{text} is not an interface name"))
 }
 
 pub(in crate::bus) fn text(name: &str) -> String {

@@ -1,6 +1,7 @@
 //! Parser of a socketcand argument: `socketcand://HOST[:PORT]/BUS`.
 
-use crate::bus::kind::{BusKind, SpecError};
+use crate::bus::kind::BusKind;
+use crate::diagnostic::Diagnostic;
 
 pub(in crate::bus) const KIND: BusKind = BusKind {
     scheme: "socketcand",
@@ -24,13 +25,13 @@ pub struct SocketcandAddress {
     pub interface: String,
 }
 
-pub(in crate::bus) fn parse(text: &str) -> Result<SocketcandAddress, SpecError> {
+pub(in crate::bus) fn parse(text: &str) -> Result<SocketcandAddress, Diagnostic> {
     let parts = text.strip_prefix("//").and_then(|rest| rest.split_once('/'));
     let parts = parts.filter(|(server, bus)| !server.is_empty() && !bus.is_empty());
-    let (server, interface) = parts.ok_or_else(|| SpecError::incomplete(&KIND))?;
+    let (server, interface) = parts.ok_or_else(|| KIND.incomplete())?;
     let bad = || {
-        let cause = format!("{}:{text} is not HOST/BUS", KIND.scheme);
-        SpecError::with_use(cause, &format!("{} or socketcand://[fe80::1%eth0]/can0", KIND.example))
+        let fault = Diagnostic::new(format!("{}:{text} is not HOST/BUS", KIND.scheme));
+        fault.with_remedy(format!("use {} or socketcand://[fe80::1%eth0]/can0", KIND.example))
     };
     let (host, port) = match server.strip_prefix('[') {
         Some(rest) => {

@@ -11,10 +11,12 @@ mod protocol;
 pub use address::SocketcandAddress;
 pub(super) use address::{KIND, parse, text};
 
-use super::kind::{OpenError, OpenRequest};
+use super::faults::{cannot_open, no_response};
+use super::kind::OpenRequest;
 use super::port::Port;
 use super::remote::Backoff;
 use super::remote::stream::{self, Endpoint, Unavailable};
+use crate::diagnostic::Diagnostic;
 use crate::status::{BusStatus, Link, RateSearch};
 use nix::sys::socket::{setsockopt, sockopt};
 use protocol::Socketcand;
@@ -33,7 +35,7 @@ const MAX_PAUSE: Duration = Duration::from_secs(8);
 const SEND_BUFFER: usize = 4_096;
 
 /// Opens the bus; the status is delivered later.
-pub(super) fn open(address: &SocketcandAddress, request: OpenRequest) -> Result<Port, OpenError> {
+pub(super) fn open(address: &SocketcandAddress, request: OpenRequest) -> Result<Port, Diagnostic> {
     let SocketcandAddress { host, port, interface } = address;
     let server = Server { host: host.clone(), port: port.unwrap_or(DEFAULT_PORT) };
     let protocol = Socketcand::new(&server.name(), interface);
@@ -66,23 +68,21 @@ impl Server {
 
     fn cannot_connect(&self, error: &io::Error) -> Unavailable {
         let name = self.name();
-        let (link, message) = match error.kind() {
-            ErrorKind::ConnectionRefused => {
-                (Link::Down, format!("{name}: connection refused; is socketcand running?"))
-            }
-            ErrorKind::TimedOut => {
-                (Link::Down, format!("no response from {name}: is it on and reachable?"))
-            }
+        let fault = match error.kind() {
+            ErrorKind::ConnectionRefused => Diagnostic::new(format!("{name}: connection refused"))
+                .with_remedy("start socketcand there"),
+            ErrorKind::TimedOut => no_response(name).with_remedy("check that it is on"),
             ErrorKind::HostUnreachable | ErrorKind::NetworkUnreachable => {
-                (Link::Down, format!("no route to {name}: is the network up?"))
+                Diagnostic::new(format!("no route to {name}")).with_remedy("check the network")
             }
             // Errors of the resolver have no error number.
             _ if error.raw_os_error().is_none() => {
-                (Link::Missing, format!("unknown host {}: {error}", self.host))
+                let fault = Diagnostic::new(format!("unknown host {}: {error}", self.host));
+                return Unavailable { link: Link::Missing, fault };
             }
-            _ => (Link::Down, format!("cannot connect to {name}: {error}")),
+            _ => cannot_open(name, error),
         };
-        Unavailable { link, message }
+        Unavailable { link: Link::Down, fault }
     }
 }
 
@@ -101,8 +101,8 @@ impl Endpoint for Server {
     }
 
     fn broken_off(&self) -> Unavailable {
-        let message = format!("connection to {} lost: reconnecting", self.name());
-        Unavailable { link: Link::Unplugged, message }
+        let fault = Diagnostic::new(format!("connection to {} lost: reconnecting", self.name()));
+        Unavailable { link: Link::Unplugged, fault }
     }
 
     fn close(&self, _: TcpStream, _: bool) {}

@@ -4,9 +4,11 @@
 //! response to the one before: older daemons do not accept several commands at once.
 
 use super::message::{MessagePiece, MessageSplitter, ServerMessage, encode, parse};
+use crate::bus::faults::{bus_off, no_response, restart_command};
 use crate::bus::remote::stream::{Protocol, ProtocolIo};
 use crate::bus::remote::tx_echo::Confirmation;
 use crate::bus::remote::{RemoteClock, TxEchoTracker};
+use crate::diagnostic::Diagnostic;
 use crate::error_report::ErrorReport;
 use crate::frame::Frame;
 use crate::status::{BusState, Link};
@@ -73,7 +75,7 @@ impl Socketcand {
                 let status = &mut exchange.status;
                 status.link = Link::Up;
                 status.state = BusState::Unknown;
-                status.message = None;
+                status.fault = None;
             }
             (SocketcandStage::Open, ServerMessage::Frame(frame, stamp)) => {
                 let time = stamp.map_or(now, |stamp| self.stamps.local_time(stamp, now));
@@ -85,16 +87,14 @@ impl Socketcand {
             }
             (_, ServerMessage::Error(cause)) => {
                 let (server, interface) = (&self.server, &self.interface);
-                let message = match self.stage {
+                let fault = match self.stage {
                     SocketcandStage::Switching => {
-                        format!("{server} does not support raw mode: {cause}")
+                        Diagnostic::new(format!("{server} does not support raw mode: {cause}"))
                     }
-                    _ => format!(
-                        "{server} rejects {interface}: {cause}; is it exported \
-                         (socketcand -i {interface})?"
-                    ),
+                    _ => Diagnostic::new(format!("{server} rejects {interface}: {cause}"))
+                        .with_remedy(format!("export it there: socketcand -i {interface}")),
                 };
-                exchange.disconnect(Link::Down, message);
+                exchange.disconnect(Link::Down, fault);
             }
             // Frames received during a mode change, and repeated responses.
             _ => {}
@@ -106,15 +106,16 @@ impl Socketcand {
             // The server omits the details, so only bus-off is known of the state.
             if report.is_bus_off() {
                 exchange.status.state = BusState::BusOff;
-                exchange.status.message = Some(format!(
-                    "{} at {} is bus-off: check wiring and bit rate, then restart it there: sudo \
-                     ip link set {} type can restart",
-                    self.interface, self.server, self.interface
-                ));
+                let remedy = format!(
+                    "check wiring and bit rate, then restart it there: {}",
+                    restart_command(&self.interface)
+                );
+                let name = format_args!("{} at {}", self.interface, self.server);
+                exchange.status.fault = Some(bus_off(name, remedy));
             }
         } else if exchange.status.state == BusState::BusOff {
             exchange.status.state = BusState::Unknown;
-            exchange.status.message = None;
+            exchange.status.fault = None;
         }
         frame.is_tx =
             self.own.confirmation() != Confirmation::Never && self.own.confirm_equal(&frame);
@@ -128,12 +129,13 @@ impl Socketcand {
 
     fn disconnect_silent(&self, exchange: &mut ProtocolIo) {
         let server = &self.server;
-        let message = match self.stage {
-            SocketcandStage::Greeting => format!("no greeting from {server}: is it socketcand?"),
-            SocketcandStage::Open => format!("{server} stopped responding"),
-            _ => format!("no response from {server}"),
+        let fault = match self.stage {
+            SocketcandStage::Greeting => Diagnostic::new(format!("no greeting from {server}"))
+                .with_remedy("check that it is socketcand"),
+            SocketcandStage::Open => Diagnostic::new(format!("{server} stopped responding")),
+            _ => no_response(server),
         };
-        exchange.disconnect(Link::Down, message);
+        exchange.disconnect(Link::Down, fault);
     }
 }
 
@@ -300,7 +302,7 @@ mod tests {
         assert_eq!(test.exchange.broken, None);
         test.pass(16_000);
         let away = test.exchange.broken.unwrap();
-        assert_eq!(away.message, "host:29536 stopped responding");
+        assert_eq!(away.fault.to_string(), "host:29536 stopped responding");
     }
 
     #[test]
@@ -382,7 +384,7 @@ mod tests {
         assert_eq!(test.exchange.status.state, BusState::BusOff);
         test.handle_message(20, "< error 100 1.1 >< frame 123 1.2 11 >");
         assert_eq!(test.exchange.status.state, BusState::Unknown);
-        assert_eq!(test.exchange.status.message, None);
+        assert_eq!(test.exchange.status.fault, None);
         assert_eq!(test.exchange.frames.len(), 3);
     }
 }

@@ -1,7 +1,8 @@
 //! Parser of a udp argument: `udp:[GROUP][%INTERFACE][@PORT]`.
 
-use crate::bus::kind::{BusKind, SpecError};
+use crate::bus::kind::BusKind;
 use crate::bus::socketcan::interface_name;
+use crate::diagnostic::Diagnostic;
 use std::net::{IpAddr, Ipv6Addr};
 
 pub(in crate::bus) const KIND: BusKind = BusKind {
@@ -27,13 +28,12 @@ pub struct UdpAddress {
     pub port: Option<u16>,
 }
 
-pub(in crate::bus) fn parse(text: &str) -> Result<UdpAddress, SpecError> {
+pub(in crate::bus) fn parse(text: &str) -> Result<UdpAddress, Diagnostic> {
     let bad = || {
-        let remedy = format!(
+        Diagnostic::new(format!("{text} is not a multicast group")).with_remedy(format!(
             "use {}, udp:ff15::1%eth0@43113, or udp: for python-can's default",
             KIND.example
-        );
-        SpecError::with_remedy(format!("{text} is not a multicast group"), remedy)
+        ))
     };
     let (place, port) = match text.rsplit_once('@') {
         Some((place, port)) => {

@@ -11,10 +11,12 @@ pub use address::UdpAddress;
 pub(super) use address::{KIND, parse, text};
 
 use super::clock::{Clock, RxTimestamps};
-use super::kind::{OpenError, OpenRequest};
+use super::faults::{cannot_open, in_use};
+use super::kind::OpenRequest;
 use super::port::{Port, PortShared};
 use super::remote::{Backoff, Delivery};
 use super::tx_queue::{TxAttempt, TxQueue};
+use crate::diagnostic::Diagnostic;
 use crate::frame::Frame;
 use crate::status::{BusStatus, Link, RateSearch};
 use nix::errno::Errno;
@@ -36,9 +38,9 @@ const CHECK_PERIOD: Duration = Duration::from_secs(2);
 const BATCH: usize = 256;
 
 /// Opens the bus; its status is set at once.
-pub(super) fn open(address: &UdpAddress, request: OpenRequest) -> Result<Port, OpenError> {
+pub(super) fn open(address: &UdpAddress, request: OpenRequest) -> Result<Port, Diagnostic> {
     let name = request.name.clone();
-    start(address, request).map_err(|cause| OpenError::Resources { name, cause })
+    start(address, request).map_err(|error| cannot_open(name, &error))
 }
 
 fn start(address: &UdpAddress, request: OpenRequest) -> io::Result<Port> {
@@ -67,7 +69,7 @@ fn start(address: &UdpAddress, request: OpenRequest) -> io::Result<Port> {
     let mut port = Port::new(&name, shared, options.listen_only);
     port.serve(move |shared| {
         if let Err(error) = bus.run(opened) {
-            shared.queue.finish(Link::Failed, format!("cannot receive from the group: {error}"));
+            shared.queue.finish(Link::Failed, Diagnostic::unreadable(name, &error));
         }
     })?;
     Ok(port)
@@ -111,7 +113,7 @@ impl Multicast {
         match opened {
             Ok(sockets) => {
                 self.was_up = true;
-                (self.status.link, self.status.message) = (Link::Up, None);
+                (self.status.link, self.status.fault) = (Link::Up, None);
                 self.delivery.deliver_status(&self.status);
                 Some(sockets)
             }
@@ -125,9 +127,10 @@ impl Multicast {
     fn report_unavailable(&mut self, error: &io::Error) {
         let MulticastGroup { address, interface, .. } = &self.group;
         let errno = error.raw_os_error().map_or(Errno::UnknownErrno, Errno::from_raw);
-        let message = match (errno, interface) {
+        let fault = match (errno, interface) {
             (Errno::ENODEV | Errno::ENXIO, Some(name)) => {
-                format!("{name} not found or without multicast; list interfaces: ip -br link")
+                Diagnostic::new(format!("{name} not found or without multicast"))
+                    .with_remedy("list interfaces: ip -br link")
             }
             (
                 Errno::ENETUNREACH
@@ -138,24 +141,24 @@ impl Multicast {
                 _,
             ) => {
                 let name = interface.as_deref().unwrap_or("eth0");
-                format!(
-                    "no route to {address}: sudo ip route add {address} dev {name}, or \
-                     name an interface: udp:{address}%{name}"
-                )
+                Diagnostic::new(format!("no route to {address}")).with_remedy(format!(
+                    "sudo ip route add {address} dev {name}, or name an interface: \
+                     udp:{address}%{name}"
+                ))
             }
-            (Errno::EADDRINUSE, _) => {
-                format!("port {} is in use by another program", self.group.port)
-            }
+            (Errno::EADDRINUSE, _) => in_use(format_args!("port {}", self.group.port)),
             (Errno::EINVAL, None) if address.is_ipv6() => {
-                format!("{address} needs an interface: udp:{address}%eth0")
+                Diagnostic::new(format!("{address} needs an interface"))
+                    .with_remedy(format!("use udp:{address}%eth0"))
             }
             (Errno::EPERM | Errno::EACCES, _) => {
-                format!("{address} is not permitted: {error} (firewall?)")
+                Diagnostic::new(format!("{address} is not permitted"))
+                    .with_remedy("check the firewall")
             }
-            _ => format!("cannot join {address}: {error}"),
+            _ => cannot_open(address, error),
         };
         self.status.link = if self.was_up { Link::Unplugged } else { Link::Down };
-        self.status.message = Some(message);
+        self.status.fault = Some(fault);
         self.delivery.deliver_status(&self.status);
     }
 

@@ -18,8 +18,10 @@ mod target;
 
 pub use target::{Size, Target};
 
+use super::store::{Store, already_exists, not_written};
+use crate::diagnostic::Diagnostic;
 use crate::frame::{BusIndex, Frame};
-use crate::log::{LogFormat, UnknownFormat};
+use crate::log::LogFormat;
 use crate::status::RecordingStatus;
 use crate::time::{Duration as Span, Epoch};
 use output::Output;
@@ -41,30 +43,6 @@ const FLUSH_EVERY: Duration = Duration::from_secs(1);
 
 /// Largest delay of the batches of one bus relative to those of another.
 const BATCHES_APART: Span = Span::from_millis(250);
-
-/// Why a recording cannot start.
-#[derive(Debug, thiserror::Error)]
-pub enum RecordError {
-    /// The file name does not show a log format.
-    #[error("--record {path}: {fault}")]
-    Format {
-        /// The file name.
-        path: String,
-        /// The cause, with the endings that are allowed.
-        fault: UnknownFormat,
-    },
-    /// The file, or one of those that may follow it, already exists.
-    #[error("{0} already exists; name another file")]
-    Exists(String),
-    /// The file cannot be created.
-    #[error("cannot record to {path}: {cause}")]
-    Unwritable {
-        /// The file name.
-        path: String,
-        /// The system's error.
-        cause: io::Error,
-    },
-}
 
 /// A recording in progress. Dropping it writes all queued frames and ends it.
 #[derive(Debug)]
@@ -98,20 +76,25 @@ struct RecorderState {
 
 impl Recorder {
     /// Creates the first file and starts the thread.
-    pub fn create(target: &Target) -> Result<Self, RecordError> {
+    ///
+    /// # Errors
+    /// The file name does not show a log format; the file, or one that may follow it, already
+    /// exists; or it cannot be created.
+    pub fn create(target: &Target) -> Result<Self, Diagnostic> {
         let path = shown(&target.path);
-        let format = LogFormat::of(&target.path)
-            .map_err(|fault| RecordError::Format { path: path.clone(), fault })?;
+        let format = LogFormat::of(&target.path).map_err(|fault| {
+            Diagnostic::new(fault.to_string()).of(format_args!("--record {path}"))
+        })?;
         if target.max_bytes.is_some()
             && let Some(there) = first_numbered(&target.path)
         {
-            return Err(RecordError::Exists(shown(&there)));
+            return Err(already_exists().of(shown(&there)));
         }
-        let unwritable = |cause: io::Error| match cause.kind() {
-            io::ErrorKind::AlreadyExists => RecordError::Exists(path.clone()),
-            _ => RecordError::Unwritable { path: path.clone(), cause },
-        };
-        let file = Output::create(&target.path, format).map_err(unwritable)?;
+        let file = Output::create(&target.path, format).map_err(|error| {
+            let store = Store::new(&target.path);
+            let fault = store.check_new().err().or_else(|| store.missing_folder());
+            fault.unwrap_or_else(|| not_written(&error)).of(&path)
+        })?;
         let state = RecorderState { status: file.status(), ..RecorderState::default() };
         let shared = Arc::new(RecorderShared {
             state: Mutex::new(state),
@@ -133,7 +116,7 @@ impl Recorder {
         let thread = thread::Builder::new()
             .name("recorder".into())
             .spawn(move || writer.run())
-            .map_err(unwritable)?;
+            .map_err(|error| not_written(&error).of(&path))?;
         Ok(Self { shared, thread: Some(thread) })
     }
 

@@ -1,6 +1,7 @@
 //! Test harness: the app on a simulated bus, with a des.json file.
 
 use descan::app::{App, AppOptions, Effect, FileReading, Overlay, SaveOutcome};
+use descan::diagnostic::Diagnostic;
 use descan::discovery::Config;
 use descan::document::Document;
 use descan::frame::BusIndex;
@@ -135,7 +136,7 @@ impl Stage {
         let Effect::Save { expected, content } = effect else { return };
         let expected = expected.as_ref().map(Document::source);
         let outcome = if let Some(why) = &self.refusal {
-            SaveOutcome::Failed(why.clone())
+            SaveOutcome::Failed(Diagnostic::new(why))
         } else if expected == self.file.as_deref() {
             self.file = Some(content.source().to_vec());
             SaveOutcome::Saved
@@ -180,7 +181,7 @@ impl Stage {
     /// Makes the pending saves fail.
     pub fn refuse_saves(&mut self) -> &mut Self {
         for outcome in self.unfinished.as_mut().into_iter().flatten() {
-            *outcome = SaveOutcome::Failed("no space left on the disk".to_owned());
+            *outcome = SaveOutcome::Failed(Diagnostic::new("no space left on the disk"));
         }
         self.finish_saves()
     }

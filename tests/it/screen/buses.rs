@@ -3,6 +3,7 @@
 use super::snapshot;
 use crate::common::harness::{BOILER, Stage};
 use descan::app::{Effect, FileReading};
+use descan::diagnostic::Diagnostic;
 use descan::discovery::Config;
 use descan::frame::{BusIndex, Frame};
 use descan::sim::Scenario;
@@ -64,10 +65,9 @@ fn unreachable_bus_is_not_reported_free_of_problems() {
     let mut stage = Stage::boiler();
     let status = BusStatus {
         link: Link::Down,
-        message: Some(
-            "can0 is down, and its bit rate is not set: sudo ip link set can0 up type can bitrate \
-             125000"
-                .to_owned(),
+        fault: Some(
+            Diagnostic::new("can0 is down")
+                .with_remedy("sudo ip link set can0 up type can bitrate 125000"),
         ),
         ..BusStatus::default()
     };
@@ -270,7 +270,10 @@ fn bus_down_is_shown_on_every_page() {
     let status = BusStatus {
         link: Link::Down,
         state: BusState::Down,
-        message: Some("can0 is down: sudo ip link set can0 up type can bitrate 125000".to_owned()),
+        fault: Some(
+            Diagnostic::new("can0 is down")
+                .with_remedy("sudo ip link set can0 up type can bitrate 125000"),
+        ),
         ..BusStatus::default()
     };
     let now = stage.app.now();
@@ -325,11 +328,12 @@ fn long_bus_name_is_cut_before_its_counters() {
     let line = first(stage.until(9.0));
     assert!(line.contains(":6173 "), "{line}");
     assert!(line.contains("err 0") && line.contains("lost 0"), "{line}");
-    let message = Some("127.0.0.1:29536: connection refused; is socketcand running?".to_owned());
-    let status = BusStatus { link: Link::Down, message, ..BusStatus::default() };
+    let fault = Diagnostic::new("127.0.0.1:29536: connection refused");
+    let fault = Some(fault.with_remedy("start socketcand there"));
+    let status = BusStatus { link: Link::Down, fault, ..BusStatus::default() };
     stage.app.handle_bus(stage.app.now(), BusIndex(0), status);
     let line = first(&stage);
-    assert!(line.ends_with("is socketcand running?"), "{line}");
+    assert!(line.ends_with("start socketcand there"), "{line}");
     assert!(stage.size(120, 24).screen().contains(name), "{}", stage.screen());
 
     stage.app.name_bus(BusIndex(0), "can0".to_owned());
@@ -338,7 +342,7 @@ fn long_bus_name_is_cut_before_its_counters() {
         link: Link::Up,
         state: BusState::BusOff,
         bitrate: Some(250_000),
-        message: Some(format!("can0 is bus-off: {way_out}")),
+        fault: Some(Diagnostic::new("can0 is bus-off").with_remedy(way_out)),
         ..BusStatus::default()
     };
     stage.app.handle_bus(stage.app.now(), BusIndex(0), status);

@@ -5,6 +5,7 @@ use super::text_snapshot;
 use super::with_two_unsaved_edits;
 use crate::common::harness::{BOILER, Stage};
 use descan::app::{Effect, FileReading, Page, SaveOutcome};
+use descan::diagnostic::Diagnostic;
 use descan::keymap::Key;
 use descan::sim::Scenario;
 
@@ -190,7 +191,7 @@ fn failed_save_is_retried_by_key() {
     }
     let now = stage.app.now();
     while stage.app.poll_effect().is_some() {}
-    stage.app.handle_saved(now, SaveOutcome::Failed("no space left on the disk".to_owned()));
+    stage.app.handle_saved(now, SaveOutcome::Failed(Diagnostic::new("no space left on the disk")));
     assert_eq!(stage.app.poll_effect(), None, "not again and again");
     assert!(stage.screen().contains("not saved: no space left"), "{}", stage.screen());
     // It stays visible on the smallest screen, even beside another message.
@@ -207,7 +208,7 @@ fn failed_save_is_retried_by_key() {
 #[test]
 fn failed_save_is_retried_later_and_reported_once() {
     let mut stage = Stage::boiler();
-    let refused = || SaveOutcome::Failed("no space left on the disk".to_owned());
+    let refused = || SaveOutcome::Failed(Diagnostic::new("no space left on the disk"));
     stage.slow_disk().until(24.0).keys("e").text("47").keys("Enter");
     for failures in 1..=3 {
         stage.file = Some(BOILER.as_bytes().to_vec());
@@ -236,7 +237,7 @@ fn failed_save_is_retried_later_and_reported_once() {
 fn copy_is_saved_to_another_path() {
     let mut stage = Stage::boiler();
     stage.slow_disk().until(24.0).keys("e").text("47").keys("Enter");
-    stage.unfinished = Some(vec![SaveOutcome::Failed("disk full".to_owned())]);
+    stage.unfinished = Some(vec![SaveOutcome::Failed(Diagnostic::new("disk full"))]);
     stage.finish_saves().until(31.0);
     assert!(stage.screen().contains("Ctrl-s save again  W save a copy"), "{}", stage.screen());
     stage.keys("W");
@@ -245,7 +246,7 @@ fn copy_is_saved_to_another_path() {
     let path = std::path::PathBuf::from("/else/b.json");
     let bytes = BOILER.replace("10", "47").into_bytes();
     assert_eq!(stage.effects.last(), Some(&Effect::WriteFile { path: path.clone(), bytes }));
-    stage.app.handle_written(stage.app.now(), &path, Err("no such folder".to_owned()));
+    stage.app.handle_written(stage.app.now(), &path, Err(Diagnostic::new("no such folder")));
     assert!(stage.screen().contains(" not saved: no such folder"), "{}", stage.screen());
     assert!(stage.keys("q").screen().contains("1 edit is not saved. Quit anyway?"));
     stage.keys("n W Ctrl-u").text("/else/b.json").keys("Enter");
@@ -256,7 +257,7 @@ fn copy_is_saved_to_another_path() {
     );
     // Later edits are not in it.
     stage.keys("n R").text("X").keys("Enter");
-    stage.unfinished = Some(vec![SaveOutcome::Failed("disk full".to_owned())]);
+    stage.unfinished = Some(vec![SaveOutcome::Failed(Diagnostic::new("disk full"))]);
     stage.finish_saves().keys("q");
     assert!(stage.screen().contains("2 edits are not saved. Quit anyway?"));
 }
@@ -426,7 +427,7 @@ fn quit_continues_once_everything_is_saved() {
     // A failed save opens the prompt again instead of quitting.
     let mut stage = Stage::boiler();
     stage.slow_disk().until(24.0).keys("e").text("47").keys("Enter q");
-    stage.unfinished = Some(vec![SaveOutcome::Failed("disk full".to_owned())]);
+    stage.unfinished = Some(vec![SaveOutcome::Failed(Diagnostic::new("disk full"))]);
     stage.finish_saves();
     assert!(!stage.effects.contains(&Effect::Quit));
     let screen = stage.screen();
@@ -447,10 +448,11 @@ fn address_pinned_already_is_reported() {
 #[test]
 fn missing_folder_is_named_at_start() {
     let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), None);
-    stage.app.handle_missing_folder(stage.app.now(), "../nodir");
+    let fault = Diagnostic::new("no such folder").with_remedy("mkdir -p ../nodir");
+    stage.app.handle_missing_folder(stage.app.now(), &fault);
     let screen = stage.screen();
-    assert!(screen.contains(" des.json: no such folder yet: mkdir -p ../nodir"), "{screen}");
-    assert!(screen.contains("! des.json     no such folder yet: mkdir -p ../nodir"), "{screen}");
+    assert!(screen.contains(" des.json: no such folder; mkdir -p ../nodir"), "{screen}");
+    assert!(screen.contains("! des.json     no such folder; mkdir -p ../nodir"), "{screen}");
 }
 
 /// Tests that, during edit conflicts too, the copy contains the edits already decided, as decided.

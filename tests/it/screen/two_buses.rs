@@ -3,6 +3,7 @@
 use super::text_snapshot;
 use crate::common::harness::{Stage, text_of};
 use descan::app::{App, AppOptions, FileReading, InputCheck};
+use descan::diagnostic::Diagnostic;
 use descan::discovery::Config;
 use descan::frame::BusIndex;
 use descan::keymap::Key;
@@ -111,8 +112,8 @@ fn single_status_line_shows_the_failed_bus() {
     let scenarios = ["boiler", "drone"].map(|name| Scenario::builtin(name).unwrap());
     let mut pair = Pair::new([&scenarios[0], &scenarios[1]]);
     assert!(pair.run(0..20).screen(50, 12).lines().next().unwrap().contains("can0"));
-    let message = Some("can1 unplugged: plug it in again".to_owned());
-    let status = BusStatus { link: Link::Unplugged, message, ..BusStatus::default() };
+    let fault = Some(Diagnostic::new("can1 unplugged").with_remedy("connect it again"));
+    let status = BusStatus { link: Link::Unplugged, fault, ..BusStatus::default() };
     pair.app.handle_bus(pair.app.now(), BusIndex(1), status);
     let screen = pair.screen(50, 12);
     assert!(screen.lines().next().unwrap().contains("can1  UNPLUGGED"), "{screen}");
