@@ -14,7 +14,7 @@ use crate::shell::session::{InputEnd, Session, SessionWake};
 use crate::shell::stop::{StopReason, StopWaiter};
 use crate::shell::store::Store;
 use crate::status::{BusState, Link, RecordingStatus};
-use crate::time::Instant;
+use crate::time::{Epoch, Instant};
 use anyhow::Context;
 use std::fs::File;
 use std::io::{self, Write};
@@ -127,7 +127,7 @@ pub fn run(
 /// What a run begins with: its session, and the first wake-up or why there is none.
 type RunStart = (StopWaiter, Session, Result<Option<SessionWake>, StopReason>);
 
-/// Opens a log. The session starts at the first frame: before it, the time is unknown.
+/// Opens a log. The session starts with its first frame, or `--from` later.
 async fn open_log(
     spec: &BusSpec,
     pace: Option<LogPace>,
@@ -154,7 +154,8 @@ async fn open_log(
         reason = stop.next() => Err(reason),
         batch = log.first() => Ok(batch.map_err(unusable)?),
     };
-    let (epoch, start) = first.as_ref().map_or_else(|_| Default::default(), LogBatch::start);
+    let (epoch, start) =
+        (first.as_ref().map_or_else(|_| Epoch::default(), LogBatch::epoch), log.start());
     let options = AppOptions { epoch, file_path: Some(setup.file.clone()), ..options };
     let store = Some(Store::new(&setup.file));
     let mut session = Session::of_log(App::new(start, options), log, setup.config.clone(), store);
@@ -176,10 +177,12 @@ fn check_end(input: RunInput<'_>, limits: Limits, end: Option<&InputEnd>) -> Res
                 return Ok(());
             }
             let (last, from) = (last.as_secs_f64(), from.as_secs_f64());
-            Err(Failure::Unusable(format!(
-                "{spec}: last frame {last:.1} s after the first; use a --from below {last:.1}, not \
-                 {from}"
-            )))
+            let remedy = match last {
+                ..0.05 => "leave --from out".to_owned(),
+                _ => format!("use a --from below {last:.1}, not {from}"),
+            };
+            let cause = format!("{spec}: last frame {last:.1} s after the first");
+            Err(Diagnostic::new(cause).with_remedy(remedy).into())
         }
         Some(InputEnd::Range) | None => Ok(()),
     }

@@ -39,7 +39,7 @@ pub enum LogPace {
 pub struct LogRange {
     /// Start, from the log's first frame; earlier frames are skipped.
     pub from: Duration,
-    /// Length, from the first frame read; `None` reads to the end of the log.
+    /// Length, from that start; `None` reads to the end of the log.
     pub time: Option<Duration>,
 }
 
@@ -60,14 +60,11 @@ pub enum LogBatch {
 }
 
 impl LogBatch {
-    /// Unix time of the log's first frame, and the log time at which a session that begins with
-    /// this batch starts.
-    pub fn start(&self) -> (Epoch, Instant) {
+    /// Unix time of the log's first frame.
+    pub fn epoch(&self) -> Epoch {
         match self {
-            Self::Frames { epoch, frames, .. } => {
-                (*epoch, frames.first().map_or(Instant::ZERO, |frame| frame.time))
-            }
-            Self::End(summary) => (summary.epoch.unwrap_or_default(), summary.last),
+            Self::Frames { epoch, .. } => *epoch,
+            Self::End(summary) => summary.epoch.unwrap_or_default(),
         }
     }
 }
@@ -80,10 +77,11 @@ pub struct LogInput {
     waiting: VecDeque<Frame>,
     summary: Option<LogSummary>,
     pace: LogPace,
-    range: LogRange,
-    /// Time of the first frame that is read, and the end of the range.
-    start: Option<Instant>,
+    /// Start and end of the range that is read.
+    start: Instant,
     until: Option<Instant>,
+    /// True if a batch was read.
+    has_begun: bool,
     /// A real time and the log time that it was: the origin of the log's clock.
     anchor: Option<(Monotonic, Instant)>,
 }
@@ -101,15 +99,16 @@ impl LogInput {
                 let _ = sender.blocking_send(Err(error));
             }
         })?;
+        let start = Instant::ZERO + range.from;
         Ok(Self {
             batches,
             interfaces: Vec::new(),
             waiting: VecDeque::new(),
             summary: None,
             pace,
-            range,
-            start: None,
-            until: None,
+            start,
+            until: range.time.map(|time| start + time),
+            has_begun: false,
             anchor: None,
         })
     }
@@ -129,6 +128,11 @@ impl LogInput {
         self.summary.as_ref()
     }
 
+    /// The start of the range that is read, at which the session starts.
+    pub fn start(&self) -> Instant {
+        self.start
+    }
+
     /// The end of the range that is read; `None` if that is the log's end.
     pub fn until(&self) -> Option<Instant> {
         self.until
@@ -144,7 +148,7 @@ impl LogInput {
         let frame = self.waiting.front().map(|frame| frame.time);
         let at = [frame, timeout, self.until].into_iter().flatten().min();
         // Without a log clock only a batch moves time.
-        let has_clock = self.pace != LogPace::AtOnce && self.start.is_some();
+        let has_clock = self.pace != LogPace::AtOnce && self.has_begun;
         let due = sleep_for(at.filter(|_| has_clock).map(|at| self.wait_until(at)));
         let may_read = self.waiting.is_empty() && self.summary.is_none();
         tokio::select! {
@@ -167,9 +171,7 @@ impl LogInput {
 
     /// Takes a batch; its frames are due by log time.
     pub fn take(&mut self, batch: LogBatch) {
-        let (_, first) = batch.start();
-        let start = *self.start.get_or_insert(first);
-        self.until = self.range.time.map(|time| start + time);
+        self.has_begun = true;
         match batch {
             LogBatch::Frames { frames, interfaces, .. } => {
                 self.interfaces.extend(interfaces);
@@ -177,7 +179,7 @@ impl LogInput {
                 match self.pace {
                     LogPace::AtOnce => {}
                     LogPace::Timed(_) => {
-                        self.anchor.get_or_insert((Monotonic::now(), start));
+                        self.anchor.get_or_insert((Monotonic::now(), self.start));
                     }
                     LogPace::Live => self.anchor = Some((Monotonic::now(), last)),
                 }

@@ -156,8 +156,9 @@ fn log_scanned_with_time_is_judged_at_that_moment() {
 fn log_scanned_from_a_moment_has_nothing_from_before_it() {
     let device = |address, presence: &str, beats| (address, presence.to_owned(), beats);
     assert_eq!(shifts(&["--from", "25"]), [device(20, "online", 16)]);
-    // The time counts from the first frame that is read.
-    assert_eq!(shifts(&["--from", "4.5", "--time", "3"]), [device(12, "online", 4)]);
+    assert_eq!(shifts(&["--from", "4.5", "--time", "3"]), [device(12, "online", 3)]);
+    // No frame in these two seconds: the time counts from that moment, not from the next frame.
+    assert_eq!(shifts(&["--from", "5.1", "--time", "0.8"]), []);
     assert_eq!(shifts(&["--from", "0"]), shifts(&[]));
 }
 

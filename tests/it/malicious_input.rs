@@ -67,12 +67,20 @@ fn any_frame() -> impl Strategy<Value = Frame> {
     ]
 }
 
+/// In microseconds; after a longer pause the engine gets one timeout instead of each that is due.
+const HOUR_US: u64 = 3_600_000_000;
+
+/// Time between two frames in microseconds; the timestamps of a log may be at any distance.
+fn any_pause() -> impl Strategy<Value = u64> {
+    prop_oneof![500 => 0u64..400_000, 1 => any::<u64>()]
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: sweep::cases(256), ..ProptestConfig::default() })]
 
     #[test]
     fn arbitrary_frames_do_not_break_the_engine(
-        frames in prop::collection::vec((any_frame(), 0u64..400_000), 1..400),
+        frames in prop::collection::vec((any_frame(), any_pause()), 1..400),
         listen_only in any::<bool>(),
         seed in any::<u64>(),
     ) {
@@ -82,6 +90,9 @@ proptest! {
         let (mut last_due, mut repeats) = (Instant::ZERO, 0);
         for (frame, pause) in frames {
             now += Duration::from_micros(pause);
+            if pause > HOUR_US {
+                engine.handle_timeout(now);
+            }
             while let Some(due) = engine.poll_timeout().filter(|due| *due <= now) {
                 repeats = if due == last_due { repeats + 1 } else { 0 };
                 last_due = due;

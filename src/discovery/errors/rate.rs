@@ -89,7 +89,8 @@ impl ErrorRate {
     /// is the first frame since the controller became bus-off.
     pub fn note_frame(&mut self, now: Instant, frames: u64) -> bool {
         if now >= self.next_second {
-            self.next_second = Instant::from_micros((second_of(now) + 1) * 1_000_000);
+            self.next_second =
+                Instant::from_micros(second_of(now) * 1_000_000) + Duration::from_secs(1);
             if self.frames_at.len() as u64 == MEMORY_SECONDS {
                 self.frames_at.pop_front();
             }
