@@ -100,7 +100,7 @@ impl BitRateSetter {
     pub fn set(&mut self, bitrate: u32, manner: ListenMode) -> Result<BusSpec, TuneError> {
         match &mut self.0 {
             SetterTarget::Interface(controller) => {
-                let done = controller.set(bitrate, manner == ListenMode::Listening);
+                let done = controller.set(bitrate, manner == ListenMode::ListenOnly);
                 let name = controller.name().to_owned();
                 done.map_err(|refusal| explain(refusal, &name, bitrate))?;
                 Ok(BusSpec::SocketCan(name))
@@ -168,10 +168,10 @@ mod tests {
         let bus = "slcan:/dev/ttyACM0".parse().unwrap();
         let mut tuner = BitRateSetter::of(&bus).unwrap();
         assert!(matches!(
-            tuner.set(300_000, ListenMode::Listening),
+            tuner.set(300_000, ListenMode::ListenOnly),
             Err(TuneError::NotThisRate { bitrate: 300_000, .. })
         ));
-        let there = tuner.set(250_000, ListenMode::Listening).unwrap();
+        let there = tuner.set(250_000, ListenMode::ListenOnly).unwrap();
         assert_eq!(there.to_string(), "slcan:/dev/ttyACM0@250000");
     }
 }

@@ -105,7 +105,7 @@ pub fn look(
 
 /// Returns true if all buses are open and every request on them is answered or failed.
 pub fn is_settled(app: &App) -> bool {
-    app.buses().iter().all(|bus| bus.status.link != Link::Opening && bus.progress().settled)
+    app.buses().iter().all(|bus| bus.status.link != Link::Opening && bus.progress().is_complete)
 }
 
 /// Progress line on standard error while scanning, if that is a terminal.

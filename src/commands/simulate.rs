@@ -68,7 +68,7 @@ pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8,
                 sim.advance(Instant::ZERO + now.since(start));
                 let is_heard = |it: &&Frame| !it.is_tx && it.kind != FrameKind::Error;
                 for frame in heard.iter().filter(is_heard) {
-                    sim.relay(station, *frame);
+                    sim.forward(station, *frame);
                 }
             }
             while let Some(frame) = sim.poll_frame(station) {

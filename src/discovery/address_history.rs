@@ -20,54 +20,60 @@ pub(super) const PAIR_WINDOW: Duration = Duration::from_millis(125);
 /// A heartbeat received again within this time was repeated on its way, if it is not known whether
 /// its sender draws RND7. Two devices that do not draw it, and so send equal heartbeats, are seldom
 /// this close.
-pub(super) const REPEAT_WINDOW: Duration = Duration::from_millis(100);
+pub(super) const HEARTBEAT_COPY_WINDOW: Duration = Duration::from_millis(100);
 
 /// Detects a value that alternates between two: A, B, A, B.
 #[derive(Debug)]
 pub(super) struct Alternation<T> {
-    pub now: Option<T>,
-    pub before: Option<T>,
-    pub returns: u32,
+    pub current: Option<T>,
+    pub previous: Option<T>,
+    pub return_count: u32,
     pub changed: Instant,
     /// Time at which the second of the two values was first seen.
-    pub since: Instant,
+    pub second_seen_at: Instant,
 }
 
 impl<T> Default for Alternation<T> {
     fn default() -> Self {
-        Self { now: None, before: None, returns: 0, changed: Instant::ZERO, since: Instant::ZERO }
+        Self {
+            current: None,
+            previous: None,
+            return_count: 0,
+            changed: Instant::ZERO,
+            second_seen_at: Instant::ZERO,
+        }
     }
 }
 
 impl<T: PartialEq + Clone> Alternation<T> {
     /// Takes the current value. Returns how often in a row a value returned, if it did just now.
     pub fn observe(&mut self, now: Instant, value: &T, forget_after: Duration) -> Option<u32> {
-        if self.now.as_ref() == Some(value) {
+        if self.current.as_ref() == Some(value) {
             return None;
         }
         if now.since(self.changed) > forget_after {
-            self.returns = 0;
-            self.before = None;
+            self.return_count = 0;
+            self.previous = None;
         }
         self.changed = now;
-        if self.before.as_ref() == Some(value) {
-            self.returns += 1;
+        if self.previous.as_ref() == Some(value) {
+            self.return_count += 1;
         } else {
-            self.returns = 0;
-            self.since = now;
+            self.return_count = 0;
+            self.second_seen_at = now;
         }
-        let returned = self.before.as_ref() == Some(value);
-        self.before = self.now.replace(value.clone());
-        returned.then_some(self.returns)
+        let returned = self.previous.as_ref() == Some(value);
+        self.previous = self.current.replace(value.clone());
+        returned.then_some(self.return_count)
     }
 }
 
 /// Requester and kind of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-pub(super) struct QueryParties {
-    pub by: Address,
+pub(super) struct RequestOrigin {
+    pub requester: Address,
     /// True if one node was addressed (B bit 0).
-    pub targeted: bool,
+    pub is_targeted: bool,
 }
 
 /// Matches responses to requests, for one kind of request in one framing, separately for each
@@ -128,9 +134,10 @@ impl OpenQueries {
 
 impl QueryResponseMatcher {
     /// Notes a request.
-    pub fn note_request(&mut self, now: Instant, parties: QueryParties) {
-        let by =
-            |open: &Option<OpenQueries>| open.as_ref().is_some_and(|open| open.by == parties.by);
+    pub fn note_request(&mut self, now: Instant, parties: RequestOrigin) {
+        let by = |open: &Option<OpenQueries>| {
+            open.as_ref().is_some_and(|open| open.by == parties.requester)
+        };
         let at = self.open.iter().position(by).unwrap_or_else(|| {
             // Replace the requester with the oldest request.
             let sent_at = |at: &usize| self.open[*at].as_ref().map(|open| open.sent_at);
@@ -138,8 +145,8 @@ impl QueryResponseMatcher {
             self.open[oldest] = None;
             oldest
         });
-        let open = self.open[at].get_or_insert_with(|| OpenQueries::new(parties.by));
-        open.add(now, parties.targeted);
+        let open = self.open[at].get_or_insert_with(|| OpenQueries::new(parties.requester));
+        open.add(now, parties.is_targeted);
     }
 
     /// Counts a response for requester `to`, or, where that is `None`, for a requester that still
@@ -177,7 +184,7 @@ impl QueryResponseMatcher {
 /// Returns true if the two frames differ in the U bit.
 fn differ_in_mode(one: &Frame, other: &Frame) -> bool {
     let not_working =
-        |frame: &Frame| frame.platform_id().map(|id| Header::decode(id).sender_not_working);
+        |frame: &Frame| frame.platform_id().map(|id| Header::decode(id).from_non_working);
     not_working(one) != not_working(other)
 }
 
@@ -249,7 +256,7 @@ impl AddressHistory {
             let within = match next.map(|heartbeat| heartbeat.frame.same_on_wire(frame)) {
                 Some(true) => Duration::ZERO,
                 Some(false) => period / 2,
-                None => REPEAT_WINDOW,
+                None => HEARTBEAT_COPY_WINDOW,
             };
             if now.since(last.time) <= within {
                 return false;

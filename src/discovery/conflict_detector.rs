@@ -9,7 +9,7 @@
 //! Does not know device rows, presence, or des.json.
 
 use super::address_history::{
-    AddressHistory, Alternation, HeartbeatPattern, PAIR_WINDOW, QueryParties,
+    AddressHistory, Alternation, HeartbeatPattern, PAIR_WINDOW, RequestOrigin,
 };
 use super::duplicate_frames::DuplicateFrameDetector;
 use super::finding_text;
@@ -113,7 +113,7 @@ impl ConflictDetector {
         address: Address,
         request: Request,
         framing: Framing,
-        parties: QueryParties,
+        parties: RequestOrigin,
     ) {
         self.finding_tracker.note_request(now, address);
         self.histories[address.index()].matcher(request, framing).note_request(now, parties);
@@ -189,7 +189,7 @@ impl ConflictDetector {
 
     /// Ignores surplus responses for some periods: requests that were delayed have been sent
     /// together, and devices may respond to each of them.
-    pub fn ignore_extra_responses(&mut self, now: Instant) {
+    pub fn ignore_surplus_responses(&mut self, now: Instant) {
         self.ignore_extra_until = now + self.period * DELAYED_RESPONSE_PERIODS;
     }
 
@@ -197,9 +197,9 @@ impl ConflictDetector {
     pub fn note_name(&mut self, now: Instant, address: Address, name: &Name, frame: &Frame) {
         let timeout = self.alternation_timeout();
         let history = &mut self.histories[address.index()];
-        let before = history.names.now.clone();
+        let before = history.names.current.clone();
         let returned = history.names.observe(now, name, timeout);
-        let since = history.names.since;
+        let since = history.names.second_seen_at;
         let Some(before) = before.filter(|before| before != name) else { return };
         let kind = FindingKind::OneAddressTwoNames;
         let strength =
@@ -227,7 +227,7 @@ impl ConflictDetector {
         let timeout = self.alternation_timeout();
         let services = &mut self.histories[address.index()].services;
         let returned = services.observe(now, &digest, timeout);
-        let since = services.since;
+        let since = services.second_seen_at;
         if returned.is_none() || self.has_two_names(address) {
             return;
         }
@@ -275,7 +275,8 @@ impl ConflictDetector {
         let pattern = history.heartbeat_pattern(period);
         history.double_rate_count =
             if pattern.double_rate { history.double_rate_count + 1 } else { 0 };
-        let (uids_since, modes_since) = (history.uids.since, history.working.since);
+        let (uids_since, modes_since) =
+            (history.uids.second_seen_at, history.working.second_seen_at);
 
         let identity = if address == Address::DEBUG {
             FindingKind::TwoDebugDevices
@@ -286,7 +287,7 @@ impl ConflictDetector {
         let alternation = match (uid_returned, mode_returned) {
             (Some(_), _) => {
                 let uids = &self.histories[address.index()].uids;
-                Some((self.uid_text(uids.now), self.uid_text(uids.before), uids_since))
+                Some((self.uid_text(uids.current), self.uid_text(uids.previous), uids_since))
             }
             (None, Some(returns)) if returns >= 2 && (pattern.double_rate || confirmed) => {
                 Some(("U bit changed back".into(), "U bit changed".into(), modes_since))
@@ -563,7 +564,11 @@ impl ConflictDetector {
 
     /// Time within which an alternating response must return to its previous value.
     fn alternation_timeout(&self) -> Duration {
-        if self.listen_only { self.finding_tracker.longest_memory() } else { self.period * 3 }
+        if self.listen_only {
+            self.finding_tracker.max_evidence_lifetime()
+        } else {
+            self.period * 3
+        }
     }
 
     /// Returns true if two names alternate at `address`: other evidence there is then not about
@@ -576,14 +581,14 @@ impl ConflictDetector {
     /// evidence then more likely concerns that device than two devices of the present name.
     fn had_other_name(&self, now: Instant, address: Address) -> bool {
         let names = &self.histories[address.index()].names;
-        let recently = names.before.is_some() && now.since(names.changed) < self.period * 30;
+        let recently = names.previous.is_some() && now.since(names.changed) < self.period * 30;
         recently || self.finding_tracker.is_open(FindingKind::OneAddressTwoNames, address)
     }
 }
 
 /// Returns the message in the first frame of a response, without padding.
 fn message(frame: &Frame, framing: Framing) -> &[u8] {
-    match (framing, Pci::decode(frame.data(), frame.fd)) {
+    match (framing, Pci::decode(frame.data(), frame.is_fd)) {
         (Framing::Raw, _) => strip_raw_padding(frame.data()),
         (Framing::Isotp, Ok(Pci::Single(message))) => message,
         (Framing::Isotp, _) => frame.data(),

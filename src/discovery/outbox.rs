@@ -20,7 +20,7 @@ const SENT_HISTORY_AGE: Duration = Duration::from_secs(1);
 /// Change of the acknowledgement of descan's frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Acknowledgement {
-    Missing,
+    NoAck,
     Back,
 }
 
@@ -33,7 +33,7 @@ pub(super) struct Outbox {
     senders: u128,
     tokens: f64,
     refilled: Instant,
-    echo: bool,
+    has_loopback: bool,
     unconfirmed: u32,
     unconfirmed_since: Instant,
     paused_until: Option<Instant>,
@@ -48,7 +48,7 @@ impl Outbox {
             senders: 0,
             tokens: 0.0,
             refilled: now,
-            echo,
+            has_loopback: echo,
             unconfirmed: 0,
             unconfirmed_since: now,
             paused_until: None,
@@ -88,7 +88,7 @@ impl Outbox {
         }
         self.sent.push_back(frame.with_time(now));
         self.senders |= sender_bit(&frame);
-        if self.echo {
+        if self.has_loopback {
             if self.unconfirmed == 0 {
                 self.unconfirmed_since = now;
             }
@@ -141,7 +141,7 @@ impl Outbox {
     }
 
     /// Returns true if frames are not acknowledged.
-    pub fn is_missing(&self) -> bool {
+    pub fn has_no_ack(&self) -> bool {
         self.missing
     }
 
@@ -158,7 +158,7 @@ impl Outbox {
                 self.paused_until = Some(now + ACK_RETRY_DELAY);
                 self.queue.clear();
                 let is_new = !std::mem::replace(&mut self.missing, true);
-                is_new.then_some(Acknowledgement::Missing)
+                is_new.then_some(Acknowledgement::NoAck)
             }
             _ => None,
         }

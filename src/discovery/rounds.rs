@@ -135,7 +135,7 @@ impl Rounds {
     /// Returns the time without responses after which a round is over.
     fn quiet_window(config: &Config, responses: u32) -> Duration {
         let frames = 60 + u64::from(responses.min(127));
-        Duration::from_millis(60) + config.bit_time(frames * FRAME_BITS)
+        Duration::from_millis(60) + config.duration_of_bits(frames * FRAME_BITS)
     }
 
     /// Returns when the current round is over if no more responses arrive.
@@ -150,7 +150,7 @@ impl Rounds {
         if self.unsent > 0 {
             return quiet.max(began + SEND_TIMEOUT);
         }
-        let longest = SEND_TIMEOUT + MAX_COLLECTION + config.bit_time(4 * 127 * FRAME_BITS);
+        let longest = SEND_TIMEOUT + MAX_COLLECTION + config.duration_of_bits(4 * 127 * FRAME_BITS);
         quiet.min(began + longest)
     }
 

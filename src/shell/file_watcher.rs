@@ -68,13 +68,13 @@ impl FileWatcher {
 
     /// Call after [`Store::save`] has saved `content`: it counts as known and is not reported.
     /// Content that waits may be older or newer: the file is read again.
-    pub fn saved(&self, content: Vec<u8>) {
+    pub fn set_known(&self, content: Vec<u8>) {
         self.look_from(Some(Ok(Some(content))));
     }
 
     /// Call if the content is uncertain, as when another program wrote during a save: the file is
     /// read again and reported in any case.
-    pub fn look_again(&self) {
+    pub fn reread(&self) {
         self.look_from(None);
     }
 

@@ -239,7 +239,7 @@ fn read(log: File, from: Duration, to: &Sender<io::Result<LogBatch>>) -> io::Res
         if frames.is_empty() {
             continue;
         }
-        let summary = reader.tally();
+        let summary = reader.summary();
         let epoch = summary.epoch.unwrap_or_default();
         let interfaces = summary.interfaces[named..].to_vec();
         named = summary.interfaces.len();
@@ -248,6 +248,6 @@ fn read(log: File, from: Duration, to: &Sender<io::Result<LogBatch>>) -> io::Res
         }
     }
     // The receiver may be gone.
-    let _ = to.blocking_send(Ok(LogBatch::End(reader.tally().clone())));
+    let _ = to.blocking_send(Ok(LogBatch::End(reader.summary().clone())));
     Ok(())
 }

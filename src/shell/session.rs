@@ -45,7 +45,7 @@ pub enum SessionWake {
     /// Another program changed des.json.
     File(FileReading),
     /// Work on files is done.
-    Done(Finished),
+    FileJobDone(FileJobResult),
     /// The recording grew or stopped.
     Recording,
     /// The bit rate search progressed or ended.
@@ -65,7 +65,7 @@ pub enum InputEnd {
 
 /// Result of work on files.
 #[derive(Debug)]
-pub enum Finished {
+pub enum FileJobResult {
     /// Saving des.json, with the content.
     Saved(SaveOutcome, Vec<u8>),
     /// Writing another file.
@@ -73,8 +73,8 @@ pub enum Finished {
 }
 
 /// Work on files, on a separate thread.
-struct Work {
-    handle: JoinHandle<Finished>,
+struct FileJob {
+    handle: JoinHandle<FileJobResult>,
     /// It saves des.json, not another file.
     is_save: bool,
 }
@@ -102,12 +102,12 @@ pub struct Session {
     watch: Option<FileWatcher>,
     /// Parses new content of des.json, off the thread that draws.
     reading: Option<JoinHandle<FileReading>>,
-    work: Vec<Work>,
+    work: Vec<FileJob>,
     recorder: Option<Recorder>,
     searching: Option<RunningSearch>,
     batch: Vec<Frame>,
     /// Start of the session, or the end of the last stall.
-    resumed: Instant,
+    stall_checked_from: Instant,
 }
 
 impl Session {
@@ -130,7 +130,7 @@ impl Session {
             app,
             input,
             input_end: None,
-            resumed,
+            stall_checked_from: resumed,
             store,
             watch: None,
             reading: None,
@@ -290,10 +290,10 @@ impl Session {
             (result, at) = done => {
                 drop(self.work.swap_remove(at));
                 match result {
-                    Ok(finished) => SessionWake::Done(finished),
+                    Ok(finished) => SessionWake::FileJobDone(finished),
                     Err(broken) => {
                         let why = format!("saving stopped: {broken}");
-                        SessionWake::Done(Finished::Saved(SaveOutcome::Failed(why), Vec::new()))
+                        SessionWake::FileJobDone(FileJobResult::Saved(SaveOutcome::Failed(why), Vec::new()))
                     }
                 }
             }
@@ -311,9 +311,9 @@ impl Session {
         }
         let due = self.app.poll_timeout();
         if let Some(due) =
-            due.filter(|due| *due >= self.resumed && now.since(*due) >= STALL_THRESHOLD)
+            due.filter(|due| *due >= self.stall_checked_from && now.since(*due) >= STALL_THRESHOLD)
         {
-            self.resumed = now;
+            self.stall_checked_from = now;
             // It may have been stopped since its last turn.
             let since = due.min(self.app.now());
             self.app.handle_stall(since, now);
@@ -322,11 +322,11 @@ impl Session {
     }
 
     /// Handles what [`Session::next`] returned.
-    pub fn take(&mut self, wake: SessionWake) {
+    pub fn handle_wake(&mut self, wake: SessionWake) {
         let now = self.begin_turn();
         match wake {
             SessionWake::Due => {}
-            SessionWake::Buses => self.take_buses(now),
+            SessionWake::Buses => self.receive_frames(now),
             SessionWake::Log(Ok(batch)) => {
                 if let SessionInput::Log(log, _) = &mut self.input {
                     log.take(batch);
@@ -341,19 +341,19 @@ impl Session {
             }
             SessionWake::Search(news) => self.take_search(now, news),
             SessionWake::File(reading) => self.app.handle_file(now, reading),
-            SessionWake::Done(Finished::Saved(outcome, content)) => {
+            SessionWake::FileJobDone(FileJobResult::Saved(outcome, content)) => {
                 if let Some(watch) = &self.watch {
                     // What is being parsed was read before.
                     let is_old = outcome.is_on_disk() && self.reading.take().is_some();
-                    if is_old || self.app.file().is_superseded() {
-                        watch.look_again();
+                    if is_old || self.app.file().is_base_changed() {
+                        watch.reread();
                     } else if outcome.is_on_disk() {
-                        watch.saved(content);
+                        watch.set_known(content);
                     }
                 }
                 self.app.handle_saved(now, outcome);
             }
-            SessionWake::Done(Finished::Written(path, result)) => {
+            SessionWake::FileJobDone(FileJobResult::Written(path, result)) => {
                 self.app.handle_written(now, &path, result);
             }
         }
@@ -449,7 +449,7 @@ impl Session {
         }
     }
 
-    fn take_buses(&mut self, now: Instant) {
+    fn receive_frames(&mut self, now: Instant) {
         let SessionInput::Ports { clock, ports, named } = &mut self.input else { return };
         for (port_at, port) in ports.iter().enumerate() {
             let index = BusIndex(port_at as u8);
@@ -530,9 +530,9 @@ impl Session {
                     let handle = spawn_blocking(move || {
                         let home = std::env::var_os("HOME").map(PathBuf::from);
                         let result = write_new(&path, home.as_deref(), &bytes);
-                        Finished::Written(path, result)
+                        FileJobResult::Written(path, result)
                     });
-                    self.work.push(Work { handle, is_save: false });
+                    self.work.push(FileJob { handle, is_save: false });
                 }
                 Effect::FindBitrate(index) => {
                     let Some(bus) = self.app.bus(index) else { continue };
@@ -559,22 +559,22 @@ impl Session {
             let expected = expected.as_ref().map(Document::source);
             let outcome = match store.save(expected, content.source()) {
                 Ok(Saved { broken_links: 0 }) => SaveOutcome::Saved,
-                Ok(Saved { broken_links: parted_from }) => SaveOutcome::Parted(parted_from),
+                Ok(Saved { broken_links: parted_from }) => SaveOutcome::LinksBroken(parted_from),
                 Err(SaveError::Changed(there)) => {
                     SaveOutcome::Changed(FileReading::Content(there).parsed())
                 }
                 Err(error) => SaveOutcome::Failed(error.in_short()),
             };
-            Finished::Saved(outcome, content.source().to_vec())
+            FileJobResult::Saved(outcome, content.source().to_vec())
         });
-        self.work.push(Work { handle, is_save: true });
+        self.work.push(FileJob { handle, is_save: true });
     }
 
     /// Waits for work on files that has started, until Ctrl-C or for `timeout`, so that no file is
     /// left half-written. Waits for a save of des.json only if `waits_for_save`: an interrupted
     /// save leaves either the old or the new content.
     pub async fn finish_work(&mut self, waits_for_save: bool, timeout: Option<Duration>) {
-        let wanted = |work: &Work| waits_for_save || !work.is_save;
+        let wanted = |work: &FileJob| waits_for_save || !work.is_save;
         let deadline = timeout.map(|timeout| tokio::time::Instant::now() + timeout);
         for work in std::mem::take(&mut self.work).into_iter().filter(wanted) {
             let is_late = async {

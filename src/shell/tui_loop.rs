@@ -50,7 +50,7 @@ pub async fn run(session: &mut Session, themes: &mut ThemeLoader) -> io::Result<
 
 async fn run_on_terminal(session: &mut Session, themes: &mut ThemeLoader) -> io::Result<TuiExit> {
     let mut signals = Signals::new()?;
-    let mut terminal = Terminal::take()?;
+    let mut terminal = Terminal::enter()?;
     let mut input = EventStream::new();
     let (columns, rows) = terminal.size()?;
     session.app.handle_resize(columns, rows);
@@ -111,7 +111,7 @@ async fn run_on_terminal(session: &mut Session, themes: &mut ThemeLoader) -> io:
                 let result = themes.reload(reading);
                 session.app.handle_theme(session.now(), result);
             }
-            wake = session.next() => session.take(wake),
+            wake = session.next() => session.handle_wake(wake),
         }
     }
 }

@@ -16,7 +16,7 @@ const ENDLESS_PACE: u64 = 1_000_000;
 
 /// Form of a response's frames.
 #[derive(Clone, Copy)]
-pub(super) struct Form {
+pub(super) struct ResponseFormat {
     /// Identifier of the response.
     pub id: u32,
     /// Identifier with ERR = 0, for a message that is too long for its framing.
@@ -25,7 +25,7 @@ pub(super) struct Form {
     pub fd: bool,
     pub padding: u8,
     /// Address whose flow control counts, 0 to 127.
-    pub peer: u8,
+    pub requester: u8,
 }
 
 /// Pending responses of one device.
@@ -33,7 +33,7 @@ pub(super) struct Form {
 pub(super) struct Replies(Vec<Reply>);
 
 struct Reply {
-    form: Form,
+    form: ResponseFormat,
     /// Earliest time of the next frame, in nanoseconds.
     not_before: u64,
     /// True while a frame of it is queued; the next one follows after its transmission.
@@ -60,7 +60,7 @@ struct TxTransfer {
 
 impl Replies {
     /// Adds a response, to be sent at `at` (nanoseconds) or later.
-    pub fn push(&mut self, at: u64, form: Form, message: Vec<u8>, faults: Faults) {
+    pub fn push(&mut self, at: u64, form: ResponseFormat, message: Vec<u8>, faults: Faults) {
         if self.0.len() >= MAX_REPLIES || message.is_empty() {
             return;
         }
@@ -116,7 +116,7 @@ impl Replies {
     /// Handles flow control from the address `peer`.
     pub fn handle_flow(&mut self, now: u64, peer: u8, flow: FlowControl) {
         let position = self.ready().find_map(|(at, reply)| {
-            (reply.form.peer == peer && matches!(reply.body, Body::Transfer(_))).then_some(at)
+            (reply.form.requester == peer && matches!(reply.body, Body::Transfer(_))).then_some(at)
         });
         let Some(at) = position else { return };
         let reply = &mut self.0[at];
@@ -191,7 +191,7 @@ impl TxTransfer {
         given_up || self.segmenter.is_done() && !self.is_endless()
     }
 
-    fn next(&mut self, now: u64, form: &Form) -> Option<Frame> {
+    fn next(&mut self, now: u64, form: &ResponseFormat) -> Option<Frame> {
         if self.segmenter.is_done() && self.is_endless() {
             self.sequence = (self.sequence + 1) & 0x0F;
             self.resume = now + ENDLESS_PACE;
@@ -214,7 +214,7 @@ impl TxTransfer {
     }
 }
 
-impl Form {
+impl ResponseFormat {
     fn frame(&self, id: u32, data: &[u8]) -> Frame {
         if self.fd { Frame::fd(id, data, self.padding) } else { Frame::classic(id, data) }
     }

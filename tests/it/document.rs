@@ -1,8 +1,8 @@
 //! `des.json`: accepted content, rejected content, and the bytes that an edit changes.
 
 use descan::document::{
-    Choices, Document, DocumentFindingKind, EditError, EntryKey, ListedService, Merge,
-    MergePreference, NewEntry, Operation, SCHEMA, merge, merge_chosen,
+    ConflictChoices, Document, DocumentFindingKind, EditError, EntryKey, ListedService, Merge,
+    MergePreference, NewEntry, Operation, SCHEMA, merge, merge_with_choices,
 };
 
 fn parsed(source: &str) -> Document {
@@ -21,12 +21,12 @@ fn key(document: &Document, name: &str) -> EntryKey {
 
 fn set(document: &Document, name: &str, to: u8) -> Operation {
     let entry = key(document, name);
-    Operation::SetAddress { from: entry.address, entry, to }
+    Operation::PinAddress { from: entry.address, entry, to }
 }
 
 fn clear(document: &Document, name: &str) -> Operation {
     let entry = key(document, name);
-    Operation::ClearAddress { from: entry.address, entry }
+    Operation::UnpinAddress { from: entry.address, entry }
 }
 
 fn remove(document: &Document, name: &str) -> Operation {
@@ -682,7 +682,7 @@ fn removed_entry_removes_its_comma() {
 fn edit_of_equal_entries_changes_only_one() {
     let before = r#"[{"name":"A","n":1},{"name":"A","n":2},{"name":"A","n":3}]"#;
     let second =
-        |document: &Document| Operation::SetAddress { entry: document.key(1), from: None, to: 5 };
+        |document: &Document| Operation::PinAddress { entry: document.key(1), from: None, to: 5 };
     edits_and_back(
         before,
         second,
@@ -1062,15 +1062,16 @@ fn each_changed_value_is_one_edit_conflict() {
     let mut chosen = Vec::new();
     for (number, asked) in [(1, "address 100, static"), (2, "address 101, static"), (3, "deleted")]
     {
-        let choices = Choices { chosen: chosen.clone(), ..Choices::default() };
+        let choices = ConflictChoices { chosen: chosen.clone(), ..ConflictChoices::default() };
         let merge =
-            merge_chosen(&base, &ours, &theirs, &choices, MergePreference::Neither).unwrap();
+            merge_with_choices(&base, &ours, &theirs, &choices, MergePreference::Neither).unwrap();
         let Merge::Conflict(conflict) = merge else { panic!("{merge:?}") };
-        assert_eq!((conflict.number, conflict.of, &*conflict.theirs), (number, 3, asked));
+        assert_eq!((conflict.index, conflict.total, &*conflict.theirs), (number, 3, asked));
         chosen.push(if number == 2 { MergePreference::Ours } else { MergePreference::Theirs });
     }
-    let choices = Choices { chosen, ..Choices::default() };
-    let merge = merge_chosen(&base, &ours, &theirs, &choices, MergePreference::Neither).unwrap();
+    let choices = ConflictChoices { chosen, ..ConflictChoices::default() };
+    let merge =
+        merge_with_choices(&base, &ours, &theirs, &choices, MergePreference::Neither).unwrap();
     let Merge::Rebased { document, .. } = merge else { panic!("{merge:?}") };
     assert_eq!(text(&document), text(&theirs).replace("101", "71"));
 }
@@ -1141,7 +1142,7 @@ fn equal_final_value_is_no_edit_conflict() {
     let mut ours = Vec::new();
     let mut document = base.clone();
     for to in [3, 4, 5] {
-        let operation = Operation::SetAddress { entry: document.key(0), from: Some(1), to };
+        let operation = Operation::PinAddress { entry: document.key(0), from: Some(1), to };
         document = document.apply(&operation).unwrap();
         ours.extend([operation, add("C", 10 + to)]);
         document = document.apply(ours.last().unwrap()).unwrap();

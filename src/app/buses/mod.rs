@@ -16,7 +16,7 @@ pub use redundancy::{Redundancy, RedundantDevice};
 use super::notices::TimelineKind;
 use super::view::{Row, RowKey};
 use crate::discovery::{
-    Confidence, Config, Device, DeviceId, Event, Finding, FindingKey, FindingKind, OwnAddress,
+    Config, Device, DeviceId, Event, Finding, FindingKey, FindingKind, FindingState, OwnAddress,
 };
 use crate::frame::{BusIndex, Frame};
 use crate::status::BusStatus;
@@ -122,7 +122,7 @@ impl Buses {
 
     /// The devices of a row: several where buses are redundant.
     pub fn devices_of<'a>(&'a self, row: &'a Row) -> impl Iterator<Item = &'a Device> {
-        let also = row.also.iter().filter_map(|id| self.device(*id));
+        let also = row.redundant_ids.iter().filter_map(|id| self.device(*id));
         self.device_of(row).into_iter().chain(also)
     }
 
@@ -190,13 +190,13 @@ impl Buses {
             bus.findings().iter().any(|finding| {
                 finding.key.kind == kind
                     && finding.key.address == Some(device.address)
-                    && finding.confidence == Confidence::Confirmed
+                    && finding.confidence == FindingState::Confirmed
             })
         })
     }
 
     /// The same device on other buses.
-    pub fn siblings(&self, id: DeviceId) -> &[RedundantDevice] {
+    pub fn redundant_devices(&self, id: DeviceId) -> &[RedundantDevice] {
         self.redundant.of(id)
     }
 
@@ -218,14 +218,14 @@ impl Buses {
         let Some(bus) = self.get(bus) else { return false };
         let progress = bus.progress();
         let listened = now.since(self.started) >= LISTEN_TIME;
-        progress.settled || progress.rounds >= 2 || listened || bus.ended.is_some()
+        progress.is_complete || progress.rounds >= 2 || listened || bus.ended.is_some()
     }
 
     /// Returns true if the engine of a bus sends requests.
     pub fn sends_requests(&self, bus: BusIndex) -> bool {
         self.get(bus).is_some_and(|bus| {
             let config = bus.config();
-            config.scan && !config.listen_only
+            config.send_requests && !config.listen_only
         })
     }
 
@@ -349,8 +349,8 @@ impl Buses {
     }
 
     /// Removes the lost devices of all buses.
-    pub(super) fn clear_lost(&mut self) {
-        self.all_mut().for_each(Bus::clear_lost);
+    pub(super) fn remove_lost_devices(&mut self) {
+        self.all_mut().for_each(Bus::remove_lost_devices);
     }
 
     /// Closes the load seconds that are over.

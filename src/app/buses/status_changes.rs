@@ -47,7 +47,7 @@ pub(super) fn status_changes(old: &BusStatus, status: &BusStatus) -> Vec<(Timeli
     if old.state != status.state && status.state != BusState::Unknown {
         let kind = match status.state {
             BusState::ErrorActive => TimelineKind::Bus,
-            BusState::ErrorWarning => TimelineKind::Late,
+            BusState::ErrorWarning => TimelineKind::Overdue,
             _ => TimelineKind::Error,
         };
         let counters = match (status.tec, status.rec) {
