@@ -1,5 +1,5 @@
-//! Bit rate search: listens at one rate after the other until a valid frame arrives, as a device does
-//! at start (CAN platform §3.2.4.1).
+//! Bit rate search: listens at one rate after the other until a valid frame arrives, as a device
+//! does at start (CAN platform §3.2.4.1).
 //!
 //! State machine without I/O or clock. Input: frames and error frames. Output: the rate to set.
 
@@ -61,8 +61,8 @@ pub enum SearchOutcome {
 }
 
 /// A search. Set [`rate`](Self::rate), call [`begin`](Self::begin), pass frames and
-/// [`handle_timeout`](Self::handle_timeout), until [`wants_rate`](Self::wants_rate) is true again or
-/// there is an [`outcome`](Self::outcome).
+/// [`handle_timeout`](Self::handle_timeout), until [`wants_rate`](Self::wants_rate) is true again
+/// or there is an [`outcome`](Self::outcome).
 #[derive(Clone, Debug)]
 pub struct Search {
     tried: Vec<(u32, RateResult)>,

@@ -1,5 +1,5 @@
-//! CAN frames, received or to be sent; [`bits`]: their length on the bus; [`socketcan`]: their fields
-//! in Linux's layouts. Does not know what the bytes mean: [`crate::wire`] does.
+//! CAN frames, received or to be sent; [`bits`]: their length on the bus; [`socketcan`]: their
+//! fields in Linux's layouts. Does not know what the bytes mean: [`crate::wire`] does.
 
 pub mod bits;
 pub mod socketcan;

@@ -1,10 +1,11 @@
 //! Events for a consumer without a screen, with all data to print as of their moment.
 //!
-//! Consumers may read them later than they happened: nothing in them refers to the state of [`App`].
-//! Does not know how they are printed.
+//! Consumers may read them later than they happened: nothing in them refers to the state of
+//! [`App`].
 
 use super::{App, FileError, TimelineEntry, TxBlocked};
-use crate::discovery::{Counters, DeviceService, Event, EventKind, Finding, OwnAddress};
+use crate::discovery::{Counters, DeviceService, Event, EventKind, OwnAddress};
+use crate::finding::Finding;
 use crate::frame::BusIndex;
 use crate::status::BusStatus;
 use crate::time::Instant;

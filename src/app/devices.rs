@@ -1,7 +1,7 @@
 //! The rows of the Devices page: one per device, and one per entry of des.json without a device.
 //!
 //! Inputs: the buses, the file, the problems and the view. Output: rows, sorted and filtered, and
-//! their counts. Does not know how rows are drawn.
+//! their counts.
 
 use super::Inputs;
 use super::buses::{Bus, Buses};
@@ -9,8 +9,9 @@ use super::filter::Filter;
 use super::listing::other_services;
 use super::problems::{Problem, is_for};
 use super::view::{Counts, FileStatus, Page, Row, RowKey, RowState, SortBy, View};
-use crate::discovery::{Device, Finding, FindingState};
+use crate::discovery::Device;
 use crate::document::Entry;
+use crate::finding::{Finding, FindingState};
 use crate::frame::BusIndex;
 use crate::text::Name;
 use crate::wire::id::Address;
@@ -49,7 +50,7 @@ impl DeviceRows {
         self.rows.clear();
     }
 
-    /// Makes the rows anew; the selection stays on its device.
+    /// Updates the rows; the selection stays on its device.
     pub fn refresh(&mut self, inputs: Inputs, problems: &[Problem], view: &mut View) {
         let mut rows = inputs.all_rows();
         self.counts = count(&rows, problems);
@@ -224,10 +225,9 @@ impl Inputs<'_> {
 fn count(rows: &[Row], problems: &[Problem]) -> Counts {
     let with =
         |state: &dyn Fn(RowState) -> bool| rows.iter().filter(|row| state(row.state)).count();
-    let sure = |confidence| {
-        problems.iter().filter(|it| it.is_open() && it.confidence() == confidence).count()
-    };
-    let open = |it: &&Problem| it.is_muted && it.confidence() != FindingState::Cleared;
+    let sure =
+        |confidence| problems.iter().filter(|it| it.is_open() && it.state() == confidence).count();
+    let open = |it: &&Problem| it.is_muted && it.state() != FindingState::Cleared;
     Counts {
         present: with(&|state| {
             let gone = [

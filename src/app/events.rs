@@ -1,6 +1,6 @@
 //! Wiring from buses, file and recording to the timeline and the events.
 //!
-//! Does not judge: the engines did.
+//! Does not evaluate frames: the engines do.
 
 use super::buses::Redundancy;
 use super::file::FileChange;
@@ -10,7 +10,8 @@ use super::notices::{
 };
 use super::problems::ProblemKey;
 use super::{App, AppEvent, Effect};
-use crate::discovery::{DeviceId, Event, EventKind, Finding};
+use crate::discovery::{DeviceId, Event, EventKind};
+use crate::finding::Finding;
 use crate::frame::BusIndex;
 use crate::status::{BusStatus, RecordingStatus};
 
@@ -99,7 +100,7 @@ impl App {
         }
     }
 
-    /// Compares file and buses anew and queues the differences that changed.
+    /// Compares file and buses again and queues the differences that changed.
     pub(super) fn refresh_problems(&mut self) {
         let now = self.clock.now();
         let before = self.problems.refresh(&self.buses, &self.editor.file, now);
@@ -121,7 +122,7 @@ impl App {
         }
     }
 
-    /// Recognises anew which devices are on several buses and reports what changed.
+    /// Updates which devices are on several buses and reports what changed.
     pub(super) fn refresh_redundancy(&mut self) {
         for (one, other, redundancy) in self.buses.refresh_redundancy() {
             let Some(text) = self.redundancy_text(one, other, redundancy) else { continue };
@@ -158,7 +159,7 @@ impl App {
         }
     }
 
-    /// Takes the adapter status of a bus.
+    /// Handles a new status of a bus.
     pub(super) fn bus_changed(&mut self, index: BusIndex, status: BusStatus) {
         let now = self.clock.now();
         let Some(changes) = self.buses.update_status(now, index, status) else { return };

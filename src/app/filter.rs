@@ -23,7 +23,7 @@ use super::notices as timeline;
 use super::notices::name_on_line;
 use super::problems::Problem;
 use super::view::{Page, Row, RowState};
-use crate::discovery::{FindingKind, FindingState};
+use crate::finding::{FindingKind, FindingState};
 use crate::frame::{Frame, FrameKind};
 use crate::wire::id::Address;
 
@@ -273,7 +273,7 @@ impl Filter {
             return true;
         }
         let bus = || problem.bus().and_then(|bus| buses.get(bus)).map_or("", |bus| &bus.name);
-        let confidence = problem.confidence();
+        let confidence = problem.state();
         let at = |word: &str| problem.addresses().iter().any(|it| is_one_of(*it, word));
         let named =
             |word: &str| problem.names().iter().any(|it| contains_word(&it.to_string(), word));

@@ -4,8 +4,9 @@
 
 use super::Inputs;
 use super::buses::Buses;
-use crate::discovery::{Device, DeviceService, FindingState};
+use crate::discovery::{Device, DeviceService};
 use crate::document::{Entry, ListedService, NewEntry, Operation};
+use crate::finding::FindingState;
 use crate::text::{Escaped, Name};
 
 /// Entry of des.json for a device, with its present address, not pinned; `None` while its name is

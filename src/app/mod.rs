@@ -2,7 +2,7 @@
 //!
 //! A state machine without I/O and without a clock:
 //!
-//! * `handle_*` takes frames, time, keys, file contents and adapter statuses; together with the
+//! * `handle_*` takes frames, time, keys, file contents and bus statuses; together with the
 //!   actions of [`crate::keymap`] these are the only methods that change it;
 //! * `poll_transmit`, `poll_effect` and `poll_app_event` return work for the shell;
 //! * `poll_timeout` returns when [`App::handle_timeout`] is due.
@@ -13,7 +13,7 @@
 //! [`App`] owns parts that do not know it, and wires them:
 //!
 //! ```text
-//! clock     time, wall clock, playback       buses     engines, adapter statuses, load
+//! clock     time, wall clock, playback       buses     engines, bus statuses, load
 //! traffic   frame ring, filter, decoding     file      des.json, edits, undo, saving
 //! problems  findings, grouped and muted      devices   rows of the Devices page
 //! view      page, selections, regions        input     keymap, overlays, prompts
@@ -60,8 +60,9 @@ pub use view::{
 };
 
 use crate::bitrate::{SearchOutcome, SearchProgress};
-use crate::discovery::{Config, Device, DeviceId, Finding};
+use crate::discovery::{Config, Device, DeviceId};
 use crate::document::{Document, Entry, NewEntry};
+use crate::finding::Finding;
 use crate::frame::{BusIndex, Frame};
 use crate::keymap::{Action, Key, KeyMode, Keymap};
 use crate::status::{BusStatus, Playback, PlaybackCommand, RecordingStatus};
@@ -105,7 +106,8 @@ pub struct AppOptions {
     pub event_filter: Filter,
 }
 
-/// Work for the shell.
+/// Side effect that the app requests: file access, a bit rate search, quitting. The shell executes
+/// it and reports the result with the method named at each variant.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Effect {
     /// Write des.json if the content on disk is `expected`; then call [`App::handle_saved`].
@@ -286,10 +288,10 @@ impl App {
         self.notices.redraw.set_dirty();
     }
 
-    /// Runs all timers up to `until`, each at its time: time leaps from one frame of a log to the
-    /// next.
+    /// Runs all timers up to `until`, each at its time: time advances from one frame of a log to
+    /// the next.
     pub fn advance_to(&mut self, until: Instant) {
-        // Only the timers of the buses: the clock of the recording computer may have leapt by
+        // Only the timers of the buses: the clock of the recording computer may have advanced by
         // years, and each of their seconds would be one timeout of the screen.
         while let Some(due) = self.buses.poll_timeout().filter(|due| *due <= until) {
             self.handle_timeout(due);
@@ -299,7 +301,7 @@ impl App {
         }
     }
 
-    /// Takes a key: it goes to the open prompt, or executes its action.
+    /// Handles a key: it goes to the open prompt, or executes its action.
     pub fn handle_key(&mut self, now: Instant, key: Key) {
         let now = self.clock.set(now);
         if self.input.is_typed_ahead(now, key) {
@@ -335,7 +337,7 @@ impl App {
         self.refresh_rows();
     }
 
-    /// Takes the line to which the details or the help were scrolled when they were drawn; `None`
+    /// Handles the line to which the details or the help were scrolled when they were drawn; `None`
     /// if nothing scrolls.
     pub fn handle_drawn(&mut self, scrolled: Option<u16>) {
         let Some(scrolled) = scrolled else { return };
@@ -392,7 +394,7 @@ impl App {
             self.notices.restore_message(done);
         }
         if self.editor.file.problem().is_none() {
-            // The save may have been refused because of a newer content that was read meanwhile.
+            // The save may have been refused because of a newer content that was read during it.
             self.save_pending();
         }
         // An unsaved edit may have been undone, which is not a change of the file.
@@ -424,7 +426,7 @@ impl App {
         }
     }
 
-    /// Takes the adapter status of a bus.
+    /// Handles a new status of a bus.
     pub fn handle_bus(&mut self, now: Instant, index: BusIndex, status: BusStatus) {
         self.clock.set(now);
         self.bus_changed(index, status);

@@ -4,7 +4,7 @@ use super::capture::{Decoded, IdentifierKey};
 use super::input::{FilterPrompt, Overlay};
 use super::view::{Focus, Frozen, Page, Row, tabs};
 use super::{App, Effect, EvidenceItem, Problem, PromptKind};
-use crate::discovery::FindingKind;
+use crate::finding::FindingKind;
 use crate::frame::BusIndex;
 use crate::keymap::Action;
 use crate::status::PlaybackCommand;

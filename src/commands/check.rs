@@ -75,7 +75,7 @@ fn differences(app: &App, now: Instant) -> String {
         if group.is_empty() {
             continue;
         }
-        group.sort_by_key(|it| (it.place, it.key.bus, it.key.address));
+        group.sort_by_key(|it| (it.position, it.key.bus, it.key.address));
         let _ = writeln!(text, "{title}:");
         for finding in &group {
             let bus = finding.key.bus.and_then(|bus| app.bus(bus));

@@ -386,7 +386,7 @@ fn of_device(app: &App, bus: &Bus, device: &Device) -> DeviceReport {
         },
         file: of_entry(app, device),
         also: of_siblings(app, device),
-        quirks: device.deviations.iter().map(|quirk| quirk.name()).collect(),
+        quirks: device.deviations.iter().map(|deviation| deviation.name()).collect(),
         clash,
     }
 }

@@ -48,7 +48,7 @@ pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8,
             if is_away && told != Some(status.link) {
                 let why = status.message.unwrap_or_else(|| format!("{spec} cannot be used"));
                 let _ = writeln!(io::stderr(), "descan: {why}");
-                // A bus that was open once is waited for.
+                // Wait for a bus that was open once.
                 if start.is_none() || status.link.is_final() {
                     return Ok(EXIT_UNUSABLE);
                 }

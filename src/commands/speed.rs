@@ -1,5 +1,5 @@
-//! `descan speed`: finds the bit rate of a bus. Listen-only first; an active search, which disturbs a
-//! bus of another rate, needs the user's consent.
+//! `descan speed`: finds the bit rate of a bus. Listen-only first; an active search, which disturbs
+//! a bus of another rate, needs the user's consent.
 
 use super::open::profile;
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, headless};

@@ -13,7 +13,8 @@ use crate::app::{
     App, AppEvent, AppOptions, DeviceEvent, EventLine, Filter, Scope, clock_millis, hex,
 };
 use crate::cli::WatchArgs;
-use crate::discovery::{EventKind, Finding, Presence};
+use crate::discovery::{EventKind, Presence};
+use crate::finding::Finding;
 use crate::frame::IdFilter;
 use crate::shell::log_input::LogPace;
 use crate::shell::stop::StopReason;

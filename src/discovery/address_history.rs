@@ -18,7 +18,7 @@ const RESPONSE_WINDOW: Duration = Duration::from_secs(2);
 /// Two responses to one request are less than this apart.
 pub(super) const PAIR_WINDOW: Duration = Duration::from_millis(125);
 /// A heartbeat received again within this time was repeated on its way, if it is not known whether
-/// its sender draws RND7. Two devices that do not draw it, and so send equal heartbeats, are seldom
+/// its sender generates RND7. Two devices that do not, and so send equal heartbeats, are rarely
 /// this close.
 pub(super) const HEARTBEAT_COPY_WINDOW: Duration = Duration::from_millis(100);
 
@@ -80,22 +80,22 @@ pub(super) struct RequestOrigin {
 /// requester.
 #[derive(Debug, Default)]
 pub(super) struct QueryResponseMatcher {
-    open: [Option<OpenQueries>; REQUESTERS],
+    open_queries: [Option<OpenQueries>; REQUESTERS],
 }
 
 /// Maximum number of requesters to one node that are told apart.
 const REQUESTERS: usize = 4;
-/// Maximum number of unanswered requests of one requester.
-const MAX_UNANSWERED: usize = 16;
+/// Maximum number of requests without a response of one requester.
+const MAX_OPEN_REQUESTS: usize = 16;
 
-/// Requests of one requester that may still be answered.
+/// Requests of one requester that may still get responses.
 #[derive(Debug)]
 struct OpenQueries {
     by: Address,
     /// True if none of them was a broadcast.
-    targeted: bool,
+    is_targeted: bool,
     /// Times of the requests without a response.
-    unanswered: VecDeque<Instant>,
+    without_response: VecDeque<Instant>,
     sent_at: Instant,
     /// First response since the last request, with its time.
     first_response: Option<(Instant, Frame)>,
@@ -109,24 +109,30 @@ pub(super) struct SurplusResponse {
     /// Time from the first response to this one.
     pub apart: Duration,
     /// True if only one node was addressed.
-    pub targeted: bool,
+    pub is_targeted: bool,
 }
 
 impl OpenQueries {
     fn new(by: Address) -> Self {
         let sent_at = Instant::ZERO;
-        Self { by, targeted: true, unanswered: VecDeque::new(), sent_at, first_response: None }
+        Self {
+            by,
+            is_targeted: true,
+            without_response: VecDeque::new(),
+            sent_at,
+            first_response: None,
+        }
     }
 
     fn add(&mut self, now: Instant, targeted: bool) {
         // A request without a response in time, perhaps because no device was there yet, must not
         // account for a second response to a later request.
-        self.unanswered.retain(|sent_at| now.since(*sent_at) <= RESPONSE_WINDOW);
-        self.targeted = targeted && (self.unanswered.is_empty() || self.targeted);
-        if self.unanswered.len() == MAX_UNANSWERED {
-            self.unanswered.pop_front();
+        self.without_response.retain(|sent_at| now.since(*sent_at) <= RESPONSE_WINDOW);
+        self.is_targeted = targeted && (self.without_response.is_empty() || self.is_targeted);
+        if self.without_response.len() == MAX_OPEN_REQUESTS {
+            self.without_response.pop_front();
         }
-        self.unanswered.push_back(now);
+        self.without_response.push_back(now);
         self.sent_at = now;
         self.first_response = None;
     }
@@ -138,20 +144,20 @@ impl QueryResponseMatcher {
         let by = |open: &Option<OpenQueries>| {
             open.as_ref().is_some_and(|open| open.by == parties.requester)
         };
-        let at = self.open.iter().position(by).unwrap_or_else(|| {
+        let at = self.open_queries.iter().position(by).unwrap_or_else(|| {
             // Replace the requester with the oldest request.
-            let sent_at = |at: &usize| self.open[*at].as_ref().map(|open| open.sent_at);
+            let sent_at = |at: &usize| self.open_queries[*at].as_ref().map(|open| open.sent_at);
             let oldest = (0..REQUESTERS).min_by_key(sent_at).unwrap_or(0);
-            self.open[oldest] = None;
+            self.open_queries[oldest] = None;
             oldest
         });
-        let open = self.open[at].get_or_insert_with(|| OpenQueries::new(parties.requester));
+        let open = self.open_queries[at].get_or_insert_with(|| OpenQueries::new(parties.requester));
         open.add(now, parties.is_targeted);
     }
 
     /// Counts a response for requester `to`, or, where that is `None`, for a requester that still
-    /// waits for one. Returns whether a broadcast was answered, and the surplus response, if it is
-    /// less than `window` after the first one.
+    /// waits for one. Returns whether it responds to a broadcast, and the surplus response, if it
+    /// is less than `window` after the first one.
     pub fn match_response(
         &mut self,
         now: Instant,
@@ -160,24 +166,24 @@ impl QueryResponseMatcher {
         frame: &Frame,
     ) -> (bool, Option<SurplusResponse>) {
         let fresh = |open: &&mut OpenQueries| now.since(open.sent_at) <= RESPONSE_WINDOW;
-        let mut open = self.open.iter_mut().flatten().filter(fresh);
+        let mut open = self.open_queries.iter_mut().flatten().filter(fresh);
         let open = match to {
             Some(to) => open.find(|open| open.by == to),
-            None => open.min_by_key(|open| (open.unanswered.is_empty(), open.sent_at)),
+            None => open.min_by_key(|open| (open.without_response.is_empty(), open.sent_at)),
         };
         let Some(open) = open else { return (false, None) };
-        // Of several requests, the newest is the most likely to be answered.
-        let awaited = open.unanswered.pop_back().is_some();
+        // Of several requests, the newest is the most likely to get the response.
+        let awaited = open.without_response.pop_back().is_some();
         let (first_at, first) = *open.first_response.get_or_insert((now, *frame));
         let apart = now.since(first_at);
-        let targeted = open.targeted;
+        let targeted = open.is_targeted;
         // Working and non-working nodes respond to different requests. A response much later than
-        // the first answers a request that descan missed.
+        // the first belongs to a request that descan did not receive.
         let more = !awaited || differ_in_mode(&first, frame);
         if !more || apart >= window {
             return (!targeted, None);
         }
-        (!targeted, Some(SurplusResponse { first, apart, targeted }))
+        (!targeted, Some(SurplusResponse { first, apart, is_targeted: targeted }))
     }
 }
 
@@ -245,13 +251,13 @@ impl AddressHistory {
     }
 
     /// Adds a heartbeat. Returns false if it is a copy of the previous one: equal including RND7,
-    /// received at once, from a sender that draws a new RND7 each time.
+    /// received at once, from a sender that generates a new RND7 each time.
     pub fn note_heartbeat(&mut self, now: Instant, frame: &Frame, period: Duration) -> bool {
         if let Some(last) = self.heartbeats.back()
             && last.frame.same_on_wire(frame)
         {
             let mut older = self.heartbeats.iter().rev().skip(1);
-            // Two successive heartbeats show whether the sender draws RND7.
+            // Two successive heartbeats show whether the sender generates RND7.
             let next = older.find(|heartbeat| last.time.since(heartbeat.time) > period / 2);
             let within = match next.map(|heartbeat| heartbeat.frame.same_on_wire(frame)) {
                 Some(true) => Duration::ZERO,

@@ -142,9 +142,9 @@ impl AddressClaims {
         if node.address != address {
             // A node that sends heartbeats from both addresses has left neither.
             if silence > gap {
-                let contended = node.gave_up_before_conflict(period);
-                update.left = (contended || node.is_rowless).then_some(node.address);
-                update.gave_up = (contended && !node.is_reported).then_some(node.last);
+                let contested = node.gave_up_before_conflict(period);
+                update.left = (contested || node.is_rowless).then_some(node.address);
+                update.gave_up = (contested && !node.is_reported).then_some(node.last);
             }
             node.address = address;
         }

@@ -42,9 +42,18 @@ pub(super) struct ResponseStart {
     pub request: Request,
     pub framing: Framing,
     /// True if the sender is in a working mode (U bit).
-    pub working: bool,
+    pub is_working: bool,
     /// True if the sender is resolving its address, that is in its mode for a moment only.
-    pub resolving: bool,
+    pub is_resolving: bool,
+}
+
+/// Mode of a heartbeat's sender, as far as the U bit and address resolution show it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ModeFlags {
+    /// True in a working mode, by the U bit.
+    pub is_working: bool,
+    /// True in INIT or ARSLV: the node is about to change its mode.
+    pub is_resolving: bool,
 }
 
 /// Histories of all addresses of one bus, with the findings made from them.
@@ -58,7 +67,7 @@ pub(super) struct ConflictDetector {
     duplicate_frames: DuplicateFrameDetector,
     finding_tracker: FindingTracker,
     /// Surplus responses before this time may belong to delayed requests.
-    ignore_extra_until: Instant,
+    ignore_surplus_until: Instant,
 }
 
 impl ConflictDetector {
@@ -76,7 +85,7 @@ impl ConflictDetector {
             histories: (0..Address::COUNT).map(|_| AddressHistory::default()).collect(),
             duplicate_frames: DuplicateFrameDetector::new(period),
             finding_tracker: FindingTracker::new(bus, period, listen_only, seed),
-            ignore_extra_until: Instant::ZERO,
+            ignore_surplus_until: Instant::ZERO,
         }
     }
 
@@ -132,27 +141,28 @@ impl ConflictDetector {
         name: Option<&Name>,
         frame: &Frame,
     ) {
-        let ResponseStart { from: address, to, request, framing, working, resolving } = response;
+        let ResponseStart { from: address, to, request, framing, is_working, is_resolving } =
+            response;
         let window = PAIR_WINDOW.min(self.period / 8);
         let history = &mut self.histories[address.index()];
-        if !resolving {
-            history.seen[usize::from(working)] = Some(now);
+        if !is_resolving {
+            history.seen[usize::from(is_working)] = Some(now);
         }
         let matcher = history.matcher(request, framing);
-        let (to_all, extra) = matcher.match_response(now, to, window, frame);
+        let (to_all, surplus) = matcher.match_response(now, to, window, frame);
         if to_all {
-            self.duplicate_frames.note_response(address, extra.is_some());
+            self.duplicate_frames.note_response(address, surplus.is_some());
         }
         let ignored =
-            now < self.ignore_extra_until || self.duplicate_frames.has_duplicate_requests(now);
-        let Some(extra) = extra.filter(|_| !ignored) else { return };
-        let first = extra.first;
+            now < self.ignore_surplus_until || self.duplicate_frames.has_duplicate_requests(now);
+        let Some(surplus) = surplus.filter(|_| !ignored) else { return };
+        let first = surplus.first;
         if first.same_on_wire(frame) {
-            self.duplicate_frames.note_duplicate(now, extra.apart);
+            self.duplicate_frames.note_duplicate(now, surplus.apart);
         }
         // A non-working node may respond both to the request for working nodes and to that for
         // non-working ones.
-        let strength = if extra.targeted || working {
+        let strength = if surplus.is_targeted || is_working {
             EvidenceStrength::Strong
         } else {
             EvidenceStrength::Weak
@@ -190,7 +200,7 @@ impl ConflictDetector {
     /// Ignores surplus responses for some periods: requests that were delayed have been sent
     /// together, and devices may respond to each of them.
     pub fn ignore_surplus_responses(&mut self, now: Instant) {
-        self.ignore_extra_until = now + self.period * DELAYED_RESPONSE_PERIODS;
+        self.ignore_surplus_until = now + self.period * DELAYED_RESPONSE_PERIODS;
     }
 
     /// Notes a complete name response.
@@ -255,7 +265,7 @@ impl ConflictDetector {
         now: Instant,
         address: Address,
         uid: Option<Uid>,
-        (working, resolving): (bool, bool),
+        mode: ModeFlags,
         name: Option<&Name>,
         frame: &Frame,
     ) {
@@ -264,14 +274,14 @@ impl ConflictDetector {
         if !history.note_heartbeat(now, frame, period) {
             return;
         }
-        if !resolving {
-            history.seen[usize::from(working)] = Some(now);
+        if !mode.is_resolving {
+            history.seen[usize::from(mode.is_working)] = Some(now);
         }
         let previous = history.heartbeats.iter().rev().nth(1).map(|heartbeat| heartbeat.frame);
         let uid = uid.filter(|uid| !uid.is_blank());
         let uid_returned = uid.and_then(|uid| history.uids.observe(now, &uid, period * 3));
         // Two devices alternate with every heartbeat; one device keeps a changed U bit for longer.
-        let mode_returned = history.working.observe(now, &working, period.mul_f64(1.05));
+        let mode_returned = history.working.observe(now, &mode.is_working, period.mul_f64(1.05));
         let pattern = history.heartbeat_pattern(period);
         history.double_rate_count =
             if pattern.double_rate { history.double_rate_count + 1 } else { 0 };
@@ -311,10 +321,10 @@ impl ConflictDetector {
             }
             // A device that is claiming the address may still give it up.
             let strength =
-                if resolving { EvidenceStrength::Weak } else { EvidenceStrength::Strong };
+                if mode.is_resolving { EvidenceStrength::Weak } else { EvidenceStrength::Strong };
             let at =
                 self.finding_tracker.report(now, identity, address, name, frame, again, strength);
-            if !resolving {
+            if !mode.is_resolving {
                 self.finding_tracker.backdate(now, at, since);
             }
         } else if !self.finding_tracker.is_open(identity, address) {

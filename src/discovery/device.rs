@@ -90,8 +90,8 @@ pub struct HeartbeatStats {
 
 /// Age of the last heartbeat, in periods, at which a device is stale.
 pub(super) const STALE_PERIODS: f64 = 2.5;
-/// Time since the last heartbeat, in periods, above which at least one is missed. A gap that long may be
-/// a reboot.
+/// Time since the last heartbeat, in periods, above which at least one is missed. A gap that long
+/// may be a reboot.
 pub(super) const MISSED_HEARTBEAT_PERIODS: f64 = 1.4;
 
 impl HeartbeatStats {
@@ -169,8 +169,8 @@ impl HeartbeatStats {
 /// State of a query.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum QueryState {
-    /// No request is sent or awaited: listen-only, the first request is not due yet, or the query was
-    /// restarted.
+    /// No request is sent or awaited: listen-only, the first request is not due yet, or the query
+    /// was restarted.
     #[default]
     NotSent,
     /// Request sent, no response yet.
@@ -367,7 +367,7 @@ pub struct Device {
     pub reboots: u32,
     /// Time of the last reboot; `None` if there was none.
     pub rebooted_at: Option<Instant>,
-    /// Time at which another row became the active one at its address.
+    /// Time at which another row became the current one at its address.
     pub(super) replaced_at: Option<Instant>,
     /// UID in its heartbeats before the present one.
     pub(super) uid_before: Option<Uid>,
@@ -488,9 +488,9 @@ impl Device {
     }
 
     /// Adds a deviation, unless it is known already.
-    pub(super) fn note_deviation(&mut self, quirk: ProtocolDeviation) {
-        if let Err(at) = self.deviations.binary_search(&quirk) {
-            self.deviations.insert(at, quirk);
+    pub(super) fn note_deviation(&mut self, deviation: ProtocolDeviation) {
+        if let Err(at) = self.deviations.binary_search(&deviation) {
+            self.deviations.insert(at, deviation);
         }
     }
 

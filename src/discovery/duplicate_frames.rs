@@ -7,11 +7,10 @@
 //! that is so, the second of two equal frames is ignored. If devices receive requests twice, they
 //! respond twice: then all of those addressed do, or nearly all.
 //!
-//! Two boards with equal random numbers, as new ones may have, draw the same RND7 each time. They
-//! differ from a bridge in the phase between their heartbeats: a bridge is not much faster with
-//! responses than with heartbeats.
+//! Two boards with equal random numbers, as new ones may have, generate the same RND7 each time.
+//! They differ from a bridge in the phase between their heartbeats: a bridge is not much faster
+//! with responses than with heartbeats.
 //!
-//! Does not judge devices.
 
 use super::address_history::HEARTBEAT_COPY_WINDOW;
 use crate::frame::Frame;
@@ -33,8 +32,8 @@ const MAX_OPEN: usize = 1024;
 #[derive(Clone, Copy, Debug)]
 struct RecentHeartbeat {
     frame: Frame,
-    copied: bool,
-    /// True if its sender draws a new RND7 for each heartbeat.
+    is_copied: bool,
+    /// True if its sender generates a new RND7 for each heartbeat.
     varies: bool,
 }
 
@@ -134,12 +133,12 @@ impl DuplicateFrameDetector {
         let is_on = self.is_active(now);
         let last = &mut self.heartbeats[address.index()];
         let copied =
-            last.filter(|heartbeat| !heartbeat.copied && heartbeat.frame.same_on_wire(frame));
+            last.filter(|heartbeat| !heartbeat.is_copied && heartbeat.frame.same_on_wire(frame));
         let late = copied.map(|heartbeat| now.since(heartbeat.frame.time));
         let varies = last.is_some_and(|heartbeat| heartbeat.varies);
         let most = if varies { period / 2 } else { HEARTBEAT_COPY_WINDOW };
         if let (Some(late), Some(heartbeat)) = (late.filter(|late| *late <= most), last.as_mut()) {
-            heartbeat.copied = true;
+            heartbeat.is_copied = true;
             self.copy_count += 1;
             self.has_several_sources |=
                 self.last_copied_address.is_some_and(|other| other != address);
@@ -153,7 +152,8 @@ impl DuplicateFrameDetector {
             return;
         }
         // The previous heartbeat had no copy in time.
-        if last.is_some_and(|heartbeat| !heartbeat.copied && now.since(heartbeat.frame.time) > most)
+        if last
+            .is_some_and(|heartbeat| !heartbeat.is_copied && now.since(heartbeat.frame.time) > most)
         {
             if is_on {
                 // One copy may be lost: the next one counts again.
@@ -168,7 +168,7 @@ impl DuplicateFrameDetector {
         let other = last.is_some_and(|heartbeat| !heartbeat.frame.same_on_wire(frame));
         *last = Some(RecentHeartbeat {
             frame: frame.with_time(now),
-            copied: false,
+            is_copied: false,
             varies: varies || other,
         });
     }
@@ -222,10 +222,10 @@ impl DuplicateFrameDetector {
     }
 
     /// Notes a response to a broadcast request; `extra`: it is beyond the number of requests.
-    pub fn note_response(&mut self, address: Address, extra: bool) {
+    pub fn note_response(&mut self, address: Address, is_surplus: bool) {
         let bit = 1 << address.index();
         self.responses.once |= bit;
-        if extra {
+        if is_surplus {
             self.responses.twice |= bit;
         }
     }

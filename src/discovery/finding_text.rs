@@ -14,7 +14,8 @@ use crate::wire::id::Address;
 pub(super) const NOT_SENT_BY_DESCAN: &str = "frame from address 0 not sent by descan";
 
 /// Sets text and remedy of a finding of the engine, after its evidence changed. Bus errors have
-/// [`bus_errors`] and [`describe_errors_at`] instead; findings about des.json are worded where they are made.
+/// [`bus_errors`] and [`describe_errors_at`] instead; findings about des.json are worded where they
+/// are made.
 pub(super) fn describe(finding: &mut Finding) {
     let device =
         finding.key.address.map_or(String::new(), |address| device_label(address, &finding.names));

@@ -481,10 +481,12 @@ impl FindingTracker {
         let was_suspected = self.findings[at].confidence == FindingState::Suspected;
         // A single surplus response or heartbeat is not contention.
         let least = u32::from(self.findings[at].key.kind == FindingKind::SameNameSameAddress);
-        let gave_way = was_suspected && self.evidence_states[at].strong > least;
+        let was_contested = was_suspected && self.evidence_states[at].strong > least;
         self.set(now, at, FindingState::Cleared);
         let (kind, address) = (self.findings[at].key.kind, self.findings[at].key.address);
-        let (true, true, Some(address)) = (gave_way, kind.is_conflict(), address) else { return };
+        let (true, true, Some(address)) = (was_contested, kind.is_conflict(), address) else {
+            return;
+        };
         let key = FindingKey::at(FindingKind::AddressContested, self.bus, Some(address));
         let (names, evidence) =
             (self.findings[at].names.clone(), self.findings[at].evidence.clone());

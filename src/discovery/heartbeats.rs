@@ -1,5 +1,6 @@
 //! Heartbeats: updates mode, UID and statistics of a device, detects reboots and duplicate UIDs.
 
+use super::conflict_detector::ModeFlags;
 use super::device::{MISSED_HEARTBEAT_PERIODS, ModeChange, ProtocolDeviation, Query};
 use super::resolution::HeartbeatContext;
 use super::{Engine, EventKind, Presence};
@@ -149,7 +150,8 @@ impl Engine {
             self.note_reboot(now, index);
         }
         let device = self.device_table.get(index);
-        let (mode, name) = ((device.is_working, device.is_resolving), device.name.clone());
+        let mode = ModeFlags { is_working: device.is_working, is_resolving: device.is_resolving };
+        let name = device.name.clone();
         self.conflicts.note_heartbeat(now, address, heartbeat.uid, mode, name.as_ref(), frame);
         self.errors.note_heartbeat(now, address, frame);
         if self.conflicts.finding_tracker().is_suspicious() {

@@ -9,7 +9,7 @@ use crate::wire::node::Uid;
 
 impl Engine {
     /// Returns the row of the device with that name at this address, creating it if needed. A row
-    /// other than the active one means another board at the address.
+    /// other than the current one means another board at the address.
     pub(super) fn row_of_name(&mut self, now: Instant, index: usize, name: &Name) -> usize {
         let current = self.device_table.get(index);
         if current.name.as_ref().is_none_or(|own| own == name) {

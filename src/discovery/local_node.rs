@@ -59,7 +59,7 @@ pub(super) struct LocalNode {
     state: AddressState,
     wanted: Option<Address>,
     /// True after another node used the own address: it is then claimed after a random delay, so
-    /// that two nodes do not claim it at the same time again and again.
+    /// that two nodes do not claim it at the same time repeatedly.
     contested: bool,
     /// True if the last search found no free address.
     blocked: bool,

@@ -58,7 +58,6 @@ mod resolution;
 mod rounds;
 mod transfers;
 
-pub use crate::finding::{Evidence, Finding, FindingKey, FindingKind, FindingState};
 pub use config::Config;
 pub use device::{
     Device, DeviceId, DeviceService, HeartbeatStats, ModeChange, Presence, ProtocolDeviation,
@@ -66,6 +65,7 @@ pub use device::{
 };
 pub use event::{Event, EventKind, OtherDevice};
 
+use crate::finding::{Finding, FindingKind, FindingState};
 use crate::frame::{Frame, FrameKind};
 use crate::time::{Duration, Instant};
 use crate::wire::id::{Address, Header};
@@ -76,7 +76,7 @@ use device_table::DeviceTable;
 use errors::BusErrorTracker;
 use heartbeats::BusDelayTracker;
 use local_node::{AddressChange, LocalNode};
-use outbox::{Acknowledgement, Outbox};
+use outbox::{AckChange, Outbox};
 use presence::{Outages, PresenceInput};
 use rounds::Rounds;
 use std::collections::VecDeque;
@@ -172,10 +172,9 @@ impl Counters {
 /// use descan::wire::id::{Address, Header};
 ///
 /// // `has_loopback: false`: frames that the engine sends are not received back.
-/// let mut engine = Engine::new(Instant::ZERO, Config { has_loopback: false, ..Config::default() });
-/// let end = Instant::ZERO + Duration::from_secs(10);
-/// let node = Address::new(12).expect("0 to 127");
-/// let mut names = Vec::new();
+/// let mut engine = Engine::new(Instant::ZERO, Config { has_loopback: false, ..Config::default()
+/// }); let end = Instant::ZERO + Duration::from_secs(10); let node = Address::new(12).expect("0 to
+/// 127"); let mut names = Vec::new();
 ///
 /// while let Some(now) = engine.poll_timeout().filter(|now| *now < end) {
 ///     engine.handle_timeout(now);
@@ -563,16 +562,16 @@ impl Engine {
         }
     }
 
-    fn handle_ack_change(&mut self, change: Option<Acknowledgement>) {
+    fn handle_ack_change(&mut self, change: Option<AckChange>) {
         match change {
-            Some(Acknowledgement::NoAck) => {
+            Some(AckChange::NoAck) => {
                 self.emit_bus_event(EventKind::NoAck);
                 // No node received the request: repeat it with the next attempt.
                 if self.local_node.held().is_some() && self.config.send_requests {
                     self.rounds.restart(self.now);
                 }
             }
-            Some(Acknowledgement::Back) => {
+            Some(AckChange::Restored) => {
                 self.emit_bus_event(EventKind::Acknowledged);
                 if self.local_node.held().is_some() && self.config.send_requests {
                     self.rounds.restart(self.now);

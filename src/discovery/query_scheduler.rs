@@ -155,7 +155,7 @@ impl Engine {
         let window = self.response_window();
         for request in [Request::Name, Request::Services] {
             // In the order of addresses: responses of lower ones have priority on the bus, so
-            // requests are answered in the order sent and none waits behind later ones.
+            // responses arrive in the order of the requests and none waits behind later ones.
             for address in Address::all() {
                 if self.waiting >= MAX_WAITING || !self.outbox.has_budget() {
                     return;

@@ -301,7 +301,7 @@ impl Engine {
             self.device_table.get_mut(index).note_deviation(ProtocolDeviation::RspDstEcho);
         }
         if !header.no_error {
-            // It answers another node's request, or the request in the other framing.
+            // It is the response to another node's request, or the request in the other framing.
             let device = self.device_table.get(index);
             let arriving = [&device.name_query, &device.services_query];
             let arriving = arriving.iter().any(|query| query.state == QueryState::Receiving);
@@ -360,8 +360,9 @@ impl Engine {
         self.rounds.note_response(now);
         let device = self.device_table.get(index);
         let (address, name) = (device.address, device.name.clone());
-        let (working, resolving) = (device.is_working, device.is_resolving);
-        let response = ResponseStart { from: address, to, request, framing, working, resolving };
+        let (is_working, is_resolving) = (device.is_working, device.is_resolving);
+        let response =
+            ResponseStart { from: address, to, request, framing, is_working, is_resolving };
         self.conflicts.note_response(now, response, name.as_ref(), frame);
     }
 

@@ -109,7 +109,7 @@ pub fn merge_with_choices(
     for (at, operation) in ours.iter().enumerate() {
         let next = base.apply(operation)?;
         let mut step = merge_operation(operation, &base, &next, &document, &ours[at + 1..]);
-        if let (MergeStep::Make(operation), true) = (&step, choices.file_was_deleted)
+        if let (MergeStep::Apply(operation), true) = (&step, choices.file_was_deleted)
             && let Some(entry) = operation.added()
         {
             let (ours, theirs) = (describe_all(&entry), DELETED.to_owned());
@@ -117,7 +117,7 @@ pub fn merge_with_choices(
         }
         let steps = match step {
             MergeStep::Done => Vec::new(),
-            MergeStep::Make(operation) => vec![operation],
+            MergeStep::Apply(operation) => vec![operation],
             MergeStep::Conflict { .. } if dropped.has(operation) => Vec::new(),
             MergeStep::Conflict { ours, theirs, overwrite_with: insist } => {
                 let choice = choices.chosen.get(conflicts).copied().unwrap_or(rest);
@@ -201,7 +201,7 @@ enum MergeStep {
     /// Theirs already contains it.
     Done,
     /// Apply this operation to theirs.
-    Make(Operation),
+    Apply(Operation),
     /// Conflict; `insist` overwrites theirs.
     Conflict { ours: String, theirs: String, overwrite_with: Vec<Operation> },
 }
@@ -239,7 +239,7 @@ fn merge_operation(
     let found = &theirs.entries()[counterpart];
     if is_removal {
         if same_value(base.entry_text(index), theirs.entry_text(counterpart)) {
-            return MergeStep::Make(operation);
+            return MergeStep::Apply(operation);
         }
         let theirs = differences(before, found);
         return MergeStep::Conflict {
@@ -255,7 +255,7 @@ fn merge_operation(
     if agree(found, &wanted) {
         MergeStep::Done
     } else if agree(found, before) {
-        MergeStep::Make(operation)
+        MergeStep::Apply(operation)
     } else if final_entry(next, index, later).is_some_and(|ours| agree(found, &ours)) {
         // Theirs already has the value that later operations set.
         MergeStep::Done
@@ -288,7 +288,7 @@ fn final_entry(document: &Document, index: usize, operations: &[Operation]) -> O
 
 /// Merges an operation that adds an entry, which theirs may have added too.
 fn merge_added(operation: &Operation, base: &Document, theirs: &Document) -> MergeStep {
-    let Some(entry) = operation.added() else { return MergeStep::Make(operation.clone()) };
+    let Some(entry) = operation.added() else { return MergeStep::Apply(operation.clone()) };
     let is_same = |other: &&Entry| {
         (&other.bus, &other.name, other.address) == (&entry.bus, &entry.name, entry.address)
     };
@@ -296,12 +296,12 @@ fn merge_added(operation: &Operation, base: &Document, theirs: &Document) -> Mer
     let same = theirs.entries().iter().filter(is_same).nth(known);
     let is_new = matches!(operation, Operation::Add { .. });
     let Some(found) = same.or_else(|| twin(&entry, base, theirs).filter(|_| is_new)) else {
-        return MergeStep::Make(operation.clone());
+        return MergeStep::Apply(operation.clone());
     };
     if found.content() == entry.content() {
         return MergeStep::Done;
     }
-    if is_new && let Some(step) = step_known(&entry, found, theirs) {
+    if is_new && let Some(step) = merge_added_twice(&entry, found, theirs) {
         return step;
     }
     let removal = Operation::Remove { entry: theirs.key(found.index) };
@@ -327,7 +327,7 @@ fn twin<'d>(entry: &Entry, base: &Document, theirs: &'d Document) -> Option<&'d 
 
 /// Merges a new entry whose device theirs lists too: sets the values of ours in theirs, and keeps
 /// all others. `None` if that is not sufficient.
-fn step_known(entry: &Entry, found: &Entry, theirs: &Document) -> Option<MergeStep> {
+fn merge_added_twice(entry: &Entry, found: &Entry, theirs: &Document) -> Option<MergeStep> {
     if found.uid.is_some() && entry.uid.is_some() && found.uid != entry.uid {
         return None;
     }

@@ -95,7 +95,8 @@ pub struct EntryKey {
 }
 
 impl EntryKey {
-    /// Returns the key of an entry that no other entry equals in bus, name, address and UID.
+    /// Returns the key of an entry that is unique in bus, name, address and UID. This is not checked:
+    /// of several equal entries, the key finds the first; [`Document::key`] tells them apart.
     pub fn of(entry: &Entry) -> Self {
         Self {
             bus: entry.bus.clone(),

@@ -2,7 +2,7 @@
 //!
 //! [`FindingKind::facts`] is the only place that lists name, headline, severity, remedy, grouping
 //! and exit code; the screen, `scan`, `check` and the guide read it. A kind cannot be added without
-//! its facts. Does not know when a finding is raised or confirmed.
+//! its facts.
 
 use std::fmt;
 

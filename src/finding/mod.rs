@@ -115,7 +115,7 @@ pub struct Finding {
     /// [`Finding::MAX_EVIDENCE`].
     pub evidence: VecDeque<Evidence>,
     /// Line and column in des.json, from 1; `None` where the finding is not about a place in it.
-    pub place: Option<(usize, usize)>,
+    pub position: Option<(usize, usize)>,
     /// What is wrong, as one sentence.
     pub text: String,
     /// What to do, likeliest cause first; may be empty.
@@ -138,7 +138,7 @@ impl Finding {
             changed: now,
             count: 0,
             evidence: VecDeque::new(),
-            place: None,
+            position: None,
             text: String::new(),
             remedy: String::new(),
         }

@@ -56,8 +56,8 @@ pub(crate) const fn bit_nanos(bits: u32, bitrate: u32) -> u64 {
     bits as u64 * 1_000_000_000 / bitrate as u64
 }
 
-/// What a frame says in arbitration, most significant bit first: the lower value wins. The base
-/// identifier, RTR or SRR, IDE, the identifier's extension, RTR.
+/// Bits of a frame that take part in arbitration, most significant bit first: the lower value wins.
+/// The base identifier, RTR or SRR, IDE, the identifier's extension, RTR.
 pub fn arbitration_field(frame: &Frame) -> u32 {
     let remote = u32::from(frame.kind == FrameKind::Remote);
     match frame.id {
@@ -69,12 +69,13 @@ pub fn arbitration_field(frame: &Frame) -> u32 {
     }
 }
 
-/// Where two frames that begin alike part on the wire.
+/// First bit on the wire in which two frames differ.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FirstDifference {
     /// Bits from the start to the first different one, itself and stuff bits included.
     pub bits: u32,
-    /// Whether the first of the two sends the recessive bit there, and so notices.
+    /// True if the first of the two sends the recessive bit there; its sender detects the
+    /// difference.
     pub first_is_recessive: bool,
 }
 
@@ -411,10 +412,10 @@ mod tests {
         let one = Frame::classic(0x0518_0002, &[0xAA, 0x80]);
         let two = Frame::classic(0x0518_0002, &[0xAA, 0x00]);
         assert_eq!(first_difference(&one, &one), None);
-        let parting = first_difference(&one, &two).unwrap();
-        assert!(parting.first_is_recessive);
-        assert_eq!(first_difference(&two, &one).map(|d| d.bits), Some(parting.bits));
-        assert!(parting.bits > 39 + 8, "{parting:?}");
+        let difference = first_difference(&one, &two).unwrap();
+        assert!(difference.first_is_recessive);
+        assert_eq!(first_difference(&two, &one).map(|d| d.bits), Some(difference.bits));
+        assert!(difference.bits > 39 + 8, "{difference:?}");
         let standard = Frame::new(CanId::Standard(0x7FF), &[]);
         assert!(arbitration_field(&one) < arbitration_field(&two) | 1);
         assert!(arbitration_field(&one) < arbitration_field(&standard));

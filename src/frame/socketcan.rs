@@ -1,5 +1,5 @@
-//! SocketCAN's frame fields (`linux/can.h`): the identifier word and the FD flags, which the kernel,
-//! pcapng and candump's log text share.
+//! SocketCAN's frame fields (`linux/can.h`): the identifier word and the FD flags, which the
+//! kernel, pcapng and candump's log text share.
 //!
 //! Pure. Does not know the byte order of a layout: the caller reads and writes the bytes.
 

@@ -205,6 +205,10 @@ impl LogEncoder for LineEncoder {
 
 /// Reads a frame in the syntax of candump and cansend: `02015402#0444455301`, `123#R4`,
 /// `123##1AABB`, `20000004#…`.
+///
+/// # Errors
+///
+/// The text does not have this syntax.
 pub fn parse_frame(text: &[u8]) -> Result<Frame, LineFault> {
     let hash = text.iter().position(|&byte| byte == b'#').ok_or(LineFault::Frame)?;
     let (id_text, body) = (&text[..hash], &text[hash + 1..]);

@@ -91,14 +91,26 @@ trait LogDecoder: fmt::Debug + Send {
 /// Writes one log of a format.
 pub trait LogEncoder: fmt::Debug + Send {
     /// Appends the beginning of a log.
+    ///
+    /// # Errors
+    ///
+    /// Those of writing to `out`.
     fn begin(&mut self, out: &mut Vec<u8>) -> io::Result<()>;
 
     /// Appends an entry. Appends nothing and returns false if more than `max_len` bytes would be
     /// needed.
+    ///
+    /// # Errors
+    ///
+    /// Those of writing to `out`.
     fn write(&mut self, entry: LogEntry<'_>, max_len: u64, out: &mut Vec<u8>) -> io::Result<bool>;
 
     /// Appends the end of a log. `names` and `lost` are by bus: the names, and the number of frames
     /// lost while this log was written.
+    ///
+    /// # Errors
+    ///
+    /// Those of writing to `out`.
     fn end(&mut self, names: &[String], lost: &[u64], out: &mut Vec<u8>) -> io::Result<()>;
 }
 

@@ -207,6 +207,10 @@ struct PcapInterface {
 
 impl SectionState {
     /// Returns the length of the block that begins with these bytes, at least [`BLOCK_HEADER_LEN`].
+    ///
+    /// # Errors
+    ///
+    /// The byte order or the length is not valid: the rest of the file cannot be read.
     pub fn block_len(&self, head: &[u8; BLOCK_HEADER_LEN]) -> Result<u32, Damage> {
         let big_endian = if head[..4] == MAGIC {
             byte_order(&head[8..]).ok_or(Damage::ByteOrder)?
@@ -217,7 +221,11 @@ impl SectionState {
         if len < 12 || !len.is_multiple_of(4) { Err(Damage::Length(len)) } else { Ok(len) }
     }
 
-    /// Returns the fault if a skipped block that begins with these bytes is a packet.
+    /// Checks a block that begins with these bytes and is skipped.
+    ///
+    /// # Errors
+    ///
+    /// The block is a packet, which is too long.
     pub fn skip(&self, head: &[u8; BLOCK_HEADER_LEN]) -> Result<(), PacketFault> {
         let kind = Fields { bytes: head, big_endian: self.big_endian }.u32();
         let is_packet = matches!(kind, Some(PACKET | SIMPLE_PACKET | OLD_PACKET));
@@ -401,6 +409,10 @@ fn decode(packet: &[u8]) -> Result<Frame, PacketFault> {
 // --- writing ------------------------------------------------------------------------------
 
 /// Writes the section header at the beginning of a file.
+///
+/// # Errors
+///
+/// Those of writing to `out`.
 pub fn write_section(out: &mut impl Write) -> io::Result<()> {
     let mut block = Block::new(SECTION);
     block.u32(BYTE_ORDER);
@@ -414,6 +426,10 @@ pub fn write_section(out: &mut impl Write) -> io::Result<()> {
 }
 
 /// Writes the description of the next interface, counted from 0.
+///
+/// # Errors
+///
+/// Those of writing to `out`.
 pub fn write_interface(out: &mut impl Write, name: &str) -> io::Result<()> {
     let mut block = Block::new(INTERFACE);
     block.u16(SOCKETCAN);
@@ -427,6 +443,10 @@ pub fn write_interface(out: &mut impl Write, name: &str) -> io::Result<()> {
 }
 
 /// Writes a frame of an interface, at a time in microseconds since 1970.
+///
+/// # Errors
+///
+/// Those of writing to `out`.
 pub fn write_frame(
     out: &mut impl Write,
     interface: u32,

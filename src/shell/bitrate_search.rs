@@ -1,6 +1,7 @@
-//! Bit rate search on a bus: sets one rate after the other and receives. Alone, or beside a session.
+//! Bit rate search on a bus: sets one rate after the other and receives. Alone, or beside a
+//! session.
 //!
-//! A search that is dropped restores the previous setting. Does not judge what is received: see
+//! A search that is dropped restores the previous setting. Does not evaluate what is received: see
 //! [`crate::bitrate`].
 
 use crate::bitrate::{ListenMode, RATES, RateResult, Search, SearchOutcome, SearchProgress};

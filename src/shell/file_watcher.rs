@@ -2,9 +2,9 @@
 //!
 //! Editors replace files, so folders are watched: the one the file is in, those of the symbolic
 //! links that lead to it, and, while its folder is missing, the one that it will appear in. An
-//! event is only a reason to read: a change is content that differs from the last known one. Without
-//! events (network file systems, no inotify left) the file is read once a second. Does not know what
-//! is in the file, or who saves it.
+//! event is only a reason to read: a change is content that differs from the last known one.
+//! Without events (network file systems, no inotify left) the file is read once a second. Does not
+//! know what is in the file, or who saves it.
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -238,7 +238,7 @@ impl Folders {
     /// Watches the folders that determine which file `path` is. Returns false if some changes cause
     /// no events.
     fn follow(&mut self, path: &Path) -> bool {
-        /// Changes of the path that are tolerated meanwhile.
+        /// Changes of the path that are tolerated during it.
         const ATTEMPTS: usize = 8;
         let mut places = Places::of(path);
         for _ in 0..ATTEMPTS {

@@ -27,10 +27,11 @@ use std::pin::Pin;
 use std::time::Duration;
 use tokio::task::{JoinHandle, spawn_blocking};
 
-/// Frames taken in one turn, so that keys and the screen get theirs.
+/// Maximum number of frames handled in one turn; keys and the screen are handled between turns.
 const BATCH: usize = 1024;
 
-/// Lateness from which the program counts as stalled: stopped, or blocked by its terminal.
+/// Delay of a wake-up above which the program counts as stalled: stopped, or blocked by its
+/// terminal.
 const STALL_THRESHOLD: Duration = Duration::from_millis(1500);
 
 /// Why a session woke.
@@ -86,7 +87,7 @@ enum SessionInput {
         clock: Clock,
         ports: Vec<Port>,
         /// Number of interface names taken from each port.
-        named: Vec<usize>,
+        interfaces_named: Vec<usize>,
     },
     /// One log, at its own pace. The settings are those of the engine of each interface.
     Log(Box<LogInput>, Box<Config>),
@@ -115,7 +116,12 @@ impl Session {
     pub fn new(app: App, clock: Clock, ports: Vec<Port>, store: Option<Store>) -> Self {
         let resumed = clock.now();
         let named = vec![0; ports.len()];
-        Self::with_input(app, SessionInput::Ports { clock, ports, named }, resumed, store)
+        Self::with_input(
+            app,
+            SessionInput::Ports { clock, ports, interfaces_named: named },
+            resumed,
+            store,
+        )
     }
 
     /// A session on one log. Its interfaces become buses with settings `config` as they are named.
@@ -144,7 +150,7 @@ impl Session {
         session
     }
 
-    /// Records all frames from now on; of a log, the app is not told.
+    /// Records all frames from now on; of a log, without status in the app.
     pub fn record(&mut self, recorder: Recorder) {
         recorder.set_epoch(self.app.epoch());
         if let SessionInput::Ports { .. } = self.input {
@@ -209,8 +215,8 @@ impl Session {
         }
     }
 
-    /// Returns true if time can leap, as in a log: deadlines between two frames are handled at
-    /// their own times, and lateness is not a stall.
+    /// Returns true if time can advance in large steps, as in a log: deadlines between two frames
+    /// are handled at their own times, and lateness is not a stall.
     fn is_replay(&self) -> bool {
         match &self.input {
             SessionInput::Ports { clock, .. } => clock.playback().is_some(),
@@ -360,7 +366,7 @@ impl Session {
         self.advance_log();
     }
 
-    /// Handles the frames of the log that are due, and lets time pass.
+    /// Handles the frames of the log that are due, and advances the time.
     fn advance_log(&mut self) {
         let SessionInput::Log(log, config) = &mut self.input else { return };
         if self.input_end.is_some() {
@@ -385,7 +391,7 @@ impl Session {
             self.app.handle_frames(frame.time, &[received]);
         }
         if let Some(summary) = log.summary() {
-            // Presence is judged at the last frame.
+            // Presence is evaluated at the last frame.
             let now = self.app.now();
             self.app.advance_to(now);
             self.input_end = Some(InputEnd::Log(summary.clone()));
@@ -415,8 +421,8 @@ impl Session {
         }
     }
 
-    /// Ends the session at the end of the log's range: presence is judged at that moment, whatever
-    /// follows in the log.
+    /// Ends the session at the end of the log's range: presence is evaluated at that moment,
+    /// whatever follows in the log.
     pub fn end_range(&mut self) {
         let SessionInput::Log(log, _) = &self.input else { return };
         let Some(until) = log.until() else { return };
@@ -450,14 +456,16 @@ impl Session {
     }
 
     fn receive_frames(&mut self, now: Instant) {
-        let SessionInput::Ports { clock, ports, named } = &mut self.input else { return };
+        let SessionInput::Ports { clock, ports, interfaces_named: named } = &mut self.input else {
+            return;
+        };
         for (port_at, port) in ports.iter().enumerate() {
             let index = BusIndex(port_at as u8);
             if let Some(status) = port.queue().take_status() {
                 // The status of a log applies to all its interfaces.
-                for further in 0..named[port_at].max(1) {
-                    let Ok(further) = u8::try_from(further) else { break };
-                    let bus = BusIndex(index.0.saturating_add(further));
+                for offset in 0..named[port_at].max(1) {
+                    let Ok(offset) = u8::try_from(offset) else { break };
+                    let bus = BusIndex(index.0.saturating_add(offset));
                     self.app.handle_bus(now, bus, status.clone());
                 }
             }
@@ -465,8 +473,8 @@ impl Session {
             port.queue().drain(&mut self.batch, BATCH);
             // A log names its interfaces as they occur; the first is the port's bus.
             for (at, name) in port.queue().names().into_iter().enumerate().skip(named[port_at]) {
-                let Ok(further) = u8::try_from(at) else { break };
-                let bus = BusIndex(index.0.saturating_add(further));
+                let Ok(offset) = u8::try_from(at) else { break };
+                let bus = BusIndex(index.0.saturating_add(offset));
                 if at == 0 || self.app.bus(bus).is_some() {
                     self.app.name_bus(bus, name);
                 } else if let Some(first) = self.app.bus(index) {
@@ -488,7 +496,8 @@ impl Session {
                 self.app.handle_frames(now, &self.batch);
                 continue;
             }
-            // Time may have leapt: deadlines between two frames are handled between them.
+            // Time may have advanced in a large step: deadlines between two frames are handled
+            // between them.
             for frame in &self.batch {
                 self.app.advance_to(frame.time);
                 self.app.handle_frames(frame.time, std::slice::from_ref(frame));
@@ -518,7 +527,7 @@ impl Session {
             if let SessionInput::Ports { ports, .. } = &self.input
                 && let Some(port) = ports.get(usize::from(frame.bus.0))
             {
-                // The port's status reports a full outbox; the engine notices the missing echo.
+                // The port's status reports a full outbox; the engine detects the missing loopback.
                 let _ = port.transmit(&frame);
             }
         }

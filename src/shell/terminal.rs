@@ -1,6 +1,4 @@
 //! The terminal: taken over at the start and restored on every way out.
-//!
-//! Does not know what is drawn.
 
 use crate::theme::Theme;
 use crossterm::{cursor, event, execute, queue, style, terminal};
@@ -130,8 +128,8 @@ pub fn restore() {
     // Each step is tried, even if an earlier one fails on a closed terminal.
     let _ = out.write_all(SYNC_END);
     let _ = queue!(out, style::Print(MOUSE_OFF), event::DisableBracketedPaste);
-    // Cleared, with the cursor at the end: if the window grew meanwhile, tmux copies lines of this
-    // screen to the other one.
+    // Cleared, with the cursor at the end: if the window grew in the meantime, tmux copies lines of
+    // this screen to the other one.
     let _ = queue!(out, style::ResetColor, terminal::Clear(terminal::ClearType::All));
     let _ = queue!(out, cursor::MoveTo(0, 998), terminal::LeaveAlternateScreen, cursor::Show);
     let _ = out.flush();

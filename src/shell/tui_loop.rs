@@ -1,7 +1,7 @@
 //! The loop of the terminal UI: keys, signals, drawing, and the session below.
 //!
-//! Wakes up only for an input or a deadline; draws only changes, at most every 33 ms, and 10 ms after
-//! a key. Does not know what is drawn.
+//! Wakes up only for an input or a deadline; draws only changes, at most every 33 ms, and 10 ms
+//! after a key.
 
 use super::config::{ConfigFolder, read_text};
 use super::file_watcher::FileWatcher;

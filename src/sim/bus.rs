@@ -40,7 +40,8 @@ pub(super) enum BusOutcome {
     Frame(Frame),
     /// A frame of [`SimBus::senders`] was destroyed.
     BusError(BusErrorCause),
-    /// Error-passive stations ([`SimBus::passive_error_stations`]) had an error that no other station noticed.
+    /// Error-passive stations ([`SimBus::passive_error_stations`]) had an error that no other
+    /// station noticed.
     PassiveError,
 }
 
@@ -180,8 +181,8 @@ impl SimBus {
         }
     }
 
-    /// Queues a frame; `one_shot`: without repetition after an error. Returns false if it is rejected:
-    /// queue full, or the station off.
+    /// Queues a frame; `one_shot`: without repetition after an error. Returns false if it is
+    /// rejected: queue full, or the station off.
     pub fn transmit(&mut self, now: u64, station: StationIndex, frame: Frame, once: bool) -> bool {
         if !self.controller_mut(station).enqueue(frame, once) {
             return false;
@@ -288,7 +289,7 @@ impl SimBus {
             }
         }
         if self.senders.is_empty() {
-            // The waiting stations were disconnected meanwhile.
+            // The waiting stations were disconnected in the meantime.
             self.rest_over(start);
             return None;
         }

@@ -127,7 +127,8 @@ impl Controller {
         self.bus_off = false;
     }
 
-    /// Queues a frame; `one_shot`: without repetition after an error. Returns false if it is rejected.
+    /// Queues a frame; `one_shot`: without repetition after an error. Returns false if it is
+    /// rejected.
     pub fn enqueue(&mut self, frame: Frame, once: bool) -> bool {
         if self.queue.len() >= self.capacity || self.bus_off || !self.attached {
             self.dropped += 1;
@@ -250,7 +251,7 @@ impl Controller {
 
     /// Counts a frame received without errors.
     pub fn count_received(&mut self) {
-        // ISO 11898-1: from above 127 the counter is set to at most 127.
+        // ISO 11898-1: a counter above 127 is set to a value from 119 to 127; here 126.
         self.rec = self.rec.saturating_sub(1).min(PASSIVE_ABOVE - 1);
     }
 

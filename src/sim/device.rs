@@ -6,7 +6,7 @@
 mod serve;
 
 use super::bus::{SimBus, StationIndex};
-use super::reply::Replies;
+use super::reply::TxResponses;
 use super::scenario::{AddressChoice, DeviceAction, DeviceSpec, Fault};
 use crate::frame::Frame;
 use crate::time::Duration;
@@ -83,7 +83,7 @@ pub(super) struct SimDevice {
     beat_at: Option<u64>,
     chatter_at: Vec<u64>,
     chatter_count: u16,
-    replies: Replies,
+    replies: TxResponses,
     /// Action to apply after the response with this identifier was sent.
     pending_action: Option<(u32, DeviceAction)>,
 }
@@ -103,7 +103,7 @@ impl SimDevice {
             beat_at: None,
             chatter_at,
             chatter_count: 0,
-            replies: Replies::default(),
+            replies: TxResponses::default(),
             pending_action: None,
         }
     }
@@ -317,9 +317,9 @@ impl SimDevice {
         let service = port.profile.heartbeat_service();
         let header = Header::unsolicited(from, self.rng.u8(0..128), !self.is_working(), service);
         let error = u8::from(self.mode == Mode::Ufunc);
-        let beat =
+        let heartbeat =
             Heartbeat { uid: Some(self.spec.uid), mode: Some(self.mode), error: Some(error) };
-        let (data, len) = beat.encode(&port.profile.heartbeat, port.modes);
+        let (data, len) = heartbeat.encode(&port.profile.heartbeat, port.modes);
         self.frame(header, &data[..len], port)
     }
 

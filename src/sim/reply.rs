@@ -30,10 +30,10 @@ pub(super) struct ResponseFormat {
 
 /// Pending responses of one device.
 #[derive(Default)]
-pub(super) struct Replies(Vec<Reply>);
+pub(super) struct TxResponses(Vec<TxResponse>);
 
-struct Reply {
-    form: ResponseFormat,
+struct TxResponse {
+    format: ResponseFormat,
     /// Earliest time of the next frame, in nanoseconds.
     not_before: u64,
     /// True while a frame of it is queued; the next one follows after its transmission.
@@ -58,7 +58,7 @@ struct TxTransfer {
     resume: u64,
 }
 
-impl Replies {
+impl TxResponses {
     /// Adds a response, to be sent at `at` (nanoseconds) or later.
     pub fn push(&mut self, at: u64, form: ResponseFormat, message: Vec<u8>, faults: Faults) {
         if self.0.len() >= MAX_REPLIES || message.is_empty() {
@@ -74,7 +74,13 @@ impl Replies {
             Framing::Isotp => Body::Transfer(TxTransfer::new(message, form.fd, faults)),
         };
         let separation = Duration::ZERO;
-        self.0.push(Reply { form, not_before: at, in_flight: false, separation, body });
+        self.0.push(TxResponse {
+            format: form,
+            not_before: at,
+            in_flight: false,
+            separation,
+            body,
+        });
     }
 
     /// Removes all responses.
@@ -102,8 +108,9 @@ impl Replies {
 
     /// Handles the transmission of a frame with this identifier.
     pub fn handle_sent(&mut self, now: u64, id: u32) {
-        let sent =
-            |reply: &Reply| reply.in_flight && (reply.form.id == id || reply.form.refusal_id == id);
+        let sent = |reply: &TxResponse| {
+            reply.in_flight && (reply.format.id == id || reply.format.refusal_id == id)
+        };
         let Some(at) = self.0.iter().position(sent) else { return };
         let reply = &mut self.0[at];
         reply.in_flight = false;
@@ -116,7 +123,8 @@ impl Replies {
     /// Handles flow control from the address `peer`.
     pub fn handle_flow(&mut self, now: u64, peer: u8, flow: FlowControl) {
         let position = self.ready().find_map(|(at, reply)| {
-            (reply.form.requester == peer && matches!(reply.body, Body::Transfer(_))).then_some(at)
+            (reply.format.requester == peer && matches!(reply.body, Body::Transfer(_)))
+                .then_some(at)
         });
         let Some(at) = position else { return };
         let reply = &mut self.0[at];
@@ -133,15 +141,16 @@ impl Replies {
     }
 
     /// Yields the responses that may continue: for each identifier the first.
-    fn ready(&self) -> impl Iterator<Item = (usize, &Reply)> {
+    fn ready(&self) -> impl Iterator<Item = (usize, &TxResponse)> {
         let all = &self.0;
         all.iter().enumerate().filter(move |(at, reply)| {
-            !reply.in_flight && all[..*at].iter().all(|earlier| earlier.form.id != reply.form.id)
+            !reply.in_flight
+                && all[..*at].iter().all(|earlier| earlier.format.id != reply.format.id)
         })
     }
 }
 
-impl Reply {
+impl TxResponse {
     fn due(&self) -> u64 {
         let at = match &self.body {
             Body::Frame(_) | Body::Done => 0,
@@ -158,7 +167,7 @@ impl Reply {
                 self.body = Body::Done;
                 Some(frame)
             }
-            Body::Transfer(transfer) => transfer.next(now, &self.form),
+            Body::Transfer(transfer) => transfer.next(now, &self.format),
         }
     }
 

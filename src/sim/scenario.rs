@@ -1,7 +1,7 @@
 //! Scenarios: the devices of a simulated bus, their behaviour, and a timetable.
 //!
 //! Built in ([`Scenario::builtin`]), from TOML ([`Scenario::parse`]) or built in code
-//! ([`Scenario::new`], [`DeviceSpec::new`]). Does not know how they are simulated.
+//! ([`Scenario::new`], [`DeviceSpec::new`]).
 
 use crate::time::{Duration, Instant};
 use crate::wire::framing::Framing;

@@ -160,9 +160,9 @@ impl Sim {
         SimStation(last.unwrap_or(0) as u16)
     }
 
-    /// Queues a frame at `now()`. Returns false if it is rejected: the queue (1,024 frames) is full, or the
-    /// station is down or bus-off. The station receives its own frame, with `is_tx`, when it was
-    /// acknowledged.
+    /// Queues a frame at `now()`. Returns false if it is rejected: the queue (1,024 frames) is
+    /// full, or the station is down or bus-off. The station receives its own frame, with `is_tx`,
+    /// when it was acknowledged.
     pub fn transmit(&mut self, station: SimStation, frame: Frame) -> bool {
         self.bus.transmit(self.now, station.0, frame, false)
     }
@@ -174,8 +174,8 @@ impl Sim {
         self.deliver(&frame.with_time(self.now()), &[station.0]);
     }
 
-    /// Returns the next frame that this station received, with its time, oldest first: frames of other
-    /// stations, its own (`is_tx`) and error frames; `None` if there is none.
+    /// Returns the next frame that this station received, with its time, oldest first: frames of
+    /// other stations, its own (`is_tx`) and error frames; `None` if there is none.
     pub fn poll_frame(&mut self, station: SimStation) -> Option<Frame> {
         self.inspector_mut(station.0)?.poll()
     }
@@ -215,8 +215,8 @@ impl Sim {
         self.bus.wake(self.now, station.0);
     }
 
-    /// Sets a station's bit rate, in bit/s, 10,000 to 1,000,000. If it is not that of the bus, the station receives no
-    /// frames and, unless listen-only, destroys those of other stations.
+    /// Sets a station's bit rate, in bit/s, 10,000 to 1,000,000. If it is not that of the bus, the
+    /// station receives no frames and, unless listen-only, destroys those of other stations.
     pub fn set_bitrate(&mut self, station: SimStation, bitrate: u32) {
         self.bus.set_wrong_rate(station.0, bitrate != self.bus.bitrate());
     }
@@ -235,7 +235,7 @@ impl Sim {
         self.calls.push(u64::MAX);
         match power_on {
             Some(at) if at > self.now => {
-                self.schedule(at, Some(index), None, DeviceAction::PowerOn)
+                self.schedule(at, Some(index), None, DeviceAction::PowerOn);
             }
             Some(_) => self.apply(SimDeviceId(index), DeviceAction::PowerOn),
             None => {}
@@ -333,7 +333,7 @@ impl Sim {
         }
         match (entry.device, action) {
             (_, DeviceAction::SetFrameErrorProbability(rate)) => {
-                self.bus.frame_error_probability = rate
+                self.bus.frame_error_probability = rate;
             }
             (Some(device), action) => self.apply(SimDeviceId(device), action),
             (None, _) => {}
@@ -412,12 +412,12 @@ impl Sim {
     }
 
     /// Reports a bus error to all stations or, with `privately`, to its senders only.
-    fn report_error(&mut self, error: BusErrorCause, senders: &[StationIndex], privately: bool) {
+    fn report_error(&mut self, error: BusErrorCause, senders: &[StationIndex], senders_only: bool) {
         let at = super::instant(self.now);
         for inspector in &mut self.inspectors {
             let controller = self.bus.controller(inspector.station);
             let sent = senders.contains(&inspector.station);
-            if controller.attached && (sent || !privately) {
+            if controller.attached && (sent || !senders_only) {
                 inspector.push_error(at, error, sent, controller.counters());
             }
         }

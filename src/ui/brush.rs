@@ -1,6 +1,6 @@
 //! Drawing tools of all regions: lines, lists and rules in cells, styled by [`Role`]. Inputs: lines
 //! of text and an area. Text that does not fit is cut with `…`, scrolled, or wrapped. Widths are in
-//! cells of the terminal (a wide character takes two). Does not know what the text means.
+//! cells of the terminal (a wide character takes two).
 
 use crate::app::{App, Bus, Screen};
 use crate::frame::BusIndex;

@@ -7,9 +7,8 @@ use super::symbols;
 use crate::app::{
     App, FileStatus, Redundancy, Row, RowState, concerns, format_duration, format_time_of_day,
 };
-use crate::discovery::{
-    Device, DeviceService, Finding, FindingKind, FindingState, Query, QueryState,
-};
+use crate::discovery::{Device, DeviceService, Query, QueryState};
+use crate::finding::{Finding, FindingKind, FindingState};
 use crate::keymap::Action;
 use crate::theme::Role;
 use crate::time::Duration;
@@ -413,9 +412,10 @@ impl<'a> DeviceDetails<'_, 'a> {
 
     /// Deviations from the protocol.
     fn quirks(&mut self, device: &Device) {
-        for quirk in &device.deviations {
-            for (at, line) in
-                wrap(quirk.describe(), usize::from(self.width).saturating_sub(2)).iter().enumerate()
+        for deviation in &device.deviations {
+            for (at, line) in wrap(deviation.describe(), usize::from(self.width).saturating_sub(2))
+                .iter()
+                .enumerate()
             {
                 let sign = if at == 0 { "! " } else { "  " };
                 self.lines

@@ -319,7 +319,7 @@ fn twin_name(name: &str, width: usize) -> String {
 /// Returns the sign in front of a row and its role.
 fn sign(row: &Row) -> (&'static str, Role) {
     match row.state {
-        RowState::Conflict => ("⚠", Role::Collision),
+        RowState::Conflict => ("⚠", Role::Confirmed),
         _ if row.suspected => ("?", Role::Suspected),
         RowState::Missing => ("○", Role::Missing),
         RowState::Lost => ("○", Role::Lost),
@@ -335,7 +335,7 @@ fn sign(row: &Row) -> (&'static str, Role) {
 /// Returns the role of the STATE column.
 pub(super) fn state_role(state: RowState) -> Role {
     match state {
-        RowState::Conflict => Role::Collision,
+        RowState::Conflict => Role::Confirmed,
         RowState::Missing => Role::Missing,
         RowState::Lost => Role::Lost,
         RowState::Partial | RowState::Stale => Role::Stale,

@@ -6,7 +6,7 @@ use super::brush::{DrawContext, fit, inner, labelled};
 use super::symbols;
 use super::traffic::in_words;
 use crate::app::{Page, Problem, clock_millis, format_duration, format_time_of_day};
-use crate::discovery::FindingState;
+use crate::finding::FindingState;
 use crate::keymap::Action;
 use crate::theme::Role;
 use ratatui::layout::Rect;
@@ -21,8 +21,8 @@ pub fn draw(brush: &mut DrawContext) {
 
 /// Returns the sign of a problem, the role of the sign, and that of the text.
 fn roles(problem: &Problem) -> (&'static str, Role, Role) {
-    let (sign, role) = symbols::of_confidence(problem.confidence());
-    match problem.confidence() {
+    let (sign, role) = symbols::of_confidence(problem.state());
+    match problem.state() {
         _ if problem.is_muted => (sign, Role::Muted, Role::Muted),
         FindingState::Cleared => (sign, role, Role::Muted),
         _ => (sign, role, Role::Text),

@@ -414,7 +414,7 @@ fn counts(brush: &DrawContext) -> Parts {
         parts.push(one(Role::Lost, "○", lost, "lost"));
     }
     if counts.confirmed > 0 {
-        parts.push(one(Role::Collision, "⚠", counts.confirmed, ""));
+        parts.push(one(Role::Confirmed, "⚠", counts.confirmed, ""));
     }
     if counts.suspected > 0 {
         parts.push(one(Role::Suspected, "?", counts.suspected, ""));

@@ -1,6 +1,6 @@
 //! Symbols and state words of the screen with their meanings, for the help and the guide.
 
-use crate::discovery::FindingState;
+use crate::finding::FindingState;
 use crate::theme::Role;
 
 /// Each symbol: its role, the text as shown on the screen, and its meaning.
@@ -15,8 +15,8 @@ pub const SYMBOLS: [(Role, &str, &str); 27] = [
     (Role::Missing, "○ missing", "listed in the file, not on the bus"),
     (Role::Muted, "· pending", "listed; too early to be missing"),
     (Role::Muted, "· dup", "duplicate entry"),
-    (Role::Collision, "⚠ CONFLICT", "confirmed address conflict: see Problems"),
-    (Role::Collision, "⚠ 2", "confirmed problems"),
+    (Role::Confirmed, "⚠ CONFLICT", "confirmed address conflict: see Problems"),
+    (Role::Confirmed, "⚠ 2", "confirmed problems"),
     (Role::Suspected, "? 1", "suspected problems"),
     (Role::Muted, "✓ @14", "cleared problem"),
     (Role::Match, "◆ ◇", "evidence; ◇ = frame no longer in the capture"),
@@ -37,7 +37,7 @@ pub const SYMBOLS: [(Role, &str, &str); 27] = [
 /// Returns the sign of a confidence and its role.
 pub fn of_confidence(confidence: FindingState) -> (&'static str, Role) {
     match confidence {
-        FindingState::Confirmed => ("⚠", Role::Collision),
+        FindingState::Confirmed => ("⚠", Role::Confirmed),
         FindingState::Suspected => ("?", Role::Suspected),
         FindingState::Cleared => ("✓", Role::Muted),
     }

@@ -74,7 +74,7 @@ fn entry_line(brush: &DrawContext, entry: &TimelineEntry, source_width: usize) -
         TimelineKind::Overdue => ("◐", Role::Stale),
         TimelineKind::Lost => ("○", Role::Lost),
         TimelineKind::Suspected => ("?", Role::Suspected),
-        TimelineKind::Confirmed => ("⚠", Role::Collision),
+        TimelineKind::Confirmed => ("⚠", Role::Confirmed),
         TimelineKind::Cleared => ("✓", Role::FileOk),
         TimelineKind::Bus | TimelineKind::File => ("·", Role::Text),
         TimelineKind::Error => ("!", Role::Error),

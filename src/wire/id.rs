@@ -175,7 +175,7 @@ impl Header {
     ) -> Self {
         Self {
             from_non_working: false,
-            to_non_working: to_non_working,
+            to_non_working,
             response: false,
             broadcast: false,
             no_error: false,
@@ -199,7 +199,8 @@ impl Header {
     }
 
     /// Returns the response (no error) of the node `from` to the request `self`: DST is the
-    /// requester, D the requester's U. CAN platform §4.3 contradicts itself here: see protocol §1.3.
+    /// requester, D the requester's U. CAN platform §4.3 contradicts itself here: see protocol
+    /// §1.3.
     #[must_use]
     pub const fn response(self, from: Address, non_working: bool) -> Self {
         Self {

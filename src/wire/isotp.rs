@@ -259,9 +259,9 @@ pub struct Reassembly<B> {
 impl<B: AsRef<[u8]> + AsMut<[u8]>> Reassembly<B> {
     /// Starts with a first frame.
     ///
-    /// `length`: length of the message in bytes; `data`: its first bytes; `frame_len`: data bytes of
-    /// the frame, which all but the last consecutive frame have too; `block_size`: as in the flow
-    /// control sent for it, 0 = no further flow control; `buffer`: takes the message, at least
+    /// `length`: length of the message in bytes; `data`: its first bytes; `frame_len`: data bytes
+    /// of the frame, which all but the last consecutive frame have too; `block_size`: as in the
+    /// flow control sent for it, 0 = no further flow control; `buffer`: takes the message, at least
     /// `length` bytes.
     ///
     /// # Errors
@@ -300,8 +300,8 @@ impl<B: AsRef<[u8]> + AsMut<[u8]>> Reassembly<B> {
     /// Takes a consecutive frame: its sequence number and its data, padding included.
     ///
     /// # Errors
-    /// [`TransferFault::WrongSequenceNumber`] if the number is not the next one or data are missing. The
-    /// transfer is over then.
+    /// [`TransferFault::WrongSequenceNumber`] if the number is not the next one or data are
+    /// missing. The transfer is over then.
     pub fn push(
         &mut self,
         now: Instant,

@@ -3,7 +3,8 @@
 //! The scenarios' timetables are the ground truth; the snapshots are the reported events.
 
 use crate::common::inspection::{Inspection, describe};
-use descan::discovery::{Config, FindingState};
+use descan::discovery::Config;
+use descan::finding::FindingState;
 use descan::sim::Scenario;
 use descan::time::Instant;
 use std::fmt::Write;

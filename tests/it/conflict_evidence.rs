@@ -1,7 +1,8 @@
 //! Evidence frame by frame: two senders at one address, received with listen-only, in sequences
 //! that the simulated devices rarely produce.
 
-use descan::discovery::{Config, Engine, FindingKind, FindingState};
+use descan::discovery::{Config, Engine};
+use descan::finding::{FindingKind, FindingState};
 use descan::frame::Frame;
 use descan::time::Instant;
 

@@ -4,9 +4,9 @@
 use crate::common::inspection;
 use crate::common::inspection::Inspection;
 use descan::discovery::{
-    Config, Engine, Event, EventKind, FindingKind, FindingState, OwnAddress, Presence,
-    ProtocolDeviation, QueryState,
+    Config, Engine, Event, EventKind, OwnAddress, Presence, ProtocolDeviation, QueryState,
 };
+use descan::finding::{FindingKind, FindingState};
 use descan::frame::Frame;
 use descan::sim::{DeviceAction, DeviceFraming, DeviceSpec, Fault, Scenario, Sim, SimStation};
 use descan::time::{Duration, Instant};

@@ -4,6 +4,7 @@ use descan::document::{
     ConflictChoices, Document, DocumentFindingKind, EditError, EntryKey, ListedService, Merge,
     MergePreference, NewEntry, Operation, SCHEMA, merge, merge_with_choices,
 };
+use descan::finding::FindingKind;
 
 fn parsed(source: &str) -> Document {
     Document::parse(source.as_bytes()).unwrap_or_else(|error| panic!("{error}\n{source}"))
@@ -391,7 +392,7 @@ fn wrong_member_types_are_findings() {
         ),
     ] {
         assert_eq!(findings(source), [(kind, message.to_owned(), entries)]);
-        assert_eq!(kind.name(), "file-shape");
+        assert_eq!(kind.finding_kind(), FindingKind::FileShape);
     }
     // The last member counts.
     let twice = parsed(r#"[{"name":"A","services":{"B":"1","C":"1","B":"2"}}]"#);
@@ -438,8 +439,9 @@ fn contradictory_entries_are_findings() {
             "line 3, column 72: B at address 12 is listed 2 times: line 3 and line 3",
         ]
     );
-    assert_eq!(DocumentFindingKind::DuplicateAddress.name(), "file-duplicate-address");
-    assert_eq!(DocumentFindingKind::DuplicateEntry.name(), "file-duplicate-entry");
+    let names = [DocumentFindingKind::DuplicateAddress, DocumentFindingKind::DuplicateEntry]
+        .map(|kind| kind.finding_kind().name());
+    assert_eq!(names, ["file-duplicate-address", "file-duplicate-entry"]);
 }
 
 // ---- editing: exact bytes ----

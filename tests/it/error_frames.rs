@@ -4,7 +4,8 @@
 use crate::common::inspection;
 use crate::common::inspection::Inspection;
 use crate::common::sweep;
-use descan::discovery::{Config, Engine, EventKind, Finding, FindingKind, FindingState};
+use descan::discovery::{Config, Engine, EventKind};
+use descan::finding::{Finding, FindingKind, FindingState};
 use descan::frame::{Frame, FrameKind};
 use descan::sim::{ControllerState, DeviceAction, DeviceSpec, Fault, Scenario, TimetableEvent};
 use descan::time::{Duration, Instant};

@@ -1,7 +1,8 @@
 //! Reasons why a device in des.json is missing from the bus: each cause, as the details show it.
 
 use descan::app::{App, AppOptions, FileReading};
-use descan::discovery::{Config, FindingKind};
+use descan::discovery::Config;
+use descan::finding::FindingKind;
 use descan::frame::BusIndex;
 use descan::sim::{DeviceAction, DeviceSpec, Fault, Scenario, Sim, SimStation};
 use descan::status::{BusState, BusStatus, Link};

@@ -4,7 +4,8 @@
 //! `WORLDS=300 cargo test --test it random_buses` tries more of them; `WORLD=17` tries one.
 
 use crate::common::inspection::{FAULTS, Inspection, describe};
-use descan::discovery::{Config, FindingKind, FindingState, Presence};
+use descan::discovery::{Config, Presence};
+use descan::finding::{FindingKind, FindingState};
 use descan::sim::{AddressChoice, DeviceFraming, DeviceSpec, Fault, Scenario};
 use descan::time::{Duration, Instant};
 use descan::wire::id::Address;

@@ -735,7 +735,8 @@ fn python_can_exchanges_frames_both_ways() {
         assert_eq!(*seen, kind.with_time(seen.time).with_bus(BusIndex(3)));
     }
 
-    // The peer's own setup commands may make the adapter dialogue begin again, which rejects frames.
+    // The peer's own setup commands may make the adapter dialogue begin again, which rejects
+    // frames.
     let sent = |bus: &OpenBus| bus.frames.iter().filter(|frame| frame.is_tx).count();
     for (count, kind) in kinds.iter().enumerate() {
         while sent(&bus) == count {

@@ -3,7 +3,8 @@
 use crate::common::inspection::log;
 use crate::common::watch_process::{Watching, command};
 use descan::app::{App, AppEvent, AppOptions, FileReading, Filter};
-use descan::discovery::{Config, FindingKind, FindingState};
+use descan::discovery::Config;
+use descan::finding::{FindingKind, FindingState};
 use descan::frame::BusIndex;
 use descan::sim::{DeviceSpec, Fault, Scenario, Sim};
 use descan::status::{BusStatus, Link};

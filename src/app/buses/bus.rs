@@ -1,13 +1,14 @@
-//! One bus: its discovery engine, its adapter status and its load.
+//! One bus: its discovery engine, its bus status and its load.
 //!
-//! Inputs: frames, adapter statuses, time. Does not know how frames are received.
+//! Inputs: frames, bus statuses, time. Does not know how frames are received.
 
 use super::load_meter::LoadMeter;
 use super::status_changes::status_changes;
 use crate::app::notices::TimelineKind;
 use crate::discovery::{
-    Config, Counters, Device, DeviceId, DiscoveryProgress, Engine, Event, Finding, OwnAddress,
+    Config, Counters, Device, DeviceId, DiscoveryProgress, Engine, Event, OwnAddress,
 };
+use crate::finding::Finding;
 use crate::frame::Frame;
 use crate::status::{BusState, BusStatus, Link};
 use crate::time::{Duration, Instant};
@@ -218,7 +219,7 @@ impl Bus {
         false
     }
 
-    /// Takes a new adapter status; returns the timeline texts of what changed, or `None` for an
+    /// Handles a new bus status; returns the timeline texts of what changed, or `None` for an
     /// unchanged one.
     pub(super) fn update_status(
         &mut self,

@@ -1,6 +1,6 @@
-//! The buses: engine, adapter status and load of each, redundant devices, the bit rate search.
+//! The buses: engine, bus status and load of each, redundant devices, the bit rate search.
 //!
-//! Inputs: frames, adapter statuses, time. Outputs: frames to transmit, engine events, timeline
+//! Inputs: frames, bus statuses, time. Outputs: frames to transmit, engine events, timeline
 //! texts of status changes. Read by the other parts of the application to look up devices and
 //! names. Does not know des.json, the timeline or the screen.
 
@@ -15,9 +15,8 @@ pub use redundancy::{Redundancy, RedundantDevice};
 
 use super::notices::TimelineKind;
 use super::view::{Row, RowKey};
-use crate::discovery::{
-    Config, Device, DeviceId, Event, Finding, FindingKey, FindingKind, FindingState, OwnAddress,
-};
+use crate::discovery::{Config, Device, DeviceId, Event, OwnAddress};
+use crate::finding::{Finding, FindingKey, FindingKind, FindingState};
 use crate::frame::{BusIndex, Frame};
 use crate::status::BusStatus;
 use crate::time::{Duration, Instant};
@@ -30,7 +29,7 @@ use std::sync::Arc;
 
 /// Listening time after which a listed device counts as missing where no requests are sent.
 const LISTEN_TIME: Duration = Duration::from_secs(5);
-/// Time after a stall in which frames that waited meanwhile may still arrive.
+/// Time after a stall in which frames that waited during it may still arrive.
 const STALL_BACKLOG: Duration = Duration::from_millis(250);
 
 /// All buses.
@@ -308,7 +307,7 @@ impl Buses {
         }
     }
 
-    /// Updates the adapter status of a bus. Returns the timeline texts of what changed (none
+    /// Updates the bus status of a bus. Returns the timeline texts of what changed (none
     /// during a bit rate search, which takes the bus down and up), or `None` if nothing did.
     pub(super) fn update_status(
         &mut self,
@@ -365,7 +364,7 @@ impl Buses {
         self.searched = bus;
     }
 
-    /// Recognises anew which devices are on several buses; returns the pairs whose redundancy
+    /// Updates which devices are on several buses; returns the pairs whose redundancy
     /// changed, in the order of their buses.
     pub(super) fn refresh_redundancy(&mut self) -> Vec<(DeviceId, DeviceId, Redundancy)> {
         self.redundant.refresh(&self.list)

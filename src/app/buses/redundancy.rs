@@ -49,7 +49,7 @@ pub(super) struct RedundantDevices {
 }
 
 impl RedundantDevices {
-    /// Recognises the devices of all buses anew; returns the pairs whose relation changed, in the
+    /// Compares the devices of all buses again; returns the pairs whose relation changed, in the
     /// order of their buses.
     pub fn refresh(&mut self, buses: &[Bus]) -> Vec<(DeviceId, DeviceId, Redundancy)> {
         self.of.clear();

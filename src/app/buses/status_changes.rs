@@ -1,4 +1,4 @@
-//! The changes between two adapter statuses, as timeline texts.
+//! The changes between two bus statuses, as timeline texts.
 //!
 //! Pure: two statuses in, lines out.
 

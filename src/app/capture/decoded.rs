@@ -1,7 +1,7 @@
 //! The text of a frame: sender, receiver, service, DES message.
 //!
 //! Input: a frame and the devices of its bus. A frame is decoded when it is shown, not when it is
-//! received. Text from devices is escaped ([`Escaped`]). Does not know how it is drawn.
+//! received. Text from devices is escaped ([`Escaped`]).
 
 use crate::app::buses::Buses;
 use crate::error_report::ErrorReport;

@@ -2,7 +2,7 @@
 //! the recording.
 //!
 //! Inputs: frames, the filter of the Traffic page. Outputs: numbers and texts of the frames to
-//! show. Does not know how they are drawn.
+//! show.
 
 mod decoded;
 mod ring;

@@ -94,10 +94,12 @@ pub struct IdentifierKey {
 
 /// [`FrameKind`] with an order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-#[allow(missing_docs)]
 pub enum IdentifierKind {
+    /// Data frame.
     Data,
+    /// Remote frame.
     Remote,
+    /// Error frame.
     Error,
 }
 

@@ -58,7 +58,8 @@ pub enum SaveOutcome {
     Saved,
     /// The content is on disk; this many other names of the file (hard links) keep the old content.
     LinksBroken(u64),
-    /// Another program wrote the file meanwhile; nothing was written. Holds the present content.
+    /// Another program wrote the file during the save; nothing was written. Holds the present
+    /// content.
     Changed(FileReading),
     /// Cause of a write error.
     Failed(String),
@@ -141,20 +142,40 @@ pub enum EditRefusal {
     /// descan runs without a file.
     #[error("no file is open: start with --file des.json")]
     NoFile,
+    /// The first reading has not finished.
     #[error("the file has not been read yet")]
     NotRead,
+    /// The file is invalid, for the reason given.
     #[error("file has errors, fix it first: {0}")]
     Unusable(String),
+    /// An edit conflict is open.
     #[error("resolve the edit conflict first")]
     Conflict,
+    /// No edit is left to undo.
     #[error("nothing to undo")]
     NothingToUndo,
+    /// No undone edit is left.
     #[error("nothing to redo")]
     NothingToRedo,
+    /// The value changed on disk since the edit.
     #[error("not {done}: {name}; on disk: {theirs}")]
-    ChangedSince { done: &'static str, name: String, theirs: String },
+    ChangedSince {
+        /// What was attempted: `undone`, `redone`.
+        done: &'static str,
+        /// Description of the step.
+        name: String,
+        /// Value on disk.
+        theirs: String,
+    },
+    /// The file already has the result of the step.
     #[error("already {done}: {name}")]
-    AlreadyDone { done: &'static str, name: String },
+    AlreadyDone {
+        /// What was attempted: `undone`, `redone`.
+        done: &'static str,
+        /// Description of the step.
+        name: String,
+    },
+    /// The edit cannot be applied to the content.
     #[error(transparent)]
     Edit(#[from] EditError),
 }

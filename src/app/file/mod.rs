@@ -63,7 +63,7 @@ impl FileEditor {
         }
     }
 
-    /// Returns true if a failed save is to be repeated now; that repetition has begun then.
+    /// Returns true, once, when a failed save is due to be repeated.
     pub fn start_retry(&mut self, now: Instant) -> bool {
         let is_due = self.retry_at.take_if(|at| *at <= now).is_some();
         self.is_retry |= is_due;

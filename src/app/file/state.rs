@@ -2,8 +2,8 @@
 //!
 //! Edits are operations on the content that was read last. If the file changes on disk, they are
 //! applied again to the newer content; if both sides changed the same value, the user chooses.
-//! Inputs: [`FileReading`], [`SaveOutcome`] and edits. Outputs: [`FileChange`] and [`Saving`]. Does not
-//! read or write the file and does not know the bus.
+//! Inputs: [`FileReading`], [`SaveOutcome`] and edits. Outputs: [`FileChange`] and [`Saving`]. Does
+//! not read or write the file and does not know the bus.
 
 use super::change::{EditRefusal, FileChange, FileError, FileReading, SaveOutcome};
 use super::undo_stack::{UndoStack, UndoStep, apply_all, name_of};
@@ -251,11 +251,8 @@ impl FileState {
             self.disk = Some(theirs);
             return if is_first { FileChange::FirstRead } else { FileChange::Content };
         }
-        let asks_for_new = self.pending_conflict.take().is_some() && !is_there;
-        self.rebase(
-            theirs,
-            ConflictChoices { file_was_deleted: asks_for_new, ..ConflictChoices::default() },
-        )
+        let file_was_deleted = self.pending_conflict.take().is_some() && !is_there;
+        self.rebase(theirs, ConflictChoices { file_was_deleted, ..ConflictChoices::default() })
     }
 
     /// Returns true if the content read during a save is the content being written. Any content but
@@ -349,7 +346,8 @@ impl FileState {
         Ok(())
     }
 
-    /// Decides the edit conflict; returns [`FileChange::Conflict`] if another one is left to decide.
+    /// Decides the edit conflict; returns [`FileChange::Conflict`] if another one is left to
+    /// decide.
     pub fn resolve(&mut self, ours: bool) -> FileChange {
         let Some(PendingConflict { theirs, mut choices, .. }) = self.pending_conflict.take() else {
             return FileChange::None;
@@ -456,7 +454,7 @@ impl FileState {
         mut step: UndoStep,
         done: &'static str,
     ) -> Result<(UndoStep, String), EditRefusal> {
-        let mut told = step.shown();
+        let mut shown_name = step.shown();
         if self.is_on_disk && !step.had_file {
             // The file is not deleted, and an empty file is not JSON: keep an empty list.
             let operations = step.operations.into_iter();
@@ -474,15 +472,15 @@ impl FileState {
             };
             match conflict {
                 Some(EditConflict { theirs, .. }) if operations.is_empty() => {
-                    return Err(EditRefusal::ChangedSince { done, name: told, theirs });
+                    return Err(EditRefusal::ChangedSince { done, name: shown_name, theirs });
                 }
                 None if operations.is_empty() => {
-                    return Err(EditRefusal::AlreadyDone { done, name: told });
+                    return Err(EditRefusal::AlreadyDone { done, name: shown_name });
                 }
                 Some(EditConflict { operation, total: of, .. }) => {
                     let first = operation.subject();
                     let more = if of > 1 { format!(" and {} more", of - 1) } else { String::new() };
-                    told = format!("{told}, except {first}{more} (changed on disk)");
+                    shown_name = format!("{shown_name}, except {first}{more} (changed on disk)");
                 }
                 None => {}
             }
@@ -490,7 +488,7 @@ impl FileState {
         }
         let made = self.apply_operations(&step.operations, step.name)?;
         self.drop_what_cancels_out(2 * step.operations.len());
-        Ok((UndoStep { whole: step.whole, ..made }, told))
+        Ok((UndoStep { whole: step.whole, ..made }, shown_name))
     }
 
     /// Applies operations to the present content; returns the step that reverts them.
@@ -595,7 +593,7 @@ impl FileState {
                 if !is_told {
                     self.problem = Some(FileError::NotSaved(why));
                 }
-                // The edits of the save may have been undone meanwhile.
+                // The edits of the save may have been undone during it.
                 self.drop_what_is_on_disk();
                 if is_told || self.pending.is_empty() {
                     FileChange::None

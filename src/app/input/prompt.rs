@@ -104,8 +104,16 @@ pub(in crate::app) enum PromptResult {
     NextBus,
 }
 
-/// Place of an entry that is edited; `None` for a new entry.
-pub(super) type EditTarget = Option<usize>;
+/// What committing a prompt edits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum EditTarget {
+    /// Not des.json.
+    None,
+    /// No present entry: a new one, or one that was deleted on disk.
+    New,
+    /// The entry with this index.
+    Entry(usize),
+}
 
 /// Behaviour of one kind of prompt.
 pub(super) trait PromptLogic {
@@ -117,9 +125,9 @@ pub(super) trait PromptLogic {
         self.label()
     }
 
-    /// Place of the entry that committing edits; `None` for a prompt that does not edit des.json.
-    fn edit_target(&self, _context: PromptContext) -> Option<EditTarget> {
-        None
+    /// Returns what committing edits.
+    fn edit_target(&self, _context: PromptContext) -> EditTarget {
+        EditTarget::None
     }
 
     /// Validates the line, which has no blanks at its ends.
@@ -177,9 +185,12 @@ impl Prompt {
     /// Validates the line.
     pub(in crate::app) fn validate(&self, context: PromptContext) -> InputCheck {
         let logic = self.kind.logic();
-        if let Some(place) = logic.edit_target(context)
-            && let Err(refusal) = context.file.check_edit(place)
-        {
+        let checked = match logic.edit_target(context) {
+            EditTarget::None => Ok(()),
+            EditTarget::New => context.file.check_edit(None),
+            EditTarget::Entry(index) => context.file.check_edit(Some(index)),
+        };
+        if let Err(refusal) = checked {
             return InputCheck::Rejected(refusal.to_string());
         }
         logic.validate(self.text(), context)

@@ -231,8 +231,8 @@ impl PromptLogic for AddressPrompt {
         "static address"
     }
 
-    fn edit_target(&self, context: PromptContext) -> Option<EditTarget> {
-        Some(self.target.entry(context).map(|entry| entry.index))
+    fn edit_target(&self, context: PromptContext) -> EditTarget {
+        self.target.entry(context).map_or(EditTarget::New, |entry| EditTarget::Entry(entry.index))
     }
 
     fn validate(&self, text: &str, context: PromptContext) -> C {
@@ -327,8 +327,8 @@ impl PromptLogic for RenamePrompt {
         "name"
     }
 
-    fn edit_target(&self, context: PromptContext) -> Option<EditTarget> {
-        Some(self.target.entry(context).map(|entry| entry.index))
+    fn edit_target(&self, context: PromptContext) -> EditTarget {
+        self.target.entry(context).map_or(EditTarget::New, |entry| EditTarget::Entry(entry.index))
     }
 
     fn validate(&self, text: &str, context: PromptContext) -> C {
@@ -425,8 +425,8 @@ impl PromptLogic for NewEntryPrompt {
         "name address"
     }
 
-    fn edit_target(&self, _context: PromptContext) -> Option<EditTarget> {
-        Some(None)
+    fn edit_target(&self, _context: PromptContext) -> EditTarget {
+        EditTarget::New
     }
 
     fn validate(&self, text: &str, context: PromptContext) -> C {

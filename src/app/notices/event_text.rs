@@ -5,9 +5,8 @@
 use super::timeline::{TimelineEntry, TimelineKind};
 use crate::app::buses::{Bus, Buses, TxBlocked};
 use crate::app::capture::hex;
-use crate::discovery::{
-    DeviceId, Event, EventKind, FindingKey, FindingState, OtherDevice, Presence,
-};
+use crate::discovery::{DeviceId, Event, EventKind, OtherDevice, Presence};
+use crate::finding::{FindingKey, FindingState};
 use crate::frame::BusIndex;
 use crate::text::{Escaped, Name};
 use crate::wire::node::{Mode, Uid};

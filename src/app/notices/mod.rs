@@ -2,7 +2,7 @@
 //! screen is to be drawn.
 //!
 //! Inputs: texts and events with their time. Outputs: the message and the lines to show, the queue
-//! of [`AppEvent`]s, redraw deadlines. Does not know how lines are shown.
+//! of [`AppEvent`]s, redraw deadlines.
 
 mod event_text;
 mod redraw;

@@ -1,7 +1,7 @@
 //! Timeline: one line per event of devices, buses, the file and edits. Lines outlive the devices.
 //!
 //! Bounded: 4096 lines. A line that repeats one of the last 8 within 5 s is counted instead of
-//! added, and moves to the end. Does not know how lines are shown.
+//! added, and moves to the end.
 
 use crate::discovery::{DeviceId, Event};
 use crate::frame::BusIndex;

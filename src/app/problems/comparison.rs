@@ -1,12 +1,12 @@
 //! Differences between des.json and the buses, as findings.
 //!
-//! Pure: entries and devices in, findings out. Does not know how findings are shown.
+//! Pure: entries and devices in, findings out.
 
 use super::matching::is_for;
 use crate::app::Inputs;
 use crate::app::listing::{other_services, service_differences};
 use crate::discovery::Device;
-use crate::document::{Document, DocumentFindingKind, Entry};
+use crate::document::{Document, Entry};
 use crate::finding::{Finding, FindingKey, FindingKind, FindingState};
 use crate::frame::BusIndex;
 use crate::text::{Name, Quoted};
@@ -51,17 +51,7 @@ impl<'a> Comparison<'a> {
 
     fn file_alone(&mut self, document: &Document) {
         for finding in document.findings() {
-            let kind = match finding.kind {
-                DocumentFindingKind::DuplicateAddress => FindingKind::FileDuplicateAddress,
-                DocumentFindingKind::DuplicateEntry => FindingKind::FileDuplicateEntry,
-                DocumentFindingKind::NotDevices
-                | DocumentFindingKind::NotAnEntry
-                | DocumentFindingKind::MissingName
-                | DocumentFindingKind::WrongType
-                | DocumentFindingKind::AddressRange
-                | DocumentFindingKind::NamesDiffer
-                | DocumentFindingKind::DuplicateMember => FindingKind::FileShape,
-            };
+            let kind = finding.kind.finding_kind();
             let entries = finding.entries.iter().filter_map(|&at| document.entries().get(at));
             let names: Vec<Name> = entries.clone().map(|entry| Name::new(&entry.name)).collect();
             let address = entries.clone().find_map(|entry| Address::new(entry.address?));
@@ -72,7 +62,7 @@ impl<'a> Comparison<'a> {
                 if kind == FindingKind::FileShape {
                     // One entry may have several.
                     added.key.fault = Some(finding.brief().into());
-                    added.place = Some((finding.position.line, finding.position.column));
+                    added.position = Some((finding.position.line, finding.position.column));
                 }
                 for name in &names {
                     added.add_name(name);

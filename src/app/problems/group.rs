@@ -1,7 +1,7 @@
 //! Problems: findings grouped to the rows of page 4.
 //!
 //! An address conflict causes several findings, which are one problem. A muted problem stays in
-//! the list and does not count. Does not know how findings are made.
+//! the list and does not count.
 
 use crate::finding::{Finding, FindingKey, FindingState, Grouping};
 use crate::frame::{BusIndex, Frame};
@@ -60,13 +60,13 @@ impl<'a> Problem<'a> {
     }
 
     /// State of the problem: that of the first finding.
-    pub fn confidence(&self) -> FindingState {
+    pub fn state(&self) -> FindingState {
         self.head().confidence
     }
 
     /// Time of the last change of the confidence.
     pub fn since(&self) -> Instant {
-        let confidence = self.confidence();
+        let confidence = self.state();
         let moments = self.findings.iter().filter(|it| it.confidence == confidence);
         let moments = moments.map(|finding| finding.changed);
         // The problem is cleared when its last finding is cleared.
@@ -76,7 +76,7 @@ impl<'a> Problem<'a> {
 
     /// Returns true if the problem counts: neither cleared nor muted.
     pub fn is_open(&self) -> bool {
-        !self.is_muted && self.confidence() != FindingState::Cleared
+        !self.is_muted && self.state() != FindingState::Cleared
     }
 
     /// Bus; `None` for a problem of des.json alone.
@@ -170,7 +170,7 @@ impl<'a> Problem<'a> {
     /// Short text without addresses and names.
     pub fn headline(&self) -> Cow<'static, str> {
         let head = self.head();
-        if let (Some((line, _)), Some(part)) = (head.place, &head.key.fault) {
+        if let (Some((line, _)), Some(part)) = (head.position, &head.key.fault) {
             return format!("line {line}: {part}").into();
         }
         head.key.wording().headline.into()
@@ -185,7 +185,7 @@ impl<'a> Problem<'a> {
 
     /// Condition that confirms a suspected problem; `None` for any other, or without such a rule.
     pub fn confirmation_hint(&self) -> Option<&'static str> {
-        let is_suspected = self.confidence() == FindingState::Suspected;
+        let is_suspected = self.state() == FindingState::Suspected;
         self.head().key.wording().confirmation.filter(|_| is_suspected)
     }
 
@@ -193,6 +193,6 @@ impl<'a> Problem<'a> {
     pub(super) fn rank(&self) -> impl Ord + use<> {
         let head = self.head();
         let severity = Reverse(head.key.kind.severity());
-        (self.is_muted, Reverse(head.confidence), severity, head.place, head.key.clone())
+        (self.is_muted, Reverse(head.confidence), severity, head.position, head.key.clone())
     }
 }

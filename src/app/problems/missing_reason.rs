@@ -1,7 +1,7 @@
 //! Reasons why a listed device is missing, or a device is known incompletely.
 //!
 //! Checks causes from the nearest (the bus is down) to the farthest (no frame was received); the
-//! texts state observations. Does not know how reasons are shown.
+//! texts state observations.
 
 use super::matching::is_for;
 use crate::app::Inputs;

@@ -2,7 +2,7 @@
 //!
 //! Inputs: the buses and the file. Outputs: the rows of page 4, the assignment of entries to
 //! devices, the findings that changed. The list is kept and renewed when a bus, the file or the
-//! muting changed. Does not know how problems are shown.
+//! muting changed.
 
 mod comparison;
 mod group;
@@ -84,7 +84,7 @@ impl Problems {
         self.finding_entries[at]
     }
 
-    /// Compares file and buses anew; a finding that persists keeps its times. Returns the findings
+    /// Compares file and buses again; a finding that persists keeps its times. Returns the findings
     /// before.
     pub fn refresh(&mut self, buses: &Buses, file: &FileState, now: Instant) -> Vec<Finding> {
         self.matching = Matching::new(file.document().entries(), buses.as_slice());
@@ -149,7 +149,7 @@ impl Problems {
         (!findings.is_empty()).then_some(Problem { key, findings, is_muted })
     }
 
-    /// The list, made anew if a bus, the file or the muting changed.
+    /// The list, updated if a bus, the file or the muting changed.
     fn stored(&self, buses: &Buses) -> Rc<[StoredProblem]> {
         let mut list = self.list.borrow_mut();
         match &*list {

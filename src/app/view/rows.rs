@@ -1,6 +1,4 @@
 //! Rows of the Devices page: types and sort orders.
-//!
-//! Does not know how rows are made or drawn.
 
 use crate::discovery::{DeviceId, Presence};
 use crate::document::EntryKey;

@@ -1,8 +1,8 @@
 //! Bus errors from error frames: of the bus as a whole, and of one address at which two devices
 //! destroy each other's frames (protocol §5.5).
 //!
-//! An error frame does not show whose frame failed. But two devices at one address that answer one
-//! request with different bytes destroy each other's response again and again, some sixteen times,
+//! An error frame does not show whose frame failed. But two devices at one address that respond to
+//! one request with different bytes destroy each other's response repeatedly, some sixteen times,
 //! until both are error-passive: a burst of errors between the request and the response, or instead
 //! of it, each time that address is requested, while the rest of the bus is clean. So a *window* is
 //! open while an address is expected to send, from a request to its response, or around a heartbeat
@@ -71,7 +71,7 @@ const SUSPECT_LIFETIME: Duration = Duration::from_secs(45);
 /// Increase of the receive error counter (REC) since its last report that shows a burst.
 const MIN_REC_STEP: u8 = 16;
 /// Minimum time from the first burst to naming an address: a disturbance of the bus affects others
-/// meanwhile.
+/// in that time.
 const MIN_SUSPECT_TIME: Duration = Duration::from_millis(2500);
 /// Maximum number of bursts stored.
 const MAX_BURSTS: usize = 64;
@@ -102,7 +102,7 @@ struct Suspect {
     evidence: Vec<Evidence>,
     /// True if it did not respond when a burst may have been its own or another's.
     has_not_responded: bool,
-    /// Time until which it may answer descan's last request.
+    /// Time until which it may respond to descan's last request.
     response_until: Option<Instant>,
     /// True if its request was postponed.
     is_postponed: bool,
@@ -173,7 +173,7 @@ impl BusErrorTracker {
         }
     }
 
-    /// Notes a broadcast request that the addresses `awaited` (one bit each) may answer until
+    /// Notes a broadcast request that the addresses `awaited` (one bit each) may respond to until
     /// `ends`.
     pub fn note_broadcast(&mut self, now: Instant, ends: Instant, awaited: u128, frame: &Frame) {
         let before = self.broadcast.take().filter(|it| now < it.ends);
@@ -317,7 +317,7 @@ impl BusErrorTracker {
         if expected == 0 {
             match due_heartbeat() {
                 Some((address, last, overdue)) => {
-                    self.open(address, ExpectedFrame::Heartbeat, overdue, last)
+                    self.open(address, ExpectedFrame::Heartbeat, overdue, last);
                 }
                 None => self.background.count(now, broken, self.frames),
             }
@@ -331,7 +331,7 @@ impl BusErrorTracker {
             let address = Address::from_bits(expected.trailing_zeros() as u8);
             self.open(address, ExpectedFrame::Response(Request::Name), ends, Some(request));
         }
-        // The first of several requests to one address is answered first.
+        // The first of several requests to one address gets its response first.
         let number = self.frames;
         if let Some(window) = self.windows.first_mut() {
             window.note(broken, number, frame);

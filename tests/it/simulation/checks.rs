@@ -4,7 +4,8 @@ use super::ground_truth::{Clash, Span};
 use crate::common::inspection::{FAULTS, describe};
 
 use super::{Inspector, Run};
-use descan::discovery::{EventKind, FindingKind, FindingState, OwnAddress, Presence};
+use descan::discovery::{EventKind, OwnAddress, Presence};
+use descan::finding::{FindingKind, FindingState};
 use descan::sim::{AddressChoice, DeviceSpec, Fault};
 use descan::text::Name;
 use descan::time::{Duration, Instant};
