@@ -33,7 +33,8 @@ const MAX_STATIONS: usize = 1024;
 /// use descan::sim::{DeviceSpec, Scenario, Sim};
 /// use descan::time::Instant;
 ///
-/// let scenario = Scenario::new(125_000).with(DeviceSpec::new("FEED").fixed(12).settled());
+/// let feed = DeviceSpec::new("FEED").fixed(12).skips_address_resolution();
+/// let scenario = Scenario::new(125_000).with(feed);
 /// let mut sim = Sim::from_scenario(&scenario);
 /// let station = sim.attach();
 /// // A broadcast name request from address 0, as an ISO-TP single frame.
