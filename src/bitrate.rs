@@ -1,5 +1,5 @@
-//! Bit rate search: listens at one rate after the other until a valid frame arrives, as a device does
-//! at start (CAN platform §3.2.4.1).
+//! Bit rate search: listens at one rate after the other until a valid frame arrives, as a device
+//! does at start (CAN platform §3.2.4.1).
 //!
 //! State machine without I/O or clock. Input: frames and error frames. Output: the rate to set.
 
@@ -24,9 +24,9 @@ pub fn kbit(rate: u32) -> String {
 pub enum ListenMode {
     /// Listen-only: no ACK and no error flags are sent, so a wrong rate disturbs nothing. Frames of
     /// a device that is alone on the bus are not valid, because they get no ACK.
-    Listening,
+    ListenOnly,
     /// Active: frames are acknowledged; at a wrong rate, frames of other nodes are destroyed.
-    TakingPart,
+    Active,
 }
 
 /// What was received at one rate.
@@ -35,7 +35,7 @@ pub struct RateResult {
     /// Valid frames.
     pub frames: u64,
     /// Bus errors.
-    pub broken: u64,
+    pub bus_errors: u64,
 }
 
 /// Progress of a search.
@@ -44,7 +44,7 @@ pub enum SearchProgress {
     /// This rate, in bit/s, is tried now.
     Trying(u32),
     /// The result of a rate without a valid frame.
-    Heard(u32, RateResult),
+    NothingValid(u32, RateResult),
     /// The controller does not support this rate.
     Skipped(u32),
 }
@@ -55,14 +55,14 @@ pub enum SearchOutcome {
     /// A valid frame arrived at this rate, in bit/s.
     Found(u32),
     /// Bus errors at some rates, a valid frame at none.
-    OnlyBroken,
+    OnlyBusErrors,
     /// Neither frames nor bus errors at any rate.
-    Silence,
+    NoTraffic,
 }
 
 /// A search. Set [`rate`](Self::rate), call [`begin`](Self::begin), pass frames and
-/// [`handle_timeout`](Self::handle_timeout), until [`wants_rate`](Self::wants_rate) is true again or
-/// there is an [`outcome`](Self::outcome).
+/// [`handle_timeout`](Self::handle_timeout), until [`wants_rate`](Self::wants_rate) is true again
+/// or there is an [`outcome`](Self::outcome).
 #[derive(Clone, Debug)]
 pub struct Search {
     tried: Vec<(u32, RateResult)>,
@@ -119,9 +119,9 @@ impl Search {
         let rate = self.rate();
         let (Some(_), Some((_, result))) = (self.until, self.tried.last_mut()) else { return };
         if frame.kind == FrameKind::Error {
-            result.broken +=
-                u64::from(ErrorReport::of(frame).is_some_and(|it| it.is_broken_frame()));
-            if result.frames == 0 && result.broken >= MAX_BUS_ERRORS {
+            result.bus_errors +=
+                u64::from(ErrorReport::of(frame).is_some_and(|it| it.is_bus_error()));
+            if result.frames == 0 && result.bus_errors >= MAX_BUS_ERRORS {
                 self.next_rate();
             }
         } else if !frame.is_tx {
@@ -155,8 +155,8 @@ impl Search {
             self.tried.push((rate, RateResult::default()));
             return;
         }
-        let broken = self.tried.iter().any(|(_, result)| result.broken > 0);
+        let broken = self.tried.iter().any(|(_, result)| result.bus_errors > 0);
         self.outcome =
-            Some(if broken { SearchOutcome::OnlyBroken } else { SearchOutcome::Silence });
+            Some(if broken { SearchOutcome::OnlyBusErrors } else { SearchOutcome::NoTraffic });
     }
 }

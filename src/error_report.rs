@@ -80,9 +80,10 @@ pub struct ErrorReport {
     details: [u8; 8],
 }
 
-/// A bus error by its type (ISO 11898-1).
+/// Type of a bus error (ISO 11898-1). Linux does not report CRC errors; ACK errors are counted
+/// separately ([`ErrorReport::is_no_ack`]).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Violation {
+pub enum BusErrorType {
     /// Bit error: a bit read back differs from the bit sent. Another node sent at the same time, or
     /// the bus is disturbed.
     Bit,
@@ -104,9 +105,9 @@ impl ErrorReport {
 
     /// Returns true for a bus error in a frame of any node; false for a missing ACK, lost
     /// arbitration, an overload, or a change of the controller's state.
-    pub fn is_broken_frame(&self) -> bool {
+    pub fn is_bus_error(&self) -> bool {
         let overload = self.is(PROTOCOL) && self.details[2] & !WHILE_SENDING == OVERLOAD;
-        (self.is(PROTOCOL) || self.is(BUS_ERROR)) && !self.is_missing_acknowledge() && !overload
+        (self.is(PROTOCOL) || self.is(BUS_ERROR)) && !self.is_no_ack() && !overload
     }
 
     /// Returns true if the bus error was in a frame that this controller sent. Not every driver
@@ -116,20 +117,20 @@ impl ErrorReport {
     }
 
     /// Returns true if a frame that this controller sent got no ACK.
-    pub fn is_missing_acknowledge(&self) -> bool {
+    pub fn is_no_ack(&self) -> bool {
         self.is(NO_ACKNOWLEDGE) || self.is(PROTOCOL) && self.details[3] == ACKNOWLEDGE_SLOT
     }
 
     /// Returns the type of a bus error; `None` if the driver does not report it.
-    pub fn violation(&self) -> Option<Violation> {
+    pub fn bus_error_type(&self) -> Option<BusErrorType> {
         if !self.is(PROTOCOL) {
             None
         } else if self.details[2] & (BIT | BIT_0 | BIT_1) != 0 {
-            Some(Violation::Bit)
+            Some(BusErrorType::Bit)
         } else if self.details[2] & STUFF != 0 {
-            Some(Violation::Stuff)
+            Some(BusErrorType::Stuff)
         } else {
-            (self.details[2] & FORM != 0).then_some(Violation::Form)
+            (self.details[2] & FORM != 0).then_some(BusErrorType::Form)
         }
     }
 
@@ -156,7 +157,7 @@ impl ErrorReport {
     }
 
     /// Returns the place of a bus error in the frame; `None` if the driver does not report it.
-    pub fn place(&self) -> Option<&'static str> {
+    pub fn location(&self) -> Option<&'static str> {
         let place = PLACES.iter().find(|(code, _)| self.is(PROTOCOL) && *code == self.details[3]);
         place.map(|(_, name)| *name)
     }
@@ -235,7 +236,7 @@ impl fmt::Display for ErrorReport {
             write!(f, "{between}{word}")?;
             between = ", ";
         }
-        if let Some(place) = self.place() {
+        if let Some(place) = self.location() {
             write!(f, "{between}in the {place}")?;
             between = ", ";
         }
@@ -261,7 +262,7 @@ mod tests {
 
     #[test]
     fn bus_errors_exclude_missing_ack_and_overload() {
-        let broken = |class, details| report(class, details).is_broken_frame();
+        let broken = |class, details| report(class, details).is_bus_error();
         assert!(broken(PROTOCOL | BUS_ERROR, [0, 0, STUFF, 0, 0, 0, 0, 0]));
         assert!(broken(BUS_ERROR, [0; 8]));
         assert!(!broken(NO_ACKNOWLEDGE | BUS_ERROR, [0, 0, 0, ACKNOWLEDGE_SLOT, 0, 0, 0, 0]));

@@ -1,5 +1,5 @@
-//! CAN frames, received or to be sent; [`bits`]: their length on the bus; [`socketcan`]: their fields
-//! in Linux's layouts. Does not know what the bytes mean: [`crate::wire`] does.
+//! CAN frames, received or to be sent; [`bits`]: their length on the bus; [`socketcan`]: their
+//! fields in Linux's layouts. Does not know what the bytes mean: [`crate::wire`] does.
 
 pub mod bits;
 pub mod socketcan;
@@ -56,16 +56,16 @@ impl fmt::Display for CanId {
 
 /// A set of 29-bit identifiers: those equal to `id` in the bits of `mask`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct IdPattern {
+pub struct IdFilter {
     /// The values of the bits that count.
     pub id: u32,
     /// Which bits count.
     pub mask: u32,
 }
 
-impl IdPattern {
+impl IdFilter {
     /// Returns true if a 29-bit identifier is in the set.
-    pub const fn fits(self, id: u32) -> bool {
+    pub const fn matches(self, id: u32) -> bool {
         (id ^ self.id) & self.mask == 0
     }
 }
@@ -95,7 +95,7 @@ pub struct Frame {
     /// Data, remote or error.
     pub kind: FrameKind,
     /// CAN FD format.
-    pub fd: bool,
+    pub is_fd: bool,
     /// FD: the data phase ran at the data bit rate (BRS).
     pub bit_rate_switch: bool,
     /// FD: the sender was error-passive (ESI).
@@ -114,24 +114,24 @@ impl Frame {
 
     /// A classic data frame with an extended identifier; bytes after the eighth are dropped.
     pub fn classic(id: u32, data: &[u8]) -> Self {
-        Self::with(CanId::Extended(id), &data[..data.len().min(Self::MAX_CLASSIC_DATA)])
+        Self::new(CanId::Extended(id), &data[..data.len().min(Self::MAX_CLASSIC_DATA)])
     }
 
     /// An FD data frame with an extended identifier, padded with `padding` to the next length that
     /// has a DLC; bytes after the 64th are dropped.
     pub fn fd(id: u32, data: &[u8], padding: u8) -> Self {
         let data = &data[..data.len().min(Self::MAX_DATA)];
-        let mut frame = Self::with(CanId::Extended(id), data);
+        let mut frame = Self::new(CanId::Extended(id), data);
         let padded = fd_length(data.len());
         frame.data[data.len()..padded].fill(padding);
         frame.len = padded as u8;
-        frame.fd = true;
+        frame.is_fd = true;
         frame.bit_rate_switch = true;
         frame
     }
 
     /// A data frame with any identifier, not in FD format; bytes after the 64th are dropped.
-    pub fn with(id: CanId, data: &[u8]) -> Self {
+    pub fn new(id: CanId, data: &[u8]) -> Self {
         let len = data.len().min(Self::MAX_DATA);
         let mut bytes = [0; Self::MAX_DATA];
         bytes[..len].copy_from_slice(&data[..len]);
@@ -140,7 +140,7 @@ impl Frame {
             id,
             bus: BusIndex(0),
             kind: FrameKind::Data,
-            fd: false,
+            is_fd: false,
             bit_rate_switch: false,
             error_state: false,
             is_tx: false,
@@ -151,7 +151,7 @@ impl Frame {
 
     /// A remote frame that requests `len` bytes, at most 8.
     pub fn remote(id: CanId, len: usize) -> Self {
-        let mut frame = Self::with(id, &[]);
+        let mut frame = Self::new(id, &[]);
         frame.kind = FrameKind::Remote;
         frame.len = len.min(Self::MAX_CLASSIC_DATA) as u8;
         frame
@@ -213,7 +213,7 @@ impl Frame {
     pub fn same_on_wire(&self, other: &Frame) -> bool {
         self.id == other.id
             && self.kind == other.kind
-            && self.fd == other.fd
+            && self.is_fd == other.is_fd
             && self.len == other.len
             && self.data() == other.data()
     }
@@ -231,7 +231,7 @@ impl fmt::Display for Frame {
                     write!(f, "{}", self.len)?;
                 }
             }
-            (FrameKind::Data, id) if self.fd => {
+            (FrameKind::Data, id) if self.is_fd => {
                 write!(f, "{id}##{:X}", socketcan::fd_flags(self))?;
             }
             (FrameKind::Data, id) => write!(f, "{id}#")?,

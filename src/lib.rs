@@ -1,6 +1,7 @@
-//! descan finds the devices on a CAN bus that speak DES, the devices enumeration service, and
-//! reports address conflicts between them. This crate is the terminal program and the library it is
-//! made of.
+//! descan finds the devices on a CAN bus that implement DES and reports address conflicts between
+//! them. The CAN platform defines 29-bit identifiers, heartbeats and addresses for the nodes of a
+//! bus; DES, the devices enumeration service on top of it, lets a tool request the name and the
+//! services of each device. This crate is the terminal program and the library it is made of.
 //!
 //! # Features
 //!

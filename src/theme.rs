@@ -61,7 +61,7 @@ roles! {
     Asleep "asleep" "Devices that are asleep.",
     Lost "lost" "Lost devices.",
     Missing "missing" "Devices listed in the file but not on the bus.",
-    Collision "collision" "Confirmed problems, such as address conflicts.",
+    Confirmed "collision" "Confirmed problems, such as address conflicts.",
     Suspected "suspected" "Suspected problems, assumed values.",
     FileOk "file_ok" "Entries that match the bus.",
     FileDiffers "file_differs" "Entries and services that differ from the bus.",

@@ -1,10 +1,11 @@
 //! Events for a consumer without a screen, with all data to print as of their moment.
 //!
-//! Consumers may read them later than they happened: nothing in them refers to the state of [`App`].
-//! Does not know how they are printed.
+//! Consumers may read them later than they happened: nothing in them refers to the state of
+//! [`App`].
 
-use super::{App, FileProblem, TimelineEntry, TxBlocked};
-use crate::discovery::{Counters, DeviceService, Event, EventKind, Finding, OwnAddress};
+use super::{App, FileError, TimelineEntry, TxBlocked};
+use crate::discovery::{Counters, DeviceService, Event, EventKind, OwnAddress};
+use crate::finding::Finding;
 use crate::frame::BusIndex;
 use crate::status::BusStatus;
 use crate::time::Instant;
@@ -98,7 +99,7 @@ pub struct FileSnapshot {
     /// Number of entries; `None` if there is no file.
     pub entries: Option<usize>,
     /// Why it cannot be used as it is.
-    pub problem: Option<FileProblem>,
+    pub problem: Option<FileError>,
 }
 
 impl App {
@@ -119,7 +120,7 @@ impl App {
             is_up: bus.is_up(),
             tx_blocked: bus.tx_blocked(),
             why_no_address: match own_address {
-                OwnAddress::Blocked(wanted) => self.why_no_address(index, wanted),
+                OwnAddress::Blocked(wanted) => self.no_address_reasons(index, wanted),
                 _ => None,
             },
         })
@@ -160,7 +161,7 @@ impl App {
             EventKind::OwnAddress(_) | EventKind::OwnAddressLost(_) => {
                 return self.bus_event(index, event.time);
             }
-            EventKind::NotAcknowledged | EventKind::NoAddress(_) => {
+            EventKind::NoAck | EventKind::NoAddress(_) => {
                 let bus = self.bus_snapshot(index, event.time)?;
                 return Some(AppEvent::TxBlocked(Box::new(bus)));
             }
@@ -212,7 +213,7 @@ mod tests {
     use crate::status::Link;
 
     #[test]
-    fn event_read_later_has_the_data_of_its_moment() {
+    fn event_polled_later_has_data_of_its_time() {
         let buses = vec![("can0".to_owned(), Config::default())];
         let mut app = App::new(
             Instant::ZERO,

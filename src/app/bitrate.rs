@@ -16,7 +16,7 @@ impl App {
             let name = bus.name.clone();
             return self.show_error(format!("bit rate search on {name} is already running"));
         }
-        let broken = self.buses().iter().position(super::Bus::hears_only_errors);
+        let broken = self.buses().iter().position(super::Bus::has_only_bus_errors);
         let broken = broken.and_then(|at| u8::try_from(at).ok()).map(BusIndex);
         let selected = self.selected_row().and_then(|row| row.bus);
         let bus = broken.or(selected).unwrap_or_default();
@@ -52,8 +52,8 @@ impl App {
             SearchProgress::Trying(rate) => {
                 self.show_info(format!("{name}: listening at {} …", kbit(rate)));
             }
-            SearchProgress::Heard(rate, heard) => {
-                let text = match heard.broken {
+            SearchProgress::NothingValid(rate, heard) => {
+                let text = match heard.bus_errors {
                     0 => format!("no frames at {}", kbit(rate)),
                     broken => format!("{broken} bus errors at {}, no valid frame", kbit(rate)),
                 };
@@ -80,7 +80,7 @@ impl App {
                 self.show_info(format!("{name}: {text}"));
                 self.report_bus(bus, TimelineKind::Bus, text);
             }
-            Ok(SearchOutcome::OnlyBroken | SearchOutcome::Silence) => {
+            Ok(SearchOutcome::OnlyBusErrors | SearchOutcome::NoTraffic) => {
                 let text = "no valid frame at any bit rate; previous setting restored";
                 self.report_bus(bus, TimelineKind::Error, text.to_owned());
                 self.show_error(format!(

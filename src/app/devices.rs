@@ -1,16 +1,17 @@
 //! The rows of the Devices page: one per device, and one per entry of des.json without a device.
 //!
 //! Inputs: the buses, the file, the problems and the view. Output: rows, sorted and filtered, and
-//! their counts. Does not know how rows are drawn.
+//! their counts.
 
-use super::Facts;
+use super::Inputs;
 use super::buses::{Bus, Buses};
 use super::filter::Filter;
 use super::listing::other_services;
 use super::problems::{Problem, is_for};
 use super::view::{Counts, FileStatus, Page, Row, RowKey, RowState, SortBy, View};
-use crate::discovery::{Confidence, Device, Finding};
+use crate::discovery::Device;
 use crate::document::Entry;
+use crate::finding::{Finding, FindingState};
 use crate::frame::BusIndex;
 use crate::text::Name;
 use crate::wire::id::Address;
@@ -49,13 +50,13 @@ impl DeviceRows {
         self.rows.clear();
     }
 
-    /// Makes the rows anew; the selection stays on its device.
-    pub fn refresh(&mut self, facts: Facts, problems: &[Problem], view: &mut View) {
-        let mut rows = facts.all_rows();
+    /// Updates the rows; the selection stays on its device.
+    pub fn refresh(&mut self, inputs: Inputs, problems: &[Problem], view: &mut View) {
+        let mut rows = inputs.all_rows();
         self.counts = count(&rows, problems);
         let filter = Filter::parse(view.filter(Page::Devices));
-        rows.retain(|row| filter.matches_row(facts.buses, row));
-        sort(&mut rows, facts.buses, view.sort);
+        rows.retain(|row| filter.matches_row(inputs.buses, row));
+        sort(&mut rows, inputs.buses, view.sort);
         if view.frozen.is_some() {
             // Known rows keep their places; new ones come last.
             let old: Vec<&RowKey> = self.rows.iter().map(|row| &row.key).collect();
@@ -65,8 +66,8 @@ impl DeviceRows {
         }
         let before = std::mem::replace(&mut self.rows, rows);
         self.follow_selection(&before, view);
-        let height = view.screen(facts.buses.len()).list_rows();
-        view.devices.settle(&self.keys(), height);
+        let height = view.screen(inputs.buses.len()).list_rows();
+        view.devices.update(&self.keys(), height);
     }
 
     /// Moves the selection with its device to another row: a listed device appears, or a lost one
@@ -89,7 +90,7 @@ impl DeviceRows {
 }
 
 /// The making of rows.
-impl Facts<'_> {
+impl Inputs<'_> {
     fn all_rows(&self) -> Vec<Row> {
         let entries = self.file.document().entries();
         let mut rows = Vec::new();
@@ -129,9 +130,9 @@ impl Facts<'_> {
                 row.file = other.file;
             }
             row.entry = row.entry.or(other.entry);
-            row.is_flawed |= other.is_flawed;
+            row.has_findings |= other.has_findings;
             row.has_other_services |= other.has_other_services;
-            row.also.push(id);
+            row.redundant_ids.push(id);
         }
         row
     }
@@ -141,7 +142,7 @@ impl Facts<'_> {
         let about = |finding: &&Finding| concerns(finding, device);
         let findings = || bus.findings().iter().filter(about);
         let confirmed = findings()
-            .any(|it| it.confidence == Confidence::Confirmed && it.key.kind.is_conflict());
+            .any(|it| it.confidence == FindingState::Confirmed && it.key.kind.is_conflict());
         let twin = device.is_present()
             && bus.devices().iter().any(|other| {
                 other.id != device.id
@@ -156,15 +157,15 @@ impl Facts<'_> {
             name: device.name.clone(),
             state: match device.presence {
                 presence if !device.is_present() => presence.into(),
-                _ if bus.is_blind() => RowState::Unknown,
+                _ if bus.cannot_receive() => RowState::Unknown,
                 _ if confirmed => RowState::Conflict,
                 presence => presence.into(),
             },
-            suspected: findings().any(|it| it.confidence == Confidence::Suspected),
+            suspected: findings().any(|it| it.confidence == FindingState::Suspected),
             twin,
-            also: Vec::new(),
+            redundant_ids: Vec::new(),
             file: self.file_status(device, entry.map(|at| &self.file.document().entries()[at])),
-            is_flawed: entry.is_some_and(|at| self.file.document().is_flawed(at)),
+            has_findings: entry.is_some_and(|at| self.file.document().has_findings(at)),
             has_other_services: entry.is_some_and(|at| {
                 other_services(&self.file.document().entries()[at], device).is_some()
             }),
@@ -207,13 +208,13 @@ impl Facts<'_> {
             },
             suspected: false,
             twin: false,
-            also: Vec::new(),
+            redundant_ids: Vec::new(),
             file: match entry.address {
                 Some(address) if entry.is_static && pending => FileStatus::Pinned(address),
                 Some(address) if entry.is_static => FileStatus::Differs(address),
                 address => FileStatus::Listed(address),
             },
-            is_flawed: self.file.document().is_flawed(entry.index),
+            has_findings: self.file.document().has_findings(entry.index),
             has_other_services: false,
             entry: Some(entry.index),
         })
@@ -224,12 +225,11 @@ impl Facts<'_> {
 fn count(rows: &[Row], problems: &[Problem]) -> Counts {
     let with =
         |state: &dyn Fn(RowState) -> bool| rows.iter().filter(|row| state(row.state)).count();
-    let sure = |confidence| {
-        problems.iter().filter(|it| it.counts() && it.confidence() == confidence).count()
-    };
-    let open = |it: &&Problem| it.is_muted && it.confidence() != Confidence::Cleared;
+    let sure =
+        |confidence| problems.iter().filter(|it| it.is_open() && it.state() == confidence).count();
+    let open = |it: &&Problem| it.is_muted && it.state() != FindingState::Cleared;
     Counts {
-        here: with(&|state| {
+        present: with(&|state| {
             let gone = [
                 RowState::Missing,
                 RowState::Pending,
@@ -239,11 +239,11 @@ fn count(rows: &[Row], problems: &[Problem]) -> Counts {
             ];
             !gone.contains(&state)
         }),
-        unseen: with(&|state| state == RowState::Unknown),
+        unknown: with(&|state| state == RowState::Unknown),
         missing: with(&|state| state == RowState::Missing),
         lost: with(&|state| state == RowState::Lost),
-        confirmed: sure(Confidence::Confirmed),
-        suspected: sure(Confidence::Suspected),
+        confirmed: sure(FindingState::Confirmed),
+        suspected: sure(FindingState::Suspected),
         muted: problems.iter().filter(open).count(),
     }
 }
@@ -282,7 +282,7 @@ fn difference(row: &Row) -> u8 {
     match row.file {
         _ if row.state == RowState::Missing => 0,
         FileStatus::Differs(_) => 1,
-        _ if row.is_flawed || row.has_other_services => 1,
+        _ if row.has_findings || row.has_other_services => 1,
         FileStatus::New => 2,
         FileStatus::Pinned(_) => 3,
         FileStatus::Listed(_) => 4,

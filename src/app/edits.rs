@@ -9,8 +9,8 @@ use super::input::{
 use super::listing::update_operation;
 use super::notices::{TimelineEntry, TimelineKind};
 use super::{
-    App, EditRefusal, Effect, Overlay, Page, Prompt, PromptContext, PromptKey, PromptKind,
-    PromptOutcome, Question, RowKey, facts,
+    App, EditRefusal, Effect, Overlay, Page, Prompt, PromptContext, PromptKind, PromptOutcome,
+    PromptResult, Question, RowKey, inputs,
 };
 use crate::discovery::{Device, DeviceId, OwnAddress};
 use crate::document::{EntryKey, Operation};
@@ -23,7 +23,7 @@ impl App {
 
     /// Opens the prompt for the static address of the selected row.
     pub(super) fn edit_address(&mut self) {
-        if !self.may_edit() || !self.go_to_row() {
+        if !self.ensure_editable() || !self.go_to_row() {
             return;
         }
         let Some(row) = self.selected_row() else { return self.show_error("no row is selected") };
@@ -50,7 +50,7 @@ impl App {
     /// Adds the selected device to the file with its services and its unpinned address. The entry
     /// of a listed device gets the services.
     pub(super) fn add_device(&mut self) {
-        if !self.may_edit() || !self.go_to_row() {
+        if !self.ensure_editable() || !self.go_to_row() {
             return;
         }
         let Some(row) = self.selected_row().filter(|row| self.device_of(row).is_some()) else {
@@ -61,7 +61,7 @@ impl App {
         }
         let devices = self.devices_of(row);
         let operations: Vec<Operation> =
-            devices.filter_map(|device| update_operation(facts!(self), device)).collect();
+            devices.filter_map(|device| update_operation(inputs!(self), device)).collect();
         match operations.len() {
             0 => self.file_info("file already matches this device"),
             _ => self.edit(&operations),
@@ -71,7 +71,7 @@ impl App {
     /// Adds all present devices with a known name to the file, and updates services that differ.
     /// Reports entries that cannot be edited.
     pub(super) fn add_all(&mut self) {
-        if !self.may_edit() {
+        if !self.ensure_editable() {
             return;
         }
         let known = self
@@ -87,7 +87,7 @@ impl App {
         wanted.sort_by_key(|device| (device.id.bus, device.address));
         let (mut operations, mut refused) = (Vec::new(), Vec::new());
         for device in wanted {
-            let Some(operation) = update_operation(facts!(self), device) else { continue };
+            let Some(operation) = update_operation(inputs!(self), device) else { continue };
             match self.editor.file.check_operation(&operation) {
                 Ok(()) => operations.push(operation),
                 Err(refusal) => refused.push(refusal.to_string()),
@@ -111,7 +111,7 @@ impl App {
 
     /// Opens the prompt for a new entry.
     pub(super) fn ask_new_entry(&mut self) {
-        if self.may_edit() {
+        if self.ensure_editable() {
             let prompt = NewEntryPrompt::new(self.editor.file.document().clone());
             self.open_prompt(PromptKind::NewEntry(prompt), String::new());
         }
@@ -119,7 +119,7 @@ impl App {
 
     /// Opens the prompt for the name of the selected entry.
     pub(super) fn ask_rename(&mut self) {
-        if !self.may_edit() || !self.go_to_row() {
+        if !self.ensure_editable() || !self.go_to_row() {
             return;
         }
         let Some(at) = self.selected_entry() else { return };
@@ -133,7 +133,7 @@ impl App {
 
     /// Opens the question for deleting the selected entry.
     pub(super) fn ask_delete(&mut self) {
-        if !self.may_edit() || !self.go_to_row() {
+        if !self.ensure_editable() || !self.go_to_row() {
             return;
         }
         let Some(at) = self.selected_entry() else { return };
@@ -165,7 +165,7 @@ impl App {
             self.input.accept_keys();
         } else if self.editor.file.unsaved() == 0 {
             self.file_info("no unsaved changes");
-        } else if let Err(EditRefusal::Broken(why)) = self.editor.file.check() {
+        } else if let Err(EditRefusal::Unusable(why)) = self.editor.file.check() {
             self.file_error(format!("not saved; fix it first: {why}"));
         } else {
             self.save_pending();
@@ -193,7 +193,7 @@ impl App {
     /// Decides the open edit conflict and opens the next one, if any.
     pub(super) fn resolve(&mut self, ours: bool) {
         // A file with errors has no known value to choose.
-        if let Err(EditRefusal::Broken(_)) = self.editor.file.check() {
+        if let Err(EditRefusal::Unusable(_)) = self.editor.file.check() {
             return self.effects.push_back(Effect::Bell);
         }
         self.input.leave_conflict();
@@ -239,7 +239,7 @@ impl App {
     }
 
     /// Returns true if the file can be edited; else reports why, or opens the edit conflict.
-    fn may_edit(&mut self) -> bool {
+    fn ensure_editable(&mut self) -> bool {
         match self.editor.file.check_edit(None) {
             Err(EditRefusal::Conflict) => {
                 self.show_conflict();
@@ -288,17 +288,17 @@ impl App {
     }
 
     /// Handles a key while a prompt is open.
-    pub(super) fn type_key(&mut self, key: Key) {
+    pub(super) fn handle_prompt_key(&mut self, key: Key) {
         let action = self.keymap().lookup(KeyMode::Browse, key);
         if let Some(action) = action.filter(|action| key.ctrl && action.is_global()) {
             return self.run(action);
         }
         let Some(prompt) = self.input.prompt_mut() else { return };
         match prompt.handle_key(key) {
-            PromptKey::Typed => self.prompt_changed(),
-            PromptKey::Commit => self.commit_prompt(),
-            PromptKey::Cancel => self.cancel_prompt(),
-            PromptKey::NextBus => self.edit_on_next_bus(),
+            PromptResult::Typed => self.prompt_changed(),
+            PromptResult::Commit => self.commit_prompt(),
+            PromptResult::Cancel => self.cancel_prompt(),
+            PromptResult::NextBus => self.edit_on_next_bus(),
         }
     }
 
@@ -325,7 +325,7 @@ impl App {
     }
 
     fn commit_prompt(&mut self) {
-        if let Some(super::InputCheck::Rejected(_)) = self.verdict() {
+        if let Some(super::InputCheck::Rejected(_)) = self.prompt_check() {
             self.effects.push_back(Effect::Bell);
             let is_edit = self.input.prompt().is_some_and(|prompt| prompt.kind.is_edit());
             if is_edit && self.editor.file.conflict().is_some() {
@@ -367,7 +367,7 @@ impl App {
         else {
             return;
         };
-        let row = self.rows().iter().find(|row| row.has(*now));
+        let row = self.rows().iter().find(|row| row.has_device(*now));
         let all: Vec<DeviceId> =
             row.map(|row| self.devices_of(row).map(|it| it.id).collect()).unwrap_or_default();
         let at = all.iter().position(|id| id == now).map_or(0, |at| at + 1);
@@ -406,9 +406,9 @@ impl App {
     }
 
     /// Removes the lost devices.
-    pub(super) fn clear_lost(&mut self) {
+    pub(super) fn remove_lost_devices(&mut self) {
         let lost = self.counts().lost;
-        self.buses.clear_lost();
+        self.buses.remove_lost_devices();
         self.take_events();
         self.refresh();
         self.show_info(match lost {
@@ -456,7 +456,7 @@ impl App {
             return Err("descan has no address on this bus yet");
         };
         let service = Service::from_bits(config.profile.commands.identify);
-        let mut header = Header::request(own, device.address, !device.working, service);
+        let mut header = Header::request(own, device.address, !device.is_working, service);
         header.no_error = config.profile.request_err;
         Ok(Frame::classic(header.encode(), &[]).with_bus(id.bus).with_time(self.now()))
     }
@@ -500,7 +500,7 @@ impl App {
     }
 
     /// Closes the question and executes its action, after `yes`.
-    pub(super) fn answer(&mut self, yes: bool) {
+    pub(super) fn confirm(&mut self, yes: bool) {
         let question = self.input.close_question();
         let Some(question) = question.filter(|_| yes) else { return };
         match question {

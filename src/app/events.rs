@@ -1,16 +1,17 @@
 //! Wiring from buses, file and recording to the timeline and the events.
 //!
-//! Does not judge: the engines did.
+//! Does not evaluate frames: the engines do.
 
 use super::buses::Redundancy;
-use super::file::Change;
+use super::file::FileChange;
 use super::input::Overlay;
 use super::notices::{
     TimelineEntry, TimelineKind, event_text, finding_line, join_lines, join_short,
 };
 use super::problems::ProblemKey;
 use super::{App, AppEvent, Effect};
-use crate::discovery::{DeviceId, Event, EventKind, Finding};
+use crate::discovery::{DeviceId, Event, EventKind};
+use crate::finding::Finding;
 use crate::frame::BusIndex;
 use crate::status::{BusStatus, RecordingStatus};
 
@@ -21,7 +22,7 @@ const LISTED_FINDINGS: usize = 20;
 struct TimelineDraft {
     entry: TimelineEntry,
     /// The event filter matches one of its events.
-    is_of_interest: bool,
+    passes_filter: bool,
 }
 
 impl App {
@@ -36,7 +37,7 @@ impl App {
                 any = true;
                 self.take_event(bus, event, &mut lines);
             }
-            for line in lines.into_iter().filter(|line| line.is_of_interest) {
+            for line in lines.into_iter().filter(|line| line.passes_filter) {
                 let event = self.line_event(&line.entry);
                 self.notices.emit(event);
             }
@@ -51,7 +52,9 @@ impl App {
     }
 
     fn take_event(&mut self, bus: BusIndex, event: Event, lines: &mut Vec<TimelineDraft>) {
-        if let (EventKind::Joined { was, before }, Some(device)) = (&event.kind, event.device) {
+        if let (EventKind::IdsMerged { previous: was, before }, Some(device)) =
+            (&event.kind, event.device)
+        {
             self.notices.timeline_mut().reassign(*was, *before, device);
         }
         let emits = self.notices.emits_events();
@@ -70,13 +73,13 @@ impl App {
                 let is_it =
                     |line: &TimelineEntry| line.text == before && line.address == amended.address;
                 if let Some(at) = lines.iter().rposition(|line| is_it(&line.entry)) {
-                    let is_of_interest = lines.remove(at).is_of_interest || is_of_interest;
-                    lines.push(TimelineDraft { entry: amended, is_of_interest });
+                    let is_of_interest = lines.remove(at).passes_filter || is_of_interest;
+                    lines.push(TimelineDraft { entry: amended, passes_filter: is_of_interest });
                 }
             } else {
                 timeline.push(entry.clone());
                 if emits {
-                    lines.push(TimelineDraft { entry, is_of_interest });
+                    lines.push(TimelineDraft { entry, passes_filter: is_of_interest });
                 }
             }
             if is_new_conflict {
@@ -97,7 +100,7 @@ impl App {
         }
     }
 
-    /// Compares file and buses anew and queues the differences that changed.
+    /// Compares file and buses again and queues the differences that changed.
     pub(super) fn refresh_problems(&mut self) {
         let now = self.clock.now();
         let before = self.problems.refresh(&self.buses, &self.editor.file, now);
@@ -110,7 +113,7 @@ impl App {
             line.bus = finding.key.bus;
             line.address = finding.key.address;
             line.name.clone_from(&finding.key.name);
-            if self.notices.is_of_interest(&self.buses, &line, &finding.addresses) {
+            if self.notices.passes_filter(&self.buses, &line, &finding.addresses) {
                 let events = [self.line_event(&line), self.finding_event(finding, now)];
                 for event in events {
                     self.notices.emit(event);
@@ -119,7 +122,7 @@ impl App {
         }
     }
 
-    /// Recognises anew which devices are on several buses and reports what changed.
+    /// Updates which devices are on several buses and reports what changed.
     pub(super) fn refresh_redundancy(&mut self) {
         for (one, other, redundancy) in self.buses.refresh_redundancy() {
             let Some(text) = self.redundancy_text(one, other, redundancy) else { continue };
@@ -152,11 +155,11 @@ impl App {
             Redundancy::TwoNetworks => {
                 Some(format!("on {here} and {there}, different services: separate networks"))
             }
-            Redundancy::Open => None,
+            Redundancy::Undetermined => None,
         }
     }
 
-    /// Takes the adapter status of a bus.
+    /// Handles a new status of a bus.
     pub(super) fn bus_changed(&mut self, index: BusIndex, status: BusStatus) {
         let now = self.clock.now();
         let Some(changes) = self.buses.update_status(now, index, status) else { return };
@@ -202,32 +205,32 @@ impl App {
     }
 
     /// Takes a change of des.json: reports it, saves what waits, renews rows and problems.
-    pub(super) fn file_changed(&mut self, change: Change) {
-        if change == Change::None {
+    pub(super) fn file_changed(&mut self, change: FileChange) {
+        if change == FileChange::None {
             return;
         }
-        if matches!(change, Change::Content | Change::Rebased | Change::Conflict) {
-            self.notices.clear_file_message(change == Change::Rebased);
+        if matches!(change, FileChange::Content | FileChange::Rebased | FileChange::Conflict) {
+            self.notices.clear_file_message(change == FileChange::Rebased);
         }
         let lines = self.file_lines(change);
-        if change == Change::Broken {
+        if change == FileChange::Unusable {
             let (name, problem) = (self.editor.file.name(), self.editor.file.problem());
             let whole = problem.map(|problem| problem.of_file(&name));
             self.file_error(whole.unwrap_or_default());
         }
-        if change == Change::Conflict {
+        if change == FileChange::Conflict {
             self.show_conflict();
         }
         let now = self.clock.now();
         let mut is_of_interest = self.notices.is_unfiltered();
         for (kind, text) in lines {
             let line = TimelineEntry::new(now, kind, text);
-            is_of_interest |= self.notices.is_of_interest(&self.buses, &line, &[]);
+            is_of_interest |= self.notices.passes_filter(&self.buses, &line, &[]);
             self.report_line(line);
         }
         is_of_interest &= self.notices.emits_events();
-        let problem = self.editor.file.problem().filter(|_| change == Change::Broken);
-        let excerpt = problem.and_then(super::file::FileProblem::excerpt);
+        let problem = self.editor.file.problem().filter(|_| change == FileChange::Unusable);
+        let excerpt = problem.and_then(super::file::FileError::excerpt);
         // The excerpt is read as a whole: the event filter applies to the lines before it.
         for text in excerpt.into_iter().flatten() {
             let line = TimelineEntry::new(now, TimelineKind::Error, text);
@@ -242,58 +245,58 @@ impl App {
             self.notices.emit(event);
         }
         self.leave_conflict_that_is_over(change);
-        if change != Change::Broken {
+        if change != FileChange::Unusable {
             self.save_pending();
         }
         self.quit_if_saved();
         self.notices.redraw.set_dirty();
         // A saved edit was in force before.
-        if change != Change::Saved {
+        if change != FileChange::Saved {
             self.refresh();
         }
     }
 
     /// The timeline lines of a change of des.json.
-    fn file_lines(&self, change: Change) -> Vec<(TimelineKind, String)> {
+    fn file_lines(&self, change: FileChange) -> Vec<(TimelineKind, String)> {
         let file = &self.editor.file;
         let emits = self.notices.emits_events();
         let entries = file.document().entries().len();
         let listed = format!("{entries} {}", if entries == 1 { "entry" } else { "entries" });
         let by_others = match change {
-            Change::Content | Change::Rebased => file.changed_by_others(),
+            FileChange::Content | FileChange::Rebased => file.changed_by_others(),
             _ => Vec::new(),
         };
         let line = match change {
-            Change::None | Change::Saved => None,
+            FileChange::None | FileChange::Saved => None,
             // Events are consumed without a screen, where there are no edits.
-            Change::First if !file.is_there() && emits => {
+            FileChange::FirstRead if !file.is_there() && emits => {
                 Some((TimelineKind::File, "not found: devices are not compared".to_owned()))
             }
-            Change::First if !file.is_there() => {
+            FileChange::FirstRead if !file.is_there() => {
                 Some((TimelineKind::File, "not found: the first edit creates it".to_owned()))
             }
-            Change::First => {
+            FileChange::FirstRead => {
                 let path = file.path().map(|path| path.as_os_str().as_encoded_bytes());
                 let path = crate::text::printable(path.unwrap_or_default());
                 let folder = if path == file.name() { String::new() } else { format!(", {path}") };
                 Some((TimelineKind::File, format!("{listed}{folder}")))
             }
-            Change::Content if !file.is_there() && emits => {
+            FileChange::Content if !file.is_there() && emits => {
                 Some((TimelineKind::File, "deleted: devices are no longer compared".to_owned()))
             }
-            Change::Content if !file.is_there() => {
+            FileChange::Content if !file.is_there() => {
                 Some((TimelineKind::File, "deleted: the next edit creates it again".to_owned()))
             }
-            Change::Content if !by_others.is_empty() => None,
-            Change::Content => Some((TimelineKind::File, format!("changed on disk: {listed}"))),
-            Change::Rebased => {
+            FileChange::Content if !by_others.is_empty() => None,
+            FileChange::Content => Some((TimelineKind::File, format!("changed on disk: {listed}"))),
+            FileChange::Rebased => {
                 Some((TimelineKind::File, "changed on disk; your edits are reapplied".to_owned()))
             }
-            Change::Broken => {
+            FileChange::Unusable => {
                 let problem = file.problem().map(ToString::to_string).unwrap_or_default();
                 Some((TimelineKind::Error, problem))
             }
-            Change::Conflict => {
+            FileChange::Conflict => {
                 Some((TimelineKind::Error, "edit conflict: same value changed on disk".to_owned()))
             }
         };
@@ -302,7 +305,9 @@ impl App {
             by_others.map(|text| (TimelineKind::File, format!("changed on disk, {text}")));
         let mut lines: Vec<(TimelineKind, String)> = by_others.chain(line).collect();
         // As events they are findings.
-        if matches!(change, Change::First | Change::Content | Change::Rebased) && !emits {
+        if matches!(change, FileChange::FirstRead | FileChange::Content | FileChange::Rebased)
+            && !emits
+        {
             let findings = file.document().findings();
             let texts = findings.iter().take(LISTED_FINDINGS).map(ToString::to_string);
             let more = findings.len().saturating_sub(LISTED_FINDINGS);
@@ -326,12 +331,12 @@ impl App {
     }
 
     /// Closes an edit conflict that a further change on disk resolved, with a message.
-    fn leave_conflict_that_is_over(&mut self, change: Change) {
+    fn leave_conflict_that_is_over(&mut self, change: FileChange) {
         if !self.input.shows_conflict() || self.editor.file.conflict().is_some() {
             return;
         }
         self.input.leave_conflict();
-        if change != Change::Broken {
+        if change != FileChange::Unusable {
             let text = "file changed again: conflict resolved, your edits are included";
             self.add_line(TimelineKind::File, text);
             self.show_info(text);

@@ -23,7 +23,7 @@ use super::notices as timeline;
 use super::notices::name_on_line;
 use super::problems::Problem;
 use super::view::{Page, Row, RowState};
-use crate::discovery::{Confidence, FindingKind};
+use crate::finding::{FindingKind, FindingState};
 use crate::frame::{Frame, FrameKind};
 use crate::wire::id::Address;
 
@@ -186,7 +186,7 @@ impl Filter {
         let name = row.name.as_ref().map(ToString::to_string).unwrap_or_default().to_lowercase();
         let has_address =
             |word: &str| buses.addresses_of(row).any(|address| is_one_of(address, word));
-        let own = row.bus.into_iter().chain(row.also.iter().map(|id| id.bus));
+        let own = row.bus.into_iter().chain(row.redundant_ids.iter().map(|id| id.bus));
         let own = own.filter_map(|bus| Some(buses.get(bus)?.name.to_lowercase()));
         let own: Vec<String> = own.collect();
         let device = buses.device_of(row);
@@ -273,7 +273,7 @@ impl Filter {
             return true;
         }
         let bus = || problem.bus().and_then(|bus| buses.get(bus)).map_or("", |bus| &bus.name);
-        let confidence = problem.confidence();
+        let confidence = problem.state();
         let at = |word: &str| problem.addresses().iter().any(|it| is_one_of(*it, word));
         let named =
             |word: &str| problem.names().iter().any(|it| contains_word(&it.to_string(), word));
@@ -301,7 +301,7 @@ impl Filter {
             }
             TermTest::Field(Field::Bus, value) => contains_word(bus(), value),
             TermTest::Field(_, value) => named(value) || at(value),
-            TermTest::Error => confidence == Confidence::Confirmed,
+            TermTest::Error => confidence == FindingState::Confirmed,
             TermTest::Ours => false,
         })
     }

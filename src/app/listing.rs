@@ -2,10 +2,11 @@
 //!
 //! Pure: devices and entries in, entries and texts out.
 
-use super::Facts;
+use super::Inputs;
 use super::buses::Buses;
-use crate::discovery::{Confidence, Device, DeviceService};
+use crate::discovery::{Device, DeviceService};
 use crate::document::{Entry, ListedService, NewEntry, Operation};
+use crate::finding::FindingState;
 use crate::text::{Escaped, Name};
 
 /// Entry of des.json for a device, with its present address, not pinned; `None` while its name is
@@ -16,7 +17,7 @@ pub fn new_entry(buses: &Buses, device: &Device) -> Option<NewEntry> {
     // At a shared address the last UID may be the other device's.
     let is_shared = bus.findings().iter().any(|finding| {
         finding.key.kind.is_conflict()
-            && finding.confidence != Confidence::Cleared
+            && finding.confidence != FindingState::Cleared
             && finding.addresses.contains(&device.address)
     });
     let uid = device.uid.filter(|uid| !uid.is_blank() && !is_shared);
@@ -33,10 +34,10 @@ pub fn new_entry(buses: &Buses, device: &Device) -> Option<NewEntry> {
 
 /// The operation that adds a device to the file, or updates the services of its entry; `None` if
 /// the file matches the device or its name is not known.
-pub(super) fn update_operation(facts: Facts, device: &Device) -> Option<Operation> {
-    let document = facts.file.document();
-    let Some(at) = facts.matching.entry_of(device.id) else {
-        return Some(Operation::Add { entry: new_entry(facts.buses, device)? });
+pub(super) fn update_operation(inputs: Inputs, device: &Device) -> Option<Operation> {
+    let document = inputs.file.document();
+    let Some(at) = inputs.matching.entry_of(device.id) else {
+        return Some(Operation::Add { entry: new_entry(inputs.buses, device)? });
     };
     let own = device.services.as_ref()?;
     let entry = &document.entries()[at];

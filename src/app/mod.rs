@@ -2,7 +2,7 @@
 //!
 //! A state machine without I/O and without a clock:
 //!
-//! * `handle_*` takes frames, time, keys, file contents and adapter statuses; together with the
+//! * `handle_*` takes frames, time, keys, file contents and bus statuses; together with the
 //!   actions of [`crate::keymap`] these are the only methods that change it;
 //! * `poll_transmit`, `poll_effect` and `poll_app_event` return work for the shell;
 //! * `poll_timeout` returns when [`App::handle_timeout`] is due.
@@ -13,7 +13,7 @@
 //! [`App`] owns parts that do not know it, and wires them:
 //!
 //! ```text
-//! clock     time, wall clock, playback       buses     engines, adapter statuses, load
+//! clock     time, wall clock, playback       buses     engines, bus statuses, load
 //! traffic   frame ring, filter, decoding     file      des.json, edits, undo, saving
 //! problems  findings, grouped and muted      devices   rows of the Devices page
 //! view      page, selections, regions        input     keymap, overlays, prompts
@@ -47,22 +47,23 @@ pub use app_event::{AppEvent, BusSnapshot, DeviceEvent, EventContext, EventLine,
 pub use buses::{Bus, Buses, LoadMeter, LoadSecond, Redundancy, RedundantDevice, TxBlocked};
 pub use capture::{Capture, Decoded, IdentifierKey, IdentifierKind, IdentifierStats, hex};
 pub use devices::concerns;
-pub use file::{Change, EditRefusal, FileProblem, FileReading, FileState, SaveOutcome, Saving};
+pub use file::{EditRefusal, FileChange, FileError, FileReading, FileState, SaveOutcome, Saving};
 pub use filter::{FILTER_FIELDS, FILTER_WORDS, Filter, FilterField};
 pub use input::{InputCheck, Overlay, Prompt, PromptKind, Question};
 pub use listing::same_services;
 pub use navigate::{Mouse, MouseKind};
 pub use notices::{StatusMessage, Timeline, TimelineEntry, TimelineKind};
-pub use problems::{EvidenceItem, Matching, Problem, ProblemKey, Scope, spell};
+pub use problems::{EvidenceItem, Matching, Problem, ProblemKey, Scope, format_duration};
 pub use view::{
-    Counts, Cursor, EvidenceView, FileStatus, Focus, Frozen, Page, Row, RowKey, RowState,
-    SPLIT_WIDTH, Screen, SortBy, View, tabs,
+    Counts, EvidenceView, FileStatus, Focus, Frozen, Page, Row, RowKey, RowState, SPLIT_WIDTH,
+    Screen, Selection, SortBy, View, tabs,
 };
 
 use crate::bitrate::{SearchOutcome, SearchProgress};
 use crate::diagnostic::Diagnostic;
-use crate::discovery::{Config, Device, DeviceId, Finding};
+use crate::discovery::{Config, Device, DeviceId};
 use crate::document::{Document, Entry, NewEntry};
+use crate::finding::Finding;
 use crate::frame::{BusIndex, Frame};
 use crate::keymap::{Action, Key, KeyMode, Keymap};
 use crate::status::{BusStatus, Playback, PlaybackCommand, RecordingStatus};
@@ -74,7 +75,7 @@ use capture::Traffic;
 use clock::AppClock;
 use devices::DeviceRows;
 use file::{EMPTY_SETTLES_AFTER, FileEditor};
-use input::{Input, PromptContext, PromptKey, PromptOutcome};
+use input::{Input, PromptContext, PromptOutcome, PromptResult};
 use notices::Notices;
 use problems::Problems;
 use std::collections::VecDeque;
@@ -106,7 +107,8 @@ pub struct AppOptions {
     pub event_filter: Filter,
 }
 
-/// Work for the shell.
+/// Side effect that the app requests: file access, a bit rate search, quitting. The shell executes
+/// it and reports the result with the method named at each variant.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Effect {
     /// Write des.json if the content on disk is `expected`; then call [`App::handle_saved`].
@@ -144,17 +146,17 @@ pub enum Effect {
 
 /// The parts that rows, findings and texts are made from.
 #[derive(Clone, Copy)]
-pub(crate) struct Facts<'a> {
+pub(crate) struct Inputs<'a> {
     now: Instant,
     buses: &'a Buses,
     file: &'a FileState,
     matching: &'a Matching,
 }
 
-/// Borrows [`Facts`] from the fields of an [`App`], so that its other fields can be changed.
-macro_rules! facts {
+/// Borrows [`Inputs`] from the fields of an [`App`], so that its other fields can be changed.
+macro_rules! inputs {
     ($app:expr) => {
-        $crate::app::Facts {
+        $crate::app::Inputs {
             now: $app.clock.now(),
             buses: &$app.buses,
             file: &$app.editor.file,
@@ -162,7 +164,7 @@ macro_rules! facts {
         }
     };
 }
-use facts;
+use inputs;
 
 /// The themes to choose from.
 #[derive(Debug)]
@@ -287,10 +289,10 @@ impl App {
         self.notices.redraw.set_dirty();
     }
 
-    /// Runs all timers up to `until`, each at its time: time leaps from one frame of a log to the
-    /// next.
+    /// Runs all timers up to `until`, each at its time: time advances from one frame of a log to
+    /// the next.
     pub fn advance_to(&mut self, until: Instant) {
-        // Only the timers of the buses: the clock of the recording computer may have leapt by
+        // Only the timers of the buses: the clock of the recording computer may have advanced by
         // years, and each of their seconds would be one timeout of the screen.
         while let Some(due) = self.buses.poll_timeout().filter(|due| *due <= until) {
             self.handle_timeout(due);
@@ -300,7 +302,7 @@ impl App {
         }
     }
 
-    /// Takes a key: it goes to the open prompt, or executes its action.
+    /// Handles a key: it goes to the open prompt, or executes its action.
     pub fn handle_key(&mut self, now: Instant, key: Key) {
         let now = self.clock.set(now);
         if self.input.is_typed_ahead(now, key) {
@@ -310,7 +312,7 @@ impl App {
         self.notices.clear_message();
         self.catch_up();
         if self.input.prompt().is_some() {
-            self.type_key(key);
+            self.handle_prompt_key(key);
         } else if let Some(action) = self.input.lookup(key) {
             self.run(action);
             self.input.note_executed(now, action);
@@ -336,7 +338,7 @@ impl App {
         self.refresh_rows();
     }
 
-    /// Takes the line to which the details or the help were scrolled when they were drawn; `None`
+    /// Handles the line to which the details or the help were scrolled when they were drawn; `None`
     /// if nothing scrolls.
     pub fn handle_drawn(&mut self, scrolled: Option<u16>) {
         let Some(scrolled) = scrolled else { return };
@@ -355,7 +357,7 @@ impl App {
         if was_emptied || is_emptied {
             self.notices.redraw.set_dirty();
         }
-        if was_emptied && !is_emptied && change == Change::None {
+        if was_emptied && !is_emptied && change == FileChange::None {
             // The former content is back: edits that waited are saved.
             self.save_pending();
         }
@@ -393,7 +395,7 @@ impl App {
             self.notices.restore_message(done);
         }
         if self.editor.file.problem().is_none() {
-            // The save may have been refused because of a newer content that was read meanwhile.
+            // The save may have been refused because of a newer content that was read during it.
             self.save_pending();
         }
         // An unsaved edit may have been undone, which is not a change of the file.
@@ -425,7 +427,7 @@ impl App {
         }
     }
 
-    /// Takes the adapter status of a bus.
+    /// Handles a new status of a bus.
     pub fn handle_bus(&mut self, now: Instant, index: BusIndex, status: BusStatus) {
         self.clock.set(now);
         self.bus_changed(index, status);
@@ -552,8 +554,8 @@ impl App {
     }
 
     /// The same device on other buses.
-    pub fn siblings(&self, id: DeviceId) -> &[RedundantDevice] {
-        self.buses.siblings(id)
+    pub fn redundant_devices(&self, id: DeviceId) -> &[RedundantDevice] {
+        self.buses.redundant_devices(id)
     }
 
     /// Returns true if an address conflict is confirmed at the address of a device: its heartbeat
@@ -579,7 +581,7 @@ impl App {
 
     /// The reason why descan has no address on a bus: the `wanted` one is used by another node, or
     /// with `None` all are used.
-    pub fn why_no_address(&self, bus: BusIndex, wanted: Option<Address>) -> Option<String> {
+    pub fn no_address_reasons(&self, bus: BusIndex, wanted: Option<Address>) -> Option<String> {
         self.buses.no_address_reason(bus, wanted)
     }
 
@@ -620,13 +622,13 @@ impl App {
     }
 
     /// Reasons why no device matches an entry, the likeliest first.
-    pub fn why_missing(&self, entry: &Entry) -> Vec<String> {
-        facts!(self).missing_reasons(entry)
+    pub fn missing_reasons(&self, entry: &Entry) -> Vec<String> {
+        inputs!(self).missing_reasons(entry)
     }
 
     /// Reasons why the name or the services of a device are not known.
-    pub fn why_incomplete(&self, device: &Device) -> Vec<String> {
-        facts!(self).incomplete_reasons(device)
+    pub fn incomplete_reasons(&self, device: &Device) -> Vec<String> {
+        inputs!(self).incomplete_reasons(device)
     }
 
     /// All findings: bus by bus, then those of the comparison with the file.
@@ -636,8 +638,8 @@ impl App {
 
     /// Differences between file and buses at `now`.
     pub fn compare(&self, now: Instant, scope: Scope) -> Vec<Finding> {
-        let facts = Facts { now, ..facts!(self) };
-        problems::compare(facts, scope)
+        let inputs = Inputs { now, ..inputs!(self) };
+        problems::compare(inputs, scope)
     }
 
     /// All problems: confirmed, suspected, cleared, muted; by severity within each. A frozen view
@@ -707,7 +709,7 @@ impl App {
     }
 
     /// Text of the ISO 15765-2 transfer that a captured frame is part of.
-    pub fn message_of(&self, number: u64) -> Option<String> {
+    pub fn transfer_text(&self, number: u64) -> Option<String> {
         self.traffic.transfer_text(&self.buses, number)
     }
 
@@ -787,7 +789,7 @@ impl App {
     }
 
     /// Validation of the open prompt.
-    pub fn verdict(&self) -> Option<InputCheck> {
+    pub fn prompt_check(&self) -> Option<InputCheck> {
         Some(self.prompt()?.validate(self.prompt_context()))
     }
 
@@ -802,8 +804,9 @@ impl App {
             },
             _ => None,
         };
-        let joined =
-            |id: &DeviceId| self.rows().iter().any(|row| row.has(*id) && !row.also.is_empty());
+        let joined = |id: &DeviceId| {
+            self.rows().iter().any(|row| row.has_device(*id) && !row.redundant_ids.is_empty())
+        };
         let bus = id.filter(joined).and_then(|id| self.bus(id.bus));
         Some(bus.map_or(label.to_owned(), |bus| format!("{label} on {} (Tab: next)", bus.name)))
     }
@@ -849,7 +852,7 @@ impl App {
 
     /// Adds a line to the timeline and to the events.
     fn report_line(&mut self, line: TimelineEntry) {
-        if self.notices.emits_events() && self.notices.is_of_interest(&self.buses, &line, &[]) {
+        if self.notices.emits_events() && self.notices.passes_filter(&self.buses, &line, &[]) {
             let event = self.line_event(&line);
             self.notices.emit(event);
         }
@@ -917,7 +920,7 @@ impl App {
 
     fn refresh_rows(&mut self) {
         let problems = self.problems.list(&self.buses, false);
-        self.devices.refresh(facts!(self), &problems, &mut self.view);
+        self.devices.refresh(inputs!(self), &problems, &mut self.view);
     }
 
     fn problem_keys(&self) -> Vec<ProblemKey> {
@@ -932,9 +935,9 @@ impl App {
         let height = self.list_height();
         if self.view.page == Page::Problems {
             // A new first problem must not move under the key that is about to be pressed.
-            self.view.problems.keep(&shown, height);
+            self.view.problems.update_keeping(&shown, height);
         } else {
-            self.view.problems.settle(&shown, height);
+            self.view.problems.update(&shown, height);
         }
     }
 }
@@ -947,7 +950,7 @@ impl Decoded {
 }
 
 /// A moment on the wall clock: `12:03:11`.
-pub fn clock(app: &App, at: Instant) -> String {
+pub fn format_time_of_day(app: &App, at: Instant) -> String {
     let seconds = app.wall_seconds(at);
     format!("{:02}:{:02}:{:02}", seconds / 3600 % 24, seconds / 60 % 60, seconds % 60)
 }
@@ -955,5 +958,5 @@ pub fn clock(app: &App, at: Instant) -> String {
 /// A moment on the wall clock with milliseconds: `12:03:11.204`.
 pub fn clock_millis(app: &App, at: Instant) -> String {
     let millis = app.epoch().unix_micros(at) / 1000 % 1000;
-    format!("{}.{millis:03}", clock(app, at))
+    format!("{}.{millis:03}", format_time_of_day(app, at))
 }

@@ -4,7 +4,7 @@ use super::capture::{Decoded, IdentifierKey};
 use super::input::{FilterPrompt, Overlay};
 use super::view::{Focus, Frozen, Page, Row, tabs};
 use super::{App, Effect, EvidenceItem, Problem, PromptKind};
-use crate::discovery::FindingKind;
+use crate::finding::FindingKind;
 use crate::frame::BusIndex;
 use crate::keymap::Action;
 use crate::status::PlaybackCommand;
@@ -140,7 +140,7 @@ impl App {
         let by_rows = self.view.evidence_alone().is_some() || self.view.shows_identifiers();
         if last && self.view.focus == Focus::List {
             match self.view.page {
-                Page::Timeline => return self.view.timeline.release(),
+                Page::Timeline => return self.view.timeline.follow_newest(),
                 Page::Traffic if !by_rows => {
                     self.view.traffic = None;
                     return;
@@ -171,7 +171,7 @@ impl App {
                 self.view.hold_timeline(&keys, height);
                 self.view.timeline.move_by(&keys, delta, height);
                 if delta > 0 && self.view.timeline.selected() == keys.last() {
-                    self.view.timeline.release();
+                    self.view.timeline.follow_newest();
                 }
             }
             Page::Traffic if self.view.evidence_alone().is_some() => {
@@ -179,7 +179,7 @@ impl App {
             }
             Page::Traffic if self.view.shows_identifiers() => {
                 let keys = self.identifier_keys();
-                self.view.identifiers.settle(&keys, height);
+                self.view.identifiers.update(&keys, height);
                 self.view.identifiers.move_by(&keys, delta, height);
             }
             Page::Traffic => self.traffic.move_by(&mut self.view, delta, height),
@@ -289,7 +289,7 @@ impl App {
             self.view.close_evidence();
             self.view.by_identifier = !self.view.by_identifier;
             let (keys, height) = (self.identifier_keys(), self.list_height());
-            self.view.identifiers.settle(&keys, height);
+            self.view.identifiers.update(&keys, height);
         } else {
             self.show_error("identifier view works on the Traffic page");
         }
@@ -323,7 +323,7 @@ impl App {
             self.view.traffic = None;
         } else {
             self.view.traffic = None;
-            self.view.timeline.release();
+            self.view.timeline.follow_newest();
         }
     }
 
@@ -365,7 +365,9 @@ impl App {
             Page::Timeline => {
                 let number = self.view.timeline.selected().copied();
                 let line = number.and_then(|number| self.timeline().get(number));
-                line.map(|line| format!("{} {}", super::clock(self, line.time), line.text))
+                line.map(|line| {
+                    format!("{} {}", super::format_time_of_day(self, line.time), line.text)
+                })
             }
             Page::Traffic => self.selected_frame().map(ToString::to_string),
         };
@@ -519,7 +521,7 @@ impl App {
     /// Shows all frames around the selected piece of evidence, or only the evidence again.
     fn toggle_around(&mut self) {
         let Some(evidence) = &self.view.evidence else { return };
-        if evidence.around {
+        if evidence.shows_context {
             // The selection may have moved to another piece.
             let pieces = evidence.pieces.iter().map(|piece| piece.frame.as_ref());
             let selected = self.selected_frame();
@@ -551,7 +553,7 @@ impl App {
     /// Returns from the frames around the evidence to the evidence, from there to the problem.
     /// Returns false if there is no evidence to leave.
     fn leave_evidence(&mut self) -> bool {
-        match self.view.evidence.as_ref().map(|it| (it.around, it.was_opened_in_details())) {
+        match self.view.evidence.as_ref().map(|it| (it.shows_context, it.was_opened_in_details())) {
             None => return false,
             Some((true, _)) => self.view.set_around(false),
             Some((false, in_details)) => {

@@ -41,7 +41,7 @@ pub use tuner::BitRateSetter;
 pub use udp::UdpAddress;
 
 use crate::diagnostic::Diagnostic;
-use crate::frame::{BusIndex, IdPattern};
+use crate::frame::{BusIndex, IdFilter};
 use kind::OpenRequest;
 
 /// How to open a bus.
@@ -51,7 +51,7 @@ pub struct Options {
     pub listen_only: bool,
     /// Receive only frames with these identifiers, and error frames, if the bus can filter at no
     /// cost: then [`BusStatus::filtered`](crate::status::BusStatus::filtered) is set. Empty: all.
-    pub only: Vec<IdPattern>,
+    pub only: Vec<IdFilter>,
 }
 
 /// Opens a bus. Its frames get the number `index`; a log of several interfaces also takes the

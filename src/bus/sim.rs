@@ -106,7 +106,7 @@ fn report(sim: &Sim, station: SimStation, shared: &PortShared) {
         told.bitrate = Some(status.bitrate);
         told.tec = Some(status.tec);
         told.rec = Some(status.rec);
-        told.queue_drops = status.overflowed;
+        told.queue_drops = status.rx_overflow;
         told.state = match status.state {
             sim::ControllerState::ErrorActive => BusState::ErrorActive,
             sim::ControllerState::ErrorWarning => BusState::ErrorWarning,

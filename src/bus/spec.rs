@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_say_on_one_line_what_would_be_right() {
+    fn errors_name_the_correct_form_on_one_line() {
         for (text, hint) in [
             ("", "use can0"),
             ("file:", "file:session.log"),

@@ -54,7 +54,7 @@ impl BitRateSetter {
     pub fn set(&mut self, bitrate: u32, manner: ListenMode) -> Result<BusSpec, TuneError> {
         match &mut self.0 {
             SetterTarget::Interface(controller) => {
-                controller.set(bitrate, manner == ListenMode::Listening)?;
+                controller.set(bitrate, manner == ListenMode::ListenOnly)?;
                 Ok(BusSpec::SocketCan(controller.name().to_owned()))
             }
             // The adapter would keep its present rate.
@@ -104,10 +104,10 @@ mod tests {
         let bus = "slcan:/dev/ttyACM0".parse().unwrap();
         let mut tuner = BitRateSetter::of(&bus).unwrap();
         assert!(matches!(
-            tuner.set(300_000, ListenMode::Listening),
+            tuner.set(300_000, ListenMode::ListenOnly),
             Err(TuneError::NotThisRate(_))
         ));
-        let there = tuner.set(250_000, ListenMode::Listening).unwrap();
+        let there = tuner.set(250_000, ListenMode::ListenOnly).unwrap();
         assert_eq!(there.to_string(), "slcan:/dev/ttyACM0@250000");
     }
 }

@@ -9,7 +9,7 @@ use super::scan::{DEFAULT_TIME, is_settled, look, read_log};
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, print};
 use crate::app::{App, Bus, Scope};
 use crate::cli::CheckArgs;
-use crate::finding::{CheckSection, Confidence, Finding, FindingKind};
+use crate::finding::{CheckSection, Finding, FindingKind, FindingState};
 use crate::shell::stop::StopReason;
 use crate::time::Instant;
 use std::fmt::Write as _;
@@ -64,7 +64,7 @@ fn differences(app: &App, now: Instant) -> String {
     let compared = app.compare(now, Scope::Check);
     let engines = app.buses().iter().flat_map(Bus::findings);
     let found: Vec<&Finding> =
-        engines.chain(&compared).filter(|it| it.confidence == Confidence::Confirmed).collect();
+        engines.chain(&compared).filter(|it| it.confidence == FindingState::Confirmed).collect();
     let mut text = String::new();
     let mut sums = Vec::new();
     for section in CheckSection::ALL {
@@ -74,7 +74,7 @@ fn differences(app: &App, now: Instant) -> String {
         if group.is_empty() {
             continue;
         }
-        group.sort_by_key(|it| (it.place, it.key.bus, it.key.address));
+        group.sort_by_key(|it| (it.position, it.key.bus, it.key.address));
         let _ = writeln!(text, "{title}:");
         for finding in &group {
             let bus = finding.key.bus.and_then(|bus| app.bus(bus));

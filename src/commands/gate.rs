@@ -1,7 +1,7 @@
-//! Gates: whether the input of a command can be used yet, ever, or no more.
+//! Gates: decide when a command can use its input, a bus or a file, or that it never can.
 //!
 //! Each is called after every wake-up and returns `Ok(true)` if its input can be used, `Ok(false)`
-//! to wait, and an error if waiting does not help. Does not know the commands.
+//! to wait, and an error if waiting does not help.
 
 use super::headless::{why_not_open, why_unusable};
 use super::{Failure, report};
@@ -12,7 +12,7 @@ use crate::time::{Duration, Instant};
 /// Gate of the buses.
 #[derive(Debug)]
 pub struct BusGate {
-    /// A bus that was open once may go down: its return is waited for.
+    /// A bus that was open once may go down: the command waits until it is up again.
     tolerates_outages: bool,
     was_open: Vec<bool>,
 }
@@ -50,7 +50,7 @@ impl BusGate {
     }
 }
 
-/// Gate of des.json. Other programs write it meanwhile, possibly in several steps: a file that had
+/// Gate of des.json. Other programs may write it, possibly in several steps: a file that had
 /// entries is expected to have entries again.
 #[derive(Debug, Default)]
 pub struct FileGate {

@@ -84,7 +84,7 @@ pub fn run(
             Err(reason) => Some(reason),
             Ok(mut wake) => loop {
                 if let Some(wake) = wake.take() {
-                    session.take(wake);
+                    session.handle_wake(wake);
                     failure.report(session.recording().as_ref());
                 }
                 let end = session.take_input_end();

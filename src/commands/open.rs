@@ -6,7 +6,7 @@ use crate::bus::{self, BusSpec, Clock, Options, Port};
 use crate::cli::{CommonArgs, SessionArgs as Arguments};
 use crate::diagnostic::Diagnostic;
 use crate::discovery::Config;
-use crate::frame::{BusIndex, IdPattern};
+use crate::frame::{BusIndex, IdFilter};
 use crate::keymap::Keymap;
 use crate::shell::config::{ConfigFolder, UserSettings, read_text};
 use crate::shell::recorder::{Recorder, Size, Target};
@@ -37,7 +37,7 @@ pub struct Setup {
     /// Where all frames are recorded.
     pub record: Option<Target>,
     /// Patterns of the frames to receive; empty for all.
-    pub only: Vec<IdPattern>,
+    pub only: Vec<IdFilter>,
     /// The theme's name; `None` for the default.
     pub theme: Option<String>,
     /// It was given on the command line: an unusable one is an error.
@@ -62,11 +62,11 @@ impl Setup {
         let config = Config {
             profile: Arc::new(profile(common.profile.as_deref())?),
             listen_only: common.listen_only,
-            scan: !common.no_scan,
+            send_requests: !common.no_scan,
             address: common.address,
             round_period: settings.round_period().unwrap_or(built_in.round_period),
-            start_share: settings.start_share.unwrap_or(built_in.start_share),
-            steady_share: settings.steady_share.unwrap_or(built_in.steady_share),
+            startup_budget: settings.start_share.unwrap_or(built_in.startup_budget),
+            steady_budget: settings.steady_share.unwrap_or(built_in.steady_budget),
             // Two inspectors that start together must not pick the same address.
             seed: fastrand::u64(..),
             ..built_in
@@ -202,7 +202,7 @@ fn epoch_of(path: &Path) -> Result<Epoch, Failure> {
         }
         let mut reader = crate::log::LogReader::new(BufReader::new(log));
         reader.next_frame()?;
-        Ok(reader.tally().epoch.unwrap_or_default())
+        Ok(reader.summary().epoch.unwrap_or_default())
     };
     let name = format_args!("file:{}", path.display());
     Ok(epoch().map_err(|error| Diagnostic::unreadable(name, &error))?)

@@ -5,7 +5,7 @@
 use crate::app::{App, Bus, BusSnapshot, FileSnapshot, Redundancy, RedundantDevice, Scope};
 use crate::bitrate::kbit;
 use crate::discovery::{Device, DeviceService, OwnAddress};
-use crate::finding::{Confidence, CountsFor, Evidence, Finding};
+use crate::finding::{Evidence, ExitCodeScope, Finding, FindingState};
 use crate::frame::{BusIndex, Frame};
 use crate::status::Link;
 use crate::text::Name;
@@ -219,7 +219,7 @@ impl ScanReport {
         text.push_str(&self.on_several_buses());
         for finding in &self.findings {
             let _ = writeln!(text, "\n{} {}: {}", finding.confidence, finding.kind, finding.text);
-            let over = Confidence::Cleared.name() == finding.confidence;
+            let over = FindingState::Cleared.name() == finding.confidence;
             if over {
                 text.push_str("  No longer present.\n");
             } else if !finding.remedy.is_empty() {
@@ -341,17 +341,17 @@ pub(super) fn of_bus(bus: BusSnapshot) -> BusReport {
 }
 
 fn of_siblings(app: &App, device: &Device) -> Vec<SiblingReport> {
-    let siblings = app.siblings(device.id).iter();
+    let siblings = app.redundant_devices(device.id).iter();
     let of_sibling = |sibling: &RedundantDevice| {
         Some(SiblingReport {
             bus: app.bus(sibling.id.bus)?.name.clone(),
             address: app.device(sibling.id)?.address.number(),
-            redundant: match sibling.kinship {
+            redundant: match sibling.relation {
                 Redundancy::Redundant => Some(true),
                 Redundancy::TwoNetworks => Some(false),
-                Redundancy::Open => None,
+                Redundancy::Undetermined => None,
             },
-            kinship: sibling.kinship,
+            kinship: sibling.relation,
         })
     };
     siblings.filter_map(of_sibling).collect()
@@ -362,7 +362,7 @@ fn of_device(app: &App, bus: &Bus, device: &Device) -> DeviceReport {
     let alphabet = &bus.config().profile.uid;
     let services = device.services.as_deref().unwrap_or_default();
     let clash = bus.findings().iter().any(|finding| {
-        finding.confidence == Confidence::Confirmed
+        finding.confidence == FindingState::Confirmed
             && finding.key.kind.is_conflict()
             && crate::app::concerns(finding, device)
     });
@@ -373,7 +373,7 @@ fn of_device(app: &App, bus: &Bus, device: &Device) -> DeviceReport {
         name_hex: device.name.as_ref().map(Name::hex),
         presence: device.presence.name(),
         mode: device.mode.map(crate::wire::node::Mode::name),
-        working: device.working,
+        working: device.is_working,
         uid: device.uid.map(|uid| uid.text(alphabet).to_string()),
         framing: device.framing.map(|framing| framing.to_string()),
         services: of_services(services),
@@ -386,7 +386,7 @@ fn of_device(app: &App, bus: &Bus, device: &Device) -> DeviceReport {
         },
         file: of_entry(app, device),
         also: of_siblings(app, device),
-        quirks: device.quirks.iter().map(|quirk| quirk.name()).collect(),
+        quirks: device.deviations.iter().map(|deviation| deviation.name()).collect(),
         clash,
     }
 }
@@ -431,11 +431,11 @@ pub(super) fn of_finding(
         evidence: finding.evidence.iter().map(|piece| of_evidence(epoch, piece)).collect(),
         text: finding.text.clone(),
         remedy: finding.remedy.clone(),
-        counts: finding.confidence == Confidence::Confirmed
-            && match finding.key.kind.facts().counts {
-                CountsFor::ScanAndCheck => true,
-                CountsFor::Check(_) => scope == Scope::Check,
-                CountsFor::Nothing => false,
+        counts: finding.confidence == FindingState::Confirmed
+            && match finding.key.kind.facts().exit_code_of {
+                ExitCodeScope::ScanAndCheck => true,
+                ExitCodeScope::Check(_) => scope == Scope::Check,
+                ExitCodeScope::Nothing => false,
             },
     }
 }
@@ -443,7 +443,7 @@ pub(super) fn of_finding(
 fn of_evidence(epoch: Epoch, piece: &Evidence) -> EvidenceReport {
     EvidenceReport {
         time: epoch.unix_secs(piece.time),
-        what: piece.what.to_string(),
+        what: piece.description.to_string(),
         frame: piece.frame.as_ref().map(Frame::to_string),
     }
 }

@@ -1,5 +1,5 @@
 //! `descan scan`: one enumeration, as tables or JSON. On a live bus it ends when every request is
-//! answered or failed; a log is read at once, in log time.
+//! complete or failed; a log is read at once, in log time.
 
 use super::gate::BusGate;
 use super::headless::{self, Limits, RunInput, RunOutcome, warn_all_tx_blocked};
@@ -92,9 +92,9 @@ pub fn look(
     Ok(outcome)
 }
 
-/// Returns true if all buses are open and every request on them is answered or failed.
+/// Returns true if all buses are open and every request on them has a response or failed.
 pub fn is_settled(app: &App) -> bool {
-    app.buses().iter().all(|bus| bus.status.link != Link::Opening && bus.progress().settled)
+    app.buses().iter().all(|bus| bus.status.link != Link::Opening && bus.progress().is_complete)
 }
 
 /// Progress line on standard error while scanning, if that is a terminal.

@@ -48,7 +48,7 @@ pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8,
             if is_away && told != Some(status.link) {
                 let unknown = || Diagnostic::new(format!("{spec} cannot be used"));
                 let _ = writeln!(io::stderr(), "descan: {}", status.fault.unwrap_or_else(unknown));
-                // A bus that was open once is waited for.
+                // Wait for a bus that was open once.
                 if start.is_none() || status.link.is_final() {
                     return Ok(EXIT_UNUSABLE);
                 }
@@ -68,7 +68,7 @@ pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8,
                 sim.advance(Instant::ZERO + now.since(start));
                 let is_heard = |it: &&Frame| !it.is_tx && it.kind != FrameKind::Error;
                 for frame in heard.iter().filter(is_heard) {
-                    sim.relay(station, *frame);
+                    sim.forward(station, *frame);
                 }
             }
             while let Some(frame) = sim.poll_frame(station) {

@@ -1,5 +1,5 @@
-//! `descan speed`: finds the bit rate of a bus. Listen-only first; an active search, which disturbs a
-//! bus of another rate, needs the user's consent.
+//! `descan speed`: finds the bit rate of a bus. Listen-only first; an active search, which disturbs
+//! a bus of another rate, needs the user's consent.
 
 use super::open::profile;
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, headless};
@@ -31,12 +31,12 @@ pub fn run(speed: &SpeedArgs) -> Result<u8, Failure> {
 
 async fn search(speed: &SpeedArgs) -> Result<u8, Failure> {
     let bus = &speed.bus;
-    let manner = if speed.active { ListenMode::TakingPart } else { ListenMode::Listening };
+    let manner = if speed.active { ListenMode::Active } else { ListenMode::ListenOnly };
     let mut report = attempt(speed, manner).await?;
-    if manner == ListenMode::Listening && !matches!(report.outcome, SearchOutcome::Found(_)) {
+    if manner == ListenMode::ListenOnly && !matches!(report.outcome, SearchOutcome::Found(_)) {
         say(&nothing_heard(bus, report.outcome));
         if may_ask(speed) && wants_to_take_part(bus).await {
-            report = attempt(speed, ListenMode::TakingPart).await?;
+            report = attempt(speed, ListenMode::Active).await?;
         } else {
             print(speed, &report)?;
             say(&format!("to search actively: descan speed {bus} --active"));
@@ -62,13 +62,17 @@ async fn attempt(speed: &SpeedArgs, manner: ListenMode) -> Result<SearchReport, 
     let plan = Plan { first: speed.first, manner, period };
     let bus = &speed.bus;
     let what = match manner {
-        ListenMode::Listening => "listen-only",
-        ListenMode::TakingPart => "active",
+        ListenMode::ListenOnly => "listen-only",
+        ListenMode::Active => "active",
     };
     let report = find(bus, plan, |progress| match progress {
         SearchProgress::Trying(rate) => say(&format!("{bus} at {}: {what} …", kbit(rate))),
-        SearchProgress::Heard(rate, heard) => {
-            say(&format!("{bus} at {}: no valid frame, {} bus errors", kbit(rate), heard.broken));
+        SearchProgress::NothingValid(rate, heard) => {
+            say(&format!(
+                "{bus} at {}: no valid frame, {} bus errors",
+                kbit(rate),
+                heard.bus_errors
+            ));
         }
         SearchProgress::Skipped(rate) => {
             say(&format!("{bus} at {}: not supported by the controller", kbit(rate)));
@@ -82,7 +86,7 @@ async fn attempt(speed: &SpeedArgs, manner: ListenMode) -> Result<SearchReport, 
 
 fn nothing_heard(bus: &BusSpec, outcome: SearchOutcome) -> String {
     let what = match outcome {
-        SearchOutcome::OnlyBroken => "bus errors but no valid frame",
+        SearchOutcome::OnlyBusErrors => "bus errors but no valid frame",
         _ => "no frames at any rate",
     };
     format!(
@@ -128,13 +132,13 @@ fn print(speed: &SpeedArgs, report: &SearchReport) -> Result<(), Failure> {
     let bus = speed.bus.to_string();
     let bitrate = match report.outcome {
         SearchOutcome::Found(rate) => Some(rate),
-        SearchOutcome::OnlyBroken | SearchOutcome::Silence => None,
+        SearchOutcome::OnlyBusErrors | SearchOutcome::NoTraffic => None,
     };
     let line = if speed.json {
         let tried = report.tried.iter().map(|(bitrate, heard)| Tried {
             bitrate: *bitrate,
             frames: heard.frames,
-            broken: heard.broken,
+            broken: heard.bus_errors,
         });
         let tried: Vec<Tried> = tried.collect();
         let told = SpeedOutput { bus, bitrate, tried: &tried };

@@ -13,8 +13,9 @@ use crate::app::{
     App, AppEvent, AppOptions, DeviceEvent, EventLine, Filter, Scope, clock_millis, hex,
 };
 use crate::cli::WatchArgs;
-use crate::discovery::{EventKind, Finding, Presence};
-use crate::frame::IdPattern;
+use crate::discovery::{EventKind, Presence};
+use crate::finding::Finding;
+use crate::frame::IdFilter;
 use crate::shell::log_input::LogPace;
 use crate::shell::stop::StopReason;
 use crate::text::printable;
@@ -69,12 +70,12 @@ pub fn run(watch: &WatchArgs) -> Result<u8, Failure> {
 
 /// Patterns of the frames that the filter needs; empty for all. An active node needs all frames,
 /// and so does a recording.
-fn frames_of_interest(interest: &Filter, setup: &Setup) -> Vec<IdPattern> {
+fn frames_of_interest(interest: &Filter, setup: &Setup) -> Vec<IdFilter> {
     let needs_all = !setup.config.listen_only || setup.record.is_some();
     let addresses = interest.addresses().filter(|_| !needs_all).unwrap_or_default();
     let service = setup.config.profile.des_service();
-    let patterns = addresses.into_iter().flat_map(|it| Header::patterns_of(it, service));
-    let mut only: Vec<IdPattern> = Vec::new();
+    let patterns = addresses.into_iter().flat_map(|it| Header::filters_of(it, service));
+    let mut only: Vec<IdFilter> = Vec::new();
     for pattern in patterns {
         if !only.contains(&pattern) {
             only.push(pattern);
@@ -215,8 +216,8 @@ fn of_event(
     DeviceEvent { context, event, services }: DeviceEvent,
 ) -> Option<JsonEvent> {
     let (word, more) = match event.kind {
-        EventKind::Appeared => ("appeared", EventDetails::Nothing {}),
-        EventKind::Named => ("named", EventDetails::Nothing {}),
+        EventKind::FirstFrame => ("appeared", EventDetails::Nothing {}),
+        EventKind::NameReceived => ("named", EventDetails::Nothing {}),
         EventKind::Services { changed, .. } => {
             ("services", EventDetails::Services { services: of_services(&services), changed })
         }
@@ -229,7 +230,7 @@ fn of_event(
             (presence.name(), EventDetails::Nothing {})
         }
         EventKind::Returned { was } => ("returned", EventDetails::Returned { was: was.name() }),
-        EventKind::Debug { code, data } => {
+        EventKind::DebugMessage { code, data } => {
             ("debug", EventDetails::Debug { code, data: hex(&data, "") })
         }
         // Findings and bus states are events of their own, `returned` reports a device that is
@@ -238,11 +239,11 @@ fn of_event(
         | EventKind::OwnAddress(_)
         | EventKind::OwnAddressLost(_)
         | EventKind::NoAddress(_)
-        | EventKind::NotAcknowledged
+        | EventKind::NoAck
         | EventKind::Presence(_)
         | EventKind::Claimed { .. }
-        | EventKind::GaveWay { .. }
-        | EventKind::Joined { .. }
+        | EventKind::GaveUpAddress { .. }
+        | EventKind::IdsMerged { .. }
         | EventKind::Acknowledged => return None,
     };
     let what = EventBody::Device {

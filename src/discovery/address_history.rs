@@ -18,78 +18,84 @@ const RESPONSE_WINDOW: Duration = Duration::from_secs(2);
 /// Two responses to one request are less than this apart.
 pub(super) const PAIR_WINDOW: Duration = Duration::from_millis(125);
 /// A heartbeat received again within this time was repeated on its way, if it is not known whether
-/// its sender draws RND7. Two devices that do not draw it, and so send equal heartbeats, are seldom
+/// its sender generates RND7. Two devices that do not, and so send equal heartbeats, are rarely
 /// this close.
-pub(super) const REPEAT_WINDOW: Duration = Duration::from_millis(100);
+pub(super) const HEARTBEAT_COPY_WINDOW: Duration = Duration::from_millis(100);
 
 /// Detects a value that alternates between two: A, B, A, B.
 #[derive(Debug)]
 pub(super) struct Alternation<T> {
-    pub now: Option<T>,
-    pub before: Option<T>,
-    pub returns: u32,
+    pub current: Option<T>,
+    pub previous: Option<T>,
+    pub return_count: u32,
     pub changed: Instant,
     /// Time at which the second of the two values was first seen.
-    pub since: Instant,
+    pub second_seen_at: Instant,
 }
 
 impl<T> Default for Alternation<T> {
     fn default() -> Self {
-        Self { now: None, before: None, returns: 0, changed: Instant::ZERO, since: Instant::ZERO }
+        Self {
+            current: None,
+            previous: None,
+            return_count: 0,
+            changed: Instant::ZERO,
+            second_seen_at: Instant::ZERO,
+        }
     }
 }
 
 impl<T: PartialEq + Clone> Alternation<T> {
     /// Takes the current value. Returns how often in a row a value returned, if it did just now.
     pub fn observe(&mut self, now: Instant, value: &T, forget_after: Duration) -> Option<u32> {
-        if self.now.as_ref() == Some(value) {
+        if self.current.as_ref() == Some(value) {
             return None;
         }
         if now.since(self.changed) > forget_after {
-            self.returns = 0;
-            self.before = None;
+            self.return_count = 0;
+            self.previous = None;
         }
         self.changed = now;
-        if self.before.as_ref() == Some(value) {
-            self.returns += 1;
+        if self.previous.as_ref() == Some(value) {
+            self.return_count += 1;
         } else {
-            self.returns = 0;
-            self.since = now;
+            self.return_count = 0;
+            self.second_seen_at = now;
         }
-        let returned = self.before.as_ref() == Some(value);
-        self.before = self.now.replace(value.clone());
-        returned.then_some(self.returns)
+        let returned = self.previous.as_ref() == Some(value);
+        self.previous = self.current.replace(value.clone());
+        returned.then_some(self.return_count)
     }
 }
 
 /// Requester and kind of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-pub(super) struct QueryParties {
-    pub by: Address,
+pub(super) struct RequestOrigin {
+    pub requester: Address,
     /// True if one node was addressed (B bit 0).
-    pub targeted: bool,
+    pub is_targeted: bool,
 }
 
 /// Matches responses to requests, for one kind of request in one framing, separately for each
 /// requester.
 #[derive(Debug, Default)]
 pub(super) struct QueryResponseMatcher {
-    open: [Option<OpenQueries>; REQUESTERS],
+    open_queries: [Option<OpenQueries>; REQUESTERS],
 }
 
 /// Maximum number of requesters to one node that are told apart.
 const REQUESTERS: usize = 4;
-/// Maximum number of unanswered requests of one requester.
-const MAX_UNANSWERED: usize = 16;
+/// Maximum number of requests without a response of one requester.
+const MAX_OPEN_REQUESTS: usize = 16;
 
-/// Requests of one requester that may still be answered.
+/// Requests of one requester that may still get responses.
 #[derive(Debug)]
 struct OpenQueries {
     by: Address,
     /// True if none of them was a broadcast.
-    targeted: bool,
+    is_targeted: bool,
     /// Times of the requests without a response.
-    unanswered: VecDeque<Instant>,
+    without_response: VecDeque<Instant>,
     sent_at: Instant,
     /// First response since the last request, with its time.
     first_response: Option<(Instant, Frame)>,
@@ -103,24 +109,30 @@ pub(super) struct SurplusResponse {
     /// Time from the first response to this one.
     pub apart: Duration,
     /// True if only one node was addressed.
-    pub targeted: bool,
+    pub is_targeted: bool,
 }
 
 impl OpenQueries {
     fn new(by: Address) -> Self {
         let sent_at = Instant::ZERO;
-        Self { by, targeted: true, unanswered: VecDeque::new(), sent_at, first_response: None }
+        Self {
+            by,
+            is_targeted: true,
+            without_response: VecDeque::new(),
+            sent_at,
+            first_response: None,
+        }
     }
 
     fn add(&mut self, now: Instant, targeted: bool) {
         // A request without a response in time, perhaps because no device was there yet, must not
         // account for a second response to a later request.
-        self.unanswered.retain(|sent_at| now.since(*sent_at) <= RESPONSE_WINDOW);
-        self.targeted = targeted && (self.unanswered.is_empty() || self.targeted);
-        if self.unanswered.len() == MAX_UNANSWERED {
-            self.unanswered.pop_front();
+        self.without_response.retain(|sent_at| now.since(*sent_at) <= RESPONSE_WINDOW);
+        self.is_targeted = targeted && (self.without_response.is_empty() || self.is_targeted);
+        if self.without_response.len() == MAX_OPEN_REQUESTS {
+            self.without_response.pop_front();
         }
-        self.unanswered.push_back(now);
+        self.without_response.push_back(now);
         self.sent_at = now;
         self.first_response = None;
     }
@@ -128,23 +140,24 @@ impl OpenQueries {
 
 impl QueryResponseMatcher {
     /// Notes a request.
-    pub fn note_request(&mut self, now: Instant, parties: QueryParties) {
-        let by =
-            |open: &Option<OpenQueries>| open.as_ref().is_some_and(|open| open.by == parties.by);
-        let at = self.open.iter().position(by).unwrap_or_else(|| {
+    pub fn note_request(&mut self, now: Instant, parties: RequestOrigin) {
+        let by = |open: &Option<OpenQueries>| {
+            open.as_ref().is_some_and(|open| open.by == parties.requester)
+        };
+        let at = self.open_queries.iter().position(by).unwrap_or_else(|| {
             // Replace the requester with the oldest request.
-            let sent_at = |at: &usize| self.open[*at].as_ref().map(|open| open.sent_at);
+            let sent_at = |at: &usize| self.open_queries[*at].as_ref().map(|open| open.sent_at);
             let oldest = (0..REQUESTERS).min_by_key(sent_at).unwrap_or(0);
-            self.open[oldest] = None;
+            self.open_queries[oldest] = None;
             oldest
         });
-        let open = self.open[at].get_or_insert_with(|| OpenQueries::new(parties.by));
-        open.add(now, parties.targeted);
+        let open = self.open_queries[at].get_or_insert_with(|| OpenQueries::new(parties.requester));
+        open.add(now, parties.is_targeted);
     }
 
     /// Counts a response for requester `to`, or, where that is `None`, for a requester that still
-    /// waits for one. Returns whether a broadcast was answered, and the surplus response, if it is
-    /// less than `window` after the first one.
+    /// waits for one. Returns whether it responds to a broadcast, and the surplus response, if it
+    /// is less than `window` after the first one.
     pub fn match_response(
         &mut self,
         now: Instant,
@@ -153,31 +166,31 @@ impl QueryResponseMatcher {
         frame: &Frame,
     ) -> (bool, Option<SurplusResponse>) {
         let fresh = |open: &&mut OpenQueries| now.since(open.sent_at) <= RESPONSE_WINDOW;
-        let mut open = self.open.iter_mut().flatten().filter(fresh);
+        let mut open = self.open_queries.iter_mut().flatten().filter(fresh);
         let open = match to {
             Some(to) => open.find(|open| open.by == to),
-            None => open.min_by_key(|open| (open.unanswered.is_empty(), open.sent_at)),
+            None => open.min_by_key(|open| (open.without_response.is_empty(), open.sent_at)),
         };
         let Some(open) = open else { return (false, None) };
-        // Of several requests, the newest is the most likely to be answered.
-        let awaited = open.unanswered.pop_back().is_some();
+        // Of several requests, the newest is the most likely to get the response.
+        let awaited = open.without_response.pop_back().is_some();
         let (first_at, first) = *open.first_response.get_or_insert((now, *frame));
         let apart = now.since(first_at);
-        let targeted = open.targeted;
+        let targeted = open.is_targeted;
         // Working and non-working nodes respond to different requests. A response much later than
-        // the first answers a request that descan missed.
+        // the first belongs to a request that descan did not receive.
         let more = !awaited || differ_in_mode(&first, frame);
         if !more || apart >= window {
             return (!targeted, None);
         }
-        (!targeted, Some(SurplusResponse { first, apart, targeted }))
+        (!targeted, Some(SurplusResponse { first, apart, is_targeted: targeted }))
     }
 }
 
 /// Returns true if the two frames differ in the U bit.
 fn differ_in_mode(one: &Frame, other: &Frame) -> bool {
     let not_working =
-        |frame: &Frame| frame.platform_id().map(|id| Header::decode(id).sender_not_working);
+        |frame: &Frame| frame.platform_id().map(|id| Header::decode(id).from_non_working);
     not_working(one) != not_working(other)
 }
 
@@ -238,18 +251,18 @@ impl AddressHistory {
     }
 
     /// Adds a heartbeat. Returns false if it is a copy of the previous one: equal including RND7,
-    /// received at once, from a sender that draws a new RND7 each time.
+    /// received at once, from a sender that generates a new RND7 each time.
     pub fn note_heartbeat(&mut self, now: Instant, frame: &Frame, period: Duration) -> bool {
         if let Some(last) = self.heartbeats.back()
             && last.frame.same_on_wire(frame)
         {
             let mut older = self.heartbeats.iter().rev().skip(1);
-            // Two successive heartbeats show whether the sender draws RND7.
+            // Two successive heartbeats show whether the sender generates RND7.
             let next = older.find(|heartbeat| last.time.since(heartbeat.time) > period / 2);
             let within = match next.map(|heartbeat| heartbeat.frame.same_on_wire(frame)) {
                 Some(true) => Duration::ZERO,
                 Some(false) => period / 2,
-                None => REPEAT_WINDOW,
+                None => HEARTBEAT_COPY_WINDOW,
             };
             if now.since(last.time) <= within {
                 return false;

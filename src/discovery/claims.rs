@@ -10,14 +10,13 @@
 //! which one stands for which UID.
 
 use super::DeviceId;
+use super::device::MISSED_HEARTBEAT_PERIODS;
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
 use crate::wire::node::{Mode, Uid};
 
 /// Maximum number of nodes stored; beyond that the one silent for the longest time is dropped.
 const MAX_NODES: usize = 256;
-/// Periods without a heartbeat after which at least one is missing.
-pub(super) const GAP_PERIODS: f64 = 1.4;
 /// Periods without a heartbeat for which a node still holds its address.
 const HOLD_PERIODS: f64 = 2.5;
 /// Periods in which one of two nodes at an address gives it up; after that it is a conflict. A node
@@ -35,7 +34,7 @@ pub(super) struct HeartbeatInput {
     /// Active row at the address.
     pub row: DeviceId,
     /// True if that row is known to belong to another node.
-    pub over_holder: bool,
+    pub holder_present: bool,
 }
 
 /// What a heartbeat shows about its sender.
@@ -53,7 +52,7 @@ pub(super) struct ClaimUpdate {
     /// Address that it left, where it was in conflict or had no row.
     pub left: Option<Address>,
     /// Time of its last heartbeat there, if it gave the address up and that was not reported yet.
-    pub gave_way: Option<Instant>,
+    pub gave_up: Option<Instant>,
 }
 
 /// Node known by its UID.
@@ -70,14 +69,14 @@ struct Node {
     last: Instant,
     has_claimed: bool,
     /// Time since when another node sends heartbeats from the address too.
-    contended: Option<Instant>,
+    contested_since: Option<Instant>,
     is_reported: bool,
 }
 
 impl Node {
     /// Returns true if it stopped before the contention became a conflict.
-    fn gave_way_in_time(&self, period: Duration) -> bool {
-        self.contended.is_some_and(|began| self.last < began + period * RESOLUTION_PERIODS)
+    fn gave_up_before_conflict(&self, period: Duration) -> bool {
+        self.contested_since.is_some_and(|began| self.last < began + period * RESOLUTION_PERIODS)
     }
 }
 
@@ -87,12 +86,12 @@ pub(super) struct AddressClaims {
     period: Duration,
     nodes: Vec<Node>,
     /// Time of the last claim of each address while another node sent heartbeats from it.
-    claimed_over: [Option<Instant>; Address::COUNT],
+    claimed_while_held: [Option<Instant>; Address::COUNT],
 }
 
 impl AddressClaims {
     pub fn new(period: Duration) -> Self {
-        Self { period, nodes: Vec::new(), claimed_over: [None; Address::COUNT] }
+        Self { period, nodes: Vec::new(), claimed_while_held: [None; Address::COUNT] }
     }
 
     /// Processes a heartbeat. `reserve` returns an id that no row will have.
@@ -101,8 +100,9 @@ impl AddressClaims {
         heartbeat: HeartbeatInput,
         reserve: impl FnOnce() -> DeviceId,
     ) -> ClaimUpdate {
-        let HeartbeatInput { now, address, uid, mode, row, over_holder } = heartbeat;
-        let (period, gap) = (self.period, self.period.mul_f64(GAP_PERIODS));
+        let HeartbeatInput { now, address, uid, mode, row, holder_present: over_holder } =
+            heartbeat;
+        let (period, gap) = (self.period, self.period.mul_f64(MISSED_HEARTBEAT_PERIODS));
         let resolution_time = period * RESOLUTION_PERIODS;
         // A replaced board was silent for longer; so is one that is asleep.
         let is_holder = |node: &Node| {
@@ -123,7 +123,7 @@ impl AddressClaims {
                 since: now,
                 last: now,
                 has_claimed: false,
-                contended: None,
+                contested_since: None,
                 is_reported: false,
             })
         });
@@ -136,28 +136,28 @@ impl AddressClaims {
             claims: mode == Some(Mode::Arslv)
                 && (node.mode != mode || node.address != address || silence > gap),
             left: None,
-            gave_way: None,
+            gave_up: None,
         };
         let is_new_here = node.address != address || silence >= resolution_time;
         if node.address != address {
             // A node that sends heartbeats from both addresses has left neither.
             if silence > gap {
-                let contended = node.gave_way_in_time(period);
-                update.left = (contended || node.is_rowless).then_some(node.address);
-                update.gave_way = (contended && !node.is_reported).then_some(node.last);
+                let contested = node.gave_up_before_conflict(period);
+                update.left = (contested || node.is_rowless).then_some(node.address);
+                update.gave_up = (contested && !node.is_reported).then_some(node.last);
             }
             node.address = address;
         }
         if is_new_here {
             node.since = now;
-            (node.has_claimed, node.contended, node.is_reported) = (false, None, false);
+            (node.has_claimed, node.contested_since, node.is_reported) = (false, None, false);
         }
         node.has_claimed |= update.claims;
         node.mode = mode.or(node.mode);
         node.last = now;
         self.note_contention(at, over_holder, now);
         if update.claims && is_other_node {
-            self.note_claimed_over(now, address);
+            self.note_claimed_while_held(now, address);
         }
         update
     }
@@ -176,14 +176,14 @@ impl AddressClaims {
             any |= silence < resolution_time;
             if silence < recently {
                 near = true;
-                other.contended.get_or_insert(now);
+                other.contested_since.get_or_insert(now);
             }
         }
         let node = &mut self.nodes[at];
         if near {
-            node.contended.get_or_insert(now);
+            node.contested_since.get_or_insert(now);
         } else if !any {
-            node.contended = None;
+            node.contested_since = None;
         }
     }
 
@@ -199,7 +199,7 @@ impl AddressClaims {
     }
 
     /// Assigns a row to a UID. Returns the id used for it before, if it had no row.
-    pub fn adopt(
+    pub fn assign_row(
         &mut self,
         uid: Uid,
         row: DeviceId,
@@ -215,7 +215,7 @@ impl AddressClaims {
 
     /// Returns the nodes that were in conflict with `uid` about `address` and stopped while it
     /// continues: each once, with its UID.
-    pub fn fallen_silent(
+    pub fn nodes_that_stopped(
         &mut self,
         now: Instant,
         address: Address,
@@ -231,7 +231,7 @@ impl AddressClaims {
                 && node.address == address
                 && !node.is_reported
                 && now.since(node.last) >= resolution_time
-                && node.gave_way_in_time(period)
+                && node.gave_up_before_conflict(period)
                 // Another UID alone may be the same board, reconfigured.
                 && (since <= node.last || has_claimed)
         });
@@ -253,7 +253,7 @@ impl AddressClaims {
     /// Returns true if other nodes than that row send heartbeats from `address` now, and all of
     /// them have rows.
     pub fn are_others_known(&self, now: Instant, address: Address, row: DeviceId) -> bool {
-        let gap = self.period.mul_f64(GAP_PERIODS);
+        let gap = self.period.mul_f64(MISSED_HEARTBEAT_PERIODS);
         let mut others = self.nodes.iter().filter(|node| {
             node.address == address && node.device != row && now.since(node.last) < gap
         });
@@ -265,13 +265,13 @@ impl AddressClaims {
     }
 
     /// Notes that `address` was claimed while another node sent heartbeats from it.
-    pub fn note_claimed_over(&mut self, now: Instant, address: Address) {
-        self.claimed_over[address.index()] = Some(now);
+    pub fn note_claimed_while_held(&mut self, now: Instant, address: Address) {
+        self.claimed_while_held[address.index()] = Some(now);
     }
 
     /// Returns the time of the last such claim.
-    pub fn claimed_over(&self, address: Address) -> Option<Instant> {
-        self.claimed_over[address.index()]
+    pub fn claimed_while_held(&self, address: Address) -> Option<Instant> {
+        self.claimed_while_held[address.index()]
     }
 
     /// Returns the UID of a row. While two nodes are in conflict, its heartbeats carry both.
@@ -312,7 +312,7 @@ impl AddressClaims {
         then: Instant,
         but: Uid,
     ) -> Option<(DeviceId, Uid)> {
-        let gap = self.period.mul_f64(GAP_PERIODS);
+        let gap = self.period.mul_f64(MISSED_HEARTBEAT_PERIODS);
         let nodes = self.nodes.iter().filter(|node| {
             node.uid != but
                 && node.address == address

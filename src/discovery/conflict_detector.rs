@@ -9,7 +9,7 @@
 //! Does not know device rows, presence, or des.json.
 
 use super::address_history::{
-    AddressHistory, Alternation, HeartbeatPattern, PAIR_WINDOW, QueryParties,
+    AddressHistory, Alternation, HeartbeatPattern, PAIR_WINDOW, RequestOrigin,
 };
 use super::duplicate_frames::DuplicateFrameDetector;
 use super::finding_text;
@@ -42,9 +42,18 @@ pub(super) struct ResponseStart {
     pub request: Request,
     pub framing: Framing,
     /// True if the sender is in a working mode (U bit).
-    pub working: bool,
+    pub is_working: bool,
     /// True if the sender is resolving its address, that is in its mode for a moment only.
-    pub resolving: bool,
+    pub is_resolving: bool,
+}
+
+/// Mode of a heartbeat's sender, as far as the U bit and address resolution show it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ModeFlags {
+    /// True in a working mode, by the U bit.
+    pub is_working: bool,
+    /// True in INIT or ARSLV: the node is about to change its mode.
+    pub is_resolving: bool,
 }
 
 /// Histories of all addresses of one bus, with the findings made from them.
@@ -58,7 +67,7 @@ pub(super) struct ConflictDetector {
     duplicate_frames: DuplicateFrameDetector,
     finding_tracker: FindingTracker,
     /// Surplus responses before this time may belong to delayed requests.
-    ignore_extra_until: Instant,
+    ignore_surplus_until: Instant,
 }
 
 impl ConflictDetector {
@@ -76,7 +85,7 @@ impl ConflictDetector {
             histories: (0..Address::COUNT).map(|_| AddressHistory::default()).collect(),
             duplicate_frames: DuplicateFrameDetector::new(period),
             finding_tracker: FindingTracker::new(bus, period, listen_only, seed),
-            ignore_extra_until: Instant::ZERO,
+            ignore_surplus_until: Instant::ZERO,
         }
     }
 
@@ -113,7 +122,7 @@ impl ConflictDetector {
         address: Address,
         request: Request,
         framing: Framing,
-        parties: QueryParties,
+        parties: RequestOrigin,
     ) {
         self.finding_tracker.note_request(now, address);
         self.histories[address.index()].matcher(request, framing).note_request(now, parties);
@@ -132,27 +141,28 @@ impl ConflictDetector {
         name: Option<&Name>,
         frame: &Frame,
     ) {
-        let ResponseStart { from: address, to, request, framing, working, resolving } = response;
+        let ResponseStart { from: address, to, request, framing, is_working, is_resolving } =
+            response;
         let window = PAIR_WINDOW.min(self.period / 8);
         let history = &mut self.histories[address.index()];
-        if !resolving {
-            history.seen[usize::from(working)] = Some(now);
+        if !is_resolving {
+            history.seen[usize::from(is_working)] = Some(now);
         }
         let matcher = history.matcher(request, framing);
-        let (to_all, extra) = matcher.match_response(now, to, window, frame);
+        let (to_all, surplus) = matcher.match_response(now, to, window, frame);
         if to_all {
-            self.duplicate_frames.note_response(address, extra.is_some());
+            self.duplicate_frames.note_response(address, surplus.is_some());
         }
         let ignored =
-            now < self.ignore_extra_until || self.duplicate_frames.has_duplicate_requests(now);
-        let Some(extra) = extra.filter(|_| !ignored) else { return };
-        let first = extra.first;
+            now < self.ignore_surplus_until || self.duplicate_frames.has_duplicate_requests(now);
+        let Some(surplus) = surplus.filter(|_| !ignored) else { return };
+        let first = surplus.first;
         if first.same_on_wire(frame) {
-            self.duplicate_frames.note_duplicate(now, extra.apart);
+            self.duplicate_frames.note_duplicate(now, surplus.apart);
         }
         // A non-working node may respond both to the request for working nodes and to that for
         // non-working ones.
-        let strength = if extra.targeted || working {
+        let strength = if surplus.is_targeted || is_working {
             EvidenceStrength::Strong
         } else {
             EvidenceStrength::Weak
@@ -189,17 +199,17 @@ impl ConflictDetector {
 
     /// Ignores surplus responses for some periods: requests that were delayed have been sent
     /// together, and devices may respond to each of them.
-    pub fn ignore_extra_responses(&mut self, now: Instant) {
-        self.ignore_extra_until = now + self.period * DELAYED_RESPONSE_PERIODS;
+    pub fn ignore_surplus_responses(&mut self, now: Instant) {
+        self.ignore_surplus_until = now + self.period * DELAYED_RESPONSE_PERIODS;
     }
 
     /// Notes a complete name response.
     pub fn note_name(&mut self, now: Instant, address: Address, name: &Name, frame: &Frame) {
         let timeout = self.alternation_timeout();
         let history = &mut self.histories[address.index()];
-        let before = history.names.now.clone();
+        let before = history.names.current.clone();
         let returned = history.names.observe(now, name, timeout);
-        let since = history.names.since;
+        let since = history.names.second_seen_at;
         let Some(before) = before.filter(|before| before != name) else { return };
         let kind = FindingKind::OneAddressTwoNames;
         let strength =
@@ -227,7 +237,7 @@ impl ConflictDetector {
         let timeout = self.alternation_timeout();
         let services = &mut self.histories[address.index()].services;
         let returned = services.observe(now, &digest, timeout);
-        let since = services.since;
+        let since = services.second_seen_at;
         if returned.is_none() || self.has_two_names(address) {
             return;
         }
@@ -255,7 +265,7 @@ impl ConflictDetector {
         now: Instant,
         address: Address,
         uid: Option<Uid>,
-        (working, resolving): (bool, bool),
+        mode: ModeFlags,
         name: Option<&Name>,
         frame: &Frame,
     ) {
@@ -264,18 +274,19 @@ impl ConflictDetector {
         if !history.note_heartbeat(now, frame, period) {
             return;
         }
-        if !resolving {
-            history.seen[usize::from(working)] = Some(now);
+        if !mode.is_resolving {
+            history.seen[usize::from(mode.is_working)] = Some(now);
         }
         let previous = history.heartbeats.iter().rev().nth(1).map(|heartbeat| heartbeat.frame);
         let uid = uid.filter(|uid| !uid.is_blank());
         let uid_returned = uid.and_then(|uid| history.uids.observe(now, &uid, period * 3));
         // Two devices alternate with every heartbeat; one device keeps a changed U bit for longer.
-        let mode_returned = history.working.observe(now, &working, period.mul_f64(1.05));
+        let mode_returned = history.working.observe(now, &mode.is_working, period.mul_f64(1.05));
         let pattern = history.heartbeat_pattern(period);
         history.double_rate_count =
             if pattern.double_rate { history.double_rate_count + 1 } else { 0 };
-        let (uids_since, modes_since) = (history.uids.since, history.working.since);
+        let (uids_since, modes_since) =
+            (history.uids.second_seen_at, history.working.second_seen_at);
 
         let identity = if address == Address::DEBUG {
             FindingKind::TwoDebugDevices
@@ -286,7 +297,7 @@ impl ConflictDetector {
         let alternation = match (uid_returned, mode_returned) {
             (Some(_), _) => {
                 let uids = &self.histories[address.index()].uids;
-                Some((self.uid_text(uids.now), self.uid_text(uids.before), uids_since))
+                Some((self.uid_text(uids.current), self.uid_text(uids.previous), uids_since))
             }
             (None, Some(returns)) if returns >= 2 && (pattern.double_rate || confirmed) => {
                 Some(("U bit changed back".into(), "U bit changed".into(), modes_since))
@@ -310,10 +321,10 @@ impl ConflictDetector {
             }
             // A device that is claiming the address may still give it up.
             let strength =
-                if resolving { EvidenceStrength::Weak } else { EvidenceStrength::Strong };
+                if mode.is_resolving { EvidenceStrength::Weak } else { EvidenceStrength::Strong };
             let at =
                 self.finding_tracker.report(now, identity, address, name, frame, again, strength);
-            if !resolving {
+            if !mode.is_resolving {
                 self.finding_tracker.backdate(now, at, since);
             }
         } else if !self.finding_tracker.is_open(identity, address) {
@@ -563,7 +574,11 @@ impl ConflictDetector {
 
     /// Time within which an alternating response must return to its previous value.
     fn alternation_timeout(&self) -> Duration {
-        if self.listen_only { self.finding_tracker.longest_memory() } else { self.period * 3 }
+        if self.listen_only {
+            self.finding_tracker.max_evidence_lifetime()
+        } else {
+            self.period * 3
+        }
     }
 
     /// Returns true if two names alternate at `address`: other evidence there is then not about
@@ -576,14 +591,14 @@ impl ConflictDetector {
     /// evidence then more likely concerns that device than two devices of the present name.
     fn had_other_name(&self, now: Instant, address: Address) -> bool {
         let names = &self.histories[address.index()].names;
-        let recently = names.before.is_some() && now.since(names.changed) < self.period * 30;
+        let recently = names.previous.is_some() && now.since(names.changed) < self.period * 30;
         recently || self.finding_tracker.is_open(FindingKind::OneAddressTwoNames, address)
     }
 }
 
 /// Returns the message in the first frame of a response, without padding.
 fn message(frame: &Frame, framing: Framing) -> &[u8] {
-    match (framing, Pci::decode(frame.data(), frame.fd)) {
+    match (framing, Pci::decode(frame.data(), frame.is_fd)) {
         (Framing::Raw, _) => strip_raw_padding(frame.data()),
         (Framing::Isotp, Ok(Pci::Single(message))) => message,
         (Framing::Isotp, _) => frame.data(),

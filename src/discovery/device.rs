@@ -83,15 +83,16 @@ pub struct HeartbeatStats {
     pub missed: u64,
     intervals: u64,
     mean_us: f64,
-    variance_us: f64,
+    variance_us2: f64,
     /// Last heartbeat before one that was out of phase.
     in_phase: Option<Instant>,
 }
 
 /// Age of the last heartbeat, in periods, at which a device is stale.
 pub(super) const STALE_PERIODS: f64 = 2.5;
-/// Gap between heartbeats, in periods, that may be a reboot.
-pub(super) const SILENT_PERIODS: f64 = 1.4;
+/// Time since the last heartbeat, in periods, above which at least one is missed. A gap that long
+/// may be a reboot.
+pub(super) const MISSED_HEARTBEAT_PERIODS: f64 = 1.4;
 
 impl HeartbeatStats {
     /// Returns the mean interval between heartbeats, without gaps; `None` before the first
@@ -102,7 +103,8 @@ impl HeartbeatStats {
 
     /// Returns the standard deviation of the interval; `None` before the second interval.
     pub fn jitter(&self) -> Option<Duration> {
-        (self.intervals > 1).then(|| Duration::from_micros(self.variance_us.max(0.0).sqrt() as u64))
+        (self.intervals > 1)
+            .then(|| Duration::from_micros(self.variance_us2.max(0.0).sqrt() as u64))
     }
 
     /// Counts a heartbeat and returns the time since the previous one. `period` is the expected
@@ -126,7 +128,7 @@ impl HeartbeatStats {
                 let micros = gap.as_micros() as f64;
                 let off = micros - self.mean_us;
                 self.mean_us += weight * off;
-                self.variance_us = (1.0 - weight) * (self.variance_us + weight * off * off);
+                self.variance_us2 = (1.0 - weight) * (self.variance_us2 + weight * off * off);
             }
         }
         gap
@@ -152,10 +154,10 @@ impl HeartbeatStats {
         let noise = jitter.as_secs_f64() / period.as_secs_f64();
         let off = |since: Instant| {
             let periods = now.since(since).as_secs_f64() / period.as_secs_f64();
-            let known = (SILENT_PERIODS..=30.0).contains(&periods);
+            let known = (MISSED_HEARTBEAT_PERIODS..=30.0).contains(&periods);
             known && (periods - periods.round()).abs() > (4.0 * noise).max(0.15)
         };
-        let follows = now.since(before) < period.mul_f64(SILENT_PERIODS);
+        let follows = now.since(before) < period.mul_f64(MISSED_HEARTBEAT_PERIODS);
         let shifted = follows && self.in_phase.take().is_some_and(off);
         if !follows {
             self.in_phase = off(before).then_some(before);
@@ -167,7 +169,8 @@ impl HeartbeatStats {
 /// State of a query.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum QueryState {
-    /// No request sent: listen-only, or not due yet.
+    /// No request is sent or awaited: listen-only, the first request is not due yet, or the query
+    /// was restarted.
     #[default]
     NotSent,
     /// Request sent, no response yet.
@@ -175,9 +178,9 @@ pub enum QueryState {
     /// A multi-frame response is arriving.
     Receiving,
     /// Response received.
-    Answered,
-    /// All attempts used without a response; tried again from time to time.
-    Unanswered,
+    Responded,
+    /// All attempts were used without a response; the query is repeated later.
+    NoResponse,
 }
 
 /// A query, for the name or for the services, with its retries and its last result.
@@ -186,19 +189,19 @@ pub enum QueryState {
 pub struct Query {
     /// State of the query.
     pub state: QueryState,
-    /// Attempts since the last response.
+    /// Attempts of the current query.
     pub attempts: u32,
     /// Time of the last request; `None` before the first.
     pub sent_at: Option<Instant>,
     /// Time of the last response; `None` before the first.
     pub responded_at: Option<Instant>,
     /// Time from the request to the end of the last response.
-    pub took: Option<Duration>,
+    pub response_time: Option<Duration>,
     /// Fault of the last response, if any.
     pub fault: Option<QueryFault>,
     /// True if all attempts since the last response were used; stays true while the query is
     /// repeated.
-    pub is_unanswered: bool,
+    pub has_failed_since_response: bool,
     /// Time of the next request, if one is planned.
     pub(super) due: Option<Instant>,
     /// Timeout of the response, or of its next frame.
@@ -228,19 +231,19 @@ impl Query {
 
     /// Ends the query without a response, until `again`.
     pub(super) fn give_up(&mut self, again: Instant) {
-        self.state = QueryState::Unanswered;
-        self.is_unanswered = true;
+        self.state = QueryState::NoResponse;
+        self.has_failed_since_response = true;
         self.due = Some(again);
     }
 
     /// Records a response, with its fault if any.
     pub(super) fn record_response(&mut self, now: Instant, fault: Option<QueryFault>) {
         if let (true, Some(sent_at)) = (self.is_waiting(), self.sent_at) {
-            self.took = Some(now.since(sent_at));
+            self.response_time = Some(now.since(sent_at));
         }
-        self.state = QueryState::Answered;
+        self.state = QueryState::Responded;
         self.responded_at = Some(now);
-        self.is_unanswered = false;
+        self.has_failed_since_response = false;
         self.attempts = 0;
         self.fault = fault;
         self.due = None;
@@ -257,14 +260,14 @@ pub enum QueryFault {
     /// The multi-frame transfer was aborted.
     #[error("{0}")]
     Transfer(#[from] TransferFault),
-    /// The device responded with the error flag (E bit).
+    /// The device sent a response with ERR = 0: it reports an error.
     #[error("the device reports an error")]
-    Refused,
+    ErrorResponse,
 }
 
 /// Deviation of a device from the platform that descan tolerates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Quirk {
+pub enum ProtocolDeviation {
     /// Responses carry the request's DST instead of the requester's address.
     RspDstEcho,
     /// Sends identifiers that are none of the nine message types.
@@ -277,26 +280,28 @@ pub enum Quirk {
     ModeContradictsU,
 }
 
-impl Quirk {
+impl ProtocolDeviation {
     /// The word for it, as in JSON.
     pub const fn name(self) -> &'static str {
         match self {
-            Quirk::RspDstEcho => "rsp-dst-echo",
-            Quirk::NonConforming => "non-conforming",
-            Quirk::BothFramings => "both-framings",
-            Quirk::ShortHeartbeat => "short-heartbeat",
-            Quirk::ModeContradictsU => "mode-contradicts-u",
+            ProtocolDeviation::RspDstEcho => "rsp-dst-echo",
+            ProtocolDeviation::NonConforming => "non-conforming",
+            ProtocolDeviation::BothFramings => "both-framings",
+            ProtocolDeviation::ShortHeartbeat => "short-heartbeat",
+            ProtocolDeviation::ModeContradictsU => "mode-contradicts-u",
         }
     }
 
     /// Returns a description for the screen.
     pub const fn describe(self) -> &'static str {
         match self {
-            Quirk::RspDstEcho => "responses carry the request's DST, not the requester's address",
-            Quirk::NonConforming => "sends identifiers with an unknown message type",
-            Quirk::BothFramings => "responds in both framings",
-            Quirk::ShortHeartbeat => "heartbeats shorter than the profile's layout",
-            Quirk::ModeContradictsU => "the heartbeat's mode contradicts the U bit",
+            ProtocolDeviation::RspDstEcho => {
+                "responses carry the request's DST, not the requester's address"
+            }
+            ProtocolDeviation::NonConforming => "sends identifiers with an unknown message type",
+            ProtocolDeviation::BothFramings => "responds in both framings",
+            ProtocolDeviation::ShortHeartbeat => "heartbeats shorter than the profile's layout",
+            ProtocolDeviation::ModeContradictsU => "the heartbeat's mode contradicts the U bit",
         }
     }
 }
@@ -320,7 +325,7 @@ pub struct ModeChange {
 pub struct Device {
     /// Identity of the row.
     pub id: DeviceId,
-    /// Address that its name response came from.
+    /// Address: SRC of its frames.
     pub address: Address,
     /// Name; `None` while only its frames are known.
     pub name: Option<Name>,
@@ -329,11 +334,11 @@ pub struct Device {
     /// Time of the last change of `presence`.
     pub presence_since: Instant,
     /// True if it is in a working mode, by the U bit of its last frame.
-    pub working: bool,
+    pub is_working: bool,
     /// Mode in its heartbeats; `None` where they carry none.
     pub mode: Option<Mode>,
     /// Error code in its heartbeats; `None` where they carry none.
-    pub error: Option<u8>,
+    pub error_code: Option<u8>,
     /// DEV_CFG_UID in its heartbeats; `None` where they carry none.
     pub uid: Option<Uid>,
     /// Framing of its responses; `None` before the first.
@@ -349,7 +354,7 @@ pub struct Device {
     /// Query for the services.
     pub services_query: Query,
     /// Deviations from the platform, each once.
-    pub quirks: Vec<Quirk>,
+    pub deviations: Vec<ProtocolDeviation>,
     /// Mode changes, oldest first, at most 16.
     pub mode_history: VecDeque<ModeChange>,
     /// Time of the first frame.
@@ -357,12 +362,12 @@ pub struct Device {
     /// Time of the last frame.
     pub last_seen: Instant,
     /// Number of frames received from it.
-    pub frames: u64,
+    pub frame_count: u64,
     /// Number of reboots detected.
     pub reboots: u32,
     /// Time of the last reboot; `None` if there was none.
     pub rebooted_at: Option<Instant>,
-    /// Time at which another row became the active one at its address.
+    /// Time at which another row became the current one at its address.
     pub(super) replaced_at: Option<Instant>,
     /// UID in its heartbeats before the present one.
     pub(super) uid_before: Option<Uid>,
@@ -380,16 +385,16 @@ pub struct Device {
 
 impl Device {
     /// Creates the row of a node whose first frame was received at `now`.
-    pub(super) fn appear(id: DeviceId, now: Instant, address: Address, working: bool) -> Self {
+    pub(super) fn new(id: DeviceId, now: Instant, address: Address, working: bool) -> Self {
         Self {
             id,
             address,
             name: None,
             presence: Presence::Online,
             presence_since: now,
-            working,
+            is_working: working,
             mode: None,
-            error: None,
+            error_code: None,
             uid: None,
             framing: None,
             services: None,
@@ -397,11 +402,11 @@ impl Device {
             heartbeat: HeartbeatStats::default(),
             name_query: Query::default(),
             services_query: Query::default(),
-            quirks: Vec::new(),
+            deviations: Vec::new(),
             mode_history: VecDeque::new(),
             first_seen: now,
             last_seen: now,
-            frames: 0,
+            frame_count: 0,
             reboots: 0,
             rebooted_at: None,
             replaced_at: None,
@@ -435,12 +440,12 @@ impl Device {
     }
 
     /// Takes over what was last received from its address under another row.
-    pub(super) fn adopt_live_state(&mut self, live: &Self) {
+    pub(super) fn copy_state_from(&mut self, live: &Self) {
         self.heartbeat = live.heartbeat.clone();
         self.uid = live.uid;
         self.mode = live.mode;
-        self.error = live.error;
-        self.working = live.working;
+        self.error_code = live.error_code;
+        self.is_working = live.is_working;
         self.is_resolving = live.is_resolving;
         self.last_seen = live.last_seen;
     }
@@ -451,12 +456,13 @@ impl Device {
     pub(super) fn retry_after_silence(&mut self, now: Instant, period: Duration) -> bool {
         // A name query waits without a deadline until the current enumeration round is over.
         let waits_for_round = |it: &Query| it.state == QueryState::Sent && it.deadline.is_none();
-        let has_failed = |it: &Query| it.state == QueryState::Unanswered || waits_for_round(it);
+        let has_failed = |it: &Query| it.state == QueryState::NoResponse || waits_for_round(it);
         if !has_failed(&self.name_query) && !has_failed(&self.services_query) {
             return false;
         }
         let silence = now.since(self.last_seen);
-        let usual = self.last_seen.since(self.first_seen).mul_f64(1.0 / self.frames.max(1) as f64);
+        let usual =
+            self.last_seen.since(self.first_seen).mul_f64(1.0 / self.frame_count.max(1) as f64);
         if silence < period.mul_f64(STALE_PERIODS) || silence < usual * 4 {
             return false;
         }
@@ -482,9 +488,9 @@ impl Device {
     }
 
     /// Adds a deviation, unless it is known already.
-    pub(super) fn note(&mut self, quirk: Quirk) {
-        if let Err(at) = self.quirks.binary_search(&quirk) {
-            self.quirks.insert(at, quirk);
+    pub(super) fn note_deviation(&mut self, deviation: ProtocolDeviation) {
+        if let Err(at) = self.deviations.binary_search(&deviation) {
+            self.deviations.insert(at, deviation);
         }
     }
 

@@ -1,4 +1,4 @@
-//! Device rows of one bus, and the active row of each address.
+//! Device rows of one bus, and the current row of each address.
 
 use super::device::{Device, DeviceId, Presence};
 use crate::frame::BusIndex;
@@ -9,7 +9,7 @@ use crate::wire::id::Address;
 /// memory for a device that changes its name each time.
 pub(super) const MAX_DEVICES: usize = 512;
 
-/// Device rows in the order of appearance, with the active row of each address.
+/// Device rows in the order of appearance, with the current row of each address.
 #[derive(Debug)]
 pub(super) struct DeviceTable {
     bus: BusIndex,
@@ -57,31 +57,31 @@ impl DeviceTable {
         at.ok().filter(|&at| self.devices[at].id == id)
     }
 
-    /// Returns the index of the active row at `address`.
-    pub fn active_at(&self, address: Address) -> Option<usize> {
+    /// Returns the index of the current row at `address`.
+    pub fn current_index_at(&self, address: Address) -> Option<usize> {
         self.current[address.index()].map(usize::from)
     }
 
-    /// Returns the active row at `address`.
+    /// Returns the current row at `address`.
     pub fn current_device(&self, address: Address) -> Option<&Device> {
-        self.active_at(address).map(|index| &self.devices[index])
+        self.current_index_at(address).map(|index| &self.devices[index])
     }
 
     pub fn current_device_mut(&mut self, address: Address) -> Option<&mut Device> {
-        self.active_at(address).map(|index| &mut self.devices[index])
+        self.current_index_at(address).map(|index| &mut self.devices[index])
     }
 
-    /// Returns true if the row is the active one at its address.
+    /// Returns true if the row is the current one at its address.
     pub fn is_current(&self, index: usize) -> bool {
-        self.active_at(self.devices[index].address) == Some(index)
+        self.current_index_at(self.devices[index].address) == Some(index)
     }
 
-    /// Makes a row the active one at its address.
-    pub fn activate(&mut self, index: usize) {
+    /// Makes a row the current one at its address.
+    pub fn make_current(&mut self, index: usize) {
         self.current[self.devices[index].address.index()] = Some(index as u16);
     }
 
-    /// Adds an active row at `address`. If the table is full, it replaces the lost row that was
+    /// Adds a current row at `address`. If the table is full, it replaces the lost row that was
     /// silent for the longest time; `None` if no row is lost.
     pub fn insert(&mut self, now: Instant, address: Address, working: bool) -> Option<usize> {
         if self.devices.len() >= MAX_DEVICES {
@@ -92,7 +92,7 @@ impl DeviceTable {
         }
         let id = self.reserve();
         self.discoveries += 1;
-        self.devices.push(Device::appear(id, now, address, working));
+        self.devices.push(Device::new(id, now, address, working));
         self.current[address.index()] = Some((self.devices.len() - 1) as u16);
         Some(self.devices.len() - 1)
     }
@@ -131,9 +131,9 @@ impl DeviceTable {
         device.name = fresh.name.or(device.name.take());
         device.presence = fresh.presence;
         device.presence_since = fresh.presence_since;
-        device.working = fresh.working;
+        device.is_working = fresh.is_working;
         device.mode = fresh.mode.or(device.mode);
-        device.error = fresh.error;
+        device.error_code = fresh.error_code;
         device.uid = fresh.uid.or(device.uid);
         device.framing = fresh.framing.or(device.framing);
         device.services = fresh.services.or(device.services.take());
@@ -142,10 +142,10 @@ impl DeviceTable {
         device.name_query = fresh.name_query;
         device.services_query = fresh.services_query;
         device.last_seen = fresh.last_seen;
-        device.frames += fresh.frames;
+        device.frame_count += fresh.frame_count;
         device.rounds_missed = 0;
         device.is_debug |= fresh.is_debug;
-        fresh.quirks.into_iter().for_each(|quirk| device.note(quirk));
+        fresh.deviations.into_iter().for_each(|deviation| device.note_deviation(deviation));
         fresh.mode_history.into_iter().for_each(|change| device.remember_mode(change));
         if was_current {
             self.current[before.index()] = None;
@@ -154,7 +154,7 @@ impl DeviceTable {
         old
     }
 
-    /// Moves a row to another address and makes it the active one there.
+    /// Moves a row to another address and makes it the current one there.
     pub fn move_to_address(&mut self, index: usize, address: Address) {
         let was_current = self.is_current(index);
         let device = &mut self.devices[index];
@@ -168,7 +168,7 @@ impl DeviceTable {
     }
 
     /// Removes the lost rows.
-    pub fn clear_lost(&mut self) {
+    pub fn remove_lost(&mut self) {
         for at in (0..self.devices.len()).rev() {
             if self.devices[at].presence == Presence::Lost {
                 self.remove(at);

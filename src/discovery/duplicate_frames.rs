@@ -7,13 +7,12 @@
 //! that is so, the second of two equal frames is ignored. If devices receive requests twice, they
 //! respond twice: then all of those addressed do, or nearly all.
 //!
-//! Two boards with equal random numbers, as new ones may have, draw the same RND7 each time. They
-//! differ from a bridge in the phase between their heartbeats: a bridge is not much faster with
-//! responses than with heartbeats.
+//! Two boards with equal random numbers, as new ones may have, generate the same RND7 each time.
+//! They differ from a bridge in the phase between their heartbeats: a bridge is not much faster
+//! with responses than with heartbeats.
 //!
-//! Does not judge devices.
 
-use super::address_history::REPEAT_WINDOW;
+use super::address_history::HEARTBEAT_COPY_WINDOW;
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
@@ -33,8 +32,8 @@ const MAX_OPEN: usize = 1024;
 #[derive(Clone, Copy, Debug)]
 struct RecentHeartbeat {
     frame: Frame,
-    copied: bool,
-    /// True if its sender draws a new RND7 for each heartbeat.
+    is_copied: bool,
+    /// True if its sender generates a new RND7 for each heartbeat.
     varies: bool,
 }
 
@@ -44,18 +43,18 @@ pub(super) struct DuplicateFrameDetector {
     period: Duration,
     heartbeats: Vec<Option<RecentHeartbeat>>,
     /// Number of successive copied heartbeats, and the address of the last one.
-    copies: u32,
-    copied: Option<Address>,
+    copy_count: u32,
+    last_copied_address: Option<Address>,
     /// True if heartbeats of several addresses were copied.
-    several: bool,
-    until: Instant,
+    has_several_sources: bool,
+    active_until: Instant,
     /// Longest delay of a copied heartbeat, and the shortest in this series.
     delay: Duration,
     shortest: Option<Duration>,
     /// Times and delays of the last pairs of equal responses.
-    twice: VecDeque<(Instant, Duration)>,
+    response_pairs: VecDeque<(Instant, Duration)>,
     /// Frames whose copy may still arrive, by the hash of identifier and data.
-    open: VecDeque<(Instant, u64)>,
+    awaiting_copy: VecDeque<(Instant, u64)>,
     echoed_until: Instant,
     responses: RoundResponses,
 }
@@ -73,14 +72,14 @@ impl DuplicateFrameDetector {
         Self {
             period,
             heartbeats: vec![None; Address::COUNT],
-            copies: 0,
-            copied: None,
-            several: false,
-            until: Instant::ZERO,
+            copy_count: 0,
+            last_copied_address: None,
+            has_several_sources: false,
+            active_until: Instant::ZERO,
             delay: Duration::ZERO,
             shortest: None,
-            twice: VecDeque::new(),
-            open: VecDeque::new(),
+            response_pairs: VecDeque::new(),
+            awaiting_copy: VecDeque::new(),
             echoed_until: Instant::ZERO,
             responses: RoundResponses::default(),
         }
@@ -88,34 +87,34 @@ impl DuplicateFrameDetector {
 
     /// Returns true if all frames are repeated.
     pub fn is_active(&self, now: Instant) -> bool {
-        now < self.until
+        now < self.active_until
     }
 
     /// Returns true if a frame is the copy of an earlier one, to be ignored. `heartbeat`: whether
     /// it is a heartbeat.
     pub fn is_copy(&mut self, now: Instant, heartbeat: bool, frame: &Frame) -> bool {
         if !self.is_active(now) {
-            self.open.clear();
+            self.awaiting_copy.clear();
             return false;
         }
         let window = (self.delay * 2).max(Duration::from_millis(20));
-        while self.open.front().is_some_and(|(at, _)| now.since(*at) > window) {
-            self.open.pop_front();
+        while self.awaiting_copy.front().is_some_and(|(at, _)| now.since(*at) > window) {
+            self.awaiting_copy.pop_front();
         }
         let mut hasher = DefaultHasher::new();
         (frame.platform_id(), frame.data()).hash(&mut hasher);
         let hash = hasher.finish();
-        let at = self.open.iter().position(|(_, open)| *open == hash);
-        if let Some((first, _)) = at.and_then(|at| self.open.remove(at)) {
+        let at = self.awaiting_copy.iter().position(|(_, open)| *open == hash);
+        if let Some((first, _)) = at.and_then(|at| self.awaiting_copy.remove(at)) {
             if !heartbeat {
                 self.note_duplicate(now, now.since(first));
             }
             return true;
         }
-        if self.open.len() == MAX_OPEN {
-            self.open.pop_front();
+        if self.awaiting_copy.len() == MAX_OPEN {
+            self.awaiting_copy.pop_front();
         }
-        self.open.push_back((now, hash));
+        self.awaiting_copy.push_back((now, hash));
         false
     }
 
@@ -128,46 +127,48 @@ impl DuplicateFrameDetector {
             .flatten()
             .all(|heartbeat| now.since(heartbeat.frame.time) > period * 3)
         {
-            self.several = false;
-            self.twice.clear();
+            self.has_several_sources = false;
+            self.response_pairs.clear();
         }
         let is_on = self.is_active(now);
         let last = &mut self.heartbeats[address.index()];
         let copied =
-            last.filter(|heartbeat| !heartbeat.copied && heartbeat.frame.same_on_wire(frame));
+            last.filter(|heartbeat| !heartbeat.is_copied && heartbeat.frame.same_on_wire(frame));
         let late = copied.map(|heartbeat| now.since(heartbeat.frame.time));
         let varies = last.is_some_and(|heartbeat| heartbeat.varies);
-        let most = if varies { period / 2 } else { REPEAT_WINDOW };
+        let most = if varies { period / 2 } else { HEARTBEAT_COPY_WINDOW };
         if let (Some(late), Some(heartbeat)) = (late.filter(|late| *late <= most), last.as_mut()) {
-            heartbeat.copied = true;
-            self.copies += 1;
-            self.several |= self.copied.is_some_and(|other| other != address);
-            self.copied = Some(address);
+            heartbeat.is_copied = true;
+            self.copy_count += 1;
+            self.has_several_sources |=
+                self.last_copied_address.is_some_and(|other| other != address);
+            self.last_copied_address = Some(address);
             self.shortest = Some(self.shortest.map_or(late, |shortest| shortest.min(late)));
-            let alone = self.copies >= COPIES_OF_ONE && self.is_single_source(now, address);
-            if self.several || alone && !self.has_two_responders() {
-                self.until = now + period * 3;
+            let alone = self.copy_count >= COPIES_OF_ONE && self.is_single_source(now, address);
+            if self.has_several_sources || alone && !self.has_two_responders() {
+                self.active_until = now + period * 3;
                 self.delay = self.delay.max(late);
             }
             return;
         }
         // The previous heartbeat had no copy in time.
-        if last.is_some_and(|heartbeat| !heartbeat.copied && now.since(heartbeat.frame.time) > most)
+        if last
+            .is_some_and(|heartbeat| !heartbeat.is_copied && now.since(heartbeat.frame.time) > most)
         {
             if is_on {
                 // One copy may be lost: the next one counts again.
-                self.copies = self.copies.min(COPIES_OF_ONE - 1);
+                self.copy_count = self.copy_count.min(COPIES_OF_ONE - 1);
             } else {
-                self.copies = 0;
-                self.several = false;
-                self.copied = None;
+                self.copy_count = 0;
+                self.has_several_sources = false;
+                self.last_copied_address = None;
                 self.shortest = None;
             }
         }
         let other = last.is_some_and(|heartbeat| !heartbeat.frame.same_on_wire(frame));
         *last = Some(RecentHeartbeat {
             frame: frame.with_time(now),
-            copied: false,
+            is_copied: false,
             varies: varies || other,
         });
     }
@@ -184,17 +185,18 @@ impl DuplicateFrameDetector {
     /// Notes a response equal to one received `delay` before.
     pub fn note_duplicate(&mut self, now: Instant, delay: Duration) {
         // A burst counts once.
-        let last = self.twice.back_mut().filter(|(at, _)| now.since(*at) < self.period / 4);
+        let last =
+            self.response_pairs.back_mut().filter(|(at, _)| now.since(*at) < self.period / 4);
         if let Some((_, longest)) = last {
             *longest = delay.max(*longest);
         } else {
-            if self.twice.len() == FAST_PAIRS {
-                self.twice.pop_front();
+            if self.response_pairs.len() == FAST_PAIRS {
+                self.response_pairs.pop_front();
             }
-            self.twice.push_back((now, delay));
+            self.response_pairs.push_back((now, delay));
         }
-        if !self.several && self.has_two_responders() {
-            self.until = self.until.min(now);
+        if !self.has_several_sources && self.has_two_responders() {
+            self.active_until = self.active_until.min(now);
         }
     }
 
@@ -204,7 +206,7 @@ impl DuplicateFrameDetector {
         let quick = |(_, delay): &(Instant, Duration)| {
             *delay <= shortest / 2 && *delay + FAST_PAIR_MARGIN <= shortest
         };
-        self.twice.len() == FAST_PAIRS && self.twice.iter().all(quick)
+        self.response_pairs.len() == FAST_PAIRS && self.response_pairs.iter().all(quick)
     }
 
     /// Notes that a frame of descan was repeated: devices may have received it twice as well.
@@ -220,10 +222,10 @@ impl DuplicateFrameDetector {
     }
 
     /// Notes a response to a broadcast request; `extra`: it is beyond the number of requests.
-    pub fn note_response(&mut self, address: Address, extra: bool) {
+    pub fn note_response(&mut self, address: Address, is_surplus: bool) {
         let bit = 1 << address.index();
         self.responses.once |= bit;
-        if extra {
+        if is_surplus {
             self.responses.twice |= bit;
         }
     }

@@ -1,7 +1,7 @@
 //! Events of one bus, in the order in which they occur, for the timeline and for `watch`.
 
 use super::device::{DeviceId, Presence};
-use crate::finding::{Confidence, FindingKey};
+use crate::finding::{FindingKey, FindingState};
 use crate::text::Name;
 use crate::time::Instant;
 use crate::wire::id::Address;
@@ -26,7 +26,7 @@ pub struct Event {
 /// The other device in a conflict about an address, as far as it is known at that time.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
-pub struct ConflictParty {
+pub struct OtherDevice {
     /// Identity of the device.
     pub device: DeviceId,
     /// Name; `None` if unknown.
@@ -39,9 +39,9 @@ pub struct ConflictParty {
 #[derive(Clone, Debug)]
 pub enum EventKind {
     /// The first frame of a node was received.
-    Appeared,
+    FirstFrame,
     /// The name of the device became known.
-    Named,
+    NameReceived,
     /// The services of the device became known, or changed.
     Services {
         /// Number of services.
@@ -61,17 +61,17 @@ pub enum EventKind {
         /// UID in the claim; `None` if blank.
         uid: Option<Uid>,
         /// Device that sends heartbeats from the address already, if any.
-        holder: Option<ConflictParty>,
+        holder: Option<OtherDevice>,
         /// True if it is only likely, not certain, that it is another device than the holder:
         /// neither has a UID that shows it.
         inferred: bool,
     },
     /// The device gave up the address: it sent no more frames there after another device used it.
-    GaveWay {
+    GaveUpAddress {
         /// Its UID, where that is not blank.
         uid: Option<Uid>,
         /// Device that sends heartbeats from the address now; `None` if unknown.
-        to: Option<ConflictParty>,
+        to: Option<OtherDevice>,
         /// True if this is only likely: the device was not seen at another address since, or is
         /// known by its name alone.
         inferred: bool,
@@ -82,9 +82,9 @@ pub enum EventKind {
         from: Address,
     },
     /// Earlier events of another id concern this device.
-    Joined {
+    IdsMerged {
         /// The other id: of a removed row, or of a node without a row.
-        was: DeviceId,
+        previous: DeviceId,
         /// Only events before this time are concerned; since then the id belongs to another device.
         /// `None`: all events.
         before: Option<Instant>,
@@ -103,7 +103,7 @@ pub enum EventKind {
         /// Identity of the finding.
         key: FindingKey,
         /// Present state.
-        confidence: Confidence,
+        confidence: FindingState,
     },
     /// descan took this address.
     OwnAddress(Address),
@@ -113,11 +113,11 @@ pub enum EventKind {
     /// addresses are used.
     NoAddress(Option<Address>),
     /// No node acknowledges descan's frames: it pauses sending (protocol §6.3).
-    NotAcknowledged,
+    NoAck,
     /// descan's frames are acknowledged again.
     Acknowledged,
     /// A DEBUG message was received.
-    Debug {
+    DebugMessage {
         /// Message code, 10 bits.
         code: u16,
         /// Payload.

@@ -5,7 +5,7 @@
 //! do not depend on the cause stand in the table of [`FindingKind`].
 
 use super::errors::{BusErrorSummary, Cause};
-use crate::error_report::Violation;
+use crate::error_report::BusErrorType;
 use crate::finding::{Finding, FindingKind};
 use crate::text::Name;
 use crate::wire::id::Address;
@@ -14,7 +14,8 @@ use crate::wire::id::Address;
 pub(super) const NOT_SENT_BY_DESCAN: &str = "frame from address 0 not sent by descan";
 
 /// Sets text and remedy of a finding of the engine, after its evidence changed. Bus errors have
-/// [`bus_errors`] and [`describe_errors_at`] instead; findings about des.json are worded where they are made.
+/// [`bus_errors`] and [`describe_errors_at`] instead; findings about des.json are worded where they
+/// are made.
 pub(super) fn describe(finding: &mut Finding) {
     let device =
         finding.key.address.map_or(String::new(), |address| device_label(address, &finding.names));
@@ -78,7 +79,7 @@ pub(super) fn describe(finding: &mut Finding) {
 
 /// Returns true if the finding is about descan's own address.
 fn concerns_own_address(finding: &Finding) -> bool {
-    finding.evidence.iter().any(|evidence| evidence.what == NOT_SENT_BY_DESCAN)
+    finding.evidence.iter().any(|evidence| evidence.description == NOT_SENT_BY_DESCAN)
 }
 
 /// Returns text and remedy of bus errors that concern the bus as a whole.
@@ -96,7 +97,7 @@ pub(super) fn bus_errors(summary: &BusErrorSummary) -> (String, String) {
             "The controller is bus-off: too many transmit errors.".to_owned(),
             "Check its bit rate and the wiring, then restart the interface.",
         ),
-        Cause::NoAcknowledge => (
+        Cause::NoAck => (
             format!("No ACK for descan's frames: {rate} failed attempts/s."),
             "Check the plug, that another device is on, and that the bit rate matches.",
         ),
@@ -108,11 +109,11 @@ pub(super) fn bus_errors(summary: &BusErrorSummary) -> (String, String) {
             format!("Bus errors while sending: {rate}/s, {share} of all frames."),
             "Check descan's wiring and bit rate; another debug device at the same address has the same effect.",
         ),
-        Cause::Broken(violation) => {
+        Cause::BusError(violation) => {
             let how = match violation {
-                Some(Violation::Bit) => ", mostly bit errors",
-                Some(Violation::Stuff) => ", mostly stuff errors",
-                Some(Violation::Form) => ", mostly form errors",
+                Some(BusErrorType::Bit) => ", mostly bit errors",
+                Some(BusErrorType::Stuff) => ", mostly stuff errors",
+                Some(BusErrorType::Form) => ", mostly form errors",
                 None => "",
             };
             (

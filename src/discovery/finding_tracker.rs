@@ -8,7 +8,7 @@
 //! Does not know what counts as evidence: [`super::conflict_detector`] does.
 
 use super::finding_text;
-use crate::finding::{Confidence, Evidence, Finding, FindingKey, FindingKind};
+use crate::finding::{Evidence, Finding, FindingKey, FindingKind, FindingState};
 use crate::frame::{BusIndex, Frame};
 use crate::text::Name;
 use crate::time::{Duration, Instant};
@@ -25,7 +25,7 @@ const MAX_FOLLOW_UPS: u32 = 6;
 const FOLLOW_UP_RESTART_PERIODS: u32 = 3;
 /// Interval of the requests that check a confirmed conflict: short enough that it is not cleared
 /// because two equal responses merged once.
-const CONFIRMED_RECHECK_DELAY: Duration = Duration::from_secs(2);
+const CONFIRMED_FOLLOW_UP_DELAY: Duration = Duration::from_secs(2);
 /// Longest gap between heartbeat evidence that belongs together, in periods.
 const HEARTBEAT_GAP_PERIODS: f64 = 2.6;
 /// Longest gap between response evidence that belongs together, in periods since a request was
@@ -50,7 +50,7 @@ pub(super) enum EvidenceStrength {
 
 /// Evidence of one finding since it was opened.
 #[derive(Debug)]
-struct TrackState {
+struct EvidenceState {
     /// Time since when two devices are present, by evidence stronger than
     /// [`EvidenceStrength::Weak`].
     began: Option<Instant>,
@@ -58,10 +58,10 @@ struct TrackState {
     strong_at: Option<Instant>,
     /// True if responses are part of the evidence, not heartbeats alone.
     is_response_based: bool,
-    follow_ups: u32,
-    next_check: Option<Instant>,
+    follow_up_count: u32,
+    next_follow_up: Option<Instant>,
     /// Time of the last follow-up request.
-    checked_at: Instant,
+    last_follow_up: Instant,
 }
 
 /// Findings of one bus with the state that decides about them.
@@ -69,14 +69,14 @@ struct TrackState {
 pub(super) struct FindingTracker {
     bus: BusIndex,
     period: Duration,
-    passive: bool,
+    listen_only: bool,
     findings: Vec<Finding>,
-    trackers: Vec<TrackState>,
-    changed: Vec<(FindingKey, Confidence)>,
+    evidence_states: Vec<EvidenceState>,
+    changed: Vec<(FindingKey, FindingState)>,
     /// Time of the first request to each address since its last response evidence.
     requested_at: [Option<Instant>; Address::COUNT],
     rng: fastrand::Rng,
-    pub refused: u64,
+    pub over_limit: u64,
 }
 
 impl FindingTracker {
@@ -84,13 +84,13 @@ impl FindingTracker {
         Self {
             bus,
             period,
-            passive,
+            listen_only: passive,
             findings: Vec::new(),
-            trackers: Vec::new(),
+            evidence_states: Vec::new(),
             changed: Vec::new(),
             requested_at: [None; Address::COUNT],
             rng: fastrand::Rng::with_seed(!seed),
-            refused: 0,
+            over_limit: 0,
         }
     }
 
@@ -99,7 +99,7 @@ impl FindingTracker {
     }
 
     /// Returns the next finding whose state changed, with its new state.
-    pub fn poll_changed(&mut self) -> Option<(FindingKey, Confidence)> {
+    pub fn poll_changed(&mut self) -> Option<(FindingKey, FindingState)> {
         if self.changed.is_empty() { None } else { Some(self.changed.remove(0)) }
     }
 
@@ -107,7 +107,7 @@ impl FindingTracker {
     pub fn is_suspicious(&self) -> bool {
         self.findings
             .iter()
-            .any(|f| f.confidence == Confidence::Suspected && f.key.kind.is_conflict())
+            .any(|f| f.confidence == FindingState::Suspected && f.key.kind.is_conflict())
     }
 
     /// Returns true if a conflict at `address` is suspected or confirmed.
@@ -115,7 +115,7 @@ impl FindingTracker {
         self.findings.iter().any(|finding| {
             finding.key.address == Some(address)
                 && finding.key.kind.is_conflict()
-                && finding.confidence != Confidence::Cleared
+                && finding.confidence != FindingState::Cleared
         })
     }
 
@@ -134,7 +134,7 @@ impl FindingTracker {
     /// Marks a finding as based on responses: further evidence is expected only after a request.
     pub fn mark_response_based(&mut self, at: Option<usize>, address: Address) {
         if let Some(at) = at {
-            self.trackers[at].is_response_based = true;
+            self.evidence_states[at].is_response_based = true;
             self.requested_at[address.index()] = None;
         }
     }
@@ -142,15 +142,15 @@ impl FindingTracker {
     /// Sets the state of the bus-errors finding of an address, or of the bus where `address` is
     /// `None`. Returns the finding, so that [`super::errors`] adds evidence and text; `None` where
     /// there is none to clear, or too many findings.
-    pub fn judge_errors(
+    pub fn set_bus_errors_state(
         &mut self,
         now: Instant,
         address: Option<Address>,
-        confidence: Confidence,
+        confidence: FindingState,
     ) -> Option<&mut Finding> {
         let kind = FindingKind::BusErrors;
         let key = FindingKey::at(kind, self.bus, address);
-        let at = if confidence == Confidence::Cleared {
+        let at = if confidence == FindingState::Cleared {
             self.findings.iter().position(|finding| finding.key == key)?
         } else {
             self.open(now, key)?
@@ -166,7 +166,7 @@ impl FindingTracker {
             self.findings[at].count += lost;
             self.findings[at].last = now;
             self.describe(at);
-            self.set(now, at, Confidence::Confirmed);
+            self.set(now, at, FindingState::Confirmed);
         }
     }
 
@@ -177,25 +177,27 @@ impl FindingTracker {
     pub fn handle_timeout(&mut self, now: Instant, mut query: impl FnMut(Address)) {
         for at in 0..self.findings.len() {
             let finding = &self.findings[at];
-            if finding.confidence == Confidence::Cleared {
+            if finding.confidence == FindingState::Cleared {
                 continue;
             }
             if now >= self.expires_at(at) && expires_without_evidence(finding) {
                 self.end(now, at);
                 continue;
             }
-            if !self.passive && self.trackers[at].next_check.is_some_and(|due| now >= due) {
-                let confirmed = self.findings[at].confidence == Confidence::Confirmed;
+            if !self.listen_only
+                && self.evidence_states[at].next_follow_up.is_some_and(|due| now >= due)
+            {
+                let confirmed = self.findings[at].confidence == FindingState::Confirmed;
                 if let Some(address) = finding.key.address {
                     query(address);
                 }
-                let delay = if confirmed { CONFIRMED_RECHECK_DELAY } else { FOLLOW_UP_DELAY };
+                let delay = if confirmed { CONFIRMED_FOLLOW_UP_DELAY } else { FOLLOW_UP_DELAY };
                 let next = now + self.with_jitter(delay);
-                let tracker = &mut self.trackers[at];
-                tracker.follow_ups += 1;
-                tracker.checked_at = now;
-                let goes_on = confirmed || tracker.follow_ups < MAX_FOLLOW_UPS;
-                tracker.next_check = goes_on.then_some(next);
+                let tracker = &mut self.evidence_states[at];
+                tracker.follow_up_count += 1;
+                tracker.last_follow_up = now;
+                let goes_on = confirmed || tracker.follow_up_count < MAX_FOLLOW_UPS;
+                tracker.next_follow_up = goes_on.then_some(next);
             }
         }
     }
@@ -203,12 +205,12 @@ impl FindingTracker {
     pub fn poll_timeout(&self) -> Option<Instant> {
         self.findings
             .iter()
-            .zip(&self.trackers)
+            .zip(&self.evidence_states)
             .enumerate()
-            .filter(|(_, (finding, _))| finding.confidence != Confidence::Cleared)
+            .filter(|(_, (finding, _))| finding.confidence != FindingState::Cleared)
             .filter(|(_, (finding, _))| expires_without_evidence(finding))
             .flat_map(|(at, (_, tracker))| {
-                let check = if self.passive { None } else { tracker.next_check };
+                let check = if self.listen_only { None } else { tracker.next_follow_up };
                 [Some(self.expires_at(at)), check]
             })
             .flatten()
@@ -223,7 +225,7 @@ impl FindingTracker {
             let concerned = finding.addresses.contains(&address);
             if concerned
                 && finding.key.kind.is_conflict()
-                && finding.confidence != Confidence::Cleared
+                && finding.confidence != FindingState::Cleared
             {
                 self.end(now, at);
             }
@@ -234,13 +236,13 @@ impl FindingTracker {
 
     /// Age at which evidence no longer supports a finding.
     fn evidence_lifetime(&self) -> Duration {
-        if self.passive { self.period.mul_f64(7.5) } else { self.period * 5 }
+        if self.listen_only { self.period.mul_f64(7.5) } else { self.period * 5 }
     }
 
     /// Age at which response evidence no longer supports a finding while no request was seen. In
     /// listen-only mode other nodes may send requests only every ten periods.
-    pub fn longest_memory(&self) -> Duration {
-        if self.passive { self.period * 12 } else { self.evidence_lifetime() }
+    pub fn max_evidence_lifetime(&self) -> Duration {
+        if self.listen_only { self.period * 12 } else { self.evidence_lifetime() }
     }
 
     /// Returns when a finding is cleared if no more evidence is seen.
@@ -249,11 +251,11 @@ impl FindingTracker {
         let requested = finding.key.address.map(|address| self.requested_at[address.index()]);
         let usual = finding.last + self.evidence_lifetime();
         match requested {
-            Some(None) if self.trackers[at].is_response_based => {
-                finding.last + self.longest_memory()
+            Some(None) if self.evidence_states[at].is_response_based => {
+                finding.last + self.max_evidence_lifetime()
             }
             // The device needs time to respond.
-            Some(Some(requested)) if self.trackers[at].is_response_based => {
+            Some(Some(requested)) if self.evidence_states[at].is_response_based => {
                 usual.max(requested + self.period)
             }
             _ => usual,
@@ -263,7 +265,7 @@ impl FindingTracker {
     /// Sets an earlier beginning of the condition that a finding reports.
     pub fn backdate(&mut self, now: Instant, at: Option<usize>, since: Instant) {
         if let Some(at) = at {
-            let began = &mut self.trackers[at].began;
+            let began = &mut self.evidence_states[at].began;
             *began = Some(began.map_or(since, |began| began.min(since)));
             self.update_confidence(now, at);
         }
@@ -276,43 +278,43 @@ impl FindingTracker {
     /// Returns true if the finding is suspected or confirmed.
     pub fn is_open(&self, kind: FindingKind, address: Address) -> bool {
         self.find(kind, address)
-            .is_some_and(|at| self.findings[at].confidence != Confidence::Cleared)
+            .is_some_and(|at| self.findings[at].confidence != FindingState::Cleared)
     }
 
     /// Returns true if the finding is confirmed.
     pub fn is_confirmed(&self, kind: FindingKind, address: Address) -> bool {
         self.find(kind, address)
-            .is_some_and(|at| self.findings[at].confidence == Confidence::Confirmed)
+            .is_some_and(|at| self.findings[at].confidence == FindingState::Confirmed)
     }
 
     /// Returns the index of the finding with that key; creates it, or opens it again if it was
     /// cleared. `None` if there are too many.
     fn open(&mut self, now: Instant, key: FindingKey) -> Option<usize> {
         let check = now + self.with_jitter(FOLLOW_UP_DELAY);
-        let tracker = TrackState {
+        let tracker = EvidenceState {
             began: None,
             strong: 0,
             strong_at: None,
             is_response_based: false,
-            follow_ups: 0,
-            checked_at: now,
-            next_check: key.kind.is_conflict().then_some(check),
+            follow_up_count: 0,
+            last_follow_up: now,
+            next_follow_up: key.kind.is_conflict().then_some(check),
         };
         if let Some(at) = self.findings.iter().position(|finding| finding.key == key) {
-            if self.findings[at].confidence == Confidence::Cleared {
-                self.trackers[at] = tracker;
+            if self.findings[at].confidence == FindingState::Cleared {
+                self.evidence_states[at] = tracker;
                 self.findings[at].evidence.clear();
-                self.set(now, at, Confidence::Suspected);
+                self.set(now, at, FindingState::Suspected);
             }
             return Some(at);
         }
         if self.findings.len() == MAX_FINDINGS {
-            self.refused += 1;
+            self.over_limit += 1;
             return None;
         }
-        self.changed.push((key.clone(), Confidence::Suspected));
+        self.changed.push((key.clone(), FindingState::Suspected));
         self.findings.push(Finding::new(key, now));
-        self.trackers.push(tracker);
+        self.evidence_states.push(tracker);
         Some(self.findings.len() - 1)
     }
 
@@ -335,14 +337,14 @@ impl FindingTracker {
             self.findings[at].add_name(name);
         }
         let last = self.findings[at].last;
-        self.findings[at].add(Evidence {
+        self.findings[at].add_evidence(Evidence {
             time: frame.time,
-            what: what.into(),
+            description: what.into(),
             frame: Some(*frame),
         });
         self.findings[at].last = now;
         let soon = now + self.with_jitter(FOLLOW_UP_DELAY / 4);
-        let tracker = &mut self.trackers[at];
+        let tracker = &mut self.evidence_states[at];
         // Evidence after a gap starts a new count. For response evidence the gap counts from the
         // first request.
         let requested = self.requested_at[address.index()];
@@ -368,15 +370,17 @@ impl FindingTracker {
         }
         // New evidence after the last follow-up request starts another series.
         if kind.is_conflict()
-            && tracker.next_check.is_none()
-            && now.since(tracker.checked_at) >= self.period * FOLLOW_UP_RESTART_PERIODS
+            && tracker.next_follow_up.is_none()
+            && now.since(tracker.last_follow_up) >= self.period * FOLLOW_UP_RESTART_PERIODS
         {
-            tracker.follow_ups = 0;
-            tracker.next_check = Some(soon);
+            tracker.follow_up_count = 0;
+            tracker.next_follow_up = Some(soon);
         }
         self.describe(at);
-        if strength == EvidenceStrength::Proof && self.trackers[at].strong >= CONFIRM_AFTER_PROOFS {
-            self.set(now, at, Confidence::Confirmed);
+        if strength == EvidenceStrength::Proof
+            && self.evidence_states[at].strong >= CONFIRM_AFTER_PROOFS
+        {
+            self.set(now, at, FindingState::Confirmed);
         }
         if strength != EvidenceStrength::Weak {
             self.update_confidence(now, at);
@@ -386,12 +390,12 @@ impl FindingTracker {
 
     /// Confirms a finding with enough strong evidence over five periods.
     fn update_confidence(&mut self, now: Instant, at: usize) {
-        let tracker = &self.trackers[at];
+        let tracker = &self.evidence_states[at];
         // Five periods, less 1 % for heartbeat jitter.
         let enough = self.period.mul_f64(4.95);
         let lasts = tracker.began.is_some_and(|began| now.since(began) >= enough);
         if tracker.strong >= CONFIRM_AFTER_STRONG && lasts {
-            self.set(now, at, Confidence::Confirmed);
+            self.set(now, at, FindingState::Confirmed);
         }
     }
 
@@ -416,7 +420,8 @@ impl FindingTracker {
     /// Returns true if an open finding has evidence stronger than [`EvidenceStrength::Weak`].
     pub fn has_strong(&self, kind: FindingKind, address: Address) -> bool {
         self.find(kind, address).is_some_and(|at| {
-            self.findings[at].confidence != Confidence::Cleared && self.trackers[at].strong > 0
+            self.findings[at].confidence != FindingState::Cleared
+                && self.evidence_states[at].strong > 0
         })
     }
 
@@ -431,8 +436,8 @@ impl FindingTracker {
     /// Discards the strong evidence of all suspected findings of this kind: it has another
     /// explanation.
     pub fn reset_suspicion(&mut self, kind: FindingKind) {
-        for (finding, tracker) in self.findings.iter().zip(&mut self.trackers) {
-            if finding.key.kind == kind && finding.confidence == Confidence::Suspected {
+        for (finding, tracker) in self.findings.iter().zip(&mut self.evidence_states) {
+            if finding.key.kind == kind && finding.confidence == FindingState::Suspected {
                 tracker.began = None;
                 tracker.strong = 0;
             }
@@ -451,13 +456,14 @@ impl FindingTracker {
         let (Some(old), Some(new)) = (self.find(old, address), self.find(new, address)) else {
             return;
         };
-        if self.findings[old].confidence != Confidence::Cleared {
+        if self.findings[old].confidence != FindingState::Cleared {
             if now.since(self.findings[old].last) < self.period.mul_f64(HEARTBEAT_GAP_PERIODS) {
-                let (before, began) = (self.trackers[old].began, self.trackers[new].began);
-                self.trackers[new].began = before.into_iter().chain(began).min();
-                self.trackers[new].strong += self.trackers[old].strong;
+                let (before, began) =
+                    (self.evidence_states[old].began, self.evidence_states[new].began);
+                self.evidence_states[new].began = before.into_iter().chain(began).min();
+                self.evidence_states[new].strong += self.evidence_states[old].strong;
             }
-            self.set(now, old, Confidence::Cleared);
+            self.set(now, old, FindingState::Cleared);
             self.update_confidence(now, new);
         }
     }
@@ -465,20 +471,22 @@ impl FindingTracker {
     /// Clears a finding.
     pub fn clear(&mut self, now: Instant, kind: FindingKind, address: Address) {
         if let Some(at) = self.find(kind, address) {
-            self.set(now, at, Confidence::Cleared);
+            self.set(now, at, FindingState::Cleared);
         }
     }
 
     /// Clears a finding whose evidence stopped. A suspected conflict with enough strong evidence
     /// becomes `address-contested`.
     fn end(&mut self, now: Instant, at: usize) {
-        let was_suspected = self.findings[at].confidence == Confidence::Suspected;
+        let was_suspected = self.findings[at].confidence == FindingState::Suspected;
         // A single surplus response or heartbeat is not contention.
         let least = u32::from(self.findings[at].key.kind == FindingKind::SameNameSameAddress);
-        let gave_way = was_suspected && self.trackers[at].strong > least;
-        self.set(now, at, Confidence::Cleared);
+        let was_contested = was_suspected && self.evidence_states[at].strong > least;
+        self.set(now, at, FindingState::Cleared);
         let (kind, address) = (self.findings[at].key.kind, self.findings[at].key.address);
-        let (true, true, Some(address)) = (gave_way, kind.is_conflict(), address) else { return };
+        let (true, true, Some(address)) = (was_contested, kind.is_conflict(), address) else {
+            return;
+        };
         let key = FindingKey::at(FindingKind::AddressContested, self.bus, Some(address));
         let (names, evidence) =
             (self.findings[at].names.clone(), self.findings[at].evidence.clone());
@@ -487,7 +495,7 @@ impl FindingTracker {
                 self.findings[contested].add_name(name);
             }
             for piece in evidence {
-                self.findings[contested].add(piece);
+                self.findings[contested].add_evidence(piece);
             }
             self.findings[contested].last = now;
             self.describe(contested);
@@ -495,7 +503,7 @@ impl FindingTracker {
     }
 
     /// Sets the state of a finding and records the change.
-    fn set(&mut self, now: Instant, at: usize, confidence: Confidence) {
+    fn set(&mut self, now: Instant, at: usize, confidence: FindingState) {
         let finding = &mut self.findings[at];
         if finding.confidence == confidence {
             return;
@@ -503,8 +511,9 @@ impl FindingTracker {
         finding.confidence = confidence;
         finding.changed = now;
         self.changed.push((finding.key.clone(), confidence));
-        if confidence == Confidence::Confirmed && finding.key.kind.is_conflict() {
-            self.trackers[at].next_check = Some(now + self.with_jitter(CONFIRMED_RECHECK_DELAY));
+        if confidence == FindingState::Confirmed && finding.key.kind.is_conflict() {
+            self.evidence_states[at].next_follow_up =
+                Some(now + self.with_jitter(CONFIRMED_FOLLOW_UP_DELAY));
         }
     }
 
@@ -526,7 +535,7 @@ impl FindingTracker {
 fn expires_without_evidence(finding: &Finding) -> bool {
     match finding.key.kind {
         FindingKind::BusErrors => false,
-        FindingKind::MalformedAnswer => finding.confidence != Confidence::Confirmed,
+        FindingKind::MalformedAnswer => finding.confidence != FindingState::Confirmed,
         _ => true,
     }
 }

@@ -1,7 +1,8 @@
 //! Heartbeats: updates mode, UID and statistics of a device, detects reboots and duplicate UIDs.
 
-use super::device::{ModeChange, Query, Quirk, SILENT_PERIODS};
-use super::resolution::Claim;
+use super::conflict_detector::ModeFlags;
+use super::device::{MISSED_HEARTBEAT_PERIODS, ModeChange, ProtocolDeviation, Query};
+use super::resolution::HeartbeatContext;
 use super::{Engine, EventKind, Presence};
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
@@ -68,9 +69,9 @@ impl Engine {
         }
         let device = self.device_table.get_mut(index);
         device.is_resolving = matches!(heartbeat.mode, Some(Mode::Init | Mode::Arslv));
-        device.error = heartbeat.error.or(device.error);
+        device.error_code = heartbeat.error.or(device.error_code);
         if heartbeat.uid.is_none() || heartbeat.mode.is_none() {
-            device.note(Quirk::ShortHeartbeat);
+            device.note_deviation(ProtocolDeviation::ShortHeartbeat);
         }
         let was_lost = device.presence == Presence::Lost;
         let uid_before = device.uid;
@@ -85,13 +86,13 @@ impl Engine {
             device.uid = heartbeat.uid;
         }
         let address = header.source;
-        let claim = Claim { index, address, heartbeat, uid_before, mode_before, gap };
+        let claim = HeartbeatContext { index, address, heartbeat, uid_before, mode_before, gap };
         let sender = self.note_sender(claim);
         let device = self.device_table.get_mut(index);
         device.last_heartbeat_was_other_node = sender.is_other_node;
         // An early mode after a gap, or a new phase, is a reboot. With another UID it is more
         // likely another board.
-        let paused = gap.is_some_and(|gap| gap > period.mul_f64(SILENT_PERIODS));
+        let paused = gap.is_some_and(|gap| gap > period.mul_f64(MISSED_HEARTBEAT_PERIODS));
         let early = device.is_resolving && paused && device.mode != heartbeat.mode;
         let period = expected.unwrap_or(period);
         let same = !uid_changed && !was_lost;
@@ -118,11 +119,11 @@ impl Engine {
         }
         let device = self.device_table.get_mut(index);
         if let Some(mode) = heartbeat.mode {
-            let fits = mode.is_working().is_none_or(|working| working == device.working);
+            let fits = mode.is_working().is_none_or(|working| working == device.is_working);
             if fits {
                 self.local_node.note_heartbeat();
             } else {
-                device.note(Quirk::ModeContradictsU);
+                device.note_deviation(ProtocolDeviation::ModeContradictsU);
             }
             // Two devices at one address each have their own mode.
             let from = sender.mode_before;
@@ -149,7 +150,8 @@ impl Engine {
             self.note_reboot(now, index);
         }
         let device = self.device_table.get(index);
-        let (mode, name) = ((device.working, device.is_resolving), device.name.clone());
+        let mode = ModeFlags { is_working: device.is_working, is_resolving: device.is_resolving };
+        let name = device.name.clone();
         self.conflicts.note_heartbeat(now, address, heartbeat.uid, mode, name.as_ref(), frame);
         self.errors.note_heartbeat(now, address, frame);
         if self.conflicts.finding_tracker().is_suspicious() {

@@ -1,7 +1,7 @@
 //! Identity of devices: another board at a known address, or a known device at another address
 //! (protocol §4.7).
 
-use super::device::QueryState;
+use super::device::{MISSED_HEARTBEAT_PERIODS, QueryState};
 use super::{Device, Engine, EventKind, Presence};
 use crate::text::Name;
 use crate::time::Instant;
@@ -9,13 +9,13 @@ use crate::wire::node::Uid;
 
 impl Engine {
     /// Returns the row of the device with that name at this address, creating it if needed. A row
-    /// other than the active one means another board at the address.
+    /// other than the current one means another board at the address.
     pub(super) fn row_of_name(&mut self, now: Instant, index: usize, name: &Name) -> usize {
         let current = self.device_table.get(index);
         if current.name.as_ref().is_none_or(|own| own == name) {
             return index;
         }
-        let (address, working) = (current.address, current.working);
+        let (address, working) = (current.address, current.is_working);
         let known = self
             .device_table
             .devices()
@@ -40,20 +40,20 @@ impl Engine {
                 None => return index,
             },
         };
-        self.device_table.activate(row);
+        self.device_table.make_current(row);
         // Use its own mode: the last heartbeat may have come from the other board.
         let mode = live.uid.and_then(|uid| self.claims.mode_of(uid)).or(live.mode);
         let device = self.device_table.get_mut(row);
-        device.adopt_live_state(&live);
+        device.copy_state_from(&live);
         device.mode = mode;
         device.last_seen = now;
         let id = device.id;
         if let Some(uid) = live.uid.filter(|uid| !uid.is_blank() && known.is_none()) {
-            self.claims.adopt(uid, id, || self.device_table.reserve());
+            self.claims.assign_row(uid, id, || self.device_table.reserve());
         }
         let device = self.device_table.get_mut(row);
         if known.is_none() {
-            self.emit(row, EventKind::Appeared);
+            self.emit(row, EventKind::FirstFrame);
         } else if device.presence == Presence::Lost {
             device.services_query.restart(now);
         }
@@ -89,7 +89,7 @@ impl Engine {
         let gone = |other: &Device| {
             other.address != address
                 && other.last_seen <= first_seen
-                && now.since(other.last_seen) > period.mul_f64(1.4)
+                && now.since(other.last_seen) > period.mul_f64(MISSED_HEARTBEAT_PERIODS)
                 && (other.heartbeat.period().is_some() || !other.is_present())
         };
         let by_uid = uid.and_then(|uid| {
@@ -124,7 +124,7 @@ impl Engine {
         self.replace_row(other);
         self.device_table.move_to_address(old, live.address);
         let device = self.device_table.get_mut(old);
-        device.adopt_live_state(&live);
+        device.copy_state_from(&live);
         device.name_query.schedule(now);
         device.services_query.schedule(now);
         self.conflicts.note_left(from);
@@ -208,7 +208,7 @@ impl Engine {
         let is_known_by_uid = self.uid_of_row(old).is_some() && self.uid_of_row(new).is_some();
         let is_reported = self.device_table.get(new).moved_from == Some(from);
         let index = self.device_table.merge_rows(old, new);
-        self.emit(index, EventKind::Joined { was, before: None });
+        self.emit(index, EventKind::IdsMerged { previous: was, before: None });
         if !is_known_by_uid {
             self.emit_gave_up_by_name(id, from);
         }

@@ -21,7 +21,7 @@ pub(super) const NAME: &[u8] = b"DSCAN";
 const MAX_RESPONSES: usize = 4;
 /// A request received again within this time was repeated on its way: two responses would look like
 /// two devices.
-const REPEAT_WINDOW: Duration = Duration::from_millis(200);
+const REQUEST_COPY_WINDOW: Duration = Duration::from_millis(200);
 /// Maximum number of requests stored to detect repeated ones.
 const MAX_REQUESTS: usize = 16;
 /// Periods since its last use in which an address counts as used.
@@ -30,9 +30,9 @@ const USED_FOR_PERIODS: u32 = 5;
 /// State of the own address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum AddressState {
-    Off,
+    None,
     Listening { until: Instant },
-    Waiting { address: Address, since: Instant, until: Instant },
+    Claiming { address: Address, since: Instant, until: Instant },
     Held { address: Address },
 }
 
@@ -59,7 +59,7 @@ pub(super) struct LocalNode {
     state: AddressState,
     wanted: Option<Address>,
     /// True after another node used the own address: it is then claimed after a random delay, so
-    /// that two nodes do not claim it at the same time again and again.
+    /// that two nodes do not claim it at the same time repeatedly.
     contested: bool,
     /// True if the last search found no free address.
     blocked: bool,
@@ -85,7 +85,7 @@ impl LocalNode {
         let uid = Uid::parse(&format!("DSCAN{random}"), &config.profile.uid)
             .unwrap_or_else(|| Uid::from_sextets(std::array::from_fn(|_| rng.u8(1..63))));
         let mut local_node = Self {
-            state: AddressState::Off,
+            state: AddressState::None,
             wanted: config.address,
             contested: false,
             blocked: false,
@@ -121,12 +121,12 @@ impl LocalNode {
     /// Returns the state of the own address for display.
     pub fn own_address(&self) -> super::OwnAddress {
         match self.state {
-            AddressState::Off => super::OwnAddress::None,
+            AddressState::None => super::OwnAddress::None,
             AddressState::Listening { .. } if self.blocked => {
                 super::OwnAddress::Blocked(self.wanted)
             }
             AddressState::Listening { .. } => super::OwnAddress::Listening,
-            AddressState::Waiting { address, .. } => super::OwnAddress::Claiming(address),
+            AddressState::Claiming { address, .. } => super::OwnAddress::Claiming(address),
             AddressState::Held { address } => super::OwnAddress::Held(address),
         }
     }
@@ -158,7 +158,7 @@ impl LocalNode {
                 self.listen(now);
                 Some(AddressChange::Lost(address))
             }
-            AddressState::Waiting { address, .. } if address == source => {
+            AddressState::Claiming { address, .. } if address == source => {
                 self.contested = true;
                 self.listen(now);
                 None
@@ -211,12 +211,12 @@ impl LocalNode {
                         self.blocked = false;
                         let wait = Duration::from_micros(rng.u64(..self.period.as_micros() as u64));
                         self.state =
-                            AddressState::Waiting { address, since: now, until: now + wait };
+                            AddressState::Claiming { address, since: now, until: now + wait };
                         None
                     }
                 }
             }
-            AddressState::Waiting { address, since, until } if now >= until => {
+            AddressState::Claiming { address, since, until } if now >= until => {
                 let used = self.last_use[address.index()].is_some_and(|used| used >= since);
                 if used {
                     self.listen(now);
@@ -281,10 +281,10 @@ impl LocalNode {
         outbox: &mut Outbox,
     ) {
         let Some(address) = self.held() else { return };
-        if header.to_not_working || (!header.broadcast && header.destination != address) {
+        if header.to_non_working || (!header.broadcast && header.destination != address) {
             return;
         }
-        if let Some((framing, message)) = classify_request(frame.data(), frame.fd) {
+        if let Some((framing, message)) = classify_request(frame.data(), frame.is_fd) {
             let Some(ReceivedRequest::Known(request)) = Request::decode(message) else { return };
             if self.is_repeated(now, frame) {
                 return;
@@ -295,7 +295,7 @@ impl LocalNode {
             };
             self.start_response(header, address, framing, message, outbox);
             self.send_responses(now, outbox);
-        } else if let Ok(Pci::Flow(flow)) = Pci::decode(frame.data(), frame.fd) {
+        } else if let Ok(Pci::Flow(flow)) = Pci::decode(frame.data(), frame.is_fd) {
             let flow_id = Header::request(header.source, address, false, profile.des_service());
             self.handle_flow(now, flow_id.encode(), flow);
             self.send_responses(now, outbox);
@@ -304,7 +304,7 @@ impl LocalNode {
 
     /// Returns true if the same request was received a moment ago.
     fn is_repeated(&mut self, now: Instant, request: &Frame) -> bool {
-        self.requests.retain(|other| now.since(other.time) < REPEAT_WINDOW);
+        self.requests.retain(|other| now.since(other.time) < REQUEST_COPY_WINDOW);
         if self.requests.iter().any(|other| other.same_on_wire(request)) {
             return true;
         }
@@ -363,8 +363,8 @@ impl LocalNode {
 
     pub fn poll_timeout(&self) -> Option<Instant> {
         let state = match self.state {
-            AddressState::Off => None,
-            AddressState::Listening { until } | AddressState::Waiting { until, .. } => Some(until),
+            AddressState::None => None,
+            AddressState::Listening { until } | AddressState::Claiming { until, .. } => Some(until),
             AddressState::Held { .. } => self.next_heartbeat,
         };
         let responses =

@@ -58,14 +58,14 @@ mod resolution;
 mod rounds;
 mod transfers;
 
-pub use crate::finding::{Confidence, Evidence, Finding, FindingKey, FindingKind};
 pub use config::Config;
 pub use device::{
-    Device, DeviceId, DeviceService, HeartbeatStats, ModeChange, Presence, Query, QueryFault,
-    QueryState, Quirk,
+    Device, DeviceId, DeviceService, HeartbeatStats, ModeChange, Presence, ProtocolDeviation,
+    Query, QueryFault, QueryState,
 };
-pub use event::{ConflictParty, Event, EventKind};
+pub use event::{Event, EventKind, OtherDevice};
 
+use crate::finding::{Finding, FindingKind, FindingState};
 use crate::frame::{Frame, FrameKind};
 use crate::time::{Duration, Instant};
 use crate::wire::id::{Address, Header};
@@ -76,7 +76,7 @@ use device_table::DeviceTable;
 use errors::BusErrorTracker;
 use heartbeats::BusDelayTracker;
 use local_node::{AddressChange, LocalNode};
-use outbox::{Acknowledgement, Outbox};
+use outbox::{AckChange, Outbox};
 use presence::{Outages, PresenceInput};
 use rounds::Rounds;
 use std::collections::VecDeque;
@@ -114,9 +114,9 @@ pub struct DiscoveryProgress {
     /// Number of present devices with known services.
     pub with_services: usize,
     /// Number of queries without a response that are sent or due.
-    pub open_requests: usize,
+    pub open_queries: usize,
     /// True if the last rounds found nothing new, no query is open, and no finding is suspected.
-    pub settled: bool,
+    pub is_complete: bool,
 }
 
 /// Counters of one bus.
@@ -137,8 +137,8 @@ pub struct Counters {
     pub malformed: u64,
     /// Multi-frame transfers aborted.
     pub transfers_failed: u64,
-    /// Device rows and findings refused because there were too many.
-    pub refused: u64,
+    /// Device rows and findings not stored because there are too many.
+    pub over_limit: u64,
 }
 
 impl Counters {
@@ -171,11 +171,10 @@ impl Counters {
 /// use descan::wire::des::TYPE_NAME;
 /// use descan::wire::id::{Address, Header};
 ///
-/// // `echo: false`: frames that the engine sends are not received back.
-/// let mut engine = Engine::new(Instant::ZERO, Config { echo: false, ..Config::default() });
-/// let end = Instant::ZERO + Duration::from_secs(10);
-/// let node = Address::new(12).expect("0 to 127");
-/// let mut names = Vec::new();
+/// // `has_loopback: false`: frames that the engine sends are not received back.
+/// let mut engine = Engine::new(Instant::ZERO, Config { has_loopback: false, ..Config::default()
+/// }); let end = Instant::ZERO + Duration::from_secs(10); let node = Address::new(12).expect("0 to
+/// 127"); let mut names = Vec::new();
 ///
 /// while let Some(now) = engine.poll_timeout().filter(|now| *now < end) {
 ///     engine.handle_timeout(now);
@@ -183,14 +182,14 @@ impl Counters {
 ///         let header = Header::decode(request.platform_id().expect("a 29-bit identifier"));
 ///         // "DES" and the type behind the length byte of ISO-TP; D = 0: to working nodes.
 ///         let is_name_request = request.data() == [4, b'D', b'E', b'S', TYPE_NAME];
-///         if is_name_request && !header.to_not_working {
+///         if is_name_request && !header.to_non_working {
 ///             let id = header.response(node, false).encode();
 ///             let response = Frame::classic(id, b"\x06\x01FEED\0");
 ///             engine.handle_frame(&response.with_time(now));
 ///         }
 ///     }
 ///     while let Some(event) = engine.poll_event() {
-///         if let (EventKind::Named, Some(name)) = (event.kind, event.name) {
+///         if let (EventKind::NameReceived, Some(name)) = (event.kind, event.name) {
 ///             names.push((event.address, name.to_string()));
 ///         }
 ///     }
@@ -224,7 +223,7 @@ pub struct Engine {
     wake: Instant,
 }
 
-/// A broadcast name request that may still be answered.
+/// A broadcast name request that may still get responses.
 #[derive(Clone, Copy, Debug)]
 struct PendingBroadcast {
     time: Instant,
@@ -239,7 +238,7 @@ impl Engine {
         let period = config.profile.heartbeat.period();
         Self {
             local_node: LocalNode::new(now, &config, &mut rng),
-            outbox: Outbox::new(now, config.echo),
+            outbox: Outbox::new(now, config.has_loopback),
             conflicts: ConflictDetector::new(
                 config.bus,
                 period,
@@ -278,12 +277,12 @@ impl Engine {
 
     /// Updates the counters only. For frames that waited during a stall, whose time may be wrong:
     /// devices, presence and findings do not change.
-    pub fn count_only(&mut self, frame: &Frame) {
+    pub fn count_frame_only(&mut self, frame: &Frame) {
         self.counters.count(frame);
     }
 
     /// Notes that `count` frames were lost before descan could read them.
-    pub fn handle_lost(&mut self, now: Instant, count: u64) {
+    pub fn handle_lost_frames(&mut self, now: Instant, count: u64) {
         self.advance(now);
         self.conflicts.finding_tracker_mut().note_lost_frames(self.now, count);
         self.errors.note_lost_frames();
@@ -308,7 +307,7 @@ impl Engine {
         );
         self.handle_address_change(change);
         self.expire_transfers();
-        self.judge_presence();
+        self.update_presence();
         self.check_suspicions();
         self.check_errors();
         self.send_due_queries();
@@ -322,10 +321,11 @@ impl Engine {
         (self.wake != NO_TIMEOUT).then_some(self.wake)
     }
 
-    /// Returns the next frame to send, if any.
+    /// Returns the next frame to send, if any. The frame counts as sent. `now` never decreases from
+    /// call to call.
     pub fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
         let frame = self.outbox.pop(now)?;
-        if !self.config.echo {
+        if !self.config.has_loopback {
             self.counters.sent += 1;
             self.note_own_request(now, &frame);
         }
@@ -335,7 +335,7 @@ impl Engine {
 
     /// Handles a bus that cannot be used at present: discards frames not sent or not confirmed, and
     /// releases the own address, which is claimed again after listening.
-    pub fn wait_for_bus(&mut self, now: Instant) {
+    pub fn handle_bus_unavailable(&mut self, now: Instant) {
         self.outbox.clear();
         if !self.config.listen_only {
             self.local_node.listen(now);
@@ -351,14 +351,14 @@ impl Engine {
     pub fn rescan(&mut self, now: Instant) {
         self.advance(now);
         let now = self.now;
-        if self.local_node.held().is_some() && self.config.scan {
+        if self.local_node.held().is_some() && self.config.send_requests {
             self.rounds.restart(now);
         }
         for address in Address::all() {
             // A row that was replaced at its address cannot be queried.
             if let Some(device) = self.device_table.current_device_mut(address)
                 && device.is_present()
-                && self.config.scan
+                && self.config.send_requests
             {
                 device.services_query.schedule(now);
             }
@@ -367,11 +367,11 @@ impl Engine {
     }
 
     /// Command: removes the lost devices.
-    pub fn clear_lost(&mut self) {
-        self.device_table.clear_lost();
+    pub fn remove_lost_devices(&mut self) {
+        self.device_table.remove_lost();
     }
 
-    /// Notes that the bus is down: presence is not judged until [`restart`](Self::restart), or
+    /// Notes that the bus is down: presence does not change until [`restart`](Self::restart), or
     /// until a frame is received.
     pub fn suspend(&mut self, now: Instant) {
         self.advance(now);
@@ -404,7 +404,7 @@ impl Engine {
     /// them, now or a little later, is not in conflict.
     pub fn handle_delayed_requests(&mut self, now: Instant) {
         self.advance(now);
-        self.conflicts.ignore_extra_responses(self.now);
+        self.conflicts.ignore_surplus_responses(self.now);
     }
 
     fn end_outage(&mut self) {
@@ -429,7 +429,7 @@ impl Engine {
         self.device_table.by_id(id)
     }
 
-    /// Returns the active row at `address`.
+    /// Returns the current row at `address`: that of the device which responds there now.
     pub fn device_at(&self, address: Address) -> Option<&Device> {
         self.device_table.current_device(address)
     }
@@ -445,8 +445,8 @@ impl Engine {
     }
 
     /// Returns true while sending is paused because no node acknowledges descan's frames.
-    pub fn is_unacknowledged(&self) -> bool {
-        self.outbox.is_missing()
+    pub fn has_no_ack(&self) -> bool {
+        self.outbox.has_no_ack()
     }
 
     /// Returns the progress of discovery.
@@ -458,13 +458,13 @@ impl Engine {
             progress.present += 1;
             progress.named += usize::from(device.name.is_some());
             progress.with_services += usize::from(device.services.is_some());
-            progress.open_requests += usize::from(is_open(&device.name_query))
+            progress.open_queries += usize::from(is_open(&device.name_query))
                 + usize::from(is_open(&device.services_query));
         }
-        progress.settled = self.local_node.held().is_some()
+        progress.is_complete = self.local_node.held().is_some()
             && !self.rounds.is_starting()
             && !self.rounds.is_collecting()
-            && progress.open_requests == 0
+            && progress.open_queries == 0
             && !self.conflicts.finding_tracker().is_suspicious()
             && !self.errors.has_pending_suspect();
         progress
@@ -473,7 +473,7 @@ impl Engine {
     /// Returns the counters.
     pub fn counters(&self) -> Counters {
         Counters {
-            refused: self.counters.refused + self.conflicts.finding_tracker().refused,
+            over_limit: self.counters.over_limit + self.conflicts.finding_tracker().over_limit,
             ..self.counters
         }
     }
@@ -493,12 +493,12 @@ impl Engine {
         self.wake = self.wake.min(at);
     }
 
-    fn measure(&self) -> PresenceInput<'_> {
+    fn presence_input(&self) -> PresenceInput<'_> {
         PresenceInput {
             outages: &self.outages,
             period: self.config.profile.heartbeat.period(),
             rounds: !self.config.listen_only
-                && self.config.scan
+                && self.config.send_requests
                 && !self.config.round_period.is_zero(),
         }
     }
@@ -537,10 +537,11 @@ impl Engine {
     fn emit_finding_changes(&mut self) {
         while let Some((key, confidence)) = self.conflicts.finding_tracker_mut().poll_changed() {
             let shared = key.kind.is_conflict() || key.kind == FindingKind::BusErrors;
-            if let (true, Confidence::Cleared, Some(address)) = (shared, confidence, key.address) {
+            if let (true, FindingState::Cleared, Some(address)) = (shared, confidence, key.address)
+            {
                 self.requery(address);
             }
-            let at = key.address.and_then(|address| self.device_table.active_at(address));
+            let at = key.address.and_then(|address| self.device_table.current_index_at(address));
             match at {
                 Some(index) => self.emit(index, EventKind::Finding { key, confidence }),
                 None => self.emit_bus_event(EventKind::Finding { key, confidence }),
@@ -561,18 +562,18 @@ impl Engine {
         }
     }
 
-    fn handle_ack_change(&mut self, change: Option<Acknowledgement>) {
+    fn handle_ack_change(&mut self, change: Option<AckChange>) {
         match change {
-            Some(Acknowledgement::Missing) => {
-                self.emit_bus_event(EventKind::NotAcknowledged);
+            Some(AckChange::NoAck) => {
+                self.emit_bus_event(EventKind::NoAck);
                 // No node received the request: repeat it with the next attempt.
-                if self.local_node.held().is_some() && self.config.scan {
+                if self.local_node.held().is_some() && self.config.send_requests {
                     self.rounds.restart(self.now);
                 }
             }
-            Some(Acknowledgement::Back) => {
+            Some(AckChange::Restored) => {
                 self.emit_bus_event(EventKind::Acknowledged);
-                if self.local_node.held().is_some() && self.config.scan {
+                if self.local_node.held().is_some() && self.config.send_requests {
                     self.rounds.restart(self.now);
                 }
                 self.wake_at(self.now);
@@ -585,7 +586,7 @@ impl Engine {
         match change {
             Some(AddressChange::Taken(address)) => {
                 self.emit_bus_event(EventKind::OwnAddress(address));
-                if self.config.scan {
+                if self.config.send_requests {
                     self.rounds.restart(self.now);
                 }
             }
@@ -614,7 +615,7 @@ impl Engine {
     }
 
     /// Updates the presence of every row and emits the changes.
-    fn judge_presence(&mut self) {
+    fn update_presence(&mut self) {
         if self.outages.is_on() {
             return;
         }
@@ -622,18 +623,18 @@ impl Engine {
         // of rows.
         let mut index = 0;
         while index < self.device_table.devices().len() {
-            self.judge_device(index);
+            self.update_device_presence(index);
             index += 1;
         }
     }
 
-    fn judge_device(&mut self, index: usize) {
-        let measure = self.measure();
+    fn update_device_presence(&mut self, index: usize) {
+        let measure = self.presence_input();
         let device = self.device_table.get(index);
         let presence = if self.device_table.is_current(index) {
-            measure.judge(device, self.now).0
+            measure.evaluate(device, self.now).0
         } else {
-            self.judge_replaced(device)
+            self.replaced_row_presence(device)
         };
         let was = device.presence;
         // Heartbeats of another node neither return this device nor make it silent.
@@ -679,7 +680,7 @@ impl Engine {
 
     /// Returns the presence of a row that was replaced at its address: present while it still
     /// responds.
-    fn judge_replaced(&self, device: &Device) -> Presence {
+    fn replaced_row_presence(&self, device: &Device) -> Presence {
         if matches!(device.presence, Presence::Lost | Presence::Asleep) {
             return device.presence;
         }
@@ -696,13 +697,13 @@ impl Engine {
     }
 
     fn next_wake(&self) -> Instant {
-        let measure = self.measure();
+        let measure = self.presence_input();
         let mut wake = NO_TIMEOUT;
         let mut at = |due: Option<Instant>| wake = wake.min(due.unwrap_or(NO_TIMEOUT));
         let judged = if self.outages.is_on() { &[] } else { self.device_table.devices() };
         for (index, device) in judged.iter().enumerate() {
             if self.device_table.is_current(index) {
-                at(measure.judge(device, self.now).1);
+                at(measure.evaluate(device, self.now).1);
             } else if !matches!(device.presence, Presence::Lost | Presence::Asleep) {
                 at(Some(self.now + Duration::from_secs(1)));
             }
@@ -722,5 +723,5 @@ const NO_TIMEOUT: Instant = Instant::from_micros(u64::MAX);
 
 /// Returns true if a response is awaited, or the query is due and did not fail before.
 fn is_open(query: &Query) -> bool {
-    query.is_waiting() || (query.due.is_some() && query.state != QueryState::Unanswered)
+    query.is_waiting() || (query.due.is_some() && query.state != QueryState::NoResponse)
 }

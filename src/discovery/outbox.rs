@@ -19,9 +19,9 @@ const SENT_HISTORY_AGE: Duration = Duration::from_secs(1);
 
 /// Change of the acknowledgement of descan's frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Acknowledgement {
-    Missing,
-    Back,
+pub(super) enum AckChange {
+    NoAck,
+    Restored,
 }
 
 /// Transmit queue of one bus.
@@ -33,11 +33,11 @@ pub(super) struct Outbox {
     senders: u128,
     tokens: f64,
     refilled: Instant,
-    echo: bool,
+    has_loopback: bool,
     unconfirmed: u32,
     unconfirmed_since: Instant,
     paused_until: Option<Instant>,
-    missing: bool,
+    has_no_ack: bool,
 }
 
 impl Outbox {
@@ -48,11 +48,11 @@ impl Outbox {
             senders: 0,
             tokens: 0.0,
             refilled: now,
-            echo,
+            has_loopback: echo,
             unconfirmed: 0,
             unconfirmed_since: now,
             paused_until: None,
-            missing: false,
+            has_no_ack: false,
         }
     }
 
@@ -88,7 +88,7 @@ impl Outbox {
         }
         self.sent.push_back(frame.with_time(now));
         self.senders |= sender_bit(&frame);
-        if self.echo {
+        if self.has_loopback {
             if self.unconfirmed == 0 {
                 self.unconfirmed_since = now;
             }
@@ -109,7 +109,7 @@ impl Outbox {
     }
 
     /// Notes that a frame of descan is on the bus.
-    pub fn note_sent(&mut self, now: Instant, frame: &Frame) -> Option<Acknowledgement> {
+    pub fn note_sent(&mut self, now: Instant, frame: &Frame) -> Option<AckChange> {
         // The frame may have waited for long; copies of it follow this moment.
         if let Some(own) = self.sent.iter_mut().find(|own| own.same_on_wire(frame)) {
             own.time = now;
@@ -121,18 +121,18 @@ impl Outbox {
 
     /// Notes a frame of another node, which can acknowledge descan's frames. A frame that is still
     /// not confirmed waits behind frames of higher priority.
-    pub fn note_other_frame(&mut self, now: Instant) -> Option<Acknowledgement> {
+    pub fn note_other_frame(&mut self, now: Instant) -> Option<AckChange> {
         self.unconfirmed_since = now;
-        if !self.missing {
+        if !self.has_no_ack {
             return None;
         }
         self.unconfirmed = 0;
         self.resume()
     }
 
-    fn resume(&mut self) -> Option<Acknowledgement> {
+    fn resume(&mut self) -> Option<AckChange> {
         self.paused_until = None;
-        std::mem::take(&mut self.missing).then_some(Acknowledgement::Back)
+        std::mem::take(&mut self.has_no_ack).then_some(AckChange::Restored)
     }
 
     /// Returns true while sending is paused for lack of acknowledgement.
@@ -141,12 +141,12 @@ impl Outbox {
     }
 
     /// Returns true if frames are not acknowledged.
-    pub fn is_missing(&self) -> bool {
-        self.missing
+    pub fn has_no_ack(&self) -> bool {
+        self.has_no_ack
     }
 
     /// Pauses sending without acknowledgement, and ends the pause for another attempt.
-    pub fn handle_timeout(&mut self, now: Instant) -> Option<Acknowledgement> {
+    pub fn handle_timeout(&mut self, now: Instant) -> Option<AckChange> {
         match self.paused_until {
             Some(until) if now >= until => {
                 // The driver may have dropped the frame that waited: try another one.
@@ -157,8 +157,8 @@ impl Outbox {
             None if self.unconfirmed > 0 && now.since(self.unconfirmed_since) >= ACK_TIMEOUT => {
                 self.paused_until = Some(now + ACK_RETRY_DELAY);
                 self.queue.clear();
-                let is_new = !std::mem::replace(&mut self.missing, true);
-                is_new.then_some(Acknowledgement::Missing)
+                let is_new = !std::mem::replace(&mut self.has_no_ack, true);
+                is_new.then_some(AckChange::NoAck)
             }
             _ => None,
         }
@@ -176,7 +176,7 @@ impl Outbox {
         self.queue.clear();
         self.unconfirmed = 0;
         self.paused_until = None;
-        self.missing = false;
+        self.has_no_ack = false;
     }
 }
 

@@ -3,7 +3,8 @@
 //! With heartbeats: online while they arrive, stale after 2.5 periods, lost after 5; silent instead
 //! while other frames arrive after the next heartbeat was due, asleep instead of lost if the last
 //! mode was IDLE. Without heartbeats, or with a single one that claimed the address: by enumeration
-//! rounds, unless frames arrive between them, or, without rounds, stale 30 s after the last frame.
+//! rounds: lost after 3 rounds without a response, unless frames arrive between them; or, without
+//! rounds, stale 30 s after the last frame.
 //! Time in which the bus was down does not count.
 
 use super::device::{Device, Presence, STALE_PERIODS};
@@ -24,7 +25,7 @@ pub(super) fn is_claim_only(device: &Device, period: Duration) -> bool {
 }
 
 /// Age of the last heartbeat, in periods, at which the next one is overdue.
-const OVERDUE_PERIODS: f64 = 1.5;
+const NEXT_HEARTBEAT_DUE_PERIODS: f64 = 1.5;
 
 /// Maximum number of outages stored; older ones do not affect any device still present.
 const MAX_OUTAGES: usize = 8;
@@ -109,7 +110,7 @@ impl PresenceInput<'_> {
 
     /// Returns the presence at `now`, and when it changes if no frame is received; `None`: it does
     /// not.
-    pub fn judge(&self, device: &Device, now: Instant) -> (Presence, Option<Instant>) {
+    pub fn evaluate(&self, device: &Device, now: Instant) -> (Presence, Option<Instant>) {
         let stale_after = self.period.mul_f64(STALE_PERIODS);
         let lost_after = self.period * 5;
         let Some(last_heartbeat) =
@@ -124,7 +125,8 @@ impl PresenceInput<'_> {
             return (Presence::Online, Some(last_heartbeat + stale_after));
         }
         // Frames received before the next heartbeat was due do not show that it is missing.
-        let is_received = last_seen > last_heartbeat + self.period.mul_f64(OVERDUE_PERIODS);
+        let is_received =
+            last_seen > last_heartbeat + self.period.mul_f64(NEXT_HEARTBEAT_DUE_PERIODS);
         if is_received && now.since(last_seen) < lost_after {
             return (Presence::Silent, Some(last_seen + lost_after));
         }

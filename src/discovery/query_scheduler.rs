@@ -32,7 +32,7 @@ impl Engine {
     pub(super) fn send_due_queries(&mut self) {
         self.expire_queries();
         let Some(own) = self.local_node.held() else { return };
-        if !self.config.scan || self.outbox.is_paused() {
+        if !self.config.send_requests || self.outbox.is_paused() {
             return;
         }
         self.refill();
@@ -43,7 +43,7 @@ impl Engine {
     /// Returns the share of the bus for requests, in bit/s.
     fn share(&self) -> f64 {
         let busy = self.rounds.is_starting();
-        let share = if busy { self.config.start_share } else { self.config.steady_share };
+        let share = if busy { self.config.startup_budget } else { self.config.steady_budget };
         share * f64::from(self.config.bits_per_second())
     }
 
@@ -57,7 +57,7 @@ impl Engine {
     fn step_round(&mut self, own: Address) {
         let now = self.now;
         let known = self.device_table.discoveries;
-        let open = self.open_requests();
+        let open = self.open_queries();
         match self.rounds.step(now, &self.config, open, known) {
             RoundStep::None => {}
             RoundStep::Send if !self.outbox.has_budget() => {
@@ -71,7 +71,7 @@ impl Engine {
                         self.send_broadcast(own, to_not_working, framing);
                     }
                 }
-                let count = if self.config.echo { 2 * framings.len() as u32 } else { 0 };
+                let count = if self.config.has_loopback { 2 * framings.len() as u32 } else { 0 };
                 self.rounds.note_requests(count);
             }
             RoundStep::Over { began } => self.finish_round(began),
@@ -89,7 +89,7 @@ impl Engine {
     }
 
     /// Returns the number of services queries that a round at start waits for.
-    fn open_requests(&self) -> usize {
+    fn open_queries(&self) -> usize {
         if !self.rounds.is_starting() {
             return 0;
         }
@@ -105,7 +105,7 @@ impl Engine {
             let is_present = has_heartbeats || device.last_seen >= began;
             device.rounds_missed = if is_present { 0 } else { device.rounds_missed + 1 };
         }
-        self.judge_presence();
+        self.update_presence();
         let now = self.now;
         for device in self.device_table.devices_mut() {
             let query = &mut device.name_query;
@@ -155,7 +155,7 @@ impl Engine {
         let window = self.response_window();
         for request in [Request::Name, Request::Services] {
             // In the order of addresses: responses of lower ones have priority on the bus, so
-            // requests are answered in the order sent and none waits behind later ones.
+            // responses arrive in the order of the requests and none waits behind later ones.
             for address in Address::all() {
                 if self.waiting >= MAX_WAITING || !self.outbox.has_budget() {
                     return;
@@ -170,7 +170,7 @@ impl Engine {
                     device.services_query.due = None;
                     continue;
                 }
-                let (working, framing) = (device.working, device.framing);
+                let (working, framing) = (device.is_working, device.framing);
                 // During address resolution its next mode is unknown.
                 let undecided = device.is_resolving && !working;
                 // Another node may have claimed the address of a lost device.
@@ -250,7 +250,7 @@ impl Engine {
         let before = query.fault.replace(fault);
         if query.is_waiting() {
             // A single error response may be due to the framing of the request.
-            if fault == QueryFault::Refused && before == Some(fault) {
+            if fault == QueryFault::ErrorResponse && before == Some(fault) {
                 query.attempts = query.attempts.max(max_attempts(request));
             }
             if record_failure(query, request, named, now, Some(fault)) {
@@ -263,8 +263,9 @@ impl Engine {
     /// Returns when the next request or timeout is due.
     pub(super) fn query_timeout(&self) -> Option<Instant> {
         let mut due = NO_TIMEOUT;
-        let sending =
-            self.local_node.held().is_some() && self.config.scan && !self.outbox.is_paused();
+        let sending = self.local_node.held().is_some()
+            && self.config.send_requests
+            && !self.outbox.is_paused();
         for (index, device) in self.device_table.devices().iter().enumerate() {
             let sending = sending && self.device_table.is_current(index);
             for query in [&device.name_query, &device.services_query] {
@@ -276,7 +277,7 @@ impl Engine {
             }
         }
         if sending {
-            let round = self.rounds.poll_timeout(&self.config, self.open_requests());
+            let round = self.rounds.poll_timeout(&self.config, self.open_queries());
             due = due.min(round.unwrap_or(NO_TIMEOUT));
             if let Some(until) = self.rounds.priority_until(self.now) {
                 due = due.max(until).min(self.next_deadline());
@@ -310,7 +311,7 @@ impl Engine {
 /// Returns the timeout of the first frame of a response: what devices need, plus what a slow and
 /// busy bus adds; doubled with every attempt, at most 3 s.
 fn response_timeout(config: &super::Config, attempts: u32) -> Duration {
-    let base = Duration::from_millis(200) + config.bit_time(180 * 150);
+    let base = Duration::from_millis(200) + config.duration_of_bits(180 * 150);
     (base * 2u32.saturating_pow(attempts.saturating_sub(1))).min(Duration::from_secs(3))
 }
 

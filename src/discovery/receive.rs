@@ -1,8 +1,8 @@
 //! Reception: updates devices, queries and evidence from each received frame.
 
-use super::address_history::QueryParties;
+use super::address_history::RequestOrigin;
 use super::conflict_detector::ResponseStart;
-use super::device::{DeviceService, QueryFault, QueryState, Quirk};
+use super::device::{DeviceService, ProtocolDeviation, QueryFault, QueryState};
 use super::transfers::{Continued, Started};
 use super::{Device, Engine, EventKind, Presence, local_node};
 use crate::frame::{Frame, FrameKind};
@@ -64,7 +64,7 @@ impl Engine {
 
     fn process_non_conforming(&mut self, now: Instant, header: Header, frame: &Frame) {
         let Some(device) = self.device_table.current_device_mut(header.source) else { return };
-        device.note(Quirk::NonConforming);
+        device.note_deviation(ProtocolDeviation::NonConforming);
         let name = device.name.clone();
         self.conflicts.note_non_conforming(now, header.source, name.as_ref(), frame);
         self.wake_at(now);
@@ -72,8 +72,8 @@ impl Engine {
 
     fn process_platform_frame(&mut self, now: Instant, header: Header, frame: &Frame) {
         let echoed = self.is_echoed_destination(now, header);
-        let counts = !header.broadcast && !echoed;
-        self.local_node.note_used(now, header, counts);
+        let destination_is_node = !header.broadcast && !echoed;
+        self.local_node.note_used(now, header, destination_is_node);
         if let Some(own) = self.is_own_claim()
             && own == header.source
         {
@@ -86,12 +86,12 @@ impl Engine {
             let data = frame.data().to_vec();
             let code = header.service.number();
             if let Some(index) = self.device_for_source(now, header) {
-                self.emit(index, EventKind::Debug { code, data });
+                self.emit(index, EventKind::DebugMessage { code, data });
             }
             return;
         }
         let Some(index) = self.device_for_source(now, header) else {
-            self.counters.refused += 1;
+            self.counters.over_limit += 1;
             return;
         };
         if header.service == self.config.profile.heartbeat_service() {
@@ -104,10 +104,10 @@ impl Engine {
             }
         }
         // Rows may have changed their index.
-        if let Some(index) = self.device_table.active_at(header.source)
+        if let Some(index) = self.device_table.current_index_at(header.source)
             && self.device_table.get(index).presence != Presence::Online
         {
-            self.judge_device(index);
+            self.update_device_presence(index);
         }
     }
 
@@ -132,7 +132,7 @@ impl Engine {
         }
         let last_request = self.last_request_at[header.destination.index()];
         if self.local_node.held() == Some(header.destination)
-            || self.device_table.active_at(header.destination).is_some()
+            || self.device_table.current_index_at(header.destination).is_some()
             || last_request.is_some_and(|at| now.since(at) < REQUESTER_WINDOW)
         {
             return false;
@@ -173,13 +173,13 @@ impl Engine {
     /// too many rows.
     fn device_for_source(&mut self, now: Instant, header: Header) -> Option<usize> {
         // In a DEBUG message the U bit does not give the sender's mode.
-        let says_mode = header.message_type() != MessageType::Debug;
-        let working = !(header.sender_not_working && says_mode);
-        let Some(index) = self.device_table.active_at(header.source) else {
+        let has_mode_bit = header.message_type() != MessageType::Debug;
+        let working = !(header.from_non_working && has_mode_bit);
+        let Some(index) = self.device_table.current_index_at(header.source) else {
             let index = self.device_table.insert(now, header.source, working)?;
-            self.device_table.get_mut(index).frames = 1;
+            self.device_table.get_mut(index).frame_count = 1;
             self.device_table.get_mut(index).name_query.schedule(now);
-            self.emit(index, EventKind::Appeared);
+            self.emit(index, EventKind::FirstFrame);
             self.wake_at(now);
             return Some(index);
         };
@@ -190,12 +190,12 @@ impl Engine {
         }
         let device = self.device_table.get_mut(index);
         device.last_seen = now;
-        device.frames += 1;
+        device.frame_count += 1;
         device.rounds_missed = 0;
         // Without heartbeats only the U bit shows another mode, which may have other services, or
         // another board.
-        if says_mode && device.working != working {
-            device.working = working;
+        if has_mode_bit && device.is_working != working {
+            device.is_working = working;
             let has_heartbeats =
                 device.heartbeat.last.is_some_and(|last| now.since(last) < period * 3);
             if !has_heartbeats && device.services.is_some() {
@@ -237,15 +237,15 @@ impl Engine {
     }
 
     fn note_request(&mut self, now: Instant, header: Header, frame: &Frame, is_own: bool) {
-        let Some((framing, message)) = classify_request(frame.data(), frame.fd) else { return };
+        let Some((framing, message)) = classify_request(frame.data(), frame.is_fd) else { return };
         let Some(ReceivedRequest::Known(request)) = Request::decode(message) else { return };
-        let parties = QueryParties { by: header.source, targeted: !header.broadcast };
+        let parties = RequestOrigin { requester: header.source, is_targeted: !header.broadcast };
         self.last_request_at[header.source.index()] = Some(now);
         if !header.broadcast {
             let destination = header.destination;
             let known = self.device_table.current_device(destination);
             // A working node does not respond to requests for non-working ones.
-            if !(header.to_not_working && known.is_some_and(|device| device.working)) {
+            if !(header.to_non_working && known.is_some_and(|device| device.is_working)) {
                 self.conflicts.note_request(now, destination, request, framing, parties);
             }
             if known.is_some_and(|device| device.framing.is_none_or(|it| it == framing)) {
@@ -267,14 +267,14 @@ impl Engine {
             let known = self.device_table.current_device(address);
             let may_respond = known.is_some_and(|device| {
                 address != header.source
-                    && device.working != header.to_not_working
+                    && device.is_working != header.to_non_working
                     && device.is_present()
-                    && device.name_query.state != QueryState::Unanswered
+                    && device.name_query.state != QueryState::NoResponse
                     && device.framing.is_none_or(|it| it == framing)
             });
             awaited |= u128::from(may_respond) << address.index();
             let fits =
-                |device: &Device| device.working != header.to_not_working || device.is_resolving;
+                |device: &Device| device.is_working != header.to_non_working || device.is_resolving;
             if known.is_none_or(fits) {
                 self.conflicts.note_request(now, address, request, framing, parties);
             }
@@ -295,28 +295,29 @@ impl Engine {
         frame: &Frame,
         echoed: bool,
     ) {
-        let for_own_address = self.is_for_own_address(index, header, echoed);
+        let is_for_descan = self.is_for_own_address(index, header, echoed);
         self.errors.note_partial_response(header.source, self.response_window());
         if echoed {
-            self.device_table.get_mut(index).note(Quirk::RspDstEcho);
+            self.device_table.get_mut(index).note_deviation(ProtocolDeviation::RspDstEcho);
         }
         if !header.no_error {
-            // It answers another node's request, or the request in the other framing.
+            // It is the response to another node's request, or the request in the other framing.
             let device = self.device_table.get(index);
             let arriving = [&device.name_query, &device.services_query];
             let arriving = arriving.iter().any(|query| query.state == QueryState::Receiving);
-            if arriving || (self.local_node.held().is_some() && !for_own_address) {
+            if arriving || (self.local_node.held().is_some() && !is_for_descan) {
                 return;
             }
             let request = self.open_request(index).unwrap_or(Request::Services);
-            self.response_failed(index, request, QueryFault::Refused);
+            self.response_failed(index, request, QueryFault::ErrorResponse);
             return;
         }
         let open = self.transfers.is_open(header);
         // A repeated DST may by chance be the address of another requester.
-        let repeats = self.device_table.get(index).quirks.contains(&Quirk::RspDstEcho);
+        let repeats =
+            self.device_table.get(index).deviations.contains(&ProtocolDeviation::RspDstEcho);
         let to = (!repeats).then_some(header.destination);
-        match classify_response(frame.data(), frame.fd, open) {
+        match classify_response(frame.data(), frame.is_fd, open) {
             Some(Framing::Raw) => {
                 let message = strip_raw_padding(frame.data());
                 let request = request_of(message);
@@ -324,7 +325,7 @@ impl Engine {
                 self.process_message(now, index, Framing::Raw, message, frame);
             }
             Some(Framing::Isotp) => {
-                self.process_isotp_frame(now, index, header, frame, for_own_address, to);
+                self.process_isotp_frame(now, index, header, frame, is_for_descan, to);
             }
             None => {
                 // Frames of a late or incomplete transfer are not malformed.
@@ -359,8 +360,9 @@ impl Engine {
         self.rounds.note_response(now);
         let device = self.device_table.get(index);
         let (address, name) = (device.address, device.name.clone());
-        let (working, resolving) = (device.working, device.is_resolving);
-        let response = ResponseStart { from: address, to, request, framing, working, resolving };
+        let (is_working, is_resolving) = (device.is_working, device.is_resolving);
+        let response =
+            ResponseStart { from: address, to, request, framing, is_working, is_resolving };
         self.conflicts.note_response(now, response, name.as_ref(), frame);
     }
 
@@ -371,7 +373,7 @@ impl Engine {
             device.framing = Some(framing);
             return;
         }
-        device.note(Quirk::BothFramings);
+        device.note_deviation(ProtocolDeviation::BothFramings);
         // Only ISO-TP carries services that do not fit one frame.
         let was_raw = device.framing.replace(Framing::Isotp) == Some(Framing::Raw);
         if was_raw && device.name.is_some() && device.services.is_none() {
@@ -386,10 +388,10 @@ impl Engine {
         index: usize,
         header: Header,
         frame: &Frame,
-        for_own_address: bool,
+        is_for_descan: bool,
         to: Option<Address>,
     ) {
-        match Pci::decode(frame.data(), frame.fd) {
+        match Pci::decode(frame.data(), frame.is_fd) {
             Ok(Pci::Single(message)) => {
                 let request = request_of(message);
                 self.note_response_start(now, index, request, Framing::Isotp, to, frame);
@@ -407,20 +409,20 @@ impl Engine {
                 }
                 self.note_response_start(now, index, first_type, Framing::Isotp, to, frame);
                 let block_size =
-                    if for_own_address { self.config.profile.isotp.block_size } else { 0 };
+                    if is_for_descan { self.config.profile.isotp.block_size } else { 0 };
                 match self.transfers.start(now, header, frame, length, data, block_size) {
                     Started::Open => {
                         if let Some(request) = request {
                             self.extend_deadline(index, request);
                         }
-                        if for_own_address {
+                        if is_for_descan {
                             self.send_flow_control(header, FlowStatus::Continue);
                         }
                         self.wake_at(now);
                     }
                     Started::Fault(fault) => {
                         self.counters.transfers_failed += 1;
-                        if for_own_address {
+                        if is_for_descan {
                             self.send_flow_control(header, FlowStatus::Overflow);
                         }
                         self.report_malformed(now, index, &fault, frame);
@@ -435,7 +437,7 @@ impl Engine {
                     Continued::Done(message) => {
                         self.process_message(now, index, Framing::Isotp, &message, frame);
                     }
-                    Continued::BlockEnd if for_own_address => {
+                    Continued::BlockEnd if is_for_descan => {
                         self.send_flow_control(header, FlowStatus::Continue);
                     }
                     Continued::Fault(fault, first) => {
@@ -459,7 +461,7 @@ impl Engine {
     fn send_flow_control(&mut self, response: Header, status: FlowStatus) {
         let Some(own) = self.local_node.held() else { return };
         let mut header =
-            Header::request(own, response.source, response.sender_not_working, response.service);
+            Header::request(own, response.source, response.from_non_working, response.service);
         header.no_error = self.config.profile.request_err;
         let isotp = &self.config.profile.isotp;
         let flow = FlowControl { status, block_size: isotp.block_size, st_min: isotp.st_min };
@@ -469,7 +471,9 @@ impl Engine {
     /// Aborts transfers whose next frame is overdue (N_Cr).
     pub(super) fn expire_transfers(&mut self) {
         while let Some(expired) = self.transfers.expire(self.now) {
-            let Some(index) = self.device_table.active_at(expired.header.source) else { continue };
+            let Some(index) = self.device_table.current_index_at(expired.header.source) else {
+                continue;
+            };
             let request = self.open_request(index);
             self.abort_transfer(self.now, index, request, expired.fault, &expired.first);
         }
@@ -493,7 +497,7 @@ impl Engine {
         // a fault of the device.
         let excused = self.conflicts.has_duplicate_requests(now)
             || self.lateness.is_bus_wide()
-            || device.quirks.contains(&Quirk::RspDstEcho);
+            || device.deviations.contains(&ProtocolDeviation::RspDstEcho);
         if again && !excused {
             self.counters.malformed += 1;
             let (address, name) = (device.address, device.name.clone());
@@ -556,7 +560,7 @@ impl Engine {
             device.name = Some(name);
             device.services_query.restart(now);
             self.device_table.discoveries += 1;
-            self.emit(index, EventKind::Named);
+            self.emit(index, EventKind::NameReceived);
         }
         self.note_framing(now, index, framing);
         if is_new {
@@ -581,11 +585,11 @@ impl Engine {
         device.services_query.record_response(now, fault.map(QueryFault::from));
         // A device that responds to one query can be queried again for the other, which ended too
         // early.
-        if device.name_query.state == QueryState::Unanswered {
+        if device.name_query.state == QueryState::NoResponse {
             device.name_query.schedule(now);
         }
         if fault.is_some_and(|fault| fault != ResponseFault::Truncated) {
-            device.services_query.state = QueryState::Unanswered;
+            device.services_query.state = QueryState::NoResponse;
             self.wake_at(now);
             return;
         }

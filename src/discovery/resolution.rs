@@ -3,8 +3,9 @@
 //! [`claims`](super::claims) determines what happened; this module assigns it to a device, which
 //! may have no row yet.
 
-use super::claims::{ClaimUpdate, GAP_PERIODS, HeartbeatInput};
-use super::{ConflictParty, DeviceId, Engine, EventKind};
+use super::claims::{ClaimUpdate, HeartbeatInput};
+use super::device::MISSED_HEARTBEAT_PERIODS;
+use super::{DeviceId, Engine, EventKind, OtherDevice};
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
 use crate::wire::node::{Heartbeat, Mode, Uid};
@@ -15,7 +16,7 @@ const CLAIM_RELEVANT_PERIODS: u32 = 12;
 
 /// A heartbeat, with the state of the row at its address before it.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Claim {
+pub(super) struct HeartbeatContext {
     pub index: usize,
     pub address: Address,
     pub heartbeat: Heartbeat,
@@ -26,7 +27,7 @@ pub(super) struct Claim {
 
 /// Sender of a heartbeat.
 #[derive(Debug)]
-pub(super) struct Sender {
+pub(super) struct HeartbeatSender {
     /// UID and what claims know about it; `None` if the UID is blank.
     known: Option<(Uid, ClaimUpdate)>,
     /// Previous mode; `None` if unknown.
@@ -34,13 +35,13 @@ pub(super) struct Sender {
     /// True if the row at the address belongs to another node.
     pub is_other_node: bool,
     pub(super) claims: bool,
-    holder: Option<ConflictParty>,
+    holder: Option<OtherDevice>,
 }
 
 impl Engine {
     /// Determines the sender of a heartbeat, and whether it claims its address.
-    pub(super) fn note_sender(&mut self, claim: Claim) -> Sender {
-        let Claim { index, address, heartbeat, uid_before, mode_before, gap } = claim;
+    pub(super) fn note_sender(&mut self, claim: HeartbeatContext) -> HeartbeatSender {
+        let HeartbeatContext { index, address, heartbeat, uid_before, mode_before, gap } = claim;
         let not_blank = |uid: Option<Uid>| uid.filter(|uid| !uid.is_blank());
         let (now, row) = (self.now, self.device_table.get(index).id);
         let arslv = heartbeat.mode == Some(Mode::Arslv) && mode_before != Some(Mode::Arslv);
@@ -51,9 +52,9 @@ impl Engine {
         let Some(uid) = not_blank(heartbeat.uid) else {
             let again = heartbeat.mode == mode_before && held;
             if over_holder {
-                self.claims.note_claimed_over(now, address);
+                self.claims.note_claimed_while_held(now, address);
             }
-            return Sender {
+            return HeartbeatSender {
                 known: None,
                 mode_before,
                 is_other_node: over_holder,
@@ -68,11 +69,17 @@ impl Engine {
             .is_some_and(|it| it.address == address)
             && self.claims.is_shared(now, address, uid);
         let over_holder = own || (over_holder && before.is_none());
-        let heartbeat_input =
-            HeartbeatInput { now, address, uid, mode: heartbeat.mode, row, over_holder };
+        let heartbeat_input = HeartbeatInput {
+            now,
+            address,
+            uid,
+            mode: heartbeat.mode,
+            row,
+            holder_present: over_holder,
+        };
         let update = self.claims.update(heartbeat_input, || self.device_table.reserve());
         let same = before.is_none() || before == Some(uid);
-        Sender {
+        HeartbeatSender {
             known: Some((uid, update)),
             mode_before: if same { mode_before } else { update.mode_before },
             is_other_node: update.is_other_node,
@@ -87,10 +94,10 @@ impl Engine {
     }
 
     /// Emits which node gave up an address, as far as this heartbeat shows it.
-    pub(super) fn emit_gave_up(&mut self, address: Address, sender: &Sender) {
+    pub(super) fn emit_gave_up(&mut self, address: Address, sender: &HeartbeatSender) {
         let Some((uid, update)) = sender.known else { return };
         let now = self.now;
-        if let (Some(left), Some(then)) = (update.left, update.gave_way) {
+        if let (Some(left), Some(then)) = (update.left, update.gave_up) {
             let to = self.claims.is_still_active(now, left, then, uid);
             let to = to.map(|(device, uid)| self.party(device, Some(uid)));
             let to = to.or_else(|| self.blank_party(left, then));
@@ -98,12 +105,12 @@ impl Engine {
             let here = self.row_of_sender(address, sender);
             let device = if self.row_left(left, &update).is_some() { None } else { here };
             let device = device.unwrap_or(update.device);
-            let kind = EventKind::GaveWay { uid: Some(uid), to, inferred: false };
+            let kind = EventKind::GaveUpAddress { uid: Some(uid), to, inferred: false };
             self.emit_for(Some(device), left, kind);
         }
-        for (device, silent) in self.claims.fallen_silent(now, address, uid) {
+        for (device, silent) in self.claims.nodes_that_stopped(now, address, uid) {
             let to = Some(self.party(update.device, Some(uid)));
-            let kind = EventKind::GaveWay { uid: Some(silent), to, inferred: true };
+            let kind = EventKind::GaveUpAddress { uid: Some(silent), to, inferred: true };
             // A row that both shared now belongs to the other node.
             let shared =
                 self.device_table.current_device(address).is_some_and(|row| row.id == device);
@@ -112,11 +119,11 @@ impl Engine {
     }
 
     /// Emits that the sender moved here after a conflict elsewhere, and its claim.
-    pub(super) fn emit_claim(&mut self, address: Address, sender: &Sender) {
+    pub(super) fn emit_claim(&mut self, address: Address, sender: &HeartbeatSender) {
         if let Some((_, update)) = sender.known
             && let (Some(left), false) = (update.left, sender.is_other_node)
             && let (Some(old), Some(new)) =
-                (self.row_left(left, &update), self.device_table.active_at(address))
+                (self.row_left(left, &update), self.device_table.current_index_at(address))
             && old != new
         {
             self.take_over_row(old, new);
@@ -124,10 +131,14 @@ impl Engine {
         let row = self.row_of_sender(address, sender);
         let mut device = row;
         if let Some((uid, update)) = sender.known {
-            let was =
-                row.and_then(|row| self.claims.adopt(uid, row, || self.device_table.reserve()));
+            let was = row
+                .and_then(|row| self.claims.assign_row(uid, row, || self.device_table.reserve()));
             if let (Some(was), Some(row)) = (was, row) {
-                self.emit_for(Some(row), address, EventKind::Joined { was, before: None });
+                self.emit_for(
+                    Some(row),
+                    address,
+                    EventKind::IdsMerged { previous: was, before: None },
+                );
             }
             // Its row there now belongs to the other node, but events before that node came concern
             // this one.
@@ -136,10 +147,11 @@ impl Engine {
                 && self.device_table.by_id(update.device).is_some()
                 && let Some(before) = self.claims.other_sender_since(left, uid)
             {
-                let kind = EventKind::Joined { was: update.device, before: Some(before) };
+                let kind = EventKind::IdsMerged { previous: update.device, before: Some(before) };
                 self.emit_for(Some(row), address, kind);
             }
-            if let (Some(from), Some(index)) = (update.left, self.device_table.active_at(address))
+            if let (Some(from), Some(index)) =
+                (update.left, self.device_table.current_index_at(address))
                 && row.is_some()
                 && self.device_table.get(index).moved_from != Some(from)
             {
@@ -159,10 +171,10 @@ impl Engine {
     /// Emits that a device known by its name alone left an address that another node claimed.
     pub(super) fn emit_gave_up_by_name(&mut self, device: DeviceId, from: Address) {
         let period = self.config.profile.heartbeat.period();
-        let since = self.claims.claimed_over(from);
+        let since = self.claims.claimed_while_held(from);
         let concerns = since.is_some_and(|at| self.now.since(at) < period * CLAIM_RELEVANT_PERIODS);
         if concerns && let Some(to) = self.blank_party(from, Instant::ZERO) {
-            let kind = EventKind::GaveWay { uid: None, to: Some(to), inferred: true };
+            let kind = EventKind::GaveUpAddress { uid: None, to: Some(to), inferred: true };
             self.emit_for(Some(device), from, kind);
         }
     }
@@ -183,7 +195,7 @@ impl Engine {
         (row.address == left && (silent || !self.device_table.is_current(index))).then_some(index)
     }
 
-    fn row_of_sender(&self, address: Address, sender: &Sender) -> Option<DeviceId> {
+    fn row_of_sender(&self, address: Address, sender: &HeartbeatSender) -> Option<DeviceId> {
         if sender.is_other_node {
             return None;
         }
@@ -192,17 +204,17 @@ impl Engine {
 
     /// Returns the gap between heartbeats from which at least one is missing.
     fn gap_limit(&self) -> Duration {
-        self.config.profile.heartbeat.period().mul_f64(GAP_PERIODS)
+        self.config.profile.heartbeat.period().mul_f64(MISSED_HEARTBEAT_PERIODS)
     }
 
-    fn party(&self, device: DeviceId, uid: Option<Uid>) -> ConflictParty {
+    fn party(&self, device: DeviceId, uid: Option<Uid>) -> OtherDevice {
         let name = self.device_table.by_id(device).and_then(|row| row.name.clone());
-        ConflictParty { device, name, uid }
+        OtherDevice { device, name, uid }
     }
 
     /// Returns the node that sends heartbeats without a UID from `address`, and did so after
     /// `then`.
-    fn blank_party(&self, address: Address, then: Instant) -> Option<ConflictParty> {
+    fn blank_party(&self, address: Address, then: Instant) -> Option<OtherDevice> {
         let row = self.device_table.current_device(address)?;
         let last = row.heartbeat.last.filter(|last| *last > then)?;
         let is_blank = row.uid.is_none_or(Uid::is_blank);

@@ -27,7 +27,8 @@ enum RoundPhase {
     NotYet,
     /// Responses are collected.
     Collecting { began: Instant, last_response: Instant, responses: u32, known: u64 },
-    /// The next round is due at `at`, or, at start, when no query is open, at `latest`.
+    /// The next round is due at `at` if no query is open then, else once none is, but not after
+    /// `latest`, nor before `at`.
     Waiting { at: Instant, latest: Instant },
     /// No further rounds.
     Never,
@@ -105,7 +106,7 @@ impl Rounds {
         self.unsent = count;
     }
 
-    /// Notes that one of them is on the bus and may be answered from now on.
+    /// Notes that one of them is on the bus: responses to it may arrive from now on.
     pub fn note_sent(&mut self, now: Instant) {
         self.unsent = self.unsent.saturating_sub(1);
         if let RoundPhase::Collecting { last_response, .. } = &mut self.phase {
@@ -113,8 +114,8 @@ impl Rounds {
         }
     }
 
-    /// Returns until when other requests, which may have a higher priority on the bus, let those of
-    /// this round pass: the request to non-working nodes would wait behind those to working ones.
+    /// Returns the time until which other requests are held back, because they may win arbitration
+    /// against the requests of this round; `None` if they need not wait.
     pub fn priority_until(&self, now: Instant) -> Option<Instant> {
         match self.phase {
             RoundPhase::Collecting { began, .. } if self.unsent > 0 => {
@@ -135,7 +136,7 @@ impl Rounds {
     /// Returns the time without responses after which a round is over.
     fn quiet_window(config: &Config, responses: u32) -> Duration {
         let frames = 60 + u64::from(responses.min(127));
-        Duration::from_millis(60) + config.bit_time(frames * FRAME_BITS)
+        Duration::from_millis(60) + config.duration_of_bits(frames * FRAME_BITS)
     }
 
     /// Returns when the current round is over if no more responses arrive.
@@ -150,12 +151,12 @@ impl Rounds {
         if self.unsent > 0 {
             return quiet.max(began + SEND_TIMEOUT);
         }
-        let longest = SEND_TIMEOUT + MAX_COLLECTION + config.bit_time(4 * 127 * FRAME_BITS);
+        let longest = SEND_TIMEOUT + MAX_COLLECTION + config.duration_of_bits(4 * 127 * FRAME_BITS);
         quiet.min(began + longest)
     }
 
-    /// Advances the rounds. `open`: queries without a response; `known`: number of things found so
-    /// far.
+    /// Advances the rounds. `open`: queries without a response; `known`: number of rows and names
+    /// found so far.
     pub fn step(&mut self, now: Instant, config: &Config, open: usize, known: u64) -> RoundStep {
         match self.phase {
             RoundPhase::Collecting { began, last_response, responses, known: before } => {

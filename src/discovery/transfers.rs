@@ -138,7 +138,7 @@ impl Transfers {
                 self.open -= 1;
                 let RxTransfer { id, first, reassembly } = transfers.swap_remove(at);
                 let header = Header::decode(id);
-                let fault = TransferFault::SenderSilent { after: reassembly.message().len() };
+                let fault = TransferFault::TimeoutCr { after: reassembly.message().len() };
                 return Some(Expired { header, fault, first });
             }
         }

@@ -57,7 +57,7 @@ pub enum EditError {
     /// The edited text does not have the intended content: a fault in descan. The file is not
     /// written.
     #[error("edit rejected: the result would not read back as intended: {reason}")]
-    Unfaithful {
+    VerificationFailed {
         /// The difference.
         reason: String,
     },
@@ -70,7 +70,7 @@ impl Document {
     /// [`EditError`]; no edit is applied in part.
     pub fn apply(&self, operation: &Operation) -> Result<Self, EditError> {
         self.check_path()?;
-        if let Operation::TakeOutFirst { former, .. } = operation
+        if let Operation::RemoveFirstEntry { former, .. } = operation
             && let Some(before) = former.before(self)
         {
             return Ok(before.clone());
@@ -81,26 +81,26 @@ impl Document {
             Operation::Add { entry } => {
                 check_address(entry.address)?;
                 self.check_count()?;
-                changed = entry.meant();
+                changed = entry.expected();
                 meant.push(&changed);
                 self.with_new(entry)
             }
-            Operation::PutBack { removed } => {
+            Operation::RestoreEntry { removed } => {
                 self.check_count()?;
                 meant.insert(self.entries_before(removed.entry.element), &removed.entry);
                 self.with_removed(removed)
             }
-            Operation::Remove { entry } | Operation::TakeOutFirst { entry, .. } => {
+            Operation::Remove { entry } | Operation::RemoveFirstEntry { entry, .. } => {
                 let index = self.require(entry)?;
                 meant.remove(index);
                 self.without_element(self.entries()[index].element)
             }
-            Operation::SetAddress { entry, .. }
-            | Operation::ClearAddress { entry, .. }
+            Operation::PinAddress { entry, .. }
+            | Operation::UnpinAddress { entry, .. }
             | Operation::Rename { entry, .. }
             | Operation::SetServices { entry, .. }
-            | Operation::Restore { entry, .. } => {
-                if let Operation::SetAddress { to, .. } = operation {
+            | Operation::RestoreMembers { entry, .. } => {
+                if let Operation::PinAddress { to, .. } = operation {
                     check_address(Some(*to))?;
                 }
                 let index = self.require(entry)?;
@@ -116,14 +116,14 @@ impl Document {
 
     /// Parses the edited body and compares the meaning of each entry with what was intended.
     fn verified(&self, body: &str, meant: &[&Entry]) -> Result<Self, EditError> {
-        let unfaithful = |reason: String| EditError::Unfaithful { reason };
+        let unfaithful = |reason: String| EditError::VerificationFailed { reason };
         let source = [if self.has_bom() { BOM } else { "" }, body].concat();
         let edited = Self::parse(source.as_bytes()).map_err(|it| unfaithful(it.to_string()))?;
         if edited.entries().len() != meant.len() {
             return Err(unfaithful(format!("{} entries", edited.entries().len())));
         }
         for (is, meant) in edited.entries().iter().zip(meant) {
-            if is.meaning() != meant.meaning() {
+            if is.content() != meant.content() {
                 return Err(unfaithful(format!("{}: {}", is.position, is.name_text)));
             }
         }
@@ -154,7 +154,7 @@ impl Document {
         let entry = &self.entries()[index];
         let mut texts = Vec::new();
         match operation {
-            Operation::SetAddress { to, .. } => {
+            Operation::PinAddress { to, .. } => {
                 if entry.address != Some(*to) {
                     texts.push((Member::Address, Some(to.to_string())));
                 }
@@ -162,7 +162,7 @@ impl Document {
                     texts.push((Member::Static, Some("true".to_owned())));
                 }
             }
-            Operation::ClearAddress { .. } if entry.is_static => {
+            Operation::UnpinAddress { .. } if entry.is_static => {
                 texts.push((Member::Static, Some("false".to_owned())));
             }
             Operation::Rename { to, .. } if *to != entry.name => {
@@ -181,7 +181,7 @@ impl Document {
                 };
                 texts.push((Member::Services, Some(text)));
             }
-            Operation::Restore { former, .. } => texts.clone_from(&former.members),
+            Operation::RestoreMembers { former, .. } => texts.clone_from(&former.members),
             _ => {}
         }
         texts
@@ -326,7 +326,7 @@ impl Document {
         spliced(self.body(), cut, "")
     }
 
-    /// Returns what [`Operation::PutBack`] needs to restore an entry.
+    /// Returns what [`Operation::RestoreEntry`] needs to restore an entry.
     pub(super) fn removed(&self, index: usize) -> RemovedEntry {
         let entry = &self.entries()[index];
         let elements = self.elements();
@@ -415,11 +415,13 @@ impl Document {
     pub fn check_operation(&self, operation: &Operation) -> Result<(), EditError> {
         self.check_path()?;
         match operation {
-            Operation::SetAddress { entry, .. }
-            | Operation::ClearAddress { entry, .. }
+            Operation::PinAddress { entry, .. }
+            | Operation::UnpinAddress { entry, .. }
             | Operation::Rename { entry, .. }
             | Operation::SetServices { entry, .. }
-            | Operation::Restore { entry, .. } => self.check_entry(self.require(entry)?, operation),
+            | Operation::RestoreMembers { entry, .. } => {
+                self.check_entry(self.require(entry)?, operation)
+            }
             _ => Ok(()),
         }
     }

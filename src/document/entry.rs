@@ -48,7 +48,7 @@ impl Entry {
     }
 
     /// Returns the content of the entry, without positions.
-    pub(super) fn meaning(&self) -> impl PartialEq + '_ {
+    pub(super) fn content(&self) -> impl PartialEq + '_ {
         (&self.name, self.address, self.is_static, &self.bus, &self.uid, &self.services)
     }
 }

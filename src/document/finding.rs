@@ -4,6 +4,7 @@ use std::fmt;
 
 use super::position::{Position, Positions};
 use super::syntax::JsonKind;
+use crate::finding::FindingKind;
 
 /// A fault in the file. The rest of the file is used.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -45,12 +46,18 @@ pub enum DocumentFindingKind {
 }
 
 impl DocumentFindingKind {
-    /// Returns the kind's name in JSON output, on which scripts rely.
-    pub fn name(self) -> &'static str {
+    /// Returns the kind of the finding that reports it.
+    pub const fn finding_kind(self) -> FindingKind {
         match self {
-            Self::DuplicateAddress => "file-duplicate-address",
-            Self::DuplicateEntry => "file-duplicate-entry",
-            _ => "file-shape",
+            Self::DuplicateAddress => FindingKind::FileDuplicateAddress,
+            Self::DuplicateEntry => FindingKind::FileDuplicateEntry,
+            Self::NotDevices
+            | Self::NotAnEntry
+            | Self::MissingName
+            | Self::WrongType
+            | Self::AddressRange
+            | Self::NamesDiffer
+            | Self::DuplicateMember => FindingKind::FileShape,
         }
     }
 }
@@ -71,8 +78,8 @@ impl fmt::Display for DocumentFinding {
 /// Most findings kept: a wrong file may have as many as it has bytes.
 const MAX_FINDINGS: usize = 1000;
 
-/// Sorts findings by position and keeps the first [`MAX_FINDINGS`], followed by one with the number of
-/// further findings. `more`: findings that were left out before.
+/// Sorts findings by position and keeps the first [`MAX_FINDINGS`], followed by one with the number
+/// of further findings. `more`: findings that were left out before.
 pub(super) fn keep_first(findings: &mut Vec<DocumentFinding>, more: usize) {
     findings.sort_by(|a, b| (a.position, &a.message).cmp(&(b.position, &b.message)));
     let more = more + findings.len().saturating_sub(MAX_FINDINGS);

@@ -27,7 +27,7 @@ pub enum Merge {
         operations: Vec<Operation>,
         /// For each conflict in which ours was chosen, in order: the range of `operations` that
         /// overwrites theirs.
-        overruling: Vec<Range<usize>>,
+        overwriting: Vec<Range<usize>>,
     },
     /// The user has to choose.
     Conflict(EditConflict),
@@ -44,9 +44,9 @@ pub struct EditConflict {
     /// Value in theirs: "address 13, static", "deleted". Safe on a terminal.
     pub theirs: String,
     /// Number among the conflicts of the merge, from 1.
-    pub number: usize,
+    pub index: usize,
     /// Number of conflicts of the merge.
-    pub of: usize,
+    pub total: usize,
 }
 
 /// Which value to use if both sides changed it.
@@ -63,12 +63,12 @@ pub enum MergePreference {
 /// Choices of the user. Each is for one conflict, so that no value is overwritten or dropped that
 /// was not shown.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Choices {
+pub struct ConflictChoices {
     /// Choice for each of the first conflicts, in order.
     pub chosen: Vec<MergePreference>,
     /// True if the file was deleted while a choice was open: whether to create it again with a new
     /// entry of ours is then a conflict too.
-    pub asks_for_new: bool,
+    pub file_was_deleted: bool,
 }
 
 /// Applies operations made on `base`, in their order, to `theirs`.
@@ -84,18 +84,18 @@ pub fn merge(
     theirs: &Document,
     prefer: MergePreference,
 ) -> Result<Merge, EditError> {
-    merge_chosen(base, ours, theirs, &Choices::default(), prefer)
+    merge_with_choices(base, ours, theirs, &ConflictChoices::default(), prefer)
 }
 
 /// As [`merge`], with the user's choices for the first conflicts; `rest` is for the others.
 ///
 /// # Errors
 /// As in [`merge`].
-pub fn merge_chosen(
+pub fn merge_with_choices(
     base: &Document,
     ours: &[Operation],
     theirs: &Document,
-    choices: &Choices,
+    choices: &ConflictChoices,
     rest: MergePreference,
 ) -> Result<Merge, EditError> {
     let mut base = base.clone();
@@ -108,29 +108,35 @@ pub fn merge_chosen(
     let mut open: Option<EditConflict> = None;
     for (at, operation) in ours.iter().enumerate() {
         let next = base.apply(operation)?;
-        let mut step = step(operation, &base, &next, &document, &ours[at + 1..]);
-        if let (MergeStep::Make(operation), true) = (&step, choices.asks_for_new)
+        let mut step = merge_operation(operation, &base, &next, &document, &ours[at + 1..]);
+        if let (MergeStep::Apply(operation), true) = (&step, choices.file_was_deleted)
             && let Some(entry) = operation.added()
         {
             let (ours, theirs) = (describe_all(&entry), DELETED.to_owned());
-            step = MergeStep::Conflict { ours, theirs, insist: vec![operation.clone()] };
+            step = MergeStep::Conflict { ours, theirs, overwrite_with: vec![operation.clone()] };
         }
         let steps = match step {
             MergeStep::Done => Vec::new(),
-            MergeStep::Make(operation) => vec![operation],
+            MergeStep::Apply(operation) => vec![operation],
             MergeStep::Conflict { .. } if dropped.has(operation) => Vec::new(),
-            MergeStep::Conflict { ours, theirs, insist } => {
+            MergeStep::Conflict { ours, theirs, overwrite_with: insist } => {
                 let choice = choices.chosen.get(conflicts).copied().unwrap_or(rest);
                 conflicts += 1;
                 if choice == MergePreference::Neither && open.is_none() {
                     let (operation, number) = (operation.clone(), conflicts);
-                    open = Some(EditConflict { operation, ours, theirs, number, of: number });
+                    open = Some(EditConflict {
+                        operation,
+                        ours,
+                        theirs,
+                        index: number,
+                        total: number,
+                    });
                 }
                 if choice == MergePreference::Ours {
                     overruling.push(operations.len()..operations.len() + insist.len());
                     insist
                 } else {
-                    let is_deleted = matches!(insist[..], [Operation::PutBack { .. }]);
+                    let is_deleted = matches!(insist[..], [Operation::RestoreEntry { .. }]);
                     dropped.add(operation, is_deleted);
                     Vec::new()
                 }
@@ -144,8 +150,8 @@ pub fn merge_chosen(
         base = next;
     }
     Ok(match open {
-        Some(conflict) => Merge::Conflict(EditConflict { of: conflicts, ..conflict }),
-        None => Merge::Rebased { document, operations, overruling },
+        Some(conflict) => Merge::Conflict(EditConflict { total: conflicts, ..conflict }),
+        None => Merge::Rebased { document, operations, overwriting: overruling },
     })
 }
 
@@ -195,14 +201,14 @@ enum MergeStep {
     /// Theirs already contains it.
     Done,
     /// Apply this operation to theirs.
-    Make(Operation),
+    Apply(Operation),
     /// Conflict; `insist` overwrites theirs.
-    Conflict { ours: String, theirs: String, insist: Vec<Operation> },
+    Conflict { ours: String, theirs: String, overwrite_with: Vec<Operation> },
 }
 
 /// Merges one operation. `next`: `base` with the operation applied; `later`: the operations after
 /// it.
-fn step(
+fn merge_operation(
     operation: &Operation,
     base: &Document,
     next: &Document,
@@ -210,7 +216,7 @@ fn step(
     later: &[Operation],
 ) -> MergeStep {
     let Some(index) = operation.entry().and_then(|key| base.find(key)) else {
-        return step_new(operation, base, theirs);
+        return merge_added(operation, base, theirs);
     };
     let before = &base.entries()[index];
     let counterpart = counterparts(base, theirs)[index];
@@ -227,16 +233,20 @@ fn step(
         return MergeStep::Conflict {
             ours: describe(&operation.members(), &changed.entry),
             theirs: DELETED.to_owned(),
-            insist: vec![Operation::PutBack { removed: changed }],
+            overwrite_with: vec![Operation::RestoreEntry { removed: changed }],
         };
     };
     let found = &theirs.entries()[counterpart];
     if is_removal {
         if same_value(base.entry_text(index), theirs.entry_text(counterpart)) {
-            return MergeStep::Make(operation);
+            return MergeStep::Apply(operation);
         }
         let theirs = differences(before, found);
-        return MergeStep::Conflict { ours: DELETED.to_owned(), theirs, insist: vec![operation] };
+        return MergeStep::Conflict {
+            ours: DELETED.to_owned(),
+            theirs,
+            overwrite_with: vec![operation],
+        };
     }
     let members = operation.members();
     let mut wanted = found.clone();
@@ -245,8 +255,8 @@ fn step(
     if agree(found, &wanted) {
         MergeStep::Done
     } else if agree(found, before) {
-        MergeStep::Make(operation)
-    } else if final_key(next, index, later).is_some_and(|ours| agree(found, &ours)) {
+        MergeStep::Apply(operation)
+    } else if final_entry(next, index, later).is_some_and(|ours| agree(found, &ours)) {
         // Theirs already has the value that later operations set.
         MergeStep::Done
     } else {
@@ -254,13 +264,13 @@ fn step(
         MergeStep::Conflict {
             ours,
             theirs,
-            insist: vec![operation.with_former_address(found.address)],
+            overwrite_with: vec![operation.with_former_address(found.address)],
         }
     }
 }
 
 /// Returns an entry after further operations; `None` if one of them removes it.
-fn final_key(document: &Document, index: usize, operations: &[Operation]) -> Option<Entry> {
+fn final_entry(document: &Document, index: usize, operations: &[Operation]) -> Option<Entry> {
     let (mut document, mut index) = (document.clone(), index);
     for operation in operations {
         let mut key = document.key(index);
@@ -277,8 +287,8 @@ fn final_key(document: &Document, index: usize, operations: &[Operation]) -> Opt
 }
 
 /// Merges an operation that adds an entry, which theirs may have added too.
-fn step_new(operation: &Operation, base: &Document, theirs: &Document) -> MergeStep {
-    let Some(entry) = operation.added() else { return MergeStep::Make(operation.clone()) };
+fn merge_added(operation: &Operation, base: &Document, theirs: &Document) -> MergeStep {
+    let Some(entry) = operation.added() else { return MergeStep::Apply(operation.clone()) };
     let is_same = |other: &&Entry| {
         (&other.bus, &other.name, other.address) == (&entry.bus, &entry.name, entry.address)
     };
@@ -286,19 +296,19 @@ fn step_new(operation: &Operation, base: &Document, theirs: &Document) -> MergeS
     let same = theirs.entries().iter().filter(is_same).nth(known);
     let is_new = matches!(operation, Operation::Add { .. });
     let Some(found) = same.or_else(|| twin(&entry, base, theirs).filter(|_| is_new)) else {
-        return MergeStep::Make(operation.clone());
+        return MergeStep::Apply(operation.clone());
     };
-    if found.meaning() == entry.meaning() {
+    if found.content() == entry.content() {
         return MergeStep::Done;
     }
-    if is_new && let Some(step) = step_known(&entry, found, theirs) {
+    if is_new && let Some(step) = merge_added_twice(&entry, found, theirs) {
         return step;
     }
     let removal = Operation::Remove { entry: theirs.key(found.index) };
     MergeStep::Conflict {
         ours: differences(found, &entry),
         theirs: differences(&entry, found),
-        insist: vec![removal, operation.clone()],
+        overwrite_with: vec![removal, operation.clone()],
     }
 }
 
@@ -317,7 +327,7 @@ fn twin<'d>(entry: &Entry, base: &Document, theirs: &'d Document) -> Option<&'d 
 
 /// Merges a new entry whose device theirs lists too: sets the values of ours in theirs, and keeps
 /// all others. `None` if that is not sufficient.
-fn step_known(entry: &Entry, found: &Entry, theirs: &Document) -> Option<MergeStep> {
+fn merge_added_twice(entry: &Entry, found: &Entry, theirs: &Document) -> Option<MergeStep> {
     if found.uid.is_some() && entry.uid.is_some() && found.uid != entry.uid {
         return None;
     }
@@ -327,7 +337,7 @@ fn step_known(entry: &Entry, found: &Entry, theirs: &Document) -> Option<MergeSt
     // An address that is not static is only the one last seen.
     if entry.is_static && (entry.address, true) != (found.address, found.is_static) {
         members.extend([Member::Address, Member::Static]);
-        insist.push(Operation::SetAddress { entry: key, from: found.address, to: entry.address? });
+        insist.push(Operation::PinAddress { entry: key, from: found.address, to: entry.address? });
     }
     // An entry without services stays without.
     let lists_others = found.services.as_ref().is_some_and(|it| !it.is_empty())
@@ -342,7 +352,7 @@ fn step_known(entry: &Entry, found: &Entry, theirs: &Document) -> Option<MergeSt
         return Some(MergeStep::Done);
     }
     let (ours, theirs) = (describe(&members, entry), describe(&members, found));
-    Some(MergeStep::Conflict { ours, theirs, insist })
+    Some(MergeStep::Conflict { ours, theirs, overwrite_with: insist })
 }
 
 impl Document {

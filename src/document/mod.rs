@@ -45,7 +45,7 @@ pub use changes::changes;
 pub use edit::EditError;
 pub use entry::{Entry, ListedService};
 pub use finding::{DocumentFinding, DocumentFindingKind};
-pub use merge::{Choices, EditConflict, Merge, MergePreference, merge, merge_chosen};
+pub use merge::{ConflictChoices, EditConflict, Merge, MergePreference, merge, merge_with_choices};
 pub use operation::{EntryKey, FormerContent, FormerMembers, NewEntry, Operation, RemovedEntry};
 pub use position::Position;
 pub use syntax::ParseError;
@@ -73,7 +73,7 @@ pub const SCHEMA: &str = include_str!("des.schema.json");
 ///
 /// let document = Document::parse(br#"[ {"name": "FEED", "address": 12, "note": 1} ]"#)?;
 /// let entry = document.key(0);
-/// let pin = Operation::SetAddress { from: entry.address, entry, to: 16 };
+/// let pin = Operation::PinAddress { from: entry.address, entry, to: 16 };
 /// let edited = document.apply(&pin)?;
 /// let expected = br#"[ {"name": "FEED", "address": 16, "static": true, "note": 1} ]"#;
 /// assert_eq!(edited.source(), expected);
@@ -94,7 +94,7 @@ struct Inner {
     occurrences: Vec<usize>,
     findings: Vec<DocumentFinding>,
     /// For each entry, true if a finding concerns it.
-    is_flawed: Vec<bool>,
+    has_findings: Vec<bool>,
 }
 
 /// The top-level value, with spans of the body: the source without its byte order mark.
@@ -161,7 +161,15 @@ impl Document {
         for &index in findings.iter().flat_map(|finding| &finding.entries) {
             is_flawed[index] = true;
         }
-        let inner = Inner { source, root, elements, entries, occurrences, findings, is_flawed };
+        let inner = Inner {
+            source,
+            root,
+            elements,
+            entries,
+            occurrences,
+            findings,
+            has_findings: is_flawed,
+        };
         Self { inner: Arc::new(inner) }
     }
 
@@ -225,13 +233,13 @@ impl Document {
 
     /// Yields the findings about an entry.
     pub fn findings_of(&self, index: usize) -> impl Iterator<Item = &DocumentFinding> {
-        let findings = if self.is_flawed(index) { self.findings() } else { &[] };
+        let findings = if self.has_findings(index) { self.findings() } else { &[] };
         findings.iter().filter(move |finding| finding.entries.contains(&index))
     }
 
     /// Returns true if a finding concerns the entry.
-    pub fn is_flawed(&self, index: usize) -> bool {
-        self.inner.is_flawed.get(index) == Some(&true)
+    pub fn has_findings(&self, index: usize) -> bool {
+        self.inner.has_findings.get(index) == Some(&true)
     }
 
     fn body(&self) -> &str {

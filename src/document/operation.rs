@@ -17,7 +17,7 @@ use crate::text::printable;
 #[non_exhaustive]
 pub enum Operation {
     /// Pins an address: sets `address`, and `static` to true.
-    SetAddress {
+    PinAddress {
         /// The entry concerned.
         entry: EntryKey,
         /// Address before the edit.
@@ -26,7 +26,7 @@ pub enum Operation {
         to: u8,
     },
     /// Unpins the address: sets `static` to false. `address` stays as the last one seen.
-    ClearAddress {
+    UnpinAddress {
         /// The entry concerned.
         entry: EntryKey,
         /// Address before the edit.
@@ -57,20 +57,20 @@ pub enum Operation {
         services: Vec<ListedService>,
     },
     /// Undoes an edit of members; made by [`Operation::inverse`].
-    Restore {
+    RestoreMembers {
         /// The entry concerned.
         entry: EntryKey,
         /// The members before the edit.
         former: FormerMembers,
     },
     /// Undoes a removal; made by [`Operation::inverse`].
-    PutBack {
+    RestoreEntry {
         /// The removed entry.
         removed: RemovedEntry,
     },
     /// Undoes the addition of the first entry; made by [`Operation::inverse`]. If nothing was
     /// changed since, restores the exact bytes of the file.
-    TakeOutFirst {
+    RemoveFirstEntry {
         /// The entry concerned.
         entry: EntryKey,
         /// The file before the addition.
@@ -95,7 +95,8 @@ pub struct EntryKey {
 }
 
 impl EntryKey {
-    /// Returns the key of an entry that no other entry equals in bus, name, address and UID.
+    /// Returns the key of an entry that is unique in bus, name, address and UID. This is not checked:
+    /// of several equal entries, the key finds the first; [`Document::key`] tells them apart.
     pub fn of(entry: &Entry) -> Self {
         Self {
             bus: entry.bus.clone(),
@@ -158,7 +159,7 @@ pub struct NewEntry {
 
 impl NewEntry {
     /// Returns the entry that the file will have, at an unknown position.
-    pub(super) fn meant(&self) -> Entry {
+    pub(super) fn expected(&self) -> Entry {
         Entry {
             name: self.name.clone(),
             name_text: printable(&self.name),
@@ -216,52 +217,52 @@ impl Operation {
         let entries = before.entries();
         let key = match self {
             Self::Add { entry } => {
-                return Ok(self.removal(EntryKey::among(&entry.meant(), entries), before));
+                return Ok(self.removal(EntryKey::among(&entry.expected(), entries), before));
             }
-            Self::PutBack { removed } => {
+            Self::RestoreEntry { removed } => {
                 let earlier = &entries[..before.entries_before(removed.entry.element)];
                 return Ok(self.removal(EntryKey::among(&removed.entry, earlier), before));
             }
-            Self::TakeOutFirst { former, .. } if former.before(before).is_some() => {
+            Self::RemoveFirstEntry { former, .. } if former.before(before).is_some() => {
                 return Ok((*former.by).clone());
             }
             Self::Remove { entry }
-            | Self::TakeOutFirst { entry, .. }
-            | Self::SetAddress { entry, .. }
-            | Self::ClearAddress { entry, .. }
+            | Self::RemoveFirstEntry { entry, .. }
+            | Self::PinAddress { entry, .. }
+            | Self::UnpinAddress { entry, .. }
             | Self::Rename { entry, .. }
             | Self::SetServices { entry, .. }
-            | Self::Restore { entry, .. } => entry,
+            | Self::RestoreMembers { entry, .. } => entry,
         };
         let index = before.require(key)?;
         if self.is_removal() {
-            return Ok(Self::PutBack { removed: before.removed(index) });
+            return Ok(Self::RestoreEntry { removed: before.removed(index) });
         }
         let former = before.former(index, &self.members());
         let mut meant = entries[index].clone();
         self.change(&mut meant);
-        Ok(Self::Restore { entry: EntryKey::among(&meant, &entries[..index]), former })
+        Ok(Self::RestoreMembers { entry: EntryKey::among(&meant, &entries[..index]), former })
     }
 
     /// Returns the entry concerned; `None` if the operation adds it.
     pub fn entry(&self) -> Option<&EntryKey> {
         match self {
-            Self::Add { .. } | Self::PutBack { .. } => None,
-            Self::SetAddress { entry, .. }
-            | Self::ClearAddress { entry, .. }
+            Self::Add { .. } | Self::RestoreEntry { .. } => None,
+            Self::PinAddress { entry, .. }
+            | Self::UnpinAddress { entry, .. }
             | Self::Remove { entry }
-            | Self::TakeOutFirst { entry, .. }
+            | Self::RemoveFirstEntry { entry, .. }
             | Self::Rename { entry, .. }
             | Self::SetServices { entry, .. }
-            | Self::Restore { entry, .. } => Some(entry),
+            | Self::RestoreMembers { entry, .. } => Some(entry),
         }
     }
 
     /// Returns the same operation, except that removing the first entry leaves an empty list.
     #[must_use]
-    pub fn leaving_list(self) -> Self {
+    pub fn keeping_empty_list(self) -> Self {
         match self {
-            Self::TakeOutFirst { entry, .. } => Self::Remove { entry },
+            Self::RemoveFirstEntry { entry, .. } => Self::Remove { entry },
             other => other,
         }
     }
@@ -270,7 +271,7 @@ impl Operation {
     fn removal(&self, entry: EntryKey, before: &Document) -> Self {
         if before.elements().is_empty() {
             let by = Box::new(self.clone());
-            Self::TakeOutFirst { entry, former: FormerContent { document: before.clone(), by } }
+            Self::RemoveFirstEntry { entry, former: FormerContent { document: before.clone(), by } }
         } else {
             Self::Remove { entry }
         }
@@ -278,7 +279,7 @@ impl Operation {
 
     /// Returns true if it removes an entry.
     pub(super) fn is_removal(&self) -> bool {
-        matches!(self, Self::Remove { .. } | Self::TakeOutFirst { .. })
+        matches!(self, Self::Remove { .. } | Self::RemoveFirstEntry { .. })
     }
 
     /// Returns the entry concerned with its address: "SENS at 13". Safe on a terminal.
@@ -292,21 +293,21 @@ impl Operation {
     pub(super) fn with_key(&self, key: EntryKey) -> Self {
         let mut operation = self.clone();
         match &mut operation {
-            Self::Add { .. } | Self::PutBack { .. } => {}
-            Self::SetAddress { entry, .. }
-            | Self::ClearAddress { entry, .. }
+            Self::Add { .. } | Self::RestoreEntry { .. } => {}
+            Self::PinAddress { entry, .. }
+            | Self::UnpinAddress { entry, .. }
             | Self::Remove { entry }
-            | Self::TakeOutFirst { entry, .. }
+            | Self::RemoveFirstEntry { entry, .. }
             | Self::Rename { entry, .. }
             | Self::SetServices { entry, .. }
-            | Self::Restore { entry, .. } => *entry = key,
+            | Self::RestoreMembers { entry, .. } => *entry = key,
         }
         operation
     }
 
     /// Returns the same operation with another address before the edit.
     pub(super) fn with_former_address(mut self, address: Option<u8>) -> Self {
-        if let Self::SetAddress { from, .. } | Self::ClearAddress { from, .. } = &mut self {
+        if let Self::PinAddress { from, .. } | Self::UnpinAddress { from, .. } = &mut self {
             *from = address;
         }
         self
@@ -315,8 +316,8 @@ impl Operation {
     /// Returns the entry that this adds; `None` if it adds none.
     pub(super) fn added(&self) -> Option<Entry> {
         match self {
-            Self::Add { entry } => Some(entry.meant()),
-            Self::PutBack { removed } => Some((*removed.entry).clone()),
+            Self::Add { entry } => Some(entry.expected()),
+            Self::RestoreEntry { removed } => Some((*removed.entry).clone()),
             _ => None,
         }
     }
@@ -324,40 +325,40 @@ impl Operation {
     /// Returns the members that this changes in an entry; empty if it adds or removes one.
     pub(super) fn members(&self) -> Vec<Member> {
         match self {
-            Self::SetAddress { .. } | Self::ClearAddress { .. } => {
+            Self::PinAddress { .. } | Self::UnpinAddress { .. } => {
                 vec![Member::Address, Member::Static]
             }
             Self::Rename { .. } => vec![Member::Name, Member::NameHex],
             Self::SetServices { .. } => vec![Member::Services],
-            Self::Restore { former, .. } => {
+            Self::RestoreMembers { former, .. } => {
                 former.members.iter().map(|(member, _)| *member).collect()
             }
             Self::Add { .. }
-            | Self::PutBack { .. }
+            | Self::RestoreEntry { .. }
             | Self::Remove { .. }
-            | Self::TakeOutFirst { .. } => Vec::new(),
+            | Self::RemoveFirstEntry { .. } => Vec::new(),
         }
     }
 
     /// Applies the edit to the content of an entry.
     pub(super) fn change(&self, entry: &mut Entry) {
         match self {
-            Self::SetAddress { to, .. } => {
+            Self::PinAddress { to, .. } => {
                 entry.address = Some(*to);
                 entry.is_static = true;
             }
-            Self::ClearAddress { .. } => entry.is_static = false,
+            Self::UnpinAddress { .. } => entry.is_static = false,
             Self::Rename { to, .. } => entry.name.clone_from(to),
             Self::SetServices { services, .. } => entry.services = Some(services.clone()),
-            Self::Restore { former, .. } => {
+            Self::RestoreMembers { former, .. } => {
                 for (member, _) in &former.members {
                     former.copy(*member, entry);
                 }
             }
             Self::Add { .. }
-            | Self::PutBack { .. }
+            | Self::RestoreEntry { .. }
             | Self::Remove { .. }
-            | Self::TakeOutFirst { .. } => {}
+            | Self::RemoveFirstEntry { .. } => {}
         }
     }
 }
@@ -422,27 +423,27 @@ impl Document {
 impl fmt::Display for Operation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::SetAddress { entry, from: Some(from), to } if from == to => {
+            Self::PinAddress { entry, from: Some(from), to } if from == to => {
                 write!(f, "address of the entry {entry} pinned: {to}")
             }
-            Self::SetAddress { entry, from: Some(from), to } => {
+            Self::PinAddress { entry, from: Some(from), to } => {
                 write!(f, "address of the entry {entry}: {from} → {to}")
             }
             // No address before, or an invalid one.
-            Self::SetAddress { entry, from: None, to } => {
+            Self::PinAddress { entry, from: None, to } => {
                 write!(f, "address of the entry {entry} set to {to}")
             }
-            Self::ClearAddress { entry, from: Some(from) } => {
+            Self::UnpinAddress { entry, from: Some(from) } => {
                 write!(f, "static address {from} of {entry} cleared")
             }
-            Self::ClearAddress { entry, from: None } => {
+            Self::UnpinAddress { entry, from: None } => {
                 write!(f, "static address of {entry} cleared")
             }
             Self::Add { entry: NewEntry { name, address: Some(address), .. } } => {
                 write!(f, "new entry {} at {address}", brief(name))
             }
             Self::Add { entry } => write!(f, "new entry {}", brief(&entry.name)),
-            Self::Remove { entry } | Self::TakeOutFirst { entry, .. } => {
+            Self::Remove { entry } | Self::RemoveFirstEntry { entry, .. } => {
                 write!(f, "entry {entry:#} removed")
             }
             Self::Rename { entry, to } => write!(f, "entry {entry:#} renamed to {}", brief(to)),
@@ -452,7 +453,7 @@ impl fmt::Display for Operation {
             Self::SetServices { entry, services } => {
                 write!(f, "services of the entry {entry:#}: {} listed", services.len())
             }
-            Self::Restore { entry, former } => match former.members.first() {
+            Self::RestoreMembers { entry, former } => match former.members.first() {
                 Some((Member::Address | Member::Static, _)) => write!(
                     f,
                     "address of the entry {entry} restored to {}{}",
@@ -464,7 +465,7 @@ impl fmt::Display for Operation {
                 }
                 _ => write!(f, "services of the entry {entry:#} restored"),
             },
-            Self::PutBack { removed } => {
+            Self::RestoreEntry { removed } => {
                 write!(f, "entry {:#} restored", EntryKey::of(&removed.entry))
             }
         }

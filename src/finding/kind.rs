@@ -2,14 +2,14 @@
 //!
 //! [`FindingKind::facts`] is the only place that lists name, headline, severity, remedy, grouping
 //! and exit code; the screen, `scan`, `check` and the guide read it. A kind cannot be added without
-//! its facts. Does not know when a finding is raised or confirmed.
+//! its facts.
 
 use std::fmt;
 
 /// Everything that depends on the kind of a finding alone.
 #[derive(Clone, Copy, Debug)]
 #[non_exhaustive]
-pub struct FindingFacts {
+pub struct FindingKindInfo {
     /// Name in JSON, in events and in the filter of the Problems page; stable across releases.
     pub name: &'static str,
     /// Severity from 0 to 100: the highest comes first on the Problems page and in reports.
@@ -17,7 +17,7 @@ pub struct FindingFacts {
     /// How the Problems page combines findings into problems.
     pub grouping: Grouping,
     /// Which commands exit with 1 for a confirmed finding.
-    pub counts: CountsFor,
+    pub exit_code_of: ExitCodeScope,
     /// Texts of a finding about the bus, the file or, where `at_address` is `None`, an address.
     pub wording: Wording,
     /// Texts of a finding about one address, where they differ from `wording`.
@@ -49,7 +49,7 @@ pub enum Grouping {
 
 /// Commands that exit with 1 for a confirmed finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum CountsFor {
+pub enum ExitCodeScope {
     /// `scan` and `check`: a conflict, that is two devices where one should be.
     ScanAndCheck,
     /// `check` alone, which lists it in this section: file and bus differ, or the file is
@@ -61,15 +61,22 @@ pub enum CountsFor {
 
 /// Sections of the output of `check`, in their order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[allow(missing_docs)]
 pub enum CheckSection {
+    /// Address conflicts and UID conflicts.
     Conflicts,
+    /// Entries whose device is not on the bus.
     Missing,
+    /// Devices at another address than the static one of their entry.
     WrongAddress,
+    /// Static addresses used by another device.
     StaticAddressTaken,
+    /// Devices without an entry.
     NotInFile,
+    /// Devices with another name than the entry of their address.
     NameDiffers,
+    /// Devices with other services than their entry.
     ServicesDiffer,
+    /// Errors in the file itself.
     FileErrors,
 }
 
@@ -149,10 +156,10 @@ macro_rules! finding_kinds {
             pub const ALL: &[Self] = &[$(Self::$kind,)+];
 
             /// Returns the facts about this kind.
-            pub const fn facts(self) -> &'static FindingFacts {
+            pub const fn facts(self) -> &'static FindingKindInfo {
                 match self {
                     $(Self::$kind => {
-                        const FACTS: FindingFacts = $facts;
+                        const FACTS: FindingKindInfo = $facts;
                         &FACTS
                     })+
                 }
@@ -163,11 +170,11 @@ macro_rules! finding_kinds {
 
 finding_kinds! {
     /// Two devices of one name use one address.
-    SameNameSameAddress: FindingFacts {
+    SameNameSameAddress: FindingKindInfo {
         name: "same-name-same-address",
         severity: 100,
         grouping: Grouping::Address,
-        counts: CountsFor::ScanAndCheck,
+        exit_code_of: ExitCodeScope::ScanAndCheck,
         wording: Wording {
             headline: "address conflict (same name)",
             remedy: "Give one of them another address: switch one off, then move or pin the other away from {address}.",
@@ -176,11 +183,11 @@ finding_kinds! {
         at_address: None,
     },
     /// Two devices of different names use one address.
-    OneAddressTwoNames: FindingFacts {
+    OneAddressTwoNames: FindingKindInfo {
         name: "one-address-two-names",
         severity: 100,
         grouping: Grouping::Address,
-        counts: CountsFor::ScanAndCheck,
+        exit_code_of: ExitCodeScope::ScanAndCheck,
         wording: Wording {
             headline: "address conflict (different names)",
             remedy: SEPARATE_DEVICES,
@@ -189,11 +196,11 @@ finding_kinds! {
         at_address: None,
     },
     /// Heartbeats of one address alternate between two UIDs or two U bits.
-    OneAddressTwoIdentities: FindingFacts {
+    OneAddressTwoIdentities: FindingKindInfo {
         name: "one-address-two-identities",
         severity: 95,
         grouping: Grouping::Address,
-        counts: CountsFor::ScanAndCheck,
+        exit_code_of: ExitCodeScope::ScanAndCheck,
         wording: Wording {
             headline: "address conflict (alternating UIDs)",
             remedy: SEPARATE_DEVICES,
@@ -203,11 +210,11 @@ finding_kinds! {
     },
     /// Two addresses send heartbeats with the same DEV_CFG_UID. Two addresses are concerned, so it
     /// is not grouped by one of them.
-    OneUidTwoAddresses: FindingFacts {
+    OneUidTwoAddresses: FindingKindInfo {
         name: "one-uid-two-addresses",
         severity: 95,
         grouping: Grouping::Single,
-        counts: CountsFor::ScanAndCheck,
+        exit_code_of: ExitCodeScope::ScanAndCheck,
         wording: Wording {
             headline: "UID conflict",
             remedy: "Give one of the two boards its own UID.",
@@ -216,11 +223,11 @@ finding_kinds! {
         at_address: None,
     },
     /// A device other than the listed one uses an entry's static address.
-    StaticAddressTaken: FindingFacts {
+    StaticAddressTaken: FindingKindInfo {
         name: "static-address-taken",
         severity: 80,
         grouping: Grouping::Single,
-        counts: CountsFor::Check(CheckSection::StaticAddressTaken),
+        exit_code_of: ExitCodeScope::Check(CheckSection::StaticAddressTaken),
         wording: Wording {
             headline: "static address taken",
             remedy: "Pin {name} to another address, or move the other device.",
@@ -229,11 +236,11 @@ finding_kinds! {
         at_address: None,
     },
     /// A device uses another address than the static one of its entry.
-    WrongAddress: FindingFacts {
+    WrongAddress: FindingKindInfo {
         name: "wrong-address",
         severity: 75,
         grouping: Grouping::Single,
-        counts: CountsFor::Check(CheckSection::WrongAddress),
+        exit_code_of: ExitCodeScope::Check(CheckSection::WrongAddress),
         wording: Wording {
             headline: "wrong address",
             remedy: "Move the device to {static address}, or change the file to {address}.",
@@ -242,11 +249,11 @@ finding_kinds! {
         at_address: None,
     },
     /// Two debug devices use address 0.
-    TwoDebugDevices: FindingFacts {
+    TwoDebugDevices: FindingKindInfo {
         name: "two-debug-devices",
         severity: 90,
         grouping: Grouping::Address,
-        counts: CountsFor::ScanAndCheck,
+        exit_code_of: ExitCodeScope::ScanAndCheck,
         wording: Wording {
             headline: "two debug devices",
             remedy: "Quit one of the two tools, or give it another address.",
@@ -255,11 +262,11 @@ finding_kinds! {
         at_address: None,
     },
     /// Two devices claimed an address, and one gave it up.
-    AddressContested: FindingFacts {
+    AddressContested: FindingKindInfo {
         name: "address-contested",
         severity: 70,
         grouping: Grouping::Address,
-        counts: CountsFor::Nothing,
+        exit_code_of: ExitCodeScope::Nothing,
         wording: Wording {
             headline: "address was contested",
             remedy: "Pin addresses in des.json and in the devices to avoid contention at startup.",
@@ -268,11 +275,11 @@ finding_kinds! {
         at_address: None,
     },
     /// Two entries of des.json have one static address on one bus.
-    FileDuplicateAddress: FindingFacts {
+    FileDuplicateAddress: FindingKindInfo {
         name: "file-duplicate-address",
         severity: 60,
         grouping: Grouping::Single,
-        counts: CountsFor::Check(CheckSection::FileErrors),
+        exit_code_of: ExitCodeScope::Check(CheckSection::FileErrors),
         wording: Wording {
             headline: "duplicate static address in file",
             remedy: "Give one of them another address.",
@@ -281,11 +288,11 @@ finding_kinds! {
         at_address: None,
     },
     /// Two entries of des.json have one name and one address on one bus.
-    FileDuplicateEntry: FindingFacts {
+    FileDuplicateEntry: FindingKindInfo {
         name: "file-duplicate-entry",
         severity: 60,
         grouping: Grouping::Single,
-        counts: CountsFor::Check(CheckSection::FileErrors),
+        exit_code_of: ExitCodeScope::Check(CheckSection::FileErrors),
         wording: Wording {
             headline: "duplicate entry in file",
             remedy: "Delete one of them from the file.",
@@ -294,11 +301,11 @@ finding_kinds! {
         at_address: None,
     },
     /// A value in des.json has the wrong type or range and is ignored.
-    FileShape: FindingFacts {
+    FileShape: FindingKindInfo {
         name: "file-shape",
         severity: 60,
         grouping: Grouping::Single,
-        counts: CountsFor::Check(CheckSection::FileErrors),
+        exit_code_of: ExitCodeScope::Check(CheckSection::FileErrors),
         wording: Wording {
             headline: "invalid value in file",
             remedy: "Correct it in the file.",
@@ -307,20 +314,20 @@ finding_kinds! {
         at_address: None,
     },
     /// A listed device is not on the bus.
-    Missing: FindingFacts {
+    Missing: FindingKindInfo {
         name: "missing",
         severity: 65,
         grouping: Grouping::Single,
-        counts: CountsFor::Check(CheckSection::Missing),
+        exit_code_of: ExitCodeScope::Check(CheckSection::Missing),
         wording: Wording { headline: "missing", remedy: "{further reasons}", confirmation: None },
         at_address: None,
     },
     /// A device on the bus has no entry in des.json.
-    Unlisted: FindingFacts {
+    Unlisted: FindingKindInfo {
         name: "unlisted",
         severity: 20,
         grouping: Grouping::Single,
-        counts: CountsFor::Check(CheckSection::NotInFile),
+        exit_code_of: ExitCodeScope::Check(CheckSection::NotInFile),
         wording: Wording {
             headline: "not in the file",
             remedy: "Add it to the file, or remove it from the bus.",
@@ -329,11 +336,11 @@ finding_kinds! {
         at_address: None,
     },
     /// An entry's device, matched by its UID, reports another name than the entry.
-    NameDiffers: FindingFacts {
+    NameDiffers: FindingKindInfo {
         name: "name-differs",
         severity: 55,
         grouping: Grouping::Single,
-        counts: CountsFor::Check(CheckSection::NameDiffers),
+        exit_code_of: ExitCodeScope::Check(CheckSection::NameDiffers),
         wording: Wording {
             headline: "name differs from file",
             remedy: "Rename the entry to {reported name}, or the device to {name}.",
@@ -342,11 +349,11 @@ finding_kinds! {
         at_address: None,
     },
     /// A device reports other services than its entry lists.
-    ServicesDiffer: FindingFacts {
+    ServicesDiffer: FindingKindInfo {
         name: "services-differ",
         severity: 50,
         grouping: Grouping::Single,
-        counts: CountsFor::Check(CheckSection::ServicesDiffer),
+        exit_code_of: ExitCodeScope::Check(CheckSection::ServicesDiffer),
         wording: Wording {
             headline: "services differ from file",
             remedy: "Add them to the file, or check the firmware.",
@@ -354,25 +361,26 @@ finding_kinds! {
         },
         at_address: None,
     },
-    /// A device sends identifiers that are none of the nine message types (protocol §4.3).
-    NonConforming: FindingFacts {
+    /// A device sends identifiers that are none of the nine message types (protocol §1.2, CAN
+    /// platform §4.3).
+    NonConforming: FindingKindInfo {
         name: "non-conforming",
         severity: 30,
         grouping: Grouping::Single,
-        counts: CountsFor::Nothing,
+        exit_code_of: ExitCodeScope::Nothing,
         wording: Wording {
             headline: "non-conforming identifiers",
-            remedy: "Check its firmware's identifiers against section 4.3; another protocol on this bus looks the same.",
+            remedy: "Check its firmware's identifiers against CAN platform §4.3; another protocol on this bus looks the same.",
             confirmation: SEEN_AGAIN,
         },
         at_address: None,
     },
     /// A device sends DES responses that cannot be decoded, or aborts each of them.
-    MalformedAnswer: FindingFacts {
+    MalformedAnswer: FindingKindInfo {
         name: "malformed-answer",
         severity: 40,
         grouping: Grouping::Single,
-        counts: CountsFor::Nothing,
+        exit_code_of: ExitCodeScope::Nothing,
         wording: Wording {
             headline: "malformed responses",
             remedy: "Check how its firmware builds DES responses.",
@@ -381,11 +389,11 @@ finding_kinds! {
         at_address: None,
     },
     /// Frames were lost on this machine before descan read them.
-    FramesLost: FindingFacts {
+    FramesLost: FindingKindInfo {
         name: "frames-lost",
         severity: 85,
         grouping: Grouping::Single,
-        counts: CountsFor::Nothing,
+        exit_code_of: ExitCodeScope::Nothing,
         wording: Wording {
             headline: "frames lost",
             remedy: "Reduce the load on this machine, or filter fewer identifiers.",
@@ -395,11 +403,11 @@ finding_kinds! {
     },
     /// Bus errors (ISO 11898), of the bus as a whole or when one address sends. Two devices that
     /// send different bytes at one address cause them, so those are grouped by address.
-    BusErrors: FindingFacts {
+    BusErrors: FindingKindInfo {
         name: "bus-errors",
         severity: 85,
         grouping: Grouping::Address,
-        counts: CountsFor::Nothing,
+        exit_code_of: ExitCodeScope::Nothing,
         wording: Wording {
             headline: "bus errors",
             remedy: "Check the bit rate of every device, both 120 Ω terminators, and the wiring; two devices at one address cause errors too.",
@@ -432,16 +440,16 @@ impl FindingKind {
     /// Returns true if it is a conflict: two devices where one should be. A confirmed one makes
     /// `scan` exit with 1.
     pub const fn is_conflict(self) -> bool {
-        matches!(self.facts().counts, CountsFor::ScanAndCheck)
+        matches!(self.facts().exit_code_of, ExitCodeScope::ScanAndCheck)
     }
 
     /// Returns the section of `check` that lists a confirmed finding; `None` where it does not
     /// count for `check`.
     pub const fn check_section(self) -> Option<CheckSection> {
-        match self.facts().counts {
-            CountsFor::ScanAndCheck => Some(CheckSection::Conflicts),
-            CountsFor::Check(section) => Some(section),
-            CountsFor::Nothing => None,
+        match self.facts().exit_code_of {
+            ExitCodeScope::ScanAndCheck => Some(CheckSection::Conflicts),
+            ExitCodeScope::Check(section) => Some(section),
+            ExitCodeScope::Nothing => None,
         }
     }
 }

@@ -1,12 +1,12 @@
 //! Findings: what is wrong on a bus or in des.json, how certain that is, and the frames that prove
-//! it. [`FindingKind`] lists every kind with its facts in one table.
+//! it. [`FindingKind`] lists every kind with its properties in one table.
 //!
 //! Plain values. Does not know how evidence is collected (`discovery`) nor how des.json is compared
 //! with the bus (`app`).
 
 mod kind;
 
-pub use kind::{CheckSection, CountsFor, FindingFacts, FindingKind, Grouping, Wording};
+pub use kind::{CheckSection, ExitCodeScope, FindingKind, FindingKindInfo, Grouping, Wording};
 
 use crate::frame::{BusIndex, Frame};
 use crate::text::Name;
@@ -19,7 +19,7 @@ use std::sync::Arc;
 
 /// State of a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Confidence {
+pub enum FindingState {
     /// The cause is gone, or no more evidence was seen.
     Cleared,
     /// There is evidence, but a harmless cause is possible.
@@ -28,7 +28,7 @@ pub enum Confidence {
     Confirmed,
 }
 
-impl Confidence {
+impl FindingState {
     /// Returns the name in JSON.
     pub const fn name(self) -> &'static str {
         match self {
@@ -39,7 +39,7 @@ impl Confidence {
     }
 }
 
-impl fmt::Display for Confidence {
+impl fmt::Display for FindingState {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.pad(self.name())
     }
@@ -52,7 +52,7 @@ pub struct Evidence {
     /// Time of the observation.
     pub time: Instant,
     /// Description, for the screen and for JSON.
-    pub what: Cow<'static, str>,
+    pub description: Cow<'static, str>,
     /// Frame observed; `None` where there is none, as for lost frames.
     pub frame: Option<Frame>,
 }
@@ -70,14 +70,14 @@ pub struct FindingKey {
     /// Name concerned, where several names can have a finding of this kind at one address.
     pub name: Option<Name>,
     /// Fault in des.json in few words, where one entry can have several.
-    pub part: Option<Arc<str>>,
+    pub fault: Option<Arc<str>>,
 }
 
 impl FindingKey {
     /// Creates the key of a finding that is the only one of its kind at an address, or on a bus
     /// where `address` is `None`.
     pub const fn at(kind: FindingKind, bus: BusIndex, address: Option<Address>) -> Self {
-        Self { kind, bus: Some(bus), address, name: None, part: None }
+        Self { kind, bus: Some(bus), address, name: None, fault: None }
     }
 
     /// Returns the texts for this kind, with or without an address.
@@ -97,7 +97,7 @@ pub struct Finding {
     /// Identity.
     pub key: FindingKey,
     /// State.
-    pub confidence: Confidence,
+    pub confidence: FindingState,
     /// All addresses concerned, in ascending order.
     pub addresses: Vec<Address>,
     /// Names concerned, each once, at most 8.
@@ -108,13 +108,14 @@ pub struct Finding {
     pub last: Instant,
     /// Time of the last change of `confidence`.
     pub changed: Instant,
-    /// Number of observations, including those that [`Self::evidence`] no longer stores.
+    /// Number of observations, including those that [`Self::evidence`] no longer stores; of lost
+    /// frames, their number.
     pub count: u64,
     /// Evidence stored, oldest first: the first and the last observations, at most
     /// [`Finding::MAX_EVIDENCE`].
     pub evidence: VecDeque<Evidence>,
     /// Line and column in des.json, from 1; `None` where the finding is not about a place in it.
-    pub place: Option<(usize, usize)>,
+    pub position: Option<(usize, usize)>,
     /// What is wrong, as one sentence.
     pub text: String,
     /// What to do, likeliest cause first; may be empty.
@@ -131,13 +132,13 @@ impl Finding {
             addresses: key.address.into_iter().collect(),
             names: key.name.iter().cloned().collect(),
             key,
-            confidence: Confidence::Suspected,
+            confidence: FindingState::Suspected,
             first: now,
             last: now,
             changed: now,
             count: 0,
             evidence: VecDeque::new(),
-            place: None,
+            position: None,
             text: String::new(),
             remedy: String::new(),
         }
@@ -145,7 +146,7 @@ impl Finding {
 
     /// Adds an observation. When the store is full, the oldest of its second half is dropped, so
     /// the first observations stay.
-    pub fn add(&mut self, evidence: Evidence) {
+    pub fn add_evidence(&mut self, evidence: Evidence) {
         // Evidence may be older than the finding: a frame that counts only with a later one.
         self.first = self.first.min(evidence.time);
         self.last = self.last.max(evidence.time);

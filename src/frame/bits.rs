@@ -30,7 +30,7 @@ impl FrameBits {
         if frame.kind == FrameKind::Error {
             return Self::default();
         }
-        if frame.fd { Content::of(frame).fd_length(frame) } else { classic_length(frame) }
+        if frame.is_fd { Content::of(frame).fd_length(frame) } else { classic_length(frame) }
     }
 
     /// All bits, whatever their rate.
@@ -56,8 +56,8 @@ pub(crate) const fn bit_nanos(bits: u32, bitrate: u32) -> u64 {
     bits as u64 * 1_000_000_000 / bitrate as u64
 }
 
-/// What a frame says in arbitration, most significant bit first: the lower value wins. The base
-/// identifier, RTR or SRR, IDE, the identifier's extension, RTR.
+/// Bits of a frame that take part in arbitration, most significant bit first: the lower value wins.
+/// The base identifier, RTR or SRR, IDE, the identifier's extension, RTR.
 pub fn arbitration_field(frame: &Frame) -> u32 {
     let remote = u32::from(frame.kind == FrameKind::Remote);
     match frame.id {
@@ -69,21 +69,22 @@ pub fn arbitration_field(frame: &Frame) -> u32 {
     }
 }
 
-/// Where two frames that begin alike part on the wire.
+/// First bit on the wire in which two frames differ.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Divergence {
+pub struct FirstDifference {
     /// Bits from the start to the first different one, itself and stuff bits included.
     pub bits: u32,
-    /// Whether the first of the two sends the recessive bit there, and so notices.
+    /// True if the first of the two sends the recessive bit there; its sender detects the
+    /// difference.
     pub first_is_recessive: bool,
 }
 
 /// The first bit in which `first` and `second` differ on the wire; `None` when they are equal.
-pub fn divergence(first: &Frame, second: &Frame) -> Option<Divergence> {
+pub fn first_difference(first: &Frame, second: &Frame) -> Option<FirstDifference> {
     let (first, second) = (Content::of(first), Content::of(second));
     let at = first.stuffed().zip(second.stuffed()).enumerate().find(|(_, (a, b))| a != b)?;
     let (before, (first_bit, _)) = at;
-    Some(Divergence { bits: before as u32 + 1, first_is_recessive: first_bit == 1 })
+    Some(FirstDifference { bits: before as u32 + 1, first_is_recessive: first_bit == 1 })
 }
 
 /// The bits of a frame from its start to the end of its data, unstuffed.
@@ -111,7 +112,7 @@ impl Content {
                 bits.push(remote, 1);
             }
         }
-        if frame.fd {
+        if frame.is_fd {
             bits.push(0b10, 2);
             bits.before_switch = bits.len;
             bits.push(u32::from(frame.bit_rate_switch), 1);
@@ -346,9 +347,9 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_of_zeros_is_stuffed_every_five_bits() {
+    fn frame_of_zeros_has_stuff_bit_every_five_bits() {
         // 34 zeros from start to CRC: six stuff bits, 13 bits of tail.
-        assert_eq!(total(&Frame::with(CanId::Standard(0), &[])), 34 + 6 + 13);
+        assert_eq!(total(&Frame::new(CanId::Standard(0), &[])), 34 + 6 + 13);
     }
 
     #[test]
@@ -357,12 +358,12 @@ mod tests {
         // plus eight per byte, intermission included.
         let data = [0x55; 8];
         let extended = (0..0x2000).map(|id| total(&Frame::classic(0x0AAA_A555 ^ id, &data)));
-        let standard = (0..0x800).map(|id| total(&Frame::with(CanId::Standard(id), &data)));
+        let standard = (0..0x800).map(|id| total(&Frame::new(CanId::Standard(id), &data)));
         assert_eq!((standard.min(), extended.min()), (Some(47 + 64), Some(67 + 64)));
     }
 
     #[test]
-    fn lengths_agree_with_a_bit_by_bit_account() {
+    fn lengths_agree_with_a_bit_by_bit_count() {
         let mut rng = fastrand::Rng::with_seed(1);
         for round in 0..20_000 {
             let len = rng.usize(0..=8);
@@ -373,7 +374,7 @@ mod tests {
             } else {
                 CanId::Extended(rng.u32(0..0x2000_0000) & rng.u32(..))
             };
-            let frame = Frame::with(id, &data[..len]);
+            let frame = Frame::new(id, &data[..len]);
             assert_eq!(total(&frame), naive(&frame), "{frame}");
             let remote = Frame::remote(id, len);
             assert_eq!(total(&remote), naive(&remote), "{remote}");
@@ -382,10 +383,10 @@ mod tests {
 
     /// Nothing keeps a frame from having more bytes than its kind can.
     #[test]
-    fn a_frame_that_cannot_be_has_a_length_all_the_same() {
+    fn impossible_frame_still_has_a_length() {
         for id in [CanId::Standard(0x7FF), CanId::Extended(0x1FFF_FFFF)] {
             // The plain length of eight bytes, and no more than it can grow by stuffing.
-            let length = total(&Frame::with(id, &[0; 64]));
+            let length = total(&Frame::new(id, &[0; 64]));
             assert!((47 + 64..=160).contains(&length), "{length}");
         }
     }
@@ -407,22 +408,22 @@ mod tests {
     }
 
     #[test]
-    fn frames_part_at_their_first_different_bit() {
+    fn frames_differ_at_their_first_different_bit() {
         let one = Frame::classic(0x0518_0002, &[0xAA, 0x80]);
         let two = Frame::classic(0x0518_0002, &[0xAA, 0x00]);
-        assert_eq!(divergence(&one, &one), None);
-        let parting = divergence(&one, &two).unwrap();
-        assert!(parting.first_is_recessive);
-        assert_eq!(divergence(&two, &one).map(|d| d.bits), Some(parting.bits));
-        assert!(parting.bits > 39 + 8, "{parting:?}");
-        let standard = Frame::with(CanId::Standard(0x7FF), &[]);
+        assert_eq!(first_difference(&one, &one), None);
+        let difference = first_difference(&one, &two).unwrap();
+        assert!(difference.first_is_recessive);
+        assert_eq!(first_difference(&two, &one).map(|d| d.bits), Some(difference.bits));
+        assert!(difference.bits > 39 + 8, "{difference:?}");
+        let standard = Frame::new(CanId::Standard(0x7FF), &[]);
         assert!(arbitration_field(&one) < arbitration_field(&two) | 1);
         assert!(arbitration_field(&one) < arbitration_field(&standard));
     }
 
     #[test]
     fn standard_beats_extended_of_the_same_base() {
-        let standard = Frame::with(CanId::Standard(0x123), &[]);
+        let standard = Frame::new(CanId::Standard(0x123), &[]);
         let extended = Frame::classic(0x123 << 18, &[]);
         assert!(arbitration_field(&standard) < arbitration_field(&extended));
         let remote = Frame::remote(CanId::Extended(0x123 << 18), 0);

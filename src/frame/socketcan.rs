@@ -1,5 +1,5 @@
-//! SocketCAN's frame fields (`linux/can.h`): the identifier word and the FD flags, which the kernel,
-//! pcapng and candump's log text share.
+//! SocketCAN's frame fields (`linux/can.h`): the identifier word and the FD flags, which the
+//! kernel, pcapng and candump's log text share.
 //!
 //! Pure. Does not know the byte order of a layout: the caller reads and writes the bytes.
 
@@ -35,7 +35,7 @@ pub fn id_word(frame: &Frame) -> u32 {
 
 /// BRS and ESI of a frame; 0 unless it is an FD frame.
 pub fn fd_flags(frame: &Frame) -> u8 {
-    let flag = |is_set, flag| if frame.fd && is_set { flag } else { 0 };
+    let flag = |is_set, flag| if frame.is_fd && is_set { flag } else { 0 };
     flag(frame.bit_rate_switch, BIT_RATE_SWITCH) | flag(frame.error_state, ERROR_STATE)
 }
 
@@ -61,17 +61,17 @@ pub fn decode(word: u32, len: usize, fd_flags: Option<u8>, data: &[u8]) -> Optio
         return Some(Frame::error(word & CanId::MAX_EXTENDED, data));
     }
     Some(match fd_flags {
-        None => Frame::with(id, data),
+        None => Frame::new(id, data),
         Some(flags) => with_fd_flags(id, data, flags),
     })
 }
 
 /// An FD data frame with BRS and ESI from `flags`, padded with zeros to a length that a DLC has.
 pub fn with_fd_flags(id: CanId, data: &[u8], flags: u8) -> Frame {
-    let mut frame = Frame::with(id, data);
+    let mut frame = Frame::new(id, data);
     // Bytes after the data are zero.
     frame.len = fd_length(frame.len()) as u8;
-    frame.fd = true;
+    frame.is_fd = true;
     frame.bit_rate_switch = flags & BIT_RATE_SWITCH != 0;
     frame.error_state = flags & ERROR_STATE != 0;
     frame

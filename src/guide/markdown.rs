@@ -1,6 +1,6 @@
 //! Markdown reader: turns the text of a topic into blocks, from which the terminal text and the
 //! manual pages are made. Covers what the topics use: headings, paragraphs, lists, code blocks,
-//! tables, code spans, strong text and links. Does not know how a block looks.
+//! tables, code spans, strong text and links.
 
 use pulldown_cmark::{CodeBlockKind, Event, HeadingLevel, Options, Parser, Tag, TagEnd};
 use std::iter::Peekable;

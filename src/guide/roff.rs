@@ -1,6 +1,6 @@
 //! Manual pages in roff with the man macros, for `man -l`, groff and mandoc. Input: blocks. Output:
 //! ASCII; other characters are written as `\[uXXXX]`. Tables of two columns are tagged
-//! paragraphs, wider ones are set in [`TABLE_WIDTH`] columns. Does not know which pages exist.
+//! paragraphs, wider ones are set in [`TABLE_WIDTH`] columns.
 
 use super::markdown::{GuideBlock, GuideLine, GuideSpan, SpanStyle, plain};
 use super::render::table_lines;

@@ -6,7 +6,7 @@ use crate::app::{FILTER_FIELDS, FILTER_WORDS};
 use crate::finding::FindingKind;
 use crate::keymap::{ACTIONS, ActionGroup};
 use crate::theme::Role;
-use crate::ui::SIGNS;
+use crate::ui::SYMBOLS;
 use std::fmt::Write;
 
 /// Replaces the lines that stand for tables by the tables.
@@ -54,7 +54,7 @@ pub fn keys() -> String {
 /// Returns the symbols of the screen with their meanings.
 fn symbols() -> String {
     let mut out = String::from("| on the screen | meaning |\n|---|---|\n");
-    for (_, sign, meaning) in SIGNS {
+    for (_, sign, meaning) in SYMBOLS {
         let _ = writeln!(out, "| {} | {} |", code(sign.trim()), escape(meaning));
     }
     out

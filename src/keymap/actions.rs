@@ -40,13 +40,18 @@ pub enum KeyMode {
 
 /// Sections of the help.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[allow(missing_docs)]
 pub enum ActionGroup {
+    /// Pages, selection and filters.
     Look,
+    /// Requests and the bit rate.
     Bus,
+    /// Playback of a log.
     Log,
+    /// Edits of des.json.
     File,
+    /// Help, theme, quit.
     Program,
+    /// Prompts and questions.
     Answer,
 }
 

@@ -13,8 +13,8 @@ use std::fmt;
 use std::io::{self, Write};
 
 pub(super) const FORMAT: LogFormat = LogFormat {
-    purpose: "candump text",
-    endings: &["log", "txt", "candump"],
+    description: "candump text",
+    extensions: &["log", "txt", "candump"],
     unit: "line",
     // Text has no magic number: it is the format if no other matches.
     detect: |_| FormatMatch::No,
@@ -157,11 +157,11 @@ impl LogDecoder for LineDecoder {
         (end + 1, frame.map_or(DecodeStep::Nothing, DecodeStep::Frame))
     }
 
-    fn has_unfinished(&self) -> bool {
+    fn has_partial_entry(&self) -> bool {
         !self.partial.is_empty()
     }
 
-    fn take_unfinished(&mut self, summary: &mut LogSummary) -> Option<Frame> {
+    fn read_partial_entry(&mut self, summary: &mut LogSummary) -> Option<Frame> {
         if self.partial.is_empty() {
             return None;
         }
@@ -176,7 +176,7 @@ impl LogDecoder for LineDecoder {
 }
 
 fn take_line(line: &[u8], summary: &mut LogSummary) -> Option<Frame> {
-    let line = line.strip_prefix(BYTE_ORDER_MARK).filter(|_| summary.lines == 0).unwrap_or(line);
+    let line = line.strip_prefix(BYTE_ORDER_MARK).filter(|_| summary.entries == 0).unwrap_or(line);
     summary.take(parse_line(line))
 }
 
@@ -205,6 +205,10 @@ impl LogEncoder for LineEncoder {
 
 /// Reads a frame in the syntax of candump and cansend: `02015402#0444455301`, `123#R4`,
 /// `123##1AABB`, `20000004#…`.
+///
+/// # Errors
+///
+/// The text does not have this syntax.
 pub fn parse_frame(text: &[u8]) -> Result<Frame, LineFault> {
     let hash = text.iter().position(|&byte| byte == b'#').ok_or(LineFault::Frame)?;
     let (id_text, body) = (&text[..hash], &text[hash + 1..]);
@@ -217,7 +221,7 @@ pub fn parse_frame(text: &[u8]) -> Result<Frame, LineFault> {
             let (len, rest) = parse_bytes(body, &mut data)?;
             parse_raw_dlc(rest, len)?;
             Ok(match head {
-                Head::Id(id) => Frame::with(id, &data[..len]),
+                Head::Id(id) => Frame::new(id, &data[..len]),
                 Head::ErrorClass(class) => Frame::error(class, &data[..len]),
             })
         }

@@ -24,9 +24,9 @@ pub static FORMATS: [LogFormat; 2] = [candump::FORMAT, pcapng::FORMAT];
 #[derive(Debug)]
 pub struct LogFormat {
     /// Use of the format, as in "`.log` for candump text".
-    pub purpose: &'static str,
+    pub description: &'static str,
     /// File name endings without the dot, in lower case; the usual one first.
-    pub endings: &'static [&'static str],
+    pub extensions: &'static [&'static str],
     /// Unit of a log, as in "line 3 cannot be read".
     unit: &'static str,
     detect: fn(&[u8]) -> FormatMatch,
@@ -75,10 +75,10 @@ trait LogDecoder: fmt::Debug + Send {
     fn handle_end(&mut self, _: &mut LogSummary) {}
 
     /// Returns true if the log stops inside an entry.
-    fn has_unfinished(&self) -> bool;
+    fn has_partial_entry(&self) -> bool;
 
     /// Reads the entry inside which the log stops, if the format allows an entry without its end.
-    fn take_unfinished(&mut self, _: &mut LogSummary) -> Option<Frame> {
+    fn read_partial_entry(&mut self, _: &mut LogSummary) -> Option<Frame> {
         None
     }
 
@@ -91,14 +91,26 @@ trait LogDecoder: fmt::Debug + Send {
 /// Writes one log of a format.
 pub trait LogEncoder: fmt::Debug + Send {
     /// Appends the beginning of a log.
+    ///
+    /// # Errors
+    ///
+    /// Those of writing to `out`.
     fn begin(&mut self, out: &mut Vec<u8>) -> io::Result<()>;
 
     /// Appends an entry. Appends nothing and returns false if more than `max_len` bytes would be
     /// needed.
+    ///
+    /// # Errors
+    ///
+    /// Those of writing to `out`.
     fn write(&mut self, entry: LogEntry<'_>, max_len: u64, out: &mut Vec<u8>) -> io::Result<bool>;
 
     /// Appends the end of a log. `names` and `lost` are by bus: the names, and the number of frames
     /// lost while this log was written.
+    ///
+    /// # Errors
+    ///
+    /// Those of writing to `out`.
     fn end(&mut self, names: &[String], lost: &[u64], out: &mut Vec<u8>) -> io::Result<()>;
 }
 
@@ -113,12 +125,12 @@ impl fmt::Display for UnknownFormat {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("use the ending ")?;
         for (at, format) in FORMATS.iter().enumerate() {
-            let [usual, others @ ..] = format.endings else { continue };
+            let [usual, others @ ..] = format.extensions else { continue };
             write!(f, "{}.{usual}", if at == 0 { "" } else { ", or " })?;
             for (at, other) in others.iter().enumerate() {
                 write!(f, "{}.{other}", if at == 0 { " (also " } else { ", " })?;
             }
-            write!(f, "{} for {}", if others.is_empty() { "" } else { ")" }, format.purpose)?;
+            write!(f, "{} for {}", if others.is_empty() { "" } else { ")" }, format.description)?;
         }
         Ok(())
     }
@@ -133,14 +145,14 @@ impl LogFormat {
     pub fn of(path: &Path) -> Result<&'static Self, UnknownFormat> {
         let ending = path.extension().and_then(|it| it.to_str()).unwrap_or_default();
         let ending = ending.to_ascii_lowercase();
-        FORMATS.iter().find(|it| it.endings.contains(&ending.as_str())).ok_or(UnknownFormat)
+        FORMATS.iter().find(|it| it.extensions.contains(&ending.as_str())).ok_or(UnknownFormat)
     }
 
     /// Returns the usual endings with their uses, for help: `.log for candump text, .pcapng for
     /// Wireshark`.
     pub fn summary() -> String {
         let rows = FORMATS.iter().filter_map(|format| {
-            Some(format!(".{} for {}", format.endings.first()?, format.purpose))
+            Some(format!(".{} for {}", format.extensions.first()?, format.description))
         });
         rows.collect::<Vec<_>>().join(", ")
     }
@@ -179,7 +191,7 @@ mod tests {
 
     #[test]
     fn format_follows_the_ending() {
-        let purpose = |path: &str| LogFormat::of(Path::new(path)).map(|format| format.purpose);
+        let purpose = |path: &str| LogFormat::of(Path::new(path)).map(|format| format.description);
         assert_eq!(purpose("a/b.LOG"), Ok("candump text"));
         assert_eq!(purpose("b.pcapng"), Ok("Wireshark"));
         for wrong in ["b", "b.pcap", ".log", "b.log.gz"] {
@@ -198,7 +210,8 @@ mod tests {
 
     #[test]
     fn detection_waits_for_enough_bytes() {
-        let purpose = |head, is_all| LogFormat::detect(head, is_all).map(|format| format.purpose);
+        let purpose =
+            |head, is_all| LogFormat::detect(head, is_all).map(|format| format.description);
         assert_eq!(purpose(b"\n\r\r", false), None);
         assert_eq!(purpose(b"\n\r\r", true), Some("candump text"));
         assert_eq!(purpose(b"\n\r\r\n", false), Some("Wireshark"));

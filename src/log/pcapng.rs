@@ -12,8 +12,8 @@ use crate::frame::{BusIndex, CanId, Frame};
 use std::io::{self, Write};
 
 pub(super) const FORMAT: LogFormat = LogFormat {
-    purpose: "Wireshark",
-    endings: &["pcapng"],
+    description: "Wireshark",
+    extensions: &["pcapng"],
     unit: "block",
     detect: |head| FormatMatch::of_magic(&MAGIC, head),
     decoder: || Box::<BlockDecoder>::default(),
@@ -23,7 +23,7 @@ pub(super) const FORMAT: LogFormat = LogFormat {
 /// The first four bytes of a file, in either byte order.
 pub const MAGIC: [u8; 4] = [0x0A, 0x0D, 0x0D, 0x0A];
 /// Bytes of a block that are needed to find its length.
-pub const HEAD: usize = 12;
+pub const BLOCK_HEADER_LEN: usize = 12;
 /// Longest block that is read, in bytes; longer ones are skipped. A frame has 116 plus options.
 pub const MAX_BLOCK: usize = 1 << 16;
 
@@ -88,7 +88,7 @@ pub enum PacketFault {
 pub enum Damage {
     /// The file ends inside a block.
     #[error("truncated inside a block")]
-    Cut,
+    Truncated,
     /// A block has an impossible length, so the start of the next one is unknown.
     #[error("invalid block length of {0} bytes: the rest cannot be read")]
     Length(u32),
@@ -102,15 +102,15 @@ pub enum Damage {
 
 impl Damage {
     /// Returns true if the rest becomes readable when the file grows.
-    pub fn is_cut(self) -> bool {
-        self == Damage::Cut
+    pub fn is_truncated(self) -> bool {
+        self == Damage::Truncated
     }
 }
 
 /// Splits a file into blocks and reads them.
 #[derive(Debug, Default)]
 struct BlockDecoder {
-    sections: Sections,
+    sections: SectionState,
     /// Beginning of an incomplete block; less than [`MAX_BLOCK`] bytes.
     partial: Vec<u8>,
     /// Bytes left to skip of a block that is too long.
@@ -132,7 +132,7 @@ impl BlockDecoder {
         used: &mut usize,
         summary: &mut LogSummary,
     ) -> Result<Option<Frame>, Damage> {
-        let (count, has_head) = self.fill(bytes, HEAD);
+        let (count, has_head) = self.fill(bytes, BLOCK_HEADER_LEN);
         *used += count;
         let Some(head) = self.partial.first_chunk().filter(|_| has_head).copied() else {
             return Ok(None);
@@ -156,7 +156,7 @@ impl BlockDecoder {
 
 impl LogDecoder for BlockDecoder {
     fn decode(&mut self, bytes: &[u8], summary: &mut LogSummary) -> (usize, DecodeStep) {
-        if summary.damage.is_some_and(|damage| !damage.is_cut()) {
+        if summary.damage.is_some_and(|damage| !damage.is_truncated()) {
             return (0, DecodeStep::End);
         }
         // The file has grown since its end was reached.
@@ -177,19 +177,20 @@ impl LogDecoder for BlockDecoder {
     }
 
     fn handle_end(&mut self, summary: &mut LogSummary) {
-        if summary.damage.is_none_or(Damage::is_cut) {
-            summary.damage = (self.skip > 0 || self.has_unfinished()).then_some(Damage::Cut);
+        if summary.damage.is_none_or(Damage::is_truncated) {
+            summary.damage =
+                (self.skip > 0 || self.has_partial_entry()).then_some(Damage::Truncated);
         }
     }
 
-    fn has_unfinished(&self) -> bool {
+    fn has_partial_entry(&self) -> bool {
         !self.partial.is_empty()
     }
 }
 
 /// State that packets depend on: the byte order and the interfaces.
 #[derive(Clone, Debug, Default)]
-pub struct Sections {
+pub struct SectionState {
     big_endian: bool,
     /// True if the current section has an unknown version and is skipped.
     is_unknown_version: bool,
@@ -204,9 +205,13 @@ struct PcapInterface {
     offset_seconds: i64,
 }
 
-impl Sections {
-    /// Returns the length of the block that begins with these bytes, at least [`HEAD`].
-    pub fn block_len(&self, head: &[u8; HEAD]) -> Result<u32, Damage> {
+impl SectionState {
+    /// Returns the length of the block that begins with these bytes, at least [`BLOCK_HEADER_LEN`].
+    ///
+    /// # Errors
+    ///
+    /// The byte order or the length is not valid: the rest of the file cannot be read.
+    pub fn block_len(&self, head: &[u8; BLOCK_HEADER_LEN]) -> Result<u32, Damage> {
         let big_endian = if head[..4] == MAGIC {
             byte_order(&head[8..]).ok_or(Damage::ByteOrder)?
         } else {
@@ -216,8 +221,12 @@ impl Sections {
         if len < 12 || !len.is_multiple_of(4) { Err(Damage::Length(len)) } else { Ok(len) }
     }
 
-    /// Returns the fault if a skipped block that begins with these bytes is a packet.
-    pub fn skip(&self, head: &[u8; HEAD]) -> Result<(), PacketFault> {
+    /// Checks a block that begins with these bytes and is skipped.
+    ///
+    /// # Errors
+    ///
+    /// The block is a packet, which is too long.
+    pub fn skip(&self, head: &[u8; BLOCK_HEADER_LEN]) -> Result<(), PacketFault> {
         let kind = Fields { bytes: head, big_endian: self.big_endian }.u32();
         let is_packet = matches!(kind, Some(PACKET | SIMPLE_PACKET | OLD_PACKET));
         if is_packet && !self.is_unknown_version { Err(PacketFault::Long) } else { Ok(()) }
@@ -400,6 +409,10 @@ fn decode(packet: &[u8]) -> Result<Frame, PacketFault> {
 // --- writing ------------------------------------------------------------------------------
 
 /// Writes the section header at the beginning of a file.
+///
+/// # Errors
+///
+/// Those of writing to `out`.
 pub fn write_section(out: &mut impl Write) -> io::Result<()> {
     let mut block = Block::new(SECTION);
     block.u32(BYTE_ORDER);
@@ -413,6 +426,10 @@ pub fn write_section(out: &mut impl Write) -> io::Result<()> {
 }
 
 /// Writes the description of the next interface, counted from 0.
+///
+/// # Errors
+///
+/// Those of writing to `out`.
 pub fn write_interface(out: &mut impl Write, name: &str) -> io::Result<()> {
     let mut block = Block::new(INTERFACE);
     block.u16(SOCKETCAN);
@@ -426,6 +443,10 @@ pub fn write_interface(out: &mut impl Write, name: &str) -> io::Result<()> {
 }
 
 /// Writes a frame of an interface, at a time in microseconds since 1970.
+///
+/// # Errors
+///
+/// Those of writing to `out`.
 pub fn write_frame(
     out: &mut impl Write,
     interface: u32,
@@ -438,7 +459,7 @@ pub fn write_frame(
     let len = (CAN_HEAD + frame.data().len()) as u32;
     block.u32(len);
     block.u32(len);
-    let fd = if frame.fd { FD_FORMAT | fields::fd_flags(frame) } else { 0 };
+    let fd = if frame.is_fd { FD_FORMAT | fields::fd_flags(frame) } else { 0 };
     let word = fields::id_word(frame);
     block.bytes(&word.to_be_bytes());
     block.bytes(&[frame.len() as u8, fd, 0, 0]);

@@ -21,7 +21,7 @@ pub struct LogReader<R> {
     decoder: Option<Box<dyn LogDecoder>>,
     /// True if a last entry without its end is kept for later instead of being read.
     keeps_unfinished: bool,
-    tally: LogSummary,
+    summary: LogSummary,
 }
 
 impl<R: BufRead> LogReader<R> {
@@ -32,29 +32,29 @@ impl<R: BufRead> LogReader<R> {
             head: Vec::new(),
             decoder: None,
             keeps_unfinished: false,
-            tally: LogSummary::default(),
+            summary: LogSummary::default(),
         }
     }
 
     /// Keeps a last entry without its end from now on, because another program may still be writing
     /// it. At the end of the source, read again later.
-    pub fn keep_unfinished(&mut self) {
+    pub fn hold_partial_entry(&mut self) {
         self.keeps_unfinished = true;
     }
 
     /// Returns true if the log stops inside an entry.
-    pub fn has_unfinished(&self) -> bool {
-        !self.head.is_empty() || self.decoder.as_ref().is_some_and(|it| it.has_unfinished())
+    pub fn has_partial_entry(&self) -> bool {
+        !self.head.is_empty() || self.decoder.as_ref().is_some_and(|it| it.has_partial_entry())
     }
 
     /// Reads the last entry although its end is missing; `None` if there is no such frame.
-    pub fn take_unfinished(&mut self) -> Option<Frame> {
-        self.decoder.as_mut()?.take_unfinished(&mut self.tally)
+    pub fn read_partial_entry(&mut self) -> Option<Frame> {
+        self.decoder.as_mut()?.read_partial_entry(&mut self.summary)
     }
 
     /// Returns true if the rest cannot be read, even if the source grows.
     pub fn is_damaged(&self) -> bool {
-        self.tally.damage.is_some_and(|damage| !damage.is_cut())
+        self.summary.damage.is_some_and(|damage| !damage.is_truncated())
     }
 
     /// Returns the source.
@@ -68,8 +68,8 @@ impl<R: BufRead> LogReader<R> {
     }
 
     /// Returns the summary of what was read so far.
-    pub fn tally(&self) -> &LogSummary {
-        &self.tally
+    pub fn summary(&self) -> &LogSummary {
+        &self.summary
     }
 
     /// Returns the next frame; `None` at the end.
@@ -91,7 +91,7 @@ impl<R: BufRead> LogReader<R> {
     fn step(&mut self) -> io::Result<DecodeStep> {
         let Some(decoder) = &mut self.decoder else { return self.detect() };
         if !self.head.is_empty() {
-            let (used, step) = decoder.decode(&self.head, &mut self.tally);
+            let (used, step) = decoder.decode(&self.head, &mut self.summary);
             self.head.drain(..used);
             return Ok(step);
         }
@@ -102,12 +102,15 @@ impl<R: BufRead> LogReader<R> {
             buffer => buffer?,
         };
         if buffer.is_empty() {
-            decoder.handle_end(&mut self.tally);
-            let frame =
-                if self.keeps_unfinished { None } else { decoder.take_unfinished(&mut self.tally) };
+            decoder.handle_end(&mut self.summary);
+            let frame = if self.keeps_unfinished {
+                None
+            } else {
+                decoder.read_partial_entry(&mut self.summary)
+            };
             return Ok(frame.map_or(DecodeStep::End, DecodeStep::Frame));
         }
-        let (used, step) = decoder.decode(buffer, &mut self.tally);
+        let (used, step) = decoder.decode(buffer, &mut self.summary);
         self.source.consume(used);
         Ok(step)
     }
@@ -126,7 +129,7 @@ impl<R: BufRead> LogReader<R> {
         self.head.extend(byte);
         self.source.consume(usize::from(byte.is_some()));
         if let Some(format) = LogFormat::detect(&self.head, byte.is_none()) {
-            self.tally.unit = format.unit;
+            self.summary.unit = format.unit;
             self.decoder = Some((format.decoder)());
         }
         Ok(DecodeStep::Nothing)
@@ -141,7 +144,7 @@ impl<R: Read> LogReader<BufReader<R>> {
         self.source.consume(left);
         self.head.clear();
         self.decoder = None;
-        self.tally.damage = None;
+        self.summary.damage = None;
     }
 
     /// Returns the next frame that is buffered as a whole; `None` if the source must be read.
@@ -193,11 +196,11 @@ not a line
     fn read(text: &str, buffer: usize) -> (Vec<Frame>, LogSummary) {
         let mut reader = LogReader::new(BufReader::with_capacity(buffer, text.as_bytes()));
         let frames = reader.by_ref().collect::<io::Result<_>>().unwrap();
-        (frames, reader.tally().clone())
+        (frames, reader.summary().clone())
     }
 
     #[test]
-    fn reads_the_same_whatever_the_buffer() {
+    fn result_is_independent_of_buffer_size() {
         let (frames, tally) = read(LOG, 4096);
         let micros: Vec<_> = frames.iter().map(|frame| frame.time.as_micros()).collect();
         assert_eq!(micros, [0, 87, 87, 750_287]);
@@ -205,7 +208,10 @@ not a line
         assert!(frames[2].is_tx);
         assert_eq!(tally.interfaces, ["can0", "can1"]);
         assert_eq!(tally.epoch.unwrap().unix_micros(tally.last), 1_436_509_053_000_000);
-        assert_eq!((tally.lines, tally.frames, tally.unreadable, tally.backwards), (6, 4, 1, 1));
+        assert_eq!(
+            (tally.entries, tally.frames, tally.unreadable, tally.clock_steps_back),
+            (6, 4, 1, 1)
+        );
         assert_eq!(tally.first_unreadable, Some((4, LineFault::Time.into())));
         for buffer in 1..60 {
             assert_eq!(read(LOG, buffer), (frames.clone(), tally.clone()));
@@ -213,7 +219,7 @@ not a line
     }
 
     #[test]
-    fn what_is_here_is_had_without_reading_on() {
+    fn buffered_frames_need_no_read() {
         // A pipe that returns one piece per read, then nothing.
         struct Pieces(Vec<&'static str>);
         impl Read for Pieces {
@@ -237,17 +243,17 @@ not a line
         let line = |&millis: &u64| format!("({}.{:03}) can0 123#\n", millis / 1000, millis % 1000);
         let (frames, tally) = read(&written.iter().map(line).collect::<String>(), 4096);
         let moments = frames.iter().map(|frame| frame.time.as_micros() / 1000).collect();
-        (moments, tally.backwards)
+        (moments, tally.clock_steps_back)
     }
 
     #[test]
-    fn a_little_disorder_stands_still() {
+    fn small_disorder_repeats_the_last_time() {
         let (moments, backwards) = moments(&[5000, 6000, 5000, 5900, 6100]);
         assert_eq!((moments, backwards), (vec![0, 1000, 1000, 1000, 1100], 2));
     }
 
     #[test]
-    fn a_clock_that_is_set_back_goes_on_from_the_last_moment() {
+    fn clock_set_back_continues_from_last_time() {
         let hour = 3_600_000;
         let told = moments(&[hour + 5000, hour + 6000, 5999, 6999, 6899, 60_999, 61_999]);
         assert_eq!(told, (vec![0, 1000, 1000, 2000, 2000, 56_000, 57_000], 2));
@@ -257,7 +263,7 @@ not a line
     }
 
     #[test]
-    fn a_clock_that_is_set_to_and_fro_makes_no_gaps() {
+    fn clock_set_back_and_forth_makes_no_gaps() {
         // One stray line; then two interfaces with separate clocks.
         let told = moments(&[100_000, 101_000, 3, 102_000, 103_000]);
         assert_eq!(told, (vec![0, 1000, 1000, 2000, 3000], 1));
@@ -268,14 +274,14 @@ not a line
     }
 
     #[test]
-    fn times_beyond_measure_stay_in_order() {
+    fn extreme_times_stay_in_order() {
         let text = "(18446744073709.551615) can0 123#\n(0.0) can0 123#\n".repeat(20);
         let (frames, _) = read(&text, 4096);
         assert!(frames.is_sorted_by_key(|frame| frame.time));
     }
 
     #[test]
-    fn an_endless_line_is_one_unreadable_line() {
+    fn endless_line_is_one_unreadable_line() {
         let text = format!("{}\n(0.1) can0 123#", "x".repeat(1_000_000));
         for buffer in [64, 8192, 2_000_000] {
             let (frames, tally) = read(&text, buffer);
@@ -285,7 +291,7 @@ not a line
     }
 
     #[test]
-    fn the_257th_interface_is_unreadable() {
+    fn interface_number_257_is_unreadable() {
         let lines: Vec<_> = (0..300).map(|n| format!("(0.1) bus{n} 123#")).collect();
         let (frames, tally) = read(&lines.join("\n"), 8192);
         assert_eq!((frames.len(), tally.unreadable), (256, 44));
@@ -293,7 +299,7 @@ not a line
     }
 
     #[test]
-    fn sums_up_in_words() {
+    fn summary_is_described_in_words() {
         assert_eq!(
             read(LOG, 4096).1.to_string(),
             "4 frames of 2 interfaces; line 4 cannot be read: it does not begin with \

@@ -37,7 +37,7 @@ pub struct LogSummary {
     /// Unit of this log: `line`, `block`. Empty before the format is known.
     pub(super) unit: &'static str,
     /// Entries, readable or not.
-    pub lines: u64,
+    pub entries: u64,
     /// Frames.
     pub frames: u64,
     /// Entries that cannot be read.
@@ -47,7 +47,7 @@ pub struct LogSummary {
     /// Why the rest cannot be read; `None` without damage.
     pub damage: Option<Damage>,
     /// Frames dated before the previous frame; each step back of the clock counts once.
-    pub backwards: u64,
+    pub clock_steps_back: u64,
     /// Interface names in order of appearance, which is that of bus numbers.
     pub interfaces: Vec<String>,
     /// Time of the first frame; `None` before it.
@@ -67,12 +67,12 @@ impl LogSummary {
         &mut self,
         entry: Result<Option<LogEntry<'a>>, impl Into<EntryFault>>,
     ) -> Option<Frame> {
-        self.lines += 1;
+        self.entries += 1;
         let entry: Result<Option<LogEntry<'a>>, EntryFault> = entry.map_err(Into::into);
         let read = entry.and_then(|entry| entry.map(|entry| self.place(entry)).transpose());
         read.unwrap_or_else(|fault| {
             self.unreadable += 1;
-            self.first_unreadable.get_or_insert((self.lines, fault));
+            self.first_unreadable.get_or_insert((self.entries, fault));
             None
         })
     }
@@ -95,7 +95,7 @@ impl LogSummary {
             std::mem::swap(&mut self.ahead, &mut self.ahead_before);
         }
         let late_by = late(self.ahead);
-        self.backwards += u64::from(late_by < 0);
+        self.clock_steps_back += u64::from(late_by < 0);
         if late_by < -micros(MAX_REORDER) {
             let set_back = u64::try_from(-late_by).unwrap_or(u64::MAX);
             self.ahead_before = self.ahead;
@@ -133,7 +133,7 @@ impl fmt::Display for LogSummary {
         if let Some(damage) = self.damage {
             write!(f, "; {damage}")?;
         }
-        match self.backwards {
+        match self.clock_steps_back {
             0 => Ok(()),
             count => write!(f, "; time goes backwards {count} time{}", plural(count)),
         }

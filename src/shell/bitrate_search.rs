@@ -1,6 +1,7 @@
-//! Bit rate search on a bus: sets one rate after the other and receives. Alone, or beside a session.
+//! Bit rate search on a bus: sets one rate after the other and receives. Alone, or beside a
+//! session.
 //!
-//! A search that is dropped restores the previous setting. Does not judge what is received: see
+//! A search that is dropped restores the previous setting. Does not evaluate what is received: see
 //! [`crate::bitrate`].
 
 use crate::bitrate::{ListenMode, RATES, RateResult, Search, SearchOutcome, SearchProgress};
@@ -67,7 +68,7 @@ pub async fn find(
         };
         told(SearchProgress::Trying(rate));
         let options =
-            Options { listen_only: plan.manner == ListenMode::Listening, ..Options::default() };
+            Options { listen_only: plan.manner == ListenMode::ListenOnly, ..Options::default() };
         let port = bus::open(&bus, BusIndex(0), clock.clone(), options)?;
         let opened = clock.now();
         loop {
@@ -97,13 +98,13 @@ pub async fn find(
         if search.outcome() != Some(SearchOutcome::Found(rate))
             && let Some((_, heard)) = search.tried().iter().find(|(tried, _)| *tried == rate)
         {
-            told(SearchProgress::Heard(rate, *heard));
+            told(SearchProgress::NothingValid(rate, *heard));
         }
     }
-    let outcome = search.outcome().unwrap_or(SearchOutcome::Silence);
+    let outcome = search.outcome().unwrap_or(SearchOutcome::NoTraffic);
     match outcome {
         SearchOutcome::Found(rate) => tuner.keep(rate)?,
-        SearchOutcome::OnlyBroken | SearchOutcome::Silence => tuner.restore()?,
+        SearchOutcome::OnlyBusErrors | SearchOutcome::NoTraffic => tuner.restore()?,
     }
     Ok(SearchReport { outcome, tried: search.tried().to_vec() })
 }
@@ -134,7 +135,7 @@ impl RunningSearch {
         let task = tokio::spawn(async move {
             let result = match spec {
                 Ok(bus) => {
-                    let plan = Plan { first: None, manner: ListenMode::Listening, period };
+                    let plan = Plan { first: None, manner: ListenMode::ListenOnly, period };
                     let report = find(&bus, plan, |progress| {
                         // The channel has room for all rates.
                         let _ = told.try_send(SearchNews::Progress(progress));

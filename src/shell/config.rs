@@ -1,7 +1,7 @@
 //! The user's own settings: `config.toml`, `keys.toml` and `themes/` in the XDG config folder.
 //!
-//! Each part is optional. An error in one is reported with file and line; descan then starts with the
-//! built-in values.
+//! Each part is optional. An error in one is reported with file and line; descan then starts with
+//! the built-in values.
 
 use crate::diagnostic::Diagnostic;
 use crate::keymap::Keymap;

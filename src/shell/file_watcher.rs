@@ -2,9 +2,9 @@
 //!
 //! Editors replace files, so folders are watched: the one the file is in, those of the symbolic
 //! links that lead to it, and, while its folder is missing, the one that it will appear in. An
-//! event is only a reason to read: a change is content that differs from the last known one. Without
-//! events (network file systems, no inotify left) the file is read once a second. Does not know what
-//! is in the file, or who saves it.
+//! event is only a reason to read: a change is content that differs from the last known one.
+//! Without events (network file systems, no inotify left) the file is read once a second. Does not
+//! know what is in the file, or who saves it.
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -69,13 +69,13 @@ impl FileWatcher {
 
     /// Call after [`Store::save`] has saved `content`: it counts as known and is not reported.
     /// Content that waits may be older or newer: the file is read again.
-    pub fn saved(&self, content: Vec<u8>) {
+    pub fn set_known(&self, content: Vec<u8>) {
         self.look_from(Some(Ok(Some(content))));
     }
 
     /// Call if the content is uncertain, as when another program wrote during a save: the file is
     /// read again and reported in any case.
-    pub fn look_again(&self) {
+    pub fn reread(&self) {
         self.look_from(None);
     }
 
@@ -239,7 +239,7 @@ impl Folders {
     /// Watches the folders that determine which file `path` is. Returns false if some changes cause
     /// no events.
     fn follow(&mut self, path: &Path) -> bool {
-        /// Changes of the path that are tolerated meanwhile.
+        /// Changes of the path that are tolerated during it.
         const ATTEMPTS: usize = 8;
         let mut places = Places::of(path);
         for _ in 0..ATTEMPTS {

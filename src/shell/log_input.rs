@@ -1,7 +1,7 @@
 //! A log read by its own clock, as the input of a session without a screen.
 //!
 //! A thread reads the log up to a few batches ahead. Everything happens at log time, however fast
-//! the log is read. Does not know what is done with the frames.
+//! the log is read.
 
 use super::waiting::sleep_for;
 use crate::frame::Frame;
@@ -139,8 +139,8 @@ impl LogInput {
     }
 
     /// Waits for the next batch, or, with `None`, until a frame, the app's `timeout` or the end of
-    /// the range is due. No batch is read while frames wait, nor after the end. May be dropped while
-    /// waiting.
+    /// the range is due. No batch is read while frames wait, nor after the end. May be dropped
+    /// while waiting.
     ///
     /// # Errors
     /// The log cannot be read.
@@ -226,7 +226,7 @@ impl LogInput {
     }
 }
 
-/// Reads the log and hands over what is there from `from` on, before it waits for more.
+/// Reads the log and sends the frames present from `from` on, before it waits for more.
 fn read(log: File, from: Duration, to: &Sender<io::Result<LogBatch>>) -> io::Result<()> {
     let mut reader = LogReader::new(BufReader::with_capacity(1 << 16, log));
     let mut named = 0;
@@ -241,7 +241,7 @@ fn read(log: File, from: Duration, to: &Sender<io::Result<LogBatch>>) -> io::Res
         if frames.is_empty() {
             continue;
         }
-        let summary = reader.tally();
+        let summary = reader.summary();
         let epoch = summary.epoch.unwrap_or_default();
         let interfaces = summary.interfaces[named..].to_vec();
         named = summary.interfaces.len();
@@ -250,6 +250,6 @@ fn read(log: File, from: Duration, to: &Sender<io::Result<LogBatch>>) -> io::Res
         }
     }
     // The receiver may be gone.
-    let _ = to.blocking_send(Ok(LogBatch::End(reader.tally().clone())));
+    let _ = to.blocking_send(Ok(LogBatch::End(reader.summary().clone())));
     Ok(())
 }

@@ -28,10 +28,11 @@ use std::pin::Pin;
 use std::time::Duration;
 use tokio::task::{JoinHandle, spawn_blocking};
 
-/// Frames taken in one turn, so that keys and the screen get theirs.
+/// Maximum number of frames handled in one turn; keys and the screen are handled between turns.
 const BATCH: usize = 1024;
 
-/// Lateness from which the program counts as stalled: stopped, or blocked by its terminal.
+/// Delay of a wake-up above which the program counts as stalled: stopped, or blocked by its
+/// terminal.
 const STALL_THRESHOLD: Duration = Duration::from_millis(1500);
 
 /// Why a session woke.
@@ -46,7 +47,7 @@ pub enum SessionWake {
     /// Another program changed des.json.
     File(FileReading),
     /// Work on files is done.
-    Done(Finished),
+    FileJobDone(FileJobResult),
     /// The recording grew or stopped.
     Recording,
     /// The bit rate search progressed or ended.
@@ -66,7 +67,7 @@ pub enum InputEnd {
 
 /// Result of work on files.
 #[derive(Debug)]
-pub enum Finished {
+pub enum FileJobResult {
     /// Saving des.json, with the content.
     Saved(SaveOutcome, Vec<u8>),
     /// Writing another file.
@@ -74,8 +75,8 @@ pub enum Finished {
 }
 
 /// Work on files, on a separate thread.
-struct Work {
-    handle: JoinHandle<Finished>,
+struct FileJob {
+    handle: JoinHandle<FileJobResult>,
     /// It saves des.json, not another file.
     is_save: bool,
 }
@@ -87,7 +88,7 @@ enum SessionInput {
         clock: Clock,
         ports: Vec<Port>,
         /// Number of interface names taken from each port.
-        named: Vec<usize>,
+        interfaces_named: Vec<usize>,
     },
     /// One log, at its own pace. The settings are those of the engine of each interface.
     Log(Box<LogInput>, Box<Config>),
@@ -103,12 +104,12 @@ pub struct Session {
     watch: Option<FileWatcher>,
     /// Parses new content of des.json, off the thread that draws.
     reading: Option<JoinHandle<FileReading>>,
-    work: Vec<Work>,
+    work: Vec<FileJob>,
     recorder: Option<Recorder>,
     searching: Option<RunningSearch>,
     batch: Vec<Frame>,
     /// Start of the session, or the end of the last stall.
-    resumed: Instant,
+    stall_checked_from: Instant,
 }
 
 impl Session {
@@ -116,7 +117,12 @@ impl Session {
     pub fn new(app: App, clock: Clock, ports: Vec<Port>, store: Option<Store>) -> Self {
         let resumed = clock.now();
         let named = vec![0; ports.len()];
-        Self::with_input(app, SessionInput::Ports { clock, ports, named }, resumed, store)
+        Self::with_input(
+            app,
+            SessionInput::Ports { clock, ports, interfaces_named: named },
+            resumed,
+            store,
+        )
     }
 
     /// A session on one log. Its interfaces become buses with settings `config` as they are named.
@@ -131,7 +137,7 @@ impl Session {
             app,
             input,
             input_end: None,
-            resumed,
+            stall_checked_from: resumed,
             store,
             watch: None,
             reading: None,
@@ -145,7 +151,7 @@ impl Session {
         session
     }
 
-    /// Records all frames from now on; of a log, the app is not told.
+    /// Records all frames from now on; of a log, without status in the app.
     pub fn record(&mut self, recorder: Recorder) {
         recorder.set_epoch(self.app.epoch());
         if let SessionInput::Ports { .. } = self.input {
@@ -210,8 +216,8 @@ impl Session {
         }
     }
 
-    /// Returns true if time can leap, as in a log: deadlines between two frames are handled at
-    /// their own times, and lateness is not a stall.
+    /// Returns true if time can advance in large steps, as in a log: deadlines between two frames
+    /// are handled at their own times, and lateness is not a stall.
     fn is_replay(&self) -> bool {
         match &self.input {
             SessionInput::Ports { clock, .. } => clock.playback().is_some(),
@@ -293,10 +299,10 @@ impl Session {
             (result, at) = done => {
                 drop(self.work.swap_remove(at));
                 match result {
-                    Ok(finished) => SessionWake::Done(finished),
+                    Ok(finished) => SessionWake::FileJobDone(finished),
                     Err(broken) => {
                         let why = Diagnostic::new(format!("saving stopped: {broken}"));
-                        SessionWake::Done(Finished::Saved(SaveOutcome::Failed(why), Vec::new()))
+                        SessionWake::FileJobDone(FileJobResult::Saved(SaveOutcome::Failed(why), Vec::new()))
                     }
                 }
             }
@@ -314,9 +320,9 @@ impl Session {
         }
         let due = self.app.poll_timeout();
         if let Some(due) =
-            due.filter(|due| *due >= self.resumed && now.since(*due) >= STALL_THRESHOLD)
+            due.filter(|due| *due >= self.stall_checked_from && now.since(*due) >= STALL_THRESHOLD)
         {
-            self.resumed = now;
+            self.stall_checked_from = now;
             // It may have been stopped since its last turn.
             let since = due.min(self.app.now());
             self.app.handle_stall(since, now);
@@ -325,11 +331,11 @@ impl Session {
     }
 
     /// Handles what [`Session::next`] returned.
-    pub fn take(&mut self, wake: SessionWake) {
+    pub fn handle_wake(&mut self, wake: SessionWake) {
         let now = self.begin_turn();
         match wake {
             SessionWake::Due => {}
-            SessionWake::Buses => self.take_buses(now),
+            SessionWake::Buses => self.receive_frames(now),
             SessionWake::Log(Ok(batch)) => {
                 if let SessionInput::Log(log, _) = &mut self.input {
                     log.take(batch);
@@ -344,26 +350,26 @@ impl Session {
             }
             SessionWake::Search(news) => self.take_search(now, news),
             SessionWake::File(reading) => self.app.handle_file(now, reading),
-            SessionWake::Done(Finished::Saved(outcome, content)) => {
+            SessionWake::FileJobDone(FileJobResult::Saved(outcome, content)) => {
                 if let Some(watch) = &self.watch {
                     // What is being parsed was read before.
                     let is_old = outcome.is_on_disk() && self.reading.take().is_some();
-                    if is_old || self.app.file().is_superseded() {
-                        watch.look_again();
+                    if is_old || self.app.file().is_base_changed() {
+                        watch.reread();
                     } else if outcome.is_on_disk() {
-                        watch.saved(content);
+                        watch.set_known(content);
                     }
                 }
                 self.app.handle_saved(now, outcome);
             }
-            SessionWake::Done(Finished::Written(path, result)) => {
+            SessionWake::FileJobDone(FileJobResult::Written(path, result)) => {
                 self.app.handle_written(now, &path, result);
             }
         }
         self.advance_log();
     }
 
-    /// Handles the frames of the log that are due, and lets time pass.
+    /// Handles the frames of the log that are due, and advances the time.
     fn advance_log(&mut self) {
         let SessionInput::Log(log, config) = &mut self.input else { return };
         if self.input_end.is_some() {
@@ -388,7 +394,7 @@ impl Session {
             self.app.handle_frames(frame.time, &[received]);
         }
         if let Some(summary) = log.summary() {
-            // Presence is judged at the last frame.
+            // Presence is evaluated at the last frame.
             let now = self.app.now();
             self.app.advance_to(now);
             self.input_end = Some(InputEnd::Log(summary.clone()));
@@ -418,8 +424,8 @@ impl Session {
         }
     }
 
-    /// Ends the session at the end of the log's range: presence is judged at that moment, whatever
-    /// follows in the log.
+    /// Ends the session at the end of the log's range: presence is evaluated at that moment,
+    /// whatever follows in the log.
     pub fn end_range(&mut self) {
         let SessionInput::Log(log, _) = &self.input else { return };
         let Some(until) = log.until() else { return };
@@ -452,15 +458,17 @@ impl Session {
         }
     }
 
-    fn take_buses(&mut self, now: Instant) {
-        let SessionInput::Ports { clock, ports, named } = &mut self.input else { return };
+    fn receive_frames(&mut self, now: Instant) {
+        let SessionInput::Ports { clock, ports, interfaces_named: named } = &mut self.input else {
+            return;
+        };
         for (port_at, port) in ports.iter().enumerate() {
             let index = BusIndex(port_at as u8);
             if let Some(status) = port.queue().take_status() {
                 // The status of a log applies to all its interfaces.
-                for further in 0..named[port_at].max(1) {
-                    let Ok(further) = u8::try_from(further) else { break };
-                    let bus = BusIndex(index.0.saturating_add(further));
+                for offset in 0..named[port_at].max(1) {
+                    let Ok(offset) = u8::try_from(offset) else { break };
+                    let bus = BusIndex(index.0.saturating_add(offset));
                     self.app.handle_bus(now, bus, status.clone());
                 }
             }
@@ -468,8 +476,8 @@ impl Session {
             port.queue().drain(&mut self.batch, BATCH);
             // A log names its interfaces as they occur; the first is the port's bus.
             for (at, name) in port.queue().names().into_iter().enumerate().skip(named[port_at]) {
-                let Ok(further) = u8::try_from(at) else { break };
-                let bus = BusIndex(index.0.saturating_add(further));
+                let Ok(offset) = u8::try_from(at) else { break };
+                let bus = BusIndex(index.0.saturating_add(offset));
                 if at == 0 || self.app.bus(bus).is_some() {
                     self.app.name_bus(bus, name);
                 } else if let Some(first) = self.app.bus(index) {
@@ -491,7 +499,8 @@ impl Session {
                 self.app.handle_frames(now, &self.batch);
                 continue;
             }
-            // Time may have leapt: deadlines between two frames are handled between them.
+            // Time may have advanced in a large step: deadlines between two frames are handled
+            // between them.
             for frame in &self.batch {
                 self.app.advance_to(frame.time);
                 self.app.handle_frames(frame.time, std::slice::from_ref(frame));
@@ -521,7 +530,7 @@ impl Session {
             if let SessionInput::Ports { ports, .. } = &self.input
                 && let Some(port) = ports.get(usize::from(frame.bus.0))
             {
-                // The port's status reports a full outbox; the engine notices the missing echo.
+                // The port's status reports a full outbox; the engine detects the missing loopback.
                 let _ = port.transmit(&frame);
             }
         }
@@ -533,9 +542,9 @@ impl Session {
                     let handle = spawn_blocking(move || {
                         let home = std::env::var_os("HOME").map(PathBuf::from);
                         let result = write_new(&path, home.as_deref(), &bytes);
-                        Finished::Written(path, result)
+                        FileJobResult::Written(path, result)
                     });
-                    self.work.push(Work { handle, is_save: false });
+                    self.work.push(FileJob { handle, is_save: false });
                 }
                 Effect::FindBitrate(index) => {
                     let Some(bus) = self.app.bus(index) else { continue };
@@ -562,22 +571,22 @@ impl Session {
             let expected = expected.as_ref().map(Document::source);
             let outcome = match store.save(expected, content.source()) {
                 Ok(Saved { broken_links: 0 }) => SaveOutcome::Saved,
-                Ok(Saved { broken_links: parted_from }) => SaveOutcome::Parted(parted_from),
+                Ok(Saved { broken_links: parted_from }) => SaveOutcome::LinksBroken(parted_from),
                 Err(SaveError::Changed(there)) => {
                     SaveOutcome::Changed(FileReading::Content(there).parsed())
                 }
                 Err(SaveError::Failed(fault)) => SaveOutcome::Failed(fault),
             };
-            Finished::Saved(outcome, content.source().to_vec())
+            FileJobResult::Saved(outcome, content.source().to_vec())
         });
-        self.work.push(Work { handle, is_save: true });
+        self.work.push(FileJob { handle, is_save: true });
     }
 
     /// Waits for work on files that has started, until Ctrl-C or for `timeout`, so that no file is
     /// left half-written. Waits for a save of des.json only if `waits_for_save`: an interrupted
     /// save leaves either the old or the new content.
     pub async fn finish_work(&mut self, waits_for_save: bool, timeout: Option<Duration>) {
-        let wanted = |work: &Work| waits_for_save || !work.is_save;
+        let wanted = |work: &FileJob| waits_for_save || !work.is_save;
         let deadline = timeout.map(|timeout| tokio::time::Instant::now() + timeout);
         for work in std::mem::take(&mut self.work).into_iter().filter(wanted) {
             let is_late = async {

@@ -1,5 +1,5 @@
-//! Reasons to stop a program without a screen: a signal, a lost connection, its time limit, a closed
-//! standard output. Does not know what is stopped.
+//! Reasons to stop a program without a screen: a signal, a lost connection, its time limit, a
+//! closed standard output.
 
 use futures_util::future::select_all;
 use nix::errno::Errno;

@@ -1,6 +1,4 @@
 //! The terminal: taken over at the start and restored on every way out.
-//!
-//! Does not know what is drawn.
 
 use crate::theme::Theme;
 use crossterm::{cursor, event, execute, queue, style, terminal};
@@ -43,7 +41,7 @@ pub struct Terminal {
 
 impl Terminal {
     /// Takes the terminal over: raw mode, the alternate screen, mouse and paste reports.
-    pub fn take() -> io::Result<Self> {
+    pub fn enter() -> io::Result<Self> {
         // crossterm drops the attributes of reversed and bold cells under NO_COLOR; the theme
         // `mono` implements NO_COLOR instead.
         style::force_color_output(true);
@@ -52,7 +50,7 @@ impl Terminal {
             64 * 1024,
             TerminalOutput(io::stdout()),
         ));
-        let screen = ratatui::Terminal::new(backend).inspect_err(|_| give_back())?;
+        let screen = ratatui::Terminal::new(backend).inspect_err(|_| restore())?;
         Ok(Self { screen })
     }
 
@@ -94,7 +92,7 @@ impl Terminal {
     /// Restores the terminal, stops this process as Ctrl-Z does, and takes the terminal over again
     /// when it continues.
     pub fn suspend(&mut self) -> io::Result<()> {
-        give_back();
+        restore();
         nix::sys::signal::raise(nix::sys::signal::Signal::SIGSTOP)?;
         enter()?;
         self.redraw()
@@ -103,7 +101,7 @@ impl Terminal {
 
 impl Drop for Terminal {
     fn drop(&mut self) {
-        give_back();
+        restore();
     }
 }
 
@@ -118,11 +116,11 @@ fn enter() -> io::Result<()> {
         style::Print(MOUSE_ON),
         cursor::Hide
     )
-    .inspect_err(|_| give_back())
+    .inspect_err(|_| restore())
 }
 
 /// Restores the terminal, in any state. Does nothing if it is not taken over.
-pub fn give_back() {
+pub fn restore() {
     if !TAKEN.swap(false, Ordering::SeqCst) {
         return;
     }
@@ -130,8 +128,8 @@ pub fn give_back() {
     // Each step is tried, even if an earlier one fails on a closed terminal.
     let _ = out.write_all(SYNC_END);
     let _ = queue!(out, style::Print(MOUSE_OFF), event::DisableBracketedPaste);
-    // Cleared, with the cursor at the end: if the window grew meanwhile, tmux copies lines of this
-    // screen to the other one.
+    // Cleared, with the cursor at the end: if the window grew in the meantime, tmux copies lines of
+    // this screen to the other one.
     let _ = queue!(out, style::ResetColor, terminal::Clear(terminal::ClearType::All));
     let _ = queue!(out, cursor::MoveTo(0, 998), terminal::LeaveAlternateScreen, cursor::Show);
     let _ = out.flush();
@@ -150,7 +148,7 @@ pub fn is_lost() -> bool {
 pub fn restore_on_panic() {
     let report = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
-        give_back();
+        restore();
         report(panic);
     }));
 }

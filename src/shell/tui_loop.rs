@@ -1,7 +1,7 @@
 //! The loop of the terminal UI: keys, signals, drawing, and the session below.
 //!
-//! Wakes up only for an input or a deadline; draws only changes, at most every 33 ms, and 10 ms after
-//! a key. Does not know what is drawn.
+//! Wakes up only for an input or a deadline; draws only changes, at most every 33 ms, and 10 ms
+//! after a key.
 
 use super::config::{ConfigFolder, read_text};
 use super::file_watcher::{DiskContent, FileWatcher};
@@ -50,7 +50,7 @@ pub async fn run(session: &mut Session, themes: &mut ThemeLoader) -> io::Result<
 
 async fn run_on_terminal(session: &mut Session, themes: &mut ThemeLoader) -> io::Result<TuiExit> {
     let mut signals = Signals::new()?;
-    let mut terminal = Terminal::take()?;
+    let mut terminal = Terminal::enter()?;
     let mut input = EventStream::new();
     let (columns, rows) = terminal.size()?;
     session.app.handle_resize(columns, rows);
@@ -111,7 +111,7 @@ async fn run_on_terminal(session: &mut Session, themes: &mut ThemeLoader) -> io:
                 let result = themes.reload(reading);
                 session.app.handle_theme(session.now(), result);
             }
-            wake = session.next() => session.take(wake),
+            wake = session.next() => session.handle_wake(wake),
         }
     }
 }

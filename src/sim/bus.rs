@@ -8,7 +8,7 @@
 
 use super::controller::Controller;
 use crate::frame::Frame;
-use crate::frame::bits::{FrameBits, INTERMISSION, bit_nanos, divergence};
+use crate::frame::bits::{FrameBits, INTERMISSION, bit_nanos, first_difference};
 
 /// Length of superposed error flags in bits, 6 to 12 on a real bus.
 const ERROR_FLAGS: u32 = 8;
@@ -25,11 +25,11 @@ pub(super) type StationIndex = u16;
 /// Cause of a bus error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
-pub enum FrameFault {
+pub enum BusErrorCause {
     /// Several stations sent different data with the same identifier.
     Collision,
     /// No station acknowledged.
-    NoAcknowledge,
+    NoAck,
     /// A disturbance, or a station at another bit rate.
     Disturbance,
 }
@@ -39,8 +39,9 @@ pub(super) enum BusOutcome {
     /// All stations received a frame of [`SimBus::senders`].
     Frame(Frame),
     /// A frame of [`SimBus::senders`] was destroyed.
-    Broken(FrameFault),
-    /// Error-passive stations ([`SimBus::losers`]) had an error that no other station noticed.
+    BusError(BusErrorCause),
+    /// Error-passive stations ([`SimBus::passive_error_stations`]) had an error that no other
+    /// station noticed.
     PassiveError,
 }
 
@@ -72,13 +73,13 @@ enum BusPhase {
         free: u64,
     },
     /// A frame that will be destroyed.
-    Broken {
-        error: FrameFault,
+    BusError {
+        error: BusErrorCause,
         ends: u64,
         free: u64,
     },
     /// Intermission.
-    Rest {
+    Intermission {
         free: u64,
     },
 }
@@ -87,7 +88,7 @@ pub(super) struct SimBus {
     bitrate: u32,
     data_bitrate: u32,
     /// Share of frames destroyed by a disturbance, 0 to 1.
-    pub error_rate: f64,
+    pub frame_error_probability: f64,
     controllers: Vec<Controller>,
     /// Stations that may have frames to send, each once.
     waiting: Vec<StationIndex>,
@@ -96,7 +97,7 @@ pub(super) struct SimBus {
     /// Stations at another bit rate.
     off_rate: Vec<StationIndex>,
     senders: Vec<StationIndex>,
-    losers: Vec<StationIndex>,
+    passive_error_stations: Vec<StationIndex>,
     abandoned: Vec<StationIndex>,
     phase: BusPhase,
     rng: fastrand::Rng,
@@ -108,13 +109,13 @@ impl SimBus {
         Self {
             bitrate,
             data_bitrate,
-            error_rate,
+            frame_error_probability: error_rate,
             controllers: Vec::new(),
             waiting: Vec::new(),
             with_receive_errors: Vec::new(),
             off_rate: Vec::new(),
             senders: Vec::new(),
-            losers: Vec::new(),
+            passive_error_stations: Vec::new(),
             abandoned: Vec::new(),
             phase: BusPhase::Idle,
             rng,
@@ -173,15 +174,15 @@ impl SimBus {
         self.senders.retain(|&sender| sender != station);
         if was_sending
             && self.senders.is_empty()
-            && let BusPhase::Frame { ends, free, .. } | BusPhase::Broken { ends, free, .. } =
+            && let BusPhase::Frame { ends, free, .. } | BusPhase::BusError { ends, free, .. } =
                 self.phase
         {
-            self.phase = BusPhase::Broken { error: FrameFault::Disturbance, ends, free };
+            self.phase = BusPhase::BusError { error: BusErrorCause::Disturbance, ends, free };
         }
     }
 
-    /// Queues a frame; `once`: without repetition after an error. Returns false if it is rejected:
-    /// queue full, or the station off.
+    /// Queues a frame; `one_shot`: without repetition after an error. Returns false if it is
+    /// rejected: queue full, or the station off.
     pub fn transmit(&mut self, now: u64, station: StationIndex, frame: Frame, once: bool) -> bool {
         if !self.controller_mut(station).enqueue(frame, once) {
             return false;
@@ -211,8 +212,8 @@ impl SimBus {
         match self.phase {
             BusPhase::Idle => None,
             BusPhase::Start { at } => Some(at + bit_nanos(1, self.bitrate)),
-            BusPhase::Frame { ends, .. } | BusPhase::Broken { ends, .. } => Some(ends),
-            BusPhase::Rest { free } => Some(free),
+            BusPhase::Frame { ends, .. } | BusPhase::BusError { ends, .. } => Some(ends),
+            BusPhase::Intermission { free } => Some(free),
         }
     }
 
@@ -222,18 +223,18 @@ impl SimBus {
             BusPhase::Idle => None,
             BusPhase::Start { at } => self.arbitrate(at),
             BusPhase::Frame { frame, ends, free } => {
-                self.phase = BusPhase::Rest { free };
+                self.phase = BusPhase::Intermission { free };
                 self.statistics.frames += 1;
                 self.finish_frame(free);
                 Some(BusOutcome::Frame(frame.with_time(super::instant(ends))))
             }
-            BusPhase::Broken { error, free, .. } => {
-                self.phase = BusPhase::Rest { free };
+            BusPhase::BusError { error, free, .. } => {
+                self.phase = BusPhase::Intermission { free };
                 self.statistics.errors += 1;
                 self.finish_broken(error, free);
-                Some(BusOutcome::Broken(error))
+                Some(BusOutcome::BusError(error))
             }
-            BusPhase::Rest { free } => {
+            BusPhase::Intermission { free } => {
                 self.rest_over(free);
                 None
             }
@@ -246,8 +247,8 @@ impl SimBus {
     }
 
     /// Returns the stations of the last [`BusOutcome::PassiveError`].
-    pub fn losers(&self) -> &[StationIndex] {
-        &self.losers
+    pub fn passive_error_stations(&self) -> &[StationIndex] {
+        &self.passive_error_stations
     }
 
     /// Returns the stations whose frame was dropped in the last step.
@@ -270,7 +271,7 @@ impl SimBus {
 
     fn arbitrate(&mut self, start: u64) -> Option<BusOutcome> {
         self.senders.clear();
-        self.losers.clear();
+        self.passive_error_stations.clear();
         self.abandoned.clear();
         let mut lowest = u32::MAX;
         for &station in &self.waiting {
@@ -288,7 +289,7 @@ impl SimBus {
             }
         }
         if self.senders.is_empty() {
-            // The waiting stations were disconnected meanwhile.
+            // The waiting stations were disconnected in the meantime.
             self.rest_over(start);
             return None;
         }
@@ -299,15 +300,17 @@ impl SimBus {
         let frame = *self.controller(self.senders[0]).on_wire()?;
         let bits = FrameBits::of(&frame);
         let broken = if let Some(bits) = broken_at {
-            Some((FrameFault::Collision, self.early_nanos(&frame, bits)))
+            Some((BusErrorCause::Collision, self.early_nanos(&frame, bits)))
         } else if self.is_destroyed_by_rate() {
-            Some((FrameFault::Disturbance, bit_nanos(UNREADABLE_AFTER, self.bitrate)))
-        } else if self.error_rate > 0.0 && self.rng.f64() < self.error_rate {
+            Some((BusErrorCause::Disturbance, bit_nanos(UNREADABLE_AFTER, self.bitrate)))
+        } else if self.frame_error_probability > 0.0
+            && self.rng.f64() < self.frame_error_probability
+        {
             let at = self.rng.u32(1..bits.until_ack().total());
-            Some((FrameFault::Disturbance, self.early_nanos(&frame, at)))
+            Some((BusErrorCause::Disturbance, self.early_nanos(&frame, at)))
         } else if !self.is_acknowledged() {
             let sent = bits.until_ack().nanos(self.bitrate, self.data_bitrate);
-            Some((FrameFault::NoAcknowledge, sent))
+            Some((BusErrorCause::NoAck, sent))
         } else {
             None
         };
@@ -315,7 +318,7 @@ impl SimBus {
             let ends = start + sent + bit_nanos(ERROR_FLAGS, self.bitrate);
             let free = ends + bit_nanos(ERROR_DELIMITER + INTERMISSION, self.bitrate);
             self.statistics.busy_nanos += free - start;
-            BusPhase::Broken { error, ends, free }
+            BusPhase::BusError { error, ends, free }
         } else {
             let free = start + bits.nanos(self.bitrate, self.data_bitrate);
             let ends = free - bit_nanos(INTERMISSION, self.bitrate);
@@ -323,7 +326,7 @@ impl SimBus {
             self.statistics.bits += u64::from(bits.total());
             BusPhase::Frame { frame, ends, free }
         };
-        (!self.losers.is_empty()).then_some(BusOutcome::PassiveError)
+        (!self.passive_error_stations.is_empty()).then_some(BusOutcome::PassiveError)
     }
 
     /// Resolves a collision: several senders of one identifier with different data. A station that
@@ -339,7 +342,7 @@ impl SimBus {
             else {
                 break;
             };
-            let Some(parting) = divergence(one, two) else {
+            let Some(parting) = first_difference(one, two) else {
                 at += 1;
                 continue;
             };
@@ -348,7 +351,7 @@ impl SimBus {
                 if self.controllers[usize::from(notices)].count_send_error(false) {
                     self.abandoned.push(notices);
                 }
-                self.losers.push(notices);
+                self.passive_error_stations.push(notices);
                 if parting.first_is_recessive {
                     self.senders.swap_remove(0);
                     at = 1;
@@ -402,7 +405,7 @@ impl SimBus {
         });
     }
 
-    fn finish_broken(&mut self, error: FrameFault, free: u64) {
+    fn finish_broken(&mut self, error: BusErrorCause, free: u64) {
         let suspended_until = free + bit_nanos(SUSPENSION, self.bitrate);
         self.with_receive_errors.clear();
         for (station, controller) in self.controllers.iter_mut().enumerate() {
@@ -412,13 +415,13 @@ impl SimBus {
                 continue;
             }
             if self.senders.contains(&station) {
-                if controller.count_send_error(error == FrameFault::NoAcknowledge) {
+                if controller.count_send_error(error == BusErrorCause::NoAck) {
                     self.abandoned.push(station);
                 }
                 if controller.is_passive() {
                     controller.suspended_until = suspended_until;
                 }
-            } else if error != FrameFault::NoAcknowledge {
+            } else if error != BusErrorCause::NoAck {
                 controller.count_receive_error();
             }
             if controller.counters().1 > 0 {

@@ -51,7 +51,7 @@ impl ControllerState {
 struct Waiting {
     key: u32,
     order: u64,
-    once: bool,
+    one_shot: bool,
     frame: Frame,
 }
 
@@ -88,7 +88,7 @@ pub(super) struct Controller {
     /// Switched on and connected.
     pub attached: bool,
     /// Listen-only.
-    pub silent: bool,
+    pub listen_only: bool,
     /// Its bit rate differs from that of the bus: receives nothing and destroys frames.
     pub wrong_rate: bool,
     /// End of suspend transmission, in nanoseconds.
@@ -108,7 +108,7 @@ impl Controller {
             order: 0,
             dropped: 0,
             attached: false,
-            silent: false,
+            listen_only: false,
             wrong_rate: false,
             suspended_until: 0,
             tec: 0,
@@ -127,14 +127,20 @@ impl Controller {
         self.bus_off = false;
     }
 
-    /// Queues a frame; `once`: without repetition after an error. Returns false if it is rejected.
+    /// Queues a frame; `one_shot`: without repetition after an error. Returns false if it is
+    /// rejected.
     pub fn enqueue(&mut self, frame: Frame, once: bool) -> bool {
         if self.queue.len() >= self.capacity || self.bus_off || !self.attached {
             self.dropped += 1;
             return false;
         }
         self.order += 1;
-        self.queue.push(Waiting { key: arbitration_field(&frame), order: self.order, once, frame });
+        self.queue.push(Waiting {
+            key: arbitration_field(&frame),
+            order: self.order,
+            one_shot: once,
+            frame,
+        });
         true
     }
 
@@ -165,7 +171,7 @@ impl Controller {
 
     /// Returns true if it sends, acknowledges and counts errors.
     pub fn is_active(&self) -> bool {
-        self.attached && !self.silent && !self.bus_off
+        self.attached && !self.listen_only && !self.bus_off
     }
 
     /// Returns true if it receives frames.
@@ -230,7 +236,7 @@ impl Controller {
             return true;
         }
         match broken {
-            Some(waiting) if !waiting.once => {
+            Some(waiting) if !waiting.one_shot => {
                 self.queue.push(waiting);
                 false
             }
@@ -245,7 +251,7 @@ impl Controller {
 
     /// Counts a frame received without errors.
     pub fn count_received(&mut self) {
-        // ISO 11898-1: from above 127 the counter is set to at most 127.
+        // ISO 11898-1: a counter above 127 is set to a value from 119 to 127; here 126.
         self.rec = self.rec.saturating_sub(1).min(PASSIVE_ABOVE - 1);
     }
 

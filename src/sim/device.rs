@@ -6,7 +6,7 @@
 mod serve;
 
 use super::bus::{SimBus, StationIndex};
-use super::reply::Replies;
+use super::reply::TxResponses;
 use super::scenario::{AddressChoice, DeviceAction, DeviceSpec, Fault};
 use crate::frame::Frame;
 use crate::time::Duration;
@@ -79,19 +79,19 @@ pub(super) struct SimDevice {
     /// Addresses in use, found while listening, one bit each.
     in_use: u128,
     /// Time grid of heartbeats: the next one is sent at `beat` or up to the jitter later.
-    beat: u64,
+    next_heartbeat: u64,
     beat_at: Option<u64>,
     chatter_at: Vec<u64>,
     chatter_count: u16,
-    replies: Replies,
+    replies: TxResponses,
     /// Action to apply after the response with this identifier was sent.
-    ordered: Option<(u32, DeviceAction)>,
+    pending_action: Option<(u32, DeviceAction)>,
 }
 
 impl SimDevice {
     /// Creates a device that is off.
     pub fn new(spec: DeviceSpec, rng: fastrand::Rng) -> Self {
-        let chatter_at = vec![u64::MAX; spec.chatter.len()];
+        let chatter_at = vec![u64::MAX; spec.periodic_messages.len()];
         Self {
             spec,
             rng,
@@ -99,12 +99,12 @@ impl SimDevice {
             mode: Mode::Init,
             address: None,
             in_use: 0,
-            beat: 0,
+            next_heartbeat: 0,
             beat_at: None,
             chatter_at,
             chatter_count: 0,
-            replies: Replies::default(),
-            ordered: None,
+            replies: TxResponses::default(),
+            pending_action: None,
         }
     }
 
@@ -131,7 +131,7 @@ impl SimDevice {
     }
 
     fn can_give_up(&self) -> bool {
-        !self.spec.faults.has(Fault::NeverGivesWay)
+        !self.spec.faults.has(Fault::KeepsAddress)
     }
 
     /// Returns when to call [`SimDevice::handle_timeout`] next, in nanoseconds; `None` if off.
@@ -175,7 +175,7 @@ impl SimDevice {
         if self.is_on() {
             return;
         }
-        if std::mem::take(&mut self.spec.settled) {
+        if std::mem::take(&mut self.spec.skips_address_resolution) {
             self.settle(port);
         } else {
             self.begin(port);
@@ -195,7 +195,7 @@ impl SimDevice {
     fn begin(&mut self, port: &mut DeviceIo) {
         self.stop();
         port.bus.set_attached(port.station, true);
-        port.bus.controller_mut(port.station).silent = true;
+        port.bus.controller_mut(port.station).listen_only = true;
         self.mode = Mode::Init;
         self.address = None;
         self.stage = DeviceStage::Init { until: port.now + port.heartbeat_time() * 3 / 2 };
@@ -213,16 +213,16 @@ impl SimDevice {
     /// Enters its final mode at `address`, with a random heartbeat phase.
     fn settle_at(&mut self, address: Address, port: &mut DeviceIo) {
         port.bus.set_attached(port.station, true);
-        port.bus.controller_mut(port.station).silent = false;
+        port.bus.controller_mut(port.station).listen_only = false;
         self.run(address, port);
         let period = self.heartbeat_period(port);
-        self.beat = port.now + self.rng.u64(0..period);
-        self.beat_at = self.beat_at.map(|_| self.beat);
+        self.next_heartbeat = port.now + self.rng.u64(0..period);
+        self.beat_at = self.beat_at.map(|_| self.next_heartbeat);
     }
 
     fn stop(&mut self) {
         self.replies.clear();
-        self.ordered = None;
+        self.pending_action = None;
         self.beat_at = None;
         self.chatter_at.fill(u64::MAX);
     }
@@ -231,7 +231,7 @@ impl SimDevice {
     fn listen(&mut self, port: &mut DeviceIo) {
         self.stop();
         port.bus.set_attached(port.station, true);
-        port.bus.controller_mut(port.station).silent = true;
+        port.bus.controller_mut(port.station).listen_only = true;
         self.mode = Mode::Arslv;
         self.address = None;
         self.in_use = 0;
@@ -258,7 +258,7 @@ impl SimDevice {
 
     /// Ends listen-only and sends the address claim, without repetition by the controller.
     fn claim(&mut self, choice: Address, port: &mut DeviceIo) {
-        port.bus.controller_mut(port.station).silent = false;
+        port.bus.controller_mut(port.station).listen_only = false;
         self.stage = DeviceStage::Claim { choice };
         let frame = self.heartbeat(choice, port);
         port.send_once(frame);
@@ -283,43 +283,43 @@ impl SimDevice {
             Some(Mode::Init | Mode::Arslv) | None => Mode::Cfg,
             Some(mode) => mode,
         };
-        self.beat = port.now;
+        self.next_heartbeat = port.now;
         self.schedule_heartbeat(port);
         self.schedule_chatter(port);
     }
 
     fn schedule_chatter(&mut self, port: &DeviceIo) {
-        for (at, chatter) in self.chatter_at.iter_mut().zip(&self.spec.chatter) {
+        for (at, chatter) in self.chatter_at.iter_mut().zip(&self.spec.periodic_messages) {
             *at = port.now + self.rng.u64(0..=nanos_of(chatter.period));
         }
     }
 
     fn heartbeat_period(&self, port: &DeviceIo) -> u64 {
         let period = self.spec.heartbeat.map_or(port.heartbeat_time(), nanos_of);
-        self.by_own_crystal(period)
+        self.in_device_clock(period)
     }
 
     /// Returns a duration as measured by the device's clock.
-    fn by_own_crystal(&self, nanos: u64) -> u64 {
+    fn in_device_clock(&self, nanos: u64) -> u64 {
         let millionths = 1_000_000 + i64::from(self.spec.tolerance_ppm.max(-900_000));
         let own = u128::from(nanos) * millionths.unsigned_abs() as u128 / 1_000_000;
         (own as u64).max(SHORTEST_PERIOD)
     }
 
     fn schedule_heartbeat(&mut self, port: &DeviceIo) {
-        self.beat += self.heartbeat_period(port);
-        let late = self.rng.u64(0..=nanos_of(self.spec.jitter));
+        self.next_heartbeat += self.heartbeat_period(port);
+        let late = self.rng.u64(0..=nanos_of(self.spec.max_heartbeat_delay));
         let beats = !self.spec.faults.has(Fault::NoHeartbeat) && self.mode != Mode::Idle;
-        self.beat_at = beats.then_some((self.beat + late).max(port.now));
+        self.beat_at = beats.then_some((self.next_heartbeat + late).max(port.now));
     }
 
     fn heartbeat(&mut self, from: Address, port: &DeviceIo) -> Frame {
         let service = port.profile.heartbeat_service();
         let header = Header::unsolicited(from, self.rng.u8(0..128), !self.is_working(), service);
         let error = u8::from(self.mode == Mode::Ufunc);
-        let beat =
+        let heartbeat =
             Heartbeat { uid: Some(self.spec.uid), mode: Some(self.mode), error: Some(error) };
-        let (data, len) = beat.encode(&port.profile.heartbeat, port.modes);
+        let (data, len) = heartbeat.encode(&port.profile.heartbeat, port.modes);
         self.frame(header, &data[..len], port)
     }
 
@@ -331,8 +331,8 @@ impl SimDevice {
 
     /// Sends periodic data with slowly changing values, like a sensor's.
     fn send_chatter(&mut self, at: usize, port: &mut DeviceIo) {
-        let chatter = self.spec.chatter[at];
-        let period = self.by_own_crystal(nanos_of(chatter.period));
+        let chatter = self.spec.periodic_messages[at];
+        let period = self.in_device_clock(nanos_of(chatter.period));
         self.chatter_at[at] = port.now + period;
         let Some(address) = self.address.filter(|_| self.is_working()) else { return };
         let rnd7 = self.rng.u8(0..128);
@@ -387,7 +387,7 @@ impl SimDevice {
     }
 
     fn handle_while_running(&mut self, frame: &Frame, header: Header, port: &mut DeviceIo) {
-        let other_works = !header.sender_not_working;
+        let other_works = !header.from_non_working;
         // In IDLE it does not check for other users of its address (CAN platform §3.2.4.5).
         if self.can_give_up() && self.mode != Mode::Idle {
             let matters = other_works || !self.is_working();
@@ -403,7 +403,7 @@ impl SimDevice {
             }
         }
         let for_us = header.broadcast || Some(header.destination) == self.address;
-        if for_us && !header.response && !header.sender_not_working {
+        if for_us && !header.response && !header.from_non_working {
             self.handle_request(frame, header, port);
         }
     }
@@ -414,7 +414,8 @@ impl SimDevice {
             self.run(choice, port);
         } else if let Some(id) = frame.platform_id() {
             self.replies.handle_sent(port.now, id);
-            if let Some((_, action)) = self.ordered.take_if(|(response, _)| *response == id) {
+            if let Some((_, action)) = self.pending_action.take_if(|(response, _)| *response == id)
+            {
                 self.apply(action, port);
             }
         }
@@ -438,15 +439,15 @@ impl SimDevice {
     /// Applies an action of the timetable or of the caller.
     pub fn apply(&mut self, action: DeviceAction, port: &mut DeviceIo) {
         match action {
-            DeviceAction::Join => self.power_on(port),
-            DeviceAction::Leave => self.power_off(port),
+            DeviceAction::PowerOn => self.power_on(port),
+            DeviceAction::PowerOff => self.power_off(port),
             DeviceAction::Reboot { services } => {
                 if let Some(services) = services {
                     self.spec.services = services;
                 }
                 self.begin(port);
             }
-            DeviceAction::QuickReboot => {
+            DeviceAction::WatchdogReset => {
                 if let (DeviceStage::Run, Some(address)) = (self.stage, self.address) {
                     self.stop();
                     self.settle_at(address, port);
@@ -462,16 +463,16 @@ impl SimDevice {
             DeviceAction::Mode(mode) => self.set_mode(mode, port),
             DeviceAction::Name(name) => self.spec.name = name,
             DeviceAction::Uid(uid) => self.spec.uid = uid,
-            DeviceAction::Break(fault) => self.set_fault(fault, true, port),
-            DeviceAction::Mend(fault) => self.set_fault(fault, false, port),
-            DeviceAction::ErrorRate(_) => {}
+            DeviceAction::AddFault(fault) => self.set_fault(fault, true, port),
+            DeviceAction::RemoveFault(fault) => self.set_fault(fault, false, port),
+            DeviceAction::SetFrameErrorProbability(_) => {}
         }
     }
 
     fn set_fault(&mut self, fault: Fault, present: bool, port: &mut DeviceIo) {
         self.spec.faults.set(fault, present);
         if fault == Fault::NoHeartbeat && self.stage == DeviceStage::Run {
-            self.beat = port.now;
+            self.next_heartbeat = port.now;
             self.schedule_heartbeat(port);
         }
     }
@@ -489,7 +490,7 @@ impl SimDevice {
                     self.send_heartbeat(port);
                     self.stop();
                 } else if slept {
-                    self.beat = port.now;
+                    self.next_heartbeat = port.now;
                     self.schedule_heartbeat(port);
                     self.schedule_chatter(port);
                 }

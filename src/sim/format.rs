@@ -37,8 +37,8 @@
 //! Translation only; the meaning of the values is in [`super::scenario`].
 
 use super::scenario::{
-    AddressChoice, Chatter, Descriptor, DeviceAction, DeviceFraming, DeviceSpec, Fault, Faults,
-    Scenario, ScenarioError, TimetableEvent, uid_of,
+    AddressChoice, Descriptor, DeviceAction, DeviceFraming, DeviceSpec, Fault, Faults,
+    PeriodicMessage, Scenario, ScenarioError, TimetableEvent, uid_of,
 };
 use crate::time::{Duration, Instant};
 use crate::wire::id::Service;
@@ -174,8 +174,8 @@ impl Scenario {
                 .data_bitrate
                 .unwrap_or_else(|| defaults.data_bitrate.max(written.bitrate)),
             seed: written.seed.unwrap_or(defaults.seed),
-            error_rate: bus.share("error_rate", written.error_rate)?,
-            observer_loss: bus.share("observer_loss", written.observer_loss)?,
+            frame_error_probability: bus.share("error_rate", written.error_rate)?,
+            rx_loss: bus.share("observer_loss", written.observer_loss)?,
             devices: Vec::new(),
             timetable: Vec::new(),
         };
@@ -195,7 +195,7 @@ impl Scenario {
         for (index, event) in written.at.into_iter().enumerate() {
             let place = ScenarioPath(format!("[[at]] number {}", index + 1));
             let event = event.translate(&place)?;
-            let for_bus = matches!(event.action, DeviceAction::ErrorRate(_));
+            let for_bus = matches!(event.action, DeviceAction::SetFrameErrorProbability(_));
             if for_bus != event.device.is_empty() {
                 let problem =
                     if for_bus { "applies to the bus, not to a device" } else { "needs `device`" };
@@ -228,7 +228,7 @@ impl DeviceWritten {
             }
         };
         let delay = match self.delay_us {
-            None => defaults.delay,
+            None => defaults.response_delay,
             Some([least, most]) if least <= most => {
                 (Duration::from_micros(least.into()), Duration::from_micros(most.into()))
             }
@@ -252,7 +252,7 @@ impl DeviceWritten {
                     place.out_of_range("chatter.service", &chatter.service, "0 to 1023")
                 })?;
                 let period = place.period("chatter.period_ms", chatter.period_ms)?;
-                Ok(Chatter { service, period, length: chatter.length })
+                Ok(PeriodicMessage { service, period, length: chatter.length })
             })
             .collect::<Result<_, ScenarioError>>()?;
         let mut descriptor = Descriptor { serial: self.serial, ..defaults.descriptor };
@@ -274,18 +274,18 @@ impl DeviceWritten {
             autostart: self.autostart.unwrap_or(defaults.autostart),
             mode: self.mode.map(|mode| place.mode(&mode)).transpose()?,
             power_on,
-            settled: self.settled,
+            skips_address_resolution: self.settled,
             framing: self.framing,
             fd: self.fd,
             heartbeat: self.heartbeat_ms.map(|ms| place.period("heartbeat_ms", ms)).transpose()?,
-            jitter: match self.jitter_ms {
+            max_heartbeat_delay: match self.jitter_ms {
                 Some(ms) => place.seconds("jitter_ms", ms / 1000.0)?,
-                None => defaults.jitter,
+                None => defaults.max_heartbeat_delay,
             },
             tolerance_ppm: self.tolerance_ppm,
-            delay,
+            response_delay: delay,
             faults,
-            chatter,
+            periodic_messages: chatter,
             label,
             name,
         })
@@ -316,10 +316,10 @@ impl EventWritten {
         let needs = |key: &str| place.incomplete(&format!("needs `{key}`"));
         let services = self.services.map(|services| place.services(services)).transpose()?;
         let action = match self.what {
-            EventAction::Join => DeviceAction::Join,
-            EventAction::Leave => DeviceAction::Leave,
+            EventAction::Join => DeviceAction::PowerOn,
+            EventAction::Leave => DeviceAction::PowerOff,
             EventAction::Reboot => DeviceAction::Reboot { services },
-            EventAction::QuickReboot => DeviceAction::QuickReboot,
+            EventAction::QuickReboot => DeviceAction::WatchdogReset,
             EventAction::Move => DeviceAction::Move(self.address.ok_or_else(|| needs("address"))?),
             EventAction::Services => {
                 DeviceAction::Services(services.ok_or_else(|| needs("services"))?)
@@ -333,11 +333,13 @@ impl EventWritten {
             EventAction::Uid => {
                 DeviceAction::Uid(place.uid(&self.uid.ok_or_else(|| needs("uid"))?)?)
             }
-            EventAction::Break => DeviceAction::Break(self.fault.ok_or_else(|| needs("fault"))?),
-            EventAction::Mend => DeviceAction::Mend(self.fault.ok_or_else(|| needs("fault"))?),
+            EventAction::Break => DeviceAction::AddFault(self.fault.ok_or_else(|| needs("fault"))?),
+            EventAction::Mend => {
+                DeviceAction::RemoveFault(self.fault.ok_or_else(|| needs("fault"))?)
+            }
             EventAction::ErrorRate => {
                 let rate = self.rate.ok_or_else(|| needs("rate"))?;
-                DeviceAction::ErrorRate(place.share("rate", rate)?)
+                DeviceAction::SetFrameErrorProbability(place.share("rate", rate)?)
             }
         };
         let time = Instant::ZERO + place.seconds("time", self.time)?;

@@ -3,7 +3,7 @@
 //!
 //! Does not know devices or the meaning of frames.
 
-use super::bus::{FrameFault, StationIndex};
+use super::bus::{BusErrorCause, StationIndex};
 use super::controller::ControllerState;
 use crate::frame::Frame;
 use crate::time::Instant;
@@ -40,9 +40,9 @@ pub(super) struct Inspector {
     inbox: VecDeque<Frame>,
     state: ControllerState,
     /// Frames dropped because the inbox was full.
-    pub overflowed: u64,
+    pub rx_overflow: u64,
     /// Frames of other stations not received, because of the scenario's `observer_loss`.
-    pub missed: u64,
+    pub rx_lost: u64,
 }
 
 impl Inspector {
@@ -51,8 +51,8 @@ impl Inspector {
             station,
             inbox: VecDeque::new(),
             state: ControllerState::ErrorActive,
-            overflowed: 0,
-            missed: 0,
+            rx_overflow: 0,
+            rx_lost: 0,
         }
     }
 
@@ -64,18 +64,24 @@ impl Inspector {
         if self.inbox.len() < MAX_INBOX {
             self.inbox.push_back(frame);
         } else {
-            self.overflowed += 1;
+            self.rx_overflow += 1;
         }
     }
 
     /// Adds an error frame for a bus error, as reported to its sender (`sent`) or to a receiver.
-    pub fn push_error(&mut self, at: Instant, error: FrameFault, sent: bool, counters: (u16, u16)) {
+    pub fn push_error(
+        &mut self,
+        at: Instant,
+        error: BusErrorCause,
+        sent: bool,
+        counters: (u16, u16),
+    ) {
         if self.state == ControllerState::BusOff {
             return;
         }
         let (tec, rec) = in_bytes(counters);
         let (class, kind, place) = match (error, sent) {
-            (FrameFault::NoAcknowledge, true) => (CAN_ERR_ACK, 0, CAN_ERR_PROT_LOC_ACK),
+            (BusErrorCause::NoAck, true) => (CAN_ERR_ACK, 0, CAN_ERR_PROT_LOC_ACK),
             (_, true) => (CAN_ERR_PROT, CAN_ERR_PROT_TX | CAN_ERR_PROT_BIT, CAN_ERR_PROT_LOC_DATA),
             (_, false) => (CAN_ERR_PROT, CAN_ERR_PROT_STUFF, 0),
         };

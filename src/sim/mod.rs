@@ -19,11 +19,11 @@ pub mod scenario;
 mod view;
 mod world;
 
-pub use bus::{FrameFault, Statistics};
+pub use bus::{BusErrorCause, Statistics};
 pub use controller::ControllerState;
 pub use scenario::{
-    AddressChoice, Chatter, Descriptor, DeviceAction, DeviceFraming, DeviceSpec, Fault, Faults,
-    Scenario, ScenarioError, TimetableEvent,
+    AddressChoice, Descriptor, DeviceAction, DeviceFraming, DeviceSpec, Fault, Faults,
+    PeriodicMessage, Scenario, ScenarioError, TimetableEvent,
 };
 pub use view::{DeviceState, SimDeviceId, SimStation, StationStatus};
 pub use world::Sim;

@@ -16,7 +16,7 @@ const ENDLESS_PACE: u64 = 1_000_000;
 
 /// Form of a response's frames.
 #[derive(Clone, Copy)]
-pub(super) struct Form {
+pub(super) struct ResponseFormat {
     /// Identifier of the response.
     pub id: u32,
     /// Identifier with ERR = 0, for a message that is too long for its framing.
@@ -25,15 +25,15 @@ pub(super) struct Form {
     pub fd: bool,
     pub padding: u8,
     /// Address whose flow control counts, 0 to 127.
-    pub peer: u8,
+    pub requester: u8,
 }
 
 /// Pending responses of one device.
 #[derive(Default)]
-pub(super) struct Replies(Vec<Reply>);
+pub(super) struct TxResponses(Vec<TxResponse>);
 
-struct Reply {
-    form: Form,
+struct TxResponse {
+    format: ResponseFormat,
     /// Earliest time of the next frame, in nanoseconds.
     not_before: u64,
     /// True while a frame of it is queued; the next one follows after its transmission.
@@ -58,9 +58,9 @@ struct TxTransfer {
     resume: u64,
 }
 
-impl Replies {
+impl TxResponses {
     /// Adds a response, to be sent at `at` (nanoseconds) or later.
-    pub fn push(&mut self, at: u64, form: Form, message: Vec<u8>, faults: Faults) {
+    pub fn push(&mut self, at: u64, form: ResponseFormat, message: Vec<u8>, faults: Faults) {
         if self.0.len() >= MAX_REPLIES || message.is_empty() {
             return;
         }
@@ -74,7 +74,13 @@ impl Replies {
             Framing::Isotp => Body::Transfer(TxTransfer::new(message, form.fd, faults)),
         };
         let separation = Duration::ZERO;
-        self.0.push(Reply { form, not_before: at, in_flight: false, separation, body });
+        self.0.push(TxResponse {
+            format: form,
+            not_before: at,
+            in_flight: false,
+            separation,
+            body,
+        });
     }
 
     /// Removes all responses.
@@ -102,8 +108,9 @@ impl Replies {
 
     /// Handles the transmission of a frame with this identifier.
     pub fn handle_sent(&mut self, now: u64, id: u32) {
-        let sent =
-            |reply: &Reply| reply.in_flight && (reply.form.id == id || reply.form.refusal_id == id);
+        let sent = |reply: &TxResponse| {
+            reply.in_flight && (reply.format.id == id || reply.format.refusal_id == id)
+        };
         let Some(at) = self.0.iter().position(sent) else { return };
         let reply = &mut self.0[at];
         reply.in_flight = false;
@@ -116,7 +123,8 @@ impl Replies {
     /// Handles flow control from the address `peer`.
     pub fn handle_flow(&mut self, now: u64, peer: u8, flow: FlowControl) {
         let position = self.ready().find_map(|(at, reply)| {
-            (reply.form.peer == peer && matches!(reply.body, Body::Transfer(_))).then_some(at)
+            (reply.format.requester == peer && matches!(reply.body, Body::Transfer(_)))
+                .then_some(at)
         });
         let Some(at) = position else { return };
         let reply = &mut self.0[at];
@@ -133,15 +141,16 @@ impl Replies {
     }
 
     /// Yields the responses that may continue: for each identifier the first.
-    fn ready(&self) -> impl Iterator<Item = (usize, &Reply)> {
+    fn ready(&self) -> impl Iterator<Item = (usize, &TxResponse)> {
         let all = &self.0;
         all.iter().enumerate().filter(move |(at, reply)| {
-            !reply.in_flight && all[..*at].iter().all(|earlier| earlier.form.id != reply.form.id)
+            !reply.in_flight
+                && all[..*at].iter().all(|earlier| earlier.format.id != reply.format.id)
         })
     }
 }
 
-impl Reply {
+impl TxResponse {
     fn due(&self) -> u64 {
         let at = match &self.body {
             Body::Frame(_) | Body::Done => 0,
@@ -158,7 +167,7 @@ impl Reply {
                 self.body = Body::Done;
                 Some(frame)
             }
-            Body::Transfer(transfer) => transfer.next(now, &self.form),
+            Body::Transfer(transfer) => transfer.next(now, &self.format),
         }
     }
 
@@ -191,7 +200,7 @@ impl TxTransfer {
         given_up || self.segmenter.is_done() && !self.is_endless()
     }
 
-    fn next(&mut self, now: u64, form: &Form) -> Option<Frame> {
+    fn next(&mut self, now: u64, form: &ResponseFormat) -> Option<Frame> {
         if self.segmenter.is_done() && self.is_endless() {
             self.sequence = (self.sequence + 1) & 0x0F;
             self.resume = now + ENDLESS_PACE;
@@ -214,7 +223,7 @@ impl TxTransfer {
     }
 }
 
-impl Form {
+impl ResponseFormat {
     fn frame(&self, id: u32, data: &[u8]) -> Frame {
         if self.fd { Frame::fd(id, data, self.padding) } else { Frame::classic(id, data) }
     }

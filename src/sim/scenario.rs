@@ -1,7 +1,7 @@
 //! Scenarios: the devices of a simulated bus, their behaviour, and a timetable.
 //!
 //! Built in ([`Scenario::builtin`]), from TOML ([`Scenario::parse`]) or built in code
-//! ([`Scenario::new`], [`DeviceSpec::new`]). Does not know how they are simulated.
+//! ([`Scenario::new`], [`DeviceSpec::new`]).
 
 use crate::time::{Duration, Instant};
 use crate::wire::framing::Framing;
@@ -20,9 +20,9 @@ pub struct Scenario {
     /// Seed of the random numbers, unless the caller gives another one.
     pub seed: u64,
     /// Share of frames destroyed on the wire, 0 to 1; their senders repeat them.
-    pub error_rate: f64,
+    pub frame_error_probability: f64,
     /// Share of other stations' frames that an attached station does not receive, 0 to 1.
-    pub observer_loss: f64,
+    pub rx_loss: f64,
     /// The devices.
     pub devices: Vec<DeviceSpec>,
     /// Actions on devices and their times.
@@ -35,8 +35,8 @@ impl Default for Scenario {
             bitrate: 125_000,
             data_bitrate: 2_000_000,
             seed: 1,
-            error_rate: 0.0,
-            observer_loss: 0.0,
+            frame_error_probability: 0.0,
+            rx_loss: 0.0,
             devices: Vec::new(),
             timetable: Vec::new(),
         }
@@ -86,13 +86,13 @@ impl Scenario {
     }
 
     /// Returns a bus with `count` (1 to 127) working devices at the addresses from 1, each with
-    /// `services` services. They are settled: no address resolution, heartbeats from the start.
-    pub fn crowd(bitrate: u32, count: usize, services: usize) -> Self {
+    /// `services` services, without address resolution and with heartbeats from the start.
+    pub fn with_many_devices(bitrate: u32, count: usize, services: usize) -> Self {
         let mut scenario = Self::new(bitrate);
         for address in Address::nodes().take(count) {
             let mut device = DeviceSpec::new(&format!("N{:03}", address.number()))
                 .address(AddressChoice::Preferred(address))
-                .settled();
+                .skips_address_resolution();
             for service in 0..services {
                 device = device.service(&format!("SRV{service:03}"), "1.0");
             }
@@ -153,7 +153,7 @@ pub enum DeviceFraming {
 
 impl DeviceFraming {
     /// Returns true if requests in this framing are accepted.
-    pub fn understands(self, framing: Framing) -> bool {
+    pub fn accepts(self, framing: Framing) -> bool {
         match self {
             Self::Both => true,
             Self::Isotp => framing == Framing::Isotp,
@@ -184,11 +184,14 @@ pub enum Fault {
     /// Ends the services response inside a string.
     TruncatedServices,
     /// Sends each response twice.
-    AnswersTwice,
+    #[serde(rename = "answers-twice")]
+    RespondsTwice,
     /// Copies the DST of the request to the response (protocol §1.3).
-    EchoDestination,
+    #[serde(rename = "echo-destination")]
+    RepeatsRequestDst,
     /// Never gives up its address or its mode.
-    NeverGivesWay,
+    #[serde(rename = "never-gives-way")]
+    KeepsAddress,
 }
 
 /// A set of faults.
@@ -210,7 +213,7 @@ impl Faults {
 /// Periodic unsolicited data of a device: background load.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
-pub struct Chatter {
+pub struct PeriodicMessage {
     /// Service number.
     pub service: Service,
     /// Period.
@@ -254,7 +257,7 @@ pub struct DeviceSpec {
     /// Time of power-on after the start; `None`: by the timetable only.
     pub power_on: Option<Duration>,
     /// Has its address at the first power-on: no address resolution.
-    pub settled: bool,
+    pub skips_address_resolution: bool,
     /// Framing of DES messages.
     pub framing: DeviceFraming,
     /// Sends FD frames.
@@ -262,15 +265,15 @@ pub struct DeviceSpec {
     /// Heartbeat period; `None`: BUS_CFG_HR_TIME.
     pub heartbeat: Option<Duration>,
     /// Largest random delay of a heartbeat.
-    pub jitter: Duration,
+    pub max_heartbeat_delay: Duration,
     /// Deviation of its clock in ppm; positive is slow.
     pub tolerance_ppm: i32,
     /// Shortest and longest random delay of a response.
-    pub delay: (Duration, Duration),
+    pub response_delay: (Duration, Duration),
     /// Faults.
     pub faults: Faults,
     /// Periodic unsolicited data.
-    pub chatter: Vec<Chatter>,
+    pub periodic_messages: Vec<PeriodicMessage>,
 }
 
 impl DeviceSpec {
@@ -287,15 +290,15 @@ impl DeviceSpec {
             autostart: true,
             mode: None,
             power_on: Some(Duration::ZERO),
-            settled: false,
+            skips_address_resolution: false,
             framing: DeviceFraming::Isotp,
             fd: false,
             heartbeat: None,
-            jitter: Duration::from_micros(500),
+            max_heartbeat_delay: Duration::from_micros(500),
             tolerance_ppm: 0,
-            delay: (Duration::from_micros(200), Duration::from_millis(1)),
+            response_delay: (Duration::from_micros(200), Duration::from_millis(1)),
             faults: Faults::default(),
-            chatter: Vec::new(),
+            periodic_messages: Vec::new(),
         }
     }
 
@@ -353,10 +356,10 @@ impl DeviceSpec {
         self
     }
 
-    /// Sets [`settled`](Self#structfield.settled).
+    /// Sets [`skips_address_resolution`](Self#structfield.skips_address_resolution).
     #[must_use]
-    pub fn settled(mut self) -> Self {
-        self.settled = true;
+    pub fn skips_address_resolution(mut self) -> Self {
+        self.skips_address_resolution = true;
         self
     }
 
@@ -376,8 +379,12 @@ impl DeviceSpec {
 
     /// Adds periodic unsolicited data. `length` in bytes.
     #[must_use]
-    pub fn chatter(mut self, service: u16, period: Duration, length: u8) -> Self {
-        self.chatter.push(Chatter { service: Service::from_bits(service), period, length });
+    pub fn periodic_message(mut self, service: u16, period: Duration, length: u8) -> Self {
+        self.periodic_messages.push(PeriodicMessage {
+            service: Service::from_bits(service),
+            period,
+            length,
+        });
         self
     }
 }
@@ -397,9 +404,9 @@ pub(super) fn uid_of(text: &str) -> Uid {
 #[non_exhaustive]
 pub enum DeviceAction {
     /// Switches it on.
-    Join,
+    PowerOn,
     /// Switches it off.
-    Leave,
+    PowerOff,
     /// Switches it off and on; it resolves its address again.
     Reboot {
         /// New services, as after a firmware update; `None`: unchanged.
@@ -407,7 +414,7 @@ pub enum DeviceAction {
     },
     /// Restarts it at once, as a watchdog does: it keeps its address; the heartbeat phase changes
     /// and pending responses are lost.
-    QuickReboot,
+    WatchdogReset,
     /// Configures another address, which it resolves.
     Move(AddressChoice),
     /// Changes its services without a reboot.
@@ -419,11 +426,11 @@ pub enum DeviceAction {
     /// Changes its UID.
     Uid(Uid),
     /// Adds a fault.
-    Break(Fault),
+    AddFault(Fault),
     /// Removes a fault.
-    Mend(Fault),
+    RemoveFault(Fault),
     /// Sets the share of frames destroyed on the wire, 0 to 1. Concerns the bus, not the device.
-    ErrorRate(f64),
+    SetFrameErrorProbability(f64),
 }
 
 /// An event of the timetable.

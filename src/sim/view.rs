@@ -27,11 +27,11 @@ pub struct StationStatus {
     /// Frames in the transmit queue.
     pub queued: usize,
     /// Frames rejected because the queue was full or the station off.
-    pub refused: u64,
+    pub tx_rejected: u64,
     /// Frames of other stations not received, because of the scenario's `observer_loss`.
-    pub missed: u64,
+    pub rx_lost: u64,
     /// Frames dropped because they were not polled.
-    pub overflowed: u64,
+    pub rx_overflow: u64,
 }
 
 /// True state of a device, for comparison with the result of an observer.

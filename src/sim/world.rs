@@ -1,6 +1,6 @@
 //! The running simulation: bus, devices, attached stations and timetable, one event at a time.
 
-use super::bus::{BusOutcome, FrameFault, SimBus, StationIndex, Statistics};
+use super::bus::{BusErrorCause, BusOutcome, SimBus, StationIndex, Statistics};
 use super::device::{DeviceIo, SimDevice};
 use super::inspector::Inspector;
 use super::scenario::{DeviceAction, DeviceSpec, Scenario};
@@ -33,7 +33,8 @@ const MAX_STATIONS: usize = 1024;
 /// use descan::sim::{DeviceSpec, Scenario, Sim};
 /// use descan::time::Instant;
 ///
-/// let scenario = Scenario::new(125_000).with(DeviceSpec::new("FEED").fixed(12).settled());
+/// let feed = DeviceSpec::new("FEED").fixed(12).skips_address_resolution();
+/// let scenario = Scenario::new(125_000).with(feed);
 /// let mut sim = Sim::from_scenario(&scenario);
 /// let station = sim.attach();
 /// // A broadcast name request from address 0, as an ISO-TP single frame.
@@ -57,11 +58,11 @@ pub struct Sim {
     /// Next call of each device, in nanoseconds; other entries of the queue are outdated.
     calls: Vec<u64>,
     call_queue: BinaryHeap<Reverse<(u64, u16)>>,
-    timetable: Vec<DeviceSlot>,
+    timetable: Vec<TimetableSlot>,
     timetable_queue: BinaryHeap<Reverse<(u64, usize)>>,
     profile: Profile,
     modes: [u8; 7],
-    observer_loss: f64,
+    rx_loss: f64,
     rng: fastrand::Rng,
 }
 
@@ -71,7 +72,7 @@ enum Owner {
     Inspector(u16),
 }
 
-struct DeviceSlot {
+struct TimetableSlot {
     device: Option<u16>,
     every: Option<u64>,
     action: DeviceAction,
@@ -91,8 +92,12 @@ impl Sim {
     /// Creates a simulation whose devices use `profile`.
     pub fn with_profile(scenario: &Scenario, seed: u64, profile: Profile) -> Self {
         let mut rng = fastrand::Rng::with_seed(seed);
-        let bus =
-            SimBus::new(scenario.bitrate, scenario.data_bitrate, scenario.error_rate, rng.fork());
+        let bus = SimBus::new(
+            scenario.bitrate,
+            scenario.data_bitrate,
+            scenario.frame_error_probability,
+            rng.fork(),
+        );
         let mut sim = Self {
             now: 0,
             bus,
@@ -108,11 +113,11 @@ impl Sim {
             timetable_queue: BinaryHeap::new(),
             modes: profile.modes.codes(),
             profile,
-            observer_loss: scenario.observer_loss,
+            rx_loss: scenario.rx_loss,
             rng,
         };
         for device in &scenario.devices {
-            sim.insert(device.clone());
+            sim.add_device(device.clone());
         }
         for event in &scenario.timetable {
             let device = sim.device(&event.device).map(|SimDeviceId(index)| index);
@@ -156,9 +161,9 @@ impl Sim {
         SimStation(last.unwrap_or(0) as u16)
     }
 
-    /// Queues a frame. Returns false if it is rejected: the queue (1,024 frames) is full, or the
-    /// station is down or bus-off. The station receives its own frame, with `is_tx`, when it was
-    /// acknowledged.
+    /// Queues a frame at `now()`. Returns false if it is rejected: the queue (1,024 frames) is
+    /// full, or the station is down or bus-off. The station receives its own frame, with `is_tx`,
+    /// when it was acknowledged.
     pub fn transmit(&mut self, station: SimStation, frame: Frame) -> bool {
         self.bus.transmit(self.now, station.0, frame, false)
     }
@@ -166,12 +171,12 @@ impl Sim {
     /// Forwards a frame that `station` received on another bus: all stations here receive it at
     /// once, without arbitration, since it won arbitration there. The station receives its own
     /// frame with `is_tx`.
-    pub fn relay(&mut self, station: SimStation, frame: Frame) {
+    pub fn forward(&mut self, station: SimStation, frame: Frame) {
         self.deliver(&frame.with_time(self.now()), &[station.0]);
     }
 
-    /// Returns the next frame that this station received, with its time: frames of other stations,
-    /// its own (`is_tx`) and error frames; `None` if there is none.
+    /// Returns the next frame that this station received, with its time, oldest first: frames of
+    /// other stations, its own (`is_tx`) and error frames; `None` if there is none.
     pub fn poll_frame(&mut self, station: SimStation) -> Option<Frame> {
         self.inspector_mut(station.0)?.poll()
     }
@@ -183,7 +188,7 @@ impl Sim {
         let (missed, overflowed) = match self.owners[usize::from(station.0)] {
             Owner::Inspector(at) => {
                 let inspector = &self.inspectors[usize::from(at)];
-                (inspector.missed, inspector.overflowed)
+                (inspector.rx_lost, inspector.rx_overflow)
             }
             Owner::Device(_) => (0, 0),
         };
@@ -193,9 +198,9 @@ impl Sim {
             rec,
             bitrate: self.bus.bitrate(),
             queued: controller.queued(),
-            refused: controller.dropped,
-            missed,
-            overflowed,
+            tx_rejected: controller.dropped,
+            rx_lost: missed,
+            rx_overflow: overflowed,
         }
     }
 
@@ -207,19 +212,19 @@ impl Sim {
 
     /// Sets a station listen-only: no frames, no acknowledgement, no error flags.
     pub fn set_listen_only(&mut self, station: SimStation, listen_only: bool) {
-        self.bus.controller_mut(station.0).silent = listen_only;
+        self.bus.controller_mut(station.0).listen_only = listen_only;
         self.bus.wake(self.now, station.0);
     }
 
-    /// Sets a station's bit rate, in bit/s. If it is not that of the bus, the station receives no
-    /// frames and, unless listen-only, destroys those of other stations.
+    /// Sets a station's bit rate, in bit/s, 10,000 to 1,000,000. If it is not that of the bus, the
+    /// station receives no frames and, unless listen-only, destroys those of other stations.
     pub fn set_bitrate(&mut self, station: SimStation, bitrate: u32) {
         self.bus.set_wrong_rate(station.0, bitrate != self.bus.bitrate());
     }
 
     /// Adds a device, switched on at its `power_on`, or now if that has passed. At most 1,024;
     /// further calls return the last one.
-    pub fn insert(&mut self, spec: DeviceSpec) -> SimDeviceId {
+    pub fn add_device(&mut self, spec: DeviceSpec) -> SimDeviceId {
         if self.devices.len() >= MAX_DEVICES {
             return SimDeviceId((self.devices.len() - 1) as u16);
         }
@@ -230,8 +235,10 @@ impl Sim {
         self.devices.push(SimDevice::new(spec, self.rng.fork()));
         self.calls.push(u64::MAX);
         match power_on {
-            Some(at) if at > self.now => self.schedule(at, Some(index), None, DeviceAction::Join),
-            Some(_) => self.control(SimDeviceId(index), DeviceAction::Join),
+            Some(at) if at > self.now => {
+                self.schedule(at, Some(index), None, DeviceAction::PowerOn);
+            }
+            Some(_) => self.apply(SimDeviceId(index), DeviceAction::PowerOn),
             None => {}
         }
         SimDeviceId(index)
@@ -264,17 +271,17 @@ impl Sim {
     }
 
     /// Applies an action to a device now.
-    pub fn control(&mut self, device: SimDeviceId, action: DeviceAction) {
-        if let DeviceAction::ErrorRate(rate) = action {
-            self.bus.error_rate = rate;
+    pub fn apply(&mut self, device: SimDeviceId, action: DeviceAction) {
+        if let DeviceAction::SetFrameErrorProbability(rate) = action {
+            self.bus.frame_error_probability = rate;
         } else {
             self.with_device(device.0, |device, port| device.apply(action, port));
         }
     }
 
     /// Sets the share of frames destroyed on the wire, 0 to 1.
-    pub fn set_error_rate(&mut self, rate: f64) {
-        self.bus.error_rate = rate;
+    pub fn set_frame_error_probability(&mut self, rate: f64) {
+        self.bus.frame_error_probability = rate;
     }
 
     /// Returns the totals of the bus since the start.
@@ -316,7 +323,7 @@ impl Sim {
 
     fn schedule(&mut self, at: u64, device: Option<u16>, every: Option<u64>, action: DeviceAction) {
         self.timetable_queue.push(Reverse((at, self.timetable.len())));
-        self.timetable.push(DeviceSlot { device, every, action });
+        self.timetable.push(TimetableSlot { device, every, action });
     }
 
     fn follow_timetable(&mut self, at: u64, index: usize) {
@@ -326,8 +333,10 @@ impl Sim {
             self.timetable_queue.push(Reverse((at.saturating_add(every), index)));
         }
         match (entry.device, action) {
-            (_, DeviceAction::ErrorRate(rate)) => self.bus.error_rate = rate,
-            (Some(device), action) => self.control(SimDeviceId(device), action),
+            (_, DeviceAction::SetFrameErrorProbability(rate)) => {
+                self.bus.frame_error_probability = rate;
+            }
+            (Some(device), action) => self.apply(SimDeviceId(device), action),
             (None, _) => {}
         }
     }
@@ -339,19 +348,19 @@ impl Sim {
                 let senders = self.bus.senders().to_vec();
                 self.deliver(&frame, &senders);
             }
-            Some(BusOutcome::Broken(error)) => {
+            Some(BusOutcome::BusError(error)) => {
                 let senders = self.bus.senders().to_vec();
                 self.report_error(error, &senders, false);
             }
             Some(BusOutcome::PassiveError) => {
-                let losers = self.bus.losers().to_vec();
-                self.report_error(FrameFault::Collision, &losers, true);
+                let losers = self.bus.passive_error_stations().to_vec();
+                self.report_error(BusErrorCause::Collision, &losers, true);
             }
         }
     }
 
     fn deliver(&mut self, frame: &Frame, senders: &[StationIndex]) {
-        self.show(frame, senders);
+        self.deliver_to_stations(frame, senders);
         for &sender in senders {
             if let Owner::Device(device) = self.owners[usize::from(sender)] {
                 self.with_device(device, |device, port| device.handle_sent(frame, port));
@@ -383,7 +392,7 @@ impl Sim {
     }
 
     /// Delivers a frame to the attached stations.
-    fn show(&mut self, frame: &Frame, senders: &[StationIndex]) {
+    fn deliver_to_stations(&mut self, frame: &Frame, senders: &[StationIndex]) {
         for inspector in &mut self.inspectors {
             let controller = self.bus.controller(inspector.station);
             if !controller.is_receiving() {
@@ -391,11 +400,11 @@ impl Sim {
             }
             let counters = controller.counters();
             if controller.wrong_rate {
-                inspector.push_error(frame.time, FrameFault::Disturbance, false, counters);
+                inspector.push_error(frame.time, BusErrorCause::Disturbance, false, counters);
             } else if senders.contains(&inspector.station) {
                 inspector.push(frame.with_tx());
-            } else if self.observer_loss > 0.0 && self.rng.f64() < self.observer_loss {
-                inspector.missed += 1;
+            } else if self.rx_loss > 0.0 && self.rng.f64() < self.rx_loss {
+                inspector.rx_lost += 1;
             } else {
                 inspector.push(*frame);
             }
@@ -404,12 +413,12 @@ impl Sim {
     }
 
     /// Reports a bus error to all stations or, with `privately`, to its senders only.
-    fn report_error(&mut self, error: FrameFault, senders: &[StationIndex], privately: bool) {
+    fn report_error(&mut self, error: BusErrorCause, senders: &[StationIndex], senders_only: bool) {
         let at = super::instant(self.now);
         for inspector in &mut self.inspectors {
             let controller = self.bus.controller(inspector.station);
             let sent = senders.contains(&inspector.station);
-            if controller.attached && (sent || !privately) {
+            if controller.attached && (sent || !senders_only) {
                 inspector.push_error(at, error, sent, controller.counters());
             }
         }

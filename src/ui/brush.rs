@@ -1,6 +1,6 @@
 //! Drawing tools of all regions: lines, lists and rules in cells, styled by [`Role`]. Inputs: lines
 //! of text and an area. Text that does not fit is cut with `…`, scrolled, or wrapped. Widths are in
-//! cells of the terminal (a wide character takes two). Does not know what the text means.
+//! cells of the terminal (a wide character takes two).
 
 use crate::app::{App, Bus, Screen};
 use crate::frame::BusIndex;
@@ -14,7 +14,7 @@ use ratatui::text::{Line, Span};
 use unicode_width::{UnicodeWidthChar, UnicodeWidthStr};
 
 /// State of one draw: what is shown, its colours, the regions, and the cells to fill.
-pub struct Brush<'a> {
+pub struct DrawContext<'a> {
     /// What is shown; read only.
     pub app: &'a App,
     /// The style of each role.
@@ -35,7 +35,7 @@ pub fn inner(area: Rect) -> Rect {
     Rect { x: area.x + 1, width: area.width.saturating_sub(2), ..area }
 }
 
-impl Brush<'_> {
+impl DrawContext<'_> {
     /// Returns the style of a role in the theme.
     pub fn style(&self, role: Role) -> Style {
         self.theme.style(role)
@@ -100,7 +100,7 @@ impl Brush<'_> {
 
     /// Draws, in place of an empty list, that the filter matches nothing (`what`) and the key that
     /// clears it.
-    pub fn filtered(&mut self, area: Rect, what: &str) {
+    pub fn draw_no_match(&mut self, area: Rect, what: &str) {
         let key = self.app.key_of(Action::Cancel);
         let text = format!("{what}; {key} clears it");
         let below = Rect { y: area.y + 1, height: area.height.saturating_sub(1), ..area };
@@ -110,9 +110,9 @@ impl Brush<'_> {
 
     /// Draws, in place of an empty list, why it is empty, and for each bus that is not up the
     /// cause.
-    pub fn nothing(&mut self, list: Rect, why: &str) {
+    pub fn draw_empty_list(&mut self, list: Rect, why: &str) {
         let mut lines = vec![Line::from(self.span(Role::Muted, format!("   {why}")))];
-        for bus in self.app.buses().iter().filter(|bus| bus.is_blind()) {
+        for bus in self.app.buses().iter().filter(|bus| bus.cannot_receive()) {
             let name = Escaped(bus.name.as_bytes());
             let text = match &bus.status.fault {
                 Some(fault) => Escaped(fault.to_string().as_bytes()).to_string(),
@@ -126,8 +126,8 @@ impl Brush<'_> {
     }
 
     /// Returns true if at least one bus is not up.
-    pub fn is_blind(&self) -> bool {
-        self.app.buses().iter().any(Bus::is_blind)
+    pub fn cannot_receive(&self) -> bool {
+        self.app.buses().iter().any(Bus::cannot_receive)
     }
 
     /// Fills an area with a horizontal rule.
@@ -236,7 +236,7 @@ pub fn wrap(text: &str, width: usize) -> Vec<String> {
 
 /// Returns lines of `width` cells: the label, muted, and the text wrapped at the right of it.
 pub fn labelled(
-    brush: &Brush,
+    brush: &DrawContext,
     label: &str,
     role: Role,
     text: &str,

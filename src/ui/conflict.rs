@@ -1,19 +1,19 @@
 //! The dialog of an edit conflict: an unsaved edit and des.json on disk changed the same value
 //! ("ours" and "theirs", as in git), and the user chooses one. Takes the place of the page.
 
-use super::brush::{Brush, labelled};
+use super::brush::{DrawContext, labelled};
 use crate::theme::Role;
 use ratatui::layout::Rect;
 use ratatui::text::Line;
 
 /// Draws the dialog; nothing but its rule if no conflict is open.
-pub fn draw(brush: &mut Brush) {
+pub fn draw(brush: &mut DrawContext) {
     let whole = brush.screen.whole;
     let top = brush.screen.tabs.y;
     let rule = Rect { y: top, height: brush.screen.tabs.height, ..whole };
     brush.rule(rule, Role::BorderFocus);
     let Some(conflict) = brush.app.file().conflict() else { return };
-    let title = match (conflict.number, conflict.of) {
+    let title = match (conflict.index, conflict.total) {
         (1, 1) => " Edit conflict ".to_owned(),
         (number, of) => format!(" Edit conflict {number} of {of} "),
     };

@@ -1,13 +1,14 @@
 //! The details of the selected row of Devices: presence, findings, reasons for a missing device,
 //! heartbeat, identity, services, the entry of des.json, history, and state of the requests.
 
-use super::brush::{Brush, fit, inner, labelled, wrap};
+use super::brush::{DrawContext, fit, inner, labelled, wrap};
 use super::devices::state_role;
-use super::signs;
-use crate::app::{App, FileStatus, Redundancy, Row, RowState, clock, concerns, spell};
-use crate::discovery::{
-    Confidence, Device, DeviceService, Finding, FindingKind, Query, QueryState,
+use super::symbols;
+use crate::app::{
+    App, FileStatus, Redundancy, Row, RowState, concerns, format_duration, format_time_of_day,
 };
+use crate::discovery::{Device, DeviceService, Query, QueryState};
+use crate::finding::{Finding, FindingKind, FindingState};
 use crate::keymap::Action;
 use crate::theme::Role;
 use crate::time::Duration;
@@ -15,7 +16,7 @@ use ratatui::text::Line;
 use unicode_width::UnicodeWidthStr;
 
 /// Draws the details at the right of the list, below it, or in its place.
-pub fn draw(brush: &mut Brush) {
+pub fn draw(brush: &mut DrawContext) {
     let area = inner(brush.screen.details);
     if area.height == 0 {
         return;
@@ -30,7 +31,7 @@ pub fn draw(brush: &mut Brush) {
 
 /// The lines of the details, collected top to bottom.
 struct DeviceDetails<'b, 'a> {
-    brush: &'b Brush<'a>,
+    brush: &'b DrawContext<'a>,
     row: &'a Row,
     width: u16,
     lines: Vec<Line<'static>>,
@@ -83,8 +84,9 @@ impl<'a> DeviceDetails<'_, 'a> {
     /// State word, duration, bus if there are several, last frame, redundant buses, twins.
     fn state(&mut self, device: Option<&Device>) {
         let row = self.row;
-        let since = device
-            .map_or(String::new(), |device| format!(" {}", spell(self.ago(device.presence_since))));
+        let since = device.map_or(String::new(), |device| {
+            format!(" {}", format_duration(self.ago(device.presence_since)))
+        });
         let word = match (row.state, device) {
             (RowState::Conflict | RowState::Unknown, Some(device)) => {
                 format!("{} · {}", row.state.word(), device.presence)
@@ -92,7 +94,7 @@ impl<'a> DeviceDetails<'_, 'a> {
             _ => row.state.word().to_owned(),
         };
         let bus = match row.bus.and_then(|bus| self.app().bus(bus)) {
-            Some(bus) if self.app().buses().len() > 1 && row.also.is_empty() => {
+            Some(bus) if self.app().buses().len() > 1 && row.redundant_ids.is_empty() => {
                 format!(" on {}", bus.name)
             }
             _ => String::new(),
@@ -102,7 +104,7 @@ impl<'a> DeviceDetails<'_, 'a> {
         self.lines.push(line);
         let unseen = row.state == RowState::Unknown;
         if let Some(device) = device.filter(|device| unseen || !device.is_present()) {
-            let text = format!("last seen {} ago", spell(self.ago(device.last_seen)));
+            let text = format!("last seen {} ago", format_duration(self.ago(device.last_seen)));
             self.add("", Role::Text, &text);
         }
         self.other_buses(device);
@@ -122,23 +124,24 @@ impl<'a> DeviceDetails<'_, 'a> {
     fn other_buses(&mut self, device: Option<&Device>) {
         let Some(device) = device else { return };
         let app = self.app();
-        if !self.row.also.is_empty() {
+        if !self.row.redundant_ids.is_empty() {
             self.add("", Role::Text, "redundant: the same services on each bus");
             for device in app.devices_of(self.row) {
                 let Some(bus) = app.bus(device.id.bus) else { continue };
-                let (presence, since) = (device.presence, spell(self.ago(device.presence_since)));
+                let (presence, since) =
+                    (device.presence, format_duration(self.ago(device.presence_since)));
                 let text = format!("@{} {presence} {since}", device.address);
                 self.add(&bus.name, state_role(presence.into()), &text);
             }
         }
-        for sibling in app.siblings(device.id) {
+        for sibling in app.redundant_devices(device.id) {
             let (Some(other), Some(bus)) = (app.device(sibling.id), app.bus(sibling.id.bus)) else {
                 continue;
             };
-            if sibling.kinship == Redundancy::Redundant {
+            if sibling.relation == Redundancy::Redundant {
                 continue;
             }
-            let what = sibling.kinship.words();
+            let what = sibling.relation.words();
             let text = format!("also on {} @{}, {what}", bus.name, other.address);
             self.add("", Role::Text, &text);
         }
@@ -152,7 +155,7 @@ impl<'a> DeviceDetails<'_, 'a> {
                 && finding.key.address == self.row.address
         };
         let about = |finding: &Finding| {
-            finding.confidence != Confidence::Cleared
+            finding.confidence != FindingState::Cleared
                 && finding.key.kind != FindingKind::Missing
                 && device.map_or_else(|| of_row(finding), |device| concerns(finding, device))
         };
@@ -160,8 +163,8 @@ impl<'a> DeviceDetails<'_, 'a> {
         for problem in self.app().problems() {
             for finding in problem.findings.iter().filter(|finding| about(finding)) {
                 any = true;
-                let (sign, role) = signs::of_confidence(finding.confidence);
-                let sure = finding.confidence == Confidence::Confirmed && !problem.is_muted;
+                let (sign, role) = symbols::of_confidence(finding.confidence);
+                let sure = finding.confidence == FindingState::Confirmed && !problem.is_muted;
                 let headline = problem.headline();
                 let text = if finding.text.is_empty() { &*headline } else { &finding.text };
                 let text_role = if sure { Role::Text } else { Role::Muted };
@@ -187,10 +190,10 @@ impl<'a> DeviceDetails<'_, 'a> {
     fn why(&mut self, device: Option<&Device>) {
         let app = self.app();
         let reasons = match (device, app.entry_of(self.row)) {
-            (Some(device), Some(entry)) if !device.is_present() => app.why_missing(entry),
-            (Some(device), _) => app.why_incomplete(device),
+            (Some(device), Some(entry)) if !device.is_present() => app.missing_reasons(entry),
+            (Some(device), _) => app.incomplete_reasons(device),
             (None, Some(_)) if self.row.state == RowState::Duplicate => Vec::new(),
-            (None, Some(entry)) => app.why_missing(entry),
+            (None, Some(entry)) => app.missing_reasons(entry),
             (None, None) => Vec::new(),
         };
         for reason in reasons {
@@ -223,10 +226,10 @@ impl<'a> DeviceDetails<'_, 'a> {
         let modes: Vec<String> = device.mode_history.iter().map(|it| it.mode.to_string()).collect();
         let mode = match device.mode {
             Some(mode) => mode.to_string(),
-            None if device.working => "working (U bit)".to_owned(),
+            None if device.is_working => "working (U bit)".to_owned(),
             None => "not working (U bit)".to_owned(),
         };
-        let error = device.error.filter(|code| *code != 0);
+        let error = device.error_code.filter(|code| *code != 0);
         let error = error.map(|code| format!(", error {code}")).unwrap_or_default();
         self.add("mode", Role::Text, &(mode + &error));
         if modes.len() > 1 {
@@ -272,8 +275,8 @@ impl<'a> DeviceDetails<'_, 'a> {
                 QueryState::NotSent => "not requested",
                 QueryState::Sent => "requested …",
                 QueryState::Receiving => "receiving …",
-                QueryState::Answered => "malformed",
-                QueryState::Unanswered => "no response",
+                QueryState::Responded => "malformed",
+                QueryState::NoResponse => "no response",
             };
             return self.add("services", Role::Muted, state);
         };
@@ -365,10 +368,10 @@ impl<'a> DeviceDetails<'_, 'a> {
     fn history(&mut self, device: &Device) {
         let app = self.app();
         self.blank();
-        let first = clock(app, device.first_seen);
+        let first = format_time_of_day(app, device.first_seen);
         self.add("seen", Role::Text, &format!("since {first}"));
         if let Some(at) = device.rebooted_at {
-            let ago = spell(self.ago(at));
+            let ago = format_duration(self.ago(at));
             let times = match device.reboots {
                 1 => "1 reboot".to_owned(),
                 count => format!("{count} reboots, the last"),
@@ -394,10 +397,10 @@ impl<'a> DeviceDetails<'_, 'a> {
     /// Time of the response and how long it took, or the attempts so far; `None` before the first.
     fn request(&self, what: &str, query: Query) -> Option<String> {
         // Times of day, not ages: an age would redraw the line each second.
-        let at = |time| clock(self.app(), time);
+        let at = |time| format_time_of_day(self.app(), time);
         match (query.responded_at, query.sent_at) {
             (Some(answered), _) => {
-                let took = query.took.map(|took| format!(" in {} ms", took.as_millis()));
+                let took = query.response_time.map(|took| format!(" in {} ms", took.as_millis()));
                 Some(format!("{what} {}{}", at(answered), took.unwrap_or_default()))
             }
             (None, Some(asked)) => {
@@ -409,9 +412,10 @@ impl<'a> DeviceDetails<'_, 'a> {
 
     /// Deviations from the protocol.
     fn quirks(&mut self, device: &Device) {
-        for quirk in &device.quirks {
-            for (at, line) in
-                wrap(quirk.describe(), usize::from(self.width).saturating_sub(2)).iter().enumerate()
+        for deviation in &device.deviations {
+            for (at, line) in wrap(deviation.describe(), usize::from(self.width).saturating_sub(2))
+                .iter()
+                .enumerate()
             {
                 let sign = if at == 0 { "! " } else { "  " };
                 self.lines

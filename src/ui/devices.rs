@@ -1,7 +1,7 @@
 //! The table of page 1, Devices: a row per device and per entry of des.json. Columns are dropped on
 //! narrow screens in the order SVC, MODE, AGE, BUS.
 
-use super::brush::{Brush, end_of, fit, fit_right};
+use super::brush::{DrawContext, end_of, fit, fit_right};
 use crate::app::{App, FileStatus, PromptKind, Row, RowKey, RowState, SortBy};
 use crate::discovery::{Device, QueryState};
 use crate::theme::Role;
@@ -131,7 +131,7 @@ impl Columns {
 }
 
 /// Draws the column headings and the rows that fit; on the row being edited the address prompt.
-pub fn draw(brush: &mut Brush) {
+pub fn draw(brush: &mut DrawContext) {
     let (header, list) = (brush.screen.header, brush.screen.list);
     let app = brush.app;
     let rows = app.rows();
@@ -157,7 +157,7 @@ pub fn draw(brush: &mut Brush) {
     }
 }
 
-fn draw_header(brush: &mut Brush, area: Rect, columns: &Columns) {
+fn draw_header(brush: &mut DrawContext, area: Rect, columns: &Columns) {
     let sorted = brush.app.view().sort;
     let mut line = Line::from(" ".repeat(SIGNS));
     for &(column, width) in &columns.shown {
@@ -176,14 +176,14 @@ fn draw_header(brush: &mut Brush, area: Rect, columns: &Columns) {
 }
 
 /// Draws why there is no row.
-fn draw_nothing(brush: &mut Brush, list: Rect) {
+fn draw_nothing(brush: &mut DrawContext, list: Rect) {
     let app = brush.app;
     if !app.view().filter(crate::app::Page::Devices).is_empty() {
-        return brush.filtered(list, "no device matches the filter");
+        return brush.draw_no_match(list, "no device matches the filter");
     }
     let is_over = !app.buses().is_empty() && app.buses().iter().all(|bus| bus.ended.is_some());
     let is_listening = app.buses().iter().any(crate::app::Bus::is_up);
-    brush.nothing(
+    brush.draw_empty_list(
         list,
         match (is_over, is_listening) {
             (true, _) => "no devices in the log",
@@ -193,7 +193,7 @@ fn draw_nothing(brush: &mut Brush, list: Rect) {
     );
 }
 
-fn row_line(brush: &Brush, row: &Row, columns: &Columns, selected: bool) -> Line<'static> {
+fn row_line(brush: &DrawContext, row: &Row, columns: &Columns, selected: bool) -> Line<'static> {
     let device = brush.app.device_of(row);
     let (sign, role) = sign(row);
     let pointer = if selected { "▸" } else { " " };
@@ -208,7 +208,7 @@ fn row_line(brush: &Brush, row: &Row, columns: &Columns, selected: bool) -> Line
 
 /// Returns the text of a cell in exactly `width` cells.
 fn cell(
-    brush: &Brush,
+    brush: &DrawContext,
     row: &Row,
     device: Option<&Device>,
     column: Column,
@@ -234,7 +234,7 @@ fn cell(
         C::State => (state_role(row.state), row.state.word().to_owned()),
         C::Mode => match device.and_then(|device| device.mode) {
             Some(mode) => (plain, mode.to_string()),
-            None if device.is_some_and(|device| !device.working) => (plain, "!WORK".to_owned()),
+            None if device.is_some_and(|device| !device.is_working) => (plain, "!WORK".to_owned()),
             None => (Role::Muted, if device.is_some() { "?" } else { "" }.to_owned()),
         },
         C::Services => match device {
@@ -253,7 +253,7 @@ fn cell(
             None => (Role::Muted, String::new()),
             Some(device) => (plain, age(brush.app.display_time().since(device.last_seen))),
         },
-        C::File if row.is_flawed => (Role::Warning, file_word(row).1 + "!"),
+        C::File if row.has_findings => (Role::Warning, file_word(row).1 + "!"),
         C::File => file_word(row),
     };
     let text = if column.is_number() { fit_right(&text, width) } else { fit(&text, width) };
@@ -287,7 +287,7 @@ fn addresses(app: &App, row: &Row) -> String {
 
 /// Returns the bus of a row; for a redundant device all its buses.
 fn buses(app: &App, row: &Row, width: usize) -> String {
-    let all = row.bus.into_iter().chain(row.also.iter().map(|id| id.bus));
+    let all = row.bus.into_iter().chain(row.redundant_ids.iter().map(|id| id.bus));
     let names: Vec<&str> = all.filter_map(|bus| Some(app.bus(bus)?.name_without_rates())).collect();
     bus_range(&names, width)
 }
@@ -319,7 +319,7 @@ fn twin_name(name: &str, width: usize) -> String {
 /// Returns the sign in front of a row and its role.
 fn sign(row: &Row) -> (&'static str, Role) {
     match row.state {
-        RowState::Conflict => ("⚠", Role::Collision),
+        RowState::Conflict => ("⚠", Role::Confirmed),
         _ if row.suspected => ("?", Role::Suspected),
         RowState::Missing => ("○", Role::Missing),
         RowState::Lost => ("○", Role::Lost),
@@ -335,7 +335,7 @@ fn sign(row: &Row) -> (&'static str, Role) {
 /// Returns the role of the STATE column.
 pub(super) fn state_role(state: RowState) -> Role {
     match state {
-        RowState::Conflict => Role::Collision,
+        RowState::Conflict => Role::Confirmed,
         RowState::Missing => Role::Missing,
         RowState::Lost => Role::Lost,
         RowState::Partial | RowState::Stale => Role::Stale,
@@ -357,10 +357,10 @@ fn age(duration: Duration) -> String {
 }
 
 /// Draws the address prompt into the FILE column of the row being edited.
-fn draw_editor(brush: &mut Brush, list: Rect, line: u16, row: &Row, columns: &Columns) {
+fn draw_editor(brush: &mut DrawContext, list: Rect, line: u16, row: &Row, columns: &Columns) {
     let Some(prompt) = brush.app.prompt() else { return };
     let is_here = |key: &RowKey| match key {
-        RowKey::Device(id) => row.has(*id),
+        RowKey::Device(id) => row.has_device(*id),
         RowKey::Entry(_) => *key == row.key,
     };
     if !matches!(&prompt.kind, PromptKind::Address(it) if is_here(&it.key)) {
@@ -375,7 +375,7 @@ fn draw_editor(brush: &mut Brush, list: Rect, line: u16, row: &Row, columns: &Co
     let scroll = prompt.input.visual_scroll(usize::from(width - 1));
     let text: String = prompt.input.value().chars().skip(scroll).collect();
     let under = brush.style(Role::Input);
-    let untouched = if prompt.untouched { Modifier::REVERSED } else { Modifier::empty() };
+    let untouched = if prompt.replaces_on_typing { Modifier::REVERSED } else { Modifier::empty() };
     let style = under.add_modifier(untouched);
     brush.buffer.set_string(at.x, at.y, fit("", usize::from(width)), under);
     brush.buffer.set_style(at, ratatui::style::Style::reset().patch(under));

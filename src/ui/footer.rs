@@ -2,8 +2,8 @@
 //! the keys of the open page. A message or a rejected input that needs more room takes up to three
 //! lines.
 
-use super::brush::{Brush, cut, fit, wrap};
-use crate::app::{FileProblem, Focus, InputCheck, Page, PromptKind};
+use super::brush::{DrawContext, cut, fit, wrap};
+use crate::app::{FileError, Focus, InputCheck, Page, PromptKind};
 use crate::keymap::{Action, Key, KeyMode};
 use crate::theme::Role;
 use ratatui::layout::{Position, Rect};
@@ -11,7 +11,7 @@ use ratatui::text::{Line, Span};
 use unicode_width::UnicodeWidthStr;
 
 /// Draws the footer.
-pub fn draw(brush: &mut Brush) {
+pub fn draw(brush: &mut DrawContext) {
     let area = brush.screen.footer;
     if area.height == 0 {
         return;
@@ -42,9 +42,9 @@ pub fn draw(brush: &mut Brush) {
 
 /// Draws the prompt: its label, the text typed so far, and the check of that text. On Devices the
 /// address is typed in the row (`brush.cursor` is set), and the footer has only the check.
-fn draw_prompt(brush: &mut Brush, area: Rect) {
+fn draw_prompt(brush: &mut DrawContext, area: Rect) {
     let app = brush.app;
-    let (Some(prompt), Some(check)) = (app.prompt(), app.verdict()) else { return };
+    let (Some(prompt), Some(check)) = (app.prompt(), app.prompt_check()) else { return };
     let (sign, role, note) = match &check {
         InputCheck::Accepted(text) => ("", Role::Muted, text),
         InputCheck::Warning(text) => ("! ", Role::Warning, text),
@@ -96,7 +96,7 @@ fn draw_prompt(brush: &mut Brush, area: Rect) {
 }
 
 /// Draws a text that ends in the line `last` and takes up to two lines above it.
-fn draw_wrapped(brush: &mut Brush, last: Rect, role: Role, text: &str) {
+fn draw_wrapped(brush: &mut DrawContext, last: Rect, role: Role, text: &str) {
     /// Most lines of a text; the rest is cut with `…`.
     const LINES: usize = 3;
     let width = usize::from(last.width);
@@ -110,7 +110,7 @@ fn draw_wrapped(brush: &mut Brush, last: Rect, role: Role, text: &str) {
 }
 
 /// Returns the keys of the open page, most important first, as many as fit `width` cells.
-fn hint_line(brush: &Brush, mode: KeyMode, width: usize) -> Vec<Span<'static>> {
+fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'static>> {
     use Action as A;
     let app = brush.app;
     let view = app.view();
@@ -166,7 +166,7 @@ fn hint_line(brush: &Brush, mode: KeyMode, width: usize) -> Vec<Span<'static>> {
             A::Rescan,
         ],
     };
-    let is_not_saved = app.file().problem().is_some_and(FileProblem::is_not_saved);
+    let is_not_saved = app.file().problem().is_some_and(FileError::is_not_saved);
     let first: &[Action] =
         if is_not_saved && mode == KeyMode::Browse { &[A::Save, A::SaveCopy] } else { &[] };
     let actions = &[first, actions].concat();
@@ -176,17 +176,17 @@ fn hint_line(brush: &Brush, mode: KeyMode, width: usize) -> Vec<Span<'static>> {
 }
 
 /// Returns the first key of an action and what it does on the open page; `None` if it has no key.
-fn hint(brush: &Brush, action: Action) -> Option<(Key, &'static str)> {
+fn hint(brush: &DrawContext, action: Action) -> Option<(Key, &'static str)> {
     use Action as A;
     let (key, word) = brush.app.keymap().hint(action)?;
     let view = brush.app.view();
     let here = match (action, view.page, &view.evidence) {
         (A::Details, Page::Timeline, _) => "frames",
         (A::Details, Page::Problems, _) if brush.screen.details.height > 0 => {
-            let is_seen = brush.app.selected_problem().is_none_or(|problem| problem.was_seen());
+            let is_seen = brush.app.selected_problem().is_none_or(|problem| problem.has_evidence());
             if is_seen { "frames" } else { "go to row" }
         }
-        (A::Details, Page::Traffic, Some(evidence)) if evidence.around => "only evidence",
+        (A::Details, Page::Traffic, Some(evidence)) if evidence.shows_context => "only evidence",
         (A::Details, Page::Traffic, Some(_)) => "all frames",
         (A::Problem, Page::Problems, _) => "go to device",
         (A::Cancel, ..) => "back",
@@ -197,7 +197,7 @@ fn hint(brush: &Brush, action: Action) -> Option<(Key, &'static str)> {
 }
 
 /// Returns keys with their hints, without those that do not fit `width` cells.
-fn hints(brush: &Brush, actions: &[Action], width: usize) -> Vec<Span<'static>> {
+fn hints(brush: &DrawContext, actions: &[Action], width: usize) -> Vec<Span<'static>> {
     let mut spans = Vec::new();
     let mut used = 0;
     for (key, hint) in actions.iter().filter_map(|action| hint(brush, *action)) {

@@ -1,8 +1,8 @@
 //! The help: keys of the keymap, symbols, filter terms, and the counters of each bus. Takes the
 //! place of the page, in two columns from 112 columns on.
 
-use super::brush::{Brush, fit, wrap};
-use super::signs::SIGNS;
+use super::brush::{DrawContext, fit, wrap};
+use super::symbols::SYMBOLS;
 use crate::app::{FILTER_FIELDS, FILTER_WORDS};
 use crate::keymap::{ACTIONS, ActionGroup, ActionInfo};
 use crate::status::size;
@@ -12,7 +12,7 @@ use ratatui::text::{Line, Span};
 use unicode_width::UnicodeWidthStr;
 
 /// Draws the help without its first `scroll` lines.
-pub fn draw(brush: &mut Brush, scroll: u16) {
+pub fn draw(brush: &mut DrawContext, scroll: u16) {
     let whole = brush.screen.whole;
     let top = brush.screen.tabs.y;
     let bottom = brush.screen.footer.y.max(top);
@@ -29,20 +29,20 @@ pub fn draw(brush: &mut Brush, scroll: u16) {
     let columns = if area.width >= 110 { 2 } else { 1 };
     let width = (area.width + 2) / columns - 2;
     let mut lines = keys(brush, width);
-    let mut signs = signs(brush, width);
-    signs.extend(counters(brush, width));
+    let mut symbols = symbols(brush, width);
+    symbols.extend(counters(brush, width));
     if columns == 1 {
         lines.push(Line::default());
-        lines.extend(signs);
+        lines.extend(symbols);
         brush.lines(area, &lines, scroll);
     } else {
         brush.lines(Rect { width, ..area }, &lines, scroll);
-        brush.lines(Rect { x: area.x + width + 2, width, ..area }, &signs, scroll);
+        brush.lines(Rect { x: area.x + width + 2, width, ..area }, &symbols, scroll);
     }
 }
 
 /// Every action with its keys, by groups.
-fn keys(brush: &Brush, width: u16) -> Vec<Line<'static>> {
+fn keys(brush: &DrawContext, width: u16) -> Vec<Line<'static>> {
     let mut lines = Vec::new();
     // The keys of a log do nothing on a live bus.
     let is_used =
@@ -60,7 +60,7 @@ fn keys(brush: &Brush, width: u16) -> Vec<Line<'static>> {
 }
 
 /// An action: its keys (`–`: none) and what it does.
-fn action_lines(brush: &Brush, action: &ActionInfo, width: u16) -> Vec<Line<'static>> {
+fn action_lines(brush: &DrawContext, action: &ActionInfo, width: u16) -> Vec<Line<'static>> {
     const KEYS: usize = 15;
     let keys: Vec<String> =
         brush.app.keymap().keys_of(action.action).map(|key| key.to_string()).collect();
@@ -69,9 +69,9 @@ fn action_lines(brush: &Brush, action: &ActionInfo, width: u16) -> Vec<Line<'sta
 }
 
 /// Symbols and filter terms.
-fn signs(brush: &Brush, width: u16) -> Vec<Line<'static>> {
+fn symbols(brush: &DrawContext, width: u16) -> Vec<Line<'static>> {
     let mut lines = vec![Line::from(brush.span(Role::Title, "Symbols"))];
-    for (role, sign, meaning) in SIGNS {
+    for (role, sign, meaning) in SYMBOLS {
         lines.extend(two_columns(brush, (role, sign), 18, meaning, width));
     }
     lines.push(Line::default());
@@ -93,7 +93,7 @@ const KERNEL_BYTES_PER_FRAME: u32 = 800;
 
 /// The counters of each bus and the size of the kernel's receive buffer. All places where frames
 /// can be lost are listed, also while their counters are 0.
-fn counters(brush: &Brush, width: u16) -> Vec<Line<'static>> {
+fn counters(brush: &DrawContext, width: u16) -> Vec<Line<'static>> {
     let mut lines = Vec::new();
     for bus in brush.app.buses() {
         let (engine, status) = (bus.counters(), &bus.status);
@@ -108,7 +108,7 @@ fn counters(brush: &Brush, width: u16) -> Vec<Line<'static>> {
             ("non-conforming", engine.non_conforming, "unknown message type"),
             ("malformed", engine.malformed, "responses unusable or only partly usable"),
             ("aborted", engine.transfers_failed, "multi-frame responses not completed"),
-            ("not stored", engine.refused, "rows and findings over the limit"),
+            ("not stored", engine.over_limit, "rows and findings over the limit"),
             ("lost: kernel", status.kernel_drops, "kernel receive buffer full"),
             ("lost: adapter", status.controller_overruns, "controller overrun"),
             ("lost: queue", status.queue_drops, "receive queue full"),
@@ -141,7 +141,7 @@ fn counters(brush: &Brush, width: u16) -> Vec<Line<'static>> {
 
 /// Two columns, both wrapped: `left_width` cells, and the rest of `width`.
 fn two_columns(
-    brush: &Brush,
+    brush: &DrawContext,
     (role, left): (Role, &str),
     left_width: usize,
     right: &str,

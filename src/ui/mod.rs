@@ -29,18 +29,18 @@ mod devices;
 mod footer;
 mod help;
 mod problems;
-mod signs;
 mod status;
+mod symbols;
 mod tabs;
 mod timeline;
 mod traffic;
 
 use crate::app::{App, Overlay, Page};
 use crate::theme::{Role, Theme};
-use brush::Brush;
+use brush::DrawContext;
 use ratatui::Frame;
 
-pub use signs::SIGNS;
+pub use symbols::SYMBOLS;
 
 /// Draws the whole screen. Returns the lines by which the scrolled text (details, help) is
 /// scrolled, limited to its end; `None` if the screen has none. The app stores it, since the length
@@ -52,8 +52,14 @@ pub fn draw(app: &App, theme: &Theme, frame: &mut Frame) -> Option<u16> {
         // The event of a resize is still in the queue: draw nothing but the background.
         screen = crate::app::Screen::default();
     }
-    let mut brush =
-        Brush { app, theme, screen, buffer: frame.buffer_mut(), cursor: None, scrolled: None };
+    let mut brush = DrawContext {
+        app,
+        theme,
+        screen,
+        buffer: frame.buffer_mut(),
+        cursor: None,
+        scrolled: None,
+    };
     brush.buffer.set_style(area, theme.style(Role::Text));
     status::draw(&mut brush);
     match app.overlay() {
@@ -69,7 +75,7 @@ pub fn draw(app: &App, theme: &Theme, frame: &mut Frame) -> Option<u16> {
     scrolled
 }
 
-fn page(brush: &mut Brush) {
+fn page(brush: &mut DrawContext) {
     tabs::draw(brush);
     match brush.app.view().page {
         Page::Devices => {

@@ -2,11 +2,11 @@
 //! texts, remedy, evidence with its frames, addresses and names. Why des.json cannot be used stands
 //! below the list.
 
-use super::brush::{Brush, fit, inner, labelled};
-use super::signs;
+use super::brush::{DrawContext, fit, inner, labelled};
+use super::symbols;
 use super::traffic::in_words;
-use crate::app::{Page, Problem, clock, clock_millis, spell};
-use crate::discovery::Confidence;
+use crate::app::{Page, Problem, clock_millis, format_duration, format_time_of_day};
+use crate::finding::FindingState;
 use crate::keymap::Action;
 use crate::theme::Role;
 use ratatui::layout::Rect;
@@ -14,17 +14,17 @@ use ratatui::text::Line;
 use unicode_width::UnicodeWidthStr;
 
 /// Draws the list and the details.
-pub fn draw(brush: &mut Brush) {
+pub fn draw(brush: &mut DrawContext) {
     draw_list(brush);
     draw_details(brush);
 }
 
 /// Returns the sign of a problem, the role of the sign, and that of the text.
 fn roles(problem: &Problem) -> (&'static str, Role, Role) {
-    let (sign, role) = signs::of_confidence(problem.confidence());
-    match problem.confidence() {
+    let (sign, role) = symbols::of_confidence(problem.state());
+    match problem.state() {
         _ if problem.is_muted => (sign, Role::Muted, Role::Muted),
-        Confidence::Cleared => (sign, role, Role::Muted),
+        FindingState::Cleared => (sign, role, Role::Muted),
         _ => (sign, role, Role::Text),
     }
 }
@@ -32,7 +32,7 @@ fn roles(problem: &Problem) -> (&'static str, Role, Role) {
 /// Columns from which the list has the column SINCE.
 const WITH_TIME: u16 = 56;
 
-fn draw_list(brush: &mut Brush) {
+fn draw_list(brush: &mut DrawContext) {
     let (header, list) = (brush.screen.header, brush.screen.list);
     let time = if list.width >= WITH_TIME { "SINCE    " } else { "" };
     let title = format!("    {} {time}PROBLEM", fit("WHERE", bus_width(brush) + ADDRESS));
@@ -46,11 +46,11 @@ fn draw_list(brush: &mut Brush) {
             return;
         }
         if !app.view().filter(Page::Problems).is_empty() {
-            return brush.filtered(list, "no problem matches the filter");
+            return brush.draw_no_match(list, "no problem matches the filter");
         }
         // A bus that is not up may have problems that were not received.
-        let text = if brush.is_blind() { "no problems so far" } else { "no problems found" };
-        return brush.nothing(list, text);
+        let text = if brush.cannot_receive() { "no problems so far" } else { "no problems found" };
+        return brush.draw_empty_list(list, text);
     }
     let selected = app.view().problems.index(problems.iter().map(|problem| &problem.key));
     let height = usize::from(list.height);
@@ -67,7 +67,7 @@ fn draw_list(brush: &mut Brush) {
 
 /// Draws why des.json cannot be used, with the lines of the mistake, at the bottom of the list.
 /// Returns the area that is left for the problems.
-fn draw_file_problem(brush: &mut Brush, list: Rect) -> Rect {
+fn draw_file_problem(brush: &mut DrawContext, list: Rect) -> Rect {
     let file = brush.app.file();
     let Some(problem) = file.problem() else { return list };
     let mut lines = vec![Line::default()];
@@ -82,7 +82,12 @@ fn draw_file_problem(brush: &mut Brush, list: Rect) -> Rect {
     left
 }
 
-fn problem_line(brush: &Brush, problem: &Problem, list: Rect, selected: bool) -> Line<'static> {
+fn problem_line(
+    brush: &DrawContext,
+    problem: &Problem,
+    list: Rect,
+    selected: bool,
+) -> Line<'static> {
     let (sign, sign_role, plain) = roles(problem);
     let mut spans = vec![
         brush.span(Role::Text, if selected { "▸" } else { " " }),
@@ -90,7 +95,7 @@ fn problem_line(brush: &Brush, problem: &Problem, list: Rect, selected: bool) ->
         brush.span(plain, format!(" {} ", place(brush, problem))),
     ];
     if list.width >= WITH_TIME {
-        let since = clock(brush.app, problem.since());
+        let since = format_time_of_day(brush.app, problem.since());
         spans.push(brush.span(Role::Muted, format!("{since} ")));
     }
     if problem.is_muted {
@@ -108,7 +113,7 @@ fn problem_line(brush: &Brush, problem: &Problem, list: Rect, selected: bool) ->
 const ADDRESS: usize = 5;
 
 /// Cells of the bus in front of the address, with its blank; 0 for a single bus.
-fn bus_width(brush: &Brush) -> usize {
+fn bus_width(brush: &DrawContext) -> usize {
     let buses = brush.app.buses();
     let longest = buses.iter().map(|bus| bus.name.width()).max().unwrap_or(0);
     let most = if brush.screen.list.width >= WITH_TIME { 12 } else { 6 };
@@ -116,7 +121,7 @@ fn bus_width(brush: &Brush) -> usize {
 }
 
 /// Returns the column WHERE: the bus if there are several, then the address, `bus` or `file`.
-fn place(brush: &Brush, problem: &Problem) -> String {
+fn place(brush: &DrawContext, problem: &Problem) -> String {
     let name = problem.bus().and_then(|bus| brush.app.bus(bus)).map(|bus| bus.name.as_str());
     let (bus, address) = match (problem.head().key.address, name) {
         (Some(address), name) => (name.unwrap_or("file"), format!("@{address}")),
@@ -129,7 +134,7 @@ fn place(brush: &Brush, problem: &Problem) -> String {
     }
 }
 
-fn draw_details(brush: &mut Brush) {
+fn draw_details(brush: &mut DrawContext) {
     let area = inner(brush.screen.details);
     if area.height == 0 {
         return;
@@ -146,7 +151,7 @@ fn draw_details(brush: &mut Brush) {
 
 /// The lines of the details, collected top to bottom.
 struct ProblemDetails<'b, 'a> {
-    brush: &'b Brush<'a>,
+    brush: &'b DrawContext<'a>,
     problem: Problem<'a>,
     width: u16,
     lines: Vec<Line<'static>>,
@@ -173,12 +178,13 @@ impl ProblemDetails<'_, '_> {
         let (app, head) = (self.brush.app, self.problem.head());
         let (sign, role, _) = roles(&self.problem);
         let since = self.problem.since();
-        let (at, ago) = (clock(app, since), spell(app.display_time().since(since)));
+        let (at, ago) =
+            (format_time_of_day(app, since), format_duration(app.display_time().since(since)));
         let word = match head.confidence {
-            Confidence::Cleared => "cleared ",
-            Confidence::Suspected => "suspected ",
-            Confidence::Confirmed if head.key.kind.is_conflict() => "confirmed ",
-            Confidence::Confirmed => "",
+            FindingState::Cleared => "cleared ",
+            FindingState::Suspected => "suspected ",
+            FindingState::Confirmed if head.key.kind.is_conflict() => "confirmed ",
+            FindingState::Confirmed => "",
         };
         self.lines.push(Line::from(vec![
             self.brush.span(role, format!("{sign} {word}")),
@@ -200,7 +206,7 @@ impl ProblemDetails<'_, '_> {
             self.lines.push(Line::default());
             self.add("? ", Role::Muted, hint);
         }
-        if !head.remedy.is_empty() && head.confidence != Confidence::Cleared {
+        if !head.remedy.is_empty() && head.confidence != FindingState::Cleared {
             self.lines.push(Line::default());
             self.add("→ ", Role::New, &head.remedy);
         }
@@ -213,8 +219,8 @@ impl ProblemDetails<'_, '_> {
         }
         for at in 1..self.problem.findings.len() {
             let finding = self.problem.findings[at];
-            let (sign, _) = signs::of_confidence(finding.confidence);
-            let sure = finding.confidence == Confidence::Confirmed;
+            let (sign, _) = symbols::of_confidence(finding.confidence);
+            let sure = finding.confidence == FindingState::Confirmed;
             self.add(
                 &format!("{sign} "),
                 if sure { Role::Text } else { Role::Muted },
@@ -258,8 +264,9 @@ impl ProblemDetails<'_, '_> {
         let bus = problem.bus().filter(|_| app.buses().len() > 1).and_then(|bus| app.bus(bus));
         let buses: Vec<String> = bus.iter().map(|bus| bus.name.clone()).collect();
         let mut seen = Vec::new();
-        if problem.was_seen() {
-            let (first, last) = (clock(app, problem.first()), clock(app, problem.last()));
+        if problem.has_evidence() {
+            let (first, last) =
+                (format_time_of_day(app, problem.first()), format_time_of_day(app, problem.last()));
             seen.push(format!("first {first}, last {last}"));
         }
         self.lines.push(Line::default());

@@ -2,8 +2,8 @@
 //! frames, own address), and one for des.json and the counts of devices and problems. On a screen
 //! with one status line both share it. Parts that do not fit are left out, least important first.
 
-use super::brush::{Brush, end_of, fit};
-use crate::app::{Bus, FileProblem, LoadMeter, Overlay, TxBlocked};
+use super::brush::{DrawContext, end_of, fit};
+use crate::app::{Bus, FileError, LoadMeter, Overlay, TxBlocked};
 use crate::discovery::OwnAddress;
 use crate::frame::BusIndex;
 use crate::keymap::Action;
@@ -20,7 +20,7 @@ const ASSUMED: &str = "≈";
 type Parts = Vec<Vec<Span<'static>>>;
 
 /// Draws the status lines.
-pub fn draw(brush: &mut Brush) {
+pub fn draw(brush: &mut DrawContext) {
     let area = brush.screen.status;
     let buses = brush.app.buses().len();
     match area.height {
@@ -65,7 +65,7 @@ pub fn draw(brush: &mut Brush) {
 }
 
 /// Returns true if edits are unsaved or the file on disk cannot be used.
-fn has_file_trouble(brush: &Brush) -> bool {
+fn has_file_trouble(brush: &DrawContext) -> bool {
     let file = brush.app.file();
     file.unsaved() > 0
         || file.problem().is_some()
@@ -75,10 +75,10 @@ fn has_file_trouble(brush: &Brush) -> bool {
 
 /// Returns the index of the bus shown on the last bus line if there are more buses than lines: of
 /// those from `from` on, the first that is not up, else the bus of the selected row.
-fn bus_to_show(brush: &Brush, from: usize) -> usize {
+fn bus_to_show(brush: &DrawContext, from: usize) -> usize {
     let selected = brush.app.selected_row().and_then(|row| row.bus).unwrap_or_default();
     let selected = usize::from(selected.0).max(from);
-    let is_hidden = |at: &usize| brush.app.buses().get(*at).is_some_and(Bus::is_blind);
+    let is_hidden = |at: &usize| brush.app.buses().get(*at).is_some_and(Bus::cannot_receive);
     let others = from..brush.app.buses().len();
     std::iter::once(selected).chain(others).find(is_hidden).unwrap_or(selected)
 }
@@ -114,7 +114,7 @@ fn shorten_name(area: Rect, parts: &mut Parts) {
 
 /// Draws `left` from the left and `right` to the right end of a row. If not all fit, the last parts
 /// of `left` and the first of `right` are left out.
-fn pair(brush: &mut Brush, area: Rect, row: u16, left: Parts, mut right: Parts) {
+fn pair(brush: &mut DrawContext, area: Rect, row: u16, left: Parts, mut right: Parts) {
     let width = usize::from(area.width);
     let first = left.first().map_or(0, |part| own(part) + 1);
     while !right.is_empty() && first + whole(&right) > width {
@@ -160,7 +160,7 @@ fn whole(parts: &Parts) -> usize {
 }
 
 /// Adds the number of muted problems if nothing else has to be left out for it.
-fn add_muted(brush: &Brush, area: Rect, left: &Parts, right: &mut Parts) {
+fn add_muted(brush: &DrawContext, area: Rect, left: &Parts, right: &mut Parts) {
     let muted = brush.app.counts().muted;
     if muted > 0 {
         let part = vec![brush.span(Role::Muted, format!("{muted} muted"))];
@@ -171,7 +171,7 @@ fn add_muted(brush: &Brush, area: Rect, left: &Parts, right: &mut Parts) {
 }
 
 /// Returns the parts of the line of a bus.
-fn bus_parts(brush: &Brush, index: BusIndex) -> Parts {
+fn bus_parts(brush: &DrawContext, index: BusIndex) -> Parts {
     let Some(bus) = brush.app.bus(index) else {
         return vec![vec![brush.span(Role::Muted, "no bus")]];
     };
@@ -238,7 +238,7 @@ fn bus_parts(brush: &Brush, index: BusIndex) -> Parts {
 }
 
 /// Returns position, percent and speed of a replay, and whether it is paused; `None` without a log.
-fn place_in_log(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
+fn place_in_log(brush: &DrawContext, bus: &Bus) -> Option<Vec<Span<'static>>> {
     let playback = brush.app.playback()?;
     let mut spans = Vec::new();
     if playback.is_paused {
@@ -263,13 +263,13 @@ fn place_in_log(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
     Some(spans)
 }
 
-fn counter(brush: &Brush, label: &str, count: u64, bad: Role) -> Vec<Span<'static>> {
+fn counter(brush: &DrawContext, label: &str, count: u64, bad: Role) -> Vec<Span<'static>> {
     let role = if count > 0 { bad } else { Role::Text };
     vec![brush.span(Role::Muted, format!("{label} ")), brush.span(role, short(count))]
 }
 
 /// Returns where frames were lost: `(9 kernel, 3 queue)`; `None` if none were.
-fn lost_where(brush: &Brush, bus: &Bus) -> Option<Span<'static>> {
+fn lost_where(brush: &DrawContext, bus: &Bus) -> Option<Span<'static>> {
     let places = [
         (bus.status.kernel_drops, "kernel"),
         (bus.status.queue_drops, "queue"),
@@ -300,7 +300,7 @@ fn rate(bits: u32) -> String {
 }
 
 /// Returns the state of the interface and the controller as a word.
-fn state(brush: &Brush, index: BusIndex, bus: &Bus) -> Span<'static> {
+fn state(brush: &DrawContext, index: BusIndex, bus: &Bus) -> Span<'static> {
     let (word, role) = match (bus.status.link, bus.status.state) {
         (Link::Opening, _) => ("opening", Role::Muted),
         (Link::Down, _) | (Link::Up, BusState::Down) => ("DOWN", Role::Error),
@@ -322,8 +322,8 @@ fn state(brush: &Brush, index: BusIndex, bus: &Bus) -> Span<'static> {
 }
 
 /// Returns why descan sends no requests; `None` if it does.
-fn warning(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
-    if bus.hears_only_errors() {
+fn warning(brush: &DrawContext, bus: &Bus) -> Option<Vec<Span<'static>>> {
+    if bus.has_only_bus_errors() {
         let keymap = brush.app.keymap();
         let key = keymap.keys_of(Action::BitRate).next();
         let key = key.map(|key| format!(" ({key})")).unwrap_or_default();
@@ -337,13 +337,13 @@ fn warning(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
     }
     let why = match bus.tx_blocked()? {
         TxBlocked::QueueFull => "transmit queue full",
-        TxBlocked::Unacknowledged => "no ACK",
+        TxBlocked::NoAck => "no ACK",
     };
     Some(vec![brush.span(Role::Error, why)])
 }
 
 /// Returns descan's own address or the state of its claim; `None` with `--listen-only`.
-fn own_address(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
+fn own_address(brush: &DrawContext, bus: &Bus) -> Option<Vec<Span<'static>>> {
     if bus.config().listen_only {
         return None;
     }
@@ -384,13 +384,13 @@ fn sparkline(bus: &Bus, width: usize) -> String {
 }
 
 /// Returns the sign that a bus is read with assumed values (no profile given).
-fn assumed(brush: &Brush) -> Option<Vec<Span<'static>>> {
+fn assumed(brush: &DrawContext) -> Option<Vec<Span<'static>>> {
     let assumed = brush.app.buses().iter().any(|bus| !bus.config().profile.given);
     assumed.then(|| vec![brush.span(Role::Suspected, ASSUMED), brush.span(Role::Muted, " assumed")])
 }
 
 /// Returns the counts of devices and problems; with words from 60 columns on.
-fn counts(brush: &Brush) -> Parts {
+fn counts(brush: &DrawContext) -> Parts {
     let counts = brush.app.counts();
     let narrow = brush.screen.whole.width < 60;
     let one = |role: Role, sign: &str, count: usize, word: &str| {
@@ -400,11 +400,11 @@ fn counts(brush: &Brush) -> Parts {
             brush.span(if count > 0 { role } else { Role::Muted }, word),
         ]
     };
-    let mut parts = vec![one(Role::Online, "●", counts.here, "present")];
-    if counts.unseen > 0 {
-        parts.push(one(Role::Muted, "·", counts.unseen, "unknown"));
+    let mut parts = vec![one(Role::Online, "●", counts.present, "present")];
+    if counts.unknown > 0 {
+        parts.push(one(Role::Muted, "·", counts.unknown, "unknown"));
     }
-    // Without words the signs of missing and lost are the same.
+    // Without words the symbols of missing and lost are the same.
     let (missing, lost) =
         if narrow { (counts.missing + counts.lost, 0) } else { (counts.missing, counts.lost) };
     if missing > 0 {
@@ -414,7 +414,7 @@ fn counts(brush: &Brush) -> Parts {
         parts.push(one(Role::Lost, "○", lost, "lost"));
     }
     if counts.confirmed > 0 {
-        parts.push(one(Role::Collision, "⚠", counts.confirmed, ""));
+        parts.push(one(Role::Confirmed, "⚠", counts.confirmed, ""));
     }
     if counts.suspected > 0 {
         parts.push(one(Role::Suspected, "?", counts.suspected, ""));
@@ -424,7 +424,7 @@ fn counts(brush: &Brush) -> Parts {
 
 /// Returns size and lost frames of the recording, or that it stopped; `None` without `--record`.
 /// Last of the right parts, so that it is left out last.
-fn recording(brush: &Brush) -> Option<Vec<Span<'static>>> {
+fn recording(brush: &DrawContext) -> Option<Vec<Span<'static>>> {
     let status = brush.app.recording()?;
     if status.failure.is_some() {
         return Some(vec![brush.span(Role::Error, "✗ rec stopped")]);
@@ -440,7 +440,7 @@ fn recording(brush: &Brush) -> Option<Vec<Span<'static>>> {
 }
 
 /// Returns the state of des.json; with `whole` also the cause of an error and the next step.
-fn file(brush: &Brush, whole: bool) -> Parts {
+fn file(brush: &DrawContext, whole: bool) -> Parts {
     let file = brush.app.file();
     let name = brush.span(Role::Title, file.name());
     let mut parts: Parts = Vec::new();
@@ -449,14 +449,14 @@ fn file(brush: &Brush, whole: bool) -> Parts {
     }
     let entries = file.document().entries().len();
     match file.problem() {
-        Some(FileProblem::Syntax(error)) => {
+        Some(FileError::Syntax(error)) => {
             let text = if whole {
                 format!(" ✗ {error}")
             } else {
                 format!(" ✗ {}:{}", error.line, error.column)
             };
             parts.push(vec![name, brush.span(Role::Error, text)]);
-            if whole && file.was_good() {
+            if whole && file.has_valid_content() {
                 // A part of its own: without room it is left out, not cut.
                 let word = if entries == 1 { " entry" } else { " entries" };
                 let text = format!(": {entries}{word}");
@@ -466,12 +466,12 @@ fn file(brush: &Brush, whole: bool) -> Parts {
             }
             return parts;
         }
-        Some(FileProblem::Unreadable(why)) => {
+        Some(FileError::Unreadable(why)) => {
             let text = if whole { format!(" ✗ {why}") } else { " ✗".to_owned() };
             parts.push(vec![name, brush.span(Role::Error, text)]);
             return parts;
         }
-        Some(FileProblem::NotSaved(why)) => {
+        Some(FileError::NotSaved(why)) => {
             let text =
                 if whole { format!(" ✗ not saved: {why}") } else { " ✗ not saved".to_owned() };
             parts.push(vec![name, brush.span(Role::Error, text)]);

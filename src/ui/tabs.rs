@@ -1,7 +1,7 @@
 //! The rule below the status lines: names of the pages, the filter or the title of the evidence,
 //! and the title of the details; and the divider in front of the details.
 
-use super::brush::{Brush, fit};
+use super::brush::{DrawContext, fit};
 use crate::app::{Focus, Page, RowKey, tabs};
 use crate::theme::Role;
 use ratatui::layout::Rect;
@@ -12,7 +12,7 @@ use unicode_width::UnicodeWidthStr;
 const LEAST: usize = 8;
 
 /// Draws the rule and the divider.
-pub fn draw(brush: &mut Brush) {
+pub fn draw(brush: &mut DrawContext) {
     let area = brush.screen.tabs;
     if area.height == 0 {
         return;
@@ -91,7 +91,7 @@ pub fn draw(brush: &mut Brush) {
 }
 
 /// Returns the title of the details; `None` on the Timeline and without a selection.
-fn title(brush: &Brush) -> Option<String> {
+fn title(brush: &DrawContext) -> Option<String> {
     let app = brush.app;
     match app.view().page {
         Page::Devices => {

@@ -1,13 +1,13 @@
 //! Page 3, Timeline: an event per line, newest at the bottom; and its latest lines below Devices.
 
-use super::brush::{Brush, bus_cell, cut, end_of, fit};
-use crate::app::{Page, TimelineEntry, TimelineKind, clock};
+use super::brush::{DrawContext, bus_cell, cut, end_of, fit};
+use crate::app::{Page, TimelineEntry, TimelineKind, format_time_of_day};
 use crate::theme::Role;
 use ratatui::text::Line;
 use unicode_width::UnicodeWidthStr;
 
 /// Draws the page.
-pub fn draw(brush: &mut Brush) {
+pub fn draw(brush: &mut DrawContext) {
     let (header, list) = (brush.screen.header, brush.screen.list);
     let bus = if shows_bus(brush) { "BUS    " } else { "" };
     let title = format!("  {:8}   {bus}{:12} EVENT", "TIME", "SOURCE");
@@ -19,7 +19,7 @@ pub fn draw(brush: &mut Brush) {
         let text = if app.view().filter(Page::Timeline).is_empty() {
             "no events yet"
         } else {
-            return brush.filtered(list, "no event matches the filter");
+            return brush.draw_no_match(list, "no event matches the filter");
         };
         let line = Line::from(brush.span(Role::Muted, format!("   {text}")));
         return brush.line(list, 1, &line);
@@ -44,7 +44,7 @@ pub fn draw(brush: &mut Brush) {
 }
 
 /// Draws the latest lines, at most those before the view was frozen.
-pub fn draw_latest(brush: &mut Brush) {
+pub fn draw_latest(brush: &mut DrawContext) {
     let (rule, area) = (brush.screen.lower_rule, brush.screen.latest);
     if area.height == 0 {
         return;
@@ -67,14 +67,14 @@ pub fn draw_latest(brush: &mut Brush) {
 }
 
 /// Returns a line: time, sign, bus if there are several, source in `source_width` cells, event.
-fn entry_line(brush: &Brush, entry: &TimelineEntry, source_width: usize) -> Line<'static> {
+fn entry_line(brush: &DrawContext, entry: &TimelineEntry, source_width: usize) -> Line<'static> {
     let (sign, role) = match entry.kind {
-        TimelineKind::Good => ("+", Role::Online),
+        TimelineKind::Improved => ("+", Role::Online),
         TimelineKind::Change => ("~", Role::Text),
-        TimelineKind::Late => ("◐", Role::Stale),
+        TimelineKind::Overdue => ("◐", Role::Stale),
         TimelineKind::Lost => ("○", Role::Lost),
         TimelineKind::Suspected => ("?", Role::Suspected),
-        TimelineKind::Confirmed => ("⚠", Role::Collision),
+        TimelineKind::Confirmed => ("⚠", Role::Confirmed),
         TimelineKind::Cleared => ("✓", Role::FileOk),
         TimelineKind::Bus | TimelineKind::File => ("·", Role::Text),
         TimelineKind::Error => ("!", Role::Error),
@@ -82,13 +82,16 @@ fn entry_line(brush: &Brush, entry: &TimelineEntry, source_width: usize) -> Line
     // Only problems, losses and the bus have coloured text.
     let is_plain = matches!(
         entry.kind,
-        TimelineKind::Good | TimelineKind::Change | TimelineKind::Late | TimelineKind::Cleared
+        TimelineKind::Improved
+            | TimelineKind::Change
+            | TimelineKind::Overdue
+            | TimelineKind::Cleared
     );
     let text_role = if is_plain { Role::Text } else { role };
     let source = source(brush, entry, source_width);
     let times = if entry.times > 1 { format!(" ×{}", entry.times) } else { String::new() };
     let mut spans = vec![
-        brush.span(Role::Muted, format!(" {} ", clock(brush.app, entry.last))),
+        brush.span(Role::Muted, format!(" {} ", format_time_of_day(brush.app, entry.last))),
         brush.span(role, format!("{sign} ")),
     ];
     if shows_bus(brush) {
@@ -105,12 +108,12 @@ fn entry_line(brush: &Brush, entry: &TimelineEntry, source_width: usize) -> Line
 }
 
 /// Returns true if the column BUS is shown.
-fn shows_bus(brush: &Brush) -> bool {
+fn shows_bus(brush: &DrawContext) -> bool {
     brush.app.buses().len() > 1 && brush.screen.whole.width >= 60
 }
 
 /// Returns the column SOURCE: name and address of the device, else the bus, else the file.
-fn source(brush: &Brush, entry: &TimelineEntry, width: usize) -> String {
+fn source(brush: &DrawContext, entry: &TimelineEntry, width: usize) -> String {
     let app = brush.app;
     match (app.name_on_line(entry), entry.address) {
         (Some(name), Some(address)) => {

@@ -2,7 +2,7 @@
 //! per second and count; or the evidence of a problem. Below the frames the details of the selected
 //! one.
 
-use super::brush::{Brush, bus_cell, fit, fit_right, inner, labelled};
+use super::brush::{DrawContext, bus_cell, fit, fit_right, inner, labelled};
 use crate::app::{Decoded, Focus, IdentifierKind, IdentifierStats, Page, clock_millis, hex};
 use crate::frame::{Frame, FrameKind};
 use crate::theme::Role;
@@ -11,7 +11,7 @@ use ratatui::text::{Line, Span};
 use unicode_width::UnicodeWidthStr;
 
 /// Draws the list and the details.
-pub fn draw(brush: &mut Brush) {
+pub fn draw(brush: &mut DrawContext) {
     if brush.app.evidence_alone().is_some() {
         draw_evidence(brush);
         draw_details(brush);
@@ -37,13 +37,13 @@ struct Room {
 }
 
 impl Room {
-    fn new(brush: &Brush, width: u16) -> Self {
+    fn new(brush: &DrawContext, width: u16) -> Self {
         let bus = brush.app.buses().len() > 1 && width >= 60;
         Self { bus, kind: width >= 96, bytes: width >= 72 }
     }
 }
 
-fn draw_frames(brush: &mut Brush) {
+fn draw_frames(brush: &mut DrawContext) {
     let (header, list) = (brush.screen.header, brush.screen.list);
     let room = Room::new(brush, list.width);
     let mut title = format!("  {:12} ", "TIME");
@@ -64,7 +64,7 @@ fn draw_frames(brush: &mut Brush) {
     if shown.is_empty() {
         let filtered = !brush.app.view().filter(Page::Traffic).is_empty();
         let text = if filtered {
-            return brush.filtered(list, "no frame matches the filter");
+            return brush.draw_no_match(list, "no frame matches the filter");
         } else {
             "no frames received yet"
         };
@@ -83,7 +83,7 @@ fn draw_frames(brush: &mut Brush) {
 }
 
 fn frame_line(
-    brush: &Brush,
+    brush: &DrawContext,
     frame: &Frame,
     room: &Room,
     list: Rect,
@@ -121,7 +121,7 @@ fn frame_line(
 }
 
 /// Returns sender, receiver and service; for a frame without them the identifier.
-fn route(brush: &Brush, frame: &Frame, decoded: &Decoded, role: Role) -> Vec<Span<'static>> {
+fn route(brush: &DrawContext, frame: &Frame, decoded: &Decoded, role: Role) -> Vec<Span<'static>> {
     if decoded.header.is_none() {
         return vec![brush.span(role, format!("{} ", fit(&frame.id.to_string(), 2 * NAME + 6)))];
     }
@@ -134,7 +134,7 @@ fn route(brush: &Brush, frame: &Frame, decoded: &Decoded, role: Role) -> Vec<Spa
 }
 
 /// Returns a frame as text: sender, receiver, service, content.
-pub(super) fn in_words(brush: &Brush, frame: &Frame) -> String {
+pub(super) fn in_words(brush: &DrawContext, frame: &Frame) -> String {
     let decoded = Decoded::of(brush.app, frame);
     let content = if decoded.text.is_empty() { decoded.kind } else { &decoded.text };
     match decoded.header {
@@ -152,7 +152,7 @@ const IN_CAPTURE: &str = "◆";
 const STORED_ONLY: &str = "◇";
 
 /// Draws the evidence of a problem, an event per row: its meaning, then the content of the frame.
-fn draw_evidence(brush: &mut Brush) {
+fn draw_evidence(brush: &mut DrawContext) {
     let (header, list) = (brush.screen.header, brush.screen.list);
     let Some(evidence) = brush.app.evidence_alone() else { return };
     let room = Room::new(brush, list.width);
@@ -214,7 +214,7 @@ fn first_bytes(data: &[u8]) -> String {
     hex(&data[..data.len().min(8)], "") + more
 }
 
-fn draw_details(brush: &mut Brush) {
+fn draw_details(brush: &mut DrawContext) {
     let area = inner(brush.screen.details);
     if area.height == 0 {
         return;
@@ -263,7 +263,7 @@ fn draw_details(brush: &mut Brush) {
         Some(_) => app.captured(frame),
         None => app.view().traffic,
     };
-    if let Some(message) = number.and_then(|number| app.message_of(number)) {
+    if let Some(message) = number.and_then(|number| app.transfer_text(number)) {
         add("message", Role::Text, &message);
     }
     if let Some(piece) = app.piece_of(frame) {
@@ -293,13 +293,13 @@ fn describe_id(frame: &Frame, decoded: &Decoded) -> String {
     if let Some(header) = decoded.header {
         let flag = |name: &str, set: bool| format!(" {name}{}", u8::from(set));
         text.push(' ');
-        text += &flag("U", header.sender_not_working);
-        text += &flag("D", header.to_not_working);
+        text += &flag("U", header.from_non_working);
+        text += &flag("D", header.to_non_working);
         text += &flag("R", header.response);
         text += &flag("B", header.broadcast);
         text += &flag("ERR", header.no_error);
     }
-    match (frame.fd, frame.bit_rate_switch) {
+    match (frame.is_fd, frame.bit_rate_switch) {
         (true, true) => text.push_str("  FD, BRS"),
         (true, false) => text.push_str("  FD"),
         (false, _) => {}
@@ -307,7 +307,7 @@ fn describe_id(frame: &Frame, decoded: &Decoded) -> String {
     text
 }
 
-fn draw_identifiers(brush: &mut Brush) {
+fn draw_identifiers(brush: &mut DrawContext) {
     let (header, list) = (brush.screen.header, brush.screen.list);
     let several = brush.app.buses().len() > 1;
     let bus = if several { "BUS    " } else { "" };
@@ -336,7 +336,7 @@ fn draw_identifiers(brush: &mut Brush) {
 }
 
 fn identifier_line(
-    brush: &Brush,
+    brush: &DrawContext,
     row: &IdentifierStats,
     list: Rect,
     selected: bool,

@@ -3,7 +3,7 @@
 //! Source: protocol §1 (CAN platform §4.1 and §4.3). Does not know the meaning of service numbers
 //! and data.
 
-use crate::frame::IdPattern;
+use crate::frame::IdFilter;
 use core::fmt;
 
 /// A node's address, 0 to 127. 0 belongs to the debug device; other nodes use 1 to 127.
@@ -99,9 +99,9 @@ impl fmt::Display for Service {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Header {
     /// U: the sender is not in a working mode (protocol §7.1).
-    pub sender_not_working: bool,
+    pub from_non_working: bool,
     /// D: addressed to nodes that are not in a working mode.
-    pub to_not_working: bool,
+    pub to_non_working: bool,
     /// R: a response, not a request.
     pub response: bool,
     /// B: broadcast, not targeted.
@@ -129,8 +129,8 @@ impl Header {
     /// ```
     pub const fn decode(id: u32) -> Self {
         Self {
-            sender_not_working: id >> 28 & 1 == 1,
-            to_not_working: id >> 27 & 1 == 1,
+            from_non_working: id >> 28 & 1 == 1,
+            to_non_working: id >> 27 & 1 == 1,
             response: id >> 26 & 1 == 1,
             broadcast: id >> 25 & 1 == 1,
             no_error: id >> 24 & 1 == 1,
@@ -142,8 +142,8 @@ impl Header {
 
     /// Returns the 29-bit identifier of these fields.
     pub const fn encode(self) -> u32 {
-        (self.sender_not_working as u32) << 28
-            | (self.to_not_working as u32) << 27
+        (self.from_non_working as u32) << 28
+            | (self.to_non_working as u32) << 27
             | (self.response as u32) << 26
             | (self.broadcast as u32) << 25
             | (self.no_error as u32) << 24
@@ -152,29 +152,30 @@ impl Header {
             | self.service.0 as u32
     }
 
-    /// Returns patterns for all frames that concern one address: those it sends, those targeted at
+    /// Returns filters for all frames that concern one address: those it sends, those targeted at
     /// it, and broadcast requests of `service`, to which it responds.
-    pub const fn patterns_of(address: Address, service: Service) -> [IdPattern; 3] {
+    pub const fn filters_of(address: Address, service: Service) -> [IdFilter; 3] {
         let (broadcast, response) = (1 << 25, 1 << 26);
         let (source, destination) = (0x7F << 17, 0x7F << 10);
         let address = address.0 as u32;
         [
-            IdPattern { id: address << 17, mask: source },
-            IdPattern { id: address << 10, mask: destination | broadcast },
-            IdPattern { id: broadcast | service.0 as u32, mask: broadcast | response | 0x3FF },
+            IdFilter { id: address << 17, mask: source },
+            IdFilter { id: address << 10, mask: destination | broadcast },
+            IdFilter { id: broadcast | service.0 as u32, mask: broadcast | response | 0x3FF },
         ]
     }
 
-    /// Returns a targeted request of a working node: REQ_CU_TGT with `to_not_working`, else REQ_CC_TGT.
+    /// Returns a targeted request of a working node: REQ_CU_TGT with `to_non_working`, else
+    /// REQ_CC_TGT.
     pub const fn request(
         from: Address,
         to: Address,
-        to_not_working: bool,
+        to_non_working: bool,
         service: Service,
     ) -> Self {
         Self {
-            sender_not_working: false,
-            to_not_working,
+            from_non_working: false,
+            to_non_working,
             response: false,
             broadcast: false,
             no_error: false,
@@ -184,26 +185,27 @@ impl Header {
         }
     }
 
-    /// Returns a broadcast request of a working node: REQ_CU_BCST with `to_not_working`, else
+    /// Returns a broadcast request of a working node: REQ_CU_BCST with `to_non_working`, else
     /// REQ_CC_BCST. `rnd7`: a new random number, 0 to 127, as DST.
     pub const fn broadcast(
         from: Address,
         rnd7: u8,
-        to_not_working: bool,
+        to_non_working: bool,
         service: Service,
     ) -> Self {
-        let mut header = Self::request(from, Address::from_bits(rnd7), to_not_working, service);
+        let mut header = Self::request(from, Address::from_bits(rnd7), to_non_working, service);
         header.broadcast = true;
         header
     }
 
     /// Returns the response (no error) of the node `from` to the request `self`: DST is the
-    /// requester, D the requester's U. CAN platform §4.3 contradicts itself here: see protocol §1.3.
+    /// requester, D the requester's U. CAN platform §4.3 contradicts itself here: see protocol
+    /// §1.3.
     #[must_use]
-    pub const fn response(self, from: Address, not_working: bool) -> Self {
+    pub const fn response(self, from: Address, non_working: bool) -> Self {
         Self {
-            sender_not_working: not_working,
-            to_not_working: self.sender_not_working,
+            from_non_working: non_working,
+            to_non_working: self.from_non_working,
             response: true,
             broadcast: false,
             no_error: true,
@@ -215,10 +217,10 @@ impl Header {
 
     /// Returns unsolicited broadcast data, such as a heartbeat. `rnd7`: a new random number, 0 to
     /// 127, as DST.
-    pub const fn unsolicited(from: Address, rnd7: u8, not_working: bool, service: Service) -> Self {
+    pub const fn unsolicited(from: Address, rnd7: u8, non_working: bool, service: Service) -> Self {
         Self {
-            sender_not_working: not_working,
-            to_not_working: false,
+            from_non_working: non_working,
+            to_non_working: false,
             response: true,
             broadcast: true,
             no_error: true,
@@ -232,8 +234,8 @@ impl Header {
     pub const fn message_type(self) -> MessageType {
         use MessageType as T;
         match (
-            self.sender_not_working,
-            self.to_not_working,
+            self.from_non_working,
+            self.to_non_working,
             self.response,
             self.broadcast,
             self.no_error,
@@ -319,8 +321,8 @@ mod tests {
         let (own, other, third) =
             (Address::from_bits(12), Address::from_bits(14), Address::from_bits(99));
         let (des, data) = (Service::from_bits(2), Service::from_bits(0x155));
-        let patterns = Header::patterns_of(own, des);
-        let fits = |header: Header| patterns.iter().any(|it| it.fits(header.encode()));
+        let patterns = Header::filters_of(own, des);
+        let fits = |header: Header| patterns.iter().any(|it| it.matches(header.encode()));
         let request = Header::request(other, own, true, data);
         assert!(fits(request) && fits(request.response(own, false)));
         assert!(fits(Header::request(own, other, false, des)));

@@ -13,7 +13,7 @@ use crate::time::{Duration, Instant};
 /// consecutive frame.
 pub const TIMEOUT: Duration = Duration::from_secs(1);
 /// Most WAIT flow controls in a row that a sender accepts.
-pub const MAX_WAITS: u8 = 16;
+pub const N_WFT_MAX: u8 = 16;
 
 /// Flow status of a flow control frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -193,19 +193,19 @@ pub fn single_frame(message: &[u8], fd: bool) -> Option<Segment> {
 pub enum TransferFault {
     /// Unexpected sequence number: a frame was lost, or two senders use the identifier.
     #[error("consecutive frame out of sequence after {after} bytes")]
-    OutOfSequence {
+    WrongSequenceNumber {
         /// Bytes of the message received until then.
         after: usize,
     },
     /// No consecutive frame in time (N_Cr).
     #[error("no consecutive frame within 1 s after {after} bytes")]
-    SenderSilent {
+    TimeoutCr {
         /// Bytes of the message received until then.
         after: usize,
     },
     /// No flow control in time (N_Bs).
     #[error("no flow control within 1 s")]
-    ReceiverSilent,
+    TimeoutBs,
     /// The length in the first frame, in bytes, exceeds [`MAX_MESSAGE`] or the buffer.
     #[error("{0} bytes exceed the limit of 4095")]
     TooLong(u32),
@@ -214,8 +214,8 @@ pub enum TransferFault {
     BadFirstFrame,
     /// The receiver sent OVERFLOW.
     #[error("flow control: overflow")]
-    Refused,
-    /// The receiver sent more than [`MAX_WAITS`] WAITs in a row.
+    BufferOverflow,
+    /// The receiver sent more than [`N_WFT_MAX`] WAITs in a row.
     #[error("flow control: too many WAIT frames")]
     TooManyWaits,
 }
@@ -259,9 +259,9 @@ pub struct Reassembly<B> {
 impl<B: AsRef<[u8]> + AsMut<[u8]>> Reassembly<B> {
     /// Starts with a first frame.
     ///
-    /// `length`: length of the message in bytes; `data`: its first bytes; `frame_len`: data bytes of
-    /// the frame, which all but the last consecutive frame have too; `block_size`: as in the flow
-    /// control sent for it, 0 = no further flow control; `buffer`: takes the message, at least
+    /// `length`: length of the message in bytes; `data`: its first bytes; `frame_len`: data bytes
+    /// of the frame, which all but the last consecutive frame have too; `block_size`: as in the
+    /// flow control sent for it, 0 = no further flow control; `buffer`: takes the message, at least
     /// `length` bytes.
     ///
     /// # Errors
@@ -300,8 +300,8 @@ impl<B: AsRef<[u8]> + AsMut<[u8]>> Reassembly<B> {
     /// Takes a consecutive frame: its sequence number and its data, padding included.
     ///
     /// # Errors
-    /// [`TransferFault::OutOfSequence`] if the number is not the next one or data are missing. The
-    /// transfer is over then.
+    /// [`TransferFault::WrongSequenceNumber`] if the number is not the next one or data are
+    /// missing. The transfer is over then.
     pub fn push(
         &mut self,
         now: Instant,
@@ -310,7 +310,7 @@ impl<B: AsRef<[u8]> + AsMut<[u8]>> Reassembly<B> {
     ) -> Result<ReassemblyProgress, TransferFault> {
         let take = (self.length - self.received).min(self.part);
         if sequence != self.next_sequence || data.len() < take {
-            return Err(TransferFault::OutOfSequence { after: self.received });
+            return Err(TransferFault::WrongSequenceNumber { after: self.received });
         }
         let end = self.received + take;
         self.buffer.as_mut()[self.received..end].copy_from_slice(&data[..take]);
@@ -410,7 +410,7 @@ impl<B: AsRef<[u8]>> Segmenter<B> {
     /// Takes flow control from the receiver; ignored unless it is awaited.
     ///
     /// # Errors
-    /// [`TransferFault::Refused`] for OVERFLOW, [`TransferFault::TooManyWaits`].
+    /// [`TransferFault::BufferOverflow`] for OVERFLOW, [`TransferFault::TooManyWaits`].
     pub fn handle_flow(&mut self, now: Instant, flow: FlowControl) -> Result<(), TransferFault> {
         let SendState::AwaitFlow { waits, .. } = self.state else { return Ok(()) };
         match flow.status {
@@ -422,12 +422,12 @@ impl<B: AsRef<[u8]>> Segmenter<B> {
                 };
                 Ok(())
             }
-            FlowStatus::Wait if waits < MAX_WAITS => {
+            FlowStatus::Wait if waits < N_WFT_MAX => {
                 self.state = SendState::AwaitFlow { until: now + TIMEOUT, waits: waits + 1 };
                 Ok(())
             }
             FlowStatus::Wait => Err(TransferFault::TooManyWaits),
-            FlowStatus::Overflow => Err(TransferFault::Refused),
+            FlowStatus::Overflow => Err(TransferFault::BufferOverflow),
         }
     }
 
@@ -445,12 +445,10 @@ impl<B: AsRef<[u8]>> Segmenter<B> {
     /// Checks whether flow control is overdue.
     ///
     /// # Errors
-    /// [`TransferFault::ReceiverSilent`] if it is (N_Bs).
+    /// [`TransferFault::TimeoutBs`] if it is (N_Bs).
     pub fn handle_timeout(&self, now: Instant) -> Result<(), TransferFault> {
         match self.state {
-            SendState::AwaitFlow { until, .. } if now >= until => {
-                Err(TransferFault::ReceiverSilent)
-            }
+            SendState::AwaitFlow { until, .. } if now >= until => Err(TransferFault::TimeoutBs),
             _ => Ok(()),
         }
     }

@@ -126,8 +126,8 @@ impl fmt::Display for UidText {
     }
 }
 
-/// Content of a heartbeat (protocol §7.2). A field is `None` if the heartbeat is too short for it or
-/// does not carry it.
+/// Content of a heartbeat (protocol §7.2). A field is `None` if the heartbeat is too short for it
+/// or does not carry it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub struct Heartbeat {
     /// UID.

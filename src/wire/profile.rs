@@ -82,8 +82,8 @@ impl Profile {
         Service::from_bits(self.services.des)
     }
 
-    /// Returns the framings of a request to a device: the one `known` from its responses, else those
-    /// of the profile (protocol §3.3).
+    /// Returns the framings of a request to a device: the one `known` from its responses, else
+    /// those of the profile (protocol §3.3).
     pub fn framings(&self, known: Option<Framing>) -> &'static [Framing] {
         const BOTH: [Framing; 2] = [Framing::Isotp, Framing::Raw];
         match (known, self.framing) {
@@ -128,15 +128,22 @@ impl Default for ServicesProfile {
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 #[cfg_attr(feature = "std", derive(Deserialize), serde(default, deny_unknown_fields))]
-#[allow(missing_docs)]
 pub struct DescriptorProfile {
+    /// DEV_INFO_GID: type of the device.
     pub gid: u16,
+    /// DEV_CFG_UID.
     pub uid: u16,
+    /// DEV_INFO_SN: serial number.
     pub sn: u16,
+    /// DEV_INFO_FW_MAJ and DEV_INFO_FW_MIN: firmware version.
     pub fw: u16,
+    /// Capabilities.
     pub caps: u16,
+    /// Bit rate.
     pub bspd: u16,
+    /// DEV_CFG_ADDR: configured address.
     pub addr: u16,
+    /// DEV_CFG_AUTOSTART.
     pub autostart: u16,
 }
 
@@ -265,14 +272,20 @@ impl Default for IsotpProfile {
     derive(Deserialize),
     serde(default, deny_unknown_fields, rename_all = "UPPERCASE")
 )]
-#[allow(missing_docs)]
 pub struct ModesProfile {
+    /// Code of INIT.
     pub init: u8,
+    /// Code of ARSLV.
     pub arslv: u8,
+    /// Code of CFG.
     pub cfg: u8,
+    /// Code of BOOT.
     pub boot: u8,
+    /// Code of WORK.
     pub work: u8,
+    /// Code of UFUNC.
     pub ufunc: u8,
+    /// Code of IDLE.
     pub idle: u8,
 }
 

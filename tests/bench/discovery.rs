@@ -28,7 +28,7 @@ fn main() {
 
 /// Returns five services whose response has 60 bytes.
 fn crowd(bitrate: u32) -> Scenario {
-    let mut scenario = Scenario::crowd(bitrate, 127, 0);
+    let mut scenario = Scenario::with_many_devices(bitrate, 127, 0);
     for device in &mut scenario.devices {
         let services = [
             ("DES", "1.0"),

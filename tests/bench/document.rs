@@ -28,7 +28,7 @@ fn main() {
         timed("read and parsed", || Document::parse(&store.read().unwrap().unwrap()).unwrap());
     assert_eq!(document.entries().len(), ENTRIES);
     let entry = document.key(ENTRIES / 2);
-    let operation = Operation::SetAddress { from: entry.address, entry, to: 99 };
+    let operation = Operation::PinAddress { from: entry.address, entry, to: 99 };
     let edited = timed("one address edited", || document.apply(&operation).unwrap());
     let (old, new) = (document.source(), edited.source());
     timed("saved, with the disk", || store.save(Some(old), new).unwrap());

@@ -52,9 +52,10 @@ fn main() {
 
 /// Returns ten seconds of a crowd with chatter.
 fn record() -> Vec<Frame> {
-    let mut scenario = Scenario::crowd(1_000_000, 127, 5);
+    let mut scenario = Scenario::with_many_devices(1_000_000, 127, 5);
     for (at, device) in scenario.devices.iter_mut().enumerate() {
-        let chatter = device.clone().chatter(0x100 + at as u16, Duration::from_millis(20), 8);
+        let chatter =
+            device.clone().periodic_message(0x100 + at as u16, Duration::from_millis(20), 8);
         *device = chatter;
     }
     let mut sim = Sim::new(&scenario, 1);

@@ -46,7 +46,7 @@ fn search(
 fn rate_without_frames_is_left_after_1_5_periods() {
     let (took, outcome) = search(125_000, |_| None);
     assert_eq!(took, [125_000, 250_000, 500_000, 1_000_000].map(|rate| (rate, 1500)));
-    assert_eq!(outcome, SearchOutcome::Silence);
+    assert_eq!(outcome, SearchOutcome::NoTraffic);
 }
 
 #[test]
@@ -94,9 +94,9 @@ fn own_frames_and_state_reports_do_not_count() {
         let alone = Frame::error(0x20, &[0; 8]);
         Some([ours, state, alone][count % 3])
     });
-    assert_eq!(outcome, SearchOutcome::Silence);
+    assert_eq!(outcome, SearchOutcome::NoTraffic);
     let (_, outcome) = search(125_000, |rate| (rate == 250_000).then(broken));
-    assert_eq!(outcome, SearchOutcome::OnlyBroken);
+    assert_eq!(outcome, SearchOutcome::OnlyBusErrors);
 }
 
 #[test]

@@ -3,7 +3,8 @@
 //! The scenarios' timetables are the ground truth; the snapshots are the reported events.
 
 use crate::common::inspection::{Inspection, describe};
-use descan::discovery::{Confidence, Config};
+use descan::discovery::Config;
+use descan::finding::FindingState;
 use descan::sim::Scenario;
 use descan::time::Instant;
 use std::fmt::Write;
@@ -39,7 +40,7 @@ fn assert_true(inspection: &Inspection) {
             .collect();
         assert_eq!(known, truth.services, "{truth:?}");
     }
-    let open = engine.findings().iter().filter(|it| it.confidence != Confidence::Cleared);
+    let open = engine.findings().iter().filter(|it| it.confidence != FindingState::Cleared);
     assert_eq!(open.count(), 0, "nothing is wrong any more");
 }
 

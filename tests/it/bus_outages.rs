@@ -27,8 +27,8 @@ impl Stage {
     /// Starts the app and waits until discovery has found both devices.
     fn settled() -> Self {
         let scenario = Scenario::new(250_000)
-            .with(DeviceSpec::new("FEED").fixed(12).settled())
-            .with(DeviceSpec::new("SENS").fixed(13).settled());
+            .with(DeviceSpec::new("FEED").fixed(12).skips_address_resolution())
+            .with(DeviceSpec::new("SENS").fixed(13).skips_address_resolution());
         let mut sim = Sim::new(&scenario, 1);
         let station = sim.attach();
         let options = AppOptions {
@@ -45,7 +45,7 @@ impl Stage {
         let mut stage = Self { app, sim, station, status, sent: Vec::new(), queue: None };
         stage.becomes(|_| {});
         stage.run(8.0);
-        assert!(stage.app.buses()[0].progress().settled);
+        assert!(stage.app.buses()[0].progress().is_complete);
         stage.sent.clear();
         stage
     }
@@ -84,7 +84,7 @@ impl Stage {
     /// Makes the adapter accept frames again, and sends all queued ones at once.
     fn empty_queue(&mut self) {
         for frame in self.queue.take().into_iter().flatten() {
-            self.sim.relay(self.station, frame);
+            self.sim.forward(self.station, frame);
             let told = self.sim.poll_frame(self.station).filter(|frame| frame.is_tx);
             assert!(told.is_some(), "it was told before");
         }
@@ -259,9 +259,9 @@ fn stall_does_not_change_presence() {
         count += 1;
     }
     assert!(count > 10, "{count}");
-    let mut error = Frame::with(CanId::Extended(0x88), &[0; 8]).with_time(now);
+    let mut error = Frame::new(CanId::Extended(0x88), &[0; 8]).with_time(now);
     error.kind = FrameKind::Error;
-    let standard = Frame::with(CanId::Standard(5), &[]).with_time(now);
+    let standard = Frame::new(CanId::Standard(5), &[]).with_time(now);
     stage.app.handle_frames(now, &[error, standard]);
     let after = counted(&stage);
     assert_eq!(after.frames - before.frames, count + 2, "each of them is counted");

@@ -32,7 +32,7 @@ fn manual_example_line_is_parsed() {
 
 #[test]
 fn frames_of_every_kind_are_parsed() {
-    let standard = |data: &[u8]| Frame::with(CanId::Standard(0x123), data);
+    let standard = |data: &[u8]| Frame::new(CanId::Standard(0x123), data);
     let fd = |bit_rate_switch, error_state, data: &[u8]| {
         let mut frame = Frame::fd(0, data, 0);
         frame.id = CanId::Standard(0x123);
@@ -147,9 +147,9 @@ proptest! {
         line in "[ \t]*\\(?[0-9]{0,25}\\.?[0-9]{0,25}\\)? (can0|é) [0-9A-G]{0,9}#{0,3}[R0-9A-F._:]{0,140}( [RT])?\r?"
     ) {
         if let Ok(Some(line)) = parse_line(line.as_bytes()) {
-            let most = if line.frame.fd { 64 } else { 8 };
+            let most = if line.frame.is_fd { 64 } else { 8 };
             prop_assert!(line.frame.len() <= most);
-            prop_assert!(line.frame.kind == FrameKind::Data || !line.frame.fd);
+            prop_assert!(line.frame.kind == FrameKind::Data || !line.frame.is_fd);
         }
     }
 }

@@ -10,8 +10,8 @@ use std::process::{Command, Output, Stdio};
 /// FEED at 12 and SENS at 13.
 fn bus() -> Scenario {
     Scenario::new(125_000)
-        .with(DeviceSpec::new("FEED").fixed(12).settled().service("AUGER", "2.1"))
-        .with(DeviceSpec::new("SENS").fixed(13).settled().service("TEMP", "1.7"))
+        .with(DeviceSpec::new("FEED").fixed(12).skips_address_resolution().service("AUGER", "2.1"))
+        .with(DeviceSpec::new("SENS").fixed(13).skips_address_resolution().service("TEMP", "1.7"))
 }
 
 const AGREES: &str = r#"{ "devices": [
@@ -117,7 +117,7 @@ des.json: 3 entries, 2 devices on can0: 2 missing, 1 wrong address, 1 static add
 
 #[test]
 fn name_other_than_listed_is_a_difference() {
-    let mut feed = DeviceSpec::new("FEED").fixed(12).settled();
+    let mut feed = DeviceSpec::new("FEED").fixed(12).skips_address_resolution();
     feed.uid = descan::wire::node::Uid([0x8A, 0xFA, 0x6C, 0x97, 0x24, 0x11]);
     let scenario = Scenario::new(125_000).with(feed);
     for (name, found) in [("FEED", false), ("FEEX", true)] {
@@ -180,7 +180,7 @@ fn service_order_counts_in_list_form_only() {
 fn unnamed_device_is_one_difference() {
     let mut scenario = Scenario::new(125_000);
     for (name, address) in [("FEED", 12), ("SENS", 13)] {
-        let device = DeviceSpec::new(name).fixed(address).settled();
+        let device = DeviceSpec::new(name).fixed(address).skips_address_resolution();
         scenario = scenario.with(device.fault(Fault::NoDes));
     }
     let file = r#"[{ "name": "FEED", "address": 12 }]"#;
@@ -224,8 +224,9 @@ fn finding_kinds_in_json_are_stable() {
 fn address_conflict_is_a_difference() {
     // Slow enough not to destroy each other's responses.
     let stubborn = |name: &str, millis: u64| {
-        let mut device = DeviceSpec::new(name).fixed(14).settled().fault(Fault::NeverGivesWay);
-        device.delay = (Duration::from_millis(millis), Duration::from_millis(millis));
+        let mut device =
+            DeviceSpec::new(name).fixed(14).skips_address_resolution().fault(Fault::KeepsAddress);
+        device.response_delay = (Duration::from_millis(millis), Duration::from_millis(millis));
         device
     };
     let scenario = Scenario::new(125_000).with(stubborn("ACT", 1)).with(stubborn("FAN", 9));

@@ -32,15 +32,16 @@ fn json(output: &Output) -> Value {
 
 fn two_devices() -> Scenario {
     Scenario::new(125_000)
-        .with(DeviceSpec::new("FEED").fixed(12).settled().service("AUGER", "2.1"))
-        .with(DeviceSpec::new("SENS").fixed(13).settled().service("TEMP", "1.7"))
+        .with(DeviceSpec::new("FEED").fixed(12).skips_address_resolution().service("AUGER", "2.1"))
+        .with(DeviceSpec::new("SENS").fixed(13).skips_address_resolution().service("TEMP", "1.7"))
 }
 
 #[test]
 fn device_on_two_buses_lists_its_other_bus() {
     let folder = tempfile::tempdir().unwrap();
     let mut others = two_devices();
-    others.devices[1] = DeviceSpec::new("SENS").fixed(14).settled().service("LOG", "0.1");
+    others.devices[1] =
+        DeviceSpec::new("SENS").fixed(14).skips_address_resolution().service("LOG", "0.1");
     let mut lines: Vec<String> = log(&two_devices(), 12).lines().map(str::to_owned).collect();
     lines.extend(log(&others, 12).lines().map(|line| line.replace(" can0 ", " can1 ")));
     lines.sort_by_key(|line| line.split(' ').next().map(str::to_owned));
@@ -253,7 +254,7 @@ fn log_with_bus_off_for_years_is_scanned_at_once() {
 
 #[test]
 fn device_silent_before_log_end_is_lost() {
-    let scenario = two_devices().at(Duration::from_secs(4), "SENS", DeviceAction::Leave);
+    let scenario = two_devices().at(Duration::from_secs(4), "SENS", DeviceAction::PowerOff);
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("session.log"), log(&scenario, 12)).unwrap();
     let report = json(&descan(&["scan", "file:session.log", "--json"], folder.path()));
@@ -266,12 +267,12 @@ fn address_conflict_in_log_exits_1() {
     let twin = DeviceSpec::new("FEED")
         .label("second")
         .fixed(12)
-        .settled()
+        .skips_address_resolution()
         .uid(descan::wire::node::Uid([1, 2, 3, 4, 5, 6]))
-        .fault(descan::sim::Fault::NeverGivesWay);
+        .fault(descan::sim::Fault::KeepsAddress);
     let first = two_devices();
     let mut scenario = first.with(twin);
-    scenario.devices[0].faults.set(descan::sim::Fault::NeverGivesWay, true);
+    scenario.devices[0].faults.set(descan::sim::Fault::KeepsAddress, true);
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("session.log"), log(&scenario, 20)).unwrap();
     let output = descan(&["scan", "file:session.log", "--json"], folder.path());
@@ -455,7 +456,7 @@ fn unprintable_name_is_escaped() {
 
 #[test]
 fn control_characters_in_names_are_escaped() {
-    let hostile = DeviceSpec::new("x").name(b"\x1b[2J\x07").fixed(9).settled();
+    let hostile = DeviceSpec::new("x").name(b"\x1b[2J\x07").fixed(9).skips_address_resolution();
     let hostile = hostile.service("\u{202e}evil", "\u{9b}1");
     let folder = tempfile::tempdir().unwrap();
     let lines = log(&Scenario::new(125_000).with(hostile), 5);

@@ -4,9 +4,9 @@
 use crate::common::inspection;
 use crate::common::inspection::Inspection;
 use descan::discovery::{
-    Confidence, Config, Engine, Event, EventKind, FindingKind, OwnAddress, Presence, QueryState,
-    Quirk,
+    Config, Engine, Event, EventKind, OwnAddress, Presence, ProtocolDeviation, QueryState,
 };
+use descan::finding::{FindingKind, FindingState};
 use descan::frame::Frame;
 use descan::sim::{DeviceAction, DeviceFraming, DeviceSpec, Fault, Scenario, Sim, SimStation};
 use descan::time::{Duration, Instant};
@@ -21,7 +21,7 @@ fn seconds(seconds: f64) -> Instant {
 
 fn settled(scenario: &Scenario, config: Config) -> Inspection {
     let mut it = Inspection::new(scenario, 3, config);
-    let done = it.run_until(seconds(20.0), |engine| engine.progress().settled);
+    let done = it.run_until(seconds(20.0), |engine| engine.progress().is_complete);
     assert!(done, "it settles: {:?}", it.engine.progress());
     it
 }
@@ -33,7 +33,8 @@ fn device(it: &Inspection, address: u8) -> &descan::discovery::Device {
 #[test]
 fn devices_of_every_framing_are_identified() {
     let long = "a-version-that-takes-many-frames-to-say".repeat(4);
-    let make = |name: &str, address| DeviceSpec::new(name).fixed(address).settled();
+    let make =
+        |name: &str, address| DeviceSpec::new(name).fixed(address).skips_address_resolution();
     let mut fd = make("FD", 4).service("WIDE", &long);
     fd.fd = true;
     let mut cfg = make("CFG", 5).service("SETUP", "1");
@@ -44,7 +45,7 @@ fn devices_of_every_framing_are_identified() {
         .with(make("BOTH", 3).framing(DeviceFraming::Both).service("X", "2"))
         .with(fd)
         .with(cfg)
-        .with(make("ECHO", 6).fault(Fault::EchoDestination).service("Y", "3"));
+        .with(make("ECHO", 6).fault(Fault::RepeatsRequestDst).service("Y", "3"));
     scenario.data_bitrate = 2_000_000;
     // Services that fit one raw frame: an empty list.
     scenario.devices[1].services = vec![vec![b"A".to_vec(), b"1".to_vec()]];
@@ -59,11 +60,11 @@ fn devices_of_every_framing_are_identified() {
     assert_eq!(device(&it, 2).framing, Some(Framing::Raw));
     assert_eq!(services(3), ["DES 1.0", "X 2"]);
     assert_eq!(services(4), ["DES 1.0".to_owned(), format!("WIDE {long}")]);
-    assert!(it.frames.iter().any(|frame| frame.fd), "answers came in FD frames");
+    assert!(it.frames.iter().any(|frame| frame.is_fd), "answers came in FD frames");
     assert_eq!(services(5), ["DES 1.0", "SETUP 1"]);
-    assert!(!device(&it, 5).working);
+    assert!(!device(&it, 5).is_working);
     assert_eq!(services(6), ["DES 1.0", "Y 3"]);
-    assert!(device(&it, 6).quirks.contains(&Quirk::RspDstEcho));
+    assert!(device(&it, 6).deviations.contains(&ProtocolDeviation::RspDstEcho));
 }
 
 #[test]
@@ -74,12 +75,12 @@ fn profile_numbers_replace_the_defaults() {
     )
     .unwrap();
     let scenario = Scenario::new(250_000)
-        .with(DeviceSpec::new("FEED").fixed(12).settled().service("AUGER", "2.1"));
+        .with(DeviceSpec::new("FEED").fixed(12).skips_address_resolution().service("AUGER", "2.1"));
     let config = Config { profile: Arc::new(profile.clone()), ..Config::default() };
     let mut it = Inspection::new(&scenario, 3, config);
     it.sim = Sim::with_profile(&scenario, 3, profile);
     it.station = it.sim.attach();
-    assert!(it.run_until(seconds(10.0), |engine| engine.progress().settled));
+    assert!(it.run_until(seconds(10.0), |engine| engine.progress().is_complete));
     let feed = device(&it, 12);
     assert!(feed.is_named(b"FEED"));
     assert_eq!(feed.mode.map(descan::wire::node::Mode::name), Some("WORK"));
@@ -91,7 +92,7 @@ fn profile_numbers_replace_the_defaults() {
 #[test]
 fn device_faults_are_reported_and_clear() {
     let faulty = |name: &str, address, fault| {
-        let device = DeviceSpec::new(name).fixed(address).settled().fault(fault);
+        let device = DeviceSpec::new(name).fixed(address).skips_address_resolution().fault(fault);
         device.service("SOME", "1.0").service("MORE", "2.0")
     };
     let scenario = Scenario::new(250_000)
@@ -102,16 +103,16 @@ fn device_faults_are_reported_and_clear() {
         .with(faulty("ENDLS", 5, Fault::Endless))
         .with(faulty("HUGE", 6, Fault::HugeLength))
         .with(faulty("CUT", 7, Fault::TruncatedServices))
-        .with(DeviceSpec::new("GOOD").fixed(9).settled());
+        .with(DeviceSpec::new("GOOD").fixed(9).skips_address_resolution());
     let mut it = Inspection::new(&scenario, 3, Config::default());
     it.run_until(seconds(25.0), |_| false);
-    assert_eq!(device(&it, 1).services_query.state, QueryState::Unanswered);
+    assert_eq!(device(&it, 1).services_query.state, QueryState::NoResponse);
     assert!(device(&it, 1).is_named(b"MUTE"), "a name without services is shown as just that");
     assert_eq!(device(&it, 2).name, None);
     assert_eq!(device(&it, 2).presence, Presence::Online);
     for address in [3, 4, 6] {
         let query = &device(&it, address).services_query;
-        let given_up = query.fault.is_some() && query.state != QueryState::Answered;
+        let given_up = query.fault.is_some() && query.state != QueryState::Responded;
         assert!(given_up, "{address}: {query:?}");
     }
     for (address, what) in [(3, "out of sequence"), (4, "out of sequence"), (6, "4095")] {
@@ -126,7 +127,7 @@ fn device_faults_are_reported_and_clear() {
     // The consecutive frames after a complete message belong to no transfer.
     assert!(device(&it, 5).services.is_some());
     assert!(device(&it, 9).services.is_some());
-    assert!(it.engine.progress().settled, "{:?}", it.engine.progress());
+    assert!(it.engine.progress().is_complete, "{:?}", it.engine.progress());
     assert!(it.engine.counters().transfers_failed > 0);
 }
 
@@ -139,8 +140,8 @@ fn our_share(it: &Inspection, from: Instant, to: Instant) -> f64 {
 
 #[test]
 fn transmit_budget_is_kept() {
-    let scenario = Scenario::crowd(125_000, 60, 3);
-    let slow = Config { start_share: 0.02, ..Config::default() };
+    let scenario = Scenario::with_many_devices(125_000, 60, 3);
+    let slow = Config { startup_budget: 0.02, ..Config::default() };
     let mut it = Inspection::new(&scenario, 3, slow);
     assert!(it.run_until(seconds(60.0), |engine| engine.progress().with_services == 60));
     let end = it.sim.now();
@@ -157,7 +158,7 @@ fn transmit_budget_is_kept() {
 
 #[test]
 fn listen_only_engine_learns_without_sending() {
-    let scenario = Scenario::crowd(250_000, 10, 2);
+    let scenario = Scenario::with_many_devices(250_000, 10, 2);
     let [asker, listener] = inspection::asker_and_listener(&scenario, 5, seconds(8.0));
     let known = |engine: &descan::discovery::Engine| engine.progress().with_services;
     // The requester is a debug device that does not respond here, so it knows ten devices too.
@@ -166,8 +167,9 @@ fn listen_only_engine_learns_without_sending() {
 
 #[test]
 fn disabled_scan_sends_no_requests() {
-    let scenario = Scenario::crowd(250_000, 5, 1);
-    let mut it = Inspection::new(&scenario, 3, Config { scan: false, ..Config::default() });
+    let scenario = Scenario::with_many_devices(250_000, 5, 1);
+    let mut it =
+        Inspection::new(&scenario, 3, Config { send_requests: false, ..Config::default() });
     it.run_until(seconds(6.0), |_| false);
     let profile = Profile::default();
     let asked = |frame: &&Frame| {
@@ -180,7 +182,7 @@ fn disabled_scan_sends_no_requests() {
 #[test]
 fn reboot_with_new_services_is_detected() {
     let services = vec![vec![b"DES".to_vec(), b"1.1".to_vec()]];
-    let scenario = Scenario::crowd(125_000, 3, 1).at(
+    let scenario = Scenario::with_many_devices(125_000, 3, 1).at(
         Duration::from_secs(6),
         "N002",
         DeviceAction::Reboot { services: Some(services) },
@@ -274,7 +276,7 @@ fn assert_live_together(company: &Company, what: &str) {
             assert_eq!(row.services.as_ref().map(Vec::len), Some(1), "{what}");
         }
         let confirmed = member.events.iter().find(|event| {
-            matches!(&event.kind, EventKind::Finding { key, confidence: Confidence::Confirmed }
+            matches!(&event.kind, EventKind::Finding { key, confidence: FindingState::Confirmed }
                 if key.kind.is_conflict())
         });
         assert!(confirmed.is_none(), "{what}: {}", inspection::describe(confirmed.unwrap()));
@@ -290,7 +292,8 @@ fn several_inspectors_share_one_bus() {
                 for apart in [0.0, 0.001, 0.7, 3.0] {
                     let what =
                         format!("seed {seed}, {count} with {devices} devices, {apart} s apart");
-                    let mut company = Company::new(&Scenario::crowd(250_000, devices, 1), seed);
+                    let mut company =
+                        Company::new(&Scenario::with_many_devices(250_000, devices, 1), seed);
                     for at in 0..count {
                         company.run_until(seconds(apart * f64::from(at)));
                         let seed = seed * 100 + u64::from(at);
@@ -307,7 +310,7 @@ fn several_inspectors_share_one_bus() {
 #[test]
 fn two_inspectors_fixed_at_0_settle() {
     for seed in 0..20 {
-        let mut company = Company::new(&Scenario::crowd(250_000, 3, 1), seed);
+        let mut company = Company::new(&Scenario::with_many_devices(250_000, 3, 1), seed);
         for at in 0..2 {
             let config =
                 Config { seed: seed * 2 + at, address: Some(Address::DEBUG), ..Config::default() };
@@ -337,7 +340,7 @@ fn beat(at: u8, uid: &str) -> Frame {
 
 /// Returns an engine that received no frames for 1.5 s, and its events so far.
 fn alone(config: Config) -> (Engine, Vec<String>) {
-    let mut engine = Engine::new(Instant::ZERO, Config { echo: false, ..config });
+    let mut engine = Engine::new(Instant::ZERO, Config { has_loopback: false, ..config });
     let events = run(&mut engine, seconds(1.6), |_| None);
     (engine, events)
 }
@@ -406,7 +409,7 @@ fn asked(sent: &[(u64, Frame)], from: u8, to: u8) -> Vec<u64> {
 
 #[test]
 fn duplicated_request_is_answered_once() {
-    let config = Config { echo: false, ..Config::default() };
+    let config = Config { has_loopback: false, ..Config::default() };
     let mut engine = Engine::new(Instant::ZERO, config);
     // A bridge repeats the request after 23 ms; the one at 3,500 ms is new.
     let questions = [3000, 3023, 3500];
@@ -425,7 +428,7 @@ fn follow_up_requests_of_inspectors_drift_apart() {
     // Both receive the same frame at the same moment. Requests sent at once would make two equal
     // responses wait for the bus together and merge.
     let [one, other] = [1, 2].map(|seed| {
-        let config = Config { echo: false, seed, ..Config::default() };
+        let config = Config { has_loopback: false, seed, ..Config::default() };
         let mut engine = Engine::new(Instant::ZERO, config);
         let sent = sent(&mut engine, 12_000, |millis| match millis {
             3000 => vec![question(9, 5), answer(5, 9)],
@@ -446,7 +449,7 @@ fn follow_up_requests_of_inspectors_drift_apart() {
 fn phase_shift_of_steady_heartbeat_triggers_request() {
     let mut engine = Engine::new(
         Instant::ZERO,
-        Config { echo: false, round_period: Duration::ZERO, ..Config::default() },
+        Config { has_loopback: false, round_period: Duration::ZERO, ..Config::default() },
     );
     // A different board takes the place of FEED; its heartbeats come 0.1 s late.
     let sent = sent(&mut engine, 14_000, |millis| {
@@ -467,7 +470,7 @@ fn phase_shift_of_steady_heartbeat_triggers_request() {
 
 #[test]
 fn heartbeats_during_outage_are_not_missed() {
-    let config = Config { echo: false, listen_only: true, ..Config::default() };
+    let config = Config { has_loopback: false, listen_only: true, ..Config::default() };
     let mut engine = Engine::new(Instant::ZERO, config);
     let beats = |engine: &mut Engine, from: u64, to: u64| {
         for second in from..=to {
@@ -487,7 +490,7 @@ fn heartbeats_during_outage_are_not_missed() {
 #[test]
 fn heartbeat_lost_in_short_outage_is_not_missed() {
     let beats_missed = |outage: (Option<f64>, f64), next: u64| {
-        let config = Config { echo: false, listen_only: true, ..Config::default() };
+        let config = Config { has_loopback: false, listen_only: true, ..Config::default() };
         let mut engine = Engine::new(Instant::ZERO, config);
         let beats = |engine: &mut Engine, second: u64| {
             engine.handle_frame(&beat(5, "FEED01").with_time(seconds(second as f64 + 0.1)));
@@ -511,13 +514,14 @@ fn heartbeat_lost_in_short_outage_is_not_missed() {
     assert_eq!(beats_missed((Some(4.05), 6.3), 8), 1);
 }
 
-fn confidence(engine: &Engine, kind: FindingKind) -> Option<Confidence> {
+fn confidence(engine: &Engine, kind: FindingKind) -> Option<FindingState> {
     engine.findings().iter().find(|it| it.key.kind == kind).map(|it| it.confidence)
 }
 
 #[test]
 fn node_that_keeps_address_0_holds_it() {
-    let mut engine = Engine::new(Instant::ZERO, Config { echo: false, ..Config::default() });
+    let mut engine =
+        Engine::new(Instant::ZERO, Config { has_loopback: false, ..Config::default() });
     // The tool starts while descan holds 0.
     let events = run(&mut engine, seconds(30.0), |now| {
         let beats = now >= seconds(3.0) && now.as_micros() % 1_000_000 == 0;
@@ -542,14 +546,15 @@ fn node_that_keeps_address_0_holds_it() {
 
 #[test]
 fn two_foreign_tools_at_0_are_a_confirmed_conflict() {
-    let mut engine = Engine::new(Instant::ZERO, Config { echo: false, ..Config::default() });
+    let mut engine =
+        Engine::new(Instant::ZERO, Config { has_loopback: false, ..Config::default() });
     let events = run(&mut engine, seconds(15.0), |now| match now.as_micros() % 1_000_000 {
         100_000 => Some(beat(0, "TOOL")),
         600_000 => Some(beat(0, "OTHER")),
         _ => None,
     });
     assert!(matches!(engine.own_address(), OwnAddress::Held(own) if own != Address::DEBUG));
-    assert_eq!(confidence(&engine, FindingKind::TwoDebugDevices), Some(Confidence::Confirmed));
+    assert_eq!(confidence(&engine, FindingKind::TwoDebugDevices), Some(FindingState::Confirmed));
     let found = engine.findings().iter().find(|it| it.key.kind == FindingKind::TwoDebugDevices);
     let found = found.unwrap();
     assert_eq!(
@@ -561,7 +566,7 @@ fn two_foreign_tools_at_0_are_a_confirmed_conflict() {
 }
 
 #[test]
-fn requester_at_own_address_is_a_rival() {
+fn request_from_own_address_reveals_other_node() {
     let question = {
         let header = Header::broadcast(Address::DEBUG, 33, false, Profile::default().des_service());
         Frame::classic(header.encode(), &[4, b'D', b'E', b'S', 1])
@@ -574,10 +579,10 @@ fn requester_at_own_address_is_a_rival() {
 }
 
 #[test]
-fn rival_after_own_claim_stops_transmission() {
+fn other_node_after_own_claim_stops_transmission() {
     let mut profile = Profile::default();
     profile.heartbeat.announce = descan::wire::profile::Announce::Always;
-    let config = Config { profile: Arc::new(profile), echo: false, ..Config::default() };
+    let config = Config { profile: Arc::new(profile), has_loopback: false, ..Config::default() };
     let mut engine = Engine::new(Instant::ZERO, config);
     let due = seconds(1.5);
     engine.handle_timeout(due);
@@ -589,7 +594,8 @@ fn rival_after_own_claim_stops_transmission() {
 
 #[test]
 fn first_sender_at_chosen_address_holds_it() {
-    let mut engine = Engine::new(Instant::ZERO, Config { echo: false, ..Config::default() });
+    let mut engine =
+        Engine::new(Instant::ZERO, Config { has_loopback: false, ..Config::default() });
     let (mut now, mut chosen, mut sent) = (Instant::ZERO, None, Vec::new());
     while now < seconds(15.0) {
         now += Duration::from_millis(1);
@@ -617,7 +623,8 @@ fn first_sender_at_chosen_address_holds_it() {
 
 #[test]
 fn no_free_address_means_listening_until_one_is_free() {
-    let mut engine = Engine::new(Instant::ZERO, Config { echo: false, ..Config::default() });
+    let mut engine =
+        Engine::new(Instant::ZERO, Config { has_loopback: false, ..Config::default() });
     // All nodes send a heartbeat each second, including 0; from 10 s on, 77 is silent.
     let events = run(&mut engine, seconds(20.0), |now| {
         let at = now.as_micros() % 1_000_000 / 1000;
@@ -632,7 +639,7 @@ fn no_free_address_means_listening_until_one_is_free() {
 #[test]
 fn fixed_own_address_in_use_is_waited_for() {
     let wanted = Address::new(5).unwrap();
-    let config = Config { address: Some(wanted), echo: false, ..Config::default() };
+    let config = Config { address: Some(wanted), has_loopback: false, ..Config::default() };
     let mut engine = Engine::new(Instant::ZERO, config);
     let events = run(&mut engine, seconds(30.0), |now| {
         let beats = now < seconds(10.0) && now.as_micros() % 1_000_000 == 0;

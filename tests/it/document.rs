@@ -1,9 +1,10 @@
 //! `des.json`: accepted content, rejected content, and the bytes that an edit changes.
 
 use descan::document::{
-    Choices, Document, DocumentFindingKind, EditError, EntryKey, ListedService, Merge,
-    MergePreference, NewEntry, Operation, SCHEMA, merge, merge_chosen,
+    ConflictChoices, Document, DocumentFindingKind, EditError, EntryKey, ListedService, Merge,
+    MergePreference, NewEntry, Operation, SCHEMA, merge, merge_with_choices,
 };
+use descan::finding::FindingKind;
 
 fn parsed(source: &str) -> Document {
     Document::parse(source.as_bytes()).unwrap_or_else(|error| panic!("{error}\n{source}"))
@@ -21,12 +22,12 @@ fn key(document: &Document, name: &str) -> EntryKey {
 
 fn set(document: &Document, name: &str, to: u8) -> Operation {
     let entry = key(document, name);
-    Operation::SetAddress { from: entry.address, entry, to }
+    Operation::PinAddress { from: entry.address, entry, to }
 }
 
 fn clear(document: &Document, name: &str) -> Operation {
     let entry = key(document, name);
-    Operation::ClearAddress { from: entry.address, entry }
+    Operation::UnpinAddress { from: entry.address, entry }
 }
 
 fn remove(document: &Document, name: &str) -> Operation {
@@ -391,7 +392,7 @@ fn wrong_member_types_are_findings() {
         ),
     ] {
         assert_eq!(findings(source), [(kind, message.to_owned(), entries)]);
-        assert_eq!(kind.name(), "file-shape");
+        assert_eq!(kind.finding_kind(), FindingKind::FileShape);
     }
     // The last member counts.
     let twice = parsed(r#"[{"name":"A","services":{"B":"1","C":"1","B":"2"}}]"#);
@@ -438,8 +439,9 @@ fn contradictory_entries_are_findings() {
             "line 3, column 72: B at address 12 is listed 2 times: line 3 and line 3",
         ]
     );
-    assert_eq!(DocumentFindingKind::DuplicateAddress.name(), "file-duplicate-address");
-    assert_eq!(DocumentFindingKind::DuplicateEntry.name(), "file-duplicate-entry");
+    let names = [DocumentFindingKind::DuplicateAddress, DocumentFindingKind::DuplicateEntry]
+        .map(|kind| kind.finding_kind().name());
+    assert_eq!(names, ["file-duplicate-address", "file-duplicate-entry"]);
 }
 
 // ---- editing: exact bytes ----
@@ -682,7 +684,7 @@ fn removed_entry_removes_its_comma() {
 fn edit_of_equal_entries_changes_only_one() {
     let before = r#"[{"name":"A","n":1},{"name":"A","n":2},{"name":"A","n":3}]"#;
     let second =
-        |document: &Document| Operation::SetAddress { entry: document.key(1), from: None, to: 5 };
+        |document: &Document| Operation::PinAddress { entry: document.key(1), from: None, to: 5 };
     edits_and_back(
         before,
         second,
@@ -1062,15 +1064,16 @@ fn each_changed_value_is_one_edit_conflict() {
     let mut chosen = Vec::new();
     for (number, asked) in [(1, "address 100, static"), (2, "address 101, static"), (3, "deleted")]
     {
-        let choices = Choices { chosen: chosen.clone(), ..Choices::default() };
+        let choices = ConflictChoices { chosen: chosen.clone(), ..ConflictChoices::default() };
         let merge =
-            merge_chosen(&base, &ours, &theirs, &choices, MergePreference::Neither).unwrap();
+            merge_with_choices(&base, &ours, &theirs, &choices, MergePreference::Neither).unwrap();
         let Merge::Conflict(conflict) = merge else { panic!("{merge:?}") };
-        assert_eq!((conflict.number, conflict.of, &*conflict.theirs), (number, 3, asked));
+        assert_eq!((conflict.index, conflict.total, &*conflict.theirs), (number, 3, asked));
         chosen.push(if number == 2 { MergePreference::Ours } else { MergePreference::Theirs });
     }
-    let choices = Choices { chosen, ..Choices::default() };
-    let merge = merge_chosen(&base, &ours, &theirs, &choices, MergePreference::Neither).unwrap();
+    let choices = ConflictChoices { chosen, ..ConflictChoices::default() };
+    let merge =
+        merge_with_choices(&base, &ours, &theirs, &choices, MergePreference::Neither).unwrap();
     let Merge::Rebased { document, .. } = merge else { panic!("{merge:?}") };
     assert_eq!(text(&document), text(&theirs).replace("101", "71"));
 }
@@ -1141,7 +1144,7 @@ fn equal_final_value_is_no_edit_conflict() {
     let mut ours = Vec::new();
     let mut document = base.clone();
     for to in [3, 4, 5] {
-        let operation = Operation::SetAddress { entry: document.key(0), from: Some(1), to };
+        let operation = Operation::PinAddress { entry: document.key(0), from: Some(1), to };
         document = document.apply(&operation).unwrap();
         ours.extend([operation, add("C", 10 + to)]);
         document = document.apply(ours.last().unwrap()).unwrap();

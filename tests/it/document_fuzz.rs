@@ -262,11 +262,11 @@ impl Case<'_> {
         let entry = document.key(self.rng.usize(..count));
         let from = entry.address;
         match self.rng.u8(..6) {
-            0 => Operation::ClearAddress { entry, from },
+            0 => Operation::UnpinAddress { entry, from },
             1 => Operation::Rename { entry, to },
             2 => Operation::SetServices { entry, services },
             3 => Operation::Remove { entry },
-            _ => Operation::SetAddress { entry, from, to: self.rng.u8(1..=127) },
+            _ => Operation::PinAddress { entry, from, to: self.rng.u8(1..=127) },
         }
     }
 
@@ -404,7 +404,7 @@ fn check_edit(before: &Document, operation: &Operation, after: &Document) {
 
 fn is_changed_by(operation: &Operation, member: &str) -> bool {
     match operation {
-        Operation::SetAddress { .. } | Operation::ClearAddress { .. } => {
+        Operation::PinAddress { .. } | Operation::UnpinAddress { .. } => {
             matches!(member, "address" | "static")
         }
         Operation::Rename { .. } => matches!(member, "name" | "name_hex"),

@@ -254,8 +254,8 @@ impl Edit {
         let entry = document.key(index);
         let from = entry.address;
         match self.clone() {
-            Self::Set(to) => Operation::SetAddress { entry, from, to },
-            Self::Clear => Operation::ClearAddress { entry, from },
+            Self::Set(to) => Operation::PinAddress { entry, from, to },
+            Self::Clear => Operation::UnpinAddress { entry, from },
             Self::Rename(to) => Operation::Rename { entry, to },
             Self::Services(services) => Operation::SetServices { entry, services },
             Self::Remove => Operation::Remove { entry },

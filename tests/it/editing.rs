@@ -237,7 +237,7 @@ impl Play {
     fn tell_state(&mut self, always_message: bool) {
         let app = &self.stage.app;
         let mut log = String::new();
-        if let (Some(prompt), Some(verdict)) = (app.prompt(), app.verdict()) {
+        if let (Some(prompt), Some(verdict)) = (app.prompt(), app.prompt_check()) {
             let (how, words) = match verdict {
                 InputCheck::Accepted(words) => ("", words),
                 InputCheck::Warning(words) => ("warns: ", words),
@@ -261,9 +261,9 @@ impl Play {
                 writeln!(log, "  asks: {question}").unwrap();
             }
             (Overlay::Conflict, Some(conflict)) => {
-                let which = match conflict.of {
+                let which = match conflict.total {
                     1 => "conflict".to_owned(),
-                    of => format!("conflict {} of {of}", conflict.number),
+                    of => format!("conflict {} of {of}", conflict.index),
                 };
                 writeln!(log, "  asks: {which}: {}", conflict.operation).unwrap();
                 writeln!(log, "    ours: {}", conflict.ours).unwrap();
@@ -314,7 +314,9 @@ fn play(scenario: &str) -> String {
         }
         if word == "device" {
             assert!(playing.is_none(), "devices come before the file");
-            let mut device = DeviceSpec::new(words[0]).fixed(words[1].parse().unwrap()).settled();
+            let mut device = DeviceSpec::new(words[0])
+                .fixed(words[1].parse().unwrap())
+                .skips_address_resolution();
             device.services.extend(services(&words[2..]));
             bus = bus.with(device);
             continue;
@@ -392,7 +394,7 @@ fn play(scenario: &str) -> String {
             }
             ("services", _) => play.act(|stage| {
                 let device = stage.sim.device(words[0]).expect("a device");
-                stage.sim.control(device, DeviceAction::Services(services(&words[1..])));
+                stage.sim.apply(device, DeviceAction::Services(services(&words[1..])));
                 wait(stage.keys("r"), 6.0);
             }),
             ("wait", _) => play.act(|stage| {

@@ -4,7 +4,8 @@
 use crate::common::inspection;
 use crate::common::inspection::Inspection;
 use crate::common::sweep;
-use descan::discovery::{Confidence, Config, Engine, EventKind, Finding, FindingKind};
+use descan::discovery::{Config, Engine, EventKind};
+use descan::finding::{Finding, FindingKind, FindingState};
 use descan::frame::{Frame, FrameKind};
 use descan::sim::{ControllerState, DeviceAction, DeviceSpec, Fault, Scenario, TimetableEvent};
 use descan::time::{Duration, Instant};
@@ -21,16 +22,16 @@ fn millis(millis: u64) -> Duration {
 
 /// Returns a device that always keeps its address and responds after exactly `delay`.
 fn stubborn(label: &str, name: &str, address: u8, delay: Duration) -> DeviceSpec {
-    let mut device = DeviceSpec::new(name).label(label).fixed(address).settled();
-    device.delay = (delay, delay);
-    device.fault(Fault::NeverGivesWay)
+    let mut device = DeviceSpec::new(name).label(label).fixed(address).skips_address_resolution();
+    device.response_delay = (delay, delay);
+    device.fault(Fault::KeepsAddress)
 }
 
 /// Returns the addresses named in bus error findings, once per report.
 fn named(it: &Inspection) -> Vec<u8> {
     let told = it.events.iter().filter_map(|event| match &event.kind {
         EventKind::Finding { key, confidence } if key.kind == FindingKind::BusErrors => {
-            key.address.filter(|_| *confidence != Confidence::Cleared)
+            key.address.filter(|_| *confidence != FindingState::Cleared)
         }
         _ => None,
     });
@@ -89,7 +90,8 @@ fn two_different_responders_are_suspected() {
         for bitrate in [125_000, 1_000_000] {
             // Without other nodes, no node acknowledges while the two restart.
             for crowd in [1, 10, 40] {
-                let scenario = with_pair(Scenario::crowd(bitrate, crowd, 3), pair.clone());
+                let scenario =
+                    with_pair(Scenario::with_many_devices(bitrate, crowd, 3), pair.clone());
                 // A crowd that has a device at address 14 as well makes three.
                 for seed in 0..4 {
                     let mut it = Inspection::new(&scenario, seed, Config::default());
@@ -108,11 +110,11 @@ fn two_different_responders_are_suspected() {
 #[test]
 fn named_address_is_suspected_with_frames() {
     let pair = pair(|other| other.service("VALVE", "2.1"));
-    let scenario = with_pair(Scenario::crowd(250_000, 10, 3), pair);
+    let scenario = with_pair(Scenario::with_many_devices(250_000, 10, 3), pair);
     let mut it = Inspection::new(&scenario, 1, Config::default());
     run(&mut it, seconds(15.0));
     let finding = errors_at(&it, Some(14)).expect("address 14 is named");
-    assert_eq!(finding.confidence, Confidence::Suspected);
+    assert_eq!(finding.confidence, FindingState::Suspected);
     assert!(finding.text.contains("ACT at address 14"), "{}", finding.text);
     let question = finding.evidence.front().and_then(|piece| piece.frame).unwrap();
     let header = Header::decode(question.platform_id().unwrap());
@@ -130,7 +132,7 @@ fn suspects_are_checked_in_turn() {
         let one = stubborn(&label("one"), "ACT", address, millis(2));
         [one, stubborn(&label("other"), "VALVE", address, millis(2))]
     });
-    let crowd = Scenario::crowd(125_000, 4, 3);
+    let crowd = Scenario::with_many_devices(125_000, 4, 3);
     let scenario = pairs.into_iter().flatten().fold(crowd, Scenario::with);
     let end = seconds(40.0);
     for seed in 0..8 {
@@ -153,22 +155,22 @@ fn suspects_are_checked_in_turn() {
 #[test]
 fn suspicion_clears_when_one_of_two_leaves() {
     let pair = pair(|other| other.service("VALVE", "2.1"));
-    let scenario = with_pair(Scenario::crowd(250_000, 10, 3), pair).at(
+    let scenario = with_pair(Scenario::with_many_devices(250_000, 10, 3), pair).at(
         Duration::from_secs(20),
         "other",
-        DeviceAction::Leave,
+        DeviceAction::PowerOff,
     );
     let mut it = Inspection::new(&scenario, 1, Config::default());
     run(&mut it, seconds(20.0));
-    assert_eq!(errors_at(&it, Some(14)).map(|it| it.confidence), Some(Confidence::Suspected));
+    assert_eq!(errors_at(&it, Some(14)).map(|it| it.confidence), Some(FindingState::Suspected));
     run(&mut it, seconds(110.0));
-    assert_eq!(errors_at(&it, Some(14)).map(|it| it.confidence), Some(Confidence::Cleared));
+    assert_eq!(errors_at(&it, Some(14)).map(|it| it.confidence), Some(FindingState::Cleared));
 }
 
 #[test]
 fn listen_only_suspects_from_foreign_requests() {
     let pair = pair(|other| other.service("VALVE", "2.1"));
-    let scenario = with_pair(Scenario::crowd(250_000, 10, 3), pair);
+    let scenario = with_pair(Scenario::with_many_devices(250_000, 10, 3), pair);
     for engine in inspection::asker_and_listener(&scenario, 1, seconds(40.0)) {
         let named = engine.findings().iter().filter(|it| it.key.kind == FindingKind::BusErrors);
         let named: Vec<_> = named.filter_map(|it| it.key.address.map(Address::number)).collect();
@@ -178,16 +180,16 @@ fn listen_only_suspects_from_foreign_requests() {
 
 /// Returns twenty devices: fast and slow, with short and long responses, quiet and busy ones.
 fn mixed(bitrate: u32) -> Scenario {
-    let mut scenario = Scenario::crowd(bitrate, 20, 0);
+    let mut scenario = Scenario::with_many_devices(bitrate, 20, 0);
     for (at, device) in scenario.devices.iter_mut().enumerate() {
         for service in 0..at {
             *device = device.clone().service(&format!("S{service}"), "1.0");
         }
         if at % 3 == 0 {
-            device.delay = (millis(5), millis(80));
+            device.response_delay = (millis(5), millis(80));
         }
         if at % 5 == 0 {
-            *device = device.clone().chatter(0x100, millis(20), 8);
+            *device = device.clone().periodic_message(0x100, millis(20), 8);
         }
     }
     scenario
@@ -206,16 +208,16 @@ fn disturbed_bus_suspects_no_device() {
         for rate in [0.01, 0.05, 0.2] {
             let bitrate = if seed % 2 == 0 { 125_000 } else { 1_000_000 };
             let mut scenario = mixed(bitrate);
-            scenario.error_rate = rate;
+            scenario.frame_error_probability = rate;
             let it = assert_nobody_named(&format!("{rate} of all break"), &scenario, seed);
             let bus = errors_at(&it, None).expect("the bus as a whole");
-            assert_eq!(bus.confidence, Confidence::Confirmed, "{rate} of all break");
+            assert_eq!(bus.confidence, FindingState::Confirmed, "{rate} of all break");
         }
     }
     for seed in 0..3 {
         for rate in [0.3, 0.5, 0.8] {
             let mut scenario = mixed(250_000);
-            scenario.error_rate = rate;
+            scenario.frame_error_probability = rate;
             assert_nobody_named(&format!("{rate} of all break"), &scenario, seed);
         }
     }
@@ -232,7 +234,8 @@ fn occasional_bus_errors_suspect_no_device() {
             for (after, rate) in [(0, 1.0), (pulse, 0.0)] {
                 // From the first request on.
                 let start = Instant::ZERO + millis(1502 + 3 * seed + after);
-                let mut event = TimetableEvent::new(start, "", DeviceAction::ErrorRate(rate));
+                let mut event =
+                    TimetableEvent::new(start, "", DeviceAction::SetFrameErrorProbability(rate));
                 event.every = Some(millis(period));
                 scenario.timetable.push(event);
             }
@@ -259,9 +262,9 @@ fn node_at_wrong_bit_rate_suspects_no_device() {
 
 #[test]
 fn missing_ack_suspects_no_device() {
-    let mut scenario = Scenario::crowd(250_000, 3, 1);
+    let mut scenario = Scenario::with_many_devices(250_000, 3, 1);
     for device in ["N001", "N002", "N003"] {
-        scenario = scenario.at(Duration::from_secs(10), device, DeviceAction::Leave);
+        scenario = scenario.at(Duration::from_secs(10), device, DeviceAction::PowerOff);
     }
     let mut it = Inspection::new(&scenario, 1, Config::default());
     run(&mut it, seconds(30.0));

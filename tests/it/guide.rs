@@ -10,7 +10,7 @@ use descan::guide::{self, TOPICS, Topic};
 use descan::keymap::{ACTIONS, Keymap};
 use descan::sim::Scenario;
 use descan::theme::{Role, Theme};
-use descan::ui::SIGNS;
+use descan::ui::SYMBOLS;
 use descan::wire::profile::Profile;
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -357,7 +357,7 @@ fn tables_of_the_code_are_complete() {
             assert!(keys.contains(&format!("`{key}`")), "{key}");
         }
     }
-    for (_, sign, _) in SIGNS {
+    for (_, sign, _) in SYMBOLS {
         assert!(keys.contains(&format!("`{}`", sign.trim())), "{sign}");
     }
     let findings = topic("findings").markdown();

@@ -145,8 +145,8 @@ fn log_at_full_speed_uses_log_time() {
         frames[1],
         Frame::remote(CanId::Standard(0x123), 4).with_bus(BusIndex(1)).with_time(frames[1].time)
     );
-    assert_eq!(reader.tally().last, Instant::from_micros(400_000));
-    assert_eq!(reader.tally().epoch, Some(Epoch::from_unix_micros(100_000_000)));
+    assert_eq!(reader.summary().last, Instant::from_micros(400_000));
+    assert_eq!(reader.summary().epoch, Some(Epoch::from_unix_micros(100_000_000)));
 }
 
 #[test]
@@ -159,9 +159,9 @@ fn clock_set_back_continues_from_last_time() {
     let frames = reader.by_ref().map(Result::unwrap);
     let moments: Vec<_> = frames.map(|frame| frame.time.as_micros() / 1_000).collect();
     assert_eq!(moments, [0, 1000, 1000, 2000]);
-    assert_eq!(reader.tally().to_string(), "4 frames; time goes backwards 1 time");
+    assert_eq!(reader.summary().to_string(), "4 frames; time goes backwards 1 time");
     // Events after the last frame are an hour later, not in the past.
-    assert_eq!(reader.tally().epoch.unwrap().unix_micros(reader.tally().last), 7_302_000_000);
+    assert_eq!(reader.summary().epoch.unwrap().unix_micros(reader.summary().last), 7_302_000_000);
 
     let port = open(&spec, Clock::replaying(Epoch::from_unix_micros(7_300_000_000), 1000.0));
     let frames = drain(&port);

@@ -39,8 +39,8 @@ fn likely_header() -> impl Strategy<Value = u32> {
     let service = prop::sample::select(vec![1u16, 2, 2, 2, 0x10, 0x3FF]);
     (flags, 0u8..6, 0u8..6, service).prop_map(|(flags, source, destination, service)| {
         Header {
-            sender_not_working: flags.0,
-            to_not_working: flags.1,
+            from_non_working: flags.0,
+            to_non_working: flags.1,
             response: flags.2,
             broadcast: flags.3,
             no_error: flags.4,
@@ -55,8 +55,8 @@ fn likely_header() -> impl Strategy<Value = u32> {
 fn any_frame() -> impl Strategy<Value = Frame> {
     prop_oneof![
         8 => (likely_header(), likely_bytes(), any::<bool>()).prop_map(|(id, data, ours)| {
-            let mut frame = Frame::with(CanId::Extended(id), &data);
-            frame.fd = data.len() > 8;
+            let mut frame = Frame::new(CanId::Extended(id), &data);
+            frame.is_fd = data.len() > 8;
             frame.is_tx = ours && data.len() % 3 == 0;
             frame
         }),

@@ -2,7 +2,8 @@
 
 use descan::app::{App, AppOptions, FileReading};
 use descan::diagnostic::Diagnostic;
-use descan::discovery::{Config, FindingKind};
+use descan::discovery::Config;
+use descan::finding::FindingKind;
 use descan::frame::BusIndex;
 use descan::sim::{DeviceAction, DeviceSpec, Fault, Scenario, Sim, SimStation};
 use descan::status::{BusState, BusStatus, Link};
@@ -78,7 +79,7 @@ impl Stage {
 
     /// Returns the reasons for the entry at this index.
     fn why(&self, entry: usize) -> Vec<String> {
-        self.app.why_missing(&self.app.file().document().entries()[entry])
+        self.app.missing_reasons(&self.app.file().document().entries()[entry])
     }
 
     /// Returns the text and the remedy of the finding that reports missing devices.
@@ -93,8 +94,8 @@ impl Stage {
 
 fn bus() -> Scenario {
     Scenario::new(250_000)
-        .with(DeviceSpec::new("FEED").fixed(12).settled())
-        .with(DeviceSpec::new("SENS").fixed(13).settled())
+        .with(DeviceSpec::new("FEED").fixed(12).skips_address_resolution())
+        .with(DeviceSpec::new("SENS").fixed(13).skips_address_resolution())
 }
 
 const PUMP: &str = r#"{ "name": "PUMP", "address": 44, "static": true }"#;
@@ -158,7 +159,7 @@ fn address_without_any_frame_is_reported() {
 
 #[test]
 fn heartbeat_without_des_response_is_reported() {
-    let mute = DeviceSpec::new("PUMP").fixed(44).settled().fault(Fault::NoDes);
+    let mute = DeviceSpec::new("PUMP").fixed(44).skips_address_resolution().fault(Fault::NoDes);
     let mut stage = Stage::new(&[bus().with(mute)], &Config::default(), PUMP);
     for seconds in [20.0, 40.0, 60.0, 80.0] {
         stage.until(seconds);
@@ -169,10 +170,10 @@ fn heartbeat_without_des_response_is_reported() {
         assert!(after.ends_with(')'), "{seconds}: {why:?}");
     }
     // Without requests, a missing response proves nothing.
-    let mute = DeviceSpec::new("PUMP").fixed(44).settled();
+    let mute = DeviceSpec::new("PUMP").fixed(44).skips_address_resolution();
     for config in [
         Config { listen_only: true, ..Config::default() },
-        Config { scan: false, ..Config::default() },
+        Config { send_requests: false, ..Config::default() },
     ] {
         let stage = Stage::after_eight_seconds(&[bus().with(mute.clone())], &config, PUMP);
         assert_eq!(stage.why(0), ["a heartbeat at 44; name unknown: requests are off"]);
@@ -181,17 +182,18 @@ fn heartbeat_without_des_response_is_reported() {
 
 #[test]
 fn name_without_services_is_reported() {
-    let mute = DeviceSpec::new("PUMP").fixed(44).settled().fault(Fault::NoServices);
+    let mute =
+        DeviceSpec::new("PUMP").fixed(44).skips_address_resolution().fault(Fault::NoServices);
     let mut stage = Stage::new(&[bus().with(mute)], &Config::default(), PUMP);
     stage.until(20.0);
     let device = stage.app.buses()[0].device_at(Address::new(44).unwrap()).unwrap();
-    let why = stage.app.why_incomplete(device);
+    let why = stage.app.incomplete_reasons(device);
     assert_eq!(why, ["name received, no services response (requested 4 times)"]);
 }
 
 #[test]
 fn address_in_use_is_the_reason() {
-    let other = || DeviceSpec::new("VALVE").fixed(44).settled();
+    let other = || DeviceSpec::new("VALVE").fixed(44).skips_address_resolution();
     let stage = Stage::after_eight_seconds(&[bus().with(other())], &Config::default(), PUMP);
     assert_eq!(stage.why(0), ["VALVE uses its address 44"]);
     assert_eq!(
@@ -202,7 +204,7 @@ fn address_in_use_is_the_reason() {
     let unpinned = r#"{ "name": "PUMP", "address": 44 }"#;
     let stage = Stage::after_eight_seconds(&[bus().with(other())], &Config::default(), unpinned);
     assert_eq!(stage.why(0), ["VALVE has address 44 now"]);
-    let blank = DeviceSpec::new("").fixed(44).settled();
+    let blank = DeviceSpec::new("").fixed(44).skips_address_resolution();
     let stage = Stage::after_eight_seconds(&[bus().with(blank)], &Config::default(), PUMP);
     assert_eq!(stage.why(0), ["a device with an empty name uses its address 44"]);
     // descan itself.
@@ -210,7 +212,7 @@ fn address_in_use_is_the_reason() {
     let stage = Stage::after_eight_seconds(&[bus()], &config, PUMP);
     assert_eq!(stage.why(0), ["descan itself uses address 44"]);
     // It was online, and is lost.
-    let leaves = bus().with(other()).at(Duration::from_secs(4), "VALVE", DeviceAction::Leave);
+    let leaves = bus().with(other()).at(Duration::from_secs(4), "VALVE", DeviceAction::PowerOff);
     let mut stage = Stage::new(&[leaves], &Config::default(), PUMP);
     stage.until(20.0);
     let why = stage.why(0);
@@ -224,9 +226,9 @@ fn address_in_use_is_the_reason() {
 
 #[test]
 fn device_at_another_address_is_reported() {
-    let pump = |at| DeviceSpec::new("PUMP").fixed(at).settled();
+    let pump = |at| DeviceSpec::new("PUMP").fixed(at).skips_address_resolution();
     // One device of that name counts as the entry's: wrong address; the holder is named.
-    let valve = DeviceSpec::new("VALVE").fixed(44).settled();
+    let valve = DeviceSpec::new("VALVE").fixed(44).skips_address_resolution();
     let scenario = bus().with(pump(20)).with(valve);
     let stage = Stage::after_eight_seconds(&[scenario], &Config::default(), PUMP);
     let problems = stage.app.problems();
@@ -260,18 +262,21 @@ fn device_at_another_address_is_reported() {
 
 #[test]
 fn device_seen_earlier_is_reported() {
-    let pump = DeviceSpec::new("PUMP").fixed(44).settled();
-    let scenario = bus().with(pump).at(Duration::from_secs(4), "PUMP", DeviceAction::Leave);
+    let pump = DeviceSpec::new("PUMP").fixed(44).skips_address_resolution();
+    let scenario = bus().with(pump).at(Duration::from_secs(4), "PUMP", DeviceAction::PowerOff);
     let mut stage = Stage::new(&[scenario], &Config::default(), PUMP);
     stage.until(20.0);
     let why = stage.why(0);
     assert!(why[0].starts_with("last seen at 44, 1"), "{why:?}");
     assert_eq!(why.len(), 1, "{why:?}");
     // Another device took its address meanwhile.
-    let pump = DeviceSpec::new("PUMP").fixed(44).settled();
-    let valve = DeviceSpec::new("VALVE").fixed(44).settled().power_on(Duration::from_secs(9));
+    let pump = DeviceSpec::new("PUMP").fixed(44).skips_address_resolution();
+    let valve = DeviceSpec::new("VALVE")
+        .fixed(44)
+        .skips_address_resolution()
+        .power_on(Duration::from_secs(9));
     let scenario =
-        bus().with(pump).with(valve).at(Duration::from_secs(4), "PUMP", DeviceAction::Leave);
+        bus().with(pump).with(valve).at(Duration::from_secs(4), "PUMP", DeviceAction::PowerOff);
     let mut stage = Stage::new(&[scenario], &Config::default(), PUMP);
     stage.until(25.0);
     let why = stage.why(0);
@@ -283,7 +288,7 @@ fn device_seen_earlier_is_reported() {
 fn disabled_requests_are_the_reason() {
     for config in [
         Config { listen_only: true, ..Config::default() },
-        Config { scan: false, ..Config::default() },
+        Config { send_requests: false, ..Config::default() },
     ] {
         let stage = Stage::after_eight_seconds(&[bus()], &config, PUMP);
         assert_eq!(
@@ -325,7 +330,7 @@ fn missing_device_reason_covers_both_buses() {
         r#"{PUMP}, {{ "name": "FAN", "bus": "can1", "address": 45 }},
            {{ "name": "LAMP", "bus": "can7", "address": 46 }}"#
     );
-    let valve = DeviceSpec::new("VALVE").fixed(44).settled();
+    let valve = DeviceSpec::new("VALVE").fixed(44).skips_address_resolution();
     let scenarios = [bus(), bus().with(valve)];
     let mut stage = Stage::after_eight_seconds(&scenarios, &Config::default(), &entries);
     // Each bus has its own reason; reasons common to both are shown once.

@@ -17,7 +17,7 @@ const START: u64 = 1_436_509_052_249_713;
 fn read_with(bytes: &[u8], buffer: usize) -> (Vec<Frame>, LogSummary) {
     let mut reader = LogReader::new(BufReader::with_capacity(buffer, bytes));
     let frames = reader.by_ref().collect::<Result<_, _>>().unwrap();
-    (frames, reader.tally().clone())
+    (frames, reader.summary().clone())
 }
 
 fn read(bytes: &[u8]) -> (Vec<Frame>, LogSummary) {
@@ -48,7 +48,7 @@ fn one_of_each() -> Vec<Frame> {
     (plain_fd.id, plain_fd.bit_rate_switch) = (CanId::Standard(0x123), false);
     let all = [
         Frame::classic(0x0201_5402, &[4, 0x44, 0x45, 0x53, 1]),
-        Frame::with(CanId::Standard(0x7FF), &[]).with_tx(),
+        Frame::new(CanId::Standard(0x7FF), &[]).with_tx(),
         Frame::remote(CanId::Standard(0x123), 4),
         Frame::remote(CanId::Extended(0x123), 0).with_tx(),
         Frame::error(0x24, &[0, 1, 2, 3, 4, 5, 6, 7]),
@@ -206,7 +206,7 @@ fn truncated_file_keeps_frames_before_the_cut() {
         assert_eq!(there, frames[..there.len()], "{end}");
         assert!(there.len() >= seen, "{end}");
         seen = there.len();
-        assert!(matches!(tally.damage, None | Some(Damage::Cut)), "{end}: {tally:?}");
+        assert!(matches!(tally.damage, None | Some(Damage::Truncated)), "{end}: {tally:?}");
     }
     assert_eq!(seen, frames.len());
     let (_, tally) = read(&file[..file.len() - 1]);
@@ -222,7 +222,7 @@ fn wrong_block_lengths_use_no_memory() {
         (8, Damage::Length(8)),
         (13, Damage::Length(13)),
         (16, Damage::Lengths),
-        (!3, Damage::Cut),
+        (!3, Damage::Truncated),
     ] {
         let mut lying = file.clone();
         lying.extend([6_u32.to_le_bytes(), u32::to_le_bytes(length)].concat());
@@ -256,7 +256,7 @@ fn log_with_leading_blank_line_is_text() {
             assert_eq!((frames.len(), tally.unreadable), (1, 0), "{blank:?}");
         }
     }
-    assert_eq!(read(b"\n").1.lines, 1);
+    assert_eq!(read(b"\n").1.entries, 1);
     assert_eq!(read(b"\n\r\r").1.frames, 0);
 }
 

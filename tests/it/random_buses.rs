@@ -4,7 +4,8 @@
 //! `WORLDS=300 cargo test --test it random_buses` tries more of them; `WORLD=17` tries one.
 
 use crate::common::inspection::{FAULTS, Inspection, describe};
-use descan::discovery::{Confidence, Config, FindingKind, Presence};
+use descan::discovery::{Config, Presence};
+use descan::finding::{FindingKind, FindingState};
 use descan::sim::{AddressChoice, DeviceFraming, DeviceSpec, Fault, Scenario};
 use descan::time::{Duration, Instant};
 use descan::wire::id::Address;
@@ -16,10 +17,10 @@ fn world(seed: u64) -> Scenario {
     let bitrate = *rng.choice(&[125_000, 250_000, 500_000, 1_000_000]).unwrap();
     let mut scenario = Scenario::new(bitrate);
     if rng.u8(..4) == 0 {
-        scenario.error_rate = 0.01;
+        scenario.frame_error_probability = 0.01;
     }
     if rng.u8(..4) == 0 {
-        scenario.observer_loss = 0.01;
+        scenario.rx_loss = 0.01;
     }
     let mut addresses: Vec<u8> = (1..128).collect();
     rng.shuffle(&mut addresses);
@@ -37,7 +38,7 @@ fn world(seed: u64) -> Scenario {
         let mut device = DeviceSpec::new(&name).label(&format!("{number}")).uid(uid).fixed(address);
         // From the start, another node must acknowledge.
         device = if number == 0 || rng.bool() {
-            device.settled()
+            device.skips_address_resolution()
         } else {
             device.power_on(Duration::from_millis(rng.u64(..8000)))
         };
@@ -60,10 +61,11 @@ fn world(seed: u64) -> Scenario {
         device = device.framing(framing);
         device.fd = framing != DeviceFraming::Raw && rng.u8(..6) == 0;
         if rng.u8(..6) == 0 {
-            device.delay = (Duration::from_millis(20), Duration::from_millis(rng.u64(21..150)));
+            device.response_delay =
+                (Duration::from_millis(20), Duration::from_millis(rng.u64(21..150)));
         }
         if rng.u8(..6) == 0 {
-            device.jitter = Duration::from_millis(rng.u64(1..80));
+            device.max_heartbeat_delay = Duration::from_millis(rng.u64(1..80));
         }
         if rng.u8(..5) == 0 {
             let fault = *rng.choice(&FAULTS).unwrap();
@@ -72,7 +74,7 @@ fn world(seed: u64) -> Scenario {
         if rng.u8(..6) == 0 || busy {
             // In total no more than the bus can carry.
             let period = 6_000_000 / u64::from(bitrate / 1000) * rng.u64(1..8);
-            device = device.chatter(0x100, Duration::from_micros(period), 8);
+            device = device.periodic_message(0x100, Duration::from_micros(period), 8);
         }
         scenario = scenario.with(device);
     }
@@ -81,12 +83,12 @@ fn world(seed: u64) -> Scenario {
 
 fn tried(seed: u64, config: Config, wrong: &mut String) {
     let scenario = world(seed);
-    let loss = scenario.observer_loss > 0.0;
+    let loss = scenario.rx_loss > 0.0;
     let mut inspection = Inspection::new(&scenario, seed, config);
     let end = Instant::from_micros(30_000_000);
     inspection.run_until(end, |_| false);
     let settled =
-        inspection.run_until(end + Duration::from_secs(20), |engine| engine.progress().settled);
+        inspection.run_until(end + Duration::from_secs(20), |engine| engine.progress().is_complete);
     let mut complain = |what: String| writeln!(wrong, "world {seed}: {what}").unwrap();
     let Inspection { sim, engine, .. } = &inspection;
     if !settled {
@@ -97,7 +99,7 @@ fn tried(seed: u64, config: Config, wrong: &mut String) {
         let (Some(address), Some(_)) = (truth.address, truth.mode) else { continue };
         if FAULTS.iter().any(|fault| {
             spec.faults.has(*fault)
-                && *fault != Fault::EchoDestination
+                && *fault != Fault::RepeatsRequestDst
                 && *fault != Fault::NoHeartbeat
         }) {
             continue;
@@ -125,7 +127,7 @@ fn tried(seed: u64, config: Config, wrong: &mut String) {
                 "{truth:?} lists {:?}, {:?} {:?} {:?}",
                 services.map(|s| s.len()),
                 device.framing,
-                device.quirks,
+                device.deviations,
                 device.services_query
             ));
         }
@@ -151,7 +153,7 @@ fn tried(seed: u64, config: Config, wrong: &mut String) {
         // Bus errors occur at random or not at all; no device causes them.
         let blamed = finding.key.kind == FindingKind::BusErrors && finding.key.address.is_some();
         let collision = finding.key.kind.is_conflict();
-        if blamed || collision && finding.confidence == Confidence::Confirmed {
+        if blamed || collision && finding.confidence == FindingState::Confirmed {
             complain(format!(
                 "{} at {:?}: {:?}",
                 finding.key.kind, finding.key.address, finding.evidence
@@ -166,10 +168,10 @@ fn tried(seed: u64, config: Config, wrong: &mut String) {
         });
         let odd = match &event.kind {
             K::Moved { .. } | K::OwnAddressLost(_) => true,
-            K::NotAcknowledged => event.time > Instant::from_micros(10_000_000),
+            K::NoAck => event.time > Instant::from_micros(10_000_000),
             K::Presence(_) | K::Returned { .. } | K::Rebooted => !loss && !quiet,
             K::Finding { key, confidence } => {
-                key.kind.is_conflict() && *confidence == Confidence::Confirmed
+                key.kind.is_conflict() && *confidence == FindingState::Confirmed
             }
             _ => false,
         };

@@ -114,7 +114,7 @@ impl Stage {
             Step::Frames(frames) => {
                 let frames: Vec<Frame> = frames
                     .iter()
-                    .map(|(id, data)| Frame::with(CanId::Extended(*id), data).with_time(now))
+                    .map(|(id, data)| Frame::new(CanId::Extended(*id), data).with_time(now))
                     .collect();
                 self.app.handle_frames(now, &frames);
             }

@@ -22,7 +22,7 @@ fn read(path: &Path) -> (Vec<Frame>, LogSummary) {
     let file = File::open(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     let mut reader = LogReader::new(BufReader::new(file));
     let frames = reader.by_ref().collect::<Result<_, _>>().unwrap();
-    (frames, reader.tally().clone())
+    (frames, reader.summary().clone())
 }
 
 fn create(path: &Path, max_bytes: Option<u64>) -> Recorder {
@@ -86,7 +86,7 @@ fn frames_of_two_buses_are_recorded_in_time_order() {
         }
         assert_eq!(recorder.finish().frames, 40_000);
         let (there, tally) = read(&path);
-        assert_eq!(tally.backwards, 0);
+        assert_eq!(tally.clock_steps_back, 0);
         assert!(there == frames, "{name}");
     }
 }
@@ -118,7 +118,7 @@ proptest! {
         prop_assert_eq!(status.bytes, fs::metadata(&path).unwrap().len());
         let (there, tally) = read(&path);
         prop_assert_eq!(tally.epoch, Some(EPOCH));
-        prop_assert_eq!((tally.unreadable, tally.damage, tally.backwards), (0, None, 0));
+        prop_assert_eq!((tally.unreadable, tally.damage, tally.clock_steps_back), (0, None, 0));
         prop_assert_eq!(there, frames);
         prop_assert!(["can0", "can1"].starts_with(&tally.interfaces.iter().map(String::as_str).collect::<Vec<_>>()));
     }

@@ -15,8 +15,9 @@ use std::time::Instant;
 fn write_log(path: &Path) {
     let mut scenario = Scenario::new(125_000);
     for number in 1..=9 {
-        let device = DeviceSpec::new(&format!("N{number}")).fixed(number).settled();
-        scenario = scenario.with(device.chatter(0x100, Duration::from_millis(50), 8));
+        let device =
+            DeviceSpec::new(&format!("N{number}")).fixed(number).skips_address_resolution();
+        scenario = scenario.with(device.periodic_message(0x100, Duration::from_millis(50), 8));
     }
     fs::write(path, inspection::log(&scenario, 40)).unwrap();
 }

@@ -42,7 +42,7 @@ fn parse_frame(text: &str) -> Frame {
         return Frame::error(number, &data);
     }
     let id = if id.len() == 3 { CanId::Standard(number as u16) } else { CanId::Extended(number) };
-    Frame::with(id, &data)
+    Frame::new(id, &data)
 }
 
 /// An engine whose frames are all sent by the bus at once.
@@ -125,7 +125,7 @@ fn play(scenario: &str) -> String {
             ["set", setting, ref rest @ ..] => {
                 match (setting, rest) {
                     ("listen-only", []) => config.listen_only = true,
-                    ("no-scan", []) => config.scan = false,
+                    ("no-scan", []) => config.send_requests = false,
                     ("no-rounds", []) => config.round_period = std::time::Duration::ZERO,
                     ("alone", []) => taken = false,
                     ("announce", []) => profile.heartbeat.announce = Announce::Always,
@@ -152,7 +152,7 @@ fn play(scenario: &str) -> String {
             ["rescan"] => stage.engine.rescan(at),
             ["suspend"] => stage.engine.suspend(at),
             ["restart"] => stage.engine.restart(at),
-            ["clear-lost"] => stage.engine.clear_lost(),
+            ["clear-lost"] => stage.engine.remove_lost_devices(),
             ["show"] => stage.show_devices(),
             [frame] => stage.engine.handle_frame(&parse_frame(frame).with_time(at)),
             ref other => panic!("unknown input {other:?}"),

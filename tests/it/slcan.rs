@@ -144,11 +144,11 @@ fn frames_of_every_kind_are_received() {
     adapter.say("t1230\rt45631122");
     adapter.say("33\rT12abcdef2AA55\rr1234\rR000001230\r");
     adapter.say(&format!("d1239{}\rB1ABCDEF0F{fd}\r", "01".repeat(12)));
-    let mut standard_fd = Frame::with(CanId::Standard(0x123), &[1; 12]);
-    standard_fd.fd = true;
+    let mut standard_fd = Frame::new(CanId::Standard(0x123), &[1; 12]);
+    standard_fd.is_fd = true;
     let expected = [
-        Frame::with(CanId::Standard(0x123), &[]),
-        Frame::with(CanId::Standard(0x456), &[0x11, 0x22, 0x33]),
+        Frame::new(CanId::Standard(0x123), &[]),
+        Frame::new(CanId::Standard(0x456), &[0x11, 0x22, 0x33]),
         Frame::classic(0x12AB_CDEF, &[0xAA, 0x55]),
         Frame::remote(CanId::Standard(0x123), 4),
         Frame::remote(CanId::Extended(0x123), 0),
@@ -167,10 +167,10 @@ fn frames_of_every_kind_are_received() {
 #[test]
 fn frames_of_every_kind_are_sent() {
     let (mut adapter, bus) = open("@500000/2000000");
-    let mut slow_fd = Frame::with(CanId::Standard(0x7FF), &[9; 16]);
-    slow_fd.fd = true;
+    let mut slow_fd = Frame::new(CanId::Standard(0x7FF), &[9; 16]);
+    slow_fd.is_fd = true;
     for (frame, line) in [
-        (Frame::with(CanId::Standard(0x12), &[1, 2]), "t01220102".to_owned()),
+        (Frame::new(CanId::Standard(0x12), &[1, 2]), "t01220102".to_owned()),
         (Frame::classic(0x0201_5402, b"\x04DES\x01"), "T0201540250444455301".to_owned()),
         (Frame::remote(CanId::Standard(0x123), 8), "r1238".to_owned()),
         (Frame::remote(CanId::Extended(5), 0), "R000000050".to_owned()),
@@ -718,10 +718,10 @@ fn python_can_exchanges_frames_both_ways() {
 
     peer.write_line("send");
     let bytes: Vec<u8> = (0..12).collect();
-    let mut slow_fd = Frame::with(CanId::Standard(0x55), &bytes);
-    slow_fd.fd = true;
+    let mut slow_fd = Frame::new(CanId::Standard(0x55), &bytes);
+    slow_fd.is_fd = true;
     let kinds = [
-        Frame::with(CanId::Standard(0x123), &[1, 2]),
+        Frame::new(CanId::Standard(0x123), &[1, 2]),
         Frame::classic(0x1ABC_DEF0, &[0; 8]),
         Frame::remote(CanId::Standard(0x7FF), 4),
         Frame::remote(CanId::Extended(1), 0),
@@ -733,7 +733,8 @@ fn python_can_exchanges_frames_both_ways() {
         assert_eq!(*seen, kind.with_time(seen.time).with_bus(BusIndex(3)));
     }
 
-    // The peer's own setup commands may make the adapter dialogue begin again, which rejects frames.
+    // The peer's own setup commands may make the adapter dialogue begin again, which rejects
+    // frames.
     let sent = |bus: &OpenBus| bus.frames.iter().filter(|frame| frame.is_tx).count();
     for (count, kind) in kinds.iter().enumerate() {
         while sent(&bus) == count {
@@ -757,7 +758,7 @@ fn python_can_exchanges_frames_both_ways() {
             id,
             extended,
             is_remote,
-            kind.fd,
+            kind.is_fd,
             kind.bit_rate_switch,
             kind.len(),
             hex

@@ -133,7 +133,7 @@ fn sent_frames_are_read_by_candump() {
     fd.error_state = true;
     let frames = [
         Frame::classic(0x0201_5402, &[4, 0x44, 0x45, 0x53, 1]),
-        Frame::with(CanId::Standard(0x123), &[1, 2, 3]),
+        Frame::new(CanId::Standard(0x123), &[1, 2, 3]),
         Frame::remote(CanId::Extended(0x123), 5),
         fd,
     ];
@@ -166,7 +166,7 @@ fn canplayer_plays_recorded_files() {
     fd.error_state = true;
     let frames = [
         Frame::classic(0x0201_5402, &[4, 0x44, 0x45, 0x53, 1]).with_tx(),
-        Frame::with(CanId::Standard(0x123), &[1, 2, 3]),
+        Frame::new(CanId::Standard(0x123), &[1, 2, 3]),
         Frame::remote(CanId::Extended(0x123), 5),
         fd,
     ];
@@ -591,7 +591,7 @@ fn kernel_reassembles_sent_transfers() {
             let now = bus.clock.now();
             for frame in &bus.frames[seen..] {
                 if let (Some(KERNEL), Ok(Pci::Flow(flow))) =
-                    (frame.platform_id(), Pci::decode(frame.data(), frame.fd))
+                    (frame.platform_id(), Pci::decode(frame.data(), frame.is_fd))
                 {
                     segmenter.handle_flow(now, flow).unwrap();
                 }
@@ -625,7 +625,7 @@ fn kernel_transfers_are_reassembled() {
                 if frame.platform_id() != Some(KERNEL) || frame.kind != FrameKind::Data {
                     continue;
                 }
-                let progress = match Pci::decode(frame.data(), frame.fd).unwrap() {
+                let progress = match Pci::decode(frame.data(), frame.is_fd).unwrap() {
                     Pci::First { length, data } => {
                         let (len, buffer) = (frame.len(), vec![0; length as usize]);
                         let first = Reassembly::start(now, length, data, len, block_size, buffer);

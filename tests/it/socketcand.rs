@@ -100,8 +100,8 @@ fn frames_of_every_kind_are_received() {
     server.say("< rtr 00000123 23.424246 0 >< error 020 23.424247 >");
     let expected = [
         Frame::classic(0x1A22_0344, &[0x1A, 0x22]),
-        Frame::with(CanId::Standard(0x123), &[]),
-        Frame::with(CanId::Standard(0x7FF), &[0x11, 0x22, 0x33, 0x44, 0x55, 0x66, 0x77, 0x88]),
+        Frame::new(CanId::Standard(0x123), &[]),
+        Frame::new(CanId::Standard(0x7FF), &[0x11, 0x22, 0x33, 0x44, 0x55, 0x66, 0x77, 0x88]),
         Frame::remote(CanId::Standard(0x123), 4),
         Frame::remote(CanId::Extended(0x123), 0),
         Frame::error(0x20, &[]),
@@ -153,7 +153,7 @@ fn split_messages_are_joined() {
 fn frames_of_every_kind_but_fd_are_sent() {
     let (mut server, mut bus) = open();
     for (frame, message) in [
-        (Frame::with(CanId::Standard(0x123), &[1, 0xF1]), "< send 123 2 1 f1 >"),
+        (Frame::new(CanId::Standard(0x123), &[1, 0xF1]), "< send 123 2 1 f1 >"),
         (Frame::classic(0x0201_5402, b"\x04DES\x01"), "< send 02015402 5 4 44 45 53 1 >"),
         (Frame::classic(5, &[]), "< send 00000005 0 >"),
         (Frame::remote(CanId::Extended(5), 8), "< sendrtr 00000005 8 >"),

@@ -398,7 +398,7 @@ fn own_saves_are_not_reported() {
         for round in 0..10 {
             let (old, new) = (round.to_string(), (round + 1).to_string());
             store.save(Some(old.as_bytes()), new.as_bytes()).unwrap();
-            watch.saved(new.clone().into_bytes());
+            watch.set_known(new.clone().into_bytes());
         }
         // Touched, but not changed; and another file in the folder.
         fs::write(folder.path().join("other"), "x").unwrap();
@@ -424,7 +424,7 @@ fn content_read_before_a_save_is_dropped() {
         replace(&path, "theirs again");
         let Err(SaveError::Changed(_)) = store.save(Some(b"theirs"), b"ours") else { panic!() };
         store.save(Some(b"theirs again"), b"ours").unwrap();
-        watch.saved(b"ours".to_vec());
+        watch.set_known(b"ours".to_vec());
         replace(&path, "last");
         assert_eq!(next_content(&watch).await.as_deref(), Some("last"));
     });
@@ -443,7 +443,7 @@ fn content_read_after_a_save_is_kept() {
             let watch = FileWatcher::polling(Store::new(&path), known, Duration::from_hours(1));
             // Some saves are reported before the watch reads, some after.
             (0..round * 500).for_each(|_| std::hint::spin_loop());
-            watch.saved(b"ours".to_vec());
+            watch.set_known(b"ours".to_vec());
             assert_eq!(next_content(&watch).await.as_deref(), Some("theirs"));
         }
     });
@@ -459,7 +459,7 @@ fn uncertain_content_is_always_reported() {
         let known = Ok(Some(b"one".to_vec()));
         let watch = FileWatcher::polling(Store::new(&path), known, Duration::from_hours(1));
         for _ in 0..3 {
-            watch.look_again();
+            watch.reread();
             assert_eq!(next_content(&watch).await.as_deref(), Some("one"));
         }
     });

@@ -209,7 +209,7 @@ fn stop_signal_changes_no_presence() {
 #[ignore = "run by another test"]
 fn panic_with_the_terminal_open() {
     descan::shell::terminal::restore_on_panic();
-    let _terminal = descan::shell::terminal::Terminal::take().expect("a terminal");
+    let _terminal = descan::shell::terminal::Terminal::enter().expect("a terminal");
     panic!("on purpose");
 }
 

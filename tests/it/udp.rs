@@ -60,7 +60,7 @@ fn frames() -> [Frame; 4] {
     let mut fd = Frame::fd(0x1ABC_DEF0, &[0x5A; 32], 0);
     fd.error_state = true;
     [
-        Frame::with(CanId::Standard(0x123), &[1, 2, 3]),
+        Frame::new(CanId::Standard(0x123), &[1, 2, 3]),
         Frame::classic(0x0201_5402, &[]),
         Frame::remote(CanId::Standard(0x123), 4),
         fd,
@@ -115,7 +115,7 @@ fn talks_to_python_can(group: &str) {
     let mut plain_fd = Frame::fd(0x1ABC_DEF1, &[1], 0);
     (plain_fd.bit_rate_switch, plain_fd.error_state) = (false, true);
     let theirs = [
-        Frame::with(CanId::Standard(0x456), &[1, 2, 3]),
+        Frame::new(CanId::Standard(0x456), &[1, 2, 3]),
         Frame::classic(0x1234_5678, &[]),
         Frame::remote(CanId::Standard(0x456), 4),
         Frame::error(0x24, &[0, 1, 2, 3, 4, 5, 6, 7]),

@@ -317,7 +317,7 @@ fn undo_of_many_skips_values_changed_on_disk() {
         let mut lines = stage.app.timeline().entries();
         assert!(lines.any(|line| line.text == text), "{}", stage.screen());
     };
-    let mut stage = Stage::new(&Scenario::crowd(500_000, 4, 2), Some("[]"));
+    let mut stage = Stage::new(&Scenario::with_many_devices(500_000, 4, 2), Some("[]"));
     stage.until(5.0).keys("A");
     let all = stage.file().to_owned();
     assert_eq!(names(&stage), "N001 N002 N003 N004");
@@ -352,7 +352,7 @@ fn undo_of_many_skips_values_changed_on_disk() {
     told(&stage, "undid: 4 new entries, all but 2");
 
     // Another program changes all entries but one, or all.
-    let mut stage = Stage::new(&Scenario::crowd(500_000, 4, 2), Some("[]"));
+    let mut stage = Stage::new(&Scenario::with_many_devices(500_000, 4, 2), Some("[]"));
     stage.until(5.0).keys("A");
     let noted = |text: &str, count: usize| {
         text.replacen("\"name\": \"N0", "\"note\": 1, \"name\": \"N0", count)
@@ -362,7 +362,7 @@ fn undo_of_many_skips_values_changed_on_disk() {
     assert_eq!(names(&stage), "N001 N002 N003");
     let but = format!("except N003 at {third} and 2 more (changed on disk)");
     told(&stage, &format!("undid: 4 new entries, {but}"));
-    let mut stage = Stage::new(&Scenario::crowd(500_000, 4, 2), Some("[]"));
+    let mut stage = Stage::new(&Scenario::with_many_devices(500_000, 4, 2), Some("[]"));
     stage.until(5.0).keys("A").write(&noted(&all, 4)).keys("u");
     assert_eq!(stage.file(), noted(&all, 4));
     let screen = stage.screen();
@@ -455,7 +455,7 @@ fn save_that_broke_hard_links_is_reported() {
         (2, "saved; 2 other hard links keep the old content"),
     ] {
         let mut stage = saving();
-        stage.unfinished = Some(vec![SaveOutcome::Parted(names)]);
+        stage.unfinished = Some(vec![SaveOutcome::LinksBroken(names)]);
         let screen = stage.finish_saves().screen();
         assert!(screen.contains(told), "{screen}");
         assert!(stage.app.message().is_some_and(|it| it.is_error));
@@ -520,9 +520,9 @@ fn problem_selects_its_own_entry_among_twins() {
 #[test]
 fn used_address_selects_the_twin_pinned_to_it() {
     let scenario = Scenario::new(125_000)
-        .with(DeviceSpec::new("FEED").fixed(20).settled())
-        .with(DeviceSpec::new("FEED").fixed(30).settled())
-        .with(DeviceSpec::new("SENS").fixed(12).settled());
+        .with(DeviceSpec::new("FEED").fixed(20).skips_address_resolution())
+        .with(DeviceSpec::new("FEED").fixed(30).skips_address_resolution())
+        .with(DeviceSpec::new("SENS").fixed(12).skips_address_resolution());
     for [first, second] in [[12, 30], [30, 12]] {
         let entry =
             |address| format!(r#"{{ "name": "FEED", "address": {address}, "static": true }}"#);
@@ -601,7 +601,7 @@ impl Desk {
                 let to = self.next();
                 let entry = self.file.document().key(at);
                 let from = entry.address;
-                self.file.edit(&[Operation::SetAddress { entry, from, to }]).unwrap();
+                self.file.edit(&[Operation::PinAddress { entry, from, to }]).unwrap();
                 self.edits.push((at, self.wanted[at]));
                 self.wanted[at] = to;
             }
@@ -619,7 +619,7 @@ impl Desk {
                 let to = self.next();
                 let on = Document::parse(&self.disk).unwrap();
                 let entry = on.key(at);
-                let operation = Operation::SetAddress { from: entry.address, entry, to };
+                let operation = Operation::PinAddress { from: entry.address, entry, to };
                 let content = on.apply(&operation).unwrap().source().to_vec();
                 self.wanted[at] = to;
                 if let Step::Write(_) = step {
@@ -659,7 +659,7 @@ impl Desk {
                 else {
                     return;
                 };
-                if self.file.is_superseded() {
+                if self.file.is_base_changed() {
                     self.known = None;
                 } else if outcome.is_on_disk() {
                     self.known = Some(saving.content.source().to_vec());

@@ -4,7 +4,8 @@ use crate::common::inspection::log;
 use crate::common::watch_process::{Watching, command};
 use descan::app::{App, AppEvent, AppOptions, FileReading, Filter};
 use descan::diagnostic::Diagnostic;
-use descan::discovery::{Confidence, Config, FindingKind};
+use descan::discovery::Config;
+use descan::finding::{FindingKind, FindingState};
 use descan::frame::BusIndex;
 use descan::sim::{DeviceSpec, Fault, Scenario, Sim};
 use descan::status::{BusStatus, Link};
@@ -358,10 +359,11 @@ fn closed_output_ends_watch() {
 fn conflicts_are_equal_in_watch_and_scan() {
     let board = |label: &str, uid: u8| {
         let uid = descan::wire::node::Uid([uid; 6]);
-        let board = DeviceSpec::new("FEED").label(label).fixed(12).settled().uid(uid);
-        board.service("AUGER", "2.1").fault(Fault::NeverGivesWay)
+        let board =
+            DeviceSpec::new("FEED").label(label).fixed(12).skips_address_resolution().uid(uid);
+        board.service("AUGER", "2.1").fault(Fault::KeepsAddress)
     };
-    let other = DeviceSpec::new("SENS").fixed(13).settled();
+    let other = DeviceSpec::new("SENS").fixed(13).skips_address_resolution();
     let scenario = Scenario::new(125_000).with(board("a", 1)).with(board("b", 2)).with(other);
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("session.log"), log(&scenario, 20)).unwrap();
@@ -529,7 +531,7 @@ fn file_errors_are_printed_once() {
 #[test]
 fn control_characters_in_names_are_escaped() {
     let name = b"\x1b[2J\xff\\".to_vec();
-    let hostile = DeviceSpec::new("x").name(&name).fixed(9).settled();
+    let hostile = DeviceSpec::new("x").name(&name).fixed(9).skips_address_resolution();
     let hostile = hostile.service("\u{202e}evil", "\u{9b}1");
     let folder = tempfile::tempdir().unwrap();
     let lines = log(&Scenario::new(125_000).with(hostile), 5);
@@ -572,7 +574,7 @@ fn unusable_bus_is_one_error_line() {
 
 /// Returns the findings reported by an app without a screen, on a simulated bus, in so many
 /// seconds.
-fn findings(scenario: &Scenario, file: &str, seconds: u64) -> Vec<(FindingKind, Confidence)> {
+fn findings(scenario: &Scenario, file: &str, seconds: u64) -> Vec<(FindingKind, FindingState)> {
     let mut sim = Sim::new(scenario, 7);
     let station = sim.attach();
     let config = Config { bitrate: Some(scenario.bitrate), seed: 7, ..Config::default() };
@@ -614,8 +616,8 @@ fn findings(scenario: &Scenario, file: &str, seconds: u64) -> Vec<(FindingKind, 
 fn file_differences_are_printed_once() {
     // A device that never sends its name is at an address pinned for another: it gets repeated
     // requests.
-    let silent = DeviceSpec::new("x").fixed(40).settled().fault(Fault::NoDes);
-    let feed = DeviceSpec::new("FEED").fixed(12).settled().service("AUGER", "2.1");
+    let silent = DeviceSpec::new("x").fixed(40).skips_address_resolution().fault(Fault::NoDes);
+    let feed = DeviceSpec::new("FEED").fixed(12).skips_address_resolution().service("AUGER", "2.1");
     // A device that starts late causes another broadcast request.
     let late = DeviceSpec::new("LATE").fixed(50).power_on(Duration::from_millis(3200));
     let scenario = Scenario::new(125_000).with(silent).with(feed).with(late);
@@ -624,10 +626,10 @@ fn file_differences_are_printed_once() {
     let mut told = findings(&scenario, file, 130);
     told.sort_by_key(|(kind, _)| kind.name());
     let expected = [
-        (FindingKind::Missing, Confidence::Confirmed),
-        (FindingKind::Missing, Confidence::Confirmed),
-        (FindingKind::StaticAddressTaken, Confidence::Suspected),
-        (FindingKind::WrongAddress, Confidence::Confirmed),
+        (FindingKind::Missing, FindingState::Confirmed),
+        (FindingKind::Missing, FindingState::Confirmed),
+        (FindingKind::StaticAddressTaken, FindingState::Suspected),
+        (FindingKind::WrongAddress, FindingState::Confirmed),
     ];
     assert_eq!(told, expected);
 }

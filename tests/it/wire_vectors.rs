@@ -77,8 +77,8 @@ fn identifiers_match_the_vectors() {
         let header = Header::decode(id);
         let bit = |name: &str| vector["fields"][name] == 1;
         let number = |name: &str| vector["fields"][name].as_u64().unwrap();
-        assert_eq!(header.sender_not_working, bit("u"), "{vector}");
-        assert_eq!(header.to_not_working, bit("d"), "{vector}");
+        assert_eq!(header.from_non_working, bit("u"), "{vector}");
+        assert_eq!(header.to_non_working, bit("d"), "{vector}");
         assert_eq!(header.response, bit("r"), "{vector}");
         assert_eq!(header.broadcast, bit("b"), "{vector}");
         assert_eq!(header.no_error, bit("err"), "{vector}");

@@ -1,13 +1,14 @@
-//! One bus: its discovery engine, its adapter status and its load.
+//! One bus: its discovery engine, its bus status and its load.
 //!
-//! Inputs: frames, adapter statuses, time. Does not know how frames are received.
+//! Inputs: frames, bus statuses, time. Does not know how frames are received.
 
 use super::load_meter::LoadMeter;
 use super::status_changes::status_changes;
 use crate::app::notices::TimelineKind;
 use crate::discovery::{
-    Config, Counters, Device, DeviceId, DiscoveryProgress, Engine, Event, Finding, OwnAddress,
+    Config, Counters, Device, DeviceId, DiscoveryProgress, Engine, Event, OwnAddress,
 };
+use crate::finding::Finding;
 use crate::frame::Frame;
 use crate::status::{BusState, BusStatus, Link};
 use crate::time::{Duration, Instant};
@@ -109,17 +110,17 @@ impl Bus {
 
     /// Returns true if no frames can be received, and not because the log ended or the bus is
     /// still being opened.
-    pub fn is_blind(&self) -> bool {
+    pub fn cannot_receive(&self) -> bool {
         !self.is_up() && self.ended.is_none() && self.status.link != Link::Opening
     }
 
     /// Returns true if at least 64 bus errors and no valid frame were received in the last 3 s: the
     /// bit rate is probably wrong. A missing acknowledgement does not count as a bus error.
-    pub fn hears_only_errors(&self) -> bool {
+    pub fn has_only_bus_errors(&self) -> bool {
         let recent = || self.meter.seconds().rev().take(3);
         self.is_up()
             && recent().all(|second| second.frames == second.errors)
-            && recent().map(|second| second.broken).sum::<u32>() >= ONLY_ERRORS_MIN
+            && recent().map(|second| second.bus_errors).sum::<u32>() >= ONLY_ERRORS_MIN
     }
 
     /// Why frames of descan do not reach the bus; `None` if they do, or the bus is down.
@@ -129,7 +130,7 @@ impl Bus {
         } else if self.status.is_transmit_queue_full {
             Some(TxBlocked::QueueFull)
         } else {
-            self.engine.is_unacknowledged().then_some(TxBlocked::Unacknowledged)
+            self.engine.has_no_ack().then_some(TxBlocked::NoAck)
         }
     }
 
@@ -149,7 +150,7 @@ impl Bus {
     /// Passes a frame to the engine and the load meter.
     pub(super) fn receive(&mut self, frame: &Frame) {
         if self.is_quarantined(frame.time) {
-            self.engine.count_only(frame);
+            self.engine.count_frame_only(frame);
         } else {
             self.engine.handle_frame(frame);
         }
@@ -171,7 +172,7 @@ impl Bus {
             return;
         }
         if self.is_unreachable() {
-            self.engine.wait_for_bus(now);
+            self.engine.handle_bus_unavailable(now);
         }
         self.engine.handle_timeout(now);
     }
@@ -180,7 +181,7 @@ impl Bus {
     pub(super) fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
         if self.is_unreachable() {
             // A frame queued now would be late, and its missing ACK would prove nothing.
-            self.engine.wait_for_bus(now);
+            self.engine.handle_bus_unavailable(now);
         }
         self.engine.poll_transmit(now)
     }
@@ -196,8 +197,8 @@ impl Bus {
     }
 
     /// Removes the lost devices.
-    pub(super) fn clear_lost(&mut self) {
-        self.engine.clear_lost();
+    pub(super) fn remove_lost_devices(&mut self) {
+        self.engine.remove_lost_devices();
     }
 
     /// Suspends the engine from `since` on; frames received before `until` are only counted, since
@@ -218,7 +219,7 @@ impl Bus {
         false
     }
 
-    /// Takes a new adapter status; returns the timeline texts of what changed, or `None` for an
+    /// Handles a new bus status; returns the timeline texts of what changed, or `None` for an
     /// unchanged one.
     pub(super) fn update_status(
         &mut self,
@@ -259,7 +260,7 @@ impl Bus {
             self.engine.restart(now);
         }
         if newly_lost > 0 {
-            self.engine.handle_lost(now, newly_lost);
+            self.engine.handle_lost_frames(now, newly_lost);
         }
         Some(lines)
     }
@@ -282,7 +283,7 @@ pub enum TxBlocked {
     /// The transmit queue is full: earlier frames are not transmitted either.
     QueueFull,
     /// Frames are not acknowledged, or do not return as loopback.
-    Unacknowledged,
+    NoAck,
 }
 
 /// Returns true if frames can be received and transmitted in this status.

@@ -26,7 +26,7 @@ pub struct LoadSecond {
     /// Error frames among them.
     pub errors: u32,
     /// Error frames that report a bus error (ISO 11898-1).
-    pub broken: u32,
+    pub bus_errors: u32,
     /// Time during which the bus was occupied, in nominal bit times.
     pub bits: u64,
 }
@@ -47,9 +47,9 @@ impl LoadMeter {
     pub fn add(&mut self, frame: &Frame, bitrate: u32, data_bitrate: Option<u32>) {
         self.current.frames += 1;
         let bits = if frame.kind == FrameKind::Error {
-            let is_broken = ErrorReport::of(frame).is_some_and(|report| report.is_broken_frame());
+            let is_broken = ErrorReport::of(frame).is_some_and(|report| report.is_bus_error());
             self.current.errors += 1;
-            self.current.broken += u32::from(is_broken);
+            self.current.bus_errors += u32::from(is_broken);
             if is_broken { BROKEN_FRAME_BITS } else { 0 }
         } else {
             bit_times(frame, bitrate, data_bitrate)

@@ -1,6 +1,6 @@
-//! The buses: engine, adapter status and load of each, redundant devices, the bit rate search.
+//! The buses: engine, bus status and load of each, redundant devices, the bit rate search.
 //!
-//! Inputs: frames, adapter statuses, time. Outputs: frames to transmit, engine events, timeline
+//! Inputs: frames, bus statuses, time. Outputs: frames to transmit, engine events, timeline
 //! texts of status changes. Read by the other parts of the application to look up devices and
 //! names. Does not know des.json, the timeline or the screen.
 
@@ -15,9 +15,8 @@ pub use redundancy::{Redundancy, RedundantDevice};
 
 use super::notices::TimelineKind;
 use super::view::{Row, RowKey};
-use crate::discovery::{
-    Confidence, Config, Device, DeviceId, Event, Finding, FindingKey, FindingKind, OwnAddress,
-};
+use crate::discovery::{Config, Device, DeviceId, Event, OwnAddress};
+use crate::finding::{Finding, FindingKey, FindingKind, FindingState};
 use crate::frame::{BusIndex, Frame};
 use crate::status::BusStatus;
 use crate::time::{Duration, Instant};
@@ -30,7 +29,7 @@ use std::sync::Arc;
 
 /// Listening time after which a listed device counts as missing where no requests are sent.
 const LISTEN_TIME: Duration = Duration::from_secs(5);
-/// Time after a stall in which frames that waited meanwhile may still arrive.
+/// Time after a stall in which frames that waited during it may still arrive.
 const STALL_BACKLOG: Duration = Duration::from_millis(250);
 
 /// All buses.
@@ -122,7 +121,7 @@ impl Buses {
 
     /// The devices of a row: several where buses are redundant.
     pub fn devices_of<'a>(&'a self, row: &'a Row) -> impl Iterator<Item = &'a Device> {
-        let also = row.also.iter().filter_map(|id| self.device(*id));
+        let also = row.redundant_ids.iter().filter_map(|id| self.device(*id));
         self.device_of(row).into_iter().chain(also)
     }
 
@@ -190,13 +189,13 @@ impl Buses {
             bus.findings().iter().any(|finding| {
                 finding.key.kind == kind
                     && finding.key.address == Some(device.address)
-                    && finding.confidence == Confidence::Confirmed
+                    && finding.confidence == FindingState::Confirmed
             })
         })
     }
 
     /// The same device on other buses.
-    pub fn siblings(&self, id: DeviceId) -> &[RedundantDevice] {
+    pub fn redundant_devices(&self, id: DeviceId) -> &[RedundantDevice] {
         self.redundant.of(id)
     }
 
@@ -218,14 +217,14 @@ impl Buses {
         let Some(bus) = self.get(bus) else { return false };
         let progress = bus.progress();
         let listened = now.since(self.started) >= LISTEN_TIME;
-        progress.settled || progress.rounds >= 2 || listened || bus.ended.is_some()
+        progress.is_complete || progress.rounds >= 2 || listened || bus.ended.is_some()
     }
 
     /// Returns true if the engine of a bus sends requests.
     pub fn sends_requests(&self, bus: BusIndex) -> bool {
         self.get(bus).is_some_and(|bus| {
             let config = bus.config();
-            config.scan && !config.listen_only
+            config.send_requests && !config.listen_only
         })
     }
 
@@ -308,7 +307,7 @@ impl Buses {
         }
     }
 
-    /// Updates the adapter status of a bus. Returns the timeline texts of what changed (none
+    /// Updates the bus status of a bus. Returns the timeline texts of what changed (none
     /// during a bit rate search, which takes the bus down and up), or `None` if nothing did.
     pub(super) fn update_status(
         &mut self,
@@ -349,8 +348,8 @@ impl Buses {
     }
 
     /// Removes the lost devices of all buses.
-    pub(super) fn clear_lost(&mut self) {
-        self.all_mut().for_each(Bus::clear_lost);
+    pub(super) fn remove_lost_devices(&mut self) {
+        self.all_mut().for_each(Bus::remove_lost_devices);
     }
 
     /// Closes the load seconds that are over.
@@ -365,7 +364,7 @@ impl Buses {
         self.searched = bus;
     }
 
-    /// Recognises anew which devices are on several buses; returns the pairs whose redundancy
+    /// Updates which devices are on several buses; returns the pairs whose redundancy
     /// changed, in the order of their buses.
     pub(super) fn refresh_redundancy(&mut self) -> Vec<(DeviceId, DeviceId, Redundancy)> {
         self.redundant.refresh(&self.list)

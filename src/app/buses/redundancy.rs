@@ -18,7 +18,7 @@ pub enum Redundancy {
     /// Different services on each.
     TwoNetworks,
     /// The services are not known on both.
-    Open,
+    Undetermined,
 }
 
 impl Redundancy {
@@ -27,7 +27,7 @@ impl Redundancy {
         match self {
             Redundancy::Redundant => "same services: redundant",
             Redundancy::TwoNetworks => "different services: separate networks",
-            Redundancy::Open => "services not known on both",
+            Redundancy::Undetermined => "services not known on both",
         }
     }
 }
@@ -38,7 +38,7 @@ pub struct RedundantDevice {
     /// The device on the other bus.
     pub id: DeviceId,
     /// Relation of the two buses.
-    pub kinship: Redundancy,
+    pub relation: Redundancy,
 }
 
 /// The devices that are on several buses.
@@ -49,7 +49,7 @@ pub(super) struct RedundantDevices {
 }
 
 impl RedundantDevices {
-    /// Recognises the devices of all buses anew; returns the pairs whose relation changed, in the
+    /// Compares the devices of all buses again; returns the pairs whose relation changed, in the
     /// order of their buses.
     pub fn refresh(&mut self, buses: &[Bus]) -> Vec<(DeviceId, DeviceId, Redundancy)> {
         self.of.clear();
@@ -78,15 +78,15 @@ impl RedundantDevices {
         for group in groups.values().filter(|group| group.len() > 1) {
             for (at, one) in group.iter().enumerate() {
                 for other in &group[at + 1..] {
-                    let kinship = kinship(one, other);
+                    let kinship = relation(one, other);
                     self.of
                         .entry(one.id)
                         .or_default()
-                        .push(RedundantDevice { id: other.id, kinship });
+                        .push(RedundantDevice { id: other.id, relation: kinship });
                     self.of
                         .entry(other.id)
                         .or_default()
-                        .push(RedundantDevice { id: one.id, kinship });
+                        .push(RedundantDevice { id: one.id, relation: kinship });
                     if self.known.insert((one.id, other.id), kinship) != Some(kinship) {
                         changed.push((one.id, other.id, kinship));
                     }
@@ -107,15 +107,15 @@ impl RedundantDevices {
 
     /// The same device on other buses, where these are redundant.
     pub fn redundant(&self, id: DeviceId) -> impl Iterator<Item = DeviceId> {
-        let redundant = self.of(id).iter().filter(|it| it.kinship == Redundancy::Redundant);
+        let redundant = self.of(id).iter().filter(|it| it.relation == Redundancy::Redundant);
         redundant.map(|it| it.id)
     }
 }
 
-fn kinship(one: &Device, other: &Device) -> Redundancy {
+fn relation(one: &Device, other: &Device) -> Redundancy {
     match (&one.services, &other.services) {
         (Some(here), Some(there)) if here == there => Redundancy::Redundant,
         (Some(_), Some(_)) => Redundancy::TwoNetworks,
-        _ => Redundancy::Open,
+        _ => Redundancy::Undetermined,
     }
 }

@@ -1,4 +1,4 @@
-//! The changes between two adapter statuses, as timeline texts.
+//! The changes between two bus statuses, as timeline texts.
 //!
 //! Pure: two statuses in, lines out.
 
@@ -49,7 +49,7 @@ pub(super) fn status_changes(old: &BusStatus, status: &BusStatus) -> Vec<(Timeli
     if old.state != status.state && status.state != BusState::Unknown {
         let kind = match status.state {
             BusState::ErrorActive => TimelineKind::Bus,
-            BusState::ErrorWarning => TimelineKind::Late,
+            BusState::ErrorWarning => TimelineKind::Overdue,
             _ => TimelineKind::Error,
         };
         let counters = match (status.tec, status.rec) {

@@ -1,7 +1,7 @@
 //! The text of a frame: sender, receiver, service, DES message.
 //!
 //! Input: a frame and the devices of its bus. A frame is decoded when it is shown, not when it is
-//! received. Text from devices is escaped ([`Escaped`]). Does not know how it is drawn.
+//! received. Text from devices is escaped ([`Escaped`]).
 
 use crate::app::buses::Buses;
 use crate::error_report::ErrorReport;
@@ -20,7 +20,7 @@ use std::fmt::Write;
 /// A frame as text.
 #[derive(Clone, Debug, Default)]
 pub struct Decoded {
-    /// Fields of the identifier (CAN platform §3); `None` for a non-platform frame.
+    /// Fields of the identifier (CAN platform §4.1); `None` for a non-platform frame.
     pub header: Option<Header>,
     /// Sender: name, else address; empty for a non-platform frame.
     pub source: String,
@@ -115,7 +115,9 @@ pub(super) fn reassemble<'f>(
     first: &Frame,
     rest: impl Iterator<Item = &'f Frame>,
 ) -> Option<Vec<u8>> {
-    let Ok(Pci::First { length, data }) = Pci::decode(first.data(), first.fd) else { return None };
+    let Ok(Pci::First { length, data }) = Pci::decode(first.data(), first.is_fd) else {
+        return None;
+    };
     let wanted = (length as usize).min(crate::wire::des::MAX_MESSAGE);
     let mut message = data.to_vec();
     let mut next = 1;
@@ -123,7 +125,7 @@ pub(super) fn reassemble<'f>(
         if message.len() >= wanted {
             break;
         }
-        match Pci::decode(frame.data(), frame.fd) {
+        match Pci::decode(frame.data(), frame.is_fd) {
             Ok(Pci::Consecutive { sequence, data }) if sequence == next => {
                 message.extend_from_slice(data);
                 next = (next + 1) & 0x0F;
@@ -150,17 +152,17 @@ fn describe_data(profile: &Profile, header: Header, frame: &Frame) -> (String, b
         return (String::new(), false);
     }
     if !header.response {
-        return match classify_request(data, frame.fd) {
+        return match classify_request(data, frame.is_fd) {
             Some((_, message)) => (describe_request(message), false),
-            None => match Pci::decode(data, frame.fd) {
+            None => match Pci::decode(data, frame.is_fd) {
                 Ok(Pci::Flow(flow)) => (describe_flow(flow.status).to_owned(), false),
                 _ => ("not a DES request".to_owned(), true),
             },
         };
     }
-    match classify_response(data, frame.fd, true) {
+    match classify_response(data, frame.is_fd, true) {
         Some(Framing::Raw) => describe_response(strip_raw_padding(data)),
-        Some(Framing::Isotp) => match Pci::decode(data, frame.fd) {
+        Some(Framing::Isotp) => match Pci::decode(data, frame.is_fd) {
             Ok(Pci::Single(message)) => describe_response(message),
             Ok(Pci::First { length, data }) => {
                 let what = match data.first() {

@@ -2,7 +2,7 @@
 //! the recording.
 //!
 //! Inputs: frames, the filter of the Traffic page. Outputs: numbers and texts of the frames to
-//! show. Does not know how they are drawn.
+//! show.
 
 mod decoded;
 mod ring;
@@ -204,10 +204,11 @@ impl Traffic {
             return None;
         }
         let same = |other: &&Frame| other.bus == frame.bus && other.platform_id() == Some(id);
-        let is_first =
-            |other: &&Frame| matches!(Pci::decode(other.data(), other.fd), Ok(Pci::First { .. }));
+        let is_first = |other: &&Frame| {
+            matches!(Pci::decode(other.data(), other.is_fd), Ok(Pci::First { .. }))
+        };
         if !matches!(
-            Pci::decode(frame.data(), frame.fd),
+            Pci::decode(frame.data(), frame.is_fd),
             Ok(Pci::First { .. } | Pci::Consecutive { .. })
         ) {
             return None;

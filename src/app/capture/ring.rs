@@ -94,10 +94,12 @@ pub struct IdentifierKey {
 
 /// [`FrameKind`] with an order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-#[allow(missing_docs)]
 pub enum IdentifierKind {
+    /// Data frame.
     Data,
+    /// Remote frame.
     Remote,
+    /// Error frame.
     Error,
 }
 
@@ -112,7 +114,7 @@ impl IdentifierKey {
             }
             (FrameKind::Data, id) => (IdentifierKind::Data, id),
         };
-        Self { bus: frame.bus, id, kind, fd: frame.fd }
+        Self { bus: frame.bus, id, kind, fd: frame.is_fd }
     }
 }
 
@@ -187,7 +189,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_ring_keeps_the_newest() {
+    fn ring_keeps_newest_frames() {
         let mut capture = Capture::new();
         for at in 0..Capture::FRAMES as u64 + 10 {
             capture.push(&Frame::classic(1, &[]).with_time(Instant::from_micros(at)));
@@ -199,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn a_broadcasts_random_destination_makes_no_rows() {
+    fn broadcast_rnd7_destination_adds_no_identifier_rows() {
         let mut capture = Capture::new();
         let service = crate::wire::id::Service::from_bits(1);
         let from = crate::wire::id::Address::from_bits(12);

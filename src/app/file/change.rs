@@ -29,16 +29,16 @@ impl FileReading {
     /// # Errors
     ///
     /// The file is not JSON or cannot be read.
-    pub(super) fn found(self) -> Result<Option<Document>, FileProblem> {
+    pub(super) fn found(self) -> Result<Option<Document>, FileError> {
         match self {
             FileReading::Content(None) => Ok(None),
             FileReading::Content(Some(content)) => match Document::parse(&content) {
                 Ok(document) => Ok(Some(document)),
-                Err(error) => Err(FileProblem::Syntax(error)),
+                Err(error) => Err(FileError::Syntax(error)),
             },
             FileReading::Parsed(Ok(document)) => Ok(Some(document)),
-            FileReading::Parsed(Err(error)) => Err(FileProblem::Syntax(error)),
-            FileReading::Error(why) => Err(FileProblem::Unreadable(why)),
+            FileReading::Parsed(Err(error)) => Err(FileError::Syntax(error)),
+            FileReading::Error(why) => Err(FileError::Unreadable(why)),
         }
     }
 }
@@ -58,8 +58,9 @@ pub enum SaveOutcome {
     /// The content is on disk.
     Saved,
     /// The content is on disk; this many other names of the file (hard links) keep the old content.
-    Parted(u64),
-    /// Another program wrote the file meanwhile; nothing was written. Holds the present content.
+    LinksBroken(u64),
+    /// Another program wrote the file during the save; nothing was written. Holds the present
+    /// content.
     Changed(FileReading),
     /// The file cannot be written.
     Failed(Diagnostic),
@@ -68,13 +69,13 @@ pub enum SaveOutcome {
 impl SaveOutcome {
     /// Returns true if the content of the save is on disk.
     pub const fn is_on_disk(&self) -> bool {
-        matches!(self, SaveOutcome::Saved | SaveOutcome::Parted(_))
+        matches!(self, SaveOutcome::Saved | SaveOutcome::LinksBroken(_))
     }
 }
 
 /// Problem that prevents reading or saving the file.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum FileProblem {
+pub enum FileError {
     /// The file is not JSON.
     Syntax(ParseError),
     /// The file cannot be read.
@@ -83,43 +84,43 @@ pub enum FileProblem {
     NotSaved(Diagnostic),
 }
 
-impl FileProblem {
+impl FileError {
     /// Returns true if the last save failed.
     pub const fn is_not_saved(&self) -> bool {
-        matches!(self, FileProblem::NotSaved(_))
+        matches!(self, FileError::NotSaved(_))
     }
 
     /// Message about the problem, for the file with this name.
     pub fn of_file(&self, name: &str) -> String {
         match self {
-            FileProblem::Syntax(error) => format!("{name}: {error}"),
-            FileProblem::Unreadable(why) => format!("{name}: {why}"),
+            FileError::Syntax(error) => format!("{name}: {error}"),
+            FileError::Unreadable(why) => format!("{name}: {why}"),
             // Shown during edits, where the file is known.
-            FileProblem::NotSaved(why) => why.to_string(),
+            FileError::NotSaved(why) => why.to_string(),
         }
     }
 
     /// The line that is not JSON, and a caret below it that marks the place.
     pub fn excerpt(&self) -> Option<[String; 2]> {
         match self {
-            FileProblem::Syntax(error) => error.excerpt(),
-            FileProblem::Unreadable(_) | FileProblem::NotSaved(_) => None,
+            FileError::Syntax(error) => error.excerpt(),
+            FileError::Unreadable(_) | FileError::NotSaved(_) => None,
         }
     }
 }
 
-impl std::fmt::Display for FileProblem {
+impl std::fmt::Display for FileError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            FileProblem::Syntax(error) => error.fmt(f),
-            FileProblem::Unreadable(why) | FileProblem::NotSaved(why) => why.fmt(f),
+            FileError::Syntax(error) => error.fmt(f),
+            FileError::Unreadable(why) | FileError::NotSaved(why) => why.fmt(f),
         }
     }
 }
 
 /// Effect of a reading, a save or a decided conflict on the state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Change {
+pub enum FileChange {
     /// No change.
     None,
     /// The content changed.
@@ -127,35 +128,55 @@ pub enum Change {
     /// The edits are on disk.
     Saved,
     /// The file was read for the first time.
-    First,
+    FirstRead,
     /// The unsaved edits were applied to newer content.
     Rebased,
     /// The file cannot be read or saved; the last valid content is kept.
-    Broken,
+    Unusable,
     /// An edit conflict: disk and unsaved edits changed the same value.
     Conflict,
 }
 
 /// Reason why an edit is refused.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs)]
 pub enum EditRefusal {
+    /// descan runs without a file.
     #[error("no file is open: start with --file des.json")]
     NoFile,
+    /// The first reading has not finished.
     #[error("the file has not been read yet")]
     NotRead,
+    /// The file is invalid, for the reason given.
     #[error("file has errors, fix it first: {0}")]
-    Broken(String),
+    Unusable(String),
+    /// An edit conflict is open.
     #[error("resolve the edit conflict first")]
     Conflict,
+    /// No edit is left to undo.
     #[error("nothing to undo")]
     NothingToUndo,
+    /// No undone edit is left.
     #[error("nothing to redo")]
     NothingToRedo,
+    /// The value changed on disk since the edit.
     #[error("not {done}: {name}; on disk: {theirs}")]
-    ChangedSince { done: &'static str, name: String, theirs: String },
+    ChangedSince {
+        /// What was attempted: `undone`, `redone`.
+        done: &'static str,
+        /// Description of the step.
+        name: String,
+        /// Value on disk.
+        theirs: String,
+    },
+    /// The file already has the result of the step.
     #[error("already {done}: {name}")]
-    SoAlready { done: &'static str, name: String },
+    AlreadyDone {
+        /// What was attempted: `undone`, `redone`.
+        done: &'static str,
+        /// Description of the step.
+        name: String,
+    },
+    /// The edit cannot be applied to the content.
     #[error(transparent)]
     Edit(#[from] EditError),
 }

@@ -8,7 +8,7 @@ mod change;
 mod state;
 mod undo_stack;
 
-pub use change::{Change, EditRefusal, FileProblem, FileReading, SaveOutcome};
+pub use change::{EditRefusal, FileChange, FileError, FileReading, SaveOutcome};
 pub use state::{FileState, Saving};
 
 use crate::document::{Document, Entry};
@@ -41,7 +41,7 @@ pub(super) struct FileEditor {
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct SaveReport {
     /// What changed.
-    pub change: Change,
+    pub change: FileChange,
     /// Text for the timeline and the footer; true for a warning.
     pub text: Option<(String, bool)>,
     /// The problem was reported before.
@@ -63,7 +63,7 @@ impl FileEditor {
         }
     }
 
-    /// Returns true if a failed save is to be repeated now; that repetition has begun then.
+    /// Returns true, once, when a failed save is due to be repeated.
     pub fn start_retry(&mut self, now: Instant) -> bool {
         let is_due = self.retry_at.take_if(|at| *at <= now).is_some();
         self.is_retry |= is_due;
@@ -82,23 +82,23 @@ impl FileEditor {
         let is_retry = std::mem::take(&mut self.is_retry);
         let on_disk = self.file.on_disk().cloned();
         let parted = match &outcome {
-            SaveOutcome::Parted(1) => {
+            SaveOutcome::LinksBroken(1) => {
                 Some("; the other hard link keeps the old content".to_owned())
             }
-            SaveOutcome::Parted(names) => {
+            SaveOutcome::LinksBroken(names) => {
                 Some(format!("; {names} other hard links keep the old content"))
             }
             _ => None,
         };
         let change = self.file.handle_saved(now, outcome);
         // An edit that pins a used address is refused, but the file may have changed since.
-        let clash = on_disk.filter(|_| change == Change::Saved);
+        let clash = on_disk.filter(|_| change == FileChange::Saved);
         let clash = clash.and_then(|before| address_clash(self.file.on_disk()?, &before));
         let warning: String = clash.into_iter().chain(parted).collect();
         let after = unsaved(&self.file);
         self.retry_at = after.as_ref().map(|_| now + SAVE_RETRY_AFTER);
         let is_known = before.is_some() && before == after;
-        let is_news = change == Change::Saved && (before.is_some() || !warning.is_empty());
+        let is_news = change == FileChange::Saved && (before.is_some() || !warning.is_empty());
         let saved = if before.is_some() { "saved after retry" } else { "saved" };
         SaveReport {
             change,
@@ -185,7 +185,7 @@ mod tests {
         let mut editor = FileEditor::new(Some("des.json".into()));
         editor.file.read(NOW, FileReading::Content(Some(FILE.into())));
         let (entry, from) = (editor.file.document().key(0), Some(12));
-        editor.file.edit(&[Operation::SetAddress { entry, from, to: 16 }]).unwrap();
+        editor.file.edit(&[Operation::PinAddress { entry, from, to: 16 }]).unwrap();
         editor.file.start_saving().unwrap();
         editor
     }
@@ -195,7 +195,7 @@ mod tests {
         let mut editor = saving();
         let failed = || SaveOutcome::Failed(Diagnostic::new("no space left"));
         let report = editor.handle_saved(NOW, failed());
-        assert!(report.change == Change::Broken && !report.is_known && !report.is_silent);
+        assert!(report.change == FileChange::Unusable && !report.is_known && !report.is_silent);
         assert_eq!(editor.poll_timeout(), Some(NOW + SAVE_RETRY_AFTER));
         assert!(!editor.start_retry(NOW));
         let later = NOW + SAVE_RETRY_AFTER;

@@ -2,15 +2,15 @@
 //!
 //! Edits are operations on the content that was read last. If the file changes on disk, they are
 //! applied again to the newer content; if both sides changed the same value, the user chooses.
-//! Inputs: [`FileReading`], [`SaveOutcome`] and edits. Outputs: [`Change`] and [`Saving`]. Does not
-//! read or write the file and does not know the bus.
+//! Inputs: [`FileReading`], [`SaveOutcome`] and edits. Outputs: [`FileChange`] and [`Saving`]. Does
+//! not read or write the file and does not know the bus.
 
-use super::change::{Change, EditRefusal, FileProblem, FileReading, SaveOutcome};
+use super::change::{EditRefusal, FileChange, FileError, FileReading, SaveOutcome};
 use super::undo_stack::{UndoStack, UndoStep, apply_all, name_of};
 use crate::diagnostic::Diagnostic;
 use crate::document::{
-    Choices, Document, EditConflict, EditError, Merge, MergePreference, Operation, changes, merge,
-    merge_chosen,
+    ConflictChoices, Document, EditConflict, EditError, Merge, MergePreference, Operation, changes,
+    merge, merge_with_choices,
 };
 use crate::time::Instant;
 use std::ops::Range;
@@ -26,12 +26,12 @@ pub struct Saving {
     /// Number of pending edits in the content.
     operations: usize,
     /// The content was read back from disk; the outcome of the save is not known yet.
-    is_there: bool,
+    seen_on_disk: bool,
     /// Other content was read from disk since: the file must be read again after the save.
-    is_overtaken: bool,
+    disk_changed: bool,
     /// The pending edits were applied to that other content: the outcome of the save does not
     /// apply to their base.
-    is_superseded: bool,
+    base_changed: bool,
 }
 
 /// An edit conflict. Nothing is written until the user has decided all conflicts.
@@ -42,7 +42,7 @@ struct PendingConflict {
     /// Content on disk.
     theirs: Document,
     /// Choices made for this content; dropped if the file changes again.
-    choices: Choices,
+    choices: ConflictChoices,
 }
 
 /// An empty file, just found. Many programs empty a file before they write it: the previous
@@ -62,14 +62,14 @@ pub struct FileState {
     disk: Option<Document>,
     is_on_disk: bool,
     /// Content before the last change on disk by another program.
-    former: Option<Document>,
+    previous_disk: Option<Document>,
     /// Last valid content with the unsaved edits.
     document: Document,
     pending: Vec<Operation>,
     saving: Option<Saving>,
     emptied: Option<Emptied>,
-    problem: Option<FileProblem>,
-    dispute: Option<PendingConflict>,
+    problem: Option<FileError>,
+    pending_conflict: Option<PendingConflict>,
     undo: UndoStack,
     redo: UndoStack,
 }
@@ -81,13 +81,13 @@ impl FileState {
             path,
             disk: None,
             is_on_disk: false,
-            former: None,
+            previous_disk: None,
             document: Document::empty(),
             pending: Vec::new(),
             saving: None,
             emptied: None,
             problem: None,
-            dispute: None,
+            pending_conflict: None,
             undo: UndoStack::default(),
             redo: UndoStack::default(),
         }
@@ -118,7 +118,7 @@ impl FileState {
     pub fn changed_by_others(&self) -> Vec<String> {
         /// Largest number of changed entries that are listed.
         const FEW: usize = 3;
-        match (&self.former, &self.disk) {
+        match (&self.previous_disk, &self.disk) {
             (Some(former), Some(disk)) => changes(former, disk, FEW),
             _ => Vec::new(),
         }
@@ -127,11 +127,13 @@ impl FileState {
     /// Content with all edits. During edit conflicts it has the choices made so far, and ours for
     /// the others.
     pub fn with_all_edits(&self) -> Document {
-        let merged =
-            self.dispute.as_ref().and_then(|PendingConflict { theirs, choices, .. }| {
+        let merged = self.pending_conflict.as_ref().and_then(
+            |PendingConflict { theirs, choices, .. }| {
                 let base = self.disk.clone().unwrap_or_else(Document::empty);
-                merge_chosen(&base, &self.pending, theirs, choices, MergePreference::Ours).ok()
-            });
+                merge_with_choices(&base, &self.pending, theirs, choices, MergePreference::Ours)
+                    .ok()
+            },
+        );
         match merged {
             Some(Merge::Rebased { document, .. }) => document,
             _ => self.document.clone(),
@@ -149,18 +151,18 @@ impl FileState {
     }
 
     /// Returns true if the file was valid once; its last valid content is kept.
-    pub fn was_good(&self) -> bool {
+    pub fn has_valid_content(&self) -> bool {
         self.disk.is_some()
     }
 
     /// Problem that prevents reading or saving; `None` for a usable file.
-    pub fn problem(&self) -> Option<&FileProblem> {
+    pub fn problem(&self) -> Option<&FileError> {
         self.problem.as_ref()
     }
 
     /// The edit conflict to decide next.
     pub fn conflict(&self) -> Option<&EditConflict> {
-        self.dispute.as_ref().map(|dispute| &dispute.conflict)
+        self.pending_conflict.as_ref().map(|dispute| &dispute.conflict)
     }
 
     /// Number of unsaved edits.
@@ -181,25 +183,25 @@ impl FileState {
 
     /// Returns true if other content was read from disk since the save began: the file must then be
     /// read again after the save, whatever its outcome.
-    pub fn is_superseded(&self) -> bool {
-        self.saving.as_ref().is_some_and(|saving| saving.is_overtaken)
+    pub fn is_base_changed(&self) -> bool {
+        self.saving.as_ref().is_some_and(|saving| saving.disk_changed)
     }
 
     /// Handles content read from disk. Changes by other programs are also handled during a save,
     /// which may take long on a slow disk.
-    pub fn read(&mut self, now: Instant, reading: FileReading) -> Change {
+    pub fn read(&mut self, now: Instant, reading: FileReading) -> FileChange {
         let found = reading.found();
         if self.is_what_we_write(&found) {
-            return Change::None;
+            return FileChange::None;
         }
         let found = match found {
             Ok(found) => found,
             Err(problem) => {
                 self.emptied = None;
                 let change = if self.problem.as_ref() == Some(&problem) {
-                    Change::None
+                    FileChange::None
                 } else {
-                    Change::Broken
+                    FileChange::Unusable
                 };
                 self.problem = Some(problem);
                 return change;
@@ -209,77 +211,77 @@ impl FileState {
         let theirs = found.unwrap_or_else(Document::empty);
         // Content compared with last. During a conflict the file may get its previous content back,
         // which ends the conflict.
-        let known = self.dispute.as_ref().map(|it| &it.theirs).or(self.disk.as_ref());
+        let known = self.pending_conflict.as_ref().map(|it| &it.theirs).or(self.disk.as_ref());
         let was_empty =
             known.is_none_or(|known| self.is_on_disk && known.is_blank()) || !theirs.is_blank();
         if is_there && !was_empty {
             let since = self.emptied.as_ref().map_or(now, |emptied| emptied.since);
             self.emptied = Some(Emptied { since, content: theirs });
-            return Change::None;
+            return FileChange::None;
         }
         self.emptied = None;
         self.supersede_save(&theirs);
-        let known = self.dispute.as_ref().map(|it| &it.theirs).or(self.disk.as_ref());
+        let known = self.pending_conflict.as_ref().map(|it| &it.theirs).or(self.disk.as_ref());
         if known == Some(&theirs) && self.is_on_disk == is_there {
             let was_broken =
-                matches!(self.problem, Some(FileProblem::Syntax(_) | FileProblem::Unreadable(_)));
+                matches!(self.problem, Some(FileError::Syntax(_) | FileError::Unreadable(_)));
             if was_broken {
                 self.problem = None;
-                self.former = None;
+                self.previous_disk = None;
             }
-            return if was_broken { Change::Content } else { Change::None };
+            return if was_broken { FileChange::Content } else { FileChange::None };
         }
         self.load(theirs, is_there)
     }
 
     /// Accepts the file as empty, after it has stayed empty.
-    pub fn accept_empty(&mut self) -> Change {
-        let Some(Emptied { content, .. }) = self.emptied.take() else { return Change::None };
+    pub fn accept_empty(&mut self) -> FileChange {
+        let Some(Emptied { content, .. }) = self.emptied.take() else { return FileChange::None };
         self.supersede_save(&content);
         self.load(content, true)
     }
 
     /// Stores content that differs from the known one.
-    fn load(&mut self, theirs: Document, is_there: bool) -> Change {
+    fn load(&mut self, theirs: Document, is_there: bool) -> FileChange {
         let is_first = self.disk.is_none();
-        self.former = self.disk.clone().filter(|_| self.is_on_disk && is_there);
+        self.previous_disk = self.disk.clone().filter(|_| self.is_on_disk && is_there);
         self.is_on_disk = is_there;
         self.problem = None;
         if self.pending.is_empty() {
             self.document = theirs.clone();
             self.disk = Some(theirs);
-            return if is_first { Change::First } else { Change::Content };
+            return if is_first { FileChange::FirstRead } else { FileChange::Content };
         }
-        let asks_for_new = self.dispute.take().is_some() && !is_there;
-        self.rebase(theirs, Choices { asks_for_new, ..Choices::default() })
+        let file_was_deleted = self.pending_conflict.take().is_some() && !is_there;
+        self.rebase(theirs, ConflictChoices { file_was_deleted, ..ConflictChoices::default() })
     }
 
     /// Returns true if the content read during a save is the content being written. Any content but
     /// that and the expected one marks the save as overtaken.
-    fn is_what_we_write(&mut self, found: &Result<Option<Document>, FileProblem>) -> bool {
-        let Some(saving) = self.saving.as_mut().filter(|saving| !saving.is_superseded) else {
+    fn is_what_we_write(&mut self, found: &Result<Option<Document>, FileError>) -> bool {
+        let Some(saving) = self.saving.as_mut().filter(|saving| !saving.base_changed) else {
             return false;
         };
         if found.as_ref().is_ok_and(|found| found.as_ref() == Some(&saving.content)) {
-            saving.is_there = true;
+            saving.seen_on_disk = true;
             self.emptied = None;
             return true;
         }
         let is_as_before = found.as_ref().is_ok_and(|found| *found == saving.expected);
-        saving.is_overtaken |= !is_as_before || saving.is_there;
+        saving.disk_changed |= !is_as_before || saving.seen_on_disk;
         false
     }
 
     /// Marks a running save as superseded if another program wrote `theirs` during it. If the edits
     /// of the save were on disk before that, they count as saved.
     fn supersede_save(&mut self, theirs: &Document) {
-        let Some(saving) = self.saving.as_mut().filter(|saving| !saving.is_superseded) else {
+        let Some(saving) = self.saving.as_mut().filter(|saving| !saving.base_changed) else {
             return;
         };
-        if !saving.is_there && saving.expected.as_ref() == Some(theirs) {
+        if !saving.seen_on_disk && saving.expected.as_ref() == Some(theirs) {
             return;
         }
-        saving.is_superseded = true;
+        saving.base_changed = true;
         let ours = &self.pending[..saving.operations.min(self.pending.len())];
         let base = self.disk.clone().unwrap_or_else(Document::empty);
         // Theirs has all edits of the save: they were on disk, although not read back.
@@ -287,7 +289,7 @@ impl FileState {
             Ok(Merge::Rebased { document, .. }) => document == *theirs,
             _ => false,
         };
-        if saving.is_there || has_ours() {
+        if saving.seen_on_disk || has_ours() {
             self.disk = Some(saving.content.clone());
             self.is_on_disk = true;
             self.pending.drain(..ours.len());
@@ -295,26 +297,27 @@ impl FileState {
     }
 
     /// Applies the pending edits to newer content.
-    fn rebase(&mut self, theirs: Document, choices: Choices) -> Change {
+    fn rebase(&mut self, theirs: Document, choices: ConflictChoices) -> FileChange {
         let base = self.disk.clone().unwrap_or_else(Document::empty);
-        match merge_chosen(&base, &self.pending, &theirs, &choices, MergePreference::Neither) {
-            Ok(Merge::Rebased { document, operations, overruling }) => {
+        match merge_with_choices(&base, &self.pending, &theirs, &choices, MergePreference::Neither)
+        {
+            Ok(Merge::Rebased { document, operations, overwriting: overruling }) => {
                 if let Err(error) = self.add_steps_to_theirs(&theirs, &operations, &overruling) {
-                    self.problem = Some(FileProblem::NotSaved(Diagnostic::new(error.to_string())));
-                    return Change::Broken;
+                    self.problem = Some(FileError::NotSaved(Diagnostic::new(error.to_string())));
+                    return FileChange::Unusable;
                 }
                 self.disk = Some(theirs);
                 self.document = document;
                 self.pending = operations;
-                Change::Rebased
+                FileChange::Rebased
             }
             Ok(Merge::Conflict(conflict)) => {
-                self.dispute = Some(PendingConflict { conflict, theirs, choices });
-                Change::Conflict
+                self.pending_conflict = Some(PendingConflict { conflict, theirs, choices });
+                FileChange::Conflict
             }
             Err(error) => {
-                self.problem = Some(FileProblem::NotSaved(Diagnostic::new(error.to_string())));
-                Change::Broken
+                self.problem = Some(FileError::NotSaved(Diagnostic::new(error.to_string())));
+                FileChange::Unusable
             }
         }
     }
@@ -344,10 +347,11 @@ impl FileState {
         Ok(())
     }
 
-    /// Decides the edit conflict; returns [`Change::Conflict`] if another one is left to decide.
-    pub fn resolve(&mut self, ours: bool) -> Change {
-        let Some(PendingConflict { theirs, mut choices, .. }) = self.dispute.take() else {
-            return Change::None;
+    /// Decides the edit conflict; returns [`FileChange::Conflict`] if another one is left to
+    /// decide.
+    pub fn resolve(&mut self, ours: bool) -> FileChange {
+        let Some(PendingConflict { theirs, mut choices, .. }) = self.pending_conflict.take() else {
+            return FileChange::None;
         };
         choices.chosen.push(if ours { MergePreference::Ours } else { MergePreference::Theirs });
         self.rebase(theirs, choices)
@@ -355,7 +359,7 @@ impl FileState {
 
     /// Numbers of conflicts decided so far for ours and for theirs.
     pub fn chosen(&self) -> (usize, usize) {
-        let chosen = self.dispute.iter().flat_map(|dispute| &dispute.choices.chosen);
+        let chosen = self.pending_conflict.iter().flat_map(|dispute| &dispute.choices.chosen);
         let ours = chosen.clone().filter(|it| **it == MergePreference::Ours).count();
         (ours, chosen.count() - ours)
     }
@@ -370,11 +374,11 @@ impl FileState {
             return Err(EditRefusal::NoFile);
         }
         match &self.problem {
-            Some(problem @ (FileProblem::Syntax(_) | FileProblem::Unreadable(_))) => {
-                Err(EditRefusal::Broken(problem.to_string()))
+            Some(problem @ (FileError::Syntax(_) | FileError::Unreadable(_))) => {
+                Err(EditRefusal::Unusable(problem.to_string()))
             }
             _ if self.disk.is_none() => Err(EditRefusal::NotRead),
-            _ if self.dispute.is_some() => Err(EditRefusal::Conflict),
+            _ if self.pending_conflict.is_some() => Err(EditRefusal::Conflict),
             _ => Ok(()),
         }
     }
@@ -451,13 +455,13 @@ impl FileState {
         mut step: UndoStep,
         done: &'static str,
     ) -> Result<(UndoStep, String), EditRefusal> {
-        let mut told = step.shown();
+        let mut shown_name = step.shown();
         if self.is_on_disk && !step.had_file {
             // The file is not deleted, and an empty file is not JSON: keep an empty list.
             let operations = step.operations.into_iter();
-            step.operations = operations.map(Operation::leaving_list).collect();
+            step.operations = operations.map(Operation::keeping_empty_list).collect();
         }
-        if let Some(on) = step.on.filter(|on| *on != self.document) {
+        if let Some(on) = step.base.filter(|on| *on != self.document) {
             let again = |prefer| merge(&on, &step.operations, &self.document, prefer);
             let conflict = match again(MergePreference::Neither)? {
                 Merge::Conflict(conflict) => Some(conflict),
@@ -469,15 +473,15 @@ impl FileState {
             };
             match conflict {
                 Some(EditConflict { theirs, .. }) if operations.is_empty() => {
-                    return Err(EditRefusal::ChangedSince { done, name: told, theirs });
+                    return Err(EditRefusal::ChangedSince { done, name: shown_name, theirs });
                 }
                 None if operations.is_empty() => {
-                    return Err(EditRefusal::SoAlready { done, name: told });
+                    return Err(EditRefusal::AlreadyDone { done, name: shown_name });
                 }
-                Some(EditConflict { operation, of, .. }) => {
+                Some(EditConflict { operation, total: of, .. }) => {
                     let first = operation.subject();
                     let more = if of > 1 { format!(" and {} more", of - 1) } else { String::new() };
-                    told = format!("{told}, except {first}{more} (changed on disk)");
+                    shown_name = format!("{shown_name}, except {first}{more} (changed on disk)");
                 }
                 None => {}
             }
@@ -485,7 +489,7 @@ impl FileState {
         }
         let made = self.apply_operations(&step.operations, step.name)?;
         self.drop_what_cancels_out(2 * step.operations.len());
-        Ok((UndoStep { whole: step.whole, ..made }, told))
+        Ok((UndoStep { whole: step.whole, ..made }, shown_name))
     }
 
     /// Applies operations to the present content; returns the step that reverts them.
@@ -505,7 +509,7 @@ impl FileState {
     /// edit that was undone before its save began.
     fn drop_what_cancels_out(&mut self, count: usize) {
         let (from, being_saved) = match &self.saving {
-            Some(saving) if !saving.is_superseded => (Some(&saving.content), saving.operations),
+            Some(saving) if !saving.base_changed => (Some(&saving.content), saving.operations),
             _ => (self.disk.as_ref(), 0),
         };
         let (Some(from), Some(keep)) = (from, self.pending.len().checked_sub(count)) else {
@@ -523,7 +527,7 @@ impl FileState {
     fn leave_list(&mut self) {
         let Some(disk) = &self.disk else { return };
         let operations: Vec<_> =
-            self.pending.iter().cloned().map(Operation::leaving_list).collect();
+            self.pending.iter().cloned().map(Operation::keeping_empty_list).collect();
         if let Ok((document, _)) = apply_all(disk, &operations) {
             self.document = document;
             self.pending = operations;
@@ -535,14 +539,15 @@ impl FileState {
         if self.saving.is_none() && self.disk.as_ref() == Some(&self.document) {
             self.pending.clear();
         }
-        if self.pending.is_empty() && self.problem.as_ref().is_some_and(FileProblem::is_not_saved) {
+        if self.pending.is_empty() && self.problem.as_ref().is_some_and(FileError::is_not_saved) {
             self.problem = None;
         }
     }
 
     /// Starts a save and returns it; `None` if nothing can or need be saved now.
     pub fn start_saving(&mut self) -> Option<Saving> {
-        let waits = self.saving.is_some() || self.dispute.is_some() || self.emptied.is_some();
+        let waits =
+            self.saving.is_some() || self.pending_conflict.is_some() || self.emptied.is_some();
         if waits || self.pending.is_empty() || self.check().is_err() {
             return None;
         }
@@ -551,20 +556,20 @@ impl FileState {
             expected: expected.cloned(),
             content: self.document.clone(),
             operations: self.pending.len(),
-            is_there: false,
-            is_overtaken: false,
-            is_superseded: false,
+            seen_on_disk: false,
+            disk_changed: false,
+            base_changed: false,
         };
         self.saving = Some(saving.clone());
         Some(saving)
     }
 
     /// Handles the outcome of a save. Edits made during the save stay pending for the next one.
-    pub fn handle_saved(&mut self, now: Instant, outcome: SaveOutcome) -> Change {
-        let Some(saving) = self.saving.take() else { return Change::None };
+    pub fn handle_saved(&mut self, now: Instant, outcome: SaveOutcome) -> FileChange {
+        let Some(saving) = self.saving.take() else { return FileChange::None };
         match outcome {
-            SaveOutcome::Saved | SaveOutcome::Parted(_) => {
-                if !saving.is_superseded {
+            SaveOutcome::Saved | SaveOutcome::LinksBroken(_) => {
+                if !saving.base_changed {
                     self.disk = Some(saving.content);
                     self.is_on_disk = true;
                     self.pending.drain(..saving.operations.min(self.pending.len()));
@@ -572,26 +577,30 @@ impl FileState {
                         self.leave_list();
                     }
                 }
-                if self.problem.as_ref().is_some_and(FileProblem::is_not_saved) {
+                if self.problem.as_ref().is_some_and(FileError::is_not_saved) {
                     self.problem = None;
                 }
                 self.drop_what_is_on_disk();
-                Change::Saved
+                FileChange::Saved
             }
             // The content read since is newer, or the file will be read again.
-            SaveOutcome::Changed(_) if saving.is_overtaken => {
+            SaveOutcome::Changed(_) if saving.disk_changed => {
                 self.drop_what_is_on_disk();
-                Change::None
+                FileChange::None
             }
             SaveOutcome::Changed(found) => self.read(now, found),
             SaveOutcome::Failed(why) => {
                 let is_told = self.check().is_err();
                 if !is_told {
-                    self.problem = Some(FileProblem::NotSaved(why));
+                    self.problem = Some(FileError::NotSaved(why));
                 }
-                // The edits of the save may have been undone meanwhile.
+                // The edits of the save may have been undone during it.
                 self.drop_what_is_on_disk();
-                if is_told || self.pending.is_empty() { Change::None } else { Change::Broken }
+                if is_told || self.pending.is_empty() {
+                    FileChange::None
+                } else {
+                    FileChange::Unusable
+                }
             }
         }
     }
@@ -611,14 +620,14 @@ mod tests {
 
     fn opened() -> FileState {
         let mut file = FileState::new(Some("des.json".into()));
-        assert_eq!(file.read(NOW, content(FILE)), Change::First);
+        assert_eq!(file.read(NOW, content(FILE)), FileChange::FirstRead);
         file
     }
 
     fn set_address(file: &FileState, to: u8) -> Operation {
         let entry: EntryKey = file.document().key(0);
         let from = entry.address;
-        Operation::SetAddress { entry, from, to }
+        Operation::PinAddress { entry, from, to }
     }
 
     fn source(file: &FileState) -> &str {
@@ -626,14 +635,14 @@ mod tests {
     }
 
     #[test]
-    fn an_edit_is_saved_and_taken_back() {
+    fn edit_is_saved_and_undone() {
         let mut file = opened();
         let name = file.edit(&[set_address(&file, 16)]).unwrap();
         assert_eq!(name, "address of the entry FEED: 12 → 16");
         let saving = file.start_saving().unwrap();
         assert_eq!(saving.expected.unwrap().source(), FILE.as_bytes());
         assert_eq!(saving.content.source(), FILE.replace("12", "16").as_bytes());
-        assert_eq!(file.handle_saved(NOW, SaveOutcome::Saved), Change::Saved);
+        assert_eq!(file.handle_saved(NOW, SaveOutcome::Saved), FileChange::Saved);
         assert_eq!((file.unsaved(), file.start_saving()), (0, None));
         file.undo().unwrap();
         assert_eq!(source(&file), FILE);
@@ -644,20 +653,20 @@ mod tests {
     }
 
     #[test]
-    fn a_save_never_overwrites_what_others_wrote() {
+    fn save_never_overwrites_other_writers() {
         let mut file = opened();
         file.edit(&[set_address(&file, 16)]).unwrap();
         file.start_saving().unwrap();
         let theirs = FILE.replace("FEED", "FEEDX").replace("true", "true, \"note\":1");
         let outcome = SaveOutcome::Changed(content(&theirs));
-        assert_eq!(file.handle_saved(NOW, outcome), Change::Rebased);
+        assert_eq!(file.handle_saved(NOW, outcome), FileChange::Rebased);
         let saving = file.start_saving().unwrap();
         assert_eq!(saving.expected.unwrap().source(), theirs.as_bytes());
         assert_eq!(saving.content.source(), theirs.replace("12", "16").as_bytes());
     }
 
     #[test]
-    fn edits_are_taken_back_across_what_others_wrote_and_few_documents_are_kept() {
+    fn undo_across_disk_changes_stores_few_documents() {
         let mut file = opened();
         let kept = |file: &FileState| file.undo.kept();
         let saved = |file: &mut FileState| {
@@ -670,7 +679,7 @@ mod tests {
         }
         assert_eq!(kept(&file), 1);
         let noted = |address: &str| FILE.replace("12", address).replace("true", "true, \"x\":1");
-        assert_eq!(file.read(NOW, content(&noted("20"))), Change::Content);
+        assert_eq!(file.read(NOW, content(&noted("20"))), FileChange::Content);
         for to in 21..=25 {
             file.edit(&[set_address(&file, to)]).unwrap();
         }
@@ -686,12 +695,12 @@ mod tests {
 
     /// A slow disk: the new content is read long before the save ends.
     #[test]
-    fn what_is_found_during_a_save_is_taken_in_at_once() {
+    fn content_found_during_save_is_loaded_at_once() {
         let ours = FILE.replace("12", "16");
         for (found, change) in [
-            (ours.clone(), Change::None),
-            (ours.replace("true", "true, \"note\":1"), Change::Rebased),
-            (FILE.replace("true", "true, \"note\":1"), Change::Rebased),
+            (ours.clone(), FileChange::None),
+            (ours.replace("true", "true, \"note\":1"), FileChange::Rebased),
+            (FILE.replace("true", "true, \"note\":1"), FileChange::Rebased),
         ] {
             let mut file = opened();
             file.edit(&[set_address(&file, 16)]).unwrap();
@@ -701,8 +710,8 @@ mod tests {
             let both = found.replace("12", "16").replace("16", "17");
             assert_eq!(source(&file), both);
             assert_eq!(file.start_saving(), None);
-            assert_eq!(file.is_superseded(), found != ours);
-            assert_eq!(file.handle_saved(NOW, SaveOutcome::Saved), Change::Saved);
+            assert_eq!(file.is_base_changed(), found != ours);
+            assert_eq!(file.handle_saved(NOW, SaveOutcome::Saved), FileChange::Saved);
             let saving = file.start_saving().unwrap();
             assert_eq!(saving.expected.unwrap().source(), found.as_bytes());
             assert_eq!(saving.content.source(), both.as_bytes());
@@ -714,24 +723,24 @@ mod tests {
 
     /// Content that another program writes over a save seen on disk is not overwritten in turn.
     #[test]
-    fn ours_that_was_seen_on_disk_counts_as_saved_when_it_is_overtaken() {
+    fn content_seen_on_disk_counts_as_saved_after_disk_change() {
         let mut file = opened();
         file.edit(&[set_address(&file, 16)]).unwrap();
         file.start_saving().unwrap();
-        assert_eq!(file.read(NOW, content(&FILE.replace("12", "16"))), Change::None);
+        assert_eq!(file.read(NOW, content(&FILE.replace("12", "16"))), FileChange::None);
         assert_eq!(file.unsaved(), 1, "that it stays there is not known");
-        assert_eq!(file.read(NOW, content(&FILE.replace("12", "13"))), Change::Content);
-        assert_eq!(file.handle_saved(NOW, SaveOutcome::Saved), Change::Saved);
+        assert_eq!(file.read(NOW, content(&FILE.replace("12", "13"))), FileChange::Content);
+        assert_eq!(file.handle_saved(NOW, SaveOutcome::Saved), FileChange::Saved);
         assert_eq!((file.unsaved(), source(&file)), (0, &*FILE.replace("12", "13")));
     }
 
     #[test]
-    fn what_a_save_found_is_older_than_what_was_read_since() {
+    fn save_result_older_than_later_reading_is_ignored() {
         let mut file = opened();
         file.edit(&[set_address(&file, 16)]).unwrap();
         file.start_saving().unwrap();
         let newest = FILE.replace("true", "true, \"note\":2");
-        assert_eq!(file.read(NOW, content(&newest)), Change::Rebased);
+        assert_eq!(file.read(NOW, content(&newest)), FileChange::Rebased);
         let older = FILE.replace("true", "true, \"note\":1");
         file.handle_saved(NOW, SaveOutcome::Changed(content(&older)));
         let saving = file.start_saving().unwrap();
@@ -740,34 +749,34 @@ mod tests {
     }
 
     #[test]
-    fn the_same_value_is_for_a_person_to_choose() {
+    fn same_value_changed_twice_is_a_conflict() {
         for (ours, address) in [(true, "16"), (false, "13")] {
             let mut file = opened();
             file.edit(&[set_address(&file, 16)]).unwrap();
-            assert_eq!(file.read(NOW, content(&FILE.replace("12", "13"))), Change::Conflict);
+            assert_eq!(file.read(NOW, content(&FILE.replace("12", "13"))), FileChange::Conflict);
             assert_eq!(file.start_saving(), None);
             assert_eq!(file.edit(&[]), Err(EditRefusal::Conflict));
-            assert_eq!(file.resolve(ours), Change::Rebased);
+            assert_eq!(file.resolve(ours), FileChange::Rebased);
             assert_eq!(source(&file), FILE.replace("12", address));
             assert_eq!(file.unsaved(), usize::from(ours));
         }
     }
 
     #[test]
-    fn a_broken_file_is_never_written_and_the_last_good_content_stays() {
+    fn invalid_file_is_never_written_and_keeps_last_content() {
         let mut file = opened();
-        assert_eq!(file.read(NOW, content("{\"devices\": [")), Change::Broken);
+        assert_eq!(file.read(NOW, content("{\"devices\": [")), FileChange::Unusable);
         assert_eq!(source(&file), FILE);
-        assert!(matches!(file.edit(&[set_address(&file, 16)]), Err(EditRefusal::Broken(_))));
+        assert!(matches!(file.edit(&[set_address(&file, 16)]), Err(EditRefusal::Unusable(_))));
         assert_eq!(file.start_saving(), None);
-        assert_eq!(file.read(NOW, content(FILE)), Change::Content);
+        assert_eq!(file.read(NOW, content(FILE)), FileChange::Content);
         assert!(file.problem().is_none());
     }
 
     #[test]
-    fn a_missing_file_is_begun() {
+    fn first_edit_creates_missing_file() {
         let mut file = FileState::new(Some("des.json".into()));
-        assert_eq!(file.read(NOW, FileReading::Content(None)), Change::First);
+        assert_eq!(file.read(NOW, FileReading::Content(None)), FileChange::FirstRead);
         let entry = crate::document::NewEntry {
             name: b"FEED".to_vec(),
             address: Some(12),

@@ -12,7 +12,7 @@ const MOST: usize = 200;
 pub(super) struct UndoStep {
     /// Document that the operations apply to; `None` if it is the result of the step above, because
     /// a document may have megabytes and there may be many steps.
-    pub(super) on: Option<Document>,
+    pub(super) base: Option<Document>,
     pub(super) operations: Vec<Operation>,
     /// Name of the edit. `whole` is its full number of operations: values that changed on disk
     /// since are left out of `operations`.
@@ -31,7 +31,7 @@ impl UndoStep {
         had_file: bool,
     ) -> Self {
         let whole = operations.len();
-        Self { on: Some(on), operations, name, whole, had_file }
+        Self { base: Some(on), operations, name, whole, had_file }
     }
 
     pub(super) fn shown(&self) -> String {
@@ -53,9 +53,9 @@ impl UndoStack {
             self.0.remove(0);
         }
         if let Some(below) = self.0.last_mut()
-            && below.on.as_ref() == Some(before)
+            && below.base.as_ref() == Some(before)
         {
-            below.on = None;
+            below.base = None;
         }
         self.0.push(step);
     }
@@ -63,11 +63,11 @@ impl UndoStack {
     /// Removes the top step and returns it.
     pub(super) fn pop(&mut self) -> Option<UndoStep> {
         let step = self.0.pop()?;
-        let on = step.on.as_ref()?;
-        if self.0.last().is_some_and(|below| below.on.is_none()) {
+        let on = step.base.as_ref()?;
+        if self.0.last().is_some_and(|below| below.base.is_none()) {
             let back = step.operations.iter().try_fold(on.clone(), |on, it| on.apply(it));
             match (back, self.0.last_mut()) {
-                (Ok(back), Some(below)) => below.on = Some(back),
+                (Ok(back), Some(below)) => below.base = Some(back),
                 // The document that the steps below apply to is lost.
                 _ => self.0.clear(),
             }
@@ -83,7 +83,7 @@ impl UndoStack {
     /// Number of stored documents.
     #[cfg(test)]
     pub(super) fn kept(&self) -> usize {
-        self.0.iter().filter(|step| step.on.is_some()).count()
+        self.0.iter().filter(|step| step.base.is_some()).count()
     }
 }
 

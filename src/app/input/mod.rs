@@ -9,7 +9,7 @@ mod prompt_kinds;
 mod type_ahead;
 
 pub use prompt::{InputCheck, Prompt, PromptKind};
-pub(super) use prompt::{PromptContext, PromptKey, PromptOutcome};
+pub(super) use prompt::{PromptContext, PromptOutcome, PromptResult};
 pub(super) use prompt_kinds::{
     AddressPrompt, CapturePathPrompt, CopyPathPrompt, FilterPrompt, NewEntryPrompt, RenamePrompt,
 };

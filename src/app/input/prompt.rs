@@ -29,7 +29,7 @@ pub struct Prompt {
     /// Text and cursor.
     pub input: LineInput,
     /// The text is the present value: the first typed character replaces it.
-    pub untouched: bool,
+    pub replaces_on_typing: bool,
 }
 
 /// Purpose of a prompt, with its own state.
@@ -93,7 +93,7 @@ pub(in crate::app) enum PromptOutcome {
 
 /// Effect of a key in a prompt.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::app) enum PromptKey {
+pub(in crate::app) enum PromptResult {
     /// The line changed, or the key has no meaning.
     Typed,
     /// Enter: commit the line.
@@ -104,8 +104,16 @@ pub(in crate::app) enum PromptKey {
     NextBus,
 }
 
-/// Place of an entry that is edited; `None` for a new entry.
-pub(super) type EditedPlace = Option<usize>;
+/// What committing a prompt edits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum EditTarget {
+    /// Not des.json.
+    None,
+    /// No present entry: a new one, or one that was deleted on disk.
+    New,
+    /// The entry with this index.
+    Entry(usize),
+}
 
 /// Behaviour of one kind of prompt.
 pub(super) trait PromptLogic {
@@ -117,9 +125,9 @@ pub(super) trait PromptLogic {
         self.label()
     }
 
-    /// Place of the entry that committing edits; `None` for a prompt that does not edit des.json.
-    fn edited_place(&self, _context: PromptContext) -> Option<EditedPlace> {
-        None
+    /// Returns what committing edits.
+    fn edit_target(&self, _context: PromptContext) -> EditTarget {
+        EditTarget::None
     }
 
     /// Validates the line, which has no blanks at its ends.
@@ -166,7 +174,7 @@ impl Prompt {
     /// Returns a prompt that begins with this text.
     pub(in crate::app) fn new(kind: PromptKind, text: String) -> Self {
         let untouched = matches!(kind, PromptKind::Address(_)) && !text.is_empty();
-        Self { kind, input: LineInput::new(text), untouched }
+        Self { kind, input: LineInput::new(text), replaces_on_typing: untouched }
     }
 
     /// The line without blanks at its ends.
@@ -177,9 +185,12 @@ impl Prompt {
     /// Validates the line.
     pub(in crate::app) fn validate(&self, context: PromptContext) -> InputCheck {
         let logic = self.kind.logic();
-        if let Some(place) = logic.edited_place(context)
-            && let Err(refusal) = context.file.check_edit(place)
-        {
+        let checked = match logic.edit_target(context) {
+            EditTarget::None => Ok(()),
+            EditTarget::New => context.file.check_edit(None),
+            EditTarget::Entry(index) => context.file.check_edit(Some(index)),
+        };
+        if let Err(refusal) = checked {
             return InputCheck::Rejected(refusal.to_string());
         }
         logic.validate(self.text(), context)
@@ -191,20 +202,20 @@ impl Prompt {
     }
 
     /// Handles a key.
-    pub(in crate::app) fn handle_key(&mut self, key: Key) -> PromptKey {
+    pub(in crate::app) fn handle_key(&mut self, key: Key) -> PromptResult {
         match key.code {
-            KeyCode::Enter => return PromptKey::Commit,
-            KeyCode::Esc => return PromptKey::Cancel,
+            KeyCode::Enter => return PromptResult::Commit,
+            KeyCode::Esc => return PromptResult::Cancel,
             // Tab moves from the name to the address of a new entry, as a space does.
             KeyCode::Tab if self.is_in_name() => self.change(&[InputRequest::InsertChar(' ')]),
-            KeyCode::Tab => return PromptKey::NextBus,
+            KeyCode::Tab => return PromptResult::NextBus,
             _ => {
                 if let Some(request) = request(key) {
                     self.change(&[request]);
                 }
             }
         }
-        PromptKey::Typed
+        PromptResult::Typed
     }
 
     /// Returns true if the name of a new entry is being typed.
@@ -224,7 +235,7 @@ impl Prompt {
     fn change(&mut self, requests: &[InputRequest]) {
         for &request in requests {
             let grows = matches!(request, InputRequest::InsertChar(_));
-            if std::mem::take(&mut self.untouched) && grows {
+            if std::mem::take(&mut self.replaces_on_typing) && grows {
                 self.input.reset();
             }
             if !grows || self.input.value().len() < MAX_LENGTH {
@@ -260,7 +271,7 @@ mod tests {
 
     fn typed(prompt: &mut Prompt, keys: &str) {
         for c in keys.chars() {
-            assert_eq!(prompt.handle_key(Key::char(c)), PromptKey::Typed);
+            assert_eq!(prompt.handle_key(Key::char(c)), PromptResult::Typed);
         }
     }
 
@@ -269,10 +280,10 @@ mod tests {
         let mut prompt =
             Prompt::new(PromptKind::NewEntry(NewEntryPrompt::default()), String::new());
         typed(&mut prompt, "PUMP");
-        assert_eq!(prompt.handle_key(Key::new(KeyCode::Tab)), PromptKey::Typed);
+        assert_eq!(prompt.handle_key(Key::new(KeyCode::Tab)), PromptResult::Typed);
         typed(&mut prompt, "12");
         assert_eq!(prompt.input.value(), "PUMP 12");
-        assert_eq!(prompt.handle_key(Key::new(KeyCode::Enter)), PromptKey::Commit);
+        assert_eq!(prompt.handle_key(Key::new(KeyCode::Enter)), PromptResult::Commit);
     }
 
     #[test]

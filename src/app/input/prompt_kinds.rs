@@ -3,7 +3,7 @@
 //! A prompt that edits des.json refers to its entry by key, and to the content of the file when it
 //! was opened: the file may change on disk while the user types.
 
-use super::prompt::{EditedPlace, InputCheck as C, PromptContext, PromptLogic, PromptOutcome};
+use super::prompt::{EditTarget, InputCheck as C, PromptContext, PromptLogic, PromptOutcome};
 use crate::app::buses::Bus;
 use crate::app::filter::Filter;
 use crate::app::listing::new_entry;
@@ -48,7 +48,7 @@ impl PromptLogic for FilterPrompt {
 #[derive(Clone, Debug)]
 struct EntryTarget {
     /// Content of the file when the prompt was opened.
-    on: Document,
+    base: Document,
     /// Place of the entry in it; `None` for a device that was not listed.
     place: Option<usize>,
     /// Device of the entry; by now another entry may be assigned to it.
@@ -63,7 +63,7 @@ impl EntryTarget {
             RowKey::Device(id) => Some(*id),
             RowKey::Entry(_) => None,
         };
-        Self { on, place, device }
+        Self { base: on, place, device }
     }
 
     /// The entry in its present form; `None` if it was deleted.
@@ -77,17 +77,17 @@ impl EntryTarget {
     /// Present form of the entry for which the prompt was opened; `None` if it was deleted.
     fn counterpart<'a>(&self, context: PromptContext<'a>) -> Option<&'a Entry> {
         let document = context.file.document();
-        document.entries().get(self.on.counterpart(self.place?, document)?)
+        document.entries().get(self.base.counterpart(self.place?, document)?)
     }
 
     /// The entry when the prompt was opened.
     fn before(&self) -> Option<&Entry> {
-        self.on.entries().get(self.place?)
+        self.base.entries().get(self.place?)
     }
 
     /// Text about the change after which the entry cannot be edited any more.
-    fn gone_text(&self, context: PromptContext) -> String {
-        if let Some(gone) = file_gone(&self.on, context) {
+    fn deleted_text(&self, context: PromptContext) -> String {
+        if let Some(gone) = file_gone(&self.base, context) {
             return gone;
         }
         match self.counterpart(context) {
@@ -148,8 +148,8 @@ impl AddressPrompt {
     /// Result if the entry, its address or the whole file changed on disk while the user typed.
     fn check_concurrent_change(&self, text: &str, context: PromptContext) -> Option<C> {
         let entry = self.target.entry(context);
-        let gone = file_gone(&self.target.on, context).map(|gone| (gone, CREATES_FILE));
-        let unlisted = || (self.target.gone_text(context), "Enter adds it again");
+        let gone = file_gone(&self.target.base, context).map(|gone| (gone, CREATES_FILE));
+        let unlisted = || (self.target.deleted_text(context), "Enter adds it again");
         let gone = gone.or_else(|| self.target.place.is_some().then(unlisted));
         if let Some((gone, what)) = gone.filter(|_| entry.is_none()) {
             return Some(C::Warning(if text.is_empty() {
@@ -187,7 +187,7 @@ impl AddressPrompt {
     fn check_address(&self, text: &str, context: PromptContext) -> C {
         let entry = self.target.entry(context);
         if entry.is_none() && matches!(self.key, RowKey::Entry(_)) {
-            return C::Rejected(self.target.gone_text(context));
+            return C::Rejected(self.target.deleted_text(context));
         }
         if text.is_empty() {
             return match entry {
@@ -231,8 +231,8 @@ impl PromptLogic for AddressPrompt {
         "static address"
     }
 
-    fn edited_place(&self, context: PromptContext) -> Option<EditedPlace> {
-        Some(self.target.entry(context).map(|entry| entry.index))
+    fn edit_target(&self, context: PromptContext) -> EditTarget {
+        self.target.entry(context).map_or(EditTarget::New, |entry| EditTarget::Entry(entry.index))
     }
 
     fn validate(&self, text: &str, context: PromptContext) -> C {
@@ -247,11 +247,11 @@ impl PromptLogic for AddressPrompt {
         let key = |entry: &Entry| context.file.document().key(entry.index);
         let operation = match (parse_address(text), entry) {
             (None, Some(entry)) if entry.is_static => {
-                Some(Operation::ClearAddress { entry: key(entry), from: entry.address })
+                Some(Operation::UnpinAddress { entry: key(entry), from: entry.address })
             }
             (Some(to), Some(entry)) if !entry.is_static || entry.address != Some(to) => {
                 let from = entry.address;
-                Some(Operation::SetAddress { entry: key(entry), from, to })
+                Some(Operation::PinAddress { entry: key(entry), from, to })
             }
             (Some(to), None) => match self.key {
                 RowKey::Device(id) => context.buses.device(id).and_then(|device| {
@@ -327,13 +327,13 @@ impl PromptLogic for RenamePrompt {
         "name"
     }
 
-    fn edited_place(&self, context: PromptContext) -> Option<EditedPlace> {
-        Some(self.target.entry(context).map(|entry| entry.index))
+    fn edit_target(&self, context: PromptContext) -> EditTarget {
+        self.target.entry(context).map_or(EditTarget::New, |entry| EditTarget::Entry(entry.index))
     }
 
     fn validate(&self, text: &str, context: PromptContext) -> C {
         let Some(entry) = self.target.entry(context) else {
-            return C::Rejected(self.target.gone_text(context));
+            return C::Rejected(self.target.deleted_text(context));
         };
         let check = check_name(text);
         if entry.name == self.key.name || matches!(check, C::Rejected(_)) {
@@ -368,19 +368,19 @@ impl PromptLogic for RenamePrompt {
 #[derive(Clone, Debug)]
 pub struct NewEntryPrompt {
     /// Content of the file when the prompt was opened.
-    on: Document,
+    base: Document,
 }
 
 impl Default for NewEntryPrompt {
     fn default() -> Self {
-        Self { on: Document::empty() }
+        Self { base: Document::empty() }
     }
 }
 
 impl NewEntryPrompt {
     /// Returns the prompt for this content of the file.
     pub(in crate::app) fn new(on: Document) -> Self {
-        Self { on }
+        Self { base: on }
     }
 
     fn check_entry(text: &str, context: PromptContext) -> C {
@@ -425,12 +425,12 @@ impl PromptLogic for NewEntryPrompt {
         "name address"
     }
 
-    fn edited_place(&self, _context: PromptContext) -> Option<EditedPlace> {
-        Some(None)
+    fn edit_target(&self, _context: PromptContext) -> EditTarget {
+        EditTarget::New
     }
 
     fn validate(&self, text: &str, context: PromptContext) -> C {
-        match (Self::check_entry(text, context), file_gone(&self.on, context)) {
+        match (Self::check_entry(text, context), file_gone(&self.base, context)) {
             (C::Rejected(why), _) => C::Rejected(why),
             (_, Some(gone)) => C::Warning(format!("{gone}; {CREATES_FILE}")),
             (check, None) => check,

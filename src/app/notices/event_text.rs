@@ -5,9 +5,8 @@
 use super::timeline::{TimelineEntry, TimelineKind};
 use crate::app::buses::{Bus, Buses, TxBlocked};
 use crate::app::capture::hex;
-use crate::discovery::{
-    Confidence, ConflictParty, DeviceId, Event, EventKind, FindingKey, Presence,
-};
+use crate::discovery::{DeviceId, Event, EventKind, OtherDevice, Presence};
+use crate::finding::{FindingKey, FindingState};
 use crate::frame::BusIndex;
 use crate::text::{Escaped, Name};
 use crate::wire::node::{Mode, Uid};
@@ -15,18 +14,18 @@ use crate::wire::node::{Mode, Uid};
 /// Kind and text of the timeline line of an engine event; `None` for an event without a line.
 pub fn event_text(buses: &Buses, bus: BusIndex, event: &Event) -> Option<(TimelineKind, String)> {
     Some(match &event.kind {
-        EventKind::Appeared => (TimelineKind::Good, "appeared".to_owned()),
-        EventKind::Named => (TimelineKind::Good, identified(event)),
+        EventKind::FirstFrame => (TimelineKind::Improved, "appeared".to_owned()),
+        EventKind::NameReceived => (TimelineKind::Improved, identified(event)),
         EventKind::Services { count, changed } => {
             let plural = if *count == 1 { "" } else { "s" };
-            let kind = if *changed { TimelineKind::Change } else { TimelineKind::Good };
+            let kind = if *changed { TimelineKind::Change } else { TimelineKind::Improved };
             let now = if *changed { " (changed)" } else { "" };
             (kind, format!("{count} service{plural}{now}"))
         }
         // The row shows the first mode of a device; ARSLV is reported as an address claim.
         EventKind::Mode { from: None, .. }
         | EventKind::Mode { to: Mode::Arslv, .. }
-        | EventKind::Joined { .. } => return None,
+        | EventKind::IdsMerged { .. } => return None,
         EventKind::Mode { from: Some(from), to } => {
             (TimelineKind::Change, format!("{from} → {to}"))
         }
@@ -41,7 +40,7 @@ pub fn event_text(buses: &Buses, bus: BusIndex, event: &Event) -> Option<(Timeli
             let by = uid_label(buses, bus, event.device, *uid);
             (TimelineKind::Change, format!("{by}claims {}{held}", address(event)))
         }
-        EventKind::GaveWay { uid, to, inferred: guess } => {
+        EventKind::GaveUpAddress { uid, to, inferred: guess } => {
             let to = match to {
                 Some(to) => format!(" to {}", party_label(buses, to)),
                 None => " (claimed by another device)".to_owned(),
@@ -51,14 +50,14 @@ pub fn event_text(buses: &Buses, bus: BusIndex, event: &Event) -> Option<(Timeli
             (TimelineKind::Change, format!("{by}gave up {}{to}{guess}", address(event)))
         }
         EventKind::Rebooted => (TimelineKind::Change, "rebooted".to_owned()),
-        EventKind::Presence(Presence::Online) => (TimelineKind::Good, "online".to_owned()),
+        EventKind::Presence(Presence::Online) => (TimelineKind::Improved, "online".to_owned()),
         EventKind::Presence(Presence::Stale) => {
-            (TimelineKind::Late, "stale: heartbeat overdue".to_owned())
+            (TimelineKind::Overdue, "stale: heartbeat overdue".to_owned())
         }
         EventKind::Presence(Presence::Silent) => {
-            (TimelineKind::Late, "silent: frames but no heartbeat".to_owned())
+            (TimelineKind::Overdue, "silent: frames but no heartbeat".to_owned())
         }
-        EventKind::Presence(Presence::Asleep) => (TimelineKind::Late, "asleep".to_owned()),
+        EventKind::Presence(Presence::Asleep) => (TimelineKind::Overdue, "asleep".to_owned()),
         EventKind::Presence(Presence::Lost) => {
             let still = event.device.map_or_else(Vec::new, |id| buses.still_on(id));
             let own = buses.get(bus).map_or("", |bus| &bus.name);
@@ -73,7 +72,7 @@ pub fn event_text(buses: &Buses, bus: BusIndex, event: &Event) -> Option<(Timeli
             let elsewhere = event.device.is_some_and(|id| !buses.still_on(id).is_empty());
             let own = buses.get(bus).filter(|_| elsewhere);
             let place = own.map_or(String::new(), |bus| format!(" on {}", bus.name));
-            (TimelineKind::Good, format!("returned{place} (was {was})"))
+            (TimelineKind::Improved, format!("returned{place} (was {was})"))
         }
         EventKind::Finding { key, confidence } => {
             let found = buses.finding(bus, key);
@@ -87,7 +86,7 @@ pub fn event_text(buses: &Buses, bus: BusIndex, event: &Event) -> Option<(Timeli
         EventKind::NoAddress(wanted) => {
             (TimelineKind::Error, buses.no_address_reason(bus, *wanted).unwrap_or_default())
         }
-        EventKind::NotAcknowledged => {
+        EventKind::NoAck => {
             let text = match buses.get(bus).and_then(Bus::tx_blocked) {
                 Some(TxBlocked::QueueFull) => "transmit queue stuck: sending paused",
                 _ => "no ACK on the bus: sending paused",
@@ -97,13 +96,13 @@ pub fn event_text(buses: &Buses, bus: BusIndex, event: &Event) -> Option<(Timeli
         EventKind::Acknowledged => {
             (TimelineKind::Bus, "frames are acknowledged: sending resumed".to_owned())
         }
-        EventKind::Debug { code, data } => {
+        EventKind::DebugMessage { code, data } => {
             (TimelineKind::Change, format!("debug message {code:03X} {}", hex(data, " ")))
         }
     })
 }
 
-fn party_label(buses: &Buses, party: &ConflictParty) -> String {
+fn party_label(buses: &Buses, party: &OtherDevice) -> String {
     let known = || buses.device(party.device)?.name.as_ref();
     match (party.name.as_ref().or_else(known), party.uid) {
         (Some(name), _) => name.to_string(),
@@ -164,14 +163,14 @@ pub fn join_short(changes: Vec<String>) -> Vec<String> {
 
 /// Kind and text of the timeline line of a finding; the name of its kind where it has no text yet.
 pub fn finding_line(
-    confidence: Confidence,
+    confidence: FindingState,
     key: &FindingKey,
     text: &str,
 ) -> (TimelineKind, String) {
     let kind = match confidence {
-        Confidence::Cleared => TimelineKind::Cleared,
-        Confidence::Suspected => TimelineKind::Suspected,
-        Confidence::Confirmed => TimelineKind::Confirmed,
+        FindingState::Cleared => TimelineKind::Cleared,
+        FindingState::Suspected => TimelineKind::Suspected,
+        FindingState::Confirmed => TimelineKind::Confirmed,
     };
     let text = if text.is_empty() { key.kind.name() } else { text };
     (kind, format!("{confidence}: {text}"))

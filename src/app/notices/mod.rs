@@ -2,7 +2,7 @@
 //! screen is to be drawn.
 //!
 //! Inputs: texts and events with their time. Outputs: the message and the lines to show, the queue
-//! of [`AppEvent`]s, redraw deadlines. Does not know how lines are shown.
+//! of [`AppEvent`]s, redraw deadlines.
 
 mod event_text;
 mod redraw;
@@ -168,7 +168,7 @@ impl Notices {
     /// Returns true if the event filter matches a line, at its own address or at one of `others`.
     /// Lines about a whole bus, and errors of the program, always match: frame loss matters to a
     /// filter for one device, too.
-    pub fn is_of_interest(&self, buses: &Buses, line: &TimelineEntry, others: &[Address]) -> bool {
+    pub fn passes_filter(&self, buses: &Buses, line: &TimelineEntry, others: &[Address]) -> bool {
         let is_of_device = line.address.is_some() || line.device.is_some();
         let is_of_bus = line.bus.is_some() && line.name.is_none();
         self.event_filter.is_empty()
@@ -191,7 +191,7 @@ impl Notices {
             }
             _ => &[],
         };
-        self.is_of_interest(buses, &line, others)
+        self.passes_filter(buses, &line, others)
     }
 
     /// The moment at which the message is over or a redraw is due.
@@ -242,7 +242,7 @@ mod tests {
         let notices = notices("at:12");
         let buses = Buses::new(NOW, Vec::new());
         let line = |text| TimelineEntry::new(NOW, TimelineKind::File, text);
-        assert!(!notices.is_of_interest(&buses, &line("listed"), &[]));
-        assert!(notices.is_of_interest(&buses, &line("down").on(BusIndex(0)), &[]));
+        assert!(!notices.passes_filter(&buses, &line("listed"), &[]));
+        assert!(notices.passes_filter(&buses, &line("down").on(BusIndex(0)), &[]));
     }
 }

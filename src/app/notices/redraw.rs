@@ -1,6 +1,6 @@
 //! When the screen is to be drawn, and when devices and file are to be compared again.
 //!
-//! A key is drawn at once; what the bus changes at most every 250 ms. Does not know what is drawn.
+//! A key is drawn at once; what the bus changes at most every 250 ms.
 
 use crate::time::{Duration, Instant};
 

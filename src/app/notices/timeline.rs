@@ -1,7 +1,7 @@
 //! Timeline: one line per event of devices, buses, the file and edits. Lines outlive the devices.
 //!
 //! Bounded: 4096 lines. A line that repeats one of the last 8 within 5 s is counted instead of
-//! added, and moves to the end. Does not know how lines are shown.
+//! added, and moves to the end.
 
 use crate::discovery::{DeviceId, Event};
 use crate::frame::BusIndex;
@@ -39,11 +39,11 @@ pub struct TimelineEntry {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TimelineKind {
     /// A device appeared, returned, or reported more about itself.
-    Good,
+    Improved,
     /// A device changed.
     Change,
     /// A device is stale, silent or asleep.
-    Late,
+    Overdue,
     /// A device is lost.
     Lost,
     /// A suspected finding.
@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn a_repeated_line_stands_behind_what_came_between() {
+    fn repeated_line_moves_behind_newer_lines() {
         let lines = [(0, "undone"), (1, "redone"), (2, "undone"), (3, "other"), (4, "undone")];
         let mut timeline = timeline(&lines);
         let expected = [(1, "redone", 1), (3, "other", 1), (4, "undone", 3)];
@@ -241,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn what_chatters_leaves_room_for_the_rest() {
+    fn frequent_line_leaves_room_for_others() {
         let mut timeline = timeline(&[(0, "first")]);
         for second in 0..10_000 {
             timeline.push(line(second, ["changed", "saved", "broken"][second as usize % 3]));
@@ -256,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_that_are_held_stay_as_they_are() {
+    fn pinned_lines_do_not_change() {
         let mut timeline = timeline(&[(0, "changed"), (1, "saved")]);
         timeline.pin_lines(true);
         timeline.push(line(2, "changed"));

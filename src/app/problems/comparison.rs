@@ -1,13 +1,13 @@
 //! Differences between des.json and the buses, as findings.
 //!
-//! Pure: entries and devices in, findings out. Does not know how findings are shown.
+//! Pure: entries and devices in, findings out.
 
 use super::matching::is_for;
-use crate::app::Facts;
+use crate::app::Inputs;
 use crate::app::listing::{other_services, service_differences};
 use crate::discovery::Device;
-use crate::document::{Document, DocumentFindingKind, Entry};
-use crate::finding::{Confidence, Finding, FindingKey, FindingKind};
+use crate::document::{Document, Entry};
+use crate::finding::{Finding, FindingKey, FindingKind, FindingState};
 use crate::frame::BusIndex;
 use crate::text::{Name, Quoted};
 use crate::wire::id::Address;
@@ -26,7 +26,7 @@ type Values<'a> = &'a [(&'a str, &'a dyn std::fmt::Display)];
 
 /// Differences between des.json and the buses.
 pub(super) struct Comparison<'a> {
-    facts: Facts<'a>,
+    inputs: Inputs<'a>,
     pub found: Vec<Finding>,
     /// Places of the entries that the findings are about, in the same order.
     pub entries: Vec<Option<usize>>,
@@ -34,13 +34,13 @@ pub(super) struct Comparison<'a> {
 
 impl<'a> Comparison<'a> {
     /// Compares file and buses; without a file there are no differences.
-    pub fn new(facts: Facts<'a>, scope: Scope) -> Self {
-        let mut comparison = Self { facts, found: Vec::new(), entries: Vec::new() };
-        if !facts.file.is_there() {
+    pub fn new(inputs: Inputs<'a>, scope: Scope) -> Self {
+        let mut comparison = Self { inputs, found: Vec::new(), entries: Vec::new() };
+        if !inputs.file.is_there() {
             return comparison;
         }
-        comparison.file_alone(facts.file.document());
-        for entry in facts.file.document().entries() {
+        comparison.file_alone(inputs.file.document());
+        for entry in inputs.file.document().entries() {
             comparison.entry(entry, scope);
         }
         if scope == Scope::Check {
@@ -51,17 +51,7 @@ impl<'a> Comparison<'a> {
 
     fn file_alone(&mut self, document: &Document) {
         for finding in document.findings() {
-            let kind = match finding.kind {
-                DocumentFindingKind::DuplicateAddress => FindingKind::FileDuplicateAddress,
-                DocumentFindingKind::DuplicateEntry => FindingKind::FileDuplicateEntry,
-                DocumentFindingKind::NotDevices
-                | DocumentFindingKind::NotAnEntry
-                | DocumentFindingKind::MissingName
-                | DocumentFindingKind::WrongType
-                | DocumentFindingKind::AddressRange
-                | DocumentFindingKind::NamesDiffer
-                | DocumentFindingKind::DuplicateMember => FindingKind::FileShape,
-            };
+            let kind = finding.kind.finding_kind();
             let entries = finding.entries.iter().filter_map(|&at| document.entries().get(at));
             let names: Vec<Name> = entries.clone().map(|entry| Name::new(&entry.name)).collect();
             let address = entries.clone().find_map(|entry| Address::new(entry.address?));
@@ -71,8 +61,8 @@ impl<'a> Comparison<'a> {
             if let Some(added) = self.found.last_mut() {
                 if kind == FindingKind::FileShape {
                     // One entry may have several.
-                    added.key.part = Some(finding.brief().into());
-                    added.place = Some((finding.position.line, finding.position.column));
+                    added.key.fault = Some(finding.brief().into());
+                    added.position = Some((finding.position.line, finding.position.column));
                 }
                 for name in &names {
                     added.add_name(name);
@@ -83,17 +73,17 @@ impl<'a> Comparison<'a> {
     }
 
     fn entry(&mut self, entry: &Entry, scope: Scope) {
-        let facts = self.facts;
-        let devices: Vec<&Device> = facts
+        let inputs = self.inputs;
+        let devices: Vec<&Device> = inputs
             .matching
             .devices_of(entry.index)
             .iter()
-            .filter_map(|&id| facts.buses.device(id))
+            .filter_map(|&id| inputs.buses.device(id))
             .filter(|device| device.is_present())
             .collect();
         let name = Quoted(&entry.name);
         let pinned = entry.address.filter(|_| entry.is_static).and_then(Address::new);
-        if facts.matching.is_duplicate(entry.index) {
+        if inputs.matching.is_duplicate(entry.index) {
             // Reported as a finding about the file.
             return;
         }
@@ -119,15 +109,15 @@ impl<'a> Comparison<'a> {
         }
         let Some(pinned) = pinned else { return };
         for (index, bus) in
-            facts.buses.iter().enumerate().filter(|(_, bus)| is_for(entry, &bus.name))
+            inputs.buses.iter().enumerate().filter(|(_, bus)| is_for(entry, &bus.name))
         {
             let other = bus.devices().iter().find(|device| {
-                let is_it = facts.matching.devices_of(entry.index).contains(&device.id);
+                let is_it = inputs.matching.devices_of(entry.index).contains(&device.id);
                 device.address == pinned && device.is_present() && !is_it
             });
             // A device without a known name may be the listed one.
-            let Some(other) =
-                other.filter(|other| other.name.is_some() || other.name_query.is_unanswered)
+            let Some(other) = other
+                .filter(|other| other.name.is_some() || other.name_query.has_failed_since_response)
             else {
                 continue;
             };
@@ -143,21 +133,21 @@ impl<'a> Comparison<'a> {
             if let (Some(found), Some(name)) = (self.found.last_mut(), &other.name) {
                 found.add_name(name);
             } else if let Some(found) = self.found.last_mut() {
-                found.confidence = Confidence::Suspected;
+                found.confidence = FindingState::Suspected;
             }
         }
     }
 
     fn missing(&mut self, entry: &Entry, scope: Scope) {
-        let facts = self.facts;
-        let bus = facts.buses.iter().position(|bus| is_for(entry, &bus.name));
+        let inputs = self.inputs;
+        let bus = inputs.buses.iter().position(|bus| is_for(entry, &bus.name));
         let Some(bus) = bus.map(|at| BusIndex(at as u8)) else { return };
-        if scope == Scope::Screen && !facts.is_missing(entry) {
+        if scope == Scope::Screen && !inputs.is_missing(entry) {
             return;
         }
         let address = entry.address.and_then(Address::new);
         let at = address.map(|address| format!(" (at {address})")).unwrap_or_default();
-        let why = facts.missing_reasons(entry);
+        let why = inputs.missing_reasons(entry);
         let (first, rest) = why.split_first().map_or(("", &[][..]), |(it, rest)| (it, rest));
         let text = format!("{}{at} is listed but not on the bus: {first}.", Quoted(&entry.name));
         let values: Values = &[("further reasons", &rest.join("; "))];
@@ -192,9 +182,9 @@ impl<'a> Comparison<'a> {
     }
 
     fn unlisted(&mut self) {
-        for bus in self.facts.buses.iter() {
+        for bus in self.inputs.buses.iter() {
             for device in bus.devices() {
-                let listed = self.facts.matching.entry_of(device.id).is_some();
+                let listed = self.inputs.matching.entry_of(device.id).is_some();
                 if listed || device.is_debug || !device.is_present() {
                     continue;
                 }
@@ -216,9 +206,9 @@ impl<'a> Comparison<'a> {
 
     /// Returns true if an entry without a device has this address.
     fn is_awaited_at(&self, address: Address) -> bool {
-        let entries = self.facts.file.document().entries().iter();
+        let entries = self.inputs.file.document().entries().iter();
         let mut here = entries.filter(|entry| entry.address == Some(address.number()));
-        here.any(|entry| self.facts.matching.devices_of(entry.index).is_empty())
+        here.any(|entry| self.inputs.matching.devices_of(entry.index).is_empty())
     }
 
     /// Sets the entry of the last finding.
@@ -237,10 +227,10 @@ impl<'a> Comparison<'a> {
         text: String,
         values: Values,
     ) {
-        let key = FindingKey { kind, bus, address, name, part: None };
+        let key = FindingKey { kind, bus, address, name, fault: None };
         let remedy = key.wording().remedy_with(values);
-        let mut finding = Finding::new(key, self.facts.now);
-        finding.confidence = Confidence::Confirmed;
+        let mut finding = Finding::new(key, self.inputs.now);
+        finding.confidence = FindingState::Confirmed;
         finding.text = text;
         finding.remedy = remedy;
         self.found.push(finding);

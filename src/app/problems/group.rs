@@ -1,9 +1,9 @@
 //! Problems: findings grouped to the rows of page 4.
 //!
 //! An address conflict causes several findings, which are one problem. A muted problem stays in
-//! the list and does not count. Does not know how findings are made.
+//! the list and does not count.
 
-use crate::finding::{Confidence, Finding, FindingKey, Grouping};
+use crate::finding::{Finding, FindingKey, FindingState, Grouping};
 use crate::frame::{BusIndex, Frame};
 use crate::text::Name;
 use crate::time::Instant;
@@ -15,7 +15,7 @@ use std::cmp::Reverse;
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum ProblemKey {
     /// All findings that an address conflict causes at one address of a bus.
-    Shared(BusIndex, Address),
+    Address(BusIndex, Address),
     /// Any other finding is a problem by itself.
     Finding(FindingKey),
 }
@@ -25,7 +25,7 @@ impl ProblemKey {
     pub fn of(key: &FindingKey) -> Self {
         let shared = key.kind.facts().grouping == Grouping::Address;
         match (key.bus, key.address) {
-            (Some(bus), Some(address)) if shared => Self::Shared(bus, address),
+            (Some(bus), Some(address)) if shared => Self::Address(bus, address),
             _ => Self::Finding(key.clone()),
         }
     }
@@ -59,24 +59,24 @@ impl<'a> Problem<'a> {
         self.findings[0]
     }
 
-    /// Confidence of the problem: that of the first finding.
-    pub fn confidence(&self) -> Confidence {
+    /// State of the problem: that of the first finding.
+    pub fn state(&self) -> FindingState {
         self.head().confidence
     }
 
     /// Time of the last change of the confidence.
     pub fn since(&self) -> Instant {
-        let confidence = self.confidence();
+        let confidence = self.state();
         let moments = self.findings.iter().filter(|it| it.confidence == confidence);
         let moments = moments.map(|finding| finding.changed);
         // The problem is cleared when its last finding is cleared.
-        let since = if confidence == Confidence::Cleared { moments.max() } else { moments.min() };
+        let since = if confidence == FindingState::Cleared { moments.max() } else { moments.min() };
         since.unwrap_or(self.head().changed)
     }
 
     /// Returns true if the problem counts: neither cleared nor muted.
-    pub fn counts(&self) -> bool {
-        !self.is_muted && self.confidence() != Confidence::Cleared
+    pub fn is_open(&self) -> bool {
+        !self.is_muted && self.state() != FindingState::Cleared
     }
 
     /// Bus; `None` for a problem of des.json alone.
@@ -134,7 +134,7 @@ impl<'a> Problem<'a> {
     }
 
     /// Returns true if the problem has evidence; a difference from the file has none.
-    pub fn was_seen(&self) -> bool {
+    pub fn has_evidence(&self) -> bool {
         self.findings.iter().any(|finding| !finding.evidence.is_empty())
     }
 
@@ -154,11 +154,11 @@ impl<'a> Problem<'a> {
                     && piece.time == evidence.time
             });
             match same {
-                Some(piece) if piece.what.contains(&*evidence.what) => {}
-                Some(piece) => piece.what = format!("{}; {}", piece.what, evidence.what),
+                Some(piece) if piece.what.contains(&*evidence.description) => {}
+                Some(piece) => piece.what = format!("{}; {}", piece.what, evidence.description),
                 None => pieces.push(EvidenceItem {
                     time: evidence.time,
-                    what: evidence.what.to_string(),
+                    what: evidence.description.to_string(),
                     frame: evidence.frame,
                 }),
             }
@@ -170,7 +170,7 @@ impl<'a> Problem<'a> {
     /// Short text without addresses and names.
     pub fn headline(&self) -> Cow<'static, str> {
         let head = self.head();
-        if let (Some((line, _)), Some(part)) = (head.place, &head.key.part) {
+        if let (Some((line, _)), Some(part)) = (head.position, &head.key.fault) {
             return format!("line {line}: {part}").into();
         }
         head.key.wording().headline.into()
@@ -185,7 +185,7 @@ impl<'a> Problem<'a> {
 
     /// Condition that confirms a suspected problem; `None` for any other, or without such a rule.
     pub fn confirmation_hint(&self) -> Option<&'static str> {
-        let is_suspected = self.confidence() == Confidence::Suspected;
+        let is_suspected = self.state() == FindingState::Suspected;
         self.head().key.wording().confirmation.filter(|_| is_suspected)
     }
 
@@ -193,6 +193,6 @@ impl<'a> Problem<'a> {
     pub(super) fn rank(&self) -> impl Ord + use<> {
         let head = self.head();
         let severity = Reverse(head.key.kind.severity());
-        (self.is_muted, Reverse(head.confidence), severity, head.place, head.key.clone())
+        (self.is_muted, Reverse(head.confidence), severity, head.position, head.key.clone())
     }
 }

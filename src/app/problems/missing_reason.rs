@@ -1,10 +1,10 @@
 //! Reasons why a listed device is missing, or a device is known incompletely.
 //!
 //! Checks causes from the nearest (the bus is down) to the farthest (no frame was received); the
-//! texts state observations. Does not know how reasons are shown.
+//! texts state observations.
 
 use super::matching::is_for;
-use crate::app::Facts;
+use crate::app::Inputs;
 use crate::app::buses::{Bus, TxBlocked};
 use crate::discovery::{Device, OwnAddress, QueryState};
 use crate::document::Entry;
@@ -14,7 +14,7 @@ use crate::text::{Escaped, Quoted};
 use crate::time::Duration;
 use crate::wire::id::Address;
 
-impl Facts<'_> {
+impl Inputs<'_> {
     /// Returns true if an entry without a device can be reported as missing: the search is complete
     /// on each of its buses, and no device with an unknown name uses its address.
     pub fn is_missing(&self, entry: &Entry) -> bool {
@@ -22,7 +22,7 @@ impl Facts<'_> {
             entry.address == Some(device.address.number())
                 && device.is_present()
                 && device.name.is_none()
-                && !device.name_query.is_unanswered
+                && !device.name_query.has_failed_since_response
         };
         let buses = self.buses.iter().enumerate().filter(|(_, bus)| is_for(entry, &bus.name));
         buses.into_iter().all(|(index, bus)| {
@@ -95,7 +95,7 @@ impl Facts<'_> {
     }
 
     fn was_at(&self, device: &Device) -> String {
-        let ago = spell(self.buses.display_time(self.now).since(device.last_seen));
+        let ago = format_duration(self.buses.display_time(self.now).since(device.last_seen));
         format!("last seen at {}, {ago} ago", device.address)
     }
 
@@ -127,7 +127,8 @@ impl Facts<'_> {
                 }
                 (None, true) => reasons.extend(self.why_unnamed(other)),
                 (_, false) => {
-                    let ago = spell(self.buses.display_time(self.now).since(other.last_seen));
+                    let ago =
+                        format_duration(self.buses.display_time(self.now).since(other.last_seen));
                     gone = Some(format!(
                         "only {} was at {address}, last seen {ago} ago",
                         device_name(other)
@@ -144,7 +145,7 @@ impl Facts<'_> {
     pub fn incomplete_reasons(&self, device: &Device) -> Vec<String> {
         let mut reasons = Vec::new();
         if let Some(bus) = self.buses.get(device.id.bus)
-            && (!device.is_present() || bus.is_blind())
+            && (!device.is_present() || bus.cannot_receive())
         {
             why_bus(bus, &mut reasons);
         }
@@ -153,7 +154,7 @@ impl Facts<'_> {
         } else if device.services.is_none() {
             let query = device.services_query;
             match query.state {
-                QueryState::Unanswered => reasons
+                QueryState::NoResponse => reasons
                     .push(format!("name received, no services response{}", asked(query.attempts))),
                 QueryState::NotSent if !self.buses.sends_requests(device.id.bus) => {
                     reasons.push("services unknown: requests are off".to_owned());
@@ -172,7 +173,7 @@ impl Facts<'_> {
         let (address, query) = (device.address, device.name_query);
         let own = self.buses.get(device.id.bus).map(Bus::own_address);
         match query.state {
-            QueryState::Unanswered => {
+            QueryState::NoResponse => {
                 Some(format!("{what} at {address}, but no DES response{}", asked(query.attempts)))
             }
             QueryState::Sent if query.attempts > 0 => Some(format!(
@@ -212,7 +213,7 @@ fn why_silent(bus: &Bus, entry: &Entry, reasons: &mut Vec<String>) {
             count => format!("it may be one of {count} unnamed devices"),
         });
     }
-    reasons.push(if ended || config.listen_only || !config.scan {
+    reasons.push(if ended || config.listen_only || !config.send_requests {
         "requests are off: silent devices are not found".to_owned()
     } else if let OwnAddress::Blocked(_) = bus.own_address() {
         "descan has no address: no requests were sent".to_owned()
@@ -251,7 +252,7 @@ fn why_bus(bus: &Bus, reasons: &mut Vec<String>) {
         Some(TxBlocked::QueueFull) => {
             reasons.push(format!("cannot send requests: transmit queue of {name} is stuck"));
         }
-        Some(TxBlocked::Unacknowledged) => {
+        Some(TxBlocked::NoAck) => {
             reasons.push(format!("no ACK on {name}: no other node, wrong bit rate or broken wire"));
         }
         None => {}
@@ -271,7 +272,7 @@ fn times(count: u32) -> String {
 }
 
 /// Text of a duration in its largest one or two units: `7s`, `3m12s`, `2h05m`, `4d03h`.
-pub fn spell(duration: Duration) -> String {
+pub fn format_duration(duration: Duration) -> String {
     let seconds = duration.as_secs();
     match seconds {
         0..=59 => format!("{seconds}s"),

@@ -2,7 +2,7 @@
 //!
 //! Inputs: the buses and the file. Outputs: the rows of page 4, the assignment of entries to
 //! devices, the findings that changed. The list is kept and renewed when a bus, the file or the
-//! muting changed. Does not know how problems are shown.
+//! muting changed.
 
 mod comparison;
 mod group;
@@ -12,12 +12,12 @@ mod missing_reason;
 pub use comparison::Scope;
 pub use group::{EvidenceItem, Problem, ProblemKey};
 pub use matching::{Matching, is_for};
-pub use missing_reason::spell;
+pub use missing_reason::format_duration;
 
-use super::Facts;
+use super::Inputs;
 use super::buses::Buses;
 use super::file::FileState;
-use crate::finding::{Confidence, Finding, FindingKey};
+use crate::finding::{Finding, FindingKey, FindingState};
 use crate::time::Instant;
 use comparison::Comparison;
 use std::cell::RefCell;
@@ -63,8 +63,8 @@ enum FindingPlace {
 }
 
 /// Returns the differences between file and buses.
-pub(super) fn compare(facts: Facts, scope: Scope) -> Vec<Finding> {
-    Comparison::new(facts, scope).found
+pub(super) fn compare(inputs: Inputs, scope: Scope) -> Vec<Finding> {
+    Comparison::new(inputs, scope).found
 }
 
 impl Problems {
@@ -84,12 +84,12 @@ impl Problems {
         self.finding_entries[at]
     }
 
-    /// Compares file and buses anew; a finding that persists keeps its times. Returns the findings
+    /// Compares file and buses again; a finding that persists keeps its times. Returns the findings
     /// before.
     pub fn refresh(&mut self, buses: &Buses, file: &FileState, now: Instant) -> Vec<Finding> {
         self.matching = Matching::new(file.document().entries(), buses.as_slice());
-        let facts = Facts { now, buses, file, matching: &self.matching };
-        let Comparison { mut found, entries, .. } = Comparison::new(facts, Scope::Screen);
+        let inputs = Inputs { now, buses, file, matching: &self.matching };
+        let Comparison { mut found, entries, .. } = Comparison::new(inputs, Scope::Screen);
         self.finding_entries = entries;
         let known: HashMap<&FindingKey, &Finding> =
             self.file_findings.iter().map(|finding| (&finding.key, finding)).collect();
@@ -108,13 +108,13 @@ impl Problems {
     /// Findings of the comparison that changed since `before`: first the cleared ones, then those
     /// that are new or have another confidence.
     pub fn changes_since(&self, before: &[Finding], now: Instant) -> Vec<Finding> {
-        let confidences = |findings: &[Finding]| -> BTreeMap<FindingKey, Confidence> {
+        let confidences = |findings: &[Finding]| -> BTreeMap<FindingKey, FindingState> {
             findings.iter().map(|finding| (finding.key.clone(), finding.confidence)).collect()
         };
         let (was, is) = (confidences(before), confidences(&self.file_findings));
         let mut changed = Vec::new();
         for mut finding in before.iter().filter(|it| !is.contains_key(&it.key)).cloned() {
-            (finding.confidence, finding.changed) = (Confidence::Cleared, now);
+            (finding.confidence, finding.changed) = (FindingState::Cleared, now);
             changed.push(finding);
         }
         let is_news = |found: &&Finding| was.get(&found.key) != Some(&found.confidence);
@@ -149,7 +149,7 @@ impl Problems {
         (!findings.is_empty()).then_some(Problem { key, findings, is_muted })
     }
 
-    /// The list, made anew if a bus, the file or the muting changed.
+    /// The list, updated if a bus, the file or the muting changed.
     fn stored(&self, buses: &Buses) -> Rc<[StoredProblem]> {
         let mut list = self.list.borrow_mut();
         match &*list {
@@ -235,7 +235,7 @@ mod tests {
         problems.refresh(&buses, &file, NOW);
         let first = problems.stored(&buses);
         assert!(!first.is_empty() && Rc::ptr_eq(&first, &problems.stored(&buses)));
-        buses.clear_lost();
+        buses.remove_lost_devices();
         let second = problems.stored(&buses);
         assert!(!Rc::ptr_eq(&first, &second));
         problems.toggle_muted(second[0].key.clone());
@@ -251,7 +251,7 @@ mod tests {
         assert!(problems.toggle_muted(key.clone()) && problems.is_muted(&key));
         let list = problems.list(&buses, false);
         let lowest = list.last().unwrap();
-        assert!(lowest.key == key && !lowest.counts());
+        assert!(lowest.key == key && !lowest.is_open());
         assert!(!problems.toggle_muted(key));
     }
 
@@ -267,6 +267,6 @@ mod tests {
         let before = problems.refresh(&buses, &file, NOW);
         let changes = problems.changes_since(&before, NOW);
         assert!(!changes.is_empty());
-        assert!(changes.iter().all(|it| it.confidence == Confidence::Cleared));
+        assert!(changes.iter().all(|it| it.confidence == FindingState::Cleared));
     }
 }

@@ -5,7 +5,7 @@
 
 /// Selected row of a list and its line on the screen.
 #[derive(Clone, Debug)]
-pub struct Cursor<K> {
+pub struct Selection<K> {
     selected: Option<K>,
     line: usize,
     /// Last index of the selected row; used when the row disappears.
@@ -14,13 +14,13 @@ pub struct Cursor<K> {
     moved: bool,
 }
 
-impl<K> Default for Cursor<K> {
+impl<K> Default for Selection<K> {
     fn default() -> Self {
         Self { selected: None, line: 0, last: 0, moved: false }
     }
 }
 
-impl<K: Clone + PartialEq> Cursor<K> {
+impl<K: Clone + PartialEq> Selection<K> {
     /// Key of the selected row.
     pub fn selected(&self) -> Option<&K> {
         self.selected.as_ref()
@@ -42,7 +42,7 @@ impl<K: Clone + PartialEq> Cursor<K> {
     }
 
     /// Clears the selection: the list follows its newest row.
-    pub fn release(&mut self) {
+    pub fn follow_newest(&mut self) {
         self.selected = None;
     }
 
@@ -59,16 +59,16 @@ impl<K: Clone + PartialEq> Cursor<K> {
 
     /// Updates the selection after the rows changed: a row that disappeared is replaced by its
     /// neighbour; without a selection by the user the first row is selected.
-    pub fn settle(&mut self, keys: &[K], height: usize) {
+    pub fn update(&mut self, keys: &[K], height: usize) {
         if self.moved {
-            self.keep(keys, height);
+            self.update_keeping(keys, height);
         } else {
             self.place(keys, 0, height);
         }
     }
 
-    /// Does the same as [`Self::settle`], but keeps a selection that the user did not make.
-    pub fn keep(&mut self, keys: &[K], height: usize) {
+    /// Does the same as [`Self::update`], but keeps a selection that the user did not make.
+    pub fn update_keeping(&mut self, keys: &[K], height: usize) {
         let index = self.index(keys.iter()).unwrap_or(self.last);
         self.place(keys, index, height);
     }

@@ -3,7 +3,7 @@
 //! Holds the evidence as of the moment when it was opened: it stays while the finding changes and
 //! after the capture dropped its frames.
 
-use super::cursor::Cursor;
+use super::cursor::Selection;
 use super::page::Focus;
 use crate::app::problems::{EvidenceItem, ProblemKey};
 
@@ -19,9 +19,9 @@ pub struct EvidenceView {
     /// Number of pieces; the first and the last are stored.
     pub count: u64,
     /// Place of the selected piece.
-    pub cursor: Cursor<usize>,
+    pub cursor: Selection<usize>,
     /// All captured frames are shown, with the evidence marked.
-    pub around: bool,
+    pub shows_context: bool,
     /// Selected frame, its line and the focus before.
     pub(super) before: (Option<u64>, usize, Focus),
 }

@@ -10,7 +10,7 @@ mod page;
 mod rows;
 mod screen;
 
-pub use cursor::Cursor;
+pub use cursor::Selection;
 pub use evidence::EvidenceView;
 pub use page::{Focus, Frozen, Page};
 pub use rows::{Counts, FileStatus, Row, RowKey, RowState, SortBy};
@@ -41,13 +41,13 @@ pub struct View {
     /// Size of the screen: columns, rows.
     pub size: (u16, u16),
     /// Selection of the Devices page.
-    pub devices: Cursor<RowKey>,
+    pub devices: Selection<RowKey>,
     /// Selection of the Problems page.
-    pub problems: Cursor<ProblemKey>,
+    pub problems: Selection<ProblemKey>,
     /// Number of the selected timeline line; none while the newest are followed.
-    pub timeline: Cursor<u64>,
+    pub timeline: Selection<u64>,
     /// Selection of the identifier view.
-    pub identifiers: Cursor<IdentifierKey>,
+    pub identifiers: Selection<IdentifierKey>,
     /// Number of the selected frame; `None` while the newest are followed.
     pub traffic: Option<u64>,
     /// Line of the list on which it is shown.
@@ -139,7 +139,7 @@ impl View {
 
     /// The evidence, if only its own frames are shown.
     pub fn evidence_alone(&self) -> Option<&EvidenceView> {
-        self.evidence.as_ref().filter(|evidence| !evidence.around)
+        self.evidence.as_ref().filter(|evidence| !evidence.shows_context)
     }
 
     /// Opens evidence on Traffic, with the piece at `first` selected.
@@ -152,19 +152,26 @@ impl View {
         first: usize,
     ) {
         let before = (self.traffic, self.traffic_line, self.focus);
-        let mut cursor = Cursor::default();
+        let mut cursor = Selection::default();
         cursor.select(first);
         self.open_page(Page::Traffic);
         let around = false;
-        self.evidence =
-            Some(EvidenceView { problem, title, pieces, count, cursor, around, before });
+        self.evidence = Some(EvidenceView {
+            problem,
+            title,
+            pieces,
+            count,
+            cursor,
+            shows_context: around,
+            before,
+        });
     }
 
     /// Shows only the evidence, or all frames around it.
     pub(in crate::app) fn set_around(&mut self, around: bool) {
         self.focus_list();
         if let Some(evidence) = &mut self.evidence {
-            evidence.around = around;
+            evidence.shows_context = around;
         }
     }
 
@@ -201,24 +208,24 @@ mod tests {
 
     #[test]
     fn selection_stays_on_its_row_and_line() {
-        let mut cursor = Cursor::default();
+        let mut cursor = Selection::default();
         let mut keys: Vec<u32> = (10..30).collect();
-        cursor.settle(&keys, 5);
+        cursor.update(&keys, 5);
         cursor.move_by(&keys, 8, 5);
         assert_eq!(cursor.selected(), Some(&18));
-        let top = |cursor: &Cursor<u32>, keys: &[u32]| {
+        let top = |cursor: &Selection<u32>, keys: &[u32]| {
             cursor.top(cursor.index(keys.iter()), keys.len(), 5)
         };
         assert_eq!(top(&cursor, &keys), 4);
         keys.insert(0, 1);
-        cursor.settle(&keys, 5);
+        cursor.update(&keys, 5);
         assert_eq!((cursor.selected(), top(&cursor, &keys)), (Some(&18), 5));
         keys.retain(|key| *key != 18);
-        cursor.settle(&keys, 5);
+        cursor.update(&keys, 5);
         assert_eq!(cursor.selected(), Some(&19));
         cursor.move_by(&keys, -2, 5);
         assert_eq!((cursor.selected(), top(&cursor, &keys)), (Some(&16), 5));
-        cursor.settle(&[], 5);
+        cursor.update(&[], 5);
         assert_eq!(cursor.selected(), None);
     }
 
@@ -226,7 +233,7 @@ mod tests {
     fn closed_evidence_restores_traffic() {
         let mut view = View { traffic: Some(7), traffic_line: 3, ..View::default() };
         let piece = EvidenceItem { time: Instant::ZERO, what: String::new(), frame: None };
-        let key = ProblemKey::Shared(BusIndex(0), Address::from_bits(12));
+        let key = ProblemKey::Address(BusIndex(0), Address::from_bits(12));
         view.open_evidence(key, "conflict".to_owned(), vec![piece; 3], 3, 1);
         view.move_in_evidence(1, 10);
         let selected = view.evidence_alone().and_then(EvidenceView::selected);

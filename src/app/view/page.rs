@@ -2,12 +2,15 @@
 
 /// The pages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-#[allow(missing_docs)]
 pub enum Page {
+    /// Device rows.
     #[default]
     Devices,
+    /// Captured frames.
     Traffic,
+    /// Events.
     Timeline,
+    /// Problems with their evidence.
     Problems,
 }
 

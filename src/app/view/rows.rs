@@ -1,6 +1,4 @@
 //! Rows of the Devices page: types and sort orders.
-//!
-//! Does not know how rows are made or drawn.
 
 use crate::discovery::{DeviceId, Presence};
 use crate::document::EntryKey;
@@ -35,26 +33,26 @@ pub struct Row {
     /// Another present device on its bus has the same name.
     pub twin: bool,
     /// The same device on redundant buses.
-    pub also: Vec<DeviceId>,
+    pub redundant_ids: Vec<DeviceId>,
     /// Relation to des.json.
     pub file: FileStatus,
     /// Place of its entry in the file.
     pub entry: Option<usize>,
     /// Its entry has an invalid value or is a duplicate.
-    pub is_flawed: bool,
+    pub has_findings: bool,
     /// The services of its entry differ from those of the device.
     pub has_other_services: bool,
 }
 
 impl Row {
     /// Returns true if it is the row of this device on one of its buses.
-    pub fn has(&self, id: DeviceId) -> bool {
-        self.key == RowKey::Device(id) || self.also.contains(&id)
+    pub fn has_device(&self, id: DeviceId) -> bool {
+        self.key == RowKey::Device(id) || self.redundant_ids.contains(&id)
     }
 
     /// Returns true if it belongs to this bus, or to no bus in particular.
     pub(in crate::app) fn is_on(&self, bus: BusIndex) -> bool {
-        self.bus.is_none_or(|own| own == bus) || self.also.iter().any(|id| id.bus == bus)
+        self.bus.is_none_or(|own| own == bus) || self.redundant_ids.iter().any(|id| id.bus == bus)
     }
 }
 
@@ -135,14 +133,19 @@ pub enum FileStatus {
 
 /// Sort order of the rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-#[allow(missing_docs)]
 pub enum SortBy {
+    /// By address, ascending.
     #[default]
     Address,
+    /// By name.
     Name,
+    /// By state, the most severe first.
     State,
+    /// By mode.
     Mode,
+    /// By the time of the last frame, newest first.
     Seen,
+    /// By the difference from the file.
     File,
 }
 
@@ -173,15 +176,21 @@ impl SortBy {
     }
 }
 
-/// Number of rows by state, and of problems by confidence.
+/// Number of rows and of problems, each by state.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[allow(missing_docs)]
 pub struct Counts {
-    pub here: usize,
-    pub unseen: usize,
+    /// Rows of present devices.
+    pub present: usize,
+    /// Rows of devices whose bus went down.
+    pub unknown: usize,
+    /// Rows of listed devices that are not on the bus.
     pub missing: usize,
+    /// Rows of lost devices.
     pub lost: usize,
+    /// Confirmed problems, not muted.
     pub confirmed: usize,
+    /// Suspected problems, not muted.
     pub suspected: usize,
+    /// Muted problems.
     pub muted: usize,
 }

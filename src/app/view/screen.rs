@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn a_small_screen_still_shows_devices() {
+    fn small_screen_still_shows_devices() {
         let view = View { size: (40, 10), ..View::default() };
         assert!(Screen::new(&view, 1).list_rows() >= 6);
     }

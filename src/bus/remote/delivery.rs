@@ -31,7 +31,7 @@ impl Delivery {
             frame.time = self.last;
             frame.bus = self.bus;
             if let Some(report) = ErrorReport::of(frame) {
-                status.missing_acks += u64::from(report.is_missing_acknowledge());
+                status.missing_acks += u64::from(report.is_no_ack());
                 status.controller_overruns += u64::from(report.is_receive_overflow());
             }
         }

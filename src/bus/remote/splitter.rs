@@ -49,7 +49,7 @@ mod tests {
     }
 
     #[test]
-    fn part_without_end_needs_bounded_memory_and_is_reported_at_its_end() {
+    fn endless_part_needs_bounded_memory() {
         let mut splitter = Splitter::default();
         assert_eq!(parts(&mut splitter, &vec![b'x'; 100_000]), []);
         assert!(splitter.partial.capacity() <= 2 * MAX_PART);

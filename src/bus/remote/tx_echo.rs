@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_written_is_not_put_back() {
+    fn unwritten_frame_is_not_looped_back() {
         let mut own = TxEchoTracker::new(Confirmation::Never, FIRST_TIMEOUT);
         own.push(&frame(1), 10);
         own.push(&frame(2), 20);
@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn a_confirmed_one_is_put_back_then() {
+    fn confirmed_frame_is_looped_back() {
         let mut own = three_written();
         assert_eq!(own.confirm_oldest(at(5)), Some(frame(1).with_tx().with_time(at(5))));
         assert_eq!(own.confirm_oldest(at(7)), Some(frame(2).with_tx().with_time(at(7))));
@@ -193,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn one_that_comes_back_is_confirmed_by_that() {
+    fn returned_frame_is_confirmed() {
         let mut own = three_written();
         assert!(!own.confirm_equal(&frame(4)));
         assert!(own.confirm_equal(&frame(2)));
@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn who_confirms_nothing_at_first_never_does() {
+    fn unconfirmed_first_frame_disables_confirmation() {
         let mut own = three_written();
         assert_eq!(own.poll_timeout(), Some(at(250)));
         let mut back = Vec::new();
@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn one_who_confirms_and_stops_has_not_sent() {
+    fn missing_confirmation_after_others_means_not_sent() {
         let mut own = three_written();
         own.confirm_oldest(at(1));
         let mut back = Vec::new();
@@ -226,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn no_more_than_some_are_under_way() {
+    fn frames_in_flight_are_limited() {
         let mut own = TxEchoTracker::new(Confirmation::Given, FIRST_TIMEOUT);
         for id in 0..CAPACITY {
             assert!(own.has_room());

@@ -105,7 +105,7 @@ enum Continuation {
 impl Replay {
     fn run(&mut self) -> io::Result<()> {
         if self.path.is_some() {
-            self.reader.keep_unfinished();
+            self.reader.hold_partial_entry();
         }
         loop {
             while let Some(frame) = self.next_frame()? {
@@ -138,17 +138,17 @@ impl Replay {
         // The last line may have no end because it is just being written.
         let written = self.reader.source().get_ref().log.metadata()?.modified()?;
         let is_left = written.elapsed().is_ok_and(|age| age >= UNFINISHED);
-        Ok(if is_left { self.reader.take_unfinished() } else { None })
+        Ok(if is_left { self.reader.read_partial_entry() } else { None })
     }
 
     /// Delivers a frame when it is due, or, after the end, at once. Returns false if the port was
     /// dropped.
     fn play(&mut self, frame: Frame) -> io::Result<bool> {
-        for name in &self.reader.tally().interfaces[self.named..] {
+        for name in &self.reader.summary().interfaces[self.named..] {
             self.shared.queue.add_name(name);
             self.named += 1;
         }
-        let tally = self.reader.tally();
+        let tally = self.reader.summary();
         let (from, to) = *self.anchor.get_or_insert_with(|| {
             // The session begins with the log, if its dates are the log's.
             let is_own = tally.epoch == Some(self.clock.epoch());
@@ -225,8 +225,8 @@ impl Replay {
     /// Reports the end of the log, which may be temporary.
     fn end(&mut self) {
         self.report_position();
-        let mut summary = self.reader.tally().to_string();
-        if self.reader.has_unfinished() && self.reader.tally().damage.is_none() {
+        let mut summary = self.reader.summary().to_string();
+        if self.reader.has_partial_entry() && self.reader.summary().damage.is_none() {
             summary.push_str("; last line incomplete");
         }
         self.clock.log_ends(self.index);

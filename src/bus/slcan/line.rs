@@ -136,9 +136,9 @@ fn frame(kind: u8, rest: &[u8]) -> Option<AdapterReply> {
     };
     let mut frame = match kind {
         b'r' => Frame::remote(id, len),
-        _ => Frame::with(id, &bytes[..len]),
+        _ => Frame::new(id, &bytes[..len]),
     };
-    frame.fd = is_fd;
+    frame.is_fd = is_fd;
     frame.bit_rate_switch = kind == b'b';
     Some(AdapterReply::Frame(frame, stamp))
 }
@@ -202,14 +202,14 @@ fn errors(rest: &[u8]) -> Option<AdapterReply> {
 
 /// Encodes a frame with its line end; `None` for error frames and impossible lengths.
 pub(super) fn encode(frame: &Frame) -> Option<Vec<u8>> {
-    let (kind, digits) = match (frame.kind, frame.fd, frame.bit_rate_switch) {
+    let (kind, digits) = match (frame.kind, frame.is_fd, frame.bit_rate_switch) {
         (FrameKind::Error, ..) => return None,
         (FrameKind::Remote, ..) => ('r', frame.len()),
         (FrameKind::Data, false, _) => ('t', frame.len()),
         (FrameKind::Data, true, false) => ('d', length_code(frame.len())?),
         (FrameKind::Data, true, true) => ('b', length_code(frame.len())?),
     };
-    if digits > 8 && !frame.fd {
+    if digits > 8 && !frame.is_fd {
         return None;
     }
     let mut line = match frame.id {
@@ -292,13 +292,13 @@ mod tests {
 
     #[test]
     fn frames_are_read_as_adapters_write_them() {
-        assert_eq!(frame_of("t1230"), Frame::with(CanId::Standard(0x123), &[]));
-        assert_eq!(frame_of("t4563112233"), Frame::with(CanId::Standard(0x456), &[17, 34, 51]));
+        assert_eq!(frame_of("t1230"), Frame::new(CanId::Standard(0x123), &[]));
+        assert_eq!(frame_of("t4563112233"), Frame::new(CanId::Standard(0x456), &[17, 34, 51]));
         assert_eq!(frame_of("T12abcdef2aa55"), Frame::classic(0x12AB_CDEF, &[0xAA, 0x55]));
         assert_eq!(frame_of("r1234"), Frame::remote(CanId::Standard(0x123), 4));
         assert_eq!(frame_of("R000001230"), Frame::remote(CanId::Extended(0x123), 0));
         let fd = frame_of(&format!("D000001239{}", "5A".repeat(12)));
-        assert_eq!((fd.len(), fd.fd, fd.bit_rate_switch), (12, true, false));
+        assert_eq!((fd.len(), fd.is_fd, fd.bit_rate_switch), (12, true, false));
         assert_eq!(
             read("T1111222281122334455667788EA5F"),
             Some(AdapterReply::Frame(
@@ -309,7 +309,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_frame_is_refused() {
+    fn malformed_frame_is_rejected() {
         for text in [
             "t",
             "t12",
@@ -348,7 +348,7 @@ mod tests {
     }
 
     #[test]
-    fn other_words() {
+    fn other_adapter_replies_are_recognised() {
         assert_eq!(read(""), Some(AdapterReply::Ack));
         assert_eq!(read("z"), Some(AdapterReply::Ack));
         assert_eq!(read("Z"), Some(AdapterReply::Ack));
@@ -370,10 +370,10 @@ mod tests {
     #[test]
     fn errors_become_error_frames() {
         let report = |text| crate::error_report::ErrorReport::of(&frame_of(text)).unwrap();
-        assert!(report("e1a").is_missing_acknowledge());
-        assert!(report("e2bf").is_broken_frame());
+        assert!(report("e1a").is_no_ack());
+        assert!(report("e2bf").is_bus_error());
         assert!(report("e1o").is_receive_overflow());
-        assert!(!report("e1o").is_broken_frame());
+        assert!(!report("e1o").is_bus_error());
     }
 
     #[test]
@@ -391,7 +391,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stream_is_split_however_it_comes() {
+    fn stream_is_split_independent_of_chunks() {
         let whole = b"t1230\r\rz\r\n\x07half\x07V1013\r";
         let at_once = pieces(&mut LineSplitter::default(), whole);
         assert_eq!(at_once.len(), 7, "{at_once:?}");
@@ -413,10 +413,10 @@ mod tests {
             let len = if code > 8 { data_length(code) } else { code };
             match kind {
                 0 => Frame::remote(id, classic),
-                1 => Frame::with(id, &data[..classic]),
+                1 => Frame::new(id, &data[..classic]),
                 _ => {
-                    let mut frame = Frame::with(id, &data[..len]);
-                    frame.fd = true;
+                    let mut frame = Frame::new(id, &data[..len]);
+                    frame.is_fd = true;
                     frame.bit_rate_switch = kind == 3;
                     frame
                 }

@@ -288,8 +288,8 @@ impl Slcan {
         match reply {
             AdapterReply::Frame(frame, stamp) => {
                 let time = stamp.map_or(now, |stamp| self.stamps.date(stamp, now));
-                exchange.status.fd |= frame.fd;
-                self.takes_fd |= frame.fd;
+                exchange.status.fd |= frame.is_fd;
+                self.takes_fd |= frame.is_fd;
                 exchange.frames.push(frame.with_time(time));
             }
             AdapterReply::State { state, tec, rec } => {
@@ -531,10 +531,10 @@ impl Protocol for Slcan {
     }
 
     fn send(&mut self, _: Instant, frame: &Frame, exchange: &mut ProtocolIo) {
-        let line = encode(frame).filter(|_| self.takes_fd || !frame.fd);
+        let line = encode(frame).filter(|_| self.takes_fd || !frame.is_fd);
         let Some(line) = line else {
             exchange.status.transmit_failures += 1;
-            if frame.fd {
+            if frame.is_fd {
                 exchange.status.note = Some(
                     "FD frames not sent; set a data bit rate, as in \
                      @500000/2000000"
@@ -662,7 +662,7 @@ mod tests {
     }
 
     #[test]
-    fn one_who_answers_is_asked_step_by_step() {
+    fn responding_adapter_is_set_up_step_by_step() {
         let settings = SlcanSettings { bitrate: Some(500_000), ..SlcanSettings::default() };
         let mut test = SlcanTest::begin(settings);
         assert_eq!(test.sent(), "C.V.");
@@ -680,7 +680,7 @@ mod tests {
     }
 
     #[test]
-    fn late_answers_to_the_knocking_are_not_taken_for_answers_to_what_follows() {
+    fn late_wake_responses_do_not_acknowledge_later_commands() {
         let settings = SlcanSettings { bitrate: Some(500_000), ..SlcanSettings::default() };
         let mut test = SlcanTest::begin(settings);
         test.sent();
@@ -700,7 +700,7 @@ mod tests {
     }
 
     #[test]
-    fn one_who_says_nothing_is_open_after_a_while() {
+    fn silent_adapter_counts_as_open_after_timeout() {
         let settings =
             SlcanSettings { bitrate: Some(125_000), listen_only: true, ..SlcanSettings::default() };
         let mut test = SlcanTest::begin(settings);
@@ -716,7 +716,7 @@ mod tests {
     }
 
     #[test]
-    fn one_who_stops_answering_is_away() {
+    fn adapter_without_responses_is_unavailable() {
         let mut test = SlcanTest::begin(SlcanSettings::default());
         test.handle_reply(1, b"\r\r");
         test.pass(1);
@@ -730,7 +730,7 @@ mod tests {
     }
 
     #[test]
-    fn one_that_was_switched_off_and_on_is_opened_again() {
+    fn restarted_adapter_is_opened_again() {
         let mut test = SlcanTest::begin(SlcanSettings::default());
         test.handle_reply(1, b"\r\r");
         test.pass(1);
@@ -766,7 +766,7 @@ mod tests {
     }
 
     #[test]
-    fn any_bytes_at_any_time_are_taken() {
+    fn arbitrary_bytes_at_any_time_are_accepted() {
         for seed in 0..300 {
             let mut random = fastrand::Rng::with_seed(seed);
             let mut test = SlcanTest::begin(SlcanSettings::default());

@@ -20,7 +20,7 @@ use super::port::{Port, PortShared};
 use super::tx_queue::{TxAttempt, TxQueue};
 use crate::diagnostic::Diagnostic;
 use crate::error_report::ErrorReport;
-use crate::frame::{BusIndex, Frame, IdPattern};
+use crate::frame::{BusIndex, Frame, IdFilter};
 use crate::status::{BusState, BusStatus, Link, RateSearch};
 use crate::time::Instant;
 use link_info::{LinkInfo, is_can, missing, not_can};
@@ -222,7 +222,7 @@ struct SocketReader {
     /// Whether the interface existed before: then a missing one was unplugged.
     was_up: bool,
     /// The identifiers to receive; empty: all.
-    only: Vec<IdPattern>,
+    only: Vec<IdFilter>,
     /// Frames to send.
     tx: TxQueue,
     /// Whether the status has the transmit queue as full.
@@ -438,7 +438,7 @@ impl ErrorFrameSummary {
     fn note(&mut self, frame: &Frame) {
         let Some(report) = ErrorReport::of(frame) else { return };
         self.total += 1;
-        self.missing_acks += u64::from(report.is_missing_acknowledge());
+        self.missing_acks += u64::from(report.is_no_ack());
         self.overruns += u64::from(report.is_receive_overflow());
         self.bus_offs += u64::from(report.is_bus_off());
     }

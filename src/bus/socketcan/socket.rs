@@ -2,7 +2,7 @@
 //! state of the interface.
 
 use crate::frame::socketcan::{self as fields, EXTENDED_FLAG, FD_FORMAT, REMOTE_FLAG};
-use crate::frame::{Frame, IdPattern};
+use crate::frame::{Frame, IdFilter};
 use nix::cmsg_space;
 use nix::libc::{MSG_DONTWAIT, MSG_PEEK, SO_RCVBUF, SO_RCVBUFFORCE, SO_RXQ_OVFL, SOL_SOCKET};
 use nix::sys::socket::{ControlMessageOwned, MsgFlags, MultiHeaders, RecvMsg, recvmmsg, recvmsg};
@@ -60,7 +60,7 @@ impl RawSocket {
     /// # Errors
     ///
     /// Those of the kernel.
-    pub(super) fn open(ifindex: u32, only: &[IdPattern]) -> io::Result<Self> {
+    pub(super) fn open(ifindex: u32, only: &[IdFilter]) -> io::Result<Self> {
         let socket = CanFdSocket::open_iface(ifindex)?;
         if !only.is_empty() {
             // Extended identifiers only, no remote frames.
@@ -266,11 +266,11 @@ fn encode(frame: &Frame) -> ([u8; FD_LEN], usize) {
     let mut bytes = [0; FD_LEN];
     bytes[..4].copy_from_slice(&fields::id_word(frame).to_ne_bytes());
     bytes[4] = frame.len() as u8;
-    if frame.fd {
+    if frame.is_fd {
         bytes[5] = FD_FORMAT | fields::fd_flags(frame);
     }
     bytes[DATA_AT..][..frame.data().len()].copy_from_slice(frame.data());
-    (bytes, if frame.fd { FD_LEN } else { CLASSIC_LEN })
+    (bytes, if frame.is_fd { FD_LEN } else { CLASSIC_LEN })
 }
 
 #[cfg(test)]
@@ -284,7 +284,7 @@ mod tests {
         fd.error_state = true;
         for frame in [
             Frame::classic(0x0201_5402, &[4, 0x44, 0x45, 0x53, 1]),
-            Frame::with(CanId::Standard(0x7FF), &[]),
+            Frame::new(CanId::Standard(0x7FF), &[]),
             Frame::remote(CanId::Standard(0x12), 4),
             Frame::remote(CanId::Extended(0x12), 0),
             Frame::error(0x24, &[0, 1, 2, 3, 4, 5, 6, 7]),

@@ -40,7 +40,7 @@ pub(super) fn parse(content: &[u8]) -> Option<ServerMessage> {
             if bytes.len() > Frame::MAX_CLASSIC_DATA {
                 return None;
             }
-            Some(ServerMessage::Frame(Frame::with(identifier(id)?, &bytes), Some(micros(time)?)))
+            Some(ServerMessage::Frame(Frame::new(identifier(id)?, &bytes), Some(micros(time)?)))
         }
         ["rtr", id, time, len] => {
             let len = len.parse().ok().filter(|len| *len <= Frame::MAX_CLASSIC_DATA)?;
@@ -61,7 +61,7 @@ pub(super) fn parse(content: &[u8]) -> Option<ServerMessage> {
 
 /// Encodes a frame; `None` for FD and error frames, which socketcand cannot send.
 pub(super) fn encode(frame: &Frame) -> Option<String> {
-    if frame.fd || frame.len() > Frame::MAX_CLASSIC_DATA {
+    if frame.is_fd || frame.len() > Frame::MAX_CLASSIC_DATA {
         return None;
     }
     let id = frame.id;
@@ -167,7 +167,7 @@ mod tests {
         let frame = |frame, micros| Some(ServerMessage::Frame(frame, Some(micros)));
         assert_eq!(read(" frame 1A220344 23.424242 1A22 "), frame(data, 23_424_242));
         assert_eq!(read(" frame 1A220344 23.424242 1A 22 "), frame(data, 23_424_242));
-        let empty = Frame::with(CanId::Standard(0x123), &[]);
+        let empty = Frame::new(CanId::Standard(0x123), &[]);
         assert_eq!(read(" frame 123 1436509052.249713  "), frame(empty, 1_436_509_052_249_713));
         let remote = Frame::remote(CanId::Standard(0x123), 4);
         assert_eq!(read(" rtr 123 23.5 4 "), frame(remote, 23_500_000));
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_message_is_refused() {
+    fn malformed_message_is_rejected() {
         for text in [
             "",
             "frame",
@@ -208,14 +208,14 @@ mod tests {
     }
 
     #[test]
-    fn a_servers_words_cannot_steer_a_terminal() {
+    fn server_text_is_escaped_for_the_terminal() {
         let Some(ServerMessage::Error(text)) = parse(b"error \x1b[2J\x07no") else { panic!() };
         assert_eq!(text, "\\x1B[2J\\x07no");
     }
 
     #[test]
     fn frames_are_written_as_the_daemon_reads_them() {
-        let data = Frame::with(CanId::Standard(0x123), &[1, 0xF1]);
+        let data = Frame::new(CanId::Standard(0x123), &[1, 0xF1]);
         assert_eq!(encode(&data).unwrap(), "< send 123 2 1 f1 >");
         assert_eq!(encode(&Frame::classic(0xABC, &[])).unwrap(), "< send 00000ABC 0 >");
         let remote = Frame::remote(CanId::Extended(5), 8);
@@ -231,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stream_is_split_however_it_comes() {
+    fn stream_is_split_independent_of_chunks() {
         let whole = b"< hi >< ok >\r\nHTTP/1.1 400<half < ok > x <>";
         let at_once = pieces(&mut MessageSplitter::default(), whole);
         assert_eq!(at_once.iter().filter(|piece| *piece == "Unreadable").count(), 3);

@@ -217,7 +217,7 @@ impl Protocol for Socketcand {
     fn send(&mut self, _: Instant, frame: &Frame, exchange: &mut ProtocolIo) {
         let Some(message) = encode(frame) else {
             exchange.status.transmit_failures += 1;
-            if frame.fd {
+            if frame.is_fd {
                 let note = "FD frames not sent: not supported by socketcand";
                 exchange.status.note = Some(note.to_owned());
             }
@@ -293,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn a_silent_server_is_asked_and_then_given_up() {
+    fn silent_server_is_probed_then_disconnected() {
         let mut test = SocketcandTest::open();
         assert_eq!(test.pass(5_002), "");
         assert_eq!(test.pass(5_003), "< echo >");
@@ -306,7 +306,7 @@ mod tests {
     }
 
     #[test]
-    fn a_server_that_stops_in_the_middle_of_the_dialogue_is_given_up() {
+    fn server_stopping_during_setup_is_disconnected() {
         for words in [&[][..], &["< hi >"], &["< hi >", "< ok >"]] {
             let mut test = SocketcandTest {
                 server: Socketcand::new("host", "can0"),
@@ -324,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn ours_are_put_back_by_us_where_the_server_does_not() {
+    fn loopback_is_generated_if_server_sends_none() {
         let mut test = SocketcandTest::open();
         let frame = Frame::classic(0x123, &[1]);
         test.send(100, &frame);
@@ -340,7 +340,7 @@ mod tests {
     }
 
     #[test]
-    fn ours_that_the_server_gives_back_are_ours_once() {
+    fn server_loopback_is_not_duplicated() {
         let mut test = SocketcandTest::open();
         let frame = Frame::classic(0x123, &[1]);
         for sent in [100, 1_000, 2_000] {

@@ -68,13 +68,13 @@ pub(super) fn encode(frame: &Frame, unix_seconds: f64) -> Option<Vec<u8>> {
         channel: None,
         dlc: frame.len(),
         data: frame.data(),
-        is_fd: frame.fd,
-        bitrate_switch: frame.fd && frame.bit_rate_switch,
-        error_state_indicator: frame.fd && frame.error_state,
+        is_fd: frame.is_fd,
+        bitrate_switch: frame.is_fd && frame.bit_rate_switch,
+        error_state_indicator: frame.is_fd && frame.error_state,
     };
     // python-can rejects more data than a frame can have.
-    let most = if frame.fd { Frame::MAX_DATA } else { Frame::MAX_CLASSIC_DATA };
-    let is_whole = frame.len() <= most && (!frame.fd || frame.kind == FrameKind::Data);
+    let most = if frame.is_fd { Frame::MAX_DATA } else { Frame::MAX_CLASSIC_DATA };
+    let is_whole = frame.len() <= most && (!frame.is_fd || frame.kind == FrameKind::Data);
     is_whole.then(|| rmp_serde::to_vec_named(&outgoing).ok()).flatten()
 }
 
@@ -100,7 +100,7 @@ pub(super) fn decode(datagram: &[u8]) -> Option<Frame> {
         return None;
     }
     if !incoming.is_fd {
-        return Some(Frame::with(id, incoming.data));
+        return Some(Frame::new(id, incoming.data));
     }
     let mut frame = Frame::fd(0, incoming.data, 0);
     frame.id = id;
@@ -122,8 +122,8 @@ mod tests {
         \xb5error_state_indicator\xc2";
 
     #[test]
-    fn is_byte_for_byte_what_python_can_sends() {
-        let frame = Frame::with(CanId::Standard(0x123), &[1, 2]);
+    fn encoding_equals_that_of_python_can() {
+        let frame = Frame::new(CanId::Standard(0x123), &[1, 2]);
         assert_eq!(encode(&frame, 1.5).as_deref(), Some(OF_PYTHON));
         assert_eq!(decode(OF_PYTHON), Some(frame));
     }
@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_is_no_frame() {
+    fn impossible_message_is_not_a_frame() {
         let changed = |from: &[u8], to: &[u8]| {
             let at = OF_PYTHON.windows(from.len()).position(|it| it == from).unwrap();
             let mut datagram = OF_PYTHON.to_vec();

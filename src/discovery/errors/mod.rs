@@ -1,8 +1,8 @@
 //! Bus errors from error frames: of the bus as a whole, and of one address at which two devices
 //! destroy each other's frames (protocol §5.5).
 //!
-//! An error frame does not show whose frame failed. But two devices at one address that answer one
-//! request with different bytes destroy each other's response again and again, some sixteen times,
+//! An error frame does not show whose frame failed. But two devices at one address that respond to
+//! one request with different bytes destroy each other's response repeatedly, some sixteen times,
 //! until both are error-passive: a burst of errors between the request and the response, or instead
 //! of it, each time that address is requested, while the rest of the bus is clean. So a *window* is
 //! open while an address is expected to send, from a request to its response, or around a heartbeat
@@ -65,13 +65,13 @@ const MAX_FOLLOW_UPS: u32 = 6;
 const FOLLOW_UP_DELAY: Duration = Duration::from_millis(770);
 /// Interval of the requests to an address that was named. Long, because its devices may reboot with
 /// each burst.
-const NAMED_RECHECK_DELAY: Duration = Duration::from_millis(20_370);
+const REPORTED_FOLLOW_UP_DELAY: Duration = Duration::from_millis(20_370);
 /// Time without another burst after which a suspect is dropped, or its finding cleared.
 const SUSPECT_LIFETIME: Duration = Duration::from_secs(45);
 /// Increase of the receive error counter (REC) since its last report that shows a burst.
 const MIN_REC_STEP: u8 = 16;
 /// Minimum time from the first burst to naming an address: a disturbance of the bus affects others
-/// meanwhile.
+/// in that time.
 const MIN_SUSPECT_TIME: Duration = Duration::from_millis(2500);
 /// Maximum number of bursts stored.
 const MAX_BURSTS: usize = 64;
@@ -81,7 +81,7 @@ const TEXT_INTERVAL: Duration = Duration::from_millis(200);
 
 /// Frame that an address is expected to send.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Due {
+pub(super) enum ExpectedFrame {
     Response(Request),
     Heartbeat,
 }
@@ -90,10 +90,10 @@ pub(super) enum Due {
 #[derive(Debug)]
 struct Suspect {
     address: Address,
-    due: Due,
+    expected: ExpectedFrame,
     /// Sum of the weights of its bursts, and their number.
     weight: u32,
-    hits: u32,
+    bursts: u32,
     /// Clean windows since the last burst.
     clean: u32,
     began: Instant,
@@ -102,13 +102,13 @@ struct Suspect {
     evidence: Vec<Evidence>,
     /// True if it did not respond when a burst may have been its own or another's.
     has_not_responded: bool,
-    /// Time until which it may answer descan's last request.
+    /// Time until which it may respond to descan's last request.
     response_until: Option<Instant>,
     /// True if its request was postponed.
     is_postponed: bool,
-    follow_ups: u32,
+    follow_up_count: u32,
     next_follow_up: Option<Instant>,
-    named: bool,
+    is_reported: bool,
 }
 
 impl Suspect {
@@ -122,7 +122,7 @@ impl Suspect {
 #[derive(Debug)]
 enum SuspectOutcome {
     /// Errors follow the address; with the new evidence.
-    Named(Address, Due, Vec<Evidence>),
+    Reported(Address, ExpectedFrame, Vec<Evidence>),
     /// Errors do not follow the address, or no longer.
     Cleared(Address),
 }
@@ -164,7 +164,7 @@ impl BusErrorTracker {
         ends: Instant,
         frame: &Frame,
     ) {
-        let due = Due::Response(request);
+        let due = ExpectedFrame::Response(request);
         if let Some(open) = self.window(address, due) {
             // Repeated, or in another framing.
             open.ends = open.ends.max(ends);
@@ -173,7 +173,7 @@ impl BusErrorTracker {
         }
     }
 
-    /// Notes a broadcast request that the addresses `awaited` (one bit each) may answer until
+    /// Notes a broadcast request that the addresses `awaited` (one bit each) may respond to until
     /// `ends`.
     pub fn note_broadcast(&mut self, now: Instant, ends: Instant, awaited: u128, frame: &Frame) {
         let before = self.broadcast.take().filter(|it| now < it.ends);
@@ -186,7 +186,7 @@ impl BusErrorTracker {
     /// Notes a part of a response; the rest is awaited until `ends`.
     pub fn note_partial_response(&mut self, address: Address, ends: Instant) {
         for window in &mut self.windows {
-            if window.address == address && window.due != Due::Heartbeat {
+            if window.address == address && window.due != ExpectedFrame::Heartbeat {
                 window.ends = window.ends.max(ends);
             }
         }
@@ -206,7 +206,7 @@ impl BusErrorTracker {
             broadcast.awaited &= !(1 << address.index());
             broadcast.responded |= 1 << address.index();
         }
-        self.close(now, address, Due::Response(request), Some(frame));
+        self.close(now, address, ExpectedFrame::Response(request), Some(frame));
     }
 
     /// Notes a heartbeat.
@@ -214,7 +214,7 @@ impl BusErrorTracker {
         if self.windows.is_empty() && self.suspects.is_empty() {
             return;
         }
-        self.close(now, address, Due::Heartbeat, Some(frame));
+        self.close(now, address, ExpectedFrame::Heartbeat, Some(frame));
     }
 
     /// Notes lost frames: a response may have been among them.
@@ -225,7 +225,7 @@ impl BusErrorTracker {
     /// Forgets `address`, whose device is lost.
     pub fn forget(&mut self, address: Address) {
         self.windows.retain(|window| window.address != address);
-        let named = self.suspects.iter().position(|it| it.address == address && it.named);
+        let named = self.suspects.iter().position(|it| it.address == address && it.is_reported);
         if let Some(at) = named {
             self.end(at);
         }
@@ -239,7 +239,7 @@ impl BusErrorTracker {
 
     /// Returns true if a suspect may still be named.
     pub fn has_pending_suspect(&self) -> bool {
-        let mut open = self.suspects.iter().filter(|suspect| !suspect.named);
+        let mut open = self.suspects.iter().filter(|suspect| !suspect.is_reported);
         open.any(|suspect| suspect.weight > 0 && suspect.next_follow_up.is_some())
     }
 
@@ -282,7 +282,7 @@ impl BusErrorTracker {
     fn broken(&mut self, report: &ErrorReport) -> u64 {
         let before = self.counters;
         self.counters = report.counters().or(before);
-        if report.is_broken_frame() {
+        if report.is_bus_error() {
             return 1;
         }
         let (true, Some((_, received))) = (report.is_error_state(), report.counters()) else {
@@ -316,7 +316,9 @@ impl BusErrorTracker {
         self.note_burst(now, broken, expected);
         if expected == 0 {
             match due_heartbeat() {
-                Some((address, last, overdue)) => self.open(address, Due::Heartbeat, overdue, last),
+                Some((address, last, overdue)) => {
+                    self.open(address, ExpectedFrame::Heartbeat, overdue, last);
+                }
                 None => self.background.count(now, broken, self.frames),
             }
         } else if expected.count_ones() > 1 {
@@ -327,9 +329,9 @@ impl BusErrorTracker {
         {
             // All other addresses have responded.
             let address = Address::from_bits(expected.trailing_zeros() as u8);
-            self.open(address, Due::Response(Request::Name), ends, Some(request));
+            self.open(address, ExpectedFrame::Response(Request::Name), ends, Some(request));
         }
-        // The first of several requests to one address is answered first.
+        // The first of several requests to one address gets its response first.
         let number = self.frames;
         if let Some(window) = self.windows.first_mut() {
             window.note(broken, number, frame);
@@ -356,7 +358,7 @@ impl BusErrorTracker {
     /// Returns how many of the stored bursts neither this suspect explains nor another one with
     /// several bursts.
     fn unexplained(&self, now: Instant, suspect: &Suspect) -> u32 {
-        let others = self.suspects.iter().filter(|it| it.hits > 1);
+        let others = self.suspects.iter().filter(|it| it.bursts > 1);
         let explained = others.fold(0u128, |bits, it| bits | 1 << it.address.index());
         let own = 1u128 << suspect.address.index();
         let unexplained = self.bursts.iter().filter(|(at, expected)| {
@@ -373,20 +375,21 @@ impl BusErrorTracker {
         while at < self.suspects.len() {
             let suspect = &self.suspects[at];
             let unexplained = self.unexplained(now, suspect);
-            let (hits, enough) = (suspect.hits, suspect.weight >= NAME_FROM_WEIGHT);
-            if suspect.named && unexplained > hits || !suspect.named && enough && !clean {
+            let (hits, enough) = (suspect.bursts, suspect.weight >= NAME_FROM_WEIGHT);
+            if suspect.is_reported && unexplained > hits || !suspect.is_reported && enough && !clean
+            {
                 self.end(at);
                 continue;
             }
             let suspect = &mut self.suspects[at];
             let lasting = now.since(suspect.began) >= MIN_SUSPECT_TIME;
-            if enough && lasting && !suspect.named && unexplained * 3 <= hits {
-                suspect.named = true;
-                suspect.next_follow_up = Some(now + NAMED_RECHECK_DELAY);
+            if enough && lasting && !suspect.is_reported && unexplained * 3 <= hits {
+                suspect.is_reported = true;
+                suspect.next_follow_up = Some(now + REPORTED_FOLLOW_UP_DELAY);
                 let evidence = std::mem::take(&mut suspect.evidence);
-                self.outcomes.push_back(SuspectOutcome::Named(
+                self.outcomes.push_back(SuspectOutcome::Reported(
                     suspect.address,
-                    suspect.due,
+                    suspect.expected,
                     evidence,
                 ));
             }
@@ -394,11 +397,11 @@ impl BusErrorTracker {
         }
     }
 
-    fn window(&mut self, address: Address, due: Due) -> Option<&mut Window> {
+    fn window(&mut self, address: Address, due: ExpectedFrame) -> Option<&mut Window> {
         self.windows.iter_mut().find(|window| window.address == address && window.due == due)
     }
 
-    fn open(&mut self, address: Address, due: Due, ends: Instant, cause: Option<Frame>) {
+    fn open(&mut self, address: Address, due: ExpectedFrame, ends: Instant, cause: Option<Frame>) {
         if self.windows.len() == MAX_WINDOWS {
             self.windows.remove(0);
         }
@@ -416,17 +419,17 @@ impl BusErrorTracker {
     }
 
     /// Closes a window: the expected frame arrived, or did not in time (`came` is `None`).
-    fn close(&mut self, now: Instant, address: Address, due: Due, came: Option<&Frame>) {
+    fn close(&mut self, now: Instant, address: Address, due: ExpectedFrame, came: Option<&Frame>) {
         let at = self.windows.iter().position(|it| it.address == address && it.due == due);
         let Some(at) = at else {
-            if due == Due::Heartbeat {
+            if due == ExpectedFrame::Heartbeat {
                 self.record_clean_window(now, address, due);
             }
             return;
         };
         let window = self.windows.remove(at);
         self.background.advance(now, self.frames);
-        let in_time = due == Due::Heartbeat && came.is_some();
+        let in_time = due == ExpectedFrame::Heartbeat && came.is_some();
         let weight = window.weight().filter(|_| !in_time);
         if let Some(weight) = weight {
             self.record_burst(now, &window, weight, came);
@@ -451,20 +454,20 @@ impl BusErrorTracker {
         }
         let Some(suspect) = self.suspect(now, window) else { return };
         suspect.weight += weight;
-        if suspect.hits == 0 {
+        if suspect.bursts == 0 {
             suspect.began = now;
         }
-        suspect.hits += 1;
+        suspect.bursts += 1;
         suspect.clean = 0;
-        suspect.due = window.due;
+        suspect.expected = window.due;
         suspect.last = now;
         if suspect.evidence.len() < 16 {
             suspect.evidence.extend(window.evidence(came));
         }
-        let after = if suspect.named { NAMED_RECHECK_DELAY } else { FOLLOW_UP_DELAY };
+        let after = if suspect.is_reported { REPORTED_FOLLOW_UP_DELAY } else { FOLLOW_UP_DELAY };
         suspect.next_follow_up = Some(now + after);
         if !self.background.is_clean() {
-            self.suspects.retain(|suspect| suspect.named);
+            self.suspects.retain(|suspect| suspect.is_reported);
         }
         self.judge(now);
     }
@@ -496,9 +499,9 @@ impl BusErrorTracker {
             }
             self.suspects.push(Suspect {
                 address: window.address,
-                due: window.due,
+                expected: window.due,
                 weight: 0,
-                hits: 0,
+                bursts: 0,
                 clean: 0,
                 began: now,
                 last: now,
@@ -506,9 +509,9 @@ impl BusErrorTracker {
                 has_not_responded: false,
                 response_until: None,
                 is_postponed: false,
-                follow_ups: 0,
+                follow_up_count: 0,
                 next_follow_up: None,
-                named: false,
+                is_reported: false,
             });
         }
         let at = known.unwrap_or(self.suspects.len() - 1);
@@ -516,8 +519,8 @@ impl BusErrorTracker {
     }
 
     /// Records an expected frame without errors.
-    fn record_clean_window(&mut self, now: Instant, address: Address, due: Due) {
-        let at = self.suspects.iter().position(|it| it.address == address && it.due == due);
+    fn record_clean_window(&mut self, now: Instant, address: Address, due: ExpectedFrame) {
+        let at = self.suspects.iter().position(|it| it.address == address && it.expected == due);
         let Some(at) = at else { return };
         let suspect = &mut self.suspects[at];
         if now.since(suspect.last) < RESTART_TIME
@@ -526,8 +529,8 @@ impl BusErrorTracker {
             return;
         }
         suspect.clean += 1;
-        let enough = match (due, suspect.named) {
-            (Due::Heartbeat, _) => CLEAN_HEARTBEATS,
+        let enough = match (due, suspect.is_reported) {
+            (ExpectedFrame::Heartbeat, _) => CLEAN_HEARTBEATS,
             (_, true) => CLEAN_TO_CLEAR,
             (_, false) if suspect.weight == 0 => 1,
             (_, false) => CLEAN_TO_DROP,
@@ -539,7 +542,7 @@ impl BusErrorTracker {
 
     fn end(&mut self, at: usize) {
         let suspect = self.suspects.remove(at);
-        if suspect.named {
+        if suspect.is_reported {
             self.outcomes.push_back(SuspectOutcome::Cleared(suspect.address));
         }
     }
@@ -567,24 +570,24 @@ impl BusErrorTracker {
         while let Some(at) = self.suspects.iter().position(|suspect| suspect.ends() <= now) {
             self.end(at);
         }
-        if self.suspects.iter().any(|suspect| suspect.named) {
+        if self.suspects.iter().any(|suspect| suspect.is_reported) {
             self.judge(now);
         }
         for suspect in
             self.suspects.iter_mut().filter(|it| it.next_follow_up.is_some_and(|at| at <= now))
         {
-            let Due::Response(request) = suspect.due else {
+            let ExpectedFrame::Response(request) = suspect.expected else {
                 suspect.next_follow_up = None;
                 continue;
             };
             let is_sent = query(suspect.address, request, suspect.last);
-            suspect.follow_ups += u32::from(is_sent);
-            let after = if suspect.named {
-                NAMED_RECHECK_DELAY
+            suspect.follow_up_count += u32::from(is_sent);
+            let after = if suspect.is_reported {
+                REPORTED_FOLLOW_UP_DELAY
             } else {
-                FOLLOW_UP_DELAY + Duration::from_secs(suspect.follow_ups.into())
+                FOLLOW_UP_DELAY + Duration::from_secs(suspect.follow_up_count.into())
             };
-            let more = suspect.named || suspect.follow_ups < MAX_FOLLOW_UPS;
+            let more = suspect.is_reported || suspect.follow_up_count < MAX_FOLLOW_UPS;
             suspect.next_follow_up = more.then(|| now + after);
         }
     }

@@ -9,8 +9,8 @@
 //! * *Cleared*: no errors for ten seconds, thirty if it was confirmed. Bus-off: once the controller
 //!   is on the bus again.
 
-use crate::error_report::{ErrorReport, Violation};
-use crate::finding::Confidence;
+use crate::error_report::{BusErrorType, ErrorReport};
+use crate::finding::FindingState;
 use crate::time::{Duration, Instant};
 use std::collections::VecDeque;
 
@@ -33,13 +33,13 @@ pub(in crate::discovery) enum Cause {
     /// The controller is bus-off.
     BusOff,
     /// descan's frames are not acknowledged.
-    NoAcknowledge,
+    NoAck,
     /// The transceiver reports a wiring fault.
     Wires,
     /// Errors occur in descan's own frames.
     OwnFrames,
     /// Bus errors, most of them of this kind; `None` if the kind is unknown.
-    Broken(Option<Violation>),
+    BusError(Option<BusErrorType>),
 }
 
 /// Summary of the errors of the last ten seconds.
@@ -58,11 +58,11 @@ pub(in crate::discovery) struct BusErrorSummary {
 struct ErrorSecond {
     /// Number of the second since [`Instant::ZERO`].
     number: u64,
-    broken: u64,
+    bus_errors: u64,
     no_acknowledge: u64,
     /// Of the failed frames, those sent by descan.
     sending: u64,
-    /// Failed frames by [`Violation`].
+    /// Failed frames by [`BusErrorType`].
     violations: [u64; 3],
 }
 
@@ -75,7 +75,7 @@ pub(super) struct ErrorRate {
     /// Begin of the next second.
     next_second: Instant,
     /// State reported last; `None` if cleared.
-    reported: Option<Confidence>,
+    reported: Option<FindingState>,
     last: Instant,
     /// Number of frames received when the controller became bus-off; `None` while it is on the bus.
     bus_off: Option<u64>,
@@ -118,7 +118,7 @@ impl ErrorRate {
             // Without other errors, the finding is over.
             self.over = self.bus_off.take().is_some() && self.count() < SUSPECT_FROM_ERRORS;
         }
-        let no_acknowledge = u64::from(report.is_missing_acknowledge());
+        let no_acknowledge = u64::from(report.is_no_ack());
         let off = report.is_bus_off();
         if broken + no_acknowledge == 0 && !off && !report.is_transceiver_fault() {
             return false;
@@ -133,21 +133,21 @@ impl ErrorRate {
             return true;
         }
         let second = self.second(now);
-        second.broken += broken;
+        second.bus_errors += broken;
         second.no_acknowledge += no_acknowledge;
         second.sending += if report.is_while_sending() { broken } else { 0 };
-        if let Some(violation) = report.violation() {
+        if let Some(violation) = report.bus_error_type() {
             second.violations[violation as usize] += broken;
         }
         true
     }
 
     /// Returns the state of the finding; `None` if there is none.
-    pub fn confidence(&mut self, frames: u64) -> Option<Confidence> {
+    pub fn confidence(&mut self, frames: u64) -> Option<FindingState> {
         let now = if self.bus_off.is_some() || self.is_lasting(frames) {
-            Some(Confidence::Confirmed)
+            Some(FindingState::Confirmed)
         } else if self.wires || self.count() >= SUSPECT_FROM_ERRORS {
-            Some(Confidence::Suspected)
+            Some(FindingState::Suspected)
         } else {
             None
         };
@@ -159,8 +159,8 @@ impl ErrorRate {
     /// Returns the summary of the errors.
     pub fn summary(&self, now: Instant, frames: u64) -> BusErrorSummary {
         let sum = |of: fn(&ErrorSecond) -> u64| self.seconds.iter().map(of).sum::<u64>();
-        let (broken, no_acknowledge) = (sum(|s| s.broken), sum(|s| s.no_acknowledge));
-        let violations = [Violation::Bit, Violation::Stuff, Violation::Form];
+        let (broken, no_acknowledge) = (sum(|s| s.bus_errors), sum(|s| s.no_acknowledge));
+        let violations = [BusErrorType::Bit, BusErrorType::Stuff, BusErrorType::Form];
         let most = violations.into_iter().max_by_key(|violation| {
             self.seconds.iter().map(|s| s.violations[*violation as usize]).sum::<u64>()
         });
@@ -170,11 +170,11 @@ impl ErrorRate {
         } else if self.wires {
             Cause::Wires
         } else if no_acknowledge > broken {
-            Cause::NoAcknowledge
+            Cause::NoAck
         } else if sum(|s| s.sending) * 2 > broken {
             Cause::OwnFrames
         } else {
-            Cause::Broken(most.filter(|_| known))
+            Cause::BusError(most.filter(|_| known))
         };
         let errors = self.count() as f64;
         let since = self.frames_at.front().map_or(now, |(since, _)| *since);
@@ -188,12 +188,12 @@ impl ErrorRate {
         let (from, to) = (second_of(from), second_of(to));
         for second in &mut self.seconds {
             if (from..=to).contains(&second.number) {
-                let explained = second.broken.min(count);
-                second.broken -= explained;
+                let explained = second.bus_errors.min(count);
+                second.bus_errors -= explained;
                 count -= explained;
             }
         }
-        self.seconds.retain(|second| second.broken + second.no_acknowledge > 0);
+        self.seconds.retain(|second| second.bus_errors + second.no_acknowledge > 0);
     }
 
     /// Returns when [`handle_timeout`](Self::handle_timeout) is due; `frames` were received in all.
@@ -206,8 +206,8 @@ impl ErrorRate {
             return None;
         }
         let quiet = match reported {
-            Confidence::Confirmed => CLEAR_CONFIRMED_AFTER,
-            Confidence::Suspected | Confidence::Cleared => CLEAR_AFTER,
+            FindingState::Confirmed => CLEAR_CONFIRMED_AFTER,
+            FindingState::Suspected | FindingState::Cleared => CLEAR_AFTER,
         };
         Some(self.last + quiet)
     }
@@ -248,7 +248,7 @@ impl ErrorRate {
 
     /// Returns the number of errors that count.
     fn count(&self) -> u64 {
-        self.seconds.iter().map(|second| second.broken + second.no_acknowledge).sum()
+        self.seconds.iter().map(|second| second.bus_errors + second.no_acknowledge).sum()
     }
 
     /// Returns how many of all frames were received in the last ten seconds.

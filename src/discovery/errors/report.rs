@@ -4,16 +4,16 @@
 use super::super::conflict_detector::ConflictDetector;
 use super::super::device_table::DeviceTable;
 use super::super::{Engine, Presence, finding_text};
-use super::{Due, SuspectOutcome, TEXT_INTERVAL};
+use super::{ExpectedFrame, SuspectOutcome, TEXT_INTERVAL};
 use crate::error_report::ErrorReport;
-use crate::finding::{Confidence, Evidence};
+use crate::finding::{Evidence, FindingState};
 use crate::frame::Frame;
 use crate::text::Name;
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
 
 /// Delay of a heartbeat, in periods, from which it is missing.
-const OVERDUE_PERIODS: f64 = 0.3;
+const HEARTBEAT_WINDOW_PERIODS: f64 = 0.3;
 
 impl Engine {
     /// Processes an error frame.
@@ -41,11 +41,15 @@ impl Engine {
         let (now, frames) = (self.now, self.counters.frames);
         let Some(confidence) = self.errors.rate.confidence(frames) else { return };
         let Some(finding) =
-            self.conflicts.finding_tracker_mut().judge_errors(now, None, confidence)
+            self.conflicts.finding_tracker_mut().set_bus_errors_state(now, None, confidence)
         else {
             return;
         };
-        finding.add(Evidence { time: frame.time, what: "error frame".into(), frame: Some(*frame) });
+        finding.add_evidence(Evidence {
+            time: frame.time,
+            description: "error frame".into(),
+            frame: Some(*frame),
+        });
         if finding.changed == now || finding.text.is_empty() {
             self.write_bus_text();
         } else {
@@ -60,7 +64,7 @@ impl Engine {
         self.errors.text_written_at = now;
         let Some(confidence) = self.errors.rate.confidence(frames) else { return };
         if let Some(finding) =
-            self.conflicts.finding_tracker_mut().judge_errors(now, None, confidence)
+            self.conflicts.finding_tracker_mut().set_bus_errors_state(now, None, confidence)
         {
             let summary = self.errors.rate.summary(now, frames);
             (finding.text, finding.remedy) = finding_text::bus_errors(&summary);
@@ -70,7 +74,7 @@ impl Engine {
     /// Returns when the window of a request sent now closes: the response time on a busy and slow
     /// bus.
     pub(in crate::discovery) fn response_window(&self) -> Instant {
-        self.now + Duration::from_millis(200) + self.config.bit_time(180 * 150)
+        self.now + Duration::from_millis(200) + self.config.duration_of_bits(180 * 150)
     }
 
     /// Closes windows that are over, and repeats requests to suspects.
@@ -78,7 +82,7 @@ impl Engine {
         let (now, frames) = (self.now, self.counters.frames);
         self.errors.frames = frames;
         let (device_table, may_send) =
-            (&mut self.device_table, self.local_node.held().is_some() && self.config.scan);
+            (&mut self.device_table, self.local_node.held().is_some() && self.config.send_requests);
         self.errors.handle_timeout(now, |address, request, since| {
             // After a burst devices may reboot, and not respond for some seconds.
             let Some(device) = device_table.current_device_mut(address) else { return false };
@@ -90,7 +94,11 @@ impl Engine {
         });
         if self.errors.rate.handle_timeout(now, frames) {
             self.errors.is_text_outdated = false;
-            self.conflicts.finding_tracker_mut().judge_errors(now, None, Confidence::Cleared);
+            self.conflicts.finding_tracker_mut().set_bus_errors_state(
+                now,
+                None,
+                FindingState::Cleared,
+            );
         } else if self.errors.is_text_outdated && now >= self.errors.text_written_at + TEXT_INTERVAL
         {
             self.write_bus_text();
@@ -103,31 +111,33 @@ impl Engine {
         let now = self.now;
         while let Some(outcome) = self.errors.outcomes.pop_front() {
             let (address, due, evidence) = match outcome {
-                SuspectOutcome::Named(address, due, evidence) => (address, due, evidence),
+                SuspectOutcome::Reported(address, due, evidence) => (address, due, evidence),
                 SuspectOutcome::Cleared(address) => {
-                    self.conflicts.finding_tracker_mut().judge_errors(
+                    self.conflicts.finding_tracker_mut().set_bus_errors_state(
                         now,
                         Some(address),
-                        Confidence::Cleared,
+                        FindingState::Cleared,
                     );
                     continue;
                 }
             };
             let name: Option<Name> =
                 self.device_table.current_device(address).and_then(|device| device.name.clone());
-            let suspected = Confidence::Suspected;
-            let Some(finding) =
-                self.conflicts.finding_tracker_mut().judge_errors(now, Some(address), suspected)
-            else {
+            let suspected = FindingState::Suspected;
+            let Some(finding) = self.conflicts.finding_tracker_mut().set_bus_errors_state(
+                now,
+                Some(address),
+                suspected,
+            ) else {
                 continue;
             };
             if let Some(name) = &name {
                 finding.add_name(name);
             }
             for piece in evidence {
-                finding.add(piece);
+                finding.add_evidence(piece);
             }
-            finding_text::describe_errors_at(finding, address, due == Due::Heartbeat);
+            finding_text::describe_errors_at(finding, address, due == ExpectedFrame::Heartbeat);
         }
     }
 
@@ -158,7 +168,7 @@ fn due_heartbeat(
             if found.is_some() {
                 return None;
             }
-            let overdue = due + period.mul_f64(OVERDUE_PERIODS);
+            let overdue = due + period.mul_f64(HEARTBEAT_WINDOW_PERIODS);
             found = Some((device.address, conflicts.last_heartbeat(device.address), overdue));
         }
     }

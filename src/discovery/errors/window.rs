@@ -1,6 +1,6 @@
 //! Windows: times in which an address is expected to send, with the errors in them.
 
-use super::Due;
+use super::ExpectedFrame;
 use crate::finding::Evidence;
 use crate::frame::Frame;
 use crate::time::Instant;
@@ -20,7 +20,7 @@ const LONG_WEIGHT: u32 = 3;
 #[derive(Debug)]
 pub(super) struct Window {
     pub(super) address: Address,
-    pub(super) due: Due,
+    pub(super) due: ExpectedFrame,
     /// Request, or last heartbeat, that opened the window.
     pub(super) cause: Option<Frame>,
     pub(super) ends: Instant,
@@ -52,7 +52,7 @@ impl Window {
         }
         let valid = (last + 1 - first).saturating_sub(self.errors);
         // A heartbeat is not requested, so it never has the weight of a long burst.
-        let is_requested = self.due != Due::Heartbeat;
+        let is_requested = self.due != ExpectedFrame::Heartbeat;
         if is_requested && self.errors >= LONG_BURST && valid * 8 <= self.errors {
             Some(LONG_WEIGHT)
         } else {
@@ -63,14 +63,22 @@ impl Window {
     /// Returns the evidence of this window, with the late response if there was one.
     pub(super) fn evidence(&self, response: Option<&Frame>) -> impl Iterator<Item = Evidence> {
         let (cause, broken, late) = match self.due {
-            Due::Response(_) => ("request", "bus error before the response", "late response"),
-            Due::Heartbeat => ("previous heartbeat", "bus error when the next was due", ""),
+            ExpectedFrame::Response(_) => {
+                ("request", "bus error before the response", "late response")
+            }
+            ExpectedFrame::Heartbeat => {
+                ("previous heartbeat", "bus error when the next was due", "")
+            }
         };
         let last = self.last.filter(|_| self.errors > 1);
         let pieces = [(cause, self.cause), (broken, self.first), (broken, last)];
         let pieces = pieces.into_iter().chain([(late, response.copied())]);
         pieces.filter_map(|(what, frame)| {
-            frame.map(|frame| Evidence { time: frame.time, what: what.into(), frame: Some(frame) })
+            frame.map(|frame| Evidence {
+                time: frame.time,
+                description: what.into(),
+                frame: Some(frame),
+            })
         })
     }
 }

@@ -379,7 +379,7 @@ impl Writer {
 
     fn rotate(&mut self, taken: &RecorderBatch) -> io::Result<()> {
         self.output.finish(taken)?;
-        // A file with this number that was created meanwhile is not overwritten.
+        // A file with this number created since then is not overwritten.
         let number = self.output.number.max(SECOND_FILE - 1) + 1;
         for number in number..=LAST_FILE {
             match Output::create(&numbered(&self.target.path, number), self.output.format) {

@@ -88,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn files_that_come_after_have_numbers() {
+    fn successive_files_have_numbers() {
         let second = numbered(Path::new("/tmp/a.b.log"), SECOND_FILE);
         assert_eq!(second, Path::new("/tmp/a.b_00002.log"));
     }

@@ -6,7 +6,7 @@
 
 use super::{DeviceIo, SimDevice, nanos_of};
 use crate::frame::Frame;
-use crate::sim::reply::Form;
+use crate::sim::reply::ResponseFormat;
 use crate::sim::scenario::{AddressChoice, DeviceAction, Fault};
 use crate::wire::des::{self, ReceivedRequest, Request};
 use crate::wire::framing::{Framing, classify_request};
@@ -36,27 +36,27 @@ impl SimDevice {
 
     /// Returns true if a request addresses nodes in its mode and it is not in IDLE.
     fn accepts(&self, header: Header) -> bool {
-        header.to_not_working != self.is_working() && self.mode != Mode::Idle
+        header.to_non_working != self.is_working() && self.mode != Mode::Idle
     }
 
     fn handle_des(&mut self, frame: &Frame, header: Header, port: &mut DeviceIo) {
-        if let Ok(Pci::Flow(flow)) = Pci::decode(frame.data(), frame.fd) {
+        if let Ok(Pci::Flow(flow)) = Pci::decode(frame.data(), frame.is_fd) {
             self.replies.handle_flow(port.now, header.source.number(), flow);
             return;
         }
         if !self.accepts(header) {
             return;
         }
-        let Some((framing, message)) = classify_request(frame.data(), frame.fd) else { return };
+        let Some((framing, message)) = classify_request(frame.data(), frame.is_fd) else { return };
         let Some(ReceivedRequest::Known(request)) = Request::decode(message) else { return };
         let faults = self.spec.faults;
         let mute = faults.has(Fault::NoDes)
             || request == Request::Services && (header.broadcast || faults.has(Fault::NoServices));
-        if mute || !self.spec.framing.understands(framing) {
+        if mute || !self.spec.framing.accepts(framing) {
             return;
         }
         let message = self.response(request);
-        for _ in 0..=u8::from(faults.has(Fault::AnswersTwice)) {
+        for _ in 0..=u8::from(faults.has(Fault::RespondsTwice)) {
             self.reply(header, framing, message.clone(), port);
         }
     }
@@ -79,25 +79,25 @@ impl SimDevice {
 
     fn reply(&mut self, header: Header, framing: Framing, message: Vec<u8>, port: &DeviceIo) {
         let Some(form) = self.form(header, framing, port) else { return };
-        let (least, most) = self.spec.delay;
+        let (least, most) = self.spec.response_delay;
         let delay = self.rng.u64(nanos_of(least)..=nanos_of(most).max(nanos_of(least)));
         self.replies.push(port.now + delay, form, message, self.spec.faults);
     }
 
     /// Returns the form of the response's frames; `None` without an address.
-    fn form(&self, header: Header, framing: Framing, port: &DeviceIo) -> Option<Form> {
+    fn form(&self, header: Header, framing: Framing, port: &DeviceIo) -> Option<ResponseFormat> {
         let mut response = header.response(self.address?, !self.is_working());
-        if self.spec.faults.has(Fault::EchoDestination) {
+        if self.spec.faults.has(Fault::RepeatsRequestDst) {
             response.destination = header.destination;
         }
         let refusal = Header { no_error: false, ..response };
-        Some(Form {
+        Some(ResponseFormat {
             id: response.encode(),
             refusal_id: refusal.encode(),
             framing,
             fd: self.spec.fd,
             padding: port.profile.isotp.fd_padding,
-            peer: header.source.number(),
+            requester: header.source.number(),
         })
     }
 
@@ -107,11 +107,11 @@ impl SimDevice {
         let (form, data, action) = match served {
             Served::Value(data) => (form, data, None),
             Served::Done(action) => (form, Vec::new(), action),
-            Served::Refused => (Form { id: form.refusal_id, ..form }, Vec::new(), None),
+            Served::Refused => (ResponseFormat { id: form.refusal_id, ..form }, Vec::new(), None),
         };
         // The action takes effect after the response was sent.
         let sent = port.send(form.raw(&data));
-        self.ordered = action.filter(|_| sent).map(|action| (form.id, action));
+        self.pending_action = action.filter(|_| sent).map(|action| (form.id, action));
     }
 
     fn serve(&self, service: u16, data: &[u8], port: &DeviceIo) -> Option<Served> {

@@ -83,8 +83,8 @@ impl Profile {
         Ok(())
     }
 
-    /// Returns the displayed name of a service, from the platform or from `service_names`; `None` if
-    /// it has none.
+    /// Returns the displayed name of a service, from the platform or from `service_names`; `None`
+    /// if it has none.
     pub fn service_name(&self, service: Service) -> Option<&str> {
         let number = service.number();
         if number == self.services.heartbeat {

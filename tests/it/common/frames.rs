@@ -15,7 +15,7 @@ pub fn any_id() -> impl Strategy<Value = CanId> {
 pub fn any_frame() -> impl Strategy<Value = Frame> {
     let bytes = |most| proptest::collection::vec(any::<u8>(), 0..=most);
     let frame = prop_oneof![
-        (any_id(), bytes(8)).prop_map(|(id, data)| Frame::with(id, &data)),
+        (any_id(), bytes(8)).prop_map(|(id, data)| Frame::new(id, &data)),
         (any_id(), 0_usize..=8).prop_map(|(id, len)| Frame::remote(id, len)),
         (0_u32..0x2000_0000, bytes(8)).prop_map(|(class, data)| Frame::error(class, &data)),
         (any_id(), bytes(64), any::<(bool, bool)>()).prop_map(|(id, data, flags)| {

@@ -1,6 +1,6 @@
 //! A discovery engine on a simulated bus, driven in virtual time, with its events as text.
 
-use descan::discovery::{Config, ConflictParty, Engine, Event, EventKind};
+use descan::discovery::{Config, Engine, Event, EventKind, OtherDevice};
 use descan::frame::Frame;
 use descan::log::candump::write_line;
 use descan::sim::{Fault, Scenario, Sim, SimStation};
@@ -64,7 +64,7 @@ pub const FAULTS: [Fault; 7] = [
     Fault::DropFrame,
     Fault::WrongSequence,
     Fault::HugeLength,
-    Fault::EchoDestination,
+    Fault::RepeatsRequestDst,
 ];
 
 /// Runs two inspectors on that bus until `until`: one sends requests, one is listen-only.
@@ -101,8 +101,8 @@ pub fn describe(event: &Event) -> String {
         write!(who, " {name}").unwrap();
     }
     match &event.kind {
-        EventKind::Appeared => format!("appeared{who}"),
-        EventKind::Named => format!("named{who}"),
+        EventKind::FirstFrame => format!("appeared{who}"),
+        EventKind::NameReceived => format!("named{who}"),
         EventKind::Services { count, changed } => {
             format!("services{who}: {count}{}", if *changed { ", others than before" } else { "" })
         }
@@ -114,13 +114,15 @@ pub fn describe(event: &Event) -> String {
             Some(holder) => format!("claimed{who}: held by {}{}", party(holder), perhaps(*guess)),
             None => format!("claimed{who}"),
         },
-        EventKind::GaveWay { to, inferred: guess, .. } => {
+        EventKind::GaveUpAddress { to, inferred: guess, .. } => {
             let to = to.as_ref().map_or("nobody".to_owned(), party);
             format!("gave way{who}: to {to}{}", perhaps(*guess))
         }
         EventKind::Moved { from } => format!("moved{who}: from {from}"),
-        EventKind::Joined { was, before: None } => format!("joined{who}: was row {}", was.number),
-        EventKind::Joined { was, before: Some(before) } => {
+        EventKind::IdsMerged { previous: was, before: None } => {
+            format!("joined{who}: was row {}", was.number)
+        }
+        EventKind::IdsMerged { previous: was, before: Some(before) } => {
             format!("joined{who}: was row {} before {before}", was.number)
         }
         EventKind::Rebooted => format!("rebooted{who}"),
@@ -134,13 +136,13 @@ pub fn describe(event: &Event) -> String {
         EventKind::OwnAddressLost(address) => format!("we gave up {address}"),
         EventKind::NoAddress(Some(wanted)) => format!("{wanted} is not free"),
         EventKind::NoAddress(None) => "no address is free".to_owned(),
-        EventKind::NotAcknowledged => "no ACK".to_owned(),
+        EventKind::NoAck => "no ACK".to_owned(),
         EventKind::Acknowledged => "acknowledged".to_owned(),
-        EventKind::Debug { code, data } => format!("debug{who}: {code:03X} {data:02X?}"),
+        EventKind::DebugMessage { code, data } => format!("debug{who}: {code:03X} {data:02X?}"),
     }
 }
 
-fn party(party: &ConflictParty) -> String {
+fn party(party: &OtherDevice) -> String {
     let name = party.name.as_ref().map(ToString::to_string);
     name.unwrap_or_else(|| format!("row {}", party.device.number))
 }

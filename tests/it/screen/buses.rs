@@ -47,7 +47,7 @@ fn ended_log_shows_its_final_state() {
 #[test]
 fn missing_bus_reports_no_ack_error() {
     for link in [Link::Missing, Link::Down, Link::NoKernel] {
-        let config = Config { seed: 7, echo: true, ..Config::default() };
+        let config = Config { seed: 7, has_loopback: true, ..Config::default() };
         let mut stage = Stage::with(&Scenario::builtin("boiler").unwrap(), None, config);
         stage.link(link).wait_until(20.0).keys("3");
         let screen = stage.screen();
@@ -196,8 +196,8 @@ fn only_bus_errors_offer_the_bit_rate_search() {
     let (now, can0) = (stage.app.now(), BusIndex(0));
     let mut told = |progress| stage.app.handle_bitrate_search(now, can0, progress);
     told(SearchProgress::Trying(125_000));
-    told(SearchProgress::Heard(125_000, RateResult { frames: 0, broken: 64 }));
-    told(SearchProgress::Heard(250_000, RateResult::default()));
+    told(SearchProgress::NothingValid(125_000, RateResult { frames: 0, bus_errors: 64 }));
+    told(SearchProgress::NothingValid(250_000, RateResult::default()));
     told(SearchProgress::Trying(500_000));
     assert!(stage.screen().contains("can0: listening at 500 kbit/s"), "{}", stage.screen());
     assert!(!stage.screen().contains("wrong bit rate"), "what is done is not offered");
@@ -208,7 +208,7 @@ fn only_bus_errors_offer_the_bit_rate_search() {
     stage.link(Link::Up);
     stage.app.handle_bitrate(now, can0, Ok(SearchOutcome::Found(500_000)));
     snapshot!("bit_rate_found", stage.keys("3"));
-    stage.keys("b y").app.handle_bitrate(now, can0, Ok(SearchOutcome::Silence));
+    stage.keys("b y").app.handle_bitrate(now, can0, Ok(SearchOutcome::NoTraffic));
     assert!(
         stage.screen().contains("if only one device is on, run: descan speed can0"),
         "{}",

@@ -132,7 +132,8 @@ fn control_characters_in_names_are_escaped() {
         b"a\r\nb\tc",
     ];
     for (at, name) in names.into_iter().enumerate() {
-        let mut device = DeviceSpec::new("x").label(&format!("device {at}")).settled();
+        let mut device =
+            DeviceSpec::new("x").label(&format!("device {at}")).skips_address_resolution();
         device.name = name.to_vec();
         device = device.fixed(20 + at as u8);
         device.services = vec![vec![name.to_vec(), name.to_vec(), name.to_vec()]];
@@ -173,7 +174,7 @@ fn control_characters_in_names_are_escaped() {
 
 #[test]
 fn frames_alone_do_not_redraw_the_devices_page() {
-    let mut stage = Stage::new(&Scenario::crowd(500_000, 20, 2), None);
+    let mut stage = Stage::new(&Scenario::with_many_devices(500_000, 20, 2), None);
     stage.until(30.0);
     stage.app.take_dirty();
     let mut draws = 0;

@@ -368,7 +368,7 @@ fn invalid_values_are_marked_in_their_rows() {
 
 #[test]
 fn devices_are_added_to_a_new_file() {
-    let mut stage = Stage::new(&Scenario::crowd(500_000, 3, 2), None);
+    let mut stage = Stage::new(&Scenario::with_many_devices(500_000, 3, 2), None);
     stage.until(5.0).keys("A");
     text_snapshot!("begun_file", stage.file());
     stage.keys("D");

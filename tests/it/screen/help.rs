@@ -18,7 +18,7 @@ fn every_action_is_in_the_help() {
         assert!(screen.contains(&words.join(" ")), "{}: {}", action.name, action.doc);
         assert!(screen.contains(action.keys[0]), "{}", action.name);
     }
-    for role in [Role::Online, Role::Collision] {
+    for role in [Role::Online, Role::Confirmed] {
         assert!(!role.doc().is_empty());
     }
 }

@@ -74,7 +74,7 @@ fn problems(stage: &Stage) -> Vec<String> {
     let shown = stage.app.problems_shown();
     let line = |problem: &Problem| {
         let muted = if problem.is_muted { "muted " } else { "" };
-        format!("{muted}{} {}", problem.confidence(), problem.title())
+        format!("{muted}{} {}", problem.state(), problem.title())
     };
     shown.iter().map(line).collect()
 }

@@ -17,7 +17,7 @@ fn selected(stage: &Stage) -> String {
 /// Sends so many non-platform frames that the capture holds no others.
 fn flood(stage: &mut Stage) {
     let now = stage.app.now();
-    let frame = Frame::with(CanId::Standard(0x123), &[]).with_time(now);
+    let frame = Frame::new(CanId::Standard(0x123), &[]).with_time(now);
     stage.app.handle_frames(now, &vec![frame; Capture::FRAMES]);
 }
 
@@ -81,7 +81,7 @@ fn address_conflict_is_one_problem() {
         for piece in &finding.evidence {
             let is_it = |own: &&EvidenceItem| own.time == piece.time && own.frame == piece.frame;
             let kept = evidence.iter().find(is_it).unwrap();
-            assert!(kept.what.contains(&*piece.what), "{kept:?} is not {piece:?}");
+            assert!(kept.what.contains(&*piece.description), "{kept:?} is not {piece:?}");
         }
     }
     let counts = stage.app.counts();
@@ -103,12 +103,13 @@ fn address_conflict_is_one_problem() {
 fn bus_errors_of_an_address_join_its_problem() {
     use descan::sim::{DeviceSpec, Fault};
     let act = |label: &str, service: &str| {
-        let mut device = DeviceSpec::new("ACT").label(label).fixed(101).settled();
-        device.delay = (Duration::from_millis(2), Duration::from_millis(2));
-        device.service(service, "1.0").fault(Fault::NeverGivesWay)
+        let mut device = DeviceSpec::new("ACT").label(label).fixed(101).skips_address_resolution();
+        device.response_delay = (Duration::from_millis(2), Duration::from_millis(2));
+        device.service(service, "1.0").fault(Fault::KeepsAddress)
     };
-    let scenario =
-        Scenario::crowd(125_000, 10, 3).with(act("one", "PUMP")).with(act("other", "VALVE"));
+    let scenario = Scenario::with_many_devices(125_000, 10, 3)
+        .with(act("one", "PUMP"))
+        .with(act("other", "VALVE"));
     let mut stage = Stage::new(&scenario, None);
     stage.until(15.0).keys("4").size(80, 40);
     snapshot!("problems_errors", stage);

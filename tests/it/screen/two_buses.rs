@@ -123,7 +123,7 @@ fn single_status_line_shows_the_failed_bus() {
 fn redundant_device_is_one_row() {
     use descan::sim::DeviceSpec;
     let device = |name: &str, address: u8, uid: u8, service: &str| {
-        let mut device = DeviceSpec::new(name).fixed(address).settled();
+        let mut device = DeviceSpec::new(name).fixed(address).skips_address_resolution();
         device.uid = descan::wire::node::Uid([uid, 2, 3, 4, 5, 6]);
         device.service(service, "1.0")
     };
@@ -136,8 +136,8 @@ fn redundant_device_is_one_row() {
         .with(device("FEED", 11, 1, "AUGER"))
         .with(device("SENS", 12, 2, "LOG"))
         .with(device("PUMP", 20, 4, "FLOW"))
-        .at(Duration::from_secs(8), "FEED", DeviceAction::Leave)
-        .at(Duration::from_secs(20), "FEED", DeviceAction::Join);
+        .at(Duration::from_secs(8), "FEED", DeviceAction::PowerOff)
+        .at(Duration::from_secs(20), "FEED", DeviceAction::PowerOn);
     let mut pair = Pair::new([&one, &other]);
     let screen = pair.run(0..6).screen(100, 24);
     text_snapshot!("redundant_100x24", screen);
@@ -173,11 +173,14 @@ fn entry_edited_while_a_twin_appears_is_kept() {
     let file = r#"[{"name":"SENS","address":15,"static":true}]"#;
     let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some(file));
     stage.until(6.0).keys("/").text("SENS").keys("Enter g e").text("47");
-    assert_eq!(stage.app.verdict(), Some(InputCheck::Accepted("Enter pins it to 47".to_owned())));
+    assert_eq!(
+        stage.app.prompt_check(),
+        Some(InputCheck::Accepted("Enter pins it to 47".to_owned()))
+    );
     stage.until(30.0);
     let told = "entry may belong to another device now; Enter adds it again";
     assert_eq!(
-        stage.app.verdict(),
+        stage.app.prompt_check(),
         Some(InputCheck::Warning(told.to_owned())),
         "{}",
         stage.screen()

@@ -15,8 +15,8 @@ fn lowest_identifier_wins_arbitration() {
     {
         assert!(sim.transmit(station, Frame::classic(id, &[byte])));
     }
-    sim.transmit(two, Frame::with(CanId::Standard(0), &[5]));
-    sim.transmit(two, Frame::with(CanId::Standard(1), &[6]));
+    sim.transmit(two, Frame::new(CanId::Standard(0), &[5]));
+    sim.transmit(two, Frame::new(CanId::Standard(1), &[6]));
     let order: Vec<u8> =
         after(&mut sim, watcher, 100).iter().map(|frame| frame.data()[0]).collect();
     // The standard identifier 0 begins as the extended ones do, and ends before them; 1 is more
@@ -114,7 +114,7 @@ fn bridged_frame_does_not_affect_waiting_frames() {
     for _ in 0..40 {
         for others in [&[0x80], &[0x00]] {
             sim.transmit(one, Frame::classic(5, &[0x00]));
-            sim.relay(two, Frame::classic(5, others));
+            sim.forward(two, Frame::classic(5, others));
             let seen: Vec<_> = after(&mut sim, watcher, 10).iter().map(Frame::to_string).collect();
             assert_eq!(seen, [format!("00000005#{:02X}", others[0]), "00000005#00".into()]);
         }
@@ -213,7 +213,7 @@ fn wrong_bit_rate_breaks_bus_unless_listen_only() {
 #[test]
 fn disturbed_frames_are_retransmitted() {
     let mut scenario = Scenario::new(125_000);
-    scenario.error_rate = 0.2;
+    scenario.frame_error_probability = 0.2;
     let mut sim = Sim::new(&scenario, 3);
     let (one, two) = (sim.attach(), sim.attach());
     for byte in 0..100 {
@@ -231,7 +231,7 @@ fn disturbed_frames_are_retransmitted() {
 #[test]
 fn observer_can_miss_frames_others_receive() {
     let mut scenario = Scenario::new(1_000_000);
-    scenario.observer_loss = 0.5;
+    scenario.rx_loss = 0.5;
     let mut sim = Sim::new(&scenario, 3);
     let (one, two) = (sim.attach(), sim.attach());
     for byte in 0..100 {
@@ -239,7 +239,7 @@ fn observer_can_miss_frames_others_receive() {
     }
     let seen = after(&mut sim, two, 100).len();
     assert!((20..80).contains(&seen), "{seen}");
-    assert_eq!(sim.status(two).missed, 100 - seen as u64);
+    assert_eq!(sim.status(two).rx_lost, 100 - seen as u64);
     assert_eq!(polled(&mut sim, one).len(), 100, "its own are never lost");
 }
 
@@ -264,5 +264,5 @@ fn full_transmit_queue_rejects_and_counts() {
     let me = sim.attach();
     let taken = (0..2000).filter(|_| sim.transmit(me, Frame::classic(5, &[]))).count();
     assert_eq!(taken, 1024);
-    assert_eq!(sim.status(me).refused, 2000 - 1024);
+    assert_eq!(sim.status(me).tx_rejected, 2000 - 1024);
 }

@@ -13,7 +13,7 @@ fn state(sim: &Sim, label: &str) -> (Option<Mode>, Option<u8>) {
 }
 
 fn settled(name: &str, number: u8) -> DeviceSpec {
-    DeviceSpec::new(name).fixed(number).settled()
+    DeviceSpec::new(name).fixed(number).skips_address_resolution()
 }
 
 #[test]
@@ -28,10 +28,10 @@ fn device_listens_waits_claims_and_works() {
     assert_eq!(state(&sim, "FEED"), (Some(Mode::Work), Some(10)));
     let all = from(&frames, 10);
     let (claim, frame) = all[0];
-    assert!(claim.sender_not_working && frame.data()[6] == 1, "claimed in ARSLV");
+    assert!(claim.from_non_working && frame.data()[6] == 1, "claimed in ARSLV");
     assert!((at_ms(3000)..at_ms(4010)).contains(&frame.time));
     let (beat, frame) = all[1];
-    assert!(!beat.sender_not_working && frame.data()[6] == 4, "then at work");
+    assert!(!beat.from_non_working && frame.data()[6] == 4, "then at work");
 }
 
 #[test]
@@ -89,7 +89,7 @@ fn used_fixed_address_is_awaited_preferred_is_not() {
     sim.advance(at_ms(20_000));
     assert_eq!(state(&sim, "FIXED").1, None);
     assert!(state(&sim, "PREF").1.is_some_and(|number| number != 10));
-    sim.control(sim.device("OLD").unwrap(), DeviceAction::Leave);
+    sim.apply(sim.device("OLD").unwrap(), DeviceAction::PowerOff);
     assert_eq!(state(&sim, "OLD"), (None, None));
     sim.advance(at_ms(30_000));
     assert_eq!(state(&sim, "FIXED"), (Some(Mode::Work), Some(10)));
@@ -129,19 +129,20 @@ fn unconfigured_device_stays_in_cfg() {
     for label in ["ANY", "BLANK", "MANUAL"] {
         assert_eq!(state(&sim, label).0, Some(Mode::Cfg), "{label}");
     }
-    assert!(from(&frames, 3).iter().all(|(header, _)| header.sender_not_working));
+    assert!(from(&frames, 3).iter().all(|(header, _)| header.from_non_working));
     let (header, beat) = *from(&frames, 4).last().unwrap();
-    assert!(!header.sender_not_working);
+    assert!(!header.from_non_working);
     assert_eq!(&beat.data()[6..], [5, 1], "mode and an error code");
 }
 
 #[test]
-fn conforming_device_gives_up_to_an_offender() {
+fn conforming_device_yields_to_one_that_keeps_its_address() {
     let offender = DeviceSpec::new("BAD")
         .fixed(10)
-        .fault(Fault::NeverGivesWay)
+        .fault(Fault::KeepsAddress)
         .power_on(Duration::from_secs(2));
-    let (mut sim, _me) = bus_with([DeviceSpec::new("GOOD").preferred(10).settled(), offender]);
+    let (mut sim, _me) =
+        bus_with([DeviceSpec::new("GOOD").preferred(10).skips_address_resolution(), offender]);
     sim.advance(at_ms(15_000));
     assert_eq!(state(&sim, "BAD"), (Some(Mode::Work), Some(10)));
     assert!(state(&sim, "GOOD").1.is_some_and(|number| number != 10));
@@ -161,10 +162,10 @@ fn second_uid_in_work_mode_sends_first_to_cfg() {
 fn heartbeats_keep_their_period() {
     let mut slow = settled("SLOW", 2);
     slow.tolerance_ppm = 10_000;
-    slow.jitter = Duration::ZERO;
+    slow.max_heartbeat_delay = Duration::ZERO;
     let mut late = settled("LATE", 3);
     late.heartbeat = Some(Duration::from_millis(500));
-    late.jitter = Duration::from_millis(20);
+    late.max_heartbeat_delay = Duration::from_millis(20);
     let (mut sim, me) = bus_with([slow, late]);
     let frames = after(&mut sim, me, 101_000);
     let slow = beats(&frames, 2);
@@ -182,9 +183,9 @@ fn heartbeats_keep_their_period() {
 
 #[test]
 fn two_offenders_collide_and_give_up_at_128() {
-    let mut one = settled("ESC", 5).label("one").fault(Fault::NeverGivesWay);
+    let mut one = settled("ESC", 5).label("one").fault(Fault::KeepsAddress);
     one.services = vec![vec![b"DES".to_vec(), b"1.0".to_vec()]];
-    one.delay = (Duration::ZERO, Duration::ZERO);
+    one.response_delay = (Duration::ZERO, Duration::ZERO);
     let mut two = one.clone().label("two");
     two.services = vec![vec![b"DES".to_vec(), b"9.9".to_vec()]];
     let (mut sim, me) = bus_with([one, two]);
@@ -207,30 +208,27 @@ fn two_offenders_collide_and_give_up_at_128() {
 fn device_actions_take_effect() {
     let (mut sim, me) = bus_with([settled("A", 1), settled("B", 2)]);
     let a = sim.device("A").unwrap();
-    sim.control(a, DeviceAction::Mode(Mode::Cfg));
-    assert!(from(&after(&mut sim, me, 1100), 1)[0].0.sender_not_working);
-    sim.control(a, DeviceAction::Mode(Mode::Work));
-    sim.control(a, DeviceAction::Uid(Uid([9; 6])));
+    sim.apply(a, DeviceAction::Mode(Mode::Cfg));
+    assert!(from(&after(&mut sim, me, 1100), 1)[0].0.from_non_working);
+    sim.apply(a, DeviceAction::Mode(Mode::Work));
+    sim.apply(a, DeviceAction::Uid(Uid([9; 6])));
     assert_eq!(beats(&after(&mut sim, me, 1100), 1)[0].data()[..6], [9; 6]);
-    sim.control(a, DeviceAction::Break(Fault::NoHeartbeat));
+    sim.apply(a, DeviceAction::AddFault(Fault::NoHeartbeat));
     assert!(after(&mut sim, me, 5000).iter().all(|frame| beats(&[*frame], 1).is_empty()));
-    sim.control(a, DeviceAction::Mend(Fault::NoHeartbeat));
+    sim.apply(a, DeviceAction::RemoveFault(Fault::NoHeartbeat));
     assert!(!beats(&after(&mut sim, me, 1100), 1).is_empty());
-    sim.control(a, DeviceAction::Mode(Mode::Idle));
+    sim.apply(a, DeviceAction::Mode(Mode::Idle));
     let last_words = after(&mut sim, me, 5000);
     let last_words = beats(&last_words, 1);
     assert_eq!(last_words.len(), 1, "asleep");
     assert_eq!(last_words[0].data()[6], 6);
-    sim.control(a, DeviceAction::Move(AddressChoice::Fixed(address(9))));
+    sim.apply(a, DeviceAction::Move(AddressChoice::Fixed(address(9))));
     sim.advance(sim.now() + Duration::from_secs(5));
     assert_eq!(state(&sim, "A"), (Some(Mode::Work), Some(9)));
-    sim.control(
-        a,
-        DeviceAction::Reboot { services: Some(vec![vec![b"X".to_vec(), b"2".to_vec()]]) },
-    );
+    sim.apply(a, DeviceAction::Reboot { services: Some(vec![vec![b"X".to_vec(), b"2".to_vec()]]) });
     assert_eq!(state(&sim, "A"), (Some(Mode::Init), None));
     assert_eq!(sim.device_state(a).services[0][1], b"2");
-    let c = sim.insert(DeviceSpec::new("C").fixed(77).settled());
+    let c = sim.add_device(DeviceSpec::new("C").fixed(77).skips_address_resolution());
     assert_eq!(sim.device("C"), Some(c));
     assert!(!beats(&after(&mut sim, me, 1100), 77).is_empty());
 }
@@ -261,11 +259,11 @@ fn descriptor_is_read_and_address_written() {
 
 /// Tests that after any disturbance has ended, every working device has its own address.
 #[test]
-fn random_trouble_ends_with_unique_addresses() {
+fn random_faults_removed_leave_unique_addresses() {
     const FAULTS: [Fault; 6] = [
-        Fault::NeverGivesWay,
+        Fault::KeepsAddress,
         Fault::Endless,
-        Fault::AnswersTwice,
+        Fault::RespondsTwice,
         Fault::NoHeartbeat,
         Fault::DropFrame,
         Fault::HugeLength,
@@ -276,8 +274,9 @@ fn random_trouble_ends_with_unique_addresses() {
         for number in 0..12 {
             // Few addresses for many devices.
             let device = DeviceSpec::new(&format!("N{number}")).preferred(rng.u8(1..5));
-            let device = device.service("A-SERVICE", "1.0").chatter(0x100, at(30), 8);
-            scenario = scenario.with(if rng.bool() { device.settled() } else { device });
+            let device = device.service("A-SERVICE", "1.0").periodic_message(0x100, at(30), 8);
+            scenario =
+                scenario.with(if rng.bool() { device.skips_address_resolution() } else { device });
         }
         let mut sim = Sim::new(&scenario, seed);
         let me = sim.attach();
@@ -287,13 +286,13 @@ fn random_trouble_ends_with_unique_addresses() {
             let fault = rng.choice(FAULTS).unwrap();
             let wanted = AddressChoice::Fixed(address(rng.u8(1..5)));
             match rng.u8(0..9) {
-                0 => sim.control(device, DeviceAction::Leave),
-                1 => sim.control(device, DeviceAction::Join),
-                2 => sim.control(device, DeviceAction::Reboot { services: None }),
-                3 => sim.control(device, DeviceAction::Move(wanted)),
-                4 => sim.control(device, DeviceAction::Break(fault)),
-                5 => sim.control(device, DeviceAction::Mode(rng.choice(Mode::ALL).unwrap())),
-                6 => sim.set_error_rate(rng.f64() * 0.5),
+                0 => sim.apply(device, DeviceAction::PowerOff),
+                1 => sim.apply(device, DeviceAction::PowerOn),
+                2 => sim.apply(device, DeviceAction::Reboot { services: None }),
+                3 => sim.apply(device, DeviceAction::Move(wanted)),
+                4 => sim.apply(device, DeviceAction::AddFault(fault)),
+                5 => sim.apply(device, DeviceAction::Mode(rng.choice(Mode::ALL).unwrap())),
+                6 => sim.set_frame_error_probability(rng.f64() * 0.5),
                 7 => sim.set_link(me, rng.bool()),
                 _ => {
                     let header = super::Header::request(
@@ -310,15 +309,15 @@ fn random_trouble_ends_with_unique_addresses() {
             }
             after(&mut sim, me, rng.u64(0..800));
         }
-        sim.set_error_rate(0.0);
+        sim.set_frame_error_probability(0.0);
         sim.set_link(me, true);
         for &device in &devices {
             for fault in FAULTS {
-                sim.control(device, DeviceAction::Mend(fault));
+                sim.apply(device, DeviceAction::RemoveFault(fault));
             }
             let preferred = AddressChoice::Preferred(address(rng.u8(1..5)));
-            sim.control(device, DeviceAction::Move(preferred));
-            sim.control(device, DeviceAction::Join);
+            sim.apply(device, DeviceAction::Move(preferred));
+            sim.apply(device, DeviceAction::PowerOn);
         }
         after(&mut sim, me, 60_000);
         let states = devices.iter().map(|&device| sim.device_state(device));

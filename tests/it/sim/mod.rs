@@ -1,8 +1,8 @@
 //! The simulated bus and its devices, through the public API, as tests and demos use them.
 
-mod answers;
 mod bus;
 mod devices;
+mod responses;
 mod scenarios;
 
 use descan::frame::{Frame, FrameKind};

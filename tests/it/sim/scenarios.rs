@@ -99,7 +99,7 @@ fn builtin_scenarios_run_for_ten_minutes() {
         let load = statistics.busy_nanos as f64 / 600e9;
         assert!(busy.contains(&load), "{name}: {load}");
         let status = sim.status(me);
-        assert_eq!((status.overflowed, status.missed), (0, 0));
+        assert_eq!((status.rx_overflow, status.rx_lost), (0, 0));
         let on = sim.devices().filter(|&id| sim.device_state(id).mode.is_some()).count();
         assert!(on >= 9, "{name}: {on}");
     }
@@ -107,7 +107,7 @@ fn builtin_scenarios_run_for_ten_minutes() {
 
 #[test]
 fn crowd_is_in_work_mode_from_the_start() {
-    let frames = recording(&Scenario::crowd(1_000_000, 127, 5), 1, 1);
+    let frames = recording(&Scenario::with_many_devices(1_000_000, 127, 5), 1, 1);
     for number in 1..=127 {
         assert!((1..=2).contains(&beats(&frames, number).len()), "{number}");
     }
@@ -201,17 +201,17 @@ fn scenario_names_may_hold_any_bytes() {
 
 #[test]
 fn extreme_scenarios_do_not_panic() {
-    let mut device = DeviceSpec::new("A").settled();
+    let mut device = DeviceSpec::new("A").skips_address_resolution();
     device.heartbeat = Some(Duration::ZERO);
-    device.jitter = Duration::MAX;
-    device.delay = (Duration::MAX, Duration::ZERO);
+    device.max_heartbeat_delay = Duration::MAX;
+    device.response_delay = (Duration::MAX, Duration::ZERO);
     device.tolerance_ppm = i32::MIN;
     device.services = vec![vec![vec![b'x'; 9000]]];
-    device = device.chatter(0x3FF, Duration::ZERO, 255);
+    device = device.periodic_message(0x3FF, Duration::ZERO, 255);
     let mut scenario = Scenario::new(0).with(device.clone()).with(device);
     scenario.data_bitrate = 0;
-    scenario.error_rate = f64::NAN;
-    scenario = scenario.at(Duration::MAX, "nobody", DeviceAction::Leave);
+    scenario.frame_error_probability = f64::NAN;
+    scenario = scenario.at(Duration::MAX, "nobody", DeviceAction::PowerOff);
     let mut sim = Sim::new(&scenario, 1);
     let me = sim.attach();
     sim.transmit(me, Frame::classic(0, &[]));

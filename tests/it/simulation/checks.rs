@@ -4,7 +4,8 @@ use super::ground_truth::{Clash, Span};
 use crate::common::inspection::{FAULTS, describe};
 
 use super::{Inspector, Run};
-use descan::discovery::{Confidence, EventKind, FindingKind, OwnAddress, Presence};
+use descan::discovery::{EventKind, OwnAddress, Presence};
+use descan::finding::{FindingKind, FindingState};
 use descan::sim::{AddressChoice, DeviceSpec, Fault};
 use descan::text::Name;
 use descan::time::{Duration, Instant};
@@ -23,11 +24,11 @@ struct Course {
     kind: FindingKind,
     addresses: Vec<Address>,
     names: Vec<Name>,
-    changes: Vec<(Instant, Confidence)>,
+    changes: Vec<(Instant, FindingState)>,
 }
 
 impl Course {
-    fn at(&self, time: Instant) -> Option<Confidence> {
+    fn at(&self, time: Instant) -> Option<FindingState> {
         self.changes.iter().take_while(|(at, _)| *at <= time).last().map(|(_, it)| *it)
     }
 
@@ -36,7 +37,7 @@ impl Course {
         let mut opened = Instant::ZERO;
         let mut open = false;
         for &(at, confidence) in &self.changes {
-            let opens = confidence != Confidence::Cleared;
+            let opens = confidence != FindingState::Cleared;
             if opens && !open {
                 opened = at;
             }
@@ -119,7 +120,7 @@ impl Case<'_> {
         let clashes = self.clashes();
         let mut wrong = Vec::new();
         for course in &self.courses {
-            let confirmed = course.changes.iter().filter(|(_, it)| *it == Confidence::Confirmed);
+            let confirmed = course.changes.iter().filter(|(_, it)| *it == FindingState::Confirmed);
             for &(at, _) in confirmed {
                 if !self.is_justified(course, at, &clashes) {
                     wrong.push(format!(
@@ -175,7 +176,7 @@ impl Case<'_> {
             FindingKind::OneAddressTwoIdentities => {
                 // Two devices with one UID that keep resolving their address differ in the U bit
                 // meanwhile.
-                let stubborn = |it: usize| self.spec(it).faults.has(Fault::NeverGivesWay);
+                let stubborn = |it: usize| self.spec(it).faults.has(Fault::KeepsAddress);
                 let fits = |it: &Clash| {
                     matches!(*it, Clash::Address(_, a, b)
                         if uid(a) != uid(b) || stubborn(a) && stubborn(b))
@@ -230,7 +231,7 @@ impl Case<'_> {
             // A device without heartbeats is received only when it responds, once per round.
             let due = from + if self.beats(clash) { TEN_SECONDS } else { PERIOD * 25 };
             // With lost or delayed frames, the evidence pauses and starts again.
-            let lossy = self.run.world.scenario.observer_loss > 0.0;
+            let lossy = self.run.world.scenario.rx_loss > 0.0;
             let due = due + PERIOD * if lossy || self.run.world.is_crowded() { 5 } else { 0 };
             if span.until < due {
                 continue;
@@ -257,7 +258,7 @@ impl Case<'_> {
             times.push(span.until);
             for time in times {
                 let best = self.courses.iter().filter(fitting).filter_map(|it| it.at(time)).max();
-                if best != Some(Confidence::Confirmed) {
+                if best != Some(FindingState::Confirmed) {
                     wrong.push(format!(
                         "{clash:?} from {} until {} is {best:?} at {time}",
                         span.from, span.until
@@ -377,18 +378,18 @@ impl Case<'_> {
             // If requests are lost, their responses seem surplus for a while. A listen-only
             // inspector depends on the requests of others, one every ten seconds, and cannot send
             // follow-up requests.
-            let missed = self.run.world.scenario.observer_loss > 0.0;
+            let missed = self.run.world.scenario.rx_loss > 0.0;
             let waits = self.run.world.inspectors[self.number].config.listen_only;
             let more = if waits { 8 } else { 3 * u32::from(missed) };
             let due = over + TEN_SECONDS + PERIOD * more;
-            if due < end && opened_for_it && last_word != Some(Confidence::Cleared) {
+            if due < end && opened_for_it && last_word != Some(FindingState::Cleared) {
                 wrong.push(format!(
                     "{} at {:?} is still {last_word:?}, though over at {over}",
                     course.kind, course.addresses
                 ));
             }
             let at_due = course.at(due.max(calm));
-            if due.max(calm) < end && at_due == Some(Confidence::Confirmed) {
+            if due.max(calm) < end && at_due == Some(FindingState::Confirmed) {
                 wrong.push(format!(
                     "{} at {:?} is {at_due:?} at {due}, though over at {over}",
                     course.kind, course.addresses
@@ -424,7 +425,7 @@ impl Case<'_> {
             let told = self.courses.iter().any(|course| {
                 course.concerns(address)
                     && (course.kind == FindingKind::AddressContested
-                        || course.changes.iter().any(|(_, it)| *it == Confidence::Confirmed))
+                        || course.changes.iter().any(|(_, it)| *it == FindingState::Confirmed))
             });
             let late = course.last().is_some_and(|(at, _)| {
                 (Instant::ZERO + self.run.world.end).since(*at) < PERIOD * 9
@@ -441,7 +442,7 @@ impl Case<'_> {
 
     fn inventory(&mut self) {
         let config = &self.run.world.inspectors[self.number].config;
-        let lossy = self.run.world.scenario.observer_loss > 0.0;
+        let lossy = self.run.world.scenario.rx_loss > 0.0;
         let end = Instant::ZERO + self.run.world.end;
         let clashes = self.clashes();
         // Two devices that drive each other bus-off again and again are never online together.
@@ -486,7 +487,7 @@ impl Case<'_> {
             }
             let mute = FAULTS.iter().any(|fault| {
                 spec.faults.has(*fault)
-                    && *fault != Fault::EchoDestination
+                    && *fault != Fault::RepeatsRequestDst
                     && *fault != Fault::NoHeartbeat
             });
             // A device that sends nothing unsolicited and gets no more requests may have been
@@ -610,8 +611,8 @@ fn is_fixed(spec: &DeviceSpec, address: Address) -> bool {
 /// Returns true if its heartbeats are received regularly.
 fn is_regular(spec: &DeviceSpec) -> bool {
     // Its responses also identify the requester.
-    let told = !spec.faults.has(Fault::NoHeartbeat) && !spec.faults.has(Fault::EchoDestination);
-    told && spec.jitter < Duration::from_millis(80)
+    let told = !spec.faults.has(Fault::NoHeartbeat) && !spec.faults.has(Fault::RepeatsRequestDst);
+    told && spec.max_heartbeat_delay < Duration::from_millis(80)
 }
 
 /// Checks that several inspectors share the bus, each at its own address.

@@ -79,7 +79,7 @@ impl Truth {
         let mut stubborn: BTreeMap<Address, Vec<usize>> = BTreeMap::new();
         for (index, spec) in specs.iter().enumerate() {
             if let AddressChoice::Fixed(address) = spec.address
-                && spec.faults.has(Fault::NeverGivesWay)
+                && spec.faults.has(Fault::KeepsAddress)
                 && sim.device_state(devices[index]).mode.is_some()
             {
                 stubborn.entry(address).or_default().push(index);

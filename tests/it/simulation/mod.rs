@@ -137,7 +137,7 @@ impl Run {
             && it.seen.lost > 0
             && now >= instant(deaf.until)
         {
-            it.engine.handle_lost(own, std::mem::take(&mut it.seen.lost));
+            it.engine.handle_lost_frames(own, std::mem::take(&mut it.seen.lost));
         }
         if it.off_since.is_none() && self.sim.status(it.station).state == ControllerState::BusOff {
             it.off_since = Some(now);
@@ -206,7 +206,7 @@ fn tell(run: &Run) {
             println!("{number} ? {:?} {} {}", finding.key, finding.confidence, finding.text);
             for it in &finding.evidence {
                 let frame = it.frame.map_or(String::new(), |frame| frame.to_string());
-                println!("{number} ?   {} {} {frame}", it.time, it.what);
+                println!("{number} ?   {} {} {frame}", it.time, it.description);
             }
         }
     }

@@ -104,8 +104,8 @@ impl World {
         // A saturated bus delays every frame.
         self.load() < 0.8
             && self.scenario.devices.len() * self.inspectors.len() < 200
-            && self.scenario.observer_loss == 0.0
-            && self.scenario.error_rate == 0.0
+            && self.scenario.rx_loss == 0.0
+            && self.scenario.frame_error_probability == 0.0
             && self.scenario.timetable.iter().all(|entry| !entry.device.is_empty())
             && self.inspectors[inspector].lens.is_clear()
     }
@@ -152,7 +152,7 @@ impl Maker {
         let mut device = DeviceSpec::new(&name).label(&format!("{number}")).uid(uid).fixed(address);
         // From the start, another node must acknowledge.
         device = if number == 0 || !self.one_in(3) {
-            device.settled()
+            device.skips_address_resolution()
         } else {
             device.power_on(millis(self.rng.u64(0..8000)))
         };
@@ -174,11 +174,11 @@ impl Maker {
         device = device.framing(framing);
         device.fd = framing != DeviceFraming::Raw && self.one_in(8);
         if self.one_in(6) {
-            device.delay = (millis(20), millis(self.rng.u64(21..150)));
+            device.response_delay = (millis(20), millis(self.rng.u64(21..150)));
         }
         if self.one_in(8) {
             // ± 40 % of the period in the worst case.
-            device.jitter = millis(self.rng.u64(1..=800));
+            device.max_heartbeat_delay = millis(self.rng.u64(1..=800));
         }
         if self.one_in(8) {
             device.tolerance_ppm = self.rng.i32(-3000..3000);
@@ -189,7 +189,7 @@ impl Maker {
         }
         if busy || self.one_in(8) {
             let period = 8_000_000 / u64::from(self.scenario.bitrate / 1000) * self.rng.u64(1..8);
-            device = device.chatter(0x100, Duration::from_micros(period), 8);
+            device = device.periodic_message(0x100, Duration::from_micros(period), 8);
         }
         device
     }
@@ -201,20 +201,20 @@ impl Maker {
     /// Adds noise and loss for all nodes.
     fn disturb(&mut self) {
         if self.one_in(6) {
-            self.scenario.error_rate = self.rng.f64() * 0.03;
+            self.scenario.frame_error_probability = self.rng.f64() * 0.03;
         }
         if self.one_in(6) {
-            self.scenario.observer_loss = self.rng.f64() * 0.03;
+            self.scenario.rx_loss = self.rng.f64() * 0.03;
         }
         if self.one_in(10) {
             let at = self.moment();
             let rate = 0.2 + 0.8 * self.rng.f64();
-            let quiet = self.scenario.error_rate;
+            let quiet = self.scenario.frame_error_probability;
             let lasts = millis(self.rng.u64(50..3000));
             self.tell(format!("{at:?}: {:.0} % of frames break for {lasts:?}", rate * 100.0));
             self.broken = Some((at, at + lasts));
-            self.at(at, "", DeviceAction::ErrorRate(rate));
-            self.at(at + lasts, "", DeviceAction::ErrorRate(quiet));
+            self.at(at, "", DeviceAction::SetFrameErrorProbability(rate));
+            self.at(at + lasts, "", DeviceAction::SetFrameErrorProbability(quiet));
         }
     }
 
@@ -306,13 +306,13 @@ impl Maker {
     fn collision(&mut self) {
         let Some(at) = self.quiet.pop() else { return };
         let first = &mut self.scenario.devices[at];
-        first.faults.set(Fault::NeverGivesWay, true);
+        first.faults.set(Fault::KeepsAddress, true);
         let mut other = first.clone();
         let label = first.label.clone();
         self.touched.push(label.clone());
         other.label = format!("{label}'");
         self.touched.push(other.label.clone());
-        other.settled = self.rng.bool();
+        other.skips_address_resolution = self.rng.bool();
         other.power_on = None;
         let mut same = vec!["address"];
         if self.rng.bool() {
@@ -334,7 +334,7 @@ impl Maker {
         let from = millis(self.rng.u64(0..BUSY - 8000));
         let story = format!("{from:?}: {label}' joins, same {}", same.join(", "));
         self.scenario.devices.push(other);
-        self.at(from, &format!("{label}'"), DeviceAction::Join);
+        self.at(from, &format!("{label}'"), DeviceAction::PowerOn);
         self.leaves_perhaps(from, &label, story);
     }
 
@@ -345,7 +345,7 @@ impl Maker {
                 from + millis(self.rng.u64(500..BUSY)).min(millis(BUSY).saturating_sub(from));
             let who = if self.rng.bool() { label.to_owned() } else { format!("{label}'") };
             self.tell(format!("{story}; {until:?}: {who} leaves"));
-            self.at(until, &who, DeviceAction::Leave);
+            self.at(until, &who, DeviceAction::PowerOff);
         } else {
             self.tell(story);
         }
@@ -362,7 +362,7 @@ impl Maker {
         other.power_on = None;
         let from = millis(self.rng.u64(0..BUSY - 8000));
         self.scenario.devices.push(other);
-        self.at(from, &format!("{label}'"), DeviceAction::Join);
+        self.at(from, &format!("{label}'"), DeviceAction::PowerOn);
         let story = format!("{from:?}: {label}' joins at {address}, same UID");
         self.leaves_perhaps(from, &label, story);
     }
@@ -378,12 +378,12 @@ impl Maker {
         if let AddressChoice::Fixed(address) = other.address {
             other.address = AddressChoice::Preferred(address);
         }
-        other.settled = true;
+        other.skips_address_resolution = true;
         other.power_on = None;
         let from = self.moment();
         self.tell(format!("{from:?}: {label}' bursts in, and they contend"));
         self.scenario.devices.push(other);
-        self.at(from, &format!("{label}'"), DeviceAction::Join);
+        self.at(from, &format!("{label}'"), DeviceAction::PowerOn);
     }
 
     // --- no conflict, but similar --------------------------------------------------------
@@ -402,7 +402,7 @@ impl Maker {
                 let apart = self.rng.u64(200..3000);
                 self.tell(format!("{at:?}: {label} reboots fast, {times} times {apart} ms apart"));
                 for time in 0..times {
-                    self.at(at + millis(time * apart), &label, DeviceAction::QuickReboot);
+                    self.at(at + millis(time * apart), &label, DeviceAction::WatchdogReset);
                 }
             }
             2 => self.swap_boards(device, at),
@@ -410,14 +410,14 @@ impl Maker {
             4 => self.swap_addresses(&device, at),
             5 => {
                 self.tell(format!("{at:?}: {label} answers twice for a moment"));
-                self.at(at, &label, DeviceAction::Break(Fault::AnswersTwice));
-                self.at(at + millis(600), &label, DeviceAction::Mend(Fault::AnswersTwice));
+                self.at(at, &label, DeviceAction::AddFault(Fault::RespondsTwice));
+                self.at(at + millis(600), &label, DeviceAction::RemoveFault(Fault::RespondsTwice));
             }
             6 => {
                 let back = at + millis(self.rng.u64(50..5000));
                 self.tell(format!("{at:?}: {label} is cut off until {back:?}"));
-                self.at(at, &label, DeviceAction::Leave);
-                self.at(back, &label, DeviceAction::Join);
+                self.at(at, &label, DeviceAction::PowerOff);
+                self.at(back, &label, DeviceAction::PowerOn);
             }
             _ => {
                 self.tell(format!("{at:?}: {label} says another name and UID"));
@@ -437,13 +437,13 @@ impl Maker {
             other.name = format!("Z{label}").into_bytes();
         }
         other.uid = self.uid();
-        other.settled = self.rng.bool();
+        other.skips_address_resolution = self.rng.bool();
         other.power_on = None;
         let in_between = millis(self.rng.u64(5..4000));
         self.tell(format!("{at:?}: another board for {label}, {in_between:?} later"));
         self.scenario.devices.push(other);
-        self.at(at, &label, DeviceAction::Leave);
-        self.at(at + in_between, &format!("{label}*"), DeviceAction::Join);
+        self.at(at, &label, DeviceAction::PowerOff);
+        self.at(at + in_between, &format!("{label}*"), DeviceAction::PowerOn);
     }
 
     fn move_away(&mut self, device: &DeviceSpec, at: Duration) {
@@ -466,20 +466,20 @@ impl Maker {
         for (mut one, address) in [(device.clone(), other.address), (other.clone(), device.address)]
         {
             let label = format!("{}*", one.label);
-            self.at(at, &one.label, DeviceAction::Leave);
+            self.at(at, &one.label, DeviceAction::PowerOff);
             one.label.clone_from(&label);
             one.address = address;
-            one.settled = true;
+            one.skips_address_resolution = true;
             one.power_on = None;
             self.touched.push(label.clone());
             self.scenario.devices.push(one);
-            self.at(at + millis(2), &label, DeviceAction::Join);
+            self.at(at + millis(2), &label, DeviceAction::PowerOn);
         }
     }
 }
 
 /// Returns the approximate number of bits that a device sends per second.
 fn load(device: &DeviceSpec) -> f64 {
-    let chatter = device.chatter.iter().map(|it| 150.0 / it.period.as_secs_f64());
+    let chatter = device.periodic_messages.iter().map(|it| 150.0 / it.period.as_secs_f64());
     150.0 + chatter.sum::<f64>()
 }

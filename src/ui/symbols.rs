@@ -1,10 +1,10 @@
 //! Symbols and state words of the screen with their meanings, for the help and the guide.
 
-use crate::discovery::Confidence;
+use crate::finding::FindingState;
 use crate::theme::Role;
 
 /// Each symbol: its role, the text as shown on the screen, and its meaning.
-pub const SIGNS: [(Role, &str, &str); 27] = [
+pub const SYMBOLS: [(Role, &str, &str); 27] = [
     (Role::Online, "● online", "heartbeats arrive"),
     (Role::Stale, "◐ stale", "heartbeat overdue"),
     (Role::Silent, "◌ silent", "frames but no heartbeats"),
@@ -15,8 +15,8 @@ pub const SIGNS: [(Role, &str, &str); 27] = [
     (Role::Missing, "○ missing", "listed in the file, not on the bus"),
     (Role::Muted, "· pending", "listed; too early to be missing"),
     (Role::Muted, "· dup", "duplicate entry"),
-    (Role::Collision, "⚠ CONFLICT", "confirmed address conflict: see Problems"),
-    (Role::Collision, "⚠ 2", "confirmed problems"),
+    (Role::Confirmed, "⚠ CONFLICT", "confirmed address conflict: see Problems"),
+    (Role::Confirmed, "⚠ 2", "confirmed problems"),
     (Role::Suspected, "? 1", "suspected problems"),
     (Role::Muted, "✓ @14", "cleared problem"),
     (Role::Match, "◆ ◇", "evidence; ◇ = frame no longer in the capture"),
@@ -35,10 +35,10 @@ pub const SIGNS: [(Role, &str, &str); 27] = [
 ];
 
 /// Returns the sign of a confidence and its role.
-pub fn of_confidence(confidence: Confidence) -> (&'static str, Role) {
+pub fn of_confidence(confidence: FindingState) -> (&'static str, Role) {
     match confidence {
-        Confidence::Confirmed => ("⚠", Role::Collision),
-        Confidence::Suspected => ("?", Role::Suspected),
-        Confidence::Cleared => ("✓", Role::Muted),
+        FindingState::Confirmed => ("⚠", Role::Confirmed),
+        FindingState::Suspected => ("?", Role::Suspected),
+        FindingState::Cleared => ("✓", Role::Muted),
     }
 }

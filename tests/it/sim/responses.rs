@@ -13,7 +13,7 @@ const SERVICES: &[u8] = &[4, b'D', b'E', b'S', 2];
 const CONTINUE: &[u8] = &[0x30, 0, 0];
 
 fn device() -> DeviceSpec {
-    let mut device = DeviceSpec::new("FEED").fixed(12).settled();
+    let mut device = DeviceSpec::new("FEED").fixed(12).skips_address_resolution();
     // Only responses on the bus.
     device = device.fault(Fault::NoHeartbeat);
     device
@@ -100,7 +100,7 @@ fn response_identifier_addresses_the_requester() {
     assert_eq!(answer.message_type().name(), "RSP_CC_TGT");
     assert_eq!((answer.source, answer.destination), (address(12), address(0)));
     assert!(answer.no_error && answer.service == des());
-    let answer = exchange(device().fault(Fault::EchoDestination), NAME)[0].0;
+    let answer = exchange(device().fault(Fault::RepeatsRequestDst), NAME)[0].0;
     assert_eq!(answer.destination, address(12));
 }
 
@@ -119,7 +119,7 @@ fn request_is_answered_in_supported_framings_only() {
 
 #[test]
 fn broadcast_reaches_devices_of_its_mode() {
-    let mut idle = DeviceSpec::new("CFG").fixed(13).settled();
+    let mut idle = DeviceSpec::new("CFG").fixed(13).skips_address_resolution();
     idle.mode = Some(Mode::Cfg);
     let (mut sim, me) = bus_with([device(), idle]);
     for (to_not_working, answerer) in [(false, 12), (true, 13)] {
@@ -137,7 +137,7 @@ fn broadcast_reaches_devices_of_its_mode() {
 #[test]
 fn responses_come_after_their_delay() {
     let mut slow = device();
-    slow.delay = (Duration::from_millis(5), Duration::from_millis(6));
+    slow.response_delay = (Duration::from_millis(5), Duration::from_millis(6));
     let (mut sim, me) = bus_with([slow]);
     send(&mut sim, me, NAME);
     let frames = after(&mut sim, me, 50);
@@ -224,5 +224,5 @@ fn configured_faults_are_applied() {
     assert_eq!(served(Fault::HugeLength), [[0x10, 0, 0xFF, 0xFF, 0xFF, 0xFF, 0, 0]]);
     let truncated = served(Fault::TruncatedServices);
     assert_eq!(truncated[0][1], sound[0][1] - 3);
-    assert_eq!(exchange(device().fault(Fault::AnswersTwice), NAME).len(), 2);
+    assert_eq!(exchange(device().fault(Fault::RespondsTwice), NAME).len(), 2);
 }
