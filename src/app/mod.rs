@@ -56,7 +56,7 @@ pub use notices::{StatusMessage, Timeline, TimelineEntry, TimelineKind};
 pub use problems::{EvidenceItem, Matching, Problem, ProblemKey, Scope, spell};
 pub use view::{
     Counts, Cursor, EvidenceView, FileStatus, Focus, Frozen, Page, Row, RowKey, RowState,
-    SPLIT_WIDTH, Screen, SortBy, View, tabs,
+    SPLIT_WIDTH, Screen, SortBy, View,
 };
 
 use crate::bitrate::{SearchOutcome, SearchProgress};

@@ -152,6 +152,11 @@ impl FileState {
         self.disk.is_some()
     }
 
+    /// Returns true if an edit can be undone.
+    pub fn can_undo(&self) -> bool {
+        !self.undo.is_empty()
+    }
+
     /// Problem that prevents reading or saving; `None` for a usable file.
     pub fn problem(&self) -> Option<&FileProblem> {
         self.problem.as_ref()

@@ -386,6 +386,7 @@ impl NewEntryPrompt {
     fn check_entry(text: &str, context: PromptContext) -> C {
         let (name, address) = match split_new_entry(text) {
             Ok(split) => split,
+            Err(_) if text.is_empty() => return C::Accepted(NEW_ENTRY_SYNTAX.to_owned()),
             Err(why) => return C::Rejected(why.to_owned()),
         };
         let bus = context.buses.entry_bus(context.selected_bus);
@@ -418,11 +419,7 @@ impl NewEntryPrompt {
 
 impl PromptLogic for NewEntryPrompt {
     fn label(&self) -> &'static str {
-        "new entry: name address"
-    }
-
-    fn short_label(&self) -> &'static str {
-        "name address"
+        "new entry"
     }
 
     fn edited_place(&self, _context: PromptContext) -> Option<EditedPlace> {

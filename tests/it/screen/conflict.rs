@@ -16,7 +16,7 @@ fn edit_conflict_shows_both_values_and_a_choice() {
     snapshot!("conflict", stage);
     assert_eq!(stage.file(), theirs, "nothing is written before the choice");
     stage.keys("Esc j");
-    assert!(stage.screen().contains("✗ conflict  Ctrl-s resolves it"), "{}", stage.screen());
+    assert!(stage.screen().contains("✗ edit conflict  Ctrl-s resolves it"), "{}", stage.screen());
     // A page opened by the user accepts a choice at once.
     stage.keys("Ctrl-s o");
     assert_eq!(stage.file(), BOILER.replace("10", "47"));
