@@ -294,11 +294,7 @@ mod tests {
                 [0, 0, 0, 0, 0x74, 0, 0, 0],
                 "transceiver, CANH not connected, CANL shorted to ground",
             ),
-            (
-                BUS_OFF | COUNTERS,
-                [0, 0, 0, 0, 0, 0, 255, 3],
-                "bus-off, TEC 255, REC 3",
-            ),
+            (BUS_OFF | COUNTERS, [0, 0, 0, 0, 0, 0, 255, 3], "bus-off, TEC 255, REC 3"),
             (RESTARTED, [0; 8], "controller restarted"),
             (NO_ACKNOWLEDGE | BUS_ERROR, [0; 8], "no ACK, bus error"),
             (0, [0; 8], "error frame"),

@@ -245,6 +245,7 @@ fn count(rows: &[Row], problems: &[Problem]) -> Counts {
         confirmed: sure(Confidence::Confirmed),
         suspected: sure(Confidence::Suspected),
         muted: problems.iter().filter(open).count(),
+        ..Counts::default()
     }
 }
 

@@ -313,6 +313,8 @@ impl App {
         } else if let Some(action) = self.input.lookup(key) {
             self.run(action);
             self.input.note_executed(now, action);
+        } else if self.input.shows_conflict() {
+            self.effects.push_back(Effect::Bell);
         }
     }
 
@@ -667,7 +669,8 @@ impl App {
 
     /// Number of rows by state, whatever the filter, and of problems.
     pub fn counts(&self) -> Counts {
-        self.devices.counts()
+        let is_file_broken = self.editor.file.problem().is_some();
+        Counts { is_file_broken, ..self.devices.counts() }
     }
 
     /// The selected row.

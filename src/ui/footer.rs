@@ -55,8 +55,14 @@ fn draw_question(brush: &mut Brush, last: Rect, question: &str) {
 fn draw_prompt(brush: &mut Brush, area: Rect) {
     let app = brush.app;
     let (Some(prompt), Some(check)) = (app.prompt(), app.verdict()) else { return };
+    let text = prompt.input.value();
+    // An entry that is not begun is not wrong.
+    let is_begun = !(matches!(prompt.kind, PromptKind::NewEntry(_)) && text.is_empty());
     let (role, note) = match check {
         InputCheck::Accepted(text) => (Role::Muted, text),
+        InputCheck::Rejected(text) if !is_begun && app.file().problem().is_none() => {
+            (Role::Muted, text)
+        }
         InputCheck::Warning(text) => (Role::Warning, format!("! {text}")),
         InputCheck::Rejected(text) => (Role::Error, format!("✗ {text}")),
     };
@@ -77,30 +83,34 @@ fn draw_prompt(brush: &mut Brush, area: Rect) {
     }
     let left = columns.saturating_sub(label.width());
     // Two cells more than the text: the cursor stands behind it without scrolling.
-    let wanted = (prompt.input.value().width() + 2).max(24).min(left);
-    let room = left.saturating_sub(wanted + 2);
+    let needed = (text.width() + 2).min(left);
+    let room = left - needed;
+    // The hint yields to the line; a warning or a rejection goes above it.
     let note = match role {
-        _ if note.width() <= room => &*note,
-        // The hint yields to the line; a warning or a rejection goes above it.
-        Role::Muted if first.width() <= room && !matches!(prompt.kind, PromptKind::Filter(_)) => {
-            first
+        _ if note.width() + 2 <= room => note,
+        Role::Muted if matches!(prompt.kind, PromptKind::Filter(_)) => {
+            let room = left.saturating_sub(needed.max(24) + 2);
+            if room < 8 { String::new() } else { fit(&note, room) }
         }
-        Role::Muted if matches!(prompt.kind, PromptKind::Filter(_)) && room >= 8 => &*note,
-        Role::Muted => "",
+        Role::Muted if first.width() + 2 <= room => first.to_owned(),
+        Role::Muted => String::new(),
         _ => {
             if area.y > 0 {
                 draw_wrapped(brush, Rect { y: area.y - 1, ..area }, role, &note);
             }
-            ""
+            String::new()
         }
     };
-    let width = if note.is_empty() { left } else { wanted } as u16;
+    let width = match note.width() {
+        0 => left,
+        note => needed.max(24).min(left - note - 2),
+    } as u16;
     let label_width = label.width() as u16;
     let line = Line::from(brush.span(Role::Title, label));
     brush.line(area, 0, &line);
     let at = Rect { x: area.x + label_width, width, ..area };
     let scroll = prompt.input.visual_scroll(usize::from(width.saturating_sub(1)));
-    let mut text: String = prompt.input.value().chars().skip(scroll).collect();
+    let mut text: String = text.chars().skip(scroll).collect();
     if scroll > 0 {
         text = format!("…{}", text.chars().skip(1).collect::<String>());
     }
@@ -202,7 +212,7 @@ fn applies(brush: &Brush, action: Action) -> bool {
         (A::Details | A::Mute | A::Problem | A::EditAddress, Page::Problems) => {
             app.selected_problem().is_some()
         }
-        (A::EditAddress, Page::Devices) => row.is_some(),
+        (A::EditAddress | A::Sort, Page::Devices) => row.is_some(),
         (A::Add, Page::Devices) => row.is_some_and(|row| {
             device().is_some() && (row.file == FileStatus::New || row.has_other_services)
         }),

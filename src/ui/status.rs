@@ -133,8 +133,8 @@ fn cut_name(left: &mut Parts, right: &Parts, width: usize, least: usize) {
 }
 
 /// Draws `left` from the left and `right` to the right end of a row. If not all fit, the parts of
-/// the highest rank are left out, of equal ones the last. Texts are cut, and the first name, before
-/// the number of devices is left out.
+/// the highest rank are left out, of equal ones the last. The first name and texts are cut rather
+/// than that a warning is left out.
 fn put(brush: &mut Brush, area: Rect, row: u16, mut left: Parts, mut right: Parts) {
     let width = usize::from(area.width);
     loop {
@@ -146,7 +146,11 @@ fn put(brush: &mut Brush, area: Rect, row: u16, mut left: Parts, mut right: Part
         let last = all.max_by_key(|(_, part)| part.rank).map(|(at, part)| (at, part.rank));
         match last {
             Some((at, rank @ 1..)) if parts_width(&left, &right) > width + slack(rank) => {
-                if at < left.len() { left.remove(at) } else { right.remove(at - left.len()) };
+                if at < left.len() {
+                    left.remove(at)
+                } else {
+                    right.remove(at - left.len())
+                };
             }
             _ => break,
         }
@@ -185,7 +189,7 @@ fn bus_parts(brush: &Brush, index: BusIndex) -> Parts {
         return vec![Part::new(KEPT, vec![brush.span(Role::Muted, "no bus")])];
     };
     let columns = usize::from(brush.screen.whole.width);
-    let label = bus_label(brush.app, index, columns / if columns < 100 { 4 } else { 3 });
+    let label = bus_label(brush.app, index, columns / if columns < 100 { 4 } else { 2 });
     let mut name = vec![brush.span(Role::Title, label)];
     if let Some(now) = &bus.status.renamed {
         let now = crate::text::Escaped(now.as_bytes());
@@ -268,7 +272,10 @@ fn place_in_log(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
 
 fn counter(brush: &Brush, label: &str, count: u64, bad: Role) -> Part {
     let (role, rank) = if count > 0 { (bad, WARNING) } else { (Role::Text, COUNTER) };
-    Part::new(rank, vec![brush.span(Role::Muted, format!("{label} ")), brush.span(role, short(count))])
+    Part::new(
+        rank,
+        vec![brush.span(Role::Muted, format!("{label} ")), brush.span(role, short(count))],
+    )
 }
 
 /// Returns where frames were lost: `(9 kernel, 3 queue)`; `None` if none were.
@@ -414,7 +421,10 @@ fn counts(brush: &Brush, words: bool) -> Parts {
     .filter(|&(rank, _, _, count, _)| count > 0 || rank == PRESENT)
     .map(|(rank, role, sign, count, word)| {
         let count_span = brush.span(role, format!("{sign}{count}"));
-        Part::new(rank, vec![count_span, brush.span(if count > 0 { role } else { Role::Muted }, word)])
+        Part::new(
+            rank,
+            vec![count_span, brush.span(if count > 0 { role } else { Role::Muted }, word)],
+        )
     })
     .collect()
 }
@@ -449,7 +459,9 @@ fn file(brush: &Brush, whole: bool) -> Parts {
     let (rank, role, text) = match file.problem() {
         Some(problem) => {
             let text = match problem {
-                FileProblem::Syntax(error) if !whole => format!("✗ {}:{}", error.line, error.column),
+                FileProblem::Syntax(error) if !whole => {
+                    format!("✗ {}:{}", error.line, error.column)
+                }
                 FileProblem::Unreadable(_) if !whole => "✗".to_owned(),
                 FileProblem::NotSaved(_) if !whole => "✗ not saved".to_owned(),
                 FileProblem::NotSaved(why) => format!("✗ not saved: {why}"),
@@ -500,8 +512,9 @@ fn file(brush: &Brush, whole: bool) -> Parts {
     };
     let name = brush.span(Role::Title, format!("{} ", file.name()));
     let mut parts = vec![Part::cut_to(24, rank, vec![name, brush.span(role, text)])];
-    parts.extend(more.filter(|_| whole).map(|(rank, text)| {
-        Part::new(rank, vec![brush.span(Role::Muted, text)])
-    }));
+    parts.extend(
+        more.filter(|_| whole)
+            .map(|(rank, text)| Part::new(rank, vec![brush.span(Role::Muted, text)])),
+    );
     parts
 }

@@ -81,8 +81,8 @@ pub fn draw(brush: &mut Brush) {
         let used = name.width.min(line.width() as u16) + 1;
         at = Rect { x: at.x + used, width: at.width.saturating_sub(used), ..at };
     }
-    if let Some(text) = shown {
-        let room = usize::from(at.width.saturating_sub(2));
+    let room = usize::from(at.width.saturating_sub(2));
+    if let Some(text) = shown.filter(|text| room >= text.width().min(LEAST)) {
         let text = if text.width() > room { fit(&text, room) } else { text };
         let width = text.width() as u16;
         let line = Line::from(brush.span(Role::Match, text));

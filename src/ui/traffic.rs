@@ -8,6 +8,7 @@ use crate::frame::{Frame, FrameKind};
 use crate::theme::Role;
 use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
+use unicode_width::UnicodeWidthStr;
 
 /// Draws the list and the details.
 pub fn draw(brush: &mut Brush) {
@@ -373,7 +374,8 @@ fn identifier_line(
     let bytes = first_bytes(row.last.data());
     let role = if decoded.is_error { Role::Error } else { Role::Text };
     if left > 17 + 12 {
-        spans.push(brush.span(role, format!("{} ", fit(&decoded.text, left - 18))));
+        let width = left - bytes.width() - 1;
+        spans.push(brush.span(role, format!("{} ", fit(&decoded.text, width))));
         spans.push(brush.span(Role::Muted, bytes));
     } else {
         spans.push(brush.span(Role::Muted, bytes));

@@ -386,7 +386,6 @@ impl NewEntryPrompt {
     fn check_entry(text: &str, context: PromptContext) -> C {
         let (name, address) = match split_new_entry(text) {
             Ok(split) => split,
-            Err(_) if text.is_empty() => return C::Accepted(NEW_ENTRY_SYNTAX.to_owned()),
             Err(why) => return C::Rejected(why.to_owned()),
         };
         let bus = context.buses.entry_bus(context.selected_bus);

@@ -184,4 +184,5 @@ pub struct Counts {
     pub confirmed: usize,
     pub suspected: usize,
     pub muted: usize,
+    pub is_file_broken: bool,
 }

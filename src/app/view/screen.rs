@@ -142,7 +142,7 @@ fn take_bottom(area: &mut Rect, lines: u16) -> Rect {
 }
 
 /// Returns page, first column and text of each tab. On a narrow screen only the open page has its
-/// title, the others their number, and confirmed and suspected problems are counted separately.
+/// title, the others their number, and confirmed and suspected problems are counted separately. A file that cannot be used is marked.
 fn tabs(columns: u16, open: Page, counts: Counts) -> Vec<(Page, u16, String)> {
     let (narrow, wide) = (columns < NARROW, columns >= 100);
     let mut at = u16::from(wide);
@@ -163,6 +163,9 @@ fn tabs(columns: u16, open: Page, counts: Counts) -> Vec<(Page, u16, String)> {
                 }
             } else if page == Page::Problems && all > 0 {
                 let _ = write!(text, "{all} ");
+            }
+            if page == Page::Problems && counts.is_file_broken {
+                text.push_str("✗ ");
             }
             let start = at;
             at += text.chars().count() as u16 + u16::from(wide);

@@ -75,7 +75,7 @@ fn choice_stays_open_when_the_file_is_deleted() {
         assert!(stage.screen().contains("theirs     address 63"), "{}", stage.screen());
         let screen = stage.remove().screen();
         assert_eq!(stage.file, None, "nothing is written before the choice");
-        assert!(screen.contains("your edit  new entry NEW at 64"), "{screen}");
+        assert!(screen.contains("edit       new entry NEW at 64"), "{screen}");
         assert!(screen.contains("ours       address 64, static"), "{screen}");
         assert!(screen.contains("theirs     deleted"), "{screen}");
         stage.keys(key);
