@@ -189,7 +189,15 @@ fn bus_parts(brush: &Brush, index: BusIndex) -> Parts {
         return vec![Part::new(KEPT, vec![brush.span(Role::Muted, "no bus")])];
     };
     let columns = usize::from(brush.screen.whole.width);
-    let label = bus_label(brush.app, index, columns / if columns < 100 { 4 } else { 2 });
+    let label = bus_label(
+        brush.app,
+        index,
+        match columns {
+            0..60 => 8,
+            60..100 => columns / 4,
+            _ => columns / 2,
+        },
+    );
     let mut name = vec![brush.span(Role::Title, label)];
     if let Some(now) = &bus.status.renamed {
         let now = crate::text::Escaped(now.as_bytes());
@@ -359,20 +367,19 @@ fn own_address(brush: &Brush, bus: &Bus) -> Option<Part> {
     if bus.config().listen_only {
         return None;
     }
-    let own = if brush.screen.whole.width < 110 { "own" } else { "own addr" };
     let (rank, role, text) = match bus.own_address() {
         OwnAddress::Held(address) => {
-            let label = brush.span(Role::Muted, format!("{own} "));
+            let label = brush.span(Role::Muted, "own ");
             let address = brush.span(Role::Text, address.to_string());
             return Some(Part::new(OWN, vec![label, address]));
         }
         OwnAddress::Blocked(Some(address)) => {
-            (WARNING, Role::Error, format!("{own} {address} in use"))
+            (WARNING, Role::Error, format!("own {address} in use"))
         }
         OwnAddress::Blocked(None) => (WARNING, Role::Error, "no free address".to_owned()),
-        OwnAddress::Claiming(address) => (OWN, Role::Muted, format!("{own} {address}?")),
+        OwnAddress::Claiming(address) => (OWN, Role::Muted, format!("own {address}?")),
         OwnAddress::Listening => (OWN, Role::Muted, "listening".to_owned()),
-        OwnAddress::None => (OWN, Role::Muted, format!("{own} –")),
+        OwnAddress::None => (OWN, Role::Muted, "own –".to_owned()),
     };
     Some(Part::new(rank, vec![brush.span(role, text)]))
 }

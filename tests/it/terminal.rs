@@ -417,7 +417,7 @@ fn log_is_paused_stepped_and_resumed_by_keys() {
     }
     std::fs::write(&path, &log).unwrap();
     let mut pty = Pty::start(&["file:session.log"], folder.path(), SMALL);
-    pty.wait_for("can7  open  0:0");
+    pty.wait_for("can7  log 0:0");
     pty.send("P");
     pty.wait_for("PAUSED 0:0");
     pty.send(">");
