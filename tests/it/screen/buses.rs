@@ -382,6 +382,9 @@ fn remedy_is_never_cut() {
 const SIZES: [(u16, u16); 9] =
     [(40, 10), (45, 10), (52, 12), (60, 12), (60, 16), (72, 20), (80, 10), (80, 24), (120, 40)];
 
+/// Puts the app into a state.
+type Change<'a> = &'a dyn Fn(&mut Stage);
+
 /// Returns the status lines: all above the names of the pages.
 fn status(stage: &Stage) -> String {
     let screen = stage.screen();
@@ -409,7 +412,7 @@ fn status_never_drops_what_is_not_normal() {
     let deleted = |stage: &mut Stage| {
         stage.remove();
     };
-    let cases: [(&dyn Fn(&mut Stage), &str); 5] = [
+    let cases: [(Change, &str); 5] = [
         (&frozen, "FROZEN"),
         (&paused, "log PAUSED 0:45 40% ×2"),
         (&listening, "listen-only, acks"),
