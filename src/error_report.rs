@@ -200,7 +200,7 @@ impl fmt::Display for ErrorReport {
             (TRANSMISSION_TIMEOUT, "transmission timed out"),
             (LOST_ARBITRATION, "arbitration lost"),
             (CONTROLLER, "controller"),
-            (PROTOCOL, "protocol violation"),
+            (PROTOCOL, "bus error"),
             (TRANSCEIVER, "transceiver"),
             (NO_ACKNOWLEDGE, "no ACK"),
             (BUS_OFF, "bus-off"),
@@ -217,15 +217,23 @@ impl fmt::Display for ErrorReport {
             (ACTIVE, "active again"),
         ];
         const VIOLATIONS: [(u8, &str); 7] = [
-            (BIT, "bit"),
-            (FORM, "form"),
-            (STUFF, "stuff"),
-            (BIT_0, "bit 0"),
-            (BIT_1, "bit 1"),
+            (BIT, "bit error"),
+            (FORM, "form error"),
+            (STUFF, "stuff error"),
+            (BIT_0, "bit error (0)"),
+            (BIT_1, "bit error (1)"),
             (OVERLOAD, "overload"),
             (WHILE_SENDING, "while transmitting"),
         ];
-        let classes = CLASSES.iter().filter(|(bit, _)| self.is(*bit)).map(|(_, word)| *word);
+        // The type of a bus error instead of its class.
+        let has_type = self.is(PROTOCOL) && self.details[2] & !WHILE_SENDING != 0;
+        let is_told = |bit: u32| match bit {
+            PROTOCOL => !has_type && !self.is(BUS_ERROR),
+            BUS_ERROR => !has_type,
+            _ => true,
+        };
+        let classes = CLASSES.iter().filter(|(bit, _)| self.is(*bit) && is_told(*bit));
+        let classes = classes.map(|(_, word)| *word);
         let states =
             STATES.iter().filter(|(bit, _)| self.is(CONTROLLER) && self.details[1] & bit != 0);
         let violations =
@@ -245,7 +253,7 @@ impl fmt::Display for ErrorReport {
             between = ", ";
         }
         if let Some((transmit, receive)) = self.counters() {
-            write!(f, "{between}error counters tx {transmit}, rx {receive}")?;
+            write!(f, "{between}TEC {transmit}, REC {receive}")?;
             between = ", ";
         }
         if between.is_empty() { f.write_str("error frame") } else { Ok(()) }
@@ -278,8 +286,7 @@ mod tests {
             (
                 PROTOCOL | BUS_ERROR | COUNTERS,
                 [0, 0, STUFF | WHILE_SENDING, 0x0A, 0, 0, 8, 0],
-                "protocol violation, bus error, stuff, while transmitting, in the data, error \
-                 counters tx 8, rx 0",
+                "stuff error, while transmitting, in the data, TEC 8, REC 0",
             ),
             (LOST_ARBITRATION, [12, 0, 0, 0, 0, 0, 0, 0], "arbitration lost, at bit 12"),
             (LOST_ARBITRATION, [0; 8], "arbitration lost"),
@@ -288,11 +295,7 @@ mod tests {
                 [0, 0, 0, 0, 0x74, 0, 0, 0],
                 "transceiver, CANH not connected, CANL shorted to ground",
             ),
-            (
-                BUS_OFF | COUNTERS,
-                [0, 0, 0, 0, 0, 0, 255, 3],
-                "bus-off, error counters tx 255, rx 3",
-            ),
+            (BUS_OFF | COUNTERS, [0, 0, 0, 0, 0, 0, 255, 3], "bus-off, TEC 255, REC 3"),
             (RESTARTED, [0; 8], "controller restarted"),
             (NO_ACKNOWLEDGE | BUS_ERROR, [0; 8], "no ACK, bus error"),
             (0, [0; 8], "error frame"),

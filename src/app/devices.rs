@@ -245,6 +245,7 @@ fn count(rows: &[Row], problems: &[Problem]) -> Counts {
         confirmed: sure(FindingState::Confirmed),
         suspected: sure(FindingState::Suspected),
         muted: problems.iter().filter(open).count(),
+        ..Counts::default()
     }
 }
 

@@ -491,14 +491,6 @@ impl App {
         })
     }
 
-    /// Text of the open question for a narrow screen.
-    pub fn question_in_short(&self) -> Option<String> {
-        match self.input.question()? {
-            Question::Delete(key, _) => Some(format!("Delete {key:#}?")),
-            _ => self.question(),
-        }
-    }
-
     /// Closes the question and executes its action, after `yes`.
     pub(super) fn confirm(&mut self, yes: bool) {
         let question = self.input.close_question();

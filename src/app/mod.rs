@@ -56,7 +56,7 @@ pub use notices::{StatusMessage, Timeline, TimelineEntry, TimelineKind};
 pub use problems::{EvidenceItem, Matching, Problem, ProblemKey, Scope, format_duration};
 pub use view::{
     Counts, EvidenceView, FileStatus, Focus, Frozen, Page, Row, RowKey, RowState, SPLIT_WIDTH,
-    Screen, Selection, SortBy, View, tabs,
+    Screen, Selection, SortBy, View,
 };
 
 use crate::bitrate::{SearchOutcome, SearchProgress};
@@ -316,6 +316,8 @@ impl App {
         } else if let Some(action) = self.input.lookup(key) {
             self.run(action);
             self.input.note_executed(now, action);
+        } else if self.input.shows_conflict() {
+            self.effects.push_back(Effect::Bell);
         }
     }
 
@@ -670,7 +672,8 @@ impl App {
 
     /// Number of rows by state, whatever the filter, and of problems.
     pub fn counts(&self) -> Counts {
-        self.devices.counts()
+        let is_file_broken = self.editor.file.problem().is_some();
+        Counts { is_file_broken, ..self.devices.counts() }
     }
 
     /// The selected row.

@@ -2,7 +2,7 @@
 
 use super::capture::{Decoded, IdentifierKey};
 use super::input::{FilterPrompt, Overlay};
-use super::view::{Focus, Frozen, Page, Row, tabs};
+use super::view::{Focus, Frozen, Page, Row};
 use super::{App, Effect, EvidenceItem, Problem, PromptKind};
 use crate::finding::FindingKind;
 use crate::frame::BusIndex;
@@ -70,7 +70,7 @@ impl App {
         self.notices.redraw.set_dirty();
         let screen = self.screen();
         if mouse.row == screen.tabs.y && screen.tabs.height > 0 {
-            let tabs = tabs(screen.whole.width, self.view.page, self.counts());
+            let tabs = screen.tabs(self.view.page, self.counts());
             let hit = tabs.into_iter().find(|(_, start, text)| {
                 (*start..start + text.chars().count() as u16).contains(&mouse.column)
             });
@@ -227,11 +227,35 @@ impl App {
                     self.view.traffic_line = usize::MAX / 2;
                 }
             }
-            Page::Devices | Page::Problems => {
-                let open = self.view.focus == Focus::List;
-                self.view.focus_details(open);
-            }
+            Page::Devices | Page::Problems => self.focus_details(self.view.focus == Focus::List),
         }
+    }
+
+    /// Goes into the details of the selection; from a line of Timeline to its frames.
+    pub(super) fn go_into(&mut self) {
+        let view = &self.view;
+        match view.page {
+            Page::Timeline => self.go_to_frames(),
+            Page::Traffic if view.evidence.is_none() && !view.frame_details => self.open_details(),
+            _ => self.focus_details(true),
+        }
+    }
+
+    /// Leaves the details; on Traffic also the evidence and the frames of a line of Timeline.
+    pub(super) fn go_back(&mut self) {
+        let view = &self.view;
+        let came_from = view.evidence.is_some() || view.from_timeline && !view.frame_details;
+        if view.page == Page::Traffic && view.focus == Focus::List && came_from {
+            self.cancel();
+        } else {
+            self.focus_details(false);
+        }
+    }
+
+    /// Focuses the details of the selection, if there is one, or the list.
+    fn focus_details(&mut self, details: bool) {
+        let is_empty = self.view.page == Page::Problems && self.selected_problem().is_none();
+        self.view.focus_details(details && !is_empty);
     }
 
     /// Shows the frames at the time of the selected timeline line.

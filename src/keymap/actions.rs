@@ -178,10 +178,10 @@ actions! {
         SaveCapture "save-capture" "Save the captured frames as a candump log" "save log" ["w"];
     }
     Browse Log: {
-        Pause "pause" "Pause or resume the log" "" ["P"];
-        Step "step" "Step to the next frame" "" [">"];
-        Slower "slower" "Halve the replay speed" "" ["["];
-        Faster "faster" "Double the replay speed" "" ["]"];
+        Pause "pause" "Pause or resume the log" "pause" ["P"];
+        Step "step" "Step to the next frame" "step" [">"];
+        Slower "slower" "Halve the replay speed" "slower" ["["];
+        Faster "faster" "Double the replay speed" "faster" ["]"];
     }
     Browse File: {
         EditAddress "edit-address" "Edit the static address in the row" "edit address" ["e"];
@@ -217,8 +217,8 @@ actions! {
         No "no" "No" "no" ["n" "Esc" "q"];
     }
     Conflict Answer: {
-        Ours "ours" "Edit conflict: keep ours" "ours" ["o"];
-        Theirs "theirs" "Edit conflict: keep theirs (file)" "theirs" ["t"];
+        Ours "ours" "Edit conflict: keep ours" "keep ours" ["o"];
+        Theirs "theirs" "Edit conflict: keep theirs (file)" "keep theirs" ["t"];
         Later "later" "Edit conflict: decide later; edit stays unsaved" "later" ["Esc"];
     }
 }

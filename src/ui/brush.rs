@@ -202,10 +202,31 @@ pub fn end_of(text: &str, width: usize) -> String {
     format!("…{}", rest.as_str())
 }
 
+/// Returns the name of a bus in at most `width` cells, different from the names of the other buses.
+pub fn bus_label(app: &App, bus: BusIndex, width: usize) -> String {
+    let name = app.bus(bus).map_or("", Bus::name_without_rates);
+    let label = short_name(name, width);
+    let others = app.buses().iter().map(Bus::name_without_rates).filter(|other| *other != name);
+    let is_unique = others.into_iter().all(|other| short_name(other, width) != label);
+    if is_unique { label } else { end_of(name, width) }
+}
+
+/// Returns a name in at most `width` cells: without its scheme, then without its folders, then
+/// without its middle. Names differ at their end.
+pub fn short_name(name: &str, width: usize) -> String {
+    let tail = name.split_once(':').map_or(name, |(_, tail)| tail);
+    let last = name.rsplit('/').next().unwrap_or(name);
+    let fits = |it: &&str| it.width() <= width && !it.is_empty();
+    if let Some(whole) = [name, tail, last].into_iter().find(fits) {
+        return whole.to_owned();
+    }
+    let start = cut(name, width.saturating_sub(1) / 3);
+    format!("{start}{}", end_of(name, width - start.width()))
+}
+
 /// Returns the name of a bus for the BUS column of Traffic and Timeline, 7 cells; blank for `None`.
 pub fn bus_cell(app: &App, bus: Option<BusIndex>) -> String {
-    let name = bus.and_then(|bus| app.bus(bus)).map_or("", Bus::name_without_rates);
-    format!("{} ", fit(&end_of(name, 6), 6))
+    format!("{} ", fit(&bus.map_or(String::new(), |bus| bus_label(app, bus, 6)), 6))
 }
 
 /// Breaks `text` into lines of at most `width` cells (at least 4), at blanks; a longer word is

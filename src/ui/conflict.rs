@@ -29,7 +29,7 @@ pub fn draw(brush: &mut DrawContext) {
     let text = format!("You and another program changed the same value in {name}.");
     let cause = labelled(brush, "", Role::Text, &text, area.width);
     let edit = conflict.operation.to_string();
-    let edit = labelled(brush, "your edit  ", Role::Text, &edit, area.width);
+    let edit = labelled(brush, "edit       ", Role::Text, &edit, area.width);
     let mut values = labelled(brush, "ours       ", Role::New, &conflict.ours, area.width);
     values.extend(labelled(brush, "theirs     ", Role::Suspected, &conflict.theirs, area.width));
     let is_broken = brush.app.file().problem().is_some_and(|problem| !problem.is_not_saved());
@@ -44,7 +44,7 @@ pub fn draw(brush: &mut DrawContext) {
 }
 
 /// Returns the sections of the dialog with an empty line before each, or, if that is more than
-/// `height` lines, without empty lines and with the two values first.
+/// `height` lines, without empty lines, or, if they are still too many, with the two values first.
 fn arranged<'l>(
     cause: Vec<Line<'l>>,
     edit: Vec<Line<'l>>,
@@ -54,8 +54,11 @@ fn arranged<'l>(
 ) -> Vec<Line<'l>> {
     const SECTIONS: usize = 4;
     let count = cause.len() + edit.len() + values.len() + note.len();
-    if count + SECTIONS > height {
+    if count > height {
         return [values, edit, note, cause].concat();
+    }
+    if count + SECTIONS > height {
+        return [cause, edit, values, note].concat();
     }
     [cause, edit, values, note]
         .into_iter()
@@ -81,6 +84,7 @@ mod tests {
             lines.iter().map(ToString::to_string).collect()
         };
         assert_eq!(lines(11)[..5], ["", "cause", "cause", "", "edit"]);
-        assert_eq!(lines(10), ["values", "values", "edit", "edit", "note", "cause", "cause"]);
+        assert_eq!(lines(10)[..3], ["cause", "cause", "edit"]);
+        assert_eq!(lines(6), ["values", "values", "edit", "edit", "note", "cause", "cause"]);
     }
 }

@@ -220,9 +220,15 @@ impl<'a> DeviceDetails<'_, 'a> {
         let missed = match beats.missed {
             _ if is_shared => String::new(),
             0 => String::new(),
-            missed => format!(", {missed} missed"),
+            missed => format!("{missed} missed"),
         };
-        self.add("heartbeat", Role::Text, &(text + &missed));
+        let whole = format!("{text}, {missed}");
+        if missed.is_empty() || 10 + whole.width() <= usize::from(self.width) {
+            self.add("heartbeat", Role::Text, if missed.is_empty() { &text } else { &whole });
+        } else {
+            self.add("heartbeat", Role::Text, &text);
+            self.add(" ", Role::Text, &missed);
+        }
         let modes: Vec<String> = device.mode_history.iter().map(|it| it.mode.to_string()).collect();
         let mode = match device.mode {
             Some(mode) => mode.to_string(),

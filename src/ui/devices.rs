@@ -1,7 +1,7 @@
 //! The table of page 1, Devices: a row per device and per entry of des.json. Columns are dropped on
-//! narrow screens in the order SVC, MODE, AGE, BUS.
+//! narrow screens in the order SVC, AGE, MODE, BUS.
 
-use super::brush::{DrawContext, end_of, fit, fit_right};
+use super::brush::{DrawContext, bus_label, end_of, fit, fit_right};
 use crate::app::{App, FileStatus, PromptKind, Row, RowKey, RowState, SortBy};
 use crate::discovery::{Device, QueryState};
 use crate::theme::Role;
@@ -30,9 +30,9 @@ impl Column {
     const ALL: [Column; 8] =
         [C::Bus, C::Address, C::Name, C::State, C::Mode, C::Services, C::Age, C::File];
     /// Columns that a narrow list drops, first dropped first.
-    const DROP_ORDER: [Column; 4] = [C::Services, C::Mode, C::Age, C::Bus];
-    /// Cells of NAME: as many as are left, within this range.
-    const NAME_WIDTH: std::ops::RangeInclusive<usize> = 5..=20;
+    const DROP_ORDER: [Column; 4] = [C::Services, C::Age, C::Mode, C::Bus];
+    /// Cells of NAME: as many as are left, within this range. Other columns are dropped first.
+    const NAME_WIDTH: std::ops::RangeInclusive<usize> = 8..=20;
 
     const fn title(self) -> &'static str {
         match self {
@@ -116,8 +116,8 @@ impl Columns {
         if least(&shown, gap) > width {
             gap = 1;
         }
-        let spare = width.saturating_sub(least(&shown, gap));
-        let name = (Column::NAME_WIDTH.start() + spare).min(*Column::NAME_WIDTH.end());
+        let others = least(&shown, gap) - Column::NAME_WIDTH.start();
+        let name = width.saturating_sub(others).clamp(5, *Column::NAME_WIDTH.end());
         let width = |column: Column| if column == C::Name { name } else { own(column) };
         let shown = shown.into_iter().map(|column| (column, width(column))).collect();
         Self { shown, gap }
@@ -288,16 +288,16 @@ fn addresses(app: &App, row: &Row) -> String {
 /// Returns the bus of a row; for a redundant device all its buses.
 fn buses(app: &App, row: &Row, width: usize) -> String {
     let all = row.bus.into_iter().chain(row.redundant_ids.iter().map(|id| id.bus));
-    let names: Vec<&str> = all.filter_map(|bus| Some(app.bus(bus)?.name_without_rates())).collect();
+    let names: Vec<String> = all.map(|bus| bus_label(app, bus, width)).collect();
     bus_range(&names, width)
 }
 
 /// Returns the names of redundant buses, shortened: `can0+1`, `3 bus`; `any` for an entry without
 /// a bus.
-fn bus_range(names: &[&str], width: usize) -> String {
+fn bus_range(names: &[String], width: usize) -> String {
     let Some((first, others)) = names.split_first() else { return "any".to_owned() };
     let stem = first.trim_end_matches(|c: char| c.is_ascii_digit());
-    let mut text = (*first).to_owned();
+    let mut text = first.clone();
     for other in others {
         let short = other.strip_prefix(stem).filter(|rest| !rest.is_empty());
         text = format!("{text}+{}", short.unwrap_or(other));
@@ -397,8 +397,8 @@ mod tests {
             columns.shown.iter().map(|(column, _)| column.title()).collect()
         };
         assert_eq!(titles(51).len(), 7);
-        assert_eq!(titles(46).len(), 7);
-        assert_eq!(titles(40), ["ADDR", "NAME", "STATE", "MODE", "AGE", "FILE"]);
+        assert_eq!(titles(47).len(), 7);
+        assert_eq!(titles(40), ["ADDR", "NAME", "STATE", "MODE", "FILE"]);
         assert_eq!(titles(31), ["ADDR", "NAME", "STATE", "FILE"]);
     }
 

@@ -3,7 +3,7 @@
 //! lines.
 
 use super::brush::{DrawContext, cut, fit, wrap};
-use crate::app::{FileError, Focus, InputCheck, Page, PromptKind};
+use crate::app::{FileError, FileStatus, Focus, InputCheck, Page, PromptKind};
 use crate::keymap::{Action, Key, KeyMode};
 use crate::theme::Role;
 use ratatui::layout::{Position, Rect};
@@ -19,17 +19,8 @@ pub fn draw(brush: &mut DrawContext) {
     if brush.app.prompt().is_some() {
         return draw_prompt(brush, area);
     }
-    if let (Some(long), Some(short)) = (brush.app.question(), brush.app.question_in_short()) {
-        // The keys are never cut; the confirmation is.
-        let keys = Line::from(hints(brush, &[Action::Yes, Action::No], usize::MAX));
-        let room = area.width.saturating_sub(keys.width() as u16 + 1);
-        let own = |text: &str| text.width() as u16 + 3;
-        let text = if own(&long) > room { short } else { long };
-        let width = own(&text).min(room);
-        let text = fit(&format!(" {text}"), usize::from(width.saturating_sub(2))) + "  ";
-        let mut line = Line::from(brush.span(Role::Warning, text));
-        line.spans.extend(keys.spans);
-        return brush.line(area, 0, &line);
+    if let Some(question) = brush.app.question() {
+        return draw_question(brush, area, &question);
     }
     let mode = brush.app.mode();
     if let Some(message) = brush.app.message().filter(|_| mode == KeyMode::Browse) {
@@ -40,65 +31,101 @@ pub fn draw(brush: &mut DrawContext) {
     brush.line(area, 0, &line);
 }
 
+/// Most lines of a text; the rest is cut with `…`.
+const LINES: usize = 3;
+
+/// Draws a question with its keys behind it, on several lines if one is too short.
+fn draw_question(brush: &mut DrawContext, last: Rect, question: &str) {
+    let width = usize::from(last.width);
+    let mut lines = wrap(question, width.saturating_sub(2));
+    let keys = Line::from(hints(brush, &[Action::Yes, Action::No], usize::MAX));
+    let is_behind = lines.last().is_some_and(|it| it.width() + 3 + keys.width() <= width);
+    let text = if is_behind { lines.pop().unwrap_or_default() + "  " } else { String::new() };
+    let above = Rect { y: last.y.saturating_sub(1), ..last };
+    if !lines.is_empty() && last.y > 0 {
+        draw_wrapped(brush, above, Role::Warning, &lines.join(" "));
+    }
+    let mut line = Line::from(brush.span(Role::Warning, format!(" {text}")));
+    line.spans.extend(keys.spans);
+    brush.line(last, 0, &line);
+}
+
 /// Draws the prompt: its label, the text typed so far, and the check of that text. On Devices the
 /// address is typed in the row (`brush.cursor` is set), and the footer has only the check.
 fn draw_prompt(brush: &mut DrawContext, area: Rect) {
     let app = brush.app;
     let (Some(prompt), Some(check)) = (app.prompt(), app.prompt_check()) else { return };
-    let (sign, role, note) = match &check {
-        InputCheck::Accepted(text) => ("", Role::Muted, text),
-        InputCheck::Warning(text) => ("! ", Role::Warning, text),
-        InputCheck::Rejected(text) => ("✗ ", Role::Error, text),
-    };
-    let in_row = brush.cursor.is_some();
-    let narrow = area.width < 60 && !in_row;
-    let label = app.prompt_label().filter(|_| !narrow);
-    let label = format!(" {}: ", label.unwrap_or_else(|| prompt.kind.short_label().to_owned()));
-    let label_width = label.width() as u16;
-    let mut line = Line::from(brush.span(Role::Title, label));
-    if in_row {
-        if line.width() + sign.width() + note.width() > usize::from(area.width) {
-            line = Line::from(" ");
+    let text = prompt.input.value();
+    // An entry that is not begun is not wrong.
+    let is_begun = !(matches!(prompt.kind, PromptKind::NewEntry(_)) && text.is_empty());
+    let (role, note) = match check {
+        InputCheck::Accepted(text) => (Role::Muted, text),
+        InputCheck::Rejected(text) if !is_begun && app.file().problem().is_none() => {
+            (Role::Muted, text)
         }
-        line.push_span(brush.span(role, format!("{sign}{note}")));
+        InputCheck::Warning(text) => (Role::Warning, format!("! {text}")),
+        InputCheck::Rejected(text) => (Role::Error, format!("✗ {text}")),
+    };
+    let columns = usize::from(area.width);
+    let label = app.prompt_label().filter(|_| columns >= 60 || brush.cursor.is_some());
+    let label = format!(" {}: ", label.unwrap_or_else(|| prompt.kind.short_label().to_owned()));
+    let first = note.split_once(';').map_or(&*note, |(first, _)| first);
+    if let Some(row) = brush.cursor {
+        // Lines above the footer may hide the row in which the address is typed.
+        let height = wrap(&note, columns.saturating_sub(1)).len().min(LINES) as u16;
+        let note = if row.y + height > area.y { first } else { &note };
+        if label.width() + note.width() > columns {
+            return draw_wrapped(brush, area, role, note);
+        }
+        let label = brush.span(Role::Title, label);
+        let line = Line::from(vec![label, brush.span(role, note)]);
         return brush.line(area, 0, &line);
     }
-    let left = area.width.saturating_sub(label_width);
-    let note_width = (sign.width() + note.width()) as u16 + 2;
-    let text_width = prompt.input.value().width() as u16;
+    let left = columns.saturating_sub(label.width());
     // Two cells more than the text: the cursor stands behind it without scrolling.
-    let wanted = (text_width + 2).max(24);
-    let least = match prompt.kind {
-        PromptKind::Address(_) => 6,
-        // The path matters more than the note on it (the number of entries).
-        _ if prompt.kind.is_path() && matches!(check, InputCheck::Accepted(_)) => wanted,
-        _ => 12,
+    let needed = (text.width() + 2).min(left);
+    let room = left - needed;
+    // The hint yields to the line; a warning or a rejection goes above it.
+    let note = match role {
+        _ if note.width() + 2 <= room => note,
+        Role::Muted if matches!(prompt.kind, PromptKind::Filter(_)) => {
+            let room = left.saturating_sub(needed.max(24) + 2);
+            if room < 8 { String::new() } else { fit(&note, room) }
+        }
+        Role::Muted if first.width() + 2 <= room => first.to_owned(),
+        Role::Muted => String::new(),
+        _ => {
+            if area.y > 0 {
+                draw_wrapped(brush, Rect { y: area.y - 1, ..area }, role, &note);
+            }
+            String::new()
+        }
     };
-    let width = wanted.min(left.saturating_sub(note_width).max(least)).min(left);
+    let width = match note.width() {
+        0 => left,
+        note => needed.max(24).min(left - note - 2),
+    } as u16;
+    let label_width = label.width() as u16;
+    let line = Line::from(brush.span(Role::Title, label));
     brush.line(area, 0, &line);
     let at = Rect { x: area.x + label_width, width, ..area };
     let scroll = prompt.input.visual_scroll(usize::from(width.saturating_sub(1)));
-    let text: String = prompt.input.value().chars().skip(scroll).collect();
+    let mut text: String = text.chars().skip(scroll).collect();
+    if scroll > 0 {
+        text = format!("…{}", text.chars().skip(1).collect::<String>());
+    }
     let style = brush.style(Role::Input);
     brush.buffer.set_string(at.x, at.y, " ".repeat(usize::from(width)), style);
     brush.buffer.set_string(at.x, at.y, cut(&text, usize::from(width)), style);
     let cursor = prompt.input.visual_cursor().saturating_sub(scroll) as u16;
     brush.cursor = Some(Position::new(at.x + cursor.min(width.saturating_sub(1)), at.y));
-    let behind = Rect { x: at.right(), width: left.saturating_sub(width), ..area };
-    let is_fine = matches!(check, InputCheck::Accepted(_));
-    if note_width > behind.width && !is_fine && area.y > 0 {
-        // A warning or a rejection is never cut: it goes above the line.
-        let above = Rect { y: area.y - 1, ..area };
-        return draw_wrapped(brush, above, role, &format!("{sign}{note}"));
-    }
-    let line = Line::from(brush.span(role, format!("  {sign}{note}")));
+    let behind = Rect { x: at.right(), width: (left as u16).saturating_sub(width), ..area };
+    let line = Line::from(brush.span(role, format!("  {note}")));
     brush.line(behind, 0, &line);
 }
 
 /// Draws a text that ends in the line `last` and takes up to two lines above it.
 fn draw_wrapped(brush: &mut DrawContext, last: Rect, role: Role, text: &str) {
-    /// Most lines of a text; the rest is cut with `…`.
-    const LINES: usize = 3;
     let width = usize::from(last.width);
     let parts = wrap(text, width.saturating_sub(1));
     let shown = parts.len().min(LINES).min(usize::from(last.y) + 1);
@@ -118,13 +145,11 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
         (KeyMode::Help, ..) => &[A::HelpClose, A::HelpDown],
         (KeyMode::Confirm, ..) => &[A::Yes, A::No],
         (KeyMode::Conflict, ..) => &[A::Ours, A::Theirs, A::Later],
-        (KeyMode::Browse, Page::Devices, Focus::List) => &[
-            A::Help,
-            A::Quit,
+        (KeyMode::Browse, Page::Devices, _) => &[
             A::EditAddress,
             A::Add,
-            A::Rescan,
             A::Filter,
+            A::Rescan,
             A::Undo,
             A::Details,
             A::Freeze,
@@ -133,46 +158,75 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
             A::ClearLost,
             A::Identify,
         ],
-        (KeyMode::Browse, Page::Traffic, _) if view.evidence.is_some() => {
-            &[A::Help, A::Quit, A::Details, A::Cancel, A::Freeze, A::SaveCapture]
+        (KeyMode::Browse, Page::Traffic, _) => {
+            &[A::Details, A::Filter, A::Freeze, A::Identifiers, A::SaveCapture, A::Rescan]
         }
-        (KeyMode::Browse, Page::Traffic, _) if view.from_timeline => {
-            &[A::Help, A::Quit, A::Details, A::Cancel, A::Filter, A::Freeze, A::SaveCapture]
-        }
-        (KeyMode::Browse, Page::Traffic, _) => &[
-            A::Help,
-            A::Quit,
-            A::Details,
-            A::Filter,
-            A::Freeze,
-            A::Identifiers,
-            A::SaveCapture,
-            A::Rescan,
-        ],
         (KeyMode::Browse, Page::Timeline, _) => {
-            &[A::Help, A::Quit, A::Details, A::Filter, A::Freeze, A::Problem, A::SaveCapture]
+            &[A::Details, A::Filter, A::Freeze, A::Problem, A::SaveCapture]
         }
-        (KeyMode::Browse, Page::Devices, Focus::Details) => {
-            &[A::Help, A::Quit, A::Cancel, A::EditAddress, A::Add, A::Problem, A::Rescan]
+        (KeyMode::Browse, Page::Problems, _) => {
+            &[A::Details, A::Mute, A::Filter, A::Problem, A::EditAddress, A::Rescan]
         }
-        (KeyMode::Browse, Page::Problems, _) => &[
-            A::Help,
-            A::Quit,
-            A::Details,
-            A::Mute,
-            A::Filter,
-            A::Problem,
-            A::EditAddress,
-            A::Rescan,
-        ],
     };
     let is_not_saved = app.file().problem().is_some_and(FileError::is_not_saved);
-    let first: &[Action] =
-        if is_not_saved && mode == KeyMode::Browse { &[A::Save, A::SaveCopy] } else { &[] };
-    let actions = &[first, actions].concat();
+    let first: &[Action] = match mode {
+        KeyMode::Browse if is_not_saved => &[A::Save, A::SaveCopy, A::Help, A::Quit],
+        KeyMode::Browse => &[A::Help, A::Quit],
+        _ => &[],
+    };
+    // Where Esc leads back, that comes first; the keys of a log before those of the page.
+    let always: &[Action] = match mode {
+        KeyMode::Browse => &[A::Cancel, A::Pause, A::Step, A::Slower, A::Faster],
+        _ => &[],
+    };
+    let mut actions = [first, always, actions].concat();
+    actions.retain(|action| applies(brush, *action));
+    let actions = &actions;
     let mut spans = vec![Span::raw(" ")];
     spans.extend(hints(brush, actions, width.saturating_sub(1)));
     spans
+}
+
+/// Returns true if an action has an effect in the present state of the open page.
+fn applies(brush: &DrawContext, action: Action) -> bool {
+    use Action as A;
+    let (app, view) = (brush.app, brush.app.view());
+    let row = app.selected_row();
+    let is_leaving = view.focus == Focus::Details
+        || view.page == Page::Traffic
+            && (view.evidence.is_some() || view.frame_details || view.from_timeline);
+    let transmits = || app.buses().iter().any(|bus| bus.is_up() && !bus.config().listen_only);
+    let device = || row.and_then(|row| app.device_of(row));
+    match (action, view.page) {
+        (A::Cancel, _) => is_leaving,
+        (A::Pause | A::Step | A::Slower | A::Faster, _) => {
+            app.playback().is_some_and(|playback| !playback.is_ended)
+        }
+        (A::Details, Page::Devices) => row.is_some() && !is_leaving,
+        (A::Details, Page::Traffic) if view.evidence.is_none() => {
+            app.capture().end() > 0 && !view.frame_details && !view.shows_identifiers()
+        }
+        (A::Details, Page::Timeline) => !app.lines_shown().is_empty(),
+        (A::Filter | A::Identifiers | A::Rescan, Page::Traffic) if view.evidence.is_some() => false,
+        (A::SaveCapture, _) => app.capture().end() > 0,
+        (A::Details | A::Mute | A::Problem | A::EditAddress, Page::Problems) => {
+            app.selected_problem().is_some()
+        }
+        (A::EditAddress | A::Sort, Page::Devices) => row.is_some(),
+        (A::Add, Page::Devices) => row.is_some_and(|row| {
+            device().is_some() && (row.file == FileStatus::New || row.has_other_services)
+        }),
+        (A::Problem, Page::Devices) => row.is_some_and(|row| {
+            let mut problems = app.problems().into_iter();
+            problems.any(|it| it.is_about(row.bus, row.address, row.name.as_ref()))
+        }),
+        (A::Problem, Page::Timeline) => !app.problems().is_empty(),
+        (A::Undo, _) => app.file().can_undo(),
+        (A::ClearLost, _) => app.counts().lost > 0,
+        (A::Identify, _) => transmits() && device().is_some(),
+        (A::Rescan, _) => transmits(),
+        _ => true,
+    }
 }
 
 /// Returns the first key of an action and what it does on the open page; `None` if it has no key.
@@ -189,6 +243,9 @@ fn hint(brush: &DrawContext, action: Action) -> Option<(Key, &'static str)> {
         (A::Details, Page::Traffic, Some(evidence)) if evidence.shows_context => "only evidence",
         (A::Details, Page::Traffic, Some(_)) => "all frames",
         (A::Problem, Page::Problems, _) => "go to device",
+        (A::Identifiers, ..) if view.shows_identifiers() => "frames",
+        (A::Freeze, ..) if view.frozen.is_some() => "unfreeze",
+        (A::Pause, ..) if brush.app.playback().is_some_and(|it| it.is_paused) => "play",
         (A::Cancel, ..) => "back",
         (A::Mute, ..) if brush.app.selected_problem().is_some_and(|it| it.is_muted) => "unmute",
         _ => word,

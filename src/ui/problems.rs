@@ -2,7 +2,7 @@
 //! texts, remedy, evidence with its frames, addresses and names. Why des.json cannot be used stands
 //! below the list.
 
-use super::brush::{DrawContext, fit, inner, labelled};
+use super::brush::{DrawContext, bus_label, fit, inner, labelled};
 use super::symbols;
 use super::traffic::in_words;
 use crate::app::{Page, Problem, clock_millis, format_duration, format_time_of_day};
@@ -35,7 +35,7 @@ const WITH_TIME: u16 = 56;
 fn draw_list(brush: &mut DrawContext) {
     let (header, list) = (brush.screen.header, brush.screen.list);
     let time = if list.width >= WITH_TIME { "SINCE    " } else { "" };
-    let title = format!("    {} {time}PROBLEM", fit("WHERE", bus_width(brush) + ADDRESS));
+    let title = format!("   {} {time}PROBLEM", fit("WHERE", bus_width(brush) + ADDRESS));
     let line = Line::from(brush.span(Role::Header, title));
     brush.line(header, 0, &line);
     let list = draw_file_problem(brush, list);
@@ -58,7 +58,9 @@ fn draw_list(brush: &mut DrawContext) {
     for (row, problem) in problems.iter().skip(top).take(height).enumerate() {
         let is_selected = selected == Some(top + row);
         let line = problem_line(brush, problem, list, is_selected);
-        brush.line(list, row as u16, &line);
+        // A blank in front of the divider.
+        let width = list.width - brush.screen.divider.width;
+        brush.line(Rect { width, ..list }, row as u16, &line);
         if is_selected {
             brush.select(list, row as u16);
         }
@@ -92,7 +94,7 @@ fn problem_line(
     let mut spans = vec![
         brush.span(Role::Text, if selected { "▸" } else { " " }),
         brush.span(sign_role, format!("{sign} ")),
-        brush.span(plain, format!(" {} ", place(brush, problem))),
+        brush.span(plain, format!("{} ", place(brush, problem))),
     ];
     if list.width >= WITH_TIME {
         let since = format_time_of_day(brush.app, problem.since());
@@ -101,13 +103,23 @@ fn problem_line(
     if problem.is_muted {
         spans.push(brush.span(plain, "muted · "));
     }
-    spans.push(brush.span(plain, problem.headline()));
     let names: Vec<String> = problem.names().iter().map(|it| it.quoted().to_string()).collect();
-    if !names.is_empty() {
-        spans.push(brush.span(Role::Muted, format!("  {}", names.join(", "))));
+    let names = names.join(", ");
+    if names.is_empty() {
+        spans.push(brush.span(plain, problem.headline()));
+    } else if list.width >= WITH_TIME {
+        spans.push(brush.span(plain, format!("{}  ", problem.headline())));
+        spans.push(brush.span(Role::Muted, names));
+    } else {
+        // The headline may be cut, the names not.
+        spans.push(brush.span(plain, format!("{names}  ")));
+        spans.push(brush.span(plain, problem.headline()));
     }
     Line::from(spans)
 }
+
+/// Cells of a label: beside it the longest kind, 26 characters, fits the narrowest details.
+const LABEL: usize = 8;
 
 /// Cells of an address with its `@`.
 const ADDRESS: usize = 5;
@@ -122,15 +134,16 @@ fn bus_width(brush: &DrawContext) -> usize {
 
 /// Returns the column WHERE: the bus if there are several, then the address, `bus` or `file`.
 fn place(brush: &DrawContext, problem: &Problem) -> String {
-    let name = problem.bus().and_then(|bus| brush.app.bus(bus)).map(|bus| bus.name.as_str());
+    let width = bus_width(brush).saturating_sub(1);
+    let name = problem.bus().map(|bus| bus_label(brush.app, bus, width));
     let (bus, address) = match (problem.head().key.address, name) {
-        (Some(address), name) => (name.unwrap_or("file"), format!("@{address}")),
-        (None, Some(name)) => (name, if bus_width(brush) > 0 { "" } else { "bus" }.to_owned()),
-        (None, None) => ("file", if bus_width(brush) > 0 { "" } else { "file" }.to_owned()),
+        (Some(address), name) => (name.unwrap_or("file".to_owned()), format!("@{address}")),
+        (None, Some(name)) => (name, if width > 0 { "" } else { "bus" }.to_owned()),
+        (None, None) => ("file".to_owned(), if width > 0 { "" } else { "file" }.to_owned()),
     };
-    match bus_width(brush) {
+    match width {
         0 => fit(&address, ADDRESS),
-        width => format!("{} {}", fit(bus, width - 1), fit(&address, ADDRESS)),
+        _ => format!("{} {}", fit(&bus, width), fit(&address, ADDRESS)),
     }
 }
 
@@ -272,17 +285,15 @@ impl ProblemDetails<'_, '_> {
         self.lines.push(Line::default());
         for (one, several, all) in [
             ("bus", "", buses),
-            ("address", "addresses", addresses),
+            ("address", "address", addresses),
             ("name", "names", names),
             ("seen", "", seen),
         ] {
             let label = if all.len() > 1 { several } else { one };
-            self.add(&fit(label, 10), Role::Muted, &all.join(", "));
+            self.add(&fit(label, LABEL), Role::Muted, &all.join(", "));
         }
-        // The longest kind has 26 characters and is not broken.
-        let label_width = if self.width >= 36 { 10 } else { 5 };
         for at in 0..self.problem.findings.len() {
-            let label = fit(if at == 0 { "kind" } else { "" }, label_width);
+            let label = fit(if at == 0 { "kind" } else { "" }, LABEL);
             self.add(&label, Role::Muted, self.problem.findings[at].key.kind.name());
         }
     }

@@ -1,8 +1,8 @@
 //! The status lines at the top: one per bus (bit rate, state, load, frames per second, errors, lost
 //! frames, own address), and one for des.json and the counts of devices and problems. On a screen
-//! with one status line both share it. Parts that do not fit are left out, least important first.
+//! with one status line both share it. Parts that do not fit are left out by their rank.
 
-use super::brush::{DrawContext, end_of, fit};
+use super::brush::{DrawContext, bus_label, fit, short_name};
 use crate::app::{Bus, FileError, LoadMeter, Overlay, TxBlocked};
 use crate::discovery::OwnAddress;
 use crate::frame::BusIndex;
@@ -16,8 +16,53 @@ use std::fmt::Write;
 /// Stands in front of assumed values.
 const ASSUMED: &str = "≈";
 
-/// Parts of a line, most important first; a part is shown whole or left out.
-type Parts = Vec<Vec<Span<'static>>>;
+/// A part of a line. It is shown whole or left out; only a text that explains an error is cut.
+struct Part {
+    /// Parts with a higher rank are left out first; those of rank 0 ([`KEPT`]) never.
+    rank: u8,
+    spans: Vec<Span<'static>>,
+    /// Cells to which the last span may be cut.
+    least: usize,
+}
+
+/// What the screen shows is not the present, descan does not transmit, an error, a conflict.
+const KEPT: u8 = 0;
+/// What is wrong, beside that: suspected problems, lost frames, a failed claim, the recording.
+const WARNING: u8 = 1;
+const PRESENT: u8 = 2;
+const LOST: u8 = 3;
+const MISSING: u8 = 4;
+const FILE: u8 = 5;
+const STATE: u8 = 6;
+const ASSUMPTION: u8 = 7;
+const LOAD: u8 = 8;
+/// Counters that are 0.
+const COUNTER: u8 = 9;
+const RATE: u8 = 10;
+const OWN: u8 = 11;
+const MUTED: u8 = 12;
+
+impl Part {
+    fn new(rank: u8, spans: Vec<Span<'static>>) -> Self {
+        Self { rank, spans, least: usize::MAX }
+    }
+
+    /// A part whose last span is cut to `least` cells where room is short.
+    fn cut_to(least: usize, rank: u8, spans: Vec<Span<'static>>) -> Self {
+        Self { rank, spans, least }
+    }
+
+    fn width(&self) -> usize {
+        self.spans.iter().map(Span::width).sum()
+    }
+
+    /// Cells by which the part can become shorter.
+    fn slack(&self) -> usize {
+        self.spans.last().map_or(0, |last| last.width().saturating_sub(self.least))
+    }
+}
+
+type Parts = Vec<Part>;
 
 /// Draws the status lines.
 pub fn draw(brush: &mut DrawContext) {
@@ -28,18 +73,8 @@ pub fn draw(brush: &mut DrawContext) {
         1 => {
             let left = bus_parts(brush, BusIndex(bus_to_show(brush, 0) as u8));
             let mut right: Parts = assumed(brush).into_iter().collect();
-            let file = file(brush, false);
-            // Unsaved edits and an unreadable file are the last to be left out.
-            let (first, last) =
-                if has_file_trouble(brush) { (None, Some(file)) } else { (Some(file), None) };
-            right.extend(first.into_iter().flatten());
-            right.extend(counts(brush));
-            right.extend(recording(brush));
-            right.extend(last.into_iter().flatten());
-            add_muted(brush, area, &left, &mut right);
-            let mut left = left;
-            fit_parts(area, &mut left, &mut right);
-            pair(brush, area, 0, left, right);
+            right.extend(file(brush, false));
+            draw_row(brush, area, 0, left, right);
         }
         lines => {
             let shown = usize::from(lines - 1);
@@ -49,28 +84,27 @@ pub fn draw(brush: &mut DrawContext) {
                 let mut parts = bus_parts(brush, BusIndex(index as u8));
                 if rest {
                     let more = format!("bus {} of {buses}", index + 1);
-                    parts.insert(1, vec![brush.span(Role::Muted, more)]);
+                    parts.insert(1, Part::new(STATE, vec![brush.span(Role::Muted, more)]));
                 }
-                shorten_name(area, &mut parts);
-                pair(brush, area, row as u16, parts, Vec::new());
+                put(brush, area, row as u16, parts, Vec::new());
             }
             let mut left = file(brush, true);
             left.extend(assumed(brush));
-            let mut right = counts(brush);
-            right.extend(recording(brush));
-            add_muted(brush, area, &left, &mut right);
-            pair(brush, area, lines - 1, left, right);
+            draw_row(brush, area, lines - 1, left, Vec::new());
         }
     }
 }
 
-/// Returns true if edits are unsaved or the file on disk cannot be used.
-fn has_file_trouble(brush: &DrawContext) -> bool {
-    let file = brush.app.file();
-    file.unsaved() > 0
-        || file.problem().is_some()
-        || file.conflict().is_some()
-        || file.emptied_since().is_some()
+/// Draws a row with the counts and the recording at its right end, behind `right`. The counts have
+/// their words if only the least parts are left out for them.
+fn draw_row(brush: &mut DrawContext, area: Rect, row: u16, left: Parts, mut right: Parts) {
+    let wide = counts(brush, true);
+    let parts = || left.iter().chain(&right).chain(&wide);
+    let kept = parts().filter(|part| part.rank < ASSUMPTION);
+    let fits = kept.map(|part| part.width() + 2).sum::<usize>() <= usize::from(area.width);
+    right.extend(if fits { wide } else { counts(brush, false) });
+    right.extend(recording(brush));
+    put(brush, area, row, left, right);
 }
 
 /// Returns the index of the bus shown on the last bus line if there are more buses than lines: of
@@ -83,174 +117,155 @@ fn bus_to_show(brush: &DrawContext, from: usize) -> usize {
     std::iter::once(selected).chain(others).find(is_hidden).unwrap_or(selected)
 }
 
-/// Makes room on a single status line: leaves out `≈ assumed`, then cuts the beginning of the bus
-/// name, then leaves out the right parts from the first.
-fn fit_parts(area: Rect, left: &mut Parts, right: &mut Parts) {
-    /// Cells that are left of a long bus name.
-    const LEAST: usize = 6;
-    let width = usize::from(area.width);
-    let Some(part) = left.first_mut().filter(|part| !part.is_empty()) else { return };
-    let (name, beside) = (part[0].width(), own(&part[1..]) + 1);
-    let is_assumed = |part: &Vec<Span>| part.first().is_some_and(|span| span.content == ASSUMED);
-    while right.first().is_some_and(|part| {
-        let name = if is_assumed(part) { name } else { name.min(LEAST) };
-        name + beside + whole(right) > width
-    }) {
-        right.remove(0);
-    }
-    let room = width.saturating_sub(beside + whole(right)).max(LEAST);
-    part[0] = Span::styled(end_of(&part[0].content, room), part[0].style);
+/// Returns the cells of a row: two blanks between parts, one in front of `left` and behind `right`.
+fn parts_width(left: &Parts, right: &Parts) -> usize {
+    let all = left.iter().chain(right).map(|part| part.width() + 2).sum::<usize>();
+    all.saturating_sub(usize::from(right.is_empty()))
 }
 
-/// Cuts the beginning of a long bus name if not all parts fit.
-fn shorten_name(area: Rect, parts: &mut Parts) {
-    /// Cells that are left of a long bus name.
-    const LEAST: usize = 12;
-    let missing = (whole(parts).saturating_sub(2)).saturating_sub(usize::from(area.width));
-    let Some(name) = parts.first_mut().and_then(|part| part.first_mut()) else { return };
-    let room = name.width().saturating_sub(missing).max(LEAST);
-    *name = Span::styled(end_of(&name.content, room), name.style);
+/// Cuts the name at the beginning of a row if the row is wider than `width`, to `least` cells.
+fn cut_name(left: &mut Parts, right: &Parts, width: usize, least: usize) {
+    let missing = parts_width(left, right).saturating_sub(width);
+    if let Some(name) = left.first_mut().and_then(|part| part.spans.first_mut()) {
+        let room = name.width().saturating_sub(missing).max(name.width().min(least));
+        name.content = short_name(&name.content, room).into();
+    }
 }
 
-/// Draws `left` from the left and `right` to the right end of a row. If not all fit, the last parts
-/// of `left` and the first of `right` are left out.
-fn pair(brush: &mut DrawContext, area: Rect, row: u16, left: Parts, mut right: Parts) {
+/// Draws `left` from the left and `right` to the right end of a row. If not all fit, the parts of
+/// the highest rank are left out, of equal ones the last. The first name and texts are cut rather
+/// than that a warning is left out.
+fn put(brush: &mut DrawContext, area: Rect, row: u16, mut left: Parts, mut right: Parts) {
     let width = usize::from(area.width);
-    let first = left.first().map_or(0, |part| own(part) + 1);
-    while !right.is_empty() && first + whole(&right) > width {
-        right.remove(0);
-    }
-    let room = width.saturating_sub(whole(&right));
-    let mut line = Line::default();
-    for part in left {
-        let space = if line.spans.is_empty() { " " } else { "  " };
-        let free = room.saturating_sub(line.width() + space.len());
-        if own(&part) > free && !line.spans.is_empty() {
-            // Text is cut; numbers are shown whole or not at all.
-            if let (Some(text), 12..) = (part.first(), free) {
-                line.push_span(Span::raw(space));
-                line.push_span(Span::styled(fit(&text.content, free), text.style));
+    loop {
+        let slack = |rank: u8| match rank {
+            0..=PRESENT => left.iter().chain(&right).map(Part::slack).sum(),
+            _ => 0,
+        };
+        let all = left.iter().chain(&right).enumerate();
+        let last = all.max_by_key(|(_, part)| part.rank).map(|(at, part)| (at, part.rank));
+        match last {
+            Some((at, rank @ 1..)) if parts_width(&left, &right) > width + slack(rank) => {
+                if at < left.len() {
+                    left.remove(at)
+                } else {
+                    right.remove(at - left.len())
+                };
             }
-            break;
-        }
-        line.push_span(Span::raw(space));
-        line.spans.extend(part);
-    }
-    brush.line(area, row, &line);
-    let taken = whole(&right).min(width) as u16;
-    let mut line = Line::default();
-    for part in right {
-        line.push_span(Span::raw("  "));
-        line.spans.extend(part);
-    }
-    brush.line(Rect { x: area.right() - taken, width: taken, ..area }, row, &line);
-}
-
-/// Returns the cells of a part.
-fn own(part: &[Span]) -> usize {
-    part.iter().map(Span::width).sum()
-}
-
-/// Returns the cells of parts with the blanks between them.
-fn whole(parts: &Parts) -> usize {
-    match parts.len() {
-        0 => 0,
-        _ => parts.iter().map(|part| own(part) + 2).sum::<usize>() + 1,
-    }
-}
-
-/// Adds the number of muted problems if nothing else has to be left out for it.
-fn add_muted(brush: &DrawContext, area: Rect, left: &Parts, right: &mut Parts) {
-    let muted = brush.app.counts().muted;
-    if muted > 0 {
-        let part = vec![brush.span(Role::Muted, format!("{muted} muted"))];
-        if whole(left) + whole(right) + own(&part) + 2 <= usize::from(area.width) {
-            right.push(part);
+            _ => break,
         }
     }
+    cut_name(&mut left, &right, width, 12);
+    for part in 0..left.len() {
+        let missing = parts_width(&left, &right).saturating_sub(width);
+        let slack = left[part].slack().min(missing);
+        if let Some(last) = left[part].spans.last_mut().filter(|_| slack > 0) {
+            last.content = fit(&last.content, last.width() - slack).into();
+        }
+    }
+    cut_name(&mut left, &right, width, 4);
+    let line_of = |parts: Parts| {
+        let mut line = Line::default();
+        for part in parts {
+            let space = if line.spans.is_empty() { "" } else { "  " };
+            line.push_span(Span::raw(space));
+            line.spans.extend(part.spans);
+        }
+        line
+    };
+    let taken = (parts_width(&Vec::new(), &right)).min(width.saturating_sub(6)) as u16;
+    let mut line = line_of(left);
+    line.spans.insert(0, Span::raw(" "));
+    brush.line(Rect { width: area.width - taken, ..area }, row, &line);
+    let end = Rect { x: area.right() - taken, width: taken.saturating_sub(1), ..area };
+    let mut line = line_of(right);
+    line.spans.insert(0, Span::raw(" "));
+    brush.line(end, row, &line);
 }
 
 /// Returns the parts of the line of a bus.
 fn bus_parts(brush: &DrawContext, index: BusIndex) -> Parts {
     let Some(bus) = brush.app.bus(index) else {
-        return vec![vec![brush.span(Role::Muted, "no bus")]];
+        return vec![Part::new(KEPT, vec![brush.span(Role::Muted, "no bus")])];
     };
-    let text = |text: String| vec![brush.span(Role::Text, text)];
-    let mut parts: Parts = Vec::new();
-    let mut name = vec![brush.span(Role::Title, bus.name_without_rates().to_owned())];
+    let columns = usize::from(brush.screen.whole.width);
+    let label = bus_label(
+        brush.app,
+        index,
+        match columns {
+            0..60 => 8,
+            60..100 => columns / 4,
+            _ => columns / 2,
+        },
+    );
+    let mut name = vec![brush.span(Role::Title, label)];
     if let Some(now) = &bus.status.renamed {
         let now = crate::text::Escaped(now.as_bytes());
         name.push(brush.span(Role::Warning, format!(" (now {now})")));
     }
-    if let Some(bitrate) = bus.status.bitrate {
+    if let Some(bitrate) = bus.status.bitrate.filter(|_| columns >= 60) {
         name.push(brush.span(Role::Text, format!(" {}", rate(bitrate))));
         if let Some(data) = bus.status.data_bitrate {
             name.push(brush.span(Role::Text, format!("/{}", rate(data))));
         }
     }
-    let good = matches!(bus.status.state, BusState::ErrorActive | BusState::Unknown);
-    if bus.is_up() && good {
-        parts.push(name);
-        parts.push(vec![state(brush, index, bus)]);
-    } else {
-        // One part with the name: a state that is not good is never left out.
-        name.push(Span::raw("  "));
-        name.push(state(brush, index, bus));
-        parts.push(name);
-    }
-    parts.extend(place_in_log(brush, bus));
+    let mut parts = vec![Part::new(KEPT, name)];
     if brush.app.view().frozen.is_some() {
-        parts.insert(1, vec![brush.span(Role::Warning, "FROZEN")]);
+        parts.push(Part::new(KEPT, vec![brush.span(Role::Warning, "FROZEN")]));
     }
+    let mut spans = vec![state(brush, index, bus)];
+    let place = place_in_log(brush, bus);
+    let good = matches!(bus.status.state, BusState::ErrorActive | BusState::Unknown);
+    let rank = if bus.is_up() && good && place.is_none() { STATE } else { KEPT };
+    spans.extend(place.into_iter().flatten());
+    parts.push(Part::new(rank, spans));
     let is_searched = brush.app.searches_bitrate_of(index);
     if let Some(fault) = bus.status.fault.as_ref().filter(|_| !bus.is_up() && !is_searched) {
-        // Name and state are in front of it.
+        // Name and state stand in front of it.
         let known = format!("{} is {}", bus.name, bus.status.state);
         let remedy = fault.remedy().filter(|_| fault.cause() == known);
         let text = remedy.map_or_else(|| fault.to_string(), str::to_owned);
         let text = crate::text::Escaped(text.as_bytes()).to_string();
-        parts.push(vec![brush.span(Role::Error, text)]);
+        parts.push(Part::cut_to(12, WARNING, vec![brush.span(Role::Error, text)]));
         return parts;
     }
     parts.extend(warning(brush, bus).filter(|_| !is_searched));
     let load = bus.meter.last().load(bus.bits_per_second()) * 100.0;
     let guess = if bus.status.bitrate.is_none() { ASSUMED } else { "" };
     let frames = bus.meter.last().frames;
-    let errors = bus.counters().errors;
-    let lost = bus.lost();
-    parts.push(vec![
-        brush.span(Role::Muted, "load "),
-        brush.span(
-            if load >= 80.0 { Role::Warning } else { Role::Text },
-            format!("{:>4} ", format!("{guess}{load:.0}%")),
-        ),
-        brush.span(Role::Bar, sparkline(bus, if brush.screen.whole.width < 100 { 6 } else { 20 })),
-    ]);
-    parts.push(text(format!("{frames:>4} f/s")));
-    parts.push(counter(brush, "err", errors, Role::Warning));
-    let mut lost = counter(brush, "lost", lost, Role::Error);
-    if brush.screen.whole.width >= 100 {
-        lost.extend(lost_where(brush, bus));
+    parts.push(Part::new(
+        LOAD,
+        vec![
+            brush.span(Role::Muted, "load "),
+            brush.span(
+                if load >= 80.0 { Role::Warning } else { Role::Text },
+                format!("{:>4} ", format!("{guess}{load:.0}%")),
+            ),
+            brush.span(Role::Bar, sparkline(bus, if columns < 100 { 6 } else { 20 })),
+        ],
+    ));
+    parts.push(Part::new(RATE, vec![brush.span(Role::Text, format!("{frames:>4} f/s"))]));
+    parts.push(counter(brush, "err", bus.counters().errors, Role::Warning));
+    let mut lost = counter(brush, "lost", bus.lost(), Role::Error);
+    if columns >= 100 {
+        lost.spans.extend(lost_where(brush, bus));
     }
     parts.push(lost);
     parts.extend(own_address(brush, bus));
     parts
 }
 
-/// Returns position, percent and speed of a replay, and whether it is paused; `None` without a log.
+/// Returns whether a replay is paused, its position, percent and speed; `None` without a log.
 fn place_in_log(brush: &DrawContext, bus: &Bus) -> Option<Vec<Span<'static>>> {
     let playback = brush.app.playback()?;
-    let mut spans = Vec::new();
-    if playback.is_paused {
-        spans.push(brush.span(Role::Warning, "PAUSED "));
-    }
+    let is_ended = bus.status.link == Link::Ended;
     let seconds = brush.app.display_time().as_micros() / 1_000_000;
     let (hours, minutes, seconds) = (seconds / 3600, seconds / 60 % 60, seconds % 60);
     let mut text = match hours {
-        0 => format!("{minutes}:{seconds:02}"),
-        _ => format!("{hours}:{minutes:02}:{seconds:02}"),
+        0 => format!(" {minutes}:{seconds:02}"),
+        _ => format!(" {hours}:{minutes:02}:{seconds:02}"),
     };
-    if let Some(percent) = bus.status.percent {
+    if let Some(percent) = bus.status.percent.filter(|_| !is_ended) {
         let _ = write!(text, " {percent}%");
     }
     if (playback.speed - 1.0).abs() > f64::EPSILON {
@@ -259,13 +274,16 @@ fn place_in_log(brush: &DrawContext, bus: &Bus) -> Option<Vec<Span<'static>>> {
             speed => write!(text, " ×{speed}"),
         };
     }
-    spans.push(brush.span(Role::Text, text));
-    Some(spans)
+    let paused = if playback.is_paused && !is_ended { " PAUSED" } else { "" };
+    Some(vec![brush.span(Role::Warning, paused), brush.span(Role::Text, text)])
 }
 
-fn counter(brush: &DrawContext, label: &str, count: u64, bad: Role) -> Vec<Span<'static>> {
-    let role = if count > 0 { bad } else { Role::Text };
-    vec![brush.span(Role::Muted, format!("{label} ")), brush.span(role, short(count))]
+fn counter(brush: &DrawContext, label: &str, count: u64, bad: Role) -> Part {
+    let (role, rank) = if count > 0 { (bad, WARNING) } else { (Role::Text, COUNTER) };
+    Part::new(
+        rank,
+        vec![brush.span(Role::Muted, format!("{label} ")), brush.span(role, short(count))],
+    )
 }
 
 /// Returns where frames were lost: `(9 kernel, 3 queue)`; `None` if none were.
@@ -308,6 +326,7 @@ fn state(brush: &DrawContext, index: BusIndex, bus: &Bus) -> Span<'static> {
         (Link::Unplugged, _) => ("UNPLUGGED", Role::Error),
         (Link::NotCan | Link::NoKernel | Link::Failed, _) => ("FAILED", Role::Error),
         (Link::Ended, _) => ("end of log", Role::Muted),
+        (Link::Up, BusState::Unknown) if brush.app.playback().is_some() => ("log", Role::Warning),
         (Link::Up, BusState::ErrorActive) => ("active", Role::Online),
         (Link::Up, BusState::Unknown) => ("open", Role::Online),
         (Link::Up, BusState::ErrorWarning) => ("WARNING", Role::Warning),
@@ -321,49 +340,48 @@ fn state(brush: &DrawContext, index: BusIndex, bus: &Bus) -> Span<'static> {
     brush.span(role, word)
 }
 
-/// Returns why descan sends no requests; `None` if it does.
-fn warning(brush: &DrawContext, bus: &Bus) -> Option<Vec<Span<'static>>> {
+/// Returns why descan sends no requests; `None` if it does, and for a log.
+fn warning(brush: &DrawContext, bus: &Bus) -> Option<Part> {
+    let part = |role, text: String| Some(Part::new(KEPT, vec![brush.span(role, text)]));
     if bus.has_only_bus_errors() {
         let keymap = brush.app.keymap();
         let key = keymap.keys_of(Action::BitRate).next();
         let key = key.map(|key| format!(" ({key})")).unwrap_or_default();
-        let text = format!("only bus errors: wrong bit rate?{key}");
-        return Some(vec![brush.span(Role::Error, text)]);
+        return part(Role::Error, format!("only bus errors: wrong bit rate?{key}"));
     }
     if bus.config().listen_only {
         // A controller that is not in listen-only mode itself still acknowledges frames.
         let acks = if bus.status.listen_only { "" } else { ", acks" };
-        return Some(vec![brush.span(Role::Warning, format!("listen-only{acks}"))]);
+        let is_log = brush.app.playback().is_some();
+        return part(Role::Warning, format!("listen-only{acks}")).filter(|_| !is_log);
     }
     let why = match bus.tx_blocked()? {
         TxBlocked::QueueFull => "transmit queue full",
         TxBlocked::NoAck => "no ACK",
     };
-    Some(vec![brush.span(Role::Error, why)])
+    part(Role::Error, why.to_owned())
 }
 
 /// Returns descan's own address or the state of its claim; `None` with `--listen-only`.
-fn own_address(brush: &DrawContext, bus: &Bus) -> Option<Vec<Span<'static>>> {
+fn own_address(brush: &DrawContext, bus: &Bus) -> Option<Part> {
     if bus.config().listen_only {
         return None;
     }
-    let own = if brush.screen.whole.width < 110 { "own" } else { "own addr" };
-    let label = |text: String| vec![brush.span(Role::Muted, text)];
-    Some(match bus.own_address() {
+    let (rank, role, text) = match bus.own_address() {
         OwnAddress::Held(address) => {
-            vec![
-                brush.span(Role::Muted, format!("{own} ")),
-                brush.span(Role::Text, address.to_string()),
-            ]
+            let label = brush.span(Role::Muted, "own ");
+            let address = brush.span(Role::Text, address.to_string());
+            return Some(Part::new(OWN, vec![label, address]));
         }
         OwnAddress::Blocked(Some(address)) => {
-            vec![brush.span(Role::Error, format!("{own} {address} in use"))]
+            (WARNING, Role::Error, format!("own {address} in use"))
         }
-        OwnAddress::Blocked(None) => vec![brush.span(Role::Error, "no free address")],
-        OwnAddress::Claiming(address) => label(format!("{own} {address}?")),
-        OwnAddress::Listening => label("listening".to_owned()),
-        OwnAddress::None => label(format!("{own} –")),
-    })
+        OwnAddress::Blocked(None) => (WARNING, Role::Error, "no free address".to_owned()),
+        OwnAddress::Claiming(address) => (OWN, Role::Muted, format!("own {address}?")),
+        OwnAddress::Listening => (OWN, Role::Muted, "listening".to_owned()),
+        OwnAddress::None => (OWN, Role::Muted, "own –".to_owned()),
+    };
+    Some(Part::new(rank, vec![brush.span(role, text)]))
 }
 
 /// Returns the bus load of the last `width` seconds, newest at the right, a bar step per eighth of
@@ -384,50 +402,45 @@ fn sparkline(bus: &Bus, width: usize) -> String {
 }
 
 /// Returns the sign that a bus is read with assumed values (no profile given).
-fn assumed(brush: &DrawContext) -> Option<Vec<Span<'static>>> {
+fn assumed(brush: &DrawContext) -> Option<Part> {
     let assumed = brush.app.buses().iter().any(|bus| !bus.config().profile.given);
-    assumed.then(|| vec![brush.span(Role::Suspected, ASSUMED), brush.span(Role::Muted, " assumed")])
+    let spans = vec![brush.span(Role::Suspected, ASSUMED), brush.span(Role::Muted, " assumed")];
+    assumed.then(|| Part::new(ASSUMPTION, spans))
 }
 
-/// Returns the counts of devices and problems; with words from 60 columns on.
-fn counts(brush: &DrawContext) -> Parts {
+/// Returns the counts of devices and problems. Missing and lost devices have the same sign: if both
+/// are counted, their words stay.
+fn counts(brush: &DrawContext, words: bool) -> Parts {
     let counts = brush.app.counts();
-    let narrow = brush.screen.whole.width < 60;
-    let one = |role: Role, sign: &str, count: usize, word: &str| {
-        let word = if narrow || word.is_empty() { String::new() } else { format!(" {word}") };
-        vec![
-            brush.span(role, format!("{sign} {count}")),
-            brush.span(if count > 0 { role } else { Role::Muted }, word),
-        ]
-    };
-    let mut parts = vec![one(Role::Online, "●", counts.present, "present")];
-    if counts.unknown > 0 {
-        parts.push(one(Role::Muted, "·", counts.unknown, "unknown"));
-    }
-    // Without words the symbols of missing and lost are the same.
-    let (missing, lost) =
-        if narrow { (counts.missing + counts.lost, 0) } else { (counts.missing, counts.lost) };
-    if missing > 0 {
-        parts.push(one(Role::Missing, "○", missing, "missing"));
-    }
-    if lost > 0 {
-        parts.push(one(Role::Lost, "○", lost, "lost"));
-    }
-    if counts.confirmed > 0 {
-        parts.push(one(Role::Confirmed, "⚠", counts.confirmed, ""));
-    }
-    if counts.suspected > 0 {
-        parts.push(one(Role::Suspected, "?", counts.suspected, ""));
-    }
-    parts
+    let word = |text: &'static str| if words { text } else { "" };
+    let both = counts.missing > 0 && counts.lost > 0;
+    let absent = |text| if both || brush.screen.whole.width >= 60 { text } else { word(text) };
+    [
+        (PRESENT, Role::Online, "● ", counts.present, word(" present")),
+        (LOST, Role::Muted, "· ", counts.unknown, word(" unknown")),
+        (MISSING, Role::Missing, "○ ", counts.missing, absent(" missing")),
+        (LOST, Role::Lost, "○ ", counts.lost, absent(" lost")),
+        (KEPT, Role::Confirmed, "⚠ ", counts.confirmed, ""),
+        (WARNING, Role::Suspected, "? ", counts.suspected, ""),
+        (MUTED, Role::Muted, "", counts.muted, " muted"),
+    ]
+    .into_iter()
+    .filter(|&(rank, _, _, count, _)| count > 0 || rank == PRESENT)
+    .map(|(rank, role, sign, count, word)| {
+        let count_span = brush.span(role, format!("{sign}{count}"));
+        Part::new(
+            rank,
+            vec![count_span, brush.span(if count > 0 { role } else { Role::Muted }, word)],
+        )
+    })
+    .collect()
 }
 
 /// Returns size and lost frames of the recording, or that it stopped; `None` without `--record`.
-/// Last of the right parts, so that it is left out last.
-fn recording(brush: &DrawContext) -> Option<Vec<Span<'static>>> {
+fn recording(brush: &DrawContext) -> Option<Part> {
     let status = brush.app.recording()?;
     if status.failure.is_some() {
-        return Some(vec![brush.span(Role::Error, "✗ rec stopped")]);
+        return Some(Part::new(KEPT, vec![brush.span(Role::Error, "✗ rec stopped")]));
     }
     let mut spans = vec![
         brush.span(Role::Recording, "● rec"),
@@ -436,78 +449,79 @@ fn recording(brush: &DrawContext) -> Option<Vec<Span<'static>>> {
     if status.lost > 0 {
         spans.push(brush.span(Role::Error, format!(" lost {}", short(status.lost))));
     }
-    Some(spans)
+    Some(Part::new(WARNING, spans))
 }
 
 /// Returns the state of des.json; with `whole` also the cause of an error and the next step.
 fn file(brush: &DrawContext, whole: bool) -> Parts {
     let file = brush.app.file();
-    let name = brush.span(Role::Title, file.name());
-    let mut parts: Parts = Vec::new();
     if file.path().is_none() {
-        return vec![vec![brush.span(Role::Muted, "no file")]];
+        return vec![Part::new(FILE, vec![brush.span(Role::Muted, "no file")])];
     }
     let entries = file.document().entries().len();
-    match file.problem() {
-        Some(FileError::Syntax(error)) => {
-            let text = if whole {
-                format!(" ✗ {error}")
-            } else {
-                format!(" ✗ {}:{}", error.line, error.column)
-            };
-            parts.push(vec![name, brush.span(Role::Error, text)]);
-            if whole && file.has_valid_content() {
-                // A part of its own: without room it is left out, not cut.
-                let word = if entries == 1 { " entry" } else { " entries" };
-                let text = format!(": {entries}{word}");
-                let is_narrow = brush.screen.whole.width < 100;
-                let valid = if is_narrow { "last valid" } else { "using last valid" };
-                parts.push(vec![brush.span(Role::Muted, valid), brush.span(Role::Muted, text)]);
-            }
-            return parts;
-        }
-        Some(FileError::Unreadable(why)) => {
-            let text = if whole { format!(" ✗ {why}") } else { " ✗".to_owned() };
-            parts.push(vec![name, brush.span(Role::Error, text)]);
-            return parts;
-        }
-        Some(FileError::NotSaved(why)) => {
-            let text =
-                if whole { format!(" ✗ not saved: {why}") } else { " ✗ not saved".to_owned() };
-            parts.push(vec![name, brush.span(Role::Error, text)]);
-            return parts;
-        }
-        None => {}
-    }
     let unsaved = file.unsaved();
-    if file.conflict().is_some() {
-        parts.push(vec![name, brush.span(Role::Error, " ✗ conflict")]);
-        if whole && !matches!(brush.app.overlay(), Overlay::Conflict) {
-            let key = brush.app.key_of(Action::Save);
-            parts.push(vec![brush.span(Role::Muted, format!("{key} resolves it"))]);
+    let is_emptied = file.emptied_since().is_some();
+    let findings = file.document().findings().len();
+    let mut more = None;
+    let (rank, role, text) = match file.problem() {
+        Some(problem) => {
+            let text = match problem {
+                FileError::Syntax(error) if !whole => {
+                    format!("✗ {}:{}", error.line, error.column)
+                }
+                FileError::Unreadable(_) if !whole => "✗".to_owned(),
+                FileError::NotSaved(_) if !whole => "✗ not saved".to_owned(),
+                FileError::NotSaved(why) => format!("✗ not saved: {why}"),
+                problem => format!("✗ {problem}"),
+            };
+            if matches!(problem, FileError::Syntax(_)) && file.has_valid_content() {
+                let valid =
+                    if brush.screen.whole.width < 100 { "last valid" } else { "using last valid" };
+                let word = if entries == 1 { "entry" } else { "entries" };
+                more = Some((ASSUMPTION, format!("{valid}: {entries} {word}")));
+            }
+            (KEPT, Role::Error, text)
         }
-    } else if unsaved > 0 {
-        parts.push(vec![name, brush.span(Role::Warning, format!(" … saving {unsaved}"))]);
-        if whole && file.emptied_since().is_some() {
-            parts.push(vec![brush.span(Role::Muted, "empty (being written?)")]);
+        None if file.conflict().is_some() => {
+            if !matches!(brush.app.overlay(), Overlay::Conflict) {
+                more = Some((FILE, format!("{} resolves it", brush.app.key_of(Action::Save))));
+            }
+            (KEPT, Role::Error, "✗ edit conflict".to_owned())
         }
-    } else if file.emptied_since().is_some() {
-        parts.push(vec![name, brush.span(Role::Warning, " empty (being written?)")]);
-    } else if !file.is_read() {
-        parts.push(vec![name, brush.span(Role::Muted, " …")]);
-    } else if file.is_there() {
-        let words = match (whole, entries) {
-            (false, count) => format!(" {count}"),
-            (true, 1) => " 1 entry".to_owned(),
-            (true, count) => format!(" {count} entries"),
-        };
-        parts.push(vec![name, brush.span(Role::FileOk, " ✓"), brush.span(Role::Text, words)]);
-        let findings = file.document().findings().len();
-        if findings > 0 {
-            parts.push(vec![brush.span(Role::Warning, format!("! {findings}"))]);
+        None if unsaved > 0 => {
+            more = is_emptied.then(|| (FILE, "empty (being written?)".to_owned()));
+            (KEPT, Role::Warning, format!("… saving {unsaved}"))
         }
-    } else {
-        parts.push(vec![name, brush.span(Role::Muted, " not found")]);
-    }
+        None if is_emptied => (KEPT, Role::Warning, "empty (being written?)".to_owned()),
+        None if !file.is_read() => (FILE, Role::Muted, "…".to_owned()),
+        // A file that was there is missed.
+        None if !file.is_there() && file.has_valid_content() => {
+            (WARNING, Role::Warning, "not found".to_owned())
+        }
+        None if !file.is_there() => (FILE, Role::Muted, "not found".to_owned()),
+        None => {
+            let (rank, role, sign) = match findings {
+                0 => (FILE, Role::FileOk, "✓".to_owned()),
+                _ => (WARNING, Role::Warning, format!("! {findings}")),
+            };
+            let words = match (whole, entries, findings) {
+                (false, _, 1..) => String::new(),
+                (false, ..) => format!(" {entries}"),
+                (true, 1, 0) => " 1 entry".to_owned(),
+                (true, _, 0) => format!(" {entries} entries"),
+                (true, 1, _) => " in 1 entry".to_owned(),
+                (true, ..) => format!(" in {entries} entries"),
+            };
+            let name = brush.span(Role::Title, format!("{} ", file.name()));
+            let words = brush.span(Role::Text, words);
+            return vec![Part::new(rank, vec![name, brush.span(role, sign), words])];
+        }
+    };
+    let name = brush.span(Role::Title, format!("{} ", file.name()));
+    let mut parts = vec![Part::cut_to(24, rank, vec![name, brush.span(role, text)])];
+    parts.extend(
+        more.filter(|_| whole)
+            .map(|(rank, text)| Part::new(rank, vec![brush.span(Role::Muted, text)])),
+    );
     parts
 }

@@ -2,7 +2,7 @@
 //! and the title of the details; and the divider in front of the details.
 
 use super::brush::{DrawContext, fit};
-use crate::app::{Focus, Page, RowKey, tabs};
+use crate::app::{Focus, Page, RowKey};
 use crate::theme::Role;
 use ratatui::layout::Rect;
 use ratatui::text::Line;
@@ -20,7 +20,7 @@ pub fn draw(brush: &mut DrawContext) {
     brush.rule(area, Role::Border);
     let open = brush.app.view().page;
     let mut end = 0;
-    for (page, start, text) in tabs(area.width, open, brush.app.counts()) {
+    for (page, start, text) in brush.screen.tabs(open, brush.app.counts()) {
         let role = if page == open { Role::TabActive } else { Role::Tab };
         end = start + text.width() as u16;
         let at = Rect { x: area.x + start, width: area.width.saturating_sub(start), ..area };
@@ -81,8 +81,8 @@ pub fn draw(brush: &mut DrawContext) {
         let used = name.width.min(line.width() as u16) + 1;
         at = Rect { x: at.x + used, width: at.width.saturating_sub(used), ..at };
     }
-    if let Some(text) = shown {
-        let room = usize::from(at.width.saturating_sub(2));
+    let room = usize::from(at.width.saturating_sub(2));
+    if let Some(text) = shown.filter(|text| room >= text.width().min(LEAST)) {
         let text = if text.width() > room { fit(&text, room) } else { text };
         let width = text.width() as u16;
         let line = Line::from(brush.span(Role::Match, text));
@@ -102,7 +102,11 @@ fn title(brush: &DrawContext) -> Option<String> {
                 _ => name,
             })
         }
-        Page::Problems => app.selected_problem().map(|problem| problem.title()),
+        // The addresses first: the end is cut.
+        Page::Problems => app.selected_problem().map(|problem| {
+            let places = problem.addresses().into_iter().map(|address| format!("@{address}"));
+            places.chain([problem.headline().into_owned()]).collect::<Vec<String>>().join(" ")
+        }),
         Page::Traffic => Some("Frame".to_owned()),
         Page::Timeline => None,
     }

@@ -1,6 +1,6 @@
 //! Page 3, Timeline: an event per line, newest at the bottom; and its latest lines below Devices.
 
-use super::brush::{DrawContext, bus_cell, cut, end_of, fit};
+use super::brush::{DrawContext, bus_cell, bus_label, cut, fit};
 use crate::app::{Page, TimelineEntry, TimelineKind, format_time_of_day};
 use crate::theme::Role;
 use ratatui::text::Line;
@@ -129,8 +129,8 @@ fn source(brush: &DrawContext, entry: &TimelineEntry, width: usize) -> String {
         }
         (None, Some(address)) => format!("? @{address}"),
         (Some(name), None) if entry.bus.is_none() => name.quoted().to_string(),
-        _ => match entry.bus.and_then(|bus| app.bus(bus)) {
-            Some(bus) => end_of(bus.name_without_rates(), width),
+        _ => match entry.bus {
+            Some(bus) => bus_label(app, bus, width),
             None => app.file().name(),
         },
     }

@@ -123,7 +123,11 @@ fn frame_line(
 /// Returns sender, receiver and service; for a frame without them the identifier.
 fn route(brush: &DrawContext, frame: &Frame, decoded: &Decoded, role: Role) -> Vec<Span<'static>> {
     if decoded.header.is_none() {
-        return vec![brush.span(role, format!("{} ", fit(&frame.id.to_string(), 2 * NAME + 6)))];
+        let id = match frame.kind {
+            FrameKind::Error => decoded.kind.to_owned(),
+            _ => frame.id.to_string(),
+        };
+        return vec![brush.span(role, format!("{} ", fit(&id, 2 * NAME + 6)))];
     }
     vec![
         brush.span(role, fit_right(&decoded.source, NAME)),
@@ -370,9 +374,7 @@ fn identifier_line(
     let bytes = first_bytes(row.last.data());
     let role = if decoded.is_error { Role::Error } else { Role::Text };
     if left > 17 + 12 {
-        // Text that is too long takes the blanks behind a short frame.
-        let most = left.saturating_sub(bytes.width() + 2);
-        let width = decoded.text.width().clamp(left - 18, most.max(left - 18));
+        let width = left - bytes.width() - 1;
         spans.push(brush.span(role, format!("{} ", fit(&decoded.text, width))));
         spans.push(brush.span(Role::Muted, bytes));
     } else {

@@ -417,7 +417,7 @@ fn log_is_paused_stepped_and_resumed_by_keys() {
     }
     std::fs::write(&path, &log).unwrap();
     let mut pty = Pty::start(&["file:session.log"], folder.path(), SMALL);
-    pty.wait_for("can7  open  0:0");
+    pty.wait_for("can7  log 0:0");
     pty.send("P");
     pty.wait_for("PAUSED 0:0");
     pty.send(">");
@@ -429,13 +429,13 @@ fn log_is_paused_stepped_and_resumed_by_keys() {
     pty.send("]]]]]]]]]]]]");
     pty.wait_for("PAUSED 2:00 3% ×4096");
     pty.send("[P");
-    pty.wait_for("end of log  1:39:00 100% ×2048");
+    pty.wait_for("end of log 1:39:00 ×2048");
     // At the end of the log descan keeps running and reads new lines.
     let mut file = std::fs::File::options().append(true).open(&path).unwrap();
     let second = 1_436_509_052 + 100 * 60;
     let line = format!("({second}.100000) can7 07283C01#8AFA6C9724120400\n");
     std::io::Write::write_all(&mut file, line.as_bytes()).unwrap();
-    pty.wait_for("can7  open  1:40:0");
+    pty.wait_for("can7  log 1:40:0");
     pty.wait_for("20 ?");
     pty.send("?");
     pty.wait_for("Help");

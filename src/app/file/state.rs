@@ -155,6 +155,11 @@ impl FileState {
         self.disk.is_some()
     }
 
+    /// Returns true if an edit can be undone.
+    pub fn can_undo(&self) -> bool {
+        !self.undo.is_empty()
+    }
+
     /// Problem that prevents reading or saving; `None` for a usable file.
     pub fn problem(&self) -> Option<&FileError> {
         self.problem.as_ref()

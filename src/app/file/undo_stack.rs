@@ -47,6 +47,11 @@ impl UndoStep {
 pub(super) struct UndoStack(Vec<UndoStep>);
 
 impl UndoStack {
+    /// Returns true if no step is left.
+    pub(super) fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
     /// Pushes a step whose result is `before`.
     pub(super) fn push(&mut self, step: UndoStep, before: &Document) {
         if self.0.len() == MOST {

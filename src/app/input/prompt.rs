@@ -159,11 +159,6 @@ impl PromptKind {
         self.logic().short_label()
     }
 
-    /// Returns true if the line is a path, of which both ends must be visible.
-    pub const fn is_path(&self) -> bool {
-        matches!(self, PromptKind::CapturePath(_) | PromptKind::CopyPath(_))
-    }
-
     /// Returns true if the prompt edits des.json.
     pub const fn is_edit(&self) -> bool {
         matches!(self, PromptKind::Address(_) | PromptKind::Rename(_) | PromptKind::NewEntry(_))

@@ -418,11 +418,7 @@ impl NewEntryPrompt {
 
 impl PromptLogic for NewEntryPrompt {
     fn label(&self) -> &'static str {
-        "new entry: name address"
-    }
-
-    fn short_label(&self) -> &'static str {
-        "name address"
+        "new entry"
     }
 
     fn edit_target(&self, _context: PromptContext) -> EditTarget {

@@ -14,7 +14,7 @@ pub use cursor::Selection;
 pub use evidence::EvidenceView;
 pub use page::{Focus, Frozen, Page};
 pub use rows::{Counts, FileStatus, Row, RowKey, RowState, SortBy};
-pub use screen::{SPLIT_WIDTH, Screen, tabs};
+pub use screen::{SPLIT_WIDTH, Screen};
 
 use super::capture::IdentifierKey;
 use super::problems::{EvidenceItem, ProblemKey};

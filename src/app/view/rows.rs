@@ -193,4 +193,6 @@ pub struct Counts {
     pub suspected: usize,
     /// Muted problems.
     pub muted: usize,
+    /// True if des.json cannot be used.
+    pub is_file_broken: bool,
 }

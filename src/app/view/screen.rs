@@ -48,6 +48,9 @@ pub struct Screen {
 /// Least width with details beside the list, in columns.
 pub const SPLIT_WIDTH: u16 = 76;
 
+/// Width from which all tabs have their titles, in columns.
+const NARROW: u16 = 60;
+
 /// Least height with the details of a frame below the list of frames, in lines.
 const SPLIT_HEIGHT: u16 = 18;
 
@@ -111,6 +114,13 @@ impl Screen {
         usize::from(self.list.height)
     }
 
+    /// Returns the tabs; beside the title of details in the place of the list only the open page
+    /// has its own.
+    pub fn tabs(&self, open: Page, counts: Counts) -> Vec<(Page, u16, String)> {
+        let columns = self.whole.width;
+        tabs(if self.details_alone() { columns.min(NARROW - 1) } else { columns }, open, counts)
+    }
+
     /// Returns true if the details take the place of the list.
     pub fn details_alone(&self) -> bool {
         self.list.height == 0 && self.details.height > 0
@@ -132,9 +142,9 @@ fn take_bottom(area: &mut Rect, lines: u16) -> Rect {
 }
 
 /// Returns page, first column and text of each tab. On a narrow screen only the open page has its
-/// title, the others their number, and confirmed and suspected problems are counted separately.
-pub fn tabs(columns: u16, open: Page, counts: Counts) -> Vec<(Page, u16, String)> {
-    let (narrow, wide) = (columns < 60, columns >= 100);
+/// title, the others their number, and confirmed and suspected problems are counted separately. A file that cannot be used is marked.
+fn tabs(columns: u16, open: Page, counts: Counts) -> Vec<(Page, u16, String)> {
+    let (narrow, wide) = (columns < NARROW, columns >= 100);
     let mut at = u16::from(wide);
     Page::ALL
         .into_iter()
@@ -153,6 +163,9 @@ pub fn tabs(columns: u16, open: Page, counts: Counts) -> Vec<(Page, u16, String)
                 }
             } else if page == Page::Problems && all > 0 {
                 let _ = write!(text, "{all} ");
+            }
+            if page == Page::Problems && counts.is_file_broken {
+                text.push_str("✗ ");
             }
             let start = at;
             at += text.chars().count() as u16 + u16::from(wide);

@@ -305,16 +305,17 @@ fn long_name_is_cut_before_the_file_status() {
         stage.until(9.0).size(40, 10);
         let first = |stage: &Stage| stage.screen().lines().next().unwrap_or_default().to_owned();
         let line = first(&stage);
-        assert!(line.contains("125k") && line.contains("● 5"), "{line}");
+        assert!(line.contains("● 5"), "{line}");
         stage.refusal = Some("mounted read-only".to_owned());
         stage.keys("e").text("100").keys("Enter");
         let line = first(&stage);
         assert!(line.contains("des.json ✗ not saved"), "{line}");
         assert!(line.contains(&short[short.len() - 4..]), "{line}");
         stage.write(&BOILER.replace("\"address\": 10", "\"address\": 99")).keys("Esc");
-        assert!(first(&stage).contains("✗ conflict"), "{}", stage.screen());
+        assert!(first(&stage).contains("✗ edit conflict"), "{}", stage.screen());
         // With enough space, nothing is cut off.
-        assert!(stage.size(120, 10).screen().contains(bus));
+        let whole = &bus[bus.len().saturating_sub(36)..];
+        assert!(stage.size(120, 10).screen().contains(whole));
     }
 }
 
@@ -379,4 +380,95 @@ fn remedy_is_never_cut() {
         );
         assert!(columns < 118 || screen.contains("last valid: 5 "), "{screen}");
     }
+}
+
+/// Sizes of a terminal on which the status has one line, or two.
+const SIZES: [(u16, u16); 9] =
+    [(40, 10), (45, 10), (52, 12), (60, 12), (60, 16), (72, 20), (80, 10), (80, 24), (120, 40)];
+
+/// Puts the app into a state.
+type Change<'a> = &'a dyn Fn(&mut Stage);
+
+/// Returns the status lines: all above the names of the pages.
+fn status(stage: &Stage) -> String {
+    let screen = stage.screen();
+    let lines = screen.lines().take_while(|line| !line.contains("1 Devices"));
+    lines.collect::<Vec<_>>().join("\n")
+}
+
+#[test]
+fn status_never_drops_what_is_not_normal() {
+    let config = Config { seed: 7, listen_only: true, ..Config::default() };
+    let boiler = Scenario::builtin("boiler").unwrap();
+    let frozen = |stage: &mut Stage| {
+        stage.keys("Space");
+    };
+    let paused = |stage: &mut Stage| {
+        let playback = Playback { speed: 2.0, is_paused: true, is_ended: false };
+        stage.app.handle_playback(stage.app.now(), playback);
+        let status = BusStatus { link: Link::Up, percent: Some(40), ..BusStatus::default() };
+        stage.app.handle_bus(stage.app.now(), BusIndex(0), status);
+    };
+    let listening = |_: &mut Stage| {};
+    let broken = |stage: &mut Stage| {
+        stage.write("[{ \"name\": }");
+    };
+    let deleted = |stage: &mut Stage| {
+        stage.remove();
+    };
+    let cases: [(Change, &str); 5] = [
+        (&frozen, "FROZEN"),
+        (&paused, "log PAUSED 0:45 40% ×2"),
+        (&listening, "listen-only, acks"),
+        (&broken, "des.json ✗ "),
+        (&deleted, "des.json not found"),
+    ];
+    for (at, (happens, shown)) in cases.into_iter().enumerate() {
+        let config = if at == 2 { config.clone() } else { Config { seed: 7, ..Config::default() } };
+        let mut stage = Stage::with(&boiler, Some(BOILER), config);
+        stage.app.name_bus(BusIndex(0), "sim:../scenarios/boiler.toml".to_owned());
+        stage.until(45.0);
+        happens(&mut stage);
+        let confirmed = stage.app.counts().confirmed;
+        assert!(confirmed > 0);
+        for (columns, rows) in SIZES {
+            let status = status(stage.size(columns, rows));
+            assert!(status.contains(shown), "{columns}×{rows}\n{status}");
+            assert!(status.contains(&format!("⚠ {confirmed}")), "{columns}×{rows}\n{status}");
+            assert!(!status.contains('…') || columns < 60, "{columns}×{rows}\n{status}");
+            // A label goes with its value.
+            for label in ["load", "err", "lost", "own"] {
+                let words: Vec<&str> = status.split_whitespace().collect();
+                let at = words.iter().position(|word| *word == label);
+                let value = at.map_or(Some(&"0"), |at| words.get(at + 1));
+                let is_value =
+                    |text: &&str| text.starts_with(|c: char| c.is_ascii_digit() || c == '≈');
+                assert!(value.is_some_and(is_value), "{columns}×{rows}\n{status}");
+            }
+        }
+    }
+}
+
+#[test]
+fn bus_label_does_not_change_with_counters() {
+    let mut stage = Stage::boiler();
+    stage.app.name_bus(BusIndex(0), "sim:boiler".to_owned());
+    stage.size(40, 10);
+    for seconds in [1.0, 9.0, 24.0, 45.0, 70.0] {
+        let status = status(stage.until(seconds));
+        assert!(status.starts_with(" boiler "), "{status}");
+    }
+}
+
+#[test]
+fn ended_log_is_not_paused() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0);
+    let now = stage.app.now();
+    stage.app.handle_playback(now, Playback { speed: 1.0, is_paused: true, is_ended: true });
+    let ended = BusStatus { link: Link::Ended, percent: Some(100), ..BusStatus::default() };
+    stage.app.handle_bus(now, BusIndex(0), ended);
+    let screen = stage.screen();
+    assert!(screen.contains("end of log 0:24 ") && !screen.contains("PAUSED"), "{screen}");
+    assert!(!screen.contains("P p"), "{screen}");
 }

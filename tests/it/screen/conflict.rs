@@ -3,6 +3,7 @@
 use super::snapshot;
 use super::with_two_unsaved_edits;
 use crate::common::harness::{BOILER, Stage};
+use descan::app::Effect;
 use descan::keymap::Key;
 
 #[test]
@@ -16,7 +17,7 @@ fn edit_conflict_shows_both_values_and_a_choice() {
     snapshot!("conflict", stage);
     assert_eq!(stage.file(), theirs, "nothing is written before the choice");
     stage.keys("Esc j");
-    assert!(stage.screen().contains("✗ conflict  Ctrl-s resolves it"), "{}", stage.screen());
+    assert!(stage.screen().contains("✗ edit conflict  Ctrl-s resolves it"), "{}", stage.screen());
     // A page opened by the user accepts a choice at once.
     stage.keys("Ctrl-s o");
     assert_eq!(stage.file(), BOILER.replace("10", "47"));
@@ -75,7 +76,7 @@ fn choice_stays_open_when_the_file_is_deleted() {
         assert!(stage.screen().contains("theirs     address 63"), "{}", stage.screen());
         let screen = stage.remove().screen();
         assert_eq!(stage.file, None, "nothing is written before the choice");
-        assert!(screen.contains("your edit  new entry NEW at 64"), "{screen}");
+        assert!(screen.contains("edit       new entry NEW at 64"), "{screen}");
         assert!(screen.contains("ours       address 64, static"), "{screen}");
         assert!(screen.contains("theirs     deleted"), "{screen}");
         stage.keys(key);
@@ -126,4 +127,21 @@ fn prompt_resumes_after_an_edit_conflict() {
     assert!(stage.screen().contains("Edit conflict"), "{}", stage.screen());
     stage.keys("t").text("0").keys("Enter");
     assert_eq!(stage.file(), BOILER.replace("10", "11").replace("12", "50"));
+}
+
+#[test]
+fn small_dialog_explains_before_it_offers_a_choice() {
+    let mut stage = Stage::boiler();
+    stage.slow_disk().until(24.0).keys("e").text("47").keys("Enter").size(40, 10);
+    stage.file = Some(BOILER.as_bytes().to_vec());
+    stage.refuse_saves().write(&BOILER.replace("10", "99"));
+    let screen = stage.screen();
+    let place = |text: &str| screen.find(text).unwrap_or_else(|| panic!("{text}\n{screen}"));
+    assert!(place("✗ edit conflict") < place("You and another"), "{screen}");
+    assert!(place("You and another") < place("ours"), "{screen}");
+    assert!(place("theirs") < place("o keep ours  t keep theirs"), "{screen}");
+    // A key without a meaning here is not ignored silently.
+    stage.keys("Esc Ctrl-s").effects.clear();
+    stage.keys("q");
+    assert_eq!(stage.effects, [Effect::Bell]);
 }

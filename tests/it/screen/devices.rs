@@ -36,7 +36,7 @@ fn missing_device_has_no_last_seen_time() {
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("4 /").text("missing").keys("Enter");
     let screen = stage.screen();
-    assert!(screen.contains("kind missing") && !screen.contains("first 12:"), "{screen}");
+    assert!(screen.contains("kind    missing") && !screen.contains("first 12:"), "{screen}");
 }
 
 #[test]

@@ -53,6 +53,10 @@ fn new_entry_is_selected_and_its_address_checked() {
 fn prompt_rejection_and_keys_are_never_cut() {
     let mut stage = Stage::boiler();
     stage.until(24.0).size(40, 10).keys("n");
+    // Nothing is wrong before something is typed.
+    let screen = stage.screen();
+    assert!(screen.contains("name, space, address") && !screen.contains('!'), "{screen}");
+    stage.keys("Space");
     assert!(stage.screen().contains("✗ name, space, address"), "{}", stage.screen());
     stage.keys("Esc e").text("128");
     assert!(stage.screen().contains("✗ not an address: 1 to 127"), "{}", stage.screen());
@@ -337,12 +341,12 @@ fn invalid_values_are_marked_in_their_rows() {
     let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some(&file));
     let screen = stage.until(24.0).keys("4 /").text("file-shape").keys("Enter").screen();
     let rows = [
-        "line 6: `address` is 300  ACT",
-        "line 6: `static` is a number  ACT",
-        "line 7: `address` is 200  DISP",
-        "line 7: `services` item 1 is a number  DISP",
-        "line 7: `services` item 2 is a number  DISP",
-        "line 8: duplicate `address`  PUMP",
+        "ACT  line 6: `address` is 300",
+        "ACT  line 6: `static` is a number",
+        "DISP  line 7: `address` is 200",
+        "DISP  line 7: `services` item 1 is a number",
+        "DISP  line 7: `services` item 2 is a number",
+        "PUMP  line 8: duplicate `address`",
         "line 9: element 6 is a number, not a device",
         "line 9: device 7 has no `name`",
         "line 9: device 8 has no `name`",
@@ -355,7 +359,7 @@ fn invalid_values_are_marked_in_their_rows() {
     // A muted finding is included, and stays muted when lines are inserted above.
     let muted = |stage: &Stage| {
         let screen = stage.screen();
-        let mut rows = screen.lines().filter(|line| line.contains("muted · line"));
+        let mut rows = screen.lines().filter(|line| line.contains("muted · "));
         (rows.next().map(str::to_owned), rows.count())
     };
     stage.keys("Ctrl-u /").keys("Ctrl-u").text("static").keys("Enter m / Ctrl-u Enter");

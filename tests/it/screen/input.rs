@@ -125,11 +125,92 @@ fn single_key_sends_only_discovery_frames() {
 fn confirmation_and_path_fit_a_narrow_screen() {
     let mut stage = Stage::boiler();
     stage.until(9.0).size(40, 10).keys("D");
-    assert!(stage.screen().contains("Delete FEED at 10?  y yes  n no"), "{}", stage.screen());
+    let words = one_line(&stage.screen());
+    let asked = "Delete the entry FEED at 10 from des.json? y yes n no";
+    assert!(words.ends_with(asked), "{}", stage.screen());
     stage.keys("n W");
     let screen = stage.screen();
     assert!(screen.contains("copy as: des-20261121-120009.json"), "{screen}");
     stage.keys("Esc w");
     let screen = stage.screen();
     assert!(screen.contains("frames to: descan-20261121-120009.log"), "{screen}");
+}
+
+/// Returns the last line of the screen.
+fn footer(stage: &Stage) -> String {
+    stage.screen().lines().last().unwrap_or_default().to_owned()
+}
+
+#[test]
+fn question_keeps_its_target_at_every_width() {
+    let mut stage = Stage::boiler();
+    stage.until(9.0).keys("D");
+    for columns in [31, 40, 50, 60, 80, 120] {
+        let words = one_line(&stage.size(columns, 10).screen());
+        let asked = "Delete the entry FEED at 10 from des.json? y yes n no";
+        assert!(words.ends_with(asked), "{columns}: {}", stage.screen());
+    }
+    stage.keys("n").file = Some(b"{".to_vec());
+    stage.keys("e").text("47").keys("Enter q").size(40, 10);
+    let words = one_line(&stage.screen());
+    assert!(words.ends_with("1 edit is not saved. Quit anyway? y yes n no"), "{}", stage.screen());
+}
+
+#[test]
+fn prompt_hint_yields_to_the_line() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0).size(40, 10).keys("R");
+    assert!(footer(&stage).ends_with("Enter renames the entry"), "{}", stage.screen());
+    stage.keys("Esc /").text("is:online name:FEED");
+    assert_eq!(footer(&stage).trim_end(), " filter: is:online name:FEED");
+    stage.text(" and more than fits");
+    let footer = footer(&stage);
+    assert!(footer.starts_with(" filter: …") && footer.ends_with("than fits"), "{footer}");
+    // A warning of the address in the row is not cut either.
+    stage.keys("Esc g e").text("30");
+    let screen = stage.screen();
+    assert!(one_line(&screen).ends_with("! 30 is used by PSU; Enter pins it anyway"), "{screen}");
+}
+
+#[test]
+fn footer_offers_only_keys_that_act() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0).size(120, 40);
+    let offers = |stage: &Stage, word: &str| footer(stage).contains(word);
+    assert!(!offers(&stage, "u undo") && offers(&stage, "/ filter"), "{}", footer(&stage));
+    stage.keys("Enter");
+    assert!(offers(&stage, "Esc back") && !offers(&stage, "Enter details"), "{}", footer(&stage));
+    stage.keys("Esc e").text("47").keys("Enter").until(31.0);
+    assert!(offers(&stage, "u undo"), "{}", footer(&stage));
+    stage.keys("2 v");
+    assert!(offers(&stage, "v frames") && !offers(&stage, "Enter"), "{}", footer(&stage));
+    let config = Config { listen_only: true, seed: 7, ..Config::default() };
+    let mut empty = Stage::with(&Scenario::new(125_000), None, config);
+    empty.until(9.0).size(120, 40).keys("4");
+    for word in ["Enter", "m mute", "p go to", "e edit"] {
+        assert!(!offers(&empty, word), "{}", footer(&empty));
+    }
+    assert!(!offers(empty.keys("1"), "e edit address"), "{}", footer(&empty));
+}
+
+#[test]
+fn right_and_left_lead_into_and_out_of_details() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("3 Right");
+    assert_eq!(stage.app.view().page, Page::Traffic);
+    stage.keys("Right");
+    assert!(stage.app.view().frame_details);
+    stage.keys("Left");
+    assert!(!stage.app.view().frame_details);
+    stage.keys("Left");
+    assert_eq!(stage.app.view().page, Page::Timeline);
+}
+
+#[test]
+fn broken_file_without_problems_opens_no_empty_details() {
+    let config = Config { listen_only: true, seed: 7, ..Config::default() };
+    let mut stage = Stage::with(&Scenario::new(125_000), Some("[{]"), config);
+    let before = stage.until(9.0).size(40, 10).keys("4").screen();
+    assert!(before.contains(" 4 Problems ✗ "), "{before}");
+    assert_eq!(stage.keys("Enter").screen(), before);
 }

@@ -33,7 +33,7 @@ fn bus_problem_names_its_bus() {
         let passive = Frame::error(0x04, &[0, 4, 0, 0, 0, 0, 0, 96]).with_time(at);
         stage.app.handle_frames(at, &[stuff, passive]);
     }
-    let screen = stage.wait_until(1.5).screen();
+    let screen = stage.wait_until(1.5).size(120, 24).screen();
     assert!(screen.contains("load ≈14%"), "{screen}");
     let status = BusStatus { link: Link::Up, bitrate: Some(125_000), ..BusStatus::default() };
     stage.app.handle_bus(stage.app.now(), BusIndex(0), status);

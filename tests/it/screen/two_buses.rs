@@ -99,7 +99,7 @@ fn equal_adapters_have_distinct_names() {
     pair.run(0..20);
     for (page, width) in [("1", 80), ("2", 80), ("3", 80), ("3", 120)] {
         let screen = pair.keys(page).screen(width, 40);
-        assert!(screen.contains("…yACM"), "{page}: {screen}");
+        assert!(screen.contains("ACM0"), "{page}: {screen}");
         let rows = screen.lines().skip(3);
         assert!(rows.clone().any(|row| row.contains("CM0 ")), "{page}: {screen}");
         assert!(rows.clone().any(|row| row.contains("CM1 ")), "{page}: {screen}");
@@ -185,4 +185,22 @@ fn entry_edited_while_a_twin_appears_is_kept() {
         "{}",
         stage.screen()
     );
+}
+
+#[test]
+fn scheme_is_dropped_before_the_name_is_cut() {
+    let scenarios = ["boiler", "drone"].map(|name| Scenario::builtin(name).unwrap());
+    let mut pair = Pair::new([&scenarios[0], &scenarios[1]]);
+    for (index, name) in [(0, "sim:boiler"), (1, "sim:drone")] {
+        pair.app.name_bus(BusIndex(index), name.to_owned());
+    }
+    pair.run(0..36);
+    for (page, width) in [("1", 80), ("2", 80), ("3", 80), ("4", 80), ("1", 60), ("4", 40)] {
+        let screen = pair.keys(page).screen(width, 40);
+        let rows = screen.lines().skip(3);
+        for name in ["boiler ", "drone "] {
+            assert!(rows.clone().any(|row| row.contains(name)), "{page}: {screen}");
+        }
+        assert!(!rows.clone().any(|row| row.contains("…oil")), "{page}: {screen}");
+    }
 }
