@@ -295,17 +295,16 @@ impl<'a> DeviceDetails<'_, 'a> {
             for extra in &service.extra {
                 line.push_span(self.brush.span(Role::Muted, format!(" {extra}")));
             }
-            if let Some(was) = before(device, service) {
-                line.push_span(self.brush.span(Role::Warning, format!("  was {was}")));
-            } else {
-                match in_file(listed, service) {
-                    InFile::Same => {}
-                    InFile::New => line.push_span(self.brush.span(Role::New, "  + new")),
-                    InFile::Other(version) => {
-                        let text = format!("  ✗ {version}");
-                        line.push_span(self.brush.span(Role::FileDiffers, text));
-                    }
+            match in_file(listed, service) {
+                InFile::Same => {}
+                InFile::New => line.push_span(self.brush.span(Role::New, "  + new")),
+                InFile::Other(version) => {
+                    let text = format!("  ✗ {version}");
+                    line.push_span(self.brush.span(Role::FileDiffers, text));
                 }
+            }
+            if let Some(was) = before(device, service) {
+                line.push_span(self.brush.span(Role::Warning, format!(" was {was}")));
             }
             self.lines.push(line);
         }
@@ -397,8 +396,9 @@ impl<'a> DeviceDetails<'_, 'a> {
         let at = |time| clock(self.app(), time);
         match (query.responded_at, query.sent_at) {
             (Some(answered), _) => {
-                let took = query.took.map(|took| format!(" in {} ms", took.as_millis()));
-                Some(format!("{what} {}{}", at(answered), took.unwrap_or_default()))
+                // Number and unit first: they stay on one line.
+                let took = query.took.map(|took| format!("{} ms at ", took.as_millis()));
+                Some(format!("{what} {}{}", took.unwrap_or_default(), at(answered)))
             }
             (None, Some(asked)) => {
                 Some(format!("{what} ×{}, last {}, no response", query.attempts, at(asked)))
