@@ -66,7 +66,7 @@ impl DeviceRows {
         let before = std::mem::replace(&mut self.rows, rows);
         self.follow_selection(&before, view);
         let height = view.screen(facts.buses.len()).list_rows();
-        view.devices.settle(&self.keys(), height);
+        view.devices.keep(&self.keys(), height);
     }
 
     /// Moves the selection with its device to another row: a listed device appears, or a lost one

@@ -286,6 +286,8 @@ impl App {
             }
             Change::Content if !by_others.is_empty() => None,
             Change::Content => Some((TimelineKind::File, format!("changed on disk: {listed}"))),
+            // The user decided an edit conflict for the file, or both made the same change.
+            Change::Rebased if file.unsaved() == 0 => None,
             Change::Rebased => {
                 Some((TimelineKind::File, "changed on disk; your edits are reapplied".to_owned()))
             }

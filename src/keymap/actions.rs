@@ -101,6 +101,13 @@ impl Action {
         matches!(self, Action::EditAddress | Action::NewEntry | Action::Rename)
     }
 
+    /// Returns true if the action edits des.json or sends frames: not while the view is frozen.
+    pub fn edits_or_sends(self) -> bool {
+        use Action::{Add, AddAll, DeleteEntry, EditAddress, NewEntry, Redo, Rename, Undo};
+        matches!(self, EditAddress | Add | AddAll | NewEntry | Rename | DeleteEntry | Undo | Redo)
+            || matches!(self, Action::Rescan | Action::Identify)
+    }
+
     /// Returns true if the keys of the action also apply while a prompt is open.
     pub fn is_global(self) -> bool {
         matches!(self, Action::QuitNow | Action::Suspend | Action::Redraw)
