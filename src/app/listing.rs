@@ -5,12 +5,12 @@
 use super::Facts;
 use super::buses::Buses;
 use crate::discovery::{Confidence, Device, DeviceService};
-use crate::document::{Entry, ListedService, NewEntry, Operation};
+use crate::document::{Document, Entry, ListedService, NewEntry, Operation};
 use crate::text::{Escaped, Name};
 
 /// Entry of des.json for a device, with its present address, not pinned; `None` while its name is
 /// not known.
-pub fn new_entry(buses: &Buses, device: &Device) -> Option<NewEntry> {
+pub fn new_entry(buses: &Buses, document: &Document, device: &Device) -> Option<NewEntry> {
     let bus = buses.get(device.id.bus)?;
     let alphabet = &bus.config().profile.uid;
     // At a shared address the last UID may be the other device's.
@@ -25,7 +25,7 @@ pub fn new_entry(buses: &Buses, device: &Device) -> Option<NewEntry> {
         name: device.name.as_ref()?.as_bytes().to_vec(),
         address: Some(device.address.number()).filter(|address| *address > 0),
         is_static: false,
-        bus: buses.entry_bus(Some(device.id.bus)),
+        bus: buses.entry_bus(document, Some(device.id.bus)),
         uid: uid.filter(|uid| !uid.trim().is_empty()),
         services: listed_services(device),
     })
@@ -36,7 +36,7 @@ pub fn new_entry(buses: &Buses, device: &Device) -> Option<NewEntry> {
 pub(super) fn update_operation(facts: Facts, device: &Device) -> Option<Operation> {
     let document = facts.file.document();
     let Some(at) = facts.matching.entry_of(device.id) else {
-        return Some(Operation::Add { entry: new_entry(facts.buses, device)? });
+        return Some(Operation::Add { entry: new_entry(facts.buses, document, device)? });
     };
     let own = device.services.as_ref()?;
     let entry = &document.entries()[at];

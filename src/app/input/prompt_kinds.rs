@@ -255,7 +255,7 @@ impl PromptLogic for AddressPrompt {
             }
             (Some(to), None) => match self.key {
                 RowKey::Device(id) => context.buses.device(id).and_then(|device| {
-                    let mut entry = new_entry(context.buses, device)?;
+                    let mut entry = new_entry(context.buses, context.file.document(), device)?;
                     (entry.address, entry.is_static) = (Some(to), true);
                     Some(Operation::Add { entry })
                 }),
@@ -388,7 +388,7 @@ impl NewEntryPrompt {
             Ok(split) => split,
             Err(why) => return C::Rejected(why.to_owned()),
         };
-        let bus = context.buses.entry_bus(context.selected_bus);
+        let bus = context.buses.entry_bus(context.file.document(), context.selected_bus);
         let exists = |entry: &&Entry| entry.name == name && entry.address == address;
         if let Some(other) = context.file.document().entries().iter().find(exists) {
             let line = other.position.line;
@@ -439,7 +439,7 @@ impl PromptLogic for NewEntryPrompt {
 
     fn commit(&self, text: &str, context: PromptContext) -> PromptOutcome {
         let Ok((name, address)) = split_new_entry(text) else { return PromptOutcome::Nothing };
-        let bus = context.buses.entry_bus(context.selected_bus);
+        let bus = context.buses.entry_bus(context.file.document(), context.selected_bus);
         let is_static = address.is_some();
         let entry = NewEntry { name, address, is_static, bus, ..NewEntry::default() };
         PromptOutcome::AddEntry(entry)

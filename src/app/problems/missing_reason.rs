@@ -54,11 +54,10 @@ impl Facts<'_> {
     }
 
     fn why_on(&self, index: BusIndex, bus: &Bus, entry: &Entry) -> Vec<String> {
-        let mut reasons = Vec::new();
-        why_bus(bus, &mut reasons);
-        if !reasons.is_empty() {
-            return reasons;
+        if let Some(obstacle) = bus_obstacle(bus) {
+            return vec![obstacle];
         }
+        let mut reasons = Vec::new();
         let mut elsewhere = Vec::new();
         let mut taken = Vec::new();
         for device in bus.devices() {
@@ -146,7 +145,7 @@ impl Facts<'_> {
         if let Some(bus) = self.buses.get(device.id.bus)
             && (!device.is_present() || bus.is_blind())
         {
-            why_bus(bus, &mut reasons);
+            reasons.extend(bus_obstacle(bus));
         }
         if device.name.is_none() && !device.is_debug {
             reasons.extend(self.why_unnamed(device));
@@ -231,31 +230,26 @@ fn device_name(device: &Device) -> String {
     }
 }
 
-fn why_bus(bus: &Bus, reasons: &mut Vec<String>) {
+/// The reason why nothing can be received or sent on a bus; `None` if both is possible.
+pub fn bus_obstacle(bus: &Bus) -> Option<String> {
     let name = &bus.name;
-    match (bus.status.link, bus.status.state) {
-        (Link::Opening, _) => reasons.push(format!("{name} is opening")),
-        (link, _) if !matches!(link, Link::Up | Link::Ended) => {
-            reasons.push(match &bus.status.message {
-                Some(message) => Escaped(message.as_bytes()).to_string(),
-                None => format!("{name} is down"),
-            });
-        }
-        (_, BusState::BusOff) => {
-            reasons.push(format!("{name} is bus-off: nothing is received"));
-        }
-        (_, BusState::Stopped) => reasons.push(format!("{name} is stopped")),
-        _ => {}
-    }
-    match bus.tx_blocked() {
-        Some(TxBlocked::QueueFull) => {
-            reasons.push(format!("cannot send requests: transmit queue of {name} is stuck"));
-        }
-        Some(TxBlocked::Unacknowledged) => {
-            reasons.push(format!("no ACK on {name}: no other node, wrong bit rate or broken wire"));
-        }
-        None => {}
-    }
+    Some(match (bus.status.link, bus.status.state) {
+        (Link::Opening, _) => format!("{name} is opening"),
+        (link, _) if !matches!(link, Link::Up | Link::Ended) => match &bus.status.message {
+            Some(message) => Escaped(message.as_bytes()).to_string(),
+            None => format!("{name} is down"),
+        },
+        (_, BusState::BusOff) => format!("{name} is bus-off: nothing is received"),
+        (_, BusState::Stopped) => format!("{name} is stopped"),
+        _ => match bus.tx_blocked()? {
+            TxBlocked::QueueFull => {
+                format!("cannot send requests: transmit queue of {name} is stuck")
+            }
+            TxBlocked::Unacknowledged => {
+                format!("no ACK on {name}: no other node, wrong bit rate or broken wire")
+            }
+        },
+    })
 }
 
 fn asked(attempts: u32) -> String {

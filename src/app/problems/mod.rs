@@ -12,7 +12,7 @@ mod missing_reason;
 pub use comparison::Scope;
 pub use group::{EvidenceItem, Problem, ProblemKey};
 pub use matching::{Matching, is_for};
-pub use missing_reason::spell;
+pub use missing_reason::{bus_obstacle, spell};
 
 use super::Facts;
 use super::buses::Buses;
