@@ -29,6 +29,7 @@ use unicode_width::UnicodeWidthStr;
 /// Runs it.
 pub fn run(watch: &WatchArgs) -> Result<u8, Failure> {
     let buses = open::buses(&watch.session)?;
+    open::check_speed(watch.speed, &buses)?;
     let mut setup = Setup::new(&watch.session.common)?;
     let interest = watch.filter.as_deref().map(Filter::parse).unwrap_or_default();
     if let Some(mistake) = interest.error() {
@@ -44,7 +45,7 @@ pub fn run(watch: &WatchArgs) -> Result<u8, Failure> {
     let limits = Limits { time: watch.time, from: watch.from, while_read: true, stuck: EXIT_OK };
     let mut event_writer = EventWriter { json: watch.json, text: Vec::new() };
     if let Some(log) = open::log(&buses, "watch", watch.from)? {
-        let pace = watch.session.speed.map(LogPace::Timed);
+        let pace = watch.speed.map(LogPace::Timed);
         headless::run(RunInput::Log(log, pace), &setup, options, limits, |session| {
             event_writer.write_events(&mut session.app)?;
             Ok(ControlFlow::Continue(()))
