@@ -145,6 +145,12 @@ impl LogFormat {
         rows.collect::<Vec<_>>().join(", ")
     }
 
+    /// Returns the usual ending of each format: `.log or .pcapng`.
+    pub fn usual_endings() -> String {
+        let endings = FORMATS.iter().filter_map(|it| Some(format!(".{}", it.endings.first()?)));
+        endings.collect::<Vec<_>>().join(" or ")
+    }
+
     /// Returns a new encoder of this format.
     pub fn encoder(&self) -> Box<dyn LogEncoder> {
         (self.encoder)()

@@ -11,8 +11,9 @@ use crate::app::problems::is_for;
 use crate::app::view::{Page, RowKey};
 use crate::discovery::DeviceId;
 use crate::document::{Document, Entry, EntryKey, NewEntry, Operation};
+use crate::log::LogFormat;
 use crate::text::Quoted;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Effect of Enter after the file was deleted or emptied while the user typed.
 const CREATES_FILE: &str = "Enter creates a new file";
@@ -464,9 +465,10 @@ impl PromptLogic for CapturePathPrompt {
     }
 
     fn validate(&self, text: &str, context: PromptContext) -> C {
-        match text {
-            "" => C::Rejected(NO_PATH.to_owned()),
-            _ => C::Accepted(format!("{} frames, candump format", context.frames)),
+        match LogFormat::of(Path::new(text)) {
+            _ if text.is_empty() => C::Rejected(NO_PATH.to_owned()),
+            Ok(format) => C::Accepted(format!("{} frames, {}", context.frames, format.purpose)),
+            Err(_) => C::Rejected(format!("use the ending {}", LogFormat::usual_endings())),
         }
     }
 
