@@ -244,7 +244,7 @@ impl fmt::Display for ErrorReport {
             between = ", ";
         }
         if let Some((transmit, receive)) = self.counters() {
-            write!(f, "{between}error counters tx {transmit}, rx {receive}")?;
+            write!(f, "{between}TEC {transmit}, REC {receive}")?;
             between = ", ";
         }
         if between.is_empty() { f.write_str("error frame") } else { Ok(()) }
@@ -278,7 +278,7 @@ mod tests {
                 PROTOCOL | BUS_ERROR | COUNTERS,
                 [0, 0, STUFF | WHILE_SENDING, 0x0A, 0, 0, 8, 0],
                 "protocol violation, bus error, stuff, while transmitting, in the data, error \
-                 counters tx 8, rx 0",
+                 TEC 8, REC 0",
             ),
             (LOST_ARBITRATION, [12, 0, 0, 0, 0, 0, 0, 0], "arbitration lost, at bit 12"),
             (LOST_ARBITRATION, [0; 8], "arbitration lost"),
@@ -287,11 +287,7 @@ mod tests {
                 [0, 0, 0, 0, 0x74, 0, 0, 0],
                 "transceiver, CANH not connected, CANL shorted to ground",
             ),
-            (
-                BUS_OFF | COUNTERS,
-                [0, 0, 0, 0, 0, 0, 255, 3],
-                "bus-off, error counters tx 255, rx 3",
-            ),
+            (BUS_OFF | COUNTERS, [0, 0, 0, 0, 0, 0, 255, 3], "bus-off, TEC 255, REC 3"),
             (RESTARTED, [0; 8], "controller restarted"),
             (NO_ACKNOWLEDGE | BUS_ERROR, [0; 8], "no ACK, bus error"),
             (0, [0; 8], "error frame"),

@@ -17,6 +17,7 @@ use crate::discovery::{Device, DeviceId, OwnAddress};
 use crate::document::{EntryKey, Operation};
 use crate::frame::{BusIndex, Frame};
 use crate::keymap::{Action, Key, KeyMode};
+use crate::log::LogFormat;
 use crate::wire::id::{Header, Service};
 
 impl App {
@@ -146,7 +147,7 @@ impl App {
     /// Undoes the last edit.
     pub(super) fn undo(&mut self) {
         match self.editor.file.undo() {
-            Ok(name) => self.edited(&format!("undid: {name}")),
+            Ok(name) => self.edited(&format!("undone: {name}")),
             Err(refusal) => self.file_error(refusal.to_string()),
         }
     }
@@ -154,7 +155,7 @@ impl App {
     /// Redoes the edit that was undone last.
     pub(super) fn redo(&mut self) {
         match self.editor.file.redo() {
-            Ok(name) => self.edited(&format!("redid: {name}")),
+            Ok(name) => self.edited(&format!("redone: {name}")),
             Err(refusal) => self.file_error(refusal.to_string()),
         }
     }
@@ -351,8 +352,13 @@ impl App {
             }
             PromptOutcome::FileInfo(text) => self.file_info(text),
             PromptOutcome::SaveCapture(path) => {
-                let log = self.traffic.candump_log(&self.buses, self.clock.epoch());
-                self.effects.push_back(Effect::WriteFile { path, bytes: log.into_bytes() });
+                let format = LogFormat::of(&path).map_err(std::io::Error::other);
+                let log =
+                    format.and_then(|it| self.traffic.log(&self.buses, self.clock.epoch(), it));
+                match log {
+                    Ok(bytes) => self.effects.push_back(Effect::WriteFile { path, bytes }),
+                    Err(error) => self.show_error(format!("not saved: {error}")),
+                }
             }
             PromptOutcome::SaveCopy(path) => {
                 let bytes = self.editor.start_copy(path.clone());

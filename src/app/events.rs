@@ -3,7 +3,7 @@
 //! Does not judge: the engines did.
 
 use super::buses::Redundancy;
-use super::file::Change;
+use super::file::{Change, FileProblem};
 use super::input::Overlay;
 use super::notices::{
     TimelineEntry, TimelineKind, event_text, finding_line, join_lines, join_short,
@@ -12,7 +12,9 @@ use super::problems::ProblemKey;
 use super::{App, AppEvent, Effect};
 use crate::discovery::{DeviceId, Event, EventKind, Finding};
 use crate::frame::BusIndex;
+use crate::keymap::Action;
 use crate::status::{BusStatus, RecordingStatus};
+use std::fmt::Write;
 
 /// Document findings that get a line of their own when the file changes.
 const LISTED_FINDINGS: usize = 20;
@@ -212,8 +214,11 @@ impl App {
         let lines = self.file_lines(change);
         if change == Change::Broken {
             let (name, problem) = (self.editor.file.name(), self.editor.file.problem());
-            let whole = problem.map(|problem| problem.of_file(&name));
-            self.file_error(whole.unwrap_or_default());
+            let mut whole = problem.map(|it| it.of_file(&name)).unwrap_or_default();
+            if problem.is_some_and(FileProblem::is_not_saved) {
+                let _ = write!(whole, "; {} saves a copy", self.key_of(Action::SaveCopy));
+            }
+            self.file_error(whole);
         }
         if change == Change::Conflict {
             self.show_conflict();
@@ -227,7 +232,7 @@ impl App {
         }
         is_of_interest &= self.notices.emits_events();
         let problem = self.editor.file.problem().filter(|_| change == Change::Broken);
-        let excerpt = problem.and_then(super::file::FileProblem::excerpt);
+        let excerpt = problem.and_then(FileProblem::excerpt);
         // The excerpt is read as a whole: the event filter applies to the lines before it.
         for text in excerpt.into_iter().flatten() {
             let line = TimelineEntry::new(now, TimelineKind::Error, text);

@@ -177,7 +177,7 @@ actions! {
         ClearLost "clear-lost" "Remove lost devices from the list" "clear lost" ["c"];
         Identify "identify" "Send identify: blink or beep (confirms; needs a profile)" "identify" ["i"];
         BitRate "bit-rate" "Search the bit rate, listen-only (confirms; needs root)" "bit rate" ["b"];
-        SaveCapture "save-capture" "Save the captured frames as a candump log" "save log" ["w"];
+        SaveCapture "save-capture" "Save the captured frames (.log or .pcapng)" "save log" ["w"];
     }
     Browse Log: {
         Pause "pause" "Pause or resume the log" "" ["P"];

@@ -112,10 +112,11 @@ impl Brush<'_> {
     /// cause.
     pub fn nothing(&mut self, list: Rect, why: &str) {
         let mut lines = vec![Line::from(self.span(Role::Muted, format!("   {why}")))];
-        for bus in self.app.buses().iter().filter(|bus| bus.is_blind()) {
+        for bus in self.app.buses().iter().filter(|bus| bus.is_blind() || bus.ended.is_some()) {
             let name = Escaped(bus.name.as_bytes());
             let text = match &bus.status.message {
                 Some(message) => Escaped(message.as_bytes()).to_string(),
+                None if bus.ended.is_some() => continue,
                 None => format!("{name} is not up"),
             };
             lines.push(Line::default());

@@ -160,6 +160,10 @@ impl<'a> DeviceDetails<'_, 'a> {
         for problem in self.app().problems() {
             for finding in problem.findings.iter().filter(|finding| about(finding)) {
                 any = true;
+                // Stands at its entry, below.
+                if finding.place.is_some() {
+                    continue;
+                }
                 let (sign, role) = signs::of_confidence(finding.confidence);
                 let sure = finding.confidence == Confidence::Confirmed && !problem.is_muted;
                 let headline = problem.headline();
@@ -330,6 +334,9 @@ impl<'a> DeviceDetails<'_, 'a> {
             (FileStatus::Listed(None), _) => (Role::Text, "listed without address".to_owned()),
             (FileStatus::Listed(Some(address)), _) => {
                 (Role::Text, format!("listed, last at {address}, not static"))
+            }
+            (FileStatus::Agrees(address), _) if self.row.has_other_services => {
+                (Role::FileDiffers, format!("static {address}, services differ"))
             }
             (FileStatus::Agrees(address), _) => {
                 (Role::FileOk, format!("static {address}, matches"))

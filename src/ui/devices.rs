@@ -268,6 +268,10 @@ fn file_word(row: &Row) -> (Role, String) {
         FileStatus::Listed(None) => (Role::Muted, "  –".to_owned()),
         FileStatus::Listed(Some(address)) => (Role::Muted, format!("  {address}")),
         FileStatus::Pinned(address) => (Role::Muted, format!("… {address}")),
+        FileStatus::Agrees(address) if row.has_other_services => {
+            (Role::FileDiffers, format!("≠ {address}"))
+        }
+        FileStatus::Agrees(address) if row.is_flawed => (Role::Warning, format!("  {address}")),
         FileStatus::Agrees(address) => (Role::FileOk, format!("✓ {address}")),
         FileStatus::Differs(address) => (Role::FileDiffers, format!("✗ {address}")),
     }

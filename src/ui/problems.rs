@@ -90,7 +90,9 @@ fn problem_line(brush: &Brush, problem: &Problem, list: Rect, selected: bool) ->
         brush.span(plain, format!(" {} ", place(brush, problem))),
     ];
     if list.width >= WITH_TIME {
-        let since = clock(brush.app, problem.since());
+        let is_over = problem.confidence() == Confidence::Cleared;
+        let since = if is_over { problem.first() } else { problem.since() };
+        let since = clock(brush.app, since);
         spans.push(brush.span(Role::Muted, format!("{since} ")));
     }
     if problem.is_muted {
@@ -120,6 +122,8 @@ fn place(brush: &Brush, problem: &Problem) -> String {
     let name = problem.bus().and_then(|bus| brush.app.bus(bus)).map(|bus| bus.name.as_str());
     let (bus, address) = match (problem.head().key.address, name) {
         (Some(address), name) => (name.unwrap_or("file"), format!("@{address}")),
+        // An entry without an address.
+        (None, Some(name)) if problem.head().key.name.is_some() => (name, "–".to_owned()),
         (None, Some(name)) => (name, if bus_width(brush) > 0 { "" } else { "bus" }.to_owned()),
         (None, None) => ("file", if bus_width(brush) > 0 { "" } else { "file" }.to_owned()),
     };
@@ -182,7 +186,13 @@ impl ProblemDetails<'_, '_> {
         };
         self.lines.push(Line::from(vec![
             self.brush.span(role, format!("{sign} {word}")),
-            self.brush.span(Role::Muted, format!("since {at}, {ago}")),
+            self.brush.span(
+                Role::Muted,
+                match head.confidence {
+                    Confidence::Cleared => format!("{at}, {ago} ago"),
+                    _ => format!("since {at}, {ago}"),
+                },
+            ),
         ]));
         if self.problem.is_muted {
             let key = app.key_of(Action::Mute);
@@ -195,7 +205,8 @@ impl ProblemDetails<'_, '_> {
         let head = self.problem.head();
         let headline = self.problem.headline();
         let text = if head.text.is_empty() { &*headline } else { &head.text };
-        self.add("", Role::Text, text);
+        let was = if head.confidence == Confidence::Cleared { "was: " } else { "" };
+        self.add("", Role::Text, &format!("{was}{text}"));
         if let Some(hint) = self.problem.confirmation_hint() {
             self.lines.push(Line::default());
             self.add("? ", Role::Muted, hint);

@@ -347,7 +347,7 @@ fn own_address(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
     if bus.config().listen_only {
         return None;
     }
-    let own = if brush.screen.whole.width < 110 { "own" } else { "own addr" };
+    let own = "own";
     let label = |text: String| vec![brush.span(Role::Muted, text)];
     Some(match bus.own_address() {
         OwnAddress::Held(address) => {
@@ -501,8 +501,9 @@ fn file(brush: &Brush, whole: bool) -> Parts {
             (true, 1) => " 1 entry".to_owned(),
             (true, count) => format!(" {count} entries"),
         };
-        parts.push(vec![name, brush.span(Role::FileOk, " ✓"), brush.span(Role::Text, words)]);
         let findings = file.document().findings().len();
+        let tick = if findings == 0 { " ✓" } else { "" };
+        parts.push(vec![name, brush.span(Role::FileOk, tick), brush.span(Role::Text, words)]);
         if findings > 0 {
             parts.push(vec![brush.span(Role::Warning, format!("! {findings}"))]);
         }

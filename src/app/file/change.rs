@@ -93,8 +93,7 @@ impl FileProblem {
         match self {
             FileProblem::Syntax(error) => format!("{name}: {error}"),
             FileProblem::Unreadable(why) => format!("{name}: {why}"),
-            // Shown during edits, where the file is known.
-            FileProblem::NotSaved(why) => why.clone(),
+            FileProblem::NotSaved(why) => format!("{name} not saved: {why}"),
         }
     }
 
@@ -111,7 +110,8 @@ impl std::fmt::Display for FileProblem {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             FileProblem::Syntax(error) => error.fmt(f),
-            FileProblem::Unreadable(why) | FileProblem::NotSaved(why) => f.write_str(why),
+            FileProblem::Unreadable(why) => f.write_str(why),
+            FileProblem::NotSaved(why) => write!(f, "not saved: {why}"),
         }
     }
 }

@@ -82,9 +82,12 @@ impl Facts<'_> {
             let (name, at) = (Quoted(&entry.name), at.join(" and "));
             reasons.push(format!("{name} found at {at}{not}: ambiguous"));
         }
-        if reasons.is_empty() && !self.buses.is_search_complete(index, self.now) {
+        let is_explained = !reasons.is_empty() || entry.address.is_none() && !taken.is_empty();
+        if is_explained {
+            // Silence is no reason then.
+        } else if !self.buses.is_search_complete(index, self.now) {
             reasons.push("search still running".to_owned());
-        } else if reasons.is_empty() {
+        } else {
             why_silent(bus, entry, &mut reasons);
         }
         reasons.extend(taken.into_iter().map(|device| {

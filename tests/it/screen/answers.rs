@@ -2,10 +2,11 @@
 
 use super::{one_line, problems};
 use crate::common::harness::{BOILER, Stage};
-use descan::app::{Overlay, Page, RowState};
+use descan::app::{Effect, Overlay, Page, RowState};
 use descan::discovery::Config;
+use descan::frame::BusIndex;
 use descan::sim::{DeviceSpec, Scenario};
-use descan::status::{Link, Playback};
+use descan::status::{BusStatus, Link, Playback};
 use descan::time::Duration;
 use descan::wire::id::Address;
 
@@ -179,4 +180,123 @@ fn frozen_view_neither_edits_nor_sends() {
     stage.keys("Space e");
     assert!(stage.app.prompt().is_some());
     assert_eq!(stage.app.view().page, Page::Devices);
+}
+
+#[test]
+fn captured_frames_are_saved_in_the_format_of_the_ending() {
+    let saved = |name: &str| {
+        let mut stage = Stage::boiler();
+        stage.until(8.0).keys("w Ctrl-u").text(name).keys("Enter");
+        let bytes = stage.effects.into_iter().find_map(|effect| match effect {
+            Effect::WriteFile { bytes, .. } => Some(bytes),
+            _ => None,
+        });
+        bytes.unwrap_or_default()
+    };
+    assert!(saved("x.log").starts_with(b"("));
+    assert!(saved("x.pcapng").starts_with(&[0x0A, 0x0D, 0x0D, 0x0A]));
+    assert!(saved("x.zip").is_empty());
+}
+
+#[test]
+fn broken_log_is_explained_where_its_devices_would_be() {
+    let mut stage = Stage::new(&Scenario::new(125_000), None);
+    let why = "0 frames; 10 lines cannot be read, the first is line 1: not a line of candump -L";
+    let status =
+        BusStatus { link: Link::Ended, message: Some(why.to_owned()), ..BusStatus::default() };
+    stage.app.handle_bus(stage.app.now(), BusIndex(0), status);
+    for (columns, rows) in [(80, 24), (40, 16)] {
+        for page in ["1", "4"] {
+            let screen = stage.size(columns, rows).keys(page).screen();
+            let list = screen.lines().skip(3).map(|line| line.split('│').next().unwrap());
+            let list = one_line(&list.collect::<Vec<_>>().join(" "));
+            assert!(list.contains(why), "{screen}");
+        }
+    }
+}
+
+#[test]
+fn tick_never_stands_beside_a_difference() {
+    let file = r#"[
+  { "name": "FEED", "address": 10, "static": true, "services": [ { "name": "DES" } ] },
+  { "name": "SENS", "address": 12, "static": true, "bus": 7 },
+  { "name": "PUMP", "address": 200, "static": true }
+]"#;
+    let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some(file));
+    stage.until(24.0);
+    let screen = stage.screen();
+    for line in screen.lines().filter(|line| line.contains(['≠', '!'])) {
+        assert!(!line.contains('✓'), "{screen}");
+    }
+    assert!(screen.contains("≠ 10"), "{screen}");
+    let screen = stage.size(120, 40).keys("g j").screen();
+    assert!(!screen.contains("matches") && screen.contains("services differ"), "{screen}");
+}
+
+#[test]
+fn invalid_value_is_named_once_in_the_details() {
+    let file = r#"[ { "name": "PSU", "address": 31 }, { "name": "PSU", "address": 130 } ]"#;
+    let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some(file));
+    stage.until(24.0).size(120, 40).keys("G");
+    for _ in 0..12 {
+        let screen = one_line(&stage.screen());
+        assert!(screen.matches("is 130").count() <= 1, "{screen}");
+        stage.keys("k");
+    }
+}
+
+#[test]
+fn failed_save_names_the_file_and_the_key_of_a_copy() {
+    let mut stage = Stage::boiler();
+    stage.refusal = Some("belongs to another user".to_owned());
+    stage.until(24.0).keys("e").text("70").keys("Enter");
+    let expected = "des.json not saved: belongs to another user; W saves a copy";
+    assert_eq!(message(&stage), expected);
+    let lines: Vec<_> = stage.app.timeline().entries().map(|line| line.text.clone()).collect();
+    assert!(lines.iter().any(|line| line.starts_with("not saved: belongs to")), "{lines:?}");
+}
+
+#[test]
+fn edits_are_named_with_the_words_of_their_keys() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0);
+    assert_eq!(message(stage.keys("e Ctrl-u Enter")), "entry FEED unpinned (was 10)");
+    assert_eq!(message(stage.keys("u")), "undone: entry FEED unpinned (was 10)");
+    assert_eq!(message(stage.keys("Ctrl-r")), "redone: entry FEED unpinned (was 10)");
+    assert_eq!(message(stage.keys("D y")), "entry FEED at 10 deleted");
+    assert!(stage.size(120, 40).screen().contains("own 0"), "{}", stage.screen());
+    let mut stage = Stage::new(&Scenario::new(125_000), Some(r#"[ { "name": "PUMP" } ]"#));
+    stage.until(8.0).keys("4");
+    let screen = stage.screen();
+    assert!(
+        !screen.lines().any(|line| line.contains("bus") && line.contains("missing")),
+        "{screen}"
+    );
+}
+
+#[test]
+fn cleared_problem_is_told_in_the_past() {
+    let mut stage = Stage::boiler();
+    stage.until(130.0).keys("4 G").size(130, 40);
+    let screen = stage.screen();
+    let row = screen.lines().find(|line| line.starts_with("▸✓")).expect(&screen);
+    assert!(row.contains(" 12:00:26 "), "{row}");
+    assert!(screen.contains("✓ cleared 12:00:55, 1m14s ago"), "{screen}");
+    assert!(screen.contains("│ was: Two devices answer as ACT"), "{screen}");
+}
+
+#[test]
+fn requests_in_both_framings_and_slow_rates_are_told_apart() {
+    let mut slow = DeviceSpec::new("SLOW").fixed(30).settled();
+    slow.heartbeat = Some(Duration::from_secs(4));
+    let mut stage = Stage::new(&Scenario::new(125_000).with(slow), None);
+    stage.until(30.0).size(120, 40).keys("2");
+    let screen = stage.keys("g").screen();
+    let requests: Vec<_> = screen.lines().filter(|line| line.contains("name request")).collect();
+    let is_raw = |line: &&&str| line.contains("name request, raw") && line.contains("  44455301");
+    assert!(requests.iter().any(|line| line.contains("0444455301") && !line.contains("raw")));
+    assert!(requests.iter().any(|line| is_raw(&line)), "{screen}");
+    let screen = stage.keys("v").screen();
+    let row = screen.lines().find(|line| line.contains("WORK SLOW")).expect(&screen);
+    assert!(one_line(row).contains(" 0.2 ") || one_line(row).contains(" 0.3 "), "{screen}");
 }
