@@ -216,7 +216,10 @@ impl App {
             let (name, problem) = (self.editor.file.name(), self.editor.file.problem());
             let mut whole = problem.map(|it| it.of_file(&name)).unwrap_or_default();
             if problem.is_some_and(FileProblem::is_not_saved) {
-                let _ = write!(whole, "; {} saves a copy", self.key_of(Action::SaveCopy));
+                // The cause may advise it already.
+                let advice =
+                    if whole.contains("save a copy") { " with" } else { "; save a copy with" };
+                let _ = write!(whole, "{advice} {}", self.key_of(Action::SaveCopy));
             }
             self.file_error(whole);
         }

@@ -347,22 +347,18 @@ fn own_address(brush: &Brush, bus: &Bus) -> Option<Vec<Span<'static>>> {
     if bus.config().listen_only {
         return None;
     }
-    let own = "own";
     let label = |text: String| vec![brush.span(Role::Muted, text)];
     Some(match bus.own_address() {
         OwnAddress::Held(address) => {
-            vec![
-                brush.span(Role::Muted, format!("{own} ")),
-                brush.span(Role::Text, address.to_string()),
-            ]
+            vec![brush.span(Role::Muted, "own "), brush.span(Role::Text, address.to_string())]
         }
         OwnAddress::Blocked(Some(address)) => {
-            vec![brush.span(Role::Error, format!("{own} {address} in use"))]
+            vec![brush.span(Role::Error, format!("own {address} in use"))]
         }
         OwnAddress::Blocked(None) => vec![brush.span(Role::Error, "no free address")],
-        OwnAddress::Claiming(address) => label(format!("{own} {address}?")),
+        OwnAddress::Claiming(address) => label(format!("own {address}?")),
         OwnAddress::Listening => label("listening".to_owned()),
-        OwnAddress::None => label(format!("{own} –")),
+        OwnAddress::None => label("own –".to_owned()),
     })
 }
 

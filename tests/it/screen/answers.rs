@@ -250,7 +250,7 @@ fn failed_save_names_the_file_and_the_key_of_a_copy() {
     let mut stage = Stage::boiler();
     stage.refusal = Some("belongs to another user".to_owned());
     stage.until(24.0).keys("e").text("70").keys("Enter");
-    let expected = "des.json not saved: belongs to another user; W saves a copy";
+    let expected = "des.json not saved: belongs to another user; save a copy with W";
     assert_eq!(message(&stage), expected);
     let lines: Vec<_> = stage.app.timeline().entries().map(|line| line.text.clone()).collect();
     assert!(lines.iter().any(|line| line.starts_with("not saved: belongs to")), "{lines:?}");
