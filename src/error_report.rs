@@ -277,8 +277,7 @@ mod tests {
             (
                 PROTOCOL | BUS_ERROR | COUNTERS,
                 [0, 0, STUFF | WHILE_SENDING, 0x0A, 0, 0, 8, 0],
-                "protocol violation, bus error, stuff, while transmitting, in the data, error \
-                 TEC 8, REC 0",
+                "protocol violation, bus error, stuff, while transmitting, in the data, TEC 8, REC 0",
             ),
             (LOST_ARBITRATION, [12, 0, 0, 0, 0, 0, 0, 0], "arbitration lost, at bit 12"),
             (LOST_ARBITRATION, [0; 8], "arbitration lost"),
