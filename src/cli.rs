@@ -33,6 +33,12 @@ pub struct Cli {
     /// The buses and how to treat them.
     #[command(flatten)]
     pub session: SessionArgs,
+    /// Replay speed of a log: 1 is real time, 10 is ten times as fast
+    #[arg(long, value_name = "N", value_parser = speed, allow_negative_numbers = true)]
+    pub speed: Option<f64>,
+    /// UI theme: terminal | dark | light | high-contrast | mono, or the name of your own
+    #[arg(long, value_name = "NAME")]
+    pub theme: Option<String>,
 }
 
 const EXAMPLES: &str = "\
@@ -63,6 +69,9 @@ pub enum Command {
         /// UI and transmit options
         #[command(flatten)]
         session: CommonArgs,
+        /// UI theme: terminal | dark | light | high-contrast | mono, or the name of your own
+        #[arg(long, value_name = "NAME")]
+        theme: Option<String>,
     },
     /// Enumerate the devices once and print them as a table
     Scan(ScanArgs),
@@ -123,8 +132,7 @@ Examples:
   descan scan can0 --json | jq '.devices[].name'
   descan scan file:session.log --json
   descan scan file:session.log --from 60 --time 24 --write start.json
-                                 devices 84 s after the log's first frame, from the frames of
-                                 the 24 s before")]
+                                the devices of seconds 60 to 84, in a new file")]
 pub struct ScanArgs {
     /// What it shares with the other commands without a screen.
     #[command(flatten)]
@@ -183,6 +191,9 @@ pub struct WatchArgs {
     /// What it shares with the other commands without a screen.
     #[command(flatten)]
     pub run: RunArgs,
+    /// Replay speed of a log: 1 is real time, 10 is ten times as fast
+    #[arg(long, value_name = "N", value_parser = speed, allow_negative_numbers = true)]
+    pub speed: Option<f64>,
     /// Print only matching events: at:12,14 | name:FEED | is:confirmed | word | !word ...
     #[arg(long, value_name = "EXPR")]
     pub filter: Option<String>,
@@ -248,9 +259,6 @@ pub struct SessionArgs {
         help = format!("{} (several: one view over all)", bus::forms(|_| true))
     )]
     pub buses: Vec<BusSpec>,
-    /// Replay speed of a log: 1 is real time, 10 is ten times as fast
-    #[arg(long, value_name = "N", value_parser = speed, allow_negative_numbers = true)]
-    pub speed: Option<f64>,
     /// What concerns every session.
     #[command(flatten)]
     pub common: CommonArgs,
@@ -285,9 +293,6 @@ pub struct CommonArgs {
     /// Start a new file (FILE_00002, …) before SIZE is reached: 500k, 100M, 2G
     #[arg(long, value_name = "SIZE", requires = "record")]
     pub record_size: Option<Size>,
-    /// UI theme: terminal | dark | light | high-contrast | mono, or the name of your own
-    #[arg(long, value_name = "NAME")]
-    pub theme: Option<String>,
 }
 
 fn address(text: &str) -> Result<Address, String> {

@@ -10,6 +10,10 @@ use crate::status::PlaybackCommand;
 impl App {
     /// Executes an action.
     pub(super) fn run(&mut self, action: Action) {
+        if self.view.frozen.is_some() && action.edits_or_sends() {
+            let key = self.key_of(Action::Freeze);
+            return self.show_error(format!("frozen; {key} unfreezes"));
+        }
         match action {
             Action::Up => self.move_by(-1),
             Action::Down => self.move_by(1),

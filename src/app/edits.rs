@@ -8,14 +8,16 @@ use super::input::{
 };
 use super::listing::update_operation;
 use super::notices::{TimelineEntry, TimelineKind};
+use super::problems::bus_obstacle;
 use super::{
-    App, EditRefusal, Effect, Overlay, Page, Prompt, PromptContext, PromptKind, PromptOutcome,
+    App, Bus, EditRefusal, Effect, Overlay, Page, Prompt, PromptContext, PromptKind, PromptOutcome,
     PromptResult, Question, RowKey, inputs,
 };
 use crate::discovery::{Device, DeviceId, OwnAddress};
 use crate::document::{EntryKey, Operation};
-use crate::frame::Frame;
+use crate::frame::{BusIndex, Frame};
 use crate::keymap::{Action, Key, KeyMode};
+use crate::log::LogFormat;
 use crate::wire::id::{Header, Service};
 
 impl App {
@@ -145,7 +147,7 @@ impl App {
     /// Undoes the last edit.
     pub(super) fn undo(&mut self) {
         match self.editor.file.undo() {
-            Ok(name) => self.edited(&format!("undid: {name}")),
+            Ok(name) => self.edited(&format!("undone: {name}")),
             Err(refusal) => self.file_error(refusal.to_string()),
         }
     }
@@ -153,7 +155,7 @@ impl App {
     /// Redoes the edit that was undone last.
     pub(super) fn redo(&mut self) {
         match self.editor.file.redo() {
-            Ok(name) => self.edited(&format!("redid: {name}")),
+            Ok(name) => self.edited(&format!("redone: {name}")),
             Err(refusal) => self.file_error(refusal.to_string()),
         }
     }
@@ -350,8 +352,13 @@ impl App {
             }
             PromptOutcome::FileInfo(text) => self.file_info(text),
             PromptOutcome::SaveCapture(path) => {
-                let log = self.traffic.candump_log(&self.buses, self.clock.epoch());
-                self.effects.push_back(Effect::WriteFile { path, bytes: log.into_bytes() });
+                let format = LogFormat::of(&path).map_err(std::io::Error::other);
+                let log =
+                    format.and_then(|it| self.traffic.log(&self.buses, self.clock.epoch(), it));
+                match log {
+                    Ok(bytes) => self.effects.push_back(Effect::WriteFile { path, bytes }),
+                    Err(error) => self.show_error(format!("not saved: {error}")),
+                }
             }
             PromptOutcome::SaveCopy(path) => {
                 let bytes = self.editor.start_copy(path.clone());
@@ -392,17 +399,40 @@ impl App {
 
     /// Restarts the enumeration.
     pub(super) fn rescan(&mut self) {
-        let sending = || self.buses.iter().filter(|bus| !bus.config().listen_only);
-        let (sending, able) = (sending().count(), sending().filter(|bus| bus.is_up()).count());
+        let (mut able, mut obstacles) = (Vec::new(), Vec::new());
+        for (at, bus) in self.buses.iter().enumerate() {
+            let no_scan =
+                || (!bus.config().send_requests).then(|| "--no-scan: no requests are sent".into());
+            match self.tx_obstacle(BusIndex(at as u8), bus).or_else(no_scan) {
+                Some(obstacle) => obstacles.push(obstacle),
+                None => able.push(bus.name.as_str()),
+            }
+        }
+        let able = able.join(" and ");
         self.buses.rescan(self.clock.now());
         self.take_events();
-        if sending == 0 {
-            self.show_error("listen-only: no requests are sent");
-        } else if able == 0 {
-            self.show_error("no bus is up: cannot send requests");
-        } else {
-            self.show_info("enumeration restarted");
+        match obstacles.into_iter().next() {
+            None => self.show_info("enumeration restarted"),
+            Some(obstacle) if able.is_empty() => self.show_error(obstacle),
+            Some(obstacle) => {
+                self.show_info(format!("enumeration restarted on {able}; {obstacle}"));
+            }
         }
+    }
+
+    /// The reason why descan cannot send requests on a bus; `None` if it can.
+    fn tx_obstacle(&self, index: BusIndex, bus: &Bus) -> Option<String> {
+        let config = bus.config();
+        if self.clock.playback().is_some() || bus.ended.is_some() {
+            return Some("a log: nothing is sent".to_owned());
+        }
+        if config.listen_only {
+            return Some("listen-only: no requests are sent".to_owned());
+        }
+        bus_obstacle(bus).or_else(|| match bus.own_address() {
+            OwnAddress::Blocked(wanted) => self.buses.no_address_reason(index, wanted),
+            _ => None,
+        })
     }
 
     /// Removes the lost devices.
@@ -438,22 +468,19 @@ impl App {
     /// # Errors
     ///
     /// The reason why it cannot be sent.
-    fn identify_frame(&self, id: DeviceId) -> Result<Frame, &'static str> {
+    fn identify_frame(&self, id: DeviceId) -> Result<Frame, String> {
         let (Some(device), Some(bus)) = (self.device(id), self.bus(id.bus)) else {
-            return Err("device is no longer on the bus");
+            return Err("device is no longer on the bus".to_owned());
         };
         let config = bus.config();
-        if config.listen_only {
-            return Err("listen-only: descan does not transmit");
+        if let Some(obstacle) = self.tx_obstacle(id.bus, bus) {
+            return Err(obstacle);
         }
         if !config.profile.given {
-            return Err("identify needs --profile: its service number is assumed");
-        }
-        if !bus.is_up() {
-            return Err("the bus is not up");
+            return Err("identify needs --profile: its service number is assumed".to_owned());
         }
         let OwnAddress::Held(own) = bus.own_address() else {
-            return Err("descan has no address on this bus yet");
+            return Err("descan has no address on this bus yet".to_owned());
         };
         let service = Service::from_bits(config.profile.commands.identify);
         let mut header = Header::request(own, device.address, !device.is_working, service);

@@ -3,7 +3,7 @@
 //! Does not evaluate frames: the engines do.
 
 use super::buses::Redundancy;
-use super::file::FileChange;
+use super::file::{FileChange, FileError};
 use super::input::Overlay;
 use super::notices::{
     TimelineEntry, TimelineKind, event_text, finding_line, join_lines, join_short,
@@ -13,7 +13,9 @@ use super::{App, AppEvent, Effect};
 use crate::discovery::{DeviceId, Event, EventKind};
 use crate::finding::Finding;
 use crate::frame::BusIndex;
+use crate::keymap::Action;
 use crate::status::{BusStatus, RecordingStatus};
+use std::fmt::Write;
 
 /// Document findings that get a line of their own when the file changes.
 const LISTED_FINDINGS: usize = 20;
@@ -215,8 +217,14 @@ impl App {
         let lines = self.file_lines(change);
         if change == FileChange::Unusable {
             let (name, problem) = (self.editor.file.name(), self.editor.file.problem());
-            let whole = problem.map(|problem| problem.of_file(&name));
-            self.file_error(whole.unwrap_or_default());
+            let mut whole = problem.map(|it| it.of_file(&name)).unwrap_or_default();
+            if problem.is_some_and(FileError::is_not_saved) {
+                // The cause may advise it already.
+                let advice =
+                    if whole.contains("save elsewhere") { " with" } else { "; save a copy with" };
+                let _ = write!(whole, "{advice} {}", self.key_of(Action::SaveCopy));
+            }
+            self.file_error(whole);
         }
         if change == FileChange::Conflict {
             self.show_conflict();
@@ -230,7 +238,7 @@ impl App {
         }
         is_of_interest &= self.notices.emits_events();
         let problem = self.editor.file.problem().filter(|_| change == FileChange::Unusable);
-        let excerpt = problem.and_then(super::file::FileError::excerpt);
+        let excerpt = problem.and_then(FileError::excerpt);
         // The excerpt is read as a whole: the event filter applies to the lines before it.
         for text in excerpt.into_iter().flatten() {
             let line = TimelineEntry::new(now, TimelineKind::Error, text);
@@ -289,6 +297,8 @@ impl App {
             }
             FileChange::Content if !by_others.is_empty() => None,
             FileChange::Content => Some((TimelineKind::File, format!("changed on disk: {listed}"))),
+            // The user decided an edit conflict for the file, or both made the same change.
+            FileChange::Rebased if file.unsaved() == 0 => None,
             FileChange::Rebased => {
                 Some((TimelineKind::File, "changed on disk; your edits are reapplied".to_owned()))
             }

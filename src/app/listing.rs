@@ -5,13 +5,13 @@
 use super::Inputs;
 use super::buses::Buses;
 use crate::discovery::{Device, DeviceService};
-use crate::document::{Entry, ListedService, NewEntry, Operation};
+use crate::document::{Document, Entry, ListedService, NewEntry, Operation};
 use crate::finding::FindingState;
 use crate::text::{Escaped, Name};
 
 /// Entry of des.json for a device, with its present address, not pinned; `None` while its name is
 /// not known.
-pub fn new_entry(buses: &Buses, device: &Device) -> Option<NewEntry> {
+pub fn new_entry(buses: &Buses, document: &Document, device: &Device) -> Option<NewEntry> {
     let bus = buses.get(device.id.bus)?;
     let alphabet = &bus.config().profile.uid;
     // At a shared address the last UID may be the other device's.
@@ -26,7 +26,7 @@ pub fn new_entry(buses: &Buses, device: &Device) -> Option<NewEntry> {
         name: device.name.as_ref()?.as_bytes().to_vec(),
         address: Some(device.address.number()).filter(|address| *address > 0),
         is_static: false,
-        bus: buses.entry_bus(Some(device.id.bus)),
+        bus: buses.entry_bus(document, Some(device.id.bus)),
         uid: uid.filter(|uid| !uid.trim().is_empty()),
         services: listed_services(device),
     })
@@ -37,7 +37,7 @@ pub fn new_entry(buses: &Buses, device: &Device) -> Option<NewEntry> {
 pub(super) fn update_operation(inputs: Inputs, device: &Device) -> Option<Operation> {
     let document = inputs.file.document();
     let Some(at) = inputs.matching.entry_of(device.id) else {
-        return Some(Operation::Add { entry: new_entry(inputs.buses, device)? });
+        return Some(Operation::Add { entry: new_entry(inputs.buses, document, device)? });
     };
     let own = device.services.as_ref()?;
     let entry = &document.entries()[at];

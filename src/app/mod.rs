@@ -197,6 +197,8 @@ pub struct App {
     notices: Notices,
     themes: Themes,
     effects: VecDeque<Effect>,
+    /// Nothing on the screen changed with time at the last full second.
+    was_idle: bool,
 }
 
 impl App {
@@ -214,6 +216,7 @@ impl App {
             notices: Notices::new(now, options.emit_events, options.event_filter),
             themes: Themes { current: options.theme, all: options.themes },
             effects: VecDeque::new(),
+            was_idle: false,
         };
         for warning in options.warnings {
             let mut line = TimelineEntry::new(now, TimelineKind::Error, &warning);
@@ -487,7 +490,7 @@ impl App {
 
     /// The moment at which [`App::handle_timeout`] is due.
     pub fn poll_timeout(&self) -> Option<Instant> {
-        let second = (!self.is_idle()).then_some(self.clock.next_second());
+        let second = (!self.was_idle || !self.is_idle()).then_some(self.clock.next_second());
         let file = self.editor.poll_timeout().into_iter().chain(self.empty_settles_at());
         let parts = self.buses.poll_timeout().into_iter().chain(self.notices.poll_timeout());
         parts.chain(second).chain(file).min()
@@ -615,7 +618,7 @@ impl App {
 
     /// Entry of des.json for a device; `None` while its name is not known.
     pub fn new_entry(&self, device: &Device) -> Option<NewEntry> {
-        listing::new_entry(&self.buses, device)
+        listing::new_entry(&self.buses, self.editor.file.document(), device)
     }
 
     /// The assignment of entries to devices.
@@ -887,9 +890,11 @@ impl App {
 
     /// Renews rates and ages, once per second.
     fn tick(&mut self) {
-        let was_idle = self.is_idle();
+        let is_idle = self.is_idle();
+        let was_idle = std::mem::replace(&mut self.was_idle, is_idle);
         self.buses.tick(self.clock.now());
         self.traffic.capture.tick();
+        // What made it idle is shown, too.
         if !was_idle {
             self.refresh();
             self.filter_frames();

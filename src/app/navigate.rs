@@ -179,7 +179,6 @@ impl App {
             }
             Page::Traffic if self.view.shows_identifiers() => {
                 let keys = self.identifier_keys();
-                self.view.identifiers.update(&keys, height);
                 self.view.identifiers.move_by(&keys, delta, height);
             }
             Page::Traffic => self.traffic.move_by(&mut self.view, delta, height),
@@ -265,10 +264,18 @@ impl App {
         let Some(line) = selected.and_then(|&number| self.timeline().get(number)) else { return };
         let (time, capture) = (line.time, &self.traffic.capture);
         let number = capture.at_time(time);
-        if capture.get(number).is_none()
-            || capture.get(capture.first()).is_some_and(|first| first.time > time)
-        {
-            return self.show_error("frames no longer in the capture");
+        let first = capture.get(capture.first()).map(|first| first.time);
+        let refusal = match (capture.get(number), first) {
+            (_, None) => Some("no frames captured yet"),
+            (_, Some(first)) if first > time && capture.first() > 0 => {
+                Some("frames no longer in the capture")
+            }
+            (_, Some(first)) if first > time => Some("no frames captured before this line"),
+            (None, _) => Some("no frames captured since this line"),
+            _ => None,
+        };
+        if let Some(refusal) = refusal {
+            return self.show_error(refusal);
         }
         self.show_page(Page::Traffic);
         self.view.by_identifier = false;
@@ -370,7 +377,11 @@ impl App {
         if self.clock.playback().is_some() {
             self.effects.push_back(Effect::Playback(command));
         } else {
-            self.show_error("only a log can be paused");
+            self.show_error(match command {
+                PlaybackCommand::Pause => "only a log can be paused",
+                PlaybackCommand::Step => "only a log can be stepped",
+                PlaybackCommand::Slower | PlaybackCommand::Faster => "only a log has a speed",
+            });
         }
     }
 

@@ -5,7 +5,7 @@ use super::gate::{FileGate, require_file};
 use super::headless::{RunOutcome, warn_all_tx_blocked};
 use super::open::{self, Setup};
 use super::report::ScanReport;
-use super::scan::{DEFAULT_TIME, is_settled, look, read_log};
+use super::scan::{DEFAULT_TIME, look, read_log, warn_incomplete};
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, print};
 use crate::app::{App, Bus, Scope};
 use crate::cli::CheckArgs;
@@ -13,7 +13,6 @@ use crate::finding::{CheckSection, Finding, FindingKind, FindingState};
 use crate::shell::stop::StopReason;
 use crate::time::Instant;
 use std::fmt::Write as _;
-use std::io::{self, Write};
 
 /// Runs it.
 pub fn run(check: &CheckArgs) -> Result<u8, Failure> {
@@ -36,9 +35,8 @@ pub fn run(check: &CheckArgs) -> Result<u8, Failure> {
     if let Some(log) = log.filter(|_| app.buses().is_empty()) {
         return Err(Failure::Unusable(format!("{log}: no frames in it; check the file name")));
     }
-    if ending == Some(StopReason::TimeUp) && !is_settled(&app) {
-        let why = "timed out before all responses arrived; use a longer --time";
-        let _ = writeln!(io::stderr(), "descan: {why}");
+    if log.is_none() {
+        warn_incomplete(&app, ending);
     }
     warn_all_tx_blocked(&app, now);
     let report = ScanReport::new(&app, now, Scope::Check);

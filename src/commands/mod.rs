@@ -58,8 +58,10 @@ impl From<Diagnostic> for Failure {
 /// invalid file.
 pub fn run(cli: Cli) -> ExitCode {
     let result = match cli.command {
-        None => tui::ui(&cli.session),
-        Some(Command::Demo { system, session }) => tui::demo(&system, &session),
+        None => tui::ui(&cli.session, cli.speed, cli.theme.as_deref()),
+        Some(Command::Demo { system, session, theme }) => {
+            tui::demo(&system, &session, theme.as_deref())
+        }
         Some(Command::Scan(scan)) => scan::run(&scan),
         Some(Command::Check(check)) => check::run(&check),
         Some(Command::Watch(watch)) => watch::run(&watch),

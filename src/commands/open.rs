@@ -38,10 +38,8 @@ pub struct Setup {
     pub record: Option<Target>,
     /// Patterns of the frames to receive; empty for all.
     pub only: Vec<IdFilter>,
-    /// The theme's name; `None` for the default.
+    /// Name of the theme in the settings; `None` for the default.
     pub theme: Option<String>,
-    /// It was given on the command line: an unusable one is an error.
-    pub theme_is_asked_for: bool,
     /// Errors in the user's settings. Already printed, but a screen hides that.
     pub warnings: Vec<String>,
 }
@@ -72,12 +70,11 @@ impl Setup {
             ..built_in
         };
         let file = common.file.clone().unwrap_or_else(|| PathBuf::from(DEFAULT_FILE));
-        let theme = common.theme.clone().or(settings.theme);
-        let theme_is_asked_for = common.theme.is_some();
+        let theme = settings.theme;
         let max_bytes = common.record_size.map(|Size(bytes)| bytes);
         let record = common.record.clone().map(|path| Target { path, max_bytes });
         let only = Vec::new();
-        Ok(Self { folder, keymap, config, file, record, only, theme, theme_is_asked_for, warnings })
+        Ok(Self { folder, keymap, config, file, record, only, theme, warnings })
     }
 
     /// Starts the recording, if requested. Call when all else is open.
@@ -143,9 +140,17 @@ fn is_same(bus: &BusSpec, other: &BusSpec) -> bool {
     match (bus, other) {
         // One adapter, at any bit rate.
         (BusSpec::Slcan(slcan), BusSpec::Slcan(other)) => slcan.device == other.device,
-        // Each one is a separate simulation.
-        (BusSpec::Sim(_), _) => false,
         _ => bus == other,
+    }
+}
+
+/// Refuses `--speed` unless all buses are logs: beside a live bus, a log is replayed in real time.
+pub fn check_speed(speed: Option<f64>, buses: &[BusSpec]) -> Result<(), Failure> {
+    match speed {
+        Some(_) if !buses.iter().all(is_log) => Err(Failure::Usage(
+            "--speed needs a log and no live bus: leave it out, or name a log: file:LOG".to_owned(),
+        )),
+        _ => Ok(()),
     }
 }
 

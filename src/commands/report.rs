@@ -218,7 +218,10 @@ impl ScanReport {
         text.push_str(&self.device_table());
         text.push_str(&self.on_several_buses());
         for finding in &self.findings {
-            let _ = writeln!(text, "\n{} {}: {}", finding.confidence, finding.kind, finding.text);
+            let bus = finding.bus.as_ref().filter(|_| self.buses.len() > 1);
+            let bus = bus.map(|bus| format!(" on {bus}")).unwrap_or_default();
+            let (confidence, kind) = (finding.confidence, finding.kind);
+            let _ = writeln!(text, "\n{confidence} {kind}{bus}: {}", finding.text);
             let over = FindingState::Cleared.name() == finding.confidence;
             if over {
                 text.push_str("  No longer present.\n");

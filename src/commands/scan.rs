@@ -10,7 +10,7 @@ use crate::app::{App, AppOptions, Scope};
 use crate::bus::BusSpec;
 use crate::cli::ScanArgs;
 use crate::diagnostic::Diagnostic;
-use crate::discovery::DiscoveryProgress;
+use crate::discovery::{Device, DiscoveryProgress};
 use crate::document::{Document, Operation};
 use crate::shell::log_input::LogPace;
 use crate::shell::stop::StopReason;
@@ -35,6 +35,9 @@ pub fn run(scan: &ScanArgs) -> Result<u8, Failure> {
     };
     if ending == Some(StopReason::Interrupted) {
         return Ok(EXIT_INTERRUPTED);
+    }
+    if !app.buses().iter().all(|bus| bus.ended.is_some()) {
+        warn_incomplete(&app, ending);
     }
     warn_all_tx_blocked(&app, now);
     let report = ScanReport::new(&app, now, Scope::Screen);
@@ -95,6 +98,32 @@ pub fn look(
 /// Returns true if all buses are open and every request on them has a response or failed.
 pub fn is_settled(app: &App) -> bool {
     app.buses().iter().all(|bus| bus.status.link != Link::Opening && bus.progress().is_complete)
+}
+
+/// Prints on standard error why names or services are not known after [`look`].
+pub fn warn_incomplete(app: &App, ending: Option<StopReason>) {
+    let is_unknown = |device: &Device| device.is_present() && device.services.is_none();
+    let mut reasons = Vec::new();
+    for bus in app.buses() {
+        let lacks_services = || bus.devices().iter().any(is_unknown);
+        let why = match bus.config() {
+            config if config.listen_only && lacks_services() => {
+                "listen-only: no requests are sent; names come only from requests of other nodes"
+            }
+            config if !config.listen_only && !config.send_requests && lacks_services() => {
+                "--no-scan: no requests are sent; names come only from requests of other nodes"
+            }
+            config if config.listen_only || !config.send_requests => continue,
+            _ if ending == Some(StopReason::TimeUp) && !is_settled(app) => {
+                "timed out before all responses arrived; use a longer --time"
+            }
+            _ => continue,
+        };
+        if !reasons.contains(&why) {
+            reasons.push(why);
+            let _ = writeln!(io::stderr(), "descan: {why}");
+        }
+    }
 }
 
 /// Progress line on standard error while scanning, if that is a terminal.

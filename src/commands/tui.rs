@@ -17,21 +17,22 @@ use std::time::Duration;
 const SAVE_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// `descan [BUS…]`.
-pub fn ui(arguments: &Arguments) -> Result<u8, Failure> {
+pub fn ui(arguments: &Arguments, speed: Option<f64>, theme: Option<&str>) -> Result<u8, Failure> {
     needs_terminal()?;
     let buses = open::buses(arguments)?;
+    open::check_speed(speed, &buses)?;
     let setup = Setup::new(&arguments.common)?;
-    let clock = open::clock(&buses, arguments.speed.unwrap_or(1.0))?;
-    show(&buses, &setup, clock)
+    let clock = open::clock(&buses, speed.unwrap_or(1.0))?;
+    show(&buses, &setup, clock, theme)
 }
 
 /// `descan demo`: a simulated bus, and a des.json of its own in a temporary folder.
-pub fn demo(system: &str, common: &CommonArgs) -> Result<u8, Failure> {
+pub fn demo(system: &str, common: &CommonArgs, theme: Option<&str>) -> Result<u8, Failure> {
     needs_terminal()?;
     let mut setup = Setup::new(common)?;
     let buses = [BusSpec::Sim(system.to_owned())];
     if common.file.is_some() {
-        return show(&buses, &setup, Clock::start());
+        return show(&buses, &setup, Clock::start(), theme);
     }
     let folder = tempfile::Builder::new()
         .prefix("descan-demo-")
@@ -39,7 +40,7 @@ pub fn demo(system: &str, common: &CommonArgs) -> Result<u8, Failure> {
         .context("no temporary folder for the demo's des.json")?;
     setup.file = folder.path().join("des.json");
     std::fs::write(&setup.file, example(system)).context("the demo's des.json")?;
-    let code = show(&buses, &setup, Clock::start())?;
+    let code = show(&buses, &setup, Clock::start(), theme)?;
     // An edited file is kept; otherwise the folder is deleted.
     let edited = std::fs::read(&setup.file).is_ok_and(|now| now != example(system).as_bytes());
     if edited {
@@ -66,14 +67,20 @@ fn needs_terminal() -> Result<(), Failure> {
     Err(Failure::Usage(message.to_owned()))
 }
 
-fn show(buses: &[BusSpec], setup: &Setup, clock: Clock) -> Result<u8, Failure> {
+/// Shows the buses; `theme` is that of the command line.
+fn show(
+    buses: &[BusSpec],
+    setup: &Setup,
+    clock: Clock,
+    theme: Option<&str>,
+) -> Result<u8, Failure> {
     let colourless = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
     let usual = if colourless { "mono" } else { "terminal" };
-    let mut wanted = setup.theme.as_deref().unwrap_or(usual);
+    let mut wanted = theme.or(setup.theme.as_deref()).unwrap_or(usual);
     let mut warnings = setup.warnings.clone();
     let mut themes = match ThemeLoader::new(setup.folder.clone(), wanted) {
         // A theme from the settings does not prevent the start.
-        Err(why) if !setup.theme_is_asked_for => {
+        Err(why) if theme.is_none() => {
             open::warn::<()>(&mut warnings, format!("theme {wanted}: {why}"));
             wanted = usual;
             // The user's own theme may have that name; without the folder it is built-in.

@@ -30,6 +30,7 @@ use unicode_width::UnicodeWidthStr;
 /// Runs it.
 pub fn run(watch: &WatchArgs) -> Result<u8, Failure> {
     let buses = open::buses(&watch.run.session)?;
+    open::check_speed(watch.speed, &buses)?;
     let mut setup = Setup::new(&watch.run.session.common)?;
     let interest = watch.filter.as_deref().map(Filter::parse).unwrap_or_default();
     if let Some(mistake) = interest.error() {
@@ -46,7 +47,7 @@ pub fn run(watch: &WatchArgs) -> Result<u8, Failure> {
         Limits { time: watch.run.time, from: watch.run.from, while_read: true, stuck: EXIT_OK };
     let mut event_writer = EventWriter { json: watch.run.json, text: Vec::new() };
     if let Some(log) = open::log(&buses, "watch", watch.run.from)? {
-        let pace = watch.run.session.speed.map(LogPace::Timed);
+        let pace = watch.speed.map(LogPace::Timed);
         headless::run(RunInput::Log(log, pace), &setup, options, limits, |session| {
             event_writer.write_events(&mut session.app)?;
             Ok(ControlFlow::Continue(()))

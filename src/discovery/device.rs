@@ -237,8 +237,18 @@ impl Query {
     }
 
     /// Records a response, with its fault if any.
-    pub(super) fn record_response(&mut self, now: Instant, fault: Option<QueryFault>) {
-        if let (true, Some(sent_at)) = (self.is_waiting(), self.sent_at) {
+    ///
+    /// `broadcast` is the time of a broadcast request of descan that may be answered by it. A
+    /// device answers in the order of the requests.
+    pub(super) fn record_response(
+        &mut self,
+        now: Instant,
+        fault: Option<QueryFault>,
+        broadcast: Option<Instant>,
+    ) {
+        let broadcast = broadcast.filter(|at| self.responded_at.is_none_or(|last| last < *at));
+        let targeted = self.sent_at.filter(|_| self.is_waiting());
+        if let Some(sent_at) = broadcast.into_iter().chain(targeted).min() {
             self.response_time = Some(now.since(sent_at));
         }
         self.state = QueryState::Responded;

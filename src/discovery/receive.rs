@@ -548,8 +548,14 @@ impl Engine {
         self.conflicts.note_name(now, address, &name, frame);
         self.errors.note_response(now, address, Request::Name, frame, self.counters.frames);
         let index = self.row_of_name(now, index, &name);
+        let broadcast = self
+            .broadcasts
+            .iter()
+            .map(|it| (it.is_own, it.time))
+            .find(|(is_own, at)| *is_own && now.since(*at) < BROADCAST_RESPONSE_WINDOW);
         let device = self.device_table.get_mut(index);
-        device.name_query.record_response(now, fault.map(QueryFault::from));
+        let fault = fault.map(QueryFault::from);
+        device.name_query.record_response(now, fault, broadcast.map(|(_, at)| at));
         device.is_debug |= name.as_bytes() == local_node::NAME;
         device.last_seen = now;
         // The node that claimed the address while this device was lost is this device, with another
@@ -582,7 +588,7 @@ impl Engine {
             self.report_malformed(now, index, &fault, frame);
         }
         let device = self.device_table.get_mut(index);
-        device.services_query.record_response(now, fault.map(QueryFault::from));
+        device.services_query.record_response(now, fault.map(QueryFault::from), None);
         // A device that responds to one query can be queried again for the other, which ended too
         // early.
         if device.name_query.state == QueryState::NoResponse {

@@ -434,17 +434,17 @@ impl fmt::Display for Operation {
                 write!(f, "address of the entry {entry} set to {to}")
             }
             Self::UnpinAddress { entry, from: Some(from) } => {
-                write!(f, "static address {from} of {entry} cleared")
+                write!(f, "entry {entry} unpinned (was {from})")
             }
             Self::UnpinAddress { entry, from: None } => {
-                write!(f, "static address of {entry} cleared")
+                write!(f, "entry {entry} unpinned")
             }
             Self::Add { entry: NewEntry { name, address: Some(address), .. } } => {
                 write!(f, "new entry {} at {address}", brief(name))
             }
             Self::Add { entry } => write!(f, "new entry {}", brief(&entry.name)),
             Self::Remove { entry } | Self::RemoveFirstEntry { entry, .. } => {
-                write!(f, "entry {entry:#} removed")
+                write!(f, "entry {entry:#} deleted")
             }
             Self::Rename { entry, to } => write!(f, "entry {entry:#} renamed to {}", brief(to)),
             Self::SetServices { entry, services } if services.len() == 1 => {

@@ -106,6 +106,13 @@ impl Action {
         matches!(self, Action::EditAddress | Action::NewEntry | Action::Rename)
     }
 
+    /// Returns true if the action edits des.json or sends frames: not while the view is frozen.
+    pub fn edits_or_sends(self) -> bool {
+        use Action::{Add, AddAll, DeleteEntry, EditAddress, NewEntry, Redo, Rename, Undo};
+        matches!(self, EditAddress | Add | AddAll | NewEntry | Rename | DeleteEntry | Undo | Redo)
+            || matches!(self, Action::Rescan | Action::Identify)
+    }
+
     /// Returns true if the keys of the action also apply while a prompt is open.
     pub fn is_global(self) -> bool {
         matches!(self, Action::QuitNow | Action::Suspend | Action::Redraw)
@@ -175,7 +182,7 @@ actions! {
         ClearLost "clear-lost" "Remove lost devices from the list" "clear lost" ["c"];
         Identify "identify" "Send identify: blink or beep (confirms; needs a profile)" "identify" ["i"];
         BitRate "bit-rate" "Search the bit rate, listen-only (confirms; needs root)" "bit rate" ["b"];
-        SaveCapture "save-capture" "Save the captured frames as a candump log" "save log" ["w"];
+        SaveCapture "save-capture" "Save the captured frames (.log or .pcapng)" "save log" ["w"];
     }
     Browse Log: {
         Pause "pause" "Pause or resume the log" "pause" ["P"];

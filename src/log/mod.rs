@@ -157,6 +157,13 @@ impl LogFormat {
         rows.collect::<Vec<_>>().join(", ")
     }
 
+    /// Returns the usual ending of each format: `.log or .pcapng`.
+    pub fn usual_endings() -> String {
+        let extensions =
+            FORMATS.iter().filter_map(|it| Some(format!(".{}", it.extensions.first()?)));
+        extensions.collect::<Vec<_>>().join(" or ")
+    }
+
     /// Returns a new encoder of this format.
     pub fn encoder(&self) -> Box<dyn LogEncoder> {
         (self.encoder)()

@@ -112,10 +112,12 @@ impl DrawContext<'_> {
     /// cause.
     pub fn draw_empty_list(&mut self, list: Rect, why: &str) {
         let mut lines = vec![Line::from(self.span(Role::Muted, format!("   {why}")))];
-        for bus in self.app.buses().iter().filter(|bus| bus.cannot_receive()) {
+        for bus in self.app.buses().iter().filter(|bus| bus.cannot_receive() || bus.ended.is_some())
+        {
             let name = Escaped(bus.name.as_bytes());
             let text = match &bus.status.fault {
                 Some(fault) => Escaped(fault.to_string().as_bytes()).to_string(),
+                None if bus.ended.is_some() => continue,
                 None => format!("{name} is not up"),
             };
             lines.push(Line::default());

@@ -163,6 +163,10 @@ impl<'a> DeviceDetails<'_, 'a> {
         for problem in self.app().problems() {
             for finding in problem.findings.iter().filter(|finding| about(finding)) {
                 any = true;
+                // Stands at its entry, below.
+                if finding.position.is_some() {
+                    continue;
+                }
                 let (sign, role) = symbols::of_confidence(finding.confidence);
                 let sure = finding.confidence == FindingState::Confirmed && !problem.is_muted;
                 let headline = problem.headline();
@@ -304,17 +308,16 @@ impl<'a> DeviceDetails<'_, 'a> {
             for extra in &service.extra {
                 line.push_span(self.brush.span(Role::Muted, format!(" {extra}")));
             }
-            if let Some(was) = before(device, service) {
-                line.push_span(self.brush.span(Role::Warning, format!("  was {was}")));
-            } else {
-                match in_file(listed, service) {
-                    InFile::Same => {}
-                    InFile::New => line.push_span(self.brush.span(Role::New, "  + new")),
-                    InFile::Other(version) => {
-                        let text = format!("  ✗ {version}");
-                        line.push_span(self.brush.span(Role::FileDiffers, text));
-                    }
+            match in_file(listed, service) {
+                InFile::Same => {}
+                InFile::New => line.push_span(self.brush.span(Role::New, "  + new")),
+                InFile::Other(version) => {
+                    let text = format!("  ✗ {version}");
+                    line.push_span(self.brush.span(Role::FileDiffers, text));
                 }
+            }
+            if let Some(was) = before(device, service) {
+                line.push_span(self.brush.span(Role::Warning, format!(" was {was}")));
             }
             self.lines.push(line);
         }
@@ -340,6 +343,9 @@ impl<'a> DeviceDetails<'_, 'a> {
             (FileStatus::Listed(None), _) => (Role::Text, "listed without address".to_owned()),
             (FileStatus::Listed(Some(address)), _) => {
                 (Role::Text, format!("listed, last at {address}, not static"))
+            }
+            (FileStatus::Agrees(address), _) if self.row.has_other_services => {
+                (Role::FileDiffers, format!("static {address}, services differ"))
             }
             (FileStatus::Agrees(address), _) => {
                 (Role::FileOk, format!("static {address}, matches"))
@@ -406,8 +412,9 @@ impl<'a> DeviceDetails<'_, 'a> {
         let at = |time| format_time_of_day(self.app(), time);
         match (query.responded_at, query.sent_at) {
             (Some(answered), _) => {
-                let took = query.response_time.map(|took| format!(" in {} ms", took.as_millis()));
-                Some(format!("{what} {}{}", at(answered), took.unwrap_or_default()))
+                // Number and unit first: they stay on one line.
+                let took = query.response_time.map(|took| format!("{} ms at ", took.as_millis()));
+                Some(format!("{what} {}{}", took.unwrap_or_default(), at(answered)))
             }
             (None, Some(asked)) => {
                 Some(format!("{what} ×{}, last {}, no response", query.attempts, at(asked)))

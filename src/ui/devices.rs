@@ -266,9 +266,12 @@ fn file_word(row: &Row) -> (Role, String) {
         FileStatus::Nothing => (Role::Muted, String::new()),
         FileStatus::New => (Role::New, "+ new".to_owned()),
         FileStatus::Listed(None) => (Role::Muted, "  –".to_owned()),
-        FileStatus::Listed(Some(address)) | FileStatus::Pinned(address) => {
-            (Role::Muted, format!("  {address}"))
+        FileStatus::Listed(Some(address)) => (Role::Muted, format!("  {address}")),
+        FileStatus::Pinned(address) => (Role::Muted, format!("… {address}")),
+        FileStatus::Agrees(address) if row.has_other_services => {
+            (Role::FileDiffers, format!("≠ {address}"))
         }
+        FileStatus::Agrees(address) if row.has_findings => (Role::Warning, format!("  {address}")),
         FileStatus::Agrees(address) => (Role::FileOk, format!("✓ {address}")),
         FileStatus::Differs(address) => (Role::FileDiffers, format!("✗ {address}")),
     }

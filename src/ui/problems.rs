@@ -97,7 +97,9 @@ fn problem_line(
         brush.span(plain, format!("{} ", place(brush, problem))),
     ];
     if list.width >= WITH_TIME {
-        let since = format_time_of_day(brush.app, problem.since());
+        let is_over = problem.state() == FindingState::Cleared;
+        let since = if is_over { problem.first() } else { problem.since() };
+        let since = format_time_of_day(brush.app, since);
         spans.push(brush.span(Role::Muted, format!("{since} ")));
     }
     if problem.is_muted {
@@ -138,6 +140,8 @@ fn place(brush: &DrawContext, problem: &Problem) -> String {
     let name = problem.bus().map(|bus| bus_label(brush.app, bus, width));
     let (bus, address) = match (problem.head().key.address, name) {
         (Some(address), name) => (name.unwrap_or("file".to_owned()), format!("@{address}")),
+        // An entry without an address.
+        (None, Some(name)) if problem.head().key.name.is_some() => (name, "–".to_owned()),
         (None, Some(name)) => (name, if width > 0 { "" } else { "bus" }.to_owned()),
         (None, None) => ("file".to_owned(), if width > 0 { "" } else { "file" }.to_owned()),
     };
@@ -201,7 +205,13 @@ impl ProblemDetails<'_, '_> {
         };
         self.lines.push(Line::from(vec![
             self.brush.span(role, format!("{sign} {word}")),
-            self.brush.span(Role::Muted, format!("since {at}, {ago}")),
+            self.brush.span(
+                Role::Muted,
+                match head.confidence {
+                    FindingState::Cleared => format!("{at}, {ago} ago"),
+                    _ => format!("since {at}, {ago}"),
+                },
+            ),
         ]));
         if self.problem.is_muted {
             let key = app.key_of(Action::Mute);
@@ -214,7 +224,8 @@ impl ProblemDetails<'_, '_> {
         let head = self.problem.head();
         let headline = self.problem.headline();
         let text = if head.text.is_empty() { &*headline } else { &head.text };
-        self.add("", Role::Text, text);
+        let was = if head.confidence == FindingState::Cleared { "was: " } else { "" };
+        self.add("", Role::Text, &format!("{was}{text}"));
         if let Some(hint) = self.problem.confirmation_hint() {
             self.lines.push(Line::default());
             self.add("? ", Role::Muted, hint);

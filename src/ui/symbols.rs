@@ -4,7 +4,7 @@ use crate::finding::FindingState;
 use crate::theme::Role;
 
 /// Each symbol: its role, the text as shown on the screen, and its meaning.
-pub const SYMBOLS: [(Role, &str, &str); 27] = [
+pub const SYMBOLS: [(Role, &str, &str); 29] = [
     (Role::Online, "● online", "heartbeats arrive"),
     (Role::Stale, "◐ stale", "heartbeat overdue"),
     (Role::Silent, "◌ silent", "frames but no heartbeats"),
@@ -23,6 +23,8 @@ pub const SYMBOLS: [(Role, &str, &str); 27] = [
     (Role::Text, "NAME²", "same name at another address (allowed)"),
     (Role::FileOk, "✓ 12", "static address 12, matches"),
     (Role::FileDiffers, "✗ 16", "static address 16, differs"),
+    (Role::FileDiffers, "≠ 12", "static address 12, services differ"),
+    (Role::Muted, "… 12", "static address 12, device pending"),
     (Role::Muted, "  12", "listed, not pinned; last at 12"),
     (Role::FileDiffers, "4≠", "services differ from the file"),
     (Role::New, "+ new", "not in the file"),

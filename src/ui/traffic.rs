@@ -351,14 +351,20 @@ fn identifier_line(
         IdentifierKind::Remote => format!("{} R", row.key.id),
         IdentifierKind::Data => row.key.id.to_string(),
     };
-    let rate = if row.rate == 0 { Role::Muted } else { Role::Text };
+    let role = if row.rate == 0 { Role::Muted } else { Role::Text };
+    let slow = row.interval.map(|it| it.as_secs_f64()).filter(|seconds| *seconds > 1.5);
+    let age = brush.app.display_time().since(row.last.time).as_secs_f64();
+    let rate = match slow.filter(|seconds| age < 2.0 * seconds) {
+        Some(seconds) => format!("{:.1}", 1.0 / seconds),
+        None => row.rate.to_string(),
+    };
     let mut spans = vec![brush.span(Role::Text, if selected { "▸ " } else { "  " })];
     if brush.app.buses().len() > 1 {
         spans.push(brush.span(Role::Muted, bus_cell(brush.app, Some(row.key.bus))));
     }
     spans.extend([
         brush.span(Role::Text, fit(&id, 8)),
-        brush.span(rate, format!("  {:>4}", row.rate)),
+        brush.span(role, format!("  {rate:>4}")),
         brush.span(Role::Muted, format!("  {:>7}  ", row.count)),
     ]);
     if decoded.header.is_some() {

@@ -725,3 +725,41 @@ fn unwritable_output_ends_with_exit_code_without_panic() {
         assert_eq!(status.code(), Some(code), "{arguments:?}");
     }
 }
+
+#[test]
+fn incomplete_scan_says_why_on_stderr() {
+    let folder = tempfile::tempdir().unwrap();
+    let stderr = |arguments: &[&str]| text(&descan(arguments, folder.path()).stderr);
+    let said = stderr(&["scan", "sim:boiler", "--time", "0.5"]);
+    assert!(said.contains("timed out before all responses arrived"), "{said}");
+    let said = stderr(&["scan", "sim:boiler", "--listen-only", "--time", "2"]);
+    assert!(said.contains("listen-only: no requests are sent"), "{said}");
+    let said = stderr(&["scan", "sim:boiler", "--no-scan", "--time", "2"]);
+    assert!(said.contains("--no-scan: no requests are sent"), "{said}");
+}
+
+#[test]
+fn findings_on_several_buses_name_their_bus() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut lines = two_boards_at_12();
+    lines.push("(1436509066.000000) can1 00000002#0444455301".to_owned());
+    std::fs::write(folder.path().join("session.log"), lines.join("\n") + "\n").unwrap();
+    let output = text(&descan(&["scan", "file:session.log"], folder.path()).stdout);
+    assert!(output.contains("confirmed one-address-two-names on can0: "), "{output}");
+}
+
+#[test]
+fn options_without_effect_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    for (arguments, named) in [
+        (&["scan", "sim:boiler", "--time", "1", "--theme", "nope"][..], "--theme"),
+        (&["watch", "sim:boiler", "--time", "1", "--speed", "10"], "--speed needs a log"),
+        (&["scan", "sim:boiler", "--time", "1", "--speed", "10"], "--speed"),
+        (&["scan", "sim:boiler", "sim:boiler", "--time", "1"], "the same bus as"),
+    ] {
+        let output = descan(arguments, folder.path());
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?} {said}");
+        assert!(said.contains(named), "{said}");
+    }
+}

@@ -886,9 +886,9 @@ fn operations_have_display_names() {
         named(&change.inverse(&document).unwrap()),
         "address of the entry FE\\x1BED restored to 12"
     );
-    assert_eq!(named(&clear(&document, name)), "static address 12 of FE\\x1BED cleared");
+    assert_eq!(named(&clear(&document, name)), "entry FE\\x1BED unpinned (was 12)");
     assert_eq!(named(&add("SENS", 13)), "new entry SENS at 13");
-    assert_eq!(named(&remove(&document, name)), "entry FE\\x1BED at 12 removed");
+    assert_eq!(named(&remove(&document, name)), "entry FE\\x1BED at 12 deleted");
     let back = remove(&document, name).inverse(&document).unwrap();
     assert_eq!(named(&back), "entry FE\\x1BED at 12 restored");
     let renamed = rename(&document, name, b"\xff");

@@ -74,7 +74,7 @@ fn edits_of_vim_nano_and_git_are_merged() {
     // Undone one after the other, across all those saves; theirs stay.
     let pinned = content.clone();
     pty.send("u");
-    pty.wait_for("undid: ");
+    pty.wait_for("undone: ");
     let deadline = Instant::now() + pty::PATIENCE;
     while fs::read_to_string(&path).unwrap() == pinned {
         assert!(Instant::now() < deadline, "{}", pty.screen());

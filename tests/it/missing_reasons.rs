@@ -356,3 +356,11 @@ fn missing_device_reason_covers_both_buses() {
         ["no frame received from address 44", "other devices respond: check its power and wiring"]
     );
 }
+
+#[test]
+fn namesake_of_another_entry_is_the_only_reason() {
+    let entries = r#"{ "name": "FEED", "address": 12, "static": true },
+        { "name": "FEED", "address": 130 }"#;
+    let stage = Stage::after_eight_seconds(&[bus()], &Config::default(), entries);
+    assert_eq!(stage.why(1), ["FEED at 12 belongs to another entry"]);
+}

@@ -70,7 +70,7 @@ fn edit_waits_while_the_file_is_written() {
         stage.until(24.0).write("");
         let screen = stage.screen();
         assert!(screen.contains("des.json empty (being written?)"), "{screen}");
-        assert!(screen.contains("✓ 10"), "{screen}");
+        assert!(screen.contains("≠ 10"), "{screen}");
         let screen = stage.keys("e").text("70").keys("Enter").screen();
         assert!(screen.contains("… saving 1  empty (being written?)"), "{screen}");
         assert!(stage.keys("q").screen().contains("Quit"));
@@ -224,7 +224,7 @@ fn undo_of_kept_value_restores_theirs() {
     assert_eq!(stage.file(), ours);
     stage.keys("u");
     assert_eq!(stage.file(), theirs);
-    let told = "undid: address of the entry FEED: 11 → 70";
+    let told = "undone: address of the entry FEED: 11 → 70";
     assert!(stage.app.timeline().entries().any(|it| it.text == told), "{}", stage.screen());
     assert_eq!(stage.keys("Ctrl-r").file(), ours);
     assert_eq!(stage.keys("u").file(), theirs);
@@ -329,14 +329,14 @@ fn undo_of_many_skips_values_changed_on_disk() {
     stage.write(&changed(&all)).keys("u");
     assert_eq!(names(&stage), "N002");
     let but = format!("except N002 at {address} (changed on disk)");
-    told(&stage, &format!("undid: 4 new entries, {but}"));
+    told(&stage, &format!("undone: 4 new entries, {but}"));
     // The result is the same for redo.
     stage.keys("Ctrl-r");
     assert_eq!(names(&stage), "N001 N002 N003 N004");
     assert!(stage.file().contains("99"));
-    told(&stage, "redid: 4 new entries, all but 1");
+    told(&stage, "redone: 4 new entries, all but 1");
     stage.keys("u");
-    told(&stage, "undid: 4 new entries, all but 1");
+    told(&stage, "undone: 4 new entries, all but 1");
     assert_eq!(names(&stage), "N002");
     // Another program adds one of these entries.
     let third = Document::parse(all.as_bytes()).unwrap().entries()[2].address.unwrap();
@@ -346,10 +346,10 @@ fn undo_of_many_skips_values_changed_on_disk() {
     assert_eq!(names(&stage), "N001 N003 N002 N004");
     assert!(stage.file().contains(brought.trim_start_matches("[ ")), "{}", stage.file());
     let but = format!("except N003 at {third} (changed on disk)");
-    told(&stage, &format!("redid: 4 new entries, all but 1, {but}"));
+    told(&stage, &format!("redone: 4 new entries, all but 1, {but}"));
     stage.keys("u");
     assert_eq!(names(&stage), "N003 N002");
-    told(&stage, "undid: 4 new entries, all but 2");
+    told(&stage, "undone: 4 new entries, all but 2");
 
     // Another program changes all entries but one, or all.
     let mut stage = Stage::new(&Scenario::with_many_devices(500_000, 4, 2), Some("[]"));

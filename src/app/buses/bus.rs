@@ -14,6 +14,8 @@ use crate::status::{BusState, BusStatus, Link};
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
 
+/// Listening time after which a listed device counts as missing where no requests are sent.
+const LISTEN_TIME: Duration = Duration::from_secs(5);
 /// A transmit queue that was full for this long contains outdated requests.
 const QUEUE_STALE_AFTER: Duration = Duration::from_millis(1500);
 /// Bus errors in 3 s, without a valid frame, that indicate a wrong bit rate.
@@ -31,6 +33,8 @@ pub struct Bus {
     /// End of its log; `None` while frames can arrive. No time passes on an ended bus.
     pub ended: Option<Instant>,
     engine: Engine,
+    /// The moment since which frames could be received; kept once it was long enough.
+    up_since: Option<Instant>,
     /// Start of the period in which the transmit queue is full.
     full_since: Option<Instant>,
     /// End of the quarantine after a stall: until then frames may be late and are only counted.
@@ -42,8 +46,8 @@ impl Bus {
     pub fn new(now: Instant, name: String, config: Config) -> Self {
         let status = BusStatus { bitrate: config.bitrate, ..BusStatus::default() };
         let (engine, meter) = (Engine::new(now, config), LoadMeter::new(now));
-        let (ended, full_since, quarantined_until) = (None, None, None);
-        Self { name, status, meter, ended, engine, full_since, quarantined_until }
+        let (ended, up_since, full_since, quarantined_until) = (None, None, None, None);
+        Self { name, status, meter, ended, engine, up_since, full_since, quarantined_until }
     }
 
     /// The name without the bit rates at which an slcan adapter is opened: `slcan:/dev/ttyACM0`
@@ -112,6 +116,11 @@ impl Bus {
     /// still being opened.
     pub fn cannot_receive(&self) -> bool {
         !self.is_up() && self.ended.is_none() && self.status.link != Link::Opening
+    }
+
+    /// Returns true if the bus was up long enough to receive something of each device.
+    pub(super) fn has_listened(&self, now: Instant) -> bool {
+        self.up_since.is_some_and(|since| now.since(since) >= LISTEN_TIME)
     }
 
     /// Returns true if at least 64 bus errors and no valid frame were received in the last 3 s: the
@@ -232,6 +241,9 @@ impl Bus {
         let old = std::mem::replace(&mut self.status, status);
         let new = &self.status;
         let lines = status_changes(&old, new);
+        let has_listened = self.has_listened(now);
+        let kept = self.up_since.filter(|_| is_up(new) || has_listened);
+        self.up_since = kept.or(is_up(new).then_some(now));
         let was_open = !matches!(old.link, Link::Opening | Link::Ended);
         // The counters show an outage that began and ended between two statuses.
         let was_away = !is_up(&old) || old.outages < new.outages || old.bus_offs < new.bus_offs;

@@ -14,8 +14,10 @@ pub use load_meter::{LoadMeter, LoadSecond};
 pub use redundancy::{Redundancy, RedundantDevice};
 
 use super::notices::TimelineKind;
+use super::problems::is_for;
 use super::view::{Row, RowKey};
 use crate::discovery::{Config, Device, DeviceId, Event, OwnAddress};
+use crate::document::Document;
 use crate::finding::{Finding, FindingKey, FindingKind, FindingState};
 use crate::frame::{BusIndex, Frame};
 use crate::status::BusStatus;
@@ -27,8 +29,6 @@ use redundancy::RedundantDevices;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-/// Listening time after which a listed device counts as missing where no requests are sent.
-const LISTEN_TIME: Duration = Duration::from_secs(5);
 /// Time after a stall in which frames that waited during it may still arrive.
 const STALL_BACKLOG: Duration = Duration::from_millis(250);
 
@@ -41,7 +41,6 @@ pub struct Buses {
     searched: Option<BusIndex>,
     /// Frames to transmit that no engine generated.
     outbox: VecDeque<Frame>,
-    started: Instant,
     /// Incremented by every mutable access.
     revision: u64,
 }
@@ -54,7 +53,6 @@ impl Buses {
             redundant: RedundantDevices::default(),
             searched: None,
             outbox: VecDeque::new(),
-            started: now,
             revision: 0,
         };
         for (name, config) in buses {
@@ -152,11 +150,12 @@ impl Buses {
         self.get(bus).map(Bus::own_address) == Some(OwnAddress::Held(address))
     }
 
-    /// Name of the bus for an entry of des.json; `None` with a single bus, which entries need not
-    /// name.
-    pub fn entry_bus(&self, bus: Option<BusIndex>) -> Option<String> {
+    /// Name of the bus for a new entry of des.json; `None` with a single bus, unless an entry names
+    /// another one: it could have the same content.
+    pub fn entry_bus(&self, document: &Document, bus: Option<BusIndex>) -> Option<String> {
         let bus = self.get(bus?)?;
-        (self.list.len() > 1).then(|| bus.name.clone())
+        let names_another = || document.entries().iter().any(|entry| !is_for(entry, &bus.name));
+        (self.list.len() > 1 || names_another()).then(|| bus.name.clone())
     }
 
     /// Findings of all engines, bus by bus.
@@ -212,12 +211,11 @@ impl Buses {
     }
 
     /// Returns true if a bus was searched long enough to report a device as missing: the
-    /// enumeration settled or ran twice, 5 s passed since the start, or the log ended.
+    /// enumeration settled or ran twice, the bus was up for 5 s, or the log ended.
     pub fn is_search_complete(&self, bus: BusIndex, now: Instant) -> bool {
         let Some(bus) = self.get(bus) else { return false };
         let progress = bus.progress();
-        let listened = now.since(self.started) >= LISTEN_TIME;
-        progress.is_complete || progress.rounds >= 2 || listened || bus.ended.is_some()
+        progress.is_complete || progress.rounds >= 2 || bus.has_listened(now) || bus.ended.is_some()
     }
 
     /// Returns true if the engine of a bus sends requests.
@@ -352,9 +350,9 @@ impl Buses {
         self.all_mut().for_each(Bus::remove_lost_devices);
     }
 
-    /// Closes the load seconds that are over.
+    /// Closes the load seconds that are over; a log that ended keeps its last ones.
     pub(super) fn tick(&mut self, now: Instant) {
-        for bus in &mut self.list {
+        for bus in self.list.iter_mut().filter(|bus| bus.ended.is_none()) {
             bus.meter.advance(now);
         }
     }
@@ -394,9 +392,10 @@ mod tests {
     #[test]
     fn entry_bus_is_named_with_several_buses_only() {
         let mut buses = two_buses();
-        assert_eq!(buses.entry_bus(Some(BusIndex(1))).as_deref(), Some("can1"));
+        let none = Document::empty();
+        assert_eq!(buses.entry_bus(&none, Some(BusIndex(1))).as_deref(), Some("can1"));
         buses.list.truncate(1);
-        assert_eq!(buses.entry_bus(Some(BusIndex(0))), None);
+        assert_eq!(buses.entry_bus(&none, Some(BusIndex(0))), None);
     }
 
     #[test]

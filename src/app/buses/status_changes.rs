@@ -53,7 +53,7 @@ pub(super) fn status_changes(old: &BusStatus, status: &BusStatus) -> Vec<(Timeli
             _ => TimelineKind::Error,
         };
         let counters = match (status.tec, status.rec) {
-            (Some(tec), Some(rec)) => format!(" (error counters: tx {tec}, rx {rec})"),
+            (Some(tec), Some(rec)) => format!(" (TEC {tec}, REC {rec})"),
             _ => String::new(),
         };
         lines.push((kind, format!("{}{counters}", status.state)));

@@ -153,6 +153,7 @@ fn describe_data(profile: &Profile, header: Header, frame: &Frame) -> (String, b
     }
     if !header.response {
         return match classify_request(data, frame.is_fd) {
+            Some((Framing::Raw, message)) => (describe_request(message) + ", raw", false),
             Some((_, message)) => (describe_request(message), false),
             None => match Pci::decode(data, frame.is_fd) {
                 Ok(Pci::Flow(flow)) => (describe_flow(flow.status).to_owned(), false),

@@ -10,17 +10,17 @@ mod ring;
 pub use decoded::{Decoded, hex};
 pub use ring::{Capture, IdentifierKey, IdentifierKind, IdentifierStats};
 
-use super::buses::Buses;
+use super::buses::{Bus, Buses};
 use super::filter::Filter;
 use super::view::{Page, View};
 use crate::frame::Frame;
-use crate::log::LogEntry;
+use crate::log::{LogEntry, LogFormat};
 use crate::status::RecordingStatus;
 use crate::time::Epoch;
 use crate::wire::id::Header;
 use crate::wire::isotp::Pci;
 use std::collections::VecDeque;
-use std::fmt::Write;
+use std::io;
 
 /// Frames that are searched for the other parts of a transfer, in each direction.
 const TRANSFER_SEARCH: usize = 4096;
@@ -229,15 +229,23 @@ impl Traffic {
         Some(decoded::describe_response(&message).0)
     }
 
-    /// The captured frames as a candump log.
-    pub fn candump_log(&self, buses: &Buses, epoch: Epoch) -> String {
-        let mut log = String::new();
+    /// The captured frames as a log of this format.
+    pub fn log(&self, buses: &Buses, epoch: Epoch, format: &LogFormat) -> io::Result<Vec<u8>> {
+        let (mut encoder, mut log) = (format.encoder(), Vec::new());
+        encoder.begin(&mut log)?;
         for (_, frame) in self.capture.iter() {
             let unix_micros = epoch.unix_micros(frame.time);
             let interface = buses.get(frame.bus).map_or("can", |bus| &bus.name);
-            let _ = writeln!(log, "{}", LogEntry { unix_micros, interface, frame: *frame });
+            encoder.write(
+                LogEntry { unix_micros, interface, frame: *frame },
+                u64::MAX,
+                &mut log,
+            )?;
         }
-        log
+        let names: Vec<String> = buses.iter().map(|bus| bus.name.clone()).collect();
+        let lost: Vec<u64> = buses.iter().map(Bus::lost).collect();
+        encoder.end(&names, &lost, &mut log)?;
+        Ok(log)
     }
 }
 

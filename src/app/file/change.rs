@@ -95,8 +95,7 @@ impl FileError {
         match self {
             FileError::Syntax(error) => format!("{name}: {error}"),
             FileError::Unreadable(why) => format!("{name}: {why}"),
-            // Shown during edits, where the file is known.
-            FileError::NotSaved(why) => why.to_string(),
+            FileError::NotSaved(why) => format!("{name} not saved: {why}"),
         }
     }
 
@@ -113,7 +112,8 @@ impl std::fmt::Display for FileError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             FileError::Syntax(error) => error.fmt(f),
-            FileError::Unreadable(why) | FileError::NotSaved(why) => why.fmt(f),
+            FileError::Unreadable(why) => why.fmt(f),
+            FileError::NotSaved(why) => write!(f, "not saved: {why}"),
         }
     }
 }

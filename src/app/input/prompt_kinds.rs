@@ -11,8 +11,9 @@ use crate::app::problems::is_for;
 use crate::app::view::{Page, RowKey};
 use crate::discovery::DeviceId;
 use crate::document::{Document, Entry, EntryKey, NewEntry, Operation};
+use crate::log::LogFormat;
 use crate::text::Quoted;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Effect of Enter after the file was deleted or emptied while the user typed.
 const CREATES_FILE: &str = "Enter creates a new file";
@@ -255,7 +256,7 @@ impl PromptLogic for AddressPrompt {
             }
             (Some(to), None) => match self.key {
                 RowKey::Device(id) => context.buses.device(id).and_then(|device| {
-                    let mut entry = new_entry(context.buses, device)?;
+                    let mut entry = new_entry(context.buses, context.file.document(), device)?;
                     (entry.address, entry.is_static) = (Some(to), true);
                     Some(Operation::Add { entry })
                 }),
@@ -388,7 +389,7 @@ impl NewEntryPrompt {
             Ok(split) => split,
             Err(why) => return C::Rejected(why.to_owned()),
         };
-        let bus = context.buses.entry_bus(context.selected_bus);
+        let bus = context.buses.entry_bus(context.file.document(), context.selected_bus);
         let exists = |entry: &&Entry| entry.name == name && entry.address == address;
         if let Some(other) = context.file.document().entries().iter().find(exists) {
             let line = other.position.line;
@@ -435,7 +436,7 @@ impl PromptLogic for NewEntryPrompt {
 
     fn commit(&self, text: &str, context: PromptContext) -> PromptOutcome {
         let Ok((name, address)) = split_new_entry(text) else { return PromptOutcome::Nothing };
-        let bus = context.buses.entry_bus(context.selected_bus);
+        let bus = context.buses.entry_bus(context.file.document(), context.selected_bus);
         let is_static = address.is_some();
         let entry = NewEntry { name, address, is_static, bus, ..NewEntry::default() };
         PromptOutcome::AddEntry(entry)
@@ -460,9 +461,10 @@ impl PromptLogic for CapturePathPrompt {
     }
 
     fn validate(&self, text: &str, context: PromptContext) -> C {
-        match text {
-            "" => C::Rejected(NO_PATH.to_owned()),
-            _ => C::Accepted(format!("{} frames, candump format", context.frames)),
+        match LogFormat::of(Path::new(text)) {
+            _ if text.is_empty() => C::Rejected(NO_PATH.to_owned()),
+            Ok(format) => C::Accepted(format!("{} frames, {}", context.frames, format.description)),
+            Err(_) => C::Rejected(format!("use the ending {}", LogFormat::usual_endings())),
         }
     }
 

@@ -149,7 +149,9 @@ impl<'a> Comparison<'a> {
         let at = address.map(|address| format!(" (at {address})")).unwrap_or_default();
         let why = inputs.missing_reasons(entry);
         let (first, rest) = why.split_first().map_or(("", &[][..]), |(it, rest)| (it, rest));
-        let text = format!("{}{at} is listed but not on the bus: {first}.", Quoted(&entry.name));
+        let end = if first.ends_with('?') { "" } else { "." };
+        let name = Quoted(&entry.name);
+        let text = format!("{name}{at} is listed but not on the bus: {first}{end}");
         let values: Values = &[("further reasons", &rest.join("; "))];
         let name = Some(Name::new(&entry.name));
         self.add(FindingKind::Missing, Some(bus), address, name, text, values);

@@ -54,11 +54,10 @@ impl Inputs<'_> {
     }
 
     fn why_on(&self, index: BusIndex, bus: &Bus, entry: &Entry) -> Vec<String> {
-        let mut reasons = Vec::new();
-        why_bus(bus, &mut reasons);
-        if !reasons.is_empty() {
-            return reasons;
+        if let Some(obstacle) = bus_obstacle(bus) {
+            return vec![obstacle];
         }
+        let mut reasons = Vec::new();
         let mut elsewhere = Vec::new();
         let mut taken = Vec::new();
         for device in bus.devices() {
@@ -83,9 +82,12 @@ impl Inputs<'_> {
             let (name, at) = (Quoted(&entry.name), at.join(" and "));
             reasons.push(format!("{name} found at {at}{not}: ambiguous"));
         }
-        if reasons.is_empty() && !self.buses.is_search_complete(index, self.now) {
+        let is_explained = !reasons.is_empty() || entry.address.is_none() && !taken.is_empty();
+        if is_explained {
+            // Silence is no reason then.
+        } else if !self.buses.is_search_complete(index, self.now) {
             reasons.push("search still running".to_owned());
-        } else if reasons.is_empty() {
+        } else {
             why_silent(bus, entry, &mut reasons);
         }
         reasons.extend(taken.into_iter().map(|device| {
@@ -147,7 +149,7 @@ impl Inputs<'_> {
         if let Some(bus) = self.buses.get(device.id.bus)
             && (!device.is_present() || bus.cannot_receive())
         {
-            why_bus(bus, &mut reasons);
+            reasons.extend(bus_obstacle(bus));
         }
         if device.name.is_none() && !device.is_debug {
             reasons.extend(self.why_unnamed(device));
@@ -232,31 +234,26 @@ fn device_name(device: &Device) -> String {
     }
 }
 
-fn why_bus(bus: &Bus, reasons: &mut Vec<String>) {
+/// The reason why nothing can be received or sent on a bus; `None` if both is possible.
+pub fn bus_obstacle(bus: &Bus) -> Option<String> {
     let name = &bus.name;
-    match (bus.status.link, bus.status.state) {
-        (Link::Opening, _) => reasons.push(format!("{name} is opening")),
-        (link, _) if !matches!(link, Link::Up | Link::Ended) => {
-            reasons.push(match &bus.status.fault {
-                Some(fault) => Escaped(fault.to_string().as_bytes()).to_string(),
-                None => format!("{name} is down"),
-            });
-        }
-        (_, BusState::BusOff) => {
-            reasons.push(format!("{name} is bus-off: nothing is received"));
-        }
-        (_, BusState::Stopped) => reasons.push(format!("{name} is stopped")),
-        _ => {}
-    }
-    match bus.tx_blocked() {
-        Some(TxBlocked::QueueFull) => {
-            reasons.push(format!("cannot send requests: transmit queue of {name} is stuck"));
-        }
-        Some(TxBlocked::NoAck) => {
-            reasons.push(format!("no ACK on {name}: no other node, wrong bit rate or broken wire"));
-        }
-        None => {}
-    }
+    Some(match (bus.status.link, bus.status.state) {
+        (Link::Opening, _) => format!("{name} is opening"),
+        (link, _) if !matches!(link, Link::Up | Link::Ended) => match &bus.status.fault {
+            Some(fault) => Escaped(fault.to_string().as_bytes()).to_string(),
+            None => format!("{name} is down"),
+        },
+        (_, BusState::BusOff) => format!("{name} is bus-off: nothing is received"),
+        (_, BusState::Stopped) => format!("{name} is stopped"),
+        _ => match bus.tx_blocked()? {
+            TxBlocked::QueueFull => {
+                format!("cannot send requests: transmit queue of {name} is stuck")
+            }
+            TxBlocked::NoAck => {
+                format!("no ACK on {name}: no other node, wrong bit rate or broken wire")
+            }
+        },
+    })
 }
 
 fn asked(attempts: u32) -> String {

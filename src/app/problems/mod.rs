@@ -12,7 +12,7 @@ mod missing_reason;
 pub use comparison::Scope;
 pub use group::{EvidenceItem, Problem, ProblemKey};
 pub use matching::{Matching, is_for};
-pub use missing_reason::format_duration;
+pub use missing_reason::{bus_obstacle, format_duration};
 
 use super::Inputs;
 use super::buses::Buses;

@@ -249,7 +249,7 @@ fn bus_without_bit_rate_offers_no_search() {
 fn blocked_requests_show_reason() {
     let mut stage = Stage::boiler();
     stage.link(Link::Down).keys("r");
-    assert!(stage.screen().contains("no bus is up: cannot send requests"), "{}", stage.screen());
+    assert_eq!(stage.app.message().unwrap().text, "can0 is down");
 
     let full = BusStatus { link: Link::Up, is_transmit_queue_full: true, ..BusStatus::default() };
     stage.app.handle_bus(stage.app.now(), BusIndex(0), full.clone());

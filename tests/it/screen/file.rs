@@ -276,7 +276,7 @@ fn broken_file_is_shown_and_never_written() {
     assert!(stage.app.prompt().is_none());
     stage.keys("A");
     assert_eq!(stage.file(), broken);
-    assert!(stage.screen().contains("✓ 10"), "the last good content stays in force");
+    assert!(stage.screen().contains("✓ 12"), "the last good content stays in force");
     for page in ["3", "4"] {
         let screen = stage.keys(page).screen();
         let lines: Vec<&str> = screen.lines().collect();

@@ -6,6 +6,7 @@ mod devices;
 mod file;
 mod help;
 mod input;
+mod keys;
 mod problems;
 mod timeline;
 mod traffic;
@@ -134,7 +135,8 @@ fn every_state_is_readable_without_colour() {
         assert_eq!(text_of(&stage.buffer(name)), stage.screen(), "{name}");
     }
     let screen = stage.screen();
-    for words in ["● ", "⚠   14 ACT        CONFLICT", "missing", "✓ 10", "✗ 16", "+ new", "SENS²"]
+    for words in
+        ["● ", "⚠   14 ACT        CONFLICT", "missing", "✓ 12", "≠ 10", "✗ 16", "+ new", "SENS²"]
     {
         assert!(screen.contains(words), "{words}\n{screen}");
     }
