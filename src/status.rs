@@ -137,7 +137,7 @@ pub struct BusStatus {
     pub is_transmit_queue_full: bool,
     /// Error frames that report a missing ACK.
     pub missing_acks: u64,
-    /// Messages of an adapter or a server that cannot be read.
+    /// Messages of an adapter or a server that cannot be read; entries of a log, known at its end.
     pub unreadable: u64,
     /// Whether an adapter was told to open the bus and has sent nothing readable yet: whether it
     /// is connected to a bus is not known.

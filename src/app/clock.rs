@@ -9,6 +9,8 @@ const SECOND: Duration = Duration::from_secs(1);
 #[derive(Debug)]
 pub(super) struct AppClock {
     now: Instant,
+    /// Real time, if the caller sets it; otherwise it is `now`.
+    real: Option<Instant>,
     epoch: Epoch,
     utc_offset_seconds: i32,
     /// Playback of logs, where all buses are logs.
@@ -22,7 +24,7 @@ impl AppClock {
     /// clock.
     pub fn new(now: Instant, epoch: Epoch, utc_offset_seconds: i32) -> Self {
         let next_second = whole_second_after(now);
-        Self { now, epoch, utc_offset_seconds, playback: None, next_second }
+        Self { now, real: None, epoch, utc_offset_seconds, playback: None, next_second }
     }
 
     /// The latest moment.
@@ -34,6 +36,21 @@ impl AppClock {
     pub fn set(&mut self, now: Instant) -> Instant {
         self.now = self.now.max(now);
         self.now
+    }
+
+    /// Real time, which a log does not pause nor accelerate; its start is the caller's.
+    pub fn real(&self) -> Instant {
+        self.real.unwrap_or(self.now)
+    }
+
+    /// Sets the real time.
+    pub fn set_real(&mut self, real: Instant) {
+        self.real = Some(real);
+    }
+
+    /// Returns true if real time is set apart from the time of the buses.
+    pub fn has_real(&self) -> bool {
+        self.real.is_some()
     }
 
     /// Unix time of [`Instant::ZERO`].

@@ -67,7 +67,7 @@ impl DeviceRows {
         let before = std::mem::replace(&mut self.rows, rows);
         self.follow_selection(&before, view);
         let height = view.screen(inputs.buses.len()).list_rows();
-        view.devices.update(&self.keys(), height);
+        view.devices.update_keeping(&self.keys(), height);
     }
 
     /// Moves the selection with its device to another row: a listed device appears, or a lost one

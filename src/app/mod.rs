@@ -267,13 +267,7 @@ impl App {
             self.tick();
         }
         self.notices.expire(now);
-        if self.editor.start_retry(now) {
-            self.save_pending();
-        }
-        if self.empty_settles_at().is_some_and(|at| at <= now) {
-            let change = self.editor.file.accept_empty();
-            self.file_changed(change);
-        }
+        self.run_file_timers();
         if self.notices.redraw.check_due(now) {
             self.catch_up();
         }
@@ -354,9 +348,9 @@ impl App {
 
     /// Takes a reading of des.json.
     pub fn handle_file(&mut self, now: Instant, reading: FileReading) {
-        let now = self.clock.set(now);
+        self.clock.set(now);
         let was_emptied = self.editor.file.emptied_since().is_some();
-        let change = self.editor.file.read(now, reading);
+        let change = self.editor.file.read(self.clock.real(), reading);
         self.file_changed(change);
         let is_emptied = self.editor.file.emptied_since().is_some();
         if was_emptied || is_emptied {
@@ -380,7 +374,7 @@ impl App {
     /// Takes the result of an [`Effect::Save`].
     pub fn handle_saved(&mut self, now: Instant, outcome: SaveOutcome) {
         let now = self.clock.set(now);
-        let report = self.editor.handle_saved(now, outcome);
+        let report = self.editor.handle_saved(self.clock.real(), outcome);
         self.notices.redraw.set_dirty();
         if report.is_silent {
             return;
@@ -491,9 +485,42 @@ impl App {
     /// The moment at which [`App::handle_timeout`] is due.
     pub fn poll_timeout(&self) -> Option<Instant> {
         let second = (!self.was_idle || !self.is_idle()).then_some(self.clock.next_second());
-        let file = self.editor.poll_timeout().into_iter().chain(self.empty_settles_at());
+        let file = self.file_timeout().filter(|_| !self.clock.has_real());
         let parts = self.buses.poll_timeout().into_iter().chain(self.notices.poll_timeout());
         parts.chain(second).chain(file).min()
+    }
+
+    /// Sets the real time, by which des.json is saved again and a file that has become empty is
+    /// accepted: other programs keep to it, whatever the pace of a log. Without it, the time of the
+    /// buses counts.
+    pub fn set_real_time(&mut self, real: Instant) {
+        self.clock.set_real(real);
+    }
+
+    /// When to call [`Self::handle_real_timeout`] next, in real time; `None` unless that is set.
+    pub fn poll_real_timeout(&self) -> Option<Instant> {
+        self.file_timeout().filter(|_| self.clock.has_real())
+    }
+
+    /// Handles what is due at this real time.
+    pub fn handle_real_timeout(&mut self, real: Instant) {
+        self.clock.set_real(real);
+        self.run_file_timers();
+    }
+
+    fn file_timeout(&self) -> Option<Instant> {
+        self.editor.poll_timeout().into_iter().chain(self.empty_settles_at()).min()
+    }
+
+    fn run_file_timers(&mut self) {
+        let real = self.clock.real();
+        if self.editor.start_retry(real) {
+            self.save_pending();
+        }
+        if self.empty_settles_at().is_some_and(|at| at <= real) {
+            let change = self.editor.file.accept_empty();
+            self.file_changed(change);
+        }
     }
 
     /// Returns true if the screen is out of date.
@@ -878,7 +905,7 @@ impl App {
     /// When a file that has become empty is no longer assumed to be in writing.
     fn empty_settles_at(&self) -> Option<Instant> {
         let since = self.editor.file.emptied_since()?;
-        Some(since + self.clock.scale_to_playback(EMPTY_SETTLES_AFTER))
+        Some(since + EMPTY_SETTLES_AFTER)
     }
 
     /// Returns true if nothing on the screen changes with time.

@@ -62,6 +62,11 @@ pub struct LogSummary {
 }
 
 impl LogSummary {
+    /// Returns the number of entries that cannot be read; of a damaged log, its rest counts as one.
+    pub fn lost_entries(&self) -> u64 {
+        self.unreadable + u64::from(self.damage.is_some())
+    }
+
     /// Counts an entry; returns its frame with bus and moment.
     pub(super) fn take<'a>(
         &mut self,

@@ -25,7 +25,7 @@ use std::future::{Future, pending};
 use std::io;
 use std::path::PathBuf;
 use std::pin::Pin;
-use std::time::Duration;
+use std::time::{Duration, Instant as Monotonic};
 use tokio::task::{JoinHandle, spawn_blocking};
 
 /// Maximum number of frames handled in one turn; keys and the screen are handled between turns.
@@ -40,6 +40,8 @@ const STALL_THRESHOLD: Duration = Duration::from_millis(1500);
 pub enum SessionWake {
     /// Something is due.
     Due,
+    /// A save is due again, or an empty file is accepted.
+    FileDue,
     /// A bus has frames, or its status changed.
     Buses,
     /// Frames of the log were read, or its end; or it cannot be read.
@@ -110,6 +112,8 @@ pub struct Session {
     batch: Vec<Frame>,
     /// Start of the session, or the end of the last stall.
     stall_checked_from: Instant,
+    /// Start of the session, in real time.
+    started: Monotonic,
 }
 
 impl Session {
@@ -137,6 +141,7 @@ impl Session {
             app,
             input,
             input_end: None,
+            started: Monotonic::now(),
             stall_checked_from: resumed,
             store,
             watch: None,
@@ -146,6 +151,7 @@ impl Session {
             searching: None,
             batch: Vec::with_capacity(BATCH),
         };
+        session.app.set_real_time(Instant::ZERO);
         session.report_playback();
         session.open_file();
         session
@@ -201,6 +207,11 @@ impl Session {
         }
     }
 
+    /// Real time since the start of the session.
+    fn real_time(&self) -> Instant {
+        Instant::ZERO + self.started.elapsed()
+    }
+
     /// The session's time. While frames of a replayed log wait, not later than they are.
     pub fn now(&self) -> Instant {
         match &self.input {
@@ -228,6 +239,8 @@ impl Session {
     /// Waits for the next reason to do something. May be dropped while waiting.
     pub async fn next(&mut self) -> SessionWake {
         let timeout = self.app.poll_timeout();
+        let real = self.app.poll_real_timeout().map(|at| at.since(self.real_time()));
+        let file_due = sleep_for(real);
         let (watch, reading) = (self.watch.as_ref(), &mut self.reading);
         let file = async {
             let parsing = if let Some(parsing) = reading {
@@ -295,6 +308,7 @@ impl Session {
             biased;
             wake = batch_or_due => wake,
             () = due => SessionWake::Due,
+            () = file_due => SessionWake::FileDue,
             reading = file => SessionWake::File(reading),
             (result, at) = done => {
                 drop(self.work.swap_remove(at));
@@ -333,8 +347,10 @@ impl Session {
     /// Handles what [`Session::next`] returned.
     pub fn handle_wake(&mut self, wake: SessionWake) {
         let now = self.begin_turn();
+        self.app.set_real_time(self.real_time());
         match wake {
             SessionWake::Due => {}
+            SessionWake::FileDue => self.app.handle_real_timeout(self.real_time()),
             SessionWake::Buses => self.receive_frames(now),
             SessionWake::Log(Ok(batch)) => {
                 if let SessionInput::Log(log, _) = &mut self.input {
@@ -434,7 +450,13 @@ impl Session {
     }
 
     fn end_buses(&mut self, now: Instant) {
-        for at in 0..self.app.buses().len() {
+        let unreadable = self.log_summary().map_or(0, LogSummary::lost_entries);
+        if let Some(bus) = self.app.buses().first() {
+            // Lines that cannot be read name no interface: they count on the first.
+            let status = BusStatus { unreadable, link: Link::Ended, ..bus.status.clone() };
+            self.app.handle_bus(now, BusIndex(0), status);
+        }
+        for at in 1..self.app.buses().len() {
             set_link(&mut self.app, now, at, Link::Ended);
         }
     }

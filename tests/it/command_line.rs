@@ -410,7 +410,7 @@ fn log_is_read_from_standard_input() {
 }
 
 #[test]
-fn unreadable_log_lines_are_reported_once_on_stderr() {
+fn unreadable_log_lines_are_reported_on_stderr_and_in_json() {
     let folder = tempfile::tempdir().unwrap();
     let lines = format!("{}what?\nand this?\n", log(&two_devices(), 3));
     let number = lines.lines().count() - 1;
@@ -421,6 +421,8 @@ fn unreadable_log_lines_are_reported_once_on_stderr() {
         said.contains(&format!("2 lines cannot be read, the first is line {number}")),
         "{said}"
     );
+    let report = json(&descan(&["scan", "file:session.log", "--json"], folder.path()));
+    assert_eq!(report["buses"][0]["unreadable"], 2, "{report}");
 }
 
 #[test]

@@ -6,7 +6,7 @@ use descan::app::{Effect, FileReading, FileState, SaveOutcome, Saving};
 use descan::document::{Document, Operation};
 use descan::sim::{DeviceSpec, Scenario};
 use descan::status::Playback;
-use descan::time::Instant;
+use descan::time::{Duration, Instant};
 use proptest::prelude::*;
 
 /// A disk that rejects writes until it is repaired.
@@ -152,15 +152,45 @@ fn every_emptying_of_the_file_is_waited_for() {
 
 /// Tests the end of a log, where no deadline passes any more.
 #[test]
-fn paused_time_does_not_wait_for_an_empty_file() {
-    let mut stage = Stage::boiler();
-    stage.until(24.0);
-    let playback = Playback { speed: 1.0, is_paused: true, is_ended: false };
-    stage.app.handle_playback(stage.app.now(), playback);
-    stage.write("");
-    assert!(stage.app.poll_timeout().is_some_and(|at| at <= stage.app.now()));
-    stage.app.handle_timeout(stage.app.now());
-    assert!(stage.screen().contains("✓ 0 entries"), "{}", stage.screen());
+fn empty_file_is_waited_for_in_real_time_at_any_pace_of_a_log() {
+    for (speed, is_paused, is_ended) in
+        [(1.0, true, false), (1000.0, false, false), (1.0, false, true)]
+    {
+        let mut stage = Stage::boiler();
+        stage.until(24.0);
+        let real = Instant::ZERO + Duration::from_secs(7);
+        stage.app.set_real_time(real);
+        stage.app.handle_playback(stage.app.now(), Playback { speed, is_paused, is_ended });
+        stage.write("");
+        let much_later = stage.app.now() + Duration::from_secs(1000);
+        stage.app.handle_timeout(much_later);
+        assert!(stage.screen().contains("empty (being written?)"), "{}", stage.screen());
+        let due = stage.app.poll_real_timeout().expect("a deadline in real time");
+        assert_eq!(due, real + Duration::from_secs(1));
+        stage.app.handle_real_timeout(due);
+        assert!(stage.screen().contains("✓ 0 entries"), "{}", stage.screen());
+        assert_eq!(stage.app.poll_real_timeout(), None);
+    }
+}
+
+#[test]
+fn failed_save_is_repeated_in_real_time_at_any_pace_of_a_log() {
+    let mut stage = refusing();
+    stage.app.set_real_time(Instant::ZERO);
+    stage.app.handle_playback(
+        stage.app.now(),
+        Playback { speed: 1000.0, is_paused: false, is_ended: false },
+    );
+    stage.keys("n").text("NEW 64").keys("Enter");
+    let due = stage.app.poll_real_timeout().expect("a deadline in real time");
+    assert_eq!(due, Instant::ZERO + Duration::from_secs(10));
+    assert!(stage.app.file().unsaved() > 0);
+    mend(&mut stage);
+    stage.app.handle_timeout(stage.app.now() + Duration::from_secs(1000));
+    assert!(stage.app.file().unsaved() > 0, "not in the time of the log");
+    stage.app.handle_real_timeout(due);
+    stage.drain(stage.app.now());
+    assert_eq!(stage.app.file().unsaved(), 0, "{}", stage.screen());
 }
 
 // ---- the first entry -----------------------------------------------------------------------
@@ -361,7 +391,7 @@ fn undo_of_many_skips_values_changed_on_disk() {
     stage.write(&noted(&all, 3)).keys("u");
     assert_eq!(names(&stage), "N001 N002 N003");
     let but = format!("except N003 at {third} and 2 more (changed on disk)");
-    told(&stage, &format!("undid: 4 new entries, {but}"));
+    told(&stage, &format!("undone: 4 new entries, {but}"));
     let mut stage = Stage::new(&Scenario::with_many_devices(500_000, 4, 2), Some("[]"));
     stage.until(5.0).keys("A").write(&noted(&all, 4)).keys("u");
     assert_eq!(stage.file(), noted(&all, 4));

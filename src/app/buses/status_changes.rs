@@ -75,8 +75,8 @@ pub(super) fn status_changes(old: &BusStatus, status: &BusStatus) -> Vec<(Timeli
         }
         _ => {}
     }
-    // Reported once: unreadable data arrives in bursts.
-    if old.unreadable == 0 && status.unreadable > 0 {
+    // Reported once: unreadable data arrives in bursts. The end of a log names its first line.
+    if old.unreadable == 0 && status.unreadable > 0 && status.link != Link::Ended {
         lines.push((TimelineKind::Error, "unreadable data received (counted)".to_owned()));
     }
     for (before, now, why) in [
