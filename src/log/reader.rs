@@ -11,7 +11,7 @@ use std::io::{self, BufRead, BufReader, Read};
 
 /// Reads the frames of a log. The first frame is at [`Instant::ZERO`](crate::time::Instant::ZERO).
 /// A frame dated up to 1 s before its predecessor gets the same moment; after a larger step back,
-/// time continues from the last frame. Both are counted in [`LogSummary::backwards`].
+/// time continues from the last frame. Both are counted in [`LogSummary::clock_steps_back`].
 #[derive(Debug)]
 pub struct LogReader<R> {
     source: R,
