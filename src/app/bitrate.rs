@@ -2,7 +2,8 @@
 //!
 //! Does not search: the shell executes [`Effect::FindBitrate`].
 
-use super::notices::{TimelineEntry, TimelineKind};
+use super::notices::TimelineEntry;
+use super::timeline_kind::TimelineKind;
 use super::{App, Effect, Question};
 use crate::bitrate::{SearchOutcome, SearchProgress, kbit};
 use crate::frame::BusIndex;

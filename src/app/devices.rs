@@ -7,7 +7,7 @@ use super::Inputs;
 use super::buses::{Bus, Buses};
 use super::filter::Filter;
 use super::listing::other_services;
-use super::problems::{Problem, is_for};
+use super::problems::Problem;
 use super::view::{Counts, FileStatus, Page, Row, RowKey, RowState, SortBy, View};
 use crate::discovery::Device;
 use crate::document::Entry;
@@ -189,7 +189,7 @@ impl Inputs<'_> {
     /// Row of an entry without a device; `None` where its bus is not open.
     fn entry_row(&self, entry: &Entry) -> Option<Row> {
         let bus = match &entry.bus {
-            Some(_) => Some(self.buses.iter().position(|bus| is_for(entry, &bus.name))?),
+            Some(_) => Some(self.buses.iter().position(|bus| entry.is_for_bus(&bus.name))?),
             None if self.buses.len() == 1 => Some(0),
             None => None,
         };
@@ -252,9 +252,9 @@ fn count(rows: &[Row], problems: &[Problem]) -> Counts {
 /// Sorts rows; equal ones by bus, address and name.
 fn sort(rows: &mut [Row], buses: &Buses, by: SortBy) {
     rows.sort_by(|a, b| {
-        let seen = |row: &Row| Reverse(buses.device_of(row).map(|device| device.first_seen));
+        let seen = |row: &Row| Reverse(row.device(buses).map(|device| device.first_seen));
         let mode = |row: &Row| {
-            let mode = buses.device_of(row).and_then(|device| device.mode);
+            let mode = row.device(buses).and_then(|device| device.mode);
             (mode.is_none(), mode)
         };
         match by {

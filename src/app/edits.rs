@@ -7,8 +7,9 @@ use super::input::{
     AddressPrompt, CapturePathPrompt, CopyPathPrompt, NewEntryPrompt, RenamePrompt,
 };
 use super::listing::update_operation;
-use super::notices::{TimelineEntry, TimelineKind};
+use super::notices::TimelineEntry;
 use super::problems::bus_obstacle;
+use super::timeline_kind::TimelineKind;
 use super::{
     App, Bus, EditRefusal, Effect, Overlay, Page, Prompt, PromptContext, PromptKind, PromptOutcome,
     PromptResult, Question, RowKey, inputs,

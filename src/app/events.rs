@@ -5,10 +5,9 @@
 use super::buses::Redundancy;
 use super::file::{FileChange, FileError};
 use super::input::Overlay;
-use super::notices::{
-    TimelineEntry, TimelineKind, event_text, finding_line, join_lines, join_short,
-};
+use super::notices::{TimelineEntry, event_text, finding_line, join_lines, join_short};
 use super::problems::ProblemKey;
+use super::timeline_kind::TimelineKind;
 use super::{App, AppEvent, Effect};
 use crate::discovery::{DeviceId, Event, EventKind};
 use crate::finding::Finding;

@@ -18,10 +18,10 @@
 //! Case is ignored.
 
 use super::buses::Buses;
-use super::capture::Decoded;
-use super::notices as timeline;
-use super::notices::name_on_line;
+use super::capture::decoded::Decoded;
+use super::notices::timeline::TimelineEntry;
 use super::problems::Problem;
+use super::timeline_kind::TimelineKind;
 use super::view::{Page, Row, RowState};
 use crate::finding::{FindingKind, FindingState};
 use crate::frame::{Frame, FrameKind};
@@ -184,12 +184,11 @@ impl Filter {
             return true;
         }
         let name = row.name.as_ref().map(ToString::to_string).unwrap_or_default().to_lowercase();
-        let has_address =
-            |word: &str| buses.addresses_of(row).any(|address| is_one_of(address, word));
+        let has_address = |word: &str| row.addresses(buses).any(|address| is_one_of(address, word));
         let own = row.bus.into_iter().chain(row.redundant_ids.iter().map(|id| id.bus));
         let own = own.filter_map(|bus| Some(buses.get(bus)?.name.to_lowercase()));
         let own: Vec<String> = own.collect();
-        let device = buses.device_of(row);
+        let device = row.device(buses);
         let mode = device.and_then(|device| device.mode).map_or("", |mode| mode.name());
         let services = device.and_then(|device| device.services.as_deref()).unwrap_or_default();
         let service = |word: &str| {
@@ -226,7 +225,7 @@ impl Filter {
     }
 
     /// Returns true if a line of the timeline matches.
-    pub fn matches_entry(&self, buses: &Buses, entry: &timeline::TimelineEntry) -> bool {
+    pub fn matches_entry(&self, buses: &Buses, entry: &TimelineEntry) -> bool {
         self.matches_entry_of(buses, entry, &[])
     }
 
@@ -234,10 +233,10 @@ impl Filter {
     pub(super) fn matches_entry_of(
         &self,
         buses: &Buses,
-        entry: &timeline::TimelineEntry,
+        entry: &TimelineEntry,
         others: &[Address],
     ) -> bool {
-        let name = || name_on_line(buses, entry).map(ToString::to_string).unwrap_or_default();
+        let name = || entry.device_name(buses).map(ToString::to_string).unwrap_or_default();
         let address = || entry.address.map(|address| address.to_string()).unwrap_or_default();
         let bus = || entry.bus.and_then(|bus| buses.get(bus)).map_or("", |bus| &bus.name);
         self.all(|what| match what {
@@ -252,18 +251,15 @@ impl Filter {
             }
             TermTest::Field(Field::Name, value) => contains_word(&name(), value),
             TermTest::Field(Field::State, value) => match entry.kind {
-                timeline::TimelineKind::Suspected => starts("suspected", value),
-                timeline::TimelineKind::Confirmed => starts("confirmed", value),
-                timeline::TimelineKind::Cleared => starts("cleared", value),
-                timeline::TimelineKind::Error => starts("error", value),
+                TimelineKind::Suspected => starts("suspected", value),
+                TimelineKind::Confirmed => starts("confirmed", value),
+                TimelineKind::Cleared => starts("cleared", value),
+                TimelineKind::Error => starts("error", value),
                 _ => false,
             },
             TermTest::Field(_, value) => contains_word(&name(), value) || address() == *value,
-            TermTest::Error => matches!(
-                entry.kind,
-                timeline::TimelineKind::Confirmed | timeline::TimelineKind::Error
-            ),
-            TermTest::Ours => entry.kind == timeline::TimelineKind::File,
+            TermTest::Error => matches!(entry.kind, TimelineKind::Confirmed | TimelineKind::Error),
+            TermTest::Ours => entry.kind == TimelineKind::File,
         })
     }
 

@@ -41,6 +41,7 @@ mod listing;
 mod navigate;
 mod notices;
 mod problems;
+mod timeline_kind;
 mod view;
 
 pub use app_event::{AppEvent, BusSnapshot, DeviceEvent, EventContext, EventLine, FileSnapshot};
@@ -52,8 +53,9 @@ pub use filter::{FILTER_FIELDS, FILTER_WORDS, Filter, FilterField};
 pub use input::{InputCheck, Overlay, Prompt, PromptKind, Question};
 pub use listing::same_services;
 pub use navigate::{Mouse, MouseKind};
-pub use notices::{StatusMessage, Timeline, TimelineEntry, TimelineKind};
+pub use notices::{StatusMessage, Timeline, TimelineEntry};
 pub use problems::{EvidenceItem, Matching, Problem, ProblemKey, Scope, format_duration};
+pub use timeline_kind::TimelineKind;
 pub use view::{
     Counts, EvidenceView, FileStatus, Focus, Frozen, Page, Row, RowKey, RowState, SPLIT_WIDTH,
     Screen, Selection, SortBy, View,
@@ -577,12 +579,12 @@ impl App {
 
     /// The device of a row; `None` for the row of an entry.
     pub fn device_of(&self, row: &Row) -> Option<&Device> {
-        self.buses.device_of(row)
+        row.device(&self.buses)
     }
 
     /// The devices of a row: several where buses are redundant.
     pub fn devices_of<'a>(&'a self, row: &'a Row) -> impl Iterator<Item = &'a Device> {
-        self.buses.devices_of(row)
+        row.devices(&self.buses)
     }
 
     /// The same device on other buses.
@@ -788,7 +790,7 @@ impl App {
 
     /// Name of the device that a line is about.
     pub fn name_on_line<'a>(&'a self, entry: &'a TimelineEntry) -> Option<&'a Name> {
-        notices::name_on_line(&self.buses, entry)
+        entry.device_name(&self.buses)
     }
 
     /// The message in the footer.

@@ -456,7 +456,7 @@ impl App {
         let fits = |app: &Self, row: &Row| {
             let named = name.is_some() && row.name == name;
             let there =
-                address.is_some_and(|address| app.buses.addresses_of(row).any(|it| it == address));
+                address.is_some_and(|address| row.addresses(&app.buses).any(|it| it == address));
             let its_own = entry.is_some() && row.entry == entry;
             (its_own, named && there, named, there && name.is_none())
         };

@@ -42,6 +42,11 @@ pub struct Entry {
 }
 
 impl Entry {
+    /// Returns true if the entry applies to the bus with this name: it names that bus, or none.
+    pub fn is_for_bus(&self, bus: &str) -> bool {
+        self.bus.as_deref().is_none_or(|named| named == bus)
+    }
+
     /// Returns the services; `None` if the list is missing or empty.
     pub fn listed_services(&self) -> Option<&[ListedService]> {
         self.services.as_deref().filter(|listed| !listed.is_empty())

@@ -4,7 +4,6 @@ use std::fmt;
 
 use super::position::{Position, Positions};
 use super::syntax::JsonKind;
-use crate::finding::FindingKind;
 
 /// A fault in the file. The rest of the file is used.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -43,23 +42,6 @@ pub enum DocumentFindingKind {
     DuplicateAddress,
     /// Several entries have the same name and address on one bus.
     DuplicateEntry,
-}
-
-impl DocumentFindingKind {
-    /// Returns the kind of the finding that reports it.
-    pub const fn finding_kind(self) -> FindingKind {
-        match self {
-            Self::DuplicateAddress => FindingKind::FileDuplicateAddress,
-            Self::DuplicateEntry => FindingKind::FileDuplicateEntry,
-            Self::NotDevices
-            | Self::NotAnEntry
-            | Self::MissingName
-            | Self::WrongType
-            | Self::AddressRange
-            | Self::NamesDiffer
-            | Self::DuplicateMember => FindingKind::FileShape,
-        }
-    }
 }
 
 impl DocumentFinding {

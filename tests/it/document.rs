@@ -392,7 +392,7 @@ fn wrong_member_types_are_findings() {
         ),
     ] {
         assert_eq!(findings(source), [(kind, message.to_owned(), entries)]);
-        assert_eq!(kind.finding_kind(), FindingKind::FileShape);
+        assert_eq!(FindingKind::from(kind), FindingKind::FileShape);
     }
     // The last member counts.
     let twice = parsed(r#"[{"name":"A","services":{"B":"1","C":"1","B":"2"}}]"#);
@@ -440,7 +440,7 @@ fn contradictory_entries_are_findings() {
         ]
     );
     let names = [DocumentFindingKind::DuplicateAddress, DocumentFindingKind::DuplicateEntry]
-        .map(|kind| kind.finding_kind().name());
+        .map(|kind| FindingKind::from(kind).name());
     assert_eq!(names, ["file-duplicate-address", "file-duplicate-entry"]);
 }
 

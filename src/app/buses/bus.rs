@@ -4,7 +4,7 @@
 
 use super::load_meter::LoadMeter;
 use super::status_changes::status_changes;
-use crate::app::notices::TimelineKind;
+use crate::app::timeline_kind::TimelineKind;
 use crate::discovery::{
     Config, Counters, Device, DeviceId, DiscoveryProgress, Engine, Event, OwnAddress,
 };

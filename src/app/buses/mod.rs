@@ -13,9 +13,7 @@ pub use bus::{Bus, TxBlocked};
 pub use load_meter::{LoadMeter, LoadSecond};
 pub use redundancy::{Redundancy, RedundantDevice};
 
-use super::notices::TimelineKind;
-use super::problems::is_for;
-use super::view::{Row, RowKey};
+use super::timeline_kind::TimelineKind;
 use crate::discovery::{Config, Device, DeviceId, Event, OwnAddress};
 use crate::document::Document;
 use crate::finding::{Finding, FindingKey, FindingKind, FindingState};
@@ -109,25 +107,6 @@ impl Buses {
         self.list.iter().flat_map(Bus::devices)
     }
 
-    /// The device of a row; `None` for the row of an entry.
-    pub fn device_of(&self, row: &Row) -> Option<&Device> {
-        match row.key {
-            RowKey::Device(id) => self.device(id),
-            RowKey::Entry(_) => None,
-        }
-    }
-
-    /// The devices of a row: several where buses are redundant.
-    pub fn devices_of<'a>(&'a self, row: &'a Row) -> impl Iterator<Item = &'a Device> {
-        let also = row.redundant_ids.iter().filter_map(|id| self.device(*id));
-        self.device_of(row).into_iter().chain(also)
-    }
-
-    /// The addresses of a row on all of its buses; may contain duplicates.
-    pub fn addresses_of<'a>(&'a self, row: &'a Row) -> impl Iterator<Item = Address> + 'a {
-        row.address.into_iter().chain(self.devices_of(row).map(|device| device.address))
-    }
-
     /// Profile of a bus; the default one for an unknown index.
     pub fn profile(&self, bus: BusIndex) -> Arc<Profile> {
         self.get(bus).map_or_else(Default::default, |bus| bus.config().profile.clone())
@@ -154,7 +133,7 @@ impl Buses {
     /// another one: it could have the same content.
     pub fn entry_bus(&self, document: &Document, bus: Option<BusIndex>) -> Option<String> {
         let bus = self.get(bus?)?;
-        let names_another = || document.entries().iter().any(|entry| !is_for(entry, &bus.name));
+        let names_another = || document.entries().iter().any(|entry| !entry.is_for_bus(&bus.name));
         (self.list.len() > 1 || names_another()).then(|| bus.name.clone())
     }
 

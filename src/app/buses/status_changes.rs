@@ -2,7 +2,7 @@
 //!
 //! Pure: two statuses in, lines out.
 
-use crate::app::notices::TimelineKind;
+use crate::app::timeline_kind::TimelineKind;
 use crate::status::{BusState, BusStatus, Link};
 use crate::text::Escaped;
 

@@ -4,8 +4,8 @@
 //! Inputs: frames, the filter of the Traffic page. Outputs: numbers and texts of the frames to
 //! show.
 
-mod decoded;
-mod ring;
+pub(super) mod decoded;
+pub(super) mod ring;
 
 pub use decoded::{Decoded, hex};
 pub use ring::{Capture, IdentifierKey, IdentifierKind, IdentifierStats};

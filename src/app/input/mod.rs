@@ -6,13 +6,16 @@
 
 mod prompt;
 mod prompt_kinds;
+mod prompt_logic;
 mod type_ahead;
 
-pub use prompt::{InputCheck, Prompt, PromptKind};
-pub(super) use prompt::{PromptContext, PromptOutcome, PromptResult};
+pub(super) use prompt::PromptResult;
+pub use prompt::{Prompt, PromptKind};
 pub(super) use prompt_kinds::{
     AddressPrompt, CapturePathPrompt, CopyPathPrompt, FilterPrompt, NewEntryPrompt, RenamePrompt,
 };
+pub use prompt_logic::InputCheck;
+pub(super) use prompt_logic::{PromptContext, PromptOutcome};
 
 use crate::discovery::DeviceId;
 use crate::document::EntryKey;

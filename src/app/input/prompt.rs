@@ -7,15 +7,9 @@
 use super::prompt_kinds::{
     AddressPrompt, CapturePathPrompt, CopyPathPrompt, FilterPrompt, NewEntryPrompt, RenamePrompt,
 };
-use crate::app::buses::Buses;
-use crate::app::file::FileState;
-use crate::app::problems::Matching;
-use crate::app::view::Page;
-use crate::document::{NewEntry, Operation};
-use crate::frame::BusIndex;
+use super::prompt_logic::{EditTarget, InputCheck, PromptContext, PromptLogic, PromptOutcome};
 use crate::keymap::{Key, KeyCode};
 use crate::text::is_printable;
-use std::path::PathBuf;
 use tui_input::{Input as LineInput, InputRequest};
 
 /// Longest line, in bytes.
@@ -49,48 +43,6 @@ pub enum PromptKind {
     CopyPath(CopyPathPrompt),
 }
 
-/// Result of the validation of a line.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum InputCheck {
-    /// Enter works. Text: the effect of Enter, or the syntax of the line.
-    Accepted(String),
-    /// Enter works. Text: a reason for caution.
-    Warning(String),
-    /// Enter does nothing. Text: the cause.
-    Rejected(String),
-}
-
-/// State that prompts are validated against.
-#[derive(Clone, Copy)]
-pub(in crate::app) struct PromptContext<'a> {
-    pub file: &'a FileState,
-    pub matching: &'a Matching,
-    pub buses: &'a Buses,
-    /// Bus of the selected row, for a new entry.
-    pub selected_bus: Option<BusIndex>,
-    /// Number of captured frames.
-    pub frames: u64,
-}
-
-/// Action that a committed prompt requests.
-#[derive(Debug, PartialEq, Eq)]
-pub(in crate::app) enum PromptOutcome {
-    /// No action.
-    Nothing,
-    /// Set the filter of a page; then show the error in it, if any.
-    SetFilter(Page, String, Option<String>),
-    /// Edit des.json.
-    Edit(Vec<Operation>),
-    /// Add an entry to des.json and select it.
-    AddEntry(NewEntry),
-    /// Show a message about the content of des.json.
-    FileInfo(String),
-    /// Write the captured frames to this path.
-    SaveCapture(PathBuf),
-    /// Write a copy of des.json to this path.
-    SaveCopy(PathBuf),
-}
-
 /// Effect of a key in a prompt.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::app) enum PromptResult {
@@ -102,39 +54,6 @@ pub(in crate::app) enum PromptResult {
     Cancel,
     /// Tab: edit the address on the next redundant bus.
     NextBus,
-}
-
-/// What committing a prompt edits.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum EditTarget {
-    /// Not des.json.
-    None,
-    /// No present entry: a new one, or one that was deleted on disk.
-    New,
-    /// The entry with this index.
-    Entry(usize),
-}
-
-/// Behaviour of one kind of prompt.
-pub(super) trait PromptLogic {
-    /// Text before the line.
-    fn label(&self) -> &'static str;
-
-    /// Text before the line on a narrow screen.
-    fn short_label(&self) -> &'static str {
-        self.label()
-    }
-
-    /// Returns what committing edits.
-    fn edit_target(&self, _context: PromptContext) -> EditTarget {
-        EditTarget::None
-    }
-
-    /// Validates the line, which has no blanks at its ends.
-    fn validate(&self, text: &str, context: PromptContext) -> InputCheck;
-
-    /// Returns the outcome of Enter for a line that is not rejected.
-    fn commit(&self, text: &str, context: PromptContext) -> PromptOutcome;
 }
 
 impl PromptKind {

@@ -3,11 +3,10 @@
 //! A prompt that edits des.json refers to its entry by key, and to the content of the file when it
 //! was opened: the file may change on disk while the user types.
 
-use super::prompt::{EditTarget, InputCheck as C, PromptContext, PromptLogic, PromptOutcome};
+use super::prompt_logic::{EditTarget, InputCheck as C, PromptContext, PromptLogic, PromptOutcome};
 use crate::app::buses::Bus;
 use crate::app::filter::Filter;
 use crate::app::listing::new_entry;
-use crate::app::problems::is_for;
 use crate::app::view::{Page, RowKey};
 use crate::discovery::DeviceId;
 use crate::document::{Document, Entry, EntryKey, NewEntry, Operation};
@@ -283,7 +282,7 @@ fn pinned_elsewhere(
         Some(entry.index) != own
             && entry.is_static
             && entry.address == Some(address)
-            && bus.is_none_or(|bus| is_for(entry, bus))
+            && bus.is_none_or(|bus| entry.is_for_bus(bus))
     })?;
     let line = other.position.line;
     let name = Quoted(&other.name);

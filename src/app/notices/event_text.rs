@@ -2,9 +2,9 @@
 //!
 //! Pure: an event and the buses in, kind and text out.
 
-use super::timeline::{TimelineEntry, TimelineKind};
 use crate::app::buses::{Bus, Buses, TxBlocked};
 use crate::app::capture::hex;
+use crate::app::timeline_kind::TimelineKind;
 use crate::discovery::{DeviceId, Event, EventKind, OtherDevice, Presence};
 use crate::finding::{FindingKey, FindingState};
 use crate::frame::BusIndex;
@@ -124,12 +124,6 @@ fn uid_text(buses: &Buses, bus: BusIndex, uid: Uid) -> String {
     let alphabet = buses.get(bus).map(|bus| &bus.config().profile.uid);
     let text = alphabet.map_or_else(String::new, |alphabet| uid.text(alphabet).to_string());
     Escaped(text.as_bytes()).to_string()
-}
-
-/// Name of the device that a line is about: the name at the time of the line, else the present one.
-pub fn name_on_line<'a>(buses: &'a Buses, entry: &'a TimelineEntry) -> Option<&'a Name> {
-    let known = || buses.device(entry.device?)?.name.as_ref();
-    entry.name.as_ref().or_else(known)
 }
 
 fn identified(event: &Event) -> String {

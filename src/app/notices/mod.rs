@@ -6,12 +6,13 @@
 
 mod event_text;
 mod redraw;
-mod timeline;
+pub(super) mod timeline;
 
-pub use event_text::name_on_line;
 pub(super) use event_text::{event_text, finding_line, join_lines, join_short};
 pub(super) use redraw::{BUS_REDRAW_INTERVAL, Redraw};
-pub use timeline::{Timeline, TimelineEntry, TimelineKind};
+pub use timeline::{Timeline, TimelineEntry};
+
+use super::timeline_kind::TimelineKind;
 
 use super::AppEvent;
 use super::buses::Buses;

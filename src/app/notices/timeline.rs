@@ -3,6 +3,8 @@
 //! Bounded: 4096 lines. A line that repeats one of the last 8 within 5 s is counted instead of
 //! added, and moves to the end.
 
+use crate::app::buses::Buses;
+use crate::app::timeline_kind::TimelineKind;
 use crate::discovery::{DeviceId, Event};
 use crate::frame::BusIndex;
 use crate::text::Name;
@@ -35,29 +37,12 @@ pub struct TimelineEntry {
     pub times: u32,
 }
 
-/// Kind of event; selects sign and colour.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum TimelineKind {
-    /// A device appeared, returned, or reported more about itself.
-    Improved,
-    /// A device changed.
-    Change,
-    /// A device is stale, silent or asleep.
-    Overdue,
-    /// A device is lost.
-    Lost,
-    /// A suspected finding.
-    Suspected,
-    /// A confirmed finding.
-    Confirmed,
-    /// A cleared finding.
-    Cleared,
-    /// State of a bus or its adapter.
-    Bus,
-    /// des.json.
-    File,
-    /// A command or an operation that failed.
-    Error,
+impl TimelineEntry {
+    /// Name of the device that the line is about: at the time of the line, else the present one.
+    pub fn device_name<'a>(&'a self, buses: &'a Buses) -> Option<&'a Name> {
+        let known = || buses.device(self.device?)?.name.as_ref();
+        self.name.as_ref().or_else(known)
+    }
 }
 
 /// Lines of the timeline.

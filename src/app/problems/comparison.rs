@@ -2,11 +2,10 @@
 //!
 //! Pure: entries and devices in, findings out.
 
-use super::matching::is_for;
 use crate::app::Inputs;
 use crate::app::listing::{other_services, service_differences};
 use crate::discovery::Device;
-use crate::document::{Document, Entry};
+use crate::document::{Document, DocumentFindingKind, Entry};
 use crate::finding::{Finding, FindingKey, FindingKind, FindingState};
 use crate::frame::BusIndex;
 use crate::text::{Name, Quoted};
@@ -51,7 +50,7 @@ impl<'a> Comparison<'a> {
 
     fn file_alone(&mut self, document: &Document) {
         for finding in document.findings() {
-            let kind = finding.kind.finding_kind();
+            let kind = FindingKind::from(finding.kind);
             let entries = finding.entries.iter().filter_map(|&at| document.entries().get(at));
             let names: Vec<Name> = entries.clone().map(|entry| Name::new(&entry.name)).collect();
             let address = entries.clone().find_map(|entry| Address::new(entry.address?));
@@ -109,7 +108,7 @@ impl<'a> Comparison<'a> {
         }
         let Some(pinned) = pinned else { return };
         for (index, bus) in
-            inputs.buses.iter().enumerate().filter(|(_, bus)| is_for(entry, &bus.name))
+            inputs.buses.iter().enumerate().filter(|(_, bus)| entry.is_for_bus(&bus.name))
         {
             let other = bus.devices().iter().find(|device| {
                 let is_it = inputs.matching.devices_of(entry.index).contains(&device.id);
@@ -140,7 +139,7 @@ impl<'a> Comparison<'a> {
 
     fn missing(&mut self, entry: &Entry, scope: Scope) {
         let inputs = self.inputs;
-        let bus = inputs.buses.iter().position(|bus| is_for(entry, &bus.name));
+        let bus = inputs.buses.iter().position(|bus| entry.is_for_bus(&bus.name));
         let Some(bus) = bus.map(|at| BusIndex(at as u8)) else { return };
         if scope == Scope::Screen && !inputs.is_missing(entry) {
             return;
@@ -237,5 +236,23 @@ impl<'a> Comparison<'a> {
         finding.remedy = remedy;
         self.found.push(finding);
         self.entries.push(None);
+    }
+}
+
+/// The kind of the finding that reports a fault in the file.
+impl From<DocumentFindingKind> for FindingKind {
+    fn from(kind: DocumentFindingKind) -> Self {
+        use DocumentFindingKind as Fault;
+        match kind {
+            Fault::DuplicateAddress => FindingKind::FileDuplicateAddress,
+            Fault::DuplicateEntry => FindingKind::FileDuplicateEntry,
+            Fault::NotDevices
+            | Fault::NotAnEntry
+            | Fault::MissingName
+            | Fault::WrongType
+            | Fault::AddressRange
+            | Fault::NamesDiffer
+            | Fault::DuplicateMember => FindingKind::FileShape,
+        }
     }
 }

@@ -30,7 +30,7 @@ impl Matching {
         for (index, bus) in buses.iter().enumerate() {
             let index = BusIndex(index as u8);
             let entries: Vec<&Entry> =
-                entries.iter().filter(|entry| is_for(entry, &bus.name)).collect();
+                entries.iter().filter(|entry| entry.is_for_bus(&bus.name)).collect();
             let mut open = Unmatched { entries, matching: &mut matching, bus: index };
             for here in [true, false] {
                 let devices = || bus.devices().iter().filter(|it| it.is_present() == here);
@@ -89,11 +89,6 @@ impl Matching {
     pub fn devices_of(&self, entry: usize) -> &[DeviceId] {
         self.devices_of.get(entry).map_or(&[], Vec::as_slice)
     }
-}
-
-/// Returns true if an entry applies to the bus with this name: it names that bus, or none.
-pub fn is_for(entry: &Entry, bus: &str) -> bool {
-    entry.bus.as_deref().is_none_or(|named| named == bus)
 }
 
 /// Entries of one bus without a device.

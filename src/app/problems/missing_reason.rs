@@ -3,7 +3,6 @@
 //! Checks causes from the nearest (the bus is down) to the farthest (no frame was received); the
 //! texts state observations.
 
-use super::matching::is_for;
 use crate::app::Inputs;
 use crate::app::buses::{Bus, TxBlocked};
 use crate::discovery::{Device, OwnAddress, QueryState};
@@ -24,7 +23,7 @@ impl Inputs<'_> {
                 && device.name.is_none()
                 && !device.name_query.has_failed_since_response
         };
-        let buses = self.buses.iter().enumerate().filter(|(_, bus)| is_for(entry, &bus.name));
+        let buses = self.buses.iter().enumerate().filter(|(_, bus)| entry.is_for_bus(&bus.name));
         buses.into_iter().all(|(index, bus)| {
             self.buses.is_search_complete(BusIndex(index as u8), self.now)
                 && !bus.devices().iter().any(perhaps)
@@ -33,7 +32,7 @@ impl Inputs<'_> {
 
     /// Reasons why no device matches an entry, the likeliest first; never empty.
     pub fn missing_reasons(&self, entry: &Entry) -> Vec<String> {
-        let buses = self.buses.iter().enumerate().filter(|(_, bus)| is_for(entry, &bus.name));
+        let buses = self.buses.iter().enumerate().filter(|(_, bus)| entry.is_for_bus(&bus.name));
         let mut by_bus: Vec<(&str, Vec<String>)> = buses
             .map(|(at, bus)| (bus.name.as_str(), self.why_on(BusIndex(at as u8), bus, entry)))
             .collect();

@@ -11,7 +11,7 @@ mod missing_reason;
 
 pub use comparison::Scope;
 pub use group::{EvidenceItem, Problem, ProblemKey};
-pub use matching::{Matching, is_for};
+pub use matching::Matching;
 pub use missing_reason::{bus_obstacle, format_duration};
 
 use super::Inputs;

@@ -1,6 +1,7 @@
 //! Rows of the Devices page: types and sort orders.
 
-use crate::discovery::{DeviceId, Presence};
+use crate::app::buses::Buses;
+use crate::discovery::{Device, DeviceId, Presence};
 use crate::document::EntryKey;
 use crate::frame::BusIndex;
 use crate::text::Name;
@@ -45,6 +46,25 @@ pub struct Row {
 }
 
 impl Row {
+    /// The device; `None` for the row of an entry.
+    pub fn device<'b>(&self, buses: &'b Buses) -> Option<&'b Device> {
+        match self.key {
+            RowKey::Device(id) => buses.device(id),
+            RowKey::Entry(_) => None,
+        }
+    }
+
+    /// The devices: several where buses are redundant.
+    pub fn devices<'a>(&'a self, buses: &'a Buses) -> impl Iterator<Item = &'a Device> {
+        let redundant = self.redundant_ids.iter().filter_map(|id| buses.device(*id));
+        self.device(buses).into_iter().chain(redundant)
+    }
+
+    /// The addresses on all of its buses; may contain duplicates.
+    pub fn addresses<'a>(&'a self, buses: &'a Buses) -> impl Iterator<Item = Address> + 'a {
+        self.address.into_iter().chain(self.devices(buses).map(|device| device.address))
+    }
+
     /// Returns true if it is the row of this device on one of its buses.
     pub fn has_device(&self, id: DeviceId) -> bool {
         self.key == RowKey::Device(id) || self.redundant_ids.contains(&id)
