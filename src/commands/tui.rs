@@ -6,11 +6,17 @@ use super::{EXIT_INTERRUPTED, EXIT_OK, EXIT_UNUSABLE, Failure, headless};
 use crate::app::AppOptions;
 use crate::bus::{BusSpec, Clock};
 use crate::cli::{CommonArgs, SessionArgs as Arguments};
+use crate::shell::session::Session;
 use crate::shell::tui_loop::{self, ThemeLoader, TuiExit};
 use crate::shell::{recovery, terminal};
 use anyhow::Context;
+use std::future::poll_fn;
 use std::io::{IsTerminal, Write};
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::{Path, PathBuf};
+use std::pin::pin;
+use std::task::Poll;
+use std::thread;
 use std::time::Duration;
 
 /// Longest time to finish a save after a signal or a closed terminal.
@@ -101,20 +107,20 @@ fn show(
     let runtime = headless::runtime()?;
     let result = runtime.block_on(async {
         let mut session = open::session(buses, setup, clock, options)?;
-        let ending = tui_loop::run(&mut session, &mut themes).await.context("the terminal");
+        let ending = match catch_panic(tui_loop::run(&mut session, &mut themes)).await {
+            Ok(ending) => ending.context("the terminal"),
+            Err(panic) => {
+                save_edits_at_risk(&session, &setup.file);
+                resume_unwind(panic);
+            }
+        };
         // The user quits with unsaved edits only if they are not to be waited for.
         let gives_up = matches!(ending, Ok(TuiExit::Quit)) && session.app.file().unsaved() > 0;
         let is_asked_to_end = !matches!(ending, Ok(TuiExit::Quit));
         session.finish_work(!gives_up, is_asked_to_end.then_some(SAVE_TIMEOUT)).await;
         open::report_recording(session.finish_recording());
-        let is_lost = session.app.edits_at_risk().map(|(count, document)| {
-            report_recovery_copy(
-                &setup.file,
-                count,
-                recovery::save_recovery_copy(document.source()),
-            );
-        });
-        Ok::<_, Failure>((ending?, is_lost.is_some()))
+        let is_lost = save_edits_at_risk(&session, &setup.file);
+        Ok::<_, Failure>((ending?, is_lost))
     });
     // Not dropped, which would wait for all blocking work.
     runtime.shutdown_background();
@@ -123,6 +129,25 @@ fn show(
         (TuiExit::Quit, true) => EXIT_UNUSABLE,
         (TuiExit::Terminated | TuiExit::Hangup, _) => EXIT_INTERRUPTED,
     })
+}
+
+/// Returns the output of a future, or the cause of its panic.
+async fn catch_panic<F: Future>(future: F) -> thread::Result<F::Output> {
+    let mut future = pin!(future);
+    poll_fn(|context| {
+        let poll = catch_unwind(AssertUnwindSafe(|| future.as_mut().poll(context)));
+        poll.map_or_else(|panic| Poll::Ready(Err(panic)), |poll| poll.map(Ok))
+    })
+    .await
+}
+
+/// Writes and reports a recovery copy of edits that would be lost; returns true if there are any.
+fn save_edits_at_risk(session: &Session, file: &Path) -> bool {
+    let edits = session.app.edits_at_risk();
+    if let Some((count, document)) = &edits {
+        report_recovery_copy(file, *count, recovery::save_recovery_copy(document.source()));
+    }
+    edits.is_some()
 }
 
 /// Prints on standard error what was not saved, and the path of its recovery copy.
@@ -140,4 +165,21 @@ fn report_recovery_copy(file: &Path, count: usize, kept: std::io::Result<PathBuf
             "descan: {edits} of {file} not saved, and a copy cannot be written: {why}"
         ),
     };
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn panic_of_a_future_is_returned_after_it_was_pending() {
+        let runtime = headless::runtime().unwrap();
+        assert_eq!(runtime.block_on(catch_panic(async { 7 })).unwrap(), 7);
+        let panics = async {
+            tokio::task::yield_now().await;
+            resume_unwind(Box::new("a bug"));
+        };
+        let cause = runtime.block_on(catch_panic(panics)).unwrap_err();
+        assert_eq!(cause.downcast_ref(), Some(&"a bug"));
+    }
 }
