@@ -8,7 +8,7 @@ use super::position::{Position, Positions};
 use super::scan::{self, Container, Item, Span};
 use super::syntax::{BOM, JsonKind};
 use super::text::{from_json, to_hex, to_json};
-use super::{Document, MAX_ENTRIES, Root};
+use super::{Document, MAX_BYTES, MAX_ENTRIES, Root};
 use crate::text::printable;
 
 /// Why an edit was rejected. The document is unchanged.
@@ -54,6 +54,9 @@ pub enum EditError {
     /// The file has [`MAX_ENTRIES`] elements already.
     #[error("no room for another entry: the file has {MAX_ENTRIES}; delete one first")]
     Full,
+    /// The file would be longer than [`MAX_BYTES`].
+    #[error("no room: the file would exceed 16 MiB; shorten it first")]
+    TooLong,
     /// The edited text does not have the intended content: a fault in descan. The file is not
     /// written.
     #[error("edit rejected: the result would not read back as intended: {reason}")]
@@ -118,6 +121,9 @@ impl Document {
     fn verified(&self, body: &str, meant: &[&Entry]) -> Result<Self, EditError> {
         let unfaithful = |reason: String| EditError::VerificationFailed { reason };
         let source = [if self.has_bom() { BOM } else { "" }, body].concat();
+        if source.len() > MAX_BYTES.max(self.source().len()) {
+            return Err(EditError::TooLong);
+        }
         let edited = Self::parse(source.as_bytes()).map_err(|it| unfaithful(it.to_string()))?;
         if edited.entries().len() != meant.len() {
             return Err(unfaithful(format!("{} entries", edited.entries().len())));

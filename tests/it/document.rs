@@ -1,8 +1,8 @@
 //! `des.json`: accepted content, rejected content, and the bytes that an edit changes.
 
 use descan::document::{
-    ConflictChoices, Document, DocumentFindingKind, EditError, EntryKey, ListedService, Merge,
-    MergePreference, NewEntry, Operation, SCHEMA, merge, merge_with_choices,
+    ConflictChoices, Document, DocumentFindingKind, EditError, EntryKey, ListedService, MAX_BYTES,
+    Merge, MergePreference, NewEntry, Operation, SCHEMA, merge, merge_with_choices,
 };
 use descan::finding::FindingKind;
 
@@ -1231,4 +1231,20 @@ fn more_than_20_000_entries_are_refused() {
     let error = Document::parse(full.replacen('[', "[\n1,", 1).as_bytes()).unwrap_err();
     assert_eq!((error.line, error.column), (2, 3 + 13 * 19_999));
     assert_eq!(error.message, "more than 20000 entries; name the right file with --file");
+}
+
+/// A file that descan writes can be read again.
+#[test]
+fn edit_beyond_16_mib_is_refused() {
+    let mut source = br#"[{"name": "A", "address": 99, "static": true, "note": ""#.to_vec();
+    source.resize(MAX_BYTES - 3, b'x');
+    source.extend(b"\"}]");
+    let full = Document::parse(&source).unwrap();
+    let pin = |to| {
+        let entry = full.key(0);
+        full.apply(&Operation::PinAddress { entry, from: full.entries()[0].address, to })
+    };
+    assert_eq!(pin(100).unwrap_err(), EditError::TooLong);
+    assert_eq!(pin(12).unwrap().source().len(), MAX_BYTES);
+    assert_eq!(pin(1).unwrap().source().len(), MAX_BYTES - 1);
 }

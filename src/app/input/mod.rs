@@ -94,9 +94,10 @@ impl Input {
         }
     }
 
-    /// The action of a key in the present mode.
+    /// The action of a key in the present mode, or a global one.
     pub fn lookup(&self, key: Key) -> Option<Action> {
-        self.keymap.lookup(self.mode(), key)
+        let global = || self.keymap.lookup(KeyMode::Browse, key).filter(|it| it.is_global());
+        self.keymap.lookup(self.mode(), key).or_else(global)
     }
 
     /// The open prompt.

@@ -304,3 +304,27 @@ fn requests_in_both_framings_and_slow_rates_are_told_apart() {
     let row = screen.lines().find(|line| line.contains("WORK SLOW")).expect(&screen);
     assert!(one_line(row).contains(" 0.2 ") || one_line(row).contains(" 0.3 "), "{screen}");
 }
+
+#[test]
+fn ctrl_c_quits_at_once_from_every_overlay() {
+    let conflict = |stage: &mut Stage| {
+        stage.file = Some(BOILER.replace("10", "11").into_bytes());
+        stage.keys("e").text("47").keys("Enter");
+        stage.until(40.0);
+        assert!(matches!(stage.app.overlay(), Overlay::Conflict));
+    };
+    let help = |stage: &mut Stage| {
+        stage.keys("?");
+        assert!(matches!(stage.app.overlay(), Overlay::Help(_)));
+    };
+    let question = |stage: &mut Stage| {
+        stage.keys("D");
+        assert!(matches!(stage.app.overlay(), Overlay::Question(_)));
+    };
+    for open in [&conflict as &dyn Fn(&mut Stage), &help, &question] {
+        let mut stage = Stage::boiler();
+        open(stage.until(24.0));
+        stage.keys("Ctrl-c");
+        assert!(stage.effects.contains(&Effect::Quit), "{}", stage.screen());
+    }
+}
