@@ -62,7 +62,7 @@ fn first_screen(folder: &std::path::Path) {
 
 fn at_rest(folder: &std::path::Path, size: (u16, u16)) {
     let mut pty = Pty::start(&["sim:full.toml"], folder, size);
-    pty.wait_until("all devices", |screen| screen.contents().contains("60 here"));
+    pty.wait_until("all devices", |screen| screen.contents().contains("60 present"));
     pty.count_for(Duration::from_secs(5));
     let bytes = pty.count_for(AT_REST);
     let rate = bytes as f64 / AT_REST.as_secs_f64();
