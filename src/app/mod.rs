@@ -54,7 +54,7 @@ pub use input::{InputCheck, Overlay, Prompt, PromptKind, Question};
 pub use listing::same_services;
 pub use navigate::{Mouse, MouseKind};
 pub use notices::{StatusMessage, Timeline, TimelineEntry};
-pub use problems::{EvidenceItem, Matching, Problem, ProblemKey, Scope, format_duration};
+pub use problems::{EvidenceItem, Matching, Problem, ProblemKey, Scope, format_duration, is_about};
 pub use timeline_kind::TimelineKind;
 pub use view::{
     Counts, EvidenceView, FileStatus, Focus, Frozen, Page, Row, RowKey, RowState, SPLIT_WIDTH,
@@ -680,6 +680,16 @@ impl App {
     /// keeps the order of its rows.
     pub fn problems(&self) -> Vec<Problem<'_>> {
         self.problems.list(&self.buses, self.view.frozen.is_some())
+    }
+
+    /// The problems with a finding that `is_wanted` selects.
+    pub fn problems_with(&self, is_wanted: impl Fn(&Finding) -> bool) -> Vec<Problem<'_>> {
+        self.problems.list_with(&self.buses, is_wanted)
+    }
+
+    /// Returns true if `is_wanted` selects a finding.
+    pub fn has_finding(&self, is_wanted: impl Fn(&Finding) -> bool) -> bool {
+        self.problems.findings(&self.buses).any(is_wanted)
     }
 
     /// The problems that match the filter.

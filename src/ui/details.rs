@@ -160,7 +160,7 @@ impl<'a> DeviceDetails<'_, 'a> {
                 && device.map_or_else(|| of_row(finding), |device| concerns(finding, device))
         };
         let mut any = false;
-        for problem in self.app().problems() {
+        for problem in self.app().problems_with(about) {
             for finding in problem.findings.iter().filter(|finding| about(finding)) {
                 any = true;
                 // Stands at its entry, below.

@@ -3,7 +3,7 @@
 //! lines.
 
 use super::brush::{DrawContext, cut, fit, wrap};
-use crate::app::{FileError, FileStatus, Focus, InputCheck, Page, PromptKind};
+use crate::app::{FileError, FileStatus, Focus, InputCheck, Page, PromptKind, is_about};
 use crate::keymap::{Action, Key, KeyMode};
 use crate::theme::Role;
 use ratatui::layout::{Position, Rect};
@@ -217,10 +217,9 @@ fn applies(brush: &DrawContext, action: Action) -> bool {
             device().is_some() && (row.file == FileStatus::New || row.has_other_services)
         }),
         (A::Problem, Page::Devices) => row.is_some_and(|row| {
-            let mut problems = app.problems().into_iter();
-            problems.any(|it| it.is_about(row.bus, row.address, row.name.as_ref()))
+            app.has_finding(|it| is_about(it, row.bus, row.address, row.name.as_ref()))
         }),
-        (A::Problem, Page::Timeline) => !app.problems().is_empty(),
+        (A::Problem, Page::Timeline) => app.has_finding(|_| true),
         (A::Undo, _) => app.file().can_undo(),
         (A::ClearLost, _) => app.counts().lost > 0,
         (A::Identify, _) => transmits() && device().is_some(),

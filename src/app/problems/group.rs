@@ -53,6 +53,22 @@ pub struct EvidenceItem {
     pub frame: Option<Frame>,
 }
 
+/// Returns true if a finding concerns this address of this bus, or this name where no address is
+/// known.
+pub fn is_about(
+    finding: &Finding,
+    bus: Option<BusIndex>,
+    address: Option<Address>,
+    name: Option<&Name>,
+) -> bool {
+    let on_bus = finding.key.bus.is_none() || bus.is_none() || finding.key.bus == bus;
+    let there = address.is_some_and(|it| finding.addresses.contains(&it));
+    let named = name.is_none_or(|it| finding.names.is_empty() || finding.names.contains(it));
+    let nowhere = finding.addresses.is_empty() || address.is_none();
+    let so_named = name.is_some_and(|it| finding.names.contains(it));
+    on_bus && (there && named || nowhere && so_named)
+}
+
 impl<'a> Problem<'a> {
     /// The first finding: most certain, most severe.
     pub fn head(&self) -> &'a Finding {
@@ -104,23 +120,14 @@ impl<'a> Problem<'a> {
         names
     }
 
-    /// Returns true if the problem concerns this address of this bus, or this name where no address
-    /// is known.
+    /// Returns true if one of its findings [is about](is_about) this.
     pub fn is_about(
         &self,
         bus: Option<BusIndex>,
         address: Option<Address>,
         name: Option<&Name>,
     ) -> bool {
-        self.findings.iter().any(|finding| {
-            let on_bus = finding.key.bus.is_none() || bus.is_none() || finding.key.bus == bus;
-            let there = address.is_some_and(|it| finding.addresses.contains(&it));
-            let named =
-                name.is_none_or(|it| finding.names.is_empty() || finding.names.contains(it));
-            let nowhere = finding.addresses.is_empty() || address.is_none();
-            let so_named = name.is_some_and(|it| finding.names.contains(it));
-            on_bus && (there && named || nowhere && so_named)
-        })
+        self.findings.iter().any(|finding| is_about(finding, bus, address, name))
     }
 
     /// Time of the first evidence.

@@ -10,7 +10,7 @@ mod matching;
 mod missing_reason;
 
 pub use comparison::Scope;
-pub use group::{EvidenceItem, Problem, ProblemKey};
+pub use group::{EvidenceItem, Problem, ProblemKey, is_about};
 pub use matching::Matching;
 pub use missing_reason::{bus_obstacle, format_duration};
 
@@ -139,12 +139,32 @@ impl Problems {
         problems
     }
 
-    fn problem<'a>(&'a self, buses: &'a Buses, stored: &StoredProblem) -> Option<Problem<'a>> {
-        let finding = |place: &FindingPlace| match *place {
+    /// The problems with a finding that `is_wanted` selects.
+    pub fn list_with<'a>(
+        &'a self,
+        buses: &'a Buses,
+        is_wanted: impl Fn(&Finding) -> bool,
+    ) -> Vec<Problem<'a>> {
+        let stored = self.stored(buses);
+        let has_wanted = |problem: &&StoredProblem| {
+            let mut findings = problem.findings.iter().filter_map(|at| self.finding(buses, *at));
+            findings.any(&is_wanted)
+        };
+        let wanted = stored.iter().filter(has_wanted);
+        wanted.filter_map(|problem| self.problem(buses, problem)).collect()
+    }
+
+    fn finding<'a>(&'a self, buses: &'a Buses, place: FindingPlace) -> Option<&'a Finding> {
+        match place {
             FindingPlace::Bus(bus, at) => buses.as_slice().get(bus)?.findings().get(at),
             FindingPlace::File(at) => self.file_findings.get(at),
-        };
-        let findings: Vec<&Finding> = stored.findings.iter().filter_map(finding).collect();
+        }
+    }
+
+    fn problem<'a>(&'a self, buses: &'a Buses, stored: &StoredProblem) -> Option<Problem<'a>> {
+        let places = stored.findings.iter();
+        let findings: Vec<&Finding> =
+            places.filter_map(|place| self.finding(buses, *place)).collect();
         let (key, is_muted) = (stored.key.clone(), stored.is_muted);
         (!findings.is_empty()).then_some(Problem { key, findings, is_muted })
     }
