@@ -17,7 +17,7 @@ use super::{
 use crate::discovery::{Device, DeviceId, OwnAddress};
 use crate::document::{EntryKey, Operation};
 use crate::frame::{BusIndex, Frame};
-use crate::keymap::{Action, Key, KeyMode};
+use crate::keymap::{Action, Key};
 use crate::log::LogFormat;
 use crate::wire::id::{Header, Service};
 
@@ -292,8 +292,7 @@ impl App {
 
     /// Handles a key while a prompt is open.
     pub(super) fn handle_prompt_key(&mut self, key: Key) {
-        let action = self.keymap().lookup(KeyMode::Browse, key);
-        if let Some(action) = action.filter(|action| key.ctrl && action.is_global()) {
+        if let Some(action) = self.input.lookup_global(key).filter(|_| key.ctrl) {
             return self.run(action);
         }
         let Some(prompt) = self.input.prompt_mut() else { return };

@@ -76,7 +76,7 @@ use crate::wire::profile::Profile;
 use capture::Traffic;
 use clock::AppClock;
 use devices::DeviceRows;
-use file::{EMPTY_SETTLES_AFTER, FileEditor};
+use file::FileEditor;
 use input::{Input, PromptContext, PromptOutcome, PromptResult};
 use notices::Notices;
 use problems::Problems;
@@ -487,7 +487,7 @@ impl App {
     /// The moment at which [`App::handle_timeout`] is due.
     pub fn poll_timeout(&self) -> Option<Instant> {
         let second = (!self.was_idle || !self.is_idle()).then_some(self.clock.next_second());
-        let file = self.file_timeout().filter(|_| !self.clock.has_real());
+        let file = self.editor.poll_timeout().filter(|_| !self.clock.has_real());
         let parts = self.buses.poll_timeout().into_iter().chain(self.notices.poll_timeout());
         parts.chain(second).chain(file).min()
     }
@@ -501,7 +501,7 @@ impl App {
 
     /// When to call [`Self::handle_real_timeout`] next, in real time; `None` unless that is set.
     pub fn poll_real_timeout(&self) -> Option<Instant> {
-        self.file_timeout().filter(|_| self.clock.has_real())
+        self.editor.poll_timeout().filter(|_| self.clock.has_real())
     }
 
     /// Handles what is due at this real time.
@@ -510,19 +510,13 @@ impl App {
         self.run_file_timers();
     }
 
-    fn file_timeout(&self) -> Option<Instant> {
-        self.editor.poll_timeout().into_iter().chain(self.empty_settles_at()).min()
-    }
-
     fn run_file_timers(&mut self) {
         let real = self.clock.real();
         if self.editor.start_retry(real) {
             self.save_pending();
         }
-        if self.empty_settles_at().is_some_and(|at| at <= real) {
-            let change = self.editor.file.accept_empty();
-            self.file_changed(change);
-        }
+        let change = self.editor.accept_empty(real);
+        self.file_changed(change);
     }
 
     /// Returns true if the screen is out of date.
@@ -912,12 +906,6 @@ impl App {
     fn request_redraw(&mut self) {
         let interval = self.clock.scale_to_playback(notices::BUS_REDRAW_INTERVAL);
         self.notices.redraw.request(self.clock.now(), interval);
-    }
-
-    /// When a file that has become empty is no longer assumed to be in writing.
-    fn empty_settles_at(&self) -> Option<Instant> {
-        let since = self.editor.file.emptied_since()?;
-        Some(since + EMPTY_SETTLES_AFTER)
     }
 
     /// Returns true if nothing on the screen changes with time.

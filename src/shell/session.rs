@@ -347,10 +347,11 @@ impl Session {
     /// Handles what [`Session::next`] returned.
     pub fn handle_wake(&mut self, wake: SessionWake) {
         let now = self.begin_turn();
-        self.app.set_real_time(self.real_time());
+        let real = self.real_time();
+        self.app.set_real_time(real);
         match wake {
             SessionWake::Due => {}
-            SessionWake::FileDue => self.app.handle_real_timeout(self.real_time()),
+            SessionWake::FileDue => self.app.handle_real_timeout(real),
             SessionWake::Buses => self.receive_frames(now),
             SessionWake::Log(Ok(batch)) => {
                 if let SessionInput::Log(log, _) = &mut self.input {
@@ -401,7 +402,7 @@ impl Session {
                 && let Some(name) = log.interfaces().get(at)
             {
                 self.app.add_bus(frame.time, name.clone(), (**config).clone());
-                set_link(&mut self.app, frame.time, at, Link::Up);
+                set_link(&mut self.app, frame.time, at, (Link::Up, 0));
             }
             self.app.advance_to(frame.time);
             // The node that recorded the log is a device like the others.
@@ -450,14 +451,11 @@ impl Session {
     }
 
     fn end_buses(&mut self, now: Instant) {
-        let unreadable = self.log_summary().map_or(0, LogSummary::lost_entries);
-        if let Some(bus) = self.app.buses().first() {
-            // Lines that cannot be read name no interface: they count on the first.
-            let status = BusStatus { unreadable, link: Link::Ended, ..bus.status.clone() };
-            self.app.handle_bus(now, BusIndex(0), status);
-        }
-        for at in 1..self.app.buses().len() {
-            set_link(&mut self.app, now, at, Link::Ended);
+        // Lines that cannot be read name no interface: they count on the first.
+        let mut unreadable = self.log_summary().map_or(0, LogSummary::lost_entries);
+        for at in 0..self.app.buses().len() {
+            let unreadable = std::mem::take(&mut unreadable);
+            set_link(&mut self.app, now, at, (Link::Ended, unreadable));
         }
     }
 
@@ -626,8 +624,9 @@ impl Session {
     }
 }
 
-fn set_link(app: &mut App, now: Instant, at: usize, link: Link) {
+/// Sets the state of a log's bus, and the number of entries that cannot be read.
+fn set_link(app: &mut App, now: Instant, at: usize, (link, unreadable): (Link, u64)) {
     let Some(bus) = app.buses().get(at) else { return };
-    let status = BusStatus { link, ..bus.status.clone() };
+    let status = BusStatus { link, unreadable, ..bus.status.clone() };
     app.handle_bus(now, BusIndex(at as u8), status);
 }

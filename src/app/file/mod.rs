@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 /// Time between a failed save and the next attempt.
 const SAVE_RETRY_AFTER: Duration = Duration::from_secs(10);
 /// Time after which a file that has become empty is no longer assumed to be in writing.
-pub(super) const EMPTY_SETTLES_AFTER: Duration = Duration::from_secs(1);
+const EMPTY_SETTLES_AFTER: Duration = Duration::from_secs(1);
 
 /// The file, with the work around saving it.
 #[derive(Debug)]
@@ -70,9 +70,21 @@ impl FileEditor {
         is_due
     }
 
-    /// The moment at which a failed save is repeated.
+    /// Accepts a file that has become empty, if it is no longer assumed to be in writing.
+    pub fn accept_empty(&mut self, now: Instant) -> FileChange {
+        match self.empty_settles_at() {
+            Some(at) if at <= now => self.file.accept_empty(),
+            _ => FileChange::None,
+        }
+    }
+
+    /// The moment at which a failed save is repeated, or an empty file accepted.
     pub fn poll_timeout(&self) -> Option<Instant> {
-        self.retry_at
+        self.retry_at.into_iter().chain(self.empty_settles_at()).min()
+    }
+
+    fn empty_settles_at(&self) -> Option<Instant> {
+        self.file.emptied_since().map(|since| since + EMPTY_SETTLES_AFTER)
     }
 
     /// Takes the result of a save.

@@ -96,8 +96,12 @@ impl Input {
 
     /// The action of a key in the present mode, or a global one.
     pub fn lookup(&self, key: Key) -> Option<Action> {
-        let global = || self.keymap.lookup(KeyMode::Browse, key).filter(|it| it.is_global());
-        self.keymap.lookup(self.mode(), key).or_else(global)
+        self.keymap.lookup(self.mode(), key).or_else(|| self.lookup_global(key))
+    }
+
+    /// The action of a key that applies in every mode, also while a prompt is open.
+    pub fn lookup_global(&self, key: Key) -> Option<Action> {
+        self.keymap.lookup(KeyMode::Browse, key).filter(|action| action.is_global())
     }
 
     /// The open prompt.

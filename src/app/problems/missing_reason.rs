@@ -82,12 +82,10 @@ impl Inputs<'_> {
             reasons.push(format!("{name} found at {at}{not}: ambiguous"));
         }
         let is_explained = !reasons.is_empty() || entry.address.is_none() && !taken.is_empty();
-        if is_explained {
-            // Silence is no reason then.
-        } else if !self.buses.is_search_complete(index, self.now) {
-            reasons.push("search still running".to_owned());
-        } else {
-            why_silent(bus, entry, &mut reasons);
+        match self.buses.is_search_complete(index, self.now) {
+            _ if is_explained => {}
+            false => reasons.push("search still running".to_owned()),
+            true => why_silent(bus, entry, &mut reasons),
         }
         reasons.extend(taken.into_iter().map(|device| {
             format!("{} at {} belongs to another entry", Quoted(&entry.name), device.address)

@@ -636,6 +636,18 @@ mod tests {
             test
         }
 
+        /// An adapter that responded to everything up to its status flags at 4 ms.
+        fn opened() -> Self {
+            let mut test = Self::begin(SlcanSettings::default());
+            test.handle_reply(1, b"\r\r");
+            test.pass(1);
+            test.handle_reply(2, b"\r");
+            test.handle_reply(3, b"\r");
+            test.pass(3);
+            test.handle_reply(4, b"F00\r");
+            test
+        }
+
         fn handle_reply(&mut self, millis: u64, bytes: &[u8]) -> String {
             self.slcan.handle_input(at(millis), bytes, &mut self.exchange);
             self.sent()
@@ -708,7 +720,7 @@ mod tests {
         assert_eq!(test.pass(1_199), "C.V.".repeat(5));
         assert_eq!(test.pass(1_200), "S4.L.");
         assert_eq!(test.exchange.status.link, Link::Up);
-        // It is asked again now and then, and begins anew when it answers.
+        // It is polled; a response restarts the dialogue.
         assert_eq!(test.pass(7_200), "F.F.");
         assert_eq!(test.handle_reply(7_300, b"\x07"), "C.V.");
         test.handle_reply(7_301, b"\r\r");
@@ -717,13 +729,7 @@ mod tests {
 
     #[test]
     fn adapter_without_responses_is_unavailable() {
-        let mut test = SlcanTest::begin(SlcanSettings::default());
-        test.handle_reply(1, b"\r\r");
-        test.pass(1);
-        test.handle_reply(2, b"\r");
-        test.handle_reply(3, b"\r");
-        test.pass(3);
-        test.handle_reply(4, b"F00\r");
+        let mut test = SlcanTest::opened();
         assert_eq!(test.exchange.broken, None);
         test.pass(10_000);
         assert_eq!(test.exchange.broken.as_ref().map(|away| away.link), Some(Link::Down));
@@ -731,13 +737,7 @@ mod tests {
 
     #[test]
     fn restarted_adapter_is_opened_again() {
-        let mut test = SlcanTest::begin(SlcanSettings::default());
-        test.handle_reply(1, b"\r\r");
-        test.pass(1);
-        test.handle_reply(2, b"\r");
-        test.handle_reply(3, b"\r");
-        test.pass(3);
-        test.handle_reply(4, b"F00\r");
+        let mut test = SlcanTest::opened();
         assert_eq!(test.pass(1_003), "F.");
         assert_eq!(test.handle_reply(1_005, b"\x07"), "C.V.");
     }

@@ -88,14 +88,20 @@ fn two_buses_are_one_view() {
     text_snapshot!("two_buses_problems", pair.run(20..36).keys("4").screen(100, 30));
 }
 
+/// The built-in boiler and drone, on buses with these names.
+fn named_pair(names: [&str; 2]) -> Pair {
+    let scenarios = ["boiler", "drone"].map(|name| Scenario::builtin(name).unwrap());
+    let mut pair = Pair::new([&scenarios[0], &scenarios[1]]);
+    for (index, name) in (0..).zip(names) {
+        pair.app.name_bus(BusIndex(index), name.to_owned());
+    }
+    pair
+}
+
 /// Tests that adapters with equal bit rates are named by the part before it.
 #[test]
 fn equal_adapters_have_distinct_names() {
-    let scenarios = ["boiler", "drone"].map(|name| Scenario::builtin(name).unwrap());
-    let mut pair = Pair::new([&scenarios[0], &scenarios[1]]);
-    for (index, name) in [(0, "slcan:/dev/ttyACM0@500000"), (1, "slcan:/dev/ttyACM1@500000")] {
-        pair.app.name_bus(BusIndex(index), name.to_owned());
-    }
+    let mut pair = named_pair(["slcan:/dev/ttyACM0@500000", "slcan:/dev/ttyACM1@500000"]);
     pair.run(0..20);
     for (page, width) in [("1", 80), ("2", 80), ("3", 80), ("3", 120)] {
         let screen = pair.keys(page).screen(width, 40);
@@ -189,11 +195,7 @@ fn entry_edited_while_a_twin_appears_is_kept() {
 
 #[test]
 fn scheme_is_dropped_before_the_name_is_cut() {
-    let scenarios = ["boiler", "drone"].map(|name| Scenario::builtin(name).unwrap());
-    let mut pair = Pair::new([&scenarios[0], &scenarios[1]]);
-    for (index, name) in [(0, "sim:boiler"), (1, "sim:drone")] {
-        pair.app.name_bus(BusIndex(index), name.to_owned());
-    }
+    let mut pair = named_pair(["sim:boiler", "sim:drone"]);
     pair.run(0..36);
     for (page, width) in [("1", 80), ("2", 80), ("3", 80), ("4", 80), ("1", 60), ("4", 40)] {
         let screen = pair.keys(page).screen(width, 40);
