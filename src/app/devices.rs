@@ -7,7 +7,7 @@ use super::Inputs;
 use super::buses::{Bus, Buses};
 use super::filter::Filter;
 use super::listing::other_services;
-use super::problems::Problem;
+use super::problems::ProblemList;
 use super::view::{Counts, FileStatus, Page, Row, RowKey, RowState, SortBy, View};
 use crate::discovery::Device;
 use crate::document::Entry;
@@ -16,6 +16,7 @@ use crate::frame::BusIndex;
 use crate::text::Name;
 use crate::wire::id::Address;
 use std::cmp::{Ordering, Reverse};
+use std::collections::HashMap;
 
 /// The rows, and what they count.
 #[derive(Debug, Default)]
@@ -51,7 +52,7 @@ impl DeviceRows {
     }
 
     /// Updates the rows; the selection stays on its device.
-    pub fn refresh(&mut self, inputs: Inputs, problems: &[Problem], view: &mut View) {
+    pub fn refresh(&mut self, inputs: Inputs, problems: &ProblemList, view: &mut View) {
         let mut rows = inputs.all_rows();
         self.counts = count(&rows, problems);
         let filter = Filter::parse(view.filter(Page::Devices));
@@ -59,10 +60,9 @@ impl DeviceRows {
         sort(&mut rows, inputs.buses, view.sort);
         if view.frozen.is_some() {
             // Known rows keep their places; new ones come last.
-            let old: Vec<&RowKey> = self.rows.iter().map(|row| &row.key).collect();
-            rows.sort_by_cached_key(|row| {
-                old.iter().position(|key| **key == row.key).unwrap_or(usize::MAX)
-            });
+            let old: HashMap<&RowKey, usize> =
+                self.rows.iter().map(|row| &row.key).zip(0..).collect();
+            rows.sort_by_cached_key(|row| old.get(&row.key).copied().unwrap_or(usize::MAX));
         }
         let before = std::mem::replace(&mut self.rows, rows);
         self.follow_selection(&before, view);
@@ -222,12 +222,10 @@ impl Inputs<'_> {
 }
 
 /// Counts rows and problems.
-fn count(rows: &[Row], problems: &[Problem]) -> Counts {
+fn count(rows: &[Row], problems: &ProblemList) -> Counts {
     let with =
         |state: &dyn Fn(RowState) -> bool| rows.iter().filter(|row| state(row.state)).count();
-    let sure =
-        |confidence| problems.iter().filter(|it| it.is_open() && it.state() == confidence).count();
-    let open = |it: &&Problem| it.is_muted && it.state() != FindingState::Cleared;
+    let problems = |state, is_muted| problems.count(state, is_muted);
     Counts {
         present: with(&|state| {
             let gone = [
@@ -242,9 +240,9 @@ fn count(rows: &[Row], problems: &[Problem]) -> Counts {
         unknown: with(&|state| state == RowState::Unknown),
         missing: with(&|state| state == RowState::Missing),
         lost: with(&|state| state == RowState::Lost),
-        confirmed: sure(FindingState::Confirmed),
-        suspected: sure(FindingState::Suspected),
-        muted: problems.iter().filter(open).count(),
+        confirmed: problems(FindingState::Confirmed, false),
+        suspected: problems(FindingState::Suspected, false),
+        muted: problems(FindingState::Confirmed, true) + problems(FindingState::Suspected, true),
         ..Counts::default()
     }
 }

@@ -54,7 +54,9 @@ pub use input::{InputCheck, Overlay, Prompt, PromptKind, Question};
 pub use listing::same_services;
 pub use navigate::{Mouse, MouseKind};
 pub use notices::{StatusMessage, Timeline, TimelineEntry};
-pub use problems::{EvidenceItem, Matching, Problem, ProblemKey, Scope, format_duration, is_about};
+pub use problems::{
+    EvidenceItem, Matching, Problem, ProblemKey, ProblemList, Scope, format_duration, is_about,
+};
 pub use timeline_kind::TimelineKind;
 pub use view::{
     Counts, EvidenceView, FileStatus, Focus, Frozen, Page, Row, RowKey, RowState, SPLIT_WIDTH,
@@ -672,7 +674,7 @@ impl App {
 
     /// All problems: confirmed, suspected, cleared, muted; by severity within each. A frozen view
     /// keeps the order of its rows.
-    pub fn problems(&self) -> Vec<Problem<'_>> {
+    pub fn problems(&self) -> ProblemList<'_> {
         self.problems.list(&self.buses, self.view.frozen.is_some())
     }
 
@@ -687,18 +689,19 @@ impl App {
     }
 
     /// The problems that match the filter.
-    pub fn problems_shown(&self) -> Vec<Problem<'_>> {
+    pub fn problems_shown(&self) -> ProblemList<'_> {
         let filter = Filter::parse(self.view.filter(Page::Problems));
         let mut problems = self.problems();
-        problems.retain(|problem| filter.matches_problem(&self.buses, problem));
+        if !filter.is_empty() {
+            problems.retain(|problem| filter.matches_problem(&self.buses, problem));
+        }
         problems
     }
 
     /// The selected problem.
     pub fn selected_problem(&self) -> Option<Problem<'_>> {
-        let mut shown = self.problems_shown();
-        let index = self.view.problems.index(shown.iter().map(|problem| &problem.key))?;
-        Some(shown.swap_remove(index))
+        let shown = self.problems_shown();
+        shown.get(self.view.problems.index(shown.keys())?)
     }
 
     /// The rows of the Devices page, sorted and filtered.
@@ -959,13 +962,13 @@ impl App {
     }
 
     fn problem_keys(&self) -> Vec<ProblemKey> {
-        self.problems_shown().into_iter().map(|problem| problem.key).collect()
+        self.problems_shown().keys().cloned().collect()
     }
 
     /// After a change of the problems: keeps the selection on its problem.
     fn settle_problems(&mut self) {
-        let order = self.problems().into_iter().map(|problem| problem.key).collect();
         let shown = self.problem_keys();
+        let order = self.problems().into_order();
         self.problems.set_order(order);
         let height = self.list_height();
         if self.view.page == Page::Problems {

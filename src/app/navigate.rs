@@ -493,12 +493,10 @@ impl App {
             return;
         }
         let (bus, address, name) = self.subject();
-        let problems = self.problems();
-        let about = |problem: &&Problem| problem.is_about(bus, address, name.as_ref());
-        let Some(key) = problems.iter().find(about).map(|problem| problem.key.clone()) else {
+        let about = |problem: &Problem| problem.is_about(bus, address, name.as_ref());
+        let Some(key) = self.problems().iter().find(about).map(|problem| problem.key) else {
             return self.show_error("no problem for this device");
         };
-        drop(problems);
         if !self.problem_keys().contains(&key) {
             self.view.set_filter(Page::Problems, String::new());
         }

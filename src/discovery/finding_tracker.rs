@@ -73,6 +73,8 @@ pub(super) struct FindingTracker {
     findings: Vec<Finding>,
     evidence_states: Vec<EvidenceState>,
     changed: Vec<(FindingKey, FindingState)>,
+    /// Number of changes noted in `changed` so far.
+    revision: u64,
     /// Time of the first request to each address since its last response evidence.
     requested_at: [Option<Instant>; Address::COUNT],
     rng: fastrand::Rng,
@@ -88,6 +90,7 @@ impl FindingTracker {
             findings: Vec::new(),
             evidence_states: Vec::new(),
             changed: Vec::new(),
+            revision: 0,
             requested_at: [None; Address::COUNT],
             rng: fastrand::Rng::with_seed(!seed),
             over_limit: 0,
@@ -96,6 +99,11 @@ impl FindingTracker {
 
     pub fn findings(&self) -> &[Finding] {
         &self.findings
+    }
+
+    /// Returns the number of changes of states so far.
+    pub fn revision(&self) -> u64 {
+        self.revision
     }
 
     /// Returns the next finding whose state changed, with its new state.
@@ -312,7 +320,7 @@ impl FindingTracker {
             self.over_limit += 1;
             return None;
         }
-        self.changed.push((key.clone(), FindingState::Suspected));
+        self.note_change(key.clone(), FindingState::Suspected);
         self.findings.push(Finding::new(key, now));
         self.evidence_states.push(tracker);
         Some(self.findings.len() - 1)
@@ -510,11 +518,17 @@ impl FindingTracker {
         }
         finding.confidence = confidence;
         finding.changed = now;
-        self.changed.push((finding.key.clone(), confidence));
-        if confidence == FindingState::Confirmed && finding.key.kind.is_conflict() {
+        let (key, is_conflict) = (finding.key.clone(), finding.key.kind.is_conflict());
+        self.note_change(key, confidence);
+        if confidence == FindingState::Confirmed && is_conflict {
             self.evidence_states[at].next_follow_up =
                 Some(now + self.with_jitter(CONFIRMED_FOLLOW_UP_DELAY));
         }
+    }
+
+    fn note_change(&mut self, key: FindingKey, state: FindingState) {
+        self.changed.push((key, state));
+        self.revision += 1;
     }
 
     /// Returns `wait` multiplied by a random factor of 0.9 to 1.1. Keeps follow-up requests out of

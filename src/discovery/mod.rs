@@ -439,6 +439,11 @@ impl Engine {
         self.conflicts.finding_tracker().findings()
     }
 
+    /// Returns a counter that grows when a finding is opened or has another state.
+    pub fn findings_revision(&self) -> u64 {
+        self.conflicts.finding_tracker().revision()
+    }
+
     /// Returns the state of descan's own address.
     pub fn own_address(&self) -> OwnAddress {
         self.local_node.own_address()

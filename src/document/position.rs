@@ -52,10 +52,10 @@ impl<'a> Positions<'a> {
 
 /// Returns the position behind a text that starts at `from`.
 fn advance(from: Position, text: &[u8]) -> Position {
-    match text.iter().rposition(|&byte| byte == b'\n') {
+    match memchr::memrchr(b'\n', text) {
         None => Position { column: from.column + characters(text), ..from },
         Some(last) => Position {
-            line: from.line + text.split(|&byte| byte == b'\n').count() - 1,
+            line: from.line + memchr::memchr_iter(b'\n', text).count(),
             column: 1 + characters(&text[last + 1..]),
         },
     }

@@ -109,13 +109,14 @@ fn skip_blank(bytes: &[u8], mut at: usize) -> usize {
 /// Returns the offset behind the string whose opening quote is at `at`.
 fn skip_string(bytes: &[u8], mut at: usize) -> usize {
     at += 1;
-    loop {
-        match bytes[at] {
-            b'"' => return at + 1,
-            b'\\' => at += 2,
-            _ => at += 1,
+    while let Some(found) = memchr::memchr2(b'"', b'\\', &bytes[at..]) {
+        at += found;
+        if bytes[at] == b'"' {
+            return at + 1;
         }
+        at += 2;
     }
+    bytes.len()
 }
 
 fn skip_value(bytes: &[u8], mut at: usize) -> usize {

@@ -52,12 +52,13 @@ fn draw_list(brush: &mut DrawContext) {
         let text = if brush.cannot_receive() { "no problems so far" } else { "no problems found" };
         return brush.draw_empty_list(list, text);
     }
-    let selected = app.view().problems.index(problems.iter().map(|problem| &problem.key));
+    let selected = app.view().problems.index(problems.keys());
     let height = usize::from(list.height);
     let top = app.view().problems.top(selected, problems.len(), height);
-    for (row, problem) in problems.iter().skip(top).take(height).enumerate() {
+    for row in 0..height {
+        let Some(problem) = problems.get(top + row) else { break };
         let is_selected = selected == Some(top + row);
-        let line = problem_line(brush, problem, list, is_selected);
+        let line = problem_line(brush, &problem, list, is_selected);
         // A blank in front of the divider.
         let width = list.width - brush.screen.divider.width;
         brush.line(Rect { width, ..list }, row as u16, &line);

@@ -85,7 +85,7 @@ impl Stage {
     /// Returns the text and the remedy of the finding that reports missing devices.
     fn finding(&self) -> (String, String) {
         let found = self.app.problems();
-        let found = found.iter().flat_map(|problem| problem.findings.iter());
+        let found = found.iter().flat_map(|problem| problem.findings);
         let mut missing = found.filter(|it| it.key.kind == FindingKind::Missing);
         let first = missing.next().expect("something is missing");
         (first.text.clone(), first.remedy.clone())
@@ -233,7 +233,7 @@ fn device_at_another_address_is_reported() {
     let stage = Stage::after_eight_seconds(&[scenario], &Config::default(), PUMP);
     let problems = stage.app.problems();
     let mut texts: Vec<_> =
-        problems.iter().flat_map(|it| it.findings.iter()).map(|it| it.text.as_str()).collect();
+        problems.iter().flat_map(|it| it.findings).map(|it| it.text.as_str()).collect();
     texts.sort_unstable();
     assert_eq!(
         texts,

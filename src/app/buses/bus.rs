@@ -80,6 +80,11 @@ impl Bus {
         self.engine.findings()
     }
 
+    /// Counter that changes when a finding is opened or has another state.
+    pub(super) fn findings_revision(&self) -> u64 {
+        self.engine.findings_revision()
+    }
+
     /// Frame and error counters of the engine.
     pub fn counters(&self) -> Counters {
         self.engine.counters()

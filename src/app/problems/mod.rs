@@ -6,11 +6,13 @@
 
 mod comparison;
 mod group;
+mod list;
 mod matching;
 mod missing_reason;
 
 pub use comparison::Scope;
 pub use group::{EvidenceItem, Problem, ProblemKey, is_about};
+pub use list::ProblemList;
 pub use matching::Matching;
 pub use missing_reason::{bus_obstacle, format_duration};
 
@@ -20,6 +22,7 @@ use super::file::FileState;
 use crate::finding::{Finding, FindingKey, FindingState};
 use crate::time::Instant;
 use comparison::Comparison;
+use list::ProblemOrder;
 use std::cell::RefCell;
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -34,15 +37,15 @@ pub(super) struct Problems {
     finding_entries: Vec<Option<usize>>,
     /// Muted until the program ends.
     muted: BTreeSet<ProblemKey>,
-    /// All problems in the order in which they were shown last.
-    order: Vec<ProblemKey>,
+    /// The order in which problems were shown last, for a frozen view.
+    order: ProblemOrder,
     /// Incremented when the findings of the file or the muting change.
     revision: u64,
     /// The list for the revisions of the buses and of `self`.
     list: RefCell<Option<StoredList>>,
 }
 
-/// Revisions of the buses and of [`Problems`], and the list made for them.
+/// Revisions of the findings of the buses and of [`Problems`], and the list made for them.
 type StoredList = (u64, u64, Rc<[StoredProblem]>);
 
 /// A problem whose findings are stored with the buses and the file.
@@ -50,6 +53,7 @@ type StoredList = (u64, u64, Rc<[StoredProblem]>);
 struct StoredProblem {
     key: ProblemKey,
     findings: Vec<FindingPlace>,
+    state: FindingState,
     is_muted: bool,
 }
 
@@ -126,17 +130,13 @@ impl Problems {
 
     /// All problems: confirmed, suspected, cleared, muted; by severity within each. In a frozen
     /// view, rows keep the order in which they were shown, and new ones come last.
-    pub fn list<'a>(&'a self, buses: &'a Buses, is_frozen: bool) -> Vec<Problem<'a>> {
-        let stored = self.stored(buses);
-        let mut problems: Vec<Problem> =
-            stored.iter().filter_map(|problem| self.problem(buses, problem)).collect();
+    pub fn list<'a>(&'a self, buses: &'a Buses, is_frozen: bool) -> ProblemList<'a> {
+        let mut list = ProblemList::new(self, buses, self.stored(buses));
         if is_frozen {
-            problems.sort_by_cached_key(|problem| {
-                let place = self.order.iter().position(|key| *key == problem.key);
-                place.unwrap_or(usize::MAX)
-            });
+            let rows: HashMap<&ProblemKey, usize> = self.order.keys().zip(0..).collect();
+            list.sort_by_key(|key| rows.get(key).copied().unwrap_or(usize::MAX));
         }
-        problems
+        list
     }
 
     /// The problems with a finding that `is_wanted` selects.
@@ -169,16 +169,18 @@ impl Problems {
         (!findings.is_empty()).then_some(Problem { key, findings, is_muted })
     }
 
-    /// The list, updated if a bus, the file or the muting changed.
+    /// The list, updated if a finding of a bus, the file or the muting changed.
     fn stored(&self, buses: &Buses) -> Rc<[StoredProblem]> {
         let mut list = self.list.borrow_mut();
         match &*list {
-            Some((bus, own, stored)) if (*bus, *own) == (buses.revision(), self.revision) => {
+            Some((bus, own, stored))
+                if (*bus, *own) == (buses.findings_revision(), self.revision) =>
+            {
                 stored.clone()
             }
             _ => {
                 let stored: Rc<[StoredProblem]> = self.group(buses).into();
-                *list = Some((buses.revision(), self.revision, stored.clone()));
+                *list = Some((buses.findings_revision(), self.revision, stored.clone()));
                 stored
             }
         }
@@ -205,13 +207,16 @@ impl Problems {
             problems.push((Problem { key, findings, is_muted }, places));
         }
         problems.sort_by_cached_key(|(problem, _)| problem.rank());
-        let stored =
-            |(Problem { key, is_muted, .. }, findings)| StoredProblem { key, findings, is_muted };
+        let stored = |(problem, findings): (Problem, _)| {
+            let state = problem.state();
+            let Problem { key, is_muted, .. } = problem;
+            StoredProblem { key, findings, state, is_muted }
+        };
         problems.into_iter().map(stored).collect()
     }
 
     /// Stores the order in which problems are shown, for a frozen view.
-    pub fn set_order(&mut self, order: Vec<ProblemKey>) {
+    pub fn set_order(&mut self, order: ProblemOrder) {
         self.order = order;
     }
 
@@ -236,6 +241,8 @@ mod tests {
     use super::*;
     use crate::app::FileReading;
     use crate::discovery::Config;
+    use crate::frame::{BusIndex, Frame};
+    use crate::status::BusStatus;
 
     const NOW: Instant = Instant::ZERO;
     const FILE: &str = r#"{"devices":[{"name":"A","address":12,"static":true},
@@ -255,7 +262,11 @@ mod tests {
         problems.refresh(&buses, &file, NOW);
         let first = problems.stored(&buses);
         assert!(!first.is_empty() && Rc::ptr_eq(&first, &problems.stored(&buses)));
-        buses.remove_lost_devices();
+        // A frame alone changes no finding.
+        buses.receive(&Frame::classic(1, &[]));
+        assert!(Rc::ptr_eq(&first, &problems.stored(&buses)));
+        let loss = BusStatus { kernel_drops: 1, ..BusStatus::default() };
+        assert!(buses.update_status(NOW, BusIndex(0), loss).is_some());
         let second = problems.stored(&buses);
         assert!(!Rc::ptr_eq(&first, &second));
         problems.toggle_muted(second[0].key.clone());
@@ -267,10 +278,10 @@ mod tests {
         let (buses, file) = parts();
         let mut problems = Problems::default();
         problems.refresh(&buses, &file, NOW);
-        let key = problems.list(&buses, false)[0].key.clone();
+        let key = problems.list(&buses, false).get(0).unwrap().key;
         assert!(problems.toggle_muted(key.clone()) && problems.is_muted(&key));
         let list = problems.list(&buses, false);
-        let lowest = list.last().unwrap();
+        let lowest = list.get(list.len() - 1).unwrap();
         assert!(lowest.key == key && !lowest.is_open());
         assert!(!problems.toggle_muted(key));
     }

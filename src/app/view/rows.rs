@@ -8,7 +8,7 @@ use crate::text::Name;
 use crate::wire::id::Address;
 
 /// Identity of a row, stable while other rows appear and disappear.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum RowKey {
     /// Row of a device.
     Device(DeviceId),

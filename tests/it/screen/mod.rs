@@ -73,7 +73,7 @@ impl Stage {
 /// Returns the problems as listed: sign, muted or not, text.
 fn problems(stage: &Stage) -> Vec<String> {
     let shown = stage.app.problems_shown();
-    let line = |problem: &Problem| {
+    let line = |problem: Problem| {
         let muted = if problem.is_muted { "muted " } else { "" };
         format!("{muted}{} {}", problem.state(), problem.title())
     };
