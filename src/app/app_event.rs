@@ -22,7 +22,7 @@ pub enum AppEvent {
     Line(EventLine),
     /// An event of a device; findings are [`AppEvent::Finding`].
     Event(Box<DeviceEvent>),
-    /// A finding of an engine or of the comparison with des.json: new, changed in confidence, or
+    /// A finding of an engine or of the comparison with des.json: new, changed in state, or
     /// cleared.
     Finding(EventContext, Box<Finding>),
     /// A bus changed: link, bit rate, state, lost frames, own address.

@@ -141,8 +141,8 @@ impl Inputs<'_> {
         let entry = self.matching.entry_of(device.id);
         let about = |finding: &&Finding| concerns(finding, device);
         let findings = || bus.findings().iter().filter(about);
-        let confirmed = findings()
-            .any(|it| it.confidence == FindingState::Confirmed && it.key.kind.is_conflict());
+        let confirmed =
+            findings().any(|it| it.state == FindingState::Confirmed && it.key.kind.is_conflict());
         let twin = device.is_present()
             && bus.devices().iter().any(|other| {
                 other.id != device.id
@@ -161,7 +161,7 @@ impl Inputs<'_> {
                 _ if confirmed => RowState::Conflict,
                 presence => presence.into(),
             },
-            suspected: findings().any(|it| it.confidence == FindingState::Suspected),
+            suspected: findings().any(|it| it.state == FindingState::Suspected),
             twin,
             redundant_ids: Vec::new(),
             file: self.file_status(device, entry.map(|at| &self.file.document().entries()[at])),

@@ -90,10 +90,10 @@ impl App {
         if !is_of_interest {
             return;
         }
-        if let EventKind::Finding { key, confidence } = &event.kind {
+        if let EventKind::Finding { key, state } = &event.kind {
             let finding = self.buses.finding(bus, key).cloned();
             let mut finding = finding.unwrap_or_else(|| Finding::new(key.clone(), event.time));
-            finding.confidence = *confidence;
+            finding.state = *state;
             let event = self.finding_event(finding, event.time);
             self.notices.emit(event);
         } else if let Some(event) = self.engine_event(bus, event) {
@@ -109,7 +109,7 @@ impl App {
             return;
         }
         for finding in self.problems.changes_since(&before, now) {
-            let (kind, text) = finding_line(finding.confidence, &finding.key, &finding.text);
+            let (kind, text) = finding_line(finding.state, &finding.key, &finding.text);
             let mut line = TimelineEntry::new(now, kind, text);
             line.bus = finding.key.bus;
             line.address = finding.key.address;

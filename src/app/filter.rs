@@ -269,7 +269,7 @@ impl Filter {
             return true;
         }
         let bus = || problem.bus().and_then(|bus| buses.get(bus)).map_or("", |bus| &bus.name);
-        let confidence = problem.state();
+        let state = problem.state();
         let at = |word: &str| problem.addresses().iter().any(|it| is_one_of(*it, word));
         let named =
             |word: &str| problem.names().iter().any(|it| contains_word(&it.to_string(), word));
@@ -284,7 +284,7 @@ impl Filter {
             TermTest::Word(word) => {
                 kind(word)
                     || problem.findings.iter().any(|finding| contains_word(&finding.text, word))
-                    || contains_word(confidence.name(), word)
+                    || contains_word(state.name(), word)
                     || (problem.is_muted && word == "muted")
                     || named(word)
                     || at(word)
@@ -293,11 +293,11 @@ impl Filter {
             TermTest::Field(Field::Name, value) => named(value),
             TermTest::Field(Field::Type, value) => kind(value),
             TermTest::Field(Field::State, value) => {
-                starts(confidence.name(), value) || (problem.is_muted && starts("muted", value))
+                starts(state.name(), value) || (problem.is_muted && starts("muted", value))
             }
             TermTest::Field(Field::Bus, value) => contains_word(bus(), value),
             TermTest::Field(_, value) => named(value) || at(value),
-            TermTest::Error => confidence == FindingState::Confirmed,
+            TermTest::Error => state == FindingState::Confirmed,
             TermTest::Ours => false,
         })
     }

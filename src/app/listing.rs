@@ -17,7 +17,7 @@ pub fn new_entry(buses: &Buses, document: &Document, device: &Device) -> Option<
     // At a shared address the last UID may be the other device's.
     let is_shared = bus.findings().iter().any(|finding| {
         finding.key.kind.is_conflict()
-            && finding.confidence != FindingState::Cleared
+            && finding.state != FindingState::Cleared
             && finding.addresses.contains(&device.address)
     });
     let uid = device.uid.filter(|uid| !uid.is_blank() && !is_shared);

@@ -62,7 +62,7 @@ fn differences(app: &App, now: Instant) -> String {
     let compared = app.compare(now, Scope::Check);
     let engines = app.buses().iter().flat_map(Bus::findings);
     let found: Vec<&Finding> =
-        engines.chain(&compared).filter(|it| it.confidence == FindingState::Confirmed).collect();
+        engines.chain(&compared).filter(|it| it.state == FindingState::Confirmed).collect();
     let mut text = String::new();
     let mut sums = Vec::new();
     for section in CheckSection::ALL {

@@ -158,11 +158,11 @@ impl ScanReport {
                 engines.chain(&compared).collect()
             }
         };
-        // By time; findings of the same time by confidence and severity.
+        // By time; findings of the same time by state and severity.
         findings.sort_by_key(|finding| {
-            let confidence = Reverse(finding.confidence);
+            let state = Reverse(finding.state);
             let severity = Reverse(finding.key.kind.severity());
-            (finding.first, confidence, severity, finding.key.clone())
+            (finding.first, state, severity, finding.key.clone())
         });
         let findings = findings.iter().map(|it| {
             let bus = it.key.bus.and_then(|index| app.bus(index)).map(|bus| bus.name.clone());
@@ -365,7 +365,7 @@ fn of_device(app: &App, bus: &Bus, device: &Device) -> DeviceReport {
     let alphabet = &bus.config().profile.uid;
     let services = device.services.as_deref().unwrap_or_default();
     let clash = bus.findings().iter().any(|finding| {
-        finding.confidence == FindingState::Confirmed
+        finding.state == FindingState::Confirmed
             && finding.key.kind.is_conflict()
             && crate::app::concerns(finding, device)
     });
@@ -425,7 +425,7 @@ pub(super) fn of_finding(
 ) -> FindingReport {
     FindingReport {
         kind: finding.key.kind.name(),
-        confidence: finding.confidence.name(),
+        confidence: finding.state.name(),
         bus,
         address: finding.key.address.map(crate::wire::id::Address::number),
         addresses: finding.addresses.iter().map(|address| address.number()).collect(),
@@ -434,7 +434,7 @@ pub(super) fn of_finding(
         evidence: finding.evidence.iter().map(|piece| of_evidence(epoch, piece)).collect(),
         text: finding.text.clone(),
         remedy: finding.remedy.clone(),
-        counts: finding.confidence == FindingState::Confirmed
+        counts: finding.state == FindingState::Confirmed
             && match finding.key.kind.facts().exit_code_of {
                 ExitCodeScope::ScanAndCheck => true,
                 ExitCodeScope::Check(_) => scope == Scope::Check,

@@ -103,7 +103,7 @@ pub enum EventKind {
         /// Identity of the finding.
         key: FindingKey,
         /// Present state.
-        confidence: FindingState,
+        state: FindingState,
     },
     /// descan took this address.
     OwnAddress(Address),

@@ -113,9 +113,7 @@ impl FindingTracker {
 
     /// Returns true if a conflict is suspected at any address.
     pub fn is_suspicious(&self) -> bool {
-        self.findings
-            .iter()
-            .any(|f| f.confidence == FindingState::Suspected && f.key.kind.is_conflict())
+        self.findings.iter().any(|f| f.state == FindingState::Suspected && f.key.kind.is_conflict())
     }
 
     /// Returns true if a conflict at `address` is suspected or confirmed.
@@ -123,7 +121,7 @@ impl FindingTracker {
         self.findings.iter().any(|finding| {
             finding.key.address == Some(address)
                 && finding.key.kind.is_conflict()
-                && finding.confidence != FindingState::Cleared
+                && finding.state != FindingState::Cleared
         })
     }
 
@@ -154,16 +152,16 @@ impl FindingTracker {
         &mut self,
         now: Instant,
         address: Option<Address>,
-        confidence: FindingState,
+        state: FindingState,
     ) -> Option<&mut Finding> {
         let kind = FindingKind::BusErrors;
         let key = FindingKey::at(kind, self.bus, address);
-        let at = if confidence == FindingState::Cleared {
+        let at = if state == FindingState::Cleared {
             self.findings.iter().position(|finding| finding.key == key)?
         } else {
             self.open(now, key)?
         };
-        self.set(now, at, confidence);
+        self.set(now, at, state);
         self.findings.get_mut(at)
     }
 
@@ -185,7 +183,7 @@ impl FindingTracker {
     pub fn handle_timeout(&mut self, now: Instant, mut query: impl FnMut(Address)) {
         for at in 0..self.findings.len() {
             let finding = &self.findings[at];
-            if finding.confidence == FindingState::Cleared {
+            if finding.state == FindingState::Cleared {
                 continue;
             }
             if now >= self.expires_at(at) && expires_without_evidence(finding) {
@@ -195,7 +193,7 @@ impl FindingTracker {
             if !self.listen_only
                 && self.evidence_states[at].next_follow_up.is_some_and(|due| now >= due)
             {
-                let confirmed = self.findings[at].confidence == FindingState::Confirmed;
+                let confirmed = self.findings[at].state == FindingState::Confirmed;
                 if let Some(address) = finding.key.address {
                     query(address);
                 }
@@ -215,7 +213,7 @@ impl FindingTracker {
             .iter()
             .zip(&self.evidence_states)
             .enumerate()
-            .filter(|(_, (finding, _))| finding.confidence != FindingState::Cleared)
+            .filter(|(_, (finding, _))| finding.state != FindingState::Cleared)
             .filter(|(_, (finding, _))| expires_without_evidence(finding))
             .flat_map(|(at, (_, tracker))| {
                 let check = if self.listen_only { None } else { tracker.next_follow_up };
@@ -231,9 +229,7 @@ impl FindingTracker {
         for at in 0..self.findings.len() {
             let finding = &self.findings[at];
             let concerned = finding.addresses.contains(&address);
-            if concerned
-                && finding.key.kind.is_conflict()
-                && finding.confidence != FindingState::Cleared
+            if concerned && finding.key.kind.is_conflict() && finding.state != FindingState::Cleared
             {
                 self.end(now, at);
             }
@@ -275,7 +271,7 @@ impl FindingTracker {
         if let Some(at) = at {
             let began = &mut self.evidence_states[at].began;
             *began = Some(began.map_or(since, |began| began.min(since)));
-            self.update_confidence(now, at);
+            self.update_state(now, at);
         }
     }
 
@@ -285,14 +281,13 @@ impl FindingTracker {
 
     /// Returns true if the finding is suspected or confirmed.
     pub fn is_open(&self, kind: FindingKind, address: Address) -> bool {
-        self.find(kind, address)
-            .is_some_and(|at| self.findings[at].confidence != FindingState::Cleared)
+        self.find(kind, address).is_some_and(|at| self.findings[at].state != FindingState::Cleared)
     }
 
     /// Returns true if the finding is confirmed.
     pub fn is_confirmed(&self, kind: FindingKind, address: Address) -> bool {
         self.find(kind, address)
-            .is_some_and(|at| self.findings[at].confidence == FindingState::Confirmed)
+            .is_some_and(|at| self.findings[at].state == FindingState::Confirmed)
     }
 
     /// Returns the index of the finding with that key; creates it, or opens it again if it was
@@ -309,7 +304,7 @@ impl FindingTracker {
             next_follow_up: key.kind.is_conflict().then_some(check),
         };
         if let Some(at) = self.findings.iter().position(|finding| finding.key == key) {
-            if self.findings[at].confidence == FindingState::Cleared {
+            if self.findings[at].state == FindingState::Cleared {
                 self.evidence_states[at] = tracker;
                 self.findings[at].evidence.clear();
                 self.set(now, at, FindingState::Suspected);
@@ -391,13 +386,13 @@ impl FindingTracker {
             self.set(now, at, FindingState::Confirmed);
         }
         if strength != EvidenceStrength::Weak {
-            self.update_confidence(now, at);
+            self.update_state(now, at);
         }
         Some(at)
     }
 
     /// Confirms a finding with enough strong evidence over five periods.
-    fn update_confidence(&mut self, now: Instant, at: usize) {
+    fn update_state(&mut self, now: Instant, at: usize) {
         let tracker = &self.evidence_states[at];
         // Five periods, less 1 % for heartbeat jitter.
         let enough = self.period.mul_f64(4.95);
@@ -428,8 +423,7 @@ impl FindingTracker {
     /// Returns true if an open finding has evidence stronger than [`EvidenceStrength::Weak`].
     pub fn has_strong(&self, kind: FindingKind, address: Address) -> bool {
         self.find(kind, address).is_some_and(|at| {
-            self.findings[at].confidence != FindingState::Cleared
-                && self.evidence_states[at].strong > 0
+            self.findings[at].state != FindingState::Cleared && self.evidence_states[at].strong > 0
         })
     }
 
@@ -445,7 +439,7 @@ impl FindingTracker {
     /// explanation.
     pub fn reset_suspicion(&mut self, kind: FindingKind) {
         for (finding, tracker) in self.findings.iter().zip(&mut self.evidence_states) {
-            if finding.key.kind == kind && finding.confidence == FindingState::Suspected {
+            if finding.key.kind == kind && finding.state == FindingState::Suspected {
                 tracker.began = None;
                 tracker.strong = 0;
             }
@@ -464,7 +458,7 @@ impl FindingTracker {
         let (Some(old), Some(new)) = (self.find(old, address), self.find(new, address)) else {
             return;
         };
-        if self.findings[old].confidence != FindingState::Cleared {
+        if self.findings[old].state != FindingState::Cleared {
             if now.since(self.findings[old].last) < self.period.mul_f64(HEARTBEAT_GAP_PERIODS) {
                 let (before, began) =
                     (self.evidence_states[old].began, self.evidence_states[new].began);
@@ -472,7 +466,7 @@ impl FindingTracker {
                 self.evidence_states[new].strong += self.evidence_states[old].strong;
             }
             self.set(now, old, FindingState::Cleared);
-            self.update_confidence(now, new);
+            self.update_state(now, new);
         }
     }
 
@@ -486,7 +480,7 @@ impl FindingTracker {
     /// Clears a finding whose evidence stopped. A suspected conflict with enough strong evidence
     /// becomes `address-contested`.
     fn end(&mut self, now: Instant, at: usize) {
-        let was_suspected = self.findings[at].confidence == FindingState::Suspected;
+        let was_suspected = self.findings[at].state == FindingState::Suspected;
         // A single surplus response or heartbeat is not contention.
         let least = u32::from(self.findings[at].key.kind == FindingKind::SameNameSameAddress);
         let was_contested = was_suspected && self.evidence_states[at].strong > least;
@@ -511,16 +505,16 @@ impl FindingTracker {
     }
 
     /// Sets the state of a finding and records the change.
-    fn set(&mut self, now: Instant, at: usize, confidence: FindingState) {
+    fn set(&mut self, now: Instant, at: usize, state: FindingState) {
         let finding = &mut self.findings[at];
-        if finding.confidence == confidence {
+        if finding.state == state {
             return;
         }
-        finding.confidence = confidence;
+        finding.state = state;
         finding.changed = now;
         let (key, is_conflict) = (finding.key.clone(), finding.key.kind.is_conflict());
-        self.note_change(key, confidence);
-        if confidence == FindingState::Confirmed && is_conflict {
+        self.note_change(key, state);
+        if state == FindingState::Confirmed && is_conflict {
             self.evidence_states[at].next_follow_up =
                 Some(now + self.with_jitter(CONFIRMED_FOLLOW_UP_DELAY));
         }
@@ -549,7 +543,7 @@ impl FindingTracker {
 fn expires_without_evidence(finding: &Finding) -> bool {
     match finding.key.kind {
         FindingKind::BusErrors => false,
-        FindingKind::MalformedAnswer => finding.confidence != FindingState::Confirmed,
+        FindingKind::MalformedAnswer => finding.state != FindingState::Confirmed,
         _ => true,
     }
 }

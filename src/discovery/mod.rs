@@ -540,16 +540,15 @@ impl Engine {
 
     /// Emits changed findings; after a cleared conflict the remaining device is queried again.
     fn emit_finding_changes(&mut self) {
-        while let Some((key, confidence)) = self.conflicts.finding_tracker_mut().poll_changed() {
+        while let Some((key, state)) = self.conflicts.finding_tracker_mut().poll_changed() {
             let shared = key.kind.is_conflict() || key.kind == FindingKind::BusErrors;
-            if let (true, FindingState::Cleared, Some(address)) = (shared, confidence, key.address)
-            {
+            if let (true, FindingState::Cleared, Some(address)) = (shared, state, key.address) {
                 self.requery(address);
             }
             let at = key.address.and_then(|address| self.device_table.current_index_at(address));
             match at {
-                Some(index) => self.emit(index, EventKind::Finding { key, confidence }),
-                None => self.emit_bus_event(EventKind::Finding { key, confidence }),
+                Some(index) => self.emit(index, EventKind::Finding { key, state }),
+                None => self.emit_bus_event(EventKind::Finding { key, state }),
             }
         }
     }

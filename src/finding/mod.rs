@@ -97,7 +97,7 @@ pub struct Finding {
     /// Identity.
     pub key: FindingKey,
     /// State.
-    pub confidence: FindingState,
+    pub state: FindingState,
     /// All addresses concerned, in ascending order.
     pub addresses: Vec<Address>,
     /// Names concerned, each once, at most 8.
@@ -106,7 +106,7 @@ pub struct Finding {
     pub first: Instant,
     /// Time of the last evidence.
     pub last: Instant,
-    /// Time of the last change of `confidence`.
+    /// Time of the last change of `state`.
     pub changed: Instant,
     /// Number of observations, including those that [`Self::evidence`] no longer stores; of lost
     /// frames, their number.
@@ -132,7 +132,7 @@ impl Finding {
             addresses: key.address.into_iter().collect(),
             names: key.name.iter().cloned().collect(),
             key,
-            confidence: FindingState::Suspected,
+            state: FindingState::Suspected,
             first: now,
             last: now,
             changed: now,

@@ -155,7 +155,7 @@ impl<'a> DeviceDetails<'_, 'a> {
                 && finding.key.address == self.row.address
         };
         let about = |finding: &Finding| {
-            finding.confidence != FindingState::Cleared
+            finding.state != FindingState::Cleared
                 && finding.key.kind != FindingKind::Missing
                 && device.map_or_else(|| of_row(finding), |device| concerns(finding, device))
         };
@@ -167,8 +167,8 @@ impl<'a> DeviceDetails<'_, 'a> {
                 if finding.position.is_some() {
                     continue;
                 }
-                let (sign, role) = symbols::of_confidence(finding.confidence);
-                let sure = finding.confidence == FindingState::Confirmed && !problem.is_muted;
+                let (sign, role) = symbols::of_finding_state(finding.state);
+                let sure = finding.state == FindingState::Confirmed && !problem.is_muted;
                 let headline = problem.headline();
                 let text = if finding.text.is_empty() { &*headline } else { &finding.text };
                 let text_role = if sure { Role::Text } else { Role::Muted };

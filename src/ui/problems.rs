@@ -1,4 +1,4 @@
-//! Page 4, Problems: a row per problem, and the details of the selected one: confidence, finding
+//! Page 4, Problems: a row per problem, and the details of the selected one: state, finding
 //! texts, remedy, evidence with its frames, addresses and names. Why des.json cannot be used stands
 //! below the list.
 
@@ -21,7 +21,7 @@ pub fn draw(brush: &mut DrawContext) {
 
 /// Returns the sign of a problem, the role of the sign, and that of the text.
 fn roles(problem: &Problem) -> (&'static str, Role, Role) {
-    let (sign, role) = symbols::of_confidence(problem.state());
+    let (sign, role) = symbols::of_finding_state(problem.state());
     match problem.state() {
         _ if problem.is_muted => (sign, Role::Muted, Role::Muted),
         FindingState::Cleared => (sign, role, Role::Muted),
@@ -178,7 +178,7 @@ struct ProblemDetails<'b, 'a> {
 impl ProblemDetails<'_, '_> {
     /// All lines; a section without content has none.
     fn all(mut self) -> Vec<Line<'static>> {
-        self.confidence();
+        self.state();
         self.text();
         self.others();
         self.evidence();
@@ -192,13 +192,13 @@ impl ProblemDetails<'_, '_> {
 
     /// Confidence, time and age. A confirmed problem that is not a conflict has no word: it is an
     /// observation, not a conclusion.
-    fn confidence(&mut self) {
+    fn state(&mut self) {
         let (app, head) = (self.brush.app, self.problem.head());
         let (sign, role, _) = roles(&self.problem);
         let since = self.problem.since();
         let (at, ago) =
             (format_time_of_day(app, since), format_duration(app.display_time().since(since)));
-        let word = match head.confidence {
+        let word = match head.state {
             FindingState::Cleared => "cleared ",
             FindingState::Suspected => "suspected ",
             FindingState::Confirmed if head.key.kind.is_conflict() => "confirmed ",
@@ -208,7 +208,7 @@ impl ProblemDetails<'_, '_> {
             self.brush.span(role, format!("{sign} {word}")),
             self.brush.span(
                 Role::Muted,
-                match head.confidence {
+                match head.state {
                     FindingState::Cleared => format!("{at}, {ago} ago"),
                     _ => format!("since {at}, {ago}"),
                 },
@@ -225,13 +225,13 @@ impl ProblemDetails<'_, '_> {
         let head = self.problem.head();
         let headline = self.problem.headline();
         let text = if head.text.is_empty() { &*headline } else { &head.text };
-        let was = if head.confidence == FindingState::Cleared { "was: " } else { "" };
+        let was = if head.state == FindingState::Cleared { "was: " } else { "" };
         self.add("", Role::Text, &format!("{was}{text}"));
         if let Some(hint) = self.problem.confirmation_hint() {
             self.lines.push(Line::default());
             self.add("? ", Role::Muted, hint);
         }
-        if !head.remedy.is_empty() && head.confidence != FindingState::Cleared {
+        if !head.remedy.is_empty() && head.state != FindingState::Cleared {
             self.lines.push(Line::default());
             self.add("→ ", Role::New, &head.remedy);
         }
@@ -244,8 +244,8 @@ impl ProblemDetails<'_, '_> {
         }
         for at in 1..self.problem.findings.len() {
             let finding = self.problem.findings[at];
-            let (sign, _) = symbols::of_confidence(finding.confidence);
-            let sure = finding.confidence == FindingState::Confirmed;
+            let (sign, _) = symbols::of_finding_state(finding.state);
+            let sure = finding.state == FindingState::Confirmed;
             self.add(
                 &format!("{sign} "),
                 if sure { Role::Text } else { Role::Muted },

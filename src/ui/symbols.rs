@@ -36,9 +36,9 @@ pub const SYMBOLS: [(Role, &str, &str); 29] = [
     (Role::Warning, "FROZEN", "view frozen; the same key unfreezes"),
 ];
 
-/// Returns the sign of a confidence and its role.
-pub fn of_confidence(confidence: FindingState) -> (&'static str, Role) {
-    match confidence {
+/// Returns the sign of a state and its role.
+pub fn of_finding_state(state: FindingState) -> (&'static str, Role) {
+    match state {
         FindingState::Confirmed => ("⚠", Role::Confirmed),
         FindingState::Suspected => ("?", Role::Suspected),
         FindingState::Cleared => ("✓", Role::Muted),

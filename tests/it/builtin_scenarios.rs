@@ -40,7 +40,7 @@ fn assert_true(inspection: &Inspection) {
             .collect();
         assert_eq!(known, truth.services, "{truth:?}");
     }
-    let open = engine.findings().iter().filter(|it| it.confidence != FindingState::Cleared);
+    let open = engine.findings().iter().filter(|it| it.state != FindingState::Cleared);
     assert_eq!(open.count(), 0, "nothing is wrong any more");
 }
 

@@ -54,7 +54,7 @@ impl Story {
 }
 
 fn confidence(engine: &Engine, kind: FindingKind) -> Option<FindingState> {
-    engine.findings().iter().find(|it| it.key.kind == kind).map(|it| it.confidence)
+    engine.findings().iter().find(|it| it.key.kind == kind).map(|it| it.state)
 }
 
 const SAME: FindingKind = FindingKind::SameNameSameAddress;

@@ -276,7 +276,7 @@ fn assert_live_together(company: &Company, what: &str) {
             assert_eq!(row.services.as_ref().map(Vec::len), Some(1), "{what}");
         }
         let confirmed = member.events.iter().find(|event| {
-            matches!(&event.kind, EventKind::Finding { key, confidence: FindingState::Confirmed }
+            matches!(&event.kind, EventKind::Finding { key, state: FindingState::Confirmed }
                 if key.kind.is_conflict())
         });
         assert!(confirmed.is_none(), "{what}: {}", inspection::describe(confirmed.unwrap()));
@@ -515,7 +515,7 @@ fn heartbeat_lost_in_short_outage_is_not_missed() {
 }
 
 fn confidence(engine: &Engine, kind: FindingKind) -> Option<FindingState> {
-    engine.findings().iter().find(|it| it.key.kind == kind).map(|it| it.confidence)
+    engine.findings().iter().find(|it| it.key.kind == kind).map(|it| it.state)
 }
 
 #[test]

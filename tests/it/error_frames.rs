@@ -30,7 +30,7 @@ fn stubborn(label: &str, name: &str, address: u8, delay: Duration) -> DeviceSpec
 /// Returns the addresses named in bus error findings, once per report.
 fn named(it: &Inspection) -> Vec<u8> {
     let told = it.events.iter().filter_map(|event| match &event.kind {
-        EventKind::Finding { key, confidence } if key.kind == FindingKind::BusErrors => {
+        EventKind::Finding { key, state } if key.kind == FindingKind::BusErrors => {
             key.address.filter(|_| *confidence != FindingState::Cleared)
         }
         _ => None,
@@ -114,7 +114,7 @@ fn named_address_is_suspected_with_frames() {
     let mut it = Inspection::new(&scenario, 1, Config::default());
     run(&mut it, seconds(15.0));
     let finding = errors_at(&it, Some(14)).expect("address 14 is named");
-    assert_eq!(finding.confidence, FindingState::Suspected);
+    assert_eq!(finding.state, FindingState::Suspected);
     assert!(finding.text.contains("ACT at address 14"), "{}", finding.text);
     let question = finding.evidence.front().and_then(|piece| piece.frame).unwrap();
     let header = Header::decode(question.platform_id().unwrap());
@@ -162,9 +162,9 @@ fn suspicion_clears_when_one_of_two_leaves() {
     );
     let mut it = Inspection::new(&scenario, 1, Config::default());
     run(&mut it, seconds(20.0));
-    assert_eq!(errors_at(&it, Some(14)).map(|it| it.confidence), Some(FindingState::Suspected));
+    assert_eq!(errors_at(&it, Some(14)).map(|it| it.state), Some(FindingState::Suspected));
     run(&mut it, seconds(110.0));
-    assert_eq!(errors_at(&it, Some(14)).map(|it| it.confidence), Some(FindingState::Cleared));
+    assert_eq!(errors_at(&it, Some(14)).map(|it| it.state), Some(FindingState::Cleared));
 }
 
 #[test]
@@ -211,7 +211,7 @@ fn disturbed_bus_suspects_no_device() {
             scenario.frame_error_probability = rate;
             let it = assert_nobody_named(&format!("{rate} of all break"), &scenario, seed);
             let bus = errors_at(&it, None).expect("the bus as a whole");
-            assert_eq!(bus.confidence, FindingState::Confirmed, "{rate} of all break");
+            assert_eq!(bus.state, FindingState::Confirmed, "{rate} of all break");
         }
     }
     for seed in 0..3 {
@@ -307,7 +307,7 @@ fn heard(frames: u64, seconds: u64, breaks: impl Fn(u64) -> bool) -> (Vec<String
         }
         engine.handle_timeout(Instant::from_micros(number * 1_000_000 / frames));
         while let Some(event) = engine.poll_event() {
-            if let EventKind::Finding { key, confidence } = event.kind
+            if let EventKind::Finding { key, state } = event.kind
                 && key.kind == FindingKind::BusErrors
                 && key.address.is_none()
             {

@@ -153,7 +153,7 @@ fn tried(seed: u64, config: Config, wrong: &mut String) {
         // Bus errors occur at random or not at all; no device causes them.
         let blamed = finding.key.kind == FindingKind::BusErrors && finding.key.address.is_some();
         let collision = finding.key.kind.is_conflict();
-        if blamed || collision && finding.confidence == FindingState::Confirmed {
+        if blamed || collision && finding.state == FindingState::Confirmed {
             complain(format!(
                 "{} at {:?}: {:?}",
                 finding.key.kind, finding.key.address, finding.evidence

@@ -98,7 +98,7 @@ impl Stage {
             writeln!(self.log, " [{services}]").unwrap();
         }
         for finding in self.engine.findings() {
-            writeln!(self.log, "  ? {} {}: {}", finding.key.kind, finding.confidence, finding.text)
+            writeln!(self.log, "  ? {} {}: {}", finding.key.kind, finding.state, finding.text)
                 .unwrap();
         }
     }

@@ -602,7 +602,7 @@ fn findings(scenario: &Scenario, file: &str, seconds: u64) -> Vec<(FindingKind, 
         }
         while let Some(happening) = app.poll_app_event() {
             if let AppEvent::Finding(_, finding) = happening {
-                told.push((finding.key.kind, finding.confidence));
+                told.push((finding.key.kind, finding.state));
             }
         }
         let next = [app.poll_timeout(), sim.next_event()].into_iter().flatten().min();

@@ -163,7 +163,7 @@ impl Buses {
             bus.findings().iter().any(|finding| {
                 finding.key.kind == kind
                     && finding.key.address == Some(device.address)
-                    && finding.confidence == FindingState::Confirmed
+                    && finding.state == FindingState::Confirmed
             })
         })
     }

@@ -74,10 +74,10 @@ pub fn event_text(buses: &Buses, bus: BusIndex, event: &Event) -> Option<(Timeli
             let place = own.map_or(String::new(), |bus| format!(" on {}", bus.name));
             (TimelineKind::Improved, format!("returned{place} (was {was})"))
         }
-        EventKind::Finding { key, confidence } => {
+        EventKind::Finding { key, state } => {
             let found = buses.finding(bus, key);
             let text = found.map_or("", |finding| finding.text.as_str());
-            finding_line(*confidence, key, text)
+            finding_line(*state, key, text)
         }
         EventKind::OwnAddress(address) => (TimelineKind::Bus, format!("using address {address}")),
         EventKind::OwnAddressLost(address) => {
@@ -156,16 +156,12 @@ pub fn join_short(changes: Vec<String>) -> Vec<String> {
 }
 
 /// Kind and text of the timeline line of a finding; the name of its kind where it has no text yet.
-pub fn finding_line(
-    confidence: FindingState,
-    key: &FindingKey,
-    text: &str,
-) -> (TimelineKind, String) {
-    let kind = match confidence {
+pub fn finding_line(state: FindingState, key: &FindingKey, text: &str) -> (TimelineKind, String) {
+    let kind = match state {
         FindingState::Cleared => TimelineKind::Cleared,
         FindingState::Suspected => TimelineKind::Suspected,
         FindingState::Confirmed => TimelineKind::Confirmed,
     };
     let text = if text.is_empty() { key.kind.name() } else { text };
-    (kind, format!("{confidence}: {text}"))
+    (kind, format!("{state}: {text}"))
 }

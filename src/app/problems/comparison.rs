@@ -132,7 +132,7 @@ impl<'a> Comparison<'a> {
             if let (Some(found), Some(name)) = (self.found.last_mut(), &other.name) {
                 found.add_name(name);
             } else if let Some(found) = self.found.last_mut() {
-                found.confidence = FindingState::Suspected;
+                found.state = FindingState::Suspected;
             }
         }
     }
@@ -231,7 +231,7 @@ impl<'a> Comparison<'a> {
         let key = FindingKey { kind, bus, address, name, fault: None };
         let remedy = key.wording().remedy_with(values);
         let mut finding = Finding::new(key, self.inputs.now);
-        finding.confidence = FindingState::Confirmed;
+        finding.state = FindingState::Confirmed;
         finding.text = text;
         finding.remedy = remedy;
         self.found.push(finding);

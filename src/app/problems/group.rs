@@ -36,7 +36,7 @@ impl ProblemKey {
 pub struct Problem<'a> {
     /// Identity.
     pub key: ProblemKey,
-    /// Its findings, at least one: by confidence, then by severity.
+    /// Its findings, at least one: by state, then by severity.
     pub findings: Vec<&'a Finding>,
     /// Muted by the user.
     pub is_muted: bool,
@@ -77,16 +77,16 @@ impl<'a> Problem<'a> {
 
     /// State of the problem: that of the first finding.
     pub fn state(&self) -> FindingState {
-        self.head().confidence
+        self.head().state
     }
 
-    /// Time of the last change of the confidence.
+    /// Time of the last change of the state.
     pub fn since(&self) -> Instant {
-        let confidence = self.state();
-        let moments = self.findings.iter().filter(|it| it.confidence == confidence);
+        let state = self.state();
+        let moments = self.findings.iter().filter(|it| it.state == state);
         let moments = moments.map(|finding| finding.changed);
         // The problem is cleared when its last finding is cleared.
-        let since = if confidence == FindingState::Cleared { moments.max() } else { moments.min() };
+        let since = if state == FindingState::Cleared { moments.max() } else { moments.min() };
         since.unwrap_or(self.head().changed)
     }
 
@@ -200,6 +200,6 @@ impl<'a> Problem<'a> {
     pub(super) fn rank(&self) -> impl Ord + use<> {
         let head = self.head();
         let severity = Reverse(head.key.kind.severity());
-        (self.is_muted, Reverse(head.confidence), severity, head.position, head.key.clone())
+        (self.is_muted, Reverse(head.state), severity, head.position, head.key.clone())
     }
 }

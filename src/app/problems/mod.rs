@@ -100,7 +100,7 @@ impl Problems {
         for finding in &mut found {
             if let Some(old) = known.get(&finding.key) {
                 finding.first = old.first;
-                if old.confidence == finding.confidence {
+                if old.state == finding.state {
                     finding.changed = old.changed;
                 }
             }
@@ -110,18 +110,18 @@ impl Problems {
     }
 
     /// Findings of the comparison that changed since `before`: first the cleared ones, then those
-    /// that are new or have another confidence.
+    /// that are new or have another state.
     pub fn changes_since(&self, before: &[Finding], now: Instant) -> Vec<Finding> {
-        let confidences = |findings: &[Finding]| -> BTreeMap<FindingKey, FindingState> {
-            findings.iter().map(|finding| (finding.key.clone(), finding.confidence)).collect()
+        let states = |findings: &[Finding]| -> BTreeMap<FindingKey, FindingState> {
+            findings.iter().map(|finding| (finding.key.clone(), finding.state)).collect()
         };
-        let (was, is) = (confidences(before), confidences(&self.file_findings));
+        let (was, is) = (states(before), states(&self.file_findings));
         let mut changed = Vec::new();
         for mut finding in before.iter().filter(|it| !is.contains_key(&it.key)).cloned() {
-            (finding.confidence, finding.changed) = (FindingState::Cleared, now);
+            (finding.state, finding.changed) = (FindingState::Cleared, now);
             changed.push(finding);
         }
-        let is_news = |found: &&Finding| was.get(&found.key) != Some(&found.confidence);
+        let is_news = |found: &&Finding| was.get(&found.key) != Some(&found.state);
         changed.extend(self.file_findings.iter().filter(is_news).cloned());
         changed
     }
@@ -200,7 +200,7 @@ impl Problems {
         let mut problems = Vec::with_capacity(groups.len());
         for (key, mut findings) in groups {
             findings.sort_by_key(|(it, _)| {
-                (Reverse(it.confidence), Reverse(it.key.kind.severity()), it.key.kind)
+                (Reverse(it.state), Reverse(it.key.kind.severity()), it.key.kind)
             });
             let (findings, places) = findings.into_iter().unzip();
             let is_muted = self.muted.contains(&key);
@@ -298,6 +298,6 @@ mod tests {
         let before = problems.refresh(&buses, &file, NOW);
         let changes = problems.changes_since(&before, NOW);
         assert!(!changes.is_empty());
-        assert!(changes.iter().all(|it| it.confidence == FindingState::Cleared));
+        assert!(changes.iter().all(|it| it.state == FindingState::Cleared));
     }
 }

@@ -143,7 +143,7 @@ impl ErrorRate {
     }
 
     /// Returns the state of the finding; `None` if there is none.
-    pub fn confidence(&mut self, frames: u64) -> Option<FindingState> {
+    pub fn finding_state(&mut self, frames: u64) -> Option<FindingState> {
         let now = if self.bus_off.is_some() || self.is_lasting(frames) {
             Some(FindingState::Confirmed)
         } else if self.wires || self.count() >= SUSPECT_FROM_ERRORS {

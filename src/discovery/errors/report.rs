@@ -39,9 +39,9 @@ impl Engine {
     /// Updates the finding about the bus after an error.
     fn judge_bus(&mut self, frame: &Frame) {
         let (now, frames) = (self.now, self.counters.frames);
-        let Some(confidence) = self.errors.rate.confidence(frames) else { return };
+        let Some(state) = self.errors.rate.finding_state(frames) else { return };
         let Some(finding) =
-            self.conflicts.finding_tracker_mut().set_bus_errors_state(now, None, confidence)
+            self.conflicts.finding_tracker_mut().set_bus_errors_state(now, None, state)
         else {
             return;
         };
@@ -62,9 +62,9 @@ impl Engine {
         let (now, frames) = (self.now, self.counters.frames);
         self.errors.is_text_outdated = false;
         self.errors.text_written_at = now;
-        let Some(confidence) = self.errors.rate.confidence(frames) else { return };
+        let Some(state) = self.errors.rate.finding_state(frames) else { return };
         if let Some(finding) =
-            self.conflicts.finding_tracker_mut().set_bus_errors_state(now, None, confidence)
+            self.conflicts.finding_tracker_mut().set_bus_errors_state(now, None, state)
         {
             let summary = self.errors.rate.summary(now, frames);
             (finding.text, finding.remedy) = finding_text::bus_errors(&summary);

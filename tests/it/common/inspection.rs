@@ -128,9 +128,9 @@ pub fn describe(event: &Event) -> String {
         EventKind::Rebooted => format!("rebooted{who}"),
         EventKind::Presence(presence) => format!("{presence}{who}"),
         EventKind::Returned { was } => format!("returned{who}: was {was}"),
-        EventKind::Finding { key, confidence } => {
+        EventKind::Finding { key, state } => {
             let at = key.address.map_or(String::new(), |address| format!(" at {address}"));
-            format!("finding {} {confidence}{at}", key.kind)
+            format!("finding {} {state}{at}", key.kind)
         }
         EventKind::OwnAddress(address) => format!("we are {address}"),
         EventKind::OwnAddressLost(address) => format!("we gave up {address}"),

@@ -54,7 +54,7 @@ impl Course {
 fn courses(it: &Inspector) -> Vec<Course> {
     let mut courses = BTreeMap::new();
     for (at, event) in &it.events {
-        let EventKind::Finding { key, confidence } = &event.kind else { continue };
+        let EventKind::Finding { key, state } = &event.kind else { continue };
         let found = it.engine.findings().iter().find(|finding| finding.key == *key);
         let course = courses.entry(key.clone()).or_insert_with(|| Course {
             kind: key.kind,

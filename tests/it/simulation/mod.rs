@@ -203,7 +203,7 @@ fn tell(run: &Run) {
         }
         frames.for_each(print);
         for finding in it.engine.findings() {
-            println!("{number} ? {:?} {} {}", finding.key, finding.confidence, finding.text);
+            println!("{number} ? {:?} {} {}", finding.key, finding.state, finding.text);
             for it in &finding.evidence {
                 let frame = it.frame.map_or(String::new(), |frame| frame.to_string());
                 println!("{number} ?   {} {} {frame}", it.time, it.description);
