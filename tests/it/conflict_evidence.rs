@@ -53,7 +53,7 @@ impl Story {
     }
 }
 
-fn confidence(engine: &Engine, kind: FindingKind) -> Option<FindingState> {
+fn state(engine: &Engine, kind: FindingKind) -> Option<FindingState> {
     engine.findings().iter().find(|it| it.key.kind == kind).map(|it| it.state)
 }
 
@@ -63,15 +63,15 @@ const NAMES: FindingKind = FindingKind::OneAddressTwoNames;
 #[test]
 fn heartbeats_half_a_period_apart_are_two_devices() {
     let engine = Story::default().beats(0, 20_000).beats(450, 20_000).heard(|_, _| {});
-    assert_eq!(confidence(&engine, SAME), Some(FindingState::Confirmed));
+    assert_eq!(state(&engine, SAME), Some(FindingState::Confirmed));
 }
 
 #[test]
 fn heartbeats_at_twice_the_rate_are_one_device() {
     let engine = Story::default().beats(0, 40_000).beats(500, 40_000).heard(|at, engine| {
-        assert_ne!(confidence(engine, SAME), Some(FindingState::Confirmed), "at {at} ms");
+        assert_ne!(state(engine, SAME), Some(FindingState::Confirmed), "at {at} ms");
     });
-    assert_eq!(confidence(&engine, SAME), Some(FindingState::Cleared), "and left in peace");
+    assert_eq!(state(&engine, SAME), Some(FindingState::Cleared), "and left in peace");
 }
 
 #[test]
@@ -82,10 +82,10 @@ fn response_evidence_survives_heartbeat_noise() {
     }
     let engine = story.heard(|at, engine| {
         if at > 12_000 {
-            assert_eq!(confidence(engine, SAME), Some(FindingState::Confirmed), "at {at} ms");
+            assert_eq!(state(engine, SAME), Some(FindingState::Confirmed), "at {at} ms");
         }
     });
-    assert_eq!(confidence(&engine, NAMES), None);
+    assert_eq!(state(&engine, NAMES), None);
 }
 
 #[test]
@@ -95,9 +95,9 @@ fn burst_of_malformed_responses_counts_once() {
         story = story.asked(at, &[b"A", b"A"]);
     }
     let engine = story.heard(|at, engine| {
-        assert_ne!(confidence(engine, SAME), Some(FindingState::Confirmed), "at {at} ms");
+        assert_ne!(state(engine, SAME), Some(FindingState::Confirmed), "at {at} ms");
     });
-    assert_eq!(confidence(&engine, SAME), Some(FindingState::Cleared));
+    assert_eq!(state(&engine, SAME), Some(FindingState::Cleared));
 }
 
 #[test]
@@ -106,11 +106,11 @@ fn conflict_stays_confirmed_when_second_name_appears() {
     let story = story.asked(9000, &[b"A"]).asked(9200, &[b"B"]).asked(9400, &[b"A"]);
     story.heard(|at, engine| {
         if (9000..12_000).contains(&at) {
-            let best = confidence(engine, SAME).max(confidence(engine, NAMES));
+            let best = state(engine, SAME).max(state(engine, NAMES));
             assert_eq!(best, Some(FindingState::Confirmed), "at {at} ms");
         }
         if at > 9410 {
-            assert_eq!(confidence(engine, SAME), Some(FindingState::Cleared), "told as that alone");
+            assert_eq!(state(engine, SAME), Some(FindingState::Cleared), "told as that alone");
         }
     });
 }

@@ -31,7 +31,7 @@ fn stubborn(label: &str, name: &str, address: u8, delay: Duration) -> DeviceSpec
 fn named(it: &Inspection) -> Vec<u8> {
     let told = it.events.iter().filter_map(|event| match &event.kind {
         EventKind::Finding { key, state } if key.kind == FindingKind::BusErrors => {
-            key.address.filter(|_| *confidence != FindingState::Cleared)
+            key.address.filter(|_| *state != FindingState::Cleared)
         }
         _ => None,
     });
@@ -311,7 +311,7 @@ fn heard(frames: u64, seconds: u64, breaks: impl Fn(u64) -> bool) -> (Vec<String
                 && key.kind == FindingKind::BusErrors
                 && key.address.is_none()
             {
-                told.push(format!("{} {confidence}", event.time.as_micros() / 1_000_000));
+                told.push(format!("{} {state}", event.time.as_micros() / 1_000_000));
             }
         }
     }

@@ -170,8 +170,8 @@ fn tried(seed: u64, config: Config, wrong: &mut String) {
             K::Moved { .. } | K::OwnAddressLost(_) => true,
             K::NoAck => event.time > Instant::from_micros(10_000_000),
             K::Presence(_) | K::Returned { .. } | K::Rebooted => !loss && !quiet,
-            K::Finding { key, confidence } => {
-                key.kind.is_conflict() && *confidence == FindingState::Confirmed
+            K::Finding { key, state } => {
+                key.kind.is_conflict() && *state == FindingState::Confirmed
             }
             _ => false,
         };

@@ -19,7 +19,7 @@ const TEN_SECONDS: Duration = Duration::from_secs(10);
 /// Tolerance of the time at which a state began.
 const SAMPLED: Duration = Duration::from_millis(100);
 
-/// The confidence of one finding over time.
+/// The state of one finding over time.
 struct Course {
     kind: FindingKind,
     addresses: Vec<Address>,
@@ -36,8 +36,8 @@ impl Course {
     fn opened_last(&self) -> Instant {
         let mut opened = Instant::ZERO;
         let mut open = false;
-        for &(at, confidence) in &self.changes {
-            let opens = confidence != FindingState::Cleared;
+        for &(at, state) in &self.changes {
+            let opens = state != FindingState::Cleared;
             if opens && !open {
                 opened = at;
             }
@@ -62,7 +62,7 @@ fn courses(it: &Inspector) -> Vec<Course> {
             names: found.map_or_else(Vec::new, |finding| finding.names.clone()),
             changes: Vec::new(),
         });
-        course.changes.push((*at, *confidence));
+        course.changes.push((*at, *state));
     }
     courses.into_values().collect()
 }
