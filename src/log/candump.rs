@@ -322,7 +322,9 @@ fn parse_time(text: &[u8]) -> Option<u64> {
     }
     let seconds = decimal(seconds)?;
     let mut micros = decimal(&fraction[..fraction.len().min(6)])?;
-    decimal(fraction.get(6..).unwrap_or_default())?;
+    if !fraction.iter().all(u8::is_ascii_digit) {
+        return None;
+    }
     for _ in fraction.len()..6 {
         micros *= 10;
     }

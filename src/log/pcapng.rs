@@ -66,15 +66,24 @@ pub enum PacketFault {
     /// The packet precedes the description of its interface.
     #[error("missing interface description")]
     Interface,
+    /// The packet is of an interface behind the [`MAX_INTERFACES`] that are read.
+    #[error("more than 256 interfaces in one section")]
+    TooManyInterfaces,
+    /// The section has another major version of the format than 1: none of its packets is read.
+    #[error("a section of pcapng version {0}, expected 1; convert it: editcap -F pcapng OLD NEW")]
+    Version(u16),
     /// The block lacks required fields.
     #[error("the block is too short")]
     Short,
     /// The block is longer than [`MAX_BLOCK`].
     #[error("the block is too long")]
     Long,
-    /// The packet block has no time, or is of the obsolete type.
+    /// An obsolete packet block.
     #[error("obsolete packet block; convert it: editcap -F pcapng OLD NEW")]
     OldKind,
+    /// A simple packet block.
+    #[error("simple packet block, which has no time; capture with times")]
+    NoTime,
     /// The captured bytes are not a CAN frame.
     #[error("not a valid CAN frame")]
     NoFrame,
@@ -192,8 +201,8 @@ impl LogDecoder for BlockDecoder {
 #[derive(Clone, Debug, Default)]
 pub struct SectionState {
     big_endian: bool,
-    /// True if the current section has an unknown version and is skipped.
-    is_unknown_version: bool,
+    /// Major version of the current section, if it cannot be read.
+    unknown_version: Option<u16>,
     interfaces: Vec<PcapInterface>,
 }
 
@@ -229,7 +238,11 @@ impl SectionState {
     pub fn skip(&self, head: &[u8; BLOCK_HEADER_LEN]) -> Result<(), PacketFault> {
         let kind = Fields { bytes: head, big_endian: self.big_endian }.u32();
         let is_packet = matches!(kind, Some(PACKET | SIMPLE_PACKET | OLD_PACKET));
-        if is_packet && !self.is_unknown_version { Err(PacketFault::Long) } else { Ok(()) }
+        match self.unknown_version {
+            _ if !is_packet => Ok(()),
+            Some(version) => Err(PacketFault::Version(version)),
+            None => Err(PacketFault::Long),
+        }
     }
 
     /// Reads a whole block; returns its frame, if it is a packet.
@@ -253,22 +266,27 @@ impl SectionState {
             self.begin(fields);
             return Ok(Ok(None));
         }
-        Ok(match kind {
-            _ if self.is_unknown_version => Ok(None),
-            INTERFACE => {
+        Ok(match (kind, self.unknown_version) {
+            (PACKET | SIMPLE_PACKET | OLD_PACKET, Some(version)) => {
+                Err(PacketFault::Version(version))
+            }
+            (_, Some(_)) => Ok(None),
+            (INTERFACE, None) => {
                 self.add_interface(fields);
                 Ok(None)
             }
-            PACKET => self.packet(fields).map(Some),
-            SIMPLE_PACKET | OLD_PACKET => Err(PacketFault::OldKind),
-            _ => Ok(None),
+            (PACKET, None) => self.packet(fields).map(Some),
+            (SIMPLE_PACKET, None) => Err(PacketFault::NoTime),
+            (OLD_PACKET, None) => Err(PacketFault::OldKind),
+            (_, None) => Ok(None),
         })
     }
 
     fn begin(&mut self, mut fields: Fields<'_>) {
         self.interfaces.clear();
         let _byte_order = fields.u32();
-        self.is_unknown_version = fields.u16() != Some(1);
+        let version = fields.u16().unwrap_or(0);
+        self.unknown_version = (version != 1).then_some(version);
     }
 
     fn add_interface(&mut self, mut fields: Fields<'_>) {
@@ -298,7 +316,11 @@ impl SectionState {
         let mut field = || fields.u32().ok_or(PacketFault::Short);
         let (interface, high, low, captured, _original) =
             (field()?, field()?, field()?, field()?, field()?);
-        let interface = self.interfaces.get(interface as usize).ok_or(PacketFault::Interface)?;
+        let interface =
+            self.interfaces.get(interface as usize).ok_or(match self.interfaces.len() {
+                MAX_INTERFACES => PacketFault::TooManyInterfaces,
+                _ => PacketFault::Interface,
+            })?;
         if interface.link_type != SOCKETCAN {
             return Err(PacketFault::LinkType(interface.link_type));
         }

@@ -70,6 +70,7 @@ fn unusual_lines_of_other_tools_are_accepted() {
         "\t(1.500000)\tcan0\t123#AB\r\n",
         "(1.500000) can0 123#AB R",
         "(0000000001.500000999) can0 123#AB\n",
+        "(1.5000009999999999999999999999999) can0 123#AB\n",
     ] {
         let read = read(line);
         assert_eq!((read.unix_micros, read.frame), (1_500_000, plain), "{line:?}");
@@ -90,6 +91,7 @@ fn invalid_line_error_names_the_cause() {
         ("(.5) can0 123#AB", LineFault::Time),
         ("(-1.5) can0 123#AB", LineFault::Time),
         ("(99999999999999999999.5) can0 123#AB", LineFault::Time),
+        ("(1.500000x) can0 123#AB", LineFault::Time),
         ("(18446744073709551615.5) can0 123#AB", LineFault::Time),
         ("(1.5)", LineFault::Interface),
         ("(1.5) can0", LineFault::Frame),

@@ -70,9 +70,13 @@ struct Blocks {
 
 impl Blocks {
     fn new(big_endian: bool) -> Self {
+        Self::with_version(big_endian, 1)
+    }
+
+    fn with_version(big_endian: bool, major: u16) -> Self {
         let mut blocks = Self { big_endian, bytes: Vec::new() };
         let mut body = blocks.u32(0x1A2B_3C4D);
-        body.extend([blocks.u16(1), blocks.u16(0)].concat());
+        body.extend([blocks.u16(major), blocks.u16(0)].concat());
         body.extend([0xFF; 8]);
         blocks.block(0x0A0D_0D0A, &body);
         blocks
@@ -191,6 +195,31 @@ fn interfaces_beyond_bus_limit_use_no_memory() {
     let (frames, tally) = read(&blocks.bytes);
     assert_eq!((frames.len(), tally.unreadable), (1, 1));
     assert_eq!(tally.interfaces, ["can255"]);
+    let cause = EntryFault::Packet(PacketFault::TooManyInterfaces);
+    assert_eq!(tally.first_unreadable, Some((100_003, cause)));
+}
+
+#[test]
+fn packets_of_unknown_versions_and_kinds_are_counted() {
+    let mut known = Blocks::new(true);
+    known.interface(227, &[(2, b"can7")]);
+    known.packet(0, 5, &packet(0x101, 1));
+    let mut unknown = Blocks::with_version(false, 2);
+    unknown.interface(227, &[]);
+    unknown.packet(0, 5, &packet(0x102, 2));
+    unknown.block(6, &vec![0; 1 << 17]);
+    unknown.block(5, &[0; 8]);
+    let (frames, tally) = read(&[&known.bytes[..], &unknown.bytes, &known.bytes].concat());
+    assert_eq!((frames.len(), tally.unreadable, tally.damage), (2, 2, None));
+    let cause = EntryFault::Packet(PacketFault::Version(2));
+    assert_eq!(tally.first_unreadable, Some((6, cause)));
+    for (kind, cause) in [(2, PacketFault::OldKind), (3, PacketFault::NoTime)] {
+        let mut blocks = Blocks::new(false);
+        blocks.interface(227, &[]);
+        blocks.block(kind, &[0; 20]);
+        let (_, tally) = read(&blocks.bytes);
+        assert_eq!(tally.first_unreadable, Some((3, EntryFault::Packet(cause))));
+    }
 }
 
 // --- damage -----------------------------------------------------------------------------------
