@@ -189,12 +189,18 @@ impl Drop for Bar {
 fn write_document(app: &App, path: &Path) -> Result<(), Failure> {
     let mut document = Document::empty();
     let mut count = 0;
+    let mut left_out = Vec::new();
     for bus in app.buses() {
-        let mut devices: Vec<_> =
-            bus.devices().iter().filter(|device| device.is_present() && !device.is_debug).collect();
+        let mut devices: Vec<&Device> = bus.devices().iter().filter(|it| !it.is_debug).collect();
         devices.sort_by_key(|device| device.address);
         for device in devices {
-            let Some(entry) = app.new_entry(device) else { continue };
+            let Some(entry) = app.new_entry(device).filter(|_| device.is_present()) else {
+                let reason = if device.is_present() { "no name received" } else { "lost" };
+                let several = app.buses().len() > 1;
+                let bus = if several { format!("{} ", bus.name) } else { String::new() };
+                left_out.push(format!("{bus}@{} ({reason})", device.address));
+                continue;
+            };
             document = document
                 .apply(&Operation::Add { entry })
                 .map_err(|error| Diagnostic::new(error.to_string()).of(path.display()))?;
@@ -203,6 +209,10 @@ fn write_document(app: &App, path: &Path) -> Result<(), Failure> {
     }
     write_new(path, None, document.source()).map_err(|fault| fault.of(path.display()))?;
     let devices = if count == 1 { "device" } else { "devices" };
-    let _ = writeln!(io::stderr(), "{}: {count} {devices} written", path.display());
+    let left_out = match left_out.is_empty() {
+        true => String::new(),
+        false => format!("; left out: {}", left_out.join(", ")),
+    };
+    let _ = writeln!(io::stderr(), "{}: {count} {devices} written{left_out}", path.display());
     Ok(())
 }

@@ -1,7 +1,7 @@
 //! `descan check`, from outside: comparison of bus and des.json, output, and exit codes.
 
 use crate::common::inspection::log;
-use descan::sim::{DeviceSpec, Fault, Scenario};
+use descan::sim::{DeviceAction, DeviceSpec, Fault, Scenario};
 use descan::time::Duration;
 use serde_json::Value;
 use std::path::Path;
@@ -41,8 +41,11 @@ impl Folder {
     }
 
     fn check(&self, arguments: &[&str]) -> Output {
+        self.descan(&[&["check"], arguments].concat())
+    }
+
+    fn descan(&self, arguments: &[&str]) -> Output {
         Command::new(env!("CARGO_BIN_EXE_descan"))
-            .arg("check")
             .args(arguments)
             .current_dir(self.path())
             .env("XDG_CONFIG_HOME", self.path().join("config"))
@@ -138,12 +141,8 @@ fn log_compared_with_its_own_start_shows_what_came_later() {
     let scenario = bus().with(DeviceSpec::new("PUMP").fixed(44).power_on(Duration::from_secs(20)));
     let folder = Folder::with(&scenario, None);
     folder.write("session.log", &log(&scenario, 40));
-    let scan = Command::new(env!("CARGO_BIN_EXE_descan"))
-        .args(["scan", "file:session.log", "--time", "12", "--write", "start.json"])
-        .current_dir(folder.path())
-        .env("XDG_CONFIG_HOME", folder.path().join("config"))
-        .output()
-        .unwrap();
+    let scan =
+        folder.descan(&["scan", "file:session.log", "--time", "12", "--write", "start.json"]);
     assert!(scan.status.success(), "{}", text(&scan.stderr));
     assert_eq!(text(&scan.stderr), "start.json: 2 devices written\n");
     let check = |options: &[&str]| {
@@ -157,6 +156,21 @@ fn log_compared_with_its_own_start_shows_what_came_later() {
     let (code, said) = check(&["--time", "12"]);
     assert_eq!(code, Some(0), "{said}");
     assert!(said.contains("no difference"), "{said}");
+}
+
+#[test]
+fn devices_left_out_of_a_new_file_are_listed() {
+    let scenario = bus()
+        .with(DeviceSpec::new("PUMP").fixed(44))
+        .with(DeviceSpec::new("MUTE").fixed(45).fault(Fault::NoDes))
+        .at(Duration::from_secs(8), "PUMP", DeviceAction::PowerOff);
+    let folder = Folder::with(&scenario, None);
+    folder.write("session.log", &log(&scenario, 40));
+    let scan = folder.descan(&["scan", "file:session.log", "--write", "new.json"]);
+    assert_eq!(
+        text(&scan.stderr),
+        "new.json: 2 devices written; left out: @44 (lost), @45 (no name received)\n"
+    );
 }
 
 /// Tests that services in object form have no order: JSON writers may sort members.
