@@ -22,49 +22,86 @@ pub(super) const PAIR_WINDOW: Duration = Duration::from_millis(125);
 /// this close.
 pub(super) const HEARTBEAT_COPY_WINDOW: Duration = Duration::from_millis(100);
 
-/// Detects a value that alternates between two: A, B, A, B.
+/// Most values remembered of one address: names, UIDs or service lists.
+const MAX_VALUES: usize = 8;
+
+/// Detects values that return to an address: A, B, A or A, B, C, A.
 #[derive(Debug)]
-pub(super) struct Alternation<T> {
-    pub current: Option<T>,
-    pub previous: Option<T>,
-    pub return_count: u32,
-    pub changed: Instant,
-    /// Time at which the second of the two values was first seen.
-    pub second_seen_at: Instant,
+pub(super) struct RecentValues<T> {
+    current: Option<RecentValue<T>>,
+    /// Values before the current one, the one that was current last at the end.
+    earlier: VecDeque<RecentValue<T>>,
+    return_count: u32,
+    /// Time at which another value became current.
+    changed_at: Instant,
 }
 
-impl<T> Default for Alternation<T> {
+/// A value, since when it is remembered, and when another one took its place.
+#[derive(Debug)]
+struct RecentValue<T> {
+    value: T,
+    since: Instant,
+    left_at: Instant,
+}
+
+impl<T> Default for RecentValues<T> {
     fn default() -> Self {
-        Self {
-            current: None,
-            previous: None,
-            return_count: 0,
-            changed: Instant::ZERO,
-            second_seen_at: Instant::ZERO,
-        }
+        Self { current: None, earlier: VecDeque::new(), return_count: 0, changed_at: Instant::ZERO }
     }
 }
 
-impl<T: PartialEq + Clone> Alternation<T> {
-    /// Takes the current value. Returns how often in a row a value returned, if it did just now.
+impl<T: PartialEq + Clone> RecentValues<T> {
+    /// Takes the current value. Returns how often in a row a value returned, if it did just now. A
+    /// value that was not current for longer than `forget_after` is forgotten.
     pub fn observe(&mut self, now: Instant, value: &T, forget_after: Duration) -> Option<u32> {
-        if self.current.as_ref() == Some(value) {
+        if self.current() == Some(value) {
             return None;
         }
-        if now.since(self.changed) > forget_after {
+        self.earlier.retain(|earlier| now.since(earlier.left_at) <= forget_after);
+        if self.earlier.is_empty() {
             self.return_count = 0;
-            self.previous = None;
         }
-        self.changed = now;
-        if self.previous.as_ref() == Some(value) {
-            self.return_count += 1;
-        } else {
-            self.return_count = 0;
-            self.second_seen_at = now;
+        let known = self.earlier.iter().position(|earlier| earlier.value == *value);
+        let returned = known.and_then(|at| self.earlier.remove(at));
+        self.return_count = if returned.is_some() { self.return_count + 1 } else { 0 };
+        let is_return = returned.is_some();
+        let since = returned.map_or(now, |returned| returned.since);
+        let next = RecentValue { value: value.clone(), since, left_at: now };
+        if let Some(left) = self.current.replace(next) {
+            if self.earlier.len() == MAX_VALUES - 1 {
+                self.earlier.pop_front();
+            }
+            self.earlier.push_back(RecentValue { left_at: now, ..left });
         }
-        let returned = self.previous.as_ref() == Some(value);
-        self.previous = self.current.replace(value.clone());
-        returned.then_some(self.return_count)
+        self.changed_at = now;
+        is_return.then_some(self.return_count)
+    }
+
+    /// The current value.
+    pub fn current(&self) -> Option<&T> {
+        self.current.as_ref().map(|current| &current.value)
+    }
+
+    /// The value before the current one.
+    pub fn previous(&self) -> Option<&T> {
+        self.earlier.back().map(|earlier| &earlier.value)
+    }
+
+    /// Returns true if there was another value less than `within` ago.
+    pub fn changed_within(&self, now: Instant, within: Duration) -> bool {
+        self.previous().is_some() && now.since(self.changed_at) < within
+    }
+
+    /// Time since when two of the values are there.
+    pub fn second_since(&self) -> Instant {
+        let all = self.earlier.iter().chain(&self.current).map(|value| value.since);
+        let (_, second) = all.fold((None, None), |(first, second), since| match first {
+            Some(first) if since >= first => {
+                (Some(first), Some(second.map_or(since, |second: Instant| second.min(since))))
+            }
+            _ => (Some(since), first),
+        });
+        second.unwrap_or(self.changed_at)
     }
 }
 
@@ -215,10 +252,10 @@ pub(super) struct HeartbeatPattern {
 /// History of one address.
 #[derive(Debug, Default)]
 pub(super) struct AddressHistory {
-    pub names: Alternation<Name>,
-    pub uids: Alternation<Uid>,
-    pub services: Alternation<u64>,
-    pub working: Alternation<bool>,
+    pub names: RecentValues<Name>,
+    pub uids: RecentValues<Uid>,
+    pub services: RecentValues<u64>,
+    pub working: RecentValues<bool>,
     /// Time of the last frame of a non-working node and of a working node, indexed by `working`.
     pub seen: [Option<Instant>; 2],
     /// True if the previous request was sent with both values of the D bit.

@@ -9,7 +9,7 @@
 //! Does not know device rows, presence, or des.json.
 
 use super::address_history::{
-    AddressHistory, Alternation, HeartbeatPattern, PAIR_WINDOW, RequestOrigin,
+    AddressHistory, HeartbeatPattern, PAIR_WINDOW, RecentValues, RequestOrigin,
 };
 use super::duplicate_frames::DuplicateFrameDetector;
 use super::finding_text;
@@ -207,9 +207,9 @@ impl ConflictDetector {
     pub fn note_name(&mut self, now: Instant, address: Address, name: &Name, frame: &Frame) {
         let timeout = self.alternation_timeout();
         let history = &mut self.histories[address.index()];
-        let before = history.names.current.clone();
+        let before = history.names.current().cloned();
         let returned = history.names.observe(now, name, timeout);
-        let since = history.names.second_seen_at;
+        let since = history.names.second_since();
         let Some(before) = before.filter(|before| before != name) else { return };
         let kind = FindingKind::OneAddressTwoNames;
         let strength =
@@ -237,7 +237,7 @@ impl ConflictDetector {
         let timeout = self.alternation_timeout();
         let services = &mut self.histories[address.index()].services;
         let returned = services.observe(now, &digest, timeout);
-        let since = services.second_seen_at;
+        let since = services.second_since();
         if returned.is_none() || self.has_two_names(address) {
             return;
         }
@@ -286,7 +286,7 @@ impl ConflictDetector {
         history.double_rate_count =
             if pattern.double_rate { history.double_rate_count + 1 } else { 0 };
         let (uids_since, modes_since) =
-            (history.uids.second_seen_at, history.working.second_seen_at);
+            (history.uids.second_since(), history.working.second_since());
 
         let identity = if address == Address::DEBUG {
             FindingKind::TwoDebugDevices
@@ -297,7 +297,7 @@ impl ConflictDetector {
         let alternation = match (uid_returned, mode_returned) {
             (Some(_), _) => {
                 let uids = &self.histories[address.index()].uids;
-                Some((self.uid_text(uids.current), self.uid_text(uids.previous), uids_since))
+                Some((self.uid_text(uids.current()), self.uid_text(uids.previous()), uids_since))
             }
             (None, Some(returns)) if returns >= 2 && (pattern.double_rate || confirmed) => {
                 Some(("U bit changed back".into(), "U bit changed".into(), modes_since))
@@ -559,15 +559,15 @@ impl ConflictDetector {
     /// there is not in conflict with it.
     pub fn note_left(&mut self, address: Address) {
         let history = &mut self.histories[address.index()];
-        history.names = Alternation::default();
-        history.uids = Alternation::default();
-        history.services = Alternation::default();
+        history.names = RecentValues::default();
+        history.uids = RecentValues::default();
+        history.services = RecentValues::default();
     }
 
     // --- state --------------------------------------------------------------------------
 
     /// Returns the text of evidence that shows a heartbeat with this UID.
-    fn uid_text(&self, uid: Option<Uid>) -> Cow<'static, str> {
+    fn uid_text(&self, uid: Option<&Uid>) -> Cow<'static, str> {
         let text = uid.map_or(String::new(), |uid| uid.text(&self.alphabet).to_string());
         format!("UID {}", Escaped(text.as_bytes())).into()
     }
@@ -591,7 +591,7 @@ impl ConflictDetector {
     /// evidence then more likely concerns that device than two devices of the present name.
     fn had_other_name(&self, now: Instant, address: Address) -> bool {
         let names = &self.histories[address.index()].names;
-        let recently = names.previous.is_some() && now.since(names.changed) < self.period * 30;
+        let recently = names.changed_within(now, self.period * 30);
         recently || self.finding_tracker.is_open(FindingKind::OneAddressTwoNames, address)
     }
 }
