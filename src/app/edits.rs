@@ -59,8 +59,11 @@ impl App {
         let Some(row) = self.selected_row().filter(|row| self.device_of(row).is_some()) else {
             return self.show_error("no device in this row to add");
         };
-        if self.devices_of(row).any(|device| device.name.is_none() || device.is_debug) {
-            return self.show_error("only devices with a known name can be added");
+        if self.devices_of(row).any(|device| device.is_debug) {
+            return self.show_error("debug devices cannot be added to the file");
+        }
+        if self.devices_of(row).any(|device| device.name.is_none()) {
+            return self.show_error("name not known yet: cannot add the device");
         }
         let devices = self.devices_of(row);
         let operations: Vec<Operation> =
@@ -87,6 +90,9 @@ impl App {
             let entry = entry.map(|at| &self.editor.file.document().entries()[at]);
             entry.is_none_or(|entry| entry.listed_services().is_some())
         });
+        if wanted.is_empty() && left.is_empty() {
+            return self.file_info("no present device with a known name to add");
+        }
         wanted.sort_by_key(|device| (device.id.bus, device.address));
         let (mut operations, mut refused) = (Vec::new(), Vec::new());
         for device in wanted {
@@ -266,8 +272,13 @@ impl App {
         let entry = self.selected_row().and_then(|row| self.entry_of(row));
         let place = entry.map(|entry| entry.index);
         if place.is_none() {
+            let can_add =
+                self.selected_device().is_some_and(|it| it.name.is_some() && !it.is_debug);
             let key = self.key_of(Action::Add);
-            self.show_error(format!("not in file; {key} adds the device"));
+            self.show_error(match can_add {
+                true => format!("not in file; {key} adds the device"),
+                false => "not in file".to_owned(),
+            });
         }
         place
     }
@@ -454,7 +465,7 @@ impl App {
             return;
         }
         let Some(device) = self.selected_device() else {
-            return self.show_error("no device is selected");
+            return self.show_error("no device in this row to identify");
         };
         let id = device.id;
         match self.identify_frame(id) {

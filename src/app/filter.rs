@@ -98,7 +98,7 @@ fields! {
 /// Words with a special meaning, for the help.
 pub const FILTER_WORDS: &[(&str, &str)] = &[
     ("err", "error frames, failed and malformed responses; devices and problems in conflict"),
-    ("tx", "frames sent by descan; in the timeline edits of des.json"),
+    ("tx", "frames sent by descan; in the timeline what concerns des.json"),
     ("!term", "everything that the term does not match"),
 ];
 

@@ -308,8 +308,10 @@ impl App {
         };
         self.notices.timeline_mut().pin_lines(self.view.frozen.is_some());
         self.refresh_rows();
+        let goes_on = self.clock.playback().is_none_or(|it| !it.is_paused && !it.is_ended);
         self.show_info(match self.view.frozen {
-            Some(_) => "frozen; capture continues",
+            Some(_) if goes_on => "frozen; capture continues",
+            Some(_) => "frozen",
             None => "unfrozen",
         });
     }

@@ -4,6 +4,7 @@
 
 use super::brush::{DrawContext, cut, fit, wrap};
 use crate::app::{FileError, FileStatus, Focus, InputCheck, Page, PromptKind, is_about};
+use crate::discovery::Config;
 use crate::keymap::{Action, Key, KeyMode};
 use crate::theme::Role;
 use ratatui::layout::{Position, Rect};
@@ -195,9 +196,13 @@ fn applies(brush: &DrawContext, action: Action) -> bool {
     let is_leaving = view.focus == Focus::Details
         || view.page == Page::Traffic
             && (view.evidence.is_some() || view.frame_details || view.from_timeline);
-    let transmits = || app.buses().iter().any(|bus| bus.is_up() && !bus.config().listen_only);
+    let transmits = |config: &Config| !config.listen_only;
+    let on_any = |able: &dyn Fn(&Config) -> bool| {
+        app.buses().iter().any(|bus| bus.is_up() && transmits(bus.config()) && able(bus.config()))
+    };
     let device = || row.and_then(|row| app.device_of(row));
     match (action, view.page) {
+        _ if view.frozen.is_some() && action.edits_or_sends() => false,
         (A::Cancel, _) => is_leaving,
         (A::Pause | A::Step | A::Slower | A::Faster, _) => {
             app.playback().is_some_and(|playback| !playback.is_ended)
@@ -212,7 +217,11 @@ fn applies(brush: &DrawContext, action: Action) -> bool {
         (A::Details | A::Mute | A::Problem | A::EditAddress, Page::Problems) => {
             app.selected_problem().is_some()
         }
-        (A::EditAddress | A::Sort, Page::Devices) => row.is_some(),
+        (A::EditAddress, Page::Devices) => row.is_some_and(|row| {
+            device().is_none_or(|device| device.name.is_some() && !device.is_debug)
+                && (app.entry_of(row).is_some() || device().is_some())
+        }),
+        (A::Sort, Page::Devices) => row.is_some(),
         (A::Add, Page::Devices) => row.is_some_and(|row| {
             device().is_some() && (row.file == FileStatus::New || row.has_other_services)
         }),
@@ -222,8 +231,8 @@ fn applies(brush: &DrawContext, action: Action) -> bool {
         (A::Problem, Page::Timeline) => app.has_finding(|_| true),
         (A::Undo, _) => app.file().can_undo(),
         (A::ClearLost, _) => app.counts().lost > 0,
-        (A::Identify, _) => transmits() && device().is_some(),
-        (A::Rescan, _) => transmits(),
+        (A::Identify, _) => on_any(&|config| config.profile.given) && device().is_some(),
+        (A::Rescan, _) => on_any(&|config| config.send_requests),
         _ => true,
     }
 }

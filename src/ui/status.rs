@@ -30,8 +30,8 @@ const KEPT: u8 = 0;
 /// What is wrong, beside that: suspected problems, lost frames, a failed claim, the recording.
 const WARNING: u8 = 1;
 const PRESENT: u8 = 2;
-const LOST: u8 = 3;
-const MISSING: u8 = 4;
+const MISSING: u8 = 3;
+const LOST: u8 = 4;
 const FILE: u8 = 5;
 const STATE: u8 = 6;
 const ASSUMPTION: u8 = 7;
