@@ -8,7 +8,6 @@ use crate::app::{App, AppOptions, Bus, BusSnapshot, TxBlocked};
 use crate::bus::{self, BusSpec, UdpAddress};
 use crate::diagnostic::Diagnostic;
 use crate::frame::BusIndex;
-use crate::log::LogSummary;
 use crate::shell::log_input::{LogBatch, LogInput, LogPace, LogRange};
 use crate::shell::session::{InputEnd, Session, SessionWake};
 use crate::shell::stop::{StopReason, StopWaiter};
@@ -113,7 +112,7 @@ pub fn run(
                 return Err(Failure::Unusable(format!("recorded {status}")));
             }
             open::report_recording(recorded);
-            report_unreadable(spec, session.log_summary())?;
+            report_unreadable(spec, &session)?;
             session.app.now()
         } else {
             let now = session.now();
@@ -287,8 +286,15 @@ pub fn warn_all_tx_blocked(app: &App, now: Instant) {
 }
 
 /// Prints on standard error which lines could not be read; if that is all of them, it is an error.
-fn report_unreadable(spec: &BusSpec, summary: Option<&LogSummary>) -> Result<(), Failure> {
-    let Some(summary) = summary else { return Ok(()) };
+fn report_unreadable(spec: &BusSpec, session: &Session) -> Result<(), Failure> {
+    let Some(summary) = session.log_summary() else {
+        // The log goes on behind the part that was read.
+        let entries = session.unreadable_entries().filter(|entries| entries.count > 0);
+        if let Some(entries) = entries {
+            let _ = writeln!(io::stderr(), "descan: {spec}: {entries}");
+        }
+        return Ok(());
+    };
     let is_damaged = summary.unreadable > 0 || summary.damage.is_some();
     if summary.frames == 0 && is_damaged {
         return Err(Failure::Unusable(format!(

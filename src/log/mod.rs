@@ -10,7 +10,7 @@ mod reader;
 mod summary;
 
 pub use reader::LogReader;
-pub use summary::{EntryFault, LogSummary};
+pub use summary::{EntryFault, LogSummary, UnreadableEntries};
 
 use crate::frame::Frame;
 use std::fmt;

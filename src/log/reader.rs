@@ -72,6 +72,11 @@ impl<R: BufRead> LogReader<R> {
         &self.summary
     }
 
+    /// Starts to count unreadable entries anew: the ones so far precede the part that is read.
+    pub fn forget_unreadable(&mut self) {
+        self.summary.forget_unreadable();
+    }
+
     /// Returns the next frame; `None` at the end.
     ///
     /// # Errors

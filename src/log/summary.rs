@@ -61,7 +61,27 @@ pub struct LogSummary {
     ahead_before: Duration,
 }
 
+/// Entries of a part of a log that cannot be read.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct UnreadableEntries {
+    unit: &'static str,
+    /// Number of entries; the rest of a damaged log counts as one.
+    pub count: u64,
+    first: Option<(u64, EntryFault)>,
+}
+
 impl LogSummary {
+    /// Returns the entries that cannot be read.
+    pub fn unreadable_entries(&self) -> UnreadableEntries {
+        let count = self.lost_entries();
+        UnreadableEntries { unit: self.unit, count, first: self.first_unreadable }
+    }
+
+    /// Starts to count unreadable entries anew: the ones so far precede the part that is read.
+    pub(super) fn forget_unreadable(&mut self) {
+        (self.unreadable, self.first_unreadable) = (0, None);
+    }
+
     /// Returns the number of entries that cannot be read; of a damaged log, its rest counts as one.
     pub fn lost_entries(&self) -> u64 {
         self.unreadable + u64::from(self.damage.is_some())
@@ -127,13 +147,9 @@ impl fmt::Display for LogSummary {
         if self.interfaces.len() > 1 {
             write!(f, " of {} interfaces", self.interfaces.len())?;
         }
-        let unit = self.unit;
-        match (self.first_unreadable, self.unreadable) {
-            (None, _) => {}
-            (Some((line, fault)), 1) => write!(f, "; {unit} {line} cannot be read: {fault}")?,
-            (Some((line, fault)), count) => {
-                write!(f, "; {count} {unit}s cannot be read, the first is {unit} {line}: {fault}")?;
-            }
+        if self.unreadable > 0 {
+            let entries = UnreadableEntries { count: self.unreadable, ..self.unreadable_entries() };
+            write!(f, "; {entries}")?;
         }
         if let Some(damage) = self.damage {
             write!(f, "; {damage}")?;
@@ -141,6 +157,20 @@ impl fmt::Display for LogSummary {
         match self.clock_steps_back {
             0 => Ok(()),
             count => write!(f, "; time goes backwards {count} time{}", plural(count)),
+        }
+    }
+}
+
+/// Formats the number and the first one: `2 lines cannot be read, the first is line 17: …`.
+impl fmt::Display for UnreadableEntries {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let unit = self.unit;
+        match (self.first, self.count) {
+            (None, count) => write!(f, "{count} {unit}s cannot be read"),
+            (Some((at, fault)), 1) => write!(f, "{unit} {at} cannot be read: {fault}"),
+            (Some((at, fault)), count) => {
+                write!(f, "{count} {unit}s cannot be read, the first is {unit} {at}: {fault}")
+            }
         }
     }
 }

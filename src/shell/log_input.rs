@@ -5,7 +5,7 @@
 
 use super::waiting::sleep_for;
 use crate::frame::Frame;
-use crate::log::{LogReader, LogSummary};
+use crate::log::{LogReader, LogSummary, UnreadableEntries};
 use crate::time::{Epoch, Instant};
 use std::collections::VecDeque;
 use std::fs::File;
@@ -54,6 +54,8 @@ pub enum LogBatch {
         frames: Vec<Frame>,
         /// The interfaces first named in this batch.
         interfaces: Vec<String>,
+        /// Entries before the first of the frames that cannot be read.
+        unreadable: UnreadableEntries,
     },
     /// The end of the log, with what was read in all.
     End(LogSummary),
@@ -76,6 +78,10 @@ pub struct LogInput {
     /// Frames that were read and are not due yet.
     waiting: VecDeque<Frame>,
     summary: Option<LogSummary>,
+    /// Entries that cannot be read, up to the last frame that was due.
+    unreadable: UnreadableEntries,
+    /// The same up to the first frame of `waiting`, if that is the first one of its batch.
+    next_unreadable: Option<UnreadableEntries>,
     pace: LogPace,
     /// Start and end of the range that is read.
     start: Instant,
@@ -105,6 +111,8 @@ impl LogInput {
             interfaces: Vec::new(),
             waiting: VecDeque::new(),
             summary: None,
+            unreadable: UnreadableEntries::default(),
+            next_unreadable: None,
             pace,
             start,
             until: range.time.map(|time| start + time),
@@ -126,6 +134,11 @@ impl LogInput {
     /// What was read in all; `None` before the end of the log.
     pub fn summary(&self) -> Option<&LogSummary> {
         self.summary.as_ref()
+    }
+
+    /// Entries that cannot be read, up to the last frame that was due; at the end of the log, all.
+    pub fn unreadable(&self) -> UnreadableEntries {
+        self.summary.as_ref().map_or(self.unreadable, LogSummary::unreadable_entries)
     }
 
     /// The start of the range that is read, at which the session starts.
@@ -173,8 +186,9 @@ impl LogInput {
     pub fn take(&mut self, batch: LogBatch) {
         self.has_begun = true;
         match batch {
-            LogBatch::Frames { frames, interfaces, .. } => {
+            LogBatch::Frames { frames, interfaces, unreadable, .. } => {
                 self.interfaces.extend(interfaces);
+                self.next_unreadable = Some(unreadable);
                 let last = frames.last().map_or(Instant::ZERO, |frame| frame.time);
                 match self.pace {
                     LogPace::AtOnce => {}
@@ -192,7 +206,9 @@ impl LogInput {
     /// Removes the next frame that is due, within the range.
     pub fn pop_due(&mut self) -> Option<Frame> {
         let now = self.now().unwrap_or(NEVER).min(self.until.unwrap_or(NEVER));
-        self.waiting.pop_front_if(|frame| frame.time <= now)
+        let frame = self.waiting.pop_front_if(|frame| frame.time <= now)?;
+        self.unreadable = self.next_unreadable.take().unwrap_or(self.unreadable);
+        Some(frame)
     }
 
     /// Returns true if the range ends before the log does, and all of it is read.
@@ -226,26 +242,41 @@ impl LogInput {
     }
 }
 
-/// Reads the log and sends the frames present from `from` on, before it waits for more.
+/// Reads the log and sends the frames present from `from` on, before it waits for more. A batch
+/// ends where entries cannot be read: they belong to the part before the next frame.
 fn read(log: File, from: Duration, to: &Sender<io::Result<LogBatch>>) -> io::Result<()> {
+    let from = Instant::ZERO + from;
     let mut reader = LogReader::new(BufReader::with_capacity(1 << 16, log));
     let mut named = 0;
-    while let Some(frame) = reader.next_frame()? {
-        let mut frames = vec![frame];
+    let mut next = None;
+    loop {
+        let first = match next.take() {
+            Some(frame) => Some(frame),
+            None => reader.next_frame()?,
+        };
+        let Some(first) = first else { break };
+        if first.time < from {
+            reader.forget_unreadable();
+            continue;
+        }
+        let summary = reader.summary();
+        let unreadable = summary.unreadable_entries();
+        let mut frames = vec![first];
         while frames.len() < BATCH
             && let Some(frame) = reader.next_buffered()
         {
+            if reader.summary().lost_entries() > unreadable.count {
+                next = Some(frame);
+                break;
+            }
             frames.push(frame);
-        }
-        frames.retain(|frame| frame.time >= Instant::ZERO + from);
-        if frames.is_empty() {
-            continue;
         }
         let summary = reader.summary();
         let epoch = summary.epoch.unwrap_or_default();
         let interfaces = summary.interfaces[named..].to_vec();
         named = summary.interfaces.len();
-        if to.blocking_send(Ok(LogBatch::Frames { epoch, frames, interfaces })).is_err() {
+        let batch = LogBatch::Frames { epoch, frames, interfaces, unreadable };
+        if to.blocking_send(Ok(batch)).is_err() {
             return Ok(());
         }
     }

@@ -17,7 +17,7 @@ use crate::diagnostic::Diagnostic;
 use crate::discovery::Config;
 use crate::document::Document;
 use crate::frame::{BusIndex, Frame};
-use crate::log::LogSummary;
+use crate::log::{LogSummary, UnreadableEntries};
 use crate::status::{BusStatus, Link, RecordingStatus};
 use crate::time::Instant;
 use futures_util::future::select_all;
@@ -185,6 +185,14 @@ impl Session {
     pub fn log_summary(&self) -> Option<&LogSummary> {
         match &self.input {
             SessionInput::Log(log, _) => log.summary(),
+            SessionInput::Ports { .. } => None,
+        }
+    }
+
+    /// Entries of the log that cannot be read, in the part read so far; `None` for buses.
+    pub fn unreadable_entries(&self) -> Option<UnreadableEntries> {
+        match &self.input {
+            SessionInput::Log(log, _) => Some(log.unreadable()),
             SessionInput::Ports { .. } => None,
         }
     }
@@ -410,6 +418,11 @@ impl Session {
             received.is_tx = false;
             self.app.handle_frames(frame.time, &[received]);
         }
+        let unreadable = log.unreadable().count;
+        if self.app.buses().first().is_some_and(|bus| bus.status.unreadable < unreadable) {
+            let now = self.app.now();
+            set_link(&mut self.app, now, 0, (Link::Up, unreadable));
+        }
         if let Some(summary) = log.summary() {
             // Presence is evaluated at the last frame.
             let now = self.app.now();
@@ -452,7 +465,7 @@ impl Session {
 
     fn end_buses(&mut self, now: Instant) {
         // Lines that cannot be read name no interface: they count on the first.
-        let mut unreadable = self.log_summary().map_or(0, LogSummary::lost_entries);
+        let mut unreadable = self.unreadable_entries().map_or(0, |entries| entries.count);
         for at in 0..self.app.buses().len() {
             let unreadable = std::mem::take(&mut unreadable);
             set_link(&mut self.app, now, at, (Link::Ended, unreadable));

@@ -426,6 +426,28 @@ fn unreadable_log_lines_are_reported_on_stderr_and_in_json() {
 }
 
 #[test]
+fn unreadable_lines_are_counted_in_the_part_that_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    // One unreadable line in front of each frame.
+    let lines: String =
+        log(&two_devices(), 4).lines().map(|line| format!("what?\n{line}\n")).collect();
+    std::fs::write(folder.path().join("session.log"), lines).unwrap();
+    let count = |options: &[&str]| {
+        let arguments = [&["scan", "file:session.log", "--json"], options].concat();
+        let output = descan(&arguments, folder.path());
+        let bus = json(&output)["buses"][0].clone();
+        assert_eq!(bus["unreadable"], bus["frames"], "{options:?}");
+        let said = text(&output.stderr);
+        assert!(said.contains(&format!("{} lines cannot be read", bus["frames"])), "{said}");
+        bus["frames"].as_u64().unwrap()
+    };
+    let all = count(&[]);
+    let (start, end) = (count(&["--time", "1"]), count(&["--from", "1"]));
+    assert!(start > 0 && end > 0 && start < all && end < all);
+    assert_eq!(start + end, all);
+}
+
+#[test]
 fn log_with_byte_order_mark_is_read() {
     let folder = tempfile::tempdir().unwrap();
     let lines = format!("\u{feff}{}", log(&two_devices(), 3));

@@ -70,6 +70,7 @@ fn start(log: File, path: Option<&Path>, request: OpenRequest) -> io::Result<Por
             named: 0,
             follows: false,
             percent: None,
+            unreadable: 0,
         };
         if let Err(error) = replay.run() {
             shared.queue.finish(Link::Failed, Diagnostic::unreadable(name, &error));
@@ -92,6 +93,8 @@ struct Replay {
     /// It has continued after its end: frames are delivered as they are written.
     follows: bool,
     percent: Option<u8>,
+    /// Number of unreadable entries that was reported.
+    unreadable: u64,
 }
 
 /// How a log continues after its end.
@@ -193,9 +196,12 @@ impl Replay {
     fn report_position(&mut self) {
         let source = self.reader.source();
         let percent = source.get_ref().percent(source.buffer().len());
-        if percent != self.percent {
-            self.percent = percent;
-            self.shared.queue.update_status(|status| status.percent = percent);
+        let unreadable = self.reader.summary().lost_entries();
+        if (percent, unreadable) != (self.percent, self.unreadable) {
+            (self.percent, self.unreadable) = (percent, unreadable);
+            self.shared.queue.update_status(|status| {
+                (status.percent, status.unreadable) = (percent, unreadable);
+            });
         }
     }
 
