@@ -275,9 +275,10 @@ impl App {
             let can_add =
                 self.selected_device().is_some_and(|it| it.name.is_some() && !it.is_debug);
             let key = self.key_of(Action::Add);
-            self.show_error(match can_add {
-                true => format!("not in file; {key} adds the device"),
-                false => "not in file".to_owned(),
+            self.show_error(if can_add {
+                format!("not in file; {key} adds the device")
+            } else {
+                "not in file".to_owned()
             });
         }
         place

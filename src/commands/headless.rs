@@ -15,11 +15,13 @@ use crate::shell::store::Store;
 use crate::status::{BusState, Link, RecordingStatus};
 use crate::time::{Epoch, Instant};
 use anyhow::Context;
+use nix::sys::signal::Signal;
 use std::fs::File;
 use std::io::{self, Write};
 use std::ops::ControlFlow;
 use std::os::fd::AsFd;
 use std::time::Duration;
+use tokio::signal::unix::{SignalKind, signal};
 
 /// Time for an interface to open, on a busy machine.
 const OPENING: Duration = Duration::from_secs(10);
@@ -45,6 +47,23 @@ pub struct RunOutcome {
     pub now: Instant,
     /// What stopped the run; `None` if the command had enough or the log ended.
     pub ending: Option<StopReason>,
+    /// Why a log was not recorded completely; `None` for buses.
+    recording_failure: Option<String>,
+}
+
+impl RunOutcome {
+    /// Returns an error if a log was not recorded completely: a script may delete the log once it
+    /// is recorded in another format. Call after the results are printed.
+    ///
+    /// # Errors
+    ///
+    /// What was recorded, and why no more.
+    pub fn check_recording(&self) -> Result<(), Failure> {
+        match &self.recording_failure {
+            Some(why) => Err(Failure::Unusable(why.clone())),
+            None => Ok(()),
+        }
+    }
 }
 
 /// Input of a run.
@@ -106,12 +125,14 @@ pub fn run(
             },
         };
         let recorded = session.finish_recording();
+        let mut recording_failure = None;
         let now = if let RunInput::Log(spec, _) = input {
-            // A script may delete the log once it is recorded in another format.
-            if let Some(status) = recorded.as_ref().filter(|status| status.failure.is_some()) {
-                return Err(Failure::Unusable(format!("recorded {status}")));
+            match recorded {
+                Some(status) if status.failure.is_some() => {
+                    recording_failure = Some(format!("recorded {status}"));
+                }
+                recorded => open::report_recording(recorded),
             }
-            open::report_recording(recorded);
             report_unreadable(spec, &session)?;
             session.app.now()
         } else {
@@ -119,7 +140,7 @@ pub fn run(
             open::report_recording(recorded);
             now
         };
-        Ok(RunOutcome { app: session.app, now, ending })
+        Ok(RunOutcome { app: session.app, now, ending, recording_failure })
     })
 }
 
@@ -315,5 +336,10 @@ fn stop_waiter(limits: Limits, time: Option<Duration>) -> Result<StopWaiter, Fai
 /// The runtime of the event loop.
 pub fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
-    Ok(runtime.context("no event loop")?)
+    let runtime = runtime.context("no event loop")?;
+    let entered = runtime.enter();
+    // The process is not ended by it any more: the write fails, and is reported.
+    let limit = signal(SignalKind::from_raw(Signal::SIGXFSZ as i32));
+    drop((limit.context("no signals")?, entered));
+    Ok(runtime)
 }

@@ -48,10 +48,12 @@ pub fn run(watch: &WatchArgs) -> Result<u8, Failure> {
     let mut event_writer = EventWriter { json: watch.run.json, text: Vec::new() };
     if let Some(log) = open::log(&buses, "watch", watch.run.from)? {
         let pace = watch.speed.map(LogPace::Timed);
-        headless::run(RunInput::Log(log, pace), &setup, options, limits, |session| {
+        let input = RunInput::Log(log, pace);
+        let outcome = headless::run(input, &setup, options, limits, |session| {
             event_writer.write_events(&mut session.app)?;
             Ok(ControlFlow::Continue(()))
         })?;
+        outcome.check_recording()?;
     } else {
         let mut gate = BusGate::new(true);
         let input = RunInput::Buses(&buses);

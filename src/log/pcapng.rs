@@ -270,7 +270,6 @@ impl SectionState {
             (PACKET | SIMPLE_PACKET | OLD_PACKET, Some(version)) => {
                 Err(PacketFault::Version(version))
             }
-            (_, Some(_)) => Ok(None),
             (INTERFACE, None) => {
                 self.add_interface(fields);
                 Ok(None)
@@ -278,7 +277,7 @@ impl SectionState {
             (PACKET, None) => self.packet(fields).map(Some),
             (SIMPLE_PACKET, None) => Err(PacketFault::NoTime),
             (OLD_PACKET, None) => Err(PacketFault::OldKind),
-            (_, None) => Ok(None),
+            _ => Ok(None),
         })
     }
 

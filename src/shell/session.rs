@@ -616,7 +616,7 @@ impl Session {
     }
 
     /// Waits for work on files that has started, until Ctrl-C or for `timeout`, so that no file is
-    /// left half-written. Waits for a save of des.json only if `waits_for_save`: an interrupted
+    /// left half-written, and takes its results. Waits for a save of des.json only if `waits_for_save`: an interrupted
     /// save leaves either the old or the new content.
     pub async fn finish_work(&mut self, waits_for_save: bool, timeout: Option<Duration>) {
         let wanted = |work: &FileJob| waits_for_save || !work.is_save;
@@ -629,7 +629,11 @@ impl Session {
                 }
             };
             tokio::select! {
-                _ = work.handle => {}
+                result = work.handle => {
+                    if let Ok(result) = result {
+                        self.handle_wake(SessionWake::FileJobDone(result));
+                    }
+                }
                 _ = tokio::signal::ctrl_c() => return,
                 () = is_late => return,
             }

@@ -397,6 +397,7 @@ fn of_system(error: &io::Error, what: &str) -> Diagnostic {
         }
         Some(Errno::EROFS) => ("mounted read-only", "remount it, or save elsewhere"),
         Some(Errno::ENOSPC | Errno::EDQUOT) => ("the disk is full", "make room, or save elsewhere"),
+        Some(Errno::EFBIG) => ("file size limit reached", "raise it: ulimit -f"),
         Some(Errno::EBUSY) => ("a bind mount", "mount its folder, or save elsewhere"),
         Some(Errno::ENOTDIR) => ("parent is a file, not a folder", "name another one"),
         Some(Errno::ENAMETOOLONG) => ("the name is too long", "choose a shorter one"),
@@ -423,6 +424,7 @@ mod tests {
         for (error, text) in [
             (Errno::ENOSPC, "the disk is full; make room, or save elsewhere"),
             (Errno::EDQUOT, "the disk is full; make room, or save elsewhere"),
+            (Errno::EFBIG, "file size limit reached; raise it: ulimit -f"),
             (Errno::EROFS, "mounted read-only; remount it, or save elsewhere"),
             (Errno::EBUSY, "a bind mount; mount its folder, or save elsewhere"),
             (Errno::EACCES, "no permission for its folder; fix it, or save elsewhere"),

@@ -6,6 +6,7 @@
 
 use crate::common::pty;
 use crate::common::pty::Pty;
+use nix::sys::signal::Signal;
 use std::fs::{self, Permissions};
 use std::io::Write;
 use std::os::unix::fs::PermissionsExt as _;
@@ -198,10 +199,57 @@ fn hanging_disk_does_not_block_the_screen() {
     let mut disk = never();
     disk.pty.send("ge\x1547\r");
     disk.pty.wait_for("… saving 1");
-    disk.pty.signal(nix::sys::signal::Signal::SIGTERM);
+    disk.pty.signal(Signal::SIGTERM);
     assert_eq!(disk.pty.wait(), 130);
     disk.pty.assert_given_back();
     assert_eq!(content(&disk).unwrap(), BEFORE);
+}
+
+/// Tests that a save under way is waited for: what is on the disk is not reported as lost.
+#[test]
+fn signal_during_a_slow_save_waits_for_it() {
+    if !may_mount() {
+        return;
+    }
+    for signal in [Signal::SIGTERM, Signal::SIGHUP, Signal::SIGINT] {
+        let mut disk = Disk::new(
+            "printf '#include <unistd.h>\nint fsync(int file) { sleep(2); return fdatasync(file); }\n' \
+             >../late.c && cc -shared -fPIC -o ../late.so ../late.c \
+             && as=\"env LD_PRELOAD=$PWD/../late.so\"",
+        );
+        disk.pty.send("ge\x1547\r");
+        disk.pty.wait_for("… saving 1");
+        disk.pty.signal(signal);
+        assert_eq!(disk.pty.wait(), 130, "{signal}");
+        disk.pty.assert_given_back();
+        let file = disk.folder.path().join("disk/des.json");
+        assert_eq!(fs::read_to_string(file).unwrap(), AFTER, "{signal}");
+        assert!(!disk.pty.screen().contains("not saved"), "{}", disk.pty.screen());
+        assert!(!disk.folder.path().join("state/descan").exists(), "{signal}: a recovery copy");
+    }
+}
+
+/// Tests that a file size limit is an error of the save, not the end of the program.
+#[test]
+fn file_size_limit_keeps_edits() {
+    let folder = tempfile::tempdir().unwrap();
+    let filling = "x".repeat(20_000);
+    let text = format!("[{{\"name\": \"FEED\", \"address\": 9, \"note\": \"{filling}\"}}]");
+    fs::write(folder.path().join("des.json"), &text).unwrap();
+    let script =
+        format!("ulimit -f 20; exec {} sim:boiler --file des.json", env!("CARGO_BIN_EXE_descan"));
+    let mut pty = Pty::run("sh", &["-c", &script], folder.path(), (120, 30));
+    pty.wait_for("SENS");
+    pty.send("ge\x1547\r");
+    pty.wait_for("✗ not saved");
+    pty.wait_for("file size limit reached");
+    assert_eq!(fs::read_to_string(folder.path().join("des.json")).unwrap(), text);
+    pty.send("qy");
+    pty.wait();
+    pty.assert_given_back();
+    let left = fs::read_dir(folder.path()).unwrap().map(|it| it.unwrap().file_name());
+    let left: Vec<_> = left.filter(|it| it.to_string_lossy().contains("descan-")).collect();
+    assert!(left.is_empty(), "{left:?}");
 }
 
 #[test]
