@@ -63,8 +63,9 @@ impl<T: PartialEq + Clone> RecentValues<T> {
         }
         let known = self.earlier.iter().position(|earlier| earlier.value == *value);
         let returned = known.and_then(|at| self.earlier.remove(at));
-        self.return_count = if returned.is_some() { self.return_count + 1 } else { 0 };
-        let is_return = returned.is_some();
+        // More values than are remembered: it may be one of those that were forgotten.
+        let is_return = returned.is_some() || self.earlier.len() == MAX_VALUES - 1;
+        self.return_count = if is_return { self.return_count + 1 } else { 0 };
         let since = returned.map_or(now, |returned| returned.since);
         let next = RecentValue { value: value.clone(), since, left_at: now };
         if let Some(left) = self.current.replace(next) {
@@ -243,7 +244,7 @@ pub(super) struct HeartbeatRecord {
 pub(super) struct HeartbeatPattern {
     /// Heartbeats arrive at twice the rate.
     pub double_rate: bool,
-    /// Heartbeats arrive in two distinct phases.
+    /// Heartbeats arrive in two or more distinct phases.
     pub two_phases: bool,
     /// Since when two devices are present, if either flag is set.
     pub since: Option<Instant>,
@@ -262,6 +263,8 @@ pub(super) struct AddressHistory {
     pub sent_both: bool,
     pub matchers: [[QueryResponseMatcher; 2]; 2],
     pub heartbeats: VecDeque<HeartbeatRecord>,
+    /// Times of the last heartbeats, at most [`MAX_HEARTBEAT_TIMES`].
+    heartbeat_times: VecDeque<Instant>,
     /// Number of consecutive heartbeats at twice the rate.
     pub double_rate_count: u32,
 }
@@ -278,8 +281,24 @@ fn has_two_phases(gaps: &[f64]) -> bool {
     apart > 0.04 && apart > 3.0 * (even.1 - even.0).max(odd.1 - odd.0)
 }
 
+/// Returns true if gaps repeat in a cycle of `senders` gaps and differ within it: that many steady
+/// senders. One sender with a shorter period has equal gaps.
+fn is_cycle(gaps: &[f64], senders: usize) -> bool {
+    let is_period = |cycle: &[f64]| (0.9..=1.1).contains(&cycle.iter().sum());
+    let repeats = gaps.iter().zip(&gaps[senders..]).map(|(gap, next)| (gap - next).abs());
+    let noise = repeats.fold(0.0, f64::max);
+    let longest = gaps.iter().copied().fold(0.0, f64::max);
+    let shortest = gaps.iter().copied().fold(f64::MAX, f64::min);
+    let contrast = longest - shortest;
+    gaps.windows(senders).all(is_period) && contrast > 0.04 && contrast > 3.0 * noise
+}
+
 /// Heartbeats stored per address: seven intervals.
 const MAX_HEARTBEATS: usize = 8;
+/// Most senders at one address whose phases are told apart.
+const MAX_PHASES: usize = 8;
+/// Heartbeat times stored per address: two cycles of that many senders.
+const MAX_HEARTBEAT_TIMES: usize = 2 * MAX_PHASES + 1;
 
 impl AddressHistory {
     /// Returns the matcher for this kind of request and framing.
@@ -309,7 +328,32 @@ impl AddressHistory {
             self.heartbeats.pop_front();
         }
         self.heartbeats.push_back(HeartbeatRecord { time: now, frame: *frame });
+        if self.heartbeat_times.len() == MAX_HEARTBEAT_TIMES {
+            self.heartbeat_times.pop_front();
+        }
+        self.heartbeat_times.push_back(now);
         true
+    }
+
+    /// Returns since when at least two of three or more senders are present, by their phases;
+    /// `None` if the last heartbeats have no such cycle.
+    fn cycle_since(&self, period: Duration) -> Option<Instant> {
+        let times = &self.heartbeat_times;
+        // Two cycles of three senders are the fewest: six gaps in two periods.
+        let seventh = *times.iter().rev().nth(6)?;
+        if times.back()?.since(seventh) > period.mul_f64(2.2) {
+            return None;
+        }
+        let mut gaps = [0.0; MAX_HEARTBEAT_TIMES - 1];
+        let pairs = times.iter().zip(times.iter().skip(1));
+        for (gap, (one, next)) in gaps.iter_mut().zip(pairs) {
+            *gap = next.since(*one).as_secs_f64() / period.as_secs_f64();
+        }
+        let gaps = &gaps[..times.len().saturating_sub(1)];
+        let senders = (3..=MAX_PHASES).take_while(|senders| 2 * senders <= gaps.len());
+        let first = |senders: &usize| gaps.len() - 2 * senders;
+        let senders = senders.into_iter().find(|it| is_cycle(&gaps[first(it)..], *it))?;
+        times.get(first(&senders) + 1).copied()
     }
 
     /// Returns the timing pattern of the stored heartbeats.
@@ -327,6 +371,9 @@ impl AddressHistory {
             HeartbeatPattern { double_rate, two_phases: false, since: Some(last.time - period) };
         if self.heartbeats.len() < MAX_HEARTBEATS - 1 {
             return rate;
+        }
+        if let Some(since) = self.cycle_since(period) {
+            return HeartbeatPattern { two_phases: true, since: Some(since), ..rate };
         }
         let period = period.as_secs_f64();
         let mut gaps = [0.0; MAX_HEARTBEATS - 1];

@@ -429,8 +429,8 @@ fn unreadable_log_lines_are_reported_on_stderr_and_in_json() {
 fn unreadable_lines_are_counted_in_the_part_that_is_read() {
     let folder = tempfile::tempdir().unwrap();
     // One unreadable line in front of each frame.
-    let lines: String =
-        log(&two_devices(), 4).lines().map(|line| format!("what?\n{line}\n")).collect();
+    let log = log(&two_devices(), 4);
+    let lines: String = log.lines().flat_map(|line| ["what?\n", line, "\n"]).collect();
     std::fs::write(folder.path().join("session.log"), lines).unwrap();
     let count = |options: &[&str]| {
         let arguments = [&["scan", "file:session.log", "--json"], options].concat();

@@ -200,6 +200,61 @@ fn two_heartbeat_senders_at_one_address_are_found() {
     check(cases);
 }
 
+/// Heartbeats of several nodes at address 14, one per `phases`, with equal or different UIDs.
+fn together(phases: &[f64], seconds: f64, is_equal: bool) -> Log {
+    let uid =
+        |at: usize| if is_equal { FEED.to_owned() } else { format!("{:02X}B341044000", at + 1) };
+    let lives =
+        |log: Log, (at, phase): (usize, &f64)| log.lives(14, 0.1 + phase, seconds, &uid(at));
+    phases.iter().enumerate().fold(Log::default().lives(20, 0.73, seconds, PUMP), lives)
+}
+
+#[test]
+fn three_to_nine_senders_at_one_address_are_found() {
+    let mut cases: Vec<Case> = Vec::new();
+    let uneven = [0.0, 0.21, 0.33, 0.58, 0.71, 0.85, 0.4, 0.93, 0.12];
+    for count in 3..=9 {
+        let even: Vec<f64> = (0..count).map(|at| at as f64 / count as f64).collect();
+        for seconds in [10.0, 20.0] {
+            for phases in [&even[..], &uneven[..count]] {
+                let label = format!("{phases:?} for {seconds} s");
+                let log = together(phases, seconds, false);
+                cases.push((format!("other UIDs, {label}"), log, TWO_IDENTITIES));
+            }
+            // Equal ones at even phases look like one node with a shorter period.
+            if count <= 6 {
+                let label = format!("{count} at uneven phases for {seconds} s");
+                let log = together(&uneven[..count], seconds, true);
+                cases.push((format!("equal UIDs, {label}"), log, SAME_NAME));
+            }
+        }
+    }
+    check(cases);
+}
+
+#[test]
+fn conflict_of_three_lasts_while_two_remain() {
+    let folder = tempfile::tempdir().unwrap();
+    for phases in [[0.0, 0.33, 0.66], [0.0, 0.1, 0.2], [0.0, 0.45, 0.62]] {
+        for is_equal in [false, true] {
+            if is_equal && phases[1] > 0.3 && phases[1] < 0.4 {
+                continue;
+            }
+            let mut log = together(&phases, 40.0, is_equal);
+            // The third leaves.
+            log.lines.retain(|(at, _)| *at < 15.0 || (*at - 0.1 - phases[2]).fract() > 1e-6);
+            let label = format!("{phases:?}, equal: {is_equal}");
+            let values = run(folder.path(), &["watch"], &log.text());
+            let odd: Vec<&Value> = values
+                .iter()
+                .filter(|it| it["finding"]["confidence"] == "cleared" || it["event"] == "gave-up")
+                .collect();
+            assert!(odd.is_empty(), "{label}: {odd:?}");
+            assert!(values.iter().any(|it| it["finding"]["confidence"] == "confirmed"), "{label}");
+        }
+    }
+}
+
 #[test]
 fn equal_random_numbers_are_not_taken_for_a_bridge() {
     let mut cases: Vec<Case> = Vec::new();
