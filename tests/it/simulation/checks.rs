@@ -158,9 +158,22 @@ impl Case<'_> {
             let mut clashes = clashes.iter().chain(&both_on);
             clashes.any(|(clash, span)| going_on(clash, span) && fits(clash))
         };
+        // Of three and more devices, two may be in conflict for long enough and differ from a third
+        // that is there for a moment: the conflict is certain, and that they differ was received.
+        let crowded = |fits: &dyn Fn(&Clash) -> bool| {
+            let recent = |span: &Span| span.from <= at && at.since(span.until) < TEN_SECONDS;
+            let here = |clash: &Clash| {
+                course.addresses.iter().any(|&address| clash.concerns(address))
+                    && matches!(clash, Clash::Address(..))
+            };
+            let mut clashes = clashes.iter().chain(&both_on);
+            any(&|clash| here(clash))
+                && clashes.any(|(clash, span)| recent(span) && here(clash) && fits(clash))
+        };
         match course.kind {
             FindingKind::OneAddressTwoNames => {
-                any(&|it| matches!(*it, Clash::Address(_, a, b) if names(a, b)))
+                let fits = |it: &Clash| matches!(*it, Clash::Address(_, a, b) if names(a, b));
+                any(&fits) || crowded(&fits)
             }
             FindingKind::SameNameSameAddress => {
                 // A listen-only inspector may not receive the names.
@@ -184,7 +197,8 @@ impl Case<'_> {
                 // Two devices that claim an address in turns, each after the other gave way, differ
                 // too.
                 let again = self.run.truth.contended();
-                any(&fits) || again.iter().any(|(clash, span)| going_on(clash, span) && fits(clash))
+                let joined = again.iter().any(|(clash, span)| going_on(clash, span) && fits(clash));
+                any(&fits) || crowded(&fits) || joined
             }
             FindingKind::OneUidTwoAddresses => any(&|it| matches!(it, Clash::Uid(..))),
             FindingKind::TwoDebugDevices

@@ -292,8 +292,9 @@ impl Maker {
     }
 
     fn story(&mut self) {
-        match self.rng.u8(..16) {
+        match self.rng.u8(..18) {
             0..6 => self.collision(),
+            16.. => self.crowd(),
             6 => self.one_uid(),
             7 => self.contest(),
             _ => self.innocence(),
@@ -305,18 +306,38 @@ impl Maker {
     /// Adds a device at the address of another one; neither gives way.
     fn collision(&mut self) {
         let Some(at) = self.quiet.pop() else { return };
+        let label = self.scenario.devices[at].label.clone();
+        self.touched.push(label.clone());
+        let (from, story) = self.joins(at, &format!("{label}'"));
+        self.leaves_perhaps(from, &label, story);
+    }
+
+    /// Adds two to five devices at the address of another one; none gives way.
+    fn crowd(&mut self) {
+        let Some(at) = self.quiet.pop() else { return };
+        let label = self.scenario.devices[at].label.clone();
+        self.touched.push(label.clone());
+        let mut last = (millis(0), String::new());
+        for count in 1..=self.rng.usize(2..=5) {
+            self.tell(std::mem::take(&mut last.1));
+            last = self.joins(at, &format!("{label}{}", "'".repeat(count)));
+        }
+        self.leaves_perhaps(last.0, &label, last.1);
+    }
+
+    /// Adds a device with this label at the address of the one at `at`; neither gives way. Returns
+    /// when it joins, and that as text.
+    fn joins(&mut self, at: usize, joins: &str) -> (Duration, String) {
         let first = &mut self.scenario.devices[at];
         first.faults.set(Fault::KeepsAddress, true);
         let mut other = first.clone();
-        let label = first.label.clone();
-        self.touched.push(label.clone());
-        other.label = format!("{label}'");
+        other.label = joins.to_owned();
         self.touched.push(other.label.clone());
         other.skips_address_resolution = self.rng.bool();
         other.power_on = None;
         let mut same = vec!["address"];
         if self.rng.bool() {
-            other.name = format!("X{label}").into_bytes();
+            other.name = format!("X{}", &joins[..joins.len() - 1]).into_bytes();
         } else {
             same.push("name");
         }
@@ -332,10 +353,10 @@ impl Maker {
             other.mode = Some(Mode::Cfg);
         }
         let from = millis(self.rng.u64(0..BUSY - 8000));
-        let story = format!("{from:?}: {label}' joins, same {}", same.join(", "));
+        let story = format!("{from:?}: {joins} joins, same {}", same.join(", "));
         self.scenario.devices.push(other);
-        self.at(from, &format!("{label}'"), DeviceAction::PowerOn);
-        self.leaves_perhaps(from, &label, story);
+        self.at(from, joins, DeviceAction::PowerOn);
+        (from, story)
     }
 
     /// Switches off one of the two, or none.
