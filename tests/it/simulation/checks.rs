@@ -158,17 +158,18 @@ impl Case<'_> {
             let mut clashes = clashes.iter().chain(&both_on);
             clashes.any(|(clash, span)| going_on(clash, span) && fits(clash))
         };
-        // Of three and more devices, two may be in conflict for long enough and differ from a third
-        // that is there for a moment: the conflict is certain, and that they differ was received.
+        // Of three and more devices, different ones are in conflict in turns, and two may differ that
+        // are together for a moment only: the conflict is certain, and what differs was received.
+        let crowd = self.crowd_at(course);
         let crowded = |fits: &dyn Fn(&Clash) -> bool| {
-            let recent = |span: &Span| span.from <= at && at.since(span.until) < TEN_SECONDS;
-            let here = |clash: &Clash| {
-                course.addresses.iter().any(|&address| clash.concerns(address))
-                    && matches!(clash, Clash::Address(..))
-            };
-            let mut clashes = clashes.iter().chain(&both_on);
-            any(&|clash| here(clash))
-                && clashes.any(|(clash, span)| recent(span) && here(clash) && fits(clash))
+            let recent = crowd
+                .iter()
+                .filter(|(_, span)| span.from <= at && at.since(span.until) < TEN_SECONDS);
+            let began = crowd.iter().filter(|(_, span)| span.from <= at).rev();
+            let began = began.fold(at, |began, (_, span)| {
+                if began.since(span.until) < PERIOD * 3 { began.min(span.from) } else { began }
+            });
+            at.since(began) >= PERIOD.mul_f64(4.0) && recent.clone().any(|(clash, _)| fits(clash))
         };
         match course.kind {
             FindingKind::OneAddressTwoNames => {
@@ -184,7 +185,7 @@ impl Case<'_> {
                             || is_unreadable(self.spec(a))
                             || is_unreadable(self.spec(b))
                             || !names(a, b))
-                })
+                }) || crowded(&|_| true)
             }
             FindingKind::OneAddressTwoIdentities => {
                 // Two devices with one UID that keep resolving their address differ in the U bit
@@ -228,6 +229,25 @@ impl Case<'_> {
         }
     }
 
+    /// Returns the conflicts at an address that three and more devices share, by their end; empty
+    /// for two.
+    fn crowd_at(&self, course: &Course) -> Vec<(Clash, Span)> {
+        let here = |clash: &Clash| {
+            let concerned = course.addresses.iter().any(|&address| clash.concerns(address));
+            matches!(clash, Clash::Address(..)) && concerned
+        };
+        let all = self.run.truth.clashes().chain(self.run.truth.both_on());
+        let mut crowd: Vec<(Clash, Span)> = all.filter(|(clash, _)| here(clash)).collect();
+        let mut pairs: Vec<Clash> = crowd.iter().map(|(clash, _)| *clash).collect();
+        pairs.sort();
+        pairs.dedup();
+        if pairs.len() < 3 {
+            return Vec::new();
+        }
+        crowd.sort_by_key(|(_, span)| span.until);
+        crowd
+    }
+
     // --- no false negatives --------------------------------------------------------------
 
     fn detections(&mut self) {
@@ -246,7 +266,15 @@ impl Case<'_> {
             let due = from + if self.beats(clash) { TEN_SECONDS } else { PERIOD * 25 };
             // With lost or delayed frames, the evidence pauses and starts again.
             let lossy = self.run.world.scenario.rx_loss > 0.0;
-            let due = due + PERIOD * if lossy || self.run.world.is_crowded() { 5 } else { 0 };
+            // So does that of three and more devices that destroy each other's frames.
+            let crowd = match clash {
+                Clash::Address(at, ..) => {
+                    self.courses.iter().any(|it| it.concerns(at) && !self.crowd_at(it).is_empty())
+                }
+                Clash::Uid(..) => false,
+            };
+            let slow = lossy || crowd || self.run.world.is_crowded();
+            let due = due + PERIOD * if slow { 5 } else { 0 };
             if span.until < due {
                 continue;
             }
