@@ -335,6 +335,13 @@ impl AddressHistory {
         true
     }
 
+    /// Returns true if more heartbeats arrived in the last three periods than one steady sender has.
+    pub fn has_several_senders(&self, period: Duration) -> bool {
+        let Some(last) = self.heartbeat_times.back() else { return false };
+        let recent = |time: &&Instant| last.since(**time) < period * 3;
+        self.heartbeat_times.iter().rev().take_while(recent).count() >= 5
+    }
+
     /// Returns since when at least two of three or more senders are present, by their phases;
     /// `None` if the last heartbeats have no such cycle.
     fn cycle_since(&self, period: Duration) -> Option<Instant> {

@@ -223,6 +223,20 @@ impl FindingTracker {
             .min()
     }
 
+    /// Keeps the confirmed conflicts at `address`: several nodes still send heartbeats from there,
+    /// whatever they send.
+    pub fn prolong(&mut self, now: Instant, address: Address) {
+        let finding = self.findings.iter_mut().find(|finding| {
+            finding.state == FindingState::Confirmed
+                && finding.key.kind.is_conflict()
+                && finding.key.kind != FindingKind::OneUidTwoAddresses
+                && finding.key.address == Some(address)
+        });
+        if let Some(finding) = finding {
+            finding.last = now;
+        }
+    }
+
     /// Clears the conflicts at `address`, whose device is lost.
     pub fn forget(&mut self, now: Instant, address: Address) {
         self.requested_at[address.index()] = None;
