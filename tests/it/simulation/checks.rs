@@ -162,9 +162,9 @@ impl Case<'_> {
         // are together for a moment only: the conflict is certain, and what differs was received.
         let crowd = self.crowd_at(course);
         let crowded = |fits: &dyn Fn(&Clash) -> bool| {
-            let recent = crowd
-                .iter()
-                .filter(|(_, span)| span.from <= at && at.since(span.until) < TEN_SECONDS);
+            let recent = crowd.iter().filter(|(_, span)| {
+                span.from <= at + SAMPLED && at.since(span.until) < TEN_SECONDS
+            });
             let began = crowd.iter().filter(|(_, span)| span.from <= at).rev();
             let began = began.fold(at, |began, (_, span)| {
                 if began.since(span.until) < PERIOD * 3 { began.min(span.from) } else { began }

@@ -331,7 +331,7 @@ impl Maker {
         let first = &mut self.scenario.devices[at];
         first.faults.set(Fault::KeepsAddress, true);
         let mut other = first.clone();
-        other.label = joins.to_owned();
+        joins.clone_into(&mut other.label);
         self.touched.push(other.label.clone());
         other.skips_address_resolution = self.rng.bool();
         other.power_on = None;
