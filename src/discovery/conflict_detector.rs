@@ -284,7 +284,7 @@ impl ConflictDetector {
         let mode_returned = history.working.observe(now, &mode.is_working, period.mul_f64(1.05));
         let pattern = history.heartbeat_pattern(period);
         if history.has_several_senders(period) {
-            self.finding_tracker.prolong(now, address);
+            self.finding_tracker.note_several_senders(now, address);
         }
         let history = &mut self.histories[address.index()];
         history.double_rate_count =
@@ -351,8 +351,10 @@ impl ConflictDetector {
         // by other means stays confirmed while the rate is double.
         let confirmed = self.finding_tracker.is_confirmed(same, address);
         let double_rate_count = self.histories[address.index()].double_rate_count;
-        let double_rate =
-            pattern.double_rate && (double_rate_count <= MAX_DOUBLE_RATE_HEARTBEATS || confirmed);
+        let is_supported =
+            pattern.double_rate && self.finding_tracker.note_double_rate(now, same, address);
+        let double_rate = pattern.double_rate
+            && (double_rate_count <= MAX_DOUBLE_RATE_HEARTBEATS || confirmed || is_supported);
         let too_often = "heartbeats at twice the rate";
         let at = if (pattern.two_phases || double_rate) && self.had_other_name(now, address) {
             let two_names = FindingKind::OneAddressTwoNames;

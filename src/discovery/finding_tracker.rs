@@ -31,6 +31,8 @@ const HEARTBEAT_GAP_PERIODS: f64 = 2.6;
 /// Longest gap between response evidence that belongs together, in periods since a request was
 /// seen: two requests.
 const RESPONSE_GAP_PERIODS: f64 = 1.75;
+/// Periods after a heartbeat from an address with several senders in which the next one is due.
+const KEPT_PERIODS: f64 = 1.1;
 /// Number of [`EvidenceStrength::Proof`] observations that confirm a finding; a single one may be a
 /// stray frame.
 const CONFIRM_AFTER_PROOFS: u32 = 2;
@@ -58,6 +60,9 @@ struct EvidenceState {
     strong_at: Option<Instant>,
     /// True if responses are part of the evidence, not heartbeats alone.
     is_response_based: bool,
+    /// Time of the last heartbeat at twice the rate: responses that merged meanwhile, so that only
+    /// one was received, do not interrupt the evidence.
+    doubled_at: Option<Instant>,
     follow_up_count: u32,
     next_follow_up: Option<Instant>,
     /// Time of the last follow-up request.
@@ -77,6 +82,8 @@ pub(super) struct FindingTracker {
     revision: u64,
     /// Time of the first request to each address since its last response evidence.
     requested_at: [Option<Instant>; Address::COUNT],
+    /// Time of the last heartbeat from each address that sent more of them than one node does.
+    several_senders_at: [Option<Instant>; Address::COUNT],
     rng: fastrand::Rng,
     pub over_limit: u64,
 }
@@ -92,6 +99,7 @@ impl FindingTracker {
             changed: Vec::new(),
             revision: 0,
             requested_at: [None; Address::COUNT],
+            several_senders_at: [None; Address::COUNT],
             rng: fastrand::Rng::with_seed(!seed),
             over_limit: 0,
         }
@@ -202,7 +210,11 @@ impl FindingTracker {
                 let tracker = &mut self.evidence_states[at];
                 tracker.follow_up_count += 1;
                 tracker.last_follow_up = now;
-                let goes_on = confirmed || tracker.follow_up_count < MAX_FOLLOW_UPS;
+                let is_doubled =
+                    tracker.doubled_at.is_some_and(|at| now.since(at) < self.period * 2);
+                let goes_on = confirmed
+                    || is_doubled && tracker.strong > 0
+                    || tracker.follow_up_count < MAX_FOLLOW_UPS;
                 tracker.next_follow_up = goes_on.then_some(next);
             }
         }
@@ -223,18 +235,33 @@ impl FindingTracker {
             .min()
     }
 
-    /// Keeps the confirmed conflicts at `address`: several nodes still send heartbeats from there,
-    /// whatever they send.
-    pub fn prolong(&mut self, now: Instant, address: Address) {
-        let finding = self.findings.iter_mut().find(|finding| {
-            finding.state == FindingState::Confirmed
-                && finding.key.kind.is_conflict()
-                && finding.key.kind != FindingKind::OneUidTwoAddresses
-                && finding.key.address == Some(address)
-        });
-        if let Some(finding) = finding {
-            finding.last = now;
-        }
+    /// Notes a heartbeat at twice the rate. Returns true if a suspected finding has stronger
+    /// evidence besides.
+    pub fn note_double_rate(&mut self, now: Instant, kind: FindingKind, address: Address) -> bool {
+        let Some(at) = self.find(kind, address) else { return false };
+        let tracker = &mut self.evidence_states[at];
+        tracker.doubled_at = Some(now);
+        self.findings[at].state == FindingState::Suspected && tracker.strong > 0
+    }
+
+    /// Notes that `address` sends more heartbeats than one node does, whatever they contain: the
+    /// only confirmed conflict there is not cleared.
+    pub fn note_several_senders(&mut self, now: Instant, address: Address) {
+        self.several_senders_at[address.index()] = Some(now);
+    }
+
+    /// Returns until when a finding is kept because several nodes send heartbeats; `None` if they
+    /// do not, or if another confirmed conflict reports it.
+    fn kept_until(&self, finding: &Finding) -> Option<Instant> {
+        let is_such = |it: &&Finding| {
+            it.state == FindingState::Confirmed
+                && it.key.kind.is_conflict()
+                && it.key.kind != FindingKind::OneUidTwoAddresses
+                && it.key.address == finding.key.address
+        };
+        let at = self.several_senders_at[finding.key.address?.index()]?;
+        let is_only = is_such(&finding) && self.findings.iter().filter(is_such).count() == 1;
+        is_only.then(|| at + self.period.mul_f64(KEPT_PERIODS))
     }
 
     /// Clears the conflicts at `address`, whose device is lost.
@@ -265,6 +292,12 @@ impl FindingTracker {
 
     /// Returns when a finding is cleared if no more evidence is seen.
     fn expires_at(&self, at: usize) -> Instant {
+        let finding = &self.findings[at];
+        let expires = self.evidence_expires_at(at);
+        self.kept_until(finding).map_or(expires, |kept| expires.max(kept))
+    }
+
+    fn evidence_expires_at(&self, at: usize) -> Instant {
         let finding = &self.findings[at];
         let requested = finding.key.address.map(|address| self.requested_at[address.index()]);
         let usual = finding.last + self.evidence_lifetime();
@@ -313,6 +346,7 @@ impl FindingTracker {
             strong: 0,
             strong_at: None,
             is_response_based: false,
+            doubled_at: None,
             follow_up_count: 0,
             last_follow_up: now,
             next_follow_up: key.kind.is_conflict().then_some(check),
@@ -370,8 +404,9 @@ impl FindingTracker {
             Some(requested) => (Some(requested.max(last)), RESPONSE_GAP_PERIODS),
             None => (None, HEARTBEAT_GAP_PERIODS),
         };
-        let interrupted =
-            expected_since.is_some_and(|since| now.since(since) >= self.period.mul_f64(pause));
+        let is_doubled = tracker.doubled_at.is_some_and(|at| now.since(at) < self.period * 2);
+        let interrupted = !is_doubled
+            && expected_since.is_some_and(|since| now.since(since) >= self.period.mul_f64(pause));
         if interrupted && strength != EvidenceStrength::Proof && tracker.began.is_some() {
             tracker.began = None;
             tracker.strong = 0;

@@ -649,3 +649,31 @@ fn fixed_own_address_in_use_is_waited_for() {
         events.iter().filter(|it| it.starts_with("we ") || it.contains("free")).collect();
     assert_eq!(ours, ["5 is not free", "we are 5"]);
 }
+
+/// Tests two boards with one name and UID: their heartbeats may look like those of one device with
+/// half the period, and equal responses may merge on the wire.
+#[test]
+fn equal_boards_are_confirmed_at_any_phase() {
+    let board = || {
+        let board = DeviceSpec::new("FEED").fixed(12).fault(Fault::KeepsAddress);
+        board.skips_address_resolution().service("AUGER", "2.1")
+    };
+    let other = |name, address| DeviceSpec::new(name).fixed(address).skips_address_resolution();
+    let scenario = Scenario::new(125_000)
+        .with(board())
+        .with(board().label("FEED'"))
+        .with(other("SENS", 13))
+        .with(other("ACT", 14));
+    let is_missed = |seed: &u64| {
+        let config = Config { seed: *seed, ..Config::default() };
+        let mut it = Inspection::new(&scenario, *seed, config);
+        !it.run_until(seconds(20.0), |engine| {
+            engine.findings().iter().any(|it| {
+                it.key.kind == FindingKind::SameNameSameAddress
+                    && it.state == FindingState::Confirmed
+            })
+        })
+    };
+    let missed: Vec<u64> = (0..400).filter(is_missed).collect();
+    assert!(missed.is_empty(), "{} of 400: {missed:?}", missed.len());
+}
