@@ -66,7 +66,7 @@ pub enum PacketFault {
     /// The packet precedes the description of its interface.
     #[error("missing interface description")]
     Interface,
-    /// The packet is of an interface behind the [`MAX_INTERFACES`] that are read.
+    /// The packet is of an interface behind the 256 that are read.
     #[error("more than 256 interfaces in one section")]
     TooManyInterfaces,
     /// The section has another major version of the format than 1: none of its packets is read.

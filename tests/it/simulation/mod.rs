@@ -251,3 +251,12 @@ fn random_scenarios_give_exactly_the_true_findings() {
     }
     assert!(wrong.is_empty(), "{} of {seeds} seeds fail\n{text}", wrong.len());
 }
+
+/// Worlds of the present generator in which a conflict was confirmed late, or cleared too early.
+#[test]
+fn conflicts_in_crowded_worlds_stay_confirmed() {
+    for seed in [15_449, 16_396, 18_902] {
+        let wrong = complaints(seed, false);
+        assert!(wrong.is_empty(), "seed {seed}:\n{}", wrong.join("\n"));
+    }
+}
