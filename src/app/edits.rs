@@ -6,7 +6,7 @@
 use super::input::{
     AddressPrompt, CapturePathPrompt, CopyPathPrompt, NewEntryPrompt, RenamePrompt,
 };
-use super::listing::update_operation;
+use super::listing::{addition_refusal, update_operation};
 use super::notices::TimelineEntry;
 use super::problems::bus_obstacle;
 use super::timeline_kind::TimelineKind;
@@ -31,13 +31,8 @@ impl App {
         }
         let Some(row) = self.selected_row() else { return self.show_error("no row is selected") };
         let key = row.key.clone();
-        if let Some(device) = self.device_of(row) {
-            if device.is_debug {
-                return self.show_error("debug devices cannot be added to the file");
-            }
-            if device.name.is_none() {
-                return self.show_error("name not known yet: cannot add the device");
-            }
+        if let Some(refusal) = self.device_of(row).and_then(addition_refusal) {
+            return self.show_error(refusal);
         }
         let entry = self.entry_of(row).map(|entry| entry.index);
         if self.may_edit_entry(entry) {
@@ -59,11 +54,9 @@ impl App {
         let Some(row) = self.selected_row().filter(|row| self.device_of(row).is_some()) else {
             return self.show_error("no device in this row to add");
         };
-        if self.devices_of(row).any(|device| device.is_debug) {
-            return self.show_error("debug devices cannot be added to the file");
-        }
-        if self.devices_of(row).any(|device| device.name.is_none()) {
-            return self.show_error("name not known yet: cannot add the device");
+        let refusal = self.devices_of(row).find_map(addition_refusal);
+        if let Some(refusal) = refusal {
+            return self.show_error(refusal);
         }
         let devices = self.devices_of(row);
         let operations: Vec<Operation> =
@@ -83,7 +76,7 @@ impl App {
         let known = self
             .buses
             .devices()
-            .filter(|device| device.is_present() && !device.is_debug && device.name.is_some());
+            .filter(|device| device.is_present() && addition_refusal(device).is_none());
         // An entry without services leaves them out by intention of the user.
         let (mut wanted, left): (Vec<&Device>, Vec<&Device>) = known.partition(|device| {
             let entry = self.matching().entry_of(device.id);
@@ -273,7 +266,7 @@ impl App {
         let place = entry.map(|entry| entry.index);
         if place.is_none() {
             let can_add =
-                self.selected_device().is_some_and(|it| it.name.is_some() && !it.is_debug);
+                self.selected_device().is_some_and(|device| addition_refusal(device).is_none());
             let key = self.key_of(Action::Add);
             self.show_error(if can_add {
                 format!("not in file; {key} adds the device")

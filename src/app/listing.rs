@@ -32,6 +32,15 @@ pub fn new_entry(buses: &Buses, document: &Document, device: &Device) -> Option<
     })
 }
 
+/// The reason why a device cannot be added to the file; `None` if it can.
+pub fn addition_refusal(device: &Device) -> Option<&'static str> {
+    match &device.name {
+        _ if device.is_debug => Some("debug devices cannot be added to the file"),
+        None => Some("name not known yet: cannot add the device"),
+        Some(_) => None,
+    }
+}
+
 /// The operation that adds a device to the file, or updates the services of its entry; `None` if
 /// the file matches the device or its name is not known.
 pub(super) fn update_operation(inputs: Inputs, device: &Device) -> Option<Operation> {

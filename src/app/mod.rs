@@ -51,7 +51,7 @@ pub use devices::concerns;
 pub use file::{EditRefusal, FileChange, FileError, FileReading, FileState, SaveOutcome, Saving};
 pub use filter::{FILTER_FIELDS, FILTER_WORDS, Filter, FilterField};
 pub use input::{InputCheck, Overlay, Prompt, PromptKind, Question};
-pub use listing::same_services;
+pub use listing::{addition_refusal, same_services};
 pub use navigate::{Mouse, MouseKind};
 pub use notices::{StatusMessage, Timeline, TimelineEntry};
 pub use problems::{

@@ -19,7 +19,7 @@ pub fn run(check: &CheckArgs) -> Result<u8, Failure> {
     let buses = open::buses(&check.run.session)?;
     let setup = Setup::new(&check.run.session.common)?;
     let log = open::log(&buses, "check", check.run.from)?;
-    let outcome = if let Some(log) = log {
+    let RunOutcome { app, now, ending, recording } = if let Some(log) = log {
         read_log(log, (check.run.from, check.run.time), &setup, require_file)?
     } else {
         let mut file = FileGate::default();
@@ -28,9 +28,7 @@ pub fn run(check: &CheckArgs) -> Result<u8, Failure> {
             Ok(usable && (!check.wait_for_all || is_complete(app, now)))
         })?
     };
-    let RunOutcome { app, now, ending, .. } = &outcome;
-    let (now, ending) = (*now, *ending);
-    require_file(app)?;
+    require_file(&app)?;
     if ending == Some(StopReason::Interrupted) {
         return Ok(EXIT_INTERRUPTED);
     }
@@ -38,13 +36,13 @@ pub fn run(check: &CheckArgs) -> Result<u8, Failure> {
         return Err(Failure::Unusable(format!("{log}: no frames in it; check the file name")));
     }
     if log.is_none() {
-        warn_incomplete(app, ending);
+        warn_incomplete(&app, ending);
     }
-    warn_all_tx_blocked(app, now);
-    let report = ScanReport::new(app, now, Scope::Check);
-    let text = if check.run.json { report.json() } else { differences(app, now) };
+    warn_all_tx_blocked(&app, now);
+    let report = ScanReport::new(&app, now, Scope::Check);
+    let text = if check.run.json { report.json() } else { differences(&app, now) };
     print(text.as_bytes())?;
-    outcome.check_recording()?;
+    recording?;
     Ok(if report.has_findings() { EXIT_FINDINGS } else { EXIT_OK })
 }
 

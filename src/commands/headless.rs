@@ -47,23 +47,9 @@ pub struct RunOutcome {
     pub now: Instant,
     /// What stopped the run; `None` if the command had enough or the log ended.
     pub ending: Option<StopReason>,
-    /// Why a log was not recorded completely; `None` for buses.
-    recording_failure: Option<String>,
-}
-
-impl RunOutcome {
-    /// Returns an error if a log was not recorded completely: a script may delete the log once it
-    /// is recorded in another format. Call after the results are printed.
-    ///
-    /// # Errors
-    ///
-    /// What was recorded, and why no more.
-    pub fn check_recording(&self) -> Result<(), Failure> {
-        match &self.recording_failure {
-            Some(why) => Err(Failure::Unusable(why.clone())),
-            None => Ok(()),
-        }
-    }
+    /// An error if a log was not recorded completely: a script may delete the log once it is
+    /// recorded in another format. To be returned after the results are printed.
+    pub recording: Result<(), Failure>,
 }
 
 /// Input of a run.
@@ -125,11 +111,11 @@ pub fn run(
             },
         };
         let recorded = session.finish_recording();
-        let mut recording_failure = None;
+        let mut recording = Ok(());
         let now = if let RunInput::Log(spec, _) = input {
             match recorded {
                 Some(status) if status.failure.is_some() => {
-                    recording_failure = Some(format!("recorded {status}"));
+                    recording = Err(Failure::Unusable(format!("recorded {status}")));
                 }
                 recorded => open::report_recording(recorded),
             }
@@ -140,7 +126,7 @@ pub fn run(
             open::report_recording(recorded);
             now
         };
-        Ok(RunOutcome { app: session.app, now, ending, recording_failure })
+        Ok(RunOutcome { app: session.app, now, ending, recording })
     })
 }
 
@@ -337,9 +323,10 @@ fn stop_waiter(limits: Limits, time: Option<Duration>) -> Result<StopWaiter, Fai
 pub fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let runtime = runtime.context("no event loop")?;
-    let entered = runtime.enter();
-    // The process is not ended by it any more: the write fails, and is reported.
-    let limit = signal(SignalKind::from_raw(Signal::SIGXFSZ as i32));
-    drop((limit.context("no signals")?, entered));
+    {
+        let _entered = runtime.enter();
+        // A write beyond the file size limit fails then, instead of ending the process.
+        drop(signal(SignalKind::from_raw(Signal::SIGXFSZ as i32)).context("no signals")?);
+    }
     Ok(runtime)
 }

@@ -29,26 +29,25 @@ pub fn run(scan: &ScanArgs) -> Result<u8, Failure> {
     }
     let buses = open::buses(&scan.run.session)?;
     let setup = Setup::new(&scan.run.session.common)?;
-    let outcome = match open::log(&buses, "scan", scan.run.from)? {
+    let RunOutcome { app, now, ending, recording } = match open::log(&buses, "scan", scan.run.from)?
+    {
         Some(log) => read_log(log, (scan.run.from, scan.run.time), &setup, |_| Ok(()))?,
         None => look(&buses, &setup, scan.run.time.unwrap_or(DEFAULT_TIME), |_, _| Ok(true))?,
     };
-    let RunOutcome { app, now, ending, .. } = &outcome;
-    let (now, ending) = (*now, *ending);
     if ending == Some(StopReason::Interrupted) {
         return Ok(EXIT_INTERRUPTED);
     }
     if !app.buses().iter().all(|bus| bus.ended.is_some()) {
-        warn_incomplete(app, ending);
+        warn_incomplete(&app, ending);
     }
-    warn_all_tx_blocked(app, now);
-    let report = ScanReport::new(app, now, Scope::Screen);
+    warn_all_tx_blocked(&app, now);
+    let report = ScanReport::new(&app, now, Scope::Screen);
     let text = if scan.run.json { report.json() } else { report.tables() };
     print(text.as_bytes())?;
     if let Some(path) = &scan.write {
-        write_document(app, path)?;
+        write_document(&app, path)?;
     }
-    outcome.check_recording()?;
+    recording?;
     Ok(if report.has_findings() { EXIT_FINDINGS } else { EXIT_OK })
 }
 

@@ -53,7 +53,7 @@ pub fn run(watch: &WatchArgs) -> Result<u8, Failure> {
             event_writer.write_events(&mut session.app)?;
             Ok(ControlFlow::Continue(()))
         })?;
-        outcome.check_recording()?;
+        outcome.recording?;
     } else {
         let mut gate = BusGate::new(true);
         let input = RunInput::Buses(&buses);

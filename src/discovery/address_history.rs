@@ -295,7 +295,7 @@ fn is_cycle(gaps: &[f64], senders: usize) -> bool {
 
 /// Heartbeats stored per address: seven intervals.
 const MAX_HEARTBEATS: usize = 8;
-/// Most senders at one address whose phases are told apart.
+/// Maximum number of senders at one address that are distinguished by their phases.
 const MAX_PHASES: usize = 8;
 /// Heartbeat times stored per address: two cycles of that many senders.
 const MAX_HEARTBEAT_TIMES: usize = 2 * MAX_PHASES + 1;

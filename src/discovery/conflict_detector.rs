@@ -283,14 +283,13 @@ impl ConflictDetector {
         // Two devices alternate with every heartbeat; one device keeps a changed U bit for longer.
         let mode_returned = history.working.observe(now, &mode.is_working, period.mul_f64(1.05));
         let pattern = history.heartbeat_pattern(period);
-        if history.has_several_senders(period) {
-            self.finding_tracker.note_several_senders(now, address);
-        }
-        let history = &mut self.histories[address.index()];
         history.double_rate_count =
             if pattern.double_rate { history.double_rate_count + 1 } else { 0 };
         let (uids_since, modes_since) =
             (history.uids.second_since(), history.working.second_since());
+        if history.has_several_senders(period) {
+            self.finding_tracker.note_several_senders(now, address);
+        }
 
         let identity = if address == Address::DEBUG {
             FindingKind::TwoDebugDevices

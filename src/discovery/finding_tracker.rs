@@ -69,6 +69,13 @@ struct EvidenceState {
     last_follow_up: Instant,
 }
 
+impl EvidenceState {
+    /// Returns true if heartbeats arrive at twice the rate.
+    fn is_rate_doubled(&self, now: Instant, period: Duration) -> bool {
+        self.doubled_at.is_some_and(|at| now.since(at) < period * 2)
+    }
+}
+
 /// Findings of one bus with the state that decides about them.
 #[derive(Debug)]
 pub(super) struct FindingTracker {
@@ -210,10 +217,8 @@ impl FindingTracker {
                 let tracker = &mut self.evidence_states[at];
                 tracker.follow_up_count += 1;
                 tracker.last_follow_up = now;
-                let is_doubled =
-                    tracker.doubled_at.is_some_and(|at| now.since(at) < self.period * 2);
                 let goes_on = confirmed
-                    || is_doubled && tracker.strong > 0
+                    || tracker.is_rate_doubled(now, self.period) && tracker.strong > 0
                     || tracker.follow_up_count < MAX_FOLLOW_UPS;
                 tracker.next_follow_up = goes_on.then_some(next);
             }
@@ -404,8 +409,7 @@ impl FindingTracker {
             Some(requested) => (Some(requested.max(last)), RESPONSE_GAP_PERIODS),
             None => (None, HEARTBEAT_GAP_PERIODS),
         };
-        let is_doubled = tracker.doubled_at.is_some_and(|at| now.since(at) < self.period * 2);
-        let interrupted = !is_doubled
+        let interrupted = !tracker.is_rate_doubled(now, self.period)
             && expected_since.is_some_and(|since| now.since(since) >= self.period.mul_f64(pause));
         if interrupted && strength != EvidenceStrength::Proof && tracker.began.is_some() {
             tracker.began = None;

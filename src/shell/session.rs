@@ -410,7 +410,7 @@ impl Session {
                 && let Some(name) = log.interfaces().get(at)
             {
                 self.app.add_bus(frame.time, name.clone(), (**config).clone());
-                set_link(&mut self.app, frame.time, at, (Link::Up, 0));
+                set_link(&mut self.app, frame.time, at, Link::Up);
             }
             self.app.advance_to(frame.time);
             // The node that recorded the log is a device like the others.
@@ -418,10 +418,13 @@ impl Session {
             received.is_tx = false;
             self.app.handle_frames(frame.time, &[received]);
         }
+        // Entries that cannot be read name no interface: they count on the first.
         let unreadable = log.unreadable().count;
-        if self.app.buses().first().is_some_and(|bus| bus.status.unreadable < unreadable) {
+        if let Some(status) = self.app.buses().first().map(|bus| bus.status.clone())
+            && status.unreadable < unreadable
+        {
             let now = self.app.now();
-            set_link(&mut self.app, now, 0, (Link::Up, unreadable));
+            self.app.handle_bus(now, BusIndex(0), BusStatus { unreadable, ..status });
         }
         if let Some(summary) = log.summary() {
             // Presence is evaluated at the last frame.
@@ -464,11 +467,8 @@ impl Session {
     }
 
     fn end_buses(&mut self, now: Instant) {
-        // Lines that cannot be read name no interface: they count on the first.
-        let mut unreadable = self.unreadable_entries().map_or(0, |entries| entries.count);
         for at in 0..self.app.buses().len() {
-            let unreadable = std::mem::take(&mut unreadable);
-            set_link(&mut self.app, now, at, (Link::Ended, unreadable));
+            set_link(&mut self.app, now, at, Link::Ended);
         }
     }
 
@@ -641,9 +641,9 @@ impl Session {
     }
 }
 
-/// Sets the state of a log's bus, and the number of entries that cannot be read.
-fn set_link(app: &mut App, now: Instant, at: usize, (link, unreadable): (Link, u64)) {
+/// Sets the state of a log's bus.
+fn set_link(app: &mut App, now: Instant, at: usize, link: Link) {
     let Some(bus) = app.buses().get(at) else { return };
-    let status = BusStatus { link, unreadable, ..bus.status.clone() };
+    let status = BusStatus { link, ..bus.status.clone() };
     app.handle_bus(now, BusIndex(at as u8), status);
 }

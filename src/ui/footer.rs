@@ -3,7 +3,9 @@
 //! lines.
 
 use super::brush::{DrawContext, cut, fit, wrap};
-use crate::app::{FileError, FileStatus, Focus, InputCheck, Page, PromptKind, is_about};
+use crate::app::{
+    FileError, FileStatus, Focus, InputCheck, Page, PromptKind, addition_refusal, is_about,
+};
 use crate::discovery::Config;
 use crate::keymap::{Action, Key, KeyMode};
 use crate::theme::Role;
@@ -196,9 +198,9 @@ fn applies(brush: &DrawContext, action: Action) -> bool {
     let is_leaving = view.focus == Focus::Details
         || view.page == Page::Traffic
             && (view.evidence.is_some() || view.frame_details || view.from_timeline);
-    let transmits = |config: &Config| !config.listen_only;
-    let on_any = |able: &dyn Fn(&Config) -> bool| {
-        app.buses().iter().any(|bus| bus.is_up() && transmits(bus.config()) && able(bus.config()))
+    let on_any = |can: fn(&Config) -> bool| {
+        let mut buses = app.buses().iter().filter(|bus| bus.is_up() && !bus.config().listen_only);
+        buses.any(|bus| can(bus.config()))
     };
     let device = || row.and_then(|row| app.device_of(row));
     match (action, view.page) {
@@ -218,8 +220,8 @@ fn applies(brush: &DrawContext, action: Action) -> bool {
             app.selected_problem().is_some()
         }
         (A::EditAddress, Page::Devices) => row.is_some_and(|row| {
-            device().is_none_or(|device| device.name.is_some() && !device.is_debug)
-                && (app.entry_of(row).is_some() || device().is_some())
+            device()
+                .map_or(app.entry_of(row).is_some(), |device| addition_refusal(device).is_none())
         }),
         (A::Sort, Page::Devices) => row.is_some(),
         (A::Add, Page::Devices) => row.is_some_and(|row| {
@@ -231,8 +233,8 @@ fn applies(brush: &DrawContext, action: Action) -> bool {
         (A::Problem, Page::Timeline) => app.has_finding(|_| true),
         (A::Undo, _) => app.file().can_undo(),
         (A::ClearLost, _) => app.counts().lost > 0,
-        (A::Identify, _) => on_any(&|config| config.profile.given) && device().is_some(),
-        (A::Rescan, _) => on_any(&|config| config.send_requests),
+        (A::Identify, _) => on_any(|config| config.profile.given) && device().is_some(),
+        (A::Rescan, _) => on_any(|config| config.send_requests),
         _ => true,
     }
 }

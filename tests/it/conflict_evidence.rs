@@ -110,7 +110,7 @@ fn conflict_stays_confirmed_when_second_name_appears() {
             assert_eq!(best, Some(FindingState::Confirmed), "at {at} ms");
         }
         if at > 9410 {
-            assert_eq!(state(engine, SAME), Some(FindingState::Cleared), "told as that alone");
+            assert_eq!(state(engine, SAME), Some(FindingState::Cleared), "reported as that alone");
         }
     });
 }

@@ -70,7 +70,7 @@ impl FileEditor {
         is_due
     }
 
-    /// Accepts a file that has become empty, if it is no longer assumed to be in writing.
+    /// Accepts a file that has become empty, once it was empty for [`EMPTY_SETTLES_AFTER`].
     pub fn accept_empty(&mut self, now: Instant) -> FileChange {
         match self.empty_settles_at() {
             Some(at) if at <= now => self.file.accept_empty(),

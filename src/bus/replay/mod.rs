@@ -235,10 +235,8 @@ impl Replay {
         if self.reader.has_partial_entry() && self.reader.summary().damage.is_none() {
             summary.push_str("; last line incomplete");
         }
-        let unreadable = self.reader.summary().lost_entries();
         self.clock.log_ends(self.index);
         self.shared.queue.update_status(|status| {
-            status.unreadable = unreadable;
             (status.link, status.fault) = (Link::Ended, Some(Diagnostic::new(summary)));
         });
     }
