@@ -5,7 +5,7 @@
 //! requests, and is *confirmed* by strong evidence over five heartbeat periods. One that ends
 //! sooner because a device gave up the address becomes `address-contested` (protocol §5.3).
 //!
-//! Does not know what counts as evidence: [`super::conflict_detector`] does.
+//! Does not know what counts as evidence: [`super::conflicts`] does.
 
 use super::finding_text;
 use crate::finding::{Evidence, Finding, FindingKey, FindingKind, FindingState};
@@ -50,6 +50,48 @@ pub(super) enum EvidenceStrength {
     Proof,
 }
 
+/// An observation that supports a finding about one address.
+#[derive(Clone)]
+pub(super) struct NewEvidence<'a> {
+    pub kind: FindingKind,
+    pub address: Address,
+    /// Name of the device, if known.
+    pub name: Option<&'a Name>,
+    pub strength: EvidenceStrength,
+    /// What the frame shows.
+    pub description: Cow<'static, str>,
+    pub frame: &'a Frame,
+    /// Earlier frame that this one contradicts, with what it shows.
+    pub contradicts: Option<(Cow<'static, str>, Frame)>,
+    /// Since when two devices are present, if the evidence shows that.
+    pub since: Option<Instant>,
+    /// True if it is a response: more evidence is expected only after a request.
+    pub is_response: bool,
+}
+
+impl<'a> NewEvidence<'a> {
+    /// Creates evidence in a frame that is not a response, from a device without a known name.
+    pub fn new(
+        kind: FindingKind,
+        address: Address,
+        frame: &'a Frame,
+        strength: EvidenceStrength,
+        description: impl Into<Cow<'static, str>>,
+    ) -> Self {
+        Self {
+            kind,
+            address,
+            name: None,
+            strength,
+            description: description.into(),
+            frame,
+            contradicts: None,
+            since: None,
+            is_response: false,
+        }
+    }
+}
+
 /// Evidence of one finding since it was opened.
 #[derive(Debug)]
 struct EvidenceState {
@@ -91,7 +133,7 @@ pub(super) struct FindingTracker {
     requested_at: [Option<Instant>; Address::COUNT],
     /// Time of the last heartbeat from each address that sent more of them than one node does.
     several_senders_at: [Option<Instant>; Address::COUNT],
-    rng: fastrand::Rng,
+    seed: u64,
     pub over_limit: u64,
 }
 
@@ -107,7 +149,7 @@ impl FindingTracker {
             revision: 0,
             requested_at: [None; Address::COUNT],
             several_senders_at: [None; Address::COUNT],
-            rng: fastrand::Rng::with_seed(!seed),
+            seed,
             over_limit: 0,
         }
     }
@@ -150,14 +192,6 @@ impl FindingTracker {
     /// Notes a request that `address` receives.
     pub fn note_request(&mut self, now: Instant, address: Address) {
         self.requested_at[address.index()].get_or_insert(now);
-    }
-
-    /// Marks a finding as based on responses: further evidence is expected only after a request.
-    pub fn mark_response_based(&mut self, at: Option<usize>, address: Address) {
-        if let Some(at) = at {
-            self.evidence_states[at].is_response_based = true;
-            self.requested_at[address.index()] = None;
-        }
     }
 
     /// Sets the state of the bus-errors finding of an address, or of the bus where `address` is
@@ -213,14 +247,14 @@ impl FindingTracker {
                     query(address);
                 }
                 let delay = if confirmed { CONFIRMED_FOLLOW_UP_DELAY } else { FOLLOW_UP_DELAY };
-                let next = now + self.with_jitter(delay);
-                let tracker = &mut self.evidence_states[at];
-                tracker.follow_up_count += 1;
-                tracker.last_follow_up = now;
+                let next = with_jitter(self.seed, now, delay);
+                let state = &mut self.evidence_states[at];
+                state.follow_up_count += 1;
+                state.last_follow_up = now;
                 let goes_on = confirmed
-                    || tracker.is_rate_doubled(now, self.period) && tracker.strong > 0
-                    || tracker.follow_up_count < MAX_FOLLOW_UPS;
-                tracker.next_follow_up = goes_on.then_some(next);
+                    || state.is_rate_doubled(now, self.period) && state.strong > 0
+                    || state.follow_up_count < MAX_FOLLOW_UPS;
+                state.next_follow_up = goes_on.then_some(next);
             }
         }
     }
@@ -232,8 +266,8 @@ impl FindingTracker {
             .enumerate()
             .filter(|(_, (finding, _))| finding.state != FindingState::Cleared)
             .filter(|(_, (finding, _))| expires_without_evidence(finding))
-            .flat_map(|(at, (_, tracker))| {
-                let check = if self.listen_only { None } else { tracker.next_follow_up };
+            .flat_map(|(at, (_, state))| {
+                let check = if self.listen_only { None } else { state.next_follow_up };
                 [Some(self.expires_at(at)), check]
             })
             .flatten()
@@ -244,9 +278,9 @@ impl FindingTracker {
     /// evidence besides.
     pub fn note_double_rate(&mut self, now: Instant, kind: FindingKind, address: Address) -> bool {
         let Some(at) = self.find(kind, address) else { return false };
-        let tracker = &mut self.evidence_states[at];
-        tracker.doubled_at = Some(now);
-        self.findings[at].state == FindingState::Suspected && tracker.strong > 0
+        let state = &mut self.evidence_states[at];
+        state.doubled_at = Some(now);
+        self.findings[at].state == FindingState::Suspected && state.strong > 0
     }
 
     /// Notes that `address` sends more heartbeats than one node does, whatever they contain: the
@@ -318,15 +352,6 @@ impl FindingTracker {
         }
     }
 
-    /// Sets an earlier beginning of the condition that a finding reports.
-    pub fn backdate(&mut self, now: Instant, at: Option<usize>, since: Instant) {
-        if let Some(at) = at {
-            let began = &mut self.evidence_states[at].began;
-            *began = Some(began.map_or(since, |began| began.min(since)));
-            self.update_state(now, at);
-        }
-    }
-
     fn find(&self, kind: FindingKind, address: Address) -> Option<usize> {
         self.findings.iter().position(|f| f.key.kind == kind && f.key.address == Some(address))
     }
@@ -345,8 +370,8 @@ impl FindingTracker {
     /// Returns the index of the finding with that key; creates it, or opens it again if it was
     /// cleared. `None` if there are too many.
     fn open(&mut self, now: Instant, key: FindingKey) -> Option<usize> {
-        let check = now + self.with_jitter(FOLLOW_UP_DELAY);
-        let tracker = EvidenceState {
+        let check = with_jitter(self.seed, now, FOLLOW_UP_DELAY);
+        let state = EvidenceState {
             began: None,
             strong: 0,
             strong_at: None,
@@ -358,7 +383,7 @@ impl FindingTracker {
         };
         if let Some(at) = self.findings.iter().position(|finding| finding.key == key) {
             if self.findings[at].state == FindingState::Cleared {
-                self.evidence_states[at] = tracker;
+                self.evidence_states[at] = state;
                 self.findings[at].evidence.clear();
                 self.set(now, at, FindingState::Suspected);
             }
@@ -370,87 +395,105 @@ impl FindingTracker {
         }
         self.note_change(key.clone(), FindingState::Suspected);
         self.findings.push(Finding::new(key, now));
-        self.evidence_states.push(tracker);
+        self.evidence_states.push(state);
         Some(self.findings.len() - 1)
     }
 
     /// Adds an observation to a finding, opens it if needed, and confirms it if the evidence
     /// suffices. Returns the index of the finding; `None` if there are too many.
-    #[allow(clippy::too_many_arguments)]
-    pub fn report(
-        &mut self,
-        now: Instant,
-        kind: FindingKind,
-        address: Address,
-        name: Option<&Name>,
-        frame: &Frame,
-        what: impl Into<Cow<'static, str>>,
-        strength: EvidenceStrength,
-    ) -> Option<usize> {
-        let key = FindingKey::at(kind, self.bus, Some(address));
-        let at = self.open(now, key)?;
-        if let Some(name) = name {
-            self.findings[at].add_name(name);
+    pub fn report(&mut self, now: Instant, evidence: NewEvidence<'_>) -> Option<usize> {
+        let NewEvidence { kind, address, strength, .. } = evidence;
+        let at = self.open(now, FindingKey::at(kind, self.bus, Some(address)))?;
+        let finding = &mut self.findings[at];
+        if let Some(name) = evidence.name {
+            finding.add_name(name);
         }
-        let last = self.findings[at].last;
-        self.findings[at].add_evidence(Evidence {
-            time: frame.time,
-            description: what.into(),
-            frame: Some(*frame),
-        });
-        self.findings[at].last = now;
-        let soon = now + self.with_jitter(FOLLOW_UP_DELAY / 4);
-        let tracker = &mut self.evidence_states[at];
-        // Evidence after a gap starts a new count. For response evidence the gap counts from the
-        // first request.
-        let requested = self.requested_at[address.index()];
-        let (expected_since, pause) = match requested {
-            _ if !tracker.is_response_based => (Some(last), HEARTBEAT_GAP_PERIODS),
-            Some(requested) => (Some(requested.max(last)), RESPONSE_GAP_PERIODS),
-            None => (None, HEARTBEAT_GAP_PERIODS),
-        };
-        let interrupted = !tracker.is_rate_doubled(now, self.period)
-            && expected_since.is_some_and(|since| now.since(since) >= self.period.mul_f64(pause));
-        if interrupted && strength != EvidenceStrength::Proof && tracker.began.is_some() {
-            tracker.began = None;
-            tracker.strong = 0;
+        let last = finding.last;
+        let contradicted = evidence.contradicts.into_iter();
+        let observed = std::iter::once((evidence.description, *evidence.frame));
+        for (description, frame) in contradicted.chain(observed) {
+            let time = frame.time;
+            finding.add_evidence(Evidence { time, description, frame: Some(frame) });
         }
-        // Strong evidence counts once per half period, so a burst is not enough.
-        let apart = tracker.strong_at.is_none_or(|last| now.since(last) >= self.period / 2);
-        if strength != EvidenceStrength::Weak {
-            tracker.began.get_or_insert(now);
+        finding.last = now;
+        self.count_strength(now, at, last, address, strength);
+        self.resume_follow_ups(now, at, kind);
+        if let Some(since) = evidence.since {
+            let began = &mut self.evidence_states[at].began;
+            *began = Some(began.map_or(since, |began| began.min(since)));
         }
-        if strength != EvidenceStrength::Weak && apart {
-            tracker.strong += 1;
-            tracker.strong_at = Some(now);
-        }
-        // New evidence after the last follow-up request starts another series.
-        if kind.is_conflict()
-            && tracker.next_follow_up.is_none()
-            && now.since(tracker.last_follow_up) >= self.period * FOLLOW_UP_RESTART_PERIODS
-        {
-            tracker.follow_up_count = 0;
-            tracker.next_follow_up = Some(soon);
+        if evidence.is_response {
+            self.evidence_states[at].is_response_based = true;
+            self.requested_at[address.index()] = None;
         }
         self.describe(at);
-        if strength == EvidenceStrength::Proof
-            && self.evidence_states[at].strong >= CONFIRM_AFTER_PROOFS
-        {
+        let strong = self.evidence_states[at].strong;
+        if strength == EvidenceStrength::Proof && strong >= CONFIRM_AFTER_PROOFS {
             self.set(now, at, FindingState::Confirmed);
         }
-        if strength != EvidenceStrength::Weak {
+        if strength != EvidenceStrength::Weak || evidence.since.is_some() {
             self.update_state(now, at);
         }
         Some(at)
     }
 
+    /// Counts an observation whose finding had its last one at `last`.
+    fn count_strength(
+        &mut self,
+        now: Instant,
+        at: usize,
+        last: Instant,
+        address: Address,
+        strength: EvidenceStrength,
+    ) {
+        let state = &mut self.evidence_states[at];
+        // Evidence after a gap starts a new count. For response evidence the gap counts from the
+        // first request.
+        let requested = self.requested_at[address.index()];
+        let (expected_since, pause) = match requested {
+            _ if !state.is_response_based => (Some(last), HEARTBEAT_GAP_PERIODS),
+            Some(requested) => (Some(requested.max(last)), RESPONSE_GAP_PERIODS),
+            None => (None, HEARTBEAT_GAP_PERIODS),
+        };
+        let interrupted = !state.is_rate_doubled(now, self.period)
+            && expected_since.is_some_and(|since| now.since(since) >= self.period.mul_f64(pause));
+        if interrupted && strength != EvidenceStrength::Proof && state.began.is_some() {
+            state.began = None;
+            state.strong = 0;
+        }
+        if strength == EvidenceStrength::Weak {
+            return;
+        }
+        state.began.get_or_insert(now);
+        // Strong evidence counts once per half period, so a burst is not enough.
+        if state.strong_at.is_none_or(|last| now.since(last) >= self.period / 2) {
+            state.strong += 1;
+            state.strong_at = Some(now);
+        }
+    }
+
+    /// Starts another series of follow-up requests for new evidence after the last one.
+    fn resume_follow_ups(&mut self, now: Instant, at: usize, kind: FindingKind) {
+        let state = &self.evidence_states[at];
+        let restart = self.period * FOLLOW_UP_RESTART_PERIODS;
+        if kind.is_conflict()
+            && state.next_follow_up.is_none()
+            && now.since(state.last_follow_up) >= restart
+        {
+            let soon = with_jitter(self.seed, now, FOLLOW_UP_DELAY / 4);
+            let state = &mut self.evidence_states[at];
+            state.follow_up_count = 0;
+            state.next_follow_up = Some(soon);
+        }
+    }
+
     /// Confirms a finding with enough strong evidence over five periods.
     fn update_state(&mut self, now: Instant, at: usize) {
-        let tracker = &self.evidence_states[at];
+        let state = &self.evidence_states[at];
         // Five periods, less 1 % for heartbeat jitter.
         let enough = self.period.mul_f64(4.95);
-        let lasts = tracker.began.is_some_and(|began| now.since(began) >= enough);
-        if tracker.strong >= CONFIRM_AFTER_STRONG && lasts {
+        let lasts = state.began.is_some_and(|began| now.since(began) >= enough);
+        if state.strong >= CONFIRM_AFTER_STRONG && lasts {
             self.set(now, at, FindingState::Confirmed);
         }
     }
@@ -491,10 +534,10 @@ impl FindingTracker {
     /// Discards the strong evidence of all suspected findings of this kind: it has another
     /// explanation.
     pub fn reset_suspicion(&mut self, kind: FindingKind) {
-        for (finding, tracker) in self.findings.iter().zip(&mut self.evidence_states) {
+        for (finding, state) in self.findings.iter().zip(&mut self.evidence_states) {
             if finding.key.kind == kind && finding.state == FindingState::Suspected {
-                tracker.began = None;
-                tracker.strong = 0;
+                state.began = None;
+                state.strong = 0;
             }
         }
     }
@@ -569,7 +612,7 @@ impl FindingTracker {
         self.note_change(key, state);
         if state == FindingState::Confirmed && is_conflict {
             self.evidence_states[at].next_follow_up =
-                Some(now + self.with_jitter(CONFIRMED_FOLLOW_UP_DELAY));
+                Some(with_jitter(self.seed, now, CONFIRMED_FOLLOW_UP_DELAY));
         }
     }
 
@@ -578,16 +621,18 @@ impl FindingTracker {
         self.revision += 1;
     }
 
-    /// Returns `wait` multiplied by a random factor of 0.9 to 1.1. Keeps follow-up requests out of
-    /// step with 1 s heartbeats and with other inspectors, because equal responses that wait
-    /// together merge on the wire.
-    fn with_jitter(&mut self, wait: Duration) -> Duration {
-        wait.mul_f64(0.9 + 0.2 * self.rng.f64())
-    }
-
     fn describe(&mut self, at: usize) {
         finding_text::describe(&mut self.findings[at]);
     }
+}
+
+/// Returns the time about `wait` after `now`, varied by up to a tenth. Keeps follow-up requests out of
+/// step with 1 s heartbeats and with other inspectors, because equal responses that wait together
+/// merge on the wire. The variation depends on `now` and the seed alone, so that one finding does
+/// not change the requests about another.
+fn with_jitter(seed: u64, now: Instant, wait: Duration) -> Instant {
+    let mut rng = fastrand::Rng::with_seed(seed ^ now.as_micros());
+    now + wait.mul_f64(0.9 + 0.2 * rng.f64())
 }
 
 /// Returns true if a finding is cleared when no more evidence is seen. A confirmed malformed-answer

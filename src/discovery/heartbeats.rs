@@ -1,6 +1,6 @@
 //! Heartbeats: updates mode, UID and statistics of a device, detects reboots and duplicate UIDs.
 
-use super::conflict_detector::ModeFlags;
+use super::conflicts::{ModeFlags, Repetition};
 use super::device::{MISSED_HEARTBEAT_PERIODS, ModeChange, ProtocolDeviation, Query};
 use super::resolution::HeartbeatContext;
 use super::{Engine, EventKind, Presence};
@@ -48,6 +48,7 @@ impl Engine {
         index: usize,
         header: Header,
         frame: &Frame,
+        repetition: Repetition,
     ) {
         let profile = &self.config.profile;
         let codes = profile.modes.codes();
@@ -152,7 +153,9 @@ impl Engine {
         let device = self.device_table.get(index);
         let mode = ModeFlags { is_working: device.is_working, is_resolving: device.is_resolving };
         let name = device.name.clone();
-        self.conflicts.note_heartbeat(now, address, heartbeat.uid, mode, name.as_ref(), frame);
+        if repetition == Repetition::None {
+            self.conflicts.note_heartbeat(now, address, heartbeat.uid, mode, name.as_ref(), frame);
+        }
         self.errors.note_heartbeat(now, address, frame);
         if self.conflicts.finding_tracker().is_suspicious() {
             self.wake_at(now);

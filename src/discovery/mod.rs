@@ -27,22 +27,18 @@
 //! query_scheduler    which request is sent when
 //! local_node         own address, own responses
 //! outbox             transmit budget, acknowledgement
-//! conflict_detector  evidence of conflicts in frames
-//! address_history    values of one address that alternate
-//! duplicate_frames   frames repeated by a bridge
+//! conflicts          history of each address, evidence of conflicts in it
 //! finding_tracker    state of the findings
 //! finding_text       their text
 //! errors             bus errors
 //! device, event, config: data that other modules read
 //! ```
 
-mod address_history;
 mod claims;
 mod config;
-mod conflict_detector;
+mod conflicts;
 mod device;
 mod device_table;
-mod duplicate_frames;
 mod errors;
 mod event;
 mod finding_text;
@@ -71,7 +67,7 @@ use crate::time::{Duration, Instant};
 use crate::wire::id::{Address, Header};
 use crate::wire::node::Mode;
 use claims::AddressClaims;
-use conflict_detector::ConflictDetector;
+use conflicts::ConflictDetector;
 use device_table::DeviceTable;
 use errors::BusErrorTracker;
 use heartbeats::BusDelayTracker;

@@ -1,7 +1,6 @@
 //! Reception: updates devices, queries and evidence from each received frame.
 
-use super::address_history::RequestOrigin;
-use super::conflict_detector::ResponseStart;
+use super::conflicts::{Repetition, RequestOrigin, ResponseStart};
 use super::device::{DeviceService, ProtocolDeviation, QueryFault, QueryState};
 use super::transfers::{Continued, Started};
 use super::{Device, Engine, EventKind, Presence, local_node};
@@ -54,12 +53,12 @@ impl Engine {
             self.conflicts.note_own_echo(now);
             return;
         }
-        let is_heartbeat =
-            header.response && header.service == self.config.profile.heartbeat_service();
-        if self.conflicts.is_copy(now, header.source, is_heartbeat, frame) {
-            return;
+        let is_heartbeat = header.service == self.config.profile.heartbeat_service()
+            && header.message_type() != MessageType::Debug;
+        let repetition = self.conflicts.note_frame(now, header.source, is_heartbeat, frame);
+        if repetition != Repetition::Ignored {
+            self.process_platform_frame(now, header, frame, repetition);
         }
-        self.process_platform_frame(now, header, frame);
     }
 
     fn process_non_conforming(&mut self, now: Instant, header: Header, frame: &Frame) {
@@ -70,7 +69,13 @@ impl Engine {
         self.wake_at(now);
     }
 
-    fn process_platform_frame(&mut self, now: Instant, header: Header, frame: &Frame) {
+    fn process_platform_frame(
+        &mut self,
+        now: Instant,
+        header: Header,
+        frame: &Frame,
+        repetition: Repetition,
+    ) {
         let echoed = self.is_echoed_destination(now, header);
         let destination_is_node = !header.broadcast && !echoed;
         self.local_node.note_used(now, header, destination_is_node);
@@ -95,7 +100,7 @@ impl Engine {
             return;
         };
         if header.service == self.config.profile.heartbeat_service() {
-            self.process_heartbeat(now, index, header, frame);
+            self.process_heartbeat(now, index, header, frame, repetition);
         } else if header.service == self.config.profile.des_service() {
             if header.response {
                 self.process_response(now, index, header, frame, echoed);

@@ -1,7 +1,7 @@
 //! Error frames in the engine: updates the tracker, repeats requests to suspects, and turns results
 //! into findings.
 
-use super::super::conflict_detector::ConflictDetector;
+use super::super::conflicts::ConflictDetector;
 use super::super::device_table::DeviceTable;
 use super::super::{Engine, Presence, finding_text};
 use super::{ExpectedFrame, SuspectOutcome, TEXT_INTERVAL};

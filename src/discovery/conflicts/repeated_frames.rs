@@ -10,9 +10,8 @@
 //! Two boards with equal random numbers, as new ones may have, generate the same RND7 each time.
 //! They differ from a bridge in the phase between their heartbeats: a bridge is not much faster
 //! with responses than with heartbeats.
-//!
 
-use super::address_history::HEARTBEAT_COPY_WINDOW;
+use super::history::RecordedHeartbeat;
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
@@ -28,20 +27,13 @@ const FAST_PAIR_MARGIN: Duration = Duration::from_millis(5);
 /// Maximum number of frames whose copy may still arrive.
 const MAX_OPEN: usize = 1024;
 
-/// Last heartbeat of one address.
-#[derive(Clone, Copy, Debug)]
-struct RecentHeartbeat {
-    frame: Frame,
-    is_copied: bool,
-    /// True if its sender generates a new RND7 for each heartbeat.
-    varies: bool,
-}
-
 /// Detector of repeated frames on one bus.
 #[derive(Debug)]
-pub(super) struct DuplicateFrameDetector {
+pub(super) struct RepeatedFrameDetector {
     period: Duration,
-    heartbeats: Vec<Option<RecentHeartbeat>>,
+    /// Address and time of the last heartbeat, and of the last one from another address.
+    last_heartbeat: Option<(Address, Instant)>,
+    last_of_another: Option<(Address, Instant)>,
     /// Number of successive copied heartbeats, and the address of the last one.
     copy_count: u32,
     last_copied_address: Option<Address>,
@@ -67,11 +59,12 @@ struct RoundResponses {
     twice: u128,
 }
 
-impl DuplicateFrameDetector {
+impl RepeatedFrameDetector {
     pub fn new(period: Duration) -> Self {
         Self {
             period,
-            heartbeats: vec![None; Address::COUNT],
+            last_heartbeat: None,
+            last_of_another: None,
             copy_count: 0,
             last_copied_address: None,
             has_several_sources: false,
@@ -119,43 +112,16 @@ impl DuplicateFrameDetector {
     }
 
     /// Notes a heartbeat from `address`; call before [`is_copy`](Self::is_copy).
-    pub fn note_heartbeat(&mut self, now: Instant, address: Address, frame: &Frame) {
+    pub fn note_heartbeat(&mut self, now: Instant, address: Address, recorded: RecordedHeartbeat) {
         let period = self.period;
-        if self
-            .heartbeats
-            .iter()
-            .flatten()
-            .all(|heartbeat| now.since(heartbeat.frame.time) > period * 3)
-        {
+        if self.last_heartbeat.is_none_or(|(_, at)| now.since(at) > period * 3) {
             self.has_several_sources = false;
             self.response_pairs.clear();
         }
-        let is_on = self.is_active(now);
-        let last = &mut self.heartbeats[address.index()];
-        let copied =
-            last.filter(|heartbeat| !heartbeat.is_copied && heartbeat.frame.same_on_wire(frame));
-        let late = copied.map(|heartbeat| now.since(heartbeat.frame.time));
-        let varies = last.is_some_and(|heartbeat| heartbeat.varies);
-        let most = if varies { period / 2 } else { HEARTBEAT_COPY_WINDOW };
-        if let (Some(late), Some(heartbeat)) = (late.filter(|late| *late <= most), last.as_mut()) {
-            heartbeat.is_copied = true;
-            self.copy_count += 1;
-            self.has_several_sources |=
-                self.last_copied_address.is_some_and(|other| other != address);
-            self.last_copied_address = Some(address);
-            self.shortest = Some(self.shortest.map_or(late, |shortest| shortest.min(late)));
-            let alone = self.copy_count >= COPIES_OF_ONE && self.is_single_source(now, address);
-            if self.has_several_sources || alone && !self.has_two_responders() {
-                self.active_until = now + period * 3;
-                self.delay = self.delay.max(late);
-            }
-            return;
-        }
-        // The previous heartbeat had no copy in time.
-        if last
-            .is_some_and(|heartbeat| !heartbeat.is_copied && now.since(heartbeat.frame.time) > most)
-        {
-            if is_on {
+        if let Some(delay) = recorded.copy_delay {
+            self.note_copied_heartbeat(now, address, delay);
+        } else if recorded.previous_has_no_copy {
+            if self.is_active(now) {
                 // One copy may be lost: the next one counts again.
                 self.copy_count = self.copy_count.min(COPIES_OF_ONE - 1);
             } else {
@@ -165,21 +131,28 @@ impl DuplicateFrameDetector {
                 self.shortest = None;
             }
         }
-        let other = last.is_some_and(|heartbeat| !heartbeat.frame.same_on_wire(frame));
-        *last = Some(RecentHeartbeat {
-            frame: frame.with_time(now),
-            is_copied: false,
-            varies: varies || other,
-        });
+        if self.last_heartbeat.is_some_and(|(last, _)| last != address) {
+            self.last_of_another = self.last_heartbeat;
+        }
+        self.last_heartbeat = Some((address, now));
+    }
+
+    fn note_copied_heartbeat(&mut self, now: Instant, address: Address, delay: Duration) {
+        self.copy_count += 1;
+        self.has_several_sources |= self.last_copied_address.is_some_and(|other| other != address);
+        self.last_copied_address = Some(address);
+        self.shortest = Some(self.shortest.map_or(delay, |shortest| shortest.min(delay)));
+        let alone = self.copy_count >= COPIES_OF_ONE && self.is_single_source(now, address);
+        if self.has_several_sources || alone && !self.has_two_responders() {
+            self.active_until = now + self.period * 3;
+            self.delay = self.delay.max(delay);
+        }
     }
 
     /// Returns true if no other address sends heartbeats.
     fn is_single_source(&self, now: Instant, address: Address) -> bool {
-        let mut heartbeats =
-            self.heartbeats.iter().enumerate().filter(|(at, _)| *at != address.index());
-        heartbeats.all(|(_, heartbeat)| {
-            heartbeat.is_none_or(|heartbeat| now.since(heartbeat.frame.time) > self.period * 3)
-        })
+        let mut last = [self.last_heartbeat, self.last_of_another].into_iter().flatten();
+        last.all(|(other, at)| other == address || now.since(at) > self.period * 3)
     }
 
     /// Notes a response equal to one received `delay` before.
@@ -243,6 +216,7 @@ impl DuplicateFrameDetector {
 
 #[cfg(test)]
 mod tests {
+    use super::super::history::HeartbeatHistory;
     use super::*;
 
     const PERIOD: Duration = Duration::from_secs(1);
@@ -260,49 +234,63 @@ mod tests {
         Frame::classic(0x0700_0001 | source << 17 | rnd7 << 10, &[1; 8]).with_time(at(millis))
     }
 
-    fn process(duplicate_frames: &mut DuplicateFrameDetector, frame: &Frame) -> bool {
-        let source = (frame.platform_id().unwrap() >> 17) as u8;
-        duplicate_frames.note_heartbeat(frame.time, address(source), frame);
-        duplicate_frames.is_copy(frame.time, true, frame)
+    /// A detector with the heartbeats that it needs.
+    struct Bus {
+        histories: Vec<HeartbeatHistory>,
+        repeated_frames: RepeatedFrameDetector,
+    }
+
+    impl Bus {
+        fn new() -> Self {
+            let histories = (0..Address::COUNT).map(|_| HeartbeatHistory::default()).collect();
+            Self { histories, repeated_frames: RepeatedFrameDetector::new(PERIOD) }
+        }
+
+        /// Processes a heartbeat; returns true if it is a copy to be ignored.
+        fn process(&mut self, frame: &Frame) -> bool {
+            let source = address((frame.platform_id().unwrap() >> 17) as u8);
+            let recorded = self.histories[source.index()].record(frame.time, frame, PERIOD);
+            self.repeated_frames.note_heartbeat(frame.time, source, recorded);
+            self.repeated_frames.is_copy(frame.time, true, frame)
+        }
     }
 
     #[test]
     fn bridge_repeating_all_frames_is_detected() {
-        let mut duplicate_frames = DuplicateFrameDetector::new(PERIOD);
+        let mut bus = Bus::new();
         for second in 0..3 {
             for source in [5, 9] {
                 let start = second * 1000 + u64::from(source) * 50;
-                assert!(!process(&mut duplicate_frames, &heartbeat(source, second as u32, start)));
-                let copy =
-                    process(&mut duplicate_frames, &heartbeat(source, second as u32, start + 12));
+                assert!(!bus.process(&heartbeat(source, second as u32, start)));
+                let copy = bus.process(&heartbeat(source, second as u32, start + 12));
                 assert!(copy || second == 0, "the copy in second {second} is ignored");
             }
         }
-        assert!(duplicate_frames.is_active(at(3000)));
-        assert!(!duplicate_frames.is_active(at(6000)), "ends without further copies");
+        assert!(bus.repeated_frames.is_active(at(3000)));
+        assert!(!bus.repeated_frames.is_active(at(6000)), "ends without further copies");
     }
 
     #[test]
     fn equal_devices_at_one_address_are_not_a_bridge() {
-        let mut duplicate_frames = DuplicateFrameDetector::new(PERIOD);
+        let mut bus = Bus::new();
         for second in 0..20 {
             for (source, phase) in [(5, 0), (5, 60), (9, 500)] {
-                process(&mut duplicate_frames, &heartbeat(source, 0, second * 1000 + phase));
+                bus.process(&heartbeat(source, 0, second * 1000 + phase));
             }
         }
-        assert!(!duplicate_frames.is_active(at(20_000)));
+        assert!(!bus.repeated_frames.is_active(at(20_000)));
     }
 
     #[test]
     fn all_devices_responding_twice_got_two_requests() {
-        let mut duplicate_frames = DuplicateFrameDetector::new(PERIOD);
+        let mut repeated_frames = RepeatedFrameDetector::new(PERIOD);
         for source in 1..=4 {
-            duplicate_frames.note_response(address(source), source == 1);
+            repeated_frames.note_response(address(source), source == 1);
         }
-        assert!(!duplicate_frames.has_duplicate_requests(at(0)), "one of four");
+        assert!(!repeated_frames.has_duplicate_requests(at(0)), "one of four");
         for source in 2..=4 {
-            duplicate_frames.note_response(address(source), true);
+            repeated_frames.note_response(address(source), true);
         }
-        assert!(duplicate_frames.has_duplicate_requests(at(10)), "all four");
+        assert!(repeated_frames.has_duplicate_requests(at(10)), "all four");
     }
 }

@@ -8,12 +8,14 @@
 //!
 //! Does not know device rows, presence, or des.json.
 
-use super::address_history::{
-    AddressHistory, HeartbeatPattern, PAIR_WINDOW, RecentValues, RequestOrigin,
-};
-use super::duplicate_frames::DuplicateFrameDetector;
+mod history;
+mod query_responses;
+mod recent_values;
+mod repeated_frames;
+mod rhythm;
+
 use super::finding_text;
-use super::finding_tracker::{EvidenceStrength, FindingTracker};
+use super::finding_tracker::{EvidenceStrength, FindingTracker, NewEvidence};
 use crate::finding::FindingKind;
 use crate::frame::{BusIndex, Frame};
 use crate::text::{Escaped, Name};
@@ -24,11 +26,22 @@ use crate::wire::id::Address;
 use crate::wire::isotp::{Pci, TransferFault};
 use crate::wire::node::Uid;
 use crate::wire::profile::UidProfile;
+use history::AddressHistory;
+pub(super) use query_responses::RequestOrigin;
+use query_responses::SurplusResponse;
+use repeated_frames::RepeatedFrameDetector;
+use rhythm::HeartbeatPattern;
 use std::borrow::Cow;
+
+/// Two responses to one request are less than this apart.
+const PAIR_WINDOW: Duration = Duration::from_millis(125);
 
 /// Consecutive heartbeats at twice the rate that count as evidence: enough time for the follow-up
 /// requests.
 const MAX_DOUBLE_RATE_HEARTBEATS: u32 = 16;
+
+/// Description of a heartbeat at twice the rate.
+const TWICE_THE_RATE: &str = "heartbeats at twice the rate";
 
 /// Periods after delayed requests in which surplus responses are ignored.
 const DELAYED_RESPONSE_PERIODS: u32 = 5;
@@ -56,6 +69,27 @@ pub(super) struct ModeFlags {
     pub is_resolving: bool,
 }
 
+/// Whether a frame repeats an earlier one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Repetition {
+    /// It does not.
+    None,
+    /// It is equal to the previous heartbeat, which it follows too soon to be another one.
+    Heartbeat,
+    /// It is a copy, to be ignored: all frames are repeated.
+    Ignored,
+}
+
+/// Other findings about an address, which explain some of the evidence there.
+#[derive(Clone, Copy, Debug)]
+struct AddressFindings {
+    /// Two names alternate there: other evidence is then not about devices of one name.
+    has_two_names: bool,
+    /// Another name responded there in the last 30 periods: further evidence then more likely
+    /// concerns that device than two devices of the present name.
+    had_other_name: bool,
+}
+
 /// Histories of all addresses of one bus, with the findings made from them.
 #[derive(Debug)]
 pub(super) struct ConflictDetector {
@@ -64,7 +98,7 @@ pub(super) struct ConflictDetector {
     /// Alphabet of UIDs, for the text of evidence.
     alphabet: UidProfile,
     histories: Vec<AddressHistory>,
-    duplicate_frames: DuplicateFrameDetector,
+    repeated_frames: RepeatedFrameDetector,
     finding_tracker: FindingTracker,
     /// Surplus responses before this time may belong to delayed requests.
     ignore_surplus_until: Instant,
@@ -83,7 +117,7 @@ impl ConflictDetector {
             listen_only,
             alphabet,
             histories: (0..Address::COUNT).map(|_| AddressHistory::default()).collect(),
-            duplicate_frames: DuplicateFrameDetector::new(period),
+            repeated_frames: RepeatedFrameDetector::new(period),
             finding_tracker: FindingTracker::new(bus, period, listen_only, seed),
             ignore_surplus_until: Instant::ZERO,
         }
@@ -130,7 +164,7 @@ impl ConflictDetector {
 
     /// Notes a broadcast request.
     pub fn note_broadcast(&mut self, now: Instant) {
-        self.duplicate_frames.note_broadcast(now);
+        self.repeated_frames.note_broadcast(now);
     }
 
     /// Notes the first frame of a response.
@@ -151,50 +185,17 @@ impl ConflictDetector {
         let matcher = history.matcher(request, framing);
         let (to_all, surplus) = matcher.match_response(now, to, window, frame);
         if to_all {
-            self.duplicate_frames.note_response(address, surplus.is_some());
+            self.repeated_frames.note_response(address, surplus.is_some());
         }
         let ignored =
-            now < self.ignore_surplus_until || self.duplicate_frames.has_duplicate_requests(now);
+            now < self.ignore_surplus_until || self.repeated_frames.has_duplicate_requests(now);
         let Some(surplus) = surplus.filter(|_| !ignored) else { return };
-        let first = surplus.first;
-        if first.same_on_wire(frame) {
-            self.duplicate_frames.note_duplicate(now, surplus.apart);
+        if surplus.first.same_on_wire(frame) {
+            self.repeated_frames.note_duplicate(now, surplus.apart);
         }
-        // A non-working node may respond both to the request for working nodes and to that for
-        // non-working ones.
-        let strength = if surplus.is_targeted || is_working {
-            EvidenceStrength::Strong
-        } else {
-            EvidenceStrength::Weak
-        };
-        let differ = message(&first, framing) != message(frame, framing);
-        let (kind, strength) = match request {
-            Request::Name if differ => (FindingKind::OneAddressTwoNames, strength),
-            _ if self.has_two_names(address) => (FindingKind::OneAddressTwoNames, strength),
-            Request::Services if self.had_other_name(now, address) => {
-                (FindingKind::OneAddressTwoNames, EvidenceStrength::Weak)
-            }
-            _ => (FindingKind::SameNameSameAddress, strength),
-        };
-        self.finding_tracker.report(
-            now,
-            kind,
-            address,
-            name,
-            &first,
-            "first response to one request",
-            EvidenceStrength::Weak,
-        );
-        let at = self.finding_tracker.report(
-            now,
-            kind,
-            address,
-            name,
-            frame,
-            "second response to one request",
-            strength,
-        );
-        self.finding_tracker.mark_response_based(at, address);
+        let others = self.findings_at(now, address);
+        let evidence = surplus_response(response, surplus, others, name, frame);
+        self.finding_tracker.report(now, evidence);
     }
 
     /// Ignores surplus responses for some periods: requests that were delayed have been sent
@@ -212,15 +213,19 @@ impl ConflictDetector {
         let since = history.names.second_since();
         let Some(before) = before.filter(|before| before != name) else { return };
         let kind = FindingKind::OneAddressTwoNames;
-        let strength =
-            if returned.is_some() { EvidenceStrength::Strong } else { EvidenceStrength::Weak };
-        let what = format!("name {}", name.quoted());
-        let at =
-            self.finding_tracker.report(now, kind, address, Some(&before), frame, what, strength);
-        self.finding_tracker.mark_response_based(at, address);
+        let (strength, since) = match returned {
+            Some(_) => (EvidenceStrength::Strong, Some(since)),
+            None => (EvidenceStrength::Weak, None),
+        };
+        let evidence = NewEvidence {
+            name: Some(&before),
+            since,
+            is_response: true,
+            ..NewEvidence::new(kind, address, frame, strength, format!("name {}", name.quoted()))
+        };
+        self.finding_tracker.report(now, evidence);
         self.finding_tracker.add_name(kind, address, name);
         if returned.is_some() {
-            self.finding_tracker.backdate(now, at, since);
             self.finding_tracker.supersede(now, FindingKind::SameNameSameAddress, kind, address);
         }
     }
@@ -238,28 +243,25 @@ impl ConflictDetector {
         let services = &mut self.histories[address.index()].services;
         let returned = services.observe(now, &digest, timeout);
         let since = services.second_since();
-        if returned.is_none() || self.has_two_names(address) {
+        let others = self.findings_at(now, address);
+        if returned.is_none() || others.has_two_names {
             return;
         }
-        let (kind, strength) = if self.had_other_name(now, address) {
+        let (kind, strength) = if others.had_other_name {
             (FindingKind::OneAddressTwoNames, EvidenceStrength::Weak)
         } else {
             (FindingKind::SameNameSameAddress, EvidenceStrength::Strong)
         };
-        let at = self.finding_tracker.report(
-            now,
-            kind,
-            address,
+        let evidence = NewEvidence {
             name,
-            frame,
-            "service lists alternate",
-            strength,
-        );
-        self.finding_tracker.mark_response_based(at, address);
-        self.finding_tracker.backdate(now, at, since);
+            since: Some(since),
+            is_response: true,
+            ..NewEvidence::new(kind, address, frame, strength, "service lists alternate")
+        };
+        self.finding_tracker.report(now, evidence);
     }
 
-    /// Notes a heartbeat.
+    /// Notes a heartbeat that does not repeat the previous one.
     pub fn note_heartbeat(
         &mut self,
         now: Instant,
@@ -271,165 +273,141 @@ impl ConflictDetector {
     ) {
         let period = self.period;
         let history = &mut self.histories[address.index()];
-        if !history.note_heartbeat(now, frame, period) {
-            return;
-        }
         if !mode.is_resolving {
             history.seen[usize::from(mode.is_working)] = Some(now);
         }
-        let previous = history.heartbeats.iter().rev().nth(1).map(|heartbeat| heartbeat.frame);
         let uid = uid.filter(|uid| !uid.is_blank());
         let uid_returned = uid.and_then(|uid| history.uids.observe(now, &uid, period * 3));
         // Two devices alternate with every heartbeat; one device keeps a changed U bit for longer.
         let mode_returned = history.working.observe(now, &mode.is_working, period.mul_f64(1.05));
-        let pattern = history.heartbeat_pattern(period);
-        history.double_rate_count =
-            if pattern.double_rate { history.double_rate_count + 1 } else { 0 };
-        let (uids_since, modes_since) =
-            (history.uids.second_since(), history.working.second_since());
-        if history.has_several_senders(period) {
+        let times = history.heartbeats.times();
+        let pattern = rhythm::pattern(times, period);
+        if rhythm::has_several_senders(times, period) {
             self.finding_tracker.note_several_senders(now, address);
         }
+        history.double_rate_count =
+            if pattern.double_rate { history.double_rate_count + 1 } else { 0 };
 
-        let identity = if address == Address::DEBUG {
-            FindingKind::TwoDebugDevices
-        } else {
-            FindingKind::OneAddressTwoIdentities
-        };
+        let identity = identity_kind(address);
+        let history = &self.histories[address.index()];
         let confirmed = self.finding_tracker.is_confirmed(identity, address);
         let alternation = match (uid_returned, mode_returned) {
-            (Some(_), _) => {
-                let uids = &self.histories[address.index()].uids;
-                Some((self.uid_text(uids.current()), self.uid_text(uids.previous()), uids_since))
-            }
+            (Some(_), _) => Some(self.alternating_uids(history)),
             (None, Some(returns)) if returns >= 2 && (pattern.double_rate || confirmed) => {
-                Some(("U bit changed back".into(), "U bit changed".into(), modes_since))
+                Some(Alternation {
+                    again: "U bit changed back".into(),
+                    other: "U bit changed".into(),
+                    since: history.working.second_since(),
+                })
             }
             _ => None,
         };
-        if let Some((again, other, since)) = alternation {
-            // Once the finding is open, the previous heartbeat is already part of its evidence.
-            if let Some(previous) =
-                previous.filter(|_| !self.finding_tracker.is_open(identity, address))
-            {
-                self.finding_tracker.report(
-                    now,
-                    identity,
-                    address,
+        let is_open = self.finding_tracker.is_open(identity, address);
+        let evidence = match alternation {
+            Some(Alternation { again, other, since }) => {
+                // Once the finding is open, the previous heartbeat is already part of its evidence.
+                let previous = history.heartbeats.previous().filter(|_| !is_open);
+                // A device that is claiming the address may still give it up.
+                let (strength, since) = if mode.is_resolving {
+                    (EvidenceStrength::Weak, None)
+                } else {
+                    (EvidenceStrength::Strong, Some(since))
+                };
+                Some(NewEvidence {
                     name,
-                    &previous,
-                    other,
-                    EvidenceStrength::Weak,
-                );
+                    since,
+                    contradicts: previous.map(|previous| (other, *previous)),
+                    ..NewEvidence::new(identity, address, frame, strength, again)
+                })
             }
-            // A device that is claiming the address may still give it up.
-            let strength =
-                if mode.is_resolving { EvidenceStrength::Weak } else { EvidenceStrength::Strong };
-            let at =
-                self.finding_tracker.report(now, identity, address, name, frame, again, strength);
-            if !mode.is_resolving {
-                self.finding_tracker.backdate(now, at, since);
-            }
-        } else if !self.finding_tracker.is_open(identity, address) {
-            self.note_heartbeat_pattern(now, address, name, frame, previous.as_ref(), pattern);
+            None if is_open => None,
+            None => self.rhythm_evidence(now, address, pattern, name, frame),
+        };
+        if let Some(evidence) = evidence {
+            self.finding_tracker.report(now, evidence);
         }
     }
 
-    /// Notes the pattern of heartbeats whose content does not differ.
-    fn note_heartbeat_pattern(
+    fn alternating_uids(&self, history: &AddressHistory) -> Alternation {
+        Alternation {
+            again: self.uid_text(history.uids.current()),
+            other: self.uid_text(history.uids.previous()),
+            since: history.uids.second_since(),
+        }
+    }
+
+    /// Returns what the timing of heartbeats shows whose content does not differ.
+    fn rhythm_evidence<'a>(
         &mut self,
         now: Instant,
         address: Address,
-        name: Option<&Name>,
-        frame: &Frame,
-        previous: Option<&Frame>,
         pattern: HeartbeatPattern,
-    ) {
+        name: Option<&'a Name>,
+        frame: &'a Frame,
+    ) -> Option<NewEvidence<'a>> {
         let same = FindingKind::SameNameSameAddress;
+        let others = self.findings_at(now, address);
+        let history = &self.histories[address.index()];
         // A single device with another period is followed up and then ignored; a conflict confirmed
         // by other means stays confirmed while the rate is double.
-        let confirmed = self.finding_tracker.is_confirmed(same, address);
-        let double_rate_count = self.histories[address.index()].double_rate_count;
         let is_supported =
             pattern.double_rate && self.finding_tracker.note_double_rate(now, same, address);
         let double_rate = pattern.double_rate
-            && (double_rate_count <= MAX_DOUBLE_RATE_HEARTBEATS || confirmed || is_supported);
-        let too_often = "heartbeats at twice the rate";
-        let at = if (pattern.two_phases || double_rate) && self.had_other_name(now, address) {
-            let two_names = FindingKind::OneAddressTwoNames;
-            self.finding_tracker.report(
-                now,
-                two_names,
-                address,
-                name,
-                frame,
-                too_often,
-                EvidenceStrength::Weak,
-            )
-        } else if pattern.two_phases {
-            if let Some(previous) = previous {
-                let what = "heartbeat, phase 1";
-                self.finding_tracker.report(
-                    now,
-                    same,
-                    address,
-                    name,
-                    previous,
-                    what,
-                    EvidenceStrength::Weak,
-                );
+            && (history.double_rate_count <= MAX_DOUBLE_RATE_HEARTBEATS
+                || is_supported
+                || self.finding_tracker.is_confirmed(same, address));
+        let (kind, strength, description) = match pattern.two_phases {
+            _ if !double_rate && !pattern.two_phases => return None,
+            true if !others.had_other_name => {
+                (same, EvidenceStrength::Strong, "heartbeat, phase 2 of the same period")
             }
-            let what = "heartbeat, phase 2 of the same period";
-            self.finding_tracker.report(
-                now,
-                same,
-                address,
-                name,
-                frame,
-                what,
-                EvidenceStrength::Strong,
-            )
-        } else if double_rate {
-            self.finding_tracker.report(
-                now,
-                same,
-                address,
-                name,
-                frame,
-                too_often,
-                EvidenceStrength::Weak,
-            )
-        } else {
-            None
+            _ if others.had_other_name => {
+                (FindingKind::OneAddressTwoNames, EvidenceStrength::Weak, TWICE_THE_RATE)
+            }
+            _ => (same, EvidenceStrength::Weak, TWICE_THE_RATE),
         };
-        if let Some(since) = pattern.since {
-            self.finding_tracker.backdate(now, at, since);
-        }
+        let phase_1 =
+            history.heartbeats.previous().filter(|_| strength == EvidenceStrength::Strong);
+        Some(NewEvidence {
+            name,
+            since: pattern.since,
+            contradicts: phase_1.map(|previous| ("heartbeat, phase 1".into(), *previous)),
+            ..NewEvidence::new(kind, address, frame, strength, description)
+        })
     }
 
     /// Notes a frame sent by descan that was received again after its confirmation: frames are
     /// repeated.
     pub fn note_own_echo(&mut self, now: Instant) {
-        self.duplicate_frames.note_own_echo(now);
+        self.repeated_frames.note_own_echo(now);
     }
 
-    /// Returns true if a frame from `source` is a repeated copy of an earlier one, while all frames
-    /// are repeated.
-    pub fn is_copy(
+    /// Records a frame from `source` and returns whether it repeats an earlier one.
+    pub fn note_frame(
         &mut self,
         now: Instant,
         source: Address,
         is_heartbeat: bool,
         frame: &Frame,
-    ) -> bool {
+    ) -> Repetition {
+        let mut is_new = true;
         if is_heartbeat {
-            let was_active = self.duplicate_frames.is_active(now);
-            self.duplicate_frames.note_heartbeat(now, source, frame);
-            if !was_active && self.duplicate_frames.is_active(now) {
+            let heartbeats = &mut self.histories[source.index()].heartbeats;
+            let recorded = heartbeats.record(now, frame, self.period);
+            is_new = recorded.is_new;
+            let was_active = self.repeated_frames.is_active(now);
+            self.repeated_frames.note_heartbeat(now, source, recorded);
+            if !was_active && self.repeated_frames.is_active(now) {
                 self.finding_tracker.reset_suspicion(FindingKind::SameNameSameAddress);
             }
         }
-        self.duplicate_frames.is_copy(now, is_heartbeat, frame)
+        if self.repeated_frames.is_copy(now, is_heartbeat, frame) {
+            Repetition::Ignored
+        } else if is_new {
+            Repetition::None
+        } else {
+            Repetition::Heartbeat
+        }
     }
 
     /// Notes that two addresses send heartbeats with one UID, each after the last heartbeat of the
@@ -444,34 +422,22 @@ impl ConflictDetector {
         let (low, high) = (address.min(other), address.max(other));
         let kind = FindingKind::OneUidTwoAddresses;
         let what = "heartbeat with a UID in use at another address";
-        let Some(at) = self.finding_tracker.report(
-            now,
-            kind,
-            low,
-            None,
-            frame,
-            what,
-            EvidenceStrength::Strong,
-        ) else {
-            return;
+        let evidence = NewEvidence {
+            since: Some(since),
+            ..NewEvidence::new(kind, low, frame, EvidenceStrength::Strong, what)
         };
-        self.finding_tracker.add_address(at, high);
-        self.finding_tracker.backdate(now, Some(at), since);
+        if let Some(at) = self.finding_tracker.report(now, evidence) {
+            self.finding_tracker.add_address(at, high);
+        }
     }
 
     /// Notes a frame of another node from descan's own address.
     pub fn note_own_address_used(&mut self, now: Instant, address: Address, frame: &Frame) {
         if address == Address::DEBUG {
             let kind = FindingKind::TwoDebugDevices;
-            self.finding_tracker.report(
-                now,
-                kind,
-                address,
-                None,
-                frame,
-                finding_text::NOT_SENT_BY_DESCAN,
-                EvidenceStrength::Strong,
-            );
+            let what = finding_text::NOT_SENT_BY_DESCAN;
+            let evidence = NewEvidence::new(kind, address, frame, EvidenceStrength::Strong, what);
+            self.finding_tracker.report(now, evidence);
         }
     }
 
@@ -486,15 +452,11 @@ impl ConflictDetector {
     ) {
         let kind = FindingKind::MalformedAnswer;
         let what = "response, or its last frame";
-        if let Some(at) = self.finding_tracker.report(
-            now,
-            kind,
-            address,
+        let evidence = NewEvidence {
             name,
-            frame,
-            what,
-            EvidenceStrength::Proof,
-        ) {
+            ..NewEvidence::new(kind, address, frame, EvidenceStrength::Proof, what)
+        };
+        if let Some(at) = self.finding_tracker.report(now, evidence) {
             self.finding_tracker
                 .set_text(at, |device| format!("{device} sends malformed DES responses: {fault}."));
         }
@@ -517,9 +479,9 @@ impl ConflictDetector {
             EvidenceStrength::Weak
         };
         let what = "last frame of an aborted response";
-        if let Some(at) =
-            self.finding_tracker.report(now, kind, address, name, frame, what, strength)
-        {
+        let evidence =
+            NewEvidence { name, ..NewEvidence::new(kind, address, frame, strength, what) };
+        if let Some(at) = self.finding_tracker.report(now, evidence) {
             self.finding_tracker.set_text(at, |device| {
                 format!("{device} aborts every multi-frame response: {fault}.")
             });
@@ -528,7 +490,7 @@ impl ConflictDetector {
 
     /// Returns true if devices seem to receive requests twice, or descan receives all frames twice.
     pub fn has_duplicate_requests(&self, now: Instant) -> bool {
-        self.duplicate_frames.has_duplicate_requests(now)
+        self.repeated_frames.has_duplicate_requests(now)
     }
 
     /// Notes a valid response, which clears malformed-answer.
@@ -546,12 +508,16 @@ impl ConflictDetector {
     ) {
         let what = "identifier with unknown message type";
         let kind = FindingKind::NonConforming;
-        self.finding_tracker.report(now, kind, address, name, frame, what, EvidenceStrength::Proof);
+        let evidence = NewEvidence {
+            name,
+            ..NewEvidence::new(kind, address, frame, EvidenceStrength::Proof, what)
+        };
+        self.finding_tracker.report(now, evidence);
     }
 
     /// Returns the last heartbeat frame of `address`.
     pub fn last_heartbeat(&self, address: Address) -> Option<Frame> {
-        self.histories[address.index()].heartbeats.back().map(|heartbeat| heartbeat.frame)
+        self.histories[address.index()].heartbeats.last().copied()
     }
 
     /// Forgets the history of `address` and clears its conflicts: its device is lost.
@@ -563,10 +529,7 @@ impl ConflictDetector {
     /// Forgets the values of `address` that could alternate: its device moved away, so the next one
     /// there is not in conflict with it.
     pub fn note_left(&mut self, address: Address) {
-        let history = &mut self.histories[address.index()];
-        history.names = RecentValues::default();
-        history.uids = RecentValues::default();
-        history.services = RecentValues::default();
+        self.histories[address.index()].forget_values();
     }
 
     // --- state --------------------------------------------------------------------------
@@ -586,18 +549,67 @@ impl ConflictDetector {
         }
     }
 
-    /// Returns true if two names alternate at `address`: other evidence there is then not about
-    /// devices of one name.
-    fn has_two_names(&self, address: Address) -> bool {
-        self.finding_tracker.has_strong(FindingKind::OneAddressTwoNames, address)
-    }
-
-    /// Returns true if another name responded from `address` in the last 30 periods: further
-    /// evidence then more likely concerns that device than two devices of the present name.
-    fn had_other_name(&self, now: Instant, address: Address) -> bool {
+    /// Returns the findings about `address` that explain other evidence there.
+    fn findings_at(&self, now: Instant, address: Address) -> AddressFindings {
+        let two_names = FindingKind::OneAddressTwoNames;
         let names = &self.histories[address.index()].names;
-        let recently = names.changed_within(now, self.period * 30);
-        recently || self.finding_tracker.is_open(FindingKind::OneAddressTwoNames, address)
+        AddressFindings {
+            has_two_names: self.finding_tracker.has_strong(two_names, address),
+            had_other_name: names.changed_within(now, self.period * 30)
+                || self.finding_tracker.is_open(two_names, address),
+        }
+    }
+}
+
+/// Two identities in the heartbeats of one address.
+struct Alternation {
+    /// What the last heartbeat shows.
+    again: Cow<'static, str>,
+    /// What the one before it shows.
+    other: Cow<'static, str>,
+    /// Since when both are present.
+    since: Instant,
+}
+
+/// Returns the kind of finding for heartbeats of two identities at `address`.
+fn identity_kind(address: Address) -> FindingKind {
+    if address == Address::DEBUG {
+        FindingKind::TwoDebugDevices
+    } else {
+        FindingKind::OneAddressTwoIdentities
+    }
+}
+
+/// Returns what a response beyond the number of requests shows.
+fn surplus_response<'a>(
+    response: ResponseStart,
+    surplus: SurplusResponse,
+    others: AddressFindings,
+    name: Option<&'a Name>,
+    frame: &'a Frame,
+) -> NewEvidence<'a> {
+    let ResponseStart { from: address, request, framing, is_working, .. } = response;
+    // A non-working node may respond both to the request for working nodes and to that for
+    // non-working ones.
+    let strength = if surplus.is_targeted || is_working {
+        EvidenceStrength::Strong
+    } else {
+        EvidenceStrength::Weak
+    };
+    let differ = message(&surplus.first, framing) != message(frame, framing);
+    let (kind, strength) = match request {
+        Request::Name if differ => (FindingKind::OneAddressTwoNames, strength),
+        _ if others.has_two_names => (FindingKind::OneAddressTwoNames, strength),
+        Request::Services if others.had_other_name => {
+            (FindingKind::OneAddressTwoNames, EvidenceStrength::Weak)
+        }
+        _ => (FindingKind::SameNameSameAddress, strength),
+    };
+    NewEvidence {
+        name,
+        is_response: true,
+        contradicts: Some(("first response to one request".into(), surplus.first)),
+        ..NewEvidence::new(kind, address, frame, strength, "second response to one request")
     }
 }
 

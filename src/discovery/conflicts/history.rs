@@ -1,0 +1,145 @@
+//! History of one address: the recent values in its frames, its heartbeats and its responses. The
+//! only store of them; bounded.
+//!
+//! Does not decide what an observation means: the detectors do.
+
+use super::query_responses::QueryResponseMatcher;
+use super::recent_values::RecentValues;
+use crate::frame::Frame;
+use crate::text::Name;
+use crate::time::{Duration, Instant};
+use crate::wire::des::Request;
+use crate::wire::framing::Framing;
+use crate::wire::node::Uid;
+use std::collections::VecDeque;
+
+/// A heartbeat received again within this time was repeated on its way, if its sender is not known
+/// to generate RND7. Two devices that do not, and so send equal heartbeats, are rarely this close:
+/// a tenth of the default period.
+const COPY_WINDOW: Duration = Duration::from_millis(100);
+/// Frames of heartbeats stored per address: the last two are evidence.
+const MAX_FRAMES: usize = 2;
+/// Maximum number of senders at one address that are distinguished by their phases: as many as
+/// values are remembered.
+pub(super) const MAX_PHASES: usize = 8;
+/// Heartbeat times stored per address: two cycles of that many senders.
+pub(super) const MAX_TIMES: usize = 2 * MAX_PHASES + 1;
+
+/// Whether a sender generates a new RND7 for each heartbeat.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+enum Rnd7 {
+    #[default]
+    Unknown,
+    Constant,
+    Random,
+}
+
+/// Recent heartbeats of one address.
+#[derive(Debug, Default)]
+pub(super) struct HeartbeatHistory {
+    /// Times of the last heartbeats, at most [`MAX_TIMES`]; without copies.
+    times: VecDeque<Instant>,
+    /// The last heartbeats, at most [`MAX_FRAMES`], with their time of reception.
+    frames: VecDeque<Frame>,
+    rnd7: Rnd7,
+    /// True if a copy of the last heartbeat was received.
+    is_copied: bool,
+}
+
+/// How a heartbeat relates to the one before it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct RecordedHeartbeat {
+    /// Time since the previous heartbeat, if this one is its first copy.
+    pub copy_delay: Option<Duration>,
+    /// True if the previous heartbeat was not copied, and a copy can no longer arrive.
+    pub previous_has_no_copy: bool,
+    /// True if this heartbeat is not a copy, or its sender is known to send equal ones.
+    pub is_new: bool,
+}
+
+impl HeartbeatHistory {
+    /// Records a heartbeat. A copy of the previous one is equal including RND7, and received soon
+    /// after it.
+    pub fn record(&mut self, now: Instant, frame: &Frame, period: Duration) -> RecordedHeartbeat {
+        let window = match self.rnd7 {
+            Rnd7::Random => period / 2,
+            Rnd7::Constant | Rnd7::Unknown => COPY_WINDOW,
+        };
+        let last = self.frames.back();
+        let gap = last.map(|last| now.since(last.time));
+        let is_copy = last.is_some_and(|last| last.same_on_wire(frame))
+            && gap.is_some_and(|gap| gap <= window);
+        let copy_delay = gap.filter(|_| is_copy && !self.is_copied);
+        let previous_has_no_copy = !self.is_copied && gap.is_some_and(|gap| gap > window);
+        let is_new = !is_copy || self.rnd7 == Rnd7::Constant;
+        match (last, gap) {
+            (Some(last), _) if last.id != frame.id => self.rnd7 = Rnd7::Random,
+            (Some(_), Some(gap)) if gap > period / 2 && self.rnd7 == Rnd7::Unknown => {
+                self.rnd7 = Rnd7::Constant;
+            }
+            _ => {}
+        }
+        self.is_copied = is_copy;
+        if is_new {
+            push_bounded(&mut self.times, now, MAX_TIMES);
+            push_bounded(&mut self.frames, frame.with_time(now), MAX_FRAMES);
+        }
+        RecordedHeartbeat { copy_delay, previous_has_no_copy, is_new }
+    }
+
+    /// The last heartbeat, with its time of reception.
+    pub fn last(&self) -> Option<&Frame> {
+        self.frames.back()
+    }
+
+    /// The heartbeat before the last one.
+    pub fn previous(&self) -> Option<&Frame> {
+        self.frames.iter().rev().nth(1)
+    }
+
+    /// Times of the last heartbeats, oldest first, at most [`MAX_TIMES`].
+    pub fn times(&self) -> &VecDeque<Instant> {
+        &self.times
+    }
+}
+
+/// Appends a value and drops the oldest beyond `max`.
+fn push_bounded<T>(values: &mut VecDeque<T>, value: T, max: usize) {
+    if values.len() == max {
+        values.pop_front();
+    }
+    values.push_back(value);
+}
+
+/// History of one address.
+#[derive(Debug, Default)]
+pub(super) struct AddressHistory {
+    pub names: RecentValues<Name>,
+    pub uids: RecentValues<Uid>,
+    /// Hashes of services responses.
+    pub services: RecentValues<u64>,
+    /// U bits: true in a working mode.
+    pub working: RecentValues<bool>,
+    /// Time of the last frame of a non-working node and of a working node, indexed by `working`.
+    pub seen: [Option<Instant>; 2],
+    /// True if the previous request was sent with both values of the D bit.
+    pub sent_both: bool,
+    pub heartbeats: HeartbeatHistory,
+    /// Number of consecutive heartbeats at twice the rate.
+    pub double_rate_count: u32,
+    matchers: [[QueryResponseMatcher; 2]; 2],
+}
+
+impl AddressHistory {
+    /// Returns the matcher for this kind of request and framing.
+    pub fn matcher(&mut self, request: Request, framing: Framing) -> &mut QueryResponseMatcher {
+        &mut self.matchers[request as usize][framing as usize]
+    }
+
+    /// Forgets the values that could alternate.
+    pub fn forget_values(&mut self) {
+        self.names = RecentValues::default();
+        self.uids = RecentValues::default();
+        self.services = RecentValues::default();
+    }
+}

@@ -1,0 +1,89 @@
+//! Values of one address that alternate: names, UIDs, service lists, U bits. A value that returns
+//! while another one is still remembered shows two senders (protocol §5.2).
+
+use crate::time::{Duration, Instant};
+use std::collections::VecDeque;
+
+/// Most values remembered of one address: names, UIDs or service lists.
+const MAX_VALUES: usize = 8;
+
+/// Detects values that return to an address: A, B, A or A, B, C, A.
+#[derive(Debug)]
+pub(super) struct RecentValues<T> {
+    current: Option<RecentValue<T>>,
+    /// Values before the current one, the one that was current last at the end.
+    earlier: VecDeque<RecentValue<T>>,
+    return_count: u32,
+    /// Time at which another value became current.
+    changed_at: Instant,
+}
+
+/// A value, since when it is remembered, and when another one took its place.
+#[derive(Debug)]
+struct RecentValue<T> {
+    value: T,
+    since: Instant,
+    left_at: Instant,
+}
+
+impl<T> Default for RecentValues<T> {
+    fn default() -> Self {
+        Self { current: None, earlier: VecDeque::new(), return_count: 0, changed_at: Instant::ZERO }
+    }
+}
+
+impl<T: PartialEq + Clone> RecentValues<T> {
+    /// Takes the current value. Returns how often in a row a value returned, if it did just now. A
+    /// value that was not current for longer than `forget_after` is forgotten.
+    pub fn observe(&mut self, now: Instant, value: &T, forget_after: Duration) -> Option<u32> {
+        if self.current() == Some(value) {
+            return None;
+        }
+        self.earlier.retain(|earlier| now.since(earlier.left_at) <= forget_after);
+        if self.earlier.is_empty() {
+            self.return_count = 0;
+        }
+        let known = self.earlier.iter().position(|earlier| earlier.value == *value);
+        let returned = known.and_then(|at| self.earlier.remove(at));
+        // More values than are remembered: it may be one of those that were forgotten.
+        let is_return = returned.is_some() || self.earlier.len() == MAX_VALUES - 1;
+        self.return_count = if is_return { self.return_count + 1 } else { 0 };
+        let since = returned.map_or(now, |returned| returned.since);
+        let next = RecentValue { value: value.clone(), since, left_at: now };
+        if let Some(left) = self.current.replace(next) {
+            if self.earlier.len() == MAX_VALUES - 1 {
+                self.earlier.pop_front();
+            }
+            self.earlier.push_back(RecentValue { left_at: now, ..left });
+        }
+        self.changed_at = now;
+        is_return.then_some(self.return_count)
+    }
+
+    /// The current value.
+    pub fn current(&self) -> Option<&T> {
+        self.current.as_ref().map(|current| &current.value)
+    }
+
+    /// The value before the current one.
+    pub fn previous(&self) -> Option<&T> {
+        self.earlier.back().map(|earlier| &earlier.value)
+    }
+
+    /// Returns true if there was another value less than `within` ago.
+    pub fn changed_within(&self, now: Instant, within: Duration) -> bool {
+        self.previous().is_some() && now.since(self.changed_at) < within
+    }
+
+    /// Time since when two of the values are there.
+    pub fn second_since(&self) -> Instant {
+        let all = self.earlier.iter().chain(&self.current).map(|value| value.since);
+        let (_, second) = all.fold((None, None), |(first, second), since| match first {
+            Some(first) if since >= first => {
+                (Some(first), Some(second.map_or(since, |second: Instant| second.min(since))))
+            }
+            _ => (Some(since), first),
+        });
+        second.unwrap_or(self.changed_at)
+    }
+}

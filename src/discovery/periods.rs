@@ -1,0 +1,232 @@
+//! Heartbeat period of each address: measured by its heartbeats, and before that is possible
+//! expected from the profile and from the other addresses (protocol §4.6).
+//!
+//! A period is the median interval of one phase, measured per UID where several alternate. Two
+//! equal devices half a period apart look like one with half the period, so half of the period that
+//! was expected is never taken for a period.
+
+use crate::time::Duration;
+use crate::wire::id::Address;
+use std::collections::VecDeque;
+
+/// Intervals stored per address: with a third of the heartbeats lost, five of nine are still single
+/// periods in 90 % of the cases.
+const MAX_INTERVALS: usize = 9;
+/// Deviation of an interval from the median up to which both are one period; heartbeats have a low
+/// priority and may wait on a busy bus.
+const TOLERANCE: f64 = 0.15;
+/// Longest interval, in periods of the profile, that may be a period; a longer one is an
+/// interruption.
+const MAX_PERIODS: u32 = 60;
+
+/// Intervals between the heartbeats of one address.
+#[derive(Debug, Default)]
+struct Intervals {
+    recent: VecDeque<Duration>,
+    /// Median interval, if most agree with it.
+    median: Option<Duration>,
+    /// Period: the median, unless two equal devices explain it.
+    measured: Option<Duration>,
+    /// True if all stored intervals were known when it was measured.
+    is_established: bool,
+}
+
+impl Intervals {
+    /// Returns the median interval, if more than half of the stored ones agree with it.
+    fn regular_interval(&self) -> Option<Duration> {
+        let mut sorted: Vec<Duration> = self.recent.iter().copied().collect();
+        sorted.sort_unstable();
+        let median = *sorted.get(sorted.len().checked_sub(1)? / 2)?;
+        let agreeing = sorted.iter().filter(|interval| is_near(**interval, median)).count();
+        (sorted.len() >= 2 && agreeing * 2 > sorted.len()).then_some(median)
+    }
+}
+
+/// Returns true if an interval is a period, within the tolerance.
+fn is_near(interval: Duration, period: Duration) -> bool {
+    let off = (interval.as_secs_f64() - period.as_secs_f64()).abs();
+    off <= TOLERANCE * period.as_secs_f64()
+}
+
+/// Heartbeat period of each address on one bus.
+#[derive(Debug)]
+pub(super) struct HeartbeatPeriods {
+    /// Period in the profile.
+    profile: Duration,
+    /// True if the user gave the profile: other addresses then do not change what is expected.
+    is_given: bool,
+    intervals: Vec<Intervals>,
+    /// Period expected of each address.
+    expected: [Duration; Address::COUNT],
+}
+
+impl HeartbeatPeriods {
+    pub fn new(profile: Duration, is_given: bool) -> Self {
+        Self {
+            profile,
+            is_given,
+            intervals: (0..Address::COUNT).map(|_| Intervals::default()).collect(),
+            expected: [profile; Address::COUNT],
+        }
+    }
+
+    /// Returns the period of `address`: the measured one, or the one expected until it is measured.
+    pub fn of(&self, address: Address) -> Duration {
+        self.expected[address.index()]
+    }
+
+    /// Returns true if a single heartbeat of `address` shows when the next one is due: its period is
+    /// measured or given, or that of another address is known.
+    pub fn is_reliable(&self, address: Address) -> bool {
+        self.is_given
+            || self.intervals[address.index()].measured.is_some()
+            || self.intervals.iter().any(|intervals| intervals.median.is_some())
+    }
+
+    /// Notes the time between two heartbeats of one sender. Returns true if an expected period
+    /// changed.
+    pub fn note_interval(&mut self, address: Address, interval: Duration) -> bool {
+        if interval > self.profile * MAX_PERIODS {
+            return false;
+        }
+        let intervals = &mut self.intervals[address.index()];
+        if intervals.recent.len() == MAX_INTERVALS {
+            intervals.recent.pop_front();
+        }
+        intervals.recent.push_back(interval);
+        // The usual case: one more interval of the known period.
+        if intervals.is_established && intervals.measured.is_some_and(|it| is_near(interval, it)) {
+            return false;
+        }
+        let median = intervals.regular_interval().map(|interval| self.rounded(interval));
+        let measured = median.filter(|period| !self.is_half_of_expected(address, *period));
+        let intervals = &mut self.intervals[address.index()];
+        let before = (intervals.median, intervals.measured);
+        if measured.is_some() {
+            intervals.measured = measured;
+            intervals.is_established = intervals.recent.len() == MAX_INTERVALS;
+        }
+        intervals.median = median.or(intervals.median);
+        if before != (intervals.median, intervals.measured) {
+            self.update_expected();
+            return true;
+        }
+        let before = self.expected[address.index()];
+        self.expected[address.index()] = self.expectation(address);
+        before != self.expected[address.index()]
+    }
+
+    /// Forgets the intervals of `address`: its device is lost.
+    pub fn forget(&mut self, address: Address) {
+        self.intervals[address.index()] = Intervals::default();
+        self.update_expected();
+    }
+
+    /// Returns the period of the profile for one near to it, else the period itself.
+    fn rounded(&self, period: Duration) -> Duration {
+        if is_near(period, self.profile) { self.profile } else { period }
+    }
+
+    /// Returns true if two equal devices explain the period: it is half of an earlier one, or half
+    /// of what other addresses have, or the profile.
+    fn is_half_of_expected(&self, address: Address, period: Duration) -> bool {
+        let intervals = &self.intervals[address.index()];
+        let earlier = intervals.measured.filter(|_| intervals.is_established);
+        if earlier.is_some_and(|earlier| is_near(period * 2, earlier)) {
+            return true;
+        }
+        period != self.profile && is_near(period * 2, self.expected_of_others(address))
+    }
+
+    /// Returns the period expected of an address by what is known of the others.
+    fn expected_of_others(&self, address: Address) -> Duration {
+        let others = if self.is_given { None } else { self.median_without(address) };
+        others.unwrap_or(self.profile)
+    }
+
+    /// Returns the period expected of an address.
+    fn expectation(&self, address: Address) -> Duration {
+        let intervals = &self.intervals[address.index()];
+        if let Some(measured) = intervals.measured {
+            return measured;
+        }
+        let expected = self.expected_of_others(address).max(self.profile);
+        // Before two intervals agree, the shortest one may be the period.
+        match intervals.recent.iter().min() {
+            Some(shortest) if !self.is_given => expected.max(*shortest),
+            _ => expected,
+        }
+    }
+
+    fn median_without(&self, address: Address) -> Option<Duration> {
+        let others = self.intervals.iter().enumerate().filter(|(at, _)| *at != address.index());
+        median(others.filter_map(|(_, intervals)| intervals.median).collect())
+    }
+
+    fn update_expected(&mut self) {
+        for address in Address::all() {
+            self.expected[address.index()] = self.expectation(address);
+        }
+    }
+}
+
+/// Returns the lower median; `None` of nothing.
+fn median(mut periods: Vec<Duration>) -> Option<Duration> {
+    periods.sort_unstable();
+    periods.get(periods.len().checked_sub(1)? / 2).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn address(number: u8) -> Address {
+        Address::from_bits(number)
+    }
+
+    fn millis(millis: u64) -> Duration {
+        Duration::from_millis(millis)
+    }
+
+    fn measured(given: bool, intervals: &[(u8, u64)]) -> HeartbeatPeriods {
+        let mut periods = HeartbeatPeriods::new(millis(1000), given);
+        for &(number, interval) in intervals {
+            periods.note_interval(address(number), millis(interval));
+        }
+        periods
+    }
+
+    #[test]
+    fn two_equal_intervals_are_the_period() {
+        let periods = measured(false, &[(1, 3010), (1, 2990)]);
+        assert_eq!(periods.of(address(1)), millis(2990));
+        assert_eq!(periods.of(address(2)), millis(2990), "expected of the others, too");
+    }
+
+    #[test]
+    fn lost_heartbeats_do_not_change_the_period() {
+        let intervals = [1000, 2000, 1000, 1000, 3000, 1000, 1000, 2000, 1000];
+        let periods = measured(false, &intervals.map(|interval| (1, interval)));
+        assert_eq!(periods.of(address(1)), millis(1000));
+    }
+
+    #[test]
+    fn half_of_the_expected_period_is_not_a_period() {
+        let twice = [(1, 500), (1, 500), (1, 500)];
+        assert_eq!(measured(false, &twice).of(address(1)), millis(1000), "by the profile");
+        let slow = [(2, 3000), (2, 3000), (1, 1500), (1, 1500), (1, 1500)];
+        assert_eq!(measured(false, &slow).of(address(1)), millis(3000), "by another address");
+        let fast = [(1, 500), (1, 500), (2, 500), (2, 500), (1, 500)];
+        assert_eq!(measured(false, &fast).of(address(1)), millis(500), "all addresses have it");
+        let slower = [(1, 2000); MAX_INTERVALS].into_iter().chain([(1, 1000); MAX_INTERVALS]);
+        let slower: Vec<(u8, u64)> = slower.collect();
+        assert_eq!(measured(false, &slower).of(address(1)), millis(2000), "by its own before");
+    }
+
+    #[test]
+    fn a_given_profile_is_expected_until_the_period_is_measured() {
+        let periods = measured(true, &[(2, 3000), (2, 3000), (1, 3000)]);
+        assert_eq!(periods.of(address(1)), millis(1000));
+        assert_eq!(periods.of(address(2)), millis(3000));
+    }
+}
