@@ -10,11 +10,15 @@ use crate::wire::id::Address;
 pub(super) const MAX_DEVICES: usize = 512;
 
 /// Device rows in the order of appearance, with the current row of each address.
+///
+/// A row is known by its [`DeviceId`], which stays valid while other rows are added, merged or
+/// removed. A row that was removed, or merged into another one, is not found any more.
 #[derive(Debug)]
 pub(super) struct DeviceTable {
     bus: BusIndex,
+    /// In the order of their numbers.
     devices: Vec<Device>,
-    current: [Option<u16>; Address::COUNT],
+    current: [Option<DeviceId>; Address::COUNT],
     next_number: u32,
     /// Number of rows and names found so far, to tell whether a round found something new.
     pub discoveries: u64,
@@ -39,62 +43,58 @@ impl DeviceTable {
         &mut self.devices
     }
 
-    pub fn get(&self, index: usize) -> &Device {
-        &self.devices[index]
+    /// Returns the ids of all rows, for a loop that merges or removes rows.
+    pub fn rows(&self) -> Vec<DeviceId> {
+        self.devices.iter().map(|device| device.id).collect()
     }
 
-    pub fn get_mut(&mut self, index: usize) -> &mut Device {
-        &mut self.devices[index]
+    pub fn get(&self, row: DeviceId) -> Option<&Device> {
+        self.index_of(row).map(|at| &self.devices[at])
     }
 
-    pub fn by_id(&self, id: DeviceId) -> Option<&Device> {
-        self.index_of(id).map(|at| &self.devices[at])
-    }
-
-    /// Returns the index of a row; rows are sorted by the number of their id.
-    pub fn index_of(&self, id: DeviceId) -> Option<usize> {
-        let at = self.devices.binary_search_by_key(&id.number, |device| device.id.number);
-        at.ok().filter(|&at| self.devices[at].id == id)
-    }
-
-    /// Returns the index of the current row at `address`.
-    pub fn current_index_at(&self, address: Address) -> Option<usize> {
-        self.current[address.index()].map(usize::from)
+    pub fn get_mut(&mut self, row: DeviceId) -> Option<&mut Device> {
+        self.index_of(row).map(|at| &mut self.devices[at])
     }
 
     /// Returns the current row at `address`.
+    pub fn current_row(&self, address: Address) -> Option<DeviceId> {
+        self.current[address.index()]
+    }
+
+    /// Returns the device of the current row at `address`.
     pub fn current_device(&self, address: Address) -> Option<&Device> {
-        self.current_index_at(address).map(|index| &self.devices[index])
+        self.get(self.current_row(address)?)
     }
 
     pub fn current_device_mut(&mut self, address: Address) -> Option<&mut Device> {
-        self.current_index_at(address).map(|index| &mut self.devices[index])
+        self.get_mut(self.current_row(address)?)
     }
 
-    /// Returns true if the row is the current one at its address.
-    pub fn is_current(&self, index: usize) -> bool {
-        self.current_index_at(self.devices[index].address) == Some(index)
+    /// Returns true if the device's row is the current one at its address.
+    pub fn is_current(&self, device: &Device) -> bool {
+        self.current_row(device.address) == Some(device.id)
     }
 
     /// Makes a row the current one at its address.
-    pub fn make_current(&mut self, index: usize) {
-        self.current[self.devices[index].address.index()] = Some(index as u16);
+    pub fn make_current(&mut self, row: DeviceId) {
+        if let Some(address) = self.get(row).map(|device| device.address) {
+            self.current[address.index()] = Some(row);
+        }
     }
 
     /// Adds a current row at `address`. If the table is full, it replaces the lost row that was
     /// silent for the longest time; `None` if no row is lost.
-    pub fn insert(&mut self, now: Instant, address: Address, working: bool) -> Option<usize> {
+    pub fn insert(&mut self, now: Instant, address: Address, working: bool) -> Option<DeviceId> {
         if self.devices.len() >= MAX_DEVICES {
-            let oldest = (0..self.devices.len())
-                .filter(|&at| self.devices[at].presence == Presence::Lost)
-                .min_by_key(|&at| self.devices[at].last_seen)?;
+            let lost = self.devices.iter().filter(|device| device.presence == Presence::Lost);
+            let oldest = lost.min_by_key(|device| device.last_seen)?.id;
             self.remove(oldest);
         }
-        let id = self.reserve();
+        let row = self.reserve();
         self.discoveries += 1;
-        self.devices.push(Device::new(id, now, address, working));
-        self.current[address.index()] = Some((self.devices.len() - 1) as u16);
-        Some(self.devices.len() - 1)
+        self.devices.push(Device::new(row, now, address, working));
+        self.current[address.index()] = Some(row);
+        Some(row)
     }
 
     /// Returns a new id that no row will have.
@@ -104,30 +104,15 @@ impl DeviceTable {
         id
     }
 
-    /// Removes a row.
-    pub fn remove(&mut self, index: usize) -> Device {
-        let device = self.devices.remove(index);
-        for current in &mut self.current {
-            *current = match *current {
-                Some(at) if usize::from(at) == index => None,
-                Some(at) if usize::from(at) > index => Some(at - 1),
-                other => other,
-            };
-        }
-        device
-    }
-
     /// Merges row `new` into row `old`, for one device that moved, and keeps the id of `old` and
-    /// the address of `new`. Returns the index of the merged row.
-    pub fn merge_rows(&mut self, old: usize, new: usize) -> usize {
-        let was_current = self.is_current(old);
-        let fresh = self.remove(new);
-        let old = if new < old { old - 1 } else { old };
-        let address = fresh.address;
-        let device = &mut self.devices[old];
-        let before = device.address;
-        device.moved_from = Some(before);
-        device.address = address;
+    /// the address of `new`.
+    pub fn merge_rows(&mut self, old: DeviceId, new: DeviceId) {
+        if old == new || self.get(old).is_none() {
+            return;
+        }
+        let Some(fresh) = self.remove(new) else { return };
+        self.move_to_address(old, fresh.address);
+        let Some(device) = self.get_mut(old) else { return };
         device.name = fresh.name.or(device.name.take());
         device.presence = fresh.presence;
         device.presence_since = fresh.presence_since;
@@ -143,36 +128,53 @@ impl DeviceTable {
         device.services_query = fresh.services_query;
         device.last_seen = fresh.last_seen;
         device.frame_count += fresh.frame_count;
-        device.rounds_missed = 0;
         device.is_debug |= fresh.is_debug;
         fresh.deviations.into_iter().for_each(|deviation| device.note_deviation(deviation));
         fresh.mode_history.into_iter().for_each(|change| device.remember_mode(change));
-        if was_current {
-            self.current[before.index()] = None;
-        }
-        self.current[address.index()] = Some(old as u16);
-        old
     }
 
     /// Moves a row to another address and makes it the current one there.
-    pub fn move_to_address(&mut self, index: usize, address: Address) {
-        let was_current = self.is_current(index);
-        let device = &mut self.devices[index];
+    pub fn move_to_address(&mut self, row: DeviceId, address: Address) {
+        let Some(device) = self.get_mut(row) else { return };
         let before = std::mem::replace(&mut device.address, address);
         device.moved_from = Some(before);
         device.rounds_missed = 0;
-        if was_current {
-            self.current[before.index()] = None;
-        }
-        self.current[address.index()] = Some(index as u16);
+        self.vacate(before, row);
+        self.current[address.index()] = Some(row);
     }
 
     /// Removes the lost rows.
     pub fn remove_lost(&mut self) {
-        for at in (0..self.devices.len()).rev() {
-            if self.devices[at].presence == Presence::Lost {
-                self.remove(at);
+        for row in self.rows() {
+            if self.get(row).is_some_and(|device| !device.is_present()) {
+                self.remove(row);
             }
         }
+    }
+
+    fn remove(&mut self, row: DeviceId) -> Option<Device> {
+        let at = self.index_of(row)?;
+        let device = self.devices.remove(at);
+        self.vacate(device.address, row);
+        Some(device)
+    }
+
+    /// Leaves `address` without a current row, if that is `row`.
+    fn vacate(&mut self, address: Address, row: DeviceId) {
+        let current = &mut self.current[address.index()];
+        *current = current.filter(|current| *current != row);
+    }
+
+    /// Returns the index of a row in `devices`. The numbers ascend, so that the distances to the
+    /// first and to the last number limit the search: to one row, unless numbers are missing.
+    fn index_of(&self, row: DeviceId) -> Option<usize> {
+        let (first, last) = (self.devices.first()?.id.number, self.devices.last()?.id.number);
+        let from_first = row.number.checked_sub(first)? as usize;
+        let from_last = last.checked_sub(row.number)? as usize;
+        let end = self.devices.len().min(from_first + 1);
+        let start = self.devices.len().saturating_sub(from_last + 1);
+        let candidates = self.devices.get(start..end)?;
+        let at = candidates.binary_search_by_key(&row.number, |device| device.id.number).ok()?;
+        (candidates[at].id == row).then_some(start + at)
     }
 }

@@ -3,7 +3,7 @@
 use super::conflicts::{ModeFlags, Repetition};
 use super::device::{MISSED_HEARTBEAT_PERIODS, ModeChange, ProtocolDeviation, Query};
 use super::resolution::HeartbeatContext;
-use super::{Engine, EventKind, Presence};
+use super::{DeviceId, Engine, EventKind, Presence};
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
 use crate::wire::id::{Address, Header};
@@ -41,11 +41,11 @@ impl BusDelayTracker {
 }
 
 impl Engine {
-    /// Processes a heartbeat of the device at row `index`.
+    /// Processes a heartbeat of the device of `row`.
     pub(super) fn process_heartbeat(
         &mut self,
         now: Instant,
-        index: usize,
+        row: DeviceId,
         header: Header,
         frame: &Frame,
         repetition: Repetition,
@@ -54,21 +54,22 @@ impl Engine {
         let codes = profile.modes.codes();
         let heartbeat = Heartbeat::decode(frame.data(), &profile.heartbeat, &codes);
         let period = profile.heartbeat.period();
-        let previous_heartbeat = self.device_table.get(index).heartbeat.last;
+        let Some(device) = self.device_table.get(row) else { return };
+        let previous_heartbeat = device.heartbeat.last;
         let first = previous_heartbeat.is_none();
         if let Some(last) = previous_heartbeat {
             self.lateness.note_heartbeat(now, header.source, now.since(last), period);
         }
         let missed_in_outage = previous_heartbeat
             .map_or(0, |last| self.outages.heartbeats_missed_in_outage(last, now, period));
-        let device = self.device_table.get_mut(index);
+        let Some(device) = self.device_table.get_mut(row) else { return };
         let expected = device.heartbeat.period();
         let jitter = device.heartbeat.jitter();
         let gap = device.heartbeat.record_heartbeat(now, period, missed_in_outage);
         if first {
             self.wake_at(now + period * 2);
         }
-        let device = self.device_table.get_mut(index);
+        let Some(device) = self.device_table.get_mut(row) else { return };
         device.is_resolving = matches!(heartbeat.mode, Some(Mode::Init | Mode::Arslv));
         device.error_code = heartbeat.error.or(device.error_code);
         if heartbeat.uid.is_none() || heartbeat.mode.is_none() {
@@ -87,9 +88,9 @@ impl Engine {
             device.uid = heartbeat.uid;
         }
         let address = header.source;
-        let claim = HeartbeatContext { index, address, heartbeat, uid_before, mode_before, gap };
+        let claim = HeartbeatContext { row, address, heartbeat, uid_before, mode_before, gap };
         let sender = self.note_sender(claim);
-        let device = self.device_table.get_mut(index);
+        let Some(device) = self.device_table.get_mut(row) else { return };
         device.last_heartbeat_was_other_node = sender.is_other_node;
         // An early mode after a gap, or a new phase, is a reboot. With another UID it is more
         // likely another board.
@@ -118,7 +119,7 @@ impl Engine {
             device.services_query.schedule(now + period * 6);
             self.wake_at(now);
         }
-        let device = self.device_table.get_mut(index);
+        let Some(device) = self.device_table.get_mut(row) else { return };
         if let Some(mode) = heartbeat.mode {
             let fits = mode.is_working().is_none_or(|working| working == device.is_working);
             if fits {
@@ -143,14 +144,13 @@ impl Engine {
                     device.services_query.schedule(now);
                     device.name_query.schedule(now);
                 }
-                self.emit(index, EventKind::Mode { from, to: mode });
+                self.emit(row, EventKind::Mode { from, to: mode });
             }
         }
         if restarted {
-            self.device_table.get_mut(index).heartbeat.forget_phase();
-            self.note_reboot(now, index);
+            self.note_reboot(now, row);
         }
-        let device = self.device_table.get(index);
+        let Some(device) = self.device_table.get(row) else { return };
         let mode = ModeFlags { is_working: device.is_working, is_resolving: device.is_resolving };
         let name = device.name.clone();
         if repetition == Repetition::None {
@@ -162,7 +162,7 @@ impl Engine {
         }
         self.emit_gave_up(address, &sender);
         if uid_changed {
-            self.handle_uid_change(now, index, first);
+            self.handle_uid_change(now, row, first);
         }
         self.emit_claim(address, &sender);
         // Compare only if its previous heartbeat had the same UID: boards that swap addresses have
@@ -174,39 +174,40 @@ impl Engine {
     }
 
     /// Records a reboot and queries the device again.
-    fn note_reboot(&mut self, now: Instant, index: usize) {
-        let address = self.device_table.get(index).address;
+    fn note_reboot(&mut self, now: Instant, row: DeviceId) {
+        let Some(address) = self.device_table.get(row).map(|device| device.address) else { return };
         // Two devices that destroy each other's responses may reboot with each request.
         let shared =
             self.errors.is_suspect(address) || self.conflicts.finding_tracker().is_open_at(address);
         let schedule = if shared { Query::schedule } else { Query::restart };
-        let device = self.device_table.get_mut(index);
+        let Some(device) = self.device_table.get_mut(row) else { return };
+        device.heartbeat.forget_phase();
         device.reboots += 1;
         device.rebooted_at = Some(now);
         // It may have new firmware.
         schedule(&mut device.services_query, now);
         schedule(&mut device.name_query, now);
-        self.emit(index, EventKind::Rebooted);
+        self.emit(row, EventKind::Rebooted);
         self.wake_at(now);
     }
 
     /// Handles a new UID in the heartbeats of a row.
-    fn handle_uid_change(&mut self, now: Instant, index: usize, first: bool) {
+    fn handle_uid_change(&mut self, now: Instant, row: DeviceId, first: bool) {
         let period = self.config.profile.heartbeat.period();
-        let device = self.device_table.get(index);
+        let Some(device) = self.device_table.get(row) else { return };
         // A device known for longer sent no heartbeats before.
         let known = !first || device.name.is_some() && now.since(device.first_seen) > period * 3;
         if known && !self.conflicts.finding_tracker().is_open_at(device.address) {
             // It may be another board with another framing: query its name, and its services once
             // it is clear that it is alone, because two multi-frame responses at once destroy each
             // other.
-            let device = self.device_table.get_mut(index);
+            let Some(device) = self.device_table.get_mut(row) else { return };
             device.framing = None;
             device.name_query.restart(now);
             device.services_query.schedule(now + period * 6);
             self.wake_at(now);
         }
-        self.find_move_to(index);
+        self.find_move_to(row);
     }
 
     /// Reports two addresses that keep sending heartbeats with one UID.
@@ -223,9 +224,9 @@ impl Engine {
             return;
         }
         // A replaced row does not send anything any more.
-        let rows = self.device_table.devices().iter().enumerate();
-        let mut current = rows.filter(|(at, _)| self.device_table.is_current(*at));
-        let other = current.find_map(|(_, other)| {
+        let devices = self.device_table.devices().iter();
+        let mut current = devices.filter(|device| self.device_table.is_current(device));
+        let other = current.find_map(|other| {
             let last = other.heartbeat.last.filter(|last| *last > previous)?;
             let same = other.uid == Some(uid) && other.address != address;
             same.then_some((other.address, last))

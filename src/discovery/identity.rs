@@ -2,30 +2,26 @@
 //! (protocol §4.7).
 
 use super::device::{MISSED_HEARTBEAT_PERIODS, QueryState};
-use super::{Device, Engine, EventKind, Presence};
+use super::{Device, DeviceId, Engine, EventKind, Presence};
 use crate::text::Name;
 use crate::time::Instant;
 use crate::wire::node::Uid;
 
 impl Engine {
-    /// Returns the row of the device with that name at this address, creating it if needed. A row
-    /// other than the current one means another board at the address.
-    pub(super) fn row_of_name(&mut self, now: Instant, index: usize, name: &Name) -> usize {
-        let current = self.device_table.get(index);
+    /// Returns the row of the device with that name at the address of `row`, creating it if needed.
+    /// A row other than the current one means another board at the address.
+    pub(super) fn row_of_name(&mut self, now: Instant, row: DeviceId, name: &Name) -> DeviceId {
+        let Some(current) = self.device_table.get(row) else { return row };
         if current.name.as_ref().is_none_or(|own| own == name) {
-            return index;
+            return row;
         }
-        let (address, working) = (current.address, current.is_working);
-        let known = self
-            .device_table
-            .devices()
-            .iter()
-            .position(|device| device.address == address && device.name.as_ref() == Some(name));
-        let mut live = self.device_table.get(index).clone();
-        self.replace_row(index);
+        let mut live = current.clone();
+        let (address, working) = (live.address, live.is_working);
+        let known = self.find_row(|it| it.address == address && it.name.as_ref() == Some(name));
+        self.replace_row(row);
         // A UID seen here before the last response with the old name belongs to the old board.
         let name_received_at = live.name_query.responded_at;
-        let own = live.uid.filter(|uid| self.claims.row_of(*uid) == Some(live.id));
+        let own = live.uid.filter(|uid| self.claims.row_of(*uid) == Some(row));
         let since = own.and_then(|uid| self.claims.since(uid, address));
         if since
             .zip(name_received_at)
@@ -33,54 +29,50 @@ impl Engine {
         {
             live.uid = None;
         }
-        let row = match known {
-            Some(row) => row,
-            None => match self.device_table.insert(now, address, working) {
-                Some(row) => row,
-                None => return index,
-            },
-        };
-        self.device_table.make_current(row);
+        let named = known.or_else(|| self.device_table.insert(now, address, working));
+        let Some(named) = named else { return row };
+        self.device_table.make_current(named);
         // Use its own mode: the last heartbeat may have come from the other board.
         let mode = live.uid.and_then(|uid| self.claims.mode_of(uid)).or(live.mode);
-        let device = self.device_table.get_mut(row);
+        let Some(device) = self.device_table.get_mut(named) else { return row };
         device.copy_state_from(&live);
         device.mode = mode;
         device.last_seen = now;
-        let id = device.id;
-        if let Some(uid) = live.uid.filter(|uid| !uid.is_blank() && known.is_none()) {
-            self.claims.assign_row(uid, id, || self.device_table.reserve());
-        }
-        let device = self.device_table.get_mut(row);
         if known.is_none() {
-            self.emit(row, EventKind::FirstFrame);
+            if let Some(uid) = live.uid.filter(|uid| !uid.is_blank()) {
+                self.claims.assign_row(uid, named, || self.device_table.reserve());
+            }
+            self.emit(named, EventKind::FirstFrame);
         } else if device.presence == Presence::Lost {
             device.services_query.restart(now);
         }
-        self.find_move_of_replaced(index);
-        self.device_table.index_of(id).unwrap_or(row)
+        self.find_move_of_replaced(row);
+        named
+    }
+
+    /// Returns the first row whose device meets the condition.
+    fn find_row(&self, condition: impl Fn(&Device) -> bool) -> Option<DeviceId> {
+        self.device_table.devices().iter().find(|it| condition(it)).map(|device| device.id)
     }
 
     /// Looks for the device of a replaced row at another address, where it may have been found
     /// already.
-    fn find_move_of_replaced(&mut self, index: usize) {
-        let (uid, from) = (self.uid_of_row(index), self.device_table.get(index).address);
-        let went = self.device_table.devices().iter().position(|other| {
-            uid.is_some()
-                && other.uid == uid
-                && other.moved_from == Some(from)
-                && other.is_present()
+    fn find_move_of_replaced(&mut self, row: DeviceId) {
+        let Some(from) = self.device_table.get(row).map(|device| device.address) else { return };
+        let Some(uid) = self.uid_of_row(row) else { return };
+        let went = self.find_row(|other| {
+            other.uid == Some(uid) && other.moved_from == Some(from) && other.is_present()
         });
-        if let Some(went) = went.filter(|went| *went != index) {
-            self.move_row(index, went);
+        if let Some(went) = went.filter(|went| *went != row) {
+            self.move_row(row, went);
         }
     }
 
     /// Detects that a row is a known device at a new address: the same UID, or else the only device
     /// of its name, whose old address is silent.
-    pub(super) fn find_move_to(&mut self, index: usize) {
+    pub(super) fn find_move_to(&mut self, row: DeviceId) {
         let period = self.config.profile.heartbeat.period();
-        let device = self.device_table.get(index);
+        let Some(device) = self.device_table.get(row) else { return };
         let now = self.now;
         let (uid, name, address) =
             (device.uid.filter(|uid| !uid.is_blank()), device.name.clone(), device.address);
@@ -94,36 +86,37 @@ impl Engine {
         };
         let by_uid = uid.and_then(|uid| {
             let row_of_uid = self.claims.row_of(uid);
-            self.device_table.devices().iter().position(|other| {
+            self.find_row(|other| {
                 let is_it = row_of_uid == Some(other.id)
                     || (other.uid == Some(uid) && self.claims.uid_of(other.id).is_none());
                 is_it && gone(other)
             })
         });
-        let old = by_uid.or_else(|| self.only_other_of_name(index, name.as_ref()?, gone));
+        let old = by_uid.or_else(|| self.only_other_of_name(row, name.as_ref()?, gone));
         if let Some(old) = old {
-            self.take_over_row(old, index);
+            self.take_over_row(old, row);
         }
     }
 
-    /// Moves the device of row `old` to the address of row `index`. If it is known by its UID, that
+    /// Moves the device of row `old` to the address of row `here`. If it is known by its UID, that
     /// row may belong to another device that it replaced.
-    pub(super) fn take_over_row(&mut self, old: usize, index: usize) {
-        let name = |at: usize| self.device_table.get(at).name.as_ref();
-        if name(old).zip(name(index)).is_some_and(|(old, here)| old != here) {
-            self.move_onto(old, index);
+    pub(super) fn take_over_row(&mut self, old: DeviceId, here: DeviceId) {
+        let name = |row| self.device_table.get(row)?.name.as_ref();
+        if name(old).zip(name(here)).is_some_and(|(old, here)| old != here) {
+            self.move_onto(old, here);
         } else {
-            self.move_row(old, index);
+            self.move_row(old, here);
         }
     }
 
     /// Moves the device of row `old` to the address of another device, whose row stays.
-    fn move_onto(&mut self, old: usize, other: usize) {
-        let (now, from) = (self.now, self.device_table.get(old).address);
-        let live = self.device_table.get(other).clone();
+    fn move_onto(&mut self, old: DeviceId, other: DeviceId) {
+        let now = self.now;
+        let Some(from) = self.device_table.get(old).map(|device| device.address) else { return };
+        let Some(live) = self.device_table.get(other).cloned() else { return };
         self.replace_row(other);
         self.device_table.move_to_address(old, live.address);
-        let device = self.device_table.get_mut(old);
+        let Some(device) = self.device_table.get_mut(old) else { return };
         device.copy_state_from(&live);
         device.name_query.schedule(now);
         device.services_query.schedule(now);
@@ -134,9 +127,9 @@ impl Engine {
     }
 
     /// Makes a row inactive, because another one is active at its address.
-    fn replace_row(&mut self, index: usize) {
+    fn replace_row(&mut self, row: DeviceId) {
         let now = self.now;
-        let old = self.device_table.get_mut(index);
+        let Some(old) = self.device_table.get_mut(row) else { return };
         for query in [&mut old.name_query, &mut old.services_query] {
             query.due = None;
             query.deadline = None;
@@ -152,30 +145,25 @@ impl Engine {
     /// Returns the only other row with that name, if it can be the same device.
     fn only_other_of_name(
         &self,
-        index: usize,
+        row: DeviceId,
         name: &Name,
         gone: impl Fn(&Device) -> bool,
-    ) -> Option<usize> {
-        let own_uid = self.device_table.get(index).uid;
-        let mut others = self
-            .device_table
-            .devices()
-            .iter()
-            .enumerate()
-            .filter(|(at, other)| *at != index && other.name.as_ref() == Some(name));
-        let (at, other) = others.next()?;
+    ) -> Option<DeviceId> {
+        let own_uid = self.device_table.get(row)?.uid;
+        let devices = self.device_table.devices().iter();
+        let mut others = devices.filter(|it| it.id != row && it.name.as_ref() == Some(name));
+        let other = others.next()?;
         let fits = !is_different_sender(own_uid, other.uid) && gone(other);
-        (others.next().is_none() && fits).then_some(at)
+        (others.next().is_none() && fits).then_some(other.id)
     }
 
     /// Detects that a lost device was found at another address before it was lost.
-    pub(super) fn find_move_of_lost(&mut self, index: usize) {
-        let device = self.device_table.get(index);
-        let (id, address, last_seen, name) =
-            (device.id, device.address, device.last_seen, device.name.clone());
-        let (uid, own_uid) = (self.uid_of_row(index), device.uid);
-        let candidate = self.device_table.devices().iter().position(|other| {
-            other.id != id
+    pub(super) fn find_move_of_lost(&mut self, row: DeviceId) {
+        let Some(device) = self.device_table.get(row) else { return };
+        let (address, last_seen, name) = (device.address, device.last_seen, device.name.clone());
+        let (uid, own_uid) = (self.uid_of_row(row), device.uid);
+        let candidate = self.find_row(|other| {
+            other.id != row
                 && other.address != address
                 && other.is_present()
                 && other.first_seen >= last_seen
@@ -184,40 +172,38 @@ impl Engine {
         });
         let candidate = candidate.or_else(|| {
             let name = name.as_ref()?;
-            let mut same = self
-                .device_table
-                .devices()
-                .iter()
-                .enumerate()
-                .filter(|(_, other)| other.id != id && other.name.as_ref() == Some(name))
-                .filter(|(_, other)| other.address != address);
-            let (at, other) = same.next()?;
+            let devices = self.device_table.devices().iter();
+            let others = devices.filter(|it| it.id != row && it.address != address);
+            let mut same = others.filter(|other| other.name.as_ref() == Some(name));
+            let other = same.next()?;
             let contradicts = is_different_sender(uid.or(own_uid), other.uid);
             let fits = other.is_present() && other.first_seen >= last_seen && !contradicts;
-            (same.next().is_none() && fits).then_some(at)
+            (same.next().is_none() && fits).then_some(other.id)
         });
         if let Some(new) = candidate {
-            self.move_row(index, new);
+            self.move_row(row, new);
         }
     }
 
     /// Merges row `new` into row `old`, for one device that moved, and emits the events.
-    pub(super) fn move_row(&mut self, old: usize, new: usize) {
-        let from = self.device_table.get(old).address;
-        let (id, was) = (self.device_table.get(old).id, self.device_table.get(new).id);
+    pub(super) fn move_row(&mut self, old: DeviceId, new: DeviceId) {
+        let table = &self.device_table;
+        let (Some(before), Some(fresh)) = (table.get(old), table.get(new)) else { return };
+        let from = before.address;
+        let is_reported = fresh.moved_from == Some(from);
         let is_known_by_uid = self.uid_of_row(old).is_some() && self.uid_of_row(new).is_some();
-        let is_reported = self.device_table.get(new).moved_from == Some(from);
-        let index = self.device_table.merge_rows(old, new);
-        self.emit(index, EventKind::IdsMerged { previous: was, before: None });
+        self.device_table.merge_rows(old, new);
+        self.emit(old, EventKind::IdsMerged { previous: new, before: None });
         if !is_known_by_uid {
-            self.emit_gave_up_by_name(id, from);
+            self.emit_gave_up_by_name(old, from);
         }
         self.conflicts.note_left(from);
         let now = self.now;
-        let device = self.device_table.get_mut(index);
-        device.services_query.schedule(now);
+        if let Some(device) = self.device_table.get_mut(old) {
+            device.services_query.schedule(now);
+        }
         if !is_reported {
-            self.emit(index, EventKind::Moved { from });
+            self.emit(old, EventKind::Moved { from });
         }
         self.wake_at(now);
     }

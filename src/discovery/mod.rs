@@ -422,7 +422,7 @@ impl Engine {
 
     /// Returns the row with that id.
     pub fn device(&self, id: DeviceId) -> Option<&Device> {
-        self.device_table.by_id(id)
+        self.device_table.get(id)
     }
 
     /// Returns the current row at `address`: that of the device which responds there now.
@@ -504,13 +504,13 @@ impl Engine {
         }
     }
 
-    /// Emits an event of the device at row `index`.
-    fn emit(&mut self, index: usize, kind: EventKind) {
-        let device = self.device_table.get(index);
-        let (id, address, name) = (device.id, device.address, device.name.clone());
+    /// Emits an event of the device of `row`.
+    fn emit(&mut self, row: DeviceId, kind: EventKind) {
+        let Some(device) = self.device_table.get(row) else { return };
+        let (address, name) = (device.address, device.name.clone());
         self.push_event(Event {
             time: self.now,
-            device: Some(id),
+            device: Some(row),
             address: Some(address),
             name,
             kind,
@@ -519,7 +519,7 @@ impl Engine {
 
     /// Emits an event of a device that may have no row, at an address that another row may use.
     fn emit_for(&mut self, device: Option<DeviceId>, address: Address, kind: EventKind) {
-        let name = device.and_then(|id| self.device_table.by_id(id)?.name.clone());
+        let name = device.and_then(|row| self.device_table.get(row)?.name.clone());
         self.push_event(Event { time: self.now, device, address: Some(address), name, kind });
     }
 
@@ -541,9 +541,9 @@ impl Engine {
             if let (true, FindingState::Cleared, Some(address)) = (shared, state, key.address) {
                 self.requery(address);
             }
-            let at = key.address.and_then(|address| self.device_table.current_index_at(address));
-            match at {
-                Some(index) => self.emit(index, EventKind::Finding { key, state }),
+            let row = key.address.and_then(|address| self.device_table.current_row(address));
+            match row {
+                Some(row) => self.emit(row, EventKind::Finding { key, state }),
                 None => self.emit_bus_event(EventKind::Finding { key, state }),
             }
         }
@@ -619,62 +619,57 @@ impl Engine {
         if self.outages.is_on() {
             return;
         }
-        // A row that turns out to have moved is merged with another one, which changes the number
-        // of rows.
-        let mut index = 0;
-        while index < self.device_table.devices().len() {
-            self.update_device_presence(index);
-            index += 1;
+        // A device that turns out to have moved has two rows, which are merged.
+        for row in self.device_table.rows() {
+            self.update_device_presence(row);
         }
     }
 
-    fn update_device_presence(&mut self, index: usize) {
+    fn update_device_presence(&mut self, row: DeviceId) {
         let measure = self.presence_input();
-        let device = self.device_table.get(index);
-        let presence = if self.device_table.is_current(index) {
+        let Some(device) = self.device_table.get(row) else { return };
+        let is_current = self.device_table.is_current(device);
+        let presence = if is_current {
             measure.evaluate(device, self.now).0
         } else {
             self.replaced_row_presence(device)
         };
         let was = device.presence;
         // Heartbeats of another node neither return this device nor make it silent.
-        let was_other_node =
-            device.last_heartbeat_was_other_node && self.device_table.is_current(index);
+        let was_other_node = device.last_heartbeat_was_other_node && is_current;
         let was_gone = matches!(was, Presence::Lost | Presence::Asleep);
         let may_be_other_node =
             presence == Presence::Online || presence == Presence::Stale && was_gone;
+        let Some(device) = self.device_table.get_mut(row) else { return };
         if presence == Presence::Lost {
-            self.device_table.get_mut(index).last_heartbeat_was_other_node = false;
+            device.last_heartbeat_was_other_node = false;
         }
         if presence == was || (may_be_other_node && was_other_node) {
             return;
         }
-        let address = self.device_table.get(index).address;
-        let device = self.device_table.get_mut(index);
+        let address = device.address;
         device.presence = presence;
         device.presence_since = self.now;
         // Its mode is unknown while no heartbeats arrive.
         device.is_resolving &= presence == Presence::Online;
         if presence == Presence::Online {
             // It may have been offline for a firmware update.
-            let suspect = self.errors.is_suspect(address);
-            let query = &mut self.device_table.get_mut(index).services_query;
-            if suspect {
-                query.schedule(self.now);
+            if self.errors.is_suspect(address) {
+                device.services_query.schedule(self.now);
             } else {
-                query.restart(self.now);
+                device.services_query.restart(self.now);
             }
             self.wake_at(self.now);
-            self.emit(index, EventKind::Returned { was });
+            self.emit(row, EventKind::Returned { was });
         } else {
-            self.emit(index, EventKind::Presence(presence));
+            self.emit(row, EventKind::Presence(presence));
         }
         if presence == Presence::Lost {
-            if self.device_table.is_current(index) {
+            if is_current {
                 self.conflicts.forget(self.now, address);
                 self.errors.forget(address);
             }
-            self.find_move_of_lost(index);
+            self.find_move_of_lost(row);
         }
     }
 
@@ -701,8 +696,8 @@ impl Engine {
         let mut wake = NO_TIMEOUT;
         let mut at = |due: Option<Instant>| wake = wake.min(due.unwrap_or(NO_TIMEOUT));
         let judged = if self.outages.is_on() { &[] } else { self.device_table.devices() };
-        for (index, device) in judged.iter().enumerate() {
-            if self.device_table.is_current(index) {
+        for device in judged {
+            if self.device_table.is_current(device) {
                 at(measure.evaluate(device, self.now).1);
             } else if !matches!(device.presence, Presence::Lost | Presence::Asleep) {
                 at(Some(self.now + Duration::from_secs(1)));

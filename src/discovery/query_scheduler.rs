@@ -5,7 +5,7 @@
 use super::device::{QueryFault, QueryState};
 use super::presence::is_claim_only;
 use super::rounds::RoundStep;
-use super::{Engine, NO_TIMEOUT, PendingBroadcast, Presence, Query};
+use super::{DeviceId, Engine, NO_TIMEOUT, PendingBroadcast, Presence, Query};
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
 use crate::wire::des::Request;
@@ -242,9 +242,9 @@ impl Engine {
     }
 
     /// Handles an aborted or failed response: repeats the request while attempts are left.
-    pub(super) fn response_failed(&mut self, index: usize, request: Request, fault: QueryFault) {
+    pub(super) fn response_failed(&mut self, row: DeviceId, request: Request, fault: QueryFault) {
         let now = self.now;
-        let device = self.device_table.get_mut(index);
+        let Some(device) = self.device_table.get_mut(row) else { return };
         let named = device.name.is_some();
         let query = device.query_mut(request);
         let before = query.fault.replace(fault);
@@ -266,8 +266,8 @@ impl Engine {
         let sending = self.local_node.held().is_some()
             && self.config.send_requests
             && !self.outbox.is_paused();
-        for (index, device) in self.device_table.devices().iter().enumerate() {
-            let sending = sending && self.device_table.is_current(index);
+        for device in self.device_table.devices() {
+            let sending = sending && self.device_table.is_current(device);
             for query in [&device.name_query, &device.services_query] {
                 if let Some(deadline) = query.deadline.filter(|_| query.is_waiting()) {
                     due = due.min(deadline);
@@ -297,9 +297,9 @@ impl Engine {
     }
 
     /// Extends the timeout of a query while its response arrives.
-    pub(super) fn extend_deadline(&mut self, index: usize, request: Request) {
+    pub(super) fn extend_deadline(&mut self, row: DeviceId, request: Request) {
         let now = self.now;
-        let device = self.device_table.get_mut(index);
+        let Some(device) = self.device_table.get_mut(row) else { return };
         let query = device.query_mut(request);
         if query.is_waiting() {
             query.state = QueryState::Receiving;

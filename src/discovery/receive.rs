@@ -3,7 +3,7 @@
 use super::conflicts::{Repetition, RequestOrigin, ResponseStart};
 use super::device::{DeviceService, ProtocolDeviation, QueryFault, QueryState};
 use super::transfers::{Continued, Started};
-use super::{Device, Engine, EventKind, Presence, local_node};
+use super::{Device, DeviceId, Engine, EventKind, Presence, local_node};
 use crate::frame::{Frame, FrameKind};
 use crate::text::Name;
 use crate::time::{Duration, Instant};
@@ -90,29 +90,29 @@ impl Engine {
         if header.message_type() == MessageType::Debug {
             let data = frame.data().to_vec();
             let code = header.service.number();
-            if let Some(index) = self.device_for_source(now, header) {
-                self.emit(index, EventKind::DebugMessage { code, data });
+            if let Some(row) = self.device_for_source(now, header) {
+                self.emit(row, EventKind::DebugMessage { code, data });
             }
             return;
         }
-        let Some(index) = self.device_for_source(now, header) else {
+        let Some(row) = self.device_for_source(now, header) else {
             self.counters.over_limit += 1;
             return;
         };
         if header.service == self.config.profile.heartbeat_service() {
-            self.process_heartbeat(now, index, header, frame, repetition);
+            self.process_heartbeat(now, row, header, frame, repetition);
         } else if header.service == self.config.profile.des_service() {
             if header.response {
-                self.process_response(now, index, header, frame, echoed);
+                self.process_response(now, row, header, frame, echoed);
             } else {
                 self.process_request(now, header, frame);
             }
         }
-        // Rows may have changed their index.
-        if let Some(index) = self.device_table.current_index_at(header.source)
-            && self.device_table.get(index).presence != Presence::Online
+        // The frame may have made another row the current one.
+        if let Some(device) = self.device_table.current_device(header.source)
+            && device.presence != Presence::Online
         {
-            self.update_device_presence(index);
+            self.update_device_presence(device.id);
         }
     }
 
@@ -137,7 +137,7 @@ impl Engine {
         }
         let last_request = self.last_request_at[header.destination.index()];
         if self.local_node.held() == Some(header.destination)
-            || self.device_table.current_index_at(header.destination).is_some()
+            || self.device_table.current_row(header.destination).is_some()
             || last_request.is_some_and(|at| now.since(at) < REQUESTER_WINDOW)
         {
             return false;
@@ -150,7 +150,7 @@ impl Engine {
 
     /// Returns true if a response is for descan: sent to its address, or with a repeated DST while
     /// a request of descan is open.
-    fn is_for_own_address(&self, index: usize, header: Header, echoed: bool) -> bool {
+    fn is_for_own_address(&self, row: DeviceId, header: Header, echoed: bool) -> bool {
         let Some(own) = self.local_node.held() else { return false };
         if header.destination == own {
             return true;
@@ -158,7 +158,7 @@ impl Engine {
         if !echoed {
             return false;
         }
-        let device = self.device_table.get(index);
+        let Some(device) = self.device_table.get(row) else { return false };
         // An error response in one framing may have ended the query: the response in the other
         // framing follows.
         let now = self.now;
@@ -176,24 +176,25 @@ impl Engine {
 
     /// Returns the row of a frame's sender; creates it for an unknown address. `None` if there are
     /// too many rows.
-    fn device_for_source(&mut self, now: Instant, header: Header) -> Option<usize> {
+    fn device_for_source(&mut self, now: Instant, header: Header) -> Option<DeviceId> {
         // In a DEBUG message the U bit does not give the sender's mode.
         let has_mode_bit = header.message_type() != MessageType::Debug;
         let working = !(header.from_non_working && has_mode_bit);
-        let Some(index) = self.device_table.current_index_at(header.source) else {
-            let index = self.device_table.insert(now, header.source, working)?;
-            self.device_table.get_mut(index).frame_count = 1;
-            self.device_table.get_mut(index).name_query.schedule(now);
-            self.emit(index, EventKind::FirstFrame);
+        let Some(row) = self.device_table.current_row(header.source) else {
+            let row = self.device_table.insert(now, header.source, working)?;
+            let device = self.device_table.get_mut(row)?;
+            device.frame_count = 1;
+            device.name_query.schedule(now);
+            self.emit(row, EventKind::FirstFrame);
             self.wake_at(now);
-            return Some(index);
+            return Some(row);
         };
         let period = self.config.profile.heartbeat.period();
-        let device = self.device_table.get_mut(index);
+        let device = self.device_table.get_mut(row)?;
         if device.retry_after_silence(now, period) {
             self.wake_at(now);
         }
-        let device = self.device_table.get_mut(index);
+        let device = self.device_table.get_mut(row)?;
         device.last_seen = now;
         device.frame_count += 1;
         device.rounds_missed = 0;
@@ -213,7 +214,7 @@ impl Engine {
             device.services_query.restart(now);
             self.wake_at(now);
         }
-        Some(index)
+        Some(row)
     }
 
     // --- requests --------------------------------------------------------------------------
@@ -295,56 +296,55 @@ impl Engine {
     fn process_response(
         &mut self,
         now: Instant,
-        index: usize,
+        row: DeviceId,
         header: Header,
         frame: &Frame,
         echoed: bool,
     ) {
-        let is_for_descan = self.is_for_own_address(index, header, echoed);
+        let is_for_descan = self.is_for_own_address(row, header, echoed);
         self.errors.note_partial_response(header.source, self.response_window());
+        let Some(device) = self.device_table.get_mut(row) else { return };
         if echoed {
-            self.device_table.get_mut(index).note_deviation(ProtocolDeviation::RspDstEcho);
+            device.note_deviation(ProtocolDeviation::RspDstEcho);
         }
         if !header.no_error {
             // It is the response to another node's request, or the request in the other framing.
-            let device = self.device_table.get(index);
             let arriving = [&device.name_query, &device.services_query];
             let arriving = arriving.iter().any(|query| query.state == QueryState::Receiving);
             if arriving || (self.local_node.held().is_some() && !is_for_descan) {
                 return;
             }
-            let request = self.open_request(index).unwrap_or(Request::Services);
-            self.response_failed(index, request, QueryFault::ErrorResponse);
+            let request = self.open_request(row).unwrap_or(Request::Services);
+            self.response_failed(row, request, QueryFault::ErrorResponse);
             return;
         }
         let open = self.transfers.is_open(header);
         // A repeated DST may by chance be the address of another requester.
-        let repeats =
-            self.device_table.get(index).deviations.contains(&ProtocolDeviation::RspDstEcho);
+        let repeats = device.deviations.contains(&ProtocolDeviation::RspDstEcho);
         let to = (!repeats).then_some(header.destination);
         match classify_response(frame.data(), frame.is_fd, open) {
             Some(Framing::Raw) => {
                 let message = strip_raw_padding(frame.data());
                 let request = request_of(message);
-                self.note_response_start(now, index, request, Framing::Raw, to, frame);
-                self.process_message(now, index, Framing::Raw, message, frame);
+                self.note_response_start(now, row, request, Framing::Raw, to, frame);
+                self.process_message(now, row, Framing::Raw, message, frame);
             }
             Some(Framing::Isotp) => {
-                self.process_isotp_frame(now, index, header, frame, is_for_descan, to);
+                self.process_isotp_frame(now, row, header, frame, is_for_descan, to);
             }
             None => {
                 // Frames of a late or incomplete transfer are not malformed.
                 let stray = matches!(frame.data().first(), Some(0x20..=0x3F));
                 if !stray {
-                    self.report_malformed(now, index, &"neither ISO-TP nor raw", frame);
+                    self.report_malformed(now, row, &"neither ISO-TP nor raw", frame);
                 }
             }
         }
     }
 
     /// Returns the request to this node that waits for a response.
-    fn open_request(&self, index: usize) -> Option<Request> {
-        let device = self.device_table.get(index);
+    fn open_request(&self, row: DeviceId) -> Option<Request> {
+        let device = self.device_table.get(row)?;
         if device.services_query.is_waiting() {
             Some(Request::Services)
         } else {
@@ -355,7 +355,7 @@ impl Engine {
     fn note_response_start(
         &mut self,
         now: Instant,
-        index: usize,
+        row: DeviceId,
         request: Option<Request>,
         framing: Framing,
         to: Option<Address>,
@@ -363,7 +363,7 @@ impl Engine {
     ) {
         let Some(request) = request else { return };
         self.rounds.note_response(now);
-        let device = self.device_table.get(index);
+        let Some(device) = self.device_table.get(row) else { return };
         let (address, name) = (device.address, device.name.clone());
         let (is_working, is_resolving) = (device.is_working, device.is_resolving);
         let response =
@@ -372,8 +372,8 @@ impl Engine {
     }
 
     /// Notes the framing of a device's response.
-    fn note_framing(&mut self, now: Instant, index: usize, framing: Framing) {
-        let device = self.device_table.get_mut(index);
+    fn note_framing(&mut self, now: Instant, row: DeviceId, framing: Framing) {
+        let Some(device) = self.device_table.get_mut(row) else { return };
         if device.framing.is_none_or(|known| known == framing) {
             device.framing = Some(framing);
             return;
@@ -390,7 +390,7 @@ impl Engine {
     fn process_isotp_frame(
         &mut self,
         now: Instant,
-        index: usize,
+        row: DeviceId,
         header: Header,
         frame: &Frame,
         is_for_descan: bool,
@@ -399,26 +399,26 @@ impl Engine {
         match Pci::decode(frame.data(), frame.is_fd) {
             Ok(Pci::Single(message)) => {
                 let request = request_of(message);
-                self.note_response_start(now, index, request, Framing::Isotp, to, frame);
-                self.process_message(now, index, Framing::Isotp, message, frame);
+                self.note_response_start(now, row, request, Framing::Isotp, to, frame);
+                self.process_message(now, row, Framing::Isotp, message, frame);
             }
             Ok(Pci::First { length, data }) => {
                 let first_type = request_of(data);
                 // With an invalid length there may be no type byte: assume the type requested.
                 let oversized = length as usize > des::MAX_MESSAGE;
-                let requested = if oversized { self.open_request(index) } else { None };
+                let requested = if oversized { self.open_request(row) } else { None };
                 let request = first_type.or(requested);
                 if request.is_none() {
-                    self.report_malformed(now, index, &ResponseFault::NotServices, frame);
+                    self.report_malformed(now, row, &ResponseFault::NotServices, frame);
                     return;
                 }
-                self.note_response_start(now, index, first_type, Framing::Isotp, to, frame);
+                self.note_response_start(now, row, first_type, Framing::Isotp, to, frame);
                 let block_size =
                     if is_for_descan { self.config.profile.isotp.block_size } else { 0 };
                 match self.transfers.start(now, header, frame, length, data, block_size) {
                     Started::Open => {
                         if let Some(request) = request {
-                            self.extend_deadline(index, request);
+                            self.extend_deadline(row, request);
                         }
                         if is_for_descan {
                             self.send_flow_control(header, FlowStatus::Continue);
@@ -430,9 +430,9 @@ impl Engine {
                         if is_for_descan {
                             self.send_flow_control(header, FlowStatus::Overflow);
                         }
-                        self.report_malformed(now, index, &fault, frame);
+                        self.report_malformed(now, row, &fault, frame);
                         if let Some(request) = request {
-                            self.response_failed(index, request, fault.into());
+                            self.response_failed(row, request, fault.into());
                         }
                     }
                 }
@@ -440,25 +440,25 @@ impl Engine {
             Ok(Pci::Consecutive { sequence, data }) => {
                 match self.transfers.push_consecutive(now, header, sequence, data) {
                     Continued::Done(message) => {
-                        self.process_message(now, index, Framing::Isotp, &message, frame);
+                        self.process_message(now, row, Framing::Isotp, &message, frame);
                     }
                     Continued::BlockEnd if is_for_descan => {
                         self.send_flow_control(header, FlowStatus::Continue);
                     }
                     Continued::Fault(fault, first) => {
                         let request = first.data().get(2).and_then(|&kind| request_of(&[kind]));
-                        self.abort_transfer(now, index, request, fault, frame);
+                        self.abort_transfer(now, row, request, fault, frame);
                     }
                     Continued::More | Continued::BlockEnd => {
-                        if let Some(request) = self.open_request(index) {
-                            self.extend_deadline(index, request);
+                        if let Some(request) = self.open_request(row) {
+                            self.extend_deadline(row, request);
                         }
                     }
                     Continued::Unknown => {}
                 }
             }
             Ok(Pci::Flow(_)) => {}
-            Err(fault) => self.report_malformed(now, index, &fault, frame),
+            Err(fault) => self.report_malformed(now, row, &fault, frame),
         }
     }
 
@@ -476,11 +476,11 @@ impl Engine {
     /// Aborts transfers whose next frame is overdue (N_Cr).
     pub(super) fn expire_transfers(&mut self) {
         while let Some(expired) = self.transfers.expire(self.now) {
-            let Some(index) = self.device_table.current_index_at(expired.header.source) else {
+            let Some(row) = self.device_table.current_row(expired.header.source) else {
                 continue;
             };
-            let request = self.open_request(index);
-            self.abort_transfer(self.now, index, request, expired.fault, &expired.first);
+            let request = self.open_request(row);
+            self.abort_transfer(self.now, row, request, expired.fault, &expired.first);
         }
     }
 
@@ -489,14 +489,14 @@ impl Engine {
     fn abort_transfer(
         &mut self,
         now: Instant,
-        index: usize,
+        row: DeviceId,
         request: Option<Request>,
         fault: TransferFault,
         frame: &Frame,
     ) {
         self.counters.transfers_failed += 1;
         let Some(request) = request else { return };
-        let device = self.device_table.get(index);
+        let Some(device) = self.device_table.get(row) else { return };
         let again = device.query(request).fault == Some(QueryFault::Transfer(fault));
         // Repeated or late frames, or responses to several requesters with one identifier, are not
         // a fault of the device.
@@ -509,42 +509,42 @@ impl Engine {
             self.conflicts.note_aborted_response(now, address, name.as_ref(), fault, frame);
             self.wake_at(now);
         }
-        self.response_failed(index, request, fault.into());
+        self.response_failed(row, request, fault.into());
     }
 
     /// Processes a complete message of the device.
     fn process_message(
         &mut self,
         now: Instant,
-        index: usize,
+        row: DeviceId,
         framing: Framing,
         message: &[u8],
         frame: &Frame,
     ) {
         match request_of(message) {
-            Some(Request::Name) => self.process_name_response(now, index, framing, message, frame),
+            Some(Request::Name) => self.process_name_response(now, row, framing, message, frame),
             Some(Request::Services) => {
-                self.note_framing(now, index, framing);
-                self.process_services_response(now, index, message, frame);
+                self.note_framing(now, row, framing);
+                self.process_services_response(now, row, message, frame);
             }
-            None => self.report_malformed(now, index, &ResponseFault::NotServices, frame),
+            None => self.report_malformed(now, row, &ResponseFault::NotServices, frame),
         }
     }
 
     fn process_name_response(
         &mut self,
         now: Instant,
-        index: usize,
+        row: DeviceId,
         framing: Framing,
         message: &[u8],
         frame: &Frame,
     ) {
         let (name, fault) = des::decode_name(message);
         if let Some(fault) = fault {
-            self.report_malformed(now, index, &fault, frame);
+            self.report_malformed(now, row, &fault, frame);
         }
         let Some(name) = name.map(Name::new) else { return };
-        let device = self.device_table.get(index);
+        let Some(device) = self.device_table.get(row) else { return };
         // If frames were lost, the end of another response may follow the name.
         if fault.is_some() && device.name.as_ref().is_some_and(|known| *known != name) {
             return;
@@ -552,13 +552,13 @@ impl Engine {
         let address = device.address;
         self.conflicts.note_name(now, address, &name, frame);
         self.errors.note_response(now, address, Request::Name, frame, self.counters.frames);
-        let index = self.row_of_name(now, index, &name);
+        let row = self.row_of_name(now, row, &name);
         let broadcast = self
             .broadcasts
             .iter()
             .map(|it| (it.is_own, it.time))
             .find(|(is_own, at)| *is_own && now.since(*at) < BROADCAST_RESPONSE_WINDOW);
-        let device = self.device_table.get_mut(index);
+        let Some(device) = self.device_table.get_mut(row) else { return };
         let fault = fault.map(QueryFault::from);
         device.name_query.record_response(now, fault, broadcast.map(|(_, at)| at));
         device.is_debug |= name.as_bytes() == local_node::NAME;
@@ -571,11 +571,11 @@ impl Engine {
             device.name = Some(name);
             device.services_query.restart(now);
             self.device_table.discoveries += 1;
-            self.emit(index, EventKind::NameReceived);
+            self.emit(row, EventKind::NameReceived);
         }
-        self.note_framing(now, index, framing);
+        self.note_framing(now, row, framing);
         if is_new {
-            self.find_move_to(index);
+            self.find_move_to(row);
         }
         self.wake_at(now);
     }
@@ -583,16 +583,16 @@ impl Engine {
     fn process_services_response(
         &mut self,
         now: Instant,
-        index: usize,
+        row: DeviceId,
         message: &[u8],
         frame: &Frame,
     ) {
         let response = ServicesResponse::decode(message);
         let fault = response.fault();
         if let Some(fault) = fault {
-            self.report_malformed(now, index, &fault, frame);
+            self.report_malformed(now, row, &fault, frame);
         }
-        let device = self.device_table.get_mut(index);
+        let Some(device) = self.device_table.get_mut(row) else { return };
         device.services_query.record_response(now, fault.map(QueryFault::from), None);
         // A device that responds to one query can be queried again for the other, which ended too
         // early.
@@ -634,7 +634,7 @@ impl Engine {
         }
         self.conflicts.note_services(now, address, digest, name.as_ref(), frame);
         if is_new {
-            self.emit(index, EventKind::Services { count, changed });
+            self.emit(row, EventKind::Services { count, changed });
         }
         self.wake_at(now);
     }
@@ -643,12 +643,12 @@ impl Engine {
     fn report_malformed(
         &mut self,
         now: Instant,
-        index: usize,
+        row: DeviceId,
         fault: &dyn std::fmt::Display,
         frame: &Frame,
     ) {
         self.counters.malformed += 1;
-        let device = self.device_table.get(index);
+        let Some(device) = self.device_table.get(row) else { return };
         let (address, name) = (device.address, device.name.clone());
         self.conflicts.note_malformed(now, address, name.as_ref(), fault, frame);
         self.wake_at(now);

@@ -5,7 +5,7 @@
 
 use super::claims::{ClaimUpdate, HeartbeatInput};
 use super::device::MISSED_HEARTBEAT_PERIODS;
-use super::{DeviceId, Engine, EventKind, OtherDevice};
+use super::{Device, DeviceId, Engine, EventKind, OtherDevice};
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
 use crate::wire::node::{Heartbeat, Mode, Uid};
@@ -17,7 +17,7 @@ const CLAIM_RELEVANT_PERIODS: u32 = 12;
 /// A heartbeat, with the state of the row at its address before it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct HeartbeatContext {
-    pub index: usize,
+    pub row: DeviceId,
     pub address: Address,
     pub heartbeat: Heartbeat,
     pub uid_before: Option<Uid>,
@@ -41,9 +41,9 @@ pub(super) struct HeartbeatSender {
 impl Engine {
     /// Determines the sender of a heartbeat, and whether it claims its address.
     pub(super) fn note_sender(&mut self, claim: HeartbeatContext) -> HeartbeatSender {
-        let HeartbeatContext { index, address, heartbeat, uid_before, mode_before, gap } = claim;
+        let HeartbeatContext { row, address, heartbeat, uid_before, mode_before, gap } = claim;
         let not_blank = |uid: Option<Uid>| uid.filter(|uid| !uid.is_blank());
-        let (now, row) = (self.now, self.device_table.get(index).id);
+        let now = self.now;
         let arslv = heartbeat.mode == Some(Mode::Arslv) && mode_before != Some(Mode::Arslv);
         // A node that claims its address again was silent before; a holder does not claim.
         let held = gap.is_some_and(|gap| gap < self.gap_limit());
@@ -64,10 +64,9 @@ impl Engine {
         };
         // The sender has its own row at this address, and has not sent its name again yet.
         let own = self.claims.row_of(uid).filter(|own| *own != row);
-        let own = own
-            .and_then(|own| self.device_table.by_id(own))
-            .is_some_and(|it| it.address == address)
-            && self.claims.is_shared(now, address, uid);
+        let own =
+            own.and_then(|own| self.device_table.get(own)).is_some_and(|it| it.address == address)
+                && self.claims.is_shared(now, address, uid);
         let over_holder = own || (over_holder && before.is_none());
         let heartbeat_input = HeartbeatInput {
             now,
@@ -79,17 +78,16 @@ impl Engine {
         };
         let update = self.claims.update(heartbeat_input, || self.device_table.reserve());
         let same = before.is_none() || before == Some(uid);
+        let is_present = self.device_table.get(row).is_some_and(Device::is_present);
         HeartbeatSender {
             known: Some((uid, update)),
             mode_before: if same { mode_before } else { update.mode_before },
             is_other_node: update.is_other_node,
             claims: update.claims,
-            holder: (update.is_other_node && self.device_table.get(index).is_present()).then(
-                || {
-                    let holder = self.claims.uid_of(row).or(before);
-                    self.party(row, holder)
-                },
-            ),
+            holder: (update.is_other_node && is_present).then(|| {
+                let holder = self.claims.uid_of(row).or(before);
+                self.party(row, holder)
+            }),
         }
     }
 
@@ -112,8 +110,7 @@ impl Engine {
             let to = Some(self.party(update.device, Some(uid)));
             let kind = EventKind::GaveUpAddress { uid: Some(silent), to, inferred: true };
             // A row that both shared now belongs to the other node.
-            let shared =
-                self.device_table.current_device(address).is_some_and(|row| row.id == device);
+            let shared = self.device_table.current_row(address) == Some(device);
             self.emit_for((!shared).then_some(device), address, kind);
         }
     }
@@ -123,7 +120,7 @@ impl Engine {
         if let Some((_, update)) = sender.known
             && let (Some(left), false) = (update.left, sender.is_other_node)
             && let (Some(old), Some(new)) =
-                (self.row_left(left, &update), self.device_table.current_index_at(address))
+                (self.row_left(left, &update), self.device_table.current_row(address))
             && old != new
         {
             self.take_over_row(old, new);
@@ -144,19 +141,18 @@ impl Engine {
             // this one.
             if let (Some(left), Some(row)) = (update.left, row)
                 && row != update.device
-                && self.device_table.by_id(update.device).is_some()
+                && self.device_table.get(update.device).is_some()
                 && let Some(before) = self.claims.other_sender_since(left, uid)
             {
                 let kind = EventKind::IdsMerged { previous: update.device, before: Some(before) };
                 self.emit_for(Some(row), address, kind);
             }
-            if let (Some(from), Some(index)) =
-                (update.left, self.device_table.current_index_at(address))
-                && row.is_some()
-                && self.device_table.get(index).moved_from != Some(from)
+            if let (Some(from), Some(row)) = (update.left, row)
+                && let Some(here) = self.device_table.get_mut(row)
+                && here.moved_from != Some(from)
             {
-                self.device_table.get_mut(index).moved_from = Some(from);
-                self.emit(index, EventKind::Moved { from });
+                here.moved_from = Some(from);
+                self.emit(row, EventKind::Moved { from });
             }
             device = device.or(Some(update.device));
         }
@@ -180,26 +176,26 @@ impl Engine {
     }
 
     /// Returns the UID of a row, if known and not blank.
-    pub(super) fn uid_of_row(&self, index: usize) -> Option<Uid> {
-        let row = self.device_table.get(index);
-        self.claims.uid_of(row.id).or(row.uid).filter(|uid| !uid.is_blank())
+    pub(super) fn uid_of_row(&self, row: DeviceId) -> Option<Uid> {
+        let device = self.device_table.get(row)?;
+        self.claims.uid_of(row).or(device.uid).filter(|uid| !uid.is_blank())
     }
 
     /// Returns the row of a sender at an address it left; `None` if the row stands for another node
     /// now.
-    fn row_left(&self, left: Address, update: &ClaimUpdate) -> Option<usize> {
-        let index = self.device_table.index_of(update.device)?;
-        let row = self.device_table.get(index);
-        let silent = self.now.since(row.last_seen) > self.gap_limit()
+    fn row_left(&self, left: Address, update: &ClaimUpdate) -> Option<DeviceId> {
+        let device = self.device_table.get(update.device)?;
+        let silent = self.now.since(device.last_seen) > self.gap_limit()
             || self.claims.are_others_known(self.now, left, update.device);
-        (row.address == left && (silent || !self.device_table.is_current(index))).then_some(index)
+        let has_left = silent || !self.device_table.is_current(device);
+        (device.address == left && has_left).then_some(update.device)
     }
 
     fn row_of_sender(&self, address: Address, sender: &HeartbeatSender) -> Option<DeviceId> {
         if sender.is_other_node {
             return None;
         }
-        self.device_table.current_device(address).map(|row| row.id)
+        self.device_table.current_row(address)
     }
 
     /// Returns the gap between heartbeats from which at least one is missing.
@@ -208,16 +204,16 @@ impl Engine {
     }
 
     fn party(&self, device: DeviceId, uid: Option<Uid>) -> OtherDevice {
-        let name = self.device_table.by_id(device).and_then(|row| row.name.clone());
+        let name = self.device_table.get(device).and_then(|it| it.name.clone());
         OtherDevice { device, name, uid }
     }
 
     /// Returns the node that sends heartbeats without a UID from `address`, and did so after
     /// `then`.
     fn blank_party(&self, address: Address, then: Instant) -> Option<OtherDevice> {
-        let row = self.device_table.current_device(address)?;
-        let last = row.heartbeat.last.filter(|last| *last > then)?;
-        let is_blank = row.uid.is_none_or(Uid::is_blank);
-        (is_blank && self.now.since(last) < self.gap_limit()).then(|| self.party(row.id, None))
+        let device = self.device_table.current_device(address)?;
+        let last = device.heartbeat.last.filter(|last| *last > then)?;
+        let is_blank = device.uid.is_none_or(Uid::is_blank);
+        (is_blank && self.now.since(last) < self.gap_limit()).then(|| self.party(device.id, None))
     }
 }

@@ -488,6 +488,42 @@ fn heartbeats_during_outage_are_not_missed() {
 }
 
 #[test]
+fn row_ids_stay_valid_after_moves_and_removals() {
+    let config = Config { has_loopback: false, listen_only: true, ..Config::default() };
+    let mut engine = Engine::new(Instant::ZERO, config);
+    let beats = |engine: &mut Engine, second: u64, nodes: &[(u8, &str)]| {
+        for (at, uid) in nodes {
+            engine.handle_frame(&beat(*at, uid).with_time(seconds(second as f64 + 0.1)));
+        }
+        engine.handle_timeout(seconds(second as f64 + 0.9));
+    };
+    let (staying, moving, leaving) = ([(2, "UNIT01"), (8, "UNIT04")], "UNIT02", "UNIT03");
+    for second in 0..3 {
+        beats(&mut engine, second, &[staying[0], (4, moving), (6, leaving), staying[1]]);
+    }
+    let ids: Vec<_> = engine.devices().iter().map(|device| device.id).collect();
+    let at = |engine: &Engine, id| engine.device(id).map(|device| device.address.number());
+    assert_eq!(ids.iter().map(|id| at(&engine, *id)).collect::<Vec<_>>(), [2, 4, 6, 8].map(Some));
+    // The moved device has two rows at first, with the number of the second one not used again.
+    for second in 3..15 {
+        beats(&mut engine, second, &[staying[0], (20, moving), staying[1], (30, "UNIT05")]);
+    }
+    assert_eq!(engine.devices().len(), 5);
+    engine.remove_lost_devices();
+    beats(&mut engine, 15, &[staying[0], (40, "UNIT06"), staying[1]]);
+    assert_eq!(
+        ids.iter().map(|id| at(&engine, *id)).collect::<Vec<_>>(),
+        [Some(2), Some(20), None, Some(8)]
+    );
+    for device in engine.devices() {
+        assert_eq!(at(&engine, device.id), Some(device.address.number()));
+        assert_eq!(engine.device_at(device.address).map(|it| it.id), Some(device.id));
+    }
+    assert_eq!(engine.devices().len(), 5);
+    assert!(engine.device_at(Address::new(6).unwrap()).is_none());
+}
+
+#[test]
 fn heartbeat_lost_in_short_outage_is_not_missed() {
     let beats_missed = |outage: (Option<f64>, f64), next: u64| {
         let config = Config { has_loopback: false, listen_only: true, ..Config::default() };

@@ -75,6 +75,15 @@ fn any_pause() -> impl Strategy<Value = u64> {
     prop_oneof![500 => 0u64..400_000, 1 => any::<u64>()]
 }
 
+/// Returns true if each row is found by its id, and the current row of an address is a row there.
+fn are_rows_found(engine: &Engine) -> bool {
+    let is_found = |id| engine.device(id).is_some_and(|device| device.id == id);
+    engine.devices().iter().all(|device| is_found(device.id))
+        && Address::all()
+            .filter_map(|address| Some((address, engine.device_at(address)?)))
+            .all(|(address, device)| device.address == address && is_found(device.id))
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: sweep::cases(256), ..ProptestConfig::default() })]
 
@@ -92,6 +101,7 @@ proptest! {
             now += Duration::from_micros(pause);
             if pause > HOUR_US {
                 engine.handle_timeout(now);
+                engine.remove_lost_devices();
             }
             while let Some(due) = engine.poll_timeout().filter(|due| *due <= now) {
                 repeats = if due == last_due { repeats + 1 } else { 0 };
@@ -110,6 +120,7 @@ proptest! {
             while engine.poll_event().is_some() {}
         }
         prop_assert!(engine.devices().len() <= 512);
+        prop_assert!(are_rows_found(&engine));
         for device in engine.devices() {
             if let Some(name) = &device.name {
                 prop_assert!(!name.to_string().contains(|c: char| c.is_control()));
@@ -137,6 +148,7 @@ fn changing_names_do_not_grow_memory() {
         while engine.poll_transmit(now).is_some() {}
     }
     assert!(engine.devices().len() <= 512);
+    assert!(are_rows_found(&engine));
     assert!(engine.findings().len() <= 512);
     assert!(std::iter::from_fn(|| engine.poll_event()).count() <= 4096);
 }
