@@ -28,6 +28,8 @@ const RESOLUTION_PERIODS: u32 = 5;
 pub(super) struct HeartbeatInput {
     pub now: Instant,
     pub address: Address,
+    /// Heartbeat period of the address.
+    pub period: Duration,
     /// UID, not blank.
     pub uid: Uid,
     pub mode: Option<Mode>,
@@ -83,15 +85,14 @@ impl Node {
 /// Nodes of one bus by their UID.
 #[derive(Debug)]
 pub(super) struct AddressClaims {
-    period: Duration,
     nodes: Vec<Node>,
     /// Time of the last claim of each address while another node sent heartbeats from it.
     claimed_while_held: [Option<Instant>; Address::COUNT],
 }
 
 impl AddressClaims {
-    pub fn new(period: Duration) -> Self {
-        Self { period, nodes: Vec::new(), claimed_while_held: [None; Address::COUNT] }
+    pub fn new() -> Self {
+        Self { nodes: Vec::new(), claimed_while_held: [None; Address::COUNT] }
     }
 
     /// Processes a heartbeat. `reserve` returns an id that no row will have.
@@ -100,9 +101,9 @@ impl AddressClaims {
         heartbeat: HeartbeatInput,
         reserve: impl FnOnce() -> DeviceId,
     ) -> ClaimUpdate {
-        let HeartbeatInput { now, address, uid, mode, row, holder_present: over_holder } =
-            heartbeat;
-        let (period, gap) = (self.period, self.period.mul_f64(MISSED_HEARTBEAT_PERIODS));
+        let HeartbeatInput { now, address, period, uid, mode, row, holder_present } = heartbeat;
+        let over_holder = holder_present;
+        let gap = period.mul_f64(MISSED_HEARTBEAT_PERIODS);
         let resolution_time = period * RESOLUTION_PERIODS;
         // A replaced board was silent for longer; so is one that is asleep.
         let is_holder = |node: &Node| {
@@ -155,7 +156,7 @@ impl AddressClaims {
         node.has_claimed |= update.claims;
         node.mode = mode.or(node.mode);
         node.last = now;
-        self.note_contention(at, over_holder, now);
+        self.note_contention(at, over_holder, period, now);
         if update.claims && is_other_node {
             self.note_claimed_while_held(now, address);
         }
@@ -163,10 +164,10 @@ impl AddressClaims {
     }
 
     /// Updates since when the node at index `at` and the others at its address are in conflict.
-    fn note_contention(&mut self, at: usize, over_holder: bool, now: Instant) {
+    fn note_contention(&mut self, at: usize, over_holder: bool, period: Duration, now: Instant) {
         let (uid, address) = (self.nodes[at].uid, self.nodes[at].address);
-        let resolution_time = self.period * RESOLUTION_PERIODS;
-        let recently = self.period.mul_f64(HOLD_PERIODS);
+        let resolution_time = period * RESOLUTION_PERIODS;
+        let recently = period.mul_f64(HOLD_PERIODS);
         let (mut near, mut any) = (over_holder, over_holder);
         for other in &mut self.nodes {
             if other.uid == uid || other.address != address {
@@ -219,13 +220,14 @@ impl AddressClaims {
         &mut self,
         now: Instant,
         address: Address,
+        period: Duration,
         uid: Uid,
     ) -> Vec<(DeviceId, Uid)> {
-        let resolution_time = self.period * RESOLUTION_PERIODS;
+        let resolution_time = period * RESOLUTION_PERIODS;
         let Some(winner) = self.nodes.iter().find(|node| node.uid == uid) else {
             return Vec::new();
         };
-        let (since, has_claimed, period) = (winner.since, winner.has_claimed, self.period);
+        let (since, has_claimed) = (winner.since, winner.has_claimed);
         let silent = self.nodes.iter_mut().filter(|node| {
             node.uid != uid
                 && node.address == address
@@ -244,16 +246,22 @@ impl AddressClaims {
     }
 
     /// Returns true if a node other than `uid` still holds `address`.
-    pub fn is_shared(&self, now: Instant, address: Address, uid: Uid) -> bool {
-        let holds = self.period.mul_f64(HOLD_PERIODS);
+    pub fn is_shared(&self, now: Instant, address: Address, period: Duration, uid: Uid) -> bool {
+        let holds = period.mul_f64(HOLD_PERIODS);
         let mut others = self.nodes.iter().filter(|it| it.uid != uid && it.address == address);
         others.any(|node| now.since(node.last) < holds)
     }
 
     /// Returns true if other nodes than that row send heartbeats from `address` now, and all of
     /// them have rows.
-    pub fn are_others_known(&self, now: Instant, address: Address, row: DeviceId) -> bool {
-        let gap = self.period.mul_f64(MISSED_HEARTBEAT_PERIODS);
+    pub fn are_others_known(
+        &self,
+        now: Instant,
+        address: Address,
+        period: Duration,
+        row: DeviceId,
+    ) -> bool {
+        let gap = period.mul_f64(MISSED_HEARTBEAT_PERIODS);
         let mut others = self.nodes.iter().filter(|node| {
             node.address == address && node.device != row && now.since(node.last) < gap
         });
@@ -309,10 +317,11 @@ impl AddressClaims {
         &self,
         now: Instant,
         address: Address,
+        period: Duration,
         then: Instant,
         but: Uid,
     ) -> Option<(DeviceId, Uid)> {
-        let gap = self.period.mul_f64(MISSED_HEARTBEAT_PERIODS);
+        let gap = period.mul_f64(MISSED_HEARTBEAT_PERIODS);
         let nodes = self.nodes.iter().filter(|node| {
             node.uid != but
                 && node.address == address

@@ -109,19 +109,20 @@ impl HeartbeatStats {
 
     /// Counts a heartbeat and returns the time since the previous one. `period` is the expected
     /// interval; `missed_in_outage` is the number of heartbeats due since the previous one while
-    /// the bus was down.
+    /// the bus was down; `None`: the interval is a guess, so none is counted as missed.
     pub(super) fn record_heartbeat(
         &mut self,
         now: Instant,
         period: Duration,
-        missed_in_outage: u64,
+        missed_in_outage: Option<u64>,
     ) -> Option<Duration> {
         self.count += 1;
         let gap = self.last.replace(now).map(|last| now.since(last));
         if let Some(gap) = gap {
             let ratio = gap.as_secs_f64() / period.as_secs_f64();
             if ratio > 1.5 {
-                self.missed += ((ratio - 0.5) as u64).saturating_sub(missed_in_outage);
+                let due = (ratio - 0.5) as u64;
+                self.missed += missed_in_outage.map_or(0, |missed| due.saturating_sub(missed));
             } else if ratio > 0.3 {
                 self.intervals += 1;
                 let weight = 1.0 / self.intervals.min(64) as f64;

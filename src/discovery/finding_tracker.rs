@@ -28,6 +28,9 @@ const FOLLOW_UP_RESTART_PERIODS: u32 = 3;
 const CONFIRMED_FOLLOW_UP_DELAY: Duration = Duration::from_secs(2);
 /// Longest gap between heartbeat evidence that belongs together, in periods.
 const HEARTBEAT_GAP_PERIODS: f64 = 2.6;
+/// The same for heartbeats of two UIDs in turns, which prove more and of which some may be lost: as
+/// long as the finding stays open without evidence.
+const IDENTITY_GAP_PERIODS: f64 = 5.0;
 /// Longest gap between response evidence that belongs together, in periods since a request was
 /// seen: two requests.
 const RESPONSE_GAP_PERIODS: f64 = 1.75;
@@ -122,7 +125,10 @@ impl EvidenceState {
 #[derive(Debug)]
 pub(super) struct FindingTracker {
     bus: BusIndex,
-    period: Duration,
+    /// Heartbeat period of each address.
+    periods: [Duration; Address::COUNT],
+    /// Heartbeat period of the profile, for findings without an address.
+    default_period: Duration,
     listen_only: bool,
     findings: Vec<Finding>,
     evidence_states: Vec<EvidenceState>,
@@ -141,7 +147,8 @@ impl FindingTracker {
     pub fn new(bus: BusIndex, period: Duration, passive: bool, seed: u64) -> Self {
         Self {
             bus,
-            period,
+            periods: [period; Address::COUNT],
+            default_period: period,
             listen_only: passive,
             findings: Vec::new(),
             evidence_states: Vec::new(),
@@ -247,12 +254,13 @@ impl FindingTracker {
                     query(address);
                 }
                 let delay = if confirmed { CONFIRMED_FOLLOW_UP_DELAY } else { FOLLOW_UP_DELAY };
-                let next = with_jitter(self.seed, now, delay);
+                let next = self.with_jitter(at, now, delay);
+                let period = self.period_of(at);
                 let state = &mut self.evidence_states[at];
                 state.follow_up_count += 1;
                 state.last_follow_up = now;
                 let goes_on = confirmed
-                    || state.is_rate_doubled(now, self.period) && state.strong > 0
+                    || state.is_rate_doubled(now, period) && state.strong > 0
                     || state.follow_up_count < MAX_FOLLOW_UPS;
                 state.next_follow_up = goes_on.then_some(next);
             }
@@ -298,9 +306,10 @@ impl FindingTracker {
                 && it.key.kind != FindingKind::OneUidTwoAddresses
                 && it.key.address == finding.key.address
         };
-        let at = self.several_senders_at[finding.key.address?.index()]?;
+        let address = finding.key.address?;
+        let at = self.several_senders_at[address.index()]?;
         let is_only = is_such(&finding) && self.findings.iter().filter(is_such).count() == 1;
-        is_only.then(|| at + self.period.mul_f64(KEPT_PERIODS))
+        is_only.then(|| at + self.periods[address.index()].mul_f64(KEPT_PERIODS))
     }
 
     /// Clears the conflicts at `address`, whose device is lost.
@@ -318,15 +327,26 @@ impl FindingTracker {
 
     // --- findings ------------------------------------------------------------------------
 
+    /// Sets the heartbeat period of each address.
+    pub fn set_periods(&mut self, periods: &[Duration; Address::COUNT]) {
+        self.periods = *periods;
+    }
+
+    /// Returns the heartbeat period of the address that a finding concerns.
+    fn period_of(&self, at: usize) -> Duration {
+        let address = self.findings[at].key.address;
+        address.map_or(self.default_period, |address| self.periods[address.index()])
+    }
+
     /// Age at which evidence no longer supports a finding.
-    fn evidence_lifetime(&self) -> Duration {
-        if self.listen_only { self.period.mul_f64(7.5) } else { self.period * 5 }
+    fn evidence_lifetime(&self, period: Duration) -> Duration {
+        if self.listen_only { period.mul_f64(7.5) } else { period * 5 }
     }
 
     /// Age at which response evidence no longer supports a finding while no request was seen. In
     /// listen-only mode other nodes may send requests only every ten periods.
-    pub fn max_evidence_lifetime(&self) -> Duration {
-        if self.listen_only { self.period * 12 } else { self.evidence_lifetime() }
+    pub fn max_evidence_lifetime(&self, period: Duration) -> Duration {
+        if self.listen_only { period * 12 } else { self.evidence_lifetime(period) }
     }
 
     /// Returns when a finding is cleared if no more evidence is seen.
@@ -339,14 +359,15 @@ impl FindingTracker {
     fn evidence_expires_at(&self, at: usize) -> Instant {
         let finding = &self.findings[at];
         let requested = finding.key.address.map(|address| self.requested_at[address.index()]);
-        let usual = finding.last + self.evidence_lifetime();
+        let period = self.period_of(at);
+        let usual = finding.last + self.evidence_lifetime(period);
         match requested {
             Some(None) if self.evidence_states[at].is_response_based => {
-                finding.last + self.max_evidence_lifetime()
+                finding.last + self.max_evidence_lifetime(period)
             }
             // The device needs time to respond.
             Some(Some(requested)) if self.evidence_states[at].is_response_based => {
-                usual.max(requested + self.period)
+                usual.max(requested + period)
             }
             _ => usual,
         }
@@ -370,7 +391,7 @@ impl FindingTracker {
     /// Returns the index of the finding with that key; creates it, or opens it again if it was
     /// cleared. `None` if there are too many.
     fn open(&mut self, now: Instant, key: FindingKey) -> Option<usize> {
-        let check = with_jitter(self.seed, now, FOLLOW_UP_DELAY);
+        let check = with_jitter(self.seed, key.address, now, FOLLOW_UP_DELAY);
         let state = EvidenceState {
             began: None,
             strong: 0,
@@ -446,17 +467,22 @@ impl FindingTracker {
         address: Address,
         strength: EvidenceStrength,
     ) {
+        let period = self.period_of(at);
+        let gap_periods = match self.findings[at].key.kind {
+            FindingKind::OneAddressTwoIdentities => IDENTITY_GAP_PERIODS,
+            _ => HEARTBEAT_GAP_PERIODS,
+        };
         let state = &mut self.evidence_states[at];
         // Evidence after a gap starts a new count. For response evidence the gap counts from the
         // first request.
         let requested = self.requested_at[address.index()];
         let (expected_since, pause) = match requested {
-            _ if !state.is_response_based => (Some(last), HEARTBEAT_GAP_PERIODS),
+            _ if !state.is_response_based => (Some(last), gap_periods),
             Some(requested) => (Some(requested.max(last)), RESPONSE_GAP_PERIODS),
             None => (None, HEARTBEAT_GAP_PERIODS),
         };
-        let interrupted = !state.is_rate_doubled(now, self.period)
-            && expected_since.is_some_and(|since| now.since(since) >= self.period.mul_f64(pause));
+        let interrupted = !state.is_rate_doubled(now, period)
+            && expected_since.is_some_and(|since| now.since(since) >= period.mul_f64(pause));
         if interrupted && strength != EvidenceStrength::Proof && state.began.is_some() {
             state.began = None;
             state.strong = 0;
@@ -466,7 +492,7 @@ impl FindingTracker {
         }
         state.began.get_or_insert(now);
         // Strong evidence counts once per half period, so a burst is not enough.
-        if state.strong_at.is_none_or(|last| now.since(last) >= self.period / 2) {
+        if state.strong_at.is_none_or(|last| now.since(last) >= period / 2) {
             state.strong += 1;
             state.strong_at = Some(now);
         }
@@ -474,13 +500,13 @@ impl FindingTracker {
 
     /// Starts another series of follow-up requests for new evidence after the last one.
     fn resume_follow_ups(&mut self, now: Instant, at: usize, kind: FindingKind) {
+        let restart = self.period_of(at) * FOLLOW_UP_RESTART_PERIODS;
         let state = &self.evidence_states[at];
-        let restart = self.period * FOLLOW_UP_RESTART_PERIODS;
         if kind.is_conflict()
             && state.next_follow_up.is_none()
             && now.since(state.last_follow_up) >= restart
         {
-            let soon = with_jitter(self.seed, now, FOLLOW_UP_DELAY / 4);
+            let soon = self.with_jitter(at, now, FOLLOW_UP_DELAY / 4);
             let state = &mut self.evidence_states[at];
             state.follow_up_count = 0;
             state.next_follow_up = Some(soon);
@@ -491,7 +517,7 @@ impl FindingTracker {
     fn update_state(&mut self, now: Instant, at: usize) {
         let state = &self.evidence_states[at];
         // Five periods, less 1 % for heartbeat jitter.
-        let enough = self.period.mul_f64(4.95);
+        let enough = self.period_of(at).mul_f64(4.95);
         let lasts = state.began.is_some_and(|began| now.since(began) >= enough);
         if state.strong >= CONFIRM_AFTER_STRONG && lasts {
             self.set(now, at, FindingState::Confirmed);
@@ -555,7 +581,8 @@ impl FindingTracker {
             return;
         };
         if self.findings[old].state != FindingState::Cleared {
-            if now.since(self.findings[old].last) < self.period.mul_f64(HEARTBEAT_GAP_PERIODS) {
+            let recent = self.period_of(old).mul_f64(HEARTBEAT_GAP_PERIODS);
+            if now.since(self.findings[old].last) < recent {
                 let (before, began) =
                     (self.evidence_states[old].began, self.evidence_states[new].began);
                 self.evidence_states[new].began = before.into_iter().chain(began).min();
@@ -612,7 +639,7 @@ impl FindingTracker {
         self.note_change(key, state);
         if state == FindingState::Confirmed && is_conflict {
             self.evidence_states[at].next_follow_up =
-                Some(with_jitter(self.seed, now, CONFIRMED_FOLLOW_UP_DELAY));
+                Some(self.with_jitter(at, now, CONFIRMED_FOLLOW_UP_DELAY));
         }
     }
 
@@ -621,17 +648,23 @@ impl FindingTracker {
         self.revision += 1;
     }
 
+    /// Returns the time about `wait` after `now` for a request about a finding.
+    fn with_jitter(&self, at: usize, now: Instant, wait: Duration) -> Instant {
+        with_jitter(self.seed, self.findings[at].key.address, now, wait)
+    }
+
     fn describe(&mut self, at: usize) {
         finding_text::describe(&mut self.findings[at]);
     }
 }
 
 /// Returns the time about `wait` after `now`, varied by up to a tenth. Keeps follow-up requests out of
-/// step with 1 s heartbeats and with other inspectors, because equal responses that wait together
-/// merge on the wire. The variation depends on `now` and the seed alone, so that one finding does
-/// not change the requests about another.
-fn with_jitter(seed: u64, now: Instant, wait: Duration) -> Instant {
-    let mut rng = fastrand::Rng::with_seed(seed ^ now.as_micros());
+/// step with 1 s heartbeats, with other inspectors and with each other, because equal responses that
+/// wait together merge on the wire. The variation depends on address and time alone, so that one
+/// finding does not change the requests about another.
+fn with_jitter(seed: u64, address: Option<Address>, now: Instant, wait: Duration) -> Instant {
+    let address = address.map_or(0, |address| u64::from(address.number()) + 1);
+    let mut rng = fastrand::Rng::with_seed(seed ^ now.as_micros() ^ address << 56);
     now + wait.mul_f64(0.9 + 0.2 * rng.f64())
 }
 

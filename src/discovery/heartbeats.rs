@@ -53,7 +53,7 @@ impl Engine {
         let profile = &self.config.profile;
         let codes = profile.modes.codes();
         let heartbeat = Heartbeat::decode(frame.data(), &profile.heartbeat, &codes);
-        let period = profile.heartbeat.period();
+        let period = self.conflicts.periods().of(header.source);
         let Some(device) = self.device_table.get(row) else { return };
         let previous_heartbeat = device.heartbeat.last;
         let first = previous_heartbeat.is_none();
@@ -65,7 +65,9 @@ impl Engine {
         let Some(device) = self.device_table.get_mut(row) else { return };
         let expected = device.heartbeat.period();
         let jitter = device.heartbeat.jitter();
-        let gap = device.heartbeat.record_heartbeat(now, period, missed_in_outage);
+        let expects = self.conflicts.periods().is_reliable(header.source);
+        let gap =
+            device.heartbeat.record_heartbeat(now, period, expects.then_some(missed_in_outage));
         if first {
             self.wake_at(now + period * 2);
         }
@@ -193,8 +195,8 @@ impl Engine {
 
     /// Handles a new UID in the heartbeats of a row.
     fn handle_uid_change(&mut self, now: Instant, row: DeviceId, first: bool) {
-        let period = self.config.profile.heartbeat.period();
         let Some(device) = self.device_table.get(row) else { return };
+        let period = self.period_of(device.address);
         // A device known for longer sent no heartbeats before.
         let known = !first || device.name.is_some() && now.since(device.first_seen) > period * 3;
         if known && !self.conflicts.finding_tracker().is_open_at(device.address) {
@@ -219,7 +221,7 @@ impl Engine {
         previous: Instant,
         frame: &Frame,
     ) {
-        let period = self.config.profile.heartbeat.period();
+        let period = self.period_of(address);
         if uid.is_blank() || now.since(previous) < period / 2 {
             return;
         }

@@ -71,17 +71,17 @@ impl Engine {
     /// Detects that a row is a known device at a new address: the same UID, or else the only device
     /// of its name, whose old address is silent.
     pub(super) fn find_move_to(&mut self, row: DeviceId) {
-        let period = self.config.profile.heartbeat.period();
         let Some(device) = self.device_table.get(row) else { return };
-        let now = self.now;
+        let (now, periods) = (self.now, self.conflicts.periods());
         let (uid, name, address) =
             (device.uid.filter(|uid| !uid.is_blank()), device.name.clone(), device.address);
         let first_seen = device.first_seen;
         // A device without heartbeats is silent between rounds, and has left only when it is lost.
         let gone = |other: &Device| {
+            let missed = periods.of(other.address).mul_f64(MISSED_HEARTBEAT_PERIODS);
             other.address != address
                 && other.last_seen <= first_seen
-                && now.since(other.last_seen) > period.mul_f64(MISSED_HEARTBEAT_PERIODS)
+                && now.since(other.last_seen) > missed
                 && (other.heartbeat.period().is_some() || !other.is_present())
         };
         let by_uid = uid.and_then(|uid| {

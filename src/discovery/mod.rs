@@ -21,6 +21,7 @@
 //! identity           replaced boards, moved devices
 //! claims             address claims and addresses given up
 //! resolution         events about them
+//! periods            heartbeat period of each address
 //! presence           online, stale, lost
 //! transfers          multi-frame responses
 //! rounds             enumeration rounds
@@ -47,6 +48,7 @@ mod heartbeats;
 mod identity;
 mod local_node;
 mod outbox;
+mod periods;
 mod presence;
 mod query_scheduler;
 mod receive;
@@ -231,15 +233,13 @@ impl Engine {
     /// Creates an engine that starts at `now`.
     pub fn new(now: Instant, config: Config) -> Self {
         let mut rng = fastrand::Rng::with_seed(config.seed);
-        let period = config.profile.heartbeat.period();
         Self {
             local_node: LocalNode::new(now, &config, &mut rng),
             outbox: Outbox::new(now, config.has_loopback),
             conflicts: ConflictDetector::new(
                 config.bus,
-                period,
+                &config.profile,
                 config.listen_only,
-                config.profile.uid.clone(),
                 config.seed,
             ),
             errors: BusErrorTracker::default(),
@@ -247,7 +247,7 @@ impl Engine {
             rounds: Rounds::new(),
             transfers: Transfers::new(),
             lateness: BusDelayTracker::default(),
-            claims: AddressClaims::new(period),
+            claims: AddressClaims::new(),
             outages: Outages::default(),
             broadcasts: VecDeque::new(),
             last_request_at: [None; Address::COUNT],
@@ -494,10 +494,15 @@ impl Engine {
         self.wake = self.wake.min(at);
     }
 
+    /// Returns the heartbeat period of `address`.
+    fn period_of(&self, address: Address) -> Duration {
+        self.conflicts.periods().of(address)
+    }
+
     fn presence_input(&self) -> PresenceInput<'_> {
         PresenceInput {
             outages: &self.outages,
-            period: self.config.profile.heartbeat.period(),
+            periods: self.conflicts.periods(),
             rounds: !self.config.listen_only
                 && self.config.send_requests
                 && !self.config.round_period.is_zero(),
@@ -683,7 +688,7 @@ impl Engine {
             if self.conflicts.finding_tracker().is_open_at(device.address) { 8 } else { 4 };
         let responded = device.name_query.responded_at.max(device.replaced_at);
         let responded = responded.unwrap_or(device.last_seen);
-        let period = self.config.profile.heartbeat.period();
+        let period = self.period_of(device.address);
         match device.mode {
             _ if self.now.since(responded) < period * periods => device.presence,
             Some(Mode::Idle) => Presence::Asleep,

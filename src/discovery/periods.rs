@@ -9,9 +9,15 @@ use crate::time::Duration;
 use crate::wire::id::Address;
 use std::collections::VecDeque;
 
-/// Intervals stored per address: with a third of the heartbeats lost, five of nine are still single
-/// periods in 90 % of the cases.
+/// Intervals stored per address: with 30 % of the heartbeats lost, seven of nine are single periods
+/// in every other window.
 const MAX_INTERVALS: usize = 9;
+/// Number of them that must agree with the median. Two senders in different phases make at most
+/// five of nine agree.
+const MIN_AGREEING: usize = 7;
+/// Number of equal intervals, without any other, that are enough before the store is full: two of
+/// them may be two periods each, because heartbeats were lost, but hardly five.
+const MIN_INTERVALS: usize = 5;
 /// Deviation of an interval from the median up to which both are one period; heartbeats have a low
 /// priority and may wait on a busy bus.
 const TOLERANCE: f64 = 0.15;
@@ -32,13 +38,20 @@ struct Intervals {
 }
 
 impl Intervals {
-    /// Returns the median interval, if more than half of the stored ones agree with it.
-    fn regular_interval(&self) -> Option<Duration> {
+    /// Returns the median interval, if enough of the stored ones agree with it. More senders make
+    /// intervals shorter, so one shorter than `expected` must be without exception in a full store.
+    fn regular_interval(&self, expected: Duration) -> Option<Duration> {
         let mut sorted: Vec<Duration> = self.recent.iter().copied().collect();
         sorted.sort_unstable();
         let median = *sorted.get(sorted.len().checked_sub(1)? / 2)?;
         let agreeing = sorted.iter().filter(|interval| is_near(**interval, median)).count();
-        (sorted.len() >= 2 && agreeing * 2 > sorted.len()).then_some(median)
+        let is_shorter = median < expected && !is_near(median, expected);
+        let least = match sorted.len() {
+            MAX_INTERVALS if !is_shorter => MIN_AGREEING,
+            count if count >= MIN_INTERVALS && !is_shorter => count,
+            _ => MAX_INTERVALS,
+        };
+        (agreeing >= least).then_some(median)
     }
 }
 
@@ -56,7 +69,7 @@ pub(super) struct HeartbeatPeriods {
     /// True if the user gave the profile: other addresses then do not change what is expected.
     is_given: bool,
     intervals: Vec<Intervals>,
-    /// Period expected of each address.
+    /// Period of each address, measured or expected.
     expected: [Duration; Address::COUNT],
 }
 
@@ -71,8 +84,32 @@ impl HeartbeatPeriods {
     }
 
     /// Returns the period of `address`: the measured one, or the one expected until it is measured.
+    /// Evidence of conflicts is judged by it.
     pub fn of(&self, address: Address) -> Duration {
         self.expected[address.index()]
+    }
+
+    /// Returns the period by which the presence of `address` is judged. Before it is measured, the
+    /// shortest interval so far may be the period.
+    pub fn of_presence(&self, address: Address) -> Duration {
+        let (expected, intervals) = (self.of(address), &self.intervals[address.index()]);
+        match intervals.recent.iter().min() {
+            Some(shortest) if intervals.measured.is_none() && !self.is_given => {
+                expected.max(*shortest)
+            }
+            _ => expected,
+        }
+    }
+
+    /// Returns the period of each address.
+    pub fn all(&self) -> &[Duration; Address::COUNT] {
+        &self.expected
+    }
+
+    /// Returns the period of most addresses.
+    pub fn typical(&self) -> Duration {
+        let measured = self.intervals.iter().filter_map(|intervals| intervals.measured);
+        median(measured.collect()).unwrap_or(self.profile)
     }
 
     /// Returns true if a single heartbeat of `address` shows when the next one is due: its period is
@@ -98,7 +135,8 @@ impl HeartbeatPeriods {
         if intervals.is_established && intervals.measured.is_some_and(|it| is_near(interval, it)) {
             return false;
         }
-        let median = intervals.regular_interval().map(|interval| self.rounded(interval));
+        let median = intervals.regular_interval(self.profile);
+        let median = median.map(|interval| self.rounded(interval));
         let measured = median.filter(|period| !self.is_half_of_expected(address, *period));
         let intervals = &mut self.intervals[address.index()];
         let before = (intervals.median, intervals.measured);
@@ -107,13 +145,11 @@ impl HeartbeatPeriods {
             intervals.is_established = intervals.recent.len() == MAX_INTERVALS;
         }
         intervals.median = median.or(intervals.median);
-        if before != (intervals.median, intervals.measured) {
+        let has_changed = before != (intervals.median, intervals.measured);
+        if has_changed {
             self.update_expected();
-            return true;
         }
-        let before = self.expected[address.index()];
-        self.expected[address.index()] = self.expectation(address);
-        before != self.expected[address.index()]
+        has_changed
     }
 
     /// Forgets the intervals of `address`: its device is lost.
@@ -150,12 +186,7 @@ impl HeartbeatPeriods {
         if let Some(measured) = intervals.measured {
             return measured;
         }
-        let expected = self.expected_of_others(address).max(self.profile);
-        // Before two intervals agree, the shortest one may be the period.
-        match intervals.recent.iter().min() {
-            Some(shortest) if !self.is_given => expected.max(*shortest),
-            _ => expected,
-        }
+        self.expected_of_others(address).max(self.profile)
     }
 
     fn median_without(&self, address: Address) -> Option<Duration> {
@@ -197,26 +228,30 @@ mod tests {
     }
 
     #[test]
-    fn two_equal_intervals_are_the_period() {
-        let periods = measured(false, &[(1, 3010), (1, 2990)]);
-        assert_eq!(periods.of(address(1)), millis(2990));
-        assert_eq!(periods.of(address(2)), millis(2990), "expected of the others, too");
+    fn five_equal_intervals_are_the_period() {
+        let intervals = [(1, 3010), (1, 2990), (1, 3000), (1, 3000), (1, 2995)];
+        let periods = measured(false, &intervals[..4]);
+        assert_eq!(periods.of(address(1)), millis(1000), "four may be three periods each");
+        assert_eq!(periods.of_presence(address(1)), millis(2990), "it is not stale before");
+        let periods = measured(false, &intervals);
+        assert_eq!(periods.of(address(1)), millis(3000));
+        assert_eq!(periods.of(address(2)), millis(3000), "expected of the others, too");
     }
 
     #[test]
     fn lost_heartbeats_do_not_change_the_period() {
-        let intervals = [1000, 2000, 1000, 1000, 3000, 1000, 1000, 2000, 1000];
+        let intervals = [1000, 2000, 1000, 1000, 3000, 1000, 1000, 1000, 1000];
         let periods = measured(false, &intervals.map(|interval| (1, interval)));
         assert_eq!(periods.of(address(1)), millis(1000));
     }
 
     #[test]
     fn half_of_the_expected_period_is_not_a_period() {
-        let twice = [(1, 500), (1, 500), (1, 500)];
+        let twice = [(1, 500); MAX_INTERVALS];
         assert_eq!(measured(false, &twice).of(address(1)), millis(1000), "by the profile");
-        let slow = [(2, 3000), (2, 3000), (1, 1500), (1, 1500), (1, 1500)];
+        let slow = [[(2, 3000), (1, 1500)]; MAX_INTERVALS].concat();
         assert_eq!(measured(false, &slow).of(address(1)), millis(3000), "by another address");
-        let fast = [(1, 500), (1, 500), (2, 500), (2, 500), (1, 500)];
+        let fast = [[(1, 500), (2, 500)]; MAX_INTERVALS + 1].concat();
         assert_eq!(measured(false, &fast).of(address(1)), millis(500), "all addresses have it");
         let slower = [(1, 2000); MAX_INTERVALS].into_iter().chain([(1, 1000); MAX_INTERVALS]);
         let slower: Vec<(u8, u64)> = slower.collect();
@@ -224,8 +259,17 @@ mod tests {
     }
 
     #[test]
-    fn a_given_profile_is_expected_until_the_period_is_measured() {
-        let periods = measured(true, &[(2, 3000), (2, 3000), (1, 3000)]);
+    fn two_phases_are_no_period() {
+        for (short, long) in [(50, 950), (250, 750), (300, 700)] {
+            let intervals = [[(1, short), (1, long)]; MAX_INTERVALS].concat();
+            assert_eq!(measured(false, &intervals).of(address(1)), millis(1000), "{short} ms");
+        }
+    }
+
+    #[test]
+    fn given_profile_is_expected_until_the_period_is_measured() {
+        let periods =
+            measured(true, &[[(2, 3000)].repeat(MIN_INTERVALS), vec![(1, 3000)]].concat());
         assert_eq!(periods.of(address(1)), millis(1000));
         assert_eq!(periods.of(address(2)), millis(3000));
     }

@@ -1,6 +1,8 @@
 //! Presence of devices, by the age of their heartbeats and other frames (protocol §4.6).
 //!
-//! With heartbeats: online while they arrive, stale after 2.5 periods, lost after 5; silent instead
+//! With heartbeats: online while they arrive, stale after 2.5 periods of the device, lost after 5;
+//! before any period is known, a single heartbeat does not show when the next one is due, so the
+//! device is not stale between. Silent instead
 //! while other frames arrive after the next heartbeat was due, asleep instead of lost if the last
 //! mode was IDLE. Without heartbeats, or with a single one that claimed the address: by enumeration
 //! rounds: lost after 3 rounds without a response, unless frames arrive between them; or, without
@@ -8,6 +10,7 @@
 //! Time in which the bus was down does not count.
 
 use super::device::{Device, Presence, STALE_PERIODS};
+use super::periods::HeartbeatPeriods;
 use crate::time::{Duration, Instant};
 use crate::wire::node::Mode;
 use std::collections::VecDeque;
@@ -95,8 +98,7 @@ impl Outages {
 /// Input of the presence decision.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PresenceInput<'a> {
-    /// BUS_CFG_HR_TIME.
-    pub period: Duration,
+    pub periods: &'a HeartbeatPeriods,
     /// True if enumeration rounds are sent.
     pub rounds: bool,
     pub outages: &'a Outages,
@@ -111,12 +113,13 @@ impl PresenceInput<'_> {
     /// Returns the presence at `now`, and when it changes if no frame is received; `None`: it does
     /// not.
     pub fn evaluate(&self, device: &Device, now: Instant) -> (Presence, Option<Instant>) {
-        let stale_after = self.period.mul_f64(STALE_PERIODS);
-        let lost_after = self.period * 5;
-        let Some(last_heartbeat) =
-            device.heartbeat.last.filter(|_| !is_claim_only(device, self.period))
+        let period = self.periods.of_presence(device.address);
+        let lost_after = period * 5;
+        let is_known = device.heartbeat.count > 1 || self.periods.is_reliable(device.address);
+        let stale_after = if is_known { period.mul_f64(STALE_PERIODS) } else { lost_after };
+        let Some(last_heartbeat) = device.heartbeat.last.filter(|_| !is_claim_only(device, period))
         else {
-            return self.judge_without_heartbeat(device, now);
+            return self.judge_without_heartbeat(device, period, now);
         };
         let last_heartbeat = self.shifted_by_outages(last_heartbeat);
         let last_seen = self.shifted_by_outages(device.last_seen);
@@ -125,8 +128,7 @@ impl PresenceInput<'_> {
             return (Presence::Online, Some(last_heartbeat + stale_after));
         }
         // Frames received before the next heartbeat was due do not show that it is missing.
-        let is_received =
-            last_seen > last_heartbeat + self.period.mul_f64(NEXT_HEARTBEAT_DUE_PERIODS);
+        let is_received = last_seen > last_heartbeat + period.mul_f64(NEXT_HEARTBEAT_DUE_PERIODS);
         if is_received && now.since(last_seen) < lost_after {
             return (Presence::Silent, Some(last_seen + lost_after));
         }
@@ -141,6 +143,7 @@ impl PresenceInput<'_> {
     fn judge_without_heartbeat(
         &self,
         device: &Device,
+        period: Duration,
         now: Instant,
     ) -> (Presence, Option<Instant>) {
         if self.rounds {
@@ -148,7 +151,7 @@ impl PresenceInput<'_> {
                 return (Presence::Online, None);
             }
             // The rounds at start follow each other quickly.
-            let lost_at = self.shifted_by_outages(device.last_seen) + self.period * 5;
+            let lost_at = self.shifted_by_outages(device.last_seen) + period * 5;
             return if now < lost_at {
                 (Presence::Online, Some(lost_at))
             } else {

@@ -99,8 +99,9 @@ impl Engine {
 
     /// Updates presence and queries after an enumeration round that began at `began`.
     fn finish_round(&mut self, began: Instant) {
-        let period = self.config.profile.heartbeat.period();
+        let periods = self.conflicts.periods();
         for device in self.device_table.devices_mut() {
+            let period = periods.of(device.address);
             let has_heartbeats = device.heartbeat.last.is_some() && !is_claim_only(device, period);
             let is_present = has_heartbeats || device.last_seen >= began;
             device.rounds_missed = if is_present { 0 } else { device.rounds_missed + 1 };

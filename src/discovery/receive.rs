@@ -189,7 +189,7 @@ impl Engine {
             self.wake_at(now);
             return Some(row);
         };
-        let period = self.config.profile.heartbeat.period();
+        let period = self.period_of(header.source);
         let device = self.device_table.get_mut(row)?;
         if device.retry_after_silence(now, period) {
             self.wake_at(now);

@@ -46,7 +46,7 @@ impl Engine {
         let now = self.now;
         let arslv = heartbeat.mode == Some(Mode::Arslv) && mode_before != Some(Mode::Arslv);
         // A node that claims its address again was silent before; a holder does not claim.
-        let held = gap.is_some_and(|gap| gap < self.gap_limit());
+        let held = gap.is_some_and(|gap| gap < self.gap_limit(address));
         let over_holder = arslv && held;
         let before = not_blank(uid_before);
         let Some(uid) = not_blank(heartbeat.uid) else {
@@ -66,11 +66,12 @@ impl Engine {
         let own = self.claims.row_of(uid).filter(|own| *own != row);
         let own =
             own.and_then(|own| self.device_table.get(own)).is_some_and(|it| it.address == address)
-                && self.claims.is_shared(now, address, uid);
+                && self.claims.is_shared(now, address, self.period_of(address), uid);
         let over_holder = own || (over_holder && before.is_none());
         let heartbeat_input = HeartbeatInput {
             now,
             address,
+            period: self.period_of(address),
             uid,
             mode: heartbeat.mode,
             row,
@@ -96,7 +97,7 @@ impl Engine {
         let Some((uid, update)) = sender.known else { return };
         let now = self.now;
         if let (Some(left), Some(then)) = (update.left, update.gave_up) {
-            let to = self.claims.is_still_active(now, left, then, uid);
+            let to = self.claims.is_still_active(now, left, self.period_of(left), then, uid);
             let to = to.map(|(device, uid)| self.party(device, Some(uid)));
             let to = to.or_else(|| self.blank_party(left, then));
             // The row there may stand for the other node now.
@@ -106,7 +107,8 @@ impl Engine {
             let kind = EventKind::GaveUpAddress { uid: Some(uid), to, inferred: false };
             self.emit_for(Some(device), left, kind);
         }
-        for (device, silent) in self.claims.nodes_that_stopped(now, address, uid) {
+        let period = self.period_of(address);
+        for (device, silent) in self.claims.nodes_that_stopped(now, address, period, uid) {
             let to = Some(self.party(update.device, Some(uid)));
             let kind = EventKind::GaveUpAddress { uid: Some(silent), to, inferred: true };
             // A row that both shared now belongs to the other node.
@@ -166,7 +168,7 @@ impl Engine {
 
     /// Emits that a device known by its name alone left an address that another node claimed.
     pub(super) fn emit_gave_up_by_name(&mut self, device: DeviceId, from: Address) {
-        let period = self.config.profile.heartbeat.period();
+        let period = self.period_of(from);
         let since = self.claims.claimed_while_held(from);
         let concerns = since.is_some_and(|at| self.now.since(at) < period * CLAIM_RELEVANT_PERIODS);
         if concerns && let Some(to) = self.blank_party(from, Instant::ZERO) {
@@ -185,8 +187,8 @@ impl Engine {
     /// now.
     fn row_left(&self, left: Address, update: &ClaimUpdate) -> Option<DeviceId> {
         let device = self.device_table.get(update.device)?;
-        let silent = self.now.since(device.last_seen) > self.gap_limit()
-            || self.claims.are_others_known(self.now, left, update.device);
+        let silent = self.now.since(device.last_seen) > self.gap_limit(left)
+            || self.claims.are_others_known(self.now, left, self.period_of(left), update.device);
         let has_left = silent || !self.device_table.is_current(device);
         (device.address == left && has_left).then_some(update.device)
     }
@@ -199,8 +201,8 @@ impl Engine {
     }
 
     /// Returns the gap between heartbeats from which at least one is missing.
-    fn gap_limit(&self) -> Duration {
-        self.config.profile.heartbeat.period().mul_f64(MISSED_HEARTBEAT_PERIODS)
+    fn gap_limit(&self, address: Address) -> Duration {
+        self.period_of(address).mul_f64(MISSED_HEARTBEAT_PERIODS)
     }
 
     fn party(&self, device: DeviceId, uid: Option<Uid>) -> OtherDevice {
@@ -214,6 +216,7 @@ impl Engine {
         let device = self.device_table.current_device(address)?;
         let last = device.heartbeat.last.filter(|last| *last > then)?;
         let is_blank = device.uid.is_none_or(Uid::is_blank);
-        (is_blank && self.now.since(last) < self.gap_limit()).then(|| self.party(device.id, None))
+        (is_blank && self.now.since(last) < self.gap_limit(address))
+            .then(|| self.party(device.id, None))
     }
 }

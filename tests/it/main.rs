@@ -23,6 +23,7 @@ mod editing;
 mod error_frames;
 mod external_editors;
 mod guide;
+mod heartbeat_periods;
 mod log;
 mod malicious_input;
 mod missing_reasons;

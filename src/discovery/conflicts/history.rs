@@ -116,6 +116,8 @@ fn push_bounded<T>(values: &mut VecDeque<T>, value: T, max: usize) {
 pub(super) struct AddressHistory {
     pub names: RecentValues<Name>,
     pub uids: RecentValues<Uid>,
+    /// Time of the last heartbeat with a blank UID or none.
+    pub last_without_uid: Option<Instant>,
     /// Hashes of services responses.
     pub services: RecentValues<u64>,
     /// U bits: true in a working mode.

@@ -16,6 +16,7 @@ mod rhythm;
 
 use super::finding_text;
 use super::finding_tracker::{EvidenceStrength, FindingTracker, NewEvidence};
+use super::periods::HeartbeatPeriods;
 use crate::finding::FindingKind;
 use crate::frame::{BusIndex, Frame};
 use crate::text::{Escaped, Name};
@@ -25,10 +26,11 @@ use crate::wire::framing::{Framing, strip_raw_padding};
 use crate::wire::id::Address;
 use crate::wire::isotp::{Pci, TransferFault};
 use crate::wire::node::Uid;
-use crate::wire::profile::UidProfile;
+use crate::wire::profile::{Profile, UidProfile};
 use history::AddressHistory;
 pub(super) use query_responses::RequestOrigin;
 use query_responses::SurplusResponse;
+use recent_values::ObservedValue;
 use repeated_frames::RepeatedFrameDetector;
 use rhythm::HeartbeatPattern;
 use std::borrow::Cow;
@@ -39,6 +41,12 @@ const PAIR_WINDOW: Duration = Duration::from_millis(125);
 /// Consecutive heartbeats at twice the rate that count as evidence: enough time for the follow-up
 /// requests.
 const MAX_DOUBLE_RATE_HEARTBEATS: u32 = 16;
+
+/// Periods for which a UID is remembered at its address: some heartbeats may be lost.
+const UID_MEMORY_PERIODS: u32 = 5;
+/// Longest time between two heartbeats of a sender, in periods, if another one sends meanwhile: one
+/// of them may be lost. Boards that take turns are plugged in and start for longer.
+const INTERLEAVED_PERIODS: f64 = 2.6;
 
 /// Description of a heartbeat at twice the rate.
 const TWICE_THE_RATE: &str = "heartbeats at twice the rate";
@@ -93,7 +101,7 @@ struct AddressFindings {
 /// Histories of all addresses of one bus, with the findings made from them.
 #[derive(Debug)]
 pub(super) struct ConflictDetector {
-    period: Duration,
+    periods: HeartbeatPeriods,
     listen_only: bool,
     /// Alphabet of UIDs, for the text of evidence.
     alphabet: UidProfile,
@@ -105,22 +113,22 @@ pub(super) struct ConflictDetector {
 }
 
 impl ConflictDetector {
-    pub fn new(
-        bus: BusIndex,
-        period: Duration,
-        listen_only: bool,
-        alphabet: UidProfile,
-        seed: u64,
-    ) -> Self {
+    pub fn new(bus: BusIndex, profile: &Profile, listen_only: bool, seed: u64) -> Self {
+        let period = profile.heartbeat.period();
         Self {
-            period,
+            periods: HeartbeatPeriods::new(period, profile.given),
             listen_only,
-            alphabet,
+            alphabet: profile.uid.clone(),
             histories: (0..Address::COUNT).map(|_| AddressHistory::default()).collect(),
             repeated_frames: RepeatedFrameDetector::new(period),
             finding_tracker: FindingTracker::new(bus, period, listen_only, seed),
             ignore_surplus_until: Instant::ZERO,
         }
+    }
+
+    /// Heartbeat periods of the addresses.
+    pub fn periods(&self) -> &HeartbeatPeriods {
+        &self.periods
     }
 
     /// Findings and their state.
@@ -137,8 +145,8 @@ impl ConflictDetector {
     /// responses may be equal, only every other time: responses to the first request would wait
     /// behind the second request, and merge on the wire.
     pub fn needs_both_d_bits(&mut self, now: Instant, address: Address) -> bool {
-        let recently =
-            |seen: &Option<Instant>| seen.is_some_and(|at| now.since(at) < self.period * 12);
+        let recent = self.periods.of(address) * 12;
+        let recently = |seen: &Option<Instant>| seen.is_some_and(|at| now.since(at) < recent);
         let open = self.finding_tracker.is_open_at(address);
         let differ = self.finding_tracker.is_open(FindingKind::OneAddressTwoNames, address);
         let history = &mut self.histories[address.index()];
@@ -177,7 +185,7 @@ impl ConflictDetector {
     ) {
         let ResponseStart { from: address, to, request, framing, is_working, is_resolving } =
             response;
-        let window = PAIR_WINDOW.min(self.period / 8);
+        let window = PAIR_WINDOW.min(self.periods.of(address) / 8);
         let history = &mut self.histories[address.index()];
         if !is_resolving {
             history.seen[usize::from(is_working)] = Some(now);
@@ -201,15 +209,16 @@ impl ConflictDetector {
     /// Ignores surplus responses for some periods: requests that were delayed have been sent
     /// together, and devices may respond to each of them.
     pub fn ignore_surplus_responses(&mut self, now: Instant) {
-        self.ignore_surplus_until = now + self.period * DELAYED_RESPONSE_PERIODS;
+        let period = self.periods.typical();
+        self.ignore_surplus_until = now + period * DELAYED_RESPONSE_PERIODS;
     }
 
     /// Notes a complete name response.
     pub fn note_name(&mut self, now: Instant, address: Address, name: &Name, frame: &Frame) {
-        let timeout = self.alternation_timeout();
+        let timeout = self.alternation_timeout(address);
         let history = &mut self.histories[address.index()];
         let before = history.names.current().cloned();
-        let returned = history.names.observe(now, name, timeout);
+        let returned = history.names.observe(now, name, timeout).return_count;
         let since = history.names.second_since();
         let Some(before) = before.filter(|before| before != name) else { return };
         let kind = FindingKind::OneAddressTwoNames;
@@ -239,9 +248,9 @@ impl ConflictDetector {
         name: Option<&Name>,
         frame: &Frame,
     ) {
-        let timeout = self.alternation_timeout();
+        let timeout = self.alternation_timeout(address);
         let services = &mut self.histories[address.index()].services;
-        let returned = services.observe(now, &digest, timeout);
+        let returned = services.observe(now, &digest, timeout).return_count;
         let since = services.second_since();
         let others = self.findings_at(now, address);
         if returned.is_none() || others.has_two_names {
@@ -271,15 +280,27 @@ impl ConflictDetector {
         name: Option<&Name>,
         frame: &Frame,
     ) {
-        let period = self.period;
+        let period = self.periods.of(address);
         let history = &mut self.histories[address.index()];
         if !mode.is_resolving {
             history.seen[usize::from(mode.is_working)] = Some(now);
         }
         let uid = uid.filter(|uid| !uid.is_blank());
-        let uid_returned = uid.and_then(|uid| history.uids.observe(now, &uid, period * 3));
+        let observed = match uid {
+            Some(uid) => history.uids.observe(now, &uid, period * UID_MEMORY_PERIODS),
+            None => {
+                let last = history.last_without_uid.replace(now);
+                let interval = last.map(|last| now.since(last));
+                ObservedValue { interval, return_count: None }
+            }
+        };
+        // Boards that are swapped to and fro do not send heartbeats in turns.
+        let interleaves =
+            observed.interval.is_none_or(|it| it <= period.mul_f64(INTERLEAVED_PERIODS));
+        let uid_returned = observed.return_count.filter(|_| interleaves);
         // Two devices alternate with every heartbeat; one device keeps a changed U bit for longer.
-        let mode_returned = history.working.observe(now, &mode.is_working, period.mul_f64(1.05));
+        let mode_returned =
+            history.working.observe(now, &mode.is_working, period.mul_f64(1.05)).return_count;
         let times = history.heartbeats.times();
         let pattern = rhythm::pattern(times, period);
         if rhythm::has_several_senders(times, period) {
@@ -326,6 +347,16 @@ impl ConflictDetector {
         if let Some(evidence) = evidence {
             self.finding_tracker.report(now, evidence);
         }
+        if let Some(interval) = observed.interval
+            && self.periods.note_interval(address, interval)
+        {
+            self.apply_periods();
+        }
+    }
+
+    fn apply_periods(&mut self) {
+        self.finding_tracker.set_periods(self.periods.all());
+        self.repeated_frames.set_period(self.periods.typical());
     }
 
     fn alternating_uids(&self, history: &AddressHistory) -> Alternation {
@@ -393,7 +424,7 @@ impl ConflictDetector {
         let mut is_new = true;
         if is_heartbeat {
             let heartbeats = &mut self.histories[source.index()].heartbeats;
-            let recorded = heartbeats.record(now, frame, self.period);
+            let recorded = heartbeats.record(now, frame, self.periods.of(source));
             is_new = recorded.is_new;
             let was_active = self.repeated_frames.is_active(now);
             self.repeated_frames.note_heartbeat(now, source, recorded);
@@ -523,6 +554,8 @@ impl ConflictDetector {
     /// Forgets the history of `address` and clears its conflicts: its device is lost.
     pub fn forget(&mut self, now: Instant, address: Address) {
         self.histories[address.index()] = AddressHistory::default();
+        self.periods.forget(address);
+        self.apply_periods();
         self.finding_tracker.forget(now, address);
     }
 
@@ -541,11 +574,12 @@ impl ConflictDetector {
     }
 
     /// Time within which an alternating response must return to its previous value.
-    fn alternation_timeout(&self) -> Duration {
+    fn alternation_timeout(&self, address: Address) -> Duration {
+        let period = self.periods.of(address);
         if self.listen_only {
-            self.finding_tracker.max_evidence_lifetime()
+            self.finding_tracker.max_evidence_lifetime(period)
         } else {
-            self.period * 3
+            period * 3
         }
     }
 
@@ -555,7 +589,7 @@ impl ConflictDetector {
         let names = &self.histories[address.index()].names;
         AddressFindings {
             has_two_names: self.finding_tracker.has_strong(two_names, address),
-            had_other_name: names.changed_within(now, self.period * 30)
+            had_other_name: names.changed_within(now, self.periods.of(address) * 30)
                 || self.finding_tracker.is_open(two_names, address),
         }
     }

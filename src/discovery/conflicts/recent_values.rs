@@ -18,12 +18,23 @@ pub(super) struct RecentValues<T> {
     changed_at: Instant,
 }
 
-/// A value, since when it is remembered, and when another one took its place.
+/// A value, since when it is remembered, when it was observed last, and when another one took its
+/// place.
 #[derive(Debug)]
 struct RecentValue<T> {
     value: T,
     since: Instant,
+    last: Instant,
     left_at: Instant,
+}
+
+/// What an observed value shows.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct ObservedValue {
+    /// Time since this value was observed before, if it is remembered.
+    pub interval: Option<Duration>,
+    /// How often in a row a value returned, if it did just now.
+    pub return_count: Option<u32>,
 }
 
 impl<T> Default for RecentValues<T> {
@@ -33,11 +44,13 @@ impl<T> Default for RecentValues<T> {
 }
 
 impl<T: PartialEq + Clone> RecentValues<T> {
-    /// Takes the current value. Returns how often in a row a value returned, if it did just now. A
-    /// value that was not current for longer than `forget_after` is forgotten.
-    pub fn observe(&mut self, now: Instant, value: &T, forget_after: Duration) -> Option<u32> {
-        if self.current() == Some(value) {
-            return None;
+    /// Takes the current value. A value that was not current for longer than `forget_after` is
+    /// forgotten.
+    pub fn observe(&mut self, now: Instant, value: &T, forget_after: Duration) -> ObservedValue {
+        if let Some(current) = self.current.as_mut().filter(|current| current.value == *value) {
+            let interval = Some(now.since(current.last));
+            current.last = now;
+            return ObservedValue { interval, return_count: None };
         }
         self.earlier.retain(|earlier| now.since(earlier.left_at) <= forget_after);
         if self.earlier.is_empty() {
@@ -48,8 +61,9 @@ impl<T: PartialEq + Clone> RecentValues<T> {
         // More values than are remembered: it may be one of those that were forgotten.
         let is_return = returned.is_some() || self.earlier.len() == MAX_VALUES - 1;
         self.return_count = if is_return { self.return_count + 1 } else { 0 };
+        let interval = returned.as_ref().map(|returned| now.since(returned.last));
         let since = returned.map_or(now, |returned| returned.since);
-        let next = RecentValue { value: value.clone(), since, left_at: now };
+        let next = RecentValue { value: value.clone(), since, last: now, left_at: now };
         if let Some(left) = self.current.replace(next) {
             if self.earlier.len() == MAX_VALUES - 1 {
                 self.earlier.pop_front();
@@ -57,7 +71,7 @@ impl<T: PartialEq + Clone> RecentValues<T> {
             self.earlier.push_back(RecentValue { left_at: now, ..left });
         }
         self.changed_at = now;
-        is_return.then_some(self.return_count)
+        ObservedValue { interval, return_count: is_return.then_some(self.return_count) }
     }
 
     /// The current value.

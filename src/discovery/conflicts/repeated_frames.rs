@@ -78,6 +78,11 @@ impl RepeatedFrameDetector {
         }
     }
 
+    /// Sets the heartbeat period of most addresses.
+    pub fn set_period(&mut self, period: Duration) {
+        self.period = period;
+    }
+
     /// Returns true if all frames are repeated.
     pub fn is_active(&self, now: Instant) -> bool {
         now < self.active_until
@@ -235,12 +240,12 @@ mod tests {
     }
 
     /// A detector with the heartbeats that it needs.
-    struct Bus {
+    struct DoubledBus {
         histories: Vec<HeartbeatHistory>,
         repeated_frames: RepeatedFrameDetector,
     }
 
-    impl Bus {
+    impl DoubledBus {
         fn new() -> Self {
             let histories = (0..Address::COUNT).map(|_| HeartbeatHistory::default()).collect();
             Self { histories, repeated_frames: RepeatedFrameDetector::new(PERIOD) }
@@ -257,7 +262,7 @@ mod tests {
 
     #[test]
     fn bridge_repeating_all_frames_is_detected() {
-        let mut bus = Bus::new();
+        let mut bus = DoubledBus::new();
         for second in 0..3 {
             for source in [5, 9] {
                 let start = second * 1000 + u64::from(source) * 50;
@@ -272,7 +277,7 @@ mod tests {
 
     #[test]
     fn equal_devices_at_one_address_are_not_a_bridge() {
-        let mut bus = Bus::new();
+        let mut bus = DoubledBus::new();
         for second in 0..20 {
             for (source, phase) in [(5, 0), (5, 60), (9, 500)] {
                 bus.process(&heartbeat(source, 0, second * 1000 + phase));

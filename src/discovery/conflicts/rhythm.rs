@@ -33,7 +33,8 @@ pub(super) fn pattern(times: &VecDeque<Instant>, period: Duration) -> HeartbeatP
     // The newest heartbeat must be early, or the double rate has already ended.
     let before = times.iter().rev().nth(1);
     let soon = before.is_some_and(|before| last.since(*before) < period.mul_f64(0.85));
-    let double_rate = soon && recent.count() >= TWO_PHASE_TIMES - 1;
+    let double_rate =
+        soon && recent.count() >= TWO_PHASE_TIMES - 1 && !is_faster_sender(times, period);
     // This many heartbeats show two devices for at least a period.
     let rate = HeartbeatPattern { double_rate, two_phases: false, since: Some(last - period) };
     if times.len() < TWO_PHASE_TIMES - 1 {
@@ -54,6 +55,17 @@ pub(super) fn pattern(times: &VecDeque<Instant>, period: Duration) -> HeartbeatP
         Some(at) => HeartbeatPattern { two_phases: true, since: times.get(at).copied(), ..rate },
         None => rate,
     }
+}
+
+/// Returns true if equal intervals show one sender with a shorter period. Only with half of it two
+/// senders look the same.
+fn is_faster_sender(times: &VecDeque<Instant>, period: Duration) -> bool {
+    let last = times.len().saturating_sub(TWO_PHASE_TIMES);
+    let gaps = times.iter().skip(last).zip(times.iter().skip(last + 1));
+    let gaps = gaps.map(|(one, next)| next.since(*one).as_secs_f64() / period.as_secs_f64());
+    let (least, most) =
+        gaps.fold((f64::MAX, 0.0_f64), |(least, most), gap| (least.min(gap), most.max(gap)));
+    most - least < 0.15 * most && !(0.4..=0.6).contains(&((least + most) / 2.0))
 }
 
 /// Returns the place of the first heartbeat after which both of two senders are present; `None` if

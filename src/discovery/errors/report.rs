@@ -28,9 +28,8 @@ impl Engine {
         }
         if broken > 0 {
             let (device_table, conflicts) = (&self.device_table, &self.conflicts);
-            let period = self.config.profile.heartbeat.period();
             self.errors.attribute(now, &report, broken, frame, || {
-                due_heartbeat(device_table, conflicts, now, period)
+                due_heartbeat(device_table, conflicts, now)
             });
         }
         self.wake_at(now);
@@ -152,13 +151,13 @@ fn due_heartbeat(
     device_table: &DeviceTable,
     conflicts: &ConflictDetector,
     now: Instant,
-    period: Duration,
 ) -> Option<(Address, Option<Frame>, Instant)> {
     let mut found = None;
     for device in device_table.devices() {
         let heartbeats = &device.heartbeat;
         let (Some(last), Presence::Online) = (heartbeats.last, device.presence) else { continue };
-        let period = heartbeats.period().unwrap_or(period);
+        let expected = conflicts.periods().of(device.address);
+        let period = heartbeats.period().unwrap_or(expected);
         let jitter = heartbeats.jitter().unwrap_or_default() * 3;
         let due = last + period;
         // A burst starts with the heartbeat and takes some milliseconds.
