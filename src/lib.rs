@@ -28,6 +28,7 @@
 //! * [`app`]: all state of the program, without I/O; [`keymap`]: its actions and keys.
 //! * [`theme`], [`ui`]: colours; drawing.
 //! * [`bus`]: frames from and to interfaces, adapters, servers, logs and simulations.
+//! * [`regular_file`]: bounded reading of files.
 //! * [`shell`]: event loop, terminal, files, signals.
 //! * [`guide`]: what a user looks up: `descan help`, `descan man`.
 //! * [`cli`], [`commands`]: the command line and what it runs.
@@ -76,6 +77,8 @@ pub mod commands;
 pub mod guide;
 #[cfg(feature = "program")]
 pub mod keymap;
+#[cfg(feature = "program")]
+pub mod regular_file;
 #[cfg(feature = "program")]
 pub mod shell;
 #[cfg(feature = "program")]

@@ -252,6 +252,41 @@ fn file_size_limit_keeps_edits() {
     assert!(left.is_empty(), "{left:?}");
 }
 
+/// Tests a disk that takes the new content, but fails to make its name durable.
+#[test]
+fn unconfirmed_save_is_shown_until_it_is_confirmed() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    fs::write(at("des.json"), BEFORE).unwrap();
+    fs::write(at("failing"), "").unwrap();
+    let script = format!(
+        "printf '#include <errno.h>\n#include <sys/stat.h>\n#include <unistd.h>\n\
+         int fsync(int file) {{ struct stat it; fstat(file, &it); \
+         if (S_ISDIR(it.st_mode) && !access(\"failing\", F_OK)) {{ errno = EIO; return -1; }} \
+         return fdatasync(file); }}\n' >fails.c && cc -shared -fPIC -o fails.so fails.c \
+         && exec env LD_PRELOAD=$PWD/fails.so {} sim:boiler --file des.json",
+        env!("CARGO_BIN_EXE_descan")
+    );
+    let mut pty = Pty::run("sh", &["-ec", &script], folder.path(), (120, 30));
+    pty.wait_for("SENS");
+    pty.send("ge\x1547\r");
+    pty.wait_for("✗ not confirmed by the disk");
+    assert_eq!(fs::read_to_string(at("des.json")).unwrap(), AFTER);
+    // What descan wrote is not reported as a change by another program, nor as saved.
+    pty.send("3");
+    pty.wait_for("address of the entry FEED: 9 → 47");
+    assert!(!pty.screen().contains("changed on disk"), "{}", pty.screen());
+    assert!(!pty.screen().contains("✓ 1 entry"), "{}", pty.screen());
+    fs::remove_file(at("failing")).unwrap();
+    pty.send("\x13");
+    pty.wait_for("saved after retry");
+    pty.wait_for("✓ 1 entry");
+    assert!(!pty.screen().contains("changed on disk"), "{}", pty.screen());
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+    assert_eq!(fs::read_to_string(at("des.json")).unwrap(), AFTER);
+}
+
 #[test]
 fn folder_owned_by_another_user_keeps_edits() {
     if !may_mount() {
