@@ -27,8 +27,8 @@
 //! * [`status`]: state of a bus, in plain values.
 //! * [`app`]: all state of the program, without I/O; [`keymap`]: its actions and keys.
 //! * [`theme`], [`ui`]: colours; drawing.
-//! * [`bus`]: frames from and to interfaces, adapters, servers, logs and simulations.
 //! * [`regular_file`]: bounded reading of files.
+//! * [`bus`]: frames from and to interfaces, adapters, servers, logs and simulations.
 //! * [`shell`]: event loop, terminal, files, signals.
 //! * [`guide`]: what a user looks up: `descan help`, `descan man`.
 //! * [`cli`], [`commands`]: the command line and what it runs.

@@ -4,12 +4,17 @@
 //! know what is in a file.
 
 use crate::diagnostic::{Diagnostic, without_number};
+use crate::text::printable;
 use nix::errno::Errno;
 use nix::fcntl::OFlag;
 use std::fs::{File, Metadata};
 use std::io::{self, ErrorKind, Read as _, Seek as _};
+use std::os::unix::ffi::OsStrExt as _;
 use std::os::unix::fs::OpenOptionsExt as _;
 use std::path::Path;
+
+/// Longest text file that is read, in bytes: settings, keys, themes, profiles, scenarios.
+pub const MAX_TEXT_BYTES: u64 = 1 << 20;
 
 /// An open regular file.
 #[derive(Debug)]
@@ -79,14 +84,27 @@ pub fn read(path: &Path, max_bytes: u64) -> Result<Option<Vec<u8>>, Diagnostic> 
     RegularFile::open(path)?.map(|file| file.read(max_bytes)).transpose()
 }
 
-/// As [`read`], for a text.
+/// Returns the text of a regular file; `None` if it does not exist.
 ///
 /// # Errors
-/// As [`read`]; also if the content is not UTF-8.
-pub fn read_text(path: &Path, max_bytes: u64) -> Result<Option<String>, Diagnostic> {
-    let Some(content) = read(path, max_bytes)? else { return Ok(None) };
-    let text = String::from_utf8(content);
-    text.map(Some).map_err(|_| Diagnostic::new("not UTF-8").with_remedy("save it as UTF-8"))
+/// The fault, with the path, if it is not a readable text in UTF-8 of up to [`MAX_TEXT_BYTES`].
+pub fn read_text(path: &Path) -> Result<Option<String>, Diagnostic> {
+    let text = read(path, MAX_TEXT_BYTES).and_then(|content| content.map(text_of).transpose());
+    text.map_err(|fault| fault.of(shown(path)))
+}
+
+/// Returns the content as text.
+///
+/// # Errors
+/// It is not UTF-8.
+pub fn text_of(content: Vec<u8>) -> Result<String, Diagnostic> {
+    String::from_utf8(content)
+        .map_err(|_| Diagnostic::new("not UTF-8").with_remedy("save it as UTF-8"))
+}
+
+/// Returns a path as text that is safe on a terminal.
+pub fn shown(path: &Path) -> String {
+    printable(path.as_os_str().as_bytes())
 }
 
 /// Returns the fault if this is not a regular file.

@@ -1,7 +1,7 @@
 //! `descan sim`: simulated devices on a real bus. Their own bus is simulated; frames are relayed
 //! between the two in both directions.
 
-use super::{EXIT_OK, EXIT_UNUSABLE, Failure, headless};
+use super::{EXIT_OK, EXIT_UNUSABLE, Failure, headless, output};
 use crate::bus::{self, BusSpec, Clock, Options};
 use crate::diagnostic::Diagnostic;
 use crate::frame::{BusIndex, Frame, FrameKind};
@@ -9,7 +9,6 @@ use crate::sim::Sim;
 use crate::status::Link;
 use crate::time::Instant;
 use anyhow::Context;
-use std::io::{self, Write};
 use std::time::Duration;
 use tokio::signal::unix::{SignalKind, signal};
 
@@ -47,7 +46,7 @@ pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8,
             let is_away = !matches!(status.link, Link::Opening | Link::Up);
             if is_away && told != Some(status.link) {
                 let unknown = || Diagnostic::new(format!("{spec} cannot be used"));
-                let _ = writeln!(io::stderr(), "descan: {}", status.fault.unwrap_or_else(unknown));
+                output::warn(status.fault.unwrap_or_else(unknown));
                 // Wait for a bus that was open once.
                 if start.is_none() || status.link.is_final() {
                     return Ok(EXIT_UNUSABLE);
@@ -59,7 +58,7 @@ pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8,
             }
             if status.link == Link::Up && start.is_none() {
                 let devices = scenario.devices.len();
-                let _ = writeln!(io::stderr(), "{devices} devices on {spec}; Ctrl-C stops");
+                output::say(format_args!("{devices} devices on {spec}; Ctrl-C stops"));
                 start = Some(now);
             }
             heard.clear();

@@ -34,8 +34,7 @@ use nix::unistd::{AccessFlags, Uid, access};
 use tempfile::NamedTempFile;
 
 use crate::diagnostic::{Diagnostic, without_number};
-use crate::regular_file::{self, RegularFile, check_kind};
-use crate::text::printable;
+use crate::regular_file::{self, RegularFile, check_kind, shown};
 use attributes::AttributeError;
 use temporary::{create_beside, remove_leftovers};
 
@@ -52,6 +51,7 @@ const LOCK_PATIENCE: Duration = Duration::from_secs(2);
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Store {
     path: PathBuf,
+    max_bytes: u64,
 }
 
 /// Result of a save.
@@ -99,7 +99,13 @@ pub fn write_new(path: &Path, home: Option<&Path>, bytes: &[u8]) -> Result<(), D
 impl Store {
     /// Returns the file at `path`, as entered by the user.
     pub fn new(path: impl Into<PathBuf>) -> Self {
-        Self { path: path.into() }
+        Self { path: path.into(), max_bytes: MAX_BYTES }
+    }
+
+    /// Limits the size of the file that is read, in bytes.
+    #[must_use]
+    pub fn with_max_bytes(self, max_bytes: u64) -> Self {
+        Self { max_bytes, ..self }
     }
 
     /// Returns the path as entered by the user.
@@ -110,9 +116,10 @@ impl Store {
     /// Returns the whole content; `None` if the file does not exist.
     ///
     /// # Errors
-    /// The fault, without the path, if it is not that of a readable file of up to [`MAX_BYTES`].
+    /// The fault, without the path, if it is not that of a readable file of up to [`MAX_BYTES`], or
+    /// of another limit if one is set.
     pub fn read(&self) -> Result<Option<Vec<u8>>, Diagnostic> {
-        regular_file::read(&self.path, MAX_BYTES)
+        regular_file::read(&self.path, self.max_bytes)
     }
 
     /// Returns the fault if there is a file of this name, or anything else.
@@ -256,8 +263,4 @@ fn sync_folder(folder: &File) -> Result<(), SaveError> {
         }
         _ => Ok(()),
     }
-}
-
-fn shown(path: &Path) -> String {
-    printable(path.as_os_str().as_bytes())
 }
