@@ -5,6 +5,7 @@ use super::{EXIT_OK, EXIT_UNUSABLE, Failure, headless, output};
 use crate::bus::{self, BusSpec, Clock, Options};
 use crate::diagnostic::Diagnostic;
 use crate::frame::{BusIndex, Frame, FrameKind};
+use crate::shell::stop;
 use crate::sim::Sim;
 use crate::status::Link;
 use crate::time::Instant;
@@ -30,6 +31,7 @@ pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8,
     let mut sim = Sim::from_scenario(&scenario);
     let station = sim.attach();
     headless::runtime()?.block_on(async {
+        stop::exit_if_stuck(EXIT_OK, || {}).context("no signals")?;
         let mut interrupt = signal(SignalKind::interrupt()).context("no signals")?;
         let mut terminate = signal(SignalKind::terminate()).context("no signals")?;
         // After the signals: an opened adapter is closed again, however soon one arrives.

@@ -9,7 +9,7 @@ use crate::cli::{CommonArgs, SessionArgs as Arguments};
 use crate::regular_file::shown;
 use crate::shell::session::Session;
 use crate::shell::tui_loop::{self, ThemeLoader, TuiExit};
-use crate::shell::{recovery, terminal};
+use crate::shell::{recovery, stop, terminal};
 use anyhow::Context;
 use std::future::poll_fn;
 use std::io::IsTerminal;
@@ -20,8 +20,9 @@ use std::task::Poll;
 use std::thread;
 use std::time::Duration;
 
-/// Longest time to finish a save after a signal or a closed terminal.
-const SAVE_TIMEOUT: Duration = Duration::from_secs(5);
+/// Longest time to finish a save after a signal or a closed terminal. The program ends within a
+/// second; the rest of it is for the copy of edits that are not saved by then.
+const SAVE_TIMEOUT: Duration = Duration::from_millis(600);
 
 /// `descan [BUS…]`.
 pub fn ui(arguments: &Arguments, speed: Option<f64>, theme: Option<&str>) -> Result<u8, Failure> {
@@ -105,6 +106,7 @@ fn show(
         ..AppOptions::default()
     };
     terminal::restore_on_panic();
+    stop::exit_if_stuck(EXIT_INTERRUPTED, terminal::restore).context("no signals")?;
     let runtime = headless::runtime()?;
     let result = runtime.block_on(async {
         let mut session = open::session(buses, setup, clock, options)?;
