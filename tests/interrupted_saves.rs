@@ -17,6 +17,8 @@ use std::io::Write as _;
 use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _, chown};
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use tempfile::TempDir;
 
@@ -67,10 +69,13 @@ fn main() {
 fn one_save(path: &Path) {
     let (store, new) = (Store::new(path), new());
     let expected = path.exists().then_some(OLD);
-    let editor = std::env::var("EDIT").ok().map(|edit| edit_during_the_save(path, edit));
+    let is_over = Arc::new(AtomicBool::new(false));
+    let edit = std::env::var("EDIT").ok();
+    let editor = edit.map(|edit| edit_during_the_save(path, edit, is_over.clone()));
     let _ = fs::metadata(BEFORE);
     let saved = store.save(expected, &new);
     let _ = fs::metadata(AFTER);
+    is_over.store(true, Ordering::SeqCst);
     if let Some(editor) = editor {
         editor.join().unwrap();
     }
@@ -87,8 +92,13 @@ fn one_save(path: &Path) {
 }
 
 /// Edits the file as soon as the calling thread is in the system call that replaces it; late edits
-/// when it waits after that. strace does not trace the thread of the edit.
-fn edit_during_the_save(path: &Path, edit: String) -> thread::JoinHandle<()> {
+/// when it waits after that; not at all if the save is over before. strace does not trace the thread
+/// of the edit.
+fn edit_during_the_save(
+    path: &Path,
+    edit: String,
+    is_over: Arc<AtomicBool>,
+) -> thread::JoinHandle<()> {
     let (path, saver) = (path.to_owned(), gettid());
     let old = File::options().write(true).open(&path).unwrap();
     let is_late = edit.starts_with("late");
@@ -97,6 +107,9 @@ fn edit_during_the_save(path: &Path, edit: String) -> thread::JoinHandle<()> {
         let present = format!("/proc/self/task/{saver}/syscall");
         let call = format!("{call} ");
         while !fs::read_to_string(&present).is_ok_and(|present| present.starts_with(&call)) {
+            if is_over.load(Ordering::SeqCst) {
+                return;
+            }
             thread::yield_now();
         }
         edit_file(&path, &old, &edit);

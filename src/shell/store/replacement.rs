@@ -28,12 +28,11 @@ use std::thread;
 use std::time::Duration;
 use tempfile::{NamedTempFile, TempPath};
 
-/// Looks at a replaced file, for writes of programs that had it open. A program that reads, changes
-/// and writes a file of this size takes milliseconds.
-const LOOKS: u32 = 10;
-
-/// Time before each look.
-const LOOK_PERIOD: Duration = Duration::from_millis(10);
+/// Looks at a replaced file, for writes of programs that had it open, and the time before each. A
+/// program that reads, changes and writes a file of this size takes milliseconds, and soon expects
+/// to read what it wrote.
+const LOOKS: [(u32, Duration); 2] =
+    [(10, Duration::from_millis(1)), (9, Duration::from_millis(10))];
 
 /// The new file in the place of the old one.
 pub(super) struct Replaced<'a> {
@@ -114,8 +113,8 @@ fn has_content(file: &RegularFile, expected: &[u8]) -> bool {
 fn is_written_late(old: &RegularFile, expected: &[u8]) -> bool {
     let stamp = |metadata: Metadata| (metadata.len(), metadata.mtime(), metadata.mtime_nsec());
     let first = stamp(old.metadata().clone());
-    for _ in 0..LOOKS {
-        thread::sleep(LOOK_PERIOD);
+    for period in LOOKS.iter().flat_map(|&(count, period)| (0..count).map(move |_| period)) {
+        thread::sleep(period);
         let is_touched = old.file().metadata().is_ok_and(|metadata| stamp(metadata) != first);
         if is_touched && !has_content(old, expected) {
             return true;
