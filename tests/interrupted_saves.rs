@@ -63,6 +63,7 @@ fn main() {
     }
     keeps_changes_right_before_the_exchange(&bench);
     keeps_writes_to_the_replaced_file(&bench);
+    saves_where_files_cannot_be_exchanged(&bench);
 }
 
 /// Runs under strace.
@@ -422,5 +423,16 @@ fn keeps_writes_to_the_replaced_file(bench: &Bench) {
             assert_same_attributes(&saved, true, &what);
             assert_eq!(saved.beside, 0, "{what}");
         }
+    }
+}
+
+/// Some file systems and old kernels refuse the exchange.
+fn saves_where_files_cannot_be_exchanged(bench: &Bench) {
+    for error in ["EINVAL", "ENOSYS", "EOPNOTSUPP"] {
+        let saved = bench.run(true, Some(&format!("renameat2:error={error}")), None);
+        assert_eq!(saved.outcome.as_deref(), Some("saved"), "{error}");
+        assert_eq!(saved.content, Some(new()), "{error}");
+        assert_same_attributes(&saved, true, error);
+        assert_eq!(saved.beside, 0, "{error}");
     }
 }

@@ -54,9 +54,9 @@ impl Setup {
         let folder = ConfigFolder::of_user();
         let settings = folder.as_ref().map_or(Ok(UserSettings::default()), ConfigFolder::settings);
         let mut warnings = Vec::new();
-        let settings = settings.unwrap_or_else(|why| warn(&mut warnings, why));
+        let settings = settings.unwrap_or_else(|why| warn(&mut warnings, &why));
         let keymap = folder.as_ref().map_or(Ok(Keymap::default()), ConfigFolder::keymap);
-        let keymap = keymap.unwrap_or_else(|why| warn(&mut warnings, why));
+        let keymap = keymap.unwrap_or_else(|why| warn(&mut warnings, &why));
         let built_in = Config::default();
         let config = Config {
             profile: Arc::new(profile(common.profile.as_deref())?),
@@ -88,9 +88,9 @@ impl Setup {
 }
 
 /// Prints an error in the settings and returns the built-in value.
-pub fn warn<T: Default>(warnings: &mut Vec<String>, why: String) -> T {
+pub fn warn<T: Default>(warnings: &mut Vec<String>, why: &str) -> T {
     output::warn(format_args!("{why} (built-in values are used)"));
-    warnings.push(SafeLines(&why).to_string());
+    warnings.push(SafeLines(why).to_string());
     T::default()
 }
 

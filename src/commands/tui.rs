@@ -89,7 +89,7 @@ fn show(
     let mut themes = match ThemeLoader::new(setup.folder.clone(), wanted) {
         // A theme from the settings does not prevent the start.
         Err(why) if theme.is_none() => {
-            open::warn::<()>(&mut warnings, format!("theme {wanted}: {why}"));
+            open::warn::<()>(&mut warnings, &format!("theme {wanted}: {why}"));
             wanted = usual;
             // The user's own theme may have that name; without the folder it is built-in.
             ThemeLoader::new(setup.folder.clone(), usual).or_else(|_| ThemeLoader::new(None, usual))
@@ -159,7 +159,7 @@ fn report_recovery_copy(file: &Path, count: usize, kept: std::io::Result<PathBuf
     let not_saved = format!("{edits} of {file} not saved");
     match kept {
         Ok(copy) => {
-            output::warn(format_args!("{not_saved}; a copy with all edits is {}", shown(&copy)))
+            output::warn(format_args!("{not_saved}; a copy with all edits is {}", shown(&copy)));
         }
         Err(why) => output::warn(format_args!("{not_saved}, and a copy cannot be written: {why}")),
     }
